@@ -6,6 +6,8 @@ use std::ops::ControlFlow;
 
 use robogate_core::{Environment, Episode, Fault, Policy, Scenario};
 
+use crate::LostEpisode;
+
 /// An environment with a policy. A worker stays in the thread that created it.
 pub struct Worker {
     /// The environment with its task.
@@ -40,6 +42,12 @@ pub trait Executor {
         scenario: &(dyn Fn(usize) -> Option<Scenario> + Sync),
         receive: &mut dyn FnMut(Episode) -> ControlFlow<()>,
     ) -> Result<(), ExecuteError>;
+
+    /// Takes the attempts since the last call that an infrastructure fault lost. The executor runs these episodes again,
+    /// or leaves them to a resumed run. Empty for an executor that runs each episode once.
+    fn take_lost(&self) -> Vec<LostEpisode> {
+        Vec::new()
+    }
 }
 
 /// The reason why not all episodes ran. The receiver has the finished ones.

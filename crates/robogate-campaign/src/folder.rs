@@ -1,6 +1,6 @@
 //! The folder of a run: file names, lock, and atomic writes.
 
-use std::fs::{self, File, TryLockError};
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
@@ -15,6 +15,8 @@ use crate::RunError;
 pub const PLAN: &str = "plan.json";
 /// The journal: the episodes of an unfinished run.
 pub const JOURNAL: &str = "journal.rgj";
+/// The attempts that an infrastructure fault lost: one JSON object per line.
+pub const LOST: &str = "lost_episodes.jsonl";
 /// The boundary found by the first stage.
 pub const BOUNDARY: &str = "boundary.json";
 /// The division of a campaign into shards.
@@ -88,6 +90,20 @@ impl Folder {
             let _ = fs::remove_file(&part);
             RunError::io(&path, "write")(error)
         })
+    }
+
+    /// Appends one line per document to a file of JSON lines.
+    pub(crate) fn append(&self, name: &str, documents: &[impl Serialize]) -> Result<(), RunError> {
+        let path = self.path(name);
+        let append = || {
+            let mut lines = Vec::new();
+            for document in documents {
+                serde_json::to_writer(&mut lines, document)?;
+                lines.push(b'\n');
+            }
+            OpenOptions::new().append(true).create(true).open(&path)?.write_all(&lines)
+        };
+        append().map_err(RunError::io(&path, "write"))
     }
 
     pub(crate) fn remove(&self, name: &str) -> Result<(), RunError> {

@@ -7,6 +7,7 @@
 //!
 //! Episode `i` depends only on the plan's seed and on `i`. Every file of a finished run depends only on the plan and
 //! its provenance: the number of threads, the order in which episodes finish, and interruptions have no effect.
+//! The summary and `lost_episodes.jsonl` also record the attempts that infrastructure faults lost ([`RunAgain`]).
 //!
 //! ```
 //! let plan = robogate_campaign::Preset::Quick.plan()?.with_total(300);
@@ -27,6 +28,7 @@ mod events;
 mod executor;
 pub mod folder;
 mod invalid;
+mod lost;
 mod plan;
 mod rows;
 mod run;
@@ -42,6 +44,7 @@ pub use boundary::{
 };
 pub use events::{Event, Warning};
 pub use executor::{ExecuteError, Executor, Worker, WorkerFactory};
+pub use lost::{LostEpisode, RunAgain};
 pub use plan::{BoundaryStage, DEFAULT_SEED, Emphasis, Plan, PlanError, Preset, Range, UniformStage};
 pub use rows::{RowsError, check_rows};
 pub use run::{

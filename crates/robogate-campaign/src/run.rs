@@ -3,6 +3,7 @@
 //! ```text
 //! DIR/plan.json            everything the run depends on; written first, never changed
 //! DIR/journal.rgj          the episodes of an unfinished run
+//! DIR/lost_episodes.jsonl  attempts that an infrastructure fault lost, if there were any
 //! DIR/boundary.json        the boundary found by the first stage
 //! DIR/dictionary.parquet   the episodes in order of index
 //! DIR/summary.json         the summary; written last, then the journal is deleted
@@ -25,12 +26,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::folder::{self, BOUNDARY, DICTIONARY, Folder, JOURNAL, LAYOUT, PLAN, SUMMARY};
+use crate::folder::{self, BOUNDARY, DICTIONARY, Folder, JOURNAL, LAYOUT, LOST, PLAN, SUMMARY};
 use crate::invalid::AllInvalid;
 use crate::summary::Summing;
 use crate::{
-    Bins, BoundaryReport, Event, ExecuteError, Executor, OutcomeCounts, Plan, PlanError, Points, Round, Stage,
-    SuiteStage, Summary, Warning,
+    Bins, BoundaryReport, Event, ExecuteError, Executor, OutcomeCounts, Plan, PlanError, Points, Round, RunAgain,
+    Stage, SuiteStage, Summary, Warning,
 };
 
 /// The content of `plan.json`: everything that the results of a run depend on.
@@ -474,17 +475,30 @@ impl<'a> Run<'a> {
         let scenario = |i: usize| points.scenario(*pending.get(i)?);
         let executor = self.executor;
         let mut problem = None;
-        executor.execute(&scenario, &mut |episode| match self.record(points, episode, outcomes) {
+        let executed = executor.execute(&scenario, &mut |episode| match self
+            .record_lost()
+            .and_then(|()| self.record(points, episode, outcomes))
+        {
             Ok(()) => ControlFlow::Continue(()),
             Err(error) => {
                 problem = Some(error);
                 ControlFlow::Break(())
             }
-        })?;
+        });
+        self.record_lost()?;
+        executed?;
         if let Some(error) = problem {
             return Err(error);
         }
         Ok(if outcomes.total() < due { Progress::Stopped } else { Progress::Complete })
+    }
+
+    /// Records the attempts that infrastructure faults lost.
+    fn record_lost(&self) -> Result<(), RunError> {
+        match &*self.executor.take_lost() {
+            [] => Ok(()),
+            lost => self.folder.append(LOST, lost),
+        }
     }
 
     fn stage_finished(&mut self, stage: Stage, outcomes: OutcomeCounts) -> Result<(), RunError> {
@@ -566,6 +580,7 @@ impl<'a> Run<'a> {
             writer.push(&entry)?;
         }
         let summary = summing.finish(plan, rounds, writer.finish()?.dataset_hash);
+        let summary = Summary { run_again: RunAgain::of(&self.folder)?, ..summary };
         self.folder.write(SUMMARY, &summary)?;
         Ok(summary)
     }

@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::suite::Groups;
-use crate::{Bins, MarginalEffect, OutcomeCounts, Plan, PlanError, Stage, SuiteSummary};
+use crate::{Bins, MarginalEffect, OutcomeCounts, Plan, PlanError, RunAgain, Stage, SuiteSummary};
 
 /// Campaign summary.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -31,6 +31,9 @@ pub struct Summary {
     /// The outcomes of the suite's groups, if one was run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub suite: Option<SuiteSummary>,
+    /// Episodes that ran again, because infrastructure faults lost earlier attempts. Absent if there were none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub run_again: Option<RunAgain>,
 }
 
 impl Summary {
@@ -206,6 +209,7 @@ impl Summing {
             },
             stages,
             suite,
+            run_again: None,
         }
     }
 

@@ -14,6 +14,7 @@ mod action;
 mod copula;
 mod design;
 mod episode;
+pub mod latency;
 mod measures;
 mod observation;
 mod outcome;
@@ -35,7 +36,9 @@ pub use measures::Measures;
 pub use observation::{Image, Observation, vectors};
 pub use outcome::{FailureMode, FailureModeError, Fault, FaultKind, Outcome};
 pub use pose::Pose;
-pub use rollout::{Ending, Environment, Policy, Start, Step, Tick, check_applied, rollout, rollout_with};
+pub use rollout::{
+    Ending, Environment, Policy, PredictedStep, Prediction, Start, Step, Tick, check_applied, rollout, rollout_with,
+};
 pub use scenario::{Assignment, Scenario, Value};
 pub use seed::{Seed, Stream};
 pub use space::{Correlation, Domain, Parameter, ParameterSpace, Scale, SpaceError};

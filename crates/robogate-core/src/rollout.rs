@@ -87,6 +87,42 @@ pub trait Policy {
 
     /// Returns the next action.
     fn act(&mut self, observation: &Observation) -> Result<Action, Fault>;
+
+    /// Computes the next actions from one observation and executes none of them. A policy without chunks of actions
+    /// computes one.
+    fn predict(&mut self, observation: &Observation) -> Result<Prediction, Fault> {
+        Ok(Prediction { steps: vec![PredictedStep::Action(self.act(observation)?)], execute: 1, periods: 1 })
+    }
+
+    /// Returns the command of the next control period for a step of a prediction: for a new one, or for the present one
+    /// if `step` is `None` and a step takes several periods.
+    fn perform(&mut self, step: Option<&[f64]>, _observation: &Observation) -> Result<Action, Fault> {
+        let numbers = step.map_or(0, <[f64]>::len);
+        Err(Fault::new(
+            FaultKind::BadAction,
+            format!("this policy predicts no vectors, but was given {numbers} numbers"),
+        ))
+    }
+}
+
+/// Actions that a policy computes from one observation.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Prediction {
+    /// The steps, from the time of the observation on.
+    pub steps: Vec<PredictedStep>,
+    /// The number of steps that are executed if the robot waits for the policy.
+    pub execute: usize,
+    /// The number of control periods that a step takes.
+    pub periods: u32,
+}
+
+/// A step of a prediction.
+#[derive(Debug, Clone, PartialEq)]
+pub enum PredictedStep {
+    /// An action of the task.
+    Action(Action),
+    /// The numbers of a model. [`Policy::perform`] converts them when they are executed.
+    Numbers(Vec<f64>),
 }
 
 /// One control period, as an observer sees it.

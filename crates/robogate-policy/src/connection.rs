@@ -2,6 +2,7 @@
 
 use serde_json::Value as Json;
 
+use super::access::Access;
 use super::chunk::Chunk;
 use super::deadline::Deadline;
 use super::error::PolicyError;
@@ -27,25 +28,16 @@ pub(crate) trait Connection: Send {
     fn declared(&self) -> &Json;
 }
 
-/// The environment variable with the token for servers that require one. The token is not part of the profile, because
-/// profiles are recorded with a run.
-const TOKEN: &str = "ROBOGATE_POLICY_TOKEN";
-
-/// The token, if it is set.
-pub(crate) fn token() -> Option<String> {
-    std::env::var(TOKEN).ok().filter(|token| !token.is_empty())
-}
-
 /// Connect with the dialect of the profile, and check the policy's metadata against the profile.
-pub(crate) fn connect(url: &str, profile: &Profile) -> Result<Box<dyn Connection>, PolicyError> {
+pub(crate) fn connect(url: &str, profile: &Profile, access: &Access) -> Result<Box<dyn Connection>, PolicyError> {
     check_address(url, profile)?;
     let deadline = Deadline::within(profile.server.connect_s);
     let dialect = &profile.dialect;
-    let rest = |api| RestServer::connect(url, api, deadline).map(boxed);
-    let gr00t = |version, names| Gr00tServer::connect(url, version, names, profile, deadline).map(boxed);
+    let rest = |api| RestServer::connect(url, api, access, deadline).map(boxed);
+    let gr00t = |version, names| Gr00tServer::connect(url, version, names, profile, access, deadline).map(boxed);
     let connection = match dialect {
-        Dialect::Openpi {} => Openpi::connect(url, deadline).map(boxed),
-        Dialect::RoboArena {} => RoboArena::connect(url, profile, deadline).map(boxed),
+        Dialect::Openpi {} => Openpi::connect(url, access, deadline).map(boxed),
+        Dialect::RoboArena {} => RoboArena::connect(url, profile, access, deadline).map(boxed),
         Dialect::Gr00tN15(names) => gr00t(Version::N15, names),
         Dialect::Gr00tN16(names) => gr00t(Version::N16, names),
         Dialect::Gr00tN15Http(Gr00t { action_keys, language_key }) => {
@@ -59,11 +51,11 @@ pub(crate) fn connect(url: &str, profile: &Profile) -> Result<Box<dyn Connection
             LeRobotServer::connect(url, settings, chunk, deadline).map(boxed)
         }
         Dialect::Onnx {} => load_network(url, profile, deadline),
-        Dialect::VlaEval {} => VlaEval::connect(url, profile, deadline).map(boxed),
+        Dialect::VlaEval {} => VlaEval::connect(url, profile, access, deadline).map(boxed),
     };
     // A server listens but does not use this dialect: identify its dialect for the error message.
-    connection.map_err(|error| match error {
-        PolicyError::InvalidReply { .. } | PolicyError::Closed { .. } | PolicyError::Timeout { .. } => {
+    connection.map_err(|error| match access.without_key(error) {
+        error @ (PolicyError::InvalidReply { .. } | PolicyError::Closed { .. } | PolicyError::Timeout { .. }) => {
             identify::describe(url, dialect)
                 .map_or(error, |found| PolicyError::WrongDialect { expected: dialect.name(), found })
         }
@@ -90,16 +82,26 @@ fn check_address(url: &str, profile: &Profile) -> Result<(), PolicyError> {
                 "profile {name} has the dialect {dialect} and takes the address of a server. Expected {expected}{hint}"
             )
         }
-        (false, true) if url.starts_with("wss://") || url.starts_with("https://") => {
-            let plain = format!("{}127.0.0.1:PORT", dialect.scheme());
-            format!("TLS is not supported. Run a proxy on this machine and use its address, {plain}")
+        (false, true) if url.contains('@') => {
+            "it contains a user or a password. Hint: give a key in ROBOGATE_POLICY_TOKEN or with --policy-key"
+                .to_owned()
         }
-        (false, true) if !url.starts_with(dialect.scheme()) => {
+        (false, true) if has_scheme(url, dialect.scheme()) => return Ok(()),
+        (false, true) => {
             format!("profile {name} has the dialect {}. Expected {}", dialect.name(), dialect.address())
         }
-        (false, true) => return Ok(()),
     };
     Err(PolicyError::Address { url: url.to_owned(), why })
+}
+
+/// Whether an address has this scheme, or its variant with TLS.
+fn has_scheme(url: &str, scheme: &str) -> bool {
+    let secure = match scheme {
+        "ws://" => "wss://",
+        "http://" => "https://",
+        other => other,
+    };
+    url.starts_with(scheme) || url.starts_with(secure)
 }
 
 /// Load a network that runs in this process.

@@ -30,6 +30,28 @@ pub enum PolicyError {
         /// The error of the operating system.
         why: String,
     },
+    /// The server is running, but it is still loading.
+    #[error("not ready: {url}: {why}")]
+    NotReady {
+        /// The address.
+        url: String,
+        /// What the server answered.
+        why: String,
+    },
+    /// The TLS connection could not be established.
+    #[error("TLS: {url}: {why}")]
+    Tls {
+        /// The address.
+        url: String,
+        /// The problem.
+        why: String,
+    },
+    /// The trusted certificates cannot be used.
+    #[error("CA certificates: {0}")]
+    Certificates(String),
+    /// The key of the policy server cannot be used.
+    #[error("key of the policy server: {0}")]
+    Key(String),
     /// The deadline has passed.
     #[error("timeout: {operation} took longer than {limit_s} s")]
     Timeout {
@@ -98,7 +120,7 @@ pub enum PolicyError {
 impl PolicyError {
     /// Whether a new attempt may succeed: the network or the server failed, not the settings.
     pub(crate) fn is_transient(&self) -> bool {
-        matches!(self, Self::Unreachable { .. } | Self::Timeout { .. } | Self::Closed { .. })
+        matches!(self, Self::Unreachable { .. } | Self::NotReady { .. } | Self::Timeout { .. } | Self::Closed { .. })
     }
 
     /// Whether the settings are wrong, not the network or the server.
@@ -109,6 +131,9 @@ impl PolicyError {
                 | Self::File { .. }
                 | Self::WrongDialect { .. }
                 | Self::Mismatch(_)
+                | Self::Tls { .. }
+                | Self::Certificates(_)
+                | Self::Key(_)
                 | Self::Observation(_)
         )
     }

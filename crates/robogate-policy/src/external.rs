@@ -2,11 +2,14 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use robogate_core::{Action, Command, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec};
+use robogate_core::{
+    Action, Command, Fault, Observation, Policy, PredictedStep, Prediction, Seed, TaskInstance, TaskSpec,
+};
 use serde_json::Value as Json;
 
+use super::access::Access;
 use super::buffers::Buffers;
 use super::chunk::Chunk;
 use super::connection::{self, Connection};
@@ -15,6 +18,9 @@ use super::error::PolicyError;
 use super::profile::Profile;
 use super::query::Query;
 use super::suits;
+
+/// Largest time between two attempts to reach a server that is still loading.
+const WAITING_PAUSE: Duration = Duration::from_secs(2);
 
 /// A model behind an inference server, or in a file, as a [`Policy`].
 ///
@@ -25,6 +31,7 @@ use super::suits;
 pub struct ExternalPolicy {
     url: String,
     profile: Arc<Profile>,
+    access: Access,
     connection: Option<Box<dyn Connection>>,
     declared: Json,
     /// Whether this connection has already returned actions.
@@ -52,11 +59,33 @@ impl ExternalPolicy {
     /// Connect to the server at `url`, or load the file `url`, in one attempt. Checks the metadata of the policy
     /// against the profile.
     pub fn connect(url: &str, profile: Arc<Profile>) -> Result<Self, PolicyError> {
-        let connection = connection::connect(url, &profile)?;
+        Self::connect_with(url, profile, Access::from_environment(), &mut |_| {})
+    }
+
+    /// Connect like [`Self::connect`]. If the server does not answer yet, this function tries again until the time of
+    /// [`Access::with_wait`] is over, and calls `waiting` before each pause.
+    pub fn connect_with(
+        url: &str,
+        profile: Arc<Profile>,
+        access: Access,
+        waiting: &mut dyn FnMut(&PolicyError),
+    ) -> Result<Self, PolicyError> {
+        let until = Instant::now() + access.wait();
+        let connection = loop {
+            match connection::connect(url, &profile, &access) {
+                Ok(connection) => break connection,
+                Err(error) if error.is_transient() && Instant::now() < until => {
+                    waiting(&error);
+                    std::thread::sleep(WAITING_PAUSE.min(until.saturating_duration_since(Instant::now())));
+                }
+                Err(error) => return Err(error),
+            }
+        };
         let declared = connection.declared().clone();
         Ok(Self {
             url: url.to_owned(),
             profile,
+            access,
             connection: Some(connection),
             declared,
             warm: false,
@@ -80,16 +109,19 @@ impl ExternalPolicy {
         self.step = 0;
         self.instruction = self.profile.instruction.clone().unwrap_or_else(|| instruction.to_owned());
         let mut attempt = 0;
+        let until = Instant::now() + self.access.wait();
         loop {
             match self.try_to_begin() {
                 Ok(()) => break,
                 Err(error) => {
                     self.connection = None;
                     attempt += 1;
-                    if !error.is_transient() || attempt >= self.profile.server.attempts {
-                        return Err(error);
+                    let waits = Instant::now() < until;
+                    if !error.is_transient() || (attempt >= self.profile.server.attempts && !waits) {
+                        return Err(self.access.without_key(error));
                     }
-                    std::thread::sleep(Duration::from_secs(1 << (attempt - 1)));
+                    let pause = Duration::from_secs(1 << (attempt - 1).min(16));
+                    std::thread::sleep(if waits { pause.min(WAITING_PAUSE) } else { pause });
                 }
             }
         }
@@ -99,7 +131,7 @@ impl ExternalPolicy {
 
     fn try_to_begin(&mut self) -> Result<(), PolicyError> {
         if self.connection.is_none() {
-            let connection = connection::connect(&self.url, &self.profile)?;
+            let connection = connection::connect(&self.url, &self.profile, &self.access)?;
             if *connection.declared() != self.declared {
                 return Err(PolicyError::Mismatch(format!(
                     "the policy's metadata changed after a reconnect: now {}, before {}",
@@ -130,7 +162,17 @@ impl ExternalPolicy {
             Err(_) => self.connection = None,
         }
         self.step += 1;
-        reply
+        reply.map_err(|error| self.access.without_key(error))
+    }
+
+    /// Convert the numbers of the model to an action of the task.
+    fn decode(&self, raw: &[f64], observation: &Observation) -> Result<Action, Fault> {
+        let mut action = self.profile.action.action(raw, observation.joint_positions())?;
+        if let Command::Vector(numbers) = &mut action.command {
+            // Networks overshoot the bounds slightly, and the task would reject such an action.
+            numbers.iter_mut().zip(&self.bounds).for_each(|(n, (low, high))| *n = n.clamp(*low, *high));
+        }
+        Ok(action)
     }
 
     fn deadline(&self) -> Deadline {
@@ -160,11 +202,15 @@ impl Policy for ExternalPolicy {
             self.queue.extend(chunk.into_rows().into_iter().take(self.profile.chunk.execute));
         }
         let raw = self.queue.pop_front().unwrap_or_default();
-        let mut action = self.profile.action.action(&raw, observation.joint_positions())?;
-        if let Command::Vector(numbers) = &mut action.command {
-            // Networks overshoot the bounds slightly, and the task would reject such an action.
-            numbers.iter_mut().zip(&self.bounds).for_each(|(n, (low, high))| *n = n.clamp(*low, *high));
-        }
-        Ok(action)
+        self.decode(&raw, observation)
+    }
+
+    fn predict(&mut self, observation: &Observation) -> Result<Prediction, Fault> {
+        let steps = self.infer(observation)?.into_rows().into_iter().map(PredictedStep::Numbers).collect();
+        Ok(Prediction { steps, execute: self.profile.chunk.execute, periods: 1 })
+    }
+
+    fn perform(&mut self, step: Option<&[f64]>, observation: &Observation) -> Result<Action, Fault> {
+        self.decode(step.unwrap_or_default(), observation)
     }
 }

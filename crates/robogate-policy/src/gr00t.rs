@@ -9,8 +9,9 @@ use std::collections::BTreeSet;
 use rmpv::ValueRef;
 use serde_json::Value as Json;
 
+use super::access::Access;
 use super::array::Array;
-use super::connection::{Connection, token};
+use super::connection::Connection;
 use super::deadline::Deadline;
 use super::error::PolicyError;
 use super::msgpack;
@@ -40,6 +41,7 @@ enum Layout {
 #[derive(Debug)]
 pub(crate) struct Gr00tServer {
     requester: Requester,
+    key: Option<String>,
     version: Version,
     settings: Gr00t,
     layout: Option<Layout>,
@@ -52,6 +54,7 @@ impl Gr00tServer {
         version: Version,
         settings: &Gr00t,
         profile: &Profile,
+        access: &Access,
         deadline: Deadline,
     ) -> Result<Self, PolicyError> {
         let address =
@@ -59,7 +62,8 @@ impl Gr00tServer {
         let limits = Limits { frames: 4, frame_bytes: MAX_REPLY, message_bytes: MAX_REPLY };
         let requester = Requester::new(address, limits);
         let layout = (version == Version::N15).then_some(Layout::Flat);
-        let mut connection = Self { requester, version, settings: settings.clone(), layout, declared: Json::Null };
+        let key = access.key().map(str::to_owned);
+        let mut connection = Self { requester, key, version, settings: settings.clone(), layout, declared: Json::Null };
         connection.call("ping", None, deadline, |_| Ok(()))?;
         connection.declared = connection.call("get_modality_config", None, deadline, declared)?;
         compare(&connection.declared, settings, profile)?;
@@ -74,12 +78,15 @@ impl Gr00tServer {
         read: impl FnOnce(&ValueRef<'_>) -> Result<T, PolicyError>,
     ) -> Result<T, PolicyError> {
         let left = deadline.left().ok_or_else(|| deadline.passed(endpoint))?;
-        let frames = self.requester.request(&[encode(endpoint, data, token())], left).map_err(|error| match error {
-            ZmtpError::TimedOut(_) => deadline.passed(endpoint),
-            ZmtpError::Closed => PolicyError::Closed { when: format!("during {endpoint}"), reason: String::new() },
-            ZmtpError::Unreachable { address, why } => PolicyError::Unreachable { url: address, why: why.to_string() },
-            other => PolicyError::invalid_reply("ZeroMQ message", other),
-        })?;
+        let frames =
+            self.requester.request(&[encode(endpoint, data, self.key.clone())], left).map_err(|error| match error {
+                ZmtpError::TimedOut(_) => deadline.passed(endpoint),
+                ZmtpError::Closed => PolicyError::Closed { when: format!("during {endpoint}"), reason: String::new() },
+                ZmtpError::Unreachable { address, why } => {
+                    PolicyError::Unreachable { url: address, why: why.to_string() }
+                }
+                other => PolicyError::invalid_reply("ZeroMQ message", other),
+            })?;
         let [body] = frames.as_slice() else {
             return Err(PolicyError::invalid_reply(
                 "ZeroMQ message",

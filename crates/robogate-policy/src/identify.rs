@@ -10,7 +10,11 @@ const PROBE_S: f64 = 1.0;
 
 /// Describes the server at an address, if it can be identified and does not have the expected dialect.
 pub(crate) fn describe(url: &str, expected: &Dialect) -> Option<String> {
-    let address = url.split_once("://")?.1.split('/').next()?;
+    let (scheme, rest) = url.split_once("://")?;
+    if matches!(scheme, "wss" | "https") {
+        return None;
+    }
+    let address = rest.split('/').next()?;
     let (found, dialects) = probe(address)?;
     (!dialects.contains(&expected.name())).then(|| match dialects {
         [] => found.to_owned(),

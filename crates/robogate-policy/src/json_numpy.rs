@@ -1,4 +1,5 @@
-//! Arrays in JSON, in the format of the Python package json-numpy: raw bytes in base64, type and shape.
+//! Arrays in JSON: in the format of the Python package json-numpy (raw bytes in base64, type and shape), or as plain
+//! lists of numbers.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -24,6 +25,12 @@ pub(crate) fn write_text(json: &mut String, text: &str) {
 /// Read an array.
 pub(crate) fn read(what: &'static str, json: &Json) -> Result<Array, PolicyError> {
     let wrong = |why: String| PolicyError::invalid_reply(what, why);
+    if json.is_array() || json.is_number() {
+        let (mut shape, mut numbers) = (Vec::new(), Vec::new());
+        flatten(json, 0, &mut shape, &mut numbers).map_err(|why| wrong(format!("not an array: {why}")))?;
+        let data = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        return Array::new(Dtype::F64, shape, data).map_err(|e| wrong(e.to_string()));
+    }
     let field = |key: &str| json.get(key).ok_or_else(|| wrong(format!("not an array: `{key}` is missing")));
     let text = |key: &str| field(key)?.as_str().ok_or_else(|| wrong(format!("not an array: `{key}` is not a string")));
     let data = STANDARD
@@ -36,4 +43,42 @@ pub(crate) fn read(what: &'static str, json: &Json) -> Result<Array, PolicyError
         .and_then(|axes| axes.iter().map(|n| usize::try_from(n.as_u64()?).ok()).collect::<Option<Vec<_>>>())
         .ok_or_else(|| wrong("not an array: `shape` is not a list of sizes".to_owned()))?;
     Array::new(dtype, shape, data).map_err(|e| wrong(e.to_string()))
+}
+
+/// Appends the numbers of nested lists, which must form an array of one shape.
+fn flatten(json: &Json, depth: usize, shape: &mut Vec<usize>, numbers: &mut Vec<f64>) -> Result<(), String> {
+    let Json::Array(items) = json else {
+        let number = json.as_f64().ok_or_else(|| format!("expected a number, got {json}"))?;
+        if depth < shape.len() {
+            return Err("the lists have different depths".to_owned());
+        }
+        numbers.push(number);
+        return Ok(());
+    };
+    match shape.get(depth) {
+        Some(length) if *length != items.len() => {
+            return Err(format!("the lists have different lengths: {length} and {}", items.len()));
+        }
+        Some(_) => {}
+        // After a number, deeper lists are an error.
+        None if !numbers.is_empty() => return Err("the lists have different depths".to_owned()),
+        None => shape.push(items.len()),
+    }
+    items.iter().try_for_each(|item| flatten(item, depth + 1, shape, numbers))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn plain_lists_are_arrays() {
+        let read = |text: &str| read("reply", &serde_json::from_str(text).unwrap());
+        let array = read("[[1, 2.5, 3], [4, 5, 6]]").unwrap();
+        assert_eq!((array.shape(), array.numbers()), (&[2, 3][..], vec![1.0, 2.5, 3.0, 4.0, 5.0, 6.0]));
+        assert_eq!(read("[0.5, -1]").unwrap().shape(), [2]);
+        for wrong in ["[[1], [2, 3]]", "[1, [2]]", "[[1], 2]", "[\"a\"]", "[null]", "[[], [1]]"] {
+            assert!(read(wrong).is_err(), "{wrong}");
+        }
+    }
 }

@@ -5,6 +5,7 @@
 //! Each failure of the connection or the server is a [`PolicyError`]. It becomes a fault of the episode, and never a
 //! failure of the policy.
 
+mod access;
 mod action;
 mod array;
 mod buffers;
@@ -35,9 +36,11 @@ mod rotation;
 mod suits;
 #[cfg(test)]
 mod tests;
+mod tls;
 mod vla_eval;
 mod websocket;
 
+pub use access::Access;
 pub use array::{Array, Dtype, InvalidArray};
 pub use chunk::Chunk;
 pub use error::PolicyError;

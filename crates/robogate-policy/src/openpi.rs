@@ -7,6 +7,7 @@
 use rmpv::ValueRef;
 use serde_json::Value as Json;
 
+use super::access::Access;
 use super::connection::Connection;
 use super::deadline::Deadline;
 use super::error::PolicyError;
@@ -22,8 +23,8 @@ pub(crate) struct Openpi {
 }
 
 impl Openpi {
-    pub(crate) fn connect(url: &str, deadline: Deadline) -> Result<Self, PolicyError> {
-        let socket = Socket::connect(url, deadline)?;
+    pub(crate) fn connect(url: &str, access: &Access, deadline: Deadline) -> Result<Self, PolicyError> {
+        let socket = Socket::connect(url, access.header("Api-Key"), access, deadline)?;
         let metadata = match socket.receive("the metadata of the server", deadline) {
             Ok(Reply::Bytes(bytes)) => metadata(&bytes)?,
             Ok(Reply::Text(text)) => return Err(PolicyError::reported(&text)),

@@ -3,6 +3,7 @@
 
 use serde_json::Value as Json;
 
+use super::access::Access;
 use super::connection::Connection;
 use super::deadline::Deadline;
 use super::error::PolicyError;
@@ -43,13 +44,17 @@ pub(crate) struct RestServer {
 }
 
 impl RestServer {
-    pub(crate) fn connect(url: &str, api: Api, deadline: Deadline) -> Result<Self, PolicyError> {
-        let http = Http::new(url)?;
+    pub(crate) fn connect(url: &str, api: Api, access: &Access, deadline: Deadline) -> Result<Self, PolicyError> {
+        let http = Http::new(url, access)?;
         // OpenVLA's server has no /health. The OpenAPI description of FastAPI identifies it.
         let declared = match api {
             Api::Rest { .. } | Api::Gr00tN15 { .. } => {
                 let reply = http.get("/health", deadline)?;
                 let health: Json = serde_json::from_slice(&reply.body).unwrap_or_default();
+                if let Some("loading" | "starting" | "initializing") = health.get("status").and_then(Json::as_str) {
+                    let why = format!("its /health reports {}", health["status"]);
+                    return Err(PolicyError::NotReady { url: url.to_owned(), why });
+                }
                 if reply.status != 200 || health.get("status").and_then(Json::as_str) != Some("healthy") {
                     return Err(PolicyError::invalid_reply("reply to /health", format!("HTTP {}", reply.status)));
                 }
@@ -172,7 +177,7 @@ fn decode(reply: &Reply, api: &Api) -> Result<Chunk, PolicyError> {
             Err(PolicyError::reported("the server reported an error without details. See the log of the server"))
         }
         (Json::String(_), _) => Err(PolicyError::invalid_reply(WHAT, "expected actions, got a string".to_owned())),
-        (Json::Array(items), _) => {
+        (Json::Array(items), _) if items.iter().all(Json::is_object) => {
             let rows = items.iter().map(|item| Ok(json_numpy::read(WHAT, item)?.numbers()));
             Chunk::of_rows(rows.collect::<Result<_, PolicyError>>()?)
         }
@@ -185,6 +190,13 @@ fn decode(reply: &Reply, api: &Api) -> Result<Chunk, PolicyError> {
                 Chunk::join(&mut rows, Chunk::columns(&json_numpy::read(WHAT, value)?, key)?, key)?;
             }
             Chunk::of_rows(rows)
+        }
+        (Json::Object(map), _) if !map.contains_key("__numpy__") => {
+            let actions = ["actions", "action"].iter().find_map(|key| map.get(*key));
+            let actions = actions.ok_or_else(|| {
+                PolicyError::invalid_reply(WHAT, "expected a list of numbers, a NumPy array, or a map with `actions`")
+            })?;
+            Chunk::of_array(&json_numpy::read(WHAT, actions)?)
         }
         _ => Chunk::of_array(&json_numpy::read(WHAT, &json)?),
     }

@@ -4,6 +4,7 @@
 use rmpv::ValueRef;
 use serde_json::Value as Json;
 
+use super::access::Access;
 use super::connection::Connection;
 use super::deadline::Deadline;
 use super::error::PolicyError;
@@ -22,8 +23,13 @@ pub(crate) struct RoboArena {
 }
 
 impl RoboArena {
-    pub(crate) fn connect(url: &str, profile: &Profile, deadline: Deadline) -> Result<Self, PolicyError> {
-        let socket = Socket::connect(url, deadline)?;
+    pub(crate) fn connect(
+        url: &str,
+        profile: &Profile,
+        access: &Access,
+        deadline: Deadline,
+    ) -> Result<Self, PolicyError> {
+        let socket = Socket::connect(url, access.header("Api-Key"), access, deadline)?;
         let declared = match socket.receive("the metadata of the server", deadline)? {
             Reply::Bytes(bytes) => openpi::metadata(&bytes)?,
             Reply::Text(text) => return Err(PolicyError::reported(&text)),

@@ -9,6 +9,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use rmpv::ValueRef;
 use serde_json::Value as Json;
 
+use super::access::Access;
 use super::connection::Connection;
 use super::deadline::Deadline;
 use super::error::PolicyError;
@@ -29,8 +30,13 @@ pub(crate) struct VlaEval {
 }
 
 impl VlaEval {
-    pub(crate) fn connect(url: &str, profile: &Profile, deadline: Deadline) -> Result<Self, PolicyError> {
-        let socket = Socket::connect(url, deadline)?;
+    pub(crate) fn connect(
+        url: &str,
+        profile: &Profile,
+        access: &Access,
+        deadline: Deadline,
+    ) -> Result<Self, PolicyError> {
+        let socket = Socket::connect(url, access.header("Bearer"), access, deadline)?;
         let mut connection = Self { socket, declared: Json::Null, number: 1, steps: 0, begun: false };
         let hello = msgpack::map([
             ("harness_version", ValueRef::from(env!("CARGO_PKG_VERSION"))),

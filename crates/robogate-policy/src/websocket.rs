@@ -9,12 +9,16 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use rmpv::ValueRef;
+use tungstenite::client::IntoClientRequest;
+use tungstenite::http::{HeaderName, HeaderValue};
 use tungstenite::protocol::WebSocketConfig;
 use tungstenite::{Bytes, Error, HandshakeError, Message, WebSocket};
 
+use super::access::Access;
 use super::deadline::{Deadline, TimedStream};
 use super::error::PolicyError;
 use super::msgpack;
+use super::tls::Wire;
 
 /// Size limit of a reply, in bytes. Real ones, with a whole chunk for two arms, have tens of kilobytes.
 pub(crate) const MAX_REPLY: usize = 8 << 20;
@@ -48,36 +52,61 @@ struct Shared {
 
 #[derive(Debug)]
 struct Stream {
-    web: WebSocket<TimedStream>,
+    web: WebSocket<Wire>,
     /// Buffer for the next message, reused because touching new memory takes time.
     buffer: Vec<u8>,
     /// The reason why the stream can no longer be used.
     broken: Option<PolicyError>,
 }
 
-/// Extract `host:port` from the address of a WebSocket server.
-pub(crate) fn parse(url: &str) -> Result<String, PolicyError> {
+/// Extract `host:port` from the address of a WebSocket server, and whether it uses TLS.
+fn parse(url: &str) -> Result<(String, bool), PolicyError> {
     let wrong = |why: &str| PolicyError::Address { url: url.to_owned(), why: why.to_owned() };
-    let rest = url.strip_prefix("ws://").ok_or_else(|| wrong("expected ws://HOST:PORT"))?;
+    let (scheme, rest) = url.split_once("://").ok_or_else(|| wrong("expected ws://HOST:PORT"))?;
     let authority = rest.split(['/', '?', '#']).next().unwrap_or_default();
+    let tls = scheme == "wss";
+    let has_port = authority.rsplit_once(':').is_some_and(|(_, port)| !port.contains(']'));
+    if tls && !has_port && !authority.is_empty() {
+        return Ok((format!("{authority}:443"), tls));
+    }
     let (host, port) =
         authority.rsplit_once(':').ok_or_else(|| wrong("the port is missing. Expected ws://HOST:PORT"))?;
     if host.is_empty() || port.parse::<u16>().is_err() {
         return Err(wrong("expected ws://HOST:PORT"));
     }
-    Ok(authority.to_owned())
+    Ok((authority.to_owned(), tls))
 }
 
 impl Socket {
-    /// Connect and perform the handshake.
-    pub(crate) fn connect(url: &str, deadline: Deadline) -> Result<Self, PolicyError> {
-        let address = parse(url)?;
+    /// Connect and perform the handshakes. `key` is the name and value of the header with the key of the server.
+    pub(crate) fn connect(
+        url: &str,
+        key: Option<(String, String)>,
+        access: &Access,
+        deadline: Deadline,
+    ) -> Result<Self, PolicyError> {
+        let (address, tls) = parse(url)?;
         let stream = TimedStream::connect(url, &address, deadline)?;
+        let stream = match address.rsplit_once(':') {
+            Some((host, _)) if tls => Wire::encrypt(url, host, stream, access)?,
+            _ => Wire::Plain(stream),
+        };
+        let invalid = |why: String| PolicyError::Address { url: url.to_owned(), why };
+        let mut request = url.into_client_request().map_err(|e| invalid(e.to_string()))?;
+        if let Some((name, value)) = key {
+            let name = HeaderName::try_from(name).map_err(|_| PolicyError::Key("invalid header name".to_owned()))?;
+            let value = HeaderValue::try_from(value).map_err(|_| PolicyError::Key("invalid header".to_owned()))?;
+            request.headers_mut().insert(name, value);
+        }
         let limits = WebSocketConfig::default().max_message_size(Some(MAX_REPLY)).max_frame_size(Some(MAX_REPLY));
-        let (web, _) = tungstenite::client::client_with_config(url, stream, Some(limits)).map_err(|e| match e {
+        let (web, _) = tungstenite::client::client_with_config(request, stream, Some(limits)).map_err(|e| match e {
             HandshakeError::Interrupted(_) => deadline.passed(format!("the WebSocket handshake with {url}")),
             HandshakeError::Failure(Error::Io(e)) if is_timeout(&e) => {
                 deadline.passed(format!("the WebSocket handshake with {url}"))
+            }
+            HandshakeError::Failure(Error::Http(response)) if (502..=504).contains(&response.status().as_u16()) => {
+                let why = format!("HTTP {} for the WebSocket handshake", response.status());
+                PolicyError::NotReady { url: url.to_owned(), why }
             }
             HandshakeError::Failure(Error::Http(response)) => {
                 PolicyError::invalid_reply("WebSocket handshake", format!("HTTP {}", response.status()))
@@ -126,7 +155,7 @@ impl Drop for Socket {
         }
         let mut stream = self.shared.lock();
         if stream.broken.is_none() {
-            stream.web.get_mut().deadline = Deadline::within(CLOSE.as_secs_f64());
+            stream.web.get_mut().stream_mut().deadline = Deadline::within(CLOSE.as_secs_f64());
             // Errors are ignored, because the connection is dropped next.
             let _ = stream.web.close(None).and_then(|()| stream.web.flush());
         }
@@ -174,7 +203,7 @@ impl Stream {
 
     fn send(&mut self, message: &ValueRef<'_>, operation: &str, deadline: Deadline) -> Result<(), PolicyError> {
         self.usable()?;
-        self.web.get_mut().deadline = deadline;
+        self.web.get_mut().stream_mut().deadline = deadline;
         let mut bytes = std::mem::take(&mut self.buffer);
         bytes.clear();
         msgpack::encode_into(&mut bytes, message);
@@ -191,7 +220,7 @@ impl Stream {
     }
 
     fn read(&mut self, deadline: Deadline) -> Result<Reply, Error> {
-        self.web.get_mut().deadline = deadline;
+        self.web.get_mut().stream_mut().deadline = deadline;
         loop {
             match self.web.read()? {
                 Message::Binary(bytes) => return Ok(Reply::Bytes(bytes)),
@@ -209,11 +238,11 @@ impl Stream {
 
     /// Answer pings that have arrived. Any other message is an error.
     fn poll(&mut self) {
-        if self.broken.is_some() || self.web.get_ref().stream.set_nonblocking(true).is_err() {
+        if self.broken.is_some() || self.web.get_ref().stream().stream.set_nonblocking(true).is_err() {
             return;
         }
         let received = self.read(Deadline::within(POLL.as_secs_f64()));
-        let restored = self.web.get_ref().stream.set_nonblocking(false);
+        let restored = self.web.get_ref().stream().stream.set_nonblocking(false);
         let when = "between requests";
         self.broken = match (received, restored) {
             (Err(Error::Io(e)), Ok(())) if is_timeout(&e) => None,

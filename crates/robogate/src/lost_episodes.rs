@@ -1,33 +1,84 @@
-//! Runs the episodes of a shard again that were lost to an unavailable policy server or simulator.
+//! Runs episodes again that were lost to an unavailable policy server, simulator or worker.
 
 use std::cell::RefCell;
+use std::fmt;
 use std::ops::ControlFlow;
 
-use robogate_campaign::{ExecuteError, Executor};
+use robogate_campaign::{ExecuteError, Executor, LostEpisode};
 use robogate_core::{Episode, Fault, FaultKind, Outcome, Scenario};
 
 use crate::terminal::note;
+
+/// Smallest number of consecutive lost episodes that stops a run.
+const LOST_IN_A_ROW: u32 = 10;
 
 /// The lost episodes of an attempt with their faults, and whether the receiver has stopped the execution.
 type Attempt = (Vec<(Episode, Fault)>, ControlFlow<()>);
 
 /// An executor that runs an episode a second time if the first attempt ended with [`FaultKind::Unavailable`].
 ///
-/// An episode that is lost twice is recorded as invalid if another episode still runs after that, because then this
-/// episode itself breaks the server or the worker. Otherwise the servers are unavailable ([`Self::outage`]). A shard
-/// whose last episodes were lost must not be committed: no later episode would show that the server has failed.
+/// A lost episode is not recorded. It runs again once all other episodes of the execution are done, or when the run is
+/// resumed. An episode that is lost twice is recorded as invalid if another episode still runs after that, because then
+/// this episode itself breaks the server or the worker. Otherwise the servers are unavailable. A number of consecutive
+/// lost episodes, in the order in which they finish, shows the same earlier. After such an [`Outage`] nothing runs.
 pub(crate) struct RunsLostAgain<'a> {
     executor: &'a dyn Executor,
-    outage: &'a RefCell<Option<Fault>>,
+    limit: u32,
+    state: RefCell<State>,
+}
+
+#[derive(Default)]
+struct State {
+    in_a_row: u32,
+    outage: Option<Outage>,
+    /// Losses that the campaign has not recorded yet.
+    lost: Vec<LostEpisode>,
+}
+
+/// The reason why a run was stopped: the policy server or the simulator is unavailable.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Outage {
+    /// Consecutive episodes were lost.
+    InARow {
+        /// Their number.
+        episodes: u32,
+        /// The fault of the last one.
+        last: Fault,
+    },
+    /// Episodes were lost twice, and no episode ran after that.
+    Twice {
+        /// The fault of the last one.
+        last: Fault,
+    },
+}
+
+impl fmt::Display for Outage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::InARow { episodes, last } => {
+                write!(f, "{episodes} episodes in a row were lost, the last because of {last}")
+            }
+            Self::Twice { last } => write!(f, "episodes were lost twice, the last because of {last}"),
+        }
+    }
 }
 
 impl<'a> RunsLostAgain<'a> {
-    /// Runs episodes with `executor`. `outage` receives the fault if the servers stay unavailable.
-    pub(crate) fn new(executor: &'a dyn Executor, outage: &'a RefCell<Option<Fault>>) -> Self {
-        Self { executor, outage }
+    /// Runs at most `episodes` episodes with `executor`.
+    pub(crate) fn new(executor: &'a dyn Executor, episodes: u64) -> Self {
+        // A server that restarts loses one episode of each thread, which is not yet an outage.
+        let threads = u32::try_from(executor.parallelism()).unwrap_or(u32::MAX);
+        let limit = LOST_IN_A_ROW.max(threads.saturating_mul(2));
+        let limit = limit.min(u32::try_from(episodes).unwrap_or(u32::MAX)).max(1);
+        Self { executor, limit, state: RefCell::default() }
     }
 
-    /// Runs episodes. Returns the lost ones, and whether the receiver has stopped the execution.
+    /// The outage that has stopped the execution, if there was one.
+    pub(crate) fn outage(self) -> Option<Outage> {
+        self.state.into_inner().outage
+    }
+
+    /// Runs episodes. Returns the lost ones, and whether the receiver or an outage has stopped the execution.
     fn attempt(
         &self,
         scenario: &(dyn Fn(usize) -> Option<Scenario> + Sync),
@@ -35,16 +86,43 @@ impl<'a> RunsLostAgain<'a> {
     ) -> Result<Attempt, ExecuteError> {
         let (mut lost, mut flow) = (Vec::new(), ControlFlow::Continue(()));
         self.executor.execute(scenario, &mut |episode| {
-            match &episode.outcome {
+            flow = match &episode.outcome {
                 Outcome::Invalid(fault) if fault.kind == FaultKind::Unavailable => {
                     let fault = fault.clone();
+                    let counted = self.count(&episode, &fault);
                     lost.push((episode, fault));
+                    counted
                 }
-                _ => flow = receive(episode),
-            }
+                _ => {
+                    self.state.borrow_mut().in_a_row = 0;
+                    receive(episode)
+                }
+            };
             flow
         })?;
         Ok((lost, flow))
+    }
+
+    /// Counts a lost episode. Breaks if it shows an outage.
+    fn count(&self, episode: &Episode, fault: &Fault) -> ControlFlow<()> {
+        let mut state = self.state.borrow_mut();
+        state.lost.push(LostEpisode { index: episode.scenario.index, fault: fault.to_string() });
+        state.in_a_row += 1;
+        if state.in_a_row < self.limit {
+            return ControlFlow::Continue(());
+        }
+        state.outage = Some(Outage::InARow { episodes: state.in_a_row, last: fault.clone() });
+        ControlFlow::Break(())
+    }
+
+    /// Whether an episode that was completed before can still be completed.
+    fn runs(&self, completed: Option<Scenario>) -> Result<bool, ExecuteError> {
+        let mut ran = false;
+        self.executor.execute(&|i| completed.clone().filter(|_| i == 0), &mut |episode| {
+            ran = !matches!(&episode.outcome, Outcome::Invalid(fault) if fault.kind == FaultKind::Unavailable);
+            ControlFlow::Continue(())
+        })?;
+        Ok(ran)
     }
 }
 
@@ -58,6 +136,9 @@ impl Executor for RunsLostAgain<'_> {
         scenario: &(dyn Fn(usize) -> Option<Scenario> + Sync),
         receive: &mut dyn FnMut(Episode) -> ControlFlow<()>,
     ) -> Result<(), ExecuteError> {
+        if self.state.borrow().outage.is_some() {
+            return Ok(());
+        }
         let mut completed = None;
         let (lost, flow) = self.attempt(scenario, &mut |episode| {
             completed.get_or_insert_with(|| episode.scenario.clone());
@@ -67,6 +148,7 @@ impl Executor for RunsLostAgain<'_> {
             return Ok(());
         };
         note(format_args!("{} episodes were lost and run again, the first because of {fault}", lost.len()));
+        self.state.borrow_mut().in_a_row = 0;
         let again: Vec<Scenario> = lost.into_iter().map(|(episode, _)| episode.scenario).collect();
         let (lost, flow) = self.attempt(&|i| again.get(i).cloned(), &mut |episode| {
             completed.get_or_insert_with(|| episode.scenario.clone());
@@ -76,23 +158,16 @@ impl Executor for RunsLostAgain<'_> {
             return Ok(());
         };
         if self.runs(completed)? {
+            self.state.borrow_mut().in_a_row = 0;
             let _ = lost.into_iter().try_for_each(|(episode, _)| receive(episode));
         } else {
-            *self.outage.borrow_mut() = Some(fault.clone());
+            self.state.borrow_mut().outage = Some(Outage::Twice { last: fault.clone() });
         }
         Ok(())
     }
-}
 
-impl RunsLostAgain<'_> {
-    /// Whether an episode that was completed before can still be completed.
-    fn runs(&self, completed: Option<Scenario>) -> Result<bool, ExecuteError> {
-        let mut ran = false;
-        let (_, _) = self.attempt(&|i| completed.clone().filter(|_| i == 0), &mut |_| {
-            ran = true;
-            ControlFlow::Continue(())
-        })?;
-        Ok(ran)
+    fn take_lost(&self) -> Vec<LostEpisode> {
+        std::mem::take(&mut self.state.borrow_mut().lost)
     }
 }
 
@@ -145,21 +220,22 @@ mod tests {
     /// The recorded episodes (index, valid), the number of attempts, and whether there was an outage.
     fn run(available: impl Fn(usize, u64) -> bool) -> (Vec<(u64, bool)>, usize, bool) {
         let scripted = Scripted { available, attempts: RefCell::default() };
-        let outage = RefCell::default();
+        let executor = RunsLostAgain::new(&scripted, 6);
         let mut recorded = Vec::new();
         let seed = Seed::campaign(1);
         let scenario = |i: usize| {
             let index = i as u64;
             (i < 6).then(|| Scenario { index, seed: seed.episode(index), requested: Assignment::default() })
         };
-        RunsLostAgain::new(&scripted, &outage)
+        executor
             .execute(&scenario, &mut |episode| {
                 recorded.push((episode.scenario.index, matches!(episode.outcome, Outcome::Success)));
                 ControlFlow::Continue(())
             })
             .unwrap();
         recorded.sort_unstable();
-        (recorded, scripted.attempts.into_inner().len(), outage.into_inner().is_some())
+        let outage = executor.outage().is_some();
+        (recorded, scripted.attempts.into_inner().len(), outage)
     }
 
     #[test]
@@ -174,7 +250,8 @@ mod tests {
         // The server dies before the last two episodes, and stays down.
         let (recorded, attempts, outage) = run(|attempt, index| attempt == 0 && index < 4);
         assert_eq!((recorded, attempts, outage), ((0..4).map(|i| (i, true)).collect(), 9, true));
-        assert_eq!(run(|_, _| false), (Vec::new(), 12, true));
+        // As many consecutive losses as the limit, which is the number of episodes here.
+        assert_eq!(run(|_, _| false), (Vec::new(), 6, true));
     }
 
     #[test]

@@ -4,15 +4,16 @@ mod answer;
 mod benchmark;
 mod cell;
 mod commands;
+mod duration;
 mod environments;
 mod exit;
 mod film;
 #[cfg(feature = "mujoco")]
 mod inspection;
+mod latency;
 mod lost_episodes;
 #[cfg(feature = "object-store")]
 mod object_store;
-mod outage;
 mod picture;
 mod place;
 mod policy_source;

@@ -1,16 +1,19 @@
 //! Policies on the command line and in the record of a run.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_core::{Fault, FaultKind, Policy};
-use robogate_policy::{ExternalPolicy, PolicyError, Profile};
+use robogate_policy::{Access, ExternalPolicy, PolicyError, Profile};
 use robogate_tasks::Random;
 use serde::{Deserialize, Serialize};
 
+use crate::duration;
 use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
+use crate::terminal::note;
 
 /// A policy other than the environment's scripted controller.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -56,6 +59,9 @@ pub(crate) struct ExternalSource {
     /// Where this process reaches the policy, if not at the recorded address.
     #[serde(skip)]
     at: Option<String>,
+    /// Key, certificates and patience of this process.
+    #[serde(skip)]
+    access: Access,
 }
 
 impl PolicySource {
@@ -91,7 +97,13 @@ impl PolicySource {
         Ok(match self {
             Self::External(served) => {
                 let server = served.at.as_deref().unwrap_or(&served.server);
-                Box::new(ExternalPolicy::connect(server, Arc::clone(&served.profile))?)
+                let policy = ExternalPolicy::connect_with(
+                    server,
+                    Arc::clone(&served.profile),
+                    served.access.clone(),
+                    &mut |_| {},
+                );
+                Box::new(policy?)
             }
             Self::BuiltIn(BuiltInPolicy::Random) => Box::new(Random::new()),
             Self::Declared(declared) => {
@@ -111,8 +123,9 @@ impl ExternalSource {
         let server = full.map_or_else(|| server.to_owned(), |path| path.display().to_string());
         let at = location.at.clone();
         let reached = at.as_deref().unwrap_or(&server);
-        let policy = ExternalPolicy::connect(reached, Arc::clone(&profile)).map_err(policy_error)?;
-        Ok(Self { server, profile, declared: policy.declared().clone(), at })
+        let access = location.access.access()?;
+        let policy = connect(reached, Arc::clone(&profile), access.clone())?;
+        Ok(Self { server, profile, declared: policy.declared().clone(), at, access })
     }
 }
 
@@ -137,9 +150,61 @@ pub(crate) struct PolicyLocation {
     /// servers of one run may have different addresses on different machines
     #[arg(long = "policy-at", value_name = "URL|FILE")]
     at: Option<String>,
+    #[command(flatten)]
+    access: PolicyAccess,
+}
+
+/// The arguments that say how this process reaches a policy server, in addition to its address. They are not recorded.
+#[derive(Debug, Clone, Default, Args)]
+pub(crate) struct PolicyAccess {
+    /// Wait up to this time (such as 90s or 10m) for a policy server that does not answer yet, at the start and after a
+    /// restart of the server; default: 0s at the start, the attempts of the profile later
+    #[arg(long, value_name = "TIME", value_parser = duration::parse)]
+    wait: Option<Duration>,
+    /// Read the key of the policy server from this file; default: the environment variable ROBOGATE_POLICY_TOKEN. A text
+    /// of the form `NAME: VALUE` sets the header NAME, another text the header Authorization
+    #[arg(long = "policy-key", value_name = "FILE")]
+    key: Option<PathBuf>,
+    /// Trust the certificates in this file (PEM) for wss:// and https://; default: those of the system
+    #[arg(long = "policy-ca", value_name = "FILE")]
+    ca: Option<PathBuf>,
+}
+
+impl PolicyAccess {
+    /// Reads the files of the arguments.
+    pub(crate) fn access(&self) -> Result<Access, Exit> {
+        let mut access = Access::from_environment().with_wait(self.wait.unwrap_or_default());
+        if let Some(file) = &self.key {
+            let text = std::fs::read_to_string(file).with_context(|| format!("--policy-key {}", file.display()));
+            let text = text.or_usage()?;
+            access = access.with_key(&text).with_context(|| format!("--policy-key {}", file.display())).or_usage()?;
+        }
+        if let Some(file) = &self.ca {
+            let pem = std::fs::read(file).with_context(|| format!("--policy-ca {}", file.display())).or_usage()?;
+            let read = access.with_certificates(&pem);
+            access = read.with_context(|| format!("--policy-ca {}", file.display())).or_usage()?;
+        }
+        Ok(access)
+    }
+}
+
+/// Connects to a policy, and tells the user once if it has to wait for the server.
+pub(crate) fn connect(server: &str, profile: Arc<Profile>, access: Access) -> Result<ExternalPolicy, Exit> {
+    let mut told = false;
+    let mut waiting = |error: &PolicyError| {
+        if !std::mem::replace(&mut told, true) {
+            note(format_args!("waiting for the policy server: {error}"));
+        }
+    };
+    ExternalPolicy::connect_with(server, profile, access, &mut waiting).map_err(policy_error)
 }
 
 impl PolicyLocation {
+    /// The recorded address, reached in this way.
+    pub(crate) fn with_access(access: &PolicyAccess) -> Self {
+        Self { at: None, access: access.clone() }
+    }
+
     /// Rejects the argument for a policy that is neither a server nor a file.
     pub(crate) fn unused(&self) -> Result<(), Exit> {
         match &self.at {
@@ -156,11 +221,6 @@ impl PolicyArguments {
     /// The arguments for another policy than that of the command line.
     pub(crate) fn of(policy: &str, profile: Option<&str>) -> Self {
         Self { policy: Some(policy.to_owned()), profile: profile.map(str::to_owned) }
-    }
-
-    /// Connect to the policy of these arguments; `None` for the scripted controller.
-    pub(crate) fn source(&self) -> Result<Option<PolicySource>, Exit> {
-        self.source_at(&PolicyLocation::default())
     }
 
     /// Connect to the policy of these arguments at `location`; `None` for the scripted controller.

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_campaign::{Worker, WorkerFactory};
+use robogate_core::latency::{Execution, LATENCY_PARAMETER, Latency, with_latency, with_parameter};
 use robogate_core::{Assignment, Environment, Fault, FaultKind, ParameterSpace, Policy, Suite, TaskSpec};
 use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance};
 use robogate_physics::{RobotFile, SuctionLaw, is_folder};
@@ -20,6 +21,7 @@ use serde_json::{Value, json};
 use crate::cell::{self, Cell, CellSettings};
 use crate::environments::Servers;
 use crate::exit::{Exit, OrExit};
+use crate::latency::{LatencyArguments, without_latency};
 use crate::policy_source::{DeclaredPolicy, PolicyLocation, PolicySource, without_profile};
 use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
 use crate::remote::{self, Simulators};
@@ -209,6 +211,8 @@ pub(crate) struct Subject {
     /// `None` for the environment's scripted controller.
     policy: Option<PolicySource>,
     task: Arc<TaskSpec>,
+    /// The latency of the policy. `None` if the world waits for it.
+    execution: Option<Execution>,
 }
 
 impl Subject {
@@ -221,7 +225,7 @@ impl Subject {
         };
         let task = environment.task().or_broken()?;
         let policy = environment.declared_policy(policy).or_usage()?;
-        let subject = Self { environment, policy, task };
+        let subject = Self { environment, policy, task, execution: None };
         let ready = match &subject.policy {
             // The environment declares it for its own task.
             Some(PolicySource::Declared(_)) => return Ok(subject),
@@ -233,6 +237,28 @@ impl Subject {
             .map_err(|why| anyhow!("the policy {} cannot drive this environment: {why}", subject.policy_name()))
             .or_usage()?;
         Ok(subject)
+    }
+
+    /// The same subject with the latency of these arguments. A latency that is to be measured is measured now.
+    pub(crate) fn with_latency(self, arguments: &LatencyArguments) -> Result<Self, Exit> {
+        let execution = arguments.execution(|| self.worker()).or_usage()?;
+        self.executed(execution)
+    }
+
+    fn executed(mut self, execution: Option<Execution>) -> Result<Self, Exit> {
+        if let (Some(_), Some(PolicySource::Declared(policy))) = (&execution, &self.policy) {
+            return Err(anyhow!(
+                "--latency: the environment runs the policy {} itself, so its actions cannot be delayed\n  hint: leave out \
+                 --latency and --execution",
+                policy.environment
+            ))
+            .or_usage();
+        }
+        if execution.as_ref().is_some_and(|execution| execution.latency == Latency::Parameter) {
+            self.task = with_parameter(&self.task);
+        }
+        self.execution = execution;
+        Ok(self)
     }
 
     /// The subject of a recorded run. A remote environment needs the address of its servers. A policy server is queried
@@ -248,7 +274,13 @@ impl Subject {
         location: &PolicyLocation,
     ) -> Result<Self, Exit> {
         let mut world = provenance.world.clone();
-        let policy = world.as_object_mut().and_then(|world| world.remove("policy"));
+        let mut taken = |key: &str| world.as_object_mut().and_then(|world| world.remove(key));
+        let (policy, execution) = (taken("policy"), taken("execution"));
+        let execution: Option<Execution> = execution
+            .map(serde_json::from_value)
+            .transpose()
+            .context("plan.json: provenance.world.execution cannot be read")
+            .or_usage()?;
         let policy: Option<PolicySource> = policy
             .map(serde_json::from_value)
             .transpose()
@@ -307,7 +339,7 @@ impl Subject {
             Some(policy) => Some(policy.asked_again(location)?),
             None => location.unused().map(|()| None)?,
         };
-        Self::new(environment, policy)
+        Self::new(environment, policy)?.executed(execution)
     }
 
     /// The same subject with camera images of this width and height in pixels, if the cell renders them.
@@ -368,6 +400,20 @@ impl Subject {
         }
     }
 
+    /// How many episodes run at once by default on this many cores. A worker waits while a policy server computes, so
+    /// others must simulate and render in the meantime, and the server must always find a request.
+    pub(crate) fn threads_on(&self, cores: NonZeroUsize) -> NonZeroUsize {
+        /// Threads per core while a server computes the actions.
+        const PER_CORE: usize = 4;
+        let waits = self.policy.as_ref().and_then(PolicySource::profile).is_some_and(|p| !p.dialect.is_file());
+        // Each worker of a launched environment is a process of its own.
+        let launched = matches!(&self.environment, EnvironmentSource::Remote(RemoteSource { launched: Some(_), .. }));
+        match waits && !launched {
+            true => NonZeroUsize::new((PER_CORE * cores.get()).clamp(8, 32)).unwrap_or(cores),
+            false => cores,
+        }
+    }
+
     /// Starts servers for this many workers, if this process starts them.
     pub(crate) fn start_servers(&self, workers: NonZeroUsize) -> Result<(), Exit> {
         match &self.environment {
@@ -380,12 +426,18 @@ impl Subject {
 
     /// Finds a parameter space by its name or file. `None` gives that of the environment.
     pub(crate) fn space(&self, wanted: Option<&str>) -> anyhow::Result<ParameterSpace> {
-        self.environment.space(wanted)
+        let latency_s = self.execution.as_ref().is_some_and(|execution| execution.latency == Latency::Parameter);
+        self.environment.space(wanted, latency_s)
     }
 
     /// Rejects a suite with a parameter that the environment does not have.
     pub(crate) fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
+        let varies = suite.space().position(LATENCY_PARAMETER).is_some();
         match &self.environment {
+            // The cell does not know the latency.
+            EnvironmentSource::Cell(cell) if varies && self.task.parameter(LATENCY_PARAMETER).is_some() => {
+                without_latency(suite.space())?.map_or(Ok(()), |space| cell.check_space(&space))
+            }
             EnvironmentSource::Cell(cell) => cell.check_suite(suite),
             EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
                 check_declared(&self.task, suite.space()).with_context(|| format!("suite {}", suite.name()))
@@ -399,6 +451,9 @@ impl Subject {
         let mut world = serde_json::to_value(self.environment.recorded()).or_broken()?;
         if let (Value::Object(world), Some(policy)) = (&mut world, &self.policy) {
             world.insert("policy".to_owned(), json!(policy));
+        }
+        if let (Value::Object(world), Some(execution)) = (&mut world, &self.execution) {
+            world.insert("execution".to_owned(), json!(execution));
         }
         Ok(Provenance {
             tool: Tool::robogate(),
@@ -522,8 +577,9 @@ impl EnvironmentSource {
         }
     }
 
-    /// Finds a parameter space by its name or file. `None` gives that of the environment.
-    pub(crate) fn space(&self, wanted: Option<&str>) -> anyhow::Result<ParameterSpace> {
+    /// Finds a parameter space by its name or file. `None` gives that of the environment. If the latency `varies`, the space
+    /// may contain it.
+    pub(crate) fn space(&self, wanted: Option<&str>, varies: bool) -> anyhow::Result<ParameterSpace> {
         let space = match (wanted, self) {
             (Some(wanted), _) => named_space(wanted)?,
             (None, Self::Cell(cell)) => named_space(cell.default_space())?,
@@ -541,10 +597,16 @@ impl EnvironmentSource {
                 }
             }
         };
-        match self {
-            Self::Cell(cell) => cell.check_space(&space)?,
-            Self::SelfContained(_) | Self::Remote(_) => {
-                check_declared(&*self.task()?, &space).with_context(|| format!("space {}", space.name()))?;
+        if !varies && space.position(LATENCY_PARAMETER).is_some() && self.task()?.parameter(LATENCY_PARAMETER).is_none()
+        {
+            bail!("space {}: the parameter `{LATENCY_PARAMETER}` needs the option --latency varied", space.name());
+        }
+        let own = if varies { without_latency(&space)? } else { Some(space.clone()) };
+        match (self, own) {
+            (_, None) => {}
+            (Self::Cell(cell), Some(own)) => cell.check_space(&own)?,
+            (Self::SelfContained(_) | Self::Remote(_), Some(own)) => {
+                check_declared(&*self.task()?, &own).with_context(|| format!("space {}", space.name()))?;
             }
         }
         Ok(space)
@@ -644,7 +706,9 @@ pub(crate) fn assignment(pairs: &[String]) -> anyhow::Result<Assignment> {
 /// The files of the robot of a recorded run, if they have not changed since.
 pub(crate) fn recorded_robot(provenance: &Provenance) -> Option<Vec<RobotFile>> {
     let mut world = provenance.world.clone();
-    world.as_object_mut()?.remove("policy");
+    let object = world.as_object_mut()?;
+    object.remove("policy");
+    object.remove("execution");
     let settings: CellSettings = serde_json::from_value(world).ok()?;
     cell::robot_files(&settings.robot, provenance.robot.sha256.as_ref())
 }
@@ -660,6 +724,13 @@ impl WorkerFactory for Subject {
         }
         let environment =
             self.environment.environment().map_err(|why| Fault::new(FaultKind::Unavailable, format!("{why:#}")))?;
-        Ok(Worker { environment, policy: self.policy()? })
+        let policy = self.policy()?;
+        Ok(match &self.execution {
+            None => Worker { environment, policy },
+            Some(execution) => {
+                let (environment, policy) = with_latency(environment, policy, execution.clone());
+                Worker { environment, policy }
+            }
+        })
     }
 }

@@ -12,7 +12,7 @@ use serde_json::json;
 
 use crate::commands::analyze::by_influence;
 use crate::commands::report::PAGE;
-use crate::terminal::{bar, bold, dim, grouped, line, percent, wrapped};
+use crate::terminal::{bar, bold, dim, foreign, grouped, line, percent, wrapped};
 
 /// A bin with fewer valid episodes than this is shown dimmed, because its rate is imprecise.
 const FEW: u64 = 20;
@@ -45,6 +45,15 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
     }
     if let Some(report) = boundary {
         found(report);
+    }
+    if let Some(again) = &summary.run_again {
+        line("");
+        line(format_args!(
+            "{} ran again after {} lost attempts, the first because of {}",
+            if again.episodes == 1 { "1 episode".to_owned() } else { format!("{} episodes", grouped(again.episodes)) },
+            grouped(again.lost_attempts),
+            foreign(&again.first_fault)
+        ));
     }
     files(dir, summary);
 }

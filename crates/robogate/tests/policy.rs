@@ -159,15 +159,18 @@ fn a_run_is_resumed_after_a_server_stopped() {
     go_down(listener, 5);
     let run = dir.path().join("run").to_str().unwrap().to_owned();
     let start = ["run", "--policy", &url, "--profile", &profile, "-n", "24", "--threads", "1", "--out", &run];
-    assert_exit(&start, 5, &["10 episodes in a row were invalid", "robogate resume"]);
+    assert_exit(&start, 5, &["10 episodes in a row were lost", "robogate resume"]);
     assert_exit(&["resume", &run], 5, &["unreachable", &url]);
     go_down(TcpListener::bind(address).unwrap(), usize::MAX);
     assert_exit(&["resume", &run, "--threads", "1"], 0, &[]);
+    // The ten lost episodes ran again, and the record says so.
     let outcomes = outcomes(&run);
-    let invalid: Vec<usize> = (0..outcomes.len()).filter(|i| outcomes[*i] == "invalid").collect();
-    // Resume does not repeat the ten invalid episodes.
-    assert_eq!((outcomes.len(), invalid.len()), (24, 10), "{outcomes:?}");
-    assert!(invalid[0] > 0 && invalid.windows(2).all(|pair| pair[1] == pair[0] + 1), "{outcomes:?}");
+    assert_eq!(outcomes.len(), 24);
+    assert!(!outcomes.iter().any(|outcome| outcome == "invalid"), "{outcomes:?}");
+    let summary = fs::read_to_string(Path::new(&run).join("summary.json")).unwrap();
+    assert!(summary.contains("\"lost_attempts\": 10") && summary.contains("\"episodes\": 10"), "{summary}");
+    let lost = fs::read_to_string(Path::new(&run).join("lost_episodes.jsonl")).unwrap();
+    assert!(lost.lines().count() == 10 && lost.contains("unavailable"), "{lost}");
 }
 
 #[test]
@@ -183,7 +186,7 @@ fn shard_without_server_is_not_committed() {
     // A shard of three episodes is lost if the server is unavailable in all of them. One thread connects once, before the
     // server stops; a second one might find it stopped already.
     let plan = [&plan[..], &["--threads", "1"]].concat();
-    assert_exit(&plan, 5, &["3 episodes in a row were invalid", "not committed"]);
+    assert_exit(&plan, 5, &["3 episodes in a row were lost", "not committed"]);
     assert!(!shard.exists());
     let again = ["run", "--shard", "1/4", "--out", &run];
     assert_exit(&again, 5, &["unreachable", &url]);

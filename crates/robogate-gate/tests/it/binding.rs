@@ -52,6 +52,7 @@ impl Run {
             baseline: None,
             against: None,
             sampling: Sampling::Fixed,
+            real: None,
         };
         let provenance = Provenance {
             tool: Tool::robogate(),

@@ -65,7 +65,7 @@ impl Check {
 impl Physics {
     fn execute(&self) -> Result<u8, Exit> {
         let source = EnvironmentSource::Cell(Box::new(self.environment.cell()?));
-        let space = Arc::new(source.space(None).or_usage()?);
+        let space = Arc::new(source.space(None, false).or_usage()?);
         let EnvironmentSource::Cell(cell) = &source else { return Ok(DONE) };
         let cell = &**cell;
         let fingers: &[Experiment<'_>] = &[

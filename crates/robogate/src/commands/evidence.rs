@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use robogate_analysis::Source;
+use robogate_campaign::folder::LOST;
 use robogate_core::TaskSpec;
 use robogate_gate::evidence::{
     Content, EvidenceError, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write,
@@ -72,13 +73,15 @@ impl Evidence {
         let provenance = source.dictionary().provenance();
         let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
         let mut others = Vec::new();
-        for (role, name) in [
+        let files = [
             (Role::Plan, "plan.json"),
             (Role::Summary, "summary.json"),
             (Role::Question, Asked::FILE),
             (Role::Registration, REGISTRATION),
             (Role::Registration, REGISTRATION_KEY),
-        ] {
+            (Role::Attachment, LOST),
+        ];
+        for (role, name) in files {
             let path = self.run.join(name);
             if self.run.is_dir() && path.exists() {
                 others.push((role, name.to_owned(), Content::File(path)));

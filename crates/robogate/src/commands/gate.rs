@@ -26,7 +26,8 @@ use crate::commands::rival::Rival;
 use crate::commands::run::{How, free_folder, interrupted, introduce, write_report};
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
-use crate::policy_source::PolicyArguments;
+use crate::latency::LatencyArguments;
+use crate::policy_source::{PolicyAccess, PolicyArguments, PolicyLocation};
 use crate::source::open_source;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{grouped, line, note};
@@ -86,6 +87,10 @@ pub(crate) struct Gate {
     #[command(flatten)]
     policy: PolicyArguments,
     #[command(flatten)]
+    access: PolicyAccess,
+    #[command(flatten)]
+    latency: LatencyArguments,
+    #[command(flatten)]
     how: How,
     /// Write the plan of the gate in N shards to --out, and run nothing: `robogate plan DIR --next` prints the commands
     /// that run the next round, and `robogate merge DIR` returns the verdict (docs/cluster.md)
@@ -130,6 +135,11 @@ impl Gate {
             Some(run) => self.judge(run),
             None => self.run_suite(),
         }
+    }
+
+    /// How this process reaches the policy.
+    fn location(&self) -> PolicyLocation {
+        PolicyLocation::with_access(&self.access)
     }
 
     /// Judges a finished run.
@@ -202,10 +212,14 @@ impl Gate {
     fn run_suite(&self) -> Result<u8, Exit> {
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         let environment = self.environment.environment_of(suite.as_ref(), SuctionLaw::Vacuum)?;
-        let subject = Subject::new(environment, self.policy.source()?)?;
+        let subject = Subject::new(environment, self.policy.source_at(&self.location())?)?;
+        let subject = subject.with_latency(&self.latency)?;
         let wanted = self.requirements.as_deref().unwrap_or("default");
         let requirements = open_requirements(wanted, subject.task())?;
         let suite = self.suite(&subject)?;
+        if self.suite.is_some() {
+            self.latency.check_suite(suite.space()).or_usage()?;
+        }
         subject.check_suite(&suite).or_usage()?;
         // The protocol of a published benchmark fixes the number of episodes.
         let protocol = !suite.published().is_empty();
@@ -266,7 +280,8 @@ impl Gate {
         let mut rival = match &self.against {
             None => None,
             Some(policy) => {
-                let source = PolicyArguments::of(policy, self.against_profile.as_deref()).source()?;
+                let source =
+                    PolicyArguments::of(policy, self.against_profile.as_deref()).source_at(&self.location())?;
                 let environment = self.environment.environment(SuctionLaw::Vacuum)?;
                 Some(Rival::new(Subject::new(environment, source)?, &planned, self.how.threads_for_rival())?)
             }
@@ -375,7 +390,8 @@ impl Gate {
             (Some(name), _, _) => suites::find(name),
             (None, None, Some(_)) => suites::find(INDUSTRIAL_68),
             (None, space, _) => {
-                let space = subject.space(space.as_deref()).or_usage()?;
+                let space =
+                    subject.space(space.as_deref()).and_then(|space| self.latency.added_to(space)).or_usage()?;
                 let seed = self.seed.unwrap_or(DEFAULT_SEED);
                 Suite::sampled(&Arc::new(space), SAMPLED_SCENARIOS, seed).map_err(anyhow::Error::from).or_usage()
             }

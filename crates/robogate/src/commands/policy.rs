@@ -12,7 +12,7 @@ use robogate_policy::{Arm, Chunk, ExternalPolicy, PolicyError, Profile, Side};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
-use crate::policy_source::{policy_error, profile};
+use crate::policy_source::{PolicyAccess, connect, policy_error, profile};
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{bold, foreign, line, note};
 
@@ -53,6 +53,8 @@ struct Check {
     /// The old name of --requests
     #[arg(long, hide = true, value_name = "N", conflicts_with = "requests", value_parser = clap::value_parser!(u32).range(2..))]
     questions: Option<u32>,
+    #[command(flatten)]
+    access: PolicyAccess,
     #[command(flatten)]
     environment: EnvironmentArguments,
     /// Print one JSON document
@@ -124,7 +126,7 @@ impl Check {
         let subject = Subject::new(self.environment.environment(SuctionLaw::Vacuum)?, None)?;
         let subject = profile.rendered_px.into_iter().fold(subject, Subject::with_pictures_of);
         let mut found = Findings { properties: Vec::new(), problems: Vec::new() };
-        let mut policy = ExternalPolicy::connect(&self.url, Arc::clone(&profile)).map_err(policy_error)?;
+        let mut policy = connect(&self.url, Arc::clone(&profile), self.access.access()?)?;
         found.properties.push(("metadata", foreign(policy.declared())));
         let mut worker = subject.worker().or_broken()?;
         match self.infer(&profile, &mut policy, &mut worker, &mut found) {

@@ -11,7 +11,7 @@ use serde_json::json;
 
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::film::{self, Filmed};
-use crate::policy_source::PolicySource;
+use crate::policy_source::{PolicyAccess, PolicyLocation, PolicySource};
 use crate::remote::Simulators;
 use crate::subject::Subject;
 use crate::terminal::{bold, dim, foreign, line, note};
@@ -25,6 +25,8 @@ pub(crate) struct Replay {
     index: u64,
     #[command(flatten)]
     simulators: Simulators,
+    #[command(flatten)]
+    access: PolicyAccess,
     /// Write an animation of a camera to this file (GIF)
     #[arg(long, value_name = "FILE")]
     gif: Option<PathBuf>,
@@ -52,7 +54,10 @@ struct Line {
 impl Replay {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
-        let subject = Subject::recorded(&settings.provenance, &self.simulators)?;
+        let subject = {
+            let location = PolicyLocation::with_access(&self.access);
+            Subject::recorded_at(&settings.provenance, &self.simulators, &location)?
+        };
         let filming = self.gif.is_some() || self.png_strip.is_some();
         // The size of images would change what a policy that sees them receives.
         let seeing = subject.policy_source().and_then(PolicySource::profile).is_some();

@@ -12,13 +12,14 @@ use robogate_analysis::Analysis;
 use robogate_campaign::folder::PLAN;
 use robogate_campaign::shards::Shard;
 use robogate_campaign::{Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, Settings, ThreadPool};
-use robogate_core::{Fault, ParameterSpace};
+use robogate_core::ParameterSpace;
 use robogate_dictionary::Provenance;
 use robogate_physics::SuctionLaw;
 
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
-use crate::outage::{OutageGuard, UNAVAILABLE_IN_A_ROW};
+use crate::latency::{self, LatencyArguments};
+use crate::lost_episodes::{Outage, RunsLostAgain};
 use crate::place;
 use crate::policy_source::{PolicyArguments, PolicyLocation};
 use crate::progress::Progress;
@@ -60,6 +61,8 @@ pub(crate) struct Run {
     #[command(flatten)]
     location: PolicyLocation,
     #[command(flatten)]
+    latency: LatencyArguments,
+    #[command(flatten)]
     how: How,
     /// Write the run to this folder; default: a new one under runs/
     #[arg(long, value_name = "DIR")]
@@ -80,8 +83,8 @@ struct Given(Vec<String>);
 
 impl Given {
     /// The arguments of `run` that do not affect the results of a campaign.
-    const WITHOUT_EFFECT: [&str; 9] =
-        ["out", "shard", "divide", "threads", "json", "addresses", "timeout_s", "python", "at"];
+    const WITHOUT_EFFECT: [&str; 12] =
+        ["out", "shard", "divide", "threads", "json", "addresses", "timeout_s", "python", "at", "wait", "key", "ca"];
 
     /// Whether an argument affects the results.
     fn describe_a_plan(&self) -> bool {
@@ -116,8 +119,8 @@ impl Args for Given {
 /// How a campaign is run and shown.
 #[derive(Debug, Args)]
 pub(crate) struct How {
-    /// Set the number of threads; default: one for each core, or for each server of --simulator. --env starts a server
-    /// for each thread
+    /// Set the number of threads; default: one for each core, or for each server of --simulator. With a policy server:
+    /// four for each core, from 8 to 32, because most of the time is spent waiting. --env starts a server for each thread
     #[arg(long, value_name = "T")]
     threads: Option<NonZeroUsize>,
     /// Print the result as one JSON document
@@ -147,7 +150,7 @@ impl Run {
         let suction = if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum };
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         let environment = self.environment.environment_of(suite.as_ref(), suction)?;
-        let subject = Subject::new(environment, self.policy.source_at(&self.location)?)?;
+        let subject = Subject::new(environment, self.policy.source_at(&self.location)?)?.with_latency(&self.latency)?;
         let (plan, space) = self.plan_and_space(&subject)?;
         let provenance = subject.provenance(space)?;
         if let (Some(shard), Some(dir)) = (self.shard, &self.out) {
@@ -205,12 +208,13 @@ impl Run {
         if let Some(name) = &self.suite {
             let suite = suites::find(name)?;
             subject.check_suite(&suite).or_usage()?;
+            self.latency.check_suite(suite.space()).or_usage()?;
             let space = suite.space().clone();
             let plan = Plan::of_suite(suite, self.rounds, self.seed.unwrap_or(DEFAULT_SEED));
             plan.check(&space).or_usage()?;
             return Ok((plan, space));
         }
-        let space = subject.space(self.space.as_deref()).or_usage()?;
+        let space = subject.space(self.space.as_deref()).and_then(|space| self.latency.added_to(space)).or_usage()?;
         let mut plan = match &self.plan {
             Some(file) => Plan::load(file).or_usage()?,
             None => {
@@ -246,11 +250,8 @@ impl How {
         subject: &Subject,
         work: impl FnOnce(&ThreadPool<'_>) -> Result<T, Exit>,
     ) -> Result<T, Exit> {
-        let wanted = self
-            .threads
-            .or_else(|| subject.servers())
-            .or_else(|| std::thread::available_parallelism().ok())
-            .unwrap_or(NonZeroUsize::MIN);
+        let cores = std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
+        let wanted = self.threads.or_else(|| subject.servers()).unwrap_or_else(|| subject.threads_on(cores));
         let threads = subject.at_most().map_or(wanted, |limit| limit.min(wanted));
         if self.threads.is_some() && threads < wanted {
             note(format_args!("{threads} thread: the policy server keeps one state for all clients"));
@@ -268,23 +269,20 @@ impl How {
         work(&ThreadPool { factory: subject, threads, stop: &stop })
     }
 
-    /// Runs episodes with `work` and shows their progress. Also returns the fault of an outage: `limit` episodes in a row
-    /// that were lost because the policy server was unavailable.
+    /// Runs at most `episodes` episodes with `work` and shows their progress. Episodes that an unavailable server lost run
+    /// again. Also returns the outage that has stopped the execution, if there was one.
     pub(crate) fn guarded<T>(
         &self,
         subject: &Subject,
-        limit: u32,
+        episodes: u64,
         work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<T, RunError>,
-    ) -> Result<(T, Option<Fault>), Exit> {
+    ) -> Result<(T, Option<Outage>), Exit> {
         self.with_pool(subject, |pool| {
             let mut progress = Progress::new();
             let mut show = |event: &Event| progress.hear(event);
-            if subject.policy_source().is_none() {
-                return Ok((work(pool, &mut show).map_err(exit)?, None));
-            }
-            let guard = OutageGuard::new(pool, limit);
-            let done = work(&guard, &mut show).map_err(exit)?;
-            Ok((done, guard.outage()))
+            let executor = RunsLostAgain::new(pool, episodes);
+            let done = work(&executor, &mut show).map_err(exit)?;
+            Ok((done, executor.outage()))
         })
     }
 
@@ -294,10 +292,10 @@ impl How {
         subject: &Subject,
         work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
     ) -> Result<Completion, Exit> {
-        match self.guarded(subject, UNAVAILABLE_IN_A_ROW, work)? {
-            (Completion::Interrupted { .. }, Some(fault)) => Err(anyhow!(
-                "stopped: {UNAVAILABLE_IN_A_ROW} episodes in a row were invalid, the last because of {fault}\n  hint: the recorded \
-                 episodes are kept; continue with `robogate resume`"
+        match self.guarded(subject, u64::MAX, work)? {
+            (Completion::Interrupted { .. }, Some(outage)) => Err(anyhow!(
+                "stopped: {outage}\n  hint: the recorded episodes are kept; `robogate resume` runs the others once the server \
+                 is available again"
             ))
             .or_broken(),
             (completion, _) => Ok(completion),
@@ -387,6 +385,10 @@ pub(crate) fn introduce(provenance: &Provenance, seed: u64) {
         provenance.engine.version.as_deref().unwrap_or_default(),
         provenance.policy,
     ));
+    let execution = provenance.world.get("execution").cloned().map(serde_json::from_value);
+    if let Some(Ok(execution)) = execution {
+        note(latency::describe(&execution));
+    }
 }
 
 /// A folder under `runs/` that does not exist yet.

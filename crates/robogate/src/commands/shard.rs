@@ -1,6 +1,5 @@
 //! `robogate run --shard`: runs one shard of a campaign.
 
-use std::cell::RefCell;
 use std::path::Path;
 
 use anyhow::anyhow;
@@ -11,8 +10,6 @@ use serde_json::json;
 
 use crate::commands::run::{self, How, introduce};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, OrExit, USAGE};
-use crate::lost_episodes::RunsLostAgain;
-use crate::outage::UNAVAILABLE_IN_A_ROW;
 use crate::place;
 use crate::sharded::Campaign;
 use crate::subject::Subject;
@@ -110,22 +107,13 @@ fn begin(
 
 /// Runs the episodes of a shard. `None` if the user stopped it.
 fn finish(task: &ShardTask, subject: &Subject, how: &How) -> Result<Option<ShardResult>, Exit> {
-    // A shard with fewer episodes is lost if the server was unavailable in all of them.
-    let limit = u32::try_from(task.episodes()).unwrap_or(u32::MAX).clamp(1, UNAVAILABLE_IN_A_ROW);
-    let lost_again = RefCell::new(None);
-    let (end, outage) =
-        how.guarded(subject, limit, |executor, events| task.run(&RunsLostAgain::new(executor, &lost_again), events))?;
+    // A shard with few episodes is lost if the server was unavailable in all of them.
+    let (end, outage) = how.guarded(subject, task.episodes(), |executor, events| task.run(executor, events))?;
     let hint = "hint: the shard is not committed; run it again once the server is available";
-    match (end, outage, lost_again.into_inner()) {
-        (_, Some(fault), _) => {
-            Err(anyhow!("stopped: {limit} episodes in a row were invalid, the last because of {fault}\n  {hint}"))
-                .or_broken()
-        }
-        (_, None, Some(fault)) => {
-            Err(anyhow!("stopped: episodes were lost twice, the last because of {fault}\n  {hint}")).or_broken()
-        }
-        (ShardEnd::Complete(result), None, None) => Ok(Some(result)),
-        (ShardEnd::Interrupted { done, episodes }, None, None) => {
+    match (end, outage) {
+        (_, Some(outage)) => Err(anyhow!("stopped: {outage}\n  {hint}")).or_broken(),
+        (ShardEnd::Complete(result), None) => Ok(Some(result)),
+        (ShardEnd::Interrupted { done, episodes }, None) => {
             note(format_args!(
                 "{} of {} episodes ran. The shard is not committed; the same command runs it again from its start.",
                 grouped(done),

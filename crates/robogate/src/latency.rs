@@ -1,0 +1,229 @@
+//! The inference latency of a policy on the command line.
+
+use std::time::Instant;
+
+use anyhow::{anyhow, bail};
+use clap::Args;
+use robogate_campaign::Worker;
+use robogate_core::latency::{Execution, ExecutionMode, LATENCY_PARAMETER, Latency, MOST_LATENCY_S};
+use robogate_core::{Assignment, Domain, Fault, Parameter, ParameterSpace, Scale, Scenario, Seed};
+
+use crate::duration;
+use crate::terminal::note;
+
+/// Requests whose latency is measured, after one that is not.
+const MEASURED: usize = 30;
+
+/// The arguments that select latency and execution.
+#[derive(Debug, Clone, Default, Args)]
+pub(crate) struct LatencyArguments {
+    /// Delay the actions of the policy in simulated time (docs/latency.md): fixed:80ms, uniform:50ms,150ms,
+    /// normal:MEAN,SD, gamma:MEAN,SD, measured (of this policy on this machine, before the run), varied (by the parameter
+    /// `inference_latency_s` of the space or suite) or varied:0ms,500ms (adds this parameter to the space); default: the
+    /// world waits for the policy
+    #[arg(long, value_name = "LATENCY", value_parser = parse)]
+    latency: Option<Wanted>,
+    /// Choose what the robot does while the policy computes: hold (wait), queue (asynchronous inference as in LeRobot) or
+    /// overlap (overlapping chunks, after real-time chunking); default: hold
+    #[arg(long, value_name = "MODE", value_parser = parse_mode)]
+    execution: Option<ExecutionMode>,
+}
+
+/// A latency as the user gives it.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Wanted {
+    /// A distribution.
+    Given(Latency),
+    /// Measured before the run.
+    Measured,
+    /// Set by the parameter of the scenario. With a range, the parameter is added to the space.
+    Varied(Option<[f64; 2]>),
+}
+
+fn parse(text: &str) -> Result<Wanted, String> {
+    let (kind, numbers) = text.split_once(':').unwrap_or((text, ""));
+    let numbers: Vec<f64> = match numbers {
+        "" => Vec::new(),
+        numbers => numbers.split(',').map(duration::seconds).collect::<Result<_, _>>()?,
+    };
+    let wanted = match (kind, &*numbers) {
+        ("measured", []) => Wanted::Measured,
+        ("varied", []) => Wanted::Varied(None),
+        ("varied", [low, high]) if low < high && *high <= MOST_LATENCY_S => Wanted::Varied(Some([*low, *high])),
+        ("fixed", [seconds]) => Wanted::Given(Latency::Fixed { seconds: *seconds }),
+        ("uniform", [low_s, high_s]) => Wanted::Given(Latency::Uniform { low_s: *low_s, high_s: *high_s }),
+        ("normal", [mean_s, sd_s]) => Wanted::Given(Latency::Normal { mean_s: *mean_s, sd_s: *sd_s }),
+        ("gamma", [mean_s, sd_s]) => Wanted::Given(Latency::Gamma { mean_s: *mean_s, sd_s: *sd_s }),
+        _ => {
+            return Err(format!(
+                "`{text}` is not a valid latency. Expected fixed:80ms, uniform:50ms,150ms, normal:80ms,10ms, \
+                 gamma:80ms,20ms, measured, varied or varied:0ms,500ms (at most {MOST_LATENCY_S} s)"
+            ));
+        }
+    };
+    if let Wanted::Given(latency) = &wanted {
+        latency.check().map_err(|why| why.to_string())?;
+    }
+    Ok(wanted)
+}
+
+fn parse_mode(text: &str) -> Result<ExecutionMode, String> {
+    match text {
+        "hold" => Ok(ExecutionMode::Hold),
+        "queue" => Ok(ExecutionMode::Queue),
+        "overlap" => Ok(ExecutionMode::Overlap),
+        _ => Err(format!("`{text}` is not an execution mode. Expected hold, queue or overlap")),
+    }
+}
+
+impl LatencyArguments {
+    /// The latency and execution of these arguments. `None` if the world waits for the policy. `worker` creates a worker
+    /// without latency, whose policy is measured if the user wants that.
+    pub(crate) fn execution(
+        &self,
+        worker: impl FnOnce() -> Result<Worker, Fault>,
+    ) -> anyhow::Result<Option<Execution>> {
+        let mode = self.execution.unwrap_or_default();
+        let latency = match (&self.latency, self.execution) {
+            (None, None) => return Ok(None),
+            (None, Some(_)) => Latency::Fixed { seconds: 0.0 },
+            (Some(Wanted::Given(latency)), _) => latency.clone(),
+            (Some(Wanted::Varied(_)), _) => Latency::Parameter,
+            (Some(Wanted::Measured), _) => {
+                let mut samples_s =
+                    measure(worker().map_err(|fault| anyhow!(fault))?).map_err(|fault| anyhow!(fault))?;
+                let latency = Latency::Measured { samples_s: samples_s.clone() };
+                latency.check()?;
+                samples_s.sort_by(f64::total_cmp);
+                let ms = |share: f64| 1e3 * samples_s[(share * (MEASURED - 1) as f64).round() as usize];
+                note(format_args!(
+                    "measured latency of {MEASURED} requests: median {:.3} ms, largest {:.3} ms",
+                    ms(0.5),
+                    ms(1.0)
+                ));
+                latency
+            }
+        };
+        Ok(Some(Execution { latency, mode }))
+    }
+
+    /// The space with the parameter of these arguments, if they vary the latency over a range.
+    pub(crate) fn added_to(&self, space: ParameterSpace) -> anyhow::Result<ParameterSpace> {
+        let range = match &self.latency {
+            Some(Wanted::Varied(range)) => range,
+            _ => return Ok(space),
+        };
+        match (range, space.position(LATENCY_PARAMETER)) {
+            (None, Some(_)) => Ok(space),
+            (None, None) => bail!(
+                "--latency varied: the space {} has no parameter `{LATENCY_PARAMETER}`\n  hint: give a range, for example \
+                 --latency varied:0ms,500ms",
+                space.name()
+            ),
+            (Some(_), Some(_)) => bail!(
+                "--latency varied: the space {} has the parameter `{LATENCY_PARAMETER}` already\n  hint: use --latency \
+                 varied, without a range",
+                space.name()
+            ),
+            (Some([low, high]), None) => {
+                let mut parameters = space.parameters().to_vec();
+                let domain = Domain::Continuous { low: *low, high: *high, scale: Scale::Linear };
+                parameters.push(Parameter { name: LATENCY_PARAMETER.into(), domain });
+                let name = format!("{} with latency", space.name());
+                Ok(ParameterSpace::new(name, parameters)?.with_correlations(space.correlations().to_vec())?)
+            }
+        }
+    }
+
+    /// Rejects a range for a suite, whose scenarios are fixed.
+    pub(crate) fn check_suite(&self, space: &ParameterSpace) -> anyhow::Result<()> {
+        match &self.latency {
+            Some(Wanted::Varied(Some(_))) => bail!(
+                "--latency varied: the scenarios of a suite are fixed\n  hint: use --latency varied with a suite that has \
+                 the parameter `{LATENCY_PARAMETER}`, or a space"
+            ),
+            Some(Wanted::Varied(None)) => self.added_to(space.clone()).map(drop),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The space without the latency, which the environment itself does not have. `None` if nothing is left.
+pub(crate) fn without_latency(space: &ParameterSpace) -> anyhow::Result<Option<ParameterSpace>> {
+    let others = space.parameters().iter().filter(|parameter| &*parameter.name != LATENCY_PARAMETER);
+    let others: Vec<Parameter> = others.cloned().collect();
+    if others.is_empty() {
+        return Ok(None);
+    }
+    let of_others = |name: &str| name != LATENCY_PARAMETER;
+    let correlations = space.correlations().iter().filter(|c| c.parameters.iter().all(|name| of_others(name)));
+    let correlations = correlations.cloned().collect();
+    Ok(Some(ParameterSpace::new(space.name(), others)?.with_correlations(correlations)?))
+}
+
+/// The latency and execution of a run in one line.
+pub(crate) fn describe(execution: &Execution) -> String {
+    let ms = |seconds: f64| format!("{:.4} ms", 1e3 * seconds).replace(".0000", "");
+    let latency = match &execution.latency {
+        Latency::Fixed { seconds } => ms(*seconds),
+        Latency::Uniform { low_s, high_s } => format!("uniform from {} to {}", ms(*low_s), ms(*high_s)),
+        Latency::Normal { mean_s, sd_s } => format!("normal, {} +- {}", ms(*mean_s), ms(*sd_s)),
+        Latency::Gamma { mean_s, sd_s } => format!("gamma, {} +- {}", ms(*mean_s), ms(*sd_s)),
+        Latency::Measured { samples_s } => format!("as measured in {} requests", samples_s.len()),
+        Latency::Parameter => format!("set by the parameter {LATENCY_PARAMETER}"),
+    };
+    let mode = match execution.mode {
+        ExecutionMode::Hold => "the robot holds its position meanwhile",
+        ExecutionMode::Queue => "the robot executes a queue of actions meanwhile",
+        ExecutionMode::Overlap => "the robot executes overlapping chunks meanwhile",
+    };
+    format!("inference latency {latency}; {mode}")
+}
+
+/// Measures the latency of the policy in the first state of the nominal scenario, in seconds.
+fn measure(mut worker: Worker) -> Result<Vec<f64>, Fault> {
+    let Worker { environment, policy } = &mut worker;
+    let seed = Seed::campaign(0).episode(0);
+    let start = environment.reset(&Scenario { index: 0, seed, requested: Assignment::default() })?;
+    let mut samples = Vec::with_capacity(MEASURED);
+    policy.reset(environment.task(), &start.instance, seed)?;
+    let mut observation = start.observation;
+    if policy.wants_images() {
+        observation.images = environment.render()?;
+    }
+    // The first request may load or compile the model.
+    policy.predict(&observation)?;
+    for _ in 0..MEASURED {
+        let begin = Instant::now();
+        policy.predict(&observation)?;
+        samples.push(begin.elapsed().as_secs_f64());
+    }
+    Ok(samples)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn latencies_are_parsed() {
+        let given = |latency| Ok(Wanted::Given(latency));
+        assert_eq!(parse("fixed:80ms"), given(Latency::Fixed { seconds: 0.08 }));
+        assert_eq!(parse("uniform:50ms,0.15s"), given(Latency::Uniform { low_s: 0.05, high_s: 0.15 }));
+        assert_eq!(parse("varied:0ms,500ms"), Ok(Wanted::Varied(Some([0.0, 0.5]))));
+        assert_eq!((parse("varied"), parse("measured")), (Ok(Wanted::Varied(None)), Ok(Wanted::Measured)));
+        for wrong in ["80ms", "fixed", "fixed:80", "fixed:11s", "normal:80ms", "gamma:80ms,0ms", "varied:2s,1s"] {
+            assert!(parse(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn latency_is_an_ordinary_parameter() {
+        let space = crate::subject::named_space("learned").unwrap();
+        let arguments = LatencyArguments { latency: Some(Wanted::Varied(Some([0.0, 0.5]))), execution: None };
+        let varied = arguments.added_to(space.clone()).unwrap();
+        assert_eq!(varied.len(), space.len() + 1);
+        assert!(arguments.added_to(varied.clone()).is_err());
+        assert_eq!(without_latency(&varied).unwrap().unwrap().parameters(), space.parameters());
+    }
+}

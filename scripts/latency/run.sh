@@ -1,0 +1,37 @@
+#!/usr/bin/env bash
+# Reproduces docs/results/latency.md: the shipped network with latencies in three execution modes.
+# Usage: scripts/latency/run.sh [FOLDER] [EPISODES]. Existing runs are resumed. ROBOGATE names the command; default: a release build.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+
+out=${1:-runs/latency}
+episodes=${2:-64}
+if [ -z "${ROBOGATE:-}" ]; then
+    cargo build --release --locked -p robogate
+    ROBOGATE=${CARGO_TARGET_DIR:-target}/release/robogate
+fi
+mkdir -p "$out"
+printf 'seed = 7401\n[uniform]\nepisodes = %s\n' "$episodes" > "$out/plan.toml"
+
+make() {
+    local dir=$out/$1
+    shift
+    if [ -f "$dir/plan.json" ]; then
+        "$ROBOGATE" resume "$dir" > /dev/null
+    else
+        "$ROBOGATE" run --plan "$out/plan.toml" --space learned --policy assets/policies/learned.onnx --profile learned "$@" --out "$dir" > /dev/null
+    fi
+}
+
+# The same scenarios at each latency, and the verdict. The verdict's exit codes are not errors here.
+for mode in hold queue overlap; do
+    for ms in 0 100 200 400 600 800; do
+        make "$mode-$ms" --latency "fixed:${ms}ms" --execution "$mode"
+        "$ROBOGATE" gate --run "$out/$mode-$ms" --requirements scripts/latency/requirements.toml --json > "$out/$mode-$ms.json" || true
+        python3 scripts/latency/row.py "$mode" "$ms" "$out/$mode-$ms/summary.json" "$out/$mode-$ms.json"
+    done
+done
+
+# The latency as a parameter among the others.
+make varied --latency varied:0ms,1000ms
+"$ROBOGATE" report "$out/varied"
