@@ -163,6 +163,7 @@ fn lost(scenario: Scenario, fault: Fault) -> Episode {
         phase: None,
         contact: None,
         measures: Measures::default(),
+        draws: Default::default(),
         ticks: 0,
         trajectory_hash: 0,
     }

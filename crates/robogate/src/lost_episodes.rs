@@ -131,6 +131,7 @@ mod tests {
                     phase: None,
                     contact: None,
                     measures: Measures::default(),
+                    draws: Default::default(),
                     ticks: 0,
                     trajectory_hash: 0,
                 };
