@@ -15,6 +15,8 @@ pub const PLAN: &str = "plan.json";
 pub const JOURNAL: &str = "journal.rgj";
 /// The boundary found by the first stage.
 pub const BOUNDARY: &str = "boundary.json";
+/// The models of the active stage.
+pub const ACTIVE: &str = "active.json";
 /// The division of a campaign into shards.
 pub const LAYOUT: &str = "shards/layout.json";
 /// The dictionary of a finished run.

@@ -2,9 +2,10 @@
 
 use std::cell::RefCell;
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 use robogate_campaign::{ExecuteError, Executor};
-use robogate_core::{Episode, Fault, FaultKind, Outcome, Scenario};
+use robogate_core::{Episode, Fault, FaultKind, Foresight, Outcome, Scenario};
 
 use crate::terminal::note;
 
@@ -51,6 +52,10 @@ impl<'a> RunsLostAgain<'a> {
 impl Executor for RunsLostAgain<'_> {
     fn parallelism(&self) -> usize {
         self.executor.parallelism()
+    }
+
+    fn foresight(&self) -> Result<Option<Arc<dyn Foresight>>, ExecuteError> {
+        self.executor.foresight()
     }
 
     fn execute(

@@ -2,9 +2,10 @@
 
 use std::cell::RefCell;
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 use robogate_campaign::{ExecuteError, Executor};
-use robogate_core::{Episode, Fault, FaultKind, Outcome, Scenario};
+use robogate_core::{Episode, Fault, FaultKind, Foresight, Outcome, Scenario};
 
 /// Number of consecutive episodes that may be lost to an unavailable policy server before the campaign stops.
 pub(crate) const UNAVAILABLE_IN_A_ROW: u32 = 10;
@@ -54,6 +55,10 @@ impl State {
 impl Executor for OutageGuard<'_> {
     fn parallelism(&self) -> usize {
         self.executor.parallelism()
+    }
+
+    fn foresight(&self) -> Result<Option<Arc<dyn Foresight>>, ExecuteError> {
+        self.executor.foresight()
     }
 
     fn execute(

@@ -192,7 +192,7 @@ pub struct PickPlaceForesight {
     planner: Scripted,
     names: Names,
     /// Planned grasps: joint positions and tool pose. `None` where the grasp is out of reach.
-    grasps: Mutex<BTreeMap<Key, Option<(Vec<f64>, Isometry3<f64>)>>>,
+    grasps: Mutex<BTreeMap<Key, Option<Grasp>>>,
 }
 
 /// The names of the draws.
@@ -203,6 +203,9 @@ struct Names {
     nearest: [Word; 2],
     obstacles: Vec<Word>,
 }
+
+/// Joint positions and tool pose of a planned grasp.
+type Grasp = (Vec<f64>, Isometry3<f64>);
 
 /// Shape, rounded size, position and yaw of the object, as bits.
 type Key = (&'static str, u64, [u64; 3]);
@@ -255,7 +258,7 @@ impl PickPlaceForesight {
     }
 
     /// Joint positions and tool pose of the planned grasp. `None` if it is out of reach.
-    fn grasp(&self, cell: &ResolvedCell) -> Option<(Vec<f64>, Isometry3<f64>)> {
+    fn grasp(&self, cell: &ResolvedCell) -> Option<Grasp> {
         let mut briefing = cell.briefing();
         let rounded = (cell.parameters.size_m / SIZE_STEP_M).round().max(1.0) * SIZE_STEP_M;
         let pose = &briefing.object_pose;
