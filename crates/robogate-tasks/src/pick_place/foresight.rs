@@ -393,8 +393,9 @@ impl Foresight for PickPlaceForesight {
             let values = off.translation.vector.iter().chain(tilt.iter()).copied();
             draws.extend(names.tool.iter().copied().zip(values.map(Some)));
         }
+        // Adding 0 turns a negative zero into zero.
         let jitter =
-            outlook.cell.draws.jitter.map(|fraction| Some(fraction * outlook.cell.parameters.position_jitter_m));
+            outlook.cell.draws.jitter.map(|fraction| Some(fraction * outlook.cell.parameters.position_jitter_m + 0.0));
         draws.extend(names.jitter.into_iter().zip(jitter));
         if let Some(near) = self.nearest(&outlook) {
             draws.extend(names.nearest.into_iter().zip([Some(near.distance_m), Some(near.height_m)]));
