@@ -156,6 +156,11 @@ impl EpisodeTable {
         }
     }
 
+    /// Whether a row belongs to the active stage, whose weights refer to the whole operating distribution.
+    pub(crate) fn is_active(&self, row: usize) -> bool {
+        self.stages.get(usize::from(self.stage[row])).is_some_and(|stage| stage.name == ACTIVE)
+    }
+
     pub(crate) fn is_focused(&self, row: usize) -> bool {
         self.stages.get(usize::from(self.stage[row])).is_some_and(|stage| stage.focused)
     }
@@ -273,8 +278,11 @@ pub(crate) fn categories(
     }
 }
 
-/// A stage is focused if its points were not sampled from the operating distribution: the boundary stage, and any
-/// unknown stage whose weights are not all 1.
+/// The stage whose weights refer to the whole operating distribution.
+const ACTIVE: &str = "active";
+
+/// A stage is focused if its points were not sampled from the operating distribution: the boundary and the active stage,
+/// and any unknown stage whose weights are not all 1.
 fn stages(
     names: &[String],
     codes: &[Option<u32>],
@@ -284,7 +292,7 @@ fn stages(
 ) -> Vec<Stage> {
     let mut stages: Vec<Stage> = names
         .iter()
-        .map(|name| Stage { name: name.clone(), designs: Vec::new(), focused: name == "boundary" })
+        .map(|name| Stage { name: name.clone(), designs: Vec::new(), focused: name == "boundary" || name == ACTIVE })
         .collect();
     let mut pairs: Vec<(u32, u32)> = Vec::new();
     for row in 0..codes.len() {

@@ -3,8 +3,9 @@
 use std::fmt;
 use std::io;
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
-use robogate_core::{Environment, Episode, Fault, Policy, Scenario};
+use robogate_core::{Environment, Episode, Fault, Foresight, Policy, Scenario};
 
 use crate::LostEpisode;
 
@@ -33,6 +34,14 @@ pub trait WorkerFactory: Sync {
 pub trait Executor {
     /// The number of episodes that run at once.
     fn parallelism(&self) -> usize;
+
+    /// The knowledge of the task about episodes before they run, for the active stage. `None` if the task has none.
+    ///
+    /// # Errors
+    /// If no worker can be created to ask.
+    fn foresight(&self) -> Result<Option<Arc<dyn Foresight>>, ExecuteError> {
+        Ok(None)
+    }
 
     /// Runs `scenario(0)`, `scenario(1)`, ... up to the first `None`. Passes each episode to `receive` on the calling
     /// thread, in the order in which episodes finish. Returns early without an error if `receive` breaks or the

@@ -19,6 +19,8 @@ pub const JOURNAL: &str = "journal.rgj";
 pub const LOST: &str = "lost_episodes.jsonl";
 /// The boundary found by the first stage.
 pub const BOUNDARY: &str = "boundary.json";
+/// The models of the active stage.
+pub const ACTIVE: &str = "active.json";
 /// The division of a campaign into shards.
 pub const LAYOUT: &str = "shards/layout.json";
 /// The dictionary of a finished run.

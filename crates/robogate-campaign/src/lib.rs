@@ -2,8 +2,8 @@
 //!
 //! A [`Plan`] defines the number of episodes and their region. [`start`] runs them in a folder, and [`resume`]
 //! continues a run that was stopped or killed. The first stage covers the operating space. From its results,
-//! [`boundary`] finds the region where success turns into failure, and the second stage samples that region. This is
-//! the only loop in the flow from space to dictionary.
+//! [`boundary`] finds the region where success turns into failure, and the second stage samples that region. This loop, and
+//! that of the active stage, are the only ones in the flow from space to dictionary.
 //!
 //! Episode `i` depends only on the plan's seed and on `i`. Every file of a finished run depends only on the plan and
 //! its provenance: the number of threads, the order in which episodes finish, and interruptions have no effect.
@@ -15,7 +15,10 @@
 //! # Ok::<(), robogate_campaign::PlanError>(())
 //! ```
 //!
-//! Instead of both stages, a plan may name a suite ([`Plan::of_suite`]). Every scenario then runs once per round, and
+//! Instead of the boundary stage, a plan may have an active stage ([`ActiveStage`]): rounds that sample where a risk model
+//! of all earlier episodes is least certain.
+//!
+//! Instead of all stages, a plan may name a suite ([`Plan::of_suite`]). Every scenario then runs once per round, and
 //! [`start_in_rounds`] calls a closure after each round to decide whether to stop.
 //!
 //! Many machines can share a campaign: each runs some [`shards`], and the merged files are those of one machine.
@@ -23,6 +26,7 @@
 //! An [`Executor`] runs the episodes with workers from a [`WorkerFactory`]. This crate knows no specific environment or
 //! policy. Progress is reported as one stream of [`Event`]s.
 
+mod active;
 pub mod boundary;
 mod events;
 mod executor;
@@ -39,6 +43,7 @@ mod summary;
 mod tally;
 mod threads;
 
+pub use active::{ActiveReport, ActiveRound, ActiveStage, Certificate, ModelScore};
 pub use boundary::{
     BoundaryReport, DrawnFrom, EmphasisFound, Focus, ParameterBoundary, PooledWeights, Region, Restricted,
 };

@@ -12,7 +12,7 @@ use robogate_core::{Domain, ParameterSpace, Sampler, Suite, samplers};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Bins, SuiteStage, suite_sha256};
+use crate::{ActiveStage, Bins, SuiteStage, suite_sha256};
 
 /// A campaign plan: seed, sampler, and the two stages.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -29,7 +29,10 @@ pub struct Plan {
     /// The second stage, around the boundary between success and failure.
     #[serde(default)]
     pub boundary: BoundaryStage,
-    /// The suite that replaces both stages: its scenarios run in rounds.
+    /// The active stage, which replaces the second stage.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub active: Option<ActiveStage>,
+    /// The suite that replaces all stages: its scenarios run in rounds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub suite: Option<SuiteStage>,
 }
@@ -193,12 +196,45 @@ impl Plan {
         Self::from_toml(&text).map_err(|error| PlanError::InFile { path: path.to_owned(), error: Box::new(error) })
     }
 
-    /// Sets the total number of episodes: two thirds, rounded up, in the first stage, the others in the second.
+    /// Sets the total number of episodes: two thirds, rounded up, in the first stage, the others in the second. With an
+    /// active stage, a quarter, rounded up, is in the first stage.
     #[must_use]
     pub fn with_total(mut self, total: u64) -> Self {
+        if let Some(active) = &mut self.active {
+            self.uniform.episodes = total.div_ceil(4);
+            active.episodes = total - self.uniform.episodes;
+            return self;
+        }
         self.boundary.episodes = total / 3;
         self.uniform.episodes = total - total / 3;
         self
+    }
+
+    /// Replaces the second stage by the active stage. A quarter of all episodes, rounded up, is uniform.
+    #[must_use]
+    pub fn with_active(mut self) -> Self {
+        let total = self.uniform.episodes + self.boundary.episodes + self.active_episodes();
+        let uniform = total.div_ceil(4);
+        let settings = self.active.take().unwrap_or_else(|| ActiveStage::new(0));
+        self.active = Some(ActiveStage { episodes: total - uniform, ..settings });
+        self.uniform.episodes = uniform;
+        self.boundary.episodes = 0;
+        self
+    }
+
+    /// Replaces the active stage by the boundary stage, with a third of all episodes.
+    #[must_use]
+    pub fn with_two_stages(mut self) -> Self {
+        let total = self.uniform.episodes + self.boundary.episodes + self.active_episodes();
+        match self.active.take() {
+            Some(_) => self.with_total(total),
+            None => self,
+        }
+    }
+
+    /// The number of episodes of the active stage.
+    pub(crate) fn active_episodes(&self) -> u64 {
+        self.active.as_ref().map_or(0, |stage| stage.episodes)
     }
 
     /// Creates a plan that runs a suite in at most `rounds` rounds.
@@ -209,13 +245,17 @@ impl Plan {
             sampler: "uniform".to_owned(),
             uniform: UniformStage { episodes: 0 },
             boundary: BoundaryStage::default(),
+            active: None,
             suite: Some(SuiteStage::new(suite, rounds)),
         }
     }
 
     /// The number of episodes of all stages.
     pub fn episodes(&self) -> u64 {
-        self.uniform.episodes + self.boundary.episodes + self.suite.as_ref().map_or(0, SuiteStage::episodes)
+        self.uniform.episodes
+            + self.boundary.episodes
+            + self.active_episodes()
+            + self.suite.as_ref().map_or(0, SuiteStage::episodes)
     }
 
     /// Removes the ranges that do not apply to `space`. Returns a sentence about each removed range.
@@ -271,7 +311,7 @@ impl Plan {
         self.sampler()?;
         let (uniform, stage) = (&self.uniform, &self.boundary);
         if let Some(suite) = &self.suite {
-            if uniform.episodes > 0 || stage.episodes > 0 {
+            if uniform.episodes > 0 || stage.episodes > 0 || self.active.is_some() {
                 return Err(PlanError::SuiteAndStages);
             }
             if suite.sha256 != suite_sha256(&suite.suite) {
@@ -281,6 +321,18 @@ impl Plan {
                 return Err(PlanError::NoRounds);
             }
             return check_most("suite.rounds", suite.episodes());
+        }
+        if let Some(active) = &self.active {
+            if stage.episodes > 0 {
+                return Err(PlanError::ActiveAndBoundary);
+            }
+            if uniform.episodes == 0 {
+                return Err(PlanError::ActiveAlone);
+            }
+            if let Some((key, found, expected)) = active.problem() {
+                return Err(PlanError::Setting { key, found, expected });
+            }
+            check_most("active.episodes", active.episodes)?;
         }
         match (uniform.episodes, stage.episodes) {
             (0, 0) => return Err(PlanError::NoEpisodes),
@@ -493,6 +545,26 @@ pub enum PlanError {
         "`suite` cannot be combined with `uniform.episodes` or `boundary.episodes`\nhint: a plan runs either a suite or stages"
     )]
     SuiteAndStages,
+    /// A plan with two stages after the first.
+    #[error(
+        "`active` and `boundary.episodes` cannot be combined\nhint: the active stage replaces the boundary stage; remove one of them"
+    )]
+    ActiveAndBoundary,
+    /// An active stage without a first stage.
+    #[error(
+        "`uniform.episodes` is 0, but `active` needs a uniform stage\nhint: give it about a quarter of the episodes"
+    )]
+    ActiveAlone,
+    /// A setting out of range.
+    #[error("`{key}` is {found}; expected {expected}")]
+    Setting {
+        /// The setting.
+        key: &'static str,
+        /// The value.
+        found: f64,
+        /// The expected range.
+        expected: &'static str,
+    },
     /// A suite with zero rounds.
     #[error("a suite needs at least one round\nhint: set `suite.rounds` in the plan or `--rounds` on the command line")]
     NoRounds,

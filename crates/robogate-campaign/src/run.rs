@@ -5,6 +5,7 @@
 //! DIR/journal.rgj          the episodes of an unfinished run
 //! DIR/lost_episodes.jsonl  attempts that an infrastructure fault lost, if there were any
 //! DIR/boundary.json        the boundary found by the first stage
+//! DIR/active.json          the models of the active stage
 //! DIR/dictionary.parquet   the episodes in order of index
 //! DIR/summary.json         the summary; written last, then the journal is deleted
 //! ```
@@ -22,15 +23,18 @@ use robogate_core::{DesignError, Episode, ParameterSpace};
 use robogate_dictionary::{
     Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Platform, Provenance, Recovery,
 };
+use robogate_risk::RiskError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::folder::{self, BOUNDARY, DICTIONARY, Folder, JOURNAL, LAYOUT, LOST, PLAN, SUMMARY};
+use crate::active::{Chooser, Opened};
+use crate::folder::{self, ACTIVE, BOUNDARY, DICTIONARY, Folder, JOURNAL, LAYOUT, LOST, PLAN, SUMMARY};
 use crate::invalid::AllInvalid;
 use crate::summary::Summing;
 use crate::{
-    Bins, BoundaryReport, Event, ExecuteError, Executor, OutcomeCounts, Plan, PlanError, Points, Round, RunAgain,
+    ActiveReport, Bins, BoundaryReport, Event, ExecuteError, Executor, OutcomeCounts, Plan, PlanError, Points, Round,
+    RunAgain,
     Stage, SuiteStage, Summary, Warning,
 };
 
@@ -419,7 +423,41 @@ impl<'a> Run<'a> {
             }
             boundary = Some(Box::new(report));
         }
+        if self.settings.plan.active.is_some() && self.active()? == Progress::Stopped {
+            return Ok(self.interrupted());
+        }
         Ok(Completion::Finished { summary: Box::new(self.finish(0)?), boundary })
+    }
+
+    /// Runs the rounds of the active stage, and writes the report on their models.
+    fn active(&mut self) -> Result<Progress, RunError> {
+        let foresight = self.executor.foresight()?;
+        let Some(mut chooser) = Chooser::new(&self.settings.plan, &self.space, foresight) else {
+            return Ok(Progress::Complete);
+        };
+        let mut report = ActiveReport { version: ActiveReport::VERSION, rounds: Vec::new() };
+        let (mut number, mut recorded) = (0, 0);
+        loop {
+            let first = chooser.rounds().get(number).map_or(self.settings.plan.episodes(), |round| round.start);
+            for index in recorded..first {
+                if let Some(entry) = self.journal.read(index)? {
+                    chooser.add(&entry);
+                }
+            }
+            recorded = first;
+            let Opened { report: round, points } = chooser.open(number)?;
+            report.rounds.push(round);
+            if points.is_empty() {
+                break;
+            }
+            let points = Points::active(&self.settings.plan, first, points);
+            if self.stage(&points)? == Progress::Stopped {
+                return Ok(Progress::Stopped);
+            }
+            number += 1;
+        }
+        self.folder.write(ACTIVE, &report)?;
+        Ok(Progress::Complete)
     }
 
     fn interrupted(&self) -> Completion {
@@ -574,6 +612,7 @@ impl<'a> Run<'a> {
                 Some(suite) if entry.index() >= rounds * suite.scenarios() => break,
                 Some(_) => Stage::Suite,
                 None if entry.index() < plan.uniform.episodes => Stage::Uniform,
+                None if plan.active.is_some() => Stage::Active,
                 None => Stage::Boundary,
             };
             summing.add(stage, &entry);
@@ -698,6 +737,9 @@ pub enum RunError {
     /// The sampler cannot draw the points.
     #[error(transparent)]
     Design(#[from] DesignError),
+    /// The risk model of the active stage cannot be fitted.
+    #[error("active stage: {0}")]
+    Model(RiskError),
     /// The dictionary or journal cannot be written or read.
     #[error(transparent)]
     Dictionary(#[from] DictionaryError),

@@ -8,6 +8,7 @@ use robogate_dictionary::{Entry, Label};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::active::Chosen;
 use crate::boundary::Weights;
 use crate::{BoundaryReport, Plan, RunError, SuiteStage};
 
@@ -19,7 +20,9 @@ pub enum Stage {
     Uniform,
     /// The second stage, around the boundary found by the first one.
     Boundary,
-    /// The scenarios of a suite, which replace both stages.
+    /// The active stage, which replaces the second one: rounds that sample where the outcome is least certain.
+    Active,
+    /// The scenarios of a suite, which replace all stages.
     Suite,
 }
 
@@ -29,6 +32,7 @@ impl Stage {
         match self {
             Self::Uniform => "uniform",
             Self::Boundary => "boundary",
+            Self::Active => "active",
             Self::Suite => "suite",
         }
     }
@@ -62,8 +66,10 @@ enum Source {
         designs: Vec<Design>,
         weights: Option<Weights>,
     },
+    /// Chosen one by one: a round of the active stage.
+    Listed(Vec<Chosen>),
     /// Scenarios of a suite.
-    Chosen(Box<SuiteStage>),
+    Suite(Box<SuiteStage>),
 }
 
 impl Points {
@@ -99,9 +105,15 @@ impl Points {
         })
     }
 
+    /// The points of a round of the active stage, from this index on.
+    pub(crate) fn active(plan: &Plan, first_index: u64, points: Vec<Chosen>) -> Self {
+        let seed = Seed::campaign(plan.seed);
+        Self { stage: Stage::Active, seed, sampler: "active", first_index, source: Source::Listed(points) }
+    }
+
     /// The scenarios of a suite, in all its rounds.
     pub fn suite(stage: &SuiteStage, seed: u64) -> Self {
-        let source = Source::Chosen(Box::new(stage.clone()));
+        let source = Source::Suite(Box::new(stage.clone()));
         Self { stage: Stage::Suite, seed: Seed::campaign(seed), sampler: "suite", first_index: 0, source }
     }
 
@@ -119,7 +131,8 @@ impl Points {
     pub fn len(&self) -> u64 {
         match &self.source {
             Source::Drawn { designs, .. } => designs.iter().map(|design| design.len() as u64).sum(),
-            Source::Chosen(stage) => stage.episodes(),
+            Source::Listed(points) => points.len() as u64,
+            Source::Suite(stage) => stage.episodes(),
         }
     }
 
@@ -140,7 +153,11 @@ impl Points {
                 let (design, i) = self.locate(designs, index)?;
                 Some(Scenario { index, seed: self.seed.episode(index), requested: design.assignment(i)? })
             }
-            Source::Chosen(stage) => self.indices().contains(&index).then(|| stage.suite.scenario(self.seed, index)),
+            Source::Listed(points) => {
+                let requested = points.get(self.place(index)?)?.requested.clone();
+                Some(Scenario { index, seed: self.seed.episode(index), requested })
+            }
+            Source::Suite(stage) => self.indices().contains(&index).then(|| stage.suite.scenario(self.seed, index)),
         }
     }
 
@@ -152,8 +169,8 @@ impl Points {
     /// The suite scenario of episode `index`. Empty if points are sampled from a space.
     pub fn label(&self, index: u64) -> Label {
         match &self.source {
-            Source::Drawn { .. } => Label::default(),
-            Source::Chosen(stage) => stage.label(index),
+            Source::Drawn { .. } | Source::Listed(_) => Label::default(),
+            Source::Suite(stage) => stage.label(index),
         }
     }
 
@@ -166,7 +183,18 @@ impl Points {
                 let coded = design.coded(i)?;
                 Some(weights.as_ref().map_or(1.0, |weights| weights.of(coded)))
             }
-            Source::Chosen(_) => self.indices().contains(&index).then_some(1.0),
+            Source::Listed(points) => Some(points.get(self.place(index)?)?.weight),
+            Source::Suite(_) => self.indices().contains(&index).then_some(1.0),
+        }
+    }
+
+    /// The name of the design of episode `index`.
+    fn design(&self, index: u64) -> &'static str {
+        match &self.source {
+            Source::Listed(points) => {
+                self.place(index).and_then(|at| points.get(at)).map_or(self.sampler, |point| point.design)
+            }
+            Source::Drawn { .. } | Source::Suite(_) => self.sampler,
         }
     }
 
@@ -174,11 +202,17 @@ impl Points {
     pub(crate) fn entry(&self, episode: Episode) -> Option<Entry> {
         let index = episode.scenario.index;
         let (weight, label) = (self.weight(index)?, self.label(index));
-        Some(Entry { stage: self.stage.as_str().to_owned(), design: self.sampler.to_owned(), weight, label, episode })
+        let design = self.design(index).to_owned();
+        Some(Entry { stage: self.stage.as_str().to_owned(), design, weight, label, episode })
+    }
+
+    /// The position of an episode in the stage or round, if it does not come before it.
+    fn place(&self, index: u64) -> Option<usize> {
+        usize::try_from(index.checked_sub(self.first_index)?).ok()
     }
 
     fn locate<'a>(&self, designs: &'a [Design], index: u64) -> Option<(&'a Design, usize)> {
-        let mut i = usize::try_from(index.checked_sub(self.first_index)?).ok()?;
+        let mut i = self.place(index)?;
         for design in designs {
             if i < design.len() {
                 return Some((design, i));

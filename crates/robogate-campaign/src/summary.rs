@@ -5,6 +5,8 @@ use std::sync::Arc;
 
 use robogate_core::{FailureMode, FaultKind, Outcome, ParameterSpace, TaskSpec};
 use robogate_dictionary::Entry;
+use robogate_stats::Confidence;
+use robogate_stats::weighted::hajek;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -52,7 +54,7 @@ pub struct Estimate {
     pub note: String,
     /// The success rate. Absent if no episode is valid.
     pub success_rate: Option<f64>,
-    /// Wilson's 95 % interval. [0, 1] if no episode is valid.
+    /// Wilson's 95 % interval, with the effective number of episodes if they have weights. [0, 1] if no episode is valid.
     pub interval_95: [f64; 2],
 }
 
@@ -62,7 +64,7 @@ pub struct Estimate {
 pub enum Population {
     /// The operating space, with every parameter uniform in its scale.
     OperatingSpace,
-    /// The points of the boundary stage. They concentrate around the boundary, so a rate over them does not estimate
+    /// The points of the boundary or the active stage. They concentrate around the boundary, so a rate over them does not estimate
     /// the operating space.
     FocusedDesign,
     /// The scenarios of a suite, equally weighted. They were chosen, so a rate over them does not estimate an operating
@@ -145,6 +147,10 @@ pub struct FaultCount {
 pub(crate) struct Summing {
     uniform: OutcomeCounts,
     boundary: OutcomeCounts,
+    active: OutcomeCounts,
+    is_active: bool,
+    /// Outcome and weight of every valid episode, if there is an active stage.
+    weighted: Vec<(bool, f64)>,
     suite: OutcomeCounts,
     groups: Option<Groups>,
     faults: BTreeMap<(Stage, FaultKind), u64>,
@@ -157,6 +163,9 @@ impl Summing {
         Ok(Self {
             uniform: OutcomeCounts::default(),
             boundary: OutcomeCounts::default(),
+            active: OutcomeCounts::default(),
+            is_active: plan.active.is_some(),
+            weighted: Vec::new(),
             suite: OutcomeCounts::default(),
             groups: plan.suite.as_ref().map(|stage| Groups::new(&stage.suite)),
             faults: BTreeMap::new(),
@@ -173,12 +182,16 @@ impl Summing {
                 self.bins.add(&entry.episode.scenario.requested, outcome);
             }
             Stage::Boundary => self.boundary.add(outcome),
+            Stage::Active => self.active.add(outcome),
             Stage::Suite => {
                 self.suite.add(outcome);
                 if let Some(groups) = &mut self.groups {
                     groups.add(entry);
                 }
             }
+        }
+        if self.is_active && !matches!(outcome, Outcome::Invalid(_)) {
+            self.weighted.push((*outcome == Outcome::Success, entry.weight));
         }
         if let Outcome::Invalid(fault) = outcome {
             *self.faults.entry((stage, fault.kind)).or_default() += 1;
@@ -192,6 +205,9 @@ impl Summing {
         if plan.boundary.episodes > 0 {
             stages.push(self.stage(Stage::Boundary));
         }
+        if plan.active.is_some() {
+            stages.push(self.stage(Stage::Active));
+        }
         let suite = plan.suite.as_ref().zip(self.groups.take()).map(|(stage, groups)| groups.finish(stage, rounds));
         let (counts, population) = (self.counts(first), stages[0].population);
         Summary {
@@ -199,24 +215,40 @@ impl Summing {
             seed: plan.seed,
             sampler: plan.sampler.clone(),
             dataset_hash,
-            episodes: self.uniform.total() + self.boundary.total() + self.suite.total(),
-            estimate: Estimate {
+            episodes: self.uniform.total() + self.boundary.total() + self.active.total() + self.suite.total(),
+            estimate: self.reweighted().unwrap_or_else(|| Estimate {
                 population,
                 stages: vec![first],
                 note: format!("estimates {}; from the {first} stage alone", population.describe()),
                 success_rate: counts.success_rate(),
                 interval_95: counts.interval_95(),
-            },
+            }),
             stages,
             suite,
             run_again: None,
         }
     }
 
+    /// The success rate from the uniform and the active stage, by their weights. `None` without an active stage.
+    fn reweighted(&self) -> Option<Estimate> {
+        let (outcomes, weights): (Vec<bool>, Vec<f64>) = self.weighted.iter().copied().unzip();
+        // Without an active stage there are no rows. The weights of an active stage are valid.
+        let found = hajek(&outcomes, &weights, Confidence::P95).ok().filter(|found| found.rows > 0)?;
+        let population = Population::OperatingSpace;
+        Some(Estimate {
+            population,
+            stages: vec![Stage::Uniform, Stage::Active],
+            note: format!("estimates {}; from all episodes, by their weights", population.describe()),
+            success_rate: found.rate,
+            interval_95: [found.interval.low, found.interval.high],
+        })
+    }
+
     fn counts(&self, stage: Stage) -> &OutcomeCounts {
         match stage {
             Stage::Uniform => &self.uniform,
             Stage::Boundary => &self.boundary,
+            Stage::Active => &self.active,
             Stage::Suite => &self.suite,
         }
     }
@@ -225,7 +257,7 @@ impl Summing {
         let counts = self.counts(stage);
         let population = match stage {
             Stage::Uniform => Population::OperatingSpace,
-            Stage::Boundary => Population::FocusedDesign,
+            Stage::Boundary | Stage::Active => Population::FocusedDesign,
             Stage::Suite => Population::Suite,
         };
         let failures = counts.valid() - counts.success;
@@ -252,7 +284,7 @@ impl Summing {
                 .collect(),
             marginal_effects: match stage {
                 Stage::Uniform => self.bins.marginal_effects(),
-                Stage::Boundary | Stage::Suite => Vec::new(),
+                Stage::Boundary | Stage::Active | Stage::Suite => Vec::new(),
             },
         }
     }

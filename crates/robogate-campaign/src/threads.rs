@@ -9,11 +9,12 @@ use std::fmt;
 use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread;
 
-use robogate_core::{Assignment, Episode, Fault, FaultKind, Measures, Outcome, Scenario, rollout};
+use robogate_core::{Assignment, Episode, Fault, FaultKind, Foresight, Measures, Outcome, Scenario, rollout};
 
 use crate::{ExecuteError, Executor, Worker, WorkerFactory};
 
@@ -44,6 +45,10 @@ enum Message {
 impl Executor for ThreadPool<'_> {
     fn parallelism(&self) -> usize {
         self.threads.get()
+    }
+
+    fn foresight(&self) -> Result<Option<Arc<dyn Foresight>>, ExecuteError> {
+        Ok(self.factory.worker().map_err(ExecuteError::Worker)?.environment.foresight())
     }
 
     fn execute(
@@ -163,6 +168,7 @@ fn lost(scenario: Scenario, fault: Fault) -> Episode {
         phase: None,
         contact: None,
         measures: Measures::default(),
+        draws: Default::default(),
         ticks: 0,
         trajectory_hash: 0,
     }

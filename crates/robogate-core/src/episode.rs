@@ -32,6 +32,8 @@ pub struct Episode {
     pub contact: Option<Contact>,
     /// The measured values.
     pub measures: Measures,
+    /// The hidden draws, where the task knows them.
+    pub draws: Measures,
     /// The number of control periods that ran.
     pub ticks: u32,
     /// Hash over the environment's state at every control period. Equal hashes mean equal trajectories.

@@ -14,6 +14,7 @@ mod action;
 mod copula;
 mod design;
 mod episode;
+mod foresight;
 pub mod latency;
 mod measures;
 mod observation;
@@ -32,6 +33,7 @@ mod word;
 pub use action::{Action, ActionSpace, ActionSpec, Command, GripperKind};
 pub use design::{Design, DesignError, Sampler};
 pub use episode::{Contact, Episode};
+pub use foresight::{FeatureSpec, Foresight};
 pub use measures::Measures;
 pub use observation::{Image, Observation, vectors};
 pub use outcome::{FailureMode, FailureModeError, Fault, FaultKind, Outcome};
@@ -44,8 +46,8 @@ pub use seed::{Seed, Stream};
 pub use space::{Correlation, Domain, Parameter, ParameterSpace, Scale, SpaceError};
 pub use suite::{Case, Published, Spread, Suite, SuiteError, SuiteProblem};
 pub use task::{
-    Allowed, Better, CameraSpec, FailureModeSpec, MeasureSpec, ObservationSpec, ParameterSpec, Severity, TaskError,
-    TaskInstance, TaskSpec, VectorSpec,
+    Allowed, Better, CameraSpec, DrawSpec, FailureModeSpec, MeasureSpec, ObservationSpec, ParameterSpec, Severity,
+    TaskError, TaskInstance, TaskSpec, VectorSpec,
 };
 pub use trajectory::{ContactBetween, ContactPoint, Frame, Solid, SolidShape, Trajectory};
 pub use word::{Word, WordError};

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use crate::{
-    Action, Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Image, Measures, Observation, Outcome,
-    Scenario, Seed, TaskInstance, TaskSpec, Trajectory,
+    Action, Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Foresight, Image, Measures, Observation,
+    Outcome, Scenario, Seed, TaskInstance, TaskSpec, Trajectory,
 };
 
 /// The result of a reset.
@@ -48,6 +48,11 @@ pub struct Ending {
 pub trait Environment {
     /// The task. It is the same for every episode.
     fn task(&self) -> &Arc<TaskSpec>;
+
+    /// The knowledge of the task about an episode before it runs. `None` if the task has none.
+    fn foresight(&self) -> Option<Arc<dyn Foresight>> {
+        None
+    }
 
     /// Sets up a scenario. A second call starts over, independent of earlier episodes.
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault>;
@@ -156,6 +161,7 @@ pub fn rollout_with(
         phase: None,
         contact: None,
         measures: Measures::default(),
+        draws: Measures::default(),
         ticks: 0,
         trajectory_hash: HASH_START,
     };
@@ -175,6 +181,9 @@ fn drive(
     let Start { instance, mut observation, applied } = environment.reset(&episode.scenario)?;
     episode.applied = applied;
     check_applied(&episode.scenario.requested, &episode.applied)?;
+    if let Some(foresight) = environment.foresight() {
+        episode.draws = foresight.draws(&episode.scenario)?;
+    }
     policy.reset(&task, &instance, episode.scenario.seed)?;
     let limit = task.limit_ticks().map_err(|why| Fault::new(FaultKind::Setup, why.to_string()))?;
     while episode.ticks < limit {

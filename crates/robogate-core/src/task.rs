@@ -31,6 +31,9 @@ pub struct TaskSpec {
     /// The measures of each episode.
     #[serde(default)]
     pub measures: Vec<MeasureSpec>,
+    /// The hidden draws of each episode. Absent in files of earlier versions and of tasks without draws.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub draws: Vec<DrawSpec>,
     /// The phases that a policy may report, in order. Empty if the task has none.
     #[serde(default)]
     pub phases: Vec<Word>,
@@ -92,6 +95,23 @@ pub struct MeasureSpec {
     /// Whether smaller or larger values are better.
     #[serde(default)]
     pub better: Better,
+}
+
+/// A declared draw: a number that an episode samples from its seed and that no parameter sets (an encoder bias, the
+/// position of an obstacle), or that follows from such numbers.
+///
+/// Draws explain outcomes that parameters alone cannot. They are not parameters: nobody can set them on the real robot,
+/// so advice never names them.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct DrawSpec {
+    /// The name of the draw and of its column in the dictionary.
+    pub name: Word,
+    /// The unit as text (`m`, `rad`). Empty for a number without unit.
+    #[serde(default)]
+    pub unit: String,
+    /// The meaning, in one sentence.
+    #[serde(default)]
+    pub meaning: String,
 }
 
 /// Whether smaller or larger values of a measure are better.
@@ -211,6 +231,7 @@ impl TaskSpec {
         let lists = [
             ("failure_modes", self.failure_modes.len()),
             ("measures", self.measures.len()),
+            ("draws", self.draws.len()),
             ("phases", self.phases.len()),
             ("parameters", self.parameters.len()),
             ("observation.vectors", self.observation.vectors.len()),
@@ -221,6 +242,7 @@ impl TaskSpec {
         }
         unique("failure_modes", self.failure_modes.iter().map(|mode| mode.name.as_str()))?;
         unique("measures", self.measures.iter().map(|measure| measure.name.as_str()))?;
+        unique("draws", self.draws.iter().map(|draw| draw.name.as_str()))?;
         unique("phases", self.phases.iter().map(|phase| phase.as_str()))?;
         unique("parameters", self.parameters.iter().map(|parameter| &*parameter.name))?;
         unique("observation.vectors", self.observation.vectors.iter().map(|vector| vector.name.as_str()))?;

@@ -21,6 +21,7 @@ fn task(period_s: f64, limit_s: f64) -> Arc<TaskSpec> {
         time_limit_s: limit_s,
         failure_modes: Vec::new(),
         measures: Vec::new(),
+        draws: Vec::new(),
         phases: Vec::new(),
         parameters: Vec::new(),
         observation: ObservationSpec {

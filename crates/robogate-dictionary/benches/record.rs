@@ -121,6 +121,7 @@ fn entry(task: &TaskSpec, space: &ParameterSpace, index: u64) -> Entry {
                 force_n: stream.uniform(),
             }),
             measures: task.measures.iter().map(|measure| (measure.name, Some(stream.uniform()))).collect(),
+            draws: Default::default(),
             ticks: 100 + (index % 100) as u32,
             trajectory_hash: stream.bits(),
         },

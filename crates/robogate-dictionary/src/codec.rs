@@ -66,7 +66,8 @@ struct Encoder<'a> {
 impl Encoder<'_> {
     fn entry(&mut self, entry: &Entry) {
         let Entry { stage, design, weight, label, episode } = entry;
-        let Episode { scenario, applied, outcome, time_s, phase, contact, measures, ticks, trajectory_hash } = episode;
+        let Episode { scenario, applied, outcome, time_s, phase, contact, measures, draws, ticks, trajectory_hash } =
+            episode;
         self.u64(scenario.index);
         self.u64(scenario.seed.campaign_number());
         self.text(stage);
@@ -87,7 +88,12 @@ impl Encoder<'_> {
         self.phase(*phase);
         // One byte marks which parts follow. Without a label it equals the byte of schema 1.0, which keeps records and
         // hashes of unlabelled episodes unchanged.
-        self.u8(u8::from(contact.is_some()) * CONTACT + u8::from(!label.is_empty()) * LABEL);
+        // Draws follow from the scenario, so the hash, which covers the scenario, leaves them out. A dictionary keeps its
+        // hash if its draws are computed later.
+        let with_draws = self.canonical.is_none() && !draws.is_empty();
+        self.u8(u8::from(contact.is_some()) * CONTACT
+            + u8::from(!label.is_empty()) * LABEL
+            + u8::from(with_draws) * DRAWS);
         if let Some(Contact { robot_body, other_body, force_n }) = contact {
             self.text(robot_body);
             self.text(other_body);
@@ -103,6 +109,9 @@ impl Encoder<'_> {
             }
         }
         self.measures(measures);
+        if with_draws {
+            self.numbers(draws);
+        }
         self.u32(*ticks);
         self.u64(*trajectory_hash);
     }
@@ -132,12 +141,7 @@ impl Encoder<'_> {
 
     fn measures(&mut self, measures: &Measures) {
         let Some(task) = self.canonical else {
-            self.u32(measures.len() as u32);
-            for (name, value) in measures.iter() {
-                self.text(name.as_str());
-                self.f64(value);
-            }
-            return;
+            return self.numbers(measures);
         };
         for measure in &task.measures {
             match measures.get(measure.name.as_str()).filter(|x| x.is_finite()) {
@@ -147,6 +151,14 @@ impl Encoder<'_> {
                     self.f64(x);
                 }
             }
+        }
+    }
+
+    fn numbers(&mut self, numbers: &Measures) {
+        self.u32(numbers.len() as u32);
+        for (name, value) in numbers.iter() {
+            self.text(name.as_str());
+            self.f64(value);
         }
     }
 
@@ -213,6 +225,7 @@ const PHASE_BY_NAME: u8 = u8::MAX;
 
 const CONTACT: u8 = 1;
 const LABEL: u8 = 2;
+const DRAWS: u8 = 4;
 
 const NUMBER: u8 = b'n';
 const INTEGER: u8 = b'i';
@@ -283,8 +296,8 @@ impl<'a> Decoder<'a> {
             code => return Err(format!("{code} is not the code of a phase")),
         };
         let there = match self.u8()? {
-            there if there & !(CONTACT | LABEL) == 0 => there,
-            code => return Err(format!("{code} is not a valid mark for contact and label")),
+            there if there & !(CONTACT | LABEL | DRAWS) == 0 => there,
+            code => return Err(format!("{code} is not a valid mark for contact, label and draws")),
         };
         let contact = if there & CONTACT != 0 {
             let (robot_body, other_body) = (self.text()?.to_owned(), self.text()?.to_owned());
@@ -297,13 +310,18 @@ impl<'a> Decoder<'a> {
         } else {
             Label::default()
         };
-        let count = u32::from_le_bytes(self.array()?);
-        let measures =
-            (0..count).map(|_| Ok((self.name()?, Some(self.f64()?)))).collect::<Result<Measures, String>>()?;
+        let measures = self.numbers()?;
+        let draws = if there & DRAWS != 0 { self.numbers()? } else { Measures::default() };
         let ticks = u32::from_le_bytes(self.array()?);
         let trajectory_hash = self.u64()?;
-        let episode = Episode { scenario, applied, outcome, time_s, phase, contact, measures, ticks, trajectory_hash };
+        let episode =
+            Episode { scenario, applied, outcome, time_s, phase, contact, measures, draws, ticks, trajectory_hash };
         Ok(Entry { stage, design, weight, label, episode })
+    }
+
+    fn numbers(&mut self) -> Result<Measures, String> {
+        let count = u32::from_le_bytes(self.array()?);
+        (0..count).map(|_| Ok((self.name()?, Some(self.f64()?)))).collect()
     }
 
     fn assignment(&mut self) -> Result<Assignment, String> {

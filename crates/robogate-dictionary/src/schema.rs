@@ -8,9 +8,10 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
 /// The version that this crate writes, and the newest one that it knows.
-pub const SCHEMA_VERSION: SchemaVersion = SchemaVersion { major: 2, minor: 0 };
+pub const SCHEMA_VERSION: SchemaVersion = SchemaVersion { major: 2, minor: 1 };
 
-/// The oldest version that this crate reads. Version 2 added the task and removed no column.
+/// The oldest version that this crate reads. Version 2.0 added the task, 2.1 the hidden draws; no version
+/// removed a column.
 pub(crate) const OLDEST: SchemaVersion = SchemaVersion { major: 1, minor: 0 };
 
 /// The version that added the columns of a suite's scenarios (`case`, `category`, `group`).

@@ -190,7 +190,8 @@ impl Record {
         for entry in entries {
             let entry = entry?;
             let named = ["uniform", "imported", "suite"].contains(&entry.stage.as_str());
-            let focused = entry.stage == "boundary" || (!named && (entry.weight - 1.0).abs() > 0.0);
+            let focused =
+                ["boundary", "active"].contains(&entry.stage.as_str()) || (!named && (entry.weight - 1.0).abs() > 0.0);
             *uneven.entry(entry.stage.clone()).or_insert(false) |= focused;
             rows.push((entry.stage.clone(), Trial::of(&entry, &unseen, provenance.schema_version)));
         }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use robogate_core::{Action, Environment, Fault, FaultKind, Image, Scenario, Start, Step, TaskSpec};
+use robogate_core::{Action, Environment, Fault, FaultKind, Foresight, Image, Scenario, Start, Step, TaskSpec};
 
 use super::error::RequestError;
 use super::message::Hello;
@@ -96,6 +96,10 @@ impl<T: RemoteTask> RemotePhysics<T> {
 impl<T: RemoteTask> Environment for RemotePhysics<T> {
     fn task(&self) -> &Arc<TaskSpec> {
         &self.episodes.task
+    }
+
+    fn foresight(&self) -> Option<Arc<dyn Foresight>> {
+        self.episodes.session.0.foresight()
     }
 
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {

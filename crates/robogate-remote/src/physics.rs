@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use robogate_core::{Action, Assignment, Fault, Image, Observation, Scenario, Start, Step, TaskSpec};
+use robogate_core::{Action, Assignment, Fault, Foresight, Image, Observation, Scenario, Start, Step, TaskSpec};
 use serde::Serialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
 
@@ -25,6 +25,11 @@ pub trait RemoteTask {
 
     /// The task of all episodes.
     fn task(&self) -> &Arc<TaskSpec>;
+
+    /// The knowledge of the task about an episode before it runs. `None` if it has none.
+    fn foresight(&self) -> Option<Arc<dyn Foresight>> {
+        None
+    }
 
     /// Check whether a server can run this task.
     fn accepts(&self, hello: &Hello) -> Result<(), String>;

@@ -29,6 +29,7 @@ fn clip(title: &str, solids: Vec<Solid>) -> Clip {
         phase: None,
         contact: None,
         measures: Measures::default(),
+        draws: Default::default(),
         ticks: 2,
         trajectory_hash: 1,
     };

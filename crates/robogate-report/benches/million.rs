@@ -113,6 +113,7 @@ fn write(path: &Path, rows: u64) {
                     phase: None,
                     contact: None,
                     measures,
+                    draws: Default::default(),
                     ticks: 100,
                     trajectory_hash: i,
                 },

@@ -15,12 +15,13 @@
 //! | do two parameters interact? | [`score_test`] |
 //! | in which box of parameters is the rate high enough? | [`safe_box`] |
 //! | how does it depend on the parameters? | [`logistic`], [`correlation`] |
-//! | the same for a nonlinear dependence? | [`ridge`] on [`fourier`] features |
+//! | the same for a nonlinear dependence? | [`ridge`] on [`fourier`] features, [`spline_logistic`], [`boosting`] |
 //! | do further coefficients improve a model? | [`likelihood_ratio`] |
 //! | where is the frontier of two parameters? | [`limit_state`] |
 //! | what is the rate over two parameters, with its uncertainty? | [`surface`] |
 //! | where does one parameter become critical? | [`threshold`], by [`resample`] |
 //! | does the risk score separate failures, and is it calibrated? | [`roc`], [`calibration`] |
+//! | how far are predicted probabilities from the true ones? | [`model_error`] |
 //! | which failure mode dominates, and where does that change? | [`modes`] |
 //! | do several groups share one rate, and which one is an outlier? | [`overdispersion`] |
 //! | do two rates differ? | [`difference`], [`compare`], [`multiplicity`], [`crossed`] |
@@ -35,6 +36,7 @@
 pub mod adjusted;
 pub mod anytime;
 pub mod binning;
+pub mod boosting;
 pub mod bounded_mean;
 pub mod calibration;
 pub mod compare;
@@ -49,6 +51,7 @@ pub mod interval;
 pub mod likelihood_ratio;
 pub mod limit_state;
 pub mod logistic;
+pub mod model_error;
 pub mod modes;
 pub mod multiplicity;
 pub mod non_inferiority;
@@ -63,6 +66,7 @@ pub mod safe_box;
 pub mod scan;
 pub mod score_test;
 pub mod segments;
+pub mod spline_logistic;
 pub mod stratified;
 pub mod surface;
 pub mod threshold;

@@ -3,9 +3,10 @@
 use std::cell::RefCell;
 use std::fmt;
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 use robogate_campaign::{ExecuteError, Executor, LostEpisode};
-use robogate_core::{Episode, Fault, FaultKind, Outcome, Scenario};
+use robogate_core::{Episode, Fault, FaultKind, Foresight, Outcome, Scenario};
 
 use crate::terminal::note;
 
@@ -131,6 +132,10 @@ impl Executor for RunsLostAgain<'_> {
         self.executor.parallelism()
     }
 
+    fn foresight(&self) -> Result<Option<Arc<dyn Foresight>>, ExecuteError> {
+        self.executor.foresight()
+    }
+
     fn execute(
         &self,
         scenario: &(dyn Fn(usize) -> Option<Scenario> + Sync),
@@ -206,6 +211,7 @@ mod tests {
                     phase: None,
                     contact: None,
                     measures: Measures::default(),
+                    draws: Default::default(),
                     ticks: 0,
                     trajectory_hash: 0,
                 };

@@ -33,6 +33,7 @@ impl Progress {
                 self.bar.set_prefix(match stage {
                     Stage::Uniform => "uniform ",
                     Stage::Boundary => "boundary",
+                    Stage::Active => "active  ",
                     Stage::Suite => "suite   ",
                 });
                 self.bar.set_position(already_done.total());

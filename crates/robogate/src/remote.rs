@@ -6,7 +6,9 @@ use std::time::Duration;
 
 use anyhow::{anyhow, bail};
 use clap::Args;
-use robogate_core::{Action, Command, Fault, FaultKind, Image, Observation, Scenario, Start, Step, TaskSpec};
+use robogate_core::{
+    Action, Command, Fault, FaultKind, Foresight, Image, Observation, Scenario, Start, Step, TaskSpec,
+};
 use robogate_dictionary::provenance;
 use robogate_physics::{Chain, Engine, GripperCommand, Robot};
 use robogate_remote::message::{Hello, ObservationMessage, Period, ResetReply};
@@ -156,6 +158,10 @@ impl RemoteTask for CellTask {
 
     fn task(&self) -> &Arc<TaskSpec> {
         self.0.task()
+    }
+
+    fn foresight(&self) -> Option<Arc<dyn Foresight>> {
+        Some(self.0.foresight())
     }
 
     fn accepts(&self, hello: &Hello) -> Result<(), String> {

@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use robogate_analysis::{Analysis, MarginalEffect};
-use robogate_campaign::folder::DICTIONARY;
+use robogate_campaign::folder::{ACTIVE, DICTIONARY};
 use robogate_campaign::{
-    BoundaryReport, DrawnFrom, OutcomeCounts, Population, Stage, StageSummary, SuiteSummary, Summary,
+    ActiveReport, BoundaryReport, DrawnFrom, Estimate, OutcomeCounts, Population, Stage, StageSummary, SuiteSummary,
+    Summary,
 };
 use robogate_report::Headline;
 use serde_json::json;
@@ -27,6 +28,9 @@ pub(crate) fn json(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRepo
 /// Prints the summary for people.
 pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryReport>, analysis: Option<&Analysis>) {
     line("");
+    if summary.stages.iter().any(|stage| stage.stage == Stage::Active) {
+        weighted(&summary.estimate);
+    }
     for stage in &summary.stages {
         rate(stage, &summary.sampler);
     }
@@ -54,6 +58,9 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
             grouped(again.lost_attempts),
             foreign(&again.first_fault)
         ));
+    }
+    if let Some(report) = std::fs::read(dir.join(ACTIVE)).ok().and_then(|text| serde_json::from_slice(&text).ok()) {
+        model(&report);
     }
     files(dir, summary);
 }
@@ -105,6 +112,42 @@ fn rate(stage: &StageSummary, sampler: &str) {
     }
 }
 
+/// The success rate from all episodes of an active design.
+fn weighted(estimate: &Estimate) {
+    let [low, high] = estimate.interval_95;
+    if let Some(rate) = estimate.success_rate {
+        line(format_args!(
+            "{}  over the operating space: all episodes by their weights, 95 % interval {} to {}",
+            bold(format_args!("success {:>6}", percent(rate))),
+            percent(low),
+            percent(high)
+        ));
+    }
+}
+
+/// The last risk model of an active design.
+fn model(report: &ActiveReport) {
+    let Some(last) = report.rounds.last() else { return };
+    line("");
+    line(bold("Risk model"));
+    match &last.model {
+        Some(model) => line(format_args!(
+            "  Brier score {:.3} in cross-validation, told the hidden draws, from {} episodes",
+            model.brier,
+            grouped(last.trained_on)
+        )),
+        None => line("  none: fewer than ten failures or ten successes"),
+    }
+    if let Some(found) = &last.certificate {
+        let reached = if found.reached { "reached" } else { "not reached" };
+        line(format_args!(
+            "  error of the model of the parameters: at most {:.3} (95 % confidence, {} pairs); the requested error is {reached}",
+            found.rms_bound,
+            grouped(found.pairs)
+        ));
+    }
+}
+
 fn failures(stage: &StageSummary) {
     line("");
     line(bold(format_args!(
@@ -112,6 +155,7 @@ fn failures(stage: &StageSummary) {
         match stage.stage {
             Stage::Uniform => "uniform",
             Stage::Boundary => "boundary",
+            Stage::Active => "active",
             Stage::Suite => "suite",
         }
     )));

@@ -188,7 +188,8 @@ fn weighted(success: &[bool], weights: &[f64]) -> Result<WeightedRate, String> {
     Ok(WeightedRate { rate, se: found.se, interval_95: ends(found.interval), effective_sample_size: found.effective })
 }
 
-/// Combines both designs. With the boundary report of the run, rows have the weights of the balance heuristic
+/// Combines both designs. The weights of an active stage refer to the whole operating space, as those of the uniform one
+/// do, and are used as stored. With the boundary report of the run, rows have the weights of the balance heuristic
 /// ([`pooled`]). Without it, the region R of the focused rows is known only if they were sampled uniformly in one box, so
 /// that their stored weights are equal. Then the rows are post-stratified on R.
 ///
@@ -203,7 +204,17 @@ fn reweighted(
     focused: &Sample,
     boundary: Option<&BoundaryFile>,
 ) -> Finding<Reweighted> {
+    let active = focused.len() > 0 && focused.rows.iter().all(|row| table.is_active(*row as usize));
     let (found, method) = match boundary.filter(|b| b.volume.episodes > 0) {
+        _ if active => {
+            let stored =
+                [base, focused].into_iter().flat_map(|sample| &sample.rows).map(|row| table.weight[*row as usize]);
+            let success = base.success.iter().chain(&focused.success).copied().collect();
+            (
+                Ok((success, stored.collect(), 1.0)),
+                "each row by its stored weight, which refers to the whole operating space",
+            )
+        }
         Some(boundary) => (
             pooled::weights(table, base, focused, boundary),
             "each row by the pooled density of both designs (balance heuristic)",

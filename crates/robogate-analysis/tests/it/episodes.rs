@@ -55,6 +55,7 @@ pub(crate) fn entry(i: u64, requested: Assignment, outcome: Outcome) -> Entry {
             phase: None,
             contact: None,
             measures: [(Word::constant("peak_contact_force_n"), force)].into_iter().collect(),
+            draws: Default::default(),
             ticks: 10,
             trajectory_hash: i,
         },

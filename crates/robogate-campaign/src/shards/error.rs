@@ -17,6 +17,11 @@ pub enum ShardError {
     /// The text does not name a shard.
     #[error(transparent)]
     Name(#[from] ShardNameError),
+    /// The plan has an active stage.
+    #[error(
+        "a campaign with an active stage cannot be divided into shards\nhint: use the two-stage design, or run it on one machine with more threads"
+    )]
+    Active,
     /// The store returned an error.
     #[error("cannot {action} {}: {source}{}", place.display(), io_hint(source))]
     Store {

@@ -115,6 +115,9 @@ impl Shards {
         // Checks the number of shards.
         Shard::new(0, shards)?;
         plan.check(&provenance.space).map_err(RunError::from)?;
+        if plan.active.is_some() {
+            return Err(ShardError::Active);
+        }
         let path = store.place(PLAN);
         let unreadable = |source| RunError::Unreadable { path: path.clone(), source };
         let present = Settings::new(plan, provenance).map_err(unreadable)?;

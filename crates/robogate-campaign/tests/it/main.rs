@@ -2,6 +2,7 @@
 #![expect(clippy::disallowed_methods, reason = "tests measure times and find their settings in the environment")]
 #![expect(clippy::unwrap_used, reason = "test helpers fail by panicking")]
 
+mod active;
 mod boundary;
 mod determinism;
 mod faults;

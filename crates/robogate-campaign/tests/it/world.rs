@@ -114,6 +114,7 @@ pub(crate) fn task() -> Arc<TaskSpec> {
             meaning: String::new(),
             better: robogate_core::Better::Lower,
         }],
+        draws: Vec::new(),
         phases: Vec::new(),
         parameters: Vec::new(),
         observation: ObservationSpec::default(),

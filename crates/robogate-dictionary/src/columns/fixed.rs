@@ -28,7 +28,8 @@ pub struct FixedColumn {
     pub meaning: &'static str,
 }
 
-/// The fixed columns in order. The last three exist since version 1.1.
+/// The fixed columns in order. The last three exist since version 1.1. The hidden draws of the task have columns after
+/// them, since version 2.1.
 ///
 /// Each parameter of the space has a column of its name with the requested value, between `seed` and `applied_other`.
 /// After these, each parameter has a column with the prefix `applied_`: the value read back from the environment, null
@@ -168,7 +169,7 @@ pub(super) static CLOSING: [FixedColumn; 2] = [
     },
 ];
 
-/// The columns of a suite's scenarios, last of all.
+/// The columns of a suite's scenarios, the last fixed ones.
 pub(super) static LABEL: [FixedColumn; 3] = [
     FixedColumn {
         name: "case",

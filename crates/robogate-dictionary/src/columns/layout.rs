@@ -1,4 +1,4 @@
-//! Positions of the parameter and measure columns in a table.
+//! Positions of the parameter, measure and draw columns in a table.
 
 use std::ops::Range;
 
@@ -6,13 +6,15 @@ use super::fixed::{CLOSING, LABEL, LEADING, TRAILING};
 use crate::schema::OLDEST;
 use crate::{SCHEMA_VERSION, SchemaVersion};
 
-/// Positions of the parameter and measure columns in the table of a dictionary.
+/// Positions of the parameter, measure and draw columns in the table of a dictionary.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Layout {
     /// The requested parameters. The same number of applied ones follows.
     pub(crate) parameters: Range<usize>,
     /// The measures.
     pub(crate) measures: Range<usize>,
+    /// The hidden draws.
+    pub(crate) draws: Range<usize>,
     /// The schema version with these fixed columns.
     pub(crate) version: SchemaVersion,
 }
@@ -26,8 +28,10 @@ impl Layout {
         let applied_other = place(TRAILING[0].name)?;
         let measures = applied_other + TRAILING.len()..place(CLOSING[0].name)?;
         let parameters = first..first + applied_other.checked_sub(first)? / 2;
-        let labelled = place(LABEL[0].name).is_some_and(|at| at >= measures.end);
+        let label = place(LABEL[0].name).filter(|at| *at >= measures.end);
+        let labelled = label.is_some();
+        let draws = label.map_or(names.len(), |at| (at + LABEL.len()).min(names.len()))..names.len();
         let version = if labelled { SCHEMA_VERSION } else { OLDEST };
-        (measures.start <= measures.end).then_some(Self { parameters, measures, version })
+        (measures.start <= measures.end).then_some(Self { parameters, measures, draws, version })
     }
 }

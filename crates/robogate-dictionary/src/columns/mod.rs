@@ -67,8 +67,10 @@ const APPLIED: &str = "applied_";
 pub(crate) struct Columns {
     space: ParameterSpace,
     measures: Vec<Word>,
+    /// The hidden draws, whose columns are last.
+    draws: Vec<Word>,
     specs: Vec<ColumnSpec>,
-    /// Whether the last three columns are those of a suite's scenarios.
+    /// Whether the columns before the draws are those of a suite's scenarios.
     labelled: bool,
     /// Whether a row may lack the value of a parameter, as an imported one may.
     gaps: bool,
@@ -103,6 +105,8 @@ impl Columns {
         };
         let measures: Vec<Word> = task.measures.iter().map(|measure| measure.name).collect();
         let of_measures = measures.iter().map(|name| spec(name.as_str().to_owned(), Kind::Number, false, false));
+        let draws: Vec<Word> = task.draws.iter().map(|draw| draw.name).collect();
+        let of_draws = draws.iter().map(|name| spec(name.as_str().to_owned(), Kind::Number, false, false));
         let labelled = version >= LABELLED;
         let specs: Vec<ColumnSpec> = LEADING
             .iter()
@@ -113,6 +117,7 @@ impl Columns {
             .chain(of_measures)
             .chain(CLOSING.iter().map(fixed))
             .chain(LABEL.iter().filter(|_| labelled).map(fixed))
+            .chain(of_draws)
             .collect();
         // Case-insensitive readers (DuckDB) cannot distinguish `Mass` from `mass`.
         let mut names: Vec<(String, usize)> =
@@ -121,12 +126,16 @@ impl Columns {
         if let Some(pair) = names.windows(2).find(|pair| pair[0].0 == pair[1].0) {
             let parameters = parameter_columns(space);
             let first_measure = parameters.end + TRAILING.len();
-            let chosen =
-                |at: &usize| parameters.contains(at) || (first_measure..first_measure + measures.len()).contains(at);
+            let first_draw = specs.len() - draws.len();
+            let chosen = |at: &usize| {
+                parameters.contains(at)
+                    || (first_measure..first_measure + measures.len()).contains(at)
+                    || *at >= first_draw
+            };
             let at = if chosen(&pair[0].1) { pair[0].1 } else { pair[1].1 };
             return Err(DictionaryError::ColumnClash { column: specs[at].name.clone() });
         }
-        Ok(Self { space: space.clone(), measures, specs, labelled, gaps: false })
+        Ok(Self { space: space.clone(), measures, draws, specs, labelled, gaps: false })
     }
 
     /// The columns in order.
@@ -146,7 +155,8 @@ impl Columns {
     pub(crate) fn flatten<'a>(&self, entry: &'a Entry, cells: &mut Vec<Cell<'a>>) -> Result<(), DictionaryError> {
         entry.check()?;
         let Entry { stage, design, weight, label, episode } = entry;
-        let Episode { scenario, applied, outcome, time_s, phase, contact, measures, ticks, trajectory_hash } = episode;
+        let Episode { scenario, applied, outcome, time_s, phase, contact, measures, draws, ticks, trajectory_hash } =
+            episode;
         cells.clear();
         cells.extend([
             Cell::Count(scenario.index),
@@ -180,6 +190,7 @@ impl Columns {
             let Label { case, category, group } = label;
             cells.extend([case, category, group].map(|word| word.as_deref().map_or(Cell::Null, text)));
         }
+        cells.extend(self.draws.iter().map(|name| number(draws.get(name.as_str()))));
         Ok(())
     }
 
@@ -294,8 +305,10 @@ impl Columns {
         } else {
             Label::default()
         };
+        let draws: Measures = self.draws.iter().map(|name| (*name, row.optional_number())).collect();
         let scenario = Scenario { index, seed, requested };
-        let episode = Episode { scenario, applied, outcome, time_s, phase, contact, measures, ticks, trajectory_hash };
+        let episode =
+            Episode { scenario, applied, outcome, time_s, phase, contact, measures, draws, ticks, trajectory_hash };
         Ok(Entry { stage, design, weight, label, episode })
     }
 }

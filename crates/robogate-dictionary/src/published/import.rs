@@ -275,6 +275,7 @@ impl Plan {
             phase: None,
             contact: None,
             measures: [(TARGET_DISTANCE_HERE, target_distance(path, row)?)].into_iter().collect(),
+            draws: Default::default(),
             ticks: 0,
             trajectory_hash: 0,
         };

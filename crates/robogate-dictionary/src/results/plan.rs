@@ -53,6 +53,7 @@ impl Plan<'_> {
                 .iter()
                 .map(|(column, name)| (*name, measure(row.get(column))))
                 .collect::<Measures>(),
+            draws: Default::default(),
             ticks: 0,
             trajectory_hash: 0,
         };

@@ -1,7 +1,7 @@
 //! The task of an imported dictionary.
 
 use robogate_core::{
-    ActionSpec, Better, FailureMode, FailureModeSpec, MeasureSpec, ObservationSpec, Severity, TaskSpec, Word,
+    ActionSpec, Better, DrawSpec, FailureMode, FailureModeSpec, MeasureSpec, ObservationSpec, Severity, TaskSpec, Word,
 };
 
 use super::About;
@@ -34,10 +34,16 @@ pub(super) fn of_rows(
         time_limit_s: 0.0,
         failure_modes: modes.into_iter().map(mode).collect(),
         measures: measures.iter().map(measure).collect(),
+        draws: Vec::new(),
         phases,
         parameters: Vec::new(),
         observation: ObservationSpec::default(),
         action: ActionSpec::default(),
         details: serde_json::Value::Null,
     }
+}
+
+/// A hidden draw of which only the name is known.
+pub(super) fn draw(name: Word) -> DrawSpec {
+    DrawSpec { name, unit: String::new(), meaning: String::new() }
 }

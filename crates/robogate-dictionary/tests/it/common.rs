@@ -164,6 +164,7 @@ pub(crate) fn entry_of(task: &TaskSpec, index: u64) -> Entry {
                     (measure.name, (i == task.measures.len() || !index.is_multiple_of(i as u64 + 1)).then_some(value))
                 })
                 .collect(),
+            draws: Default::default(),
             ticks: stream.below(300) as u32,
             trajectory_hash: stream.bits(),
         },

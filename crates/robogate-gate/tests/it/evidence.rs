@@ -75,6 +75,7 @@ fn planned_rows(path: &Path, n: u64, failures: u64, plan: serde_json::Value, lab
                 phase: None,
                 contact: None,
                 measures: Measures::default(),
+                draws: Default::default(),
                 ticks: 120,
                 trajectory_hash: index,
             },

@@ -36,6 +36,7 @@ pub(crate) fn task() -> TaskSpec {
         time_limit_s: 10.0,
         failure_modes: Vec::new(),
         measures: Vec::new(),
+        draws: Vec::new(),
         phases: Vec::new(),
         parameters: Vec::new(),
         observation: ObservationSpec {

@@ -125,6 +125,7 @@ pub(crate) fn task() -> TaskSpec {
             severity: Severity::Critical,
         }],
         measures: vec![measure(LEVEL, "m"), measure(FORCE, "N")],
+        draws: Vec::new(),
         phases: Vec::new(),
         parameters: vec![
             parameter("mass_kg", Allowed::Continuous { low: 0.0, high: 200.0 }, Value::Number(1.0)),

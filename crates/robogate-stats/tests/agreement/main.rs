@@ -1,11 +1,13 @@
-//! Compares every estimator with SciPy, statsmodels, scikit-learn or an independent implementation in Python.
+//! Compares every estimator with SciPy, statsmodels, scikit-learn, LightGBM or an independent implementation in Python.
 //!
-//! `tests/reference/generate.py`, `gate.py`, `ridge.py`, `claims.py` and `transfer.py` compute the reference values. Their `requirements.txt` pins the
+//! `tests/reference/generate.py`, `gate.py`, `ridge.py`, `boosting.py`, `claims.py` and `transfer.py` compute the
+//! reference values. Their `requirements.txt` pins the
 //! versions.
 
 #![expect(clippy::unwrap_used, reason = "test helpers fail by panicking")]
 
 mod analysis;
+mod boosting;
 mod claims;
 mod gate;
 mod interval;

@@ -74,6 +74,7 @@ impl SelfContained for Pendulum {
                 measure(ENERGY, "J", "Work that the motor did, in both directions."),
                 measure(ERROR, "rad", "Distance of the pole from upright at the end."),
             ],
+            draws: Vec::new(),
             phases: vec![SWING, BALANCE],
             parameters: parameters::specs(),
             observation: ObservationSpec {

@@ -6,6 +6,7 @@
 use robogate_core::{Action, Fault, FaultKind, Observation, Scenario, Start, Step};
 use robogate_physics::{ArmState, Chain, GripperCommand, Readback, Robot, Steering, StepView, Touches, Visual, pose};
 
+use super::PickPlaceForesight;
 use super::cell::{CONTROL_PERIOD_S, ResolvedCell, TOLERANCE_M};
 use super::parameters::ReadbackContext;
 use super::referee::{self, Referee};
@@ -47,6 +48,11 @@ struct Episode {
 impl Judge {
     pub(crate) fn new(robot: Robot, chain: Chain, grip_force_n: f64) -> Self {
         Self { robot, chain, grip_force_n, episode: None }
+    }
+
+    /// The knowledge about episodes before they run.
+    pub(crate) fn foresight(&self) -> PickPlaceForesight {
+        PickPlaceForesight::new(&self.robot, &self.chain, self.grip_force_n)
     }
 
     pub(crate) fn robot(&self) -> &Robot {

@@ -7,6 +7,7 @@ mod cell;
 pub mod claims;
 mod disturbance;
 mod film;
+mod foresight;
 #[cfg(feature = "mujoco")]
 mod inspect;
 mod judge;
@@ -31,6 +32,7 @@ pub const SUMMARY: &str = "pick a part from a table with a robot arm and place i
 
 pub use cell::{CONTROL_PERIOD_S, ResolvedCell, TIME_LIMIT_S};
 pub use disturbance::Disturbance;
+pub use foresight::PickPlaceForesight;
 #[cfg(feature = "mujoco")]
 pub use inspect::{Inspection, Measured, inspect};
 pub use object::Shape;

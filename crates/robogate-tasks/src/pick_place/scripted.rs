@@ -42,7 +42,9 @@ const SETTLE_TICKS: usize = 4;
 const FREE: ToolLimit = ToolLimit { speed: 0.5, acceleration: 2.0 };
 /// Limits of motion with the object in hand. They are low, so that weight and not acceleration decides whether it
 /// slips.
-const CARRY: ToolLimit = ToolLimit { speed: 0.6, acceleration: 1.2 };
+const CARRY: ToolLimit = ToolLimit { speed: 0.6, acceleration: CARRY_ACCELERATION_M_S2 };
+/// Largest acceleration of the tool with the object in hand.
+pub(super) const CARRY_ACCELERATION_M_S2: f64 = 1.2;
 
 /// The scripted controller.
 #[derive(Debug, Clone)]
@@ -92,7 +94,7 @@ impl Scripted {
     /// Height of the tool centre point above the table during the grasp. For fingers it is the object's centre, but
     /// high enough to keep the fingertips off the table and the palm off the object. For a cup it is just above the
     /// object.
-    fn grasp_height(&self, extent: &[f64; 3]) -> f64 {
+    pub(super) fn grasp_height(&self, extent: &[f64; 3]) -> f64 {
         match &self.robot.settings.gripper {
             Gripper::ParallelJaw(jaw) => {
                 (0.5 * extent[2]).max(extent[2] - (jaw.palm_m - PALM_ROOM_M)).max(jaw.tip_m + TIP_ROOM_M)
@@ -160,6 +162,20 @@ impl Scripted {
         }
     }
 
+    /// The grasp offset in the base frame, for an object with this yaw.
+    fn rotated_offset(&self, task: &Briefing, yaw: f64) -> Vector3<f64> {
+        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * self.grasp_offset(task)
+    }
+
+    /// Joint positions of the planned grasp, without the path to it.
+    pub(super) fn planned_grasp(&self, task: &Briefing) -> Result<Vec<f64>, Unreachable> {
+        let yaw = yaw_of(task);
+        let object = &offset_by(&task.object_pose.position, self.rotated_offset(task, yaw));
+        let (yaw, above) = self.choose_grasp(task, object, yaw)?;
+        let goal = Self::above(object, self.grasp_height(&task.object_extent_m), yaw);
+        self.chain.inverse(&goal, &above, &self.robot.settings.arm.home_rad)
+    }
+
     fn plan(&self, task: &Briefing) -> Result<Vec<Stage>, (Vec<Stage>, Unreachable)> {
         let mut plan = Vec::new();
         match self.fill(task, &mut plan) {
@@ -175,11 +191,8 @@ impl Scripted {
         let straight = |from: &[f64], to, limit| straight_path(&self.chain, from, &to, home, arm, limit, period);
         let stage = |phase, path, gripper, settles| Stage { phase, path, gripper, settles };
 
-        let [w, x, y, z] = task.object_pose.orientation;
-        let object_yaw = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z)).euler_angles().2;
-        let rotated = |yaw| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * self.grasp_offset(task);
-        let offset_by =
-            |centre: &[f64; 3], offset: Vector3<f64>| [centre[0] + offset.x, centre[1] + offset.y, centre[2]];
+        let object_yaw = yaw_of(task);
+        let rotated = |yaw| self.rotated_offset(task, yaw);
         let object = &offset_by(&task.object_pose.position, rotated(object_yaw));
         let (yaw, above) = self.choose_grasp(task, object, object_yaw)?;
         plan.push(stage(phases::APPROACH_ABOVE, joint_path(home, &above, arm, period), Open, false));
@@ -228,6 +241,17 @@ impl Scripted {
         let from = self.chain.tcp_at(joints).translation.vector;
         yaw + target[1].atan2(target[0]) - from.y.atan2(from.x)
     }
+}
+
+/// The object's yaw, in radians.
+fn yaw_of(task: &Briefing) -> f64 {
+    let [w, x, y, z] = task.object_pose.orientation;
+    UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z)).euler_angles().2
+}
+
+/// A point moved horizontally.
+fn offset_by(centre: &[f64; 3], offset: Vector3<f64>) -> [f64; 3] {
+    [centre[0] + offset.x, centre[1] + offset.y, centre[2]]
 }
 
 /// The last point of a path, or `start` if it is empty.

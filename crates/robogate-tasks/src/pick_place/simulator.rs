@@ -4,12 +4,13 @@ use std::sync::Arc;
 
 use robogate_camera::{Cameras, Posture, Renderer};
 use robogate_core::{
-    Action, CameraSpec, Environment, Fault, FaultKind, Image, Scenario, Start, Step, TaskSpec, Trajectory,
+    Action, CameraSpec, Environment, Fault, FaultKind, Foresight, Image, Scenario, Start, Step, TaskSpec, Trajectory,
 };
 use robogate_physics::{Engine, GripperCommand, Plant, SuctionLaw, Visual};
 
 use super::cell::{CONTROL_PERIOD_S, ResolvedCell};
 use super::film::Film;
+use super::foresight::PickPlaceForesight;
 use super::judge::{Acting, Judge};
 use super::spec::spec;
 
@@ -18,6 +19,7 @@ pub struct PickPlace<E> {
     task: Arc<TaskSpec>,
     plant: Plant<E>,
     judge: Judge,
+    foresight: Arc<PickPlaceForesight>,
     /// The cameras, or the reason why the robot cannot be rendered.
     cameras: Result<Cameras, String>,
     /// A renderer that replaces the cameras.
@@ -38,7 +40,8 @@ impl<E: Engine> PickPlace<E> {
         let judge = Judge::new(plant.engine.robot().clone(), plant.engine.chain().clone(), plant.grip_force_n());
         let cameras = Cameras::new(plant.engine.robot());
         let task = Arc::new(spec(plant.engine.robot(), camera_specs(&cameras)));
-        Ok(Self { task, plant, judge, cameras, renderer: None, film: None })
+        let foresight = Arc::new(judge.foresight());
+        Ok(Self { task, plant, judge, foresight, cameras, renderer: None, film: None })
     }
 
     /// The same task with this law for its suction cup.
@@ -91,6 +94,10 @@ impl<E: Engine> PickPlace<E> {
 impl<E: Engine> Environment for PickPlace<E> {
     fn task(&self) -> &Arc<TaskSpec> {
         &self.task
+    }
+
+    fn foresight(&self) -> Option<Arc<dyn Foresight>> {
+        Some(Arc::clone(&self.foresight) as Arc<dyn Foresight>)
     }
 
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {

@@ -8,7 +8,7 @@ use robogate_physics::{ArmState, Gripper, Robot};
 use serde::{Deserialize, Serialize};
 
 use super::cell::{CONTROL_PERIOD_S, TIME_LIMIT_S};
-use super::parameters;
+use super::{foresight, parameters};
 
 /// The gripper closed without the object.
 pub const GRASP_MISS: FailureMode = FailureMode::constant("grasp_miss");
@@ -72,6 +72,7 @@ pub fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         time_limit_s: TIME_LIMIT_S,
         failure_modes: failure_modes(),
         measures: measures(),
+        draws: foresight::draw_specs(robot.settings.arm.joints.len()),
         phases: phases::ALL.to_vec(),
         parameters: parameters::specs(gripper),
         observation: ObservationSpec { vectors: observed, cameras },

@@ -2,15 +2,20 @@
 
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
+use robogate_campaign::WorkerFactory;
+use robogate_core::{Foresight, TaskSpec};
 use robogate_dictionary::export::{Format, write_file, write_to};
-use robogate_dictionary::{Dictionary, DictionaryError};
+use robogate_dictionary::{Dictionary, DictionaryError, Entry, Provenance, write_parquet};
 
 use crate::exit::{DONE, Exit, OrExit};
+use crate::remote::Simulators;
+use crate::subject::{Subject, starts_processes};
 use crate::terminal::{grouped, note};
 
-/// Write a failure dictionary as CSV, JSON Lines or the published JSON.
+/// Write a failure dictionary as CSV, JSON Lines or the published JSON, or as Parquet with its hidden draws.
 #[derive(Debug, Args)]
 pub(crate) struct Export {
     /// Folder of a run, or a dictionary (Parquet)
@@ -31,6 +36,9 @@ enum To {
     Jsonl,
     /// The schema of the dictionaries released with the paper (.json)
     Published,
+    /// A dictionary of this version (.parquet). The hidden draws of an older run of a built-in task are computed again
+    /// from its seed
+    Parquet,
 }
 
 impl Export {
@@ -41,7 +49,7 @@ impl Export {
             Some(to) => to,
             None => {
                 let why = anyhow::anyhow!(
-                    "{}: unknown file extension. Expected .csv, .jsonl or .json, or choose the format with --format",
+                    "{}: unknown file extension. Expected .csv, .jsonl, .json or .parquet, or choose the format with --format",
                     self.out.display()
                 );
                 return Err(why).or_usage();
@@ -52,6 +60,11 @@ impl Export {
         }
         let dictionary = open(&self.dictionary)?;
         let format = match to {
+            To::Parquet if standard_output => {
+                return Err(anyhow::anyhow!("Parquet cannot be written to standard output\nhint: name a file"))
+                    .or_usage();
+            }
+            To::Parquet => return self.parquet(&dictionary),
             To::Csv => Format::Csv,
             To::Jsonl => Format::JsonLines,
             To::Published => Format::Published,
@@ -66,6 +79,61 @@ impl Export {
         let rows = write_file(&dictionary, format, &self.out).or_broken()?;
         note(format_args!("{}: {} rows", self.out.display(), grouped(rows)));
         Ok(DONE)
+    }
+}
+
+impl Export {
+    /// Writes a dictionary of this version, with the draws of every episode if the task of this build knows them.
+    fn parquet(&self, dictionary: &Dictionary) -> Result<u8, Exit> {
+        let mut provenance = dictionary.provenance().clone();
+        let foresight = match knowledge(&provenance) {
+            Ok((task, foresight)) => {
+                let draws = task.draws.clone();
+                provenance.task = Arc::new(TaskSpec { draws, ..(*provenance.task).clone() });
+                Some(foresight)
+            }
+            Err(why) => {
+                note(format_args!("note: the hidden draws are not computed: {why:#}"));
+                None
+            }
+        };
+        let with_draws = |entry: Result<Entry, DictionaryError>| {
+            let mut entry = entry?;
+            let episode = &mut entry.episode;
+            if let (Some(foresight), true) = (&foresight, episode.draws.is_empty()) {
+                // An episode that could not be set up has no draws.
+                episode.draws = foresight.draws(&episode.scenario).unwrap_or_default();
+            }
+            Ok(entry)
+        };
+        let written = write_parquet(&self.out, &provenance, dictionary.entries().map(with_draws)).or_broken()?;
+        note(format_args!("{}: {} rows", self.out.display(), grouped(written.rows)));
+        Ok(DONE)
+    }
+}
+
+/// The task of this build that a run recorded, with its knowledge about episodes before they run.
+fn knowledge(provenance: &Provenance) -> anyhow::Result<(Arc<TaskSpec>, Arc<dyn Foresight>)> {
+    if provenance.source.is_some() || starts_processes(provenance) {
+        anyhow::bail!("the episodes are not those of a built-in task");
+    }
+    // Draws do not depend on the policy, whose server may be gone.
+    let mut world = provenance.clone();
+    if let Some(settings) = world.world.as_object_mut() {
+        settings.remove("policy");
+    }
+    let subject = Subject::recorded(&world, &Simulators::none()).map_err(|exit| exit.error)?;
+    let present = subject.provenance(provenance.space.clone()).map_err(|exit| exit.error)?;
+    if present.robot.sha256 != provenance.robot.sha256 {
+        anyhow::bail!("the files of the robot {} have changed since the run", provenance.robot.name);
+    }
+    let task = Arc::clone(subject.task());
+    let same = task.name == provenance.task.name && task.version == provenance.task.version;
+    let worker = subject.worker().map_err(|fault| anyhow::anyhow!("{fault}"))?;
+    match worker.environment.foresight() {
+        Some(foresight) if same => Ok((task, foresight)),
+        Some(_) => anyhow::bail!("the task {} has another version in this build", provenance.task.name),
+        None => anyhow::bail!("the task {} has no hidden draws", provenance.task.name),
     }
 }
 
@@ -86,6 +154,7 @@ fn by_ending(path: &Path) -> Option<To> {
         "csv" => Some(To::Csv),
         "jsonl" | "ndjson" => Some(To::Jsonl),
         "json" => Some(To::Published),
+        "parquet" => Some(To::Parquet),
         _ => None,
     }
 }

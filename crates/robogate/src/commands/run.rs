@@ -48,9 +48,18 @@ pub(crate) struct Run {
     /// Set the number of rounds of the suite; each round has fresh seeds
     #[arg(long, value_name = "N", default_value_t = 1, requires = "suite")]
     rounds: u64,
-    /// Set the total number of episodes; two thirds of them are uniform
+    /// Set the total number of episodes; two thirds of them are uniform, with the active design a quarter
     #[arg(short, long, value_name = "N")]
     n: Option<u64>,
+    /// Choose the design after the uniform stage: two-stage (a region around the failure boundary) or active (rounds where
+    /// a risk model of all earlier episodes is least certain; a quarter of all episodes is uniform); default: that of the
+    /// preset or plan
+    #[arg(long, value_name = "DESIGN", value_parser = ["two-stage", "active"], conflicts_with = "suite")]
+    design: Option<String>,
+    /// Stop the active design when the root mean square error of its risk model is at most this (0 to 0.5), with 95 %
+    /// confidence
+    #[arg(long, value_name = "ERROR", conflicts_with = "suite")]
+    until_rms: Option<f64>,
     /// Set the campaign seed
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
@@ -182,8 +191,8 @@ impl Run {
             }
         };
         introduce(&provenance, plan.seed);
-        match &plan.suite {
-            Some(stage) => note(format_args!(
+        match (&plan.suite, &plan.active) {
+            (Some(stage), _) => note(format_args!(
                 "{} {}: {} scenarios, {} episodes, into {}",
                 stage.suite.name(),
                 stage.suite.version(),
@@ -191,7 +200,13 @@ impl Run {
                 grouped(plan.episodes()),
                 dir.display()
             )),
-            None => note(format_args!(
+            (None, Some(active)) => note(format_args!(
+                "{} episodes over the operating space, then up to {} where the risk model is least certain, into {}",
+                grouped(plan.uniform.episodes),
+                grouped(active.episodes),
+                dir.display()
+            )),
+            (None, None) => note(format_args!(
                 "{} episodes over the operating space, then {} near the failure boundary, into {}",
                 grouped(plan.uniform.episodes),
                 grouped(plan.boundary.episodes),
@@ -227,6 +242,19 @@ impl Run {
                 plan
             }
         };
+        match self.design.as_deref() {
+            Some("active") => plan = plan.with_active(),
+            Some(_) => plan = plan.with_two_stages(),
+            None => {}
+        }
+        match (&mut plan.active, self.until_rms) {
+            (Some(active), Some(_)) => active.until_rms = self.until_rms,
+            (None, Some(_)) => {
+                return Err(anyhow!("--until-rms applies to the active design\n  hint: add --design active"))
+                    .or_usage();
+            }
+            _ => {}
+        }
         if let Some(n) = self.n {
             plan = plan.with_total(n);
         }

@@ -135,6 +135,7 @@ pub(crate) fn exit(error: ShardError) -> Exit {
     let code = match error {
         ShardError::Run(error) => return run::exit(error),
         ShardError::Name(_)
+        | ShardError::Active
         | ShardError::SingleRun { .. }
         | ShardError::NotInShards { .. }
         | ShardError::OtherCount { .. }

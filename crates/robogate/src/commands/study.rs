@@ -141,6 +141,7 @@ impl Study {
             sampler: sampler.to_owned(),
             uniform: UniformStage { episodes },
             boundary: BoundaryStage::default(),
+            active: None,
             suite: None,
         };
         let repeat = |r: u64| {

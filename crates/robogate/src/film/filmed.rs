@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use robogate_core::{Action, Environment, Fault, Image, Scenario, Start, Step, TaskSpec, Trajectory};
+use robogate_core::{Action, Environment, Fault, Foresight, Image, Scenario, Start, Step, TaskSpec, Trajectory};
 
 /// An image with its time.
 #[derive(Debug, Clone)]
@@ -47,6 +47,10 @@ impl<'a> Filmed<'a> {
 impl Environment for Filmed<'_> {
     fn task(&self) -> &Arc<TaskSpec> {
         self.inner.task()
+    }
+
+    fn foresight(&self) -> Option<Arc<dyn Foresight>> {
+        self.inner.foresight()
     }
 
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {

@@ -21,6 +21,7 @@ pub(super) struct Survey<'a> {
     names: Vec<String>,
     layout: Layout,
     measures: Vec<Word>,
+    draws: Vec<Word>,
     places: Places,
     parameters: Vec<Observed>,
     modes: BTreeSet<FailureMode>,
@@ -64,15 +65,18 @@ impl<'a> Survey<'a> {
             Some(Places { seed, outcome, time: place("cycle_time_s")?, phase: place("phase")? })
         };
         let (Some(layout), Some(places)) = (layout, places()) else { return Err(other_columns(path)) };
-        let measures = names[layout.measures.clone()]
-            .iter()
-            .map(|name| Word::new(name).map_err(|why| DictionaryError::results(path, format!("column {why}"))))
-            .collect::<Result<_, _>>()?;
+        let words = |columns: std::ops::Range<usize>| {
+            let word =
+                |name: &String| Word::new(name).map_err(|why| DictionaryError::results(path, format!("column {why}")));
+            names[columns].iter().map(word).collect::<Result<Vec<Word>, _>>()
+        };
+        let (measures, draws) = (words(layout.measures.clone())?, words(layout.draws.clone())?);
         let parameters = layout.parameters.clone();
         Ok(Self {
             path,
             names: names.to_vec(),
             measures,
+            draws,
             places,
             parameters: parameters
                 .map(|_| Observed { numbers: Numbers::Nothing, words: Some(BTreeSet::new()) })
@@ -130,7 +134,8 @@ impl<'a> Survey<'a> {
             })
             .collect::<Result<_, DictionaryError>>()?;
         let space = ParameterSpace::new("imported", parameters)?;
-        let task = task::of_rows(about, self.modes, &self.measures, self.phases);
+        let mut task = task::of_rows(about, self.modes, &self.measures, self.phases);
+        task.draws = self.draws.iter().map(|name| task::draw(*name)).collect();
         let columns = Columns::of(&task, &space, self.layout.version)?;
         if !columns.specs().iter().map(|spec| &spec.name).eq(&self.names) {
             return Err(other_columns(self.path));

@@ -22,6 +22,15 @@ pub fn parameters() -> &'static [ParameterRow] {
     &table::TABLE
 }
 
+/// The largest number of obstacles.
+pub(super) fn most_obstacles() -> usize {
+    let most = |row: &ParameterRow| match row.access {
+        Access::Integer { range: [_, high], .. } if row.name == "obstacles" => Some(high),
+        _ => None,
+    };
+    parameters().iter().find_map(most).unwrap_or(0)
+}
+
 /// The parameters of the task on a robot with this gripper.
 pub(super) fn specs(gripper: &Gripper) -> Vec<ParameterSpec> {
     parameters().iter().filter(|row| row.applies_to(gripper)).map(ParameterRow::spec).collect()

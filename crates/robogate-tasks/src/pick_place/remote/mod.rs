@@ -19,6 +19,7 @@ use robogate_camera::{Cameras, Posture};
 use robogate_core::{Action, Fault, FaultKind, Image, Observation, Scenario, Start, Step, TaskSpec};
 use robogate_physics::{ArmState, Chain, Fixture, Gripper, Robot, grip_force, isometry};
 
+use crate::pick_place::PickPlaceForesight;
 use crate::pick_place::cell::ResolvedCell;
 use crate::pick_place::judge::{Acting, Judge};
 use crate::pick_place::parameters;
@@ -35,6 +36,7 @@ const TOOL_OFF_RAD: f64 = 0.02;
 pub struct RemotePickPlace {
     task: Arc<TaskSpec>,
     judge: Judge,
+    foresight: Arc<PickPlaceForesight>,
     sha256: Option<String>,
     grip_force_n: f64,
     cell: Option<(Scenario, ResolvedCell)>,
@@ -62,6 +64,7 @@ impl RemotePickPlace {
         let cameras = Cameras::new(judge.robot());
         Ok(Self {
             task: Arc::new(spec(judge.robot(), camera_specs(&cameras))),
+            foresight: Arc::new(judge.foresight()),
             judge,
             sha256,
             grip_force_n,
@@ -79,6 +82,11 @@ impl RemotePickPlace {
         self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
         self.task = Arc::new(spec(self.judge.robot(), camera_specs(&self.cameras)));
         self
+    }
+
+    /// The knowledge about episodes before they run.
+    pub fn foresight(&self) -> Arc<PickPlaceForesight> {
+        Arc::clone(&self.foresight)
     }
 
     /// The task.

@@ -1,0 +1,19 @@
+//! Risk models of a policy: the chance of success from parameters, hidden draws and physical margins.
+//!
+//! Much of the apparent noise of a simulated episode follows from numbers that are sampled from its seed and recorded as
+//! draws. A [`RiskModel`] is trained with the parameters, and with the features that the task computes from parameters
+//! and draws ([`robogate_core::Foresight`]). It answers two questions:
+//!
+//! - [`RiskModel::told`]: the chance of success of one episode, whose draws are known.
+//! - [`RiskModel::averaged`]: the chance of success of parameters alone, averaged over fresh draws. This is the answer
+//!   for the real robot, where nobody knows the draws. It is also the better estimate from few episodes.
+//!
+//! Two learners are fitted: ridge logistic regression on splines and products, and monotone gradient boosting.
+//! Cross-validation finds the mean of both that predicts best, and calibrates it. Everything runs in the order of the
+//! episodes, so the result does not depend on the number of threads.
+
+mod inputs;
+mod model;
+
+pub use inputs::Inputs;
+pub use model::{Choice, Learner, RiskError, RiskModel, Sample};
