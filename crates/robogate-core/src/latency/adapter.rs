@@ -298,6 +298,7 @@ mod tests {
             control_period_s: 0.05,
             time_limit_s: 1.0,
             failure_modes: Vec::new(),
+            draws: Vec::new(),
             measures: Vec::new(),
             phases: Vec::new(),
             parameters: Vec::new(),

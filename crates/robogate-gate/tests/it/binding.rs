@@ -85,6 +85,7 @@ impl Run {
             dictionary: at("d.parquet"),
             requirements: Content::File(at("requirements.toml")),
             baseline: None,
+            real: None,
             against: None,
             sampling: Sampling::Fixed,
             reasked: false,
@@ -113,6 +114,7 @@ impl Run {
                 phase: None,
                 contact: None,
                 measures: Measures::default(),
+                draws: Measures::default(),
                 ticks: 120,
                 trajectory_hash: index,
             };
