@@ -117,10 +117,7 @@ impl Faults {
 
 /// The files in a folder and their contents.
 fn files_of(dir: &Path) -> BTreeMap<String, Vec<u8>> {
-    let entries = match fs::read_dir(dir) {
-        Ok(entries) => entries,
-        Err(_) => return BTreeMap::new(),
-    };
+    let Ok(entries) = fs::read_dir(dir) else { return BTreeMap::new() };
     let mut files = BTreeMap::new();
     for entry in entries {
         let path = entry.unwrap().path();

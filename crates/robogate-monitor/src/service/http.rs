@@ -206,7 +206,9 @@ struct Open {
 impl Open {
     /// Changes the state of the connection.
     fn with<T>(&self, change: impl FnOnce(&mut Peers, &mut (Connection, bool)) -> T) -> Option<T> {
-        Some(change(&mut *self.server.peers.lock().ok()?, &mut *self.connection.lock().ok()?))
+        let mut peers = self.server.peers.lock().ok()?;
+        let mut state = self.connection.lock().ok()?;
+        Some(change(&mut peers, &mut state))
     }
 }
 

@@ -75,7 +75,8 @@ fn flaky_receivers_get_all_alarms() {
     // Each recipe that degrades raises several alarms.
     for recipe in 0..40 {
         let text = cycles(0..600, 0.05) + &cycles(600..900, 0.6);
-        let text = text.replace("part-0", &format!("part-{recipe}-0")).replace("\"c", &format!("\"r{recipe}c"));
+        let text =
+            text.replace("part-0", &format!("part-{recipe}-0")).replace("\"id\":\"c", &format!("\"id\":\"r{recipe}c"));
         let taken = engine.handle().take(text.into_bytes()).unwrap();
         assert_eq!((taken.refused, taken.duplicates), (0, 0), "{taken:?}");
     }

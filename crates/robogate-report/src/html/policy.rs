@@ -29,9 +29,9 @@ fn base64(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(44);
     for chunk in bytes.chunks(3) {
-        let group = (0..3).fold(0_usize, |sum, i| sum << 8 | usize::from(chunk.get(i).copied().unwrap_or_default()));
+        let group = (0..3).fold(0_usize, |sum, i| (sum << 8) | usize::from(chunk.get(i).copied().unwrap_or_default()));
         for i in 0..4 {
-            let digit = DIGITS[group >> (18 - 6 * i) & 63];
+            let digit = DIGITS[(group >> (18 - 6 * i)) & 63];
             text.push(if i <= chunk.len() { char::from(digit) } else { '=' });
         }
     }
