@@ -140,6 +140,8 @@ fn http_server_with_tls_and_named_header() {
     assert!(matches!(action.command, Command::ToolDelta { translation_m: [0.01, ..], .. }), "{action:?}");
     let keys = seen.lock().unwrap().iter().filter(|line| line.eq_ignore_ascii_case("x-key: hunter2")).count();
     assert_eq!(keys, 2);
+    // The server handles one connection after the other.
+    drop(policy);
     let error = connect(&url, "openvla", Access::default()).unwrap_err();
     assert!(matches!(error, PolicyError::Tls { .. } | PolicyError::Certificates(_)), "{error}");
 }

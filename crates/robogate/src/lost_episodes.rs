@@ -125,11 +125,15 @@ impl<'a> RunsLostAgain<'a> {
     /// Whether an episode that was completed before can still be completed.
     fn runs(&self, completed: Option<Scenario>) -> Result<bool, ExecuteError> {
         let mut ran = false;
-        self.executor.execute(&|i| completed.clone().filter(|_| i == 0), &mut |episode| {
+        let executed = self.executor.execute(&|i| completed.clone().filter(|_| i == 0), &mut |episode| {
             ran = !matches!(&episode.outcome, Outcome::Invalid(fault) if fault.kind == FaultKind::Unavailable);
             ControlFlow::Continue(())
-        })?;
-        Ok(ran)
+        });
+        match executed {
+            // A new worker does not reach the server either.
+            Err(ExecuteError::Worker(fault)) if fault.kind == FaultKind::Unavailable => Ok(false),
+            other => other.map(|()| ran),
+        }
     }
 }
 
@@ -173,11 +177,19 @@ impl Executor for RunsLostAgain<'_> {
         let mut again: Vec<Scenario> = lost.into_iter().map(|(episode, _)| episode.scenario).collect();
         loop {
             let mut done = BTreeSet::new();
-            let (lost, flow) = self.attempt(&|i| again.get(i).cloned(), &mut |episode| {
+            let attempted = self.attempt(&|i| again.get(i).cloned(), &mut |episode| {
                 completed.get_or_insert_with(|| episode.scenario.clone());
                 done.insert(episode.scenario.index);
                 receive(episode)
-            })?;
+            });
+            let (lost, flow) = match attempted {
+                // A new worker does not reach the server.
+                Err(ExecuteError::Worker(last)) if last.kind == FaultKind::Unavailable => {
+                    self.state.borrow_mut().outage = Some(Outage::Twice { last });
+                    return Ok(());
+                }
+                other => other?,
+            };
             let stopped = self.state.borrow().outage.is_some();
             let Some((_, fault)) = lost.last().filter(|_| flow.is_continue() || stopped) else {
                 return Ok(());
