@@ -19,7 +19,7 @@ use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use rustls::{ServerConfig, ServerConnection, StreamOwned};
 use support::{begin, observation};
 use tungstenite::Message;
-use tungstenite::handshake::server::{Request, Response};
+use tungstenite::handshake::server::{Callback, ErrorResponse, Request, Response};
 
 type Tls = StreamOwned<ServerConnection, TcpStream>;
 
@@ -49,6 +49,17 @@ fn server(converse: impl Fn(Tls) + Send + 'static) -> u16 {
     port
 }
 
+/// Stores the header with the key.
+struct ReadKey(Arc<Mutex<String>>);
+
+impl Callback for ReadKey {
+    fn on_request(self, request: &Request, response: Response) -> Result<Response, ErrorResponse> {
+        let value = request.headers().get("Authorization").map(|value| value.to_str().unwrap().to_owned());
+        *self.0.lock().unwrap() = value.unwrap_or_default();
+        Ok(response)
+    }
+}
+
 fn trusted() -> Access {
     Access::default().with_certificates(&file("ca.pem")).unwrap()
 }
@@ -63,13 +74,8 @@ fn websocket_server_with_tls_and_key() {
     let seen = Arc::new(Mutex::new(String::new()));
     let header = Arc::clone(&seen);
     let port = server(move |tls| {
-        let read = |request: &Request, response: Response| {
-            let value = request.headers().get("Authorization").map(|value| value.to_str().unwrap().to_owned());
-            *header.lock().unwrap() = value.unwrap_or_default();
-            Ok(response)
-        };
         // The handshake fails if the client does not trust the certificate.
-        let Ok(mut socket) = tungstenite::accept_hdr(tls, read) else { return };
+        let Ok(mut socket) = tungstenite::accept_hdr(tls, ReadKey(Arc::clone(&header))) else { return };
         socket.send(Message::binary(vec![0x80])).unwrap();
         while let Ok(message) = socket.read() {
             if message.is_binary() {
@@ -134,6 +140,8 @@ fn http_server_with_tls_and_named_header() {
     assert!(matches!(action.command, Command::ToolDelta { translation_m: [0.01, ..], .. }), "{action:?}");
     let keys = seen.lock().unwrap().iter().filter(|line| line.eq_ignore_ascii_case("x-key: hunter2")).count();
     assert_eq!(keys, 2);
+    // The server handles one connection after the other.
+    drop(policy);
     let error = connect(&url, "openvla", Access::default()).unwrap_err();
     assert!(matches!(error, PolicyError::Tls { .. } | PolicyError::Certificates(_)), "{error}");
 }

@@ -1,6 +1,7 @@
 //! Runs episodes again that were lost to an unavailable policy server, simulator or worker.
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::fmt;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -21,7 +22,7 @@ type Attempt = (Vec<(Episode, Fault)>, ControlFlow<()>);
 /// A lost episode is not recorded. It runs again once all other episodes of the execution are done, or when the run is
 /// resumed. An episode that is lost twice is recorded as invalid if another episode still runs after that, because then
 /// this episode itself breaks the server or the worker. Otherwise the servers are unavailable. A number of consecutive
-/// lost episodes, in the order in which they finish, shows the same earlier. After such an [`Outage`] nothing runs.
+/// lost episodes, in the order in which they finish, shows the same earlier, unless a completed episode still runs. After such an [`Outage`] nothing runs.
 pub(crate) struct RunsLostAgain<'a> {
     executor: &'a dyn Executor,
     limit: u32,
@@ -116,14 +117,24 @@ impl<'a> RunsLostAgain<'a> {
         ControlFlow::Break(())
     }
 
+    /// Continues after lost episodes, because others run.
+    fn continues(&self) {
+        let mut state = self.state.borrow_mut();
+        (state.in_a_row, state.outage) = (0, None);
+    }
+
     /// Whether an episode that was completed before can still be completed.
     fn runs(&self, completed: Option<Scenario>) -> Result<bool, ExecuteError> {
         let mut ran = false;
-        self.executor.execute(&|i| completed.clone().filter(|_| i == 0), &mut |episode| {
+        let executed = self.executor.execute(&|i| completed.clone().filter(|_| i == 0), &mut |episode| {
             ran = !matches!(&episode.outcome, Outcome::Invalid(fault) if fault.kind == FaultKind::Unavailable);
             ControlFlow::Continue(())
-        })?;
-        Ok(ran)
+        });
+        match executed {
+            // A new worker does not reach the server either.
+            Err(ExecuteError::Worker(fault)) if fault.kind == FaultKind::Unavailable => Ok(false),
+            other => other.map(|()| ran),
+        }
     }
 }
 
@@ -145,30 +156,62 @@ impl Executor for RunsLostAgain<'_> {
             return Ok(());
         }
         let mut completed = None;
-        let (lost, flow) = self.attempt(scenario, &mut |episode| {
-            completed.get_or_insert_with(|| episode.scenario.clone());
-            receive(episode)
-        })?;
+        let (mut done, mut lost) = (BTreeSet::new(), Vec::new());
+        let mut rest: Option<Vec<Scenario>> = None;
+        let flow = loop {
+            let next = |i: usize| rest.as_ref().map_or_else(|| scenario(i), |rest| rest.get(i).cloned());
+            let (more, flow) = self.attempt(&next, &mut |episode| {
+                completed.get_or_insert_with(|| episode.scenario.clone());
+                done.insert(episode.scenario.index);
+                receive(episode)
+            })?;
+            done.extend(more.iter().map(|(episode, _)| episode.scenario.index));
+            lost.extend(more);
+            // Many episodes may be lost in a row because they break the server themselves.
+            if self.state.borrow().outage.is_none() || !self.runs(completed.clone())? {
+                break flow;
+            }
+            self.continues();
+            rest = Some((0..).map_while(scenario).filter(|scenario| !done.contains(&scenario.index)).collect());
+        };
         let Some((_, fault)) = lost.first().filter(|_| flow.is_continue()) else {
             return Ok(());
         };
         note(format_args!("{} episodes were lost and run again, the first because of {fault}", lost.len()));
-        self.state.borrow_mut().in_a_row = 0;
-        let again: Vec<Scenario> = lost.into_iter().map(|(episode, _)| episode.scenario).collect();
-        let (lost, flow) = self.attempt(&|i| again.get(i).cloned(), &mut |episode| {
-            completed.get_or_insert_with(|| episode.scenario.clone());
-            receive(episode)
-        })?;
-        let Some((_, fault)) = lost.last().filter(|_| flow.is_continue()) else {
-            return Ok(());
-        };
-        if self.runs(completed)? {
-            self.state.borrow_mut().in_a_row = 0;
-            let _ = lost.into_iter().try_for_each(|(episode, _)| receive(episode));
-        } else {
-            self.state.borrow_mut().outage = Some(Outage::Twice { last: fault.clone() });
+        self.continues();
+        let mut again: Vec<Scenario> = lost.into_iter().map(|(episode, _)| episode.scenario).collect();
+        loop {
+            let mut done = BTreeSet::new();
+            let attempted = self.attempt(&|i| again.get(i).cloned(), &mut |episode| {
+                completed.get_or_insert_with(|| episode.scenario.clone());
+                done.insert(episode.scenario.index);
+                receive(episode)
+            });
+            let (lost, flow) = match attempted {
+                // A new worker does not reach the server.
+                Err(ExecuteError::Worker(last)) if last.kind == FaultKind::Unavailable => {
+                    self.state.borrow_mut().outage = Some(Outage::Twice { last });
+                    return Ok(());
+                }
+                other => other?,
+            };
+            let stopped = self.state.borrow().outage.is_some();
+            let Some((_, fault)) = lost.last().filter(|_| flow.is_continue() || stopped) else {
+                return Ok(());
+            };
+            if !self.runs(completed.clone())? {
+                let twice = Outage::Twice { last: fault.clone() };
+                self.state.borrow_mut().outage.get_or_insert(twice);
+                return Ok(());
+            }
+            self.continues();
+            done.extend(lost.iter().map(|(episode, _)| episode.scenario.index));
+            let received = lost.into_iter().try_for_each(|(episode, _)| receive(episode));
+            again.retain(|scenario| !done.contains(&scenario.index));
+            if !stopped || received.is_break() {
+                return Ok(());
+            }
         }
-        Ok(())
     }
 
     fn take_lost(&self) -> Vec<LostEpisode> {
@@ -258,6 +301,27 @@ mod tests {
         assert_eq!((recorded, attempts, outage), ((0..4).map(|i| (i, true)).collect(), 9, true));
         // As many consecutive losses as the limit, which is the number of episodes here.
         assert_eq!(run(|_, _| false), (Vec::new(), 6, true));
+    }
+
+    #[test]
+    fn many_breaking_episodes_are_no_outage() {
+        // With one thread the limit is six here, the number of episodes: five of them break the server in a row.
+        let (recorded, _, outage) = run(|_, index| index == 0);
+        assert_eq!((recorded, outage), ((0..6).map(|i| (i, i == 0)).collect(), false));
+        let scripted = Scripted { available: |_: usize, index: u64| index < 2, attempts: RefCell::default() };
+        let executor = RunsLostAgain { limit: 2, ..RunsLostAgain::new(&scripted, 6) };
+        let mut recorded = 0;
+        let seed = Seed::campaign(1);
+        let scenario = |i: usize| {
+            let index = i as u64;
+            (i < 9).then(|| Scenario { index, seed: seed.episode(index), requested: Assignment::default() })
+        };
+        let mut count = |_: Episode| {
+            recorded += 1;
+            ControlFlow::Continue(())
+        };
+        executor.execute(&scenario, &mut count).unwrap();
+        assert_eq!((recorded, executor.outage()), (9, None));
     }
 
     #[test]
