@@ -25,6 +25,9 @@ use robogate_tasks::pick_place::PickPlace;
 /// Fresh draws over which a model is averaged.
 const DRAWS: u64 = 24;
 
+/// The name of a learner, the knowledge that its model is told, and the learner.
+type Variant = (&'static str, Option<Arc<dyn Foresight>>, Learner);
+
 fn main() -> anyhow::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let (test, runs) = arguments.split_first().context("usage: discovery TEST_RUN RUN...")?;
@@ -37,7 +40,7 @@ fn main() -> anyhow::Result<()> {
     println!("run\tepisodes\tlearner\tbrier\tlog_loss");
     for run in runs {
         let train = samples(&open(run)?, false)?;
-        let variants: [(&str, Option<Arc<dyn Foresight>>, Learner); 4] = [
+        let variants: [Variant; 4] = [
             ("told", foresight.clone(), Learner::Chosen),
             ("told, boosting", foresight.clone(), Learner::Boosting),
             ("told, splines", foresight.clone(), Learner::Splines),
