@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::{GateError, Sampling, Trial};
+use crate::{Controls, GateError, Sampling, Trial};
 
 /// The population that a set of episodes represents.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -123,6 +123,8 @@ pub struct Record {
     pub imported: bool,
     /// How the number of imported episodes was chosen, as the user stated. `None` if unknown.
     pub stopping: Option<Stopping>,
+    /// The controls of the gate that ran the episodes. `None` if it ran none.
+    pub controls: Option<Controls>,
 }
 
 impl Record {
@@ -152,6 +154,7 @@ impl Record {
             planned,
             imported: provenance.source.is_some(),
             stopping: provenance.source.as_ref().and_then(|source| source.stopping),
+            controls: Controls::of(provenance),
         })
     }
 
@@ -211,6 +214,7 @@ impl Record {
             policy: provenance.policy.clone(),
             dataset_sha256: dataset_sha256.to_owned(),
             focused: (all - trials.len()) as u64,
+            controls: Controls::of(provenance),
             trials,
         })
     }

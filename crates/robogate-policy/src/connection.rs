@@ -38,14 +38,23 @@ pub(crate) fn token() -> Option<String> {
 
 /// Connect with the dialect of the profile, and check the policy's metadata against the profile.
 pub(crate) fn connect(url: &str, profile: &Profile) -> Result<Box<dyn Connection>, PolicyError> {
+    connect_with(url, profile, Some(profile))
+}
+
+/// Connect with the dialect of the profile. The policy's metadata are checked against `expected`, if it is given.
+pub(crate) fn connect_with(
+    url: &str,
+    profile: &Profile,
+    expected: Option<&Profile>,
+) -> Result<Box<dyn Connection>, PolicyError> {
     check_address(url, profile)?;
     let deadline = Deadline::within(profile.server.connect_s);
     let dialect = &profile.dialect;
     let rest = |api| RestServer::connect(url, api, deadline).map(boxed);
-    let gr00t = |version, names| Gr00tServer::connect(url, version, names, profile, deadline).map(boxed);
+    let gr00t = |version, names| Gr00tServer::connect(url, version, names, expected, deadline).map(boxed);
     let connection = match dialect {
         Dialect::Openpi {} => Openpi::connect(url, deadline).map(boxed),
-        Dialect::RoboArena {} => RoboArena::connect(url, profile, deadline).map(boxed),
+        Dialect::RoboArena {} => RoboArena::connect(url, expected, deadline).map(boxed),
         Dialect::Gr00tN15(names) => gr00t(Version::N15, names),
         Dialect::Gr00tN16(names) => gr00t(Version::N16, names),
         Dialect::Gr00tN15Http(Gr00t { action_keys, language_key }) => {
@@ -59,7 +68,7 @@ pub(crate) fn connect(url: &str, profile: &Profile) -> Result<Box<dyn Connection
             LeRobotServer::connect(url, settings, chunk, deadline).map(boxed)
         }
         Dialect::Onnx {} => load_network(url, profile, deadline),
-        Dialect::VlaEval {} => VlaEval::connect(url, profile, deadline).map(boxed),
+        Dialect::VlaEval {} => VlaEval::connect(url, expected, deadline).map(boxed),
     };
     // A server listens but does not use this dialect: identify its dialect for the error message.
     connection.map_err(|error| match error {

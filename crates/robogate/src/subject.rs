@@ -9,11 +9,13 @@ use clap::Args;
 use robogate_campaign::{Worker, WorkerFactory};
 use robogate_core::{Assignment, Environment, Fault, FaultKind, ParameterSpace, Policy, Suite, TaskSpec};
 use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance};
+use robogate_gate::Controls;
 use robogate_physics::{RobotFile, SuctionLaw, is_folder};
+use robogate_policy::Arm;
 use robogate_remote::message::{self, Hello, HostedPolicy};
 use robogate_remote::{Pool, RemoteEnvironment};
 use robogate_tasks::SelfContained;
-use robogate_tasks::pick_place::{built_in_space, built_in_spaces};
+use robogate_tasks::pick_place::{ToolExpert, built_in_space, built_in_spaces};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -209,6 +211,8 @@ pub(crate) struct Subject {
     /// `None` for the environment's scripted controller.
     policy: Option<PolicySource>,
     task: Arc<TaskSpec>,
+    /// The controls of the gate, as its runs record them.
+    controls: Option<Value>,
 }
 
 impl Subject {
@@ -221,7 +225,7 @@ impl Subject {
         };
         let task = environment.task().or_broken()?;
         let policy = environment.declared_policy(policy).or_usage()?;
-        let subject = Self { environment, policy, task };
+        let subject = Self { environment, policy, task, controls: None };
         let ready = match &subject.policy {
             // The environment declares it for its own task.
             Some(PolicySource::Declared(_)) => return Ok(subject),
@@ -249,6 +253,7 @@ impl Subject {
     ) -> Result<Self, Exit> {
         let mut world = provenance.world.clone();
         let policy = world.as_object_mut().and_then(|world| world.remove("policy"));
+        let controls = world.as_object_mut().and_then(|world| world.remove(Controls::KEY));
         let policy: Option<PolicySource> = policy
             .map(serde_json::from_value)
             .transpose()
@@ -307,7 +312,17 @@ impl Subject {
             Some(policy) => Some(policy.asked_again(location)?),
             None => location.unused().map(|()| None)?,
         };
-        Self::new(environment, policy)
+        Self::new(environment, policy).map(|subject| Self { controls, ..subject })
+    }
+
+    /// The same subject with the controls of its gate.
+    pub(crate) fn with_controls(self, controls: &Controls) -> Self {
+        Self { controls: Some(json!(controls)), ..self }
+    }
+
+    /// The environment.
+    pub(crate) fn environment_source(&self) -> &EnvironmentSource {
+        &self.environment
     }
 
     /// The same subject with camera images of this width and height in pixels, if the cell renders them.
@@ -399,6 +414,9 @@ impl Subject {
         let mut world = serde_json::to_value(self.environment.recorded()).or_broken()?;
         if let (Value::Object(world), Some(policy)) = (&mut world, &self.policy) {
             world.insert("policy".to_owned(), json!(policy));
+        }
+        if let (Value::Object(world), Some(controls)) = (&mut world, &self.controls) {
+            world.insert(Controls::KEY.to_owned(), controls.clone());
         }
         Ok(Provenance {
             tool: Tool::robogate(),
@@ -497,6 +515,29 @@ impl EnvironmentSource {
             Self::Cell(cell) => cell.environment()?,
             Self::SelfContained(task) => task.environment()?,
             Self::Remote(source) => Box::new(RemoteEnvironment::new(Arc::clone(&source.pool))?),
+        })
+    }
+
+    /// An environment and an expert that drives it with the commands of this arm mode. `None` without an expert.
+    pub(crate) fn expert(&self, arm: Arm) -> anyhow::Result<Option<Worker>> {
+        Ok(match self {
+            Self::Cell(cell) => {
+                let policy: Box<dyn Policy> = match arm {
+                    Arm::ToolDelta | Arm::OscPose | Arm::ToolPose => Box::new(ToolExpert::new(cell.robot().clone())),
+                    Arm::JointPositions | Arm::JointDeltas => cell.controller()?,
+                    Arm::Vector => return Ok(None),
+                };
+                Some(Worker { environment: cell.environment()?, policy })
+            }
+            Self::SelfContained(task) => Some(Worker { environment: task.environment()?, policy: task.controller() }),
+            Self::Remote(source) => match source.pool.hello().policies.first() {
+                Some(declared) => {
+                    let (environment, policy) =
+                        RemoteEnvironment::with_policy(Arc::clone(&source.pool), &declared.name)?;
+                    Some(Worker { environment: Box::new(environment), policy: Box::new(policy) })
+                }
+                None => None,
+            },
         })
     }
 
@@ -642,6 +683,7 @@ pub(crate) fn assignment(pairs: &[String]) -> anyhow::Result<Assignment> {
 pub(crate) fn recorded_robot(provenance: &Provenance) -> Option<Vec<RobotFile>> {
     let mut world = provenance.world.clone();
     world.as_object_mut()?.remove("policy");
+    world.as_object_mut()?.remove(Controls::KEY);
     let settings: CellSettings = serde_json::from_value(world).ok()?;
     cell::robot_files(&settings.robot, provenance.robot.sha256.as_ref())
 }
