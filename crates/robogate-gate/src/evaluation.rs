@@ -20,8 +20,8 @@ use crate::requirement_test::{How, test};
 use crate::rounds::Rounds;
 use crate::scope::{Scope, expand};
 use crate::{
-    Baseline, Bound, ConfidenceScore, Ending, Family, GateError, Metric, Mode, Population, RealEvidence, Record,
-    Requirement, Requirements, Trial, Verdict,
+    Baseline, Bound, ConfidenceScore, Controls, Ending, Family, GateError, Metric, Mode, Population, RealEvidence,
+    Record, Requirement, Requirements, Trial, Verdict,
 };
 
 /// How the number of episodes was chosen. It determines which test is valid.
@@ -193,6 +193,9 @@ pub struct Evaluation {
     /// Number of episodes at which the gate would decide if the observed figures stayed the same. `None` if it has
     /// decided, or if the number is unreasonably large.
     pub decided_at_episodes: Option<u64>,
+    /// The controls of the gate. `None` if it ran none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub controls: Option<Controls>,
 }
 
 /// The question that is evaluated on a record.
@@ -274,7 +277,11 @@ impl Question<'_> {
             .collect::<Result<Vec<RequirementResult>, GateError>>()?;
         let mut comparison = comparison;
         self.decide(&mut results, comparison.as_mut(), alpha);
-        let (verdict, because) = conclude(counts, &results, comparison.as_ref());
+        let control = record.controls.as_ref().and_then(Controls::failure);
+        let (verdict, because) = match control {
+            Some(because) => (Verdict::Invalid, because),
+            None => conclude(counts, &results, comparison.as_ref()),
+        };
         let decided_at_episodes = when(verdict, &results);
         Ok(Evaluation {
             format: Evaluation::FORMAT,
@@ -297,6 +304,7 @@ impl Question<'_> {
             groups: groups(rounds.trials()),
             score: ConfidenceScore::of(&requirements.score, self.baseline, rounds.rounds.iter().flatten().copied()),
             decided_at_episodes,
+            controls: record.controls.clone(),
         })
     }
 

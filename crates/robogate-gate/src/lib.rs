@@ -16,6 +16,7 @@
 mod asked;
 mod baseline;
 mod comparison;
+mod controls;
 mod error;
 mod evaluation;
 pub mod evidence;
@@ -39,6 +40,7 @@ mod verdict;
 pub use asked::{Asked, AskedAgainst};
 pub use baseline::{Baseline, BaselineFigure};
 pub use comparison::{Against, Comparison, Planned, check_pairing};
+pub use controls::{ControlProblem, ControlResult, Controls};
 pub use error::GateError;
 pub use evaluation::{
     Counts, Dropped, EndingCount, Evaluation, GroupResult, Question, RequirementResult, Sampling, Status,

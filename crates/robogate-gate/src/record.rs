@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::{GateError, RealEvidence, Sampling, Trial};
+use crate::{Controls, GateError, RealEvidence, Sampling, Trial};
 
 /// The population that a set of episodes represents.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -125,6 +125,8 @@ pub struct Record {
     pub stopping: Option<Stopping>,
     /// Trials of the real robot. `None` if there are none.
     pub real: Option<RealEvidence>,
+    /// The controls of the gate that ran the episodes. `None` if it ran none.
+    pub controls: Option<Controls>,
 }
 
 impl Record {
@@ -155,6 +157,7 @@ impl Record {
             imported: provenance.source.is_some(),
             stopping: provenance.source.as_ref().and_then(|source| source.stopping),
             real: None,
+            controls: Controls::of(provenance),
         })
     }
 
@@ -216,6 +219,7 @@ impl Record {
             policy: provenance.policy.clone(),
             dataset_sha256: dataset_sha256.to_owned(),
             focused: (all - trials.len()) as u64,
+            controls: Controls::of(provenance),
             trials,
         })
     }

@@ -30,14 +30,24 @@ pub(crate) trait Connection: Send {
 
 /// Connect with the dialect of the profile, and check the policy's metadata against the profile.
 pub(crate) fn connect(url: &str, profile: &Profile, access: &Access) -> Result<Box<dyn Connection>, PolicyError> {
+    connect_with(url, profile, Some(profile), access)
+}
+
+/// Connect with the dialect of the profile. The policy's metadata are checked against `expected`, if it is given.
+pub(crate) fn connect_with(
+    url: &str,
+    profile: &Profile,
+    expected: Option<&Profile>,
+    access: &Access,
+) -> Result<Box<dyn Connection>, PolicyError> {
     check_address(url, profile)?;
     let deadline = Deadline::within(profile.server.connect_s);
     let dialect = &profile.dialect;
     let rest = |api| RestServer::connect(url, api, access, deadline).map(boxed);
-    let gr00t = |version, names| Gr00tServer::connect(url, version, names, profile, access, deadline).map(boxed);
+    let gr00t = |version, names| Gr00tServer::connect(url, version, names, expected, access, deadline).map(boxed);
     let connection = match dialect {
         Dialect::Openpi {} => Openpi::connect(url, access, deadline).map(boxed),
-        Dialect::RoboArena {} => RoboArena::connect(url, profile, access, deadline).map(boxed),
+        Dialect::RoboArena {} => RoboArena::connect(url, expected, access, deadline).map(boxed),
         Dialect::Gr00tN15(names) => gr00t(Version::N15, names),
         Dialect::Gr00tN16(names) => gr00t(Version::N16, names),
         Dialect::Gr00tN15Http(Gr00t { action_keys, language_key }) => {
@@ -51,7 +61,7 @@ pub(crate) fn connect(url: &str, profile: &Profile, access: &Access) -> Result<B
             LeRobotServer::connect(url, settings, chunk, deadline).map(boxed)
         }
         Dialect::Onnx {} => load_network(url, profile, deadline),
-        Dialect::VlaEval {} => VlaEval::connect(url, profile, access, deadline).map(boxed),
+        Dialect::VlaEval {} => VlaEval::connect(url, expected, access, deadline).map(boxed),
     };
     // A server listens but does not use this dialect: identify its dialect for the error message.
     connection.map_err(|error| match access.without_key(error) {

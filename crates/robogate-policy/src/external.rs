@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use robogate_core::{
-    Action, Command, Fault, Observation, Policy, PredictedStep, Prediction, Seed, TaskInstance, TaskSpec,
+    Action, Fault, FaultKind, Image, Observation, Policy, PredictedStep, Prediction, Seed, TaskInstance, TaskSpec,
 };
 use serde_json::Value as Json;
 
@@ -14,6 +14,7 @@ use super::buffers::Buffers;
 use super::chunk::Chunk;
 use super::connection::{self, Connection};
 use super::deadline::Deadline;
+use super::decoder::Decoder;
 use super::error::PolicyError;
 use super::profile::Profile;
 use super::query::Query;
@@ -41,8 +42,9 @@ pub struct ExternalPolicy {
     step: u64,
     /// Raw actions of the chunk that are not executed yet.
     queue: VecDeque<Vec<f64>>,
-    /// Bounds of each element of a vector action. Empty for other actions.
-    bounds: Vec<(f64, f64)>,
+    decoder: Decoder,
+    /// Images of the last actions, for profiles with a history. The present ones are last.
+    past: VecDeque<Vec<Image>>,
     buffers: Buffers,
 }
 
@@ -82,6 +84,7 @@ impl ExternalPolicy {
             }
         };
         let declared = connection.declared().clone();
+        let decoder = Decoder::new(&profile);
         Ok(Self {
             url: url.to_owned(),
             profile,
@@ -93,7 +96,8 @@ impl ExternalPolicy {
             episode: 0,
             step: 0,
             queue: VecDeque::new(),
-            bounds: Vec::new(),
+            decoder,
+            past: VecDeque::new(),
             buffers: Buffers::default(),
         })
     }
@@ -106,6 +110,7 @@ impl ExternalPolicy {
     /// Begin an episode with this instruction. Connects again if the connection is closed.
     pub fn begin(&mut self, instruction: &str) -> Result<(), PolicyError> {
         self.queue.clear();
+        self.past.clear();
         self.step = 0;
         self.instruction = self.profile.instruction.clone().unwrap_or_else(|| instruction.to_owned());
         let mut attempt = 0;
@@ -150,7 +155,14 @@ impl ExternalPolicy {
 
     /// Request a chunk of actions and check it against the profile.
     pub fn infer(&mut self, observation: &Observation) -> Result<Chunk, PolicyError> {
-        let query = Query::with_buffers(&self.profile, observation, &self.instruction, self.step, &mut self.buffers)?;
+        let query = Query::with_buffers(
+            &self.profile,
+            observation,
+            &self.past,
+            &self.instruction,
+            self.step,
+            &mut self.buffers,
+        )?;
         let deadline = self.deadline();
         let Some(connection) = self.connection.as_mut() else {
             return Err(PolicyError::Closed { when: "before the episode began".to_owned(), reason: String::new() });
@@ -165,14 +177,10 @@ impl ExternalPolicy {
         reply.map_err(|error| self.access.without_key(error))
     }
 
-    /// Convert the numbers of the model to an action of the task.
-    fn decode(&self, raw: &[f64], observation: &Observation) -> Result<Action, Fault> {
-        let mut action = self.profile.action.action(raw, observation.joint_positions())?;
-        if let Command::Vector(numbers) = &mut action.command {
-            // Networks overshoot the bounds slightly, and the task would reject such an action.
-            numbers.iter_mut().zip(&self.bounds).for_each(|(n, (low, high))| *n = n.clamp(*low, *high));
-        }
-        Ok(action)
+    /// Number of earlier actions whose images the model sees.
+    fn history(&self) -> usize {
+        let offsets = self.profile.cameras.iter().flat_map(|camera| &camera.history);
+        offsets.map(|offset| offset.unsigned_abs() as usize).max().unwrap_or(0)
     }
 
     fn deadline(&self) -> Deadline {
@@ -187,30 +195,43 @@ impl Policy for ExternalPolicy {
     }
 
     fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {
-        let bounds = task.action.vector().map(|(low, high)| low.iter().copied().zip(high.iter().copied()).collect());
-        self.bounds = bounds.unwrap_or_default();
+        self.decoder.begin(task)?;
         Ok(self.begin(&instance.instruction)?)
     }
 
     fn wants_images(&self) -> bool {
-        self.queue.is_empty() && !self.profile.cameras.is_empty()
+        self.decoder.is_empty() && ((self.queue.is_empty() && !self.profile.cameras.is_empty()) || self.history() > 0)
     }
 
     fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
-        if self.queue.is_empty() {
-            let chunk = self.infer(observation)?;
-            self.queue.extend(chunk.into_rows().into_iter().take(self.profile.chunk.execute));
+        if self.decoder.is_empty() {
+            let history = self.history();
+            if history > 0 {
+                self.past.push_back(observation.images.clone());
+                self.past.drain(..self.past.len().saturating_sub(history + 1));
+            }
+            if self.queue.is_empty() {
+                let chunk = self.infer(observation)?;
+                self.queue.extend(chunk.into_rows().into_iter().take(self.profile.chunk.execute));
+            }
+            self.decoder.put(self.queue.pop_front().unwrap_or_default());
         }
-        let raw = self.queue.pop_front().unwrap_or_default();
-        self.decode(&raw, observation)
+        Ok(self.decoder.next(observation)?)
     }
 
     fn predict(&mut self, observation: &Observation) -> Result<Prediction, Fault> {
+        if self.history() > 0 {
+            let detail = "the model sees images of earlier actions, which a robot with latency has not kept";
+            return Err(Fault::new(FaultKind::Setup, detail));
+        }
         let steps = self.infer(observation)?.into_rows().into_iter().map(PredictedStep::Numbers).collect();
-        Ok(Prediction { steps, execute: self.profile.chunk.execute, periods: 1 })
+        Ok(Prediction { steps, execute: self.profile.chunk.execute, periods: self.decoder.periods })
     }
 
     fn perform(&mut self, step: Option<&[f64]>, observation: &Observation) -> Result<Action, Fault> {
-        self.decode(step.unwrap_or_default(), observation)
+        if let Some(numbers) = step {
+            self.decoder.put(numbers.to_vec());
+        }
+        Ok(self.decoder.next(observation)?)
     }
 }

@@ -53,7 +53,7 @@ impl Gr00tServer {
         url: &str,
         version: Version,
         settings: &Gr00t,
-        profile: &Profile,
+        expected: Option<&Profile>,
         access: &Access,
         deadline: Deadline,
     ) -> Result<Self, PolicyError> {
@@ -66,7 +66,9 @@ impl Gr00tServer {
         let mut connection = Self { requester, key, version, settings: settings.clone(), layout, declared: Json::Null };
         connection.call("ping", None, deadline, |_| Ok(()))?;
         connection.declared = connection.call("get_modality_config", None, deadline, declared)?;
-        compare(&connection.declared, settings, profile)?;
+        if let Some(profile) = expected {
+            compare(&connection.declared, settings, profile)?;
+        }
         Ok(connection)
     }
 
@@ -160,7 +162,9 @@ impl Files {
                 Layout::Nested => key.to_owned(),
                 Layout::Flat => format!("{kind}.{key}"),
             };
-            arrays.iter().map(|(key, array)| (name(key), npy::write(array, ones))).collect()
+            // Images with a history have the axis for time already.
+            let ones = |array: &Array| if array.shape().len() == 4 { ones - 1 } else { ones };
+            arrays.iter().map(|(key, array)| (name(key), npy::write(array, ones(array)))).collect()
         };
         Self { video: files("video", &query.images), state: files("state", &query.states) }
     }
@@ -250,6 +254,12 @@ fn declared(reply: &ValueRef<'_>) -> Result<Json, PolicyError> {
     Ok(Json::Object(all))
 }
 
+/// The offsets of the frames of a kind of input, or of the actions.
+pub(crate) fn indices(declared: &Json, kind: &str) -> Option<Vec<i64>> {
+    let indices = declared.get(kind)?.get("delta_indices")?.as_array()?;
+    Some(indices.iter().filter_map(Json::as_i64).collect())
+}
+
 /// Check the configuration of a server against the profile.
 fn compare(declared: &Json, settings: &Gr00t, profile: &Profile) -> Result<(), PolicyError> {
     let names = |kind: &str| -> Option<BTreeSet<&str>> {
@@ -278,6 +288,19 @@ fn compare(declared: &Json, settings: &Gr00t, profile: &Profile) -> Result<(), P
                 "{kind} of the server is {}, but {field} of the profile is {}",
                 joined(&theirs),
                 joined(ours)
+            )));
+        }
+    }
+    // The server counts frames from the present one backwards, in actions.
+    if let Some(theirs) = indices(declared, "video") {
+        let other = profile.cameras.iter().find(|camera| {
+            let ours: &[i32] = if camera.history.is_empty() { &[0] } else { &camera.history };
+            !ours.iter().map(|offset| i64::from(*offset)).eq(theirs.iter().copied())
+        });
+        if let Some(camera) = other {
+            return Err(PolicyError::Mismatch(format!(
+                "the server requires the images {theirs:?} of each camera, but history of the camera `{}` is {:?}",
+                camera.key, camera.history
             )));
         }
     }

@@ -6,12 +6,15 @@
 //! failure of the policy.
 
 mod access;
-mod action;
 mod array;
 mod buffers;
 mod chunk;
 mod connection;
+mod control;
 mod deadline;
+mod decoder;
+mod draft;
+mod encoder;
 mod error;
 mod external;
 mod gr00t;
@@ -20,11 +23,13 @@ mod http;
 mod identify;
 mod json_numpy;
 mod lerobot;
+mod mapping;
 mod msgpack;
 mod npy;
 #[cfg(feature = "onnx")]
 mod onnx;
 mod openpi;
+mod osc;
 mod pickle;
 mod picture;
 mod profile;
@@ -43,11 +48,16 @@ mod websocket;
 pub use access::Access;
 pub use array::{Array, Dtype, InvalidArray};
 pub use chunk::Chunk;
+pub use control::{RandomModel, ThroughProfile};
+pub use decoder::Decoder;
+pub use draft::{Draft, draft};
+pub use encoder::{Encoder, outside_range, read_pose, state_numbers};
 pub use error::PolicyError;
 pub use external::ExternalPolicy;
+pub use mapping::{MappingProblem, MappingStep, compare_mappings};
 pub use picture::Picture;
 pub use profile::{
-    ActionForm, Arm, Axes, Camera, Chunking, Dialect, Filter, Fit, Gr00t, LeRobot, Part, Profile, ProfileError,
-    Rotation, Side, State, Timeouts, Tool,
+    ActionForm, Arm, Axes, Camera, Chunking, Dialect, Filter, Fit, Frame, Gr00t, LeRobot, Orientation, Part, Profile,
+    ProfileError, Rotation, Side, State, Timeouts, Tool,
 };
 pub use query::Query;

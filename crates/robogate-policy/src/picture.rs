@@ -3,7 +3,7 @@
 use robogate_core::Image;
 
 use super::buffers::Buffers;
-use super::profile::{Camera, Filter, Fit};
+use super::profile::{Camera, Filter, Fit, Orientation};
 use super::resample::Taps;
 
 /// An image with rows of red, green and blue, from the top left.
@@ -26,7 +26,7 @@ impl Picture {
         }
         let original = View { width: *width, height: *height, rgb };
         // The official clients rotate first, too.
-        let rotated = camera.turned.then(|| original.rotated(buffers));
+        let rotated = original.oriented(camera.orientation(), buffers);
         let upright = rotated.as_ref().map_or(original, Self::view);
         let cropped = (camera.crop < 1.0).then(|| upright.cropped(camera.crop, buffers));
         let middle = cropped.as_ref().map_or(upright, Self::view);
@@ -36,6 +36,15 @@ impl Picture {
         };
         rotated.into_iter().chain(cropped).for_each(|intermediate| buffers.recycle(intermediate.rgb));
         Some(picture)
+    }
+
+    /// Exchange top and bottom.
+    fn flip(&mut self) {
+        let row = 3 * self.width;
+        for y in 0..self.height / 2 {
+            let (top, bottom) = self.rgb.split_at_mut((self.height - 1 - y) * row);
+            top[y * row..][..row].swap_with_slice(&mut bottom[..row]);
+        }
     }
 
     fn view(&self) -> View<'_> {
@@ -60,6 +69,27 @@ pub(crate) struct View<'a> {
 }
 
 impl View<'_> {
+    /// The image in this orientation. `None` if it does not change.
+    fn oriented(self, orientation: Orientation, buffers: &mut Buffers) -> Option<Picture> {
+        match orientation {
+            Orientation::Upright => None,
+            Orientation::Rotated => Some(self.rotated(buffers)),
+            Orientation::Mirrored => {
+                let mut picture = self.rotated(buffers);
+                picture.flip();
+                Some(picture)
+            }
+            Orientation::Flipped => {
+                let Self { width, height, rgb } = self;
+                let mut copy = buffers.take();
+                copy.extend_from_slice(rgb);
+                let mut picture = Picture { width, height, rgb: copy };
+                picture.flip();
+                Some(picture)
+            }
+        }
+    }
+
     /// Rotate by 180 degrees.
     fn rotated(self, buffers: &mut Buffers) -> Picture {
         let mut rgb = buffers.take();
@@ -161,6 +191,15 @@ mod tests {
         let rotated = original.view().rotated(&mut Buffers::default());
         assert_eq!(rotated.rgb[..3], original.rgb[original.rgb.len() - 3..]);
         assert_eq!(rotated.view().rotated(&mut Buffers::default()), original);
+    }
+
+    #[test]
+    fn mirroring_exchanges_left_and_right() {
+        let original = picture();
+        let mirrored = original.view().oriented(Orientation::Mirrored, &mut Buffers::default()).unwrap();
+        let flipped = mirrored.view().oriented(Orientation::Flipped, &mut Buffers::default()).unwrap();
+        assert_eq!(mirrored.rgb[..3], original.rgb[3 * 12..3 * 13]);
+        assert_eq!(flipped, original.view().rotated(&mut Buffers::default()));
     }
 
     #[test]

@@ -1,12 +1,14 @@
 //! Converts observations to queries of a model, according to its profile.
 
-use robogate_core::{Observation, Pose, Word, vectors};
+use std::collections::VecDeque;
+
+use robogate_core::{Image, Observation, Pose, Word, vectors};
 
 use super::array::{Array, Dtype};
 use super::buffers::Buffers;
 use super::error::PolicyError;
 use super::picture::Picture;
-use super::profile::{Axes, Part, Profile};
+use super::profile::{Axes, Camera, Part, Profile, Rotation, State};
 use super::rotation;
 
 /// The input of a model: images and vectors under the names that the server uses, in the order of the profile.
@@ -32,62 +34,40 @@ impl Query {
         instruction: &str,
         step: u64,
     ) -> Result<Self, PolicyError> {
-        Self::with_buffers(profile, observation, instruction, step, &mut Buffers::default())
+        Self::with_buffers(profile, observation, &VecDeque::new(), instruction, step, &mut Buffers::default())
     }
 
-    /// The same as [`Query::new`], with images in buffers that [`Query::recycle`] returns.
+    /// The same as [`Query::new`], with images in buffers that [`Query::recycle`] returns. `past` has the images of
+    /// earlier actions, the present ones last.
     pub(crate) fn with_buffers(
         profile: &Profile,
         observation: &Observation,
+        past: &VecDeque<Vec<Image>>,
         instruction: &str,
         step: u64,
         buffers: &mut Buffers,
     ) -> Result<Self, PolicyError> {
         let images = profile.cameras.iter().map(|camera| {
-            let image = observation.images.iter().find(|image| image.camera == camera.from).ok_or_else(|| {
-                let known: Vec<&str> = observation.images.iter().map(|image| image.camera.as_str()).collect();
-                let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
-                PolicyError::Observation(format!(
-                    "the profile requires the camera `{}`; the cell has {known}",
-                    camera.from
-                ))
-            })?;
-            let picture = Picture::from_image(image, camera, buffers).ok_or_else(|| {
-                PolicyError::Observation(format!(
-                    "the image of `{}` has {} bytes, which does not match {} x {} pixels",
-                    image.camera,
-                    image.rgb.len(),
-                    image.width,
-                    image.height
-                ))
-            })?;
-            let (w, h) = (picture.width, picture.height);
-            let (shape, data) = match camera.axes {
-                Axes::Hwc => (vec![h, w, 3], picture.rgb),
-                Axes::Chw => {
-                    let planes = picture.planes(buffers);
-                    buffers.recycle(picture.rgb);
-                    (vec![3, h, w], planes)
+            let array = match camera.history.as_slice() {
+                [] => image(camera, &observation.images, buffers)?,
+                history => {
+                    let mut stack = buffers.take();
+                    let mut shape = vec![history.len()];
+                    for offset in history {
+                        let one = image(camera, earlier(past, *offset).unwrap_or(&observation.images), buffers)?;
+                        stack.extend_from_slice(one.data());
+                        shape.truncate(1);
+                        shape.extend_from_slice(one.shape());
+                        buffers.recycle(one.into_data());
+                    }
+                    Array::new(Dtype::U8, shape, stack).map_err(|e| PolicyError::Observation(e.to_string()))?
                 }
             };
-            let array = Array::new(Dtype::U8, shape, data).map_err(|e| PolicyError::Observation(e.to_string()))?;
             Ok((camera.key.clone(), array))
         });
         let images = images.collect::<Result<_, PolicyError>>()?;
-        let states = profile.states.iter().map(|state| {
-            let mut numbers = Vec::with_capacity(state.parts.len());
-            for part in &state.parts {
-                push(&mut numbers, *part, profile, observation)?;
-            }
-            for name in &state.vectors {
-                numbers.extend(vector(observation, *name)?);
-            }
-            if numbers.iter().any(|n| !n.is_finite()) {
-                return Err(PolicyError::Observation(format!("the state `{}` is not finite", state.key)));
-            }
-            Ok((state.key.clone(), Array::vector(&numbers, state.dtype)))
-        });
-        let states = states.collect::<Result<_, PolicyError>>()?;
+        let states = profile.states.iter().zip(numbers(profile, observation)?);
+        let states = states.map(|(state, numbers)| (state.key.clone(), Array::vector(&numbers, state.dtype))).collect();
         let instruction = profile.instruction.as_deref().unwrap_or(instruction).to_owned();
         Ok(Self { images, states, instruction, step, time_s: observation.time_s })
     }
@@ -96,6 +76,60 @@ impl Query {
     pub(crate) fn recycle(self, buffers: &mut Buffers) {
         self.images.into_iter().for_each(|(_, array)| buffers.recycle(array.into_data()));
     }
+}
+
+/// The images of an action: the present one for the offset 0, earlier ones for negative offsets. Before the first action
+/// these are the images of the first action.
+fn earlier(past: &VecDeque<Vec<Image>>, offset: i32) -> Option<&[Image]> {
+    let back = usize::try_from(-i64::from(offset)).unwrap_or(0);
+    past.get(past.len().saturating_sub(1 + back)).map(Vec::as_slice)
+}
+
+/// The array of one camera.
+fn image(camera: &Camera, images: &[Image], buffers: &mut Buffers) -> Result<Array, PolicyError> {
+    let find = |name: &str| images.iter().find(|image| image.camera == name);
+    let image = camera.sources().find_map(find).ok_or_else(|| {
+        let known: Vec<&str> = images.iter().map(|image| image.camera.as_str()).collect();
+        let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+        PolicyError::Observation(format!("the profile requires the camera `{}`; the cell has {known}", camera.from))
+    })?;
+    let picture = Picture::from_image(image, camera, buffers).ok_or_else(|| {
+        PolicyError::Observation(format!(
+            "the image of `{}` has {} bytes, which does not match {} x {} pixels",
+            image.camera,
+            image.rgb.len(),
+            image.width,
+            image.height
+        ))
+    })?;
+    let (w, h) = (picture.width, picture.height);
+    let (shape, data) = match camera.axes {
+        Axes::Hwc => (vec![h, w, 3], picture.rgb),
+        Axes::Chw => {
+            let planes = picture.planes(buffers);
+            buffers.recycle(picture.rgb);
+            (vec![3, h, w], planes)
+        }
+    };
+    Array::new(Dtype::U8, shape, data).map_err(|e| PolicyError::Observation(e.to_string()))
+}
+
+/// The numbers of each state of the profile.
+pub(crate) fn numbers(profile: &Profile, observation: &Observation) -> Result<Vec<Vec<f64>>, PolicyError> {
+    let of = |state: &State| {
+        let mut numbers = Vec::with_capacity(state.parts.len());
+        for part in &state.parts {
+            push(&mut numbers, *part, profile, observation)?;
+        }
+        for name in &state.vectors {
+            numbers.extend(vector(observation, *name)?);
+        }
+        if numbers.iter().any(|n| !n.is_finite()) {
+            return Err(PolicyError::Observation(format!("the state `{}` is not finite", state.key)));
+        }
+        Ok(numbers)
+    };
+    profile.states.iter().map(of).collect()
 }
 
 /// Find a vector of the observation.
@@ -112,45 +146,81 @@ fn missing(name: Word) -> PolicyError {
 
 /// Append the numbers of one part of a state.
 fn push(numbers: &mut Vec<f64>, part: Part, profile: &Profile, observation: &Observation) -> Result<(), PolicyError> {
-    let tool = match observation.tool_pose() {
+    let tool = match tool_pose(profile, observation) {
         None if part.vector() == Some(vectors::TOOL_POSE) => return Err(missing(vectors::TOOL_POSE)),
-        pose => rotation::model_pose(&pose.unwrap_or(Pose::IDENTITY), profile.tool.shift_m, profile.tool.turn_rad),
+        pose => pose.unwrap_or(Pose::IDENTITY),
     };
-    let [w, x, y, z] = tool.orientation;
     let opening = || {
-        observation.gripper_opening_m().ok_or_else(|| {
+        opening_m(observation).ok_or_else(|| {
             PolicyError::Observation(
                 "the profile requires the gripper opening, but this gripper has no fingers".to_owned(),
             )
         })
     };
     let openness = || Ok((opening()? / profile.tool.stroke_m.unwrap_or(1.0)).clamp(0.0, 1.0));
+    let rotated = |form| rotation::write(form, tool.orientation);
     match part {
         Part::ToolPosition => numbers.extend(tool.position),
         Part::ToolX => numbers.push(tool.position[0]),
         Part::ToolY => numbers.push(tool.position[1]),
         Part::ToolZ => numbers.push(tool.position[2]),
         Part::ToolAxisAngle => numbers.extend(rotation::axis_angle(tool.orientation)),
+        Part::ToolAxisAngleX => numbers.push(rotation::axis_angle(tool.orientation)[0]),
+        Part::ToolAxisAngleY => numbers.push(rotation::axis_angle(tool.orientation)[1]),
+        Part::ToolAxisAngleZ => numbers.push(rotation::axis_angle(tool.orientation)[2]),
         Part::ToolEuler => numbers.extend(rotation::euler(tool.orientation)),
         Part::ToolRoll => numbers.push(rotation::euler(tool.orientation)[0]),
         Part::ToolPitch => numbers.push(rotation::euler(tool.orientation)[1]),
         Part::ToolYaw => numbers.push(rotation::euler(tool.orientation)[2]),
-        Part::ToolQuaternionXyzw => numbers.extend([x, y, z, w]),
-        Part::ToolQuaternionWxyz => numbers.extend([w, x, y, z]),
-        Part::JointPositions => numbers.extend(vector(observation, vectors::JOINT_POSITIONS)?),
-        Part::GripperFingers => numbers.extend([0.5 * opening()?, -0.5 * opening()?]),
+        Part::ToolQuaternionXyzw => numbers.extend(rotated(Rotation::QuaternionXyzw)),
+        Part::ToolQuaternionWxyz => numbers.extend(rotated(Rotation::QuaternionWxyz)),
+        Part::ToolRot6dColumns => numbers.extend(rotated(Rotation::Rot6dColumns)),
+        Part::ToolRot6dInterleaved => numbers.extend(rotated(Rotation::Rot6dInterleaved)),
+        Part::ToolRot6dRows => numbers.extend(rotated(Rotation::Rot6dRows)),
+        Part::JointPositions => {
+            let joints = observation.vector("joint_pos").ok_or(());
+            let joints = joints.or_else(|()| vector(observation, vectors::JOINT_POSITIONS))?;
+            let unit = profile.tool.joint_unit_rad.unwrap_or(1.0);
+            numbers.extend(joints.iter().map(|q| q / unit));
+        }
+        Part::GripperFingers => match observation.vector("gripper_qpos") {
+            Some(fingers) => numbers.extend(fingers),
+            None => numbers.extend([0.5 * opening()?, -0.5 * opening()?]),
+        },
         Part::GripperOpenness => numbers.push(openness()?),
         Part::GripperClosedness => numbers.push(1.0 - openness()?),
+        Part::GripperPercent => numbers.push(100.0 * openness()?),
         Part::GripperOpening => numbers.push(opening()?),
         Part::Zero => numbers.push(0.0),
     }
     Ok(())
 }
 
+/// Opening between the fingers in metres: observed, or from the positions of the two fingers of robosuite's Panda.
+fn opening_m(observation: &Observation) -> Option<f64> {
+    let fingers = || match observation.vector("gripper_qpos") {
+        Some([left, right]) => Some(left - right),
+        _ => None,
+    };
+    observation.gripper_opening_m().or_else(fingers)
+}
+
+/// Pose of the tool in the conventions of the model: that of the cell with the profile's offset and tool frame, or that
+/// of LIBERO's own environment, which has these conventions.
+///
+/// The sign of the quaternion is that of robosuite's forward kinematics for a tool that points down.
+pub(crate) fn tool_pose(profile: &Profile, observation: &Observation) -> Option<Pose> {
+    if let Some(pose) = observation.tool_pose() {
+        let pose = rotation::model_pose(&pose, profile.tool.shift_m, profile.tool.turn_rad);
+        return Some(Pose { orientation: rotation::downwards(pose.orientation), ..pose });
+    }
+    let three = |name: &str| <[f64; 3]>::try_from(observation.vector(name)?).ok();
+    let orientation = rotation::from_axis_angle(three("eef_axis_angle")?);
+    Some(Pose { position: three("eef_pos")?, orientation })
+}
+
 #[cfg(test)]
 mod tests {
-    use robogate_core::Image;
-
     use super::*;
 
     fn observation() -> Observation {
@@ -168,7 +238,10 @@ mod tests {
     }
 
     fn profile(change: impl Fn(String) -> String) -> Profile {
-        Profile::from_toml(&change(Profile::built_in("pi0-libero").unwrap().to_owned())).unwrap()
+        let upright = Profile::built_in("pi0-libero").unwrap().replace("orientation = \"mirrored\"\n", "");
+        let (head, tail) = upright.split_once("[tool]").unwrap();
+        let (_, action) = tail.split_once("[action]").unwrap();
+        Profile::from_toml(&change(format!("{head}[action]{action}"))).unwrap()
     }
 
     #[test]
@@ -214,6 +287,22 @@ mod tests {
         assert_eq!(query.images[0].1.shape(), [3, 2, 2]);
         assert_eq!(query.images[0].1.data(), [0, 3, 6, 9, 1, 4, 7, 10, 2, 5, 8, 11]);
         assert_eq!(query.images[1].1.data(), (0..12).collect::<Vec<u8>>());
+    }
+
+    #[test]
+    fn history_is_the_first_axis() {
+        let profile = profile(|text| text.replace("224", "2").replacen("width", "history = [-2, 0]\nwidth", 1));
+        let mut past: VecDeque<Vec<Image>> = VecDeque::new();
+        for shade in [1, 2, 3, 4] {
+            let mut images = observation().images;
+            images[0].rgb.fill(shade);
+            past.push_back(images);
+            let now = Observation { images: past[past.len() - 1].clone(), ..observation() };
+            let query = Query::with_buffers(&profile, &now, &past, "go", 0, &mut Buffers::default()).unwrap();
+            assert_eq!(query.images[0].1.shape(), [2, 2, 2, 3]);
+            let first = shade.saturating_sub(2).max(1);
+            assert_eq!(query.images[0].1.data(), [[first; 12], [shade; 12]].concat());
+        }
     }
 
     #[test]

@@ -2,7 +2,8 @@
 
 use robogate_core::TaskSpec;
 
-use super::profile::{Arm, Profile};
+use super::decoder::is_robosuite;
+use super::profile::{Arm, Part, Profile};
 
 /// Check that the task provides what the profile requires. The error names what is missing.
 pub(crate) fn check(profile: &Profile, task: &TaskSpec) -> Result<(), String> {
@@ -13,16 +14,19 @@ pub(crate) fn check(profile: &Profile, task: &TaskSpec) -> Result<(), String> {
 fn check_observation(profile: &Profile, task: &TaskSpec) -> Result<(), String> {
     let (name, observed) = (&profile.name, &task.observation);
     for camera in &profile.cameras {
-        if !observed.cameras.iter().any(|known| known.name == camera.from) {
+        if !camera.sources().any(|name| observed.cameras.iter().any(|known| known.name == name)) {
             let known = list(observed.cameras.iter().map(|camera| camera.name.as_str()));
             return Err(format!("profile `{name}` uses the camera `{}`; the task has {known}", camera.from));
         }
     }
-    let parts = profile.states.iter().flat_map(|state| &state.parts).filter_map(|part| part.vector());
+    let has = |name: &str| observed.vectors.iter().any(|known| known.name == name);
+    let replaced = |part: &&Part| !part.robosuite().is_empty() && part.robosuite().iter().all(|name| has(name));
+    let parts = profile.states.iter().flat_map(|state| &state.parts).filter(|part| !replaced(part));
+    let parts = parts.filter_map(|part| part.vector());
     let joints = (profile.action.arm == Arm::JointDeltas).then_some(robogate_core::vectors::JOINT_POSITIONS);
     let named = profile.states.iter().flat_map(|state| state.vectors.iter().copied());
     for vector in parts.chain(named).chain(joints) {
-        if !observed.vectors.iter().any(|known| known.name == vector) {
+        if !has(vector.as_str()) {
             let known = list(observed.vectors.iter().map(|vector| vector.name.as_str()));
             return Err(format!("profile `{name}` uses the vector `{vector}`; the task observes {known}"));
         }
@@ -32,15 +36,22 @@ fn check_observation(profile: &Profile, task: &TaskSpec) -> Result<(), String> {
 
 fn check_action(profile: &Profile, task: &TaskSpec) -> Result<(), String> {
     let (name, form, spec) = (&profile.name, &profile.action, &task.action);
+    form.periods(task.control_period_s).map_err(|why| format!("profile `{name}`: {why}"))?;
+    // The task has the controller that the profile describes, so it takes the numbers of the model.
+    if form.arm == Arm::OscPose && is_robosuite(task) {
+        return Ok(());
+    }
     let (kind, numbers) = match form.arm {
-        Arm::ToolDelta => ("tool_delta", spec.tool_delta().map(|_| 7)),
+        Arm::ToolDelta | Arm::OscPose | Arm::ToolPose => {
+            ("tool_delta", spec.tool_delta().map(|_| 4 + form.rotation.size()))
+        }
         Arm::JointPositions | Arm::JointDeltas => ("joint_position", spec.joints().map(|joints| joints.len() + 1)),
         Arm::Vector => ("vector", spec.vector().map(|(low, _)| low.len())),
     };
     match numbers {
         None => return Err(format!("profile `{name}` commands {kind}; the task takes {}", spec.kinds())),
-        Some(expected) if expected != form.size => {
-            let size = form.size;
+        Some(expected) if expected != form.used() => {
+            let size = form.used();
             return Err(format!(
                 "profile `{name}` has actions of {size} numbers; the task takes {expected} for {kind}"
             ));

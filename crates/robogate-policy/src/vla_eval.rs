@@ -32,7 +32,7 @@ pub(crate) struct VlaEval {
 impl VlaEval {
     pub(crate) fn connect(
         url: &str,
-        profile: &Profile,
+        expected: Option<&Profile>,
         access: &Access,
         deadline: Deadline,
     ) -> Result<Self, PolicyError> {
@@ -56,7 +56,9 @@ impl VlaEval {
         }
         connection.declared = decode(&bytes, 1, "hello", |payload| Ok(msgpack::to_json(payload)))?
             .ok_or_else(|| PolicyError::invalid_reply("reply to hello", "the number is that of another request"))?;
-        compare(&connection.declared, profile)?;
+        if let Some(profile) = expected {
+            compare(&connection.declared, profile)?;
+        }
         Ok(connection)
     }
 
@@ -170,27 +172,39 @@ fn compare(declared: &Json, profile: &Profile) -> Result<(), PolicyError> {
     let mismatch = |text: String| Err(PolicyError::Mismatch(text));
     let form = &profile.action;
     if let Some(spec) = declared.get("action_spec").and_then(Json::as_object).filter(|spec| !spec.is_empty()) {
-        let dims = |part: &Json| part.get("dims").and_then(Json::as_u64).unwrap_or(0);
-        let sum: u64 = spec.values().map(dims).sum();
-        if sum != form.size as u64 {
+        // Size 0 means that the server does not say.
+        let dims = |part: &Json| part.get("dims").and_then(Json::as_u64).filter(|dims| *dims > 0);
+        let sizes: Vec<Option<u64>> = spec.values().map(dims).collect();
+        let sum: u64 = sizes.iter().flatten().sum();
+        let all = sizes.iter().all(Option::is_some);
+        if (all && sum != form.size as u64) || sum > form.size as u64 {
             return mismatch(format!(
                 "the actions of the server have {sum} numbers, but action.size of the profile is {}",
                 form.size
             ));
         }
         let format = |part: &str| spec.get(part).and_then(|p| p.get("format")).and_then(Json::as_str);
-        if let Some(position @ ("delta_xyz" | "absolute_xyz")) = format("position")
-            && (form.arm != Arm::ToolDelta || position == "absolute_xyz")
-        {
+        let fits = match format("position") {
+            Some("delta_xyz") => matches!(form.arm, Arm::ToolDelta | Arm::OscPose),
+            Some("absolute_xyz") => form.arm == Arm::ToolPose,
+            _ => true,
+        };
+        if !fits {
             return mismatch(format!(
-                "the positions of the server are `{position}`, but action.arm of the profile is {:?}",
-                form.arm
+                "the positions of the server are `{}`, but action.arm of the profile is {}",
+                format("position").unwrap_or_default(),
+                form.arm.as_str()
             ));
         }
-        if let Some(rotation) = format("rotation") {
+        if let Some(rotation) = format("rotation").filter(|format| *format != "raw") {
             let ours = match form.rotation {
                 Rotation::AxisAngle => "axis_angle",
                 Rotation::Euler => "euler_xyz",
+                Rotation::QuaternionXyzw => "quaternion_xyzw",
+                Rotation::QuaternionWxyz => "quaternion_wxyz",
+                Rotation::Rot6dColumns => "rot6d_contiguous",
+                Rotation::Rot6dInterleaved => "rot6d_interleaved",
+                Rotation::Rot6dRows => "rot6d_rows",
             };
             if rotation != ours {
                 return mismatch(format!(
@@ -303,6 +317,9 @@ mod tests {
         assert!(wrong(&|p| p.action.gripper_threshold = Some(2.0)).contains("from -1 to below 1"));
         assert!(wrong(&|p| p.action.rotation = Rotation::Euler).contains("`axis_angle`"));
         assert!(wrong(&|p| p.action.size = 8).contains("have 7 numbers"));
+        // A server that does not say its sizes and formats fits every profile.
+        let raw = serde_json::json!({"actions": {"name": "actions", "dims": 0, "format": "raw"}});
+        compare(&serde_json::json!({"action_spec": raw}), &good).unwrap();
         assert!(wrong(&|p| p.cameras.truncate(1)).contains("wrist camera"));
         assert!(wrong(&|p| p.states[0].parts.truncate(1)).contains("has 8 numbers"));
     }

@@ -2,6 +2,8 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+#[path = "support/direct.rs"]
+mod direct;
 mod support;
 
 use std::io::{BufRead, BufReader, Read, Write};
@@ -11,6 +13,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::thread;
 
+use direct::direct;
 use robogate_core::{Action, Command, Policy};
 use robogate_policy::{ExternalPolicy, Profile};
 use robogate_zmtp::{Limits, Replier};
@@ -121,7 +124,8 @@ fn octo_servers_are_reset_each_episode() {
     let mut policy = policy(&url, "octo-small", unchanged);
     for _ in 0..2 {
         begin(&mut policy, "pick up the box").unwrap();
-        for _ in 0..2 {
+        // Five actions per second: each is executed over four control periods of 0.05 s.
+        for _ in 0..8 {
             // The captured gripper value is 0.996: open.
             assert_eq!(policy.act(&observation(256)).unwrap().gripper, Some(Action::OPEN));
         }
@@ -189,7 +193,7 @@ fn field(bytes: &[u8]) -> Vec<u8> {
 }
 
 fn five(text: String) -> String {
-    text.replace("length = 50", "length = 5").replace("execute = 10", "execute = 5")
+    direct(&text).replace("length = 50", "length = 5").replace("execute = 10", "execute = 5")
 }
 
 #[test]

@@ -3,6 +3,8 @@
 //! `ROBOGATE_POLICY_PYTHON` is the path of a Python interpreter with `tests/requirements.txt`, which `scripts/test.sh`
 //! creates. Without it these tests are skipped.
 
+#[path = "support/direct.rs"]
+mod direct;
 mod support;
 
 use std::io::{BufRead, BufReader};
@@ -11,6 +13,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
 
+use direct::direct;
 use robogate_core::{Command as Motion, Policy};
 use robogate_policy::{ExternalPolicy, Profile};
 use support::{begin, observation};
@@ -58,7 +61,7 @@ fn near(a: [f64; 3], b: [f64; 3]) {
 #[test]
 fn openpi_code_agrees() {
     let Some(peer) = Peer::start("openpi_peer.py") else { return };
-    let profile = profile("pi0-libero", |text| text.replace("length = 50", "length = 10"));
+    let profile = profile("pi0-libero", |text| direct(&text).replace("length = 50", "length = 10"));
     let mut policy = ExternalPolicy::connect(&peer.url, profile).unwrap();
     assert_eq!(policy.declared()["reset_pose"][1], -1.5);
     for _ in 0..2 {
@@ -78,7 +81,7 @@ fn openpi_code_agrees() {
 fn vla_eval_code_agrees() {
     let Some(peer) = Peer::start("vla_eval_peer.py") else { return };
     // The server prints its address before it listens.
-    let retrying = |text: String| text + "\n[server]\nattempts = 5\n";
+    let retrying = |text: String| direct(&text) + "\n[server]\nattempts = 5\n";
     let connect = || {
         let mut last = None;
         for _ in 0..100 {

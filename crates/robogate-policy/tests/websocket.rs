@@ -2,6 +2,8 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+#[path = "support/direct.rs"]
+mod direct;
 #[path = "support/openpi.rs"]
 mod openpi;
 mod support;
@@ -13,6 +15,7 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
+use direct::direct;
 use openpi::{actions, serve};
 use robogate_core::{
     Action, ActionSpace, Command, FaultKind, Observation, Policy, Seed, TaskInstance, TaskSpec, VectorSpec, Word,
@@ -22,7 +25,7 @@ use support::{begin, observation, task};
 use tungstenite::{Message, WebSocket, accept};
 
 fn profile(server: &str) -> Profile {
-    let text = Profile::built_in("pi0-libero").unwrap().replace("length = 50", "length = 10");
+    let text = direct(Profile::built_in("pi0-libero").unwrap()).replace("length = 50", "length = 10");
     Profile::from_toml(&format!("{text}\n[server]\n{server}")).unwrap()
 }
 

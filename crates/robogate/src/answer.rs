@@ -39,6 +39,9 @@ pub(crate) fn print(evaluation: &Evaluation) {
     if !next.is_empty() {
         line(bold(format_args!("  {next}")));
     }
+    for text in evaluation.controls.iter().flat_map(robogate_gate::Controls::lines) {
+        wrapped(&text);
+    }
     wrapped(&how_judged(evaluation));
     wrapped(&evaluation.estimand);
     groups(evaluation);

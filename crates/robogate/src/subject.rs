@@ -10,11 +10,13 @@ use robogate_campaign::{Worker, WorkerFactory};
 use robogate_core::latency::{Execution, LATENCY_PARAMETER, Latency, with_latency, with_parameter};
 use robogate_core::{Assignment, Environment, Fault, FaultKind, ParameterSpace, Policy, Suite, TaskSpec};
 use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance};
+use robogate_gate::Controls;
 use robogate_physics::{RobotFile, SuctionLaw, is_folder};
+use robogate_policy::Arm;
 use robogate_remote::message::{self, Hello, HostedPolicy};
 use robogate_remote::{Pool, RemoteEnvironment};
 use robogate_tasks::SelfContained;
-use robogate_tasks::pick_place::{built_in_space, built_in_spaces};
+use robogate_tasks::pick_place::{ToolExpert, built_in_space, built_in_spaces};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -213,6 +215,8 @@ pub(crate) struct Subject {
     task: Arc<TaskSpec>,
     /// The latency of the policy. `None` if the world waits for it.
     execution: Option<Execution>,
+    /// The controls of the gate, as its runs record them.
+    controls: Option<Value>,
 }
 
 impl Subject {
@@ -225,7 +229,7 @@ impl Subject {
         };
         let task = environment.task().or_broken()?;
         let policy = environment.declared_policy(policy).or_usage()?;
-        let subject = Self { environment, policy, task, execution: None };
+        let subject = Self { environment, policy, task, execution: None, controls: None };
         let ready = match &subject.policy {
             // The environment declares it for its own task.
             Some(PolicySource::Declared(_)) => return Ok(subject),
@@ -275,7 +279,7 @@ impl Subject {
     ) -> Result<Self, Exit> {
         let mut world = provenance.world.clone();
         let mut taken = |key: &str| world.as_object_mut().and_then(|world| world.remove(key));
-        let (policy, execution) = (taken("policy"), taken("execution"));
+        let (policy, execution, controls) = (taken("policy"), taken("execution"), taken(Controls::KEY));
         let execution: Option<Execution> = execution
             .map(serde_json::from_value)
             .transpose()
@@ -339,7 +343,18 @@ impl Subject {
             Some(policy) => Some(policy.asked_again(location)?),
             None => location.unused().map(|()| None)?,
         };
-        Self::new(environment, policy)?.executed(execution)
+        let subject = Self::new(environment, policy)?.executed(execution)?;
+        Ok(Self { controls, ..subject })
+    }
+
+    /// The same subject with the controls of its gate.
+    pub(crate) fn with_controls(self, controls: &Controls) -> Self {
+        Self { controls: Some(json!(controls)), ..self }
+    }
+
+    /// The environment.
+    pub(crate) fn environment_source(&self) -> &EnvironmentSource {
+        &self.environment
     }
 
     /// The same subject with camera images of this width and height in pixels, if the cell renders them.
@@ -455,6 +470,9 @@ impl Subject {
         if let (Value::Object(world), Some(execution)) = (&mut world, &self.execution) {
             world.insert("execution".to_owned(), json!(execution));
         }
+        if let (Value::Object(world), Some(controls)) = (&mut world, &self.controls) {
+            world.insert(Controls::KEY.to_owned(), controls.clone());
+        }
         Ok(Provenance {
             tool: Tool::robogate(),
             schema_version: SCHEMA_VERSION,
@@ -554,6 +572,29 @@ impl EnvironmentSource {
             Self::Cell(cell) => cell.environment()?,
             Self::SelfContained(task) => task.environment()?,
             Self::Remote(source) => Box::new(RemoteEnvironment::new(Arc::clone(&source.pool))?),
+        })
+    }
+
+    /// An environment and an expert that drives it with the commands of this arm mode. `None` without an expert.
+    pub(crate) fn expert(&self, arm: Arm) -> anyhow::Result<Option<Worker>> {
+        Ok(match self {
+            Self::Cell(cell) => {
+                let policy: Box<dyn Policy> = match arm {
+                    Arm::ToolDelta | Arm::OscPose | Arm::ToolPose => Box::new(ToolExpert::new(cell.robot().clone())),
+                    Arm::JointPositions | Arm::JointDeltas => cell.controller()?,
+                    Arm::Vector => return Ok(None),
+                };
+                Some(Worker { environment: cell.environment()?, policy })
+            }
+            Self::SelfContained(task) => Some(Worker { environment: task.environment()?, policy: task.controller() }),
+            Self::Remote(source) => match source.pool.hello().policies.first() {
+                Some(declared) => {
+                    let (environment, policy) =
+                        RemoteEnvironment::with_policy(Arc::clone(&source.pool), &declared.name)?;
+                    Some(Worker { environment: Box::new(environment), policy: Box::new(policy) })
+                }
+                None => None,
+            },
         })
     }
 
@@ -709,6 +750,7 @@ pub(crate) fn recorded_robot(provenance: &Provenance) -> Option<Vec<RobotFile>> 
     let object = world.as_object_mut()?;
     object.remove("policy");
     object.remove("execution");
+    object.remove(Controls::KEY);
     let settings: CellSettings = serde_json::from_value(world).ok()?;
     cell::robot_files(&settings.robot, provenance.robot.sha256.as_ref())
 }

@@ -62,6 +62,7 @@ pub(crate) fn label(case: u64) -> Label {
 fn record(population: Population, trials: Vec<Trial>) -> Record {
     Record {
         stopping: None,
+        controls: None,
         population,
         task: Arc::new(task()),
         robot: "franka".to_owned(),

@@ -1,10 +1,12 @@
 //! Checks of the values of a profile.
 
-use super::{Arm, Chunking, Dialect, Profile};
+use super::{Arm, Chunking, Dialect, Orientation, Profile};
 use crate::array::Dtype;
 
 /// Maximum width or height of an image, in pixels.
 const MAX_SIDE: usize = 4096;
+/// Maximum number of actions that an image may lie back.
+const MAX_HISTORY: i32 = 100;
 /// Maximum number of actions in a reply.
 pub(crate) const MAX_CHUNK: usize = 1000;
 /// Maximum number of connection attempts. The last pause is then about eight minutes.
@@ -43,6 +45,7 @@ impl Profile {
         self.check_states()?;
         self.check_numbers()?;
         self.check_action()?;
+        self.check_reference()?;
         self.check_dialect()?;
         self.check_chunk()
     }
@@ -75,6 +78,13 @@ impl Profile {
                     format!("{} is out of range. Expected a fraction in (0, 1]", camera.crop),
                 );
             }
+            if camera.history.iter().any(|offset| !(-MAX_HISTORY..=0).contains(offset)) {
+                let why = format!("the offsets are out of range. Expected integers from {} to 0", -MAX_HISTORY);
+                return invalid(field("history"), why);
+            }
+            if camera.turned && camera.orientation != Orientation::Upright {
+                return invalid(field("turned"), "use `orientation` alone");
+            }
             if self.cameras[..i].iter().any(|other| other.key == camera.key) {
                 return invalid(field("key"), format!("another camera has the key `{}`", camera.key));
             }
@@ -91,6 +101,13 @@ impl Profile {
             if !matches!(state.dtype, Dtype::F32 | Dtype::F64) {
                 return invalid(field("type"), format!("{} is not supported. Expected <f4 or <f8", state.dtype.name()));
             }
+            let (low, high) = (state.low.len(), state.high.len());
+            if low != high || state.low.iter().zip(&state.high).any(|(low, high)| !(low <= high)) {
+                return invalid(
+                    field("low"),
+                    "the published range needs as many numbers in `high`, none of them smaller",
+                );
+            }
             if self.states[..i].iter().any(|other| other.key == state.key) {
                 return invalid(field("key"), format!("another state has the key `{}`", state.key));
             }
@@ -103,10 +120,19 @@ impl Profile {
     }
 
     fn check_numbers(&self) -> Checked {
-        let positive = [
+        // A negative scale reverses a motion.
+        for (field, scale) in [
             ("action.position_scale_m", self.action.position_scale_m),
             ("action.rotation_scale_rad", self.action.rotation_scale_rad),
+        ] {
+            if !(scale.is_finite() && scale.abs() > 0.0) {
+                return invalid(field, format!("{scale} is out of range. Expected a finite number other than 0"));
+            }
+        }
+        let positive = [
             ("action.clip", self.action.clip.unwrap_or(1.0)),
+            ("tool.joint_unit_rad", self.tool.joint_unit_rad.unwrap_or(1.0)),
+            ("action.control_hz", self.action.control_hz.unwrap_or(1.0)),
             ("tool.stroke_m", self.tool.stroke_m.unwrap_or(1.0)),
             ("server.connect_s", self.server.connect_s),
             ("server.first_answer_s", self.server.first_answer_s),
@@ -150,22 +176,41 @@ impl Profile {
 
     fn check_action(&self) -> Checked {
         self.check_gripper()?;
-        match (self.action.arm, self.action.size) {
-            (Arm::ToolDelta, 7) | (Arm::JointPositions | Arm::JointDeltas, 2..=64) | (Arm::Vector, 1..=1024) => Ok(()),
+        let (used, size) = (self.action.used(), self.action.size);
+        if used == 0 || used > size {
+            return invalid("action.used", format!("{used} is out of range. Expected 1 to {size} (action.size)"));
+        }
+        match (self.action.arm, self.action.used()) {
+            (Arm::ToolDelta | Arm::OscPose | Arm::ToolPose, used) if used == 4 + self.action.rotation.size() => Ok(()),
+            (Arm::JointPositions | Arm::JointDeltas, 2..=64) | (Arm::Vector, 1..=1024) => Ok(()),
             (Arm::Vector, size) => {
                 invalid("action.size", format!("{size} is out of range. Expected 1 to 1024 for arm = \"vector\""))
             }
-            (Arm::ToolDelta, size) => invalid(
-                "action.size",
-                format!(
-                    "{size}, but arm = \"tool_delta\" has 7 numbers: 3 for the translation, 3 for the rotation, 1 for \
-                     the gripper"
-                ),
-            ),
+            (Arm::ToolDelta | Arm::OscPose | Arm::ToolPose, size) => {
+                let (kind, rotation) = (self.action.arm.as_str(), self.action.rotation.size());
+                let expected = 4 + rotation;
+                invalid(
+                    "action.size",
+                    format!(
+                        "{size}, but arm = \"{kind}\" has {expected} numbers: 3 for the translation, {rotation} for the \
+                         rotation, 1 for the gripper"
+                    ),
+                )
+            }
             (_, size) => invalid(
                 "action.size",
                 format!("{size} is out of range. Expected 2 to 64: one number for each joint, 1 for the gripper"),
             ),
+        }
+    }
+
+    fn check_reference(&self) -> Checked {
+        match &self.reference {
+            Some(name) if Self::built_in(name).is_none() => {
+                let known = Self::built_in_names().collect::<Vec<_>>().join(", ");
+                invalid("reference", format!("unknown profile `{name}`. Expected one of: {known}"))
+            }
+            _ => Ok(()),
         }
     }
 
@@ -217,10 +262,10 @@ mod tests {
             ),
             ("gripper_fingers", "gripper_openness", "tool.stroke_m: missing"),
             ("clip = 1.0", "clip = -1.0", "action.clip: -1 is out of range"),
-            ("position_scale_m = 0.02", "position_scale_m = nan", "action.position_scale_m: NaN"),
+            ("position_scale_m = 0.05", "position_scale_m = nan", "action.position_scale_m: NaN"),
             ("name = \"pi0-libero\"", "name = \"a b\"", "name: `a b` is not a valid name"),
             ("gripper_open = \"below\"", "", "action.gripper_open: missing"),
-            ("arm = \"tool_delta\"", "arm = \"vector\"", "action.gripper_threshold: not used with arm = \"vector\""),
+            ("arm = \"osc_pose\"", "arm = \"vector\"", "action.gripper_threshold: not used with arm = \"vector\""),
             ("\"below\"", "\"beneath\"", "TOML parse error at line"),
             ("clip = 1.0", "clap = 1.0", "unknown field `clap`"),
             ("name = \"openpi\"", "name = \"openqi\"", "openqi"),

@@ -7,11 +7,11 @@ mod observation;
 
 use serde::{Deserialize, Serialize};
 
-pub use action::{ActionForm, Arm, Chunking, Rotation, Side};
+pub use action::{ActionForm, Arm, Chunking, Frame, Rotation, Side};
 pub(crate) use check::MAX_CHUNK;
 pub use check::ProfileError;
 pub use dialect::{Dialect, Gr00t, LeRobot};
-pub use observation::{Axes, Camera, Filter, Fit, Part, State, Tool};
+pub use observation::{Axes, Camera, Filter, Fit, Orientation, Part, State, Tool};
 
 /// The description of a model and its server, from a TOML file: built in or supplied by the user.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -24,6 +24,10 @@ pub struct Profile {
     /// Notes for users.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub notes: String,
+    /// The built-in profile whose published conventions the positive control of a gate uses, if this profile is an
+    /// adapted copy of it. Default: this profile.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reference: Option<String>,
     /// Instruction for the model. Default: the instruction of the task.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub instruction: Option<String>,
@@ -83,6 +87,18 @@ const BUILT_IN: &[(&str, &str)] = &[
     ("octo-base", include_str!("../profiles/octo-base.toml")),
     ("octo-small", include_str!("../profiles/octo-small.toml")),
     ("droid-roboarena", include_str!("../profiles/droid-roboarena.toml")),
+    ("pi0-fast-libero", include_str!("../profiles/pi0-fast-libero.toml")),
+    ("pi05-libero", include_str!("../profiles/pi05-libero.toml")),
+    ("pi0-droid", include_str!("../profiles/pi0-droid.toml")),
+    ("pi0-fast-droid", include_str!("../profiles/pi0-fast-droid.toml")),
+    ("pi05-droid", include_str!("../profiles/pi05-droid.toml")),
+    ("gr00t-n1.5-libero", include_str!("../profiles/gr00t-n1.5-libero.toml")),
+    ("gr00t-n1.7-libero", include_str!("../profiles/gr00t-n1.7-libero.toml")),
+    ("gr00t-n1.7-droid", include_str!("../profiles/gr00t-n1.7-droid.toml")),
+    ("openvla-libero", include_str!("../profiles/openvla-libero.toml")),
+    ("starvla-libero", include_str!("../profiles/starvla-libero.toml")),
+    ("x-vla-libero", include_str!("../profiles/x-vla-libero.toml")),
+    ("smolvla-base", include_str!("../profiles/smolvla-base.toml")),
     ("learned", include_str!("../profiles/learned.toml")),
 ];
 
@@ -95,6 +111,17 @@ impl Profile {
     /// TOML text of a built-in profile.
     pub fn built_in(name: &str) -> Option<&'static str> {
         BUILT_IN.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
+    }
+
+    /// The profile with the published conventions of the model: [`Self::reference`], or this profile.
+    ///
+    /// # Errors
+    /// If the built-in profile is not valid.
+    pub fn published(&self) -> Result<Self, ProfileError> {
+        match self.reference.as_deref().and_then(Self::built_in) {
+            Some(text) => Self::from_toml(text),
+            None => Ok(self.clone()),
+        }
     }
 
     /// Parse and check a profile.

@@ -11,6 +11,9 @@ use crate::array::Dtype;
 pub struct Camera {
     /// Camera of the cell: `front` or `wrist`.
     pub from: String,
+    /// Names of the same camera in other environments. The first camera that exists is used.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub or_from: Vec<String>,
     /// Name that the server uses.
     pub key: String,
     /// Width in pixels.
@@ -23,9 +26,12 @@ pub struct Camera {
     /// Filter for resampling.
     #[serde(default)]
     pub filter: Filter,
-    /// Whether the image is rotated by 180 degrees. Images of LIBERO are upside down, and its models were trained on
-    /// rotated images.
-    #[serde(default)]
+    /// How the upright image of the camera is reoriented. LIBERO's models saw a mirrored world: robosuite returns images
+    /// upside down, and the clients rotate them by 180 degrees.
+    #[serde(default, skip_serializing_if = "Orientation::is_upright")]
+    pub orientation: Orientation,
+    /// The old form of `orientation = "rotated"`.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub turned: bool,
     /// Fraction of width and height that a centre crop keeps, before resizing.
     #[serde(default = "one")]
@@ -33,10 +39,57 @@ pub struct Camera {
     /// Order of the axes of the array.
     #[serde(default)]
     pub axes: Axes,
+    /// Images of earlier actions that are sent with the present one, for example `[-15, 0]`: now and 15 actions ago.
+    /// They become the first axis of the array. Default: the present image, without this axis.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub history: Vec<i32>,
 }
 
 fn one() -> f64 {
     1.0
+}
+
+impl Camera {
+    /// How the image is reoriented, with the old form of the setting.
+    pub fn orientation(&self) -> Orientation {
+        if self.turned { Orientation::Rotated } else { self.orientation }
+    }
+
+    /// Names under which the camera is searched, in order.
+    pub fn sources(&self) -> impl Iterator<Item = &str> {
+        std::iter::once(self.from.as_str()).chain(self.or_from.iter().map(String::as_str))
+    }
+}
+
+/// How an upright image is reoriented.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Orientation {
+    /// As the camera sees it.
+    #[default]
+    Upright,
+    /// Rotated by 180 degrees.
+    Rotated,
+    /// Left and right exchanged.
+    Mirrored,
+    /// Top and bottom exchanged, as in robosuite's frame buffer.
+    Flipped,
+}
+
+impl Orientation {
+    /// The name in profiles.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Upright => "upright",
+            Self::Rotated => "rotated",
+            Self::Mirrored => "mirrored",
+            Self::Flipped => "flipped",
+        }
+    }
+
+    fn is_upright(&self) -> bool {
+        *self == Self::Upright
+    }
 }
 
 /// How an image is fitted to a size.
@@ -73,7 +126,7 @@ pub enum Axes {
 }
 
 /// A vector input of a model.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct State {
     /// Name that the server uses.
@@ -87,6 +140,12 @@ pub struct State {
     /// Type of its elements: `<f4` or `<f8`.
     #[serde(default = "double", rename = "type")]
     pub dtype: Dtype,
+    /// Smallest value of each number in the training data of the checkpoint, as published with it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub low: Vec<f64>,
+    /// Largest value of each number in the training data of the checkpoint, as published with it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub high: Vec<f64>,
 }
 
 fn double() -> Dtype {
@@ -114,6 +173,12 @@ pub enum Part {
     ToolZ,
     /// Rotation vector of the tool, with robosuite's formula (3 numbers).
     ToolAxisAngle,
+    /// First number of the rotation vector of the tool.
+    ToolAxisAngleX,
+    /// Second number of the rotation vector of the tool.
+    ToolAxisAngleY,
+    /// Third number of the rotation vector of the tool.
+    ToolAxisAngleZ,
     /// Roll, pitch and yaw of the tool (3 numbers).
     ToolEuler,
     /// Roll of the tool.
@@ -126,6 +191,12 @@ pub enum Part {
     ToolQuaternionXyzw,
     /// Quaternion of the tool, scalar first (4 numbers).
     ToolQuaternionWxyz,
+    /// The first column of the tool's rotation matrix, then the second (6 numbers).
+    ToolRot6dColumns,
+    /// The first two columns of the tool's rotation matrix, row by row (6 numbers).
+    ToolRot6dInterleaved,
+    /// The first row of the tool's rotation matrix, then the second (6 numbers).
+    ToolRot6dRows,
     /// Measured joint positions (one number for each joint of the arm).
     JointPositions,
     /// Finger positions as robosuite defines them for the Panda: plus and minus half of the opening (2 numbers).
@@ -134,6 +205,8 @@ pub enum Part {
     GripperOpenness,
     /// One minus the openness.
     GripperClosedness,
+    /// 100 times the openness.
+    GripperPercent,
     /// Opening in metres.
     GripperOpening,
     /// The number zero.
@@ -141,10 +214,11 @@ pub enum Part {
 }
 
 impl Part {
-    fn size(self, joints: usize) -> usize {
+    pub(crate) fn size(self, joints: usize) -> usize {
         match self {
             Self::ToolPosition | Self::ToolAxisAngle | Self::ToolEuler => 3,
             Self::ToolQuaternionXyzw | Self::ToolQuaternionWxyz => 4,
+            Self::ToolRot6dColumns | Self::ToolRot6dInterleaved | Self::ToolRot6dRows => 6,
             Self::GripperFingers => 2,
             Self::JointPositions => joints,
             _ => 1,
@@ -156,16 +230,29 @@ impl Part {
         match self {
             Self::Zero => None,
             Self::JointPositions => Some(vectors::JOINT_POSITIONS),
-            Self::GripperFingers | Self::GripperOpenness | Self::GripperClosedness | Self::GripperOpening => {
-                Some(vectors::GRIPPER_OPENING)
-            }
+            Self::GripperFingers
+            | Self::GripperOpenness
+            | Self::GripperClosedness
+            | Self::GripperPercent
+            | Self::GripperOpening => Some(vectors::GRIPPER_OPENING),
             _ => Some(vectors::TOOL_POSE),
+        }
+    }
+
+    /// The vectors of robosuite's and LIBERO's environments that can replace [`Self::vector`]. They are in the world
+    /// frame of the model already.
+    pub(crate) fn robosuite(self) -> &'static [&'static str] {
+        match self.vector() {
+            Some(vectors::JOINT_POSITIONS) => &["joint_pos"],
+            Some(vectors::GRIPPER_OPENING) => &["gripper_qpos"],
+            Some(vectors::TOOL_POSE) => &["eef_pos", "eef_axis_angle"],
+            _ => &[],
         }
     }
 
     /// Whether the value depends on `tool.stroke_m`.
     pub(super) fn needs_stroke(self) -> bool {
-        matches!(self, Self::GripperOpenness | Self::GripperClosedness)
+        matches!(self, Self::GripperOpenness | Self::GripperClosedness | Self::GripperPercent)
     }
 }
 
@@ -180,6 +267,9 @@ pub struct Tool {
     /// Tool frame of the model relative to that of the cell, as roll, pitch and yaw in radians.
     #[serde(default)]
     pub turn_rad: [f64; 3],
+    /// Radians per unit of the model's joint positions. Default: 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub joint_unit_rad: Option<f64>,
     /// Full opening of the gripper in metres, for its openness.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stroke_m: Option<f64>,

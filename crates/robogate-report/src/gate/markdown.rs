@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use robogate_gate::{ConfidenceScore, Evaluation, Mode, Verdict};
+use robogate_gate::{ConfidenceScore, Controls, Evaluation, Mode, Verdict};
 
 use super::{RequirementRow, how_judged, sign, value, what_next};
 use crate::markdown::escape_markdown;
@@ -59,6 +59,13 @@ pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
         how_judged(evaluation),
         escape_markdown(&evaluation.estimand)
     );
+    let lines = evaluation.controls.as_ref().map(Controls::lines).unwrap_or_default();
+    if !lines.is_empty() {
+        out.push('\n');
+        lines.iter().for_each(|line| {
+            let _ = writeln!(out, "- {}", escape_markdown(line));
+        });
+    }
     if let Some(score) = &evaluation.score {
         self::score(&mut out, score);
     }

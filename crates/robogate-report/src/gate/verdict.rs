@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use maud::Markup;
-use robogate_gate::{Evaluation, Mode, Sampling, Status, Verdict};
+use robogate_gate::{Controls, Evaluation, Mode, Sampling, Status, Verdict};
 use robogate_stats::format::{count, counted, percent_range};
 
 use super::{RequirementRow, how_judged, sign, what_next};
@@ -26,6 +26,8 @@ pub(crate) struct VerdictBlock {
     pub(crate) next: String,
     /// The basis of the verdict.
     pub(crate) basis: String,
+    /// One line for each control. Empty without controls.
+    pub(crate) controls: Vec<String>,
 }
 
 /// A requirement with its figure.
@@ -58,6 +60,7 @@ impl VerdictBlock {
             requirements,
             weakest: weakest(evaluation),
             next: next_step(evaluation),
+            controls: evaluation.controls.as_ref().map(Controls::lines).unwrap_or_default(),
             basis: format!(
                 "{}{rounds}, {} of them invalid. {}",
                 counted(counts.episodes, "episode"),
@@ -89,7 +92,7 @@ impl VerdictBlock {
             );
         }
         let _ = write!(out, "\n**Next step.** {}\n\n", escape_markdown(&self.next));
-        for line in &self.weakest {
+        for line in self.weakest.iter().chain(&self.controls) {
             let _ = writeln!(out, "- {}", escape_markdown(line));
         }
         let _ = write!(out, "\n{}\n\n", escape_markdown(&self.basis));

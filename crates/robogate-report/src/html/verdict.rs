@@ -30,6 +30,10 @@ pub(super) fn verdict(of: &VerdictBlock) -> Markup {
                 p.verdict-head { "Weakest scenarios" }
                 ul.verdict-weakest { @for line in &of.weakest { li { (prose(line)) } } }
             }
+            @if !of.controls.is_empty() {
+                p.verdict-head { "Controls" }
+                ul.verdict-weakest { @for line in &of.controls { li { (prose(line)) } } }
+            }
             details { summary { "How this was decided" } p.remark { (prose(&of.basis)) } }
         }
     }

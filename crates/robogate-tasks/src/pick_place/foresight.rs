@@ -251,7 +251,7 @@ impl PickPlaceForesight {
             let truly: Vec<f64> = joints.iter().zip(&cell.bias).map(|(q, bias)| q - bias).collect();
             let off = planned.inverse() * self.chain.tcp_at(&truly);
             // The height follows the true size.
-            planned.translation.z = self.planner.grasp_height(&[cell.parameters.size_m; 3]);
+            planned.translation.z = grasp_height(&self.robot, &[cell.parameters.size_m; 3]);
             (planned, off)
         });
         Ok(Outlook { cell, grasp })

@@ -23,6 +23,7 @@ mod simulator;
 mod spaces;
 pub mod spec;
 mod suite;
+mod tool_expert;
 
 /// The task's name.
 pub const NAME: &str = "pick_place";
@@ -43,3 +44,4 @@ pub use scripted::Scripted;
 pub use simulator::PickPlace;
 pub use spaces::{FRANKA_SPACE, built_in_space, built_in_spaces, default_space};
 pub use suite::{SuiteMisfit, check_suite};
+pub use tool_expert::ToolExpert;

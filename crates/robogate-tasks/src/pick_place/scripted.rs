@@ -25,7 +25,7 @@ const ANGLE_TOLERANCE_RAD: f64 = 0.05;
 /// The tool stops if it is off its path by more than this, in metres.
 const GUARD_M: f64 = 0.01;
 /// Height of the tool above the table on transit paths, in metres: the carried object passes over the highest obstacle.
-const TRANSIT_HEIGHT_M: f64 = 0.25;
+pub(super) const TRANSIT_HEIGHT_M: f64 = 0.25;
 /// Gap between fingertips and table in the grasp, in metres.
 const TIP_ROOM_M: f64 = 0.004;
 /// Gap between palm and object in the grasp, in metres.
@@ -33,7 +33,7 @@ const PALM_ROOM_M: f64 = 0.002;
 /// Gap between a cup and the top of the object, in metres. It is well below the grip threshold.
 const CUP_ROOM_M: f64 = 0.002;
 /// Height of the object above the table at its release, in metres.
-const RELEASE_ROOM_M: f64 = 0.003;
+pub(super) const RELEASE_ROOM_M: f64 = 0.003;
 /// The gripper is at rest if its opening changed by less than this in a control period, in metres.
 const GRIPPER_SETTLED_M: f64 = 1e-4;
 /// ... for this many control periods: it needs time to start and to build up its force.
@@ -91,29 +91,6 @@ impl Scripted {
         }
     }
 
-    /// Height of the tool centre point above the table during the grasp. For fingers it is the object's centre, but
-    /// high enough to keep the fingertips off the table and the palm off the object. For a cup it is just above the
-    /// object.
-    pub(super) fn grasp_height(&self, extent: &[f64; 3]) -> f64 {
-        match &self.robot.settings.gripper {
-            Gripper::ParallelJaw(jaw) => {
-                (0.5 * extent[2]).max(extent[2] - (jaw.palm_m - PALM_ROOM_M)).max(jaw.tip_m + TIP_ROOM_M)
-            }
-            Gripper::Suction(_) => extent[2] + CUP_ROOM_M,
-        }
-    }
-
-    /// Horizontal offset from the object's centre to the grasp point, in the object's frame, in metres.
-    fn grasp_offset(&self, task: &Briefing) -> Vector3<f64> {
-        match (&self.robot.settings.gripper, Shape::from_name(&task.shape)) {
-            (Gripper::Suction(_), Some(shape)) => {
-                let [x, y] = shape.top(task.object_extent_m[0]);
-                Vector3::new(x, y, 0.0)
-            }
-            _ => Vector3::zeros(),
-        }
-    }
-
     /// The tool pose above `at`, pointing down. The fingers close along the direction `yaw` + 90 degrees.
     fn above(at: &[f64; 3], height: f64, yaw: f64) -> Isometry3<f64> {
         let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
@@ -164,7 +141,7 @@ impl Scripted {
 
     /// The grasp offset in the base frame, for an object with this yaw.
     fn rotated_offset(&self, task: &Briefing, yaw: f64) -> Vector3<f64> {
-        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * self.grasp_offset(task)
+        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * grasp_offset(&self.robot, task)
     }
 
     /// Joint positions of the planned grasp, without the path to it.
@@ -172,7 +149,7 @@ impl Scripted {
         let yaw = yaw_of(task);
         let object = &offset_by(&task.object_pose.position, self.rotated_offset(task, yaw));
         let (yaw, above) = self.choose_grasp(task, object, yaw)?;
-        let goal = Self::above(object, self.grasp_height(&task.object_extent_m), yaw);
+        let goal = Self::above(object, grasp_height(&self.robot, &task.object_extent_m), yaw);
         self.chain.inverse(&goal, &above, &self.robot.settings.arm.home_rad)
     }
 
@@ -197,7 +174,7 @@ impl Scripted {
         let (yaw, above) = self.choose_grasp(task, object, object_yaw)?;
         plan.push(stage(phases::APPROACH_ABOVE, joint_path(home, &above, arm, period), Open, false));
 
-        let height = self.grasp_height(&task.object_extent_m);
+        let height = grasp_height(&self.robot, &task.object_extent_m);
         let speed = task.approach_speed_m_s.unwrap_or(FREE.speed);
         let path = straight(&above, Self::above(object, height, yaw), ToolLimit { speed, ..FREE })?;
         let down = end_of(&path, &above);
@@ -252,6 +229,27 @@ fn yaw_of(task: &Briefing) -> f64 {
 /// A point moved horizontally.
 fn offset_by(centre: &[f64; 3], offset: Vector3<f64>) -> [f64; 3] {
     [centre[0] + offset.x, centre[1] + offset.y, centre[2]]
+/// Height of the tool centre point above the table during the grasp, in metres. For fingers it is the object's centre,
+/// but high enough to keep the fingertips off the table and the palm off the object. For a cup it is just above the
+/// object.
+pub(super) fn grasp_height(robot: &Robot, extent: &[f64; 3]) -> f64 {
+    match &robot.settings.gripper {
+        Gripper::ParallelJaw(jaw) => {
+            (0.5 * extent[2]).max(extent[2] - (jaw.palm_m - PALM_ROOM_M)).max(jaw.tip_m + TIP_ROOM_M)
+        }
+        Gripper::Suction(_) => extent[2] + CUP_ROOM_M,
+    }
+}
+
+/// Horizontal offset from the object's centre to the grasp point, in the object's frame, in metres.
+pub(super) fn grasp_offset(robot: &Robot, task: &Briefing) -> Vector3<f64> {
+    match (&robot.settings.gripper, Shape::from_name(&task.shape)) {
+        (Gripper::Suction(_), Some(shape)) => {
+            let [x, y] = shape.top(task.object_extent_m[0]);
+            Vector3::new(x, y, 0.0)
+        }
+        _ => Vector3::zeros(),
+    }
 }
 
 /// The last point of a path, or `start` if it is empty.

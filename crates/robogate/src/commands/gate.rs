@@ -24,7 +24,7 @@ use crate::benchmark;
 use crate::commands::register::{Registered, Registrar, free};
 use crate::commands::rival::Rival;
 use crate::commands::run::{How, free_folder, interrupted, introduce, write_report};
-use crate::commands::{shard, suites};
+use crate::commands::{controls, shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::latency::LatencyArguments;
 use crate::policy_source::{PolicyAccess, PolicyArguments, PolicyLocation};
@@ -79,6 +79,10 @@ pub(crate) struct Gate {
     /// Print how often the gate passes and fails at given true rates, and run nothing
     #[arg(long)]
     plan: bool,
+    /// Set the number of episodes of each control of an external policy: the environment's expert, the expert through
+    /// the profile, and random actions of the model. 0 skips the controls, and the result says so
+    #[arg(long, value_name = "N", default_value_t = controls::EPISODES)]
+    controls: u32,
     /// Set the seed of the rounds
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
@@ -240,6 +244,11 @@ impl Gate {
             (Some(seed), _) | (None, Some(seed)) => seed,
             (None, None) => DEFAULT_SEED,
         };
+        let controls = if self.plan { None } else { controls::run(&subject, &suite, self.controls, seed)? };
+        let subject = match &controls {
+            Some(controls) => subject.with_controls(controls),
+            None => subject,
+        };
         let plan = Plan::of_suite(suite, u64::from(rounds), seed);
         let space = plan.suite.as_ref().map(|stage| stage.suite.space().clone());
         let space = space.ok_or_else(|| anyhow!("the plan has no suite")).or_broken()?;
@@ -318,6 +327,19 @@ impl Gate {
             Some(dir) => dir.clone(),
             None => free_folder(&format!("gate-{}-{}", subject.label(), plan.seed)),
         };
+        if controls.as_ref().is_some_and(|controls| controls.failure().is_some()) {
+            // The episodes of the policy would say nothing about it.
+            let question = Question {
+                requirements: &asked.requirements,
+                baseline: asked.baseline.as_ref(),
+                against: None,
+                sampling,
+            };
+            let evaluation = question.evaluate(&record).map_err(refused)?;
+            fs::create_dir_all(&dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
+            write_answer(&dir, &evaluation)?;
+            return show(Some(&dir), &evaluation, &planned, self.how.json);
+        }
         introduce(&provenance, plan.seed);
         note(format_args!(
             "{}: {} scenarios, {} {} rounds, requirements `{}`, into {}",

@@ -1,14 +1,15 @@
 //! `robogate policy`: profiles of external policies, and checks of a policy before a run.
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::anyhow;
+use anyhow::{Context, anyhow};
 use clap::{Args, Subcommand};
 use robogate_campaign::{Worker, WorkerFactory};
 use robogate_core::{Action, Assignment, Environment, FaultKind, Image, Observation, Scenario, Seed};
 use robogate_physics::SuctionLaw;
-use robogate_policy::{Arm, Chunk, ExternalPolicy, PolicyError, Profile, Side};
+use robogate_policy::{Arm, Chunk, Decoder, Draft, ExternalPolicy, PolicyError, Profile, Side, outside_range};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
@@ -53,6 +54,10 @@ struct Check {
     /// The old name of --requests
     #[arg(long, hide = true, value_name = "N", conflicts_with = "requests", value_parser = clap::value_parser!(u32).range(2..))]
     questions: Option<u32>,
+    /// Draft a profile from what the server declares about its inputs and outputs, write it to this file, and check
+    /// nothing. What the server does not declare is that of --profile. GR00T and RoboArena servers
+    #[arg(long, value_name = "FILE", conflicts_with = "json")]
+    write: Option<PathBuf>,
     #[command(flatten)]
     access: PolicyAccess,
     #[command(flatten)]
@@ -123,6 +128,9 @@ impl Check {
             note("note: --questions is the old name of --requests");
         }
         let profile = Arc::new(profile(&self.profile).or_usage()?);
+        if let Some(path) = &self.write {
+            return self.draft(&profile, path);
+        }
         let subject = Subject::new(self.environment.environment(SuctionLaw::Vacuum)?, None)?;
         let subject = profile.rendered_px.into_iter().fold(subject, Subject::with_pictures_of);
         let mut found = Findings { properties: Vec::new(), problems: Vec::new() };
@@ -161,6 +169,22 @@ impl Check {
         Ok(if found.problems.is_empty() { DONE } else { FAIL })
     }
 
+    /// Drafts a profile from the metadata of the server.
+    fn draft(&self, base: &Profile, path: &Path) -> Result<u8, Exit> {
+        if path.exists() {
+            return Err(anyhow!("{}: the file exists\n  hint: choose another name", path.display())).or_usage();
+        }
+        let Draft { profile, open } = robogate_policy::draft(&self.url, base).map_err(policy_error)?;
+        let text = toml::to_string_pretty(&profile).or_broken()?;
+        std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
+        for text in &open {
+            line(format_args!("open: {}", foreign(text)));
+        }
+        line(format_args!("{}: a draft of a profile. Check it, and then the server:", path.display()));
+        line(format_args!("  robogate policy check {} --profile {}", self.url, path.display()));
+        Ok(DONE)
+    }
+
     fn requests(&self) -> u32 {
         self.questions.unwrap_or(self.requests)
     }
@@ -185,6 +209,9 @@ impl Check {
                 }
                 Err(fault) => return Err(cannot(fault.to_string())),
             };
+        }
+        for text in outside_range(profile, &observation)? {
+            found.problems.push(text);
         }
         policy.begin(&start.instance.instruction)?;
         let (first, first_s) = timed(policy, &observation)?;
@@ -235,7 +262,7 @@ fn check_actions(profile: &Profile, chunk: &Chunk, observation: &Observation, fo
     if form.arm != Arm::JointPositions {
         if largest == 0.0 {
             found.problems.push("all numbers for the arm are zero, so it would never move".to_owned());
-        } else if largest * form.position_scale_m < 1e-4 && form.arm == Arm::ToolDelta {
+        } else if largest * form.position_scale_m < 1e-4 && matches!(form.arm, Arm::ToolDelta | Arm::OscPose) {
             found.problems.push(format!(
                 "the largest number for the arm is {largest:.4}. With action.position_scale_m = {} the tool moves less than \
                  0.1 mm per step. If the model answers in metres, set the scale to 1",
@@ -252,8 +279,11 @@ fn check_actions(profile: &Profile, chunk: &Chunk, observation: &Observation, fo
     let high = grippers.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let Some(threshold) = form.gripper_threshold else { return };
     found.properties.push(("gripper values", format!("{low:.3} to {high:.3}, threshold {threshold}")));
-    let joints = observation.joint_positions();
-    let first = chunk.rows().first().map(|row| form.action(row, joints));
+    let first = chunk.rows().first().map(|row| {
+        let mut decoder = Decoder::new(profile);
+        decoder.put(row.clone());
+        decoder.next(observation)
+    });
     if matches!(&first, Some(Ok(action)) if action.gripper == Some(Action::CLOSE)) {
         found.problems.push(format!(
             "the first action closes the gripper ({}) although it is open and far from the object. Check \
@@ -269,20 +299,33 @@ fn check_actions(profile: &Profile, chunk: &Chunk, observation: &Observation, fo
 /// Check the effect of the profile's actions in the cell: translations along each axis, opening and closing the
 /// gripper.
 fn check_motion(profile: &Profile, environment: &mut dyn Environment, found: &mut Findings) -> Result<(), Exit> {
-    const TICKS: u32 = 10;
+    const TICKS: u32 = 20;
+    /// Length of a step, in metres.
+    const PROBE_M: f64 = 0.004;
     let form = &profile.action;
     let (Some(threshold), Some(side)) = (form.gripper_threshold, form.gripper_open) else { return Ok(()) };
+    // Absolute poses need a pose to start from; the controls of a gate check them.
+    if form.arm == Arm::ToolPose {
+        return Ok(());
+    }
     let (open, close) = match side {
         Side::Above => (threshold + 1.0, threshold - 1.0),
         Side::Below => (threshold - 1.0, threshold + 1.0),
     };
+    let mut decoder = Decoder::new(profile);
+    decoder.begin(environment.task()).map_err(policy_error)?;
     let mut run = |arm: &dyn Fn(&Observation) -> Vec<f64>, gripper: f64, ticks: u32| -> Result<_, Exit> {
         let before = environment.reset(&nominal()).or_broken()?.observation;
+        decoder.begin(environment.task()).map_err(policy_error)?;
         let mut after = before.clone();
         for _ in 0..ticks {
-            let mut raw = arm(&before);
-            raw.push(gripper);
-            let action = form.action(&raw, after.joint_positions()).map_err(policy_error)?;
+            if decoder.is_empty() {
+                let mut raw = arm(&before);
+                raw.push(gripper);
+                raw.resize(form.size, 0.0);
+                decoder.put(raw);
+            }
+            let action = decoder.next(&after).map_err(policy_error)?;
             let step = environment.step(&action).or_broken()?;
             after = step.observation;
             // Closing the gripper on nothing ends the episode.
@@ -292,18 +335,25 @@ fn check_motion(profile: &Profile, environment: &mut dyn Environment, found: &mu
         }
         Ok((before, after))
     };
-    if form.arm == Arm::ToolDelta {
+    if matches!(form.arm, Arm::ToolDelta | Arm::OscPose) && form.rotation.is_scaled() {
+        // A step of a few millimetres, whether the model sends metres or fractions of a limit.
+        let value = (PROBE_M / form.position_scale_m.abs()).min(form.clip.unwrap_or(f64::INFINITY));
         for (axis, name) in
             ["+x moves the tool by", "+y moves the tool by", "+z moves the tool by"].into_iter().enumerate()
         {
-            let one = |_: &Observation| (0..6).map(|i| f64::from(i == axis)).collect();
+            let one = |_: &Observation| (0..6).map(|i| if i == axis { value } else { 0.0 }).collect();
             let (before, after) = run(&one, open, TICKS)?;
             let moved: Vec<f64> = position(&after).iter().zip(position(&before)).map(|(a, b)| a - b).collect();
-            let commanded = f64::from(TICKS) * form.clip.unwrap_or(1.0).min(1.0) * form.position_scale_m;
             let mm: Vec<String> = moved.iter().map(|m| format!("{:+.1}", 1e3 * m)).collect();
-            found
-                .properties
-                .push((name, format!("{} mm in {TICKS} steps, commanded {:.1} mm", mm.join(", "), 1e3 * commanded)));
+            let lag = if form.arm == Arm::OscPose { " as goals, which the arm follows with a lag" } else { "" };
+            found.properties.push((
+                name,
+                format!(
+                    "{} mm in {TICKS} steps of {value:.3}: {:.1} mm each{lag}",
+                    mm.join(", "),
+                    1e3 * value * form.position_scale_m
+                ),
+            ));
             let aside = moved.iter().enumerate().filter(|(i, _)| *i != axis).map(|(_, m)| m.abs()).fold(0.0, f64::max);
             if moved[axis] <= 0.0 || aside > moved[axis] {
                 found.problems.push(format!(
@@ -314,8 +364,11 @@ fn check_motion(profile: &Profile, environment: &mut dyn Environment, found: &mu
         }
     }
     let hold = |observation: &Observation| match form.arm {
-        Arm::JointPositions => observation.joint_positions().to_vec(),
-        _ => vec![0.0; form.size - 1],
+        Arm::JointPositions => {
+            let unit = profile.tool.joint_unit_rad.unwrap_or(1.0);
+            observation.joint_positions().iter().map(|q| q / unit).collect()
+        }
+        _ => vec![0.0; form.used() - 1],
     };
     let opening = Observation::gripper_opening_m;
     if let (Some(opened), Some(closed)) = (opening(&run(&hold, open, 40)?.1), opening(&run(&hold, close, 40)?.1)) {

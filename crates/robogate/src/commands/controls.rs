@@ -1,0 +1,97 @@
+//! The controls of a gate: an expert and random actions, through the profile of the policy.
+
+use robogate_campaign::Worker;
+use robogate_core::{Assignment, Outcome, Scenario, Seed, Suite, rollout};
+use robogate_gate::{ControlProblem, ControlResult, Controls};
+use robogate_policy::{Profile, RandomModel, ThroughProfile, compare_mappings};
+
+use crate::exit::{Exit, OrExit};
+use crate::subject::{EnvironmentSource, Subject};
+use crate::terminal::note;
+
+/// The default number of episodes of each control.
+pub(crate) const EPISODES: u32 = 5;
+
+/// Runs the controls of an external policy, one episode after the other. `None` for a policy without a profile.
+///
+/// In the built-in cell the episodes are nominal scenarios. In other environments they are scenarios of the suite, evenly
+/// spaced. Their seeds are not those of the gate.
+pub(crate) fn run(subject: &Subject, suite: &Suite, episodes: u32, seed: u64) -> Result<Option<Controls>, Exit> {
+    let Some(profile) = subject.policy_source().and_then(|source| source.profile()) else { return Ok(None) };
+    let reference = profile.published().or_usage()?;
+    let mut controls = Controls { reference: reference.name.clone(), ..Controls::default() };
+    if episodes == 0 {
+        "They were skipped with --controls 0.".clone_into(&mut controls.without);
+        return Ok(Some(controls));
+    }
+    controls.problems = compare_mappings(profile, &reference)
+        .into_iter()
+        .map(|problem| ControlProblem { step: problem.step.as_str().to_owned(), detail: problem.detail })
+        .collect();
+    if !controls.problems.is_empty() {
+        return Ok(Some(controls));
+    }
+    let source = subject.environment_source();
+    let scenarios = scenarios(source, suite, episodes, seed);
+    note(format_args!("controls of the profile {}: {episodes} episodes each", profile.name));
+    let expert = || source.expert(profile.action.arm).or_broken();
+    let Some(worker) = expert()? else {
+        "The environment has no expert for the actions of this profile.".clone_into(&mut controls.without);
+        return Ok(Some(controls));
+    };
+    let task = worker.environment.task().clone();
+    if let Err(why) = worker.policy.check(&task) {
+        controls.without = format!("The expert cannot drive the task: {why}.");
+        return Ok(Some(controls));
+    }
+    let known = measure(worker, &scenarios);
+    if 2 * known.successes < known.episodes || known.episodes == 0 {
+        controls.without = format!("The expert itself succeeds in {} of {} episodes.", known.successes, known.episodes);
+        return Ok(Some(controls));
+    }
+    controls.expert = Some(known);
+    controls.positive = expert()?.map(|worker| measure(through(worker, profile, &reference), &scenarios));
+    controls.negative = expert()?.map(|worker| {
+        let random = Worker { policy: Box::new(RandomModel::new(profile)), ..worker };
+        measure(random, &scenarios)
+    });
+    Ok(Some(controls))
+}
+
+fn through(worker: Worker, profile: &Profile, reference: &Profile) -> Worker {
+    let Worker { environment, policy } = worker;
+    Worker { environment, policy: Box::new(ThroughProfile::new(policy, profile, reference)) }
+}
+
+fn scenarios(source: &EnvironmentSource, suite: &Suite, episodes: u32, seed: u64) -> Vec<Scenario> {
+    // Not the seed of the gate: its scenarios must stay unseen.
+    let campaign = Seed::campaign(seed ^ 0x636f_6e74_726f_6c73);
+    let cases = suite.cases().len().max(1) as u64;
+    (0..u64::from(episodes))
+        .map(|number| match source {
+            EnvironmentSource::Cell(_) => {
+                Scenario { index: number, seed: campaign.episode(number), requested: Assignment::default() }
+            }
+            _ => suite.scenario(campaign, number * cases / u64::from(episodes)),
+        })
+        .collect()
+}
+
+fn measure(worker: Worker, scenarios: &[Scenario]) -> ControlResult {
+    let Worker { mut environment, mut policy } = worker;
+    let mut result = ControlResult::default();
+    for scenario in scenarios {
+        let episode = rollout(&mut *environment, &mut *policy, scenario);
+        match episode.outcome {
+            Outcome::Success => result.successes += 1,
+            Outcome::Invalid(fault) => {
+                result.invalid += 1;
+                note(format_args!("note: an episode of a control is invalid: {fault}"));
+                continue;
+            }
+            Outcome::Failure(_) => {}
+        }
+        result.episodes += 1;
+    }
+    result
+}
