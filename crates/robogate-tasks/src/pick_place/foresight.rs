@@ -14,7 +14,7 @@ use robogate_core::{Better, DrawSpec, Fault, FeatureSpec, Foresight, Measures, S
 use robogate_physics::{Chain, FixtureKind, GRAVITY, Gripper, Robot, isometry};
 
 use super::cell::ResolvedCell;
-use super::scripted::{CARRY_ACCELERATION_M_S2, Scripted};
+use super::scripted::{CARRY_ACCELERATION_M_S2, Scripted, grasp_height};
 use super::{Shape, parameters};
 
 /// Sizes are rounded to this step for the planned grasp, in metres.

@@ -229,6 +229,8 @@ fn yaw_of(task: &Briefing) -> f64 {
 /// A point moved horizontally.
 fn offset_by(centre: &[f64; 3], offset: Vector3<f64>) -> [f64; 3] {
     [centre[0] + offset.x, centre[1] + offset.y, centre[2]]
+}
+
 /// Height of the tool centre point above the table during the grasp, in metres. For fingers it is the object's centre,
 /// but high enough to keep the fingertips off the table and the palm off the object. For a cup it is just above the
 /// object.
