@@ -33,7 +33,8 @@ const _: () = assert!(!ENGINES.is_empty(), "a build needs an engine: --features 
 const OPTIONAL: [&str; 2] = ["mujoco", "rapier"];
 
 /// The tasks for an arm in the cell, in addition to [`CELL_TASK`].
-pub(crate) const ARM_TASKS: &[&dyn ArmTask] = &[&robogate_tasks::stacking::Stacking];
+pub(crate) const ARM_TASKS: &[&dyn ArmTask] =
+    &[&robogate_tasks::stacking::Stacking, &robogate_tasks::insertion::Insertion];
 
 /// The tasks that bring their own world.
 pub(crate) const TASKS: &[&dyn SelfContained] = &[
