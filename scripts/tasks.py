@@ -50,7 +50,7 @@ def main():
         median = f"{times[len(times) // 2]:.1f} s" if times else "-"
         print(f"| {task} | {SUITES[task]} | {robot} | {engine} | {rate(found[run])} | {modes(found[run])} | {median} |")
         for row in data:
-            if row["outcome"] == "failure":
+            if row["failure_type"] not in ("", "none") and row["outcome"] != "invalid":
                 groups.setdefault((task, row["case"]), []).append(f"{robot}/{engine} {row['failure_type']}")
     print("\n## Scenarios with failures\n")
     if not groups:

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # Measures docs/results/tasks.md: the scripted controllers of the built-in tasks for an arm, on their industrial suites.
 #
-# Usage: scripts/tasks.sh [ROUNDS] [RAPIER_ROUNDS] > docs/results/tasks.md; by default 3 rounds of each suite in MuJoCo and 1 in
-# Rapier, which is slower. A run whose folder exists is resumed. TASKS, ROBOTS and ENGINES select a part.
+# Usage: scripts/tasks.sh [ROUNDS] [RAPIER_ROUNDS] > docs/results/tasks.md; by default 1 round of each suite in each
+# engine. A run whose folder exists is resumed. TASKS, ROBOTS and ENGINES select a part.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-rounds=${1:-3}
+rounds=${1:-1}
 rapier_rounds=${2:-1}
 robogate=${ROBOGATE:-target/release/robogate}
 out=${OUT:-runs/tasks}
