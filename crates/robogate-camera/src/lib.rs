@@ -81,6 +81,8 @@ pub struct Posture {
     pub opening_m: Option<f64>,
     /// Pose of the object.
     pub object: Isometry3<f64>,
+    /// Poses of the other free bodies, in the order of the scene.
+    pub others: Vec<Isometry3<f64>>,
     /// Poses of the fixtures, in the order of the scene.
     pub fixtures: Vec<Isometry3<f64>>,
 }
@@ -96,6 +98,7 @@ impl Cameras {
             joints: robot.settings.arm.home_rad.clone(),
             opening_m: None,
             object: Isometry3::identity(),
+            others: Vec::new(),
             fixtures: Vec::new(),
         };
         let mounts = Mounts::new(&robot.settings.gripper, &looks.tool(&waiting));
@@ -141,6 +144,11 @@ impl Cameras {
     /// Number of fixtures of the scene; `None` before [`Self::set_up`].
     pub fn fixtures(&self) -> Option<usize> {
         self.scene.as_ref().map(|scene| scene.fixtures)
+    }
+
+    /// Number of free bodies other than the object; 0 before [`Self::set_up`].
+    pub fn others(&self) -> usize {
+        self.scene.as_ref().map_or(0, |scene| scene.others.len())
     }
 
     /// Appearance of the scene, read from lamp, surfaces and camera poses; `None` before [`Self::set_up`].

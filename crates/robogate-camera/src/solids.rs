@@ -19,11 +19,15 @@ const RINGS: [(f64, [u8; 3]); 4] =
 const RING_M: f64 = 4e-4;
 
 impl Cameras {
-    /// Names of the bodies of the cell: the robot's links, the fixtures, the object. Empty before [`Self::set_up`].
+    /// Names of the bodies of the cell: the robot's links, the fixtures, the object, other free bodies. Empty before [`Self::set_up`].
     pub fn bodies(&self) -> Vec<String> {
         let Some(stage) = &self.scene else { return Vec::new() };
         let links = (0..self.robot.link_count()).map(|link| format!("robot/link{link}"));
-        links.chain(stage.names.iter().cloned()).chain(["object".to_owned()]).collect()
+        links
+            .chain(stage.names.iter().cloned())
+            .chain(["object".to_owned()])
+            .chain(stage.others.iter().cloned())
+            .collect()
     }
 
     /// The visible solids of the bodies. Empty before [`Self::set_up`].
@@ -37,7 +41,7 @@ impl Cameras {
     /// Poses of the bodies in the base frame, in the order of [`Self::bodies`].
     pub fn poses(&self, posture: &Posture) -> Vec<Pose> {
         let links = self.robot.links(posture);
-        links.iter().chain(&posture.fixtures).chain([&posture.object]).map(pose).collect()
+        links.iter().chain(&posture.fixtures).chain([&posture.object]).chain(&posture.others).map(pose).collect()
     }
 }
 
@@ -51,6 +55,7 @@ fn stage_solids(stage: &Stage, links: usize, solids: &mut Vec<Solid>) {
             + match prop.with {
                 With::Fixture(i) | With::Table(i) => i,
                 With::Object => stage.fixtures,
+                With::Other(i) => stage.fixtures + 1 + i,
             };
         solids.push(solid(body, prop.form(), &prop.finish, prop.place()));
         if let (Pattern::Table { marker: Some([x, y]), .. }, Form::Box { half }) = (prop.finish.pattern, prop.form()) {

@@ -28,6 +28,8 @@ pub(crate) struct Stage {
     pub(crate) fixtures: usize,
     /// Names of the fixtures.
     pub(crate) names: Vec<String>,
+    /// Names of the free bodies other than the object.
+    pub(crate) others: Vec<String>,
     pub(crate) light: Light,
     pub(crate) room: Room,
     pub(crate) props: Vec<Prop>,
@@ -62,6 +64,8 @@ pub(crate) enum With {
     /// The table. It casts no visible shadow.
     Table(usize),
     Object,
+    /// Another free body, by its index in the scene.
+    Other(usize),
 }
 
 impl Stage {
@@ -81,6 +85,7 @@ impl Stage {
                     let own = obstacles.next().copied().unwrap_or_default();
                     (With::Fixture(i), Finish::new(own, 0.3).with(Pattern::Grain))
                 }
+                FixtureKind::Receptacle => (With::Fixture(i), Finish::new([120, 126, 134], 0.5)),
                 FixtureKind::Occluder => (With::Fixture(i), Finish::new([122, 134, 140], 0.4)),
                 FixtureKind::Disturbance => (With::Fixture(i), Finish::new([236, 184, 22], 0.3).with(Pattern::Hazard)),
             };
@@ -91,7 +96,14 @@ impl Stage {
             finish.transparency = visual.object_transparency;
             props.push(Prop { form: form(&part.primitive), finish, with: With::Object, place: part.pose });
         }
+        for (i, body) in scene.others.iter().enumerate() {
+            for part in &body.object.parts {
+                let finish = Finish::new(body.color.0, 0.55);
+                props.push(Prop { form: form(&part.primitive), finish, with: With::Other(i), place: part.pose });
+            }
+        }
         Self {
+            others: scene.others.iter().map(|body| body.name.clone()).collect(),
             front: Pinhole::turned(&front, visual.camera_roll_rad, visual.camera_pitch_rad),
             fixtures: scene.fixtures.len(),
             names: scene.fixtures.iter().map(|fixture| fixture.name.clone()).collect(),
@@ -137,6 +149,7 @@ impl Stage {
             let frame = match prop.with {
                 With::Fixture(i) | With::Table(i) => posture.fixtures.get(i),
                 With::Object => Some(&posture.object),
+                With::Other(i) => posture.others.get(i),
             };
             let Some(frame) = frame else { continue };
             bodies.push(Body::new(&prop.form, &prop.finish, &(frame * prop.place)));

@@ -15,8 +15,10 @@ fn cube_at([x, y]: [f64; 2]) -> Scene {
     Scene {
         object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts },
         object_pose: Isometry3::translation(x, y, 0.025),
+        others: Vec::new(),
         friction: 0.8,
         table_friction: None,
+        arm_stiffness: 1.0,
         fixtures: vec![Fixture::table()],
         gravity: GRAVITY,
         marker: Some([0.4, 0.4]),
@@ -47,6 +49,7 @@ fn at_start(robot: &Robot, scene: &Scene) -> Posture {
         joints: robot.settings.arm.home_rad.clone(),
         opening_m: Some(0.08),
         object: scene.object_pose,
+        others: Vec::new(),
         fixtures: scene.fixtures.iter().map(|fixture| fixture.part.pose).collect(),
     }
 }
@@ -144,7 +147,13 @@ fn more_light_gives_brighter_images() {
 /// The pixel of the front camera that shows a point in the base frame.
 fn in_front(point: [f64; 3]) -> [usize; 2] {
     let (_, cameras) = cameras();
-    let posture = Posture { joints: vec![0.0; 7], opening_m: None, object: Default::default(), fixtures: Vec::new() };
+    let posture = Posture {
+        joints: vec![0.0; 7],
+        opening_m: None,
+        object: Default::default(),
+        others: Vec::new(),
+        fixtures: Vec::new(),
+    };
     let [u, v, _] = cameras.pinholes(&posture)[0].project(&Point3::from(point)).unwrap();
     [u as usize, v as usize]
 }

@@ -14,8 +14,10 @@ use crate::OutcomeCounts;
 pub const INDUSTRIAL_68: &str = include_str!("../../../assets/suites/industrial-68.toml");
 
 /// The built-in suites: names and commented TOML.
-pub const BUILT_IN_SUITES: [(&str, &str); 5] = [
+pub const BUILT_IN_SUITES: [(&str, &str); 7] = [
     ("industrial-68", INDUSTRIAL_68),
+    ("stacking-40", include_str!("../../../assets/suites/stacking-40.toml")),
+    ("insertion-40", include_str!("../../../assets/suites/insertion-40.toml")),
     ("libero-spatial", include_str!("../../../assets/suites/libero-spatial.toml")),
     ("libero-object", include_str!("../../../assets/suites/libero-object.toml")),
     ("libero-goal", include_str!("../../../assets/suites/libero-goal.toml")),

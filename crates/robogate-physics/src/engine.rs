@@ -40,6 +40,16 @@ pub trait Engine {
     /// Opening between the pads, in metres; `None` for a gripper without fingers.
     fn opening(&self) -> Option<f64>;
 
+    /// Selects the free body that is "the object" in all other methods and in [`Touches`]: 0 is the object of the scene,
+    /// then come the others. [`Engine::load`] selects 0. A body that the cup holds stays selected.
+    fn select(&mut self, body: usize);
+
+    /// Pose of a free body of the scene.
+    fn free_body(&self, body: usize) -> Isometry3<f64>;
+
+    /// Velocity (m/s) and angular velocity (rad/s) of the frame of a free body of the scene.
+    fn free_body_velocity(&self, body: usize) -> (Vector3<f64>, Vector3<f64>);
+
     /// Attaches the object to the gripper's cup at their current relative pose, by a stiff joint. [`Engine::load`]
     /// detaches them.
     ///
@@ -68,6 +78,10 @@ pub trait Engine {
     /// Contacts of the last step.
     fn touches(&self) -> &Touches;
 
+    /// Wrench of the fixtures and the other free bodies on the object in the last step, about its centre of mass, along the
+    /// axes of the base frame. Computed on request.
+    fn support(&self) -> Wrench;
+
     /// Contact points of the last step with their normal forces. Computed on request, because only viewers need them.
     fn contact_points(&self) -> Vec<ContactPoint>;
 
@@ -79,6 +93,116 @@ pub trait Engine {
 
     /// Passes the bits of every position and velocity to `sink`.
     fn state_bits(&self, sink: &mut dyn FnMut(u64));
+}
+
+impl<E: Engine + ?Sized> Engine for Box<E> {
+    fn build(&self) -> EngineBuild {
+        (**self).build()
+    }
+
+    fn robot(&self) -> &Robot {
+        (**self).robot()
+    }
+
+    fn chain(&self) -> &Chain {
+        (**self).chain()
+    }
+
+    fn time_step(&self) -> f64 {
+        (**self).time_step()
+    }
+
+    fn load(&mut self, scene: &Scene, joints: &[f64]) -> Result<(), Fault> {
+        (**self).load(scene, joints)
+    }
+
+    fn read_back(&self) -> Result<Readback, Fault> {
+        (**self).read_back()
+    }
+
+    fn advance(&mut self, targets: &JointTargets) {
+        (**self).advance(targets);
+    }
+
+    fn health(&self) -> Result<(), Fault> {
+        (**self).health()
+    }
+
+    fn joint_positions(&self) -> Vec<f64> {
+        (**self).joint_positions()
+    }
+
+    fn joint_velocities(&self) -> Vec<f64> {
+        (**self).joint_velocities()
+    }
+
+    fn opening(&self) -> Option<f64> {
+        (**self).opening()
+    }
+
+    fn select(&mut self, body: usize) {
+        (**self).select(body);
+    }
+
+    fn free_body(&self, body: usize) -> Isometry3<f64> {
+        (**self).free_body(body)
+    }
+
+    fn free_body_velocity(&self, body: usize) -> (Vector3<f64>, Vector3<f64>) {
+        (**self).free_body_velocity(body)
+    }
+
+    fn attach(&mut self) {
+        (**self).attach();
+    }
+
+    fn detach(&mut self) {
+        (**self).detach();
+    }
+
+    fn cup_load(&self) -> Option<Wrench> {
+        (**self).cup_load()
+    }
+
+    fn tcp(&self) -> Isometry3<f64> {
+        (**self).tcp()
+    }
+
+    fn object(&self) -> Isometry3<f64> {
+        (**self).object()
+    }
+
+    fn fixture(&self, fixture: usize) -> Isometry3<f64> {
+        (**self).fixture(fixture)
+    }
+
+    fn object_velocity(&self) -> (Vector3<f64>, Vector3<f64>) {
+        (**self).object_velocity()
+    }
+
+    fn touches(&self) -> &Touches {
+        (**self).touches()
+    }
+
+    fn support(&self) -> Wrench {
+        (**self).support()
+    }
+
+    fn contact_points(&self) -> Vec<ContactPoint> {
+        (**self).contact_points()
+    }
+
+    fn clearance_below(&mut self, bound: f64) -> Option<f64> {
+        (**self).clearance_below(bound)
+    }
+
+    fn robot_body(&self, body: usize) -> String {
+        (**self).robot_body(body)
+    }
+
+    fn state_bits(&self, sink: &mut dyn FnMut(u64)) {
+        (**self).state_bits(sink);
+    }
 }
 
 /// Identifies an engine's build: results depend on it.
@@ -103,7 +227,7 @@ pub struct JointTargets {
     pub finger: f64,
 }
 
-/// A force and a torque, about the tool centre point and along its axes.
+/// A force and a torque. The source states point and axes; for a cup they are the tool centre point and its axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wrench {
     /// Force in newtons.
@@ -126,6 +250,8 @@ pub struct Readback {
     pub table_friction: f64,
     /// Gravity, in m/s^2, downwards.
     pub gravity: f64,
+    /// Stiffness of the arm's servos as a multiple of the robot's setting; `None` if the engine does not report it.
+    pub arm_stiffness: Option<f64>,
     /// Mass of the object in kilograms.
     pub mass_kg: f64,
     /// Centre of mass in the object's frame, in metres.
@@ -134,8 +260,23 @@ pub struct Readback {
     pub parts: Vec<Primitive>,
     /// The object's pose.
     pub object: Isometry3<f64>,
+    /// The other free bodies, in the order of the scene.
+    pub others: Vec<FreeBodyRead>,
     /// The fixtures, in any order.
     pub fixtures: Vec<FixtureRead>,
+}
+
+/// A free body other than the object, as read from an engine.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FreeBodyRead {
+    /// Mass in kilograms.
+    pub mass_kg: f64,
+    /// Centre of mass in the body's frame, in metres.
+    pub centre_of_mass: Vector3<f64>,
+    /// The body's parts.
+    pub parts: Vec<Primitive>,
+    /// The pose.
+    pub pose: Isometry3<f64>,
 }
 
 /// A fixture, as read from an engine.
@@ -158,7 +299,7 @@ pub struct Touches {
     pub fingers: [Option<f64>; 2],
     /// Whether any other part of the robot touches the object.
     pub body_on_object: bool,
-    /// Whether the object touches a fixture.
+    /// Whether the object touches a fixture or another free body.
     pub object_on_fixture: bool,
     /// The strongest contact of the robot with a fixture.
     pub collision: Option<Collision>,

@@ -33,7 +33,7 @@ pub mod suction;
 pub mod trajectory;
 mod visual;
 
-pub use engine::{Collision, Engine, EngineBuild, FixtureRead, JointTargets, Readback, Touches, Wrench};
+pub use engine::{Collision, Engine, EngineBuild, FixtureRead, FreeBodyRead, JointTargets, Readback, Touches, Wrench};
 pub use gripper_command::GripperCommand;
 #[cfg(feature = "mujoco")]
 pub use inspect::{Inspection, Measured, inspect};
@@ -53,7 +53,7 @@ pub use robot::{
     built_in_robot, built_in_robots, is_folder,
 };
 pub use scene::{
-    Fixture, FixtureKind, GRAVITY, Object, Scene, TABLE_CENTRE, TABLE_HALF, WORKSPACE_CENTRE, isometry, pose,
+    Fixture, FixtureKind, FreeBody, GRAVITY, Object, Scene, TABLE_CENTRE, TABLE_HALF, WORKSPACE_CENTRE, isometry, pose,
 };
 pub use servo::Servo;
 pub use steering::Steering;

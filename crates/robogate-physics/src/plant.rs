@@ -64,8 +64,10 @@ struct Drives {
     targets: JointTargets,
     /// The suction cup, if the gripper has one.
     suction: Option<Suction>,
-    /// Parts of the object, for the distance measurement of the cup.
-    parts: Vec<Part>,
+    /// Parts of each free body, for the distance measurement of the cup.
+    parts: Vec<Vec<Part>>,
+    /// The free body that the gripper acts on.
+    selected: usize,
 }
 
 impl<E: Engine> Plant<E> {
@@ -127,9 +129,21 @@ impl<E: Engine> Plant<E> {
             servo: Servo::at_rest(&home, self.control_period_s),
             targets: JointTargets { velocities: vec![0.0; home.len()], positions: home, finger },
             suction,
-            parts: scene.object.parts.clone(),
+            parts: scene.free_bodies().map(|(object, _)| object.parts.clone()).collect(),
+            selected: 0,
         });
         Ok(())
+    }
+
+    /// Selects the free body that the gripper acts on, as [`Engine::select`]. A body that the cup holds stays selected.
+    pub fn select(&mut self, body: usize) {
+        if let Some(drives) = &mut self.drives
+            && body < drives.parts.len()
+            && !drives.suction.as_ref().is_some_and(Suction::holding)
+        {
+            drives.selected = body;
+            self.engine.select(body);
+        }
     }
 
     /// Runs one control period towards these joint positions (rad). `observe` is called after each time step with the
@@ -164,7 +178,7 @@ impl<E: Engine> Plant<E> {
             }
             self.engine.advance(targets);
             if let Some(suction) = &mut drives.suction {
-                let (engine, parts) = (&self.engine, &drives.parts);
+                let (engine, parts) = (&self.engine, &drives.parts[drives.selected]);
                 let view = |cup: &_| suction::look(cup, &engine.tcp(), parts, &engine.object());
                 match suction.step(gripper, view, engine.cup_load()) {
                     Some(Change::Attach) => self.engine.attach(),

@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::Pose;
 use serde::{Deserialize, Serialize};
 
-use crate::{MassProperties, Motion, Part, Primitive, Visual};
+use crate::{Color, MassProperties, Motion, Part, Primitive, Visual};
 
 /// Standard gravity on Earth, in m/s^2.
 pub const GRAVITY: f64 = 9.81;
@@ -21,14 +21,18 @@ pub const TABLE_HALF: [f64; 2] = [0.4, 0.7];
 /// The world of a scenario, before an engine simulates it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
-    /// The object: the one body that moves freely.
+    /// The object: a body that moves freely.
     pub object: Object,
     /// Pose of the object at the start.
     pub object_pose: Isometry3<f64>,
+    /// Further bodies that move freely. They have the object's friction coefficient.
+    pub others: Vec<FreeBody>,
     /// Coulomb friction coefficient of the object against everything.
     pub friction: f64,
-    /// Coulomb friction coefficient of the object against the table, if different.
+    /// Coulomb friction coefficient of the object against the table and receptacles, if different.
     pub table_friction: Option<f64>,
+    /// Stiffness of the arm's servos as a multiple of the robot's setting. Their damping ratio does not change.
+    pub arm_stiffness: f64,
     /// The table first, then all other bodies that the robot must not touch.
     pub fixtures: Vec<Fixture>,
     /// Gravity, in m/s^2.
@@ -37,6 +41,32 @@ pub struct Scene {
     pub marker: Option<[f64; 2]>,
     /// Appearance of the scene.
     pub visual: Visual,
+}
+
+impl Scene {
+    /// All bodies that move freely: the object, then the others.
+    pub fn free_bodies(&self) -> impl Iterator<Item = (&Object, &Isometry3<f64>)> {
+        std::iter::once((&self.object, &self.object_pose))
+            .chain(self.others.iter().map(|body| (&body.object, &body.pose)))
+    }
+
+    /// A free body: 0 is the object, then come the others.
+    pub fn free_body(&self, body: usize) -> &Object {
+        body.checked_sub(1).and_then(|other| self.others.get(other)).map_or(&self.object, |other| &other.object)
+    }
+}
+
+/// A further body that moves freely.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FreeBody {
+    /// The name in recordings.
+    pub name: String,
+    /// Its parts and mass.
+    pub object: Object,
+    /// The pose at the start.
+    pub pose: Isometry3<f64>,
+    /// The colour in camera images.
+    pub color: Color,
 }
 
 /// A rigid body that moves freely: its parts about its own origin, and its mass.
@@ -69,10 +99,19 @@ pub enum FixtureKind {
     Table,
     /// An obstacle on the table.
     Obstacle,
+    /// A part of a workpiece that receives the object.
+    Receptacle,
     /// A panel in the front camera's view.
     Occluder,
     /// A body that crosses the workspace.
     Disturbance,
+}
+
+impl FixtureKind {
+    /// Whether the object has the table's friction coefficient against such a fixture.
+    pub(crate) fn has_table_friction(self) -> bool {
+        matches!(self, Self::Table | Self::Receptacle)
+    }
 }
 
 impl Fixture {

@@ -22,8 +22,10 @@ impl World {
         let scene = Scene {
             object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts },
             object_pose: Isometry3::translation(0.5, 0.3, 0.025),
+            others: Vec::new(),
             friction: 0.8,
             table_friction: None,
+            arm_stiffness: 1.0,
             fixtures: vec![Fixture::table()],
             gravity: GRAVITY,
             marker: None,

@@ -77,6 +77,7 @@ fn at_home(robot: &Robot, settings: Vec<(&'static str, Value)>) -> (Scene, Postu
         joints: robot.settings.arm.home_rad.clone(),
         opening_m: robot.settings.gripper.jaw().map(|jaw| jaw.opening_m),
         object: scene.object_pose,
+        others: Vec::new(),
         fixtures: scene.fixtures.iter().map(|fixture| fixture.part.pose).collect(),
     };
     (scene, posture)

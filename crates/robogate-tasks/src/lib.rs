@@ -1,14 +1,18 @@
 //! The built-in tasks, one folder each.
 //!
 //! Each task folder contains its scene, referee, scripted controller, parameters and physics claims. Code outside the
-//! folder does not use the task's vocabulary. A task with its own world implements [`SelfContained`]. [`Random`] is a
-//! policy for any task with bounded actions.
+//! folder does not use the task's vocabulary. A task for an arm implements [`ArmTask`], a task with its own world
+//! [`SelfContained`]. [`Random`] is a policy for any task with bounded actions.
 
+mod arm;
+pub mod insertion;
 #[cfg(feature = "mujoco")]
 pub mod pendulum;
 pub mod pick_place;
 mod random;
 mod self_contained;
+pub mod stacking;
 
+pub use arm::ArmTask;
 pub use random::Random;
 pub use self_contained::SelfContained;

@@ -149,6 +149,18 @@ impl Engine for Tampered {
         self.engine.opening()
     }
 
+    fn select(&mut self, body: usize) {
+        self.engine.select(body);
+    }
+
+    fn free_body(&self, body: usize) -> Isometry3<f64> {
+        self.engine.free_body(body)
+    }
+
+    fn free_body_velocity(&self, body: usize) -> (Vector3<f64>, Vector3<f64>) {
+        self.engine.free_body_velocity(body)
+    }
+
     fn attach(&mut self) {
         self.engine.attach();
     }
@@ -179,6 +191,10 @@ impl Engine for Tampered {
 
     fn touches(&self) -> &Touches {
         self.engine.touches()
+    }
+
+    fn support(&self) -> Wrench {
+        self.engine.support()
     }
 
     fn contact_points(&self) -> Vec<ContactPoint> {

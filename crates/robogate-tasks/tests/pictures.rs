@@ -52,6 +52,7 @@ fn wrist_camera_moves_with_the_tool() {
             joints: engine.joint_positions(),
             opening_m: engine.opening(),
             object: engine.object(),
+            others: Vec::new(),
             fixtures: Vec::new(),
         };
         let [_, wrist] = Cameras::new(&robot).unwrap().pinholes(&posture);

@@ -168,6 +168,18 @@ impl Engine for Recorder {
         self.inner.opening()
     }
 
+    fn select(&mut self, body: usize) {
+        self.inner.select(body);
+    }
+
+    fn free_body(&self, body: usize) -> Isometry3<f64> {
+        self.inner.free_body(body)
+    }
+
+    fn free_body_velocity(&self, body: usize) -> (Vector3<f64>, Vector3<f64>) {
+        self.inner.free_body_velocity(body)
+    }
+
     fn attach(&mut self) {
         self.inner.attach();
     }
@@ -198,6 +210,10 @@ impl Engine for Recorder {
 
     fn touches(&self) -> &Touches {
         self.inner.touches()
+    }
+
+    fn support(&self) -> Wrench {
+        self.inner.support()
     }
 
     fn contact_points(&self) -> Vec<ContactPoint> {

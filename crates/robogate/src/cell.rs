@@ -311,7 +311,7 @@ pub(crate) fn nominal() -> Scenario {
 }
 
 /// Loads a robot by its folder or name.
-fn robot(wanted: &str) -> Result<Robot, RobotError> {
+pub(crate) fn robot(wanted: &str) -> Result<Robot, RobotError> {
     if is_folder(wanted) { Robot::from_folder(Path::new(wanted)) } else { built_in_robot(wanted) }
 }
 
@@ -322,7 +322,7 @@ pub(crate) fn robot_files(wanted: &str, sha256: Option<&String>) -> Option<Vec<R
 }
 
 /// The identity of a robot, from its files.
-fn identity(files: &[RobotFile]) -> String {
+pub(crate) fn identity(files: &[RobotFile]) -> String {
     robot_sha256(files.iter().map(|(name, bytes)| (name.as_str(), &**bytes)))
 }
 

@@ -1,6 +1,7 @@
 //! The command line of `robogate`, with one file for each verb.
 
 mod answer;
+mod arm_cell;
 mod benchmark;
 mod cell;
 mod commands;

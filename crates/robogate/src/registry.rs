@@ -13,7 +13,7 @@ use robogate_physics::{Chain, Engine, Robot, RobotError, built_in_robots};
 use robogate_policy::Profile;
 use robogate_tasks::pick_place::claims::Setup;
 use robogate_tasks::pick_place::{built_in_spaces, remote};
-use robogate_tasks::{SelfContained, pick_place};
+use robogate_tasks::{ArmTask, SelfContained, pick_place};
 
 use crate::cell::Built;
 use crate::remote::PhysicsEngine;
@@ -31,6 +31,10 @@ const _: () = assert!(!ENGINES.is_empty(), "a build needs an engine: --features 
 
 /// The engines that a build may lack, named like their features.
 const OPTIONAL: [&str; 2] = ["mujoco", "rapier"];
+
+/// The tasks for an arm in the cell, in addition to [`CELL_TASK`].
+pub(crate) const ARM_TASKS: &[&dyn ArmTask] =
+    &[&robogate_tasks::stacking::Stacking, &robogate_tasks::insertion::Insertion];
 
 /// The tasks that bring their own world.
 pub(crate) const TASKS: &[&dyn SelfContained] = &[
@@ -52,6 +56,8 @@ pub(crate) struct EngineEntry {
     pub(crate) time_step_s: f64,
     /// Builds the task in this engine.
     pub(crate) build: fn(&Setup, Option<&RendererRecord>, usize) -> anyhow::Result<Built>,
+    /// Creates the engine.
+    pub(crate) engine: fn(Robot, f64) -> Result<Box<dyn Engine>, RobotError>,
     /// Reads a robot's kinematics as this engine models them.
     pub(crate) chain: fn(Robot) -> anyhow::Result<Chain>,
     /// Creates the engine alone, for a server that only computes physics.
@@ -70,6 +76,7 @@ impl EngineEntry {
                 let renderer = record.map(|record| engine.renderer(record)).transpose()?;
                 Built::new(engine, setup.suction, picture_px, renderer.map(|(renderer, _)| renderer))
             },
+            engine: |robot, time_step_s| Ok(Box::new(E::create(robot, time_step_s)?)),
             chain: |robot| Ok(E::create(robot, E::TIME_STEP)?.chain().clone()),
             host: |robot, time_step_s| {
                 let engine = E::create(robot, time_step_s)?;
@@ -130,10 +137,27 @@ impl CellEngine for RapierEngine {
     }
 }
 
+/// Finds a task for an arm, other than [`CELL_TASK`], by its name.
+pub(crate) fn arm_task(name: &str) -> Option<&'static dyn ArmTask> {
+    ARM_TASKS.iter().copied().find(|task| task.name() == name)
+}
+
+/// Whether robot and engine of a task can be chosen.
+pub(crate) fn has_robots(task: &str) -> bool {
+    task == CELL_TASK || arm_task(task).is_some()
+}
+
+/// Names and summaries of all tasks.
+fn tasks() -> impl Iterator<Item = (&'static str, &'static str)> {
+    let arms = ARM_TASKS.iter().map(|task| (task.name(), task.summary()));
+    let others = TASKS.iter().map(|task| (task.name(), task.summary()));
+    std::iter::once((CELL_TASK, pick_place::SUMMARY)).chain(arms).chain(others)
+}
+
 /// Finds a task that brings its own world by its name.
 pub(crate) fn task(name: &str) -> anyhow::Result<&'static dyn SelfContained> {
     TASKS.iter().copied().find(|task| task.name() == name).ok_or_else(|| {
-        let known: Vec<&str> = std::iter::once(CELL_TASK).chain(TASKS.iter().map(|task| task.name())).collect();
+        let known: Vec<&str> = tasks().map(|(name, _)| name).collect();
         anyhow!("--task {name}: unknown task. Expected one of: {}", known.join(", "))
     })
 }
@@ -141,13 +165,12 @@ pub(crate) fn task(name: &str) -> anyhow::Result<&'static dyn SelfContained> {
 /// All names, by kind, for the terminal.
 pub(crate) fn listing() -> Vec<(&'static str, Vec<String>)> {
     let names = |names: &mut dyn Iterator<Item = &str>| names.map(str::to_owned).collect::<Vec<String>>();
-    let tasks = TASKS.iter().map(|task| format!("{}: {}", task.name(), task.summary()));
     vec![
-        ("tasks", std::iter::once(format!("{CELL_TASK}: {}", pick_place::SUMMARY)).chain(tasks).collect()),
+        ("tasks", tasks().map(|(name, summary)| format!("{name}: {summary}")).collect()),
         ("engines", names(&mut ENGINES.iter().map(|engine| engine.name))),
         ("robots", names(&mut built_in_robots())),
         ("policies", names(&mut POLICIES.into_iter().chain(Profile::built_in_names()))),
-        ("spaces", names(&mut built_in_spaces().chain(TASKS.iter().map(|task| task.name())))),
+        ("spaces", names(&mut built_in_spaces().chain(tasks().skip(1).map(|(name, _)| name)))),
         ("suites", names(&mut BUILT_IN_SUITES.iter().map(|(name, _)| *name))),
     ]
 }

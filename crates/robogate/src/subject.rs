@@ -20,6 +20,7 @@ use robogate_tasks::pick_place::{ToolExpert, built_in_space, built_in_spaces};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use crate::arm_cell::{ArmCell, ArmSettings};
 use crate::cell::{self, Cell, CellSettings};
 use crate::environments::Servers;
 use crate::exit::{Exit, OrExit};
@@ -40,10 +41,10 @@ pub(crate) struct EnvironmentArguments {
     /// FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE
     #[arg(long, value_name = "NAME", conflicts_with_all = ["task", "addresses", "engine", "time_step", "robot", "grip_force", "suction"])]
     env: Option<String>,
-    /// Choose the robot of pick_place: a built-in one (see `robogate robots`), or the folder of your own
+    /// Choose the robot: a built-in one (see `robogate robots`), or the folder of your own
     #[arg(long, value_name = "ROBOT", default_value = "franka")]
     robot: String,
-    /// Choose the physics engine of pick_place: mujoco or rapier
+    /// Choose the physics engine: mujoco or rapier
     #[arg(long, value_name = "ENGINE", default_value = ENGINES[0].name, conflicts_with = "addresses")]
     engine: String,
     /// Set the engine's time step, in seconds; default: the engine's own
@@ -78,6 +79,14 @@ impl EnvironmentArguments {
                 launched: None,
             }));
         }
+        if pool.is_none() && registry::arm_task(&self.task).is_some() {
+            if self.renderer.record().is_some() {
+                return Err(anyhow!("--renderer egl cannot be used with --task {}", self.task)).or_usage();
+            }
+            return ArmCell::new(self.arm_settings(), suction)
+                .map(|cell| EnvironmentSource::Arm(Box::new(cell)))
+                .or_usage();
+        }
         if pool.is_none() && self.task != CELL_TASK {
             return registry::task(&self.task).map(EnvironmentSource::SelfContained).or_usage();
         }
@@ -98,11 +107,18 @@ impl EnvironmentArguments {
     pub(crate) fn cell(&self) -> Result<Cell, Exit> {
         match self.environment(SuctionLaw::Vacuum)? {
             EnvironmentSource::Cell(cell) => Ok(*cell),
-            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => Err(anyhow!(
-                "this command works with the built-in cell only\n  hint: leave out --task, --env and --simulator"
-            ))
-            .or_usage(),
+            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
+                Err(anyhow!(
+                    "this command works with the built-in cell only\n  hint: leave out --task, --env and --simulator"
+                ))
+                .or_usage()
+            }
         }
+    }
+
+    fn arm_settings(&self) -> ArmSettings {
+        let CellSettings { robot, engine, time_step_s, grip_force_n, suction, .. } = self.settings();
+        ArmSettings { task: self.task.clone(), robot, engine, time_step_s, grip_force_n, suction }
     }
 
     fn settings(&self) -> CellSettings {
@@ -142,6 +158,8 @@ fn from_any_folder(name: &str) -> String {
 pub(crate) enum EnvironmentSource {
     /// The built-in cell.
     Cell(Box<Cell>),
+    /// A built-in task for an arm.
+    Arm(Box<ArmCell>),
     /// A built-in task that brings its own world.
     SelfContained(&'static dyn SelfContained),
     /// Servers that declare their own task.
@@ -167,6 +185,8 @@ enum Recorded {
     Launched(RecordedEnvironment),
     /// Servers that declare their own task.
     Remote(RecordedServers),
+    /// A built-in task for an arm.
+    Arm(ArmSettings),
     /// The built-in cell.
     Cell(CellSettings),
 }
@@ -225,6 +245,7 @@ impl Subject {
     pub(crate) fn new(environment: EnvironmentSource, policy: Option<PolicySource>) -> Result<Self, Exit> {
         let environment = match (environment, policy.as_ref().and_then(|policy| policy.profile()?.rendered_px)) {
             (EnvironmentSource::Cell(cell), Some(px)) => EnvironmentSource::Cell(Box::new(cell.with_pictures_of(px))),
+            (EnvironmentSource::Arm(cell), Some(px)) => EnvironmentSource::Arm(Box::new(cell.with_pictures_of(px))),
             (environment, _) => environment,
         };
         let task = environment.task().or_broken()?;
@@ -301,7 +322,7 @@ impl Subject {
         };
         let engine = &provenance.engine;
         let remote = match &recorded {
-            Recorded::SelfContained(_) => false,
+            Recorded::SelfContained(_) | Recorded::Arm(_) => false,
             Recorded::Remote(_) | Recorded::Launched(_) => true,
             Recorded::Cell(settings) => settings.simulator.is_some(),
         };
@@ -331,6 +352,9 @@ impl Subject {
             (Recorded::Launched(_), Some(pool)) => {
                 EnvironmentSource::Remote(RemoteSource { pool, robot: franka(), launched })
             }
+            (Recorded::Arm(settings), _) => {
+                EnvironmentSource::Arm(Box::new(ArmCell::new(settings, SuctionLaw::Vacuum).or_usage()?))
+            }
             (Recorded::Cell(settings), pool) => {
                 // Every run of a robot with a cup records its suction law.
                 EnvironmentSource::Cell(Box::new(Cell::new(settings, SuctionLaw::Vacuum, pool).or_setup()?))
@@ -359,9 +383,11 @@ impl Subject {
 
     /// The same subject with camera images of this width and height in pixels, if the cell renders them.
     pub(crate) fn with_pictures_of(mut self, picture_px: usize) -> Self {
-        if let EnvironmentSource::Cell(cell) = self.environment {
-            self.environment = EnvironmentSource::Cell(Box::new(cell.with_pictures_of(picture_px)));
-        }
+        self.environment = match self.environment {
+            EnvironmentSource::Cell(cell) => EnvironmentSource::Cell(Box::new(cell.with_pictures_of(picture_px))),
+            EnvironmentSource::Arm(cell) => EnvironmentSource::Arm(Box::new(cell.with_pictures_of(picture_px))),
+            other => other,
+        };
         self
     }
 
@@ -374,6 +400,15 @@ impl Subject {
     pub(crate) fn cell(&self) -> Option<&Cell> {
         match &self.environment {
             EnvironmentSource::Cell(cell) => Some(cell),
+            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
+        }
+    }
+
+    /// The name of the environment's own suite, if it has one.
+    pub(crate) fn own_suite(&self) -> Option<&'static str> {
+        match &self.environment {
+            EnvironmentSource::Cell(_) => Some("industrial-68"),
+            EnvironmentSource::Arm(cell) => Some(cell.suite()),
             EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
         }
     }
@@ -385,7 +420,9 @@ impl Subject {
                 let name = Path::new(&cell.settings().robot).file_name();
                 name.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
             }
-            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => self.task.name.as_str().to_owned(),
+            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
+                self.task.name.as_str().to_owned()
+            }
         }
     }
 
@@ -408,7 +445,7 @@ impl Subject {
     pub(crate) fn servers(&self) -> Option<NonZeroUsize> {
         match &self.environment {
             EnvironmentSource::Cell(cell) => cell.servers(),
-            EnvironmentSource::SelfContained(_) => None,
+            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) => None,
             // This process starts as many as it needs.
             EnvironmentSource::Remote(RemoteSource { launched: Some(_), .. }) => None,
             EnvironmentSource::Remote(source) => NonZeroUsize::new(source.pool.len()),
@@ -454,7 +491,7 @@ impl Subject {
                 without_latency(suite.space())?.map_or(Ok(()), |space| cell.check_space(&space))
             }
             EnvironmentSource::Cell(cell) => cell.check_suite(suite),
-            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
+            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
                 check_declared(&self.task, suite.space()).with_context(|| format!("suite {}", suite.name()))
             }
         }
@@ -528,7 +565,7 @@ impl EnvironmentSource {
     fn policies(&self) -> &[HostedPolicy] {
         match self {
             Self::Remote(source) => &source.pool.hello().policies,
-            Self::Cell(_) | Self::SelfContained(_) => &[],
+            Self::Cell(_) | Self::Arm(_) | Self::SelfContained(_) => &[],
         }
     }
 
@@ -561,6 +598,7 @@ impl EnvironmentSource {
     pub(crate) fn task(&self) -> anyhow::Result<Arc<TaskSpec>> {
         Ok(match self {
             Self::Cell(cell) => Arc::clone(cell.environment()?.task()),
+            Self::Arm(cell) => Arc::clone(cell.environment()?.task()),
             Self::SelfContained(task) => task.task(),
             Self::Remote(source) => Arc::new(source.pool.hello().task.clone()),
         })
@@ -570,6 +608,7 @@ impl EnvironmentSource {
     pub(crate) fn environment(&self) -> anyhow::Result<Box<dyn Environment>> {
         Ok(match self {
             Self::Cell(cell) => cell.environment()?,
+            Self::Arm(cell) => cell.environment()?,
             Self::SelfContained(task) => task.environment()?,
             Self::Remote(source) => Box::new(RemoteEnvironment::new(Arc::clone(&source.pool))?),
         })
@@ -602,6 +641,7 @@ impl EnvironmentSource {
     pub(crate) fn hello(&self) -> anyhow::Result<Hello> {
         match self {
             Self::Cell(cell) => cell.hello(),
+            Self::Arm(cell) => cell.hello(),
             Self::SelfContained(task) => {
                 let engine = cell::engine(task.engine().map_err(|fault| anyhow!(fault))?);
                 let version = engine.version.unwrap_or_default();
@@ -624,6 +664,7 @@ impl EnvironmentSource {
         let space = match (wanted, self) {
             (Some(wanted), _) => named_space(wanted)?,
             (None, Self::Cell(cell)) => named_space(cell.default_space())?,
+            (None, Self::Arm(cell)) => cell.space()?,
             (None, Self::SelfContained(task)) => ParameterSpace::from_toml(task.space())?,
             (None, Self::Remote(source)) => {
                 let hello = source.pool.hello();
@@ -646,7 +687,7 @@ impl EnvironmentSource {
         match (self, own) {
             (_, None) => {}
             (Self::Cell(cell), Some(own)) => cell.check_space(&own)?,
-            (Self::SelfContained(_) | Self::Remote(_), Some(own)) => {
+            (Self::Arm(_) | Self::SelfContained(_) | Self::Remote(_), Some(own)) => {
                 check_declared(&*self.task()?, &own).with_context(|| format!("space {}", space.name()))?;
             }
         }
@@ -657,6 +698,7 @@ impl EnvironmentSource {
     fn controller(&self) -> anyhow::Result<Box<dyn Policy>> {
         match self {
             Self::Cell(cell) => cell.controller(),
+            Self::Arm(cell) => cell.controller(),
             Self::SelfContained(task) => Ok(task.controller()),
             // A remote environment may be a built-in cell. Its scripted controller runs in this process.
             Self::Remote(source) if source.pool.hello().task.name == CELL_TASK => {
@@ -674,6 +716,20 @@ impl EnvironmentSource {
                 remote::check_robot(hello, cell.robot(), &cell.robot_sha256()?)?;
                 cell.controller()
             }
+            Self::Remote(source) if registry::arm_task(source.pool.hello().task.name.as_str()).is_some() => {
+                let hello = source.pool.hello();
+                let settings = ArmSettings {
+                    task: hello.task.name.as_str().to_owned(),
+                    robot: absolute(&source.robot),
+                    engine: ENGINES[0].name.to_owned(),
+                    time_step_s: ENGINES[0].time_step_s,
+                    grip_force_n: None,
+                    suction: None,
+                };
+                let cell = ArmCell::new(settings, SuctionLaw::Vacuum)?;
+                remote::check_robot(hello, cell.robot(), &cell.robot_sha256()?)?;
+                cell.controller()
+            }
             Self::Remote(source) => bail!(
                 "the task {} has no scripted controller here\n  hint: name a policy with --policy",
                 source.pool.hello().task.name
@@ -684,6 +740,7 @@ impl EnvironmentSource {
     fn recorded(&self) -> Recorded {
         match self {
             Self::Cell(cell) => Recorded::Cell(cell.settings().clone()),
+            Self::Arm(cell) => Recorded::Arm(cell.settings().clone()),
             Self::SelfContained(task) => Recorded::SelfContained(RecordedTask { task: task.name().to_owned() }),
             Self::Remote(RemoteSource { launched: Some((name, _)), .. }) => {
                 Recorded::Launched(RecordedEnvironment { environment: name.clone() })
@@ -698,6 +755,7 @@ impl EnvironmentSource {
         let robot = |name: String, sha256| provenance::Robot { name, sha256, dimensions: None };
         Ok(match self {
             Self::Cell(cell) => cell.provenance()?,
+            Self::Arm(cell) => cell.provenance()?,
             Self::SelfContained(task) => {
                 (cell::engine(task.engine().map_err(|fault| anyhow!(fault))?), robot(task.name().to_owned(), None))
             }
@@ -715,7 +773,10 @@ impl EnvironmentSource {
 /// Finds a parameter space by its name or file.
 pub(crate) fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
     let own = registry::TASKS.iter().find(|task| task.name() == wanted).map(|task| task.space());
-    match built_in_space(wanted).or(own) {
+    // A task for an arm has the same parameters on every robot; its space is that of the default robot.
+    let arm =
+        registry::arm_task(wanted).map(|task| cell::robot(&franka()).map(|robot| task.space(&robot.settings.gripper)));
+    match built_in_space(wanted).or(own).or(arm.transpose()?) {
         Some(text) => ParameterSpace::from_toml(text).with_context(|| wanted.to_owned()),
         None if !Path::new(wanted).exists() && !wanted.contains(['/', '.']) => {
             let known = built_in_spaces().collect::<Vec<_>>().join(", ");
@@ -751,8 +812,12 @@ pub(crate) fn recorded_robot(provenance: &Provenance) -> Option<Vec<RobotFile>> 
     object.remove("policy");
     object.remove("execution");
     object.remove(Controls::KEY);
-    let settings: CellSettings = serde_json::from_value(world).ok()?;
-    cell::robot_files(&settings.robot, provenance.robot.sha256.as_ref())
+    let robot = match serde_json::from_value(world).ok()? {
+        Recorded::Cell(settings) => settings.robot,
+        Recorded::Arm(settings) => settings.robot,
+        Recorded::SelfContained(_) | Recorded::Launched(_) | Recorded::Remote(_) => return None,
+    };
+    cell::robot_files(&robot, provenance.robot.sha256.as_ref())
 }
 
 impl WorkerFactory for Subject {

@@ -59,6 +59,39 @@ fn pendulum_passes_through_every_verb() {
     verb("monitor reference a --learn-baseline --out reference.json", 0, &["risk model"]);
 }
 
+/// Runs the verbs on tasks for an arm, whose robot and engine are chosen.
+#[test]
+fn arm_tasks_pass_through_the_verbs() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    let verb = |arguments: &str, code: i32, parts: &[&str]| robogate(at, arguments, code, parts);
+    verb("list", 0, &["stacking", "insertion", "stacking-40", "insertion-40"]);
+    for (task, mode, measure, other) in
+        [("stacking", "toppled", "stability_margin_m", "wedge"), ("insertion", "wedge", "insertion_depth_m", "toppled")]
+    {
+        let run = format!("run --task {task} --robot ur5e -n 8 --seed 3");
+        let a = format!("{task}-a");
+        verb(&format!("{run} --threads 2 --out {a}"), 0, &["ur5e"]);
+        verb(&format!("{run} --threads 1 --out {task}-b"), 0, &[]);
+        verb(&format!("{run} --shard 1/2 --out {task}-s"), 0, &[]);
+        verb(&format!("{run} --shard 2/2 --out {task}-s"), 0, &[]);
+        verb(&format!("merge {task}-s"), 0, &[]);
+        let rows = |name: &str| fs::read(at.join(name).join("dictionary.parquet")).unwrap();
+        assert!(rows(&a) == rows(&format!("{task}-b")), "rows depend on the number of threads");
+        assert!(rows(&a) == rows(&format!("{task}-s")), "rows depend on the shards");
+        verb(&format!("resume {a}"), 0, &[]);
+        verb(&format!("replay {a} 3"), 0, &["identical to the recorded episode", measure]);
+        verb(&format!("analyze {a}"), 0, &[task]);
+        verb(&format!("report {a} --out {task}.html"), 0, &[]);
+        let page = fs::read_to_string(at.join(format!("{task}.html"))).unwrap();
+        assert!(page.contains(mode) && !page.contains(other));
+        verb(&format!("monitor reference {a} --learn-baseline --out {task}.json"), 0, &[]);
+    }
+    verb("run --task stacking --robot ur5e --grip-force 10 -n 2 --out c", 2, &["needs fingers"]);
+    verb("run --task stacking --renderer egl -n 2 --out d", 2, &["--renderer egl"]);
+    verb("run --task stacking --engine none -n 2 --out e", 2, &["no such engine"]);
+}
+
 #[test]
 fn interrupted_pendulum_resumes_identically() {
     let dir = TempDir::new().unwrap();

@@ -111,8 +111,10 @@ const PICK_AND_PLACE: &[&str] = &[
 
 /// The folders where these names may appear.
 const MAY_NAME_THEM: &[&str] = &[
-    // The task, its analysis, and the code that only serves it.
+    // The task, its analysis, and the code that only serves it. Other tasks have friction and collisions too.
     "robogate-tasks/src/pick_place",
+    "robogate-tasks/src/stacking",
+    "robogate-tasks/src/insertion",
     "robogate-analysis/src/pick_place",
     "robogate-physics/src",
     "robogate-camera/src",

@@ -193,10 +193,10 @@ impl Wardrobe {
         }
     }
 
-    /// Table, obstacles and object.
+    /// Table, obstacles, object and other free bodies.
     fn props(&mut self, spec: &mut MjSpec, scene: &Scene, stage: &Stage) {
-        let mut part = 0;
-        for prop in &stage.props {
+        for (index, prop) in stage.props.iter().enumerate() {
+            let part = stage.props[..index].iter().filter(|before| before.with == prop.with).count();
             let name = match prop.with {
                 With::Table(i) => {
                     self.table(spec, scene, i, &prop.finish);
@@ -206,10 +206,8 @@ impl Wardrobe {
                     let Some(fixture) = scene.fixtures.get(i) else { continue };
                     format!("{PREFIX}{}", fixture.name)
                 }
-                With::Object => {
-                    part += 1;
-                    format!("{PREFIX}object_{}", part - 1)
-                }
+                With::Object => format!("{PREFIX}object_{part}"),
+                With::Other(i) => format!("{PREFIX}object@{}_{part}", i + 1),
             };
             let look = match (prop.finish.pattern, prop.with) {
                 (Pattern::Hazard, With::Fixture(i)) => {

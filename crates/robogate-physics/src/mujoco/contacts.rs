@@ -9,41 +9,44 @@ use robogate_core::{ContactBetween, ContactPoint, Fault};
 use super::{Kind, Loaded};
 use crate::engine::Collision;
 use crate::friction::{Coefficients, Friction};
-use crate::{FixtureKind, Touches, Wrench};
+use crate::{Touches, Wrench};
 
 impl Loaded {
     /// The friction coefficients that act between the object and every body that it can touch.
     pub(super) fn friction(&self) -> Result<Friction, Fault> {
         let model = self.data.model();
-        let object: Vec<usize> = (0..self.kinds.len()).filter(|geom| self.kinds[*geom] == Kind::Object).collect();
+        let object: Vec<(usize, usize)> = self.kinds.iter().enumerate().filter_map(object_geom).collect();
         let mut friction = Coefficients::default();
         for (geom, kind) in self.kinds.iter().enumerate() {
-            let table = match *kind {
-                Kind::Fixture(fixture) => self.scene.fixtures[fixture].kind == FixtureKind::Table,
-                Kind::Robot { .. } => false,
-                Kind::Object | Kind::Visual => continue,
+            let (table, own) = match *kind {
+                Kind::Fixture(fixture) => (self.scene.fixtures[fixture].kind.has_table_friction(), None),
+                Kind::Robot { .. } => (false, None),
+                Kind::Object(body) => (false, Some(body)),
+                Kind::Visual => continue,
             };
-            object.iter().for_each(|part| friction.add(table, contact_friction(model, *part, geom)));
+            let others = object.iter().filter(|(_, body)| own != Some(*body));
+            others.for_each(|(part, _)| friction.add(table, contact_friction(model, *part, geom)));
         }
         friction.finish()
     }
 
     /// Sums up the contacts of the last step. If two bodies touch at several points, their forces are added.
     pub(super) fn read_touches(&mut self) {
+        let selected = self.selected;
         let touches = &mut self.touches;
         *touches = Touches::default();
         self.forces.clear();
-        self.support = Wrench::ZERO;
-        let joined = self.weld.is_some_and(|weld| self.data.eq_active()[weld.equality]);
         for (i, contact) in self.data.contact().iter().enumerate() {
             // Bodies that are close but do not touch have no constraint.
             if contact.efc_address < 0 || contact.geom1 < 0 || contact.geom2 < 0 {
                 continue;
             }
             let (body, other) = match (self.kinds[contact.geom1 as usize], self.kinds[contact.geom2 as usize]) {
-                (Kind::Robot { body, finger }, Kind::Object) | (Kind::Object, Kind::Robot { body, finger }) => {
+                (Kind::Robot { body, finger }, Kind::Object(object))
+                | (Kind::Object(object), Kind::Robot { body, finger }) => {
                     let force = self.data.contact_force(i)[0];
                     match finger {
+                        _ if object != selected => {}
                         Some(finger) => *touches.fingers[finger].get_or_insert(0.0) += force,
                         None => touches.body_on_object = true,
                     }
@@ -52,18 +55,8 @@ impl Loaded {
                 }
                 (Kind::Robot { body, .. }, Kind::Fixture(fixture))
                 | (Kind::Fixture(fixture), Kind::Robot { body, .. }) => (body, fixture),
-                (first @ Kind::Object, Kind::Fixture(_)) | (first @ Kind::Fixture(_), Kind::Object) => {
+                (first, second) if first == Kind::Object(selected) || second == Kind::Object(selected) => {
                     touches.object_on_fixture = true;
-                    if joined {
-                        // The force acts on the second shape; the rows of the frame are its axes.
-                        let sign = if first == Kind::Object { -1.0 } else { 1.0 };
-                        let axes = Matrix3::from_column_slice(&contact.frame) * sign;
-                        let [n, t1, t2, twist, r1, r2] = self.data.contact_force(i);
-                        let force = axes * Vector3::new(n, t1, t2);
-                        let arm = Vector3::from(contact.pos) - Vector3::from(self.data.xipos()[self.object_body]);
-                        self.support.force += force;
-                        self.support.torque += axes * Vector3::new(twist, r1, r2) + arm.cross(&force);
-                    }
                     continue;
                 }
                 _ => continue,
@@ -80,6 +73,31 @@ impl Loaded {
         }
     }
 
+    /// Wrench of the fixtures and the other free bodies on the object in the last step, about its centre of mass.
+    pub(super) fn support(&self) -> Wrench {
+        let object = Kind::Object(self.selected);
+        let mut support = Wrench::ZERO;
+        for (i, contact) in self.data.contact().iter().enumerate() {
+            if contact.efc_address < 0 || contact.geom1 < 0 || contact.geom2 < 0 {
+                continue;
+            }
+            let (first, second) = (self.kinds[contact.geom1 as usize], self.kinds[contact.geom2 as usize]);
+            let other = if first == object { second } else { first };
+            if (first != object && second != object) || !matches!(other, Kind::Fixture(_) | Kind::Object(_)) {
+                continue;
+            }
+            // The force acts on the second shape; the rows of the frame are its axes.
+            let sign = if first == object { -1.0 } else { 1.0 };
+            let axes = Matrix3::from_column_slice(&contact.frame) * sign;
+            let [n, t1, t2, twist, r1, r2] = self.data.contact_force(i);
+            let force = axes * Vector3::new(n, t1, t2);
+            let arm = Vector3::from(contact.pos) - Vector3::from(self.data.xipos()[self.free[self.selected].body]);
+            support.force += force;
+            support.torque += axes * Vector3::new(twist, r1, r2) + arm.cross(&force);
+        }
+        support
+    }
+
     /// The contact points of the last step with their normal forces.
     pub(super) fn contact_points(&self) -> Vec<ContactPoint> {
         let mut points = Vec::new();
@@ -90,12 +108,12 @@ impl Loaded {
             let (first, second) = (self.kinds[contact.geom1 as usize], self.kinds[contact.geom2 as usize]);
             // The normal points from the first shape to the second, and the force acts on the second.
             let (between, sign) = match (first, second) {
-                (Kind::Robot { .. }, Kind::Object) => (ContactBetween::RobotAndObject, 1.0),
-                (Kind::Object, Kind::Robot { .. }) => (ContactBetween::RobotAndObject, -1.0),
+                (Kind::Robot { .. }, Kind::Object(_)) => (ContactBetween::RobotAndObject, 1.0),
+                (Kind::Object(_), Kind::Robot { .. }) => (ContactBetween::RobotAndObject, -1.0),
                 (Kind::Fixture(_), Kind::Robot { .. }) => (ContactBetween::RobotAndSurroundings, 1.0),
                 (Kind::Robot { .. }, Kind::Fixture(_)) => (ContactBetween::RobotAndSurroundings, -1.0),
-                (Kind::Fixture(_), Kind::Object) => (ContactBetween::ObjectAndSurroundings, 1.0),
-                (Kind::Object, Kind::Fixture(_)) => (ContactBetween::ObjectAndSurroundings, -1.0),
+                (Kind::Fixture(_) | Kind::Object(_), Kind::Object(_)) => (ContactBetween::ObjectAndSurroundings, 1.0),
+                (Kind::Object(_), Kind::Fixture(_)) => (ContactBetween::ObjectAndSurroundings, -1.0),
                 _ => continue,
             };
             let force = sign * self.data.contact_force(i)[0];
@@ -109,20 +127,29 @@ impl Loaded {
     /// dynamics (Newton and Euler). The force of the weld alone is insufficient: if the cup also presses on the object,
     /// weld and contact forces oppose each other.
     pub(super) fn load_about(&self, tcp: &Isometry3<f64>, object: &Isometry3<f64>) -> Wrench {
-        let mass = &self.scene.object.mass;
-        let rotation = object.rotation;
+        let mass = &self.scene.free_body(self.selected).mass;
+        let qvel = self.free[self.selected].qvel;
+        let (rotation, support) = (object.rotation, self.support());
         // MuJoCo gives a free body's linear velocity along the world's axes and its angular velocity along its own.
-        let (acceleration, speed) = (&self.data.qacc()[self.object_qvel..], &self.data.qvel()[self.object_qvel..]);
+        let (acceleration, speed) = (&self.data.qacc()[qvel..], &self.data.qvel()[qvel..]);
         let linear = Vector3::new(acceleration[0], acceleration[1], acceleration[2]);
         let angular = Vector3::new(acceleration[3], acceleration[4], acceleration[5]);
         let spin = Vector3::new(speed[3], speed[4], speed[5]);
         let of_centre = linear + rotation * (angular.cross(&mass.centre) + spin.cross(&spin.cross(&mass.centre)));
         let weight = Vector3::new(0.0, 0.0, -self.scene.gravity);
-        let force = (of_centre - weight) * mass.mass_kg - self.support.force;
+        let force = (of_centre - weight) * mass.mass_kg - support.force;
         let moment = rotation * (mass.inertia * angular + spin.cross(&(mass.inertia * spin)));
         let centre = (object * Point3::from(mass.centre)).coords;
-        let torque = moment - self.support.torque + (centre - tcp.translation.vector).cross(&force);
+        let torque = moment - support.torque + (centre - tcp.translation.vector).cross(&force);
         Wrench { force: tcp.inverse_transform_vector(&force), torque: tcp.inverse_transform_vector(&torque) }
+    }
+}
+
+/// A geom of a free body, with the body's index.
+fn object_geom((geom, kind): (usize, &Kind)) -> Option<(usize, usize)> {
+    match kind {
+        Kind::Object(body) => Some((geom, *body)),
+        Kind::Robot { .. } | Kind::Fixture(_) | Kind::Visual => None,
     }
 }
 

@@ -17,7 +17,7 @@ impl MujocoEngine {
         let Some(loaded) = &self.loaded else { return Vec::new() };
         let model = loaded.data.model();
         (1..model.body_mass().len())
-            .filter(|body| *body != loaded.object_body && model.body_weldid()[*body] != 0)
+            .filter(|body| loaded.free.iter().all(|free| free.body != *body) && model.body_weldid()[*body] != 0)
             .map(|body| (self.robot_body(body), model.body_mass()[body]))
             .filter(|(_, mass)| *mass > 0.0)
             .collect()

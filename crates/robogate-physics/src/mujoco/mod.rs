@@ -19,8 +19,8 @@ use robogate_core::{ContactPoint, Fault, FaultKind};
 
 use crate::friction::Friction;
 use crate::{
-    Chain, Engine, EngineBuild, FixtureRead, JointTargets, Motion, Primitive, Readback, Robot, RobotError, Scene,
-    Touches, Wrench, isometry, robot_model,
+    Chain, Engine, EngineBuild, FixtureRead, FreeBodyRead, JointTargets, Motion, Primitive, Readback, Robot,
+    RobotError, Scene, Touches, Wrench, isometry, robot_model,
 };
 
 /// Contact masks (`contype`, `conaffinity`). The robot collides with object and fixtures, the object with fixtures. The
@@ -48,7 +48,8 @@ enum Kind {
         body: usize,
         finger: Option<usize>,
     },
-    Object,
+    /// A free body, by its index in the scene.
+    Object(usize),
     Fixture(usize),
     /// A visual shape without contact.
     Visual,
@@ -62,17 +63,16 @@ struct Loaded {
     arm: Vec<(usize, usize)>,
     /// Addresses of the finger joints in qpos and qvel. Empty without fingers.
     fingers: Vec<(usize, usize)>,
-    /// The weld between cup and object, if the gripper has a cup.
-    weld: Option<Weld>,
-    object_body: usize,
-    object_qpos: usize,
-    object_qvel: usize,
+    /// The weld between cup and each free body. Empty without a cup.
+    welds: Vec<Weld>,
+    /// The free bodies: the object, then the others.
+    free: Vec<Free>,
+    /// The free body that is the object.
+    selected: usize,
     tcp: usize,
     touches: Touches,
     /// Force of each touching pair in the last step: robot body, and fixture or object.
     forces: Vec<((usize, Option<usize>), f64)>,
-    /// Wrench of the fixtures on the object in the last step, about its centre of mass.
-    support: Wrench,
     scene: Scene,
     /// The fixtures that move.
     movers: Vec<Mover>,
@@ -91,7 +91,16 @@ struct Mover {
     motion: Motion,
 }
 
-/// The weld between cup and object. It is always part of the model and is switched on and off.
+/// A body that moves freely.
+#[derive(Debug, Clone, Copy)]
+struct Free {
+    body: usize,
+    /// Addresses of its joint.
+    qpos: usize,
+    qvel: usize,
+}
+
+/// The weld between cup and a free body. It is always part of the model and is switched on and off.
 #[derive(Debug, Clone, Copy)]
 struct Weld {
     equality: usize,
@@ -129,6 +138,14 @@ impl MujocoEngine {
     /// The model of the robot alone.
     pub fn base(&self) -> &MjSpec {
         &self.base
+    }
+
+    /// Stiffness of the first servo of the arm in the loaded scene, as a multiple of the robot's setting.
+    fn arm_stiffness(&self) -> Option<f64> {
+        let (model, arm) = (self.loaded().data.model(), &self.robot.settings.arm);
+        let name = format!("{PREFIX}{}", arm.joints.first()?);
+        let actuator = model.name_to_id(MjtObjBase::mjOBJ_ACTUATOR, &name)?;
+        Some(model.actuator_gainprm()[actuator][0] / arm.stiffness_nm_rad[0])
     }
 
     /// Positions of all joints of the loaded scene, in the compiled model's order.
@@ -239,26 +256,31 @@ impl Engine for MujocoEngine {
                 finger_bodies.push(id(MjtObjBase::mjOBJ_BODY, "body", body)?);
             }
         }
-        let weld = match gripper.cup() {
-            Some(cup) => Some(Weld {
-                equality: id(MjtObjBase::mjOBJ_EQUALITY, "joint", &format!("{PREFIX}cup"))?,
-                cup_body: id(MjtObjBase::mjOBJ_BODY, "body", &cup.cup_body)?,
-            }),
-            None => None,
-        };
-        let object_body = id(MjtObjBase::mjOBJ_BODY, "body", &format!("{PREFIX}object"))?;
-        let (object_qpos, object_qvel) = address(&format!("{PREFIX}object"))?;
+        let mut welds = Vec::new();
+        let mut free = Vec::new();
+        for i in 0..=scene.others.len() {
+            if let Some(cup) = gripper.cup() {
+                let equality = id(MjtObjBase::mjOBJ_EQUALITY, "joint", &scene::weld_name(i))?;
+                let cup_body = id(MjtObjBase::mjOBJ_BODY, "body", &cup.cup_body)?;
+                welds.push(Weld { equality, cup_body });
+            }
+            let name = scene::free_name(i);
+            let (qpos, qvel) = address(&name)?;
+            free.push(Free { body: id(MjtObjBase::mjOBJ_BODY, "body", &name)?, qpos, qvel });
+        }
         let tcp = id(MjtObjBase::mjOBJ_SITE, "site", &self.robot.settings.arm.tcp_site)?;
         let mut kinds = Vec::with_capacity(model.geom_bodyid().len());
         for (geom, body) in model.geom_bodyid().iter().map(|b| *b as usize).enumerate() {
             let named = model.id_to_name(MjtObjBase::mjOBJ_GEOM, geom).and_then(|name| name.strip_prefix(PREFIX));
             let fixture = named.and_then(|name| scene.fixtures.iter().position(|fixture| fixture.name == name));
             let touchable = model.geom_contype()[geom] != 0 || model.geom_conaffinity()[geom] != 0;
-            kinds.push(match fixture {
-                Some(fixture) => Kind::Fixture(fixture),
-                None if body == object_body => Kind::Object,
-                None if touchable => Kind::Robot { body, finger: finger_bodies.iter().position(|f| *f == body) },
-                None => Kind::Visual,
+            kinds.push(match (fixture, free.iter().position(|free| free.body == body)) {
+                (Some(fixture), _) => Kind::Fixture(fixture),
+                (None, Some(object)) => Kind::Object(object),
+                (None, None) if touchable => {
+                    Kind::Robot { body, finger: finger_bodies.iter().position(|f| *f == body) }
+                }
+                (None, None) => Kind::Visual,
             });
         }
         let mut movers = Vec::new();
@@ -281,14 +303,12 @@ impl Engine for MujocoEngine {
             kinds,
             arm,
             fingers,
-            weld,
-            object_body,
-            object_qpos,
-            object_qvel,
+            welds,
+            free,
+            selected: 0,
             tcp,
             touches: Touches::default(),
             forces: Vec::new(),
-            support: Wrench::ZERO,
             scene: scene.clone(),
             movers,
             steps: 0,
@@ -302,12 +322,12 @@ impl Engine for MujocoEngine {
     fn read_back(&self) -> Result<Readback, Fault> {
         let loaded = self.loaded();
         let model = loaded.data.model();
-        let mut parts = Vec::new();
         let mut fixtures = Vec::new();
+        let parts = |body: usize| {
+            let geoms = loaded.kinds.iter().enumerate().filter(|(_, kind)| **kind == Kind::Object(body));
+            geoms.filter_map(|(geom, _)| primitive(model, geom)).collect::<Vec<_>>()
+        };
         for (geom, kind) in loaded.kinds.iter().enumerate() {
-            if *kind == Kind::Object {
-                parts.extend(primitive(model, geom));
-            }
             if let Kind::Fixture(fixture) = kind {
                 let motion = loaded.movers.iter().find(|mover| mover.fixture == *fixture).map(|mover| mover.motion);
                 let pose = loaded.geom_pose(geom);
@@ -319,10 +339,19 @@ impl Engine for MujocoEngine {
             friction: others,
             table_friction: table,
             gravity: -loaded.data.model_opt().gravity[2],
-            mass_kg: model.body_mass()[loaded.object_body],
-            centre_of_mass: Vector3::from(model.body_ipos()[loaded.object_body]),
-            parts,
-            object: self.object(),
+            arm_stiffness: self.arm_stiffness(),
+            mass_kg: model.body_mass()[loaded.free[0].body],
+            centre_of_mass: Vector3::from(model.body_ipos()[loaded.free[0].body]),
+            parts: parts(0),
+            object: self.free_body(0),
+            others: (1..loaded.free.len())
+                .map(|body| FreeBodyRead {
+                    mass_kg: model.body_mass()[loaded.free[body].body],
+                    centre_of_mass: Vector3::from(model.body_ipos()[loaded.free[body].body]),
+                    parts: parts(body),
+                    pose: self.free_body(body),
+                })
+                .collect(),
             fixtures,
         })
     }
@@ -331,10 +360,12 @@ impl Engine for MujocoEngine {
         let arm = &self.robot.settings.arm;
         let Some(loaded) = self.loaded.as_mut() else { return };
         let first = loaded.data.ctrl().len() - arm.joints.len() - loaded.fingers.len();
+        let softness = loaded.scene.arm_stiffness.sqrt();
         let ctrl = &mut loaded.data.ctrl_mut()[first..];
         for (i, ctrl) in ctrl[..arm.joints.len()].iter_mut().enumerate() {
             // The servo's velocity target is expressed as an offset of its position target.
-            *ctrl = targets.positions[i] + targets.velocities[i] * arm.damping_nms_rad[i] / arm.stiffness_nm_rad[i];
+            let lead = targets.velocities[i] * arm.damping_nms_rad[i] / arm.stiffness_nm_rad[i];
+            *ctrl = targets.positions[i] + lead / softness;
         }
         ctrl[arm.joints.len()..].fill(targets.finger);
         loaded.data.step();
@@ -372,7 +403,7 @@ impl Engine for MujocoEngine {
 
     fn attach(&mut self) {
         let (tcp, object) = (self.tcp(), self.object());
-        let Some((loaded, weld)) = self.loaded.as_mut().and_then(|loaded| loaded.weld.map(|weld| (loaded, weld)))
+        let Some((loaded, weld)) = self.loaded.as_mut().and_then(|loaded| loaded.weld().map(|weld| (loaded, weld)))
         else {
             return;
         };
@@ -392,7 +423,7 @@ impl Engine for MujocoEngine {
 
     fn detach(&mut self) {
         if let Some(loaded) = self.loaded.as_mut()
-            && let Some(weld) = loaded.weld
+            && let Some(weld) = loaded.weld()
         {
             loaded.data.eq_active_mut()[weld.equality] = false;
         }
@@ -400,8 +431,7 @@ impl Engine for MujocoEngine {
 
     fn cup_load(&self) -> Option<Wrench> {
         let loaded = self.loaded();
-        let joined = loaded.weld.is_some_and(|weld| loaded.data.eq_active()[weld.equality]);
-        joined.then(|| loaded.load_about(&self.tcp(), &self.object()))
+        loaded.joined().then(|| loaded.load_about(&self.tcp(), &self.object()))
     }
 
     fn tcp(&self) -> Isometry3<f64> {
@@ -411,9 +441,25 @@ impl Engine for MujocoEngine {
     }
 
     fn object(&self) -> Isometry3<f64> {
+        self.free_body(self.loaded().selected)
+    }
+
+    fn select(&mut self, body: usize) {
+        if let Some(loaded) = self.loaded.as_mut().filter(|loaded| body < loaded.free.len() && !loaded.joined()) {
+            loaded.selected = body;
+        }
+    }
+
+    fn free_body(&self, body: usize) -> Isometry3<f64> {
         let loaded = self.loaded();
-        let q = &loaded.data.qpos()[loaded.object_qpos..];
+        let q = &loaded.data.qpos()[loaded.free[body].qpos..];
         isometry(&[q[0], q[1], q[2]], &[q[3], q[4], q[5], q[6]])
+    }
+
+    fn free_body_velocity(&self, body: usize) -> (Vector3<f64>, Vector3<f64>) {
+        let loaded = self.loaded();
+        let v = &loaded.data.qvel()[loaded.free[body].qvel..];
+        (Vector3::new(v[0], v[1], v[2]), Vector3::new(v[3], v[4], v[5]))
     }
 
     fn fixture(&self, fixture: usize) -> Isometry3<f64> {
@@ -426,13 +472,15 @@ impl Engine for MujocoEngine {
     }
 
     fn object_velocity(&self) -> (Vector3<f64>, Vector3<f64>) {
-        let loaded = self.loaded();
-        let v = &loaded.data.qvel()[loaded.object_qvel..];
-        (Vector3::new(v[0], v[1], v[2]), Vector3::new(v[3], v[4], v[5]))
+        self.free_body_velocity(self.loaded().selected)
     }
 
     fn touches(&self) -> &Touches {
         &self.loaded().touches
+    }
+
+    fn support(&self) -> Wrench {
+        self.loaded().support()
     }
 
     fn contact_points(&self) -> Vec<ContactPoint> {
@@ -483,6 +531,16 @@ impl Loaded {
             self.data.qpos_mut()[*qpos] = motion.offset(time).norm();
             self.data.qvel_mut()[*qvel] = motion.velocity_at(time).norm();
         }
+    }
+
+    /// The weld between cup and object.
+    fn weld(&self) -> Option<Weld> {
+        self.welds.get(self.selected).copied()
+    }
+
+    /// Whether the cup holds the object.
+    fn joined(&self) -> bool {
+        self.weld().is_some_and(|weld| self.data.eq_active()[weld.equality])
     }
 
     /// Pose of a geom.

@@ -11,8 +11,9 @@ impl MujocoEngine {
     /// Adds a scene to the robot's model.
     pub fn furnish(&self, spec: &mut MjSpec, scene: &Scene) -> Result<(), MjEditError> {
         spec.option_mut().gravity = [0.0, 0.0, -scene.gravity];
+        self.set_stiffness(spec, scene.arm_stiffness);
         let world = spec.world_body_mut();
-        for (i, fixture) in scene.fixtures.iter().enumerate() {
+        for fixture in &scene.fixtures {
             let name = format!("{PREFIX}{}", fixture.name);
             let Part { primitive, pose } = &fixture.part;
             let geom = if let Some(motion) = &fixture.motion {
@@ -36,38 +37,44 @@ impl MujocoEngine {
             geom.set_contype(FIXTURE.0);
             geom.set_conaffinity(FIXTURE.1);
             // A table with a separate friction coefficient takes precedence over the object.
-            if let (0, Some(friction)) = (i, scene.table_friction) {
+            if let (true, Some(friction)) = (fixture.kind.has_table_friction(), scene.table_friction) {
                 geom.set_priority(2);
-                let balls = scene.object.parts.iter().map(|part| &part.primitive);
-                object_contact(geom, friction, balls.clone().any(|part| matches!(part, Primitive::Sphere { .. })));
+                let mut parts = scene.free_bodies().flat_map(|(object, _)| &object.parts);
+                object_contact(geom, friction, parts.any(|part| matches!(part.primitive, Primitive::Sphere { .. })));
             }
         }
-        let body = world.add_body().with_name(&format!("{PREFIX}object"));
-        place(&scene.object_pose, body.pos_mut());
-        *body.quat_mut() = wxyz(&scene.object_pose.rotation);
-        let mass = &scene.object.mass;
-        body.set_explicitinertial(true);
-        body.set_mass(mass.mass_kg);
-        place(&Isometry3::from_parts(Translation3::from(mass.centre), UnitQuaternion::identity()), body.ipos_mut());
-        let m: &Matrix3<f64> = &mass.inertia;
-        *body.fullinertia_mut() = [m[(0, 0)], m[(1, 1)], m[(2, 2)], m[(0, 1)], m[(0, 2)], m[(1, 2)]];
-        body.add_free_joint().set_name(&format!("{PREFIX}object"))?;
-        for (i, part) in scene.object.parts.iter().enumerate() {
-            let geom = body.add_geom().with_name(&format!("{PREFIX}object_{i}"));
-            shape(geom, &part.primitive, &part.pose);
-            geom.set_contype(OBJECT.0);
-            geom.set_conaffinity(OBJECT.1);
-            geom.set_mass(0.0);
-            // The object's friction coefficient applies to all of its contacts.
-            geom.set_priority(1);
-            object_contact(geom, scene.friction, matches!(part.primitive, Primitive::Sphere { .. }));
+        // Free bodies collide with each other.
+        let affinity = if scene.others.is_empty() { OBJECT.1 } else { OBJECT.1 | OBJECT.0 };
+        for (index, (object, pose)) in scene.free_bodies().enumerate() {
+            let name = free_name(index);
+            let body = world.add_body().with_name(&name);
+            place(pose, body.pos_mut());
+            *body.quat_mut() = wxyz(&pose.rotation);
+            let mass = &object.mass;
+            body.set_explicitinertial(true);
+            body.set_mass(mass.mass_kg);
+            place(&Isometry3::from_parts(Translation3::from(mass.centre), UnitQuaternion::identity()), body.ipos_mut());
+            let m: &Matrix3<f64> = &mass.inertia;
+            *body.fullinertia_mut() = [m[(0, 0)], m[(1, 1)], m[(2, 2)], m[(0, 1)], m[(0, 2)], m[(1, 2)]];
+            body.add_free_joint().set_name(&name)?;
+            for (i, part) in object.parts.iter().enumerate() {
+                let geom = body.add_geom().with_name(&format!("{name}_{i}"));
+                shape(geom, &part.primitive, &part.pose);
+                geom.set_contype(OBJECT.0);
+                geom.set_conaffinity(affinity);
+                geom.set_mass(0.0);
+                // The object's friction coefficient applies to all of its contacts.
+                geom.set_priority(1);
+                object_contact(geom, scene.friction, matches!(part.primitive, Primitive::Sphere { .. }));
+            }
         }
-        if let Some(cup) = self.robot.settings.gripper.cup() {
-            let weld = spec.add_equality().with_name(&format!("{PREFIX}cup"));
+        let cup = self.robot.settings.gripper.cup();
+        for (index, cup) in cup.into_iter().flat_map(|cup| (0..=scene.others.len()).map(move |index| (index, cup))) {
+            let weld = spec.add_equality().with_name(&weld_name(index));
             weld.set_type(MjtEq::mjEQ_WELD);
             weld.set_objtype(MjtObjBase::mjOBJ_BODY);
             weld.set_name1(&cup.cup_body);
-            weld.set_name2(&format!("{PREFIX}object"));
+            weld.set_name2(&free_name(index));
             weld.set_active(false);
             // Without these numbers MuJoCo's compiler would compute reference poses from the initial state.
             weld.data_mut()[..11].copy_from_slice(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
@@ -75,6 +82,36 @@ impl MujocoEngine {
             weld.solimp_mut()[..3].copy_from_slice(&contact::IMPEDANCE);
         }
         Ok(())
+    }
+}
+
+impl MujocoEngine {
+    /// Multiplies the stiffness of the arm's servos, at a constant damping ratio.
+    fn set_stiffness(&self, spec: &mut MjSpec, scale: f64) {
+        for actuator in spec.actuator_iter_mut() {
+            let arm = &self.robot.settings.arm.joints;
+            if actuator.name().strip_prefix(PREFIX).is_some_and(|name| arm.iter().any(|joint| joint == name)) {
+                actuator.gainprm_mut()[0] *= scale;
+                actuator.biasprm_mut()[1] *= scale;
+                actuator.biasprm_mut()[2] *= scale.sqrt();
+            }
+        }
+    }
+}
+
+/// Name of a free body and of its joint in the compiled model.
+pub(super) fn free_name(index: usize) -> String {
+    match index {
+        0 => format!("{PREFIX}object"),
+        other => format!("{PREFIX}object@{other}"),
+    }
+}
+
+/// Name of the weld between cup and a free body in the compiled model.
+pub(super) fn weld_name(index: usize) -> String {
+    match index {
+        0 => format!("{PREFIX}cup"),
+        other => format!("{PREFIX}cup@{other}"),
     }
 }
 

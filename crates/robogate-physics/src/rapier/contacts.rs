@@ -10,20 +10,21 @@ use super::{Kind, Loaded, SUBSTEPS};
 use crate::description::isometry;
 use crate::engine::Collision;
 use crate::friction::{Coefficients, Friction};
-use crate::{FixtureKind, Touches, Wrench, contact};
+use crate::{Touches, Wrench, contact};
 
 impl Loaded {
     /// The friction coefficients that act between the object and every body that it can touch, by Rapier's rule.
     pub(super) fn friction(&self) -> Result<Friction, Fault> {
         let mut friction = Coefficients::default();
         for (handle, kind) in &self.colliders {
-            let table = match *kind {
-                Kind::Fixture(fixture) => self.scene.fixtures[fixture].kind == FixtureKind::Table,
-                Kind::Robot { .. } => false,
-                Kind::Object => continue,
+            let (table, own) = match *kind {
+                Kind::Fixture(fixture) => (self.scene.fixtures[fixture].kind.has_table_friction(), None),
+                Kind::Robot { .. } => (false, None),
+                Kind::Object(body) => (false, Some(body)),
             };
             let other = &self.world.colliders[*handle];
-            for part in self.object_shapes.iter().map(|shape| &self.world.colliders[*shape]) {
+            let shapes = self.free.iter().enumerate().filter(|(body, _)| own != Some(*body));
+            for part in shapes.flat_map(|(_, (_, shapes))| shapes).map(|shape| &self.world.colliders[*shape]) {
                 friction.add(
                     table,
                     CoefficientCombineRule::combine(
@@ -40,10 +41,10 @@ impl Loaded {
 
     /// Linear (kg m/s) and angular (kg m^2/s) momentum of the object about its centre of mass.
     pub(super) fn momentum(&self) -> [Vector3<f64>; 2] {
-        let body = &self.world.bodies[self.object];
+        let body = &self.world.bodies[self.object()];
         let (speed, spin) = (body.linvel(), body.angvel());
         let rotation = isometry(body.position()).rotation;
-        let mass = &self.scene.object.mass;
+        let mass = &self.scene.free_body(self.selected).mass;
         let spin = rotation.inverse() * Vector3::new(spin.x, spin.y, spin.z);
         [Vector3::new(speed.x, speed.y, speed.z) * mass.mass_kg, rotation * (mass.inertia * spin)]
     }
@@ -56,23 +57,24 @@ impl Loaded {
         let tcp = isometry(self.world.bodies[self.tcp].position()) * lip;
         let support = self.support();
         let [linear, angular] = self.momentum();
-        let weight = Vector3::new(0.0, 0.0, -self.scene.gravity * self.scene.object.mass.mass_kg);
+        let weight = Vector3::new(0.0, 0.0, -self.scene.gravity * self.scene.free_body(self.selected).mass.mass_kg);
         let force = (linear - before[0]) / dt - weight - support.force;
-        let centre = self.world.bodies[self.object].center_of_mass();
+        let centre = self.world.bodies[self.object()].center_of_mass();
         let arm = Vector3::new(centre.x, centre.y, centre.z) - tcp.translation.vector;
         let torque = (angular - before[1]) / dt - support.torque + arm.cross(&force);
         Wrench { force: tcp.inverse_transform_vector(&force), torque: tcp.inverse_transform_vector(&torque) }
     }
 
-    /// Wrench of the fixtures on the object in the last step, about its centre of mass, along the world's axes.
-    fn support(&self) -> Wrench {
+    /// Wrench of the fixtures and the other free bodies on the object in the last step, about its centre of mass, along the world's axes.
+    pub(super) fn support(&self) -> Wrench {
         let settings = &self.world.integration_parameters;
         let plain = |v: Vector| Vector3::new(v.x, v.y, v.z);
         let mut support = Wrench::ZERO;
-        let pairs = self.object_shapes.iter().flat_map(|shape| self.world.narrow_phase.contact_pairs_with(*shape));
-        for pair in pairs.filter(|pair| self.on_fixture(pair)) {
+        let shapes = &self.free[self.selected].1;
+        let pairs = shapes.iter().flat_map(|shape| self.world.narrow_phase.contact_pairs_with(*shape));
+        for pair in pairs.filter(|pair| self.on_support(pair)) {
             for manifold in pair.manifolds() {
-                let first = manifold.data.rigid_body1 == Some(self.object);
+                let first = manifold.data.rigid_body1 == Some(self.object());
                 // The normal points from the first body to the second.
                 let sign = if first { -1.0 } else { 1.0 };
                 let mut middle = Vector3::zeros();
@@ -100,18 +102,22 @@ impl Loaded {
         support
     }
 
-    /// Whether a pair of shapes is the object and a fixture.
-    fn on_fixture(&self, pair: &ContactPair) -> bool {
+    /// Whether a pair of shapes of the object contains a fixture or another free body.
+    fn on_support(&self, pair: &ContactPair) -> bool {
         [pair.collider1, pair.collider2].into_iter().any(|handle| {
             let collider = self.world.colliders.get(handle);
             let kind = collider.and_then(|collider| self.colliders.get(collider.user_data as usize));
-            matches!(kind, Some((_, Kind::Fixture(_))))
+            match kind {
+                Some((_, Kind::Fixture(_))) => true,
+                Some((_, Kind::Object(body))) => *body != self.selected,
+                _ => false,
+            }
         })
     }
 
     /// Rolling friction of a ball: a moment against its rotation, at most [`contact::ROLLING_M`] times the normal force.
     pub(super) fn resist_rolling(&mut self) {
-        let object = self.object;
+        let object = self.object();
         let dt = self.world.integration_parameters.dt;
         let pressed: f64 = if self.ball { self.pressure() } else { 0.0 };
         let Some(body) = self.world.bodies.get_mut(object) else { return };
@@ -129,7 +135,8 @@ impl Loaded {
     /// Sum of the normal forces on the object in the last step, in newtons.
     fn pressure(&self) -> f64 {
         let dt = self.world.integration_parameters.dt;
-        let pairs = self.object_shapes.iter().flat_map(|shape| self.world.narrow_phase.contact_pairs_with(*shape));
+        let shapes = &self.free[self.selected].1;
+        let pairs = shapes.iter().flat_map(|shape| self.world.narrow_phase.contact_pairs_with(*shape));
         pairs.map(|pair| impulse(pair) / dt).sum()
     }
 
@@ -147,12 +154,12 @@ impl Loaded {
             };
             // The normal points from the first shape to the second, and the force acts on the second.
             let (between, sign) = match (one, two) {
-                (Kind::Robot { .. }, Kind::Object) => (ContactBetween::RobotAndObject, 1.0),
-                (Kind::Object, Kind::Robot { .. }) => (ContactBetween::RobotAndObject, -1.0),
+                (Kind::Robot { .. }, Kind::Object(_)) => (ContactBetween::RobotAndObject, 1.0),
+                (Kind::Object(_), Kind::Robot { .. }) => (ContactBetween::RobotAndObject, -1.0),
                 (Kind::Fixture(_), Kind::Robot { .. }) => (ContactBetween::RobotAndSurroundings, 1.0),
                 (Kind::Robot { .. }, Kind::Fixture(_)) => (ContactBetween::RobotAndSurroundings, -1.0),
-                (Kind::Fixture(_), Kind::Object) => (ContactBetween::ObjectAndSurroundings, 1.0),
-                (Kind::Object, Kind::Fixture(_)) => (ContactBetween::ObjectAndSurroundings, -1.0),
+                (Kind::Fixture(_) | Kind::Object(_), Kind::Object(_)) => (ContactBetween::ObjectAndSurroundings, 1.0),
+                (Kind::Object(_), Kind::Fixture(_)) => (ContactBetween::ObjectAndSurroundings, -1.0),
                 _ => continue,
             };
             let place = isometry(first.position());
@@ -184,7 +191,7 @@ impl Loaded {
                     rapier3d_f64::parry::query::contact(a, robot.shape(), b, other.shape(), 0.0).ok().flatten()
                 };
                 match kind {
-                    Kind::Object if touch().is_some() => match finger {
+                    Kind::Object(_) if touch().is_some() => match finger {
                         Some(finger) => self.touches.fingers[finger] = Some(0.0),
                         None => self.touches.body_on_object = true,
                     },
@@ -216,8 +223,10 @@ impl Loaded {
             let force = impulse(pair) / dt;
             let touches = &mut self.touches;
             let (body, other) = match (one, two) {
-                (Kind::Robot { body, finger, .. }, Kind::Object) | (Kind::Object, Kind::Robot { body, finger, .. }) => {
+                (Kind::Robot { body, finger, .. }, Kind::Object(object))
+                | (Kind::Object(object), Kind::Robot { body, finger, .. }) => {
                     match finger {
+                        _ if object != self.selected => {}
                         Some(finger) => *touches.fingers[finger].get_or_insert(0.0) += force,
                         None => touches.body_on_object = true,
                     }
@@ -225,7 +234,7 @@ impl Loaded {
                 }
                 (Kind::Robot { body, .. }, Kind::Fixture(fixture))
                 | (Kind::Fixture(fixture), Kind::Robot { body, .. }) => (body, Some(fixture)),
-                (Kind::Object, Kind::Fixture(_)) | (Kind::Fixture(_), Kind::Object) => {
+                (one, two) if one == Kind::Object(self.selected) || two == Kind::Object(self.selected) => {
                     touches.object_on_fixture = true;
                     continue;
                 }

@@ -13,7 +13,7 @@ use robogate_core::{Fault, FaultKind};
 use super::convert::{mass_properties, pose, primitive, solid};
 use super::{Kind, Loaded, RapierEngine, SUBSTEPS};
 use crate::description::Link;
-use crate::{FixtureKind, Primitive, Scene, Touches};
+use crate::{Object, Primitive, Scene, Touches};
 
 /// Collision groups. The robot does not collide with itself.
 const ROBOT: Group = Group::GROUP_1;
@@ -60,7 +60,7 @@ impl RapierEngine {
         build.add_joints()?;
         build.configure_drives(joints)?;
         let movers = build.add_fixtures()?;
-        let (object, object_shapes) = build.add_object()?;
+        let free = build.add_free_bodies()?;
         for (_, body) in build.world.bodies.iter_mut() {
             // Set before the first step, because the read-back happens before it.
             body.recompute_mass_properties_from_colliders(&build.world.colliders);
@@ -73,8 +73,8 @@ impl RapierEngine {
             arm: build.joint_handles(&settings.arm.joints)?,
             fingers: build.joint_handles(fingers)?,
             tcp: build.links[self.description.tcp.0],
-            object,
-            object_shapes,
+            free,
+            selected: 0,
             joined: None,
             cup_load: None,
             ball: scene.object.parts.iter().all(|part| matches!(part.primitive, Primitive::Sphere { .. })),
@@ -279,7 +279,7 @@ impl Build<'_> {
             } else {
                 (ground, fixture.part.pose * at)
             };
-            let (friction, rule) = match self.scene.table_friction.filter(|_| fixture.kind == FixtureKind::Table) {
+            let (friction, rule) = match self.scene.table_friction.filter(|_| fixture.kind.has_table_friction()) {
                 Some(friction) => (
                     table_coefficient(friction, self.scene.friction).map_err(setup)?,
                     CoefficientCombineRule::GeometricMean,
@@ -296,9 +296,20 @@ impl Build<'_> {
         Ok(movers)
     }
 
-    /// Adds the object: its body and its shapes. Its friction coefficient applies to all of its contacts.
-    fn add_object(&mut self) -> Result<(RigidBodyHandle, Vec<ColliderHandle>), Fault> {
-        let mass = &self.scene.object.mass;
+    /// Adds the free bodies: body and shapes of each.
+    fn add_free_bodies(&mut self) -> Result<Vec<(RigidBodyHandle, Vec<ColliderHandle>)>, Fault> {
+        let scene = self.scene;
+        scene.free_bodies().enumerate().map(|(index, (object, at))| self.add_free_body(index, object, at)).collect()
+    }
+
+    /// Adds a free body and its shapes. The object's friction coefficient applies to all of its contacts.
+    fn add_free_body(
+        &mut self,
+        index: usize,
+        object: &Object,
+        at_start: &Isometry3<f64>,
+    ) -> Result<(RigidBodyHandle, Vec<ColliderHandle>), Fault> {
+        let mass = &object.mass;
         let link = Link {
             joint: None,
             mass: mass.mass_kg,
@@ -307,24 +318,26 @@ impl Build<'_> {
             shapes: Vec::new(),
             looks: Vec::new(),
         };
-        let object = self.world.insert_body(
+        let body = self.world.insert_body(
             RigidBodyBuilder::dynamic()
-                .pose(pose(&self.scene.object_pose))
+                .pose(pose(at_start))
                 .additional_mass_properties(mass_properties(&link))
                 .can_sleep(false),
         );
         let mut shapes = Vec::new();
-        for part in &self.scene.object.parts {
+        // Free bodies collide with each other.
+        let meets = if self.scene.others.is_empty() { ROBOT | FIXTURE } else { ROBOT | FIXTURE | OBJECT };
+        for part in &object.parts {
             let (shared, at) = solid(&primitive(&part.primitive), &part.pose).map_err(setup)?;
             let collider = ColliderBuilder::new(shared)
                 .position(pose(&at))
                 .density(0.0)
                 .friction(self.scene.friction)
                 .friction_combine_rule(CoefficientCombineRule::Max)
-                .collision_groups(groups(OBJECT, ROBOT | FIXTURE));
-            shapes.push(self.add_collider(collider, object, Kind::Object));
+                .collision_groups(groups(OBJECT, meets));
+            shapes.push(self.add_collider(collider, body, Kind::Object(index)));
         }
-        Ok((object, shapes))
+        Ok((body, shapes))
     }
 }
 

@@ -22,8 +22,8 @@ use self::convert::{pose, quarter, read_primitive, vector};
 use crate::description::{Description, isometry};
 use crate::friction::Friction;
 use crate::{
-    Arm, Chain, Engine, EngineBuild, FixtureRead, JointTargets, ParallelJaw, Readback, Robot, RobotError, Scene,
-    Touches, Wrench,
+    Arm, Chain, Engine, EngineBuild, FixtureRead, FreeBodyRead, JointTargets, ParallelJaw, Readback, Robot, RobotError,
+    Scene, Touches, Wrench,
 };
 
 /// Number of solver substeps in a time step.
@@ -47,8 +47,13 @@ pub struct RapierEngine {
 /// The role of a collider.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Kind {
-    Robot { body: usize, finger: Option<usize>, fixed: bool },
-    Object,
+    Robot {
+        body: usize,
+        finger: Option<usize>,
+        fixed: bool,
+    },
+    /// A free body, by its index in the scene.
+    Object(usize),
     Fixture(usize),
 }
 
@@ -63,8 +68,10 @@ struct Loaded {
     /// Finger joints; empty without fingers.
     fingers: Vec<MultibodyJointHandle>,
     tcp: RigidBodyHandle,
-    object: RigidBodyHandle,
-    object_shapes: Vec<ColliderHandle>,
+    /// The free bodies with their shapes: the object, then the others.
+    free: Vec<(RigidBodyHandle, Vec<ColliderHandle>)>,
+    /// The free body that is the object.
+    selected: usize,
     /// The joint between cup and object, while they are attached.
     joined: Option<ImpulseJointHandle>,
     /// Wrench of the cup on the object in the last step.
@@ -134,9 +141,19 @@ impl Engine for RapierEngine {
 
     fn read_back(&self) -> Result<Readback, Fault> {
         let loaded = self.loaded();
-        let object = &loaded.world.bodies[loaded.object];
         let Friction { others, table } = loaded.friction()?;
-        let parts = loaded.object_shapes.iter().filter_map(|shape| read_primitive(&loaded.world.colliders[*shape]));
+        let free = |body: usize| {
+            let (handle, shapes) = &loaded.free[body];
+            let object = &loaded.world.bodies[*handle];
+            let com = object.mass_properties().local_mprops.local_com;
+            let parts = shapes.iter().filter_map(|shape| read_primitive(&loaded.world.colliders[*shape]));
+            FreeBodyRead {
+                mass_kg: object.mass(),
+                centre_of_mass: Vector3::new(com.x, com.y, com.z),
+                parts: parts.collect(),
+                pose: self.free_body(body),
+            }
+        };
         let mut fixtures = Vec::new();
         for (handle, kind) in &loaded.colliders {
             let Kind::Fixture(fixture) = *kind else { continue };
@@ -151,15 +168,17 @@ impl Engine for RapierEngine {
                 motion: loaded.scene.fixtures[fixture].motion,
             });
         }
-        let com = object.mass_properties().local_mprops.local_com;
+        let FreeBodyRead { mass_kg, centre_of_mass, parts, pose: object } = free(0);
         Ok(Readback {
             friction: others,
             table_friction: table,
             gravity: -loaded.world.gravity.z,
-            mass_kg: object.mass(),
-            centre_of_mass: Vector3::new(com.x, com.y, com.z),
-            parts: parts.collect(),
-            object: self.object(),
+            arm_stiffness: loaded.arm_stiffness(&self.robot.settings.arm),
+            mass_kg,
+            centre_of_mass,
+            parts,
+            object,
+            others: (1..loaded.free.len()).map(free).collect(),
             fixtures,
         })
     }
@@ -222,7 +241,7 @@ impl Engine for RapierEngine {
         for axis in [JointAxis::AngX, JointAxis::AngY, JointAxis::AngZ] {
             lip = lip.motor_model(axis, MotorModel::ForceBased).motor_position(axis, 0.0, stiffness, damping);
         }
-        loaded.joined = Some(loaded.world.insert_impulse_joint(loaded.tcp, loaded.object, lip.build()));
+        loaded.joined = Some(loaded.world.insert_impulse_joint(loaded.tcp, loaded.object(), lip.build()));
     }
 
     fn detach(&mut self) {
@@ -244,8 +263,27 @@ impl Engine for RapierEngine {
     }
 
     fn object(&self) -> Isometry3<f64> {
+        self.free_body(self.loaded().selected)
+    }
+
+    fn select(&mut self, body: usize) {
+        if let Some(loaded) = self.loaded.as_mut().filter(|loaded| body < loaded.free.len() && loaded.joined.is_none())
+        {
+            loaded.selected = body;
+        }
+    }
+
+    fn free_body(&self, body: usize) -> Isometry3<f64> {
         let loaded = self.loaded();
-        isometry(loaded.world.bodies[loaded.object].position())
+        isometry(loaded.world.bodies[loaded.free[body].0].position())
+    }
+
+    fn free_body_velocity(&self, body: usize) -> (Vector3<f64>, Vector3<f64>) {
+        let loaded = self.loaded();
+        let body = &loaded.world.bodies[loaded.free[body].0];
+        let at = body.velocity_at_point(body.position().translation);
+        let angular = body.angvel();
+        (Vector3::new(at.x, at.y, at.z), Vector3::new(angular.x, angular.y, angular.z))
     }
 
     fn fixture(&self, fixture: usize) -> Isometry3<f64> {
@@ -257,15 +295,15 @@ impl Engine for RapierEngine {
     }
 
     fn object_velocity(&self) -> (Vector3<f64>, Vector3<f64>) {
-        let loaded = self.loaded();
-        let body = &loaded.world.bodies[loaded.object];
-        let at = body.velocity_at_point(body.position().translation);
-        let angular = body.angvel();
-        (Vector3::new(at.x, at.y, at.z), Vector3::new(angular.x, angular.y, angular.z))
+        self.free_body_velocity(self.loaded().selected)
     }
 
     fn touches(&self) -> &Touches {
         &self.loaded().touches
+    }
+
+    fn support(&self) -> Wrench {
+        self.loaded().support()
     }
 
     fn contact_points(&self) -> Vec<ContactPoint> {
@@ -318,18 +356,31 @@ impl Engine for RapierEngine {
             put(loaded.position(*joint, 0));
             put(loaded.velocity(*joint));
         }
-        let object = &loaded.world.bodies[loaded.object];
-        let (t, r) = (object.position().translation, object.position().rotation);
-        let (v, w) = (object.linvel(), object.angvel());
-        [t.x, t.y, t.z, r.x, r.y, r.z, r.w, v.x, v.y, v.z, w.x, w.y, w.z].into_iter().for_each(put);
+        for (body, _) in &loaded.free {
+            let object = &loaded.world.bodies[*body];
+            let (t, r) = (object.position().translation, object.position().rotation);
+            let (v, w) = (object.linvel(), object.angvel());
+            [t.x, t.y, t.z, r.x, r.y, r.z, r.w, v.x, v.y, v.z, w.x, w.y, w.z].into_iter().for_each(&mut put);
+        }
     }
 }
 
 impl Loaded {
+    /// The body that is the object.
+    fn object(&self) -> RigidBodyHandle {
+        self.free[self.selected].0
+    }
+
     /// Position of a joint; axis 0 slides, axis 3 rotates.
     fn position(&self, joint: MultibodyJointHandle, axis: usize) -> f64 {
         let link = self.world.multibody_joints.get(joint).and_then(|(body, id)| body.link(id));
         link.map_or(f64::NAN, |link| link.joint().coords()[axis])
+    }
+
+    /// Stiffness of the first servo of the arm, as a multiple of the robot's setting.
+    fn arm_stiffness(&self, arm: &Arm) -> Option<f64> {
+        let (body, id) = self.world.multibody_joints.get(*self.arm.first()?)?;
+        Some(body.link(id)?.joint.data.motor(JointAxis::AngX)?.stiffness / arm.stiffness_nm_rad[0])
     }
 
     fn velocity(&self, joint: MultibodyJointHandle) -> f64 {
@@ -347,7 +398,8 @@ impl Loaded {
             }
         };
         for (j, joint) in self.arm.iter().enumerate() {
-            let (stiffness, damping) = (arm.stiffness_nm_rad[j], arm.damping_nms_rad[j]);
+            let scale = self.scene.arm_stiffness;
+            let (stiffness, damping) = (arm.stiffness_nm_rad[j] * scale, arm.damping_nms_rad[j] * scale.sqrt());
             set(*joint, JointAxis::AngX, targets.positions[j], targets.velocities[j], stiffness, damping);
         }
         for (joint, jaw) in self.fingers.iter().zip(jaw.into_iter().cycle()) {

@@ -6,7 +6,6 @@
 mod cell;
 pub mod claims;
 mod disturbance;
-mod film;
 mod foresight;
 #[cfg(feature = "mujoco")]
 mod inspect;

@@ -51,8 +51,10 @@ pub fn scene(parameters: &SceneParameters, placement: &Placement, stream: &mut S
     let pose = placement.pose(parameters.size_m);
     Ok(Scene {
         object_pose: isometry(&pose.position, &pose.orientation),
+        others: Vec::new(),
         friction: parameters.friction,
         table_friction: parameters.table_friction,
+        arm_stiffness: 1.0,
         fixtures,
         gravity: GRAVITY * parameters.gravity_scale,
         marker: Some(TARGET),

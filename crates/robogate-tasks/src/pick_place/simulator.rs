@@ -2,17 +2,15 @@
 
 use std::sync::Arc;
 
-use robogate_camera::{Cameras, Posture, Renderer};
-use robogate_core::{
-    Action, CameraSpec, Environment, Fault, FaultKind, Foresight, Image, Scenario, Start, Step, TaskSpec, Trajectory,
-};
+use robogate_camera::{Cameras, Renderer};
+use robogate_core::{Action, Environment, Fault, Foresight, Image, Scenario, Start, Step, TaskSpec, Trajectory};
 use robogate_physics::{Engine, GripperCommand, Plant, SuctionLaw, Visual};
 
 use super::cell::{CONTROL_PERIOD_S, ResolvedCell};
-use super::film::Film;
 use super::foresight::PickPlaceForesight;
 use super::judge::{Acting, Judge};
 use super::spec::spec;
+use crate::arm::{Film, camera_specs, posture, render};
 
 /// The task: pick an object from the table and place it at the target.
 pub struct PickPlace<E> {
@@ -116,7 +114,7 @@ impl<E: Engine> Environment for PickPlace<E> {
         if let (Some(film), Ok(cameras)) = (film, cameras) {
             // Another renderer does not set the cameras up, which know the geometry.
             cameras.set_up(&cell.scene);
-            film.start(&plant.engine, cell.scene.fixtures.len());
+            film.start(&plant.engine, &cell.scene);
         }
         let engine = plant.engine.read_back()?;
         let acting = Acting { engine: &engine, visual: &visual, grip_threshold_m: plant.grip_threshold_m() };
@@ -136,35 +134,16 @@ impl<E: Engine> Environment for PickPlace<E> {
         if let Some(renderer) = &mut self.renderer {
             return renderer.render(engine);
         }
-        render(&self.cameras, |fixtures| posture(engine, fixtures))
+        render(&self.cameras, |bodies| posture(engine, bodies))
     }
 
     fn record_trajectory(&mut self, period_s: Option<f64>) {
-        self.film = period_s.map(Film::new);
+        self.film = period_s.map(|period_s| Film::new(period_s, CONTROL_PERIOD_S));
     }
 
     fn take_trajectory(&mut self) -> Option<Trajectory> {
         self.film.as_mut()?.take(self.cameras.as_ref().ok()?)
     }
-}
-
-/// Positions of all moving bodies in an engine.
-pub(super) fn posture(engine: &impl Engine, fixtures: usize) -> Posture {
-    Posture {
-        joints: engine.joint_positions(),
-        opening_m: engine.opening(),
-        object: engine.object(),
-        fixtures: (0..fixtures).map(|i| engine.fixture(i)).collect(),
-    }
-}
-
-/// The cameras as declared by the task. Empty if the robot cannot be rendered.
-pub(crate) fn camera_specs(cameras: &Result<Cameras, String>) -> Vec<CameraSpec> {
-    let specs = |cameras: &Cameras| {
-        let (width, height) = cameras.size();
-        cameras.names().map(|name| CameraSpec { name: name.to_owned(), width, height }).collect()
-    };
-    cameras.as_ref().map(specs).unwrap_or_default()
 }
 
 /// Sets up a cell for the cameras and returns its appearance as the cameras have it. If the robot cannot be rendered,
@@ -177,15 +156,4 @@ pub(crate) fn show(cameras: &mut Result<Cameras, String>, cell: &ResolvedCell) -
         }
         Err(_) => cell.scene.visual,
     }
-}
-
-/// Renders the cell. `posture` returns the positions of all moving bodies, for a number of fixtures.
-pub(crate) fn render(
-    cameras: &Result<Cameras, String>,
-    posture: impl FnOnce(usize) -> Posture,
-) -> Result<Vec<Image>, Fault> {
-    let setup = |why: String| Fault::new(FaultKind::Setup, why);
-    let cameras = cameras.as_ref().map_err(|why| setup(format!("this robot cannot be rendered: {why}")))?;
-    let fixtures = cameras.fixtures().ok_or_else(|| setup("no scenario is set up".to_owned()))?;
-    Ok(cameras.render(&posture(fixtures)))
 }

@@ -1,14 +1,17 @@
 //! The declaration of pick and place as data.
 
 use robogate_core::{
-    ActionSpace, ActionSpec, Better, CameraSpec, FailureMode, FailureModeSpec, Fault, FaultKind, MeasureSpec,
-    Observation, ObservationSpec, Pose, Severity, TaskInstance, TaskSpec, VectorSpec, Word, vectors,
+    Better, CameraSpec, FailureMode, FailureModeSpec, Fault, FaultKind, MeasureSpec, ObservationSpec, Pose, Severity,
+    TaskInstance, TaskSpec, Word,
 };
-use robogate_physics::{ArmState, Gripper, Robot};
+use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
 use super::cell::{CONTROL_PERIOD_S, TIME_LIMIT_S};
 use super::{foresight, parameters};
+pub use crate::arm::TOOL_DELTA;
+pub(crate) use crate::arm::observation;
+use crate::arm::{action_spec, observed_vectors};
 
 /// The gripper closed without the object.
 pub const GRASP_MISS: FailureMode = FailureMode::constant("grasp_miss");
@@ -47,23 +50,9 @@ pub mod phases {
     pub const ALL: [Word; 6] = [APPROACH_ABOVE, DESCEND, GRASP, LIFT, MOVE_TO_TARGET, RELEASE];
 }
 
-/// The unit of a tool delta: metres along, and radians about, each axis (paper, section 7.1).
-pub const TOOL_DELTA: (f64, f64) = (0.02, 0.05);
-
 /// The task specification for this robot with these cameras.
 pub fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
-    let joints = robot.settings.arm.joints.clone();
     let gripper = &robot.settings.gripper;
-    let vector = |name, length, unit: &str| VectorSpec { name, length, unit: unit.to_owned() };
-    let mut observed = vec![
-        vector(vectors::JOINT_POSITIONS, joints.len(), "rad"),
-        vector(vectors::JOINT_VELOCITIES, joints.len(), "rad/s"),
-    ];
-    if let Gripper::ParallelJaw(_) = gripper {
-        observed.push(vector(vectors::GRIPPER_OPENING, 1, "m"));
-    }
-    observed.push(vector(vectors::TOOL_POSE, 7, ""));
-    let (translation_m, rotation_rad) = TOOL_DELTA;
     TaskSpec {
         name: Word::constant(super::NAME),
         version: 1,
@@ -75,11 +64,8 @@ pub fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         draws: foresight::draw_specs(robot.settings.arm.joints.len()),
         phases: phases::ALL.to_vec(),
         parameters: parameters::specs(gripper),
-        observation: ObservationSpec { vectors: observed, cameras },
-        action: ActionSpec {
-            spaces: vec![ActionSpace::JointPosition { joints }, ActionSpace::ToolDelta { translation_m, rotation_rad }],
-            gripper: Some(robogate_core::GripperKind::Binary),
-        },
+        observation: ObservationSpec { vectors: observed_vectors(robot), cameras },
+        action: action_spec(robot),
         details: serde_json::Value::Null,
     }
 }
@@ -145,15 +131,6 @@ impl Briefing {
             Fault::new(FaultKind::Setup, format!("the episode details are not a briefing of pick_place: {why}"))
         })
     }
-}
-
-/// Converts an arm state to an observation with the tool at `tool_pose`. All values are as measured.
-pub(crate) fn observation(time_s: f64, arm: ArmState, tool_pose: Pose) -> Observation {
-    let mut vectors =
-        vec![(vectors::JOINT_POSITIONS, arm.joint_positions), (vectors::JOINT_VELOCITIES, arm.joint_velocities)];
-    vectors.extend(arm.opening_m.map(|opening| (vectors::GRIPPER_OPENING, vec![opening])));
-    vectors.push((vectors::TOOL_POSE, tool_pose.to_array().to_vec()));
-    Observation { time_s, vectors, images: Vec::new() }
 }
 
 #[cfg(test)]

@@ -113,9 +113,6 @@ pub(crate) struct Gate {
 /// The default non-inferiority margin, as a fraction.
 const MARGIN: f64 = 0.05;
 
-/// The default suite of the built-in cell.
-const INDUSTRIAL_68: &str = "industrial-68";
-
 /// The number of scenarios of a suite that is sampled from a space.
 const SAMPLED_SCENARIOS: usize = 64;
 
@@ -406,11 +403,11 @@ impl Gate {
         finish(&dir, &asked, other.as_ref(), trouble, completion, self.how.json)
     }
 
-    /// The suite of the arguments, or that of the built-in cell, or one sampled from the environment's space.
+    /// The suite of the arguments, or that of the task, or one sampled from the environment's space.
     fn suite(&self, subject: &Subject) -> Result<Suite, Exit> {
-        match (&self.suite, &self.space, subject.cell()) {
+        match (&self.suite, &self.space, subject.own_suite()) {
             (Some(name), _, _) => suites::find(name),
-            (None, None, Some(_)) => suites::find(INDUSTRIAL_68),
+            (None, None, Some(own)) => suites::find(own),
             (None, space, _) => {
                 let space =
                     subject.space(space.as_deref()).and_then(|space| self.latency.added_to(space)).or_usage()?;

@@ -205,10 +205,12 @@ mod tests {
             friction: scene.friction,
             table_friction: scene.table_friction.unwrap_or(scene.friction),
             gravity: scene.gravity,
+            arm_stiffness: Some(scene.arm_stiffness),
             mass_kg: scene.object.mass.mass_kg,
             centre_of_mass: scene.object.mass.centre,
             parts: scene.object.parts.iter().map(|part| part.primitive).collect(),
             object: scene.object_pose,
+            others: Vec::new(),
             fixtures: fixtures.collect(),
         }
     }

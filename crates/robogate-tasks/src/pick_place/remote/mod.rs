@@ -19,11 +19,12 @@ use robogate_camera::{Cameras, Posture};
 use robogate_core::{Action, Fault, FaultKind, Image, Observation, Scenario, Start, Step, TaskSpec};
 use robogate_physics::{ArmState, Chain, Fixture, Gripper, Robot, grip_force, isometry};
 
+use crate::arm::{camera_specs, render};
 use crate::pick_place::PickPlaceForesight;
 use crate::pick_place::cell::ResolvedCell;
 use crate::pick_place::judge::{Acting, Judge};
 use crate::pick_place::parameters;
-use crate::pick_place::simulator::{camera_specs, render, show};
+use crate::pick_place::simulator::show;
 use crate::pick_place::spec::spec;
 
 /// Largest distance between the reported tool pose and the tool pose computed from the reported joint positions at the
@@ -193,6 +194,7 @@ impl RemotePickPlace {
             joints: observation.joint_positions().to_vec(),
             opening_m: observation.gripper_opening_m(),
             object,
+            others: Vec::new(),
             fixtures: self.fixtures.iter().map(fixture).collect(),
         }
     }

@@ -201,10 +201,12 @@ impl From<RemoteReadback> for Readback {
             friction: held.friction,
             table_friction: held.table_friction,
             gravity: held.gravity_m_s2,
+            arm_stiffness: None,
             mass_kg: held.mass_kg,
             centre_of_mass: held.centre_of_mass.into(),
             parts: held.parts,
             object: place(&held.object_pose),
+            others: Vec::new(),
             fixtures: held
                 .fixtures
                 .into_iter()

@@ -6,7 +6,7 @@ use anyhow::{Context, bail, ensure};
 use robogate_campaign::DEFAULT_SEED;
 use serde::{Deserialize, Serialize};
 
-use crate::registry::{CELL_TASK, ENGINES};
+use crate::registry::{self, ENGINES};
 
 /// A sweep, as its file describes it.
 #[derive(Debug, Deserialize)]
@@ -174,15 +174,16 @@ impl Task {
         let drawn = self.space.is_some() || self.plan.is_some() || self.episodes.is_some();
         ensure!(!(self.suite.is_some() && drawn), "`suite` cannot be used with `space`, `plan` or `episodes`");
         ensure!(self.rounds.is_none() || self.suite.is_some(), "`rounds` needs `suite`");
-        let cell = self.name == CELL_TASK || !self.simulators.is_empty();
-        ensure!(cell || (self.robots.is_empty() && self.engines.is_empty()), "only {CELL_TASK} has robots and engines");
+        let chosen = registry::has_robots(&self.name) || !self.simulators.is_empty();
+        let name = &self.name;
+        ensure!(chosen || (self.robots.is_empty() && self.engines.is_empty()), "{name} has no robots and engines");
         ensure!(self.simulators.is_empty() || self.engines.is_empty(), "`engines` cannot be used with `simulators`");
         Ok(())
     }
 
     /// Robots and engines in all combinations.
     fn cells(&self) -> Vec<(Option<&str>, Option<&str>)> {
-        let own = self.name == CELL_TASK && self.simulators.is_empty();
+        let own = registry::has_robots(&self.name) && self.simulators.is_empty();
         let robots: Vec<Option<&str>> = match self.robots.as_slice() {
             [] => vec![own.then_some("franka")],
             robots => robots.iter().map(|robot| Some(robot.as_str())).collect(),
@@ -272,7 +273,7 @@ mod tests {
         for (change, to, part) in [
             ("version = 1", "version = 2", "version: 2 is unknown"),
             ("seed = 7", "sead = 7", "unknown field `sead`"),
-            ("name = \"pendulum\"", "name = \"pendulum\"\nrobots = [\"franka\"]", "only pick_place has robots"),
+            ("name = \"pendulum\"", "name = \"pendulum\"\nrobots = [\"franka\"]", "pendulum has no robots"),
             ("episodes = 60", "episodes = 60\nsuite = \"industrial-68\"", "cannot be used with"),
             ("episodes = 60", "rounds = 2", "`rounds` needs `suite`"),
             ("\"ur5e\"", "\"franka\"", "same folder"),

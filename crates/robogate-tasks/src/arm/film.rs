@@ -2,18 +2,19 @@
 
 use robogate_camera::{Cameras, Posture};
 use robogate_core::{ContactPoint, Frame, Trajectory};
-use robogate_physics::{Engine, StepView};
+use robogate_physics::{Engine, Scene, StepView};
 
-use super::cell::CONTROL_PERIOD_S;
-use super::simulator::posture;
+use super::cameras::posture;
 
 /// A recorder. It reads the engine and never changes it.
 #[derive(Debug)]
-pub(super) struct Film {
+pub(crate) struct Film {
     /// Time between two frames, in seconds.
     period_s: f64,
-    /// Number of fixtures of the scene.
-    fixtures: usize,
+    /// The task's control period, in seconds.
+    control_period_s: f64,
+    /// Number of fixtures of the scene, and of free bodies other than the object.
+    bodies: [usize; 2],
     /// Number of completed control periods.
     ticks: u64,
     /// Simulated time of each frame in seconds, with positions and contacts.
@@ -25,36 +26,37 @@ pub(super) struct Film {
 }
 
 impl Film {
-    pub(super) fn new(period_s: f64) -> Self {
-        Self { period_s, fixtures: 0, ticks: 0, frames: Vec::new(), strongest: None, end: None }
+    pub(crate) fn new(period_s: f64, control_period_s: f64) -> Self {
+        Self { period_s, control_period_s, bodies: [0; 2], ticks: 0, frames: Vec::new(), strongest: None, end: None }
     }
 
-    /// Starts an episode.
-    pub(super) fn start(&mut self, engine: &impl Engine, fixtures: usize) {
-        *self = Self { fixtures, ..Self::new(self.period_s) };
+    /// Starts an episode in this scene.
+    pub(crate) fn start(&mut self, engine: &impl Engine, scene: &Scene) {
+        let bodies = [scene.fixtures.len(), scene.others.len()];
+        *self = Self { bodies, ..Self::new(self.period_s, self.control_period_s) };
         self.expose(engine, 0.0);
     }
 
     /// Observes one time step.
-    pub(super) fn observe(&mut self, engine: &impl Engine, view: &StepView<'_>) {
+    pub(crate) fn observe(&mut self, engine: &impl Engine, view: &StepView<'_>) {
         let force = view.touches.peak_force.unwrap_or(-1.0);
         if self.strongest.as_ref().is_none_or(|(strongest, _)| force > *strongest) {
             self.strongest = Some((force, engine.contact_points()));
         }
-        let time_s = (self.ticks as f64 + view.fraction) * CONTROL_PERIOD_S;
+        let time_s = (self.ticks as f64 + view.fraction) * self.control_period_s;
         if time_s >= self.frames.len() as f64 * self.period_s - 1e-9 {
             self.expose(engine, time_s);
         }
     }
 
     /// Ends a control period, which may be the last one.
-    pub(super) fn end_period(&mut self, engine: &impl Engine) {
+    pub(crate) fn end_period(&mut self, engine: &impl Engine) {
         self.ticks += 1;
-        self.end = Some((self.ticks as f64 * CONTROL_PERIOD_S, posture(engine, self.fixtures)));
+        self.end = Some((self.ticks as f64 * self.control_period_s, posture(engine, self.bodies)));
     }
 
     /// Takes the trajectory of the last episode, with the geometry of these cameras. `None` without an episode.
-    pub(super) fn take(&mut self, cameras: &Cameras) -> Option<Trajectory> {
+    pub(crate) fn take(&mut self, cameras: &Cameras) -> Option<Trajectory> {
         let mut frames = std::mem::take(&mut self.frames);
         let last = frames.last()?.0;
         if let Some((time_s, posture)) = self.end.take().filter(|(time_s, _)| *time_s > last + 1e-9) {
@@ -71,6 +73,6 @@ impl Film {
 
     fn expose(&mut self, engine: &impl Engine, time_s: f64) {
         let contacts = self.strongest.take().map(|(_, points)| points).unwrap_or_default();
-        self.frames.push((time_s, posture(engine, self.fixtures), contacts));
+        self.frames.push((time_s, posture(engine, self.bodies), contacts));
     }
 }

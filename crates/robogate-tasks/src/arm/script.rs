@@ -1,0 +1,232 @@
+//! Scripted motion of an arm: stages of planned joint paths with gripper commands.
+//!
+//! A stage ends when its path has been commanded, the measured tool pose is within 5 mm and 0.05 rad of the end, and the
+//! gripper is at rest if it moves in this stage. A tool that is pushed more than 10 mm off its path stops there and
+//! waits, like a robot with a contact guard.
+
+use std::f64::consts::PI;
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use robogate_core::{Action, Command, Observation, Word};
+use robogate_physics::trajectory::{ToolLimit, joint_path, straight_path};
+use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
+
+/// A stage ends within this distance of its goal, in metres ...
+const POSITION_TOLERANCE_M: f64 = 0.005;
+/// ... and this angle, in radians.
+const ANGLE_TOLERANCE_RAD: f64 = 0.05;
+/// The tool stops if it is off its path by more than this, in metres.
+const GUARD_M: f64 = 0.01;
+/// The gripper is at rest if its opening changed by less than this in a control period, in metres ...
+const GRIPPER_SETTLED_M: f64 = 1e-4;
+/// ... for this many control periods: it needs time to start and to build up its force.
+const SETTLE_TICKS: usize = 4;
+/// Gap between fingertips and table in the grasp, in metres.
+const TIP_ROOM_M: f64 = 0.004;
+/// Gap between palm and part in the grasp, in metres.
+const PALM_ROOM_M: f64 = 0.002;
+/// Gap between a cup and the top of the part, in metres. It is well below the grip threshold.
+const CUP_ROOM_M: f64 = 0.002;
+/// Limits of motion without a part.
+pub(crate) const FREE: ToolLimit = ToolLimit { speed: 0.5, acceleration: 2.0 };
+
+/// One stage of a plan.
+#[derive(Debug, Clone)]
+pub(crate) struct Stage {
+    /// The phase that the stage belongs to.
+    pub(crate) phase: Word,
+    /// Joint positions for every control period, in radians. The last one is kept until the stage ends.
+    pub(crate) path: Vec<Vec<f64>>,
+    /// The gripper command.
+    pub(crate) gripper: GripperCommand,
+    /// Whether the gripper must be at rest for the stage to end.
+    pub(crate) settles: bool,
+}
+
+/// A plan and the progress in it.
+#[derive(Debug, Clone)]
+pub(crate) struct Script {
+    chain: Chain,
+    stages: Vec<Stage>,
+    current: usize,
+    tick: usize,
+    last_opening: Option<f64>,
+    /// The last two commands, the older one first.
+    commanded: Option<[Vec<f64>; 2]>,
+    /// Joint positions at which the guard stopped the arm.
+    stopped: Option<Vec<f64>>,
+    /// Number of control periods for which the gripper has been at rest.
+    rest: usize,
+}
+
+impl Script {
+    /// A script of these stages, for an arm with these kinematics. Without a stage it commands nothing but the measured
+    /// joint positions.
+    pub(crate) fn new(chain: Chain, stages: Vec<Stage>) -> Self {
+        Self { chain, stages, current: 0, tick: 0, last_opening: None, commanded: None, stopped: None, rest: 0 }
+    }
+
+    /// The next action.
+    pub(crate) fn act(&mut self, observation: &Observation) -> Action {
+        let opening = observation.gripper_opening_m();
+        let measured = observation.joint_positions();
+        let moved = match (self.last_opening, opening) {
+            (Some(before), Some(now)) => (before - now).abs(),
+            _ => 0.0,
+        };
+        self.rest = if moved < GRIPPER_SETTLED_M { self.rest + 1 } else { 0 };
+        self.last_opening = opening;
+        if self.pushed_off(measured) {
+            self.stopped.get_or_insert_with(|| measured.to_vec());
+        }
+        if self.stopped.is_none() && self.stage_is_done(measured) {
+            (self.current, self.tick) = (self.current + 1, 0);
+        }
+        let stage = self.stages.get(self.current);
+        let planned = stage.and_then(|stage| stage.path.get(self.tick.min(stage.path.len().saturating_sub(1))));
+        let joints = self.stopped.as_ref().or(planned).map_or_else(|| measured.to_vec(), Clone::clone);
+        self.tick += 1;
+        let last = self.commanded.take().map_or_else(|| measured.to_vec(), |[_, last]| last);
+        self.commanded = Some([last, joints.clone()]);
+        Action {
+            command: Command::JointPosition(joints),
+            gripper: Some(stage.map_or(GripperCommand::Open, |stage| stage.gripper).number()),
+            phase: stage.map(|stage| stage.phase),
+        }
+    }
+
+    /// Whether the last stage has ended and the arm has settled there.
+    pub(crate) fn is_done(&self, measured: &[f64]) -> bool {
+        let Some(stage) = self.stages.last().filter(|_| self.current + 1 == self.stages.len()) else { return false };
+        let Some(end) = stage.path.last().filter(|_| self.stopped.is_none()) else { return false };
+        let off = self.chain.tcp_at(end).translation.vector - self.chain.tcp_at(measured).translation.vector;
+        self.tick >= stage.path.len() + SETTLE_TICKS && off.norm() <= POSITION_TOLERANCE_M
+    }
+
+    /// Joint positions at the end of the script, in radians.
+    pub(crate) fn end(&self) -> Option<&[f64]> {
+        self.stages.last()?.path.last().map(Vec::as_slice)
+    }
+
+    /// Whether the current stage has ended and another one follows.
+    fn stage_is_done(&self, measured: &[f64]) -> bool {
+        let Some(stage) = self.stages.get(self.current) else { return false };
+        let Some(end) = stage.path.last().filter(|_| self.current + 1 < self.stages.len()) else { return false };
+        let off = self.chain.tcp_at(end).inverse() * self.chain.tcp_at(measured);
+        let there =
+            off.translation.vector.norm() <= POSITION_TOLERANCE_M && off.rotation.angle() <= ANGLE_TOLERANCE_RAD;
+        self.tick >= stage.path.len() && there && (!stage.settles || self.rest.min(self.tick) >= SETTLE_TICKS)
+    }
+
+    /// Whether the tool is off its commanded path. The servo lags the commands by half a control period, so the tool
+    /// should be halfway between the last two.
+    fn pushed_off(&self, measured: &[f64]) -> bool {
+        let Some([before, last]) = &self.commanded else { return false };
+        let middle: Vec<f64> = before.iter().zip(last).map(|(a, b)| 0.5 * (a + b)).collect();
+        let off = self.chain.tcp_at(&middle).translation.vector - self.chain.tcp_at(measured).translation.vector;
+        off.norm() > GUARD_M
+    }
+}
+
+/// Plans stages one after another, each from the end of the one before.
+pub(crate) struct Planner<'a> {
+    robot: &'a Robot,
+    chain: &'a Chain,
+    control_period_s: f64,
+    /// Joint positions at the end of the plan so far.
+    at: Vec<f64>,
+    stages: Vec<Stage>,
+}
+
+impl<'a> Planner<'a> {
+    /// An empty plan that starts at the arm's home position.
+    pub(crate) fn new(robot: &'a Robot, chain: &'a Chain, control_period_s: f64) -> Self {
+        Self { robot, chain, control_period_s, at: robot.settings.arm.home_rad.clone(), stages: Vec::new() }
+    }
+
+    /// The stages so far.
+    pub(crate) fn finish(self) -> Vec<Stage> {
+        self.stages
+    }
+
+    /// Appends a motion in joint space to `goal`.
+    pub(crate) fn swing(&mut self, phase: Word, goal: Vec<f64>, gripper: GripperCommand) {
+        let path = joint_path(&self.at, &goal, &self.robot.settings.arm, self.control_period_s);
+        self.at = goal;
+        self.stages.push(Stage { phase, path, gripper, settles: false });
+    }
+
+    /// Appends a straight motion of the tool through `goals`, which is one stage.
+    ///
+    /// # Errors
+    /// If a pose is out of reach. The plan so far is kept.
+    pub(crate) fn straight(
+        &mut self,
+        phase: Word,
+        goals: &[Isometry3<f64>],
+        limit: ToolLimit,
+        gripper: GripperCommand,
+    ) -> Result<(), Unreachable> {
+        let arm = &self.robot.settings.arm;
+        let mut path = Vec::new();
+        let mut at = self.at.clone();
+        for goal in goals {
+            path.extend(straight_path(self.chain, &at, goal, &arm.home_rad, arm, limit, self.control_period_s)?);
+            at = path.last().cloned().unwrap_or(at);
+        }
+        self.at = at;
+        self.stages.push(Stage { phase, path, gripper, settles: false });
+        Ok(())
+    }
+
+    /// Appends a stage that waits until the gripper has carried out a command.
+    pub(crate) fn grip(&mut self, phase: Word, gripper: GripperCommand) {
+        self.stages.push(Stage { phase, path: vec![self.at.clone()], gripper, settles: true });
+    }
+
+    /// Among tool poses, the index of the one with the smallest largest joint motion from the arm's home position, with
+    /// its joint positions.
+    ///
+    /// # Errors
+    /// If no pose is in reach.
+    pub(crate) fn nearest(&self, poses: &[Isometry3<f64>]) -> Result<(usize, Vec<f64>), Unreachable> {
+        let home = &self.robot.settings.arm.home_rad;
+        let mut best: Option<(f64, usize, Vec<f64>)> = None;
+        let mut failure = None;
+        for (index, pose) in poses.iter().enumerate() {
+            match self.chain.reach(pose, home) {
+                Ok(q) => {
+                    let bend = q.iter().zip(home).map(|(q, home)| (q - home).abs()).fold(0.0, f64::max);
+                    if best.as_ref().is_none_or(|(least, ..)| bend < *least) {
+                        best = Some((bend, index, q));
+                    }
+                }
+                Err(unreachable) => failure = Some(unreachable),
+            }
+        }
+        match (best, failure) {
+            (Some((_, index, q)), _) => Ok((index, q)),
+            (None, Some(unreachable)) => Err(unreachable),
+            (None, None) => Err(Unreachable { position: [f64::NAN; 3], position_error_m: 0.0, angle_error_rad: 0.0 }),
+        }
+    }
+
+    /// Height of the tool above the underside of an upright part of this height (m) in the grasp. For fingers it is the
+    /// part's centre, but high enough to keep the fingertips off the table and the palm off the part. For a cup it is
+    /// just above the part.
+    pub(crate) fn grasp_height(&self, height: f64) -> f64 {
+        match &self.robot.settings.gripper {
+            Gripper::ParallelJaw(jaw) => {
+                (0.5 * height).max(height - (jaw.palm_m - PALM_ROOM_M)).max(jaw.tip_m + TIP_ROOM_M)
+            }
+            Gripper::Suction(_) => height + CUP_ROOM_M,
+        }
+    }
+}
+
+/// The tool at `at` (m), pointing down. Fingers close along the direction `yaw` + 90 degrees.
+pub(crate) fn tool_down(at: [f64; 3], yaw: f64) -> Isometry3<f64> {
+    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+    Isometry3::from_parts(Translation3::new(at[0], at[1], at[2]), rotation * down)
+}

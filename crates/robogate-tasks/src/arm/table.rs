@@ -1,0 +1,118 @@
+//! Parameter tables: one row per parameter, with its range, setter and reader.
+
+use robogate_core::{Allowed, Assignment, Fault, FaultKind, ParameterSpec, Value};
+use robogate_physics::{Readback, Visual};
+
+/// One parameter of a task with the settings `S`.
+pub(crate) struct Row<S: 'static> {
+    pub(crate) name: &'static str,
+    pub(crate) unit: &'static str,
+    pub(crate) meaning: &'static str,
+    /// The source of the applied value.
+    pub(crate) read_from: &'static str,
+    pub(crate) access: Access<S>,
+}
+
+/// How a parameter is set and read.
+pub(crate) enum Access<S: 'static> {
+    Number {
+        range: [f64; 2],
+        nominal: f64,
+        set: fn(&mut S, f64),
+        read: fn(&Acting<'_, S>) -> f64,
+    },
+    Word {
+        choices: &'static [&'static str],
+        nominal: &'static str,
+        set: fn(&mut S, &str),
+        read: fn(&Acting<'_, S>) -> String,
+    },
+}
+
+/// The components that act in an episode after its setup.
+pub(crate) struct Acting<'a, S> {
+    /// The settings, to interpret the state: which direction a draw has, which part a pose belongs to.
+    pub(crate) settings: &'a S,
+    /// State of the engine.
+    pub(crate) engine: &'a Readback,
+    /// State of the cameras.
+    pub(crate) visual: &'a Visual,
+    /// Bias of each encoder, in radians.
+    pub(crate) bias: &'a [f64],
+}
+
+/// The parameters as a task declares them.
+pub(crate) fn specs<S>(rows: &[Row<S>]) -> Vec<ParameterSpec> {
+    rows.iter().map(Row::spec).collect()
+}
+
+/// The settings of a scenario. Parameters that it does not name are nominal.
+///
+/// # Errors
+/// A setup fault for an unknown parameter or a value out of its range.
+pub(crate) fn decode<S: Default>(rows: &[Row<S>], requested: &Assignment) -> Result<S, Fault> {
+    let setup = |why: String| Fault::new(FaultKind::Setup, why);
+    let mut settings = S::default();
+    for row in rows {
+        match &row.access {
+            Access::Number { nominal, set, .. } => set(&mut settings, *nominal),
+            Access::Word { nominal, set, .. } => set(&mut settings, nominal),
+        }
+    }
+    for (name, value) in requested.iter() {
+        let row = rows.iter().find(|row| row.name == name).ok_or_else(|| {
+            let known: Vec<&str> = rows.iter().map(|row| row.name).collect();
+            setup(format!("unknown parameter `{name}`. Expected one of: {}", known.join(", ")))
+        })?;
+        row.spec().accepts(value).map_err(setup)?;
+        match (&row.access, value) {
+            (Access::Number { set, .. }, Value::Number(x)) => set(&mut settings, *x),
+            (Access::Number { set, .. }, Value::Integer(n)) => set(&mut settings, *n as f64),
+            (Access::Word { set, .. }, Value::Category(word)) => set(&mut settings, word),
+            // `accepts` has rejected all other kinds.
+            _ => {}
+        }
+    }
+    Ok(settings)
+}
+
+/// The applied values of the requested parameters.
+pub(crate) fn applied<S>(rows: &[Row<S>], requested: &Assignment, acting: &Acting<'_, S>) -> Assignment {
+    let mut applied = Assignment::default();
+    for (name, value) in requested.iter() {
+        let Some(row) = rows.iter().find(|row| row.name == name) else { continue };
+        let read = match (&row.access, value) {
+            (Access::Number { read, .. }, Value::Integer(_)) => {
+                let x = read(acting);
+                // An integer request is returned as an integer.
+                if (x - x.round()).abs() < 1e-6 { Value::Integer(x.round() as i64) } else { Value::Number(x) }
+            }
+            (Access::Number { read, .. }, _) => Value::Number(read(acting)),
+            (Access::Word { read, .. }, _) => Value::Category(read(acting).into()),
+        };
+        applied.set(name, read);
+    }
+    applied
+}
+
+impl<S> Row<S> {
+    fn spec(&self) -> ParameterSpec {
+        let (allowed, nominal) = match &self.access {
+            Access::Number { range: [low, high], nominal, .. } => {
+                (Allowed::Continuous { low: *low, high: *high }, Value::Number(*nominal))
+            }
+            Access::Word { choices, nominal, .. } => {
+                let choices = choices.iter().map(|word| (*word).into()).collect();
+                (Allowed::Categorical { choices, open: false }, Value::Category((*nominal).into()))
+            }
+        };
+        ParameterSpec {
+            name: self.name.into(),
+            unit: self.unit.to_owned(),
+            meaning: self.meaning.to_owned(),
+            allowed,
+            nominal: Some(nominal),
+            read_from: self.read_from.to_owned(),
+        }
+    }
+}

@@ -1,0 +1,337 @@
+//! The scripted controller: it picks the peg up by a plan from nominal data, then feels its way into the hole.
+//!
+//! It has no force sensor. The servos are springs: the distance by which the tool lags its command is a force, by the
+//! compliance of the arm at the tool (J diag(1/k) J^T; Whitney 1982). With the told stiffness the controller presses with
+//! a chosen force by commanding the tool that far beyond its measured position.
+//!
+//! - **touch**: moves down until the tool lags by the contact force, or is below the mouth of the hole.
+//! - **search**: presses lightly and moves on a spiral around the nominal position (Chhatpar and Branicky 2001) until the
+//!   tool sinks. The pitch of the spiral follows from clearance and chamfer.
+//! - **insert**: presses harder. The lateral command follows the measured position, so lateral forces fade. Without
+//!   progress, the command moves on a small circle; after some time the peg is lifted and inserted again.
+//! - **release**: opens the gripper and moves up.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use robogate_core::{Action, Command, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec, Word};
+use robogate_physics::trajectory::ToolLimit;
+use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
+
+use super::parts::{DEPTH_M, HEAD_HEIGHT_M, SHAFT_M};
+use super::spec::{Briefing, CONTROL_PERIOD_S, phases};
+use crate::arm::{FREE, Planner, Script, tool_down};
+
+/// Height of the peg's tip above the block before the search, in metres.
+const ABOVE_M: f64 = 0.006;
+/// Height of the tool above the table on transit paths, in metres.
+const TRANSIT_HEIGHT_M: f64 = 0.24;
+/// Limits of motion with the peg in the hand.
+const CARRY: ToolLimit = ToolLimit { speed: 0.4, acceleration: 1.0 };
+/// Gap between a cup and the head in the grasp, in metres.
+const CUP_ROOM_M: f64 = 0.002;
+/// Speed of the way down to the block, in m/s.
+const TOUCH_SPEED: f64 = 0.015;
+/// Speed of the way into the hole, in m/s.
+const INSERT_SPEED: f64 = 0.02;
+/// Force that counts as contact, in newtons, and the smallest lag of the tool that is measured, in metres.
+const CONTACT_N: f64 = 3.0;
+const SMALLEST_LAG_M: f64 = 2e-4;
+/// Forces of search and insertion, in newtons.
+const SEARCH_N: f64 = 5.0;
+const INSERT_N: f64 = 14.0;
+/// Speed on the spiral, in widths of the capture range per control period, and its bounds in m/s.
+const SPIRAL_SHARE: f64 = 0.35;
+const SPIRAL_SPEED: [f64; 2] = [0.002, 0.012];
+/// Radius at which the spiral starts again, in metres.
+const SPIRAL_RADIUS_M: f64 = 0.012;
+/// The tool has found the hole when it sinks by this, in metres.
+const SUNK_M: f64 = 7e-4;
+/// Part of the lateral lag that the command gives up in each control period.
+const YIELD_SHARE: f64 = 0.5;
+/// Control periods without progress before the command circles, and before the peg is lifted.
+const CIRCLE_TICKS: u32 = 6;
+const LIFT_TICKS: u32 = 36;
+/// Radius of the circle, in metres, and its rotation per control period, in radians.
+const CIRCLE_M: f64 = 6e-4;
+const CIRCLE_RAD: f64 = 0.6;
+/// Height by which a stuck peg is lifted, in metres.
+const LIFT_M: f64 = 0.003;
+/// The peg is seated within this distance of the full depth, in metres.
+const SEATED_M: f64 = 0.001;
+/// Control periods that the controller waits for the gripper to open.
+const OPEN_TICKS: u32 = 25;
+
+/// The scripted controller.
+pub(super) struct Scripted {
+    robot: Robot,
+    chain: Chain,
+    script: Script,
+    feel: Option<Feel>,
+}
+
+/// Motion by touch.
+struct Feel {
+    clearance_m: f64,
+    chamfer_m: f64,
+    stiffness: f64,
+    /// Nominal position of the hole's mouth, and the height of the tool above the peg's tip, in metres.
+    hole: Vector3<f64>,
+    tool_m: f64,
+    /// Orientation of the tool.
+    down: UnitQuaternion<f64>,
+    stage: Stage,
+    /// The last two commanded tool positions, the older one first, and the last joint positions. `None` before the first
+    /// command.
+    commanded: Option<([Vector3<f64>; 2], Vec<f64>)>,
+    /// Lag of the tool in free motion, upwards, in metres.
+    free_lag_m: Option<f64>,
+}
+
+/// The stage of the motion by touch.
+#[derive(Debug, Clone, Copy)]
+enum Stage {
+    Touch,
+    /// Height of the tool in contact with the top of the block, and the angle on the spiral.
+    Search {
+        top: f64,
+        angle: f64,
+    },
+    /// Lowest height of the tool so far, control periods since then, and the number of lifts.
+    Insert {
+        lowest: f64,
+        idle: u32,
+        lifts: u32,
+    },
+    /// Control periods of lifting that remain, and the number of lifts.
+    Lift {
+        ticks: u32,
+        lifts: u32,
+    },
+    /// Control periods since the gripper opened.
+    Release {
+        ticks: u32,
+    },
+}
+
+impl Stage {
+    fn phase(self) -> Word {
+        match self {
+            Self::Touch => phases::TOUCH,
+            Self::Search { .. } => phases::SEARCH,
+            Self::Insert { .. } | Self::Lift { .. } => phases::INSERT,
+            Self::Release { .. } => phases::RELEASE,
+        }
+    }
+}
+
+impl Scripted {
+    /// The controller for a robot with these kinematics.
+    pub(super) fn new(robot: Robot, chain: Chain) -> Self {
+        let script = Script::new(chain.clone(), Vec::new());
+        Self { robot, chain, script, feel: None }
+    }
+
+    /// Height of the tool above the peg's tip in the grasp, in metres.
+    fn tool_height(&self) -> f64 {
+        match self.robot.settings.gripper {
+            Gripper::ParallelJaw(_) => SHAFT_M + 0.5 * HEAD_HEIGHT_M,
+            Gripper::Suction(_) => SHAFT_M + HEAD_HEIGHT_M + CUP_ROOM_M,
+        }
+    }
+
+    /// Appends the motions that bring the peg over the hole. Returns the orientation of the tool there.
+    fn pick(&self, planner: &mut Planner<'_>, briefing: &Briefing) -> Result<UnitQuaternion<f64>, Unreachable> {
+        use GripperCommand::{Close, Open};
+        let ([x, y, _], [hx, hy, hz]) = (briefing.peg.position, briefing.hole.position);
+        let tool = self.tool_height();
+        let quarter = |first: f64, k: u8| first + f64::from(k) * std::f64::consts::FRAC_PI_2;
+        // The peg is square, so the tool may be rotated by quarters.
+        let first = match self.robot.settings.gripper {
+            Gripper::ParallelJaw(_) => 0.0,
+            Gripper::Suction(_) => {
+                let home = self.chain.tcp_at(&self.robot.settings.arm.home_rad);
+                let axis = home.rotation * Vector3::x();
+                axis.y.atan2(axis.x) + y.atan2(x) - home.translation.y.atan2(home.translation.x)
+            }
+        };
+        let above: Vec<_> = (0..4).map(|k| tool_down([x, y, TRANSIT_HEIGHT_M], quarter(first, k))).collect();
+        let (chosen, joints) = planner.nearest(&above)?;
+        let yaw = quarter(first, chosen as u8);
+        planner.swing(phases::PICK, joints, Open);
+        planner.straight(phases::PICK, &[tool_down([x, y, tool], yaw)], FREE, Open)?;
+        planner.grip(phases::PICK, Close);
+        let over: Vec<_> = (0..4).map(|k| tool_down([hx, hy, TRANSIT_HEIGHT_M], quarter(yaw, k))).collect();
+        let turned = quarter(yaw, planner.nearest(&over)?.0 as u8);
+        let goals = [
+            tool_down([x, y, TRANSIT_HEIGHT_M], yaw),
+            tool_down([hx, hy, TRANSIT_HEIGHT_M], turned),
+            tool_down([hx, hy, hz + ABOVE_M + tool], turned),
+        ];
+        planner.straight(phases::PICK, &goals, CARRY, Close)?;
+        Ok(goals[2].rotation)
+    }
+}
+
+impl Feel {
+    /// The compliance of the arm at the tool along the vertical, in m/N.
+    fn compliance(&self, robot: &Robot, chain: &Chain, joints: &[f64]) -> f64 {
+        const STEP_RAD: f64 = 1e-5;
+        let height = chain.tcp_at(joints).translation.z;
+        let of_joint = |j: usize| {
+            let mut moved = joints.to_vec();
+            moved[j] += STEP_RAD;
+            let lever = (chain.tcp_at(&moved).translation.z - height) / STEP_RAD;
+            lever * lever / (robot.settings.arm.stiffness_nm_rad[j] * self.stiffness)
+        };
+        (0..joints.len()).map(of_joint).sum()
+    }
+
+    /// The next tool position, from the last two commanded ones and the measured one. `per_newton` is the compliance in
+    /// m/N.
+    fn next(&mut self, [before, mut at]: [Vector3<f64>; 2], measured: &Vector3<f64>, per_newton: f64) -> Vector3<f64> {
+        // The servo lags the commands by half a control period.
+        let held_up = measured.z - 0.5 * (before.z + at.z);
+        let lag = held_up - self.free_lag_m.unwrap_or(0.0);
+        let tip = measured.z - self.tool_m;
+        let capture = self.clearance_m + 2.0 * self.chamfer_m;
+        let step = |speed: f64| speed * CONTROL_PERIOD_S;
+        // Presses with a force, but moves no faster than `speed`.
+        let press = |at: &mut Vector3<f64>, force: f64, speed: f64| {
+            let goal = measured.z - force * per_newton;
+            at.z = goal.max(at.z - step(speed)).min(at.z.max(goal));
+        };
+        match self.stage {
+            Stage::Touch => {
+                let mouth = self.hole.z;
+                if self.free_lag_m.is_some() && lag > (CONTACT_N * per_newton).max(SMALLEST_LAG_M) {
+                    self.stage = Stage::Search { top: measured.z, angle: 0.0 };
+                } else if tip < mouth - 2.0 * SUNK_M - self.chamfer_m - 0.003 {
+                    self.stage = Stage::Insert { lowest: measured.z, idle: 0, lifts: 0 };
+                } else {
+                    self.free_lag_m.get_or_insert(held_up);
+                    at.z -= step(TOUCH_SPEED);
+                }
+            }
+            Stage::Search { top, angle } => {
+                press(&mut at, SEARCH_N, TOUCH_SPEED);
+                let pitch = 0.8 * capture;
+                let speed = (SPIRAL_SHARE * capture / CONTROL_PERIOD_S).clamp(SPIRAL_SPEED[0], SPIRAL_SPEED[1]);
+                let radius = pitch * angle / TAU;
+                let turned = angle + step(speed) / radius.max(0.5 * pitch);
+                let next = pitch * turned / TAU;
+                let turned = if next > SPIRAL_RADIUS_M { 0.0 } else { turned };
+                let (sin, cos) = turned.sin_cos();
+                let radius = pitch * turned / TAU;
+                (at.x, at.y) = (self.hole.x + radius * cos, self.hole.y + radius * sin);
+                self.stage = if measured.z < top - SUNK_M {
+                    Stage::Insert { lowest: measured.z, idle: 0, lifts: 0 }
+                } else {
+                    Stage::Search { top, angle: turned }
+                };
+            }
+            Stage::Insert { lowest, idle, lifts } => {
+                press(&mut at, INSERT_N, INSERT_SPEED);
+                at.x += YIELD_SHARE * (measured.x - at.x);
+                at.y += YIELD_SHARE * (measured.y - at.y);
+                let progress = measured.z < lowest - 1e-4;
+                let idle = if progress { 0 } else { idle + 1 };
+                if idle >= CIRCLE_TICKS {
+                    let (sin, cos) = (CIRCLE_RAD * f64::from(idle)).sin_cos();
+                    (at.x, at.y) = (at.x + CIRCLE_M * cos, at.y + CIRCLE_M * sin);
+                }
+                self.stage = if tip <= self.hole.z - DEPTH_M + SEATED_M && idle >= 2 {
+                    Stage::Release { ticks: 0 }
+                } else if idle >= LIFT_TICKS {
+                    Stage::Lift { ticks: 8, lifts: lifts + 1 }
+                } else {
+                    Stage::Insert { lowest: lowest.min(measured.z), idle, lifts }
+                };
+            }
+            Stage::Lift { ticks, lifts } => {
+                at.z = at.z.max(measured.z) + LIFT_M / 8.0;
+                at.x += YIELD_SHARE * (measured.x - at.x);
+                at.y += YIELD_SHARE * (measured.y - at.y);
+                self.stage = match ticks {
+                    0 => Stage::Insert { lowest: measured.z, idle: 0, lifts },
+                    _ => Stage::Lift { ticks: ticks - 1, lifts },
+                };
+            }
+            Stage::Release { ticks } => {
+                if ticks >= OPEN_TICKS && at.z < self.hole.z + self.tool_m + 0.05 {
+                    at.z += step(4.0 * INSERT_SPEED);
+                }
+                self.stage = Stage::Release { ticks: ticks + 1 };
+            }
+        }
+        at
+    }
+}
+
+impl Policy for Scripted {
+    fn check(&self, task: &TaskSpec) -> Result<(), String> {
+        if task.name != super::NAME || task.action.joints() != Some(&*self.robot.settings.arm.joints) {
+            return Err(format!(
+                "the scripted controller drives insertion on {}, not {}",
+                self.robot.name(),
+                task.name
+            ));
+        }
+        Ok(())
+    }
+
+    fn reset(&mut self, _: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {
+        let briefing = Briefing::of(instance)?;
+        let mut planner = Planner::new(&self.robot, &self.chain, CONTROL_PERIOD_S);
+        let [x, y, z] = briefing.hole.position;
+        // If a pose is out of reach, the controller runs the reachable part of its plan and then waits. This is a failure
+        // of the controller (a timeout), not a fault of the simulator.
+        let down = self.pick(&mut planner, &briefing);
+        if down.is_err() {
+            planner.swing(phases::PICK, self.robot.settings.arm.home_rad.clone(), GripperCommand::Open);
+        }
+        self.feel = down.ok().map(|down| Feel {
+            clearance_m: briefing.clearance_m,
+            chamfer_m: briefing.chamfer_m,
+            stiffness: briefing.arm_stiffness,
+            hole: Vector3::new(x, y, z),
+            tool_m: self.tool_height(),
+            down,
+            stage: Stage::Touch,
+            commanded: None,
+            free_lag_m: None,
+        });
+        self.script = Script::new(self.chain.clone(), planner.finish());
+        Ok(())
+    }
+
+    fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
+        let measured = observation.joint_positions();
+        let Some(feel) = self.feel.as_mut().filter(|feel| feel.commanded.is_some() || self.script.is_done(measured))
+        else {
+            return Ok(self.script.act(observation));
+        };
+        let home = &self.robot.settings.arm.home_rad;
+        let (last, joints) = feel
+            .commanded
+            .take()
+            .or_else(|| {
+                let joints = self.script.end()?.to_vec();
+                Some(([self.chain.tcp_at(&joints).translation.vector; 2], joints))
+            })
+            .unwrap_or_else(|| ([self.chain.tcp_at(measured).translation.vector; 2], measured.to_vec()));
+        let tool = self.chain.tcp_at(measured).translation.vector;
+        let per_newton = feel.compliance(&self.robot, &self.chain, measured);
+        let at = feel.next(last, &tool, per_newton);
+        let goal = Isometry3::from_parts(Translation3::from(at), feel.down);
+        let joints = self.chain.inverse(&goal, &joints, home).unwrap_or(joints);
+        let gripper =
+            if matches!(feel.stage, Stage::Release { .. }) { GripperCommand::Open } else { GripperCommand::Close };
+        feel.commanded = Some(([last[1], at], joints.clone()));
+        Ok(Action {
+            command: Command::JointPosition(joints),
+            gripper: Some(gripper.number()),
+            phase: Some(feel.stage.phase()),
+        })
+    }
+}

@@ -1,0 +1,211 @@
+//! The parameter table of insertion: one row per parameter.
+
+use nalgebra::Isometry3;
+use robogate_physics::{FixtureKind, Primitive, Readback};
+
+use super::parts;
+use crate::arm::{Access, Acting, Row};
+
+/// The decoded parameters of a scenario, and its draws.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Settings {
+    pub(super) clearance_m: f64,
+    pub(super) chamfer_m: f64,
+    pub(super) width_m: f64,
+    pub(super) mass_kg: f64,
+    pub(super) friction: f64,
+    pub(super) arm_stiffness: f64,
+    pub(super) hole_jitter_m: f64,
+    pub(super) hole_tilt_rad: f64,
+    pub(super) peg_jitter_m: f64,
+    pub(super) encoder_bias_rad: f64,
+    pub(super) lighting_lux: f64,
+    /// Nominal position (x, y) of the peg and of the hole, in metres.
+    pub(super) places: [[f64; 2]; 2],
+    /// Points of the unit disc: direction and fraction of the deviations of peg and hole.
+    pub(super) shift: [[f64; 2]; 2],
+    /// Direction of the axis about which the hole tilts, in radians, and fraction of the tilt.
+    pub(super) tilt: [f64; 2],
+    /// For each joint, a number from -1 to 1: the fraction of the encoder bias.
+    pub(super) encoders: Vec<f64>,
+}
+
+/// The walls of the hole in the engine: shape and pose, in the order of the sides.
+fn walls(engine: &Readback) -> Vec<([f64; 3], Isometry3<f64>)> {
+    let mut walls: Vec<_> = engine.fixtures.iter().collect();
+    walls.sort_by_key(|read| read.fixture);
+    let shape = |primitive: Option<Primitive>| primitive.map_or([f64::NAN; 3], |primitive| primitive.half_extent());
+    walls.into_iter().map(|read| (shape(read.primitive), read.pose)).collect()
+}
+
+/// The parts of the block in the engine that differ from the block of the settings with this chamfer, or are missing.
+fn is_block(acting: &Acting<'_, Settings>) -> bool {
+    let settings = acting.settings;
+    let expected = parts::block(&settings.mouth(), settings.width_m + settings.clearance_m, settings.chamfer_m);
+    // The first fixture is the table.
+    let found = walls(acting.engine);
+    let close = |(fixture, (half, pose)): (&robogate_physics::Fixture, &([f64; 3], Isometry3<f64>))| {
+        let off = fixture.part.pose.inverse() * pose;
+        let same = fixture.part.primitive.half_extent().iter().zip(half).all(|(a, b)| (a - b).abs() < 1e-7);
+        fixture.kind == FixtureKind::Receptacle
+            && same
+            && off.translation.vector.norm() < 1e-6
+            && off.rotation.angle() < 1e-6
+    };
+    found.len() == expected.len() + 1 && expected.iter().zip(&found[1..]).all(close)
+}
+
+/// A value that acts through the geometry of the block: the request, if the engine has that block.
+fn of_block(acting: &Acting<'_, Settings>, value: f64) -> f64 {
+    if is_block(acting) { value } else { f64::NAN }
+}
+
+/// The hole's width in the engine, from the inner faces of opposite walls, minus that of the shaft.
+fn clearance(acting: &Acting<'_, Settings>) -> f64 {
+    let found = walls(acting.engine);
+    let per_side = if acting.settings.chamfer_m > 0.0 { 3 } else { 1 };
+    let (Some((half, first)), Some((_, opposite))) = (found.get(1), found.get(1 + 2 * per_side)) else {
+        return f64::NAN;
+    };
+    let hole = (first.translation.vector - opposite.translation.vector).norm() - 2.0 * half[0];
+    // The difference of two poses has fewer digits than the request.
+    let read = hole - width(acting);
+    if (read - acting.settings.clearance_m).abs() < 1e-9 { acting.settings.clearance_m } else { read }
+}
+
+fn width(acting: &Acting<'_, Settings>) -> f64 {
+    acting.engine.parts.first().map_or(f64::NAN, |part| 2.0 * part.half_extent()[0])
+}
+
+/// The scale of a point of the unit disc that gives this displacement. `NaN` if the direction disagrees.
+fn scale(draw: [f64; 2], found: [f64; 2]) -> f64 {
+    let scale = (draw[0] * found[0] + draw[1] * found[1]) / (draw[0] * draw[0] + draw[1] * draw[1]);
+    let agrees = draw.iter().zip(found).all(|(draw, found)| (draw * scale - found).abs() < 1e-6);
+    if agrees { scale } else { f64::NAN }
+}
+
+fn peg_jitter(acting: &Acting<'_, Settings>) -> f64 {
+    let (at, [x, y]) = (acting.engine.object.translation, acting.settings.places[0]);
+    scale(acting.settings.shift[0], [at.x - x, at.y - y])
+}
+
+fn encoder_bias(acting: &Acting<'_, Settings>) -> f64 {
+    let draws = &acting.settings.encoders;
+    let largest = (0..draws.len()).max_by(|a, b| draws[*a].abs().total_cmp(&draws[*b].abs())).unwrap_or_default();
+    acting.bias[largest] / draws[largest]
+}
+
+const fn number(
+    name: &'static str,
+    unit: &'static str,
+    meaning: &'static str,
+    read_from: &'static str,
+    (range, nominal): ([f64; 2], f64),
+    set: fn(&mut Settings, f64),
+    read: fn(&Acting<'_, Settings>) -> f64,
+) -> Row<Settings> {
+    Row { name, unit, meaning, read_from, access: Access::Number { range, nominal, set, read } }
+}
+
+/// Every parameter of the task.
+pub(super) static ROWS: [Row<Settings>; 11] = [
+    number(
+        "clearance_m",
+        "m",
+        "Difference of the widths of hole and peg; the policy is told.",
+        "the shapes and poses of walls and shaft in the engine",
+        ([0.0002, 0.003], 0.001),
+        |s, x| s.clearance_m = x,
+        clearance,
+    ),
+    number(
+        "chamfer_m",
+        "m",
+        "Width of the 45 degree chamfer of the hole; the policy is told.",
+        "the shapes and poses of the block's parts in the engine",
+        ([0.0, 0.004], 0.001),
+        |s, x| s.chamfer_m = x,
+        |a| of_block(a, a.settings.chamfer_m),
+    ),
+    number(
+        "width_m",
+        "m",
+        "Width of the peg's square shaft.",
+        "the shaft's shape in the engine",
+        ([0.015, 0.04], 0.03),
+        |s, x| s.width_m = x,
+        width,
+    ),
+    number(
+        "mass_kg",
+        "kg",
+        "Mass of the peg.",
+        "the peg's mass in the engine",
+        ([0.02, 2.0], 0.2),
+        |s, x| s.mass_kg = x,
+        |a| a.engine.mass_kg,
+    ),
+    number(
+        "friction",
+        "",
+        "Coulomb friction coefficient of the peg against block and table.",
+        "the contacts' friction in the engine",
+        ([0.01, 2.0], 0.2),
+        |s, x| s.friction = x,
+        |a| a.engine.table_friction,
+    ),
+    number(
+        "arm_stiffness",
+        "",
+        "Stiffness of the arm's servos as a multiple of the robot's own; the policy is told.",
+        "the servos' stiffness in the engine",
+        ([0.05, 2.0], 0.25),
+        |s, x| s.arm_stiffness = x,
+        |a| a.engine.arm_stiffness.unwrap_or(f64::NAN),
+    ),
+    number(
+        "hole_jitter_m",
+        "m",
+        "Radius of the disc from which the hole's offset from its place is drawn; the policy is not told.",
+        "the poses of the block's parts in the engine",
+        ([0.0, 0.01], 0.0),
+        |s, x| s.hole_jitter_m = x,
+        |a| of_block(a, a.settings.hole_jitter_m),
+    ),
+    number(
+        "hole_tilt_rad",
+        "rad",
+        "Largest tilt of the hole's axis, about an axis in a random direction; the policy is not told.",
+        "the poses of the block's parts in the engine",
+        ([0.0, 0.05], 0.0),
+        |s, x| s.hole_tilt_rad = x,
+        |a| of_block(a, a.settings.hole_tilt_rad),
+    ),
+    number(
+        "peg_jitter_m",
+        "m",
+        "Radius of the disc from which the peg's offset from its place is drawn; the policy is not told.",
+        "the peg's pose in the engine",
+        ([0.0, 0.03], 0.0),
+        |s, x| s.peg_jitter_m = x,
+        peg_jitter,
+    ),
+    number(
+        "encoder_bias_rad",
+        "rad",
+        "Largest encoder bias: each joint's encoder has a constant bias, drawn uniformly between minus and plus this value.",
+        "the biases of the encoders",
+        ([0.0, 0.1], 0.0),
+        |s, x| s.encoder_bias_rad = x,
+        encoder_bias,
+    ),
+    number(
+        "lighting_lux",
+        "lux",
+        "Illuminance on the table.",
+        "the cameras",
+        ([1.0, 1e5], 500.0),
+        |s, x| s.lighting_lux = x,
+        |a| a.visual.lighting_lux,
+    ),
+];

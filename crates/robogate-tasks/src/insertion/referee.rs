@@ -1,0 +1,252 @@
+//! The referee: determines the outcome of an episode from forces, motion and gripper commands.
+//!
+//! It does not use the policy's phases, so the same rules apply to all policies. The first decisive event ends the episode:
+//!
+//! | event | when |
+//! |---|---|
+//! | collision | a robot body touches the table or the block |
+//! | missed | after a close command the gripper is at rest and does not hold the peg; or the released peg has come to rest outside the hole |
+//! | dropped | the peg left the closed gripper before it was seated |
+//! | wedge, jam | the peg is stuck: pressed in the hole with at least 10 N for 3 s without 0.5 mm of progress, or released in the hole and at rest before its seat. It is a wedge at a depth where friction can hold it against any load ([`super::whitney::can_wedge`]), a jam otherwise |
+//! | jam | the peg is pressed with more than 80 N for 0.5 s |
+//! | success | the tip is within 2 mm of the hole's full depth for 0.1 s |
+//!
+//! The rollout reports a timeout if none of these events happens within the time limit.
+
+use nalgebra::{Isometry3, Point3};
+use robogate_core::{Assignment, FailureMode, Measures, Word};
+use robogate_physics::{Collision, GRAVITY, GripperCommand, Readback, Visual};
+
+use super::parameters::{ROWS, Settings};
+use super::parts::DEPTH_M;
+use super::spec::{COLLISION, DEPTH, DROPPED, DURATION, JAM, LATERAL, MISSED, PRESS, WEDGE};
+use super::whitney;
+use crate::arm::{Acting, Grip, GripChange, Ruling, Sight, Trial, applied, touching};
+
+/// The tip is seated within this distance of the full depth, in metres ...
+const SEAT_M: f64 = 0.002;
+/// ... for this long, in seconds.
+const SEAT_S: f64 = 0.1;
+/// A stuck peg is pressed with at least this force along the hole's axis, in newtons ...
+const STUCK_N: f64 = 10.0;
+/// ... for this long in total since its last progress, in seconds.
+const STUCK_S: f64 = 3.0;
+/// Progress is at least this increase of the largest depth, in metres.
+const PROGRESS_M: f64 = 0.0005;
+/// A peg that is pressed with more than this force, in newtons ...
+const CRUSH_N: f64 = 80.0;
+/// ... for this long, in seconds, is jammed.
+const CRUSH_S: f64 = 0.5;
+/// A released peg is at rest below this speed, in m/s, ...
+const REST_SPEED: f64 = 0.005;
+/// ... for this long, in seconds.
+const REST_S: f64 = 0.4;
+
+/// The referee of one episode.
+pub(crate) struct Referee {
+    settings: Settings,
+    /// Pose of the hole's frame in the base frame.
+    mouth: Isometry3<f64>,
+    grip: Grip,
+    was_held: bool,
+    /// Time of the last time step, in seconds.
+    before: f64,
+    seated_since: Option<f64>,
+    calm_since: Option<f64>,
+    /// Largest depth that counts as progress, in metres, and the time of pressing since then, in seconds.
+    progress: (f64, f64),
+    /// Time of pressing with too much force, in seconds.
+    crushed_s: f64,
+    /// Time of the first contact of the held peg with the block, in seconds.
+    touched_at: Option<f64>,
+    ruling: Option<Ruling>,
+    events: Vec<String>,
+    depth_m: Option<f64>,
+    press_n: Option<f64>,
+    lateral_n: Option<f64>,
+    duration_s: Option<f64>,
+}
+
+impl Referee {
+    /// The referee of an episode with these settings, for a gripper that holds with `grip_force_n` newtons.
+    pub(super) fn new(settings: Settings, grip_force_n: f64) -> Self {
+        Self {
+            mouth: settings.mouth(),
+            settings,
+            grip: Grip::new(grip_force_n),
+            was_held: false,
+            before: 0.0,
+            seated_since: None,
+            calm_since: None,
+            progress: (0.0, 0.0),
+            crushed_s: 0.0,
+            touched_at: None,
+            ruling: None,
+            events: Vec::new(),
+            depth_m: None,
+            press_n: None,
+            lateral_n: None,
+            duration_s: None,
+        }
+    }
+
+    fn end(&mut self, failure: Option<FailureMode>, time_s: f64, collision: Option<Collision>) {
+        self.ruling.get_or_insert(Ruling { failure, time_s, collision });
+    }
+
+    /// Depth of the tip in the hole, in metres; `None` if the tip is not over the hole.
+    fn depth(&self, peg: &Isometry3<f64>) -> Option<f64> {
+        let tip = self.mouth.inverse_transform_point(&Point3::from(peg.translation.vector));
+        let reach = 0.5 * self.settings.clearance_m + self.settings.chamfer_m + 0.001;
+        (tip.x.hypot(tip.y) <= reach * std::f64::consts::SQRT_2).then_some(-tip.z)
+    }
+
+    /// The mode of a peg that is stuck at this depth.
+    fn stuck(&self, depth: f64) -> FailureMode {
+        if whitney::can_wedge(depth, self.settings.width_m, self.settings.friction) { WEDGE } else { JAM }
+    }
+
+    /// A peg that does not move although it is pressed.
+    fn watch_pressing(&mut self, depth: Option<f64>, press: f64, time: f64) {
+        let elapsed = time - self.before;
+        self.crushed_s = if press > CRUSH_N { self.crushed_s + elapsed } else { 0.0 };
+        if self.crushed_s >= CRUSH_S {
+            self.events.push(format!("peg pressed with {press:.0} N"));
+            self.end(Some(JAM), time, None);
+            return;
+        }
+        let Some(depth) = depth.filter(|depth| *depth > PROGRESS_M) else { return };
+        if depth > self.progress.0 + PROGRESS_M {
+            self.progress = (depth, 0.0);
+        } else if press >= STUCK_N {
+            self.progress.1 += elapsed;
+            if self.progress.1 >= STUCK_S {
+                self.events.push(format!("peg stuck {:.1} mm deep", 1e3 * depth));
+                self.end(Some(self.stuck(depth)), time, None);
+            }
+        }
+    }
+
+    /// A released peg that has come to rest before its seat.
+    fn watch_released(&mut self, sight: &Sight<'_>, depth: Option<f64>) {
+        let touched = sight.view.touches.body_on_object || touching(sight.view);
+        let (linear, _) = sight.view.velocity;
+        if touched || !sight.view.touches.object_on_fixture || linear.norm() >= REST_SPEED {
+            self.calm_since = None;
+            return;
+        }
+        let since = *self.calm_since.get_or_insert(sight.time);
+        if sight.time - since < REST_S {
+            return;
+        }
+        match depth.filter(|depth| *depth > 0.0) {
+            Some(depth) => {
+                self.events.push(format!("released peg at rest {:.1} mm deep", 1e3 * depth));
+                self.end(Some(self.stuck(depth)), sight.time, None);
+            }
+            None => {
+                self.events.push("released peg at rest outside the hole".to_owned());
+                self.end(Some(MISSED), sight.time, None);
+            }
+        }
+    }
+}
+
+impl Trial for Referee {
+    fn applied(&self, requested: &Assignment, engine: &Readback, visual: &Visual, bias: &[f64]) -> Assignment {
+        applied(&ROWS, requested, &Acting { settings: &self.settings, engine, visual, bias })
+    }
+
+    fn select(&mut self, _: GripperCommand, _: &Isometry3<f64>, _: &[Isometry3<f64>]) -> usize {
+        0
+    }
+
+    fn observe(&mut self, sight: &Sight<'_>) {
+        if self.ruling.is_some() {
+            return;
+        }
+        if let Some(collision) = sight.view.touches.collision {
+            self.end(Some(COLLISION), sight.time, Some(collision));
+            return;
+        }
+        match self.grip.observe(sight.command, sight.time, sight.view) {
+            Some(GripChange::Closes) => self.events.push("gripper closes at the peg".to_owned()),
+            Some(GripChange::Held) => {
+                self.was_held = true;
+                self.events.push("peg held".to_owned());
+            }
+            Some(GripChange::Missed) => {
+                self.events.push("the gripper closed without the peg".to_owned());
+                self.end(Some(MISSED), sight.time, None);
+                return;
+            }
+            Some(GripChange::Lost) => {
+                self.events.push("peg lost".to_owned());
+                self.end(Some(DROPPED), sight.time, None);
+                return;
+            }
+            Some(GripChange::Released) => self.events.push("gripper opens".to_owned()),
+            None => {}
+        }
+        if self.was_held {
+            self.watch(sight);
+        }
+        self.before = sight.time;
+    }
+
+    fn sensed(&mut self) -> Vec<(Word, Vec<f64>)> {
+        Vec::new()
+    }
+
+    fn measures(&self) -> Measures {
+        [(DEPTH, self.depth_m), (PRESS, self.press_n), (LATERAL, self.lateral_n), (DURATION, self.duration_s)]
+            .into_iter()
+            .collect()
+    }
+
+    fn take_events(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.events)
+    }
+
+    fn ruling(&self) -> Option<Ruling> {
+        self.ruling
+    }
+}
+
+impl Referee {
+    /// Observes a peg that has been picked up.
+    fn watch(&mut self, sight: &Sight<'_>) {
+        let depth = self.depth(&sight.view.object);
+        if let Some(depth) = depth {
+            self.depth_m = Some(self.depth_m.unwrap_or(0.0).max(depth));
+        }
+        let held = self.grip.in_hand().is_some();
+        let mut press = 0.0;
+        // On its way up from the table, the peg still touches it.
+        let near = (sight.view.object.translation.vector - self.mouth.translation.vector).xy().norm();
+        if sight.view.touches.object_on_fixture && near < 2.0 * self.settings.width_m {
+            let force = self.mouth.inverse_transform_vector(&sight.engine.support().force);
+            press = if held { force.z } else { (force.z - GRAVITY * self.settings.mass_kg).max(0.0) };
+            self.press_n = Some(self.press_n.unwrap_or(0.0).max(force.z));
+            self.lateral_n = Some(self.lateral_n.unwrap_or(0.0).max(force.xy().norm()));
+            if held && self.touched_at.is_none() {
+                self.touched_at = Some(sight.time);
+                self.events.push("peg touches the block".to_owned());
+            }
+        }
+        if depth.is_some_and(|depth| depth >= DEPTH_M - SEAT_M) {
+            let since = *self.seated_since.get_or_insert(sight.time);
+            if sight.time - since >= SEAT_S {
+                self.duration_s = self.touched_at.map(|touched| sight.time - touched);
+                self.events.push("peg seated".to_owned());
+                self.end(None, sight.time, None);
+            }
+            return;
+        }
+        self.seated_since = None;
+        self.watch_pressing(depth, press, sight.time);
+        if self.ruling.is_none() && self.grip.is_free() {
+            self.watch_released(sight, depth);
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! Resolves a scenario: a peg that stands on the table, and a block with a hole.
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use robogate_core::{CameraSpec, Fault, Pose, Scenario, TaskSpec};
+use robogate_physics::{Fixture, GRAVITY, Robot, Scene, Visual};
+
+use super::parameters::{ROWS, Settings};
+use super::parts::{self, DEPTH_M};
+use super::referee::Referee;
+use super::spec::{self, Briefing, CONTROL_PERIOD_S};
+use crate::arm::{Resolved, Rules, decode, encoder_bias};
+
+/// Nominal positions (x, y) of peg and hole, in metres.
+const PLACES: [[f64; 2]; 2] = [[0.42, -0.14], [0.48, 0.14]];
+
+/// An arm with less reach than this, in metres, works on a layout that is smaller by [`SHORT_SCALE`].
+const SHORT_REACH_M: f64 = 0.6;
+const SHORT_SCALE: f64 = 0.7;
+
+/// Friction coefficient of the peg against the gripper: rubber pads or a rubber lip.
+const GRIP_FRICTION: f64 = 0.8;
+
+/// The rules of insertion.
+pub(super) struct InsertionRules;
+
+impl Rules for InsertionRules {
+    type Trial = Referee;
+
+    const CONTROL_PERIOD_S: f64 = CONTROL_PERIOD_S;
+
+    fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
+        spec::spec(robot, cameras)
+    }
+
+    fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved<Referee>, Fault> {
+        let mut settings: Settings = decode(&ROWS, &scenario.requested)?;
+        let scale = if robot.settings.arm.reach_m < SHORT_REACH_M { SHORT_SCALE } else { 1.0 };
+        settings.places = PLACES.map(|place| place.map(|x| scale * x));
+        let mut stream = scenario.seed.stream("part-jitter");
+        for shift in &mut settings.shift {
+            let fraction = stream.uniform().sqrt();
+            let (sin, cos) = stream.between(0.0, std::f64::consts::TAU).sin_cos();
+            *shift = [fraction * cos, fraction * sin];
+        }
+        settings.tilt = [stream.between(0.0, std::f64::consts::TAU), stream.uniform()];
+        settings.encoders = encoder_bias(scenario, robot, 1.0);
+        let [[px, py], [hx, hy]] = settings.places;
+        let briefing = Briefing {
+            peg: Pose::upright([px, py, 0.0], 0.0),
+            hole: Pose::upright([hx, hy, DEPTH_M], 0.0),
+            clearance_m: settings.clearance_m,
+            chamfer_m: settings.chamfer_m,
+            arm_stiffness: settings.arm_stiffness,
+        };
+        Ok(Resolved {
+            scene: settings.scene(),
+            bias: encoder_bias(scenario, robot, settings.encoder_bias_rad),
+            instance: briefing.instance("pick up the peg and insert it into the hole".to_owned()),
+            trial: Referee::new(settings, grip_force_n),
+        })
+    }
+}
+
+impl Settings {
+    /// The frame of the hole in the base frame.
+    pub(super) fn mouth(&self) -> Isometry3<f64> {
+        let ([x, y], [dx, dy]) = (self.places[1], self.shift[1]);
+        let [heading, fraction] = self.tilt;
+        let axis = Vector3::new(heading.cos(), heading.sin(), 0.0) * (fraction * self.hole_tilt_rad);
+        Isometry3::from_parts(
+            Translation3::new(x + self.hole_jitter_m * dx, y + self.hole_jitter_m * dy, DEPTH_M),
+            UnitQuaternion::from_scaled_axis(axis),
+        )
+    }
+
+    /// The scene.
+    fn scene(&self) -> Scene {
+        let ([x, y], [dx, dy]) = (self.places[0], self.shift[0]);
+        let mut fixtures = vec![Fixture::table()];
+        fixtures.extend(parts::block(&self.mouth(), self.width_m + self.clearance_m, self.chamfer_m));
+        Scene {
+            object: parts::peg(self.width_m, self.mass_kg, 0.0),
+            object_pose: Isometry3::translation(x + self.peg_jitter_m * dx, y + self.peg_jitter_m * dy, 0.0),
+            others: Vec::new(),
+            friction: GRIP_FRICTION,
+            table_friction: Some(self.friction),
+            arm_stiffness: self.arm_stiffness,
+            fixtures,
+            gravity: GRAVITY,
+            marker: None,
+            visual: Visual { lighting_lux: self.lighting_lux, ..Visual::default() },
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! The scripted controller: it plans all motions from nominal data at the start, see [`crate::arm::Script`].
+
+use robogate_core::{Action, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec};
+use robogate_physics::trajectory::ToolLimit;
+use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
+
+use super::spec::{Briefing, CONTROL_PERIOD_S, phases};
+use crate::arm::{FREE, Planner, Script, tool_down};
+
+/// Height of the tool above the table on transit paths, in metres: a carried part passes over a stack of two.
+const TRANSIT_HEIGHT_M: f64 = 0.25;
+/// Height of a part above the part below it at its release, in metres.
+const RELEASE_ROOM_M: f64 = 0.003;
+/// Limits of motion with a part in the hand, low enough that it does not slip.
+const CARRY: ToolLimit = ToolLimit { speed: 0.5, acceleration: 1.2 };
+/// Limits of the last part of the way down onto the stack.
+const LOWER: ToolLimit = ToolLimit { speed: 0.2, acceleration: 0.8 };
+
+/// The scripted controller.
+pub(super) struct Scripted {
+    robot: Robot,
+    chain: Chain,
+    script: Script,
+}
+
+impl Scripted {
+    /// The controller for a robot with these kinematics.
+    pub(super) fn new(robot: Robot, chain: Chain) -> Self {
+        let script = Script::new(chain.clone(), Vec::new());
+        Self { robot, chain, script }
+    }
+
+    /// Appends the motions that put the part of a level on the stack.
+    fn stack(&self, planner: &mut Planner<'_>, briefing: &Briefing, level: usize) -> Result<(), Unreachable> {
+        use GripperCommand::{Close, Open};
+        let [x, y, _] = briefing.parts[briefing.order[level]].position;
+        let grasp = planner.grasp_height(briefing.size_m);
+        let above: Vec<_> = self.yaws([x, y]).into_iter().map(|yaw| tool_down([x, y, TRANSIT_HEIGHT_M], yaw)).collect();
+        let (chosen, joints) = planner.nearest(&above)?;
+        let yaw = self.yaws([x, y])[chosen];
+        planner.swing(phases::APPROACH, joints, Open);
+        planner.straight(phases::APPROACH, &[tool_down([x, y, grasp], yaw)], FREE, Open)?;
+        planner.grip(phases::GRASP, Close);
+
+        let [x0, y0, _] = briefing.parts[briefing.order[0]].position;
+        let steps = level as f64;
+        let place = [x0 + steps * briefing.offset_m[0], y0 + steps * briefing.offset_m[1]];
+        // Cubes are equal after a quarter rotation.
+        let quarters: Vec<f64> = (0..4).map(|k| yaw + f64::from(k) * std::f64::consts::FRAC_PI_2).collect();
+        let at = |height: f64, yaw: f64| tool_down([place[0], place[1], height], yaw);
+        let over: Vec<_> = quarters.iter().map(|yaw| at(TRANSIT_HEIGHT_M, *yaw)).collect();
+        let turned = quarters[planner.nearest(&over)?.0];
+        let down = steps * briefing.size_m + grasp + RELEASE_ROOM_M;
+        let lifted = tool_down([x, y, TRANSIT_HEIGHT_M], yaw);
+        planner.straight(phases::CARRY, &[lifted, at(TRANSIT_HEIGHT_M, turned)], CARRY, Close)?;
+        planner.straight(phases::CARRY, &[at(down, turned)], LOWER, Close)?;
+        planner.grip(phases::RELEASE, Open);
+        planner.straight(phases::RELEASE, &[at(TRANSIT_HEIGHT_M, turned)], FREE, Open)
+    }
+
+    /// Yaws of the tool with which the robot can grasp a part at (x, y). A cup can have any yaw: its yaw follows the arm's
+    /// base, which keeps the wrist posture.
+    fn yaws(&self, [x, y]: [f64; 2]) -> Vec<f64> {
+        let quarters = |first: f64| (0..4).map(|k| first + f64::from(k) * std::f64::consts::FRAC_PI_2).collect();
+        match &self.robot.settings.gripper {
+            Gripper::ParallelJaw(_) => quarters(0.0),
+            Gripper::Suction(_) => {
+                let home = self.chain.tcp_at(&self.robot.settings.arm.home_rad);
+                let axis = home.rotation * nalgebra::Vector3::x();
+                quarters(axis.y.atan2(axis.x) + y.atan2(x) - home.translation.y.atan2(home.translation.x))
+            }
+        }
+    }
+}
+
+impl Policy for Scripted {
+    fn check(&self, task: &TaskSpec) -> Result<(), String> {
+        if task.name != super::NAME || task.action.joints() != Some(&*self.robot.settings.arm.joints) {
+            return Err(format!("the scripted controller drives stacking on {}, not {}", self.robot.name(), task.name));
+        }
+        Ok(())
+    }
+
+    fn reset(&mut self, _: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {
+        let briefing = Briefing::of(instance)?;
+        let mut planner = Planner::new(&self.robot, &self.chain, CONTROL_PERIOD_S);
+        // If a pose is out of reach, the controller runs the reachable part of its plan and then waits. This is a failure
+        // of the controller (a timeout), not a fault of the simulator.
+        let reachable = (1..briefing.order.len()).try_for_each(|level| self.stack(&mut planner, &briefing, level));
+        if reachable.is_err() {
+            planner.swing(phases::APPROACH, self.robot.settings.arm.home_rad.clone(), GripperCommand::Open);
+        }
+        self.script = Script::new(self.chain.clone(), planner.finish());
+        Ok(())
+    }
+
+    fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
+        Ok(self.script.act(observation))
+    }
+}

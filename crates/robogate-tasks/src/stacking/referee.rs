@@ -1,0 +1,273 @@
+//! The referee: determines the outcome of an episode from contacts, motion and gripper commands.
+//!
+//! It does not use the policy's phases, so the same rules apply to all policies. The first decisive event ends the episode:
+//!
+//! | event | when |
+//! |---|---|
+//! | collision | a robot body touches the table |
+//! | missed | after a close command the gripper is at rest and does not hold a part |
+//! | dropped | a part left the closed gripper, or was released more than 3 cm above its resting height |
+//! | toppled | a part of the stack tilts by more than 15 degrees or sinks by more than a quarter of its size; a part that was released over the stack falls or comes to rest elsewhere |
+//! | misplaced | a released part has come to rest out of order or outside the tolerance of its place |
+//! | success | all parts are in their places, have been at rest for 0.4 s, and the robot does not touch the last one |
+//!
+//! The rollout reports a timeout if none of these events happens within the time limit.
+
+use nalgebra::{Isometry3, Vector3};
+use robogate_core::{Assignment, FailureMode, Measures, Word};
+use robogate_physics::{Collision, Engine, GripperCommand, Readback, Visual};
+
+use super::parameters::{PARTS, ROWS, Settings};
+use super::spec::{COLLISION, DROPPED, MARGIN, MISPLACED, MISSED, OFFSET, PEAK_FORCE, SLIP, TOLERANCE_M, TOPPLED};
+use super::statics::{self, Level};
+use crate::arm::{Acting, Grip, GripChange, Ruling, Sight, Trial, applied, touching};
+
+/// A part is dropped if it is released more than this above its resting height, in metres.
+const DROP_M: f64 = 0.03;
+/// A part has tipped over beyond this angle, in radians.
+const TILT_RAD: f64 = 0.262;
+/// A part is no longer at its level if its centre is off by more than this fraction of its size.
+const LEVEL_SHARE: f64 = 0.25;
+/// The parts are at rest below this speed, in m/s ...
+const REST_SPEED: f64 = 0.01;
+/// ... and this angular speed, in rad/s ...
+const REST_SPIN: f64 = 0.2;
+/// ... for this long, in seconds.
+const REST_S: f64 = 0.4;
+
+/// The referee of one episode.
+pub(crate) struct Referee {
+    settings: Settings,
+    grip: Grip,
+    /// The part that the gripper acts on.
+    selected: usize,
+    /// Number of levels that are complete. The bottom one is complete from the start.
+    complete: usize,
+    released: Option<Released>,
+    ruling: Option<Ruling>,
+    events: Vec<String>,
+    offset_m: Option<f64>,
+    margin_m: Option<f64>,
+    peak_force_n: Option<f64>,
+    slip_m: Option<f64>,
+}
+
+/// A part after its release.
+#[derive(Debug, Clone, Copy)]
+struct Released {
+    /// Height above the resting height at its level, in metres.
+    height: f64,
+    /// Whether it was released over the stack.
+    over_stack: bool,
+    calm_since: Option<f64>,
+}
+
+impl Referee {
+    /// The referee of an episode with these settings, for a gripper that holds with `grip_force_n` newtons.
+    pub(super) fn new(settings: Settings, grip_force_n: f64) -> Self {
+        Self {
+            selected: settings.order[1],
+            settings,
+            grip: Grip::new(grip_force_n),
+            complete: 1,
+            released: None,
+            ruling: None,
+            events: Vec::new(),
+            offset_m: None,
+            margin_m: None,
+            peak_force_n: None,
+            slip_m: None,
+        }
+    }
+
+    fn end(&mut self, failure: Option<FailureMode>, time_s: f64, collision: Option<Collision>) {
+        self.ruling.get_or_insert(Ruling { failure, time_s, collision });
+    }
+
+    /// The part at a level of the stack.
+    fn part_at(&self, level: usize, engine: &dyn Engine) -> Isometry3<f64> {
+        engine.free_body(self.settings.order[level])
+    }
+
+    /// Height of the centre of a part at this level, in metres.
+    fn level_height(&self, level: usize) -> f64 {
+        (level as f64 + 0.5) * self.settings.size_m
+    }
+
+    /// Whether a part is upright at this level.
+    fn stands(&self, part: &Isometry3<f64>, level: usize) -> bool {
+        let off = (part.translation.z - self.level_height(level)).abs();
+        off <= LEVEL_SHARE * self.settings.size_m && tilt(part) <= TILT_RAD
+    }
+
+    /// Horizontal distance of a part from its place on the part below, in metres.
+    fn off_place(&self, part: &Isometry3<f64>, below: &Isometry3<f64>) -> f64 {
+        let off = part.translation.vector - below.translation.vector;
+        (off.x - self.settings.overhang * self.settings.size_m).hypot(off.y)
+    }
+
+    /// Whether no free body moves.
+    fn calm(engine: &dyn Engine) -> bool {
+        (0..PARTS.len()).all(|part| {
+            let (linear, angular) = engine.free_body_velocity(part);
+            linear.norm() < REST_SPEED && angular.norm() < REST_SPIN
+        })
+    }
+
+    /// A released part moves, or has come to rest.
+    fn watch_released(&mut self, sight: &Sight<'_>) {
+        let Some(released) = self.released else { return };
+        let (part, below) = (sight.view.object, self.part_at(self.complete - 1, sight.engine));
+        let expected = self.selected == self.settings.order[self.complete];
+        let fell = part.translation.z < self.level_height(self.complete) - 0.5 * self.settings.size_m
+            || tilt(&part) > 2.0 * TILT_RAD;
+        if expected && released.over_stack && released.height <= DROP_M && fell {
+            self.events.push(format!("part {} falls off the stack", PARTS[self.selected]));
+            self.end(Some(TOPPLED), sight.time, None);
+            return;
+        }
+        let touched = sight.view.touches.body_on_object || touching(sight.view);
+        if touched || !sight.view.touches.object_on_fixture || !Self::calm(sight.engine) {
+            self.released = Some(Released { calm_since: None, ..released });
+            return;
+        }
+        let since = released.calm_since.unwrap_or(sight.time);
+        self.released = Some(Released { calm_since: Some(since), ..released });
+        if sight.time - since < REST_S {
+            return;
+        }
+        let off = self.off_place(&part, &below);
+        let name = PARTS[self.selected];
+        let failure = if released.height > DROP_M {
+            self.events.push(format!("part {name} was released in the air"));
+            Some(DROPPED)
+        } else if !expected {
+            self.events.push(format!("part {name} is out of order"));
+            Some(MISPLACED)
+        } else if !self.stands(&part, self.complete) {
+            self.events.push(format!("part {name} is not on the stack"));
+            Some(if released.over_stack { TOPPLED } else { MISPLACED })
+        } else {
+            self.events.push(format!("part {name} at rest, {:.1} mm from its place", 1e3 * off));
+            self.offset_m = Some(self.offset_m.unwrap_or(0.0).max(off));
+            (off > TOLERANCE_M).then_some(MISPLACED)
+        };
+        if failure.is_some() {
+            self.end(failure, sight.time, None);
+            return;
+        }
+        self.released = None;
+        self.complete += 1;
+        let margin = statics::margin(&self.levels(sight.engine), self.settings.size_m);
+        self.margin_m = Some(margin);
+        if self.complete == PARTS.len() {
+            self.events.push(format!("the stack is complete, {:.1} mm from tipping", 1e3 * margin));
+            self.end(None, sight.time, None);
+        }
+    }
+
+    /// The complete levels of the stack.
+    fn levels(&self, engine: &dyn Engine) -> Vec<Level> {
+        let level = |level: usize| {
+            let at = self.part_at(level, engine).translation;
+            Level { at: [at.x, at.y], mass_kg: self.settings.mass_kg * self.settings.mass_step.powi(level as i32) }
+        };
+        (0..self.complete).map(level).collect()
+    }
+
+    fn measure(&mut self, sight: &Sight<'_>) {
+        if let Some(force) = sight.view.touches.peak_force {
+            self.peak_force_n = Some(self.peak_force_n.unwrap_or(0.0).max(force));
+        }
+        if let Some(in_hand) = self.grip.in_hand().filter(|_| touching(sight.view)) {
+            let now = sight.view.tcp.inverse() * sight.view.object;
+            let slip = (now.translation.vector - in_hand.translation.vector).norm();
+            self.slip_m = Some(self.slip_m.unwrap_or(0.0).max(slip));
+        }
+    }
+}
+
+/// Angle between the vertical and the axis of a part that is nearest to it, in radians.
+fn tilt(part: &Isometry3<f64>) -> f64 {
+    (part.rotation * Vector3::z()).z.clamp(-1.0, 1.0).acos()
+}
+
+impl Trial for Referee {
+    fn applied(&self, requested: &Assignment, engine: &Readback, visual: &Visual, bias: &[f64]) -> Assignment {
+        applied(&ROWS, requested, &Acting { settings: &self.settings, engine, visual, bias })
+    }
+
+    fn select(&mut self, command: GripperCommand, tcp: &Isometry3<f64>, bodies: &[Isometry3<f64>]) -> usize {
+        // An open gripper that closes acts on the nearest part.
+        if command == GripperCommand::Close && self.grip.is_free() {
+            let distance = |body: &usize| (bodies[*body].translation.vector - tcp.translation.vector).norm();
+            let nearest = (0..bodies.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
+            self.selected = nearest.unwrap_or(self.selected);
+        }
+        self.selected
+    }
+
+    fn observe(&mut self, sight: &Sight<'_>) {
+        self.measure(sight);
+        if self.ruling.is_some() {
+            return;
+        }
+        if let Some(collision) = sight.view.touches.collision {
+            self.end(Some(COLLISION), sight.time, Some(collision));
+            return;
+        }
+        let name = PARTS[self.selected];
+        match self.grip.observe(sight.command, sight.time, sight.view) {
+            Some(GripChange::Closes) => {
+                self.released = None;
+                self.events.push(format!("gripper closes at part {name}"));
+            }
+            Some(GripChange::Held) => self.events.push(format!("part {name} held")),
+            Some(GripChange::Missed) => {
+                self.events.push("the gripper closed without a part".to_owned());
+                self.end(Some(MISSED), sight.time, None);
+            }
+            Some(GripChange::Lost) => {
+                self.events.push(format!("part {name} lost"));
+                self.end(Some(DROPPED), sight.time, None);
+            }
+            Some(GripChange::Released) => {
+                let (part, below) = (sight.view.object, self.part_at(self.complete - 1, sight.engine));
+                let height = part.translation.z - self.level_height(self.complete);
+                let over_stack = self.off_place(&part, &below) <= self.settings.size_m;
+                // A part beside the stack rests on the table.
+                let height = if over_stack { height } else { part.translation.z - self.level_height(0) };
+                self.events.push(format!("gripper opens, part {name} {:.0} mm above its rest", 1e3 * height));
+                self.released = Some(Released { height, over_stack, calm_since: None });
+            }
+            None => {}
+        }
+        for level in 0..self.complete {
+            let held = self.grip.in_hand().is_some() && self.settings.order[level] == self.selected;
+            if !held && !self.stands(&self.part_at(level, sight.engine), level) {
+                self.events.push(format!("part {} of the stack tips over", PARTS[self.settings.order[level]]));
+                self.end(Some(TOPPLED), sight.time, None);
+                return;
+            }
+        }
+        self.watch_released(sight);
+    }
+
+    fn sensed(&mut self) -> Vec<(Word, Vec<f64>)> {
+        Vec::new()
+    }
+
+    fn measures(&self) -> Measures {
+        [(OFFSET, self.offset_m), (MARGIN, self.margin_m), (PEAK_FORCE, self.peak_force_n), (SLIP, self.slip_m)]
+            .into_iter()
+            .collect()
+    }
+
+    fn take_events(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.events)
+    }
+
+    fn ruling(&self) -> Option<Ruling> {
+        self.ruling
+    }
+}

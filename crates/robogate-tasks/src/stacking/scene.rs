@@ -1,0 +1,107 @@
+//! Resolves a scenario: the parts on the table, the order and the offset of the stack.
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use robogate_core::{CameraSpec, Fault, Pose, Scenario, TaskSpec};
+use robogate_physics::{
+    Color, Fixture, FreeBody, GRAVITY, MassProperties, Object, Part, Primitive, Robot, Scene, Visual,
+};
+
+use super::parameters::{PARTS, ROWS, Settings};
+use super::referee::Referee;
+use super::spec::{self, Briefing, CONTROL_PERIOD_S, TOLERANCE_M};
+use crate::arm::{Resolved, Rules, decode, encoder_bias};
+
+/// Nominal positions (x, y) of the parts, in metres. A hand that grasps one of them has room beside the others.
+const PLACES: [[f64; 2]; 3] = [[0.42, -0.16], [0.56, 0.0], [0.42, 0.16]];
+
+/// An arm with less reach than this, in metres, works on a layout that is smaller by [`SHORT_SCALE`].
+const SHORT_REACH_M: f64 = 0.6;
+const SHORT_SCALE: f64 = 0.7;
+
+/// Colours of the parts.
+const COLORS: [Color; 3] = [Color([200, 60, 40]), Color([58, 110, 165]), Color([222, 170, 60])];
+
+/// The rules of stacking.
+pub(super) struct StackRules;
+
+impl Rules for StackRules {
+    type Trial = Referee;
+
+    const CONTROL_PERIOD_S: f64 = CONTROL_PERIOD_S;
+
+    fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
+        spec::spec(robot, cameras)
+    }
+
+    fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved<Referee>, Fault> {
+        let settings =
+            Settings { places: places(robot), ..drawn(decode(&ROWS, &scenario.requested)?, scenario, robot) };
+        let briefing = Briefing {
+            size_m: settings.size_m,
+            parts: settings.places.map(|[x, y]| Pose::upright([x, y, 0.5 * settings.size_m], 0.0)),
+            order: settings.order,
+            offset_m: [settings.overhang * settings.size_m, 0.0],
+            tolerance_m: TOLERANCE_M,
+        };
+        Ok(Resolved {
+            scene: scene(&settings),
+            bias: encoder_bias(scenario, robot, settings.encoder_bias_rad),
+            instance: briefing.instance(),
+            trial: Referee::new(settings, grip_force_n),
+        })
+    }
+}
+
+/// Nominal positions of the parts for this robot, in metres.
+fn places(robot: &Robot) -> [[f64; 2]; 3] {
+    let scale = if robot.settings.arm.reach_m < SHORT_REACH_M { SHORT_SCALE } else { 1.0 };
+    PLACES.map(|[x, y]| [scale * x, scale * y])
+}
+
+/// The settings with the episode's random draws.
+fn drawn(mut settings: Settings, scenario: &Scenario, robot: &Robot) -> Settings {
+    let mut stream = scenario.seed.stream("part-jitter");
+    for part in 0..PARTS.len() {
+        let fraction = stream.uniform().sqrt();
+        let (sin, cos) = stream.between(0.0, std::f64::consts::TAU).sin_cos();
+        settings.shift[part] = [fraction * cos, fraction * sin];
+        settings.turn[part] = stream.between(-1.0, 1.0);
+    }
+    settings.encoders = encoder_bias(scenario, robot, 1.0);
+    settings
+}
+
+/// The scene of these settings.
+pub(super) fn scene(settings: &Settings) -> Scene {
+    let half = 0.5 * settings.size_m;
+    let parts = vec![Part { primitive: Primitive::Box { half: [half; 3] }, pose: Isometry3::identity() }];
+    let body = |part: usize| {
+        let level = settings.order.iter().position(|at| *at == part).unwrap_or_default();
+        let mass_kg = settings.mass_kg * settings.mass_step.powi(level as i32);
+        let ([x, y], [dx, dy]) = (settings.places[part], settings.shift[part]);
+        let jitter = settings.position_jitter_m;
+        let yaw = settings.turn[part] * settings.yaw_jitter_rad;
+        FreeBody {
+            name: format!("part_{}", PARTS[part]),
+            object: Object { mass: MassProperties::homogeneous(&parts, mass_kg), parts: parts.clone() },
+            pose: Isometry3::from_parts(
+                Translation3::new(x + jitter * dx, y + jitter * dy, half),
+                UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw),
+            ),
+            color: COLORS[part],
+        }
+    };
+    let FreeBody { object, pose, color, .. } = body(0);
+    Scene {
+        object,
+        object_pose: pose,
+        others: vec![body(1), body(2)],
+        friction: settings.friction,
+        table_friction: None,
+        arm_stiffness: 1.0,
+        fixtures: vec![Fixture::table()],
+        gravity: GRAVITY * settings.gravity_scale,
+        marker: None,
+        visual: Visual { lighting_lux: settings.lighting_lux, object_color: color, ..Visual::default() },
+    }
+}

@@ -1,0 +1,132 @@
+//! The declaration of stacking as data.
+
+use robogate_core::{
+    Better, CameraSpec, FailureMode, FailureModeSpec, Fault, FaultKind, MeasureSpec, ObservationSpec, Pose, Severity,
+    TaskInstance, TaskSpec, Word,
+};
+use robogate_physics::Robot;
+use serde::{Deserialize, Serialize};
+
+use super::parameters::ROWS;
+use crate::arm::{action_spec, observed_vectors, specs};
+
+/// Time between two actions, in seconds.
+pub(super) const CONTROL_PERIOD_S: f64 = 0.05;
+/// The time limit of an episode, in seconds.
+const TIME_LIMIT_S: f64 = 30.0;
+/// A part is in its place within this horizontal distance of its offset from the part below, in metres.
+pub(super) const TOLERANCE_M: f64 = 0.01;
+
+/// A part that stood on another one fell off it or tipped over.
+pub(super) const TOPPLED: FailureMode = FailureMode::constant("toppled");
+/// A part came to rest outside the tolerance of its place.
+pub(super) const MISPLACED: FailureMode = FailureMode::constant("misplaced");
+/// A part was lost between grasp and release, or released in the air.
+pub(super) const DROPPED: FailureMode = FailureMode::constant("dropped");
+/// The gripper closed without a part.
+pub(super) const MISSED: FailureMode = FailureMode::constant("missed");
+/// The robot touched the table.
+pub(super) const COLLISION: FailureMode = FailureMode::constant("collision");
+
+/// Largest distance of a placed part from its place, in metres.
+pub(super) const OFFSET: Word = Word::constant("stack_offset_m");
+/// Smallest distance from the line of gravity to an edge of support, in metres.
+pub(super) const MARGIN: Word = Word::constant("stability_margin_m");
+/// Largest normal force between any body of the robot and another body, in newtons.
+pub(super) const PEAK_FORCE: Word = Word::constant("peak_contact_force_n");
+/// Largest displacement of a part in the hand since it was held, in metres.
+pub(super) const SLIP: Word = Word::constant("slip_m");
+
+/// The phases of the scripted controller.
+pub(super) mod phases {
+    use robogate_core::Word;
+
+    pub(in crate::stacking) const APPROACH: Word = Word::constant("approach");
+    pub(in crate::stacking) const GRASP: Word = Word::constant("grasp");
+    pub(in crate::stacking) const CARRY: Word = Word::constant("carry");
+    pub(in crate::stacking) const RELEASE: Word = Word::constant("release");
+}
+
+/// The task specification for this robot with these cameras.
+pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
+    let mode = |name, severity, meaning: &str| FailureModeSpec { name, meaning: meaning.to_owned(), severity };
+    let measure = |name, unit: &str, better, meaning: &str| MeasureSpec {
+        name,
+        unit: unit.to_owned(),
+        meaning: meaning.to_owned(),
+        better,
+    };
+    TaskSpec {
+        name: Word::constant(super::NAME),
+        version: 1,
+        instruction: "stack the parts in the given order".to_owned(),
+        control_period_s: CONTROL_PERIOD_S,
+        time_limit_s: TIME_LIMIT_S,
+        failure_modes: vec![
+            mode(TOPPLED, Severity::Critical, "A part that stood on another one fell off it or tipped over."),
+            mode(MISPLACED, Severity::Major, "A part came to rest outside the tolerance of its place."),
+            mode(DROPPED, Severity::Critical, "A part was lost between grasp and release, or released in the air."),
+            mode(MISSED, Severity::Major, "The gripper closed without a part."),
+            mode(COLLISION, Severity::Critical, "A link or finger of the robot touched the table."),
+            mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the stack was complete."),
+        ],
+        measures: vec![
+            measure(OFFSET, "m", Better::Lower, "Largest horizontal distance of a placed part from its place."),
+            measure(
+                MARGIN,
+                "m",
+                Better::Higher,
+                "Smallest distance from the line of gravity of the parts above a face to the edge of that face.",
+            ),
+            measure(PEAK_FORCE, "N", Better::Lower, "Largest normal force between the robot and anything."),
+            measure(SLIP, "m", Better::Lower, "Largest displacement of a part in the hand since it was held."),
+        ],
+        phases: vec![phases::APPROACH, phases::GRASP, phases::CARRY, phases::RELEASE],
+        parameters: specs(&ROWS),
+        observation: ObservationSpec { vectors: observed_vectors(robot), cameras },
+        action: action_spec(robot),
+        details: serde_json::Value::Null,
+    }
+}
+
+/// Information that a policy may use about one episode.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Briefing {
+    /// Edge of each part, in metres.
+    pub(super) size_m: f64,
+    /// Nominal pose of each part's centre: a, b, c.
+    pub(super) parts: [Pose; 3],
+    /// Indices of the parts from the bottom of the stack to its top.
+    pub(super) order: [usize; 3],
+    /// Offset (x, y) of each part from the part below it in the base frame, in metres.
+    pub(super) offset_m: [f64; 2],
+    /// Success means within this horizontal distance of that offset, in metres.
+    pub(super) tolerance_m: f64,
+}
+
+impl Briefing {
+    /// The briefing as the details of an episode.
+    pub(super) fn instance(&self) -> TaskInstance {
+        let [first, second, third] = self.order.map(|part| ["a", "b", "c"][part]);
+        TaskInstance {
+            instruction: format!("put part {second} on part {first} and part {third} on part {second}"),
+            // Strings and finite numbers cannot fail to serialise.
+            details: serde_json::to_value(self).unwrap_or_default(),
+        }
+    }
+
+    /// Reads the briefing from the details of an episode.
+    ///
+    /// # Errors
+    /// A setup fault if the details are not those of stacking.
+    pub(super) fn of(instance: &TaskInstance) -> Result<Self, Fault> {
+        let wrong = |why: String| {
+            Fault::new(FaultKind::Setup, format!("the episode details are not a briefing of stacking: {why}"))
+        };
+        let briefing = Self::deserialize(&instance.details).map_err(|why| wrong(why.to_string()))?;
+        match briefing.order.iter().find(|part| **part > 2) {
+            Some(part) => Err(wrong(format!("there is no part {part}"))),
+            None => Ok(briefing),
+        }
+    }
+}
