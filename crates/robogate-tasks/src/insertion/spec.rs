@@ -77,6 +77,7 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
             mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the peg was seated."),
         ],
         measures: vec![
+        draws: Vec::new(),
             measure(DEPTH, "m", Better::Higher, "Largest depth of the peg's tip in the hole."),
             measure(PRESS, "N", Better::Lower, "Largest force of block and table on the peg along the hole's axis."),
             measure(LATERAL, "N", Better::Lower, "Largest force of block and table on the peg across the hole's axis."),

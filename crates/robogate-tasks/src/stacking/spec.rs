@@ -71,6 +71,7 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
             mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the stack was complete."),
         ],
         measures: vec![
+        draws: Vec::new(),
             measure(OFFSET, "m", Better::Lower, "Largest horizontal distance of a placed part from its place."),
             measure(
                 MARGIN,
