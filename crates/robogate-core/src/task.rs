@@ -100,7 +100,7 @@ pub struct MeasureSpec {
 /// A declared draw: a number that an episode samples from its seed and that no parameter sets (an encoder bias, the
 /// position of an obstacle), or that follows from such numbers.
 ///
-/// Draws explain outcomes that parameters alone cannot. They are not parameters: nobody can set them on the real robot,
+/// Draws explain outcomes that parameters alone cannot. They are not parameters: they cannot be set on the real robot,
 /// so advice never names them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct DrawSpec {

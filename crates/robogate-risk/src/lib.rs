@@ -6,7 +6,7 @@
 //!
 //! - [`RiskModel::told`]: the chance of success of one episode, whose draws are known.
 //! - [`RiskModel::averaged`]: the chance of success of parameters alone, averaged over fresh draws. This is the answer
-//!   for the real robot, where nobody knows the draws. It is also the better estimate from few episodes.
+//!   for the real robot, where the draws are unknown.
 //!
 //! Two learners are fitted: ridge logistic regression on splines and products, and monotone gradient boosting.
 //! Cross-validation finds the mean of both that predicts best, and calibrates it. Everything runs in the order of the
