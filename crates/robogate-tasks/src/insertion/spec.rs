@@ -76,8 +76,8 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
             mode(COLLISION, Severity::Critical, "A link or finger of the robot touched the table or the block."),
             mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the peg was seated."),
         ],
-        measures: vec![
         draws: Vec::new(),
+        measures: vec![
             measure(DEPTH, "m", Better::Higher, "Largest depth of the peg's tip in the hole."),
             measure(PRESS, "N", Better::Lower, "Largest force of block and table on the peg along the hole's axis."),
             measure(LATERAL, "N", Better::Lower, "Largest force of block and table on the peg across the hole's axis."),

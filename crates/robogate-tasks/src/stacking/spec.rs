@@ -70,8 +70,8 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
             mode(COLLISION, Severity::Critical, "A link or finger of the robot touched the table."),
             mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the stack was complete."),
         ],
-        measures: vec![
         draws: Vec::new(),
+        measures: vec![
             measure(OFFSET, "m", Better::Lower, "Largest horizontal distance of a placed part from its place."),
             measure(
                 MARGIN,
