@@ -40,7 +40,7 @@ pub use baseline::{Baseline, BaselineFigure};
 pub use comparison::{Against, Comparison, Planned, check_pairing};
 pub use error::GateError;
 pub use evaluation::{
-    Counts, Dropped, EndingCount, Evaluation, GroupResult, Question, RequirementResult, Sampling, Status,
+    Counts, Dropped, EndingCount, Evaluation, FeasibleRate, GroupResult, Question, RequirementResult, Sampling, Status,
 };
 pub use figure::Extremes;
 pub use joint_plan::JointOperating;

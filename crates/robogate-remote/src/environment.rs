@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use robogate_core::{Action, Environment, Fault, FaultKind, Image, Scenario, Start, Step, TaskSpec};
+use robogate_core::{
+    Action, Assignment, Ending, Environment, Fault, FaultKind, Image, Infeasibility, Scenario, Start, Step, TaskSpec,
+};
 
 use super::error::RequestError;
 use super::message::Hello;
@@ -40,7 +42,7 @@ impl RemoteEnvironment {
             return Err(IncompatibleServer(format!("it declares no policy `{policy}`; its policies: {known}")));
         }
         let proposals = Proposals::new(policy);
-        let session = ScoredSession { proposals: Some(proposals.clone()) };
+        let session = ScoredSession { proposals: Some(proposals.clone()), foregone: None };
         Ok((Self { episodes: Episodes::new(pool, session)? }, RemotePolicy(proposals)))
     }
 
@@ -61,6 +63,10 @@ impl Environment for RemoteEnvironment {
 
     fn step(&mut self, action: &Action) -> Result<Step, Fault> {
         self.episodes.step(action)
+    }
+
+    fn foregone_ending(&self) -> Option<Ending> {
+        self.episodes.session.foregone.clone()
     }
 
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
@@ -100,6 +106,14 @@ impl<T: RemoteTask> Environment for RemotePhysics<T> {
 
     fn step(&mut self, action: &Action) -> Result<Step, Fault> {
         self.episodes.step(action)
+    }
+
+    fn foregone_ending(&self) -> Option<Ending> {
+        self.episodes.session.0.foregone_ending()
+    }
+
+    fn infeasibility(&self, requested: &Assignment) -> Option<Infeasibility> {
+        self.episodes.session.0.infeasibility(requested)
     }
 
     fn render(&mut self) -> Result<Vec<Image>, Fault> {

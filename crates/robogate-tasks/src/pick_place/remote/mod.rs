@@ -16,9 +16,12 @@ use std::sync::Arc;
 
 use nalgebra::Isometry3;
 use robogate_camera::{Cameras, Posture};
-use robogate_core::{Action, Fault, FaultKind, Image, Observation, Scenario, Start, Step, TaskSpec};
+use robogate_core::{
+    Action, Assignment, Ending, Fault, FaultKind, Image, Infeasibility, Observation, Scenario, Start, Step, TaskSpec,
+};
 use robogate_physics::{ArmState, Chain, Fixture, Gripper, Robot, grip_force, isometry};
 
+use crate::pick_place::Rules;
 use crate::pick_place::cell::ResolvedCell;
 use crate::pick_place::judge::{Acting, Judge};
 use crate::pick_place::parameters;
@@ -61,7 +64,7 @@ impl RemotePickPlace {
         let judge = Judge::new(robot, chain, grip_force_n);
         let cameras = Cameras::new(judge.robot());
         Ok(Self {
-            task: Arc::new(spec(judge.robot(), camera_specs(&cameras))),
+            task: Arc::new(spec(judge.robot(), camera_specs(&cameras), judge.rules())),
             judge,
             sha256,
             grip_force_n,
@@ -77,8 +80,23 @@ impl RemotePickPlace {
     #[must_use]
     pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
         self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
-        self.task = Arc::new(spec(self.judge.robot(), camera_specs(&self.cameras)));
+        self.declare();
         self
+    }
+
+    /// The same task under these rules.
+    ///
+    /// # Errors
+    /// If a rule is out of range.
+    pub fn with_rules(mut self, rules: Rules) -> Result<Self, String> {
+        rules.check()?;
+        self.judge.set_rules(rules);
+        self.declare();
+        Ok(self)
+    }
+
+    fn declare(&mut self) {
+        self.task = Arc::new(spec(self.judge.robot(), camera_specs(&self.cameras), self.judge.rules()));
     }
 
     /// The task.
@@ -163,6 +181,16 @@ impl RemotePickPlace {
         let name = |body: usize| bodies.get(body).cloned().unwrap_or_default();
         let clearance = clearance_m.filter(|clearance| *clearance < bound);
         self.judge.finish(arm_state(observation), clearance, state_hash, name)
+    }
+
+    /// The ending at the time limit, if it is already certain for a policy that repeats its last action.
+    pub fn foregone_ending(&self) -> Option<Ending> {
+        self.judge.foregone_ending()
+    }
+
+    /// The reason why no policy can complete a scenario, if it is known.
+    pub fn infeasibility(&self, requested: &Assignment) -> Option<Infeasibility> {
+        self.judge.infeasibility(requested)
     }
 
     /// Renders the last reported positions.
