@@ -214,7 +214,9 @@ impl Judge {
     pub(crate) fn foregone_ending(&self) -> Option<Ending> {
         let episode = self.episode.as_ref()?;
         let now = episode.ticks as f64 * CONTROL_PERIOD_S;
-        let moves = |fixture: &Fixture| fixture.motion.is_some_and(|motion| motion.ends_s > now);
+        // A body that has just stopped may have pushed something.
+        let settling_s = f64::from(STILL_TICKS) * CONTROL_PERIOD_S;
+        let moves = |fixture: &Fixture| fixture.motion.is_some_and(|motion| motion.ends_s + settling_s > now);
         let certain = episode.still_ticks >= STILL_TICKS && !episode.cell.scene.fixtures.iter().any(moves);
         certain.then(|| at_limit(&episode.referee, &self.rules))
     }
