@@ -312,11 +312,16 @@ fn stages(
     stages
 }
 
+/// Width of the range of a constant, relative to the larger of its value and 1.
+const CONSTANT_WIDTH: f64 = 1e-3;
+
 fn parameter(dictionary: &Dictionary, name: &str, domain: &Domain) -> Result<ParameterColumn, DictionaryError> {
     let (kind, values) = match domain {
         Domain::Continuous { low, high, scale } => {
             let log = *scale == robogate_core::Scale::Log;
-            (ParameterKind::Continuous { low: *low, high: *high, log }, numbers(dictionary, name)?)
+            // A constant gets a range of positive width, for axes.
+            let high = if domain.is_constant() { low + CONSTANT_WIDTH * low.abs().max(1.0) } else { *high };
+            (ParameterKind::Continuous { low: *low, high, log }, numbers(dictionary, name)?)
         }
         Domain::Integer { low, high } => {
             (ParameterKind::Integer { low: *low, high: *high }, numbers(dictionary, name)?)

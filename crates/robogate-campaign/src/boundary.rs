@@ -232,6 +232,7 @@ fn with_domains(space: &ParameterSpace, name: &str, domains: Vec<Domain>) -> Res
 /// the fractions of each parameter's scale.
 fn share(space: &ParameterSpace, part: &ParameterSpace) -> f64 {
     let along = |(whole, part): (&Parameter, &Parameter)| match (&whole.domain, &part.domain) {
+        (whole, _) if whole.is_constant() => 1.0,
         (whole @ Domain::Continuous { .. }, Domain::Continuous { low, high, .. }) => {
             whole.to_unit(*high) - whole.to_unit(*low)
         }

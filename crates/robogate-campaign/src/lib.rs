@@ -59,6 +59,6 @@ pub use stage::{Points, Stage};
 pub use suite::{
     BUILT_IN_SUITES, GroupSummary, INDUSTRIAL_68, Round, SuiteStage, SuiteSummary, built_in_suite, suite_sha256,
 };
-pub use summary::{Estimate, FaultCount, ModeCount, Population, StageSummary, Summary};
+pub use summary::{Estimate, FaultCount, FeasiblePart, ModeCount, Population, StageSummary, Summary};
 pub use tally::{Bin, Bins, MarginalEffect, OutcomeCounts};
 pub use threads::ThreadPool;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use robogate_core::{FailureMode, FaultKind, Outcome, ParameterSpace, TaskSpec};
+use robogate_core::{FEASIBLE, FailureMode, FaultKind, Outcome, ParameterSpace, TaskSpec, is_feasible};
 use robogate_dictionary::Entry;
 use robogate_stats::Confidence;
 use robogate_stats::weighted::hajek;
@@ -104,6 +104,9 @@ pub struct StageSummary {
     pub success_rate: Option<f64>,
     /// Wilson's 95 % interval of the success rate. [0, 1] if no episode is valid.
     pub interval_95: [f64; 2],
+    /// The feasible part of the episodes. Absent if the task does not check feasibility.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub feasible: Option<FeasiblePart>,
     /// Every failure mode, including those that did not occur.
     pub failure_modes: Vec<ModeCount>,
     /// The faults of invalid episodes.
@@ -111,6 +114,21 @@ pub struct StageSummary {
     /// The marginal effect of each continuous parameter, for the uniform stage only.
     #[serde(default, skip_serializing_if = "Vec::is_empty", alias = "along")]
     pub marginal_effects: Vec<MarginalEffect>,
+}
+
+/// The episodes whose scenario some policy may complete.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct FeasiblePart {
+    /// The number of valid episodes in the feasible part.
+    pub valid: u64,
+    /// The number of successes among them.
+    pub successes: u64,
+    /// The share of the stage's valid episodes that is feasible. Absent if none is valid.
+    pub share: Option<f64>,
+    /// The success rate over the feasible part. Absent if it has no valid episode.
+    pub success_rate: Option<f64>,
+    /// Wilson's 95 % interval of the success rate. [0, 1] without a valid episode.
+    pub interval_95: [f64; 2],
 }
 
 /// The count of one failure mode.
@@ -154,6 +172,8 @@ pub(crate) struct Summing {
     suite: OutcomeCounts,
     groups: Option<Groups>,
     faults: BTreeMap<(Stage, FaultKind), u64>,
+    /// The outcomes of feasible episodes.
+    feasible: BTreeMap<Stage, OutcomeCounts>,
     bins: Bins,
     task: Arc<TaskSpec>,
 }
@@ -169,6 +189,7 @@ impl Summing {
             suite: OutcomeCounts::default(),
             groups: plan.suite.as_ref().map(|stage| Groups::new(&stage.suite)),
             faults: BTreeMap::new(),
+            feasible: BTreeMap::new(),
             bins: Bins::of(plan, space)?,
             task: Arc::clone(task),
         })
@@ -192,6 +213,9 @@ impl Summing {
         }
         if self.is_active && !matches!(outcome, Outcome::Invalid(_)) {
             self.weighted.push((*outcome == Outcome::Success, entry.weight));
+        }
+        if is_feasible(&entry.episode.measures) == Some(true) {
+            self.feasible.entry(stage).or_default().add(outcome);
         }
         if let Outcome::Invalid(fault) = outcome {
             *self.faults.entry((stage, fault.kind)).or_default() += 1;
@@ -253,6 +277,17 @@ impl Summing {
         }
     }
 
+    fn feasible_part(&self, stage: Stage, all: &OutcomeCounts) -> FeasiblePart {
+        let counts = self.feasible.get(&stage).cloned().unwrap_or_default();
+        FeasiblePart {
+            valid: counts.valid(),
+            successes: counts.success,
+            share: (all.valid() > 0).then(|| counts.valid() as f64 / all.valid() as f64),
+            success_rate: counts.success_rate(),
+            interval_95: counts.interval_95(),
+        }
+    }
+
     fn stage(&self, stage: Stage) -> StageSummary {
         let counts = self.counts(stage);
         let population = match stage {
@@ -275,6 +310,7 @@ impl Summing {
             successes: counts.success,
             success_rate: counts.success_rate(),
             interval_95: counts.interval_95(),
+            feasible: self.task.measure(FEASIBLE.as_str()).map(|_| self.feasible_part(stage, counts)),
             failure_modes: counts.modes(&self.task).map(mode).collect(),
             faults: self
                 .faults

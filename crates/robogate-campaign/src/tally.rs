@@ -94,10 +94,11 @@ struct Marginal {
 }
 
 impl Bins {
-    /// Creates `bins` empty bins over the range of each continuous parameter, in its unit. As in the paper, the bins of
+    /// Creates `bins` empty bins over the range of each continuous parameter that varies, in its unit. As in the paper, the bins of
     /// a log-scaled parameter have equal width in the number, not in its logarithm.
     pub fn new(space: &ParameterSpace, bins: usize) -> Result<Self, PlanError> {
-        let along = space.parameters().iter().filter_map(|parameter| match parameter.domain {
+        let varying = space.parameters().iter().filter(|parameter| !parameter.domain.is_constant());
+        let along = varying.filter_map(|parameter| match parameter.domain {
             Domain::Continuous { low, high, scale } => Some((parameter, low, high, scale)),
             _ => None,
         });

@@ -14,6 +14,7 @@ mod action;
 mod copula;
 mod design;
 mod episode;
+mod feasibility;
 mod foresight;
 pub mod latency;
 mod measures;
@@ -33,13 +34,15 @@ mod word;
 pub use action::{Action, ActionSpace, ActionSpec, Command, GripperKind};
 pub use design::{Design, DesignError, Sampler};
 pub use episode::{Contact, Episode};
+pub use feasibility::{FEASIBLE, Infeasibility, InfeasibleShare, SpaceFeasibility, is_feasible};
 pub use foresight::{FeatureSpec, Foresight};
 pub use measures::Measures;
 pub use observation::{Image, Observation, vectors};
 pub use outcome::{FailureMode, FailureModeError, Fault, FaultKind, Outcome};
 pub use pose::Pose;
 pub use rollout::{
-    Ending, Environment, Policy, PredictedStep, Prediction, Start, Step, Tick, check_applied, rollout, rollout_with,
+    Ending, Environment, GAVE_UP, Policy, PredictedStep, Prediction, Start, Step, Tick, check_applied, rollout,
+    rollout_with,
 };
 pub use scenario::{Assignment, Scenario, Value};
 pub use seed::{Seed, Stream};

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use crate::{
-    Action, Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Foresight, Image, Measures, Observation,
-    Outcome, Scenario, Seed, TaskInstance, TaskSpec, Trajectory,
+    Action, Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Foresight, Image, Infeasibility, Measures,
+    Observation, Outcome, Scenario, Seed, TaskInstance, TaskSpec, Trajectory, Word,
 };
 
 /// The result of a reset.
@@ -44,6 +44,10 @@ pub struct Ending {
     pub contact: Option<Contact>,
 }
 
+/// The measure with the simulated time at which the policy gave up ([`Policy::gave_up`]), in seconds. The rollout records
+/// it for tasks that declare it.
+pub const GAVE_UP: Word = Word::constant("gave_up_s");
+
 /// A world in which a policy performs a task.
 pub trait Environment {
     /// The task. It is the same for every episode.
@@ -59,6 +63,19 @@ pub trait Environment {
 
     /// Runs one control period.
     fn step(&mut self, action: &Action) -> Result<Step, Fault>;
+
+    /// The reason why no policy can complete a scenario with these requested parameters, if the task knows one. It must
+    /// hold for every policy: a scenario that is only hard is feasible.
+    fn infeasibility(&self, _requested: &Assignment) -> Option<Infeasibility> {
+        None
+    }
+
+    /// The ending that the episode will have if the policy repeats its last action until the time limit. `None` if this
+    /// is still uncertain, for example because a body moves. The rollout ends an episode early only with this ending,
+    /// and only if the policy gave up: the outcome is that of the whole episode.
+    fn foregone_ending(&self) -> Option<Ending> {
+        None
+    }
 
     /// Renders the cameras in the current state. Rendering does not change the episode.
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
@@ -92,6 +109,12 @@ pub trait Policy {
 
     /// Returns the next action.
     fn act(&mut self, observation: &Observation) -> Result<Action, Fault>;
+
+    /// Whether the policy has given up: while its observations stay the same, it repeats the action of the last call of
+    /// [`Policy::act`] until the time limit. A policy that may still act differently must return `false`.
+    fn gave_up(&self) -> bool {
+        false
+    }
 
     /// Computes the next actions from one observation and executes none of them. A policy without chunks of actions
     /// computes one.
@@ -186,20 +209,30 @@ fn drive(
     }
     policy.reset(&task, &instance, episode.scenario.seed)?;
     let limit = task.limit_ticks().map_err(|why| Fault::new(FaultKind::Setup, why.to_string()))?;
+    let records_giving_up = task.measure(GAVE_UP.as_str()).is_some();
+    let mut gave_up_s = None;
     while episode.ticks < limit {
         if policy.wants_images() {
             observation.images = environment.render()?;
         }
         let action = policy.act(&observation)?;
         task.check_action(&action).map_err(|why| Fault::new(FaultKind::BadAction, why))?;
-        let step = environment.step(&action)?;
+        let mut step = environment.step(&action)?;
+        if gave_up_s.is_none() && policy.gave_up() {
+            gave_up_s = Some(observation.time_s);
+            step.events.push("policy gave up".to_owned());
+        }
+        if records_giving_up {
+            step.measures.set(GAVE_UP, gave_up_s);
+        }
+        let foregone = if gave_up_s.is_some() { environment.foregone_ending() } else { None };
         observer(Tick { observation: &observation, action: &action, step: &step });
         episode.ticks += 1;
         episode.time_s = step.observation.time_s;
         episode.phase = action.phase;
         episode.measures = step.measures;
         episode.trajectory_hash = chain(episode.trajectory_hash, step.state_hash);
-        if let Some(ending) = step.ending {
+        if let Some(ending) = step.ending.or(foregone) {
             episode.outcome = ending.failure.map_or(Outcome::Success, Outcome::Failure);
             episode.time_s = ending.time_s;
             episode.contact = ending.contact;

@@ -68,8 +68,11 @@ impl ParameterSpace {
     /// Reads a space from TOML. Errors name the line and key, or the parameter.
     pub fn from_toml(text: &str) -> Result<Self, SpaceError> {
         // Parsing and validation are separate steps, which keeps the type of a validation error.
-        let file: SpaceFile = toml::from_str(text)
-            .map_err(|e| SpaceError::Syntax(in_parameter(text).unwrap_or_else(|| e.to_string())))?;
+        let syntax = |e: toml::de::Error| SpaceError::Syntax(in_parameter(text).unwrap_or_else(|| e.to_string()));
+        let file = match with_fixed_kinds(text) {
+            Some(table) => SpaceFile::deserialize(table).map_err(syntax)?,
+            None => toml::from_str(text).map_err(syntax)?,
+        };
         Self::try_from(file)
     }
 
@@ -112,7 +115,7 @@ pub struct Parameter {
 /// The values of a parameter and their distribution.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Domain {
-    /// A real number in [low, high), uniform in `scale`.
+    /// A real number in [low, high), uniform in `scale`. With equal ends, it is constant.
     Continuous {
         /// Lower end.
         low: f64,
@@ -151,9 +154,10 @@ impl Domain {
     }
 
     /// The inverse of [`Self::from_unit`] for a continuous parameter. For a discrete one, the middle of the value's
-    /// cell.
+    /// cell, and for a constant the middle of the cube.
     pub fn to_unit(&self, coded: f64) -> f64 {
         match self {
+            Self::Continuous { low, high, .. } if low == high => 0.5,
             Self::Continuous { low, high, scale: Scale::Linear } => (coded - low) / (high - low),
             Self::Continuous { low, high, scale: Scale::Log } => (coded / low).ln() / (high / low).ln(),
             Self::Integer { low, .. } => (coded - *low as f64 + 0.5) / self.levels().unwrap_or(1) as f64,
@@ -168,6 +172,11 @@ impl Domain {
             Self::Integer { low, high } => vec![Value::Integer(*low), Value::Integer(*high)],
             Self::Categorical { choices } => choices.iter().cloned().map(Value::Category).collect(),
         }
+    }
+
+    /// Whether a continuous parameter has only one value. It varies in no stage and has no effect to analyse.
+    pub fn is_constant(&self) -> bool {
+        matches!(self, Self::Continuous { low, high, .. } if low == high)
     }
 
     /// The number of values of a discrete domain. `None` for a continuous one.
@@ -230,7 +239,7 @@ impl Parameter {
             Domain::Continuous { low, high, .. } if !low.is_finite() || !high.is_finite() => {
                 Err(SpaceError::NotFinite { parameter })
             }
-            Domain::Continuous { low, high, .. } if low >= high => {
+            Domain::Continuous { low, high, .. } if low > high => {
                 Err(SpaceError::EmptyRange { parameter, low: *low, high: *high })
             }
             Domain::Continuous { low, scale: Scale::Log, .. } if *low <= 0.0 => {
@@ -329,6 +338,16 @@ pub enum SpaceError {
         /// The upper end.
         high: f64,
     },
+    /// A range with equal ends.
+    #[error(
+        "parameter `{parameter}`: low and high are both {value}\nhint: to fix the parameter, write `value = {value:?}`"
+    )]
+    OneValue {
+        /// The name.
+        parameter: String,
+        /// Both ends.
+        value: f64,
+    },
     /// An infinite range or a bound that is not a number.
     #[error("parameter `{parameter}`: low and high must be finite numbers")]
     NotFinite {
@@ -419,11 +438,32 @@ fn in_parameter(text: &str) -> Option<String> {
     let tables: Tables = toml::from_str(text).ok()?;
     tables.parameter.into_iter().find_map(|table| {
         let line = text.get(..table.span().start)?.matches('\n').count() + 1;
-        let value = table.into_inner();
+        let mut value = table.into_inner();
+        fix_kind(&mut value);
         let name = value.get("name").map_or_else(|| "without a name".to_owned(), toml::Value::to_string);
         let error = ParameterFile::deserialize(value).err()?;
         Some(format!("line {line}: [[parameter]] {name}: {}", error.message()))
     })
+}
+
+/// The space with `kind = "fixed"` in each `[[parameter]]` that has a `value` and no kind. `None` if it has no such
+/// parameter, or is not valid TOML.
+fn with_fixed_kinds(text: &str) -> Option<toml::Table> {
+    let mut table: toml::Table = toml::from_str(text).ok()?;
+    let parameters = table.get_mut("parameter")?.as_array_mut()?;
+    let fixed = parameters.iter_mut().map(fix_kind).filter(|fixed| *fixed).count();
+    (fixed > 0).then_some(table)
+}
+
+/// Adds the kind of a fixed parameter if it is absent. Returns whether it was added.
+fn fix_kind(parameter: &mut toml::Value) -> bool {
+    match parameter.as_table_mut() {
+        Some(table) if table.contains_key("value") && !table.contains_key("kind") => {
+            table.insert("kind".to_owned(), toml::Value::String("fixed".to_owned()));
+            true
+        }
+        _ => false,
+    }
 }
 
 /// The TOML form of a parameter space.
@@ -472,6 +512,35 @@ enum ParameterFile {
         /// The choices.
         choices: Vec<Arc<str>>,
     },
+    /// A parameter with one value. In TOML, `kind` can be left out.
+    Fixed {
+        /// The name, with its unit.
+        name: Arc<str>,
+        /// The value.
+        value: FixedValue,
+    },
+}
+
+/// The value of a fixed parameter.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+enum FixedValue {
+    /// An integer. A continuous parameter needs a decimal point.
+    Integer(i64),
+    /// A real number.
+    Number(f64),
+    /// A choice.
+    Category(Arc<str>),
+}
+
+impl FixedValue {
+    fn domain(self) -> Domain {
+        match self {
+            Self::Integer(n) => Domain::Integer { low: n, high: n },
+            Self::Number(x) => Domain::Continuous { low: x, high: x, scale: Scale::Linear },
+            Self::Category(word) => Domain::Categorical { choices: vec![word] },
+        }
+    }
 }
 
 impl TryFrom<SpaceFile> for ParameterSpace {
@@ -481,16 +550,24 @@ impl TryFrom<SpaceFile> for ParameterSpace {
         let parameters = file
             .parameter
             .into_iter()
-            .map(|parameter| match parameter {
-                ParameterFile::Continuous { name, low, high, scale } => {
-                    Parameter { name, domain: Domain::Continuous { low, high, scale } }
-                }
-                ParameterFile::Integer { name, low, high } => Parameter { name, domain: Domain::Integer { low, high } },
-                ParameterFile::Categorical { name, choices } => {
-                    Parameter { name, domain: Domain::Categorical { choices } }
-                }
+            .map(|parameter| {
+                Ok(match parameter {
+                    ParameterFile::Continuous { name, low, high, .. } if low == high => {
+                        return Err(SpaceError::OneValue { parameter: name.to_string(), value: low });
+                    }
+                    ParameterFile::Continuous { name, low, high, scale } => {
+                        Parameter { name, domain: Domain::Continuous { low, high, scale } }
+                    }
+                    ParameterFile::Integer { name, low, high } => {
+                        Parameter { name, domain: Domain::Integer { low, high } }
+                    }
+                    ParameterFile::Categorical { name, choices } => {
+                        Parameter { name, domain: Domain::Categorical { choices } }
+                    }
+                    ParameterFile::Fixed { name, value } => Parameter { name, domain: value.domain() },
+                })
             })
-            .collect();
+            .collect::<Result<_, _>>()?;
         Self::new(file.name, parameters)?.with_correlations(file.correlation)
     }
 }
@@ -501,6 +578,9 @@ impl From<ParameterSpace> for SpaceFile {
             .parameters
             .into_iter()
             .map(|Parameter { name, domain }| match domain {
+                Domain::Continuous { low, high, .. } if low == high => {
+                    ParameterFile::Fixed { name, value: FixedValue::Number(low) }
+                }
                 Domain::Continuous { low, high, scale } => ParameterFile::Continuous { name, low, high, scale },
                 Domain::Integer { low, high } => ParameterFile::Integer { name, low, high },
                 Domain::Categorical { choices } => ParameterFile::Categorical { name, choices },

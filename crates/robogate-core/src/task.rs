@@ -66,6 +66,9 @@ pub struct FailureModeSpec {
     /// The severity of the failure.
     #[serde(default)]
     pub severity: Severity,
+    /// The mode that contains this one in a published, coarser list of modes. Absent if the list has this mode itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub published_as: Option<FailureMode>,
 }
 
 /// The severity of a failure.
@@ -273,6 +276,12 @@ impl TaskSpec {
     /// Whether the task declares this failure mode. Any other failure has an unknown kind.
     pub fn declares(&self, mode: FailureMode) -> bool {
         self.modes().any(|known| known == mode)
+    }
+
+    /// The failure mode under which published data lists this one: itself, unless the task declares another one.
+    pub fn published_mode(&self, mode: FailureMode) -> FailureMode {
+        let declared = self.failure_modes.iter().find(|spec| spec.name == mode);
+        declared.and_then(|spec| spec.published_as).unwrap_or(mode)
     }
 
     /// The meaning of a failure mode, if the task declares one.

@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use robogate_core::{
-    Action, ActionSpace, ActionSpec, Assignment, Command, Contact, Ending, Environment, Episode, FailureMode, Fault,
-    FaultKind, Measures, Observation, ObservationSpec, Outcome, Policy, Scenario, Seed, Start, Step, TaskInstance,
-    TaskSpec, Value, VectorSpec, Word, rollout, rollout_with,
+    Action, ActionSpace, ActionSpec, Assignment, Better, Command, Contact, Ending, Environment, Episode, FailureMode,
+    Fault, FaultKind, GAVE_UP, MeasureSpec, Measures, Observation, ObservationSpec, Outcome, Policy, Scenario, Seed,
+    Start, Step, TaskInstance, TaskSpec, Value, VectorSpec, Word, rollout, rollout_with,
 };
 
 const POSITION: Word = Word::constant("position");
@@ -42,6 +42,8 @@ struct Line {
     /// Endings by step number, from 1.
     endings: Vec<(u32, Option<FailureMode>)>,
     breaks_at: Option<u32>,
+    /// The step after which the ending at the time limit is certain.
+    certain_at: Option<u32>,
     refuses: bool,
     /// Alters the requested parameters before they are read back.
     alter: fn(&mut Assignment),
@@ -54,6 +56,7 @@ impl Default for Line {
         Self {
             endings: Vec::new(),
             breaks_at: None,
+            certain_at: None,
             refuses: false,
             alter: |_| {},
             task: task(0.1, 1.0),
@@ -116,6 +119,11 @@ impl Environment for Line {
             events: Vec::new(),
             state_hash: self.position.to_bits(),
         })
+    }
+
+    fn foregone_ending(&self) -> Option<Ending> {
+        let certain = self.certain_at.is_some_and(|at| self.steps >= at);
+        certain.then(|| Ending { failure: Some(COLLISION), time_s: self.task.time_limit_s, contact: None })
     }
 }
 
@@ -379,4 +387,59 @@ fn action_outside_spec_is_fault() {
         assert_eq!(invalid(&episode).kind, FaultKind::BadAction, "{command:?}");
         assert_eq!(episode.ticks, 0);
     }
+}
+
+/// A policy that returns the same action and gives up at its third one.
+struct GivesUp(Action, u32);
+
+impl Policy for GivesUp {
+    fn check(&self, _: &TaskSpec) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn reset(&mut self, _: &TaskSpec, _: &TaskInstance, _: Seed) -> Result<(), Fault> {
+        self.1 = 0;
+        Ok(())
+    }
+
+    fn act(&mut self, _: &Observation) -> Result<Action, Fault> {
+        self.1 += 1;
+        Ok(self.0.clone())
+    }
+
+    fn gave_up(&self) -> bool {
+        self.1 >= 3
+    }
+}
+
+#[test]
+fn certain_ending_needs_a_policy_that_gave_up() {
+    let action = || Action { command: Command::Vector(vec![1.0]), gripper: None, phase: None };
+    let mut declares = (*task(0.1, 1.0)).clone();
+    declares.measures.push(MeasureSpec {
+        name: GAVE_UP,
+        unit: "s".to_owned(),
+        meaning: String::new(),
+        better: Better::Neither,
+    });
+    let task = Arc::new(declares);
+    // The policy gives up at 0.2 s. The rest is certain after step 2, 5, or never.
+    for (certain_at, ticks) in [(Some(2), 3), (Some(5), 5), (None, 10)] {
+        let mut line = Line { certain_at, task: Arc::clone(&task), ..Line::default() };
+        let episode = rollout(&mut line, &mut GivesUp(action(), 0), &scenario(0));
+        assert_eq!(episode.ticks, ticks, "{certain_at:?}");
+        assert!((episode.measures.get("gave_up_s").unwrap() - 0.2).abs() < 1e-9);
+        assert!((episode.time_s - 1.0).abs() < 1e-9, "the time of the ending");
+        let mode = if certain_at.is_some() { COLLISION } else { FailureMode::TIMEOUT };
+        assert_eq!(episode.outcome, Outcome::Failure(mode));
+        // A policy that may still act runs to the time limit.
+        let mut line = Line { certain_at, task: Arc::clone(&task), ..Line::default() };
+        let episode = rollout(&mut line, &mut Constant(action()), &scenario(0));
+        assert_eq!((episode.ticks, episode.measures.get("gave_up_s")), (10, None));
+    }
+    // An ending in the same step takes precedence.
+    let mut line = Line { certain_at: Some(1), endings: vec![(3, None)], ..Line::default() };
+    let episode = rollout(&mut line, &mut GivesUp(action(), 0), &scenario(0));
+    assert_eq!(episode.outcome, Outcome::Success);
+    assert_eq!(episode.measures.get("gave_up_s"), None, "the task does not declare the measure");
 }

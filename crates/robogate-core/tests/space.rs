@@ -37,10 +37,34 @@ fn franka_space_keeps_order_and_kinds() {
 fn empty_range_is_rejected() {
     let empty = |low, high| SpaceError::EmptyRange { parameter: "x".into(), low, high };
     assert_eq!(space(&number("x", "1.2", "0.1", "")).unwrap_err(), empty(1.2, 0.1));
-    assert_eq!(space(&number("x", "0.5", "0.5", "")).unwrap_err(), empty(0.5, 0.5));
+    let one_value = SpaceError::OneValue { parameter: "x".into(), value: 0.5 };
+    assert_eq!(space(&number("x", "0.5", "0.5", "")).unwrap_err(), one_value);
+    assert!(one_value.to_string().contains("write `value = 0.5`"), "{one_value}");
     assert_eq!(space(&whole("x", 3, 2)).unwrap_err(), empty(3.0, 2.0));
     assert_eq!(empty(1.2, 0.1).to_string(), "parameter `x`: low 1.2 must be below high 0.1");
     assert!(space(&whole("x", 3, 3)).is_ok(), "one integer is a valid range");
+}
+
+#[test]
+fn parameter_can_be_fixed() {
+    let fixed = |value: &str| space(&format!("[[parameter]]\nname = \"x\"\nvalue = {value}\n")).unwrap();
+    for (text, value) in [
+        ("0.15", Value::Number(0.15)),
+        ("-2e-3", Value::Number(-0.002)),
+        ("3", Value::Integer(3)),
+        ("\"box\"", Value::Category("box".into())),
+    ] {
+        let space = fixed(text);
+        let domain = &space.parameters()[0].domain;
+        for u in [0.0, 0.3, 1.0 - f64::EPSILON] {
+            assert_eq!(domain.decode(domain.from_unit(u)), value, "{text}");
+        }
+        assert!((domain.to_unit(domain.from_unit(0.2)) - 0.5).abs() < 1e-12);
+        let json = serde_json::to_string(&space).unwrap();
+        assert_eq!(serde_json::from_str::<ParameterSpace>(&json).unwrap(), space, "{json}");
+    }
+    let error = space("[[parameter]]\nname = \"x\"\nvalue = 1.0\nlow = 0.0").unwrap_err().to_string();
+    assert!(error.contains("`low`") && error.contains("line 2"), "{error}");
 }
 
 #[test]

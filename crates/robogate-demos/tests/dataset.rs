@@ -10,6 +10,7 @@ use parquet::record::RowAccessor;
 use robogate_core::{Action, Command, Fault, Image, Observation, Policy, Pose, Seed, TaskInstance, TaskSpec, vectors};
 use robogate_demos::{Dataset, DatasetError, Demonstration, Recorder};
 use robogate_physics::{Engine, MujocoEngine, built_in_robot};
+use robogate_tasks::pick_place::Rules;
 use robogate_tasks::pick_place::spec::{Briefing, spec};
 
 /// An expert that keeps moving the first joint.
@@ -40,6 +41,7 @@ fn instance() -> TaskInstance {
         object_pose: Pose::upright([0.5, 0.0, 0.025], 0.0),
         target_pose: Pose::upright([0.4, 0.4, 0.0], 0.0),
         tolerance_m: 0.03,
+        orientation_tolerance_rad: None,
         approach_speed_m_s: None,
     };
     briefing.instance()
@@ -47,7 +49,7 @@ fn instance() -> TaskInstance {
 
 fn demonstration(frames: usize, sigma_m: f64) -> (Demonstration, Vec<Action>) {
     let robot = built_in_robot("franka").unwrap();
-    let task = spec(&robot, Vec::new());
+    let task = spec(&robot, Vec::new(), &Rules::default());
     let chain = MujocoEngine::new(robot, 0.002).unwrap().chain().clone();
     let mut recorder = Recorder::new(Onward, chain.clone(), READY.to_vec(), sigma_m);
     recorder.reset(&task, &instance(), Seed::campaign(3).episode(1)).unwrap();

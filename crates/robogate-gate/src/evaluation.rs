@@ -7,10 +7,10 @@
 //!
 //! If each "met" must also hold on its own, [`Family::Holm`] adjusts these as well.
 
-use robogate_core::TaskSpec;
+use robogate_core::{TaskSpec, is_feasible};
 use robogate_dictionary::{Label, TaskIdentity};
 use robogate_stats::multiplicity::holm;
-use robogate_stats::{Confidence, Trials, clopper_pearson};
+use robogate_stats::{Confidence, Trials, clopper_pearson, wilson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -181,6 +181,9 @@ pub struct Evaluation {
     /// Requirements that could not be evaluated on these episodes, or only in part.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub dropped: Vec<Dropped>,
+    /// The success rate over the scenarios that some policy may complete. `None` if the task does not check feasibility.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub feasible: Option<FeasibleRate>,
     /// The result of each requirement.
     #[serde(alias = "findings")]
     pub results: Vec<RequirementResult>,
@@ -196,6 +199,43 @@ pub struct Evaluation {
     /// The controls of the gate. `None` if it ran none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub controls: Option<Controls>,
+}
+
+/// The success rate over the feasible part of the valid episodes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct FeasibleRate {
+    /// The number of valid episodes in the feasible part.
+    pub valid: u64,
+    /// The number of successes among them.
+    pub successes: u64,
+    /// The share of the valid episodes that is feasible.
+    pub share: f64,
+    /// Wilson's 95 % interval of the success rate. [0, 1] without a feasible episode.
+    pub interval_95: [f64; 2],
+}
+
+impl FeasibleRate {
+    fn of<'a>(trials: impl Iterator<Item = &'a Trial>) -> Option<Self> {
+        let (mut all, mut valid, mut successes) = (0_u64, 0_u64, 0_u64);
+        for trial in trials.filter(|trial| trial.ending.is_valid()) {
+            all += 1;
+            let feasible = is_feasible(&trial.measures)?;
+            valid += u64::from(feasible);
+            successes += u64::from(feasible && trial.ending == Ending::Success);
+        }
+        let interval = wilson(Trials::new(successes, valid).unwrap_or(Trials::NONE), Confidence::P95);
+        (all > 0).then(|| Self {
+            valid,
+            successes,
+            share: valid as f64 / all as f64,
+            interval_95: [interval.low, interval.high],
+        })
+    }
+
+    /// The success rate. `None` without a feasible episode.
+    pub fn rate(&self) -> Option<f64> {
+        (self.valid > 0).then(|| self.successes as f64 / self.valid as f64)
+    }
 }
 
 /// The question that is evaluated on a record.
@@ -299,6 +339,7 @@ impl Question<'_> {
             baseline: self.baseline.cloned(),
             real: record.real.clone(),
             dropped,
+            feasible: FeasibleRate::of(rounds.trials()),
             results,
             comparison,
             groups: groups(rounds.trials()),

@@ -43,7 +43,7 @@ pub use comparison::{Against, Comparison, Planned, check_pairing};
 pub use controls::{ControlProblem, ControlResult, Controls};
 pub use error::GateError;
 pub use evaluation::{
-    Counts, Dropped, EndingCount, Evaluation, GroupResult, Question, RequirementResult, Sampling, Status,
+    Counts, Dropped, EndingCount, Evaluation, FeasibleRate, GroupResult, Question, RequirementResult, Sampling, Status,
 };
 pub use figure::Extremes;
 pub use joint_plan::JointOperating;

@@ -2,7 +2,10 @@
 
 use std::sync::Arc;
 
-use robogate_core::{Action, Environment, Fault, FaultKind, Foresight, Image, Scenario, Start, Step, TaskSpec};
+use robogate_core::{
+    Action, Assignment, Ending, Environment, Fault, FaultKind, Foresight, Image, Infeasibility, Scenario, Start, Step,
+    TaskSpec,
+};
 
 use super::error::RequestError;
 use super::message::Hello;
@@ -63,6 +66,10 @@ impl Environment for RemoteEnvironment {
         self.episodes.step(action)
     }
 
+    fn foregone_ending(&self) -> Option<Ending> {
+        self.episodes.session.foregone.clone()
+    }
+
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
         if self.episodes.session.periods_ahead() > 0 {
             let detail = "no images of an episode whose actions come from a policy in the server: it runs ahead";
@@ -108,6 +115,14 @@ impl<T: RemoteTask> Environment for RemotePhysics<T> {
 
     fn step(&mut self, action: &Action) -> Result<Step, Fault> {
         self.episodes.step(action)
+    }
+
+    fn foregone_ending(&self) -> Option<Ending> {
+        self.episodes.session.0.foregone_ending()
+    }
+
+    fn infeasibility(&self, requested: &Assignment) -> Option<Infeasibility> {
+        self.episodes.session.0.infeasibility(requested)
     }
 
     fn render(&mut self) -> Result<Vec<Image>, Fault> {

@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use robogate_core::{Action, Assignment, Fault, Foresight, Image, Observation, Scenario, Start, Step, TaskSpec};
+use robogate_core::{
+    Action, Assignment, Ending, Fault, Foresight, Image, Infeasibility, Observation, Scenario, Start, Step, TaskSpec,
+};
 use serde::Serialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
 
@@ -56,6 +58,17 @@ pub trait RemoteTask {
         clearance_m: Option<f64>,
         state_hash: u64,
     ) -> Result<Step, Fault>;
+
+    /// The ending at the time limit, if it is certain for a policy that repeats its last action. See
+    /// [`robogate_core::Environment::foregone_ending`].
+    fn foregone_ending(&self) -> Option<Ending> {
+        None
+    }
+
+    /// The reason why no policy can complete a scenario. See [`robogate_core::Environment::infeasibility`].
+    fn infeasibility(&self, _requested: &Assignment) -> Option<Infeasibility> {
+        None
+    }
 
     /// Render the cameras of the task in the last reported state.
     fn render(&mut self) -> Result<Vec<Image>, Fault>;

@@ -21,6 +21,8 @@ use super::session::{Session, gripper_number, reset_request};
 pub struct ScoredSession {
     /// The policy of the server that proposes the actions, if there is one.
     pub(crate) proposals: Option<Proposals>,
+    /// The ending of the running episode that the server reports as certain.
+    pub(crate) foregone: Option<Ending>,
     /// Control periods that the server has already run, each with its action.
     ran: VecDeque<(Proposed, Period<Empty>)>,
 }
@@ -82,6 +84,7 @@ impl Session for ScoredSession {
     }
 
     fn reset(&mut self, connection: &mut Connection, scenario: &Scenario) -> Result<Start, RequestError> {
+        self.foregone = None;
         check_parameters(&connection.hello().task, scenario).map_err(RequestError::Local)?;
         self.ran.clear();
         let mut request = reset_request::<Empty>(scenario, &scenario.requested, None)?;
@@ -104,6 +107,16 @@ impl Session for ScoredSession {
         let observation = connection.advance(&mut period)?;
         if let Some(proposals) = &self.proposals {
             proposals.put(&connection.hello().task, period.proposed.take())?;
+        }
+        self.foregone = period.foregone.take().map(Ending::from);
+        if let Some(ending) = &self.foregone {
+            let limit_s = connection.hello().task.time_limit_s;
+            if !(observation.time_s - 1e-6..=limit_s + 1e-6).contains(&ending.time_s) {
+                let (end_s, now_s) = (ending.time_s, observation.time_s);
+                return Err(violation(format!(
+                    "`foregone` ends the episode at {end_s} s; expected a time from {now_s} s to the limit of {limit_s} s"
+                )));
+            }
         }
         read_step(connection, period, observation)
     }

@@ -74,6 +74,7 @@ impl Host for EnvironmentHost {
             observation: ObservationMessage::from(&step.observation),
             state_hash: step.state_hash,
             measures: Some(measures.collect()),
+            foregone: self.environment.foregone_ending().filter(|_| step.ending.is_none()).map(EndingMessage::from),
             ending: step.ending.map(EndingMessage::from),
             events: Some(step.events),
             samples: None,

@@ -25,8 +25,8 @@ use robogate_analysis::PairCounts;
 use robogate_gate::Evaluation;
 
 pub use gate::{
-    RequirementRow, evaluation_markdown, how_judged, junit, leaderboard_html, leaderboard_markdown, leaderboards_html,
-    leaderboards_markdown, reqif, sign, what_next,
+    RequirementRow, evaluation_markdown, feasible_part, how_judged, junit, leaderboard_html, leaderboard_markdown,
+    leaderboards_html, leaderboards_markdown, reqif, sign, what_next,
 };
 pub use html::{comparison_html, comparison_html_with, html, html_with, transfer_html};
 pub use json::{

@@ -10,8 +10,8 @@ use common::EngineKind;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Assignment, FailureMode, Outcome, ParameterSpace, Scenario, Seed, Suite, Value, rollout};
 use robogate_physics::{FixtureKind, JointTargets, Scene, built_in_robot};
-use robogate_tasks::pick_place::claims::{self, ClaimResult, Workbench};
-use robogate_tasks::pick_place::{self, Placement, SceneParameters, Shape, built_in_space};
+use robogate_tasks::pick_place::claims::{self, ClaimResult, Setup, Workbench};
+use robogate_tasks::pick_place::{self, Placement, Rules, SceneParameters, Shape, built_in_space};
 
 /// Creates one test per claim and engine.
 macro_rules! of_every_engine {
@@ -274,10 +274,22 @@ of_every_engine! {
         confirm(claims::repeatable(&on.ur5e(), &space("ur-wide"), on.episodes(30)));
     }
 
-    /// The target and all placements except the near ones are beyond the reach of a UR3e, 0.5 m.
-    fn ur3e_times_out_beyond_reach(on: EngineKind) {
+    fn ur3e_reaches_its_own_workspace(on: EngineKind) {
         let cell = on.robot("ur3e");
         let (mut simulator, mut policy) = cell.bench(&cell.setup()).unwrap();
+        for (i, name) in Placement::NAMES.iter().enumerate().take(on.episodes(14)) {
+            let values = [("placement", Value::Category((*name).into())), ("obstacles", Value::Integer(i as i64 % 4))];
+            let episode = rollout(&mut *simulator, &mut *policy, &scenario(&values));
+            assert_eq!(episode.outcome, Outcome::Success, "{name}");
+            assert_eq!(episode.applied, episode.scenario.requested, "{name}");
+        }
+    }
+
+    /// In the paper's workspace, the target and all placements except the near ones are beyond the reach of a UR3e, 0.5 m.
+    fn ur3e_times_out_beyond_reach(on: EngineKind) {
+        let cell = on.robot("ur3e");
+        let setup = Setup { rules: Rules::default().as_in_the_paper(), ..cell.setup() };
+        let (mut simulator, mut policy) = cell.bench(&setup).unwrap();
         for name in ["edge_0", "edge_90", "left_0"] {
             let [x, y] = Placement::from_name(name).unwrap().position;
             assert!(x.hypot(y) > cell.robot.settings.arm.reach_m, "{name}");

@@ -1,7 +1,7 @@
 //! The gate's evaluation and its plan in the terminal.
 
-use robogate_gate::{Evaluation, GatePlan, Metric, Mode, PairPlan, Sampling, Sense, Status, Verdict};
-use robogate_report::{RequirementRow, how_judged, sign, what_next};
+use robogate_gate::{Evaluation, GatePlan, Metric, Mode, PairPlan, Population, Sampling, Sense, Status, Verdict};
+use robogate_report::{RequirementRow, feasible_part, how_judged, sign, what_next};
 use robogate_stats::format::number;
 
 use crate::terminal::{Styled, bold, dim, grouped, line, percent, styled};
@@ -44,6 +44,14 @@ pub(crate) fn print(evaluation: &Evaluation) {
     }
     wrapped(&how_judged(evaluation));
     wrapped(&evaluation.estimand);
+    if let Some(text) = feasible_part(evaluation) {
+        wrapped(&text);
+    }
+    if let Population::Suite { .. } = evaluation.population {
+        wrapped(
+            "The rate of `robogate run` differs: it is that over a whole parameter space, not over these chosen scenarios.",
+        );
+    }
     groups(evaluation);
     score(evaluation);
 }

@@ -16,7 +16,7 @@ use robogate_physics::{
 use robogate_remote::message::{self, Hello};
 use robogate_remote::{Pool, RemotePhysics};
 use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
-use robogate_tasks::pick_place::{PickPlace, SceneParameters, Scripted, check_suite, default_space, remote};
+use robogate_tasks::pick_place::{PickPlace, Rules, SceneParameters, Scripted, check_suite, default_space, remote};
 use serde::{Deserialize, Serialize};
 
 use crate::registry::{ENGINES, EngineEntry};
@@ -43,6 +43,9 @@ pub(crate) struct CellSettings {
     /// The renderer of the cameras. `None` for the embedded one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) renderer: Option<RendererRecord>,
+    /// The rules of the task.
+    #[serde(default, skip_serializing_if = "Rules::are_default")]
+    pub(crate) rules: Rules,
     /// Whether the engine runs in physics servers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) simulator: Option<Physics>,
@@ -75,6 +78,7 @@ impl Cell {
         pool: Option<Arc<Pool>>,
     ) -> anyhow::Result<Self> {
         let robot = robot(&settings.robot)?;
+        settings.rules.check().map_err(|why| anyhow!(why))?;
         if let Some(pool) = &pool {
             let hello = pool.hello();
             servers::check_robot(hello, &robot, &identity(&robot.files()?))?;
@@ -114,6 +118,11 @@ impl Cell {
     /// The same cell with camera images of this width and height in pixels.
     pub(crate) fn with_pictures_of(self, picture_px: usize) -> Self {
         Self { picture_px: Some(picture_px), ..self }
+    }
+
+    /// Uses the failure modes and the workspace of the paper in every later environment.
+    pub(crate) fn set_as_in_the_paper(&mut self) {
+        self.settings.rules = self.settings.rules.as_in_the_paper();
     }
 
     /// The cell's settings.
@@ -221,7 +230,7 @@ impl Cell {
 
     fn task_for(&self, setup: &Setup, chain: Chain) -> anyhow::Result<CellTask> {
         let sha256 = identity(&self.robot.files()?);
-        CellTask::new(&setup.robot, chain, sha256, self.picture_px.unwrap_or(SIZE_PX))
+        CellTask::new(setup, chain, sha256, self.picture_px.unwrap_or(SIZE_PX))
     }
 
     /// Creates an environment of the cell.
@@ -336,16 +345,17 @@ pub(crate) struct Built {
 impl Built {
     pub(crate) fn new<E: Engine + 'static>(
         engine: E,
-        suction: SuctionLaw,
+        setup: &Setup,
         picture_px: usize,
         renderer: Option<Box<dyn Renderer<E>>>,
     ) -> anyhow::Result<Self> {
         let (chain, build) = (engine.chain().clone(), engine.build());
-        let mut task = PickPlace::new(engine, None).map_err(|why| anyhow!(why))?;
+        let task = PickPlace::new(engine, None).and_then(|task| task.with_rules(setup.rules));
+        let mut task = task.map_err(|why| anyhow!(why))?;
         if let Some(renderer) = renderer {
             task = task.with_renderer(renderer);
         }
-        let environment = task.with_suction(suction).with_picture_size(picture_px, picture_px);
+        let environment = task.with_suction(setup.suction).with_picture_size(picture_px, picture_px);
         Ok(Self { environment: Box::new(environment), chain, engine: build })
     }
 }
@@ -357,7 +367,7 @@ impl Workbench for Cell {
             jaw.force_n = force;
         }
         let suction = self.settings.suction.unwrap_or(SuctionLaw::Vacuum);
-        Setup { robot, time_step_s: self.settings.time_step_s, suction }
+        Setup { robot, time_step_s: self.settings.time_step_s, suction, rules: self.settings.rules }
     }
 
     fn bench(&self, setup: &Setup) -> Result<Bench, String> {

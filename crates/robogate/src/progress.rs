@@ -29,7 +29,7 @@ impl Progress {
             Event::StageStarted { stage, episodes, already_done } => {
                 self.counts = already_done.clone();
                 self.bar = ProgressBar::with_draw_target(Some(*episodes), ProgressDrawTarget::stderr());
-                self.bar.set_style(style());
+                self.bar.set_style(style(RUNNING));
                 self.bar.set_prefix(match stage {
                     Stage::Uniform => "uniform ",
                     Stage::Boundary => "boundary",
@@ -54,6 +54,8 @@ impl Progress {
             }
             Event::StageFinished { .. } | Event::Interrupted { .. } => {
                 self.say();
+                // A stopped bar would show a remaining time of 0 s.
+                self.bar.set_style(style("{prefix} {bar:32} {human_pos}/{human_len}\n         {wide_msg}"));
                 self.bar.abandon();
             }
             // The bar leaves the cursor at the end of its line.
@@ -86,14 +88,16 @@ fn outcome_of(name: &str) -> Outcome {
     }
 }
 
-fn style() -> ProgressStyle {
-    ProgressStyle::with_template(
-        "{prefix} {bar:32} {human_pos}/{human_len} {per_sec:>8}, {eta} left\n         {wide_msg}",
+/// The bar of a running stage.
+const RUNNING: &str = "{prefix} {bar:32} {human_pos}/{human_len} {per_sec:>8}, {eta} left\n         {wide_msg}";
+
+fn style(template: &str) -> ProgressStyle {
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    style.progress_chars("█▉▊▋▌▍▎▏ ").with_key(
+        "per_sec",
+        |state: &indicatif::ProgressState, out: &mut dyn std::fmt::Write| {
+            // A bar that cannot be formatted must not stop the campaign.
+            let _ = write!(out, "{:.1}/s", state.per_sec());
+        },
     )
-    .unwrap_or_else(|_| ProgressStyle::default_bar())
-    .progress_chars("█▉▊▋▌▍▎▏ ")
-    .with_key("per_sec", |state: &indicatif::ProgressState, out: &mut dyn std::fmt::Write| {
-        // A bar that cannot be formatted must not stop the campaign.
-        let _ = write!(out, "{:.1}/s", state.per_sec());
-    })
 }

@@ -74,7 +74,7 @@ impl EngineEntry {
             build: |setup, record, picture_px| {
                 let engine = E::create(setup.robot.clone(), setup.time_step_s)?;
                 let renderer = record.map(|record| engine.renderer(record)).transpose()?;
-                Built::new(engine, setup.suction, picture_px, renderer.map(|(renderer, _)| renderer))
+                Built::new(engine, setup, picture_px, renderer.map(|(renderer, _)| renderer))
             },
             engine: |robot, time_step_s| Ok(Box::new(E::create(robot, time_step_s)?)),
             chain: |robot| Ok(E::create(robot, E::TIME_STEP)?.chain().clone()),

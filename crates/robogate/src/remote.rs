@@ -7,13 +7,15 @@ use std::time::Duration;
 use anyhow::{anyhow, bail};
 use clap::Args;
 use robogate_core::{
-    Action, Command, Fault, FaultKind, Foresight, Image, Observation, Scenario, Start, Step, TaskSpec,
+    Action, Assignment, Command, Ending, Fault, FaultKind, Foresight, Image, Infeasibility, Observation, Scenario,
+    Start, Step, TaskSpec,
 };
 use robogate_dictionary::provenance;
 use robogate_physics::{Chain, Engine, GripperCommand, Robot};
 use robogate_remote::message::{Hello, ObservationMessage, Period, ResetReply};
 use robogate_remote::{Host, Listener, Pool, PoolError, RemoteTask, Timeouts};
 use robogate_tasks::pick_place::CONTROL_PERIOD_S;
+use robogate_tasks::pick_place::claims::Setup;
 use robogate_tasks::pick_place::remote::{
     self as cell_remote, Cell, RemotePeriod, RemotePickPlace, RemoteReadback, RemoteSight,
 };
@@ -145,8 +147,9 @@ pub(crate) fn is_engine(hello: &Hello, recorded: &provenance::Engine) -> bool {
 pub(crate) struct CellTask(RemotePickPlace);
 
 impl CellTask {
-    pub(crate) fn new(robot: &Robot, chain: Chain, sha256: String, picture_px: usize) -> anyhow::Result<Self> {
-        let task = RemotePickPlace::new(robot.clone(), chain, Some(sha256), None).map_err(|why| anyhow!(why))?;
+    pub(crate) fn new(setup: &Setup, chain: Chain, sha256: String, picture_px: usize) -> anyhow::Result<Self> {
+        let task = RemotePickPlace::new(setup.robot.clone(), chain, Some(sha256), None);
+        let task = task.and_then(|task| task.with_rules(setup.rules)).map_err(|why| anyhow!(why))?;
         Ok(Self(task.with_picture_size(picture_px, picture_px)))
     }
 }
@@ -197,6 +200,14 @@ impl RemoteTask for CellTask {
         state_hash: u64,
     ) -> Result<Step, Fault> {
         self.0.finish(samples, observation, clearance_m, state_hash)
+    }
+
+    fn foregone_ending(&self) -> Option<Ending> {
+        self.0.foregone_ending()
+    }
+
+    fn infeasibility(&self, requested: &Assignment) -> Option<Infeasibility> {
+        self.0.infeasibility(requested)
     }
 
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
@@ -259,6 +270,7 @@ impl Host for PhysicsHost {
         let RemotePeriod { observation, state_hash, sights, clearance_m } =
             self.engine.step(joints, GripperCommand::of(action))?;
         Ok(Period {
+            foregone: None,
             observation: ObservationMessage::from(&observation),
             state_hash,
             measures: None,

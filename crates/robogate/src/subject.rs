@@ -8,7 +8,10 @@ use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_campaign::{Worker, WorkerFactory};
 use robogate_core::latency::{Execution, LATENCY_PARAMETER, Latency, with_latency, with_parameter};
-use robogate_core::{Assignment, Environment, Fault, FaultKind, ParameterSpace, Policy, Suite, TaskSpec};
+use robogate_core::{
+    Assignment, Environment, Fault, FaultKind, InfeasibleShare, ParameterSpace, Policy, SpaceFeasibility, Suite,
+    TaskSpec,
+};
 use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance};
 use robogate_gate::Controls;
 use robogate_physics::{RobotFile, SuctionLaw, is_folder};
@@ -16,7 +19,7 @@ use robogate_policy::Arm;
 use robogate_remote::message::{self, Hello, HostedPolicy};
 use robogate_remote::{Pool, RemoteEnvironment};
 use robogate_tasks::SelfContained;
-use robogate_tasks::pick_place::{ToolExpert, built_in_space, built_in_spaces};
+use robogate_tasks::pick_place::{Rules, ToolExpert, built_in_space, built_in_spaces};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -29,7 +32,7 @@ use crate::policy_source::{DeclaredPolicy, PolicyLocation, PolicySource, without
 use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
 use crate::remote::{self, Simulators};
 use crate::renderer::RendererName;
-use crate::terminal::foreign;
+use crate::terminal::{foreign, note, percent};
 
 /// The arguments that select the environment.
 #[derive(Debug, Args)]
@@ -39,7 +42,7 @@ pub(crate) struct EnvironmentArguments {
     task: String,
     /// Run in this environment: FAMILY:NAME of a bundled one (see `robogate env list`), gymnasium:ID, or your own as
     /// FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE
-    #[arg(long, value_name = "NAME", conflicts_with_all = ["task", "addresses", "engine", "time_step", "robot", "grip_force", "suction"])]
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["task", "addresses", "engine", "time_step", "robot", "grip_force", "suction", "time_limit", "jam_force", "jam_duration", "orientation_tolerance"])]
     env: Option<String>,
     /// Choose the robot: a built-in one (see `robogate robots`), or the folder of your own
     #[arg(long, value_name = "ROBOT", default_value = "franka")]
@@ -57,6 +60,19 @@ pub(crate) struct EnvironmentArguments {
     /// (limited by pressure and friction); default: surface with the paper preset, vacuum otherwise
     #[arg(long, value_name = "LAW")]
     suction: Option<SuctionLaw>,
+    /// Set the time limit of an episode of pick_place, in seconds; a multiple of 0.05 [default: 15]
+    #[arg(long, value_name = "SECONDS")]
+    time_limit: Option<f64>,
+    /// Set the contact force above which the robot presses, in newtons; see the failure mode `jam` [default: 100]
+    #[arg(long, value_name = "NEWTONS")]
+    jam_force: Option<f64>,
+    /// Set the duration of pressing that is a jam, in seconds [default: 0.05]
+    #[arg(long, value_name = "SECONDS")]
+    jam_duration: Option<f64>,
+    /// Require the part to be at rest within this angle of its orientation at the target, in degrees; default: any
+    /// orientation
+    #[arg(long, value_name = "DEGREES")]
+    orientation_tolerance: Option<f64>,
     /// Choose the renderer of the camera images: the embedded ray caster, or MuJoCo's renderer through EGL
     /// (docs/cameras.md)
     #[arg(long, value_name = "RENDERER", default_value = "embedded")]
@@ -72,6 +88,11 @@ impl EnvironmentArguments {
             return EnvironmentSource::launched(&from_any_folder(name), &self.simulators);
         }
         let pool = self.simulators.connect()?;
+        let scores_itself = pool.as_ref().is_some_and(|pool| pool.hello().scores_itself);
+        if let (Some(option), true) = (self.rules_given().first(), scores_itself || self.task != CELL_TASK) {
+            return Err(anyhow!("{option} applies to pick_place in the built-in cell only\n  hint: leave it out"))
+                .or_usage();
+        }
         if let Some(pool) = pool.as_ref().filter(|pool| pool.hello().scores_itself) {
             return Ok(EnvironmentSource::Remote(RemoteSource {
                 pool: Arc::clone(pool),
@@ -130,8 +151,31 @@ impl EnvironmentArguments {
             grip_force_n: self.grip_force,
             suction: self.suction,
             renderer: self.renderer.record(),
+            rules: self.rules(),
             simulator: None,
         }
+    }
+
+    fn rules(&self) -> Rules {
+        let default = Rules::default();
+        Rules {
+            time_limit_s: self.time_limit.unwrap_or(default.time_limit_s),
+            jam_force_n: self.jam_force.unwrap_or(default.jam_force_n),
+            jam_duration_s: self.jam_duration.unwrap_or(default.jam_duration_s),
+            orientation_tolerance_rad: self.orientation_tolerance.map(f64::to_radians),
+            ..default
+        }
+    }
+
+    /// The options that set a rule of the built-in cell.
+    fn rules_given(&self) -> Vec<&'static str> {
+        let given = [
+            ("--time-limit", self.time_limit),
+            ("--jam-force", self.jam_force),
+            ("--jam-duration", self.jam_duration),
+            ("--orientation-tolerance", self.orientation_tolerance),
+        ];
+        given.into_iter().filter_map(|(name, value)| value.map(|_| name)).collect()
     }
 }
 
@@ -413,6 +457,24 @@ impl Subject {
         }
     }
 
+    /// Prints the share of a space that no policy can complete, by reason.
+    pub(crate) fn note_feasibility(&self, space: &ParameterSpace) {
+        // Servers check nothing before an episode, and an environment that cannot be created is reported by the run.
+        if let EnvironmentSource::Remote(_) = self.environment {
+            return;
+        }
+        let Ok(environment) = self.environment.environment() else { return };
+        let Ok(check) = SpaceFeasibility::of(&*environment, space) else { return };
+        for InfeasibleShare { reason, share } in &check.infeasible {
+            note(format_args!(
+                "{} of this space is infeasible for every policy: {} ({})",
+                percent(*share),
+                reason.condition,
+                reason.limit
+            ));
+        }
+    }
+
     /// A short name for folders: that of the robot, or of the task.
     pub(crate) fn label(&self) -> String {
         match &self.environment {
@@ -555,6 +617,14 @@ fn check_declared(task: &TaskSpec, space: &ParameterSpace) -> anyhow::Result<()>
 }
 
 impl EnvironmentSource {
+    /// The same environment with the failure modes and the workspace of the paper, if it is the built-in cell.
+    pub(crate) fn as_in_the_paper(mut self) -> Self {
+        if let Self::Cell(cell) = &mut self {
+            cell.set_as_in_the_paper();
+        }
+        self
+    }
+
     /// An environment whose servers this process starts.
     fn launched(name: &str, simulators: &Simulators) -> Result<Self, Exit> {
         let (pool, servers) = simulators.launch(name)?;
@@ -709,6 +779,7 @@ impl EnvironmentSource {
                     grip_force_n: None,
                     suction: None,
                     renderer: None,
+                    rules: Rules::default(),
                     simulator: None,
                 };
                 let cell = Cell::new(settings, SuctionLaw::Vacuum, None)?;

@@ -34,6 +34,7 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
     for stage in &summary.stages {
         rate(stage, &summary.sampler);
     }
+    summary.stages.iter().for_each(relation);
     for stage in &summary.stages {
         failures(stage);
     }
@@ -102,6 +103,7 @@ fn rate(stage: &StageSummary, sampler: &str) {
         let conservative = if sampler == "uniform" { "" } else { ", conservative for this design" };
         line(dim(format_args!("                 each parameter uniform on its scale; Wilson interval{conservative}")));
     }
+    feasible(stage);
     if stage.invalid > 0 {
         let kinds: Vec<String> = stage.faults.iter().map(|f| format!("{} {}", f.episodes, f.fault)).collect();
         line(format_args!(
@@ -144,6 +146,32 @@ fn model(report: &ActiveReport) {
             "  error of the model of the parameters: at most {:.3} (95 % confidence, {} pairs); the requested error is {reached}",
             found.rms_bound,
             grouped(found.pairs)
+        ));
+    }
+}
+
+/// The rate over the scenarios that some policy may complete, if there are others.
+fn feasible(stage: &StageSummary) {
+    let Some(part) = stage.feasible.as_ref().filter(|part| part.valid < stage.valid) else { return };
+    let share = part.share.map_or_else(|| "-".to_owned(), percent);
+    match part.success_rate {
+        Some(rate) => line(format_args!(
+            "{}  over the feasible part ({share} of it): {} of {}, 95 % interval {} to {}",
+            bold(format_args!("success {:>6}", percent(rate))),
+            grouped(part.successes),
+            grouped(part.valid),
+            percent(part.interval_95[0]),
+            percent(part.interval_95[1])
+        )),
+        None => line("success      -  over the feasible part: no policy can complete any of these scenarios"),
+    }
+}
+
+/// How the rate over a space relates to that of a gate.
+fn relation(stage: &StageSummary) {
+    if stage.population == Population::OperatingSpace {
+        line(dim(
+            "                 `robogate gate` judges the policy on chosen scenarios instead, so its rate differs from this one",
         ));
     }
 }

@@ -3,6 +3,7 @@
 mod control;
 mod pooled;
 
+use robogate_core::FEASIBLE;
 use robogate_stats::weighted::{effective_sample_size, hajek};
 use robogate_stats::{Confidence, Trials};
 use schemars::JsonSchema;
@@ -20,6 +21,9 @@ pub struct Success {
     pub population: Population,
     /// The success rate that all other figures refer to.
     pub rate: Rate,
+    /// The rate over the episodes whose scenario some policy may complete. Absent if the task does not check feasibility.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub feasible: Option<Rate>,
     /// Bounds of the rate for all possible outcomes of the invalid episodes.
     pub bounds: InvalidBounds,
     /// Each stage separately.
@@ -136,6 +140,7 @@ impl Success {
         Self {
             population,
             rate,
+            feasible: feasible(table, base),
             bounds: InvalidBounds {
                 invalid,
                 worst_case: of_all(rate.successes),
@@ -151,6 +156,14 @@ impl Success {
             adjusted: (population == Population::OperatingSpace && rate.n > 0).then(|| control::adjusted_rate(base)),
         }
     }
+}
+
+fn feasible(table: &EpisodeTable, base: &Sample) -> Option<Rate> {
+    let marked = table.measure(FEASIBLE.as_str())?;
+    let known =
+        base.rows.iter().zip(&base.success).map(|(row, success)| Some((marked[*row as usize]? > 0.5, *success)));
+    let known: Vec<(bool, bool)> = known.collect::<Option<_>>()?;
+    Some(Rate::of(Trials::count(known.into_iter().filter(|(feasible, _)| *feasible).map(|(_, success)| success))))
 }
 
 fn stage(table: &EpisodeTable, at: usize) -> StageSuccess {

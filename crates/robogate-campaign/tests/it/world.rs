@@ -99,8 +99,12 @@ const DISTANCE: Word = Word::constant("target_distance_m");
 
 /// The task of the synthetic environment. Its failure mode for a lost part is undeclared on purpose.
 pub(crate) fn task() -> Arc<TaskSpec> {
-    let mode =
-        |name| FailureModeSpec { name: FailureMode::constant(name), meaning: String::new(), severity: Severity::Major };
+    let mode = |name| FailureModeSpec {
+        name: FailureMode::constant(name),
+        meaning: String::new(),
+        severity: Severity::Major,
+        published_as: None,
+    };
     Arc::new(TaskSpec {
         name: Word::constant("synthetic"),
         version: 1,

@@ -17,12 +17,12 @@ use crate::{Dictionary, DictionaryError, Entry};
 
 /// Writes the dictionary in the published schema, one row per line. Returns the number of rows.
 ///
-/// The schema has no field for invalid episodes. They are omitted, and `metadata` gives their number. `metadata` also
+/// A failure mode that the task lists under another published mode is written as that one. The schema has no field for invalid episodes. They are omitted, and `metadata` gives their number. `metadata` also
 /// states that `zone` and `fail_prob` are omitted. Parameters are the requested values.
 pub fn export(dictionary: &Dictionary, mut out: impl Write) -> Result<u64, DictionaryError> {
     let mut counts = Counts::default();
     for entry in dictionary.entries() {
-        counts.add(&entry?.episode.outcome);
+        counts.add(&published(dictionary, &entry?.episode.outcome));
     }
     let mut text = Vec::new();
     text.extend_from_slice(b"{\n\"metadata\": ");
@@ -39,7 +39,8 @@ pub fn export(dictionary: &Dictionary, mut out: impl Write) -> Result<u64, Dicti
             continue;
         }
         text.extend_from_slice(if rows == 0 { b"\n" } else { b",\n" });
-        to_json(&mut text, &PublishedRow { entry: &entry, flags: &flags })?;
+        let outcome = published(dictionary, &entry.episode.outcome);
+        to_json(&mut text, &PublishedRow { entry: &entry, outcome, flags: &flags })?;
         rows += 1;
         if text.len() > 1 << 16 {
             out.write_all(&text).map_err(write_error)?;
@@ -49,6 +50,14 @@ pub fn export(dictionary: &Dictionary, mut out: impl Write) -> Result<u64, Dicti
     text.extend_from_slice(b"\n]\n}\n");
     out.write_all(&text).and_then(|()| out.flush()).map_err(write_error)?;
     Ok(rows)
+}
+
+/// The outcome with the failure mode that published data has for it.
+fn published(dictionary: &Dictionary, outcome: &Outcome) -> Outcome {
+    match outcome {
+        Outcome::Failure(mode) => Outcome::Failure(dictionary.provenance().task.published_mode(*mode)),
+        other => other.clone(),
+    }
 }
 
 fn to_json(text: &mut Vec<u8>, value: &impl Serialize) -> Result<(), DictionaryError> {
@@ -132,6 +141,8 @@ fn parameter_space(space: &ParameterSpace) -> Json {
 
 struct PublishedRow<'a> {
     entry: &'a Entry,
+    /// The outcome, with its published failure mode.
+    outcome: Outcome,
     /// The flags of the task's failure modes.
     flags: &'a [&'a Flag],
 }
@@ -141,11 +152,11 @@ impl Serialize for PublishedRow<'_> {
         let episode = &self.entry.episode;
         let mut row = serializer.serialize_map(None)?;
         parameters(&mut row, &episode.scenario.requested)?;
-        row.serialize_entry(SUCCESS, &(episode.outcome == Outcome::Success))?;
-        row.serialize_entry(FAILURE_TYPE, &failure_type(&episode.outcome))?;
+        row.serialize_entry(SUCCESS, &(self.outcome == Outcome::Success))?;
+        row.serialize_entry(FAILURE_TYPE, &failure_type(&self.outcome))?;
         row.serialize_entry(CYCLE_TIME, &episode.time_s)?;
         for flag in self.flags {
-            row.serialize_entry(flag.column, &(episode.outcome == Outcome::Failure(flag.mode)))?;
+            row.serialize_entry(flag.column, &(self.outcome == Outcome::Failure(flag.mode)))?;
         }
         if let Some(distance) = episode.measures.get(TARGET_DISTANCE_HERE.as_str()) {
             row.serialize_entry(TARGET_DISTANCE, &distance)?;

@@ -23,6 +23,7 @@ pub(super) fn of_rows(
             _ => String::new(),
         },
         severity: Severity::default(),
+        published_as: None,
     };
     let measure =
         |name: &Word| MeasureSpec { name: *name, unit: String::new(), meaning: String::new(), better: Better::Neither };

@@ -86,6 +86,9 @@ pub struct Period<S> {
     /// How the episode ended, if it did.
     #[serde(default)]
     pub ending: Option<EndingMessage>,
+    /// The ending that the episode will have if the last action is repeated until the time limit, if that is certain.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub foregone: Option<EndingMessage>,
     /// Events for the timeline of a replay.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub events: Option<Vec<String>>,

@@ -78,6 +78,7 @@ impl Host for ToyPhysics {
         self.joints.clone_from(joints);
         self.tick += 1;
         Ok(Period {
+            foregone: None,
             observation: self.observation(),
             state_hash: self.joints.iter().fold(0, |hash, q| hash ^ q.to_bits()),
             measures: None,

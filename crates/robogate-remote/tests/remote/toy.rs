@@ -123,6 +123,7 @@ pub(crate) fn task() -> TaskSpec {
             name: SPILLED,
             meaning: "Something is on the table.".to_owned(),
             severity: Severity::Critical,
+            published_as: None,
         }],
         measures: vec![measure(LEVEL, "m"), measure(FORCE, "N")],
         draws: Vec::new(),

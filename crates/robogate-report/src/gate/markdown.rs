@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use robogate_gate::{ConfidenceScore, Controls, Evaluation, Mode, Verdict};
 
-use super::{RequirementRow, how_judged, sign, value, what_next};
+use super::{RequirementRow, feasible_part, how_judged, sign, value, what_next};
 use crate::markdown::escape_markdown;
 use robogate_stats::format::{count, fixed, percent, percent_range, sentence};
 
@@ -65,6 +65,9 @@ pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
         lines.iter().for_each(|line| {
             let _ = writeln!(out, "- {}", escape_markdown(line));
         });
+    }
+    if let Some(text) = feasible_part(evaluation) {
+        let _ = writeln!(out, "\n{text}");
     }
     if let Some(score) = &evaluation.score {
         self::score(&mut out, score);

@@ -14,7 +14,7 @@ pub use markdown::evaluation_markdown;
 pub use reqif::reqif;
 pub(crate) use verdict::VerdictBlock;
 
-use robogate_stats::format::{self, count, fixed, number, percent};
+use robogate_stats::format::{self, count, fixed, number, percent, percent_range};
 
 /// One requirement as a row of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -130,6 +130,23 @@ pub fn what_next(evaluation: &Evaluation) -> String {
                 count(at)
             )
         }
+    })
+}
+
+/// The success rate over the feasible part of the episodes, as a sentence. `None` if every scenario is feasible, or if this
+/// is unknown.
+pub fn feasible_part(evaluation: &Evaluation) -> Option<String> {
+    let part = evaluation.feasible.filter(|part| part.valid < evaluation.counts.valid)?;
+    Some(match part.rate() {
+        Some(rate) => format!(
+            "No policy can complete {} of the episodes. Over the feasible part, {} of {} succeeded ({}, 95 % interval {}).",
+            percent(1.0 - part.share),
+            count(part.successes),
+            count(part.valid),
+            percent(rate),
+            percent_range(part.interval_95)
+        ),
+        None => "No policy can complete any of these episodes.".to_owned(),
     })
 }
 

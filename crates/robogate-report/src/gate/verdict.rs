@@ -6,7 +6,7 @@ use maud::Markup;
 use robogate_gate::{Controls, Evaluation, Mode, Sampling, Status, Verdict};
 use robogate_stats::format::{count, counted, percent_range};
 
-use super::{RequirementRow, how_judged, sign, what_next};
+use super::{RequirementRow, feasible_part, how_judged, sign, what_next};
 use crate::figures;
 use crate::markdown::escape_markdown;
 
@@ -62,10 +62,11 @@ impl VerdictBlock {
             next: next_step(evaluation),
             controls: evaluation.controls.as_ref().map(Controls::lines).unwrap_or_default(),
             basis: format!(
-                "{}{rounds}, {} of them invalid. {}",
+                "{}{rounds}, {} of them invalid. {}{}",
                 counted(counts.episodes, "episode"),
                 count(counts.invalid),
-                how_judged(evaluation)
+                how_judged(evaluation),
+                feasible_part(evaluation).map_or_else(String::new, |text| format!(" {text}"))
             ),
         }
     }

@@ -61,7 +61,24 @@ fn answer(analysis: &Analysis) -> String {
     } else {
         format!(": about {} times in 10", (10.0 * share).round().clamp(0.0, 10.0))
     };
-    format!("The policy succeeded in {} of {} {of}{chance}.", count(rate.successes), counted(rate.n, "valid episode"))
+    let of_feasible = match &analysis.success.feasible {
+        Some(part) if part.n < rate.n => match part.rate {
+            Some(share) => format!(
+                " No policy can complete {} of the scenarios; over the others it succeeded in {} of {} ({}).",
+                percent((rate.n - part.n) as f64 / rate.n as f64),
+                count(part.successes),
+                count(part.n),
+                percent(share)
+            ),
+            None => " No policy can complete any of these scenarios.".to_owned(),
+        },
+        _ => String::new(),
+    };
+    format!(
+        "The policy succeeded in {} of {} {of}{chance}.{of_feasible}",
+        count(rate.successes),
+        counted(rate.n, "valid episode")
+    )
 }
 
 fn where_it_fails(analysis: &Analysis) -> Vec<String> {

@@ -50,7 +50,12 @@ impl SelfContained for Pendulum {
     }
 
     fn task(&self) -> Arc<TaskSpec> {
-        let mode = |name, meaning: &str, severity| FailureModeSpec { name, meaning: meaning.to_owned(), severity };
+        let mode = |name, meaning: &str, severity| FailureModeSpec {
+            name,
+            meaning: meaning.to_owned(),
+            severity,
+            published_as: None,
+        };
         let measure = |name, unit: &str, meaning: &str| MeasureSpec {
             name,
             unit: unit.to_owned(),

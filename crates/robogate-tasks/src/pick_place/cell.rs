@@ -3,9 +3,9 @@
 use robogate_core::{Fault, FaultKind, Pose, Scenario};
 use robogate_physics::{Robot, Scene};
 
-use super::scene::{TARGET, scene};
+use super::scene::{scaled_scene, target};
 use super::spec::Briefing;
-use super::{Placement, SceneParameters};
+use super::{Placement, Rules, SceneParameters};
 
 /// Time between two actions, in seconds (paper, section 4.1).
 pub const CONTROL_PERIOD_S: f64 = 0.05;
@@ -18,6 +18,8 @@ pub(crate) const TOLERANCE_M: f64 = 0.03;
 #[derive(Debug, Clone, PartialEq)]
 pub struct ResolvedCell {
     pub(crate) parameters: SceneParameters,
+    /// Scale of the workspace about the robot's base.
+    pub(crate) scale: f64,
     /// Placement of the object that the policy is given.
     placement: Placement,
     pub(crate) scene: Scene,
@@ -38,23 +40,25 @@ pub(crate) struct Draws {
 }
 
 impl ResolvedCell {
-    /// Resolves the cell of a scenario for this robot. The result depends only on these inputs.
-    pub fn new(scenario: &Scenario, robot: &Robot) -> Result<Self, Fault> {
+    /// Resolves the cell of a scenario for this robot under these rules. The result depends only on these inputs.
+    pub fn new(scenario: &Scenario, robot: &Robot, rules: &Rules) -> Result<Self, Fault> {
         let setup = |why: String| Fault::new(FaultKind::Setup, why);
         let gripper = &robot.settings.gripper;
         let parameters =
             SceneParameters::from_assignment(&scenario.requested, Some(gripper)).map_err(|e| setup(e.to_string()))?;
         let placement = Placement::from_name(&parameters.placement)
             .ok_or_else(|| setup(format!("unknown placement `{}`", parameters.placement)))?;
-        let placement = placement.moved(parameters.offset_m);
+        let scale = rules.workspace_scale(robot);
+        let placement = placement.scaled(scale).moved(parameters.offset_m);
         let mut jitter = scenario.seed.stream("position-jitter");
         let fraction = jitter.uniform().sqrt();
         let off = parameters.position_jitter_m * fraction;
         let (sin, cos) = jitter.between(0.0, std::f64::consts::TAU).sin_cos();
         let standing = placement.moved([off * cos, off * sin]);
         let mut obstacles = scenario.seed.stream("obstacles");
-        let scene = scene(&parameters, &standing, &mut obstacles).map_err(setup)?;
-        let target = [TARGET[0], TARGET[1], 0.5 * parameters.size_m];
+        let scene = scaled_scene(&parameters, &standing, scale, &mut obstacles).map_err(setup)?;
+        let [x, y] = target(scale);
+        let target = [x, y, 0.5 * parameters.size_m];
         let joints = &robot.settings.arm.joints;
         let encoders = |bound: f64| {
             let mut stream = scenario.seed.stream("encoder-bias");
@@ -62,7 +66,7 @@ impl ResolvedCell {
         };
         let bias = encoders(parameters.ik_noise_rad);
         let draws = Draws { jitter: [fraction * cos, fraction * sin], encoders: encoders(1.0) };
-        Ok(Self { parameters, placement, scene, target, bias, draws })
+        Ok(Self { parameters, scale, placement, scene, target, bias, draws })
     }
 
     /// The scene that an engine loads.
@@ -79,6 +83,7 @@ impl ResolvedCell {
             object_pose: self.placement.pose(size),
             target_pose: Pose::upright(self.target, 0.0),
             tolerance_m: TOLERANCE_M,
+            orientation_tolerance_rad: None,
             approach_speed_m_s: self.parameters.approach_speed_m_s,
         }
     }

@@ -14,7 +14,7 @@ use robogate_physics::{GRAVITY, Gripper, ParallelJaw, Robot, SuctionCup, Suction
 use std::collections::BTreeMap;
 
 use super::spec::{GRIP_LOSS, SLIP, phases};
-use super::{Placement, Shape};
+use super::{Placement, Rules, Shape};
 
 /// An environment and a scripted controller for it.
 pub type Bench = (Box<dyn Environment>, Box<dyn Policy>);
@@ -28,6 +28,8 @@ pub struct Setup {
     pub time_step_s: f64,
     /// The law by which a suction cup holds an object.
     pub suction: SuctionLaw,
+    /// The rules of the task.
+    pub rules: Rules,
 }
 
 /// A factory of benches.

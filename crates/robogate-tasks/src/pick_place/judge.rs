@@ -3,23 +3,36 @@
 //! The same judge serves an engine in this process ([`super::PickPlace`]) and in another one ([`super::remote`]), with
 //! the same random draws, read-back and referee.
 
-use robogate_core::{Action, Fault, FaultKind, Observation, Scenario, Start, Step};
-use robogate_physics::{ArmState, Chain, GripperCommand, Readback, Robot, Steering, StepView, Touches, Visual, pose};
+use robogate_core::{
+    Action, Assignment, Ending, FEASIBLE, Fault, FaultKind, Infeasibility, Observation, Scenario, Start, Step,
+};
+use robogate_physics::{
+    ArmState, Chain, Fixture, GripperCommand, Readback, Robot, Steering, StepView, SuctionLaw, Touches, Visual, pose,
+};
 
 use super::PickPlaceForesight;
 use super::cell::{CONTROL_PERIOD_S, ResolvedCell, TOLERANCE_M};
 use super::parameters::ReadbackContext;
-use super::referee::{self, Referee};
+use super::referee::{self, Goal, Referee};
 use super::spec::observation;
+use super::{Rules, feasibility};
 
 /// Largest clearance that is measured, in metres.
 const CLEARANCE_LIMIT_M: f64 = 0.25;
+
+/// An arm is at rest if no joint is faster than this, in rad/s.
+const STILL_JOINT_SPEED: f64 = 2e-3;
+
+/// The outcome is certain if arm and object have been at rest for this many control periods.
+const STILL_TICKS: u32 = 8;
 
 /// The judge of the task on a robot.
 pub(crate) struct Judge {
     robot: Robot,
     chain: Chain,
     grip_force_n: f64,
+    rules: Rules,
+    suction: SuctionLaw,
     episode: Option<Episode>,
 }
 
@@ -43,11 +56,29 @@ struct Episode {
     measured: Vec<f64>,
     gripper: GripperCommand,
     ticks: u64,
+    /// Number of control periods for which arm and object have been at rest.
+    still_ticks: u32,
+    /// 1 if some policy may complete the scenario, otherwise 0.
+    feasible: f64,
 }
 
 impl Judge {
     pub(crate) fn new(robot: Robot, chain: Chain, grip_force_n: f64) -> Self {
-        Self { robot, chain, grip_force_n, episode: None }
+        Self { robot, chain, grip_force_n, rules: Rules::default(), suction: SuctionLaw::Vacuum, episode: None }
+    }
+
+    pub(crate) fn rules(&self) -> &Rules {
+        &self.rules
+    }
+
+    /// Replaces the rules of all later episodes.
+    pub(crate) fn set_rules(&mut self, rules: Rules) {
+        self.rules = rules;
+    }
+
+    /// Sets the law of the suction cup, for checks of feasibility.
+    pub(crate) fn set_suction(&mut self, law: SuctionLaw) {
+        self.suction = law;
     }
 
     /// The knowledge about episodes before they run.
@@ -63,10 +94,16 @@ impl Judge {
         &self.chain
     }
 
+    /// The reason why no policy can complete a scenario, if it is known.
+    pub(crate) fn infeasibility(&self, requested: &Assignment) -> Option<Infeasibility> {
+        let scale = self.rules.workspace_scale(&self.robot);
+        feasibility::infeasibility(requested, &self.robot, scale, self.grip_force_n, self.suction)
+    }
+
     /// Resolves the cell that a plant must set up for a scenario. Ends the running episode.
     pub(crate) fn resolve(&mut self, scenario: &Scenario) -> Result<ResolvedCell, Fault> {
         self.episode = None;
-        ResolvedCell::new(scenario, &self.robot)
+        ResolvedCell::new(scenario, &self.robot, &self.rules)
     }
 
     /// Starts the episode in a cell that a plant has set up. `touches` and `arm_state` are the initial ones.
@@ -81,17 +118,24 @@ impl Judge {
         if touches.collision.is_some() || touches.body_on_object || touches.fingers.iter().any(Option::is_some) {
             return Err(Fault::new(FaultKind::Setup, "the robot starts in contact"));
         }
-        let briefing = cell.briefing();
+        let mut briefing = cell.briefing();
+        briefing.orientation_tolerance_rad = self.rules.orientation_tolerance_rad;
         let Acting { engine, visual, grip_threshold_m } = acting;
         let context = ReadbackContext { cell: &cell, engine, visual, grip_threshold_m, briefing: &briefing };
         let applied = context.applied(&scenario.requested);
         let instance = briefing.instance();
         let mut episode = Episode {
             steering: Steering::default(),
-            referee: Referee::new(cell.target, TOLERANCE_M, self.grip_force_n),
+            referee: Referee::new(
+                Goal { target: cell.target, tolerance_m: TOLERANCE_M, shape: cell.parameters.shape },
+                self.rules,
+                self.grip_force_n,
+            ),
             measured: Vec::new(),
             gripper: GripperCommand::Open,
             ticks: 0,
+            still_ticks: 0,
+            feasible: if self.infeasibility(&scenario.requested).is_none() { 1.0 } else { 0.0 },
             cell,
         };
         let observation = episode.observation(arm_state, &self.chain);
@@ -144,31 +188,54 @@ impl Judge {
             return Err(Fault::new(FaultKind::Setup, "no episode is running"));
         };
         episode.ticks += 1;
+        let arm_rests = arm_state.joint_velocities.iter().all(|speed| speed.abs() < STILL_JOINT_SPEED);
+        episode.still_ticks = if arm_rests && episode.referee.at_rest() { episode.still_ticks + 1 } else { 0 };
         if let Some(clearance) = clearance {
             episode.referee.note_clearance(clearance);
         }
         let observation = episode.observation(arm_state, &self.chain);
         let (cell, referee) = (&episode.cell, &mut episode.referee);
+        let decided = referee.ending(|collision| {
+            let fixture = cell.scene.fixtures.get(collision.fixture);
+            (body(collision.robot_body), fixture.map_or_else(String::new, |fixture| fixture.name.clone()))
+        });
+        let over = (episode.ticks + 1) as f64 * CONTROL_PERIOD_S > self.rules.time_limit_s + 0.5 * CONTROL_PERIOD_S;
+        let mut measures = referee.measures();
+        measures.set(FEASIBLE, Some(episode.feasible));
         let step = Step {
             observation,
             events: referee.take_events(),
-            measures: referee.measures(),
-            ending: referee.ending(|collision| {
-                let fixture = cell.scene.fixtures.get(collision.fixture);
-                (body(collision.robot_body), fixture.map_or_else(String::new, |fixture| fixture.name.clone()))
-            }),
+            measures,
+            ending: decided.or_else(|| over.then(|| at_limit(referee, &self.rules))),
             state_hash,
         };
-        if referee.decided() {
+        if step.ending.is_some() {
             self.episode = None;
         }
         Ok(step)
+    }
+
+    /// The ending at the time limit, if it is certain for a policy that repeats its last action: arm and object are at
+    /// rest, and no other body will move.
+    pub(crate) fn foregone_ending(&self) -> Option<Ending> {
+        let episode = self.episode.as_ref()?;
+        let now = episode.ticks as f64 * CONTROL_PERIOD_S;
+        // A body that has just stopped may have pushed something.
+        let settling_s = f64::from(STILL_TICKS) * CONTROL_PERIOD_S;
+        let moves = |fixture: &Fixture| fixture.motion.is_some_and(|motion| motion.ends_s + settling_s > now);
+        let certain = episode.still_ticks >= STILL_TICKS && !episode.cell.scene.fixtures.iter().any(moves);
+        certain.then(|| at_limit(&episode.referee, &self.rules))
     }
 
     /// Ends the running episode without a result.
     pub(crate) fn abandon(&mut self) {
         self.episode = None;
     }
+}
+
+/// The ending of an episode that reaches the time limit in the present state.
+fn at_limit(referee: &Referee, rules: &Rules) -> Ending {
+    Ending { failure: Some(referee.mode_at_limit()), time_s: rules.time_limit_s, contact: None }
 }
 
 impl Episode {

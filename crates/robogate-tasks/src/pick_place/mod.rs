@@ -6,6 +6,7 @@
 mod cell;
 pub mod claims;
 mod disturbance;
+mod feasibility;
 mod foresight;
 #[cfg(feature = "mujoco")]
 mod inspect;
@@ -16,6 +17,7 @@ mod parameters;
 mod placement;
 mod referee;
 pub mod remote;
+mod rules;
 mod scene;
 mod scripted;
 mod simulator;
@@ -38,6 +40,7 @@ pub use inspect::{Inspection, Measured, inspect};
 pub use object::Shape;
 pub use parameters::{ActsOn, ParameterError, ParameterRow, SceneParameters, parameters};
 pub use placement::Placement;
+pub use rules::{ModeSet, Rules, Workspace};
 pub use scene::scene;
 pub use scripted::Scripted;
 pub use simulator::PickPlace;

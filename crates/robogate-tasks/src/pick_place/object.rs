@@ -47,6 +47,22 @@ impl Shape {
         }
     }
 
+    /// The smallest angle between an object with rotation `actual` and one with rotation `wanted`, in radians, over all
+    /// rotations of the shape onto itself. Both shapes stand upright at angle 0 about the vertical.
+    pub fn angle_between(self, actual: &UnitQuaternion<f64>, wanted: &UnitQuaternion<f64>) -> f64 {
+        let copies = match self {
+            Self::Sphere => return 0.0,
+            Self::Cylinder => return (actual * Vector3::z()).angle(&(wanted * Vector3::z())),
+            Self::Box => 4,
+            Self::L | Self::Irregular => 1,
+        };
+        let turned = |k: i32| {
+            let turn = std::f64::consts::TAU * f64::from(k) / f64::from(copies);
+            actual.angle_to(&(wanted * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn)))
+        };
+        (0..copies).map(turned).fold(f64::INFINITY, f64::min)
+    }
+
     /// Centre of the highest face of an object of this size (m), relative to the object's centre, in metres. A cup that
     /// comes from above touches this face.
     pub fn top(self, size: f64) -> [f64; 2] {
@@ -130,6 +146,19 @@ mod tests {
                 let reach = reach + part.pose.translation.vector.abs();
                 assert!(reach.max() <= 0.05 + 1e-12, "{shape:?} reaches {reach}");
             }
+        }
+    }
+
+    #[test]
+    fn angles_respect_symmetry() {
+        let about = |axis, degrees: f64| UnitQuaternion::from_axis_angle(&axis, degrees.to_radians());
+        let (upright, turned) = (UnitQuaternion::identity(), about(Vector3::z_axis(), 100.0));
+        for (shape, degrees) in [(Shape::Box, 10.0), (Shape::Cylinder, 0.0), (Shape::Sphere, 0.0), (Shape::L, 100.0)] {
+            assert!((shape.angle_between(&turned, &upright).to_degrees() - degrees).abs() < 1e-6, "{shape:?}");
+        }
+        let tilted = about(Vector3::x_axis(), 20.0);
+        for shape in [Shape::Box, Shape::Cylinder, Shape::Irregular] {
+            assert!((shape.angle_between(&tilted, &upright).to_degrees() - 20.0).abs() < 1e-6, "{shape:?}");
         }
     }
 

@@ -58,6 +58,13 @@ impl Placement {
         Some(Self { position: [WORKSPACE_CENTRE[0] + offset[0], WORKSPACE_CENTRE[1] + offset[1]], yaw })
     }
 
+    /// The same placement in a workspace that is scaled about the robot's base.
+    #[must_use]
+    pub fn scaled(mut self, scale: f64) -> Self {
+        self.position = self.position.map(|x| x * scale);
+        self
+    }
+
     /// The same placement, moved on the table by `offset` (m).
     #[must_use]
     pub fn moved(mut self, offset: [f64; 2]) -> Self {

@@ -8,15 +8,26 @@
 //! | grasp_miss | fingers: after a close command they are at rest, and they do not both press on the object with at least a fifth of the grip force |
 //! | grasp_miss | suction: after a grip command the tool has been at rest for 0.2 s and the cup does not hold the object |
 //! | grip_loss | the object was held, the gripper has no open command, and for 50 ms no finger touches the object, or the cup has lost it; or the object was released with its centre more than 5 cm above its resting height, and has come to rest |
-//! | success | the object was released, has been at rest for 0.2 s within the tolerance of the target, and the robot does not touch it |
+//! | success | the object was released, has been at rest for 0.2 s within the tolerances of the target, and the robot does not touch it |
 //!
-//! The rollout reports a timeout if none of these events happens within the time limit.
+//! If none of these events happens, the time limit ends the episode, with the first mode that applies:
+//!
+//! | mode | when |
+//! |---|---|
+//! | misplaced | the object was released and is at rest, outside a tolerance of the target |
+//! | jam | the robot pressed with more than the force of a jam, without interruption, for the duration of a jam |
+//! | timeout | otherwise |
+//!
+//! A jam does not end an episode before the time limit, because the policy may still recover from it.
 
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use robogate_core::{Contact, Ending, FailureMode, Measures};
 use robogate_physics::{Collision, GripperCommand, GripperState, Touches};
 
-use super::spec::{COLLISION, GRASP_MISS, GRIP_LOSS, MIN_CLEARANCE, PEAK_CONTACT_FORCE, SLIP, TARGET_DISTANCE};
+use super::spec::{
+    COLLISION, GRASP_MISS, GRIP_LOSS, JAM, MIN_CLEARANCE, MISPLACED, PEAK_CONTACT_FORCE, SLIP, TARGET_DISTANCE,
+};
+use super::{ModeSet, Rules, Shape};
 
 /// The gripper is at rest if its opening changed by less than this within [`SETTLE_S`], in metres.
 const SETTLED_M: f64 = 2e-4;
@@ -38,6 +49,23 @@ const REST_SPIN: f64 = 0.2;
 const REST_S: f64 = 0.2;
 /// An object is dropped if it is released more than this above its resting height, in metres.
 const DROP_M: f64 = 0.05;
+/// A larger contact force is reported as an event if it is this many times the last reported one.
+const FORCE_STEP: f64 = 1.5;
+/// The episode has come to rest if the object is slower than this, in m/s ...
+const STILL_SPEED: f64 = 1e-3;
+/// ... and this, in rad/s.
+const STILL_SPIN: f64 = 0.02;
+
+/// What the referee judges an object by.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Goal {
+    /// Target of the object's centre, in metres.
+    pub(crate) target: [f64; 3],
+    /// Largest horizontal distance from the target, in metres.
+    pub(crate) tolerance_m: f64,
+    /// The object's shape, for the symmetry of its orientation.
+    pub(crate) shape: Shape,
+}
 
 /// The state that the referee gets after one time step.
 pub(crate) struct Sight<'a> {
@@ -85,8 +113,9 @@ enum Grip {
     Closing { at: Vector3<f64>, moved_at: f64 },
     /// The object is held. Its first pose in the hand, and the time since it has no contact.
     Held { in_hand: Isometry3<f64>, untouched_since: Option<f64> },
-    /// Released at this height of the object above its resting height.
-    Released { height: f64, calm_since: Option<f64> },
+    /// Released at this height of the object above its resting height; the start of its present rest; whether it has
+    /// rested long enough.
+    Released { height: f64, calm_since: Option<f64>, rested: bool },
 }
 
 /// The measured values so far. `None` without a measurement.
@@ -101,10 +130,17 @@ struct Measured {
 /// The referee of one episode.
 #[derive(Debug, Clone)]
 pub(crate) struct Referee {
-    target: [f64; 3],
-    tolerance: f64,
+    goal: Goal,
+    rules: Rules,
     grip_force: f64,
     grip: Grip,
+    /// Start of the present press and its largest force (N).
+    press: Option<(f64, f64)>,
+    jammed: bool,
+    /// The largest contact force that was reported as an event, in newtons.
+    reported_force: f64,
+    /// Whether the object hardly moves and no finger closes or holds.
+    still: bool,
     collision: Option<(f64, Collision)>,
     ending: Option<(Option<FailureMode>, f64)>,
     measured: Measured,
@@ -113,14 +149,17 @@ pub(crate) struct Referee {
 }
 
 impl Referee {
-    /// Creates a referee for an object that must come to rest within `tolerance` of `target` (m). `grip_force` (N)
-    /// holds it.
-    pub(crate) fn new(target: [f64; 3], tolerance: f64, grip_force: f64) -> Self {
+    /// Creates a referee for an object that must come to rest at this goal. `grip_force` (N) holds it.
+    pub(crate) fn new(goal: Goal, rules: Rules, grip_force: f64) -> Self {
         Self {
-            target,
-            tolerance,
+            goal,
+            rules,
             grip_force,
             grip: Grip::Free,
+            press: None,
+            jammed: false,
+            reported_force: rules.jam_force_n / FORCE_STEP,
+            still: false,
             collision: None,
             ending: None,
             measured: Measured::default(),
@@ -129,9 +168,20 @@ impl Referee {
         }
     }
 
-    /// Whether the decisive event has happened.
-    pub(crate) fn decided(&self) -> bool {
-        self.ending.is_some()
+    /// The failure mode if the time limit passes in the present state.
+    pub(crate) fn mode_at_limit(&self) -> FailureMode {
+        match self.grip {
+            _ if self.rules.modes == ModeSet::Paper => FailureMode::TIMEOUT,
+            Grip::Released { rested: true, .. } => MISPLACED,
+            _ if self.jammed => JAM,
+            _ => FailureMode::TIMEOUT,
+        }
+    }
+
+    /// Whether no later event can happen if gripper and arm do not move any more: the object is at rest, and no hand
+    /// holds it or closes on it.
+    pub(crate) fn at_rest(&self) -> bool {
+        self.still && self.ending.is_none() && self.collision.is_none()
     }
 
     /// The measures so far.
@@ -179,6 +229,7 @@ impl Referee {
         if self.ending.is_some() {
             return;
         }
+        self.feel(sight);
         if self.collision.is_some() {
             self.end(Some(COLLISION), sight.time);
             return;
@@ -220,10 +271,10 @@ impl Referee {
                 }
             }
             (GripperCommand::Open, Grip::Held { .. }) => {
-                let height = sight.object.translation.z - self.target[2];
+                let height = sight.object.translation.z - self.goal.target[2];
                 let what = if let GripperState::Cup(_) = sight.hand { "suction off" } else { "gripper opens" };
                 self.events.push(format!("{what}, object {:.0} mm above the table", 1e3 * height.max(0.0)));
-                self.grip = Grip::Released { height, calm_since: None };
+                self.grip = Grip::Released { height, calm_since: None, rested: false };
             }
             (GripperCommand::Open, Grip::Closing { .. }) => self.grip = Grip::Free,
             (GripperCommand::Open, Grip::Released { .. }) => self.watch_released(sight),
@@ -260,27 +311,67 @@ impl Referee {
     }
 
     fn watch_released(&mut self, sight: &Sight<'_>) {
-        let Grip::Released { height, calm_since } = &mut self.grip else { return };
+        let Grip::Released { height, calm_since, rested } = &mut self.grip else { return };
         let touched = sight.touches.body_on_object || sight.in_touch();
         let (linear, angular) = sight.velocity;
         let calm =
             !touched && sight.touches.object_on_fixture && linear.norm() < REST_SPEED && angular.norm() < REST_SPIN;
         if !calm {
-            *calm_since = None;
+            (*calm_since, *rested) = (None, false);
             return;
         }
         let since = *calm_since.get_or_insert(sight.time);
         if sight.time - since < REST_S {
             return;
         }
+        let first = !std::mem::replace(rested, true);
         if *height > DROP_M {
             self.events.push("object was released in the air".to_owned());
             self.end(Some(GRIP_LOSS), sight.time);
-        } else if self.distance(&sight.object) <= self.tolerance {
-            let off = 1e3 * self.distance(&sight.object);
-            self.events.push(format!("object at rest, {off:.1} mm from the target"));
+            return;
+        }
+        let distance = self.distance(&sight.object);
+        let angle = self.goal.shape.angle_between(&sight.object.rotation, &UnitQuaternion::identity());
+        let aligned = self.rules.orientation_tolerance_rad.is_none_or(|most| angle <= most);
+        let placed = distance <= self.goal.tolerance_m && aligned;
+        if first || placed {
+            let turned = match self.rules.orientation_tolerance_rad {
+                Some(_) => format!(" and {:.1} degrees", angle.to_degrees()),
+                None => String::new(),
+            };
+            self.events.push(format!("object at rest, {:.1} mm{turned} from the target", 1e3 * distance));
+        }
+        if placed {
             self.end(None, sight.time);
         }
+    }
+
+    /// Observes contact forces and rest.
+    fn feel(&mut self, sight: &Sight<'_>) {
+        let force = sight.touches.peak_force.unwrap_or(0.0);
+        if force >= FORCE_STEP * self.reported_force {
+            self.reported_force = force;
+            self.events.push(format!("contact force {force:.0} N"));
+        }
+        let grips = matches!(self.grip, Grip::Closing { .. } | Grip::Held { .. });
+        if force > self.rules.jam_force_n + if grips { self.grip_force } else { 0.0 } {
+            let (since, largest) = self.press.get_or_insert((sight.time, 0.0));
+            *largest = largest.max(force);
+            if !self.jammed && sight.time - *since >= self.rules.jam_duration_s {
+                self.jammed = true;
+                let (largest, duration) = (*largest, self.rules.jam_duration_s);
+                self.events.push(format!("jam: pressed for {duration} s with up to {largest:.0} N"));
+            }
+        } else {
+            self.press = None;
+        }
+        let (linear, angular) = sight.velocity;
+        self.still = match self.grip {
+            Grip::Free => sight.gripper == GripperCommand::Open,
+            Grip::Released { rested, .. } => rested || sight.touches.body_on_object || sight.in_touch(),
+            Grip::Closing { .. } | Grip::Held { .. } => false,
+        } && linear.norm() < STILL_SPEED
+            && angular.norm() < STILL_SPIN;
     }
 
     fn measure(&mut self, sight: &Sight<'_>) {
@@ -315,7 +406,7 @@ impl Referee {
     }
 
     fn distance(&self, object: &Isometry3<f64>) -> f64 {
-        (object.translation.x - self.target[0]).hypot(object.translation.y - self.target[1])
+        (object.translation.x - self.goal.target[0]).hypot(object.translation.y - self.goal.target[1])
     }
 
     fn end(&mut self, failure: Option<FailureMode>, time: f64) {

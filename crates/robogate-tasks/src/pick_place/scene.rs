@@ -18,11 +18,40 @@ const OBSTACLE_RADIUS: f64 = 0.3;
 /// Smallest free space between an obstacle and the object, the target area or another obstacle, in metres.
 pub(crate) const OBSTACLE_GAP: f64 = 0.01;
 
+/// The share of the reach within which every placement of the scaled workspace lies. It leaves room for a tool that points
+/// down from above the obstacles.
+const SHARE_OF_REACH: f64 = 0.75;
+
+/// Distance from the base to the farthest placement of the paper's workspace, in metres.
+const FARTHEST_M: f64 = 0.62;
+
+/// The scale of the workspace about the robot's base, at most 1, at which every placement and the target are within the
+/// reach (m) of an arm.
+pub(crate) fn workspace_scale(reach_m: f64) -> f64 {
+    (SHARE_OF_REACH * reach_m / FARTHEST_M).min(1.0)
+}
+
+/// The target in a workspace of this scale, in metres.
+pub(crate) fn target(scale: f64) -> [f64; 2] {
+    TARGET.map(|x| x * scale)
+}
+
 /// Builds the scene of these parameters with the object at `placement`. `stream` samples the obstacles.
 ///
 /// # Errors
 /// If the object is not on the table, or there is no room for the obstacles.
 pub fn scene(parameters: &SceneParameters, placement: &Placement, stream: &mut Stream) -> Result<Scene, String> {
+    scaled_scene(parameters, placement, 1.0, stream)
+}
+
+/// Builds a scene as [`scene`], with target and obstacles in a workspace of this scale.
+pub(crate) fn scaled_scene(
+    parameters: &SceneParameters,
+    placement: &Placement,
+    scale: f64,
+    stream: &mut Stream,
+) -> Result<Scene, String> {
+    let target = target(scale);
     let object = parameters.object();
     let half = 0.5 * parameters.size_m;
     let mut fixtures = vec![Fixture::table()];
@@ -36,11 +65,11 @@ pub fn scene(parameters: &SceneParameters, placement: &Placement, stream: &mut S
     // The object may be rotated, so its footprint is bounded by the circle around its square.
     let mut taken = vec![
         (placement.position, half * std::f64::consts::SQRT_2 + room),
-        (TARGET, half * std::f64::consts::SQRT_2 + TOLERANCE_M + room),
+        (target, half * std::f64::consts::SQRT_2 + TOLERANCE_M + room),
     ];
     taken.extend(occluder::footprints(&panels));
     for i in 1..=parameters.obstacles {
-        let (part, place) = obstacle(stream, &taken)
+        let (part, place) = obstacle(stream, scale, &taken)
             .ok_or_else(|| format!("there is no room for obstacle {i} of {}", parameters.obstacles))?;
         taken.push(place);
         let (name, kind) = (format!("obstacle_{i}"), FixtureKind::Obstacle);
@@ -57,15 +86,15 @@ pub fn scene(parameters: &SceneParameters, placement: &Placement, stream: &mut S
         arm_stiffness: 1.0,
         fixtures,
         gravity: GRAVITY * parameters.gravity_scale,
-        marker: Some(TARGET),
+        marker: Some(target),
         visual: parameters.visual,
         object,
     })
 }
 
 /// A box or cylinder, 3 to 6 cm wide and 4 to 14 cm high, sampled uniformly from the circle around the workspace centre
-/// and clear of the circles in `taken` (centre and radius). Returns the part and its bounding circle.
-fn obstacle(stream: &mut Stream, taken: &[([f64; 2], f64)]) -> Option<(Part, ([f64; 2], f64))> {
+/// (in a workspace of this scale) and clear of the circles in `taken` (centre and radius). Returns the part and its bounding circle.
+fn obstacle(stream: &mut Stream, scale: f64, taken: &[([f64; 2], f64)]) -> Option<(Part, ([f64; 2], f64))> {
     let half_width = stream.between(0.015, 0.03);
     let half_height = stream.between(0.02, 0.07);
     let round = stream.below(2) == 1;
@@ -78,9 +107,10 @@ fn obstacle(stream: &mut Stream, taken: &[([f64; 2], f64)]) -> Option<(Part, ([f
     };
     // A few draws are usually enough. The bound ends the search in an impossible scene.
     (0..10_000).find_map(|_| {
-        let distance = OBSTACLE_RADIUS * stream.uniform().sqrt();
+        let distance = scale * OBSTACLE_RADIUS * stream.uniform().sqrt();
         let (sin, cos) = stream.between(0.0, std::f64::consts::TAU).sin_cos();
-        let at = [WORKSPACE_CENTRE[0] + distance * cos, WORKSPACE_CENTRE[1] + distance * sin];
+        let [x, y] = WORKSPACE_CENTRE.map(|x| x * scale);
+        let at = [x + distance * cos, y + distance * sin];
         let free = taken
             .iter()
             .all(|(other, radius)| (at[0] - other[0]).hypot(at[1] - other[1]) >= footprint + radius + OBSTACLE_GAP);

@@ -5,7 +5,8 @@
 //! gripper is at rest if it moves in this phase. The encoders' bias and the true pose of the object are unknown to the
 //! controller.
 //!
-//! A tool that is pushed more than 10 mm off its path stops there and waits, like a robot with a contact guard.
+//! A tool that is pushed more than 10 mm off its path stops there and waits, like a robot with a contact guard. The
+//! controller has then given up. It also gives up at the end of its plan.
 
 use std::f64::consts::PI;
 
@@ -38,6 +39,8 @@ pub(super) const RELEASE_ROOM_M: f64 = 0.003;
 const GRIPPER_SETTLED_M: f64 = 1e-4;
 /// ... for this many control periods: it needs time to start and to build up its force.
 const SETTLE_TICKS: usize = 4;
+/// The controller gives up this many control periods after the end of its plan.
+const IDLE_TICKS: usize = 10;
 /// Limits of free motion.
 const FREE: ToolLimit = ToolLimit { speed: 0.5, acceleration: 2.0 };
 /// Limits of motion with the object in hand. They are low, so that weight and not acceleration decides whether it
@@ -187,7 +190,10 @@ impl Scripted {
 
         // Across to the target, with the smallest rotation of the tool.
         let goal = &task.target_pose.position;
-        let placed = self.carry_yaw(&up, yaw, goal);
+        let mut placed = self.carry_yaw(&up, yaw, goal);
+        if task.orientation_tolerance_rad.is_some() {
+            placed = aligned(placed, yaw - object_yaw, Shape::from_name(&task.shape));
+        }
         let target = &offset_by(goal, rotated(object_yaw + placed - yaw));
         let yaw = placed;
         let mut path = straight(&up, Self::above(target, TRANSIT_HEIGHT_M, yaw), CARRY)?;
@@ -252,6 +258,18 @@ pub(super) fn grasp_offset(robot: &Robot, task: &Briefing) -> Vector3<f64> {
         }
         _ => Vector3::zeros(),
     }
+}
+
+/// The yaw of the tool nearest to `placed` at which the object has the orientation of the target, all in radians.
+/// `in_hand` is the yaw of the tool relative to the object, and the target has the yaw 0.
+fn aligned(placed: f64, in_hand: f64, shape: Option<Shape>) -> f64 {
+    let copies = match shape {
+        Some(Shape::Cylinder | Shape::Sphere) => return placed,
+        Some(Shape::Box) => 4.0,
+        Some(Shape::L | Shape::Irregular) | None => 1.0,
+    };
+    let turn = 2.0 * PI / copies;
+    in_hand + turn * ((placed - in_hand) / turn).round()
 }
 
 /// The last point of a path, or `start` if it is empty.
@@ -324,5 +342,12 @@ impl Policy for Scripted {
             gripper: Some(stage.gripper.number()),
             phase: Some(stage.phase),
         })
+    }
+
+    fn gave_up(&self) -> bool {
+        // A stopped arm keeps its position and its phase, and a finished plan its last command.
+        let finished = |stage: &Stage| self.tick >= stage.path.len() + IDLE_TICKS;
+        self.stopped.is_some()
+            || self.plan.get(self.current..).is_some_and(|rest| matches!(rest, [last] if finished(last)))
     }
 }

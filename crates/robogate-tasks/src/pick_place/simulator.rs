@@ -3,9 +3,13 @@
 use std::sync::Arc;
 
 use robogate_camera::{Cameras, Renderer};
-use robogate_core::{Action, Environment, Fault, Foresight, Image, Scenario, Start, Step, TaskSpec, Trajectory};
+use robogate_core::{
+    Action, Assignment, Ending, Environment, Fault, Foresight, Image, Infeasibility, Scenario, Start, Step, TaskSpec,
+    Trajectory,
+};
 use robogate_physics::{Engine, GripperCommand, Plant, SuctionLaw, Visual};
 
+use super::Rules;
 use super::cell::{CONTROL_PERIOD_S, ResolvedCell};
 use super::foresight::PickPlaceForesight;
 use super::judge::{Acting, Judge};
@@ -37,7 +41,7 @@ impl<E: Engine> PickPlace<E> {
         let plant = Plant::new(engine, CONTROL_PERIOD_S, grip_force_n)?;
         let judge = Judge::new(plant.engine.robot().clone(), plant.engine.chain().clone(), plant.grip_force_n());
         let cameras = Cameras::new(plant.engine.robot());
-        let task = Arc::new(spec(plant.engine.robot(), camera_specs(&cameras)));
+        let task = Arc::new(spec(plant.engine.robot(), camera_specs(&cameras), judge.rules()));
         let foresight = Arc::new(judge.foresight());
         Ok(Self { task, plant, judge, foresight, cameras, renderer: None, film: None })
     }
@@ -46,6 +50,7 @@ impl<E: Engine> PickPlace<E> {
     #[must_use]
     pub fn with_suction(mut self, law: SuctionLaw) -> Self {
         self.plant = self.plant.with_suction(law);
+        self.judge.set_suction(law);
         self
     }
 
@@ -53,11 +58,26 @@ impl<E: Engine> PickPlace<E> {
     #[must_use]
     pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
         self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
-        self.task = Arc::new(spec(self.plant.engine.robot(), camera_specs(&self.cameras)));
+        self.declare();
         if let Some(renderer) = &mut self.renderer {
             renderer.resize(width, height);
         }
         self
+    }
+
+    /// The same task under these rules.
+    ///
+    /// # Errors
+    /// If a rule is out of range.
+    pub fn with_rules(mut self, rules: Rules) -> Result<Self, String> {
+        rules.check()?;
+        self.judge.set_rules(rules);
+        self.declare();
+        Ok(self)
+    }
+
+    fn declare(&mut self) {
+        self.task = Arc::new(spec(self.plant.engine.robot(), camera_specs(&self.cameras), self.judge.rules()));
     }
 
     /// The same task with this renderer.
@@ -127,6 +147,14 @@ impl<E: Engine> Environment for PickPlace<E> {
             self.judge.abandon();
         }
         step
+    }
+
+    fn infeasibility(&self, requested: &Assignment) -> Option<Infeasibility> {
+        self.judge.infeasibility(requested)
+    }
+
+    fn foregone_ending(&self) -> Option<Ending> {
+        self.judge.foregone_ending()
     }
 
     fn render(&mut self) -> Result<Vec<Image>, Fault> {

@@ -5,8 +5,9 @@ use robogate_physics::Gripper;
 /// The paper's Franka parameter space, as TOML.
 pub const FRANKA_SPACE: &str = include_str!("../../../../assets/spaces/franka.toml");
 
-const SPACES: [(&str, &str); 4] = [
+const SPACES: [(&str, &str); 5] = [
     ("franka", FRANKA_SPACE),
+    ("franka-graspable", include_str!("../../../../assets/spaces/franka-graspable.toml")),
     ("ur", include_str!("../../../../assets/spaces/ur.toml")),
     ("learned", include_str!("../../../../assets/spaces/learned.toml")),
     ("ur-wide", include_str!("../../../../assets/spaces/ur-wide.toml")),

@@ -1,14 +1,14 @@
 //! The declaration of pick and place as data.
 
 use robogate_core::{
-    Better, CameraSpec, FailureMode, FailureModeSpec, Fault, FaultKind, MeasureSpec, ObservationSpec, Pose, Severity,
-    TaskInstance, TaskSpec, Word,
+    Better, CameraSpec, FEASIBLE, FailureMode, FailureModeSpec, Fault, FaultKind, GAVE_UP, MeasureSpec, ObservationSpec,
+    Pose, Severity, TaskInstance, TaskSpec, Word,
 };
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
-use super::cell::{CONTROL_PERIOD_S, TIME_LIMIT_S};
-use super::{foresight, parameters};
+use super::cell::{CONTROL_PERIOD_S, TOLERANCE_M};
+use super::{ModeSet, Rules, foresight, parameters};
 pub use crate::arm::TOOL_DELTA;
 pub(crate) use crate::arm::observation;
 use crate::arm::{action_spec, observed_vectors};
@@ -19,6 +19,10 @@ pub const GRASP_MISS: FailureMode = FailureMode::constant("grasp_miss");
 pub const GRIP_LOSS: FailureMode = FailureMode::constant("grip_loss");
 /// A robot link or finger touched something other than the object.
 pub const COLLISION: FailureMode = FailureMode::constant("collision");
+/// The time limit passed, and the robot had pressed on something.
+pub const JAM: FailureMode = FailureMode::constant("jam");
+/// The time limit passed, and the object was at rest after its release, but not at the target.
+pub const MISPLACED: FailureMode = FailureMode::constant("misplaced");
 
 /// Largest normal force between any body of the robot and another body, in newtons.
 pub const PEAK_CONTACT_FORCE: Word = Word::constant("peak_contact_force_n");
@@ -50,16 +54,16 @@ pub mod phases {
     pub const ALL: [Word; 6] = [APPROACH_ABOVE, DESCEND, GRASP, LIFT, MOVE_TO_TARGET, RELEASE];
 }
 
-/// The task specification for this robot with these cameras.
-pub fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
+/// The task specification for this robot with these cameras under these rules.
+pub fn spec(robot: &Robot, cameras: Vec<CameraSpec>, rules: &Rules) -> TaskSpec {
     let gripper = &robot.settings.gripper;
     TaskSpec {
         name: Word::constant(super::NAME),
-        version: 1,
+        version: 2,
         instruction: "pick up the part and place it at the target".to_owned(),
         control_period_s: CONTROL_PERIOD_S,
-        time_limit_s: TIME_LIMIT_S,
-        failure_modes: failure_modes(),
+        time_limit_s: rules.time_limit_s,
+        failure_modes: failure_modes(rules),
         measures: measures(),
         draws: foresight::draw_specs(robot.settings.arm.joints.len()),
         phases: phases::ALL.to_vec(),
@@ -70,14 +74,41 @@ pub fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
     }
 }
 
-fn failure_modes() -> Vec<FailureModeSpec> {
-    let mode = |name, severity, meaning: &str| FailureModeSpec { name, meaning: meaning.to_owned(), severity };
-    vec![
+fn failure_modes(rules: &Rules) -> Vec<FailureModeSpec> {
+    let mode = |name, severity, meaning: &str| FailureModeSpec {
+        name,
+        meaning: meaning.to_owned(),
+        severity,
+        published_as: None,
+    };
+    let at_limit = |name, severity, meaning: String| FailureModeSpec {
+        name,
+        meaning,
+        severity,
+        published_as: Some(FailureMode::TIMEOUT),
+    };
+    let jam = format!(
+        "The time limit passed, and the robot had pressed with more than {} N for {} s.",
+        rules.jam_force_n, rules.jam_duration_s
+    );
+    let off = match rules.orientation_tolerance_rad {
+        None => format!("more than {:.0} mm from the target", 1e3 * TOLERANCE_M),
+        Some(angle) => {
+            format!("more than {:.0} mm or {:.0} degrees from the target", 1e3 * TOLERANCE_M, angle.to_degrees())
+        }
+    };
+    let misplaced = format!("The time limit passed, and the released part was at rest {off}.");
+    let mut modes = vec![
         mode(GRASP_MISS, Severity::Major, "The gripper closed without the part."),
         mode(GRIP_LOSS, Severity::Critical, "The part was lost between grasp and release."),
         mode(COLLISION, Severity::Critical, "A link or finger of the robot touched something other than the part."),
-        mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the task was done."),
-    ]
+    ];
+    if rules.modes == ModeSet::All {
+        modes.push(at_limit(JAM, Severity::Critical, jam));
+        modes.push(at_limit(MISPLACED, Severity::Major, misplaced));
+    }
+    modes.push(mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the task was done."));
+    modes
 }
 
 fn measures() -> Vec<MeasureSpec> {
@@ -91,6 +122,8 @@ fn measures() -> Vec<MeasureSpec> {
         measure(PEAK_CONTACT_FORCE, "N", Better::Lower, "Largest normal force between the robot and anything."),
         measure(SLIP, "m", Better::Lower, "Largest displacement of the part in the hand since it was held."),
         measure(MIN_CLEARANCE, "m", Better::Higher, "Smallest distance between the robot and anything but the part."),
+        measure(FEASIBLE, "", Better::Neither, "1 if some policy may complete the scenario, 0 if none can."),
+        measure(GAVE_UP, "s", Better::Neither, "Time at which the policy gave up."),
         measure(TARGET_DISTANCE, "m", Better::Lower, "Horizontal distance of the part from its target."),
     ]
 }
@@ -108,6 +141,10 @@ pub struct Briefing {
     pub target_pose: Pose,
     /// Success means at rest within this horizontal distance of the target, in metres.
     pub tolerance_m: f64,
+    /// Success also means that the part's orientation is within this angle of the target's, in radians. `None` if the
+    /// orientation has no effect.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub orientation_tolerance_rad: Option<f64>,
     /// Speed limit of the tool on its way down to the object, in m/s. `None` leaves it to the policy.
     pub approach_speed_m_s: Option<f64>,
 }
@@ -145,6 +182,7 @@ mod tests {
             object_pose: Pose::upright([0.5, -1e-17, 0.025], 0.7),
             target_pose: Pose::IDENTITY,
             tolerance_m: 0.03,
+            orientation_tolerance_rad: Some(0.1),
             approach_speed_m_s: None,
         };
         let read = Briefing::of(&briefing.instance()).unwrap();

@@ -10,7 +10,7 @@ use robogate_physics::MujocoEngine;
 use robogate_physics::RapierEngine;
 use robogate_physics::{Engine, Robot, SuctionLaw};
 use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
-use robogate_tasks::pick_place::{PickPlace, Scripted};
+use robogate_tasks::pick_place::{PickPlace, Rules, Scripted};
 
 /// The engines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -77,7 +77,12 @@ impl TestCell {
 
 impl Workbench for TestCell {
     fn setup(&self) -> Setup {
-        Setup { robot: self.robot.clone(), time_step_s: self.on.time_step(), suction: SuctionLaw::Vacuum }
+        Setup {
+            robot: self.robot.clone(),
+            time_step_s: self.on.time_step(),
+            suction: SuctionLaw::Vacuum,
+            rules: Rules::default(),
+        }
     }
 
     fn bench(&self, setup: &Setup) -> Result<Bench, String> {
@@ -93,5 +98,6 @@ impl Workbench for TestCell {
 
 fn bench<E: Engine + 'static>(engine: E, setup: &Setup) -> Result<Bench, String> {
     let policy = Scripted::new(setup.robot.clone(), engine.chain().clone());
-    Ok((Box::new(PickPlace::new(engine, None)?.with_suction(setup.suction)), Box::new(policy)))
+    let cell = PickPlace::new(engine, None)?.with_suction(setup.suction).with_rules(setup.rules)?;
+    Ok((Box::new(cell), Box::new(policy)))
 }

@@ -153,12 +153,14 @@ impl Run {
             let provenance = Provenance { question_sha256, ..subject.provenance(provenance.space)? };
             return shard::run(dir, shard, &subject, &plan, provenance, &self.how);
         }
-        // The surface gripper belongs to the paper preset. All other runs use the physical vacuum law.
+        // The surface gripper, four failure modes and one workspace for all robots belong to the paper preset. All other runs use the physical vacuum
+        // law and every mode.
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
         let suction = if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum };
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         let environment = self.environment.environment_of(suite.as_ref(), suction)?;
+        let environment = if papers { environment.as_in_the_paper() } else { environment };
         let subject = Subject::new(environment, self.policy.source_at(&self.location)?)?.with_latency(&self.latency)?;
         let (plan, space) = self.plan_and_space(&subject)?;
         let provenance = subject.provenance(space)?;
@@ -191,6 +193,9 @@ impl Run {
             }
         };
         introduce(&provenance, plan.seed);
+        if plan.suite.is_none() {
+            subject.note_feasibility(&provenance.space);
+        }
         match (&plan.suite, &plan.active) {
             (Some(stage), _) => note(format_args!(
                 "{} {}: {} scenarios, {} episodes, into {}",
@@ -234,11 +239,8 @@ impl Run {
             Some(file) => Plan::load(file).or_usage()?,
             None => {
                 let preset = Preset::by_name(&self.preset).unwrap_or_default();
-                let (plan, left_out) = preset.plan().or_broken()?.fitted_to(&space);
-                // The presets are written for the built-in cell.
-                if subject.cell().is_some() {
-                    left_out.iter().for_each(note);
-                }
+                // The presets have ranges for parameters that this space need not have.
+                let (plan, _) = preset.plan().or_broken()?.fitted_to(&space);
                 plan
             }
         };

@@ -101,8 +101,7 @@ impl Study {
         let plan = match &self.plan {
             Some(file) => Plan::load(file).or_usage()?,
             None => {
-                let (plan, left_out) = Preset::Paper.plan().or_broken()?.fitted_to(&space);
-                left_out.iter().for_each(note);
+                let (plan, _) = Preset::Paper.plan().or_broken()?.fitted_to(&space);
                 plan
             }
         };

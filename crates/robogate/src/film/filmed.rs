@@ -2,7 +2,10 @@
 
 use std::sync::Arc;
 
-use robogate_core::{Action, Environment, Fault, Foresight, Image, Scenario, Start, Step, TaskSpec, Trajectory};
+use robogate_core::{
+    Action, Assignment, Ending, Environment, Fault, Foresight, Image, Infeasibility, Scenario, Start, Step, TaskSpec,
+    Trajectory,
+};
 
 /// An image with its time.
 #[derive(Debug, Clone)]
@@ -64,6 +67,14 @@ impl Environment for Filmed<'_> {
         let step = self.inner.step(action)?;
         self.expose(step.observation.time_s);
         Ok(step)
+    }
+
+    fn infeasibility(&self, requested: &Assignment) -> Option<Infeasibility> {
+        self.inner.infeasibility(requested)
+    }
+
+    fn foregone_ending(&self) -> Option<Ending> {
+        self.inner.foregone_ending()
     }
 
     fn render(&mut self) -> Result<Vec<Image>, Fault> {

@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Vector2};
 use robogate_physics::{FixtureKind, FixtureRead, GRAVITY, Primitive, Readback, Visual, isometry};
 
 use crate::pick_place::cell::{ResolvedCell, TOLERANCE_M};
-use crate::pick_place::scene::TARGET;
+use crate::pick_place::scene::target;
 use crate::pick_place::spec::Briefing;
 use crate::pick_place::{Disturbance, Placement, Shape};
 
@@ -47,7 +47,7 @@ impl ReadbackContext<'_> {
     /// The object's position relative to the requested placement without offset and jitter, in metres (x, y).
     fn displacement(&self) -> Vector2<f64> {
         let nominal = Placement::from_name(&self.cell.parameters.placement);
-        let nominal = nominal.map_or([f64::NAN; 2], |placement| placement.position);
+        let nominal = nominal.map_or([f64::NAN; 2], |placement| placement.scaled(self.cell.scale).position);
         self.engine.object.translation.vector.xy() - Vector2::from(nominal)
     }
 
@@ -58,6 +58,7 @@ impl ReadbackContext<'_> {
 
     /// Whether the engine has the object at this placement, with offset and jitter.
     fn stands_at(&self, placement: &Placement) -> bool {
+        let placement = placement.scaled(self.cell.scale);
         let placement = placement.moved(self.cell.parameters.offset_m).moved(self.jitter().into());
         let pose = placement.pose(self.cell.parameters.size_m);
         same_pose(&isometry(&pose.position, &pose.orientation), &self.engine.object)
@@ -155,7 +156,7 @@ pub(super) fn occluders(context: &ReadbackContext<'_>) -> usize {
 pub(super) fn obstacle_gap(context: &ReadbackContext<'_>) -> f64 {
     let object = context.engine.object.translation.vector.xy();
     let half_diagonal = 0.5 * size(context) * std::f64::consts::SQRT_2;
-    let areas = [(object, half_diagonal), (Vector2::from(TARGET), half_diagonal + TOLERANCE_M)];
+    let areas = [(object, half_diagonal), (Vector2::from(target(context.cell.scale)), half_diagonal + TOLERANCE_M)];
     let scene = &context.cell.scene;
     let obstacles =
         context.engine.fixtures.iter().filter(|read| {
@@ -191,6 +192,7 @@ mod tests {
     use robogate_physics::built_in_robot;
 
     use super::*;
+    use crate::pick_place::Rules;
 
     /// The readback of an engine with exactly the cell's scene.
     fn faithful(cell: &ResolvedCell) -> Readback {
@@ -223,7 +225,7 @@ mod tests {
     ) -> Result<(), Fault> {
         let requested: Assignment = [(name.into(), value)].into_iter().collect();
         let scenario = Scenario { index: 3, seed: Seed::campaign(1).episode(3), requested };
-        let mut cell = ResolvedCell::new(&scenario, &built_in_robot(robot).unwrap()).unwrap();
+        let mut cell = ResolvedCell::new(&scenario, &built_in_robot(robot).unwrap(), &Rules::default()).unwrap();
         let mut briefing = cell.briefing();
         let mut grip_threshold_m = Some(cell.parameters.grip_threshold_m);
         change(&mut cell, &mut briefing, &mut grip_threshold_m);

@@ -4,6 +4,7 @@ use robogate_core::{Fault, FaultKind, Observation, Scenario};
 use robogate_physics::{Engine, GripperCommand, GripperState, Plant, StepView, pose};
 
 use super::{RemotePeriod, RemoteReadback, RemoteSight};
+use crate::pick_place::Rules;
 use crate::pick_place::cell::{CONTROL_PERIOD_S, ResolvedCell};
 use crate::pick_place::spec::observation;
 
@@ -29,7 +30,7 @@ impl<E: Engine> PhysicsHost<E> {
 
     /// Sets up the scenario's cell, which it resolves in the same way as the client.
     pub fn reset(&mut self, scenario: &Scenario) -> Result<(RemoteReadback, RemoteSight, Observation), Fault> {
-        let cell = ResolvedCell::new(scenario, self.plant.engine.robot())?;
+        let cell = ResolvedCell::new(scenario, self.plant.engine.robot(), &Rules::default())?;
         self.plant.load(&cell.scene, cell.parameters.grip_threshold_m)?;
         self.ticks = 0;
         let engine = &self.plant.engine;

@@ -16,11 +16,13 @@ use std::sync::Arc;
 
 use nalgebra::Isometry3;
 use robogate_camera::{Cameras, Posture};
-use robogate_core::{Action, Fault, FaultKind, Image, Observation, Scenario, Start, Step, TaskSpec};
+use robogate_core::{
+    Action, Assignment, Ending, Fault, FaultKind, Image, Infeasibility, Observation, Scenario, Start, Step, TaskSpec,
+};
 use robogate_physics::{ArmState, Chain, Fixture, Gripper, Robot, grip_force, isometry};
 
 use crate::arm::{camera_specs, render};
-use crate::pick_place::PickPlaceForesight;
+use crate::pick_place::{PickPlaceForesight, Rules};
 use crate::pick_place::cell::ResolvedCell;
 use crate::pick_place::judge::{Acting, Judge};
 use crate::pick_place::parameters;
@@ -64,7 +66,7 @@ impl RemotePickPlace {
         let judge = Judge::new(robot, chain, grip_force_n);
         let cameras = Cameras::new(judge.robot());
         Ok(Self {
-            task: Arc::new(spec(judge.robot(), camera_specs(&cameras))),
+            task: Arc::new(spec(judge.robot(), camera_specs(&cameras), judge.rules())),
             foresight: Arc::new(judge.foresight()),
             judge,
             sha256,
@@ -81,13 +83,28 @@ impl RemotePickPlace {
     #[must_use]
     pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
         self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
-        self.task = Arc::new(spec(self.judge.robot(), camera_specs(&self.cameras)));
+        self.declare();
         self
     }
 
     /// The knowledge about episodes before they run.
     pub fn foresight(&self) -> Arc<PickPlaceForesight> {
         Arc::clone(&self.foresight)
+    }
+
+    /// The same task under these rules.
+    ///
+    /// # Errors
+    /// If a rule is out of range.
+    pub fn with_rules(mut self, rules: Rules) -> Result<Self, String> {
+        rules.check()?;
+        self.judge.set_rules(rules);
+        self.declare();
+        Ok(self)
+    }
+
+    fn declare(&mut self) {
+        self.task = Arc::new(spec(self.judge.robot(), camera_specs(&self.cameras), self.judge.rules()));
     }
 
     /// The task.
@@ -172,6 +189,16 @@ impl RemotePickPlace {
         let name = |body: usize| bodies.get(body).cloned().unwrap_or_default();
         let clearance = clearance_m.filter(|clearance| *clearance < bound);
         self.judge.finish(arm_state(observation), clearance, state_hash, name)
+    }
+
+    /// The ending at the time limit, if it is already certain for a policy that repeats its last action.
+    pub fn foregone_ending(&self) -> Option<Ending> {
+        self.judge.foregone_ending()
+    }
+
+    /// The reason why no policy can complete a scenario, if it is known.
+    pub fn infeasibility(&self, requested: &Assignment) -> Option<Infeasibility> {
+        self.judge.infeasibility(requested)
     }
 
     /// Renders the last reported positions.

@@ -1,0 +1,175 @@
+//! Tests of failure modes at the time limit, of policies that give up, and of feasibility.
+#![cfg(feature = "mujoco")]
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod common;
+
+use std::f64::consts::PI;
+
+use common::EngineKind;
+use robogate_core::{
+    Action, Assignment, Episode, FailureMode, Fault, GAVE_UP, Observation, Outcome, Policy, Scenario, Seed,
+    TaskInstance, TaskSpec, Value, is_feasible, rollout, rollout_with,
+};
+use robogate_tasks::pick_place::claims::{Bench, Workbench};
+use robogate_tasks::pick_place::spec::{Briefing, JAM, MISPLACED};
+use robogate_tasks::pick_place::{ModeSet, Placement, Rules, Shape};
+
+fn bench(rules: Rules) -> Bench {
+    let cell = EngineKind::Mujoco.franka();
+    let setup = robogate_tasks::pick_place::claims::Setup { rules, ..cell.setup() };
+    cell.bench(&setup).unwrap()
+}
+
+fn scenario(index: u64, pairs: &[(&str, Value)]) -> Scenario {
+    let requested: Assignment = pairs.iter().map(|(name, value)| ((*name).into(), value.clone())).collect();
+    Scenario { index, seed: Seed::campaign(7).episode(index), requested }
+}
+
+fn wide() -> Vec<(&'static str, Value)> {
+    vec![("size_m", Value::Number(0.1)), ("friction", Value::Number(0.6))]
+}
+
+fn run((environment, policy): &mut Bench, scenario: &Scenario) -> Episode {
+    rollout(&mut **environment, &mut **policy, scenario)
+}
+
+/// A policy that changes the briefing of another one, and may hide that it gave up.
+struct Changed<F> {
+    inner: Box<dyn Policy>,
+    change: F,
+    hides: bool,
+}
+
+impl<F: Fn(&mut Briefing)> Policy for Changed<F> {
+    fn check(&self, task: &TaskSpec) -> Result<(), String> {
+        self.inner.check(task)
+    }
+
+    fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, seed: Seed) -> Result<(), Fault> {
+        let mut briefing = Briefing::of(instance)?;
+        (self.change)(&mut briefing);
+        self.inner.reset(task, &briefing.instance(), seed)
+    }
+
+    fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
+        self.inner.act(observation)
+    }
+
+    fn gave_up(&self) -> bool {
+        !self.hides && self.inner.gave_up()
+    }
+}
+
+#[test]
+fn pressing_on_a_wide_part_is_a_jam() {
+    let (mut environment, mut policy) = bench(Rules::default());
+    let mut events = Vec::new();
+    let episode = rollout_with(&mut *environment, &mut *policy, &scenario(0, &wide()), &mut |tick| {
+        events.extend(tick.step.events.iter().cloned());
+    });
+    assert_eq!(episode.outcome, Outcome::Failure(JAM));
+    assert!((episode.time_s - 15.0).abs() < 1e-9, "the outcome is that at the time limit");
+    assert!(episode.ticks < 100, "{} control periods", episode.ticks);
+    let gave_up = episode.measures.get(GAVE_UP.as_str()).unwrap();
+    assert!(gave_up > 0.5 && gave_up < 0.05 * f64::from(episode.ticks), "{gave_up}");
+    assert!(episode.measures.get("peak_contact_force_n").unwrap() > 100.0);
+    assert_eq!(is_feasible(&episode.measures), Some(false));
+    for what in ["contact force", "jam: pressed", "policy gave up"] {
+        assert!(events.iter().any(|event| event.contains(what)), "{what}: {events:?}");
+    }
+}
+
+#[test]
+fn limits_of_a_jam_are_rules() {
+    for rules in [
+        Rules { jam_force_n: 1e4, ..Rules::default() },
+        Rules { jam_duration_s: 14.9, ..Rules::default() },
+        Rules { modes: ModeSet::Paper, ..Rules::default() },
+    ] {
+        let episode = run(&mut bench(rules), &scenario(0, &wide()));
+        assert_eq!(episode.outcome, Outcome::Failure(FailureMode::TIMEOUT), "{rules:?}");
+    }
+}
+
+#[test]
+fn paper_modes_are_the_published_ones() {
+    let modes = |modes| {
+        let (environment, _) = bench(Rules { modes, ..Rules::default() });
+        let task = environment.task().clone();
+        task.modes().map(|mode| (mode, task.published_mode(mode))).collect::<Vec<_>>()
+    };
+    let published: Vec<FailureMode> = modes(ModeSet::Paper).into_iter().map(|(mode, _)| mode).collect();
+    assert_eq!(published.len(), 4);
+    assert!(modes(ModeSet::All).iter().all(|(_, mode)| published.contains(mode)));
+    assert_eq!(modes(ModeSet::All).len(), 6);
+}
+
+#[test]
+fn part_beside_the_target_is_misplaced() {
+    let (mut environment, policy) = bench(Rules::default());
+    let beside = |briefing: &mut Briefing| briefing.target_pose.position[1] -= 0.1;
+    let mut policy = Changed { inner: policy, change: beside, hides: false };
+    let episode = rollout(&mut *environment, &mut policy, &scenario(0, &[]));
+    assert_eq!(episode.outcome, Outcome::Failure(MISPLACED));
+    assert!((episode.time_s - 15.0).abs() < 1e-9 && episode.ticks < 200, "{}", episode.ticks);
+    assert_eq!(is_feasible(&episode.measures), Some(true));
+}
+
+#[test]
+fn time_limit_ends_the_episode() {
+    let mut short = bench(Rules { time_limit_s: 3.0, ..Rules::default() });
+    let episode = run(&mut short, &scenario(0, &[]));
+    assert_eq!((episode.outcome, episode.ticks), (Outcome::Failure(FailureMode::TIMEOUT), 60));
+    assert!((episode.time_s - 3.0).abs() < 1e-9);
+}
+
+#[test]
+fn episode_waits_for_the_moving_box() {
+    let moving = [
+        ("disturbance_speed_m_s", Value::Number(0.1)),
+        ("disturbance_start_s", Value::Number(8.0)),
+        ("disturbance_y_m", Value::Number(-1.0)),
+        ("disturbance_travel_m", Value::Number(0.1)),
+    ];
+    let episode = run(&mut bench(Rules::default()), &scenario(0, &[&wide()[..], &moving].concat()));
+    assert_eq!(episode.outcome, Outcome::Failure(JAM));
+    assert!((181..200).contains(&episode.ticks), "{} control periods", episode.ticks);
+}
+
+#[test]
+fn ending_early_changes_no_outcome() {
+    let (mut environment, policy) = bench(Rules::default());
+    let mut patient = Changed { inner: policy, change: |_: &mut Briefing| {}, hides: true };
+    let mut early = bench(Rules::default());
+    for index in 0..12 {
+        let pairs = [
+            ("size_m", Value::Number(0.03 + 0.007 * index as f64)),
+            ("friction", Value::Number(0.1 + 0.05 * index as f64)),
+            ("mass_kg", Value::Number(0.8)),
+            ("ik_noise_rad", Value::Number(0.03)),
+            ("obstacles", Value::Integer(3)),
+            ("shape", Value::Category(Shape::ALL[index as usize % 5].as_str().into())),
+            ("placement", Value::Category(Placement::NAMES[index as usize].into())),
+        ];
+        let scenario = scenario(index, &pairs);
+        let whole = rollout(&mut *environment, &mut patient, &scenario);
+        let short = run(&mut early, &scenario);
+        assert_eq!((&short.outcome, short.time_s), (&whole.outcome, whole.time_s), "{index}");
+        assert!(short.ticks <= whole.ticks);
+    }
+}
+
+#[test]
+fn orientation_can_be_required() {
+    let strict = Rules { orientation_tolerance_rad: Some(5.0 * PI / 180.0), ..Rules::default() };
+    let turned = [("placement", Value::Category("rotated_45".into())), ("shape", Value::Category("L_shape".into()))];
+    let episode = run(&mut bench(strict), &scenario(0, &turned));
+    assert_eq!(episode.outcome, Outcome::Success, "the controller aligns the part");
+    // A policy that is told nothing of the tolerance places the part as it hangs.
+    let (mut environment, policy) = bench(strict);
+    let untold = |briefing: &mut Briefing| briefing.orientation_tolerance_rad = None;
+    let mut policy = Changed { inner: policy, change: untold, hides: false };
+    let episode = rollout(&mut *environment, &mut policy, &scenario(0, &turned));
+    assert_eq!(episode.outcome, Outcome::Failure(MISPLACED));
+}
