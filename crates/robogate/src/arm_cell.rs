@@ -127,7 +127,8 @@ impl ArmCell {
     pub(crate) fn hello(&self) -> anyhow::Result<Hello> {
         let (engine, robot) = self.provenance()?;
         let program = message::Program { name: "robogate".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() };
-        let engine = message::Engine { name: engine.name, version: engine.version.unwrap_or_default(), solver: None };
+        let (version, sha256) = (engine.version.unwrap_or_default(), engine.build_sha256);
+        let engine = message::Engine { name: engine.name, version, solver: None, sha256 };
         let task = (**self.environment()?.task()).clone();
         Ok(Hello {
             robot: Some(message::Robot { name: robot.name, sha256: robot.sha256 }),

@@ -695,6 +695,12 @@ impl EnvironmentSource {
                 };
                 Some(Worker { environment: cell.environment()?, policy })
             }
+            Self::Arm(cell) => match arm {
+                Arm::JointPositions | Arm::JointDeltas => {
+                    Some(Worker { environment: cell.environment()?, policy: cell.controller()? })
+                }
+                Arm::ToolDelta | Arm::OscPose | Arm::ToolPose | Arm::Vector => None,
+            },
             Self::SelfContained(task) => Some(Worker { environment: task.environment()?, policy: task.controller() }),
             Self::Remote(source) => match source.pool.hello().policies.first() {
                 Some(declared) => {

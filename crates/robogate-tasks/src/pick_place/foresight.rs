@@ -14,8 +14,9 @@ use robogate_core::{Better, DrawSpec, Fault, FeatureSpec, Foresight, Measures, S
 use robogate_physics::{Chain, FixtureKind, GRAVITY, Gripper, Robot, isometry};
 
 use super::cell::ResolvedCell;
+
 use super::scripted::{CARRY_ACCELERATION_M_S2, Scripted, grasp_height};
-use super::{Shape, parameters};
+use super::{Rules, Shape, parameters};
 
 /// Sizes are rounded to this step for the planned grasp, in metres.
 const SIZE_STEP_M: f64 = 0.005;
@@ -187,6 +188,7 @@ static CUP: [FeatureSpec; 9] = [
 /// The knowledge about episodes of pick and place on one robot.
 pub struct PickPlaceForesight {
     robot: Robot,
+    rules: Rules,
     chain: Chain,
     grip_force_n: f64,
     planner: Scripted,
@@ -226,7 +228,7 @@ struct Outlook {
 }
 
 impl PickPlaceForesight {
-    pub(super) fn new(robot: &Robot, chain: &Chain, grip_force_n: f64) -> Self {
+    pub(super) fn new(robot: &Robot, chain: &Chain, grip_force_n: f64, rules: &Rules) -> Self {
         let specs = draw_specs(chain.joints.len());
         let mut names = specs.iter().map(|spec| spec.name);
         let joints = chain.joints.len();
@@ -237,6 +239,7 @@ impl PickPlaceForesight {
         let obstacles = names.collect();
         Self {
             robot: robot.clone(),
+            rules: *rules,
             chain: chain.clone(),
             grip_force_n,
             planner: Scripted::new(robot.clone(), chain.clone()),
@@ -246,7 +249,7 @@ impl PickPlaceForesight {
     }
 
     fn outlook(&self, scenario: &Scenario) -> Result<Outlook, Fault> {
-        let cell = ResolvedCell::new(scenario, &self.robot)?;
+        let cell = ResolvedCell::new(scenario, &self.robot, &self.rules)?;
         let grasp = self.grasp(&cell).map(|(joints, mut planned)| {
             let truly: Vec<f64> = joints.iter().zip(&cell.bias).map(|(q, bias)| q - bias).collect();
             let off = planned.inverse() * self.chain.tcp_at(&truly);

@@ -83,7 +83,7 @@ impl Judge {
 
     /// The knowledge about episodes before they run.
     pub(crate) fn foresight(&self) -> PickPlaceForesight {
-        PickPlaceForesight::new(&self.robot, &self.chain, self.grip_force_n)
+        PickPlaceForesight::new(&self.robot, &self.chain, self.grip_force_n, &self.rules)
     }
 
     pub(crate) fn robot(&self) -> &Robot {

@@ -78,6 +78,7 @@ impl<E: Engine> PickPlace<E> {
 
     fn declare(&mut self) {
         self.task = Arc::new(spec(self.plant.engine.robot(), camera_specs(&self.cameras), self.judge.rules()));
+        self.foresight = Arc::new(self.judge.foresight());
     }
 
     /// The same task with this renderer.

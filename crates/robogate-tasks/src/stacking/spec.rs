@@ -49,7 +49,12 @@ pub(super) mod phases {
 
 /// The task specification for this robot with these cameras.
 pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
-    let mode = |name, severity, meaning: &str| FailureModeSpec { name, meaning: meaning.to_owned(), severity };
+    let mode = |name, severity, meaning: &str| FailureModeSpec {
+        name,
+        meaning: meaning.to_owned(),
+        severity,
+        published_as: None,
+    };
     let measure = |name, unit: &str, better, meaning: &str| MeasureSpec {
         name,
         unit: unit.to_owned(),

@@ -105,6 +105,7 @@ impl RemotePickPlace {
 
     fn declare(&mut self) {
         self.task = Arc::new(spec(self.judge.robot(), camera_specs(&self.cameras), self.judge.rules()));
+        self.foresight = Arc::new(self.judge.foresight());
     }
 
     /// The task.
