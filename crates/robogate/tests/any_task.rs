@@ -73,15 +73,17 @@ fn arm_tasks_pass_through_the_verbs() {
         let a = format!("{task}-a");
         verb(&format!("{run} --threads 2 --out {a}"), 0, &["ur5e"]);
         verb(&format!("{run} --threads 1 --out {task}-b"), 0, &[]);
-        verb(&format!("{run} --shard 1/2 --out {task}-s"), 0, &[]);
-        verb(&format!("{run} --shard 2/2 --out {task}-s"), 0, &[]);
+        // The uniform stage, then the boundary stage.
+        for shard in [0, 1, 0, 1] {
+            verb(&format!("{run} --shard {shard}/2 --out {task}-s"), 0, &[]);
+        }
         verb(&format!("merge {task}-s"), 0, &[]);
         let rows = |name: &str| fs::read(at.join(name).join("dictionary.parquet")).unwrap();
         assert!(rows(&a) == rows(&format!("{task}-b")), "rows depend on the number of threads");
         assert!(rows(&a) == rows(&format!("{task}-s")), "rows depend on the shards");
         verb(&format!("resume {a}"), 0, &[]);
         verb(&format!("replay {a} 3"), 0, &["identical to the recorded episode", measure]);
-        verb(&format!("analyze {a}"), 0, &[task]);
+        verb(&format!("analyze {a}"), 0, &["RoboGate ur5e"]);
         verb(&format!("report {a} --out {task}.html"), 0, &[]);
         let page = fs::read_to_string(at.join(format!("{task}.html"))).unwrap();
         assert!(page.contains(mode) && !page.contains(other));
