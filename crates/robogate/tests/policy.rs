@@ -156,7 +156,8 @@ fn a_run_is_resumed_after_a_server_stopped() {
     let profile = profile(&dir, "pi0-libero", &TEN);
     let (listener, url) = listener();
     let address = listener.local_addr().unwrap();
-    go_down(listener, 5);
+    // The first episode takes seven requests.
+    go_down(listener, 10);
     let run = dir.path().join("run").to_str().unwrap().to_owned();
     let start = ["run", "--policy", &url, "--profile", &profile, "-n", "24", "--threads", "1", "--out", &run];
     assert_exit(&start, 5, &["10 episodes in a row were invalid", "robogate resume"]);
