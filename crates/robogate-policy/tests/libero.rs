@@ -8,9 +8,9 @@ mod support;
 use std::path::Path;
 
 use direct::direct;
-use robogate_core::{Action, Command, Image, Observation, Pose, Word, vectors};
+use robogate_core::{Action, Command, Image, Observation, Policy, Pose, Word, vectors};
 use robogate_policy::{
-    Arm, Decoder, Encoder, MappingStep, Part, Profile, Query, compare_mappings, read_pose, state_numbers,
+    Arm, Decoder, Encoder, MappingStep, Part, Profile, Query, RandomModel, compare_mappings, read_pose, state_numbers,
 };
 use serde_json::Value;
 use support::task;
@@ -247,6 +247,20 @@ fn broken_conventions_are_named() {
         let broken = Profile::from_toml(&text.replacen(from, to, 2)).unwrap();
         let found = steps(&broken, &reference);
         assert!(!found.is_empty() && found.iter().all(|found| *found == step), "{from} -> {to}: {found:?}");
+    }
+}
+
+/// The negative control moves the arm, with actions that the task accepts, and differs between episodes.
+#[test]
+fn random_models_send_valid_actions() {
+    let task = task();
+    for profile in profiles() {
+        let mut random = RandomModel::new(&profile);
+        support::begin(&mut random, "pick up the box").unwrap();
+        let actions: Vec<Action> = (0..50).map(|_| random.act(&support::observation(2)).unwrap()).collect();
+        assert!(actions.iter().all(|action| task.check_action(action).is_ok()), "{}", profile.name);
+        assert!(actions.iter().any(|action| action.gripper == Some(Action::OPEN)));
+        assert!(actions.iter().any(|action| action.gripper == Some(Action::CLOSE)));
     }
 }
 

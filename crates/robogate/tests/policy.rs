@@ -108,10 +108,10 @@ fn mismatches_with_the_profile_are_named() {
     go_down(openpi, usize::MAX);
     // A tool delta has seven numbers.
     let six = profile(&dir, "pi0-libero", &[("size = 7", "size = 6")]);
-    assert_exit(&["policy", "check", &url, "--profile", &six], 2, &["action.size: 6, but arm = \"tool_delta\" has 7"]);
+    assert_exit(&["policy", "check", &url, "--profile", &six], 2, &["action.size: 6, but arm = \"osc_pose\" has 7"]);
     // Eight numbers are seven joints and a gripper, but the server sends seven.
     let [ten, once] = TEN;
-    let joints = ("size = 7\narm = \"tool_delta\"", "size = 8\narm = \"joint_positions\"");
+    let joints = ("size = 7\narm = \"osc_pose\"", "size = 8\narm = \"joint_positions\"");
     let eight = profile(&dir, "pi0-libero", &[ten, once, joints]);
     let words = "an action has 7 numbers, but action.size of the profile is 8";
     assert_exit(&["policy", "check", &url, "--profile", &eight], 1, &["problem:", words]);
@@ -156,7 +156,8 @@ fn a_run_is_resumed_after_a_server_stopped() {
     let profile = profile(&dir, "pi0-libero", &TEN);
     let (listener, url) = listener();
     let address = listener.local_addr().unwrap();
-    go_down(listener, 5);
+    // The first episode takes seven requests.
+    go_down(listener, 10);
     let run = dir.path().join("run").to_str().unwrap().to_owned();
     let start = ["run", "--policy", &url, "--profile", &profile, "-n", "24", "--threads", "1", "--out", &run];
     assert_exit(&start, 5, &["10 episodes in a row were lost", "robogate resume"]);

@@ -102,7 +102,9 @@ impl Profile {
                 return invalid(field("type"), format!("{} is not supported. Expected <f4 or <f8", state.dtype.name()));
             }
             let (low, high) = (state.low.len(), state.high.len());
-            if low != high || state.low.iter().zip(&state.high).any(|(low, high)| !(low <= high)) {
+            if low != high
+                || state.low.iter().zip(&state.high).any(|(low, high)| low > high || low.is_nan() || high.is_nan())
+            {
                 return invalid(
                     field("low"),
                     "the published range needs as many numbers in `high`, none of them smaller",
