@@ -22,4 +22,6 @@ campaign() { # name, seed, episodes, further arguments of `robogate run`
 campaign simulation 11 2000
 campaign altered 12 1000 --space docs/results/transfer-altered.toml
 campaign rapier 13 1000 --engine rapier
-cargo run --release --locked -p robogate-analysis --example transfer -- "$out"/{simulation,altered,rapier} | tee "$out/tables.md"
+example() { cargo run --release --locked -p robogate-analysis --example transfer -- "$@"; }
+example | tee "$out/synthetic.md"
+example "$out"/{simulation,altered,rapier} | tee "$out/surrogate.md"

@@ -58,6 +58,9 @@ impl Weights {
         // 1 - 0.985 is slightly more than 0.015 in floating point.
         if 1.0 - p0 <= TIGHT + 1e-9 {
             Self { always: 0.52, broad: 0.22, typical: 0.24, shares: [0.15, 0.35] }
+        } else if p0 < 0.5 {
+            // A limit on failures that must be exceeded: the rates of interest are just above it.
+            Self { always: 0.02, broad: 0.90, typical: 0.03, shares: [0.2, 0.7] }
         } else {
             Self { always: 0.05, broad: 0.60, typical: 0.30, shares: [0.2, 0.7] }
         }

@@ -143,7 +143,7 @@ fn exact(failure: f64, limit: f64, per_round: u64, rounds: u64, evidence: impl F
         }
         let n = round * per_round;
         for (failures, share) in next.iter_mut().enumerate() {
-            if evidence(Trials::new(n - failures as u64, n).unwrap(), limit) < -ALPHA.ln() {
+            if evidence(Trials::new(n - failures as u64, n).unwrap_or(Trials::NONE), limit) < -ALPHA.ln() {
                 break;
             }
             passed += *share;

@@ -12,6 +12,9 @@ use super::trials::RealTrials;
 use crate::rate::ends;
 use crate::table::{Ending, EpisodeTable, Sample};
 
+/// How far a sample is from a distribution.
+type Distance = Box<dyn Fn(&[f64]) -> f64>;
+
 /// Simulated samples of a distribution test.
 const SIMULATIONS: usize = 999;
 
@@ -167,7 +170,7 @@ pub(super) fn settings(space: &ParameterSpace, trials: &RealTrials, points: &[Ve
             continue;
         }
         known.sort_by(f64::total_cmp);
-        let distance: Box<dyn Fn(&[f64]) -> f64> = match &parameter.domain {
+        let distance: Distance = match &parameter.domain {
             Domain::Categorical { choices } => {
                 let count = |of: &[f64], level: usize| of.iter().filter(|v| **v as usize == level).count() as f64;
                 let shares: Vec<f64> =

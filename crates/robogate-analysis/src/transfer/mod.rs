@@ -218,7 +218,7 @@ impl<'a> Simulation<'a> {
     /// If the episodes do not determine a model.
     pub fn predictions(&self, trials: &RealTrials) -> Result<Predictions, AnalysisError> {
         let task = TaskAnalysis::of(self.source.dictionary().provenance().task.name.as_str());
-        predictor::predict(&self.table, self.space(), trials, &self.points, &task).map_err(no)
+        predictor::predict(&self.table, self.space(), trials, &self.points, task).map_err(no)
     }
 }
 

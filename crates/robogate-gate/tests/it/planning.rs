@@ -34,7 +34,7 @@ fn error_rates_hold_at_limit() {
         assert!((at.met + at.violated + at.open - 1.0).abs() < 1e-9);
     }
     let fewest: Vec<Option<u64>> = plan.demands.iter().map(|d| d.fewest_rounds).collect();
-    assert_eq!(fewest, [Some(1), Some(3), Some(5), Some(2), Some(2)]);
+    assert_eq!(fewest, [Some(1), Some(3), Some(5), Some(3), Some(3)]);
 }
 
 #[test]

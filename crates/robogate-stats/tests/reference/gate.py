@@ -81,6 +81,8 @@ def joint(p, looks):
 
 def weights(p0):
     """Weights of "always", of all larger rates and of typical ones, and the failures of the typical ones relative to the limit's."""
+    if p0 < 0.5:
+        return 0.02, 0.90, 0.03, (0.2, 0.7)
     return (0.52, 0.22, 0.24, (0.15, 0.35)) if 1 - p0 <= 0.015 + 1e-9 else (0.05, 0.60, 0.30, (0.2, 0.7))
 
 

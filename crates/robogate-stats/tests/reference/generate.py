@@ -12,7 +12,6 @@ import math
 import pathlib
 
 import numpy as np
-import scipy.integrate as si
 import scipy.optimize as so
 import scipy.special as sp
 import scipy.stats as st
@@ -436,12 +435,12 @@ def walk(p0, alpha, beta, per_round, rounds, p):
     def above(k, n, p0):
         """The pooled part of the evidence: all larger rates, typical ones, and "every trial succeeds"."""
         failure = 1 - p0
-        always, broad, typical, few, many = (0.52, 0.22, 0.24, 0.15, 0.35) if failure <= 0.015 + 1e-9 else (0.05, 0.60, 0.30, 0.2, 0.7)
+        always, broad, typical, few, many = (0.02, 0.90, 0.03, 0.2, 0.7) if p0 < 0.5 else (0.52, 0.22, 0.24, 0.15, 0.35) if failure <= 0.015 + 1e-9 else (0.05, 0.60, 0.30, 0.2, 0.7)
         mass = st.binom.logpmf(k, n, p0)
         mixture = st.binom.logcdf(k, n + 1, p0) - math.log((n + 1) * failure) - mass
-        # The integral of the binomial likelihood over a range of failure rates, by quadrature.
-        share, _ = si.quad(lambda u: math.exp(st.binom.logpmf(n - k, n, u * failure) - mass), few, many, epsabs=0, epsrel=1e-12)
-        focus = math.log(share / (many - few))
+        # The integral of the binomial likelihood over a range of failure rates.
+        inside = np.diff(st.beta.cdf([few * failure, many * failure], n - k + 1, k + 1))[0]
+        focus = (math.log(inside) if inside > 0 else -math.inf) - math.log((n + 1) * failure * (many - few)) - mass
         spike = -n * math.log(p0) if k == n else -math.inf
         return np.logaddexp.reduce([math.log(always) + spike, math.log(broad) + mixture, math.log(typical) + focus])
     alive, met, violated, trials = {0: 1.0}, 0.0, 0.0, 0.0
