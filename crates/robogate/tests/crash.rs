@@ -80,12 +80,6 @@ impl Faults {
         } else {
             (0..POINTS).map(|i| 1 + i * (operations - 1) / (POINTS - 1)).collect()
         };
-        println!(
-            "{operations} operations, {} points for each of {} faults: {}",
-            points.len(),
-            KINDS.len(),
-            words(&first(&whole))
-        );
         for kind in KINDS {
             for at in &points {
                 let dir = self.path(&format!("{kind}-{at}"));

@@ -66,7 +66,7 @@ fn flaky_receivers_get_all_alarms() {
     let mut calls = 0_u32;
     let flaky = Box::new(move |alarm: &str| {
         calls += 1;
-        if calls % 5 == 0 {
+        if calls.is_multiple_of(5) {
             return Err(OutputError("500".to_owned()));
         }
         sender.send(alarm.to_owned()).map_err(|error| OutputError(error.to_string()))
