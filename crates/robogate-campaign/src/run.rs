@@ -34,8 +34,7 @@ use crate::invalid::AllInvalid;
 use crate::summary::Summing;
 use crate::{
     ActiveReport, Bins, BoundaryReport, Event, ExecuteError, Executor, OutcomeCounts, Plan, PlanError, Points, Round,
-    RunAgain,
-    Stage, SuiteStage, Summary, Warning,
+    RunAgain, Stage, SuiteStage, Summary, Warning,
 };
 
 /// The content of `plan.json`: everything that the results of a run depend on.

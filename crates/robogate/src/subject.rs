@@ -440,14 +440,6 @@ impl Subject {
         &self.task
     }
 
-    /// The cell, if the environment is the built-in one.
-    pub(crate) fn cell(&self) -> Option<&Cell> {
-        match &self.environment {
-            EnvironmentSource::Cell(cell) => Some(cell),
-            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
-        }
-    }
-
     /// The name of the environment's own suite, if it has one.
     pub(crate) fn own_suite(&self) -> Option<&'static str> {
         match &self.environment {

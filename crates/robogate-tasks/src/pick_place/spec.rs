@@ -1,8 +1,8 @@
 //! The declaration of pick and place as data.
 
 use robogate_core::{
-    Better, CameraSpec, FEASIBLE, FailureMode, FailureModeSpec, Fault, FaultKind, GAVE_UP, MeasureSpec, ObservationSpec,
-    Pose, Severity, TaskInstance, TaskSpec, Word,
+    Better, CameraSpec, FEASIBLE, FailureMode, FailureModeSpec, Fault, FaultKind, GAVE_UP, MeasureSpec,
+    ObservationSpec, Pose, Severity, TaskInstance, TaskSpec, Word,
 };
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};

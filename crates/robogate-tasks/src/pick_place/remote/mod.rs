@@ -22,12 +22,12 @@ use robogate_core::{
 use robogate_physics::{ArmState, Chain, Fixture, Gripper, Robot, grip_force, isometry};
 
 use crate::arm::{camera_specs, render};
-use crate::pick_place::{PickPlaceForesight, Rules};
 use crate::pick_place::cell::ResolvedCell;
 use crate::pick_place::judge::{Acting, Judge};
 use crate::pick_place::parameters;
 use crate::pick_place::simulator::show;
 use crate::pick_place::spec::spec;
+use crate::pick_place::{PickPlaceForesight, Rules};
 
 /// Largest distance between the reported tool pose and the tool pose computed from the reported joint positions at the
 /// start, in metres. Beyond this the engine has a different robot ...
