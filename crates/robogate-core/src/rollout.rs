@@ -58,6 +58,11 @@ pub trait Environment {
         None
     }
 
+    /// The hidden draws of the episode of this scenario, after its reset. Empty where nothing is known about them.
+    fn draws(&self, scenario: &Scenario) -> Result<Measures, Fault> {
+        self.foresight().map_or_else(|| Ok(Measures::default()), |foresight| foresight.draws(scenario))
+    }
+
     /// Sets up a scenario. A second call starts over, independent of earlier episodes.
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault>;
 
@@ -204,9 +209,7 @@ fn drive(
     let Start { instance, mut observation, applied } = environment.reset(&episode.scenario)?;
     episode.applied = applied;
     check_applied(&episode.scenario.requested, &episode.applied)?;
-    if let Some(foresight) = environment.foresight() {
-        episode.draws = foresight.draws(&episode.scenario)?;
-    }
+    episode.draws = environment.draws(&episode.scenario)?;
     policy.reset(&task, &instance, episode.scenario.seed)?;
     let limit = task.limit_ticks().map_err(|why| Fault::new(FaultKind::Setup, why.to_string()))?;
     let records_giving_up = task.measure(GAVE_UP.as_str()).is_some();

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use robogate_core::{
-    Action, Assignment, Ending, Environment, Fault, FaultKind, Foresight, Image, Infeasibility, Scenario, Start, Step,
-    TaskSpec,
+    Action, Assignment, Ending, Environment, Fault, FaultKind, Foresight, Image, Infeasibility, Measures, Scenario,
+    Start, Step, TaskSpec,
 };
 
 use super::error::RequestError;
@@ -64,6 +64,10 @@ impl Environment for RemoteEnvironment {
 
     fn step(&mut self, action: &Action) -> Result<Step, Fault> {
         self.episodes.step(action)
+    }
+
+    fn draws(&self, _: &Scenario) -> Result<Measures, Fault> {
+        Ok(self.episodes.session.draws.clone())
     }
 
     fn foregone_ending(&self) -> Option<Ending> {

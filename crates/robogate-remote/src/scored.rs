@@ -23,6 +23,8 @@ pub struct ScoredSession {
     pub(crate) proposals: Option<Proposals>,
     /// The ending of the running episode that the server reports as certain.
     pub(crate) foregone: Option<Ending>,
+    /// The hidden draws of the running episode.
+    pub(crate) draws: Measures,
     /// Control periods that the server has already run, each with its action.
     ran: VecDeque<(Proposed, Period<Empty>)>,
 }
@@ -90,6 +92,7 @@ impl Session for ScoredSession {
         let mut request = reset_request::<Empty>(scenario, &scenario.requested, None)?;
         request.policy = self.proposals.as_ref().map(|proposals| proposals.policy().to_owned());
         let reply: ResetReply<Empty, Empty> = connection.begin(request)?;
+        self.draws = read_draws(connection, reply.draws.unwrap_or_default());
         let task = &connection.hello().task;
         let observation = reply.observation.checked(task, 0.0).map_err(violation)?;
         let Some(applied) = reply.applied else { return Err(violation("the reply to reset has no `applied`")) };
@@ -168,6 +171,15 @@ fn encode_action(task: &TaskSpec, action: &Action) -> Result<(ActionKind, Vec<f6
     };
     numbers.extend(gripper_number(task.action.gripper, action.gripper));
     Ok((ActionKind::of(&action.command), numbers))
+}
+
+fn read_draws(connection: &mut Connection, mut reported: BTreeMap<String, Option<f64>>) -> Measures {
+    let declared = connection.hello().task.draws.iter();
+    let draws = declared.map(|spec| (spec.name, reported.remove(spec.name.as_str()).flatten())).collect();
+    for name in reported.into_keys() {
+        connection.note(format!("the draw `{name}` is ignored: the task does not declare it"));
+    }
+    draws
 }
 
 fn read_step(

@@ -57,10 +57,12 @@ impl Host for EnvironmentHost {
 
     fn reset(&mut self, scenario: &Scenario) -> Result<ResetReply<Empty, Empty>, Fault> {
         let start = self.environment.reset(scenario)?;
+        let draws = self.environment.draws(scenario)?;
         Ok(ResetReply {
             observation: ObservationMessage::from(&start.observation),
             instance: Some(start.instance),
             applied: Some(to_wire(&start.applied)),
+            draws: (!draws.is_empty()).then(|| draws.iter().map(|(name, x)| (name.to_string(), Some(x))).collect()),
             readback: None,
             sample: None,
             proposed: None,

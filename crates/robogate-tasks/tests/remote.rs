@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use robogate_core::samplers::LatinHypercube;
 use robogate_core::{
-    Action, Assignment, Ending, Environment, Fault, FaultKind, Infeasibility, Observation, Outcome, ParameterSpace,
-    Sampler, Scenario, Seed, Start, Step, TaskSpec, rollout, vectors,
+    Action, Assignment, Ending, Environment, Fault, FaultKind, Foresight, Infeasibility, Observation, Outcome,
+    ParameterSpace, Sampler, Scenario, Seed, Start, Step, TaskSpec, rollout, vectors,
 };
 use robogate_physics::{Engine, GripperCommand, MujocoEngine, RapierEngine, built_in_robot};
 use robogate_tasks::pick_place::remote::{PhysicsHost, RemotePeriod, RemotePickPlace};
@@ -44,6 +44,10 @@ impl<E: Engine> Environment for Remote<E> {
         (self.tamper)(&mut period);
         let RemotePeriod { observation, state_hash, sights, clearance_m } = period;
         self.task.finish(&sights, &observation, clearance_m, state_hash)
+    }
+
+    fn foresight(&self) -> Option<Arc<dyn Foresight>> {
+        Some(self.task.foresight())
     }
 
     fn foregone_ending(&self) -> Option<Ending> {

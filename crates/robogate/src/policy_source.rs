@@ -163,23 +163,23 @@ pub(crate) struct PolicyAccess {
     wait: Option<Duration>,
     /// Read the key of the policy server from this file; default: the environment variable ROBOGATE_POLICY_TOKEN. A text
     /// of the form `NAME: VALUE` sets the header NAME, another text the header Authorization
-    #[arg(long = "policy-key", value_name = "FILE")]
-    key: Option<PathBuf>,
+    #[arg(long, value_name = "FILE")]
+    policy_key: Option<PathBuf>,
     /// Trust the certificates in this file (PEM) for wss:// and https://; default: those of the system
-    #[arg(long = "policy-ca", value_name = "FILE")]
-    ca: Option<PathBuf>,
+    #[arg(long, value_name = "FILE")]
+    policy_ca: Option<PathBuf>,
 }
 
 impl PolicyAccess {
     /// Reads the files of the arguments.
     pub(crate) fn access(&self) -> Result<Access, Exit> {
         let mut access = Access::from_environment().with_wait(self.wait.unwrap_or_default());
-        if let Some(file) = &self.key {
+        if let Some(file) = &self.policy_key {
             let text = std::fs::read_to_string(file).with_context(|| format!("--policy-key {}", file.display()));
             let text = text.or_usage()?;
             access = access.with_key(&text).with_context(|| format!("--policy-key {}", file.display())).or_usage()?;
         }
-        if let Some(file) = &self.ca {
+        if let Some(file) = &self.policy_ca {
             let pem = std::fs::read(file).with_context(|| format!("--policy-ca {}", file.display())).or_usage()?;
             let read = access.with_certificates(&pem);
             access = read.with_context(|| format!("--policy-ca {}", file.display())).or_usage()?;

@@ -257,6 +257,7 @@ impl Host for PhysicsHost {
             observation: ObservationMessage::from(&observation),
             instance: None,
             applied: None,
+            draws: None,
             readback: Some(readback),
             sample: Some(sample),
             proposed: None,

@@ -7,8 +7,9 @@ use std::sync::Arc;
 use super::queue::Queue;
 use super::{Execution, LATENCY_PARAMETER, Latency, latency_parameter};
 use crate::{
-    Action, ActionSpace, ActionSpec, Assignment, Command, Environment, Fault, FaultKind, Image, Observation, Policy,
-    PredictedStep, Prediction, Scenario, Seed, Start, Step, Stream, TaskInstance, TaskSpec, Trajectory, Value,
+    Action, ActionSpace, ActionSpec, Assignment, Command, Environment, Fault, FaultKind, Image, Infeasibility,
+    Measures, Observation, Policy, PredictedStep, Prediction, Scenario, Seed, Start, Step, Stream, TaskInstance,
+    TaskSpec, Trajectory, Value,
 };
 
 /// The latency of the scenario, in seconds. The environment's adapter sets it, and the policy's adapter applies it.
@@ -54,6 +55,15 @@ impl Environment for LatencyEnvironment {
         &self.task
     }
 
+    fn draws(&self, scenario: &Scenario) -> Result<Measures, Fault> {
+        let requested = without_latency(&scenario.requested);
+        self.environment.draws(&Scenario { requested, ..scenario.clone() })
+    }
+
+    fn infeasibility(&self, requested: &Assignment) -> Option<Infeasibility> {
+        self.environment.infeasibility(&without_latency(requested))
+    }
+
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
         self.shared.set(0.0);
         let Some(wanted) = scenario.requested.number(LATENCY_PARAMETER) else {
@@ -62,8 +72,7 @@ impl Environment for LatencyEnvironment {
         if let Err(why) = latency_parameter().accepts(&Value::Number(wanted)) {
             return Err(Fault::new(FaultKind::Setup, why));
         }
-        let others = scenario.requested.iter().filter(|(name, _)| *name != LATENCY_PARAMETER);
-        let requested: Assignment = others.map(|(name, value)| (name.into(), value.clone())).collect();
+        let requested = without_latency(&scenario.requested);
         let mut start = self.environment.reset(&Scenario { requested, ..scenario.clone() })?;
         self.shared.set(wanted);
         start.applied.set(LATENCY_PARAMETER, Value::Number(self.shared.get()));
@@ -85,6 +94,12 @@ impl Environment for LatencyEnvironment {
     fn take_trajectory(&mut self) -> Option<Trajectory> {
         self.environment.take_trajectory()
     }
+}
+
+/// The parameters of the environment itself.
+fn without_latency(requested: &Assignment) -> Assignment {
+    let others = requested.iter().filter(|(name, _)| *name != LATENCY_PARAMETER);
+    others.map(|(name, value)| (name.into(), value.clone())).collect()
 }
 
 /// A policy whose actions arrive after a delay.

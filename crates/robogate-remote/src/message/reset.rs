@@ -39,6 +39,9 @@ pub struct ResetReply<R, S> {
     /// Parameters as read back after they were applied.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub applied: Option<BTreeMap<String, ParameterValue>>,
+    /// Hidden draws of the episode, by name. Nil for a draw without a value.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub draws: Option<BTreeMap<String, Option<f64>>>,
     /// Properties of the cell as read back from the engine.
     #[serde(default = "none", skip_serializing_if = "Option::is_none")]
     pub readback: Option<R>,

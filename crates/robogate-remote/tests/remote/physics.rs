@@ -65,6 +65,7 @@ impl Host for ToyPhysics {
             observation: self.observation(),
             instance: None,
             applied: None,
+            draws: None,
             readback,
             sample,
             proposed: None,

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use robogate_core::{
-    Action, Assignment, Ending, Environment, Fault, Foresight, Image, Infeasibility, Scenario, Start, Step, TaskSpec,
-    Trajectory,
+    Action, Assignment, Ending, Environment, Fault, Foresight, Image, Infeasibility, Measures, Scenario, Start, Step,
+    TaskSpec, Trajectory,
 };
 
 /// An image with its time.
@@ -50,6 +50,10 @@ impl<'a> Filmed<'a> {
 impl Environment for Filmed<'_> {
     fn task(&self) -> &Arc<TaskSpec> {
         self.inner.task()
+    }
+
+    fn draws(&self, scenario: &Scenario) -> Result<Measures, Fault> {
+        self.inner.draws(scenario)
     }
 
     fn foresight(&self) -> Option<Arc<dyn Foresight>> {
