@@ -11,7 +11,7 @@
 //!   own uncertainty.
 //! - The interval is Wilson's at the number of trials alone that would have the same variance, n / r, with
 //!   r = var(z) / var(y). It has Wilson's coverage where predictions do not help.
-//! - r has a margin for its own uncertainty, [`MARGIN`] (1 - r) / n.
+//! - r has a margin for its own uncertainty, `MARGIN` (1 - r) / n.
 //!
 //! Groups of trials (operator, day, repeated setting) share effects. Their variance is that of the sums by group, with
 //! Student's quantile; of several groupings the one with the largest variance counts.

@@ -288,7 +288,7 @@ of_every_engine! {
     /// In the paper's workspace, the target and all placements except the near ones are beyond the reach of a UR3e, 0.5 m.
     fn ur3e_times_out_beyond_reach(on: EngineKind) {
         let cell = on.robot("ur3e");
-        let setup = Setup { rules: Rules::default().as_in_the_paper(), ..cell.setup() };
+        let setup = Setup { rules: Rules::default().like_the_paper(), ..cell.setup() };
         let (mut simulator, mut policy) = cell.bench(&setup).unwrap();
         for name in ["edge_0", "edge_90", "left_0"] {
             let [x, y] = Placement::from_name(name).unwrap().position;

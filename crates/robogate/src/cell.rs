@@ -121,8 +121,8 @@ impl Cell {
     }
 
     /// Uses the failure modes and the workspace of the paper in every later environment.
-    pub(crate) fn set_as_in_the_paper(&mut self) {
-        self.settings.rules = self.settings.rules.as_in_the_paper();
+    pub(crate) fn set_like_the_paper(&mut self) {
+        self.settings.rules = self.settings.rules.like_the_paper();
     }
 
     /// The cell's settings.

@@ -610,9 +610,9 @@ fn check_declared(task: &TaskSpec, space: &ParameterSpace) -> anyhow::Result<()>
 
 impl EnvironmentSource {
     /// The same environment with the failure modes and the workspace of the paper, if it is the built-in cell.
-    pub(crate) fn as_in_the_paper(mut self) -> Self {
+    pub(crate) fn like_the_paper(mut self) -> Self {
         if let Self::Cell(cell) = &mut self {
-            cell.set_as_in_the_paper();
+            cell.set_like_the_paper();
         }
         self
     }

@@ -68,7 +68,7 @@ const LONGEST_S: f64 = 86_400.0;
 impl Rules {
     /// The same rules with the modes and the workspace of the paper.
     #[must_use]
-    pub fn as_in_the_paper(self) -> Self {
+    pub fn like_the_paper(self) -> Self {
         Self { modes: ModeSet::Paper, workspace: Workspace::Paper, ..self }
     }
 

@@ -160,7 +160,7 @@ impl Run {
         let suction = if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum };
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         let environment = self.environment.environment_of(suite.as_ref(), suction)?;
-        let environment = if papers { environment.as_in_the_paper() } else { environment };
+        let environment = if papers { environment.like_the_paper() } else { environment };
         let subject = Subject::new(environment, self.policy.source_at(&self.location)?)?.with_latency(&self.latency)?;
         let (plan, space) = self.plan_and_space(&subject)?;
         let provenance = subject.provenance(space)?;
