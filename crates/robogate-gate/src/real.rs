@@ -1,7 +1,7 @@
 //! Trials of the real robot as evidence for requirements on the real success rate.
 //!
 //! The trials are divided into two strata by a simulation that never saw them. Both p-values and the interval are those
-//! of [`robogate_stats::exact_strata`]: exact for any number of trials, whatever the simulation is worth. The trials were
+//! of [`robogate_stats::exact_strata`]: exact for any number of trials and any quality of the simulation. The trials were
 //! not collected in the gate's rounds, so their number counts as fixed.
 
 use std::path::Path;

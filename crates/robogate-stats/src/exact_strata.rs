@@ -1,8 +1,8 @@
 //! Exact inference of a success rate from trials in two strata of known shares.
 //!
 //! A model that never saw the trials divides the population into settings that it expects to be easier and harder. Both
-//! shares are known. Given the number of trials in each stratum, the successes are binomial in each, whatever else
-//! differs within a stratum. The hypothesis "the population's rate, Σ share · rate, is at most p₀" is tested with the
+//! shares are known. Given the number of trials in each stratum, the successes are binomial in each, also if
+//! settings differ within a stratum. The hypothesis "the population's rate, Σ share · rate, is at most p₀" is tested with the
 //! signed likelihood ratio of both counts. Its p-value is the largest over all pairs of rates with this mean, so the
 //! error is at most α for any number of trials and any quality of the model. The better the model separates, the smaller
 //! the interval.

@@ -153,8 +153,8 @@ impl Run {
             let provenance = Provenance { question_sha256, ..subject.provenance(provenance.space)? };
             return shard::run(dir, shard, &subject, &plan, provenance, &self.how);
         }
-        // The surface gripper, four failure modes and one workspace for all robots belong to the paper preset. All other runs use the physical vacuum
-        // law and every mode.
+        // The surface gripper, four failure modes and one workspace for all robots belong to the paper preset. All other
+        // runs use the physical vacuum law and every mode.
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
         let suction = if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum };
