@@ -52,6 +52,30 @@ def effects(found):
                 yield task, effect["parameter"], estimated
 
 
+def findings(found, out):
+    """For each task: what Meta-World's own figure hides. The nominal rate, and that in the third of a range where it is lowest."""
+    rows = []
+    for task, analysed in found.items():
+        nominal = out / f"{task}-nominal" / "summary.json"
+        if not nominal.is_file():
+            continue
+        plain = json.loads(nominal.read_text(encoding="utf-8"))["estimate"]["success_rate"]
+        for effect in analysed["marginal_effects"]:
+            cells = [(cell["rate"]["successes"], cell["rate"]["n"]) for cell in effect["cells"]]
+            third = max(1, len(cells) // 3)
+            for where, part in (("lowest", cells[:third]), ("highest", cells[-third:])):
+                successes, n = (sum(column) for column in zip(*part))
+                if n >= 15:
+                    rows.append((successes / n - plain, task, effect["parameter"], where, plain, successes, n))
+    print("\n## What the nominal figure hides\n")
+    print("The ten largest differences between the nominal success rate and that in the lowest or highest third of the range of a parameter (at least 15 episodes), over all")
+    print("values of the other parameters:\n")
+    print("| task | parameter | third | nominal | there |")
+    print("|---|---|---|---|---|")
+    for _, task, parameter, where, plain, successes, n in sorted(rows)[:10]:
+        print(f"| {task} | `{parameter}` | {where} | {percent(plain)} | {successes} of {n}: {percent(successes / n)} |")
+
+
 def main():
     robogate, out, tasks = sys.argv[1], Path(sys.argv[2]), sys.argv[3:]
     done = [task for task in [*tasks, "fetch"] if (out / task / "summary.json").is_file()]
@@ -89,11 +113,24 @@ def main():
     overhead = out / "overhead.txt"
     if overhead.is_file():
         print("\n## Overhead\n")
-        print("Time of one control step through RoboGate, with one worker, and of the plain Python loop (`scripts/environments_overhead.py`):\n")
+        print("Time of an episode through RoboGate and in the plain Python loop, which runs the same episodes in turns with it (`scripts/environments_overhead.py`):\n")
         print(f"```\n{overhead.read_text(encoding='utf-8').strip()}\n```")
+        note = out / "overhead-note.txt"
+        if note.is_file():
+            print(f"\n{note.read_text(encoding='utf-8').strip()}")
+    sb3 = out / "sb3.md"
+    if sb3.is_file():
+        print(f"\n{sb3.read_text(encoding='utf-8').strip()}")
+    faults = out / "faults.md"
+    if faults.is_file():
+        print("\n## When something breaks\n")
+        print("What the user reads (`scripts/environments_faults.sh`), without the progress and the table of failures. Episodes that an infrastructure fault lost run again; those that are lost")
+        print("once more are invalid, and are counted as such.")
+        print(f"\n{faults.read_text(encoding='utf-8').strip()}")
     absent = [task for task in tasks if task not in done]
     if absent:
         print(f"\nNot run yet: {', '.join(absent)}.")
+    findings(found, out)
     print("\n## Replays\n")
     for task in tasks:
         replay = out / f"{task}-replay.txt"

@@ -46,4 +46,12 @@ for name in "${maps[@]}"; do
     conduct "$out/$(echo "$name" | tr ':/' '--')" run --env "$name" -n "$episodes" --seed 2026 "${python[@]}"
 done
 
+# Replays: the hash of every state must be that of the run.
+for name in "${suites[@]}" "${maps[@]}"; do
+    python=("${libero[@]}")
+    case $name in robosuite:*) python=("${robosuite[@]}") ;; esac
+    folder=$(echo "$name" | tr ':/' '--')
+    "$robogate" replay "$out/$folder" 7 "${python[@]}" > "$out/$folder-replay.txt"
+done
+
 python3 scripts/environments_libero.py page "$robogate" "$out" "${suites[*]}" "${maps[*]}" > docs/results/environments-libero.md

@@ -108,7 +108,7 @@ if [ $# -eq 0 ]; then
     else
         skipped bridges/common "no Python with pyzmq and msgpack"
     fi
-    for suite in METAWORLD:test_adapter METAWORLD:test_metaworld METAWORLD:test_libero_files METAWORLD:test_scripted FETCH:test_fetch; do
+    for suite in METAWORLD:test_adapter METAWORLD:test_metaworld METAWORLD:test_libero_files METAWORLD:test_scripted FETCH:test_fetch DM_CONTROL:test_dm_control; do
         variable=ROBOGATE_${suite%%:*}_PYTHON
         if [ -n "${!variable:-}" ]; then
             step "environments ${suite#*:}" env PYTHONPATH="$PWD/python/src:$PWD/bridges/common" "${!variable}" scripts/run_unittests.py \

@@ -22,6 +22,7 @@ from .errors import FATAL, Problem
 AHEAD_S = 0.1
 NUMBERS = frozenset((float, int))
 FLOAT = frozenset((float,))
+LIST = frozenset((list,))
 
 
 @dataclass(frozen=True)
@@ -198,10 +199,8 @@ class Server:
     def _period_of(self, action, position):
         """Run one control period, the one at this position of a reply."""
         answer = self._simulator.step(action)
-        return self._checked(answer, self._hash_of(answer), position)
-
-    def _hash_of(self, answer):
-        return answer["state_hash"] if "state_hash" in answer else self._simulator.state_hash()
+        digest = answer.get("state_hash")
+        return self._checked(answer, self._simulator.state_hash() if digest is None else digest, position)
 
     def _checked(self, answer, digest, position):
         """The entry of a reply for a control period that the simulator ran."""
@@ -238,8 +237,14 @@ class Server:
             return None
         if not self._scores or not 0 <= digest <= codec.MAX_NUMBER:
             return None
-        entry = {"observation": {"time_s": self._tick * self._period, "vectors": vectors}, "measures": {}, "ending": None, "events": []}
-        return entry | {"state_hash": digest, "proposed": proposed}
+        return {
+            "observation": {"time_s": self._tick * self._period, "vectors": vectors},
+            "measures": {},
+            "ending": None,
+            "events": [],
+            "state_hash": digest,
+            "proposed": proposed,
+        }
 
     def _in_bounds(self, proposed):
         """Whether a proposed action is a list of floats within the bounds of a task that only takes vectors."""
@@ -280,7 +285,7 @@ class Server:
         The answers are checked afterwards, all at once: that takes a fraction of the time of checks in turn with the physics,
         because the processor finds their code in its caches.
         """
-        answers, simulator = [], self._simulator
+        answers, step = [], self._simulator.step
         try:
             while proposed is not None and len(answers) < periods and time.monotonic() <= ends:
                 if self._in_bounds(proposed):
@@ -288,10 +293,11 @@ class Server:
                 else:
                     checked = shape.proposed(proposed, self._task, "proposed")
                     action = self._action(checked["action_space"], checked["action"])
-                answer = simulator.step(action)
-                answers.append((answer, self._hash_of(answer)))
+                answer = step(action)
+                digest = answer.get("state_hash")
+                answers.append((answer, self._simulator.state_hash() if digest is None else digest))
                 # An array may be a view of memory that the next control period changes.
-                if answer.get("ending") is not None or not all(type(v) is list for v in answer["observation"]["vectors"].values()):
+                if answer.get("ending") is not None or not LIST.issuperset(map(type, answer["observation"]["vectors"].values())):
                     break
                 proposed = answer.get("proposed")
         except Exception as error:

@@ -250,8 +250,9 @@ class Adapter:
 
     def _reply(self, observation: Any) -> dict:
         """What a policy receives, and the action of the policy that runs here."""
-        noise = self._disturbances.noise()
-        seen = self._observations.with_noise(observation, noise) if noise else observation
+        seen = observation
+        if self._disturbances.noisy:
+            seen = self._observations.with_noise(observation, self._disturbances.noise())
         self._seen = seen
         self._hash = self._state()
         reply = {"observation": {"vectors": self._observations.encode(seen)}}
@@ -260,16 +261,17 @@ class Adapter:
         return reply
 
     def step(self, action: Any) -> dict:
-        executed = self._disturbances.delayed(self._actions.decode(action.numbers))
+        executed = self._actions.decode(action.numbers)
+        if self._disturbances.delays:
+            executed = self._disturbances.delayed(executed)
         observation, reward, terminated, truncated, info = self._env.step(executed)
         trajectory = self._trajectory
         trajectory.observations.append(observation)
-        actions = trajectory.actions
-        actions.append(executed)
+        trajectory.actions.append(executed)
         trajectory.rewards.append(float(reward))
         trajectory.infos.append(info)
         trajectory.terminated = bool(terminated)
-        trajectory.over = over = bool(terminated or truncated or len(actions) >= self._limit)
+        trajectory.over = over = bool(terminated or truncated or len(trajectory.actions) >= self._limit)
         if self._model is not None:
             self._check(self._model)
         ending, measures = self._ending(trajectory, info), {}
