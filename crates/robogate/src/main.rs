@@ -40,6 +40,9 @@ use clap::{Parser, Subcommand};
 #[derive(Debug, Parser)]
 #[command(version, max_term_width = 100)]
 struct Arguments {
+    /// Print results, warnings and errors only: no progress and no notes
+    #[arg(long, short, global = true)]
+    quiet: bool,
     #[command(subcommand)]
     verb: Verb,
 }
@@ -114,6 +117,9 @@ enum Verb {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
+    if arguments.quiet {
+        terminal::be_quiet();
+    }
     let result = match arguments.verb {
         Verb::Run(run) => run.execute(),
         Verb::Resume(resume) => resume.execute(),
