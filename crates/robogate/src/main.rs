@@ -3,6 +3,7 @@
 mod answer;
 mod arm_cell;
 mod benchmark;
+mod canvas;
 mod cell;
 mod commands;
 mod duration;

@@ -1,10 +1,9 @@
 //! The live view of a campaign on stderr, driven by its events: counts, rate, time left and the last failures.
 
 use std::collections::VecDeque;
-use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
-use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{ProgressBar, ProgressStyle};
 use robogate_campaign::{Event, OutcomeCounts, Stage};
 use robogate_core::{FailureMode, Outcome};
 
@@ -220,11 +219,4 @@ fn style(template: &str) -> ProgressStyle {
             let _ = write!(out, "{:.1}/s", state.per_sec());
         },
     )
-}
-
-/// Where live views are drawn: stderr, if it is a terminal that can move its cursor and the user wants to see them.
-pub(crate) fn canvas(quiet: bool) -> MultiProgress {
-    let able = !quiet && std::io::stderr().is_terminal() && std::env::var_os("TERM").is_none_or(|term| term != "dumb");
-    let target = if able { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-    MultiProgress::with_draw_target(target)
 }

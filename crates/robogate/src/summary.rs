@@ -239,15 +239,12 @@ const MAX_PARAMETERS: usize = 5;
 /// The parameters with significant effects, the most influential first. At most five.
 pub(crate) fn influential(analysis: &Analysis) {
     let effects = &analysis.effects;
-    if effects.tested == 0 {
+    let mut significant = effects.significant().peekable();
+    if significant.peek().is_none() {
         return;
     }
     line("");
     line(bold("Most influential parameters"));
-    let mut significant = effects.significant().peekable();
-    if significant.peek().is_none() {
-        wrapped(&format!("No effect on success is significant ({} parameters tested).", grouped(effects.tested)));
-    }
     for effect in significant.take(MAX_PARAMETERS) {
         let p = p_value(effect.adjusted_p.max(f64::MIN_POSITIVE).ln());
         let rates = effect.shape.estimated().map_or_else(String::new, |shape| {

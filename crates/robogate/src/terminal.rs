@@ -12,8 +12,8 @@ use indicatif::MultiProgress;
 
 pub(crate) use robogate_stats::format::{count as grouped, percent};
 
+use crate::canvas;
 use crate::exit::Exit;
-use crate::progress::canvas;
 
 /// The longest line of text, in columns. Also the width without a terminal, so that the output does not depend on one.
 const LONGEST_LINE: usize = 100;
@@ -35,7 +35,7 @@ pub(crate) struct Screen(MultiProgress);
 impl Screen {
     /// The view of this process.
     pub(crate) fn open() -> Self {
-        Self(SCREEN.get_or_init(|| canvas(QUIET.load(Ordering::Relaxed))).clone())
+        Self(SCREEN.get_or_init(|| canvas::bars(QUIET.load(Ordering::Relaxed))).clone())
     }
 
     /// The bars of the view.
@@ -226,7 +226,9 @@ pub(crate) fn note(text: impl Display) {
 fn tell(text: &str) {
     let write = || {
         // Without stderr there is no place to report to.
-        let _ = writeln!(io::stderr(), "{}", harmless(text));
+        let columns = io::stderr().is_terminal().then(|| Term::stderr().size_checked()).flatten();
+        let columns = columns.map(|(_, columns)| usize::from(columns));
+        let _ = writeln!(io::stderr(), "{}", fitted(harmless(text), columns));
     };
     match SCREEN.get() {
         Some(screen) => screen.suspend(write),

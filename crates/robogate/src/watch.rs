@@ -316,7 +316,9 @@ fn behind_server(subject: &Subject) -> bool {
 fn again(folder: &Path, subject: &Subject, index: u64, images: bool) -> anyhow::Result<Option<(Recording, Vec<Shot>)>> {
     let before = recorded(folder, index)?.episode;
     let mut worker = subject.worker().map_err(|fault| anyhow::anyhow!("{fault}"))?;
-    let part = before.time_s / f64::from(FRAMES - 1);
+    // The last observation. A policy that gives up ends an episode before the time of its ending.
+    let end_s = f64::from(before.ticks) * worker.environment.task().control_period_s;
+    let part = end_s / f64::from(FRAMES - 1);
     let times: Vec<f64> = if images { (0..FRAMES).map(|i| f64::from(i) * part).collect() } else { Vec::new() };
     let mut filmed = Filmed::at(&mut *worker.environment, Cameras::First, &times);
     let recording = record(&mut filmed, &mut *worker.policy, &before.scenario);

@@ -7,7 +7,7 @@ use robogate_gate::{ConfidenceScore, Controls, Evaluation, Mode, Verdict};
 use super::{RequirementRow, feasible_part, how_judged, sign, value, what_next};
 use crate::markdown::{escape_markdown, watch_item};
 use crate::watch::Watch;
-use robogate_stats::format::{count, fixed, percent, percent_range, sentence};
+use robogate_stats::format::{count, counted, fixed, percent, percent_range, sentence};
 
 /// Maximum number of episodes in the summary of a pull request.
 const MAX_EPISODES: usize = 6;
@@ -59,7 +59,7 @@ pub fn evaluation_markdown_with(evaluation: &Evaluation, watch: Option<&Watch>) 
         let _ = writeln!(out, "\n{next}");
     }
     let counts = evaluation.counts;
-    let rounds = counts.rounds.map_or_else(String::new, |rounds| format!(" in {} rounds", count(rounds)));
+    let rounds = counts.rounds.map_or_else(String::new, |rounds| format!(" in {}", counted(rounds, "round")));
     let _ = writeln!(
         out,
         "\n{} episodes{rounds}, {} of them invalid. {} {}",
