@@ -28,18 +28,19 @@ skipped() {
     fi
 }
 
-# The monitor is tested with a real MQTT broker, and pages in a real browser. npm brings the checker of their accessibility. MuJoCo's renderer uses EGL, which Mesa provides without a
+# The monitor is tested with a real MQTT broker, pages in a real browser, videos by ffmpeg, and printed pages by pdftotext. npm brings
+# the checker of accessibility. MuJoCo's renderer uses EGL, which Mesa provides without a
 # GPU.
 programs() {
     local missing=() program
-    for program in mosquitto chromium npm; do
+    for program in mosquitto chromium npm ffmpeg pdftotext; do
         PATH=$PATH:/usr/sbin command -v "$program" > /dev/null || missing+=("$program")
     done
     if ! ldconfig -p | grep -q 'libEGL\.so\.1' || ! ldconfig -p | grep -q 'libGL\.so\.1' || ! compgen -G '/usr/lib/*/dri/swrast_dri.so' > /dev/null; then
         missing+=(libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri)
     fi
     if [ "${#missing[@]}" -gt 0 ]; then
-        debian "${missing[@]}"
+        debian "${missing[@]/pdftotext/poppler-utils}"
     fi
 }
 
@@ -85,7 +86,7 @@ rust() {
 }
 
 programs
-python ROBOGATE_TEST_PYTHON readers-venv crates/robogate-dictionary/tests/requirements.txt crates/robogate-gate/tests/evidence-requirements.txt
+python ROBOGATE_TEST_PYTHON readers-venv crates/robogate-dictionary/tests/requirements.txt crates/robogate-gate/tests/evidence-requirements.txt crates/robogate-replay/tests/requirements.txt
 python ROBOGATE_POLICY_PYTHON policies-venv crates/robogate-policy/tests/requirements.txt
 python ROBOGATE_BRIDGE_PYTHON bridges-venv bridges/common/requirements.txt
 

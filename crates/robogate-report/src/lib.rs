@@ -8,7 +8,7 @@
 //! | a [`Comparison`](robogate_analysis::Comparison) | [`comparison_html`], [`comparison_markdown`], [`comparison_json`] |
 //! | a [`Transfer`](robogate_analysis::transfer::Transfer) | [`transfer_html`], [`transfer_json`] |
 //! | a [`Study`](robogate_analysis::study::Study) | [`study_markdown`], [`study_json`] |
-//! | an [`Evaluation`] of the gate | [`junit`], [`reqif`], [`evaluation_markdown`] |
+//! | an [`Evaluation`] of the gate | [`junit`], [`reqif`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
 //! | a [`Leaderboard`](robogate_gate::Leaderboard) | [`leaderboard_html`], [`leaderboard_markdown`] |
 
 mod document;
@@ -25,8 +25,8 @@ use robogate_analysis::PairCounts;
 use robogate_gate::Evaluation;
 
 pub use gate::{
-    RequirementRow, evaluation_markdown, feasible_part, how_judged, junit, leaderboard_html, leaderboard_markdown,
-    leaderboards_html, leaderboards_markdown, reqif, sign, what_next,
+    RequirementRow, evaluation_markdown, evaluation_markdown_with, feasible_part, how_judged, junit, leaderboard_html,
+    leaderboard_markdown, leaderboards_html, leaderboards_markdown, reqif, sign, what_next,
 };
 pub use html::{comparison_html, comparison_html_with, html, html_with, transfer_html};
 pub use json::{
@@ -36,7 +36,7 @@ pub use json::{
 pub use markdown::{comparison_markdown, markdown, markdown_with};
 pub use study::{answer as study_answer, study_markdown};
 pub use text::{ComparisonHeadline, Headline, TransferHeadline, comparison_limits, limits, low_side};
-pub use watch::{Watch, WatchItem};
+pub use watch::{Strip, Watch, WatchItem};
 
 /// Additions to the page of an analysis.
 #[derive(Debug, Clone, Copy, Default)]

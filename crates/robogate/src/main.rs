@@ -3,6 +3,7 @@
 mod answer;
 mod arm_cell;
 mod benchmark;
+mod canvas;
 mod cell;
 mod commands;
 mod duration;
@@ -40,6 +41,9 @@ use clap::{Parser, Subcommand};
 #[derive(Debug, Parser)]
 #[command(version, max_term_width = 100)]
 struct Arguments {
+    /// Print results, warnings and errors only: no progress and no notes
+    #[arg(long, short, global = true)]
+    quiet: bool,
     #[command(subcommand)]
     verb: Verb,
 }
@@ -114,6 +118,9 @@ enum Verb {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
+    if arguments.quiet {
+        terminal::be_quiet();
+    }
     let result = match arguments.verb {
         Verb::Run(run) => run.execute(),
         Verb::Resume(resume) => resume.execute(),

@@ -8,7 +8,8 @@ use robogate_campaign::{
     ActiveReport, BoundaryReport, DrawnFrom, Estimate, OutcomeCounts, Population, Stage, StageSummary, SuiteSummary,
     Summary,
 };
-use robogate_report::Headline;
+use robogate_report::{Headline, low_side};
+use robogate_stats::format::{p_value, percent_or_dash};
 use serde_json::json;
 
 use crate::commands::analyze::by_influence;
@@ -40,6 +41,7 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
     }
     if let Some(analysis) = analysis {
         headline(analysis);
+        influential(analysis);
         // The report lists all of them.
         let significant =
             |effect: &&MarginalEffect| analysis.effects.significant().any(|of| of.parameter == effect.parameter);
@@ -69,14 +71,15 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
 /// Formats the counts of an unfinished campaign in one line.
 pub(crate) fn outcomes_in_one_line(counts: &OutcomeCounts) -> String {
     let mut text = match counts.success_rate() {
-        Some(rate) => format!("success {}", percent(rate)),
+        Some(rate) => format!("success {} ({} of {})", percent(rate), grouped(counts.success), grouped(counts.valid())),
         None => "no valid episode yet".to_owned(),
     };
-    for (mode, count) in &counts.failures {
-        text += &format!(" · {mode} {count}");
-    }
+    // First, because a narrow terminal cuts the end.
     if counts.invalid > 0 {
-        text += &format!(" · INVALID {}", counts.invalid);
+        text += &format!(" · INVALID {}", grouped(counts.invalid));
+    }
+    for (mode, count) in &counts.failures {
+        text += &format!(" · {mode} {}", grouped(*count));
     }
     text
 }
@@ -227,6 +230,28 @@ fn headline(analysis: &Analysis) {
             line(bold(title));
             lines.iter().for_each(|text| wrapped(text));
         }
+    }
+}
+
+/// Parameters in the list of the most influential ones.
+const MAX_PARAMETERS: usize = 5;
+
+/// The parameters with significant effects, the most influential first. At most five.
+pub(crate) fn influential(analysis: &Analysis) {
+    let effects = &analysis.effects;
+    let mut significant = effects.significant().peekable();
+    if significant.peek().is_none() {
+        return;
+    }
+    line("");
+    line(bold("Most influential parameters"));
+    for effect in significant.take(MAX_PARAMETERS) {
+        let p = p_value(effect.adjusted_p.max(f64::MIN_POSITIVE).ln());
+        let rates = effect.shape.estimated().map_or_else(String::new, |shape| {
+            let [low, high] = [shape.low.rate, shape.high.rate].map(percent_or_dash);
+            format!("  {low} success {}, elsewhere {high}", low_side(&effect.parameter, shape))
+        });
+        line(format_args!("  {:<16} p {p:<8}{rates}", effect.parameter));
     }
 }
 

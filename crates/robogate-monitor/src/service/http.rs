@@ -3,6 +3,7 @@
 //! | request | answer |
 //! |---|---|
 //! | `POST /v1/cycles` | takes one cycle, an array of cycles, or one cycle per line; returns the result of the batch |
+//! | `GET /v1/cycles?recipe=NAME&until=ID` | the last cycles of a recipe up to this one, and similar simulated episodes |
 //! | `POST /v1/recipes/NAME/restart` | restarts the recipe's detectors, after the cause was repaired |
 //! | `GET /v1/status` | the status document |
 //! | `GET /v1/fleet` | all robots, and the differences between the robots of each recipe |
@@ -310,6 +311,13 @@ async fn respond(server: &Server, request: Request<Incoming>) -> Reply {
             Ok(status) => document(StatusCode::OK, &status),
             Err(refused) => refused,
         },
+        (&Method::GET, "/v1/cycles") => match (asked(&request, "recipe"), asked(&request, "until")) {
+            (Some(recipe), Some(until)) => match ask(server, |reply| Job::Around { recipe, until, reply }).await {
+                Ok(around) => document(StatusCode::OK, &around),
+                Err(refused) => refused,
+            },
+            _ => refusal(StatusCode::BAD_REQUEST, "expected `?recipe=NAME&until=ID` with the id of a cycle"),
+        },
         (&Method::GET, "/v1/fleet") => fleet(server).await,
         (&Method::GET, "/metrics") => match ask(server, |reply| Job::Metrics { reply }).await {
             Ok(text) => reply(StatusCode::OK, "text/plain; version=0.0.4; charset=utf-8", text),
@@ -532,7 +540,17 @@ fn answer_of(taken: &Taken) -> Reply {
 
 /// The decoded recipe name of `/v1/recipes/NAME/restart`.
 fn restart_of(path: &str) -> Option<String> {
-    let name = path.strip_prefix("/v1/recipes/")?.strip_suffix("/restart")?;
+    decoded(path.strip_prefix("/v1/recipes/")?.strip_suffix("/restart")?)
+}
+
+/// The value of a name in the query of a request.
+fn asked(request: &Request<Incoming>, name: &str) -> Option<String> {
+    let pairs = request.uri().query()?.split('&').filter_map(|pair| pair.split_once('='));
+    decoded(pairs.into_iter().find(|(known, _)| *known == name)?.1)
+}
+
+/// Percent-decodes a text. `None` if it is empty or not UTF-8.
+fn decoded(name: &str) -> Option<String> {
     let mut bytes = Vec::new();
     let mut rest = name.bytes();
     while let Some(byte) = rest.next() {

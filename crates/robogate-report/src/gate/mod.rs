@@ -10,7 +10,7 @@ use robogate_gate::{Evaluation, Metric, Mode, RequirementResult, Sampling, Statu
 
 pub use junit::junit;
 pub use leaderboard::{leaderboard_html, leaderboard_markdown, leaderboards_html, leaderboards_markdown};
-pub use markdown::evaluation_markdown;
+pub use markdown::{evaluation_markdown, evaluation_markdown_with};
 pub use reqif::reqif;
 pub(crate) use verdict::VerdictBlock;
 

@@ -17,20 +17,22 @@ use robogate_gate::{
     RealEvidence, RealStratum, Record, Requirements, Sampling, Trial, Verdict,
 };
 use robogate_physics::SuctionLaw;
-use robogate_report::{evaluation_markdown, junit, reqif};
+use robogate_report::{Watch, evaluation_markdown_with, junit, reqif};
 
 use crate::answer;
 use crate::benchmark;
 use crate::commands::register::{Registered, Registrar, free};
 use crate::commands::rival::Rival;
-use crate::commands::run::{How, free_folder, interrupted, introduce, write_report};
+use crate::commands::run::{How, free_folder, interrupted, introduce, write_report_with};
 use crate::commands::{controls, shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::latency::LatencyArguments;
 use crate::policy_source::{PolicyAccess, PolicyArguments, PolicyLocation};
 use crate::source::open_source;
 use crate::subject::{EnvironmentArguments, Subject};
-use crate::terminal::{grouped, line, note};
+use crate::summary::influential;
+use crate::terminal::{grouped, line, note, warning};
+use crate::watch::Frames;
 
 /// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run.
 ///
@@ -119,6 +121,9 @@ const SAMPLED_SCENARIOS: usize = 64;
 /// The files of the evaluation in a run's folder.
 const ANSWER: [&str; 4] = ["gate.json", "gate.md", "gate.junit.xml", "gate.reqif"];
 
+/// The folder of images to which the Markdown file refers, in a run's folder.
+const FRAMES: &str = "frames";
+
 /// The built-in baselines.
 const BASELINES: [&str; 1] = [include_str!("../../../../assets/baselines/franka-industrial-68.json")];
 
@@ -178,7 +183,7 @@ impl Gate {
         let evaluation = question.evaluate(&record).map_err(refused)?;
         if let Some(out) = &self.out {
             fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display())).or_broken()?;
-            write_answer(out, &evaluation)?;
+            write_answer(out, &evaluation, None)?;
         }
         show(self.out.as_deref(), &evaluation, source.dictionary().provenance(), self.how.json)
     }
@@ -334,7 +339,7 @@ impl Gate {
             };
             let evaluation = question.evaluate(&record).map_err(refused)?;
             fs::create_dir_all(&dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
-            write_answer(&dir, &evaluation)?;
+            write_answer(&dir, &evaluation, None)?;
             return show(Some(&dir), &evaluation, &planned, self.how.json);
         }
         introduce(&provenance, plan.seed);
@@ -568,7 +573,7 @@ fn question<'a>(asked: &'a Asked, other: Option<&'a Record>) -> Question<'a> {
 /// Writes the question beside the plan. Without it `resume` would run all rounds; the verdict would be the same.
 pub(crate) fn write_question(dir: &Path, asked: &Asked) {
     if let Err(error) = fs::write(dir.join(Asked::FILE), asked.to_json()) {
-        note(format_args!("warning: cannot write {}: {error}", dir.join(Asked::FILE).display()));
+        warning(format_args!("cannot write {}: {error}", dir.join(Asked::FILE).display()));
     }
 }
 
@@ -587,18 +592,24 @@ pub(crate) fn finish(
     if let Some(error) = trouble {
         return Err(refused(error));
     }
-    write_report(dir);
+    let frames = Frames { folder: dir.join(FRAMES), link: FRAMES.to_owned() };
+    let (analysis, watch) = write_report_with(dir, Some(&frames)).unzip();
     // The evaluation uses the rows on disk, and not those that were seen during the run.
     let source = Source::open(dir).or_broken()?;
     let mut record = Record::of(source.dictionary()).map_err(refused)?;
     record.real.clone_from(&asked.real);
     let evaluation = question(asked, other).evaluate(&record).map_err(refused)?;
-    write_answer(dir, &evaluation)?;
-    show(Some(dir), &evaluation, source.dictionary().provenance(), json)
+    write_answer(dir, &evaluation, watch.flatten().as_ref())?;
+    let code = show(Some(dir), &evaluation, source.dictionary().provenance(), json)?;
+    if let Some(analysis) = analysis.filter(|_| !json) {
+        influential(&analysis);
+    }
+    Ok(code)
 }
 
-fn write_answer(dir: &Path, evaluation: &Evaluation) -> Result<(), Exit> {
-    let texts = [evaluation.to_json(), evaluation_markdown(evaluation), junit(evaluation), reqif(evaluation)];
+fn write_answer(dir: &Path, evaluation: &Evaluation, watch: Option<&Watch>) -> Result<(), Exit> {
+    let texts =
+        [evaluation.to_json(), evaluation_markdown_with(evaluation, watch), junit(evaluation), reqif(evaluation)];
     for (name, text) in ANSWER.iter().zip(texts) {
         let path = dir.join(name);
         fs::write(&path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;

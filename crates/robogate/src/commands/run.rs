@@ -15,6 +15,7 @@ use robogate_campaign::{Completion, DEFAULT_SEED, Event, Executor, Plan, Preset,
 use robogate_core::ParameterSpace;
 use robogate_dictionary::Provenance;
 use robogate_physics::SuctionLaw;
+use robogate_report::Watch;
 
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
@@ -25,7 +26,8 @@ use crate::policy_source::{PolicyArguments, PolicyLocation};
 use crate::progress::Progress;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary;
-use crate::terminal::{grouped, note};
+use crate::terminal::{Screen, grouped, note, warning};
+use crate::watch::Frames;
 
 /// Find where the policy fails: a campaign over the operating space, then near the failure boundary.
 #[derive(Debug, Args)]
@@ -293,7 +295,7 @@ impl How {
             if asked.swap(true, Ordering::Relaxed) {
                 stop_at_once();
             }
-            note("\nstopping after the episodes in flight (once more: at once) ...");
+            note("stopping after the episodes in flight (once more: at once) ...");
         })
         .or_broken()?;
         work(&ThreadPool { factory: subject, threads, stop: &stop })
@@ -364,6 +366,7 @@ pub(crate) fn conclude(dir: &Path, completion: &Completion, json: bool) -> Resul
 /// because the journal can be cut at any byte.
 #[expect(clippy::exit, reason = "worker threads cannot be interrupted")]
 pub(crate) fn stop_at_once() -> ! {
+    Screen::close();
     std::process::exit(i32::from(INTERRUPTED))
 }
 
@@ -377,10 +380,15 @@ pub(crate) fn interrupted(dir: &Path, done: u64, episodes: u64) -> u8 {
 /// Writes the page of a finished campaign and returns its analysis. An error is a warning, because the dictionary is
 /// complete without the page.
 pub(crate) fn write_report(dir: &Path) -> Option<Analysis> {
-    match super::report::page(dir) {
-        Ok(analysis) => Some(analysis),
+    write_report_with(dir, None).map(|(analysis, _)| analysis)
+}
+
+/// Writes the page of a finished campaign as [`write_report`] does, and images of its episodes worth watching.
+pub(crate) fn write_report_with(dir: &Path, frames: Option<&Frames>) -> Option<(Analysis, Option<Watch>)> {
+    match super::report::page(dir, frames) {
+        Ok(written) => Some(written),
         Err(exit) => {
-            note(format_args!("warning: no report: {exit}"));
+            warning(format_args!("no report: {exit}"));
             None
         }
     }
