@@ -12,7 +12,7 @@ mod reel;
 mod signals;
 
 pub use clip::Clip;
-pub use pack::packed_integers;
+pub use pack::{packed_floats, packed_integers};
 pub use recording::{FRAME_PERIOD_S, Mark, Recording, record};
 pub use reel::{MESH_BUDGET_BYTES, Reel, reel};
 pub use signals::{Clock, Signal};

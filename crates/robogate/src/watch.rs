@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
 use robogate_analysis::{Analysis, Comparison, HERE, ReplayEpisode, Source, shell_word, worth_watching};
 use robogate_campaign::{WorkerFactory, recorded};
-use robogate_core::{Outcome, Value};
+use robogate_core::{Episode, Outcome, Value};
 use robogate_replay::{Clip, Recording, record, reel};
 use robogate_report::{Watch, WatchItem};
 use robogate_stats::format::{counted, number};
@@ -140,7 +140,8 @@ enum Place {
     Elsewhere,
 }
 
-fn command(folder: &Path, index: u64) -> String {
+/// The command that replays an episode of the run in `folder`.
+pub(crate) fn command(folder: &Path, index: u64) -> String {
     format!("robogate replay {} {index}", shell_word(&folder.display().to_string()))
 }
 
@@ -192,28 +193,17 @@ impl<'a> Recorder<'a> {
         if let Some((_, place)) = done.iter().find(|(index, _)| *index == chosen.index) {
             return *place;
         }
-        let recording = again(folder, subject, chosen.index);
+        let before = recorded(folder, chosen.index).map_err(anyhow::Error::from);
+        let recording = before.and_then(|before| again(subject, &before.episode));
         let place = match recording {
             Ok(Some(recording)) => {
-                let parameters = recording.episode.scenario.requested.iter();
-                let show = |value: &Value| match value {
-                    Value::Number(x) => number(*x),
-                    other => other.to_string(),
+                let title = if name == "Episode" {
+                    format!("Episode {}", chosen.index)
+                } else {
+                    format!("{name}, episode {}", chosen.index)
                 };
-                self.clips.push(Clip {
-                    title: if name == "Episode" {
-                        format!("Episode {}", chosen.index)
-                    } else {
-                        format!("{name}, episode {}", chosen.index)
-                    },
-                    outcome: mode_label(recording.episode.outcome.as_str()),
-                    success: recording.episode.outcome == Outcome::Success,
-                    parameters: parameters
-                        .map(|(name, value)| (parameter_label(name), value_with_unit(&show(value), name)))
-                        .collect(),
-                    command: command(if self.place == Place::Beside { Path::new(HERE) } else { folder }, chosen.index),
-                    recording,
-                });
+                let folder = if self.place == Place::Beside { Path::new(HERE) } else { folder };
+                self.clips.push(labelled(recording, title, command(folder, chosen.index)));
                 Some(self.clips.len() - 1)
             }
             Ok(None) => {
@@ -268,9 +258,27 @@ fn behind_server(subject: &Subject) -> bool {
 }
 
 /// Records an episode again. `None` if it differs from the record.
-fn again(folder: &Path, subject: &Subject, index: u64) -> anyhow::Result<Option<Recording>> {
-    let before = recorded(folder, index)?.episode;
+pub(crate) fn again(subject: &Subject, before: &Episode) -> anyhow::Result<Option<Recording>> {
     let mut worker = subject.worker().map_err(|fault| anyhow::anyhow!("{fault}"))?;
     let recording = record(&mut *worker.environment, &mut *worker.policy, &before.scenario);
-    Ok((recording.episode == before).then_some(recording))
+    Ok((recording.episode == *before).then_some(recording))
+}
+
+/// A recording with its labels on a page.
+pub(crate) fn labelled(recording: Recording, title: String, command: String) -> Clip {
+    let show = |value: &Value| match value {
+        Value::Number(x) => number(*x),
+        other => other.to_string(),
+    };
+    let parameters = recording.episode.scenario.requested.iter();
+    Clip {
+        title,
+        outcome: mode_label(recording.episode.outcome.as_str()),
+        success: recording.episode.outcome == Outcome::Success,
+        parameters: parameters
+            .map(|(name, value)| (parameter_label(name), value_with_unit(&show(value), name)))
+            .collect(),
+        command,
+        recording,
+    }
 }

@@ -4,11 +4,13 @@
 //! One thread owns the store and the monitor ([`ServiceEngine`]). Feeds send bytes to it and wait for the reply.
 //! Requests that wait at the same time share one commit.
 
+mod admission;
 mod batch;
 mod engine;
 mod fleet;
 mod http;
 mod intake;
+mod local;
 mod metrics;
 mod mqtt;
 mod outputs;
@@ -22,6 +24,7 @@ pub use engine::{Busy, Handle, ServiceEngine};
 pub use fleet::{FleetStatus, OutlierStatus, RecipeFleet, RobotStatus, SpreadStatus};
 pub use http::{HttpError, HttpSettings, serve};
 pub use intake::{Intake, IntakeError, Refused, Taken};
+pub use local::{LocalReply, LocalRequest, random_token, serve_local};
 pub use mqtt::Broker;
 pub use outputs::{Deliver, Output, OutputError, json_lines, of_rule, webhook};
 pub use settings::ServiceSettings;
