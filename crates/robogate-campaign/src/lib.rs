@@ -31,6 +31,7 @@ pub mod boundary;
 mod events;
 mod executor;
 pub mod folder;
+mod follow;
 mod invalid;
 mod lost;
 mod plan;
@@ -49,6 +50,7 @@ pub use boundary::{
 };
 pub use events::{Event, Warning};
 pub use executor::{ExecuteError, Executor, Worker, WorkerFactory};
+pub use follow::{FollowError, Follower, Progress};
 pub use lost::{LostEpisode, RunAgain};
 pub use plan::{BoundaryStage, DEFAULT_SEED, Emphasis, Plan, PlanError, Preset, Range, UniformStage};
 pub use rows::{RowsError, check_rows};

@@ -20,6 +20,7 @@ pub mod frame;
 mod hash;
 mod identity;
 mod journal;
+mod journal_tail;
 mod parquet;
 mod platform;
 pub mod provenance;
@@ -35,6 +36,7 @@ pub use error::{DictionaryError, Row};
 pub use hash::{DatasetHash, dataset_hash, hex};
 pub use identity::{TaskIdentity, suite_sha256};
 pub use journal::{Journal, PlanHash, Recovery};
+pub use journal_tail::JournalTail;
 pub use parquet::{Column, Dictionary, DictionaryWriter, Entries, Written, write_parquet};
 pub use platform::Platform;
 pub use provenance::{

@@ -15,7 +15,7 @@ mod signals;
 
 pub use clip::Clip;
 pub use mcap::{EncodedImage, Export, Sample, mcap};
-pub use pack::packed_integers;
+pub use pack::{packed_floats, packed_integers};
 pub use recording::{FRAME_PERIOD_S, Mark, Recording, record, record_with};
 pub use reel::{MESH_BUDGET_BYTES, Reel, reel};
 pub use signals::{Clock, Signal};

@@ -9,6 +9,9 @@ use miniz_oxide::deflate::compress_to_vec;
 /// The strongest level of compression that is not exhaustive.
 const LEVEL: u8 = 9;
 
+/// The level for columns of numbers, which may be long and compress little.
+const FLOAT_LEVEL: u8 = 6;
+
 /// A stream of integers.
 #[derive(Debug, Default)]
 pub(crate) struct Packer(Vec<u8>);
@@ -64,6 +67,14 @@ pub fn packed_integers(values: impl IntoIterator<Item = u64>) -> String {
     let mut packer = Packer::default();
     values.into_iter().for_each(|value| packer.integer(i64::try_from(value).unwrap_or(i64::MAX)));
     packer.finish()
+}
+
+/// Packs numbers for a page, with all their bits: the first byte of each (little-endian), then the second ones, and so
+/// on. The bytes of one kind are alike, so they compress better together.
+pub fn packed_floats(values: &[f32]) -> String {
+    let bytes: Vec<[u8; 4]> = values.iter().map(|value| value.to_le_bytes()).collect();
+    let planes: Vec<u8> = (0..4).flat_map(|plane| bytes.iter().map(move |bytes| bytes[plane])).collect();
+    base64(&compress_to_vec(&planes, FLOAT_LEVEL))
 }
 
 /// Compresses bytes (raw DEFLATE) and encodes them as base64.

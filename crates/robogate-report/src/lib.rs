@@ -9,6 +9,7 @@
 //! | a [`Transfer`](robogate_analysis::transfer::Transfer) | [`transfer_html`], [`transfer_json`] |
 //! | a [`Study`](robogate_analysis::study::Study) | [`study_markdown`], [`study_json`] |
 //! | an [`Evaluation`] of the gate | [`junit`], [`reqif`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
+//! | episodes of runs | [`explorer_page`] |
 //! | a [`Leaderboard`](robogate_gate::Leaderboard) | [`leaderboard_html`], [`leaderboard_markdown`] |
 
 mod document;
@@ -28,7 +29,7 @@ pub use gate::{
     RequirementRow, evaluation_markdown, evaluation_markdown_with, feasible_part, how_judged, junit, leaderboard_html,
     leaderboard_markdown, leaderboards_html, leaderboards_markdown, reqif, sign, what_next,
 };
-pub use html::{comparison_html, comparison_html_with, html, html_with, transfer_html};
+pub use html::{comparison_html, comparison_html_with, explorer_page, html, html_with, transfer_html};
 pub use json::{
     AnalysisReport, ComparisonReport, StudyReport, TransferReport, analysis_json, comparison_json, study_json,
     transfer_json,

@@ -157,6 +157,11 @@ impl RiskModel {
         &self.inputs
     }
 
+    /// The spline model, unless the boosting alone was fitted. Its log-odds come before the calibration.
+    pub fn splines(&self) -> Option<&SplineLogistic> {
+        self.splines.as_ref()
+    }
+
     fn of_row(&self, row: &[f64]) -> f64 {
         let both = [
             self.boosting.as_ref().map_or(0.0, |model| model.log_odds(row)),

@@ -74,6 +74,8 @@ enum Verb {
     Transfer(commands::transfer::TransferTo),
     /// Write a run or a dictionary as one page: HTML, Markdown or JSON
     Report(commands::report::Report),
+    /// Explore the episodes of one or several runs in the browser, also while they run
+    View(commands::view::View),
     /// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run
     Gate(commands::gate::Gate),
     /// Write a run's figures to a file, as a baseline for other runs
@@ -134,6 +136,7 @@ fn main() -> ExitCode {
         Verb::Compare(compare) => compare.execute(),
         Verb::Transfer(transfer) => transfer.execute(),
         Verb::Report(report) => report.execute(),
+        Verb::View(view) => view.execute(),
         Verb::Gate(gate) => gate.execute(),
         Verb::Baseline(baseline) => baseline.execute(),
         Verb::Leaderboard(leaderboard) => leaderboard.execute(),

@@ -6,7 +6,7 @@ use anyhow::Context;
 use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
 use robogate_analysis::{Analysis, Comparison, HERE, ReplayEpisode, Source, shell_word, worth_watching};
 use robogate_campaign::{WorkerFactory, recorded};
-use robogate_core::{Outcome, Value};
+use robogate_core::{Episode, Outcome, Value};
 use robogate_replay::{Clip, Recording, record, reel};
 use robogate_report::{Strip, Watch, WatchItem};
 use robogate_stats::format::{counted, number};
@@ -172,7 +172,8 @@ enum Place {
     Elsewhere,
 }
 
-fn command(folder: &Path, index: u64) -> String {
+/// The command that replays an episode of the run in `folder`.
+pub(crate) fn command(folder: &Path, index: u64) -> String {
     format!("robogate replay {} {index}", shell_word(&folder.display().to_string()))
 }
 
@@ -228,8 +229,9 @@ impl<'a> Recorder<'a> {
         if let Some(known) = done.iter().find(|known| known.index == chosen.index) {
             return Some(known.clone());
         }
-        let recording = again(folder, subject, chosen.index, self.frames.is_some());
         let mut strip = None;
+        let before = recorded(folder, chosen.index).map_err(anyhow::Error::from);
+        let recording = before.and_then(|before| again(subject, &before.episode, self.frames.is_some()));
         let clip = match recording {
             Ok(Some((recording, shots))) => {
                 match self.frames.map(|frames| write_strip(frames, &recording, chosen.index, &shots)) {
@@ -239,25 +241,13 @@ impl<'a> Recorder<'a> {
                     }
                     None => {}
                 }
-                let parameters = recording.episode.scenario.requested.iter();
-                let show = |value: &Value| match value {
-                    Value::Number(x) => number(*x),
-                    other => other.to_string(),
+                let title = if name == "Episode" {
+                    format!("Episode {}", chosen.index)
+                } else {
+                    format!("{name}, episode {}", chosen.index)
                 };
-                self.clips.push(Clip {
-                    title: if name == "Episode" {
-                        format!("Episode {}", chosen.index)
-                    } else {
-                        format!("{name}, episode {}", chosen.index)
-                    },
-                    outcome: mode_label(recording.episode.outcome.as_str()),
-                    success: recording.episode.outcome == Outcome::Success,
-                    parameters: parameters
-                        .map(|(name, value)| (parameter_label(name), value_with_unit(&show(value), name)))
-                        .collect(),
-                    command: command(if self.place == Place::Beside { Path::new(HERE) } else { folder }, chosen.index),
-                    recording,
-                });
+                let folder = if self.place == Place::Beside { Path::new(HERE) } else { folder };
+                self.clips.push(labelled(recording, title, command(folder, chosen.index)));
                 Some(self.clips.len() - 1)
             }
             Ok(None) => {
@@ -313,8 +303,11 @@ fn behind_server(subject: &Subject) -> bool {
 }
 
 /// Records an episode again, with images at equal distances in time on request. `None` if it differs from the record.
-fn again(folder: &Path, subject: &Subject, index: u64, images: bool) -> anyhow::Result<Option<(Recording, Vec<Shot>)>> {
-    let before = recorded(folder, index)?.episode;
+pub(crate) fn again(
+    subject: &Subject,
+    before: &Episode,
+    images: bool,
+) -> anyhow::Result<Option<(Recording, Vec<Shot>)>> {
     let mut worker = subject.worker().map_err(|fault| anyhow::anyhow!("{fault}"))?;
     // The last observation. A policy that gives up ends an episode before the time of its ending.
     let end_s = f64::from(before.ticks) * worker.environment.task().control_period_s;
@@ -324,7 +317,7 @@ fn again(folder: &Path, subject: &Subject, index: u64, images: bool) -> anyhow::
     let recording = record(&mut filmed, &mut *worker.policy, &before.scenario);
     // An environment that cannot render has no images.
     let shots = std::mem::take(&mut filmed.shots);
-    Ok((recording.episode == before).then_some((recording, shots)))
+    Ok((recording.episode == *before).then_some((recording, shots)))
 }
 
 /// Writes frames of an episode. `None` without frames.
@@ -344,4 +337,23 @@ fn write_strip(frames: &Frames, recording: &Recording, index: u64, shots: &[Shot
         last.time_s
     );
     Ok(Some(Strip { file: format!("{}/{name}", frames.link), alt }))
+}
+
+/// A recording with its labels on a page.
+pub(crate) fn labelled(recording: Recording, title: String, command: String) -> Clip {
+    let show = |value: &Value| match value {
+        Value::Number(x) => number(*x),
+        other => other.to_string(),
+    };
+    let parameters = recording.episode.scenario.requested.iter();
+    Clip {
+        title,
+        outcome: mode_label(recording.episode.outcome.as_str()),
+        success: recording.episode.outcome == Outcome::Success,
+        parameters: parameters
+            .map(|(name, value)| (parameter_label(name), value_with_unit(&show(value), name)))
+            .collect(),
+        command,
+        recording,
+    }
 }

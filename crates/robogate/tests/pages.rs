@@ -67,6 +67,19 @@ fn operate(chromium: &Path, axe: Option<&PathBuf>, page: &Path) {
         browser.wait("!!document.querySelector('.pairs-map rect')");
         browser.evaluate("document.querySelector('.pairs-map').focus()");
         browser.press("ArrowRight");
+        // A click on a cell lists its episodes, and a recorded one is played.
+        browser.evaluate(
+            "[...document.querySelectorAll('.pairs-map rect')].every((cell) => { cell.dispatchEvent(new MouseEvent('click')); \
+             return !document.querySelector('.pairs-list button') })",
+        );
+        browser.wait("document.querySelectorAll('.pairs-list li').length > 0");
+        if browser.evaluate("!!document.querySelector('.pairs-list button')") == json!(true) {
+            browser.evaluate("document.querySelector('.pairs-list button').click()");
+            browser.wait(
+                "document.querySelector('.pairs-list button').textContent.includes(document.querySelector('.view-label \
+                 b').textContent + ':')",
+            );
+        }
         browser.wait("document.querySelector('.pairs-reading').textContent.includes('interval') || document.querySelector('.pairs-reading').textContent.includes('no episode')");
     }
     browser.assert_no_trouble();

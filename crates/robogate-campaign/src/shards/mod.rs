@@ -15,6 +15,7 @@
 //! Every file is written completely and then stored under a name that does not exist yet, so there are no locks, and any
 //! number of processes may run the same shard. A shard that is interrupted leaves nothing and runs again from its start.
 
+mod arrivals;
 mod division;
 mod error;
 mod file;

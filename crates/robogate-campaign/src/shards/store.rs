@@ -10,7 +10,7 @@ use crate::{RunError, folder};
 /// A store of files that many processes use at the same time, without locks and without renames.
 ///
 /// Names are relative and use `/` on every system. A file is never changed once it has its name.
-pub trait ShardStore {
+pub trait ShardStore: Send {
     /// Stores a complete file unless the name exists. Of several processes that store the same name at the same time,
     /// exactly one gets [`Stored::New`].
     fn put_if_absent(&self, name: &str, bytes: &[u8]) -> io::Result<Stored>;

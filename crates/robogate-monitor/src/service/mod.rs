@@ -4,12 +4,14 @@
 //! One thread owns the store and the monitor ([`ServiceEngine`]). Feeds send bytes to it and wait for the reply.
 //! Requests that wait at the same time share one commit.
 
+mod admission;
 mod batch;
 mod charts;
 mod engine;
 mod fleet;
 mod http;
 mod intake;
+mod local;
 mod metrics;
 mod mqtt;
 mod nearest;
@@ -25,6 +27,7 @@ pub use engine::{Busy, Handle, ServiceEngine};
 pub use fleet::{FleetStatus, OutlierStatus, RecipeFleet, RobotStatus, SpreadStatus};
 pub use http::{HttpError, HttpSettings, serve};
 pub use intake::{Intake, IntakeError, Refused, Taken};
+pub use local::{LocalReply, LocalRequest, random_token, serve_local};
 pub use mqtt::Broker;
 pub use nearest::{Episodes, NearestEpisode, SimulatedEpisode};
 pub use outputs::{Deliver, Output, OutputError, json_lines, of_rule, webhook};

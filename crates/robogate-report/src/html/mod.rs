@@ -1,5 +1,6 @@
 //! Documents as self-contained HTML files.
 
+mod explorer;
 mod pairs;
 mod policy;
 mod prose;
@@ -10,6 +11,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use robogate_analysis::transfer::Transfer;
 use robogate_analysis::{Analysis, Comparison};
 
+pub use explorer::explorer_page;
 pub(crate) use prose::prose;
 
 use crate::Additions;

@@ -8,12 +8,21 @@ use sha2::{Digest, Sha256};
 /// escaping of text ever fail, does not run. The page loads nothing and sends nothing. Styles stay inline: the figures
 /// set custom properties in attributes, which a policy cannot name one by one.
 pub(super) fn of(body: &str, script: Option<&str>) -> String {
+    with(body, script, "")
+}
+
+/// The policy of a page that also reads data from the server that it came from, and that no other page may frame.
+pub(super) fn of_served(body: &str) -> String {
+    with(body, None, "; connect-src 'self'; frame-ancestors 'none'")
+}
+
+fn with(body: &str, script: Option<&str>, more: &str) -> String {
     let hashes: Vec<String> =
         scripts(body).chain(script).map(|text| format!("'sha256-{}'", base64(&Sha256::digest(text)))).collect();
     let scripts = if hashes.is_empty() { "'none'".to_owned() } else { hashes.join(" ") };
     format!(
         "default-src 'none'; script-src {scripts}; style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; \
-         form-action 'none'"
+         form-action 'none'{more}"
     )
 }
 

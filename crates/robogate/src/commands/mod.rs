@@ -37,3 +37,4 @@ pub(crate) mod study;
 pub(crate) mod suites;
 pub(crate) mod transfer;
 pub(crate) mod verify;
+pub(crate) mod view;
