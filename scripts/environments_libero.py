@@ -63,7 +63,7 @@ def page(robogate, out, suites, maps):
     if maps:
         print("## How far from nominal the controller works\n")
         print("Each run samples the environment's default space (`robogate env inspect NAME`): all parameters vary at once.\n")
-        print("| environment | success in the varied space | conditions that the analysis advises |")
+        print("| environment | success in the varied space | failure regions (limit with 95 % interval, and the rates on both sides), advice |")
         print("|---|---|---|")
         found = {name: analysis(robogate, folders[name]) for name in maps}
         for name in maps:
