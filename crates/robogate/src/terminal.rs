@@ -7,7 +7,7 @@ use std::io::{self, IsTerminal, Write};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use console::{Term, measure_text_width};
+use console::{Term, measure_text_width, strip_ansi_codes};
 use indicatif::MultiProgress;
 
 pub(crate) use robogate_stats::format::{count as grouped, percent};
@@ -72,11 +72,13 @@ fn fitted(text: String, columns: Option<usize>) -> String {
 
 /// Breaks one line.
 fn folded(line: &str, columns: usize) -> String {
-    let indent = line.len() - line.trim_start_matches(' ').len();
+    let visible = strip_ansi_codes(line);
+    let indent = visible.len() - visible.trim_start_matches(' ').len();
     let hanging = " ".repeat((indent + 2).min(columns / 2));
     let mut text = String::with_capacity(line.len() + hanging.len());
     let (mut used, mut spaces, mut empty) = (0, 0, true);
-    for word in line.split(' ') {
+    // A number stays with its percent sign.
+    for word in line.replace(" %", "\u{a0}%").split(' ') {
         let wide = measure_text_width(word);
         if wide == 0 && word.is_empty() {
             spaces += 1;
@@ -94,7 +96,7 @@ fn folded(line: &str, columns: usize) -> String {
         used += wide;
         (spaces, empty) = (1, false);
     }
-    text
+    text.replace('\u{a0}', " ")
 }
 
 /// Whether a stream shows colours: it is a terminal, and `NO_COLOR` is not set.
@@ -293,6 +295,8 @@ mod tests {
         );
         assert_eq!(fitted(text.to_owned(), Some(80)), text);
         assert_eq!(fitted(text.to_owned(), None), text);
+        assert_eq!(folded("\x1b[2m    one two\x1b[0m", 9), "\x1b[2m    one\n    two\x1b[0m");
+        assert_eq!(folded("elsewhere 46.8 %", 15), "elsewhere\n  46.8 %");
         // A path is not broken.
         assert_eq!(folded("a/long/path/without/spaces", 10), "a/long/path/without/spaces");
     }

@@ -18,6 +18,7 @@ use robogate_gate::{
 };
 use robogate_physics::SuctionLaw;
 use robogate_report::{Watch, evaluation_markdown_with, junit, reqif};
+use robogate_stats::format::counted;
 
 use crate::answer;
 use crate::benchmark;
@@ -344,11 +345,11 @@ impl Gate {
         }
         introduce(&provenance, plan.seed);
         note(format_args!(
-            "{}: {} scenarios, {} {} rounds, requirements `{}`, into {}",
+            "{}: {} scenarios, {} {}, requirements `{}`, into {}",
             record.population,
             labels.len(),
             if fixed { "exactly" } else { "at most" },
-            rounds,
+            counted(u64::from(rounds), "round"),
             asked.requirements.name,
             dir.display()
         ));

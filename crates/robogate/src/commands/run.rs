@@ -295,7 +295,7 @@ impl How {
             if asked.swap(true, Ordering::Relaxed) {
                 stop_at_once();
             }
-            note("stopping after the episodes in flight (once more: at once) ...");
+            note("stopping after the episodes in flight (once more: at once)");
         })
         .or_broken()?;
         work(&ThreadPool { factory: subject, threads, stop: &stop })
