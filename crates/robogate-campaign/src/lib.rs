@@ -10,7 +10,7 @@
 //! The summary and `lost_episodes.jsonl` also record the attempts that infrastructure faults lost ([`RunAgain`]).
 //!
 //! ```
-//! let plan = robogate_campaign::Preset::Quick.plan()?.with_total(300);
+//! let plan = robogate_campaign::Preset::Quick.plan()?.with_total(300).with_two_stages();
 //! assert_eq!((plan.uniform.episodes, plan.boundary.episodes), (200, 100));
 //! # Ok::<(), robogate_campaign::PlanError>(())
 //! ```
@@ -61,6 +61,6 @@ pub use stage::{Points, Stage};
 pub use suite::{
     BUILT_IN_SUITES, GroupSummary, INDUSTRIAL_68, Round, SuiteStage, SuiteSummary, built_in_suite, suite_sha256,
 };
-pub use summary::{Estimate, FaultCount, FeasiblePart, ModeCount, Population, StageSummary, Summary};
+pub use summary::{Estimate, FaultCount, FeasiblePart, ModeCount, Population, Sought, StageSummary, Summary};
 pub use tally::{Bin, Bins, MarginalEffect, OutcomeCounts};
 pub use threads::ThreadPool;

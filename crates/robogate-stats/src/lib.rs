@@ -29,6 +29,7 @@
 //! | how often does such a gate pass or fail? | [`operating`] |
 //! | may B replace A? | [`non_inferiority`], [`group_sequential`] after each round |
 //! | what is the estimate for the operating space if the rows were sampled elsewhere? | [`weighted`] |
+//! | the same for a rare event? | [`weighted_events`] |
 //! | what is the rate of the real robot, from simulation and a few real trials? | [`prediction_powered`], [`exact_strata`] |
 //! | how must the simulation be corrected for it? | [`recalibration`] |
 //! | how is a figure written for people? | [`mod@format`] |
@@ -71,6 +72,7 @@ pub mod stratified;
 pub mod surface;
 pub mod threshold;
 pub mod weighted;
+pub mod weighted_events;
 pub mod zone;
 
 pub use interval::{Confidence, Interval, IntervalError, Trials, clopper_pearson, wilson};

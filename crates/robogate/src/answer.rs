@@ -70,7 +70,7 @@ fn counts(evaluation: &Evaluation) {
     line(format_args!("  {} episodes{rounds}, {invalid}", grouped(counts.episodes)));
     if counts.focused > 0 {
         line(format_args!(
-            "  {} episodes sampled near the failure boundary are excluded: they do not estimate the rate of the operating space",
+            "  {} episodes of a focused design are excluded: they do not estimate the rate of the operating space",
             grouped(counts.focused)
         ));
     }

@@ -50,7 +50,7 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    /// Find where the policy fails: a campaign over the operating space, then near the failure boundary
+    /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain
     Run(commands::run::Run),
     /// Resume an interrupted campaign
     Resume(commands::resume::Resume),

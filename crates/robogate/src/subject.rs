@@ -9,8 +9,8 @@ use clap::Args;
 use robogate_campaign::{Worker, WorkerFactory};
 use robogate_core::latency::{Execution, LATENCY_PARAMETER, Latency, with_latency, with_parameter};
 use robogate_core::{
-    Assignment, Environment, Fault, FaultKind, InfeasibleShare, ParameterSpace, Policy, SpaceFeasibility, Suite,
-    TaskSpec,
+    Assignment, Environment, Fault, FaultKind, Foresight, InfeasibleShare, ParameterSpace, Policy, SpaceFeasibility,
+    Suite, TaskSpec,
 };
 use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance};
 use robogate_gate::Controls;
@@ -438,6 +438,15 @@ impl Subject {
     /// The task.
     pub(crate) fn task(&self) -> &Arc<TaskSpec> {
         &self.task
+    }
+
+    /// What the task knows about episodes before they run. `None` if it knows nothing.
+    pub(crate) fn foresight(&self) -> Result<Option<Arc<dyn Foresight>>, Exit> {
+        // The parameter of a latency belongs to an adapter, which needs a policy.
+        if self.execution.is_some() {
+            return Ok(self.worker().or_broken()?.environment.foresight());
+        }
+        Ok(self.environment.environment().or_broken()?.foresight())
     }
 
     /// The name of the environment's own suite, if it has one.

@@ -5,8 +5,8 @@ use std::path::Path;
 use robogate_analysis::{Analysis, MarginalEffect};
 use robogate_campaign::folder::{ACTIVE, DICTIONARY};
 use robogate_campaign::{
-    ActiveReport, BoundaryReport, DrawnFrom, Estimate, OutcomeCounts, Population, Stage, StageSummary, SuiteSummary,
-    Summary,
+    ActiveReport, BoundaryReport, DrawnFrom, Estimate, OutcomeCounts, Population, Sought, Stage, StageSummary,
+    SuiteSummary, Summary,
 };
 use robogate_report::{Headline, low_side};
 use robogate_stats::format::{p_value, percent_or_dash};
@@ -31,6 +31,9 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
     line("");
     if summary.stages.iter().any(|stage| stage.stage == Stage::Active) {
         weighted(&summary.estimate);
+    }
+    if let Some(found) = &summary.sought {
+        sought(found);
     }
     for stage in &summary.stages {
         rate(stage, &summary.sampler);
@@ -128,6 +131,23 @@ fn weighted(estimate: &Estimate) {
             percent(high)
         ));
     }
+}
+
+/// The rate of the failure mode that the campaign sought.
+fn sought(found: &Sought) {
+    let Some(rate) = found.rate else { return };
+    let [low, high] = found.interval_95;
+    let saved = found.worth_episodes.map_or_else(String::new, |worth| {
+        format!("; as precise as {} uniform episodes", grouped(worth.round() as u64))
+    });
+    line(format_args!(
+        "{}  over the operating space: {} of {} episodes failed in this way, 95 % interval {} to {}{saved}",
+        bold(format_args!("{} {}", found.mode, small_percent(rate))),
+        grouped(found.failures),
+        grouped(found.valid),
+        small_percent(low),
+        small_percent(high),
+    ));
 }
 
 /// The last risk model of an active design.

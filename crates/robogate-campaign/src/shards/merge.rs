@@ -32,6 +32,7 @@ impl Shards {
         if let Some(OpenRound { round, missing }) = open {
             return Err(ShardError::Missing { dir: self.dir(), round, shards: self.shards(), missing });
         }
+        let chosen = self.all_chosen()?;
         let folder = self.folder(out)?;
         if let Some(finished) = finished(&folder, events)? {
             return Ok(finished);
@@ -42,7 +43,8 @@ impl Shards {
             Some(after_round) => after_round,
             None => &mut all_rounds,
         };
-        let completion = Run::new(folder, self.settings.clone(), &NothingLeft, events, after_round)?.run()?;
+        let run = Run::new(folder, self.settings.clone(), &NothingLeft, events, after_round)?;
+        let completion = run.with_chosen(chosen).run()?;
         let leftovers = "remove unfinished files of";
         self.store.remove_leftovers().map_err(super::failed(&*self.store, "", leftovers))?;
         let store = DirectoryStore::new(out);
