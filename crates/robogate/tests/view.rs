@@ -317,7 +317,7 @@ fn compare_predictions(browser: &mut Browser, dictionary: &Path) {
         .map(|episode| Sample { success: episode.outcome == Outcome::Success, scenario: episode.scenario })
         .collect();
     let inputs = Inputs::new(&dictionary.provenance().space, None);
-    let model = RiskModel::fit(std::sync::Arc::new(inputs), &samples, Learner::Splines).unwrap();
+    let model = RiskModel::fit(std::sync::Arc::new(inputs), &samples, Learner::Splines, RiskModel::LEAST).unwrap();
     let mut largest = 0.0_f64;
     for sample in &samples {
         let [found, low, high]: [f64; 3] = serde_json::from_value(

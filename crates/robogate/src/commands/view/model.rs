@@ -80,7 +80,8 @@ pub(super) fn training(table: &ExplorerTable, run: usize, provenance: &Arc<Prove
 /// Too few episodes of one outcome, in words.
 pub(super) fn fit(training: &Training) -> Result<Json, String> {
     let inputs = Arc::new(Inputs::new(&training.provenance.space, None));
-    let model = RiskModel::fit(inputs, &training.samples, Learner::Splines).map_err(|error| error.to_string())?;
+    let model = RiskModel::fit(inputs, &training.samples, Learner::Splines, RiskModel::LEAST)
+        .map_err(|error| error.to_string())?;
     let splines = model.splines().ok_or("the model has no splines")?;
     let parts = splines.parts();
     let mut columns = Vec::new();
