@@ -127,6 +127,11 @@ fn pages_work_in_a_browser() {
     operate(&chromium, axe.as_ref(), &at("gate/report.html"));
     printed(&chromium, &at("gate/report.html"));
     printed(&chromium, &page);
+    robogate(
+        dir.path(),
+        &["gate", "--requirements", "paper", "--rounds", "1", "--policy", "random", "--out", "failed"],
+    );
+    printed(&chromium, &at("failed/report.html"));
     monitor_works(&chromium, axe.as_ref(), dir.path());
 }
 

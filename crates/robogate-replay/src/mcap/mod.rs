@@ -20,8 +20,7 @@ mod file;
 mod scene;
 mod schemas;
 
-use robogate_core::{Action, Command, Observation, TaskSpec, Tick};
-use robogate_core::{Measures, Outcome};
+use robogate_core::{Action, Command, Measures, Observation, Outcome, TaskSpec, Tick};
 use serde_json::{Value, json};
 
 use crate::Recording;
