@@ -159,7 +159,21 @@ fn a_run_is_resumed_after_a_server_stopped() {
     // The first episode takes seven requests.
     go_down(listener, 10);
     let run = dir.path().join("run").to_str().unwrap().to_owned();
-    let start = ["run", "--policy", &url, "--profile", &profile, "-n", "24", "--threads", "1", "--out", &run];
+    let start = [
+        "run",
+        "--policy",
+        &url,
+        "--profile",
+        &profile,
+        "--design",
+        "two-stage",
+        "-n",
+        "24",
+        "--threads",
+        "1",
+        "--out",
+        &run,
+    ];
     assert_exit(&start, 5, &["10 episodes in a row were lost", "robogate resume"]);
     assert_exit(&["resume", &run], 5, &["unreachable", &url]);
     go_down(TcpListener::bind(address).unwrap(), usize::MAX);
