@@ -16,7 +16,7 @@ import { Summary } from "./summary.js";
 import { Table } from "./table.js";
 
 /** Milliseconds of a frame for drawing. The rest is for the browser. */
-const SLICE = 16;
+const SLICE = 10;
 /** Milliseconds between two questions for new rows. */
 const EVERY = 1500;
 /** Axes at the beginning. */

@@ -2,6 +2,8 @@
 
 /** Steps between no and full opacity. */
 const LEVELS = 2047;
+/** Pixels that are mixed together. */
+const CHUNK = 4096;
 
 /** Counts of one picture. */
 export class Raster {
@@ -10,6 +12,8 @@ export class Raster {
     this.height = Math.max(1, Math.round(height));
     this.layers = [];
     this.image = new ImageData(this.width, this.height);
+    const numbers = () => new Float32Array(CHUNK);
+    this.scratch = { sum: numbers(), red: numbers(), green: numbers(), blue: numbers(), total: numbers() };
   }
 
   clear() {
@@ -78,45 +82,37 @@ export class Raster {
     layers.forEach((layer, at) => layer && palette[at] && known.push({ layer, colour: palette[at], share: 1 / Math.max(1, sizes[at] ?? 1) ** 0.7 }));
     const opacity = new Uint8Array(LEVELS + 1);
     for (let i = 0; i <= LEVELS; i++) opacity[i] = (255 * most * Math.log1p((full * i) / LEVELS)) / Math.log1p(full);
-    const step = (LEVELS / full) * scale, n = known.length, pixelsOf = this.width * this.height;
-    const sum = (this.sum ??= new Float32Array(pixelsOf));
-    // One layer after the other, because most pixels of most layers are empty.
-    const red = (this.red ??= new Float32Array(pixelsOf)), green = (this.green ??= new Float32Array(pixelsOf)), blue = (this.blue ??= new Float32Array(pixelsOf));
-    const total = (this.total ??= new Float32Array(pixelsOf));
-    if (n > 1) for (const one of [sum, red, green, blue, total]) one.fill(0);
-    for (let k = 0; n > 1 && k < n; k++) {
-      const { layer, colour: [r, g, b], share } = known[k];
-      for (let at = 0; at < pixelsOf; at++) {
-        const c = layer[at];
-        if (c === 0) continue;
-        const x = c * share, w = x * x;
-        total[at] += c;
-        sum[at] += w;
-        red[at] += w * r;
-        green[at] += w * g;
-        blue[at] += w * b;
+    const step = (LEVELS / full) * scale, n = known.length, all = this.width * this.height;
+    const { sum, red, green, blue, total } = this.scratch;
+    // A few thousand pixels at a time stay in the cache of the processor.
+    for (let from = 0; from < all; from += CHUNK) {
+      const size = Math.min(CHUNK, all - from);
+      for (const one of [sum, red, green, blue, total]) one.fill(0);
+      for (let k = 0; k < n; k++) {
+        const { layer, colour: [r, g, b], share } = known[k];
+        for (let i = 0; i < size; i++) {
+          const c = layer[from + i];
+          if (c === 0) continue;
+          const x = c * share, w = x * x;
+          total[i] += c;
+          sum[i] += w;
+          red[i] += w * r;
+          green[i] += w * g;
+          blue[i] += w * b;
+        }
       }
-    }
-    const counts = n > 1 ? total : known[0]?.layer;
-    const only = known[0]?.colour;
-    for (let at = 0, to = 3; at < pixelsOf; at++, to += 4) {
-      const c = counts ? counts[at] : 0;
-      if (c === 0) {
-        pixels[to] = 0;
-        continue;
+      for (let i = 0, to = 4 * from; i < size; i++, to += 4) {
+        const c = total[i];
+        if (c === 0) {
+          pixels[to + 3] = 0;
+          continue;
+        }
+        const w = 1 / sum[i], level = c * step;
+        pixels[to] = red[i] * w;
+        pixels[to + 1] = green[i] * w;
+        pixels[to + 2] = blue[i] * w;
+        pixels[to + 3] = opacity[level < LEVELS ? level | 0 : LEVELS];
       }
-      if (n > 1) {
-        const w = 1 / sum[at];
-        pixels[to - 3] = red[at] * w;
-        pixels[to - 2] = green[at] * w;
-        pixels[to - 1] = blue[at] * w;
-      } else {
-        pixels[to - 3] = only[0];
-        pixels[to - 2] = only[1];
-        pixels[to - 1] = only[2];
-      }
-      const level = c * step;
-      pixels[to] = opacity[level < LEVELS ? level | 0 : LEVELS];
     }
     context.putImageData(image, 0, 0);
   }
