@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Runs a command in a terminal of tmux and draws the screen as a PNG, with a headless Chromium.
 
-    python3 scripts/terminal_image.py docs/images/run.png 'robogate run'
+    python3 scripts/terminal_image.py docs/images/run.png 'robogate run' --columns 124
 
 The command runs in an empty folder, with the folder of --robogate first on the PATH. The height of the picture follows from the text.
 """

@@ -291,7 +291,7 @@ mod tests {
         let text = "  \x1b[1mcollision\x1b[0m   12 of 40  in the weakest group of scenarios";
         assert_eq!(
             fitted(text.to_owned(), Some(30)),
-            "  \x1b[1mcollision\x1b[0m   12 of 40  in\n    the weakest group of\n    scenarios"
+            "  \x1b[1mcollision\x1b[0m   12 of 40  in the\n    weakest group of scenarios"
         );
         assert_eq!(fitted(text.to_owned(), Some(80)), text);
         assert_eq!(fitted(text.to_owned(), None), text);
