@@ -32,7 +32,7 @@ done
 
 # Replays: the hash of every state must be that of the run.
 for task in drawer-open-v3 push-v3; do
-    "$robogate" replay "$out/$task" 7 > "$out/$task-replay.txt"
+    "$robogate" replay "$out/$task" 7 "${metaworld[@]}" > "$out/$task-replay.txt"
 done
 
 # What the user reads when an environment breaks.
