@@ -597,7 +597,7 @@ pub(crate) fn finish(
     show(Some(dir), &evaluation, source.dictionary().provenance(), json)
 }
 
-fn write_answer(dir: &Path, evaluation: &Evaluation) -> Result<(), Exit> {
+pub(crate) fn write_answer(dir: &Path, evaluation: &Evaluation) -> Result<(), Exit> {
     let texts = [evaluation.to_json(), evaluation_markdown(evaluation), junit(evaluation), reqif(evaluation)];
     for (name, text) in ANSWER.iter().zip(texts) {
         let path = dir.join(name);
