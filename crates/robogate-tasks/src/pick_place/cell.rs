@@ -67,7 +67,7 @@ impl ResolvedCell {
         let fixed = parameters.encoder_bias_rad;
         if let Some(joint) = (joints.len()..fixed.len()).find(|joint| fixed[*joint].abs() > 0.0) {
             let (joint, count) = (joint + 1, joints.len());
-            return Err(setup(format!("encoder_bias_{joint}_rad: the arm has {count} joints")));
+            return Err(setup(format!("unit_bias_{joint}_rad: the arm has {count} joints")));
         }
         let mut bias: Vec<f64> = encoders(parameters.ik_noise_rad);
         bias.iter_mut().zip(&fixed).for_each(|(bias, fixed)| *bias += fixed);

@@ -49,7 +49,7 @@ pub struct SceneParameters {
     pub size_m: f64,
     /// `ik_noise_rad`
     pub ik_noise_rad: f64,
-    /// `encoder_bias_1_rad` to `encoder_bias_7_rad`
+    /// `unit_bias_1_rad` to `unit_bias_7_rad`
     pub encoder_bias_rad: [f64; 7],
     /// `grip_force_scale`, `pad_friction_scale`
     pub gripper: GripperUnit,

@@ -283,7 +283,7 @@ mod tests {
 
     #[test]
     fn unit_parameters_are_read_from_drives() {
-        let bias = || ("encoder_bias_4_rad", Value::Number(0.01));
+        let bias = || ("unit_bias_4_rad", Value::Number(0.01));
         check("franka", bias(), |_, _, _| {}).unwrap();
         assert_not_applied(check("franka", bias(), |cell, _, _| cell.bias[3] = 0.0));
         assert_not_applied(check("franka", bias(), |cell, _, _| cell.bias.truncate(3)));
