@@ -11,6 +11,7 @@
 //! | rows of a dictionary | [`Record`] of [`Trial`]s |
 //! | scenarios and requirements, before a run | [`GatePlan`] |
 //! | several records | [`Leaderboard`] |
+//! | evaluations of the units of a fleet | [`Fleet`] |
 //! | a record and requirements ([`Question`]) | [`Evaluation`], with [`ConfidenceScore`] and [`Verdict`] |
 
 mod asked;
@@ -21,6 +22,7 @@ mod error;
 mod evaluation;
 pub mod evidence;
 mod figure;
+mod fleet;
 mod joint_plan;
 mod leaderboard;
 mod metric;
@@ -46,6 +48,7 @@ pub use evaluation::{
     Counts, Dropped, EndingCount, Evaluation, FeasibleRate, GroupResult, Question, RequirementResult, Sampling, Status,
 };
 pub use figure::Extremes;
+pub use fleet::{DriverForm, Fleet, FleetSubject, FleetUnit, UnitDriver, UnitPlaces, UnitShare};
 pub use joint_plan::JointOperating;
 pub use leaderboard::{Leaderboard, Standing};
 pub use metric::{Metric, Statistic};

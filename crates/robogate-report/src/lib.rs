@@ -11,6 +11,7 @@
 //! | an [`Evaluation`] of the gate | [`junit`], [`reqif`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
 //! | episodes of runs | [`explorer_page`] |
 //! | a [`Leaderboard`](robogate_gate::Leaderboard) | [`leaderboard_html`], [`leaderboard_markdown`] |
+//! | a [`Fleet`](robogate_gate::Fleet) | [`fleet_html`], [`fleet_markdown`] |
 
 mod document;
 mod figures;
@@ -26,8 +27,9 @@ use robogate_analysis::PairCounts;
 use robogate_gate::Evaluation;
 
 pub use gate::{
-    RequirementRow, evaluation_markdown, evaluation_markdown_with, feasible_part, how_judged, junit, leaderboard_html,
-    leaderboard_markdown, leaderboards_html, leaderboards_markdown, reqif, sign, what_next,
+    RequirementRow, evaluation_markdown, evaluation_markdown_with, feasible_part, fleet_drivers, fleet_headline,
+    fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html, leaderboard_markdown,
+    leaderboards_html, leaderboards_markdown, reqif, sign, what_next,
 };
 pub use html::{comparison_html, comparison_html_with, explorer_page, html, html_with, transfer_html};
 pub use json::{

@@ -78,6 +78,8 @@ enum Verb {
     View(commands::view::View),
     /// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run
     Gate(commands::gate::Gate),
+    /// Estimate the share of a robot's units that meet the requirements, and find what distinguishes the others
+    Fleet(commands::fleet::FleetOf),
     /// Write a run's figures to a file, as a baseline for other runs
     Baseline(commands::baseline::BaselineOf),
     /// Rank policies that ran the same scenarios
@@ -138,6 +140,7 @@ fn main() -> ExitCode {
         Verb::Report(report) => report.execute(),
         Verb::View(view) => view.execute(),
         Verb::Gate(gate) => gate.execute(),
+        Verb::Fleet(fleet) => fleet.execute(),
         Verb::Baseline(baseline) => baseline.execute(),
         Verb::Leaderboard(leaderboard) => leaderboard.execute(),
         Verb::Export(export) => export.execute(),

@@ -458,6 +458,14 @@ impl Subject {
         }
     }
 
+    /// The distribution of the units of the robot, if it is known.
+    pub(crate) fn own_unit_space(&self) -> Option<&'static str> {
+        match &self.environment {
+            EnvironmentSource::Cell(cell) => Some(cell.unit_space()),
+            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
+        }
+    }
+
     /// Prints the share of a space that no policy can complete, by reason.
     pub(crate) fn note_feasibility(&self, space: &ParameterSpace) {
         // Servers check nothing before an episode, and an environment that cannot be created is reported by the run.
@@ -601,7 +609,7 @@ impl Subject {
 }
 
 /// Rejects a space with a parameter that the task does not declare, or with values that it does not accept.
-fn check_declared(task: &TaskSpec, space: &ParameterSpace) -> anyhow::Result<()> {
+pub(crate) fn check_declared(task: &TaskSpec, space: &ParameterSpace) -> anyhow::Result<()> {
     for parameter in space.parameters() {
         let Some(spec) = task.parameter(&parameter.name) else {
             let known: Vec<&str> = task.parameters.iter().map(|spec| &*spec.name).collect();
@@ -618,6 +626,23 @@ fn check_declared(task: &TaskSpec, space: &ParameterSpace) -> anyhow::Result<()>
 }
 
 impl EnvironmentSource {
+    /// The declarations of all built-in tasks except that of the built-in cell.
+    pub(crate) fn declared_tasks() -> Result<Vec<Arc<TaskSpec>>, Exit> {
+        let arms = registry::ARM_TASKS.iter().map(|task| {
+            let settings = ArmSettings {
+                task: task.name().to_owned(),
+                robot: franka(),
+                engine: ENGINES[0].name.to_owned(),
+                time_step_s: ENGINES[0].time_step_s,
+                grip_force_n: None,
+                suction: None,
+            };
+            ArmCell::new(settings, SuctionLaw::Vacuum).map(|cell| Self::Arm(Box::new(cell)))
+        });
+        let others = registry::TASKS.iter().map(|task| Ok(Self::SelfContained(*task)));
+        arms.chain(others).map(|source| source.and_then(|source| source.task())).collect::<Result<_, _>>().or_setup()
+    }
+
     /// The same environment with the failure modes and the workspace of the paper, if it is the built-in cell.
     pub(crate) fn like_the_paper(mut self) -> Self {
         if let Self::Cell(cell) = &mut self {

@@ -608,7 +608,7 @@ pub(crate) fn finish(
     Ok(code)
 }
 
-fn write_answer(dir: &Path, evaluation: &Evaluation, watch: Option<&Watch>) -> Result<(), Exit> {
+pub(crate) fn write_answer(dir: &Path, evaluation: &Evaluation, watch: Option<&Watch>) -> Result<(), Exit> {
     let texts =
         [evaluation.to_json(), evaluation_markdown_with(evaluation, watch), junit(evaluation), reqif(evaluation)];
     for (name, text) in ANSWER.iter().zip(texts) {

@@ -9,6 +9,7 @@ use robogate_core::{Case, Domain, Spread, Suite, SuiteError};
 use serde_json::{Value, json};
 
 use crate::exit::{DONE, Exit, OrExit, USAGE};
+use crate::subject::{EnvironmentSource, check_declared};
 use crate::terminal::{bold, dim, line, note};
 
 /// List, show and check suites.
@@ -102,8 +103,7 @@ impl Suites {
         let text = read(file).or_usage()?;
         let (suite, problems): (Option<Suite>, Vec<String>) = match Suite::from_toml(&text) {
             Ok(suite) => {
-                let problems =
-                    robogate_tasks::pick_place::check_suite(&suite, None).iter().map(ToString::to_string).collect();
+                let problems = misfits(&suite)?;
                 (Some(suite), problems)
             }
             Err(SuiteError::Syntax(text)) => (None, vec![text]),
@@ -130,6 +130,27 @@ impl Suites {
         }
         Ok(if ok { DONE } else { USAGE })
     }
+}
+
+/// The problems of a suite with the task that has most of its parameters. A suite that names its environment is checked by
+/// that environment, when it runs.
+fn misfits(suite: &Suite) -> Result<Vec<String>, Exit> {
+    if suite.environment().is_some() {
+        return Ok(Vec::new());
+    }
+    let parameters = suite.space().parameters();
+    let own = || robogate_tasks::pick_place::check_suite(suite, None).iter().map(ToString::to_string).collect();
+    let unknown = |known: &dyn Fn(&str) -> bool| parameters.iter().filter(|p| !known(&p.name)).count();
+    let of_cell = unknown(&|name| robogate_tasks::pick_place::parameters().iter().any(|row| row.name == name));
+    let mut best: (usize, Vec<String>) = (of_cell, own());
+    for task in EnvironmentSource::declared_tasks()? {
+        let missing = unknown(&|name| task.parameter(name).is_some());
+        if missing < best.0 {
+            let problem = check_declared(&task, suite.space()).err();
+            best = (missing, problem.iter().map(|why| format!("{why:#}")).collect());
+        }
+    }
+    Ok(best.1)
 }
 
 /// Finds a suite by its name or file.
