@@ -20,6 +20,7 @@ pub mod frame;
 mod hash;
 mod identity;
 mod journal;
+mod pages;
 mod parquet;
 mod platform;
 pub mod provenance;
@@ -27,6 +28,7 @@ pub mod published;
 mod raw;
 pub mod results;
 mod schema;
+mod text;
 pub mod v1;
 
 pub use columns::{FixedColumn, Kind, fixed_columns};
@@ -41,3 +43,4 @@ pub use provenance::{
     Build, Dimensions, Engine, Provenance, Robot, RowSampling, Source, SourceColumn, Stopping, Tool, robot_sha256,
 };
 pub use schema::{SCHEMA_VERSION, SchemaVersion};
+pub use text::{read_regular_text, read_text};

@@ -12,6 +12,7 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use clap::{Args, ValueEnum};
+use robogate_dictionary::read_text;
 use robogate_monitor::service::{
     Broker, Deliver, Handle, HttpError, Intake, Output, ServiceEngine, Store, Taken, json_lines, of_rule, serve,
     webhook,
@@ -222,7 +223,7 @@ fn token(path: &Path) -> Result<String, Exit> {
             .or_usage();
         }
     }
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+    let text = read_text(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
     Ok(text.trim().to_owned())
 }
 
