@@ -44,7 +44,8 @@ programs() {
     fi
 }
 
-# Creates a Python environment in the build folder, once for its requirements: environment NAME REQUIREMENTS...
+# Creates a Python environment in the build folder, once for its locks with hashes (scripts/lock_python.sh):
+# environment NAME LOCKS...
 environment() {
     local venv=$target/$1
     shift
@@ -52,12 +53,12 @@ environment() {
     if ! cat "$@" | cmp -s - "$venv/installed.txt"; then
         rm -rf "$venv"
         python3 -m venv "$venv" &&
-            "$venv/bin/pip" install --quiet --disable-pip-version-check "${@/#/--requirement=}" &&
+            "$venv/bin/pip" install --quiet --disable-pip-version-check --require-hashes "${@/#/--requirement=}" &&
             cat "$@" > "$venv/installed.txt"
     fi
 }
 
-# Sets VARIABLE to the Python of an environment, unless the caller set it: python VARIABLE NAME REQUIREMENTS...
+# Sets VARIABLE to the Python of an environment, unless the caller set it: python VARIABLE NAME LOCKS...
 python() {
     local variable=$1
     shift
@@ -86,14 +87,12 @@ rust() {
 }
 
 programs
-python ROBOGATE_TEST_PYTHON readers-venv crates/robogate-dictionary/tests/requirements.txt crates/robogate-gate/tests/evidence-requirements.txt crates/robogate-replay/tests/requirements.txt
-python ROBOGATE_POLICY_PYTHON policies-venv crates/robogate-policy/tests/requirements.txt
-python ROBOGATE_BRIDGE_PYTHON bridges-venv bridges/common/requirements.txt
+python ROBOGATE_TEST_PYTHON readers-venv crates/robogate-dictionary/tests/requirements.lock crates/robogate-gate/tests/evidence-requirements.lock crates/robogate-replay/tests/requirements.lock
+python ROBOGATE_POLICY_PYTHON policies-venv crates/robogate-policy/tests/requirements.lock
+python ROBOGATE_BRIDGE_PYTHON bridges-venv bridges/common/requirements.lock
 
-# The bundled environments declare their own requirements.
-for family in metaworld fetch; do
-    PYTHONPATH=python/src:bridges/common python3 -m robogate_eval.environments requirements "$family" > "$target/$family-requirements.txt"
-    python "ROBOGATE_${family^^}_PYTHON" "$family-venv" "$target/$family-requirements.txt"
+for family in metaworld fetch dm_control; do
+    python "ROBOGATE_${family^^}_PYTHON" "$family-venv" "scripts/locks/$family.lock"
 done
 if [ -z "${ROBOGATE_TEST_AXE:-}" ] && ./scripts/web.sh --install; then
     ROBOGATE_TEST_AXE=$PWD/web/node_modules/axe-core/axe.min.js
@@ -119,13 +118,13 @@ if [ $# -eq 0 ]; then
         fi
     done
     # Newton compiles its kernels once and caches them in its environment.
-    if bridges/common/setup.sh "$target/newton-venv" bridges/newton/requirements.txt; then
+    if bridges/common/setup.sh "$target/newton-venv" bridges/newton/requirements.lock; then
         step "bridges/newton" env ROBOGATE_NEWTON_VENV="$target/newton-venv" bridges/newton/test.sh
     else
         skipped bridges/newton "no Python with Newton"
     fi
     # Fakes replace the classes of Isaac Sim.
-    if bridges/common/setup.sh "$target/isaac-venv" bridges/isaac_sim/tests/requirements.txt; then
+    if bridges/common/setup.sh "$target/isaac-venv" bridges/isaac_sim/tests/requirements.lock; then
         step "bridges/isaac_sim" env ROBOGATE_ISAAC_TEST_VENV="$target/isaac-venv" bridges/isaac_sim/test.sh
     else
         skipped bridges/isaac_sim "no Python with USD"

@@ -4,11 +4,11 @@
 //! the plan are found on reading; conflicts with a parameter space are found by [`Plan::check`].
 
 use std::fmt;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use robogate_core::{Domain, ParameterSpace, Sampler, Suite, samplers};
+use robogate_dictionary::read_text;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -191,8 +191,7 @@ impl Plan {
 
     /// Reads a plan from a TOML file. Errors also name the file.
     pub fn load(path: &Path) -> Result<Self, PlanError> {
-        let text =
-            fs::read_to_string(path).map_err(|source| PlanError::Unreadable { path: path.to_owned(), source })?;
+        let text = read_text(path).map_err(|source| PlanError::Unreadable { path: path.to_owned(), source })?;
         Self::from_toml(&text).map_err(|error| PlanError::InFile { path: path.to_owned(), error: Box::new(error) })
     }
 

@@ -21,7 +21,7 @@ use std::sync::Arc;
 
 use robogate_core::{DesignError, Episode, ParameterSpace};
 use robogate_dictionary::{
-    Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Platform, Provenance, Recovery,
+    Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Platform, Provenance, Recovery, read_text,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -198,8 +198,8 @@ pub fn settings(dir: &Path) -> Result<Settings, RunError> {
         return Err(RunError::NotARun { dir: dir.to_owned() });
     }
     let path = dir.join(PLAN);
-    let text = std::fs::read(&path).map_err(RunError::io(&path, "read"))?;
-    Settings::parse(&path, &text)
+    let text = read_text(&path).map_err(RunError::io(&path, "read"))?;
+    Settings::parse(&path, text.as_bytes())
 }
 
 /// Reads episode `index` of the run in `dir`, finished or not: its scenario and its outcome, for a replay.

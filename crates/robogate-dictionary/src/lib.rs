@@ -21,6 +21,7 @@ mod hash;
 mod identity;
 mod journal;
 mod journal_tail;
+mod pages;
 mod parquet;
 mod platform;
 pub mod provenance;
@@ -28,6 +29,7 @@ pub mod published;
 mod raw;
 pub mod results;
 mod schema;
+mod text;
 pub mod v1;
 
 pub use columns::{FixedColumn, Kind, fixed_columns};
@@ -43,3 +45,4 @@ pub use provenance::{
     Build, Dimensions, Engine, Provenance, Robot, RowSampling, Source, SourceColumn, Stopping, Tool, robot_sha256,
 };
 pub use schema::{SCHEMA_VERSION, SchemaVersion};
+pub use text::{read_regular_text, read_text};

@@ -30,6 +30,7 @@ mod primitive;
 #[cfg(feature = "rapier")]
 mod rapier;
 mod robot;
+mod robot_folder;
 #[cfg(feature = "mujoco")]
 mod robot_model;
 mod scene;

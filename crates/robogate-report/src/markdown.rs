@@ -6,6 +6,7 @@ use crate::Additions;
 use crate::document::{Block, Document, Figure, Kind, Table, analysis_document, comparison_document};
 use crate::watch::{Watch, WatchItem};
 use robogate_analysis::{Analysis, Comparison};
+use robogate_stats::format::is_deceptive;
 
 /// The analysis as Markdown (GitHub's flavour, because of its tables).
 pub fn markdown(analysis: &Analysis) -> String {
@@ -178,6 +179,7 @@ pub(crate) fn escape_markdown(text: &str) -> String {
                 safe.push('\\');
                 safe.push(letter);
             }
+            c if is_deceptive(c) && c != '\t' => safe.push('\u{fffd}'),
             c => safe.push(c),
         }
     }

@@ -30,9 +30,11 @@ mod summary;
 mod terminal;
 mod watch;
 
+use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use robogate_core::guard::{is_guarded, message};
 
 /// Deployment gate for robot manipulation policies.
 ///
@@ -121,11 +123,39 @@ enum Verb {
 }
 
 fn main() -> ExitCode {
+    std::panic::set_hook(Box::new(panicked));
     let arguments = Arguments::parse();
     if arguments.quiet {
         terminal::be_quiet();
     }
-    let result = match arguments.verb {
+    // A panic has been reported by the hook.
+    let Ok(result) = catch_unwind(AssertUnwindSafe(|| execute(arguments.verb))) else {
+        return ExitCode::from(exit::INFRASTRUCTURE);
+    };
+    match result {
+        Ok(code) => ExitCode::from(code),
+        Err(exit) => {
+            terminal::error(&exit);
+            ExitCode::from(exit.code)
+        }
+    }
+}
+
+/// Reports a panic as an error. A panic in a library that reads foreign data is reported by its caller.
+fn panicked(panic: &PanicHookInfo<'_>) {
+    if is_guarded() {
+        return;
+    }
+    let place = panic.location().map(|place| format!(" ({}:{})", place.file(), place.line())).unwrap_or_default();
+    let why = message(panic.payload());
+    let error = anyhow::anyhow!(
+        "internal error: {why}{place}\nhint: this is a defect of robogate. Report the command and this message"
+    );
+    terminal::error(&exit::Exit { code: exit::INFRASTRUCTURE, error });
+}
+
+fn execute(verb: Verb) -> Result<u8, exit::Exit> {
+    match verb {
         Verb::Run(run) => run.execute(),
         Verb::Resume(resume) => resume.execute(),
         Verb::Plan(plan) => plan.execute(),
@@ -160,12 +190,5 @@ fn main() -> ExitCode {
         Verb::Serve(serve) => serve.execute(),
         Verb::Bridge(bridge) => bridge.execute(),
         Verb::Check(check) => check.execute(),
-    };
-    match result {
-        Ok(code) => ExitCode::from(code),
-        Err(exit) => {
-            terminal::error(&exit);
-            ExitCode::from(exit.code)
-        }
     }
 }

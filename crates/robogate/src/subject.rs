@@ -12,7 +12,7 @@ use robogate_core::{
     Assignment, Environment, Fault, FaultKind, Foresight, InfeasibleShare, ParameterSpace, Policy, SpaceFeasibility,
     Suite, TaskSpec,
 };
-use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance};
+use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance, read_text};
 use robogate_gate::Controls;
 use robogate_physics::{RobotFile, SuctionLaw, is_folder};
 use robogate_policy::Arm;
@@ -885,7 +885,7 @@ pub(crate) fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
             let known = built_in_spaces().collect::<Vec<_>>().join(", ");
             bail!("--space {wanted}: unknown parameter space. Expected a file, or one of: {known}")
         }
-        None => std::fs::read_to_string(wanted)
+        None => read_text(Path::new(wanted))
             .with_context(|| format!("cannot read {wanted}"))
             .and_then(|text| ParameterSpace::from_toml(&text).with_context(|| wanted.to_owned())),
     }

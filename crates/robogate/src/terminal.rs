@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use console::{Term, measure_text_width, strip_ansi_codes};
 use indicatif::MultiProgress;
 
+use robogate_stats::format::is_deceptive;
 pub(crate) use robogate_stats::format::{count as grouped, percent};
 
 use crate::canvas;
@@ -153,10 +154,11 @@ pub(crate) fn indented(text: impl Display) -> String {
     escaped(&text.to_string(), |rest| rest.starts_with('\n').then_some(1)).replace('\n', "\n    ")
 }
 
-/// Escapes control characters (C0, DEL, C1) as JSON does, so that a JSON document keeps its meaning. `kept` returns the
+/// Escapes control characters (C0, DEL, C1) and controls of the text direction as JSON does, so that a JSON document keeps its
+/// meaning. `kept` returns the
 /// number of bytes at the start of a text that are copied unchanged.
 fn escaped(text: &str, kept: impl Fn(&str) -> Option<usize>) -> Cow<'_, str> {
-    if !text.contains(char::is_control) {
+    if !text.contains(is_deceptive) {
         return Cow::Borrowed(text);
     }
     let mut safe = String::with_capacity(text.len());
@@ -165,7 +167,7 @@ fn escaped(text: &str, kept: impl Fn(&str) -> Option<usize>) -> Cow<'_, str> {
         let taken = kept(rest);
         let (head, tail) = rest.split_at(taken.unwrap_or(c.len_utf8()));
         match c {
-            _ if taken.is_some() || !c.is_control() => safe.push_str(head),
+            _ if taken.is_some() || !is_deceptive(c) => safe.push_str(head),
             '\n' => safe.push_str("\\n"),
             '\r' => safe.push_str("\\r"),
             '\t' => safe.push_str("\\t"),
@@ -273,6 +275,8 @@ mod tests {
         // Colours of others could hide a word, or show a verdict in green.
         assert_eq!(harmless("\x1b[8mhidden\x1b[0m"), "\\u001b[8mhidden\\u001b[0m");
         assert_eq!(harmless(&format!("{}\x1b[2J", mark("1"))), "\x1b[1m\\u001b[2J");
+        // A name that reads "fail pass" backwards.
+        assert_eq!(harmless("\u{202e}ssap\u{202c} \u{2066}x"), "\\u202essap\\u202c \\u2066x");
         let hostile = "a\x1b]0;title\x07\x1b[2Jb\u{9b}c\r";
         assert_eq!(harmless(hostile), "a\\u001b]0;title\\u0007\\u001b[2Jb\\u009bc\\r");
     }

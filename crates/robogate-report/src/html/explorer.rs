@@ -27,7 +27,8 @@ pub fn explorer_page(runs: &str, data: Option<(&str, &str)>) -> (String, String)
         }
         script { (PreEscaped(SCRIPT)) }
     };
-    let policy = if data.is_some() { policy::of(&body.0, None) } else { policy::of_served(&body.0) };
+    let style = format!("{STYLE}{OWN_STYLE}");
+    let policy = if data.is_some() { policy::of(&body.0, None, &style) } else { policy::of_served(&body.0, &style) };
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -39,7 +40,7 @@ pub fn explorer_page(runs: &str, data: Option<(&str, &str)>) -> (String, String)
                 // The header of the server has more than a page can say about itself.
                 @if data.is_some() { meta http-equiv="Content-Security-Policy" content=(policy); }
                 title { (prose(runs)) " \u{b7} RoboGate explorer" }
-                style { (PreEscaped(STYLE)) (PreEscaped(OWN_STYLE)) }
+                style { (PreEscaped(style)) }
             }
             body.explorer { (body) }
         }

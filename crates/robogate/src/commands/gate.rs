@@ -10,8 +10,9 @@ use clap::Args;
 use robogate_analysis::transfer::Transfer;
 use robogate_analysis::{Finding, Source};
 use robogate_campaign::{Completion, DEFAULT_SEED, Event, Plan, Round, Settings};
+use robogate_core::budget::Budget;
 use robogate_core::{Suite, TaskSpec};
-use robogate_dictionary::{Label, Provenance};
+use robogate_dictionary::{Label, Provenance, read_text};
 use robogate_gate::{
     Against, Asked, AskedAgainst, Baseline, Evaluation, GateError, GatePlan, Mode, PairPlan, Planned, Question,
     RealEvidence, RealStratum, Record, Requirements, Sampling, Trial, Verdict,
@@ -468,8 +469,9 @@ pub(crate) fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, 
 
 /// Reads the trials of the real robot from the file of `robogate transfer --out`.
 pub(crate) fn real_evidence(path: &Path) -> Result<RealEvidence, Exit> {
-    let text = fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
-    let transfer: Transfer = serde_json::from_str(&text)
+    let text = read_text(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+    let transfer: Transfer = Budget::FILE
+        .json(text.as_bytes())
         .with_context(|| {
             format!(
                 "{}: not a transfer\nhint: create it with `robogate transfer --sim RUN --real FILE --out FILE`",
@@ -649,7 +651,7 @@ fn show(dir: Option<&Path>, evaluation: &Evaluation, provenance: &Provenance, js
 pub(crate) fn open_requirements(name_or_path: &str, task: &TaskSpec) -> Result<Requirements, Exit> {
     let requirements = Requirements::open(name_or_path, task).map_err(refused)?;
     if !Requirements::NAMES.contains(&name_or_path)
-        && let Ok(text) = fs::read_to_string(name_or_path)
+        && let Ok(text) = read_text(Path::new(name_or_path))
     {
         for (old, new) in Requirements::old_spellings(&text) {
             note(format_args!("note: {name_or_path}: `{old}` is the old name of `{new}`"));

@@ -6,6 +6,7 @@ use anyhow::{Context, anyhow};
 use clap::{Args, Subcommand};
 use robogate_campaign::{BUILT_IN_SUITES, built_in_suite, suite_sha256};
 use robogate_core::{Case, Domain, Spread, Suite, SuiteError};
+use robogate_dictionary::read_text;
 use serde_json::{Value, json};
 
 use crate::exit::{DONE, Exit, OrExit, USAGE};
@@ -170,7 +171,7 @@ pub(crate) fn find(name: &str) -> Result<Suite, Exit> {
 }
 
 fn read(file: &Path) -> anyhow::Result<String> {
-    std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))
+    read_text(file).with_context(|| format!("cannot read {}", file.display()))
 }
 
 fn head(suite: &Suite) -> Value {

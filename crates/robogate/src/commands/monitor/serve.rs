@@ -14,6 +14,7 @@ use anyhow::{Context, anyhow};
 use clap::{Args, ValueEnum};
 use robogate_analysis::shell_word;
 use robogate_core::{Outcome, Value};
+use robogate_dictionary::read_text;
 use robogate_monitor::service::{
     Broker, Deliver, Episodes, Handle, HttpError, Intake, Output, ServiceEngine, SimulatedEpisode, Store, Taken,
     json_lines, of_rule, serve, webhook,
@@ -259,7 +260,7 @@ fn token(path: &Path) -> Result<String, Exit> {
             .or_usage();
         }
     }
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+    let text = read_text(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
     Ok(text.trim().to_owned())
 }
 
