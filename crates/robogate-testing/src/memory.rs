@@ -10,8 +10,10 @@ use std::cell::Cell;
 /// #[global_allocator]
 /// static MEMORY: robogate_testing::CountingAllocator = robogate_testing::CountingAllocator;
 ///
-/// let (_, peak) = robogate_testing::peak_memory(|| vec![0_u8; 1_000_000]);
-/// assert!((1_000_000..1_001_000).contains(&peak));
+/// fn main() {
+///     let (_, peak) = robogate_testing::peak_memory(|| vec![0_u8; 1_000_000]);
+///     assert!((1_000_000..1_001_000).contains(&peak));
+/// }
 /// ```
 ///
 /// An allocation of more than [`LARGEST`] bytes fails, which ends the process as on a machine with little memory.
