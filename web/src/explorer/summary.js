@@ -63,7 +63,7 @@ export class Summary {
     if (of.invalid > 0) more.push(`${count(of.invalid)} invalid.`);
     return element(
       "div", { class: "x-rate" },
-      name === null ? null : element("h3", {}, name),
+      name === null ? null : element("p", { class: "x-run" }, name),
       element("p", { class: "x-big" }, of.n ? percent(of.k / of.n) : "–"),
       bar,
       element("p", { class: "x-what" }, of.n ? `${count(of.k)} of ${count(of.n)} ${chosen ? "selected " : ""}episodes succeeded, 95 % interval ${percent(low)} to ${percent(high)} (${of.n <= FEW ? "Clopper-Pearson" : "Wilson"})` : "No valid episode is selected."),
