@@ -165,12 +165,12 @@ mod tests {
         .unwrap();
         for number in 1..=100_000_u64 {
             cycle.time_s = number as f64;
-            cycle.success = number % 20 != 0;
+            cycle.success = !number.is_multiple_of(20);
             cycle.cycle_time_s = Some(4.0);
-            cycle.events.insert("spill".to_owned(), number % 50 == 0);
+            cycle.events.insert("spill".to_owned(), number.is_multiple_of(50));
             let mut by_detector = [0.1; DETECTORS];
             by_detector[3] = if number == 777 { 0.9 } else { 0.05 };
-            let outside = (number > 50_000).then_some(number % 2 == 0);
+            let outside = (number > 50_000).then_some(number.is_multiple_of(2));
             series.push(&cycle, events.iter(), &Observed { cycle: number, outside, by_detector });
         }
         let points = series.points();

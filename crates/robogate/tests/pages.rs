@@ -186,11 +186,11 @@ impl Drop for Monitor {
 fn cycles() -> String {
     let cycle = |i: u64| {
         let chance = (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f64 / f64::from(1 << 24);
-        let part = if i % 2 == 0 { "part-a" } else { "part-b" };
-        let failed = chance < if i % 2 == 0 && i > 3000 { 0.4 } else { 0.03 };
+        let part = if i.is_multiple_of(2) { "part-a" } else { "part-b" };
+        let failed = chance < if i.is_multiple_of(2) && i > 3000 { 0.4 } else { 0.03 };
         let mut cycle = json!({
             "id": format!("c{i}"), "robot": format!("cell-{}", i % 3), "recipe": part, "time_s": 1_760_000_000 + 4 * i,
-            "success": !failed, "events": { "drop": failed && i % 4 == 0 }, "cycle_time_s": 4.0 + chance,
+            "success": !failed, "events": { "drop": failed && i.is_multiple_of(4) }, "cycle_time_s": 4.0 + chance,
             "parameters": { "mass_kg": 0.2 + chance, "friction": 0.6 },
         });
         if failed {
