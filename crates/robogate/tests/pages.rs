@@ -219,7 +219,7 @@ fn monitor_works(chromium: &Path, axe: Option<&PathBuf>, folder: &Path) {
     // The pipe must be read, or the monitor stops when it is full.
     std::thread::spawn(move || said.for_each(drop));
     let mut browser = Browser::start(chromium);
-    browser.open_address(&format!("{}/", address.trim_end_matches('/')));
+    browser.open(format!("{}/", address.trim_end_matches('/')));
     browser.wait("document.querySelector('#state').textContent === 'live'");
     browser.wait("document.querySelector('#intake').textContent.includes('4,000 cycles accepted')");
     browser.wait("document.querySelectorAll('#recipes .charts svg').length >= 6");

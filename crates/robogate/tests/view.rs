@@ -357,7 +357,7 @@ fn exported_page_is_operated() {
     let text = robogate(dir.path(), "view a b --export explorer.html --clips 4");
     assert!(text.contains("4 recorded episodes"), "{text}");
     let mut browser = Browser::start(&chromium);
-    browser.open(&dir.path().join("explorer.html"));
+    browser.open(dir.path().join("explorer.html"));
     operate(&mut browser, axe.as_ref());
     compare_figures(&mut browser);
     compare_predictions(&mut browser, &dir.path().join("a/dictionary.parquet"));
@@ -383,7 +383,7 @@ fn foreign_words_stay_text() {
     robogate(dir.path(), "import rows.csv rows.parquet");
     robogate(dir.path(), "view rows.parquet --export page.html");
     let mut browser = Browser::start(&chromium);
-    browser.open(&dir.path().join("page.html"));
+    browser.open(dir.path().join("page.html"));
     browser.wait("document.body.dataset.modelled === 'true' && !robogateExplorer.explorer.awake");
     browser.evaluate("document.querySelector('.x-form').open = true");
     browser.wait("document.querySelectorAll('.x-filters fieldset').length > 1");
@@ -402,7 +402,7 @@ fn many_rows_stay_interactive() {
     robogate(dir.path(), "run --task pendulum -n 5000 --seed 3 --out a");
     robogate(dir.path(), "view a a a a --export page.html --clips 0");
     let mut browser = Browser::start(&chromium);
-    browser.open(&dir.path().join("page.html"));
+    browser.open(dir.path().join("page.html"));
     browser.wait("document.body.dataset.modelled === 'true' && !robogateExplorer.explorer.awake");
     browser.call("Performance.enable", json!({ "timeDomain": "threadTicks" }));
     let spent = |browser: &mut Browser| {

@@ -107,17 +107,17 @@ impl Browser {
         self.troubles.extend(trouble);
     }
 
-    /// Opens a page from a file.
-    pub fn open(&mut self, page: &Path) {
-        let url = format!("file://{}", page.canonicalize().unwrap().display());
+    /// Opens a page: the path of a file, or an address such as `http://127.0.0.1:7380/`.
+    pub fn open(&mut self, page: impl AsRef<Path>) {
+        let page = page.as_ref();
+        let url = match page.to_str() {
+            Some(address) if address.starts_with("http:") => {
+                self.server = Some(address.to_owned());
+                address.to_owned()
+            }
+            _ => format!("file://{}", page.canonicalize().unwrap().display()),
+        };
         self.call("Page.navigate", json!({ "url": url }));
-        self.wait("document.readyState === 'complete'");
-    }
-
-    /// Opens a page of a server, for example `http://127.0.0.1:7380/`.
-    pub fn open_address(&mut self, address: &str) {
-        self.server = Some(address.to_owned());
-        self.call("Page.navigate", json!({ "url": address }));
         self.wait("document.readyState === 'complete'");
     }
 
