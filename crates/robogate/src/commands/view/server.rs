@@ -23,8 +23,17 @@ const MOST_ROWS: usize = 100_000;
 struct State {
     board: Mutex<(Board, Instant)>,
     clips: Mutex<Clips>,
-    /// The last model of each run, with the number of rows that it was fitted to.
-    models: Mutex<Vec<Option<(u64, usize, Vec<u8>)>>>,
+    /// The last model of each run.
+    models: Mutex<Vec<Option<Fitted>>>,
+}
+
+/// A model as a document.
+#[derive(Clone)]
+struct Fitted {
+    epoch: u64,
+    /// The number of rows of the page when it was fitted.
+    rows: usize,
+    text: Vec<u8>,
 }
 
 /// Serves the page until the process is interrupted.
@@ -124,15 +133,15 @@ impl State {
         let Some((epoch, rows, finished, training)) = copied else { return no_run(run) };
         let mut models = self.models.lock().unwrap_or_else(PoisonError::into_inner);
         // A fit takes seconds, so that of a running campaign is kept until a fifth of its rows is new.
-        let fresh = |known: &&(u64, usize, Vec<u8>)| {
-            known.0 == epoch && if finished { known.1 == rows } else { 5 * rows <= 6 * known.1 }
+        let fresh = |known: &&Fitted| {
+            known.epoch == epoch && if finished { known.rows == rows } else { 5 * rows <= 6 * known.rows }
         };
-        if let Some((_, _, text)) = models.get(at).and_then(Option::as_ref).filter(fresh) {
-            return LocalReply::Json(text.clone());
+        if let Some(known) = models.get(at).and_then(Option::as_ref).filter(fresh) {
+            return LocalReply::Json(known.text.clone());
         }
         let text = bytes(&model::fit(&training).unwrap_or_else(|because| json!({ "version": 1, "because": because })));
         if let Some(place) = models.get_mut(at) {
-            *place = Some((epoch, rows, text.clone()));
+            *place = Some(Fitted { epoch, rows, text: text.clone() });
         }
         LocalReply::Json(text)
     }
