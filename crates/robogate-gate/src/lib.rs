@@ -11,6 +11,7 @@
 //! | rows of a dictionary | [`Record`] of [`Trial`]s |
 //! | scenarios and requirements, before a run | [`GatePlan`] |
 //! | several records | [`Leaderboard`] |
+//! | a record and its control arm | [`Twins`] |
 //! | a record and requirements ([`Question`]) | [`Evaluation`], with [`ConfidenceScore`] and [`Verdict`] |
 
 mod asked;
@@ -35,6 +36,7 @@ mod rounds;
 mod scope;
 mod score;
 mod trial;
+mod twins;
 mod verdict;
 
 pub use asked::{Asked, AskedAgainst};
@@ -57,4 +59,5 @@ pub use requirement::{Bound, Each, Requirement, Sense};
 pub use requirements::{Budget, Family, Mode, Requirements};
 pub use score::{ConfidenceScore, ScoreTerm, ScoredTerm, Scoring};
 pub use trial::{Ending, Trial};
+pub use twins::{Effect, Family as TwinFamily, Twins};
 pub use verdict::Verdict;

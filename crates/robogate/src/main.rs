@@ -27,6 +27,7 @@ mod source;
 mod subject;
 mod summary;
 mod terminal;
+mod twins;
 mod watch;
 
 use std::process::ExitCode;

@@ -10,6 +10,7 @@ use crate::commands::gate::{Look, compared_with, finish, refused, write_question
 use crate::commands::run::{conclude, write_report};
 use crate::commands::shard::exit;
 use crate::exit::Exit;
+use crate::twins;
 
 /// A campaign in shards. After each round of a gate, the sequential test decides whether another one follows.
 pub(crate) struct Campaign {
@@ -94,6 +95,7 @@ impl Campaign {
     /// Merges the shards into `out`, and prints the summary or the verdict.
     pub(crate) fn merge(mut self, out: &Path, events: &mut dyn FnMut(&Event), json: bool) -> Result<u8, Exit> {
         let completion = self.in_rounds(|shards, after_round| shards.merge(out, events, after_round))?;
+        twins::merge(&self.shards, out, &completion)?;
         match &self.gate {
             Some(Gate { asked, other, .. }) => {
                 if !out.join(Asked::FILE).exists() {
