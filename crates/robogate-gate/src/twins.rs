@@ -358,8 +358,11 @@ fn looks(record: &Record, sampling: Sampling) -> u64 {
     }
 }
 
-/// Case and seed of each imported episode, or case and number.
-fn identities(record: &Record, one_case: bool) -> Result<Vec<((String, i64), &Trial)>, GateError> {
+/// Case and seed of an imported episode, or case and number.
+type Identity = (String, i64);
+
+/// The identity of each imported episode.
+fn identities(record: &Record, one_case: bool) -> Result<Vec<(Identity, &Trial)>, GateError> {
     let refuse = || GateError::NoIdentity { policy: record.policy.clone() };
     let numbers = recorded_seeds(&record.trials).or_else(|| recorded_numbers(&record.trials)).ok_or_else(refuse)?;
     let case = |trial: &Trial| match &trial.label.case {
