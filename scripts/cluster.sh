@@ -16,11 +16,11 @@ export ROBOGATE_COMMAND=$robogate PYTHONPATH=$PWD/python/src
 # The default of 30 s is too short on a loaded machine.
 export RAY_raylet_start_wait_time_s=${RAY_raylet_start_wait_time_s:-200}
 venv=$target/cluster-venv
-if ! cmp -s scripts/cluster/requirements.txt "$venv/installed.txt"; then
+if ! cmp -s scripts/cluster/requirements.lock "$venv/installed.txt"; then
     rm -rf "$venv"
     python3 -m venv "$venv"
-    "$venv/bin/pip" install --quiet --disable-pip-version-check --requirement scripts/cluster/requirements.txt
-    cp scripts/cluster/requirements.txt "$venv/installed.txt"
+    "$venv/bin/pip" install --quiet --disable-pip-version-check --require-hashes --requirement scripts/cluster/requirements.lock
+    cp scripts/cluster/requirements.lock "$venv/installed.txt"
 fi
 command -v slurmctld > /dev/null || PATH=$PATH:/usr/sbin
 for check in "${checks[@]}"; do

@@ -9,8 +9,12 @@
 set -euo pipefail
 out=$1 robot=${2:-franka} test=${3:-12000} repeats=${4:-10} sizes=${5:-250 500 1000 2000}
 cd "$(dirname "$0")/.."
-cargo build --release -p robogate --example discovery --bin robogate
-robogate=${CARGO_TARGET_DIR:-target}/release/robogate
+# BUILT: a folder with robogate and examples/discovery, in place of a release build.
+if [ -z "${BUILT:-}" ]; then
+    cargo build --release -p robogate --example discovery --bin robogate
+    BUILT=${CARGO_TARGET_DIR:-target}/release
+fi
+robogate=$BUILT/robogate
 mkdir -p "$out"
 
 # campaign NAME ARGUMENT...: runs, resumes or keeps a campaign.
@@ -31,13 +35,13 @@ campaign test --plan "$(uniform "$test")" --seed 900000
 runs=()
 for ((repeat = 1; repeat <= repeats; repeat++)); do
     for n in $sizes; do
-        campaign "uniform-$n-$repeat" --plan "$(uniform "$n")" --seed "$((100000 + repeat))"
+        campaign "uniform-$n-$repeat" --plan "$(uniform "$n")" --design uniform --seed "$((100000 + repeat))"
         campaign "two-stage-$n-$repeat" --design two-stage -n "$n" --seed "$((200000 + repeat))"
         campaign "active-$n-$repeat" --design active -n "$n" --seed "$((300000 + repeat))"
         runs+=("$out/$robot-uniform-$n-$repeat" "$out/$robot-two-stage-$n-$repeat" "$out/$robot-active-$n-$repeat")
     done
 done
-example=${CARGO_TARGET_DIR:-target}/release/examples/discovery
+example=$BUILT/examples/discovery
 printf '%s\n' "${runs[@]}" | xargs -P "$(nproc)" -n 4 "$example" "$out/$robot-test" >"$out/lines.$robot"
 { printf 'run\tepisodes\tlearner\tbrier\tlog_loss\n'; grep -v '^run' "$out/lines.$robot" | sort; } >"$out/$robot.tsv"
 # Mean Brier score over the repeats, by design, size and learner.

@@ -53,11 +53,17 @@ def page(robogate, out, suites, maps):
         print("|---|---|---|")
         for instruction, rate, endings, _ in rows:
             print(f"| {instruction} | {rate} | {endings} |")
+        verdict = json.loads((out / name / "gate.json").read_text(encoding="utf-8"))
+        print(f"\nVerdict of `robogate gate`, with one requirement (success of at least 80 % at 95 % confidence): {verdict['verdict']}. Published results on this suite:\n")
+        print("| policy | published success | |")
+        print("|---|---|---|")
+        for published in tomllib.loads((out / f"{name}.toml").read_text(encoding="utf-8"))["published"]:
+            print(f"| {published['policy']} | {percent(published['success'])} | not comparable: another policy; {published['source']} |")
         print()
     if maps:
         print("## How far from nominal the controller works\n")
         print("Each run samples the environment's default space (`robogate env inspect NAME`): all parameters vary at once.\n")
-        print("| environment | success in the varied space | conditions that the analysis advises |")
+        print("| environment | success in the varied space | failure regions (limit with 95 % interval, and the rates on both sides), advice |")
         print("|---|---|---|")
         found = {name: analysis(robogate, folders[name]) for name in maps}
         for name in maps:
@@ -68,6 +74,11 @@ def page(robogate, out, suites, maps):
         for name in maps:
             for parameter, low, high in thirds(found[name]):
                 print(f"| `{name}` | `{parameter}` | {low} | {high} |")
+    print("\n## Replays\n")
+    for name in [*suites, *maps]:
+        replay = out / f"{name.replace(':', '-').replace('/', '-')}-replay.txt"
+        if replay.is_file():
+            print(f"- {name}, episode 7: {replay.read_text(encoding='utf-8').strip().splitlines()[-1]}")
 
 
 if __name__ == "__main__":

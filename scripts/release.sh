@@ -44,12 +44,12 @@ glibc=2.28
 # Tools, once for each version of the pins.
 tools=$target/release-tools
 cargo_deb=3.8.0
-if ! { cat scripts/release/requirements.txt && echo "cargo-deb $cargo_deb"; } | cmp -s - "$tools/installed.txt"; then
+if ! { cat scripts/release/requirements.lock && echo "cargo-deb $cargo_deb"; } | cmp -s - "$tools/installed.txt"; then
     rm -rf "$tools"
     python3 -m venv "$tools"
-    "$tools/bin/pip" install --quiet --disable-pip-version-check --requirement scripts/release/requirements.txt
+    "$tools/bin/pip" install --quiet --disable-pip-version-check --require-hashes --requirement scripts/release/requirements.lock
     cargo install --quiet --locked --root "$tools" "cargo-deb@$cargo_deb"
-    { cat scripts/release/requirements.txt && echo "cargo-deb $cargo_deb"; } > "$tools/installed.txt"
+    { cat scripts/release/requirements.lock && echo "cargo-deb $cargo_deb"; } > "$tools/installed.txt"
 fi
 PATH=$tools/bin:$PATH
 

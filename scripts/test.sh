@@ -28,22 +28,24 @@ skipped() {
     fi
 }
 
-# The monitor is tested with a real MQTT broker, and pages in a real browser. npm brings the checker of their accessibility. MuJoCo's renderer uses EGL, which Mesa provides without a
+# The monitor is tested with a real MQTT broker, pages in a real browser, videos by ffmpeg, and printed pages by pdftotext. npm brings
+# the checker of accessibility. MuJoCo's renderer uses EGL, which Mesa provides without a
 # GPU.
 programs() {
     local missing=() program
-    for program in mosquitto chromium npm; do
+    for program in mosquitto chromium npm ffmpeg pdftotext; do
         PATH=$PATH:/usr/sbin command -v "$program" > /dev/null || missing+=("$program")
     done
     if ! ldconfig -p | grep -q 'libEGL\.so\.1' || ! ldconfig -p | grep -q 'libGL\.so\.1' || ! compgen -G '/usr/lib/*/dri/swrast_dri.so' > /dev/null; then
         missing+=(libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri)
     fi
     if [ "${#missing[@]}" -gt 0 ]; then
-        debian "${missing[@]}"
+        debian "${missing[@]/pdftotext/poppler-utils}"
     fi
 }
 
-# Creates a Python environment in the build folder, once for its requirements: environment NAME REQUIREMENTS...
+# Creates a Python environment in the build folder, once for its locks with hashes (scripts/lock_python.sh):
+# environment NAME LOCKS...
 environment() {
     local venv=$target/$1
     shift
@@ -51,12 +53,12 @@ environment() {
     if ! cat "$@" | cmp -s - "$venv/installed.txt"; then
         rm -rf "$venv"
         python3 -m venv "$venv" &&
-            "$venv/bin/pip" install --quiet --disable-pip-version-check "${@/#/--requirement=}" &&
+            "$venv/bin/pip" install --quiet --disable-pip-version-check --require-hashes "${@/#/--requirement=}" &&
             cat "$@" > "$venv/installed.txt"
     fi
 }
 
-# Sets VARIABLE to the Python of an environment, unless the caller set it: python VARIABLE NAME REQUIREMENTS...
+# Sets VARIABLE to the Python of an environment, unless the caller set it: python VARIABLE NAME LOCKS...
 python() {
     local variable=$1
     shift
@@ -85,14 +87,12 @@ rust() {
 }
 
 programs
-python ROBOGATE_TEST_PYTHON readers-venv crates/robogate-dictionary/tests/requirements.txt crates/robogate-gate/tests/evidence-requirements.txt
-python ROBOGATE_POLICY_PYTHON policies-venv crates/robogate-policy/tests/requirements.txt
-python ROBOGATE_BRIDGE_PYTHON bridges-venv bridges/common/requirements.txt
+python ROBOGATE_TEST_PYTHON readers-venv crates/robogate-dictionary/tests/requirements.lock crates/robogate-gate/tests/evidence-requirements.lock crates/robogate-replay/tests/requirements.lock
+python ROBOGATE_POLICY_PYTHON policies-venv crates/robogate-policy/tests/requirements.lock
+python ROBOGATE_BRIDGE_PYTHON bridges-venv bridges/common/requirements.lock
 
-# The bundled environments declare their own requirements.
-for family in metaworld fetch; do
-    PYTHONPATH=python/src:bridges/common python3 -m robogate_eval.environments requirements "$family" > "$target/$family-requirements.txt"
-    python "ROBOGATE_${family^^}_PYTHON" "$family-venv" "$target/$family-requirements.txt"
+for family in metaworld fetch dm_control; do
+    python "ROBOGATE_${family^^}_PYTHON" "$family-venv" "scripts/locks/$family.lock"
 done
 if [ -z "${ROBOGATE_TEST_AXE:-}" ] && ./scripts/web.sh --install; then
     ROBOGATE_TEST_AXE=$PWD/web/node_modules/axe-core/axe.min.js
@@ -108,7 +108,7 @@ if [ $# -eq 0 ]; then
     else
         skipped bridges/common "no Python with pyzmq and msgpack"
     fi
-    for suite in METAWORLD:test_adapter METAWORLD:test_metaworld METAWORLD:test_libero_files METAWORLD:test_scripted FETCH:test_fetch; do
+    for suite in METAWORLD:test_adapter METAWORLD:test_metaworld METAWORLD:test_libero_files METAWORLD:test_scripted FETCH:test_fetch DM_CONTROL:test_dm_control; do
         variable=ROBOGATE_${suite%%:*}_PYTHON
         if [ -n "${!variable:-}" ]; then
             step "environments ${suite#*:}" env PYTHONPATH="$PWD/python/src:$PWD/bridges/common" "${!variable}" scripts/run_unittests.py \
@@ -118,13 +118,13 @@ if [ $# -eq 0 ]; then
         fi
     done
     # Newton compiles its kernels once and caches them in its environment.
-    if bridges/common/setup.sh "$target/newton-venv" bridges/newton/requirements.txt; then
+    if bridges/common/setup.sh "$target/newton-venv" bridges/newton/requirements.lock; then
         step "bridges/newton" env ROBOGATE_NEWTON_VENV="$target/newton-venv" bridges/newton/test.sh
     else
         skipped bridges/newton "no Python with Newton"
     fi
     # Fakes replace the classes of Isaac Sim.
-    if bridges/common/setup.sh "$target/isaac-venv" bridges/isaac_sim/tests/requirements.txt; then
+    if bridges/common/setup.sh "$target/isaac-venv" bridges/isaac_sim/tests/requirements.lock; then
         step "bridges/isaac_sim" env ROBOGATE_ISAAC_TEST_VENV="$target/isaac-venv" bridges/isaac_sim/test.sh
     else
         skipped bridges/isaac_sim "no Python with USD"

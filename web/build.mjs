@@ -6,6 +6,7 @@ const html = "../crates/robogate-report/src/html";
 const targets = [
   ["src/viewer.js", `${html}/viewer.js`],
   ["src/pairs.js", `${html}/pairs.js`],
+  ["src/explorer/main.js", `${html}/explorer.js`],
 ];
 const check = process.argv.includes("--check");
 

@@ -4,7 +4,7 @@
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 venv=${ROBOGATE_NEWTON_VENV:-$here/.venv}
-"$here/../common/setup.sh" "$venv" "$here/requirements.txt" >&2
+"$here/../common/setup.sh" "$venv" "$here/requirements.lock" >&2
 # The cache of compiled kernels, which is kept between starts.
 export WARP_CACHE_PATH=${WARP_CACHE_PATH:-$venv/kernels}
 export PYTHONPATH=$here${PYTHONPATH:+:$PYTHONPATH}

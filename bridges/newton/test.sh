@@ -3,7 +3,7 @@
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 export ROBOGATE_NEWTON_VENV=${ROBOGATE_NEWTON_VENV:-$here/.venv}
-"$here/../common/setup.sh" "$ROBOGATE_NEWTON_VENV" "$here/requirements.txt" >&2
+"$here/../common/setup.sh" "$ROBOGATE_NEWTON_VENV" "$here/requirements.lock" >&2
 # The same cache as in start.sh, so that the server of a test finds the kernels that the tests compiled.
 export WARP_CACHE_PATH=${WARP_CACHE_PATH:-$ROBOGATE_NEWTON_VENV/kernels}
 export PYTHONPATH=$here${PYTHONPATH:+:$PYTHONPATH}

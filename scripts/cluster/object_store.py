@@ -18,7 +18,7 @@ PORT = 5095
 ENDPOINT = f"http://127.0.0.1:{PORT}"
 BUCKET, ADDRESS = "campaigns", "s3://campaigns/2026/franka"
 os.environ.update(AWS_ACCESS_KEY_ID="test", AWS_SECRET_ACCESS_KEY="test", AWS_REGION="us-east-1", AWS_ENDPOINT=ENDPOINT, AWS_ALLOW_HTTP="true")
-FILES = ("boundary.json", "dictionary.parquet", "plan.json", "summary.json")
+FILES = ("active.json", "dictionary.parquet", "plan.json", "summary.json")
 OPTIONS = ["-n", "60", "--seed", "17"]
 
 

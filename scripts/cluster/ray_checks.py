@@ -24,7 +24,7 @@ from robogate_eval.cluster import shards
 os.environ.setdefault("RAY_AUTH_MODE", "token")
 
 # The files of a run that do not name their folder.
-FILES = ("boundary.json", "dictionary.parquet", "plan.json", "summary.json")
+FILES = ("active.json", "dictionary.parquet", "plan.json", "summary.json")
 RAY = [sys.executable, "-m", "ray.scripts.scripts"]
 PORT = 6391
 

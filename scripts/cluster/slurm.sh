@@ -69,7 +69,7 @@ echo "  SIGKILL of the process of another shard"
 
 until [ -f "$work/run/report.html" ] || ! squeue --noheader | grep -q .; do sleep 0.5; done
 until ! squeue --noheader | grep -q .; do sleep 0.5; done
-for file in boundary.json dictionary.parquet plan.json summary.json; do
+for file in active.json dictionary.parquet plan.json summary.json; do
     cmp "$work/single/$file" "$work/run/$file"
 done
-echo "  boundary.json, dictionary.parquet, plan.json, summary.json: same bytes as \`robogate run\`"
+echo "  active.json, dictionary.parquet, plan.json, summary.json: same bytes as \`robogate run\`"

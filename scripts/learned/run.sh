@@ -9,7 +9,7 @@ mkdir -p "$out"
 python=$out/venv/bin/python
 if [ ! -x "$python" ]; then
     python3 -m venv "$out/venv"
-    "$out/venv/bin/pip" install --quiet --requirement scripts/learned/requirements.txt
+    "$out/venv/bin/pip" install --quiet --require-hashes --requirement scripts/learned/requirements.lock
 fi
 cargo build --release --locked -p robogate --features full
 robogate=${CARGO_TARGET_DIR:-target}/release/robogate

@@ -3,6 +3,8 @@
 import { svg, figure, step } from "./chart.js";
 import { integersOf } from "./unpack.js";
 
+/** Episodes of a cell that are listed. */
+const MOST = 24;
 const WIDTH = 620, LEFT = 74, TOP = 10, RIGHT = 12, STEPS = 11;
 
 /** The 95 % interval of Wilson (1927). */
@@ -44,9 +46,18 @@ function ticks(axis) {
   return out;
 }
 
+/** Names and places of the recorded episodes of this page. */
+function recordings() {
+  const reel = document.getElementById("reel");
+  const clips = reel ? JSON.parse(reel.textContent).clips : [];
+  return new Map(clips.map((clip, at) => [clip.title, at]));
+}
+
 class Pairs {
-  constructor(parent, data, counts) {
+  constructor(parent, data, counts, listed) {
     this.axes = data.axes;
+    this.data = data;
+    this.episodes = this.read(listed);
     this.tables = [];
     let at = 0;
     for (let i = 0; i < this.axes.length; i++) {
@@ -75,14 +86,58 @@ class Pairs {
     this.reading.className = "pairs-reading";
     this.reading.setAttribute("aria-live", "polite");
     this.root = svg("svg", { class: "pairs-map", tabindex: 0, role: "application" });
-    parent.append(bar, this.root, this.reading);
+    this.list = document.createElement("div");
+    this.list.className = "pairs-list";
+    this.list.setAttribute("aria-live", "polite");
+    parent.append(bar, this.root, this.reading, this.list);
     this.root.addEventListener("keydown", (event) => {
       const move = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [1, 0], ArrowDown: [-1, 0] }[event.key];
+      if (event.key === "Enter" || event.key === " ") {
+        event.preventDefault();
+        this.open(this.row, this.column);
+      }
       if (!move) return;
       event.preventDefault();
       this.select(this.row + move[0], this.column + move[1]);
     });
     this.draw();
+  }
+
+  /** The listed episodes: index, outcome, and the cell on each axis. */
+  read(listed) {
+    const n = Math.floor(listed.length / (2 + this.axes.length));
+    let index = 0;
+    return Array.from({ length: n }, (_, i) => {
+      index += listed[i];
+      return { index, outcome: listed[n + i], cells: this.axes.map((_, axis) => listed[(2 + axis) * n + i] - 1) };
+    });
+  }
+
+  /** Lists the episodes of a cell, the failures first. Those that the page has recorded can be played. */
+  open(row, column) {
+    this.select(row, column);
+    const inside = this.episodes.filter(({ cells }) => cells[this.upAt] === this.row && cells[this.acrossAt] === this.column);
+    inside.sort((a, b) => (a.outcome === this.data.success) - (b.outcome === this.data.success) || a.index - b.index);
+    this.recorded ??= recordings();
+    const items = inside.slice(0, MOST).map(({ index, outcome }) => {
+      const item = document.createElement("li"), at = this.recorded.get(`Episode ${index}`);
+      const text = `Episode ${index}: ${this.data.outcomes[outcome]}`;
+      if (at === undefined) item.append(text);
+      else {
+        const play = document.createElement("button");
+        play.type = "button";
+        play.textContent = `▶ ${text}`;
+        play.addEventListener("click", () => document.dispatchEvent(new CustomEvent("open-episode", { detail: at })));
+        item.append(play);
+      }
+      return item;
+    });
+    const list = document.createElement("ul");
+    list.append(...items);
+    const hint = document.createElement("p");
+    const more = inside.length > MOST ? `${MOST} of ${inside.length} episodes. ` : "";
+    hint.textContent = items.length ? `${more}This page plays the marked ones. robogate replay . N prints any other one; robogate view . plays all.` : "No listed episode is in this cell.";
+    this.list.replaceChildren(list, hint);
   }
 
   count(row, column) {
@@ -113,7 +168,7 @@ class Pairs {
         const shade = Math.min(STEPS - 1, Math.floor((k / Math.max(1, n)) * STEPS));
         const cell = svg("rect", { ...place, class: n ? `r${shade}` : "none" });
         cell.addEventListener("pointerenter", () => this.select(row, column));
-        cell.addEventListener("click", () => this.select(row, column));
+        cell.addEventListener("click", () => this.open(row, column));
         this.root.append(cell);
         if (n && w >= 26) {
           this.root.append(svg("text", { class: `s t${shade}`, x: place.x + w / 2, y: place.y + h / 2 + 3.5, "text-anchor": "middle", "pointer-events": "none" }, Math.round((100 * k) / n)));
@@ -127,7 +182,9 @@ class Pairs {
     this.frame = svg("rect", { class: "pairs-frame", visibility: "hidden" });
     this.root.append(this.frame);
     Object.assign(this, { w, h, bottom, nx, ny, row: 0, column: 0 });
-    this.reading.textContent = "Observed success in percent. Point at a cell, or press an arrow key, to read it.";
+    this.acrossAt = acrossAt;
+    this.list.replaceChildren();
+    this.reading.textContent = "Observed success in percent. Point at a cell, or press an arrow key, to read it. A click or Enter lists its episodes.";
   }
 
   select(row, column) {
@@ -150,7 +207,7 @@ function start() {
   parent.addEventListener("toggle", async () => {
     if (!parent.open || parent.dataset.ready) return;
     parent.dataset.ready = "true";
-    new Pairs(parent, content, await integersOf(content.counts));
+    new Pairs(parent, content, await integersOf(content.counts), await integersOf(content.listed));
   });
 }
 

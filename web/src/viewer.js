@@ -28,7 +28,7 @@ function style() {
 }
 
 /** A viewer in `parent` for the clips of a reel. */
-class Viewer {
+export class Viewer {
   constructor(parent, reel) {
     this.reel = reel;
     this.cache = new Map();
@@ -42,6 +42,13 @@ class Viewer {
       this.worlds.forEach((world) => world.restyle(style()));
       this.draw();
     });
+  }
+
+  /** Replaces the reel. The open episode stays until another one is opened. */
+  load(reel) {
+    this.reel = reel;
+    this.cache.clear();
+    this.solids = undefined;
   }
 
   build(parent) {
@@ -319,6 +326,13 @@ function start() {
   choices.forEach((choice) => {
     choice.disabled = false;
     choice.addEventListener("click", () => open(choice));
+  });
+  // Other parts of the page open recordings by their place in the reel.
+  document.addEventListener("open-episode", (event) => {
+    choices.forEach((other) => other.setAttribute("aria-pressed", "false"));
+    void viewer.open(event.detail, null);
+    viewer.root.scrollIntoView({ block: "nearest" });
+    viewer.play.focus();
   });
   if (choices[0]) open(choices[0]);
 }

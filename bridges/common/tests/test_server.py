@@ -8,6 +8,7 @@ import random
 import subprocess
 import sys
 import unittest
+from array import array
 from pathlib import Path
 
 import msgpack
@@ -164,6 +165,40 @@ class ThePolicies(unittest.TestCase):
         self.assertEqual(len(reply["steps"]), 2)
         reply = ask(server, "step", tick=2, action_space="vector", actions=[[0.5, 0.25]], ahead=5)
         self.assertEqual(reply["error"], {"kind": "diverged", "detail": "the water is gone"})
+
+    def test_report_a_number_ahead_that_is_not_finite(self):
+        server, _ = self.begun(policy="half")
+        simulator, step, calls = server._simulator, server._simulator.step, []
+
+        def third_is_nan(action):
+            calls.append(action)
+            answer = step(action)
+            if len(calls) == 3:
+                answer["observation"]["vectors"]["levels"][0] = float("nan")
+            return answer
+
+        simulator.step = third_is_nan
+        reply = ask(server, "step", tick=0, action_space="vector", actions=[[0.5, 0.25]], ahead=5)
+        self.assertEqual(len(reply["steps"]), 2)
+        reply = ask(server, "step", tick=2, action_space="vector", actions=[[0.5, 0.25]], ahead=5)
+        self.assertEqual(reply["error"]["kind"], "diverged")
+
+    def test_run_ahead_with_views_of_their_memory(self):
+        def episode(as_view):
+            server, _ = self.begun(policy="half")
+            simulator, step, memory = server._simulator, server._simulator.step, array("d", [0.0, 0.0])
+
+            def viewed(action):
+                answer = step(action)
+                memory[:] = array("d", answer["observation"]["vectors"]["levels"])
+                answer["observation"]["vectors"]["levels"] = memory
+                return answer
+
+            if as_view:
+                simulator.step = viewed
+            return ask(server, "step", tick=0, action_space="vector", actions=[[0.5, 0.25]], ahead=5)["steps"]
+
+        self.assertEqual(episode(True), episode(False))
 
 
 class TheServer(unittest.TestCase):

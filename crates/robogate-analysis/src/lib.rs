@@ -20,6 +20,7 @@ mod comparison;
 mod danger;
 mod effects;
 mod error;
+mod explorer;
 mod failures;
 pub mod labels;
 mod marginal;
@@ -49,6 +50,7 @@ pub use comparison::{
 pub use danger::{DANGER_LIMIT, DangerZone, DangerZones};
 pub use effects::{EffectShape, Effects, Interaction, LEVEL, ParameterEffect, RateStep, ShapeKind};
 pub use error::AnalysisError;
+pub use explorer::{ExplorerColumn, ExplorerTable, Role, ValueKind};
 pub use failures::{FailureModes, ModeShare, unrecorded};
 pub use marginal::{
     Cell, Correlation, CriticalThreshold, CurvePoint, MarginalEffect, ModeBin, ModeChange, ModeChanges, ParameterType,
@@ -58,7 +60,7 @@ pub use models::{
     CalibrationFigures, Coefficient, Estimate, Frontier, FrontierPoint, Penalty, PenaltyLevel, Regression,
     ReliabilityBin, RiskModel, RocCurve, RocFigures, Scoring, ScoringTerm,
 };
-pub use pair_counts::{PairCounts, pair_counts};
+pub use pair_counts::{ListedEpisode, PairCounts, pair_counts};
 pub use pairs::{Axis, ModelRate, PairCell, PairMap, ZoneCounts};
 pub use rate::{Finding, Population, Rate};
 pub use replay::{HERE, ReplayEpisode, ReplayGroup, ReplayReason, shell_word};

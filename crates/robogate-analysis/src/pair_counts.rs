@@ -9,6 +9,8 @@ use crate::{Analysis, AnalysisError, Source};
 
 /// Maximum number of parameters, which gives 120 pairs.
 const MAX_PARAMETERS: usize = 16;
+/// Maximum number of episodes that the page can list by cell.
+const MAX_LISTED: usize = 20_000;
 
 /// Numbers of successes over all pairs of parameters.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -18,6 +20,21 @@ pub struct PairCounts {
     /// For each pair (first, second) of axes with first before second, in order: episodes and successes of each cell, row
     /// by row from the lowest value of the first; the second varies fastest.
     pub pairs: Vec<Vec<[u64; 2]>>,
+    /// Episodes that the cells list: at equal distances, if there are too many for a page.
+    pub listed: Vec<ListedEpisode>,
+    /// The outcomes that occur among the listed episodes.
+    pub outcomes: Vec<String>,
+}
+
+/// An episode with its place on every axis.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ListedEpisode {
+    /// Its index in the run.
+    pub index: u64,
+    /// Index of its outcome in [`PairCounts::outcomes`].
+    pub outcome: usize,
+    /// The cell on each axis, from 0. `None` outside the axis.
+    pub cells: Vec<Option<usize>>,
 }
 
 /// Counts successes over all pairs of the parameters with the strongest effects. `analysis` is that of the source.
@@ -43,5 +60,18 @@ pub fn pair_counts(source: &Source, analysis: &Analysis) -> Result<PairCounts, A
             pairs.push(cells.iter().map(|trials| [trials.n(), trials.successes()]).collect());
         }
     }
-    Ok(PairCounts { axes: columns.into_iter().map(|(_, (axis, _))| axis).collect(), pairs })
+    let mut outcomes: Vec<String> = Vec::new();
+    let step = base.len().div_ceil(MAX_LISTED).max(1);
+    let listed = (0..base.len()).step_by(step).map(|at| {
+        let row = base.rows[at] as usize;
+        let name = table.outcome_name(table.outcome[row]);
+        let outcome = outcomes.iter().position(|known| *known == name).unwrap_or_else(|| {
+            outcomes.push(name.to_owned());
+            outcomes.len() - 1
+        });
+        let cells = columns.iter().map(|(column, (_, edges))| edges.bin(column.values[at])).collect();
+        ListedEpisode { index: table.index[row], outcome, cells }
+    });
+    let listed = listed.collect();
+    Ok(PairCounts { listed, outcomes, axes: columns.into_iter().map(|(_, (axis, _))| axis).collect(), pairs })
 }

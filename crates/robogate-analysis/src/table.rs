@@ -75,8 +75,10 @@ impl EpisodeTable {
         let endings: Vec<Ending> = outcomes.iter().map(|outcome| ending(outcome, &mut modes)).collect();
         let outcome: Vec<Ending> =
             outcome_codes.iter().map(|code| at(&endings, *code).unwrap_or(Ending::Invalid)).collect();
-        let stages = stages(&stage_names, &stage, &design_names, &design, &weight);
-        let stage = stage.iter().map(|code| code.map_or(0, |code| u8::try_from(code).unwrap_or(u8::MAX))).collect();
+        let mut stages = stages(&stage_names, &stage, &design_names, &design, &weight);
+        let mut stage: Vec<u8> =
+            stage.iter().map(|code| code.map_or(0, |code| u8::try_from(code).unwrap_or(u8::MAX))).collect();
+        separate_uniform_part(&mut stages, &mut stage, &design_names, &design);
         let mut faults: Vec<(String, u64)> = Vec::new();
         if outcome.contains(&Ending::Invalid) {
             let (fault_kinds, codes) = categories(dictionary, "fault_kind")?;
@@ -141,6 +143,12 @@ impl EpisodeTable {
         self.valid_where(|row| self.is_focused(row) == focused)
     }
 
+    /// The valid rows from which a model of the parameters alone can learn. An active stage chooses its points knowing the
+    /// hidden draws, so among its rows the rate at given parameters is not that of the operating space.
+    pub(crate) fn unselected(&self) -> Sample {
+        self.valid_where(|row| !self.is_active(row))
+    }
+
     /// All valid rows.
     pub(crate) fn valid(&self) -> Sample {
         self.valid_where(|_| true)
@@ -159,6 +167,11 @@ impl EpisodeTable {
     /// Whether a row belongs to the active stage, whose weights refer to the whole operating distribution.
     pub(crate) fn is_active(&self, row: usize) -> bool {
         self.stages.get(usize::from(self.stage[row])).is_some_and(|stage| stage.name == ACTIVE)
+    }
+
+    /// Whether a row was sampled from the operating distribution by an active stage.
+    pub(crate) fn is_uniform_part(&self, row: usize) -> bool {
+        self.stages.get(usize::from(self.stage[row])).is_some_and(|stage| stage.name == UNIFORM_PART)
     }
 
     pub(crate) fn is_focused(&self, row: usize) -> bool {
@@ -280,6 +293,24 @@ pub(crate) fn categories(
 
 /// The stage whose weights refer to the whole operating distribution.
 const ACTIVE: &str = "active";
+
+/// The rows of the active stage that were sampled from the operating distribution.
+const UNIFORM_PART: &str = "active (uniform part)";
+
+/// Makes a stage of the rows of the active stage whose points its model did not choose: a sample from the operating
+/// distribution.
+fn separate_uniform_part(stages: &mut Vec<Stage>, stage: &mut [u8], design_names: &[String], designs: &[Option<u32>]) {
+    let Some(active) = stages.iter().position(|stage| stage.name == ACTIVE) else { return };
+    let Some(uniform) = design_names.iter().position(|design| design == "uniform") else { return };
+    let (Ok(part), Some(of)) = (u8::try_from(stages.len()), stages.get_mut(active)) else { return };
+    of.designs.retain(|design| design != "uniform");
+    stages.push(Stage { name: UNIFORM_PART.to_owned(), designs: vec!["uniform".to_owned()], focused: false });
+    for (stage, design) in stage.iter_mut().zip(designs) {
+        if usize::from(*stage) == active && design.is_some_and(|design| design as usize == uniform) {
+            *stage = part;
+        }
+    }
+}
 
 /// A stage is focused if its points were not sampled from the operating distribution: the boundary and the active stage,
 /// and any unknown stage whose weights are not all 1.

@@ -5,8 +5,8 @@ use nalgebra::{Isometry3, Point3};
 use robogate_camera::{CAMERAS, Cameras, Posture};
 use robogate_core::Image;
 use robogate_physics::{
-    Color, Fixture, FixtureKind, GRAVITY, MassProperties, Motion, Object, Part, Primitive, Robot, Scene, TableMaterial,
-    Visual, built_in_robot,
+    Color, Fixture, FixtureKind, GRAVITY, GripperUnit, MassProperties, Motion, Object, Part, Primitive, Robot, Scene,
+    TableMaterial, Visual, built_in_robot,
 };
 
 /// A scene with a 5 cm cube on the table at (x, y), and a marker at (0.4, 0.4).
@@ -19,6 +19,7 @@ fn cube_at([x, y]: [f64; 2]) -> Scene {
         friction: 0.8,
         table_friction: None,
         arm_stiffness: 1.0,
+        gripper: GripperUnit::default(),
         fixtures: vec![Fixture::table()],
         gravity: GRAVITY,
         marker: Some([0.4, 0.4]),

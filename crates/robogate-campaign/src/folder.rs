@@ -4,7 +4,8 @@ use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use robogate_dictionary::PlanHash;
+use robogate_core::budget::Budget;
+use robogate_dictionary::{PlanHash, read_text};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
@@ -145,10 +146,11 @@ pub(crate) fn document_bytes(document: &impl Serialize) -> serde_json::Result<Ve
 
 /// Reads a JSON document that this crate wrote.
 pub(crate) fn read<T: DeserializeOwned>(path: &Path) -> Result<T, RunError> {
-    parse(path, &fs::read(path).map_err(RunError::io(path, "read"))?)
+    parse(path, read_text(path).map_err(RunError::io(path, "read"))?.as_bytes())
 }
 
 /// Parses the content of the file `path`, a JSON document that this crate wrote.
 pub(crate) fn parse<T: DeserializeOwned>(path: &Path, text: &[u8]) -> Result<T, RunError> {
+    Budget::FILE.check_json(text).map_err(|e| RunError::io(path, "read")(io::Error::other(e)))?;
     serde_json::from_slice(text).map_err(|source| RunError::Unreadable { path: path.to_owned(), source })
 }

@@ -10,7 +10,7 @@
 //! The summary and `lost_episodes.jsonl` also record the attempts that infrastructure faults lost ([`RunAgain`]).
 //!
 //! ```
-//! let plan = robogate_campaign::Preset::Quick.plan()?.with_total(300);
+//! let plan = robogate_campaign::Preset::Quick.plan()?.with_total(300).with_two_stages();
 //! assert_eq!((plan.uniform.episodes, plan.boundary.episodes), (200, 100));
 //! # Ok::<(), robogate_campaign::PlanError>(())
 //! ```
@@ -33,6 +33,7 @@ pub mod boundary;
 mod events;
 mod executor;
 pub mod folder;
+mod follow;
 mod invalid;
 mod lost;
 mod plan;
@@ -52,6 +53,7 @@ pub use boundary::{
 };
 pub use events::{Event, Warning};
 pub use executor::{ExecuteError, Executor, Worker, WorkerFactory};
+pub use follow::{FollowError, Follower, Progress};
 pub use lost::{LostEpisode, RunAgain};
 pub use plan::{BoundaryStage, DEFAULT_SEED, Emphasis, Plan, PlanError, Preset, Range, UniformStage};
 pub use rows::{RowsError, check_rows};
@@ -62,7 +64,7 @@ pub use stage::{Points, Stage};
 pub use suite::{
     BUILT_IN_SUITES, GroupSummary, INDUSTRIAL_68, Round, SuiteStage, SuiteSummary, built_in_suite, suite_sha256,
 };
-pub use summary::{Estimate, FaultCount, FeasiblePart, ModeCount, Population, StageSummary, Summary};
+pub use summary::{Estimate, FaultCount, FeasiblePart, ModeCount, Population, Sought, StageSummary, Summary};
 pub use tally::{Bin, Bins, MarginalEffect, OutcomeCounts};
 pub use threads::ThreadPool;
 pub use twins::{NOMINAL, NominalArm};

@@ -4,17 +4,17 @@
 //! the plan are found on reading; conflicts with a parameter space are found by [`Plan::check`].
 
 use std::fmt;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use robogate_core::{Domain, ParameterSpace, Sampler, Suite, samplers};
+use robogate_dictionary::read_text;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{ActiveStage, Bins, SuiteStage, suite_sha256};
 
-/// A campaign plan: seed, sampler, and the two stages.
+/// A campaign plan: seed, sampler, and stages.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
@@ -139,10 +139,10 @@ fn default_band() -> [f64; 2] {
 /// A built-in plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Preset {
-    /// A quick overview: 2,000 + 1,000 episodes.
+    /// A quick overview with the active design: 3,000 episodes.
     #[default]
     Quick,
-    /// The paper's budgets: 10,000 + 10,000 episodes.
+    /// The paper's two stages: 10,000 + 10,000 episodes.
     Paper,
 }
 
@@ -199,45 +199,60 @@ impl Plan {
 
     /// Reads a plan from a TOML file. Errors also name the file.
     pub fn load(path: &Path) -> Result<Self, PlanError> {
-        let text =
-            fs::read_to_string(path).map_err(|source| PlanError::Unreadable { path: path.to_owned(), source })?;
+        let text = read_text(path).map_err(|source| PlanError::Unreadable { path: path.to_owned(), source })?;
         Self::from_toml(&text).map_err(|error| PlanError::InFile { path: path.to_owned(), error: Box::new(error) })
     }
 
-    /// Sets the total number of episodes: two thirds, rounded up, in the first stage, the others in the second. With an
-    /// active stage, a quarter, rounded up, is in the first stage.
+    /// Sets the total number of episodes and keeps the design. With an active stage, a quarter, rounded up, is in the first
+    /// stage; with a boundary stage, two thirds, rounded up.
     #[must_use]
     pub fn with_total(mut self, total: u64) -> Self {
         if let Some(active) = &mut self.active {
             self.uniform.episodes = total.div_ceil(4);
             active.episodes = total - self.uniform.episodes;
-            return self;
+        } else if self.boundary.episodes > 0 {
+            self.boundary.episodes = total / 3;
+            self.uniform.episodes = total - total / 3;
+        } else {
+            self.uniform.episodes = total;
         }
-        self.boundary.episodes = total / 3;
-        self.uniform.episodes = total - total / 3;
         self
+    }
+
+    /// The number of episodes of both stages.
+    fn staged(&self) -> u64 {
+        self.uniform.episodes + self.boundary.episodes + self.active_episodes()
     }
 
     /// Replaces the second stage by the active stage. A quarter of all episodes, rounded up, is uniform.
     #[must_use]
     pub fn with_active(mut self) -> Self {
-        let total = self.uniform.episodes + self.boundary.episodes + self.active_episodes();
-        let uniform = total.div_ceil(4);
-        let settings = self.active.take().unwrap_or_else(|| ActiveStage::new(0));
-        self.active = Some(ActiveStage { episodes: total - uniform, ..settings });
-        self.uniform.episodes = uniform;
+        let total = self.staged();
+        self.active.get_or_insert_with(|| ActiveStage::new(0));
         self.boundary.episodes = 0;
+        self.with_total(total)
+    }
+
+    /// Replaces the active stage by the boundary stage, with a third of all episodes. A plan with a boundary stage does not
+    /// change.
+    #[must_use]
+    pub fn with_two_stages(mut self) -> Self {
+        let total = self.staged();
+        self.active = None;
+        if self.boundary.episodes == 0 {
+            self.boundary.episodes = total / 3;
+            self.uniform.episodes = total - total / 3;
+        }
         self
     }
 
-    /// Replaces the active stage by the boundary stage, with a third of all episodes.
+    /// Replaces all other stages by the uniform one.
     #[must_use]
-    pub fn with_two_stages(mut self) -> Self {
-        let total = self.uniform.episodes + self.boundary.episodes + self.active_episodes();
-        match self.active.take() {
-            Some(_) => self.with_total(total),
-            None => self,
-        }
+    pub fn with_uniform_only(mut self) -> Self {
+        self.uniform.episodes = self.staged();
+        self.boundary.episodes = 0;
+        self.active = None;
+        self
     }
 
     /// The number of episodes of the active stage.
@@ -261,10 +276,7 @@ impl Plan {
 
     /// The number of episodes of all stages.
     pub fn episodes(&self) -> u64 {
-        self.uniform.episodes
-            + self.boundary.episodes
-            + self.active_episodes()
-            + self.suite.as_ref().map_or(0, SuiteStage::episodes)
+        self.staged() + self.suite.as_ref().map_or(0, SuiteStage::episodes)
     }
 
     /// Removes the ranges that do not apply to `space`. Returns a sentence about each removed range.
@@ -331,6 +343,9 @@ impl Plan {
             }
             return check_most("suite.rounds", suite.episodes());
         }
+        if self.staged() == 0 {
+            return Err(PlanError::NoEpisodes);
+        }
         if let Some(active) = &self.active {
             if stage.episodes > 0 {
                 return Err(PlanError::ActiveAndBoundary);
@@ -343,10 +358,8 @@ impl Plan {
             }
             check_most("active.episodes", active.episodes)?;
         }
-        match (uniform.episodes, stage.episodes) {
-            (0, 0) => return Err(PlanError::NoEpisodes),
-            (0, boundary) => return Err(PlanError::BoundaryAlone { boundary }),
-            _ => {}
+        if uniform.episodes == 0 {
+            return Err(PlanError::BoundaryAlone { boundary: stage.episodes });
         }
         for (key, episodes) in [("uniform.episodes", uniform.episodes), ("boundary.episodes", stage.episodes)] {
             check_most(key, episodes)?;

@@ -2,8 +2,10 @@
 
 use std::sync::Arc;
 
+use robogate_core::Foresight;
 use robogate_dictionary::{DictionaryError, Entry, Provenance};
 
+use crate::active::Chooser;
 use crate::{Bins, BoundaryReport, Plan, Points, RunError, Stage};
 
 /// The reason why rows are not those of their plan.
@@ -43,11 +45,16 @@ pub enum RowsError {
 /// Checks that the rows are the episodes of the plan in their provenance: none is missing, none is added, and each has
 /// the scenario that plan and seed give. Whether their outcomes are true takes a replay.
 ///
-/// A suite may have stopped after any complete round.
+/// A suite may have stopped after any complete round. The points of an active stage follow from the rows before and from
+/// `foresight`, which is that of the run's environment.
 ///
 /// # Errors
 /// The first difference. Another C library or CPU than that of the run can round a point differently.
-pub fn check_rows<E>(provenance: &Provenance, rows: impl Iterator<Item = Result<Entry, E>>) -> Result<u64, RowsError>
+pub fn check_rows<E>(
+    provenance: &Provenance,
+    foresight: Option<Arc<dyn Foresight>>,
+    rows: impl Iterator<Item = Result<Entry, E>>,
+) -> Result<u64, RowsError>
 where
     RowsError: From<E>,
 {
@@ -59,9 +66,19 @@ where
         None => Points::uniform(&plan, &space)?,
     };
     let mut bins = Bins::of(&plan, &space).map_err(RunError::from)?;
+    let mut chooser = Chooser::new(&plan, &space, foresight);
+    let mut rounds = 0;
     let mut found = 0;
     for row in rows {
         let row = row?;
+        if let Some(chooser) = &chooser
+            && !points.indices().contains(&found)
+            && found < plan.episodes()
+        {
+            let opened = chooser.open(rounds)?;
+            points = Points::active(&plan, found, opened.points);
+            rounds += 1;
+        }
         if !points.indices().contains(&found) && points.stage() == Stage::Uniform && plan.boundary.episodes > 0 {
             let report = BoundaryReport::find(&plan.boundary, &space, &bins).map_err(RunError::from)?;
             points = Points::boundary(&plan, &space, &report)?;
@@ -79,12 +96,25 @@ where
         if points.stage() == Stage::Uniform {
             bins.add(&row.episode.scenario.requested, &row.episode.outcome);
         }
+        if let Some(chooser) = &mut chooser {
+            chooser.add(&row);
+        }
         found += 1;
     }
     let expected = match &plan.suite {
         Some(suite) if found > 0 && found % suite.scenarios() == 0 => found,
         Some(suite) => (found / suite.scenarios() + 1) * suite.scenarios(),
-        None => plan.uniform.episodes + plan.boundary.episodes,
+        None => match &chooser {
+            // The stage ends early if the model is good enough.
+            Some(chooser)
+                if found < plan.episodes()
+                    && found == points.indices().end
+                    && chooser.open(rounds)?.points.is_empty() =>
+            {
+                found
+            }
+            _ => plan.episodes(),
+        },
     };
     if found == expected { Ok(found) } else { Err(RowsError::Count { found, expected }) }
 }

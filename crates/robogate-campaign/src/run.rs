@@ -21,9 +21,8 @@ use std::sync::Arc;
 
 use robogate_core::{DesignError, Episode, ParameterSpace};
 use robogate_dictionary::{
-    Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Platform, Provenance, Recovery,
+    Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Platform, Provenance, Recovery, read_text,
 };
-use robogate_risk::RiskError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -199,8 +198,8 @@ pub fn settings(dir: &Path) -> Result<Settings, RunError> {
         return Err(RunError::NotARun { dir: dir.to_owned() });
     }
     let path = dir.join(PLAN);
-    let text = std::fs::read(&path).map_err(RunError::io(&path, "read"))?;
-    Settings::parse(&path, &text)
+    let text = read_text(&path).map_err(RunError::io(&path, "read"))?;
+    Settings::parse(&path, text.as_bytes())
 }
 
 /// Reads episode `index` of the run in `dir`, finished or not: its scenario and its outcome, for a replay.
@@ -334,6 +333,8 @@ pub(crate) struct Run<'a> {
     events: &'a mut dyn FnMut(&Event),
     after_round: &'a mut AfterRound<'a>,
     invalid_so_far: AllInvalid,
+    /// The rounds of the active stage that other processes have chosen already.
+    chosen: Vec<Opened>,
 }
 
 /// Whether a stage is complete.
@@ -372,7 +373,13 @@ impl<'a> Run<'a> {
             events(&Event::warning(Warning::JournalWithoutPlan));
         }
         let invalid_so_far = AllInvalid::default();
-        Ok(Self { folder, settings, space, journal, bins, executor, events, after_round, invalid_so_far })
+        let chosen = Vec::new();
+        Ok(Self { folder, settings, space, journal, bins, executor, events, after_round, invalid_so_far, chosen })
+    }
+
+    /// Uses these rounds of the active stage, the last one without points, in place of new models.
+    pub(crate) fn with_chosen(self, chosen: Vec<Opened>) -> Self {
+        Self { chosen, ..self }
     }
 
     pub(crate) fn run(mut self) -> Result<Completion, RunError> {
@@ -430,7 +437,7 @@ impl<'a> Run<'a> {
 
     /// Runs the rounds of the active stage, and writes the report on their models.
     fn active(&mut self) -> Result<Progress, RunError> {
-        let foresight = self.executor.foresight()?;
+        let foresight = if self.chosen.is_empty() { self.executor.foresight()? } else { None };
         let Some(mut chooser) = Chooser::new(&self.settings.plan, &self.space, foresight) else {
             return Ok(Progress::Complete);
         };
@@ -444,7 +451,10 @@ impl<'a> Run<'a> {
                 }
             }
             recorded = first;
-            let Opened { report: round, points } = chooser.open(number)?;
+            let Opened { report: round, points } = match self.chosen.get(number) {
+                Some(chosen) => chosen.clone(),
+                None => chooser.open(number)?,
+            };
             report.rounds.push(round);
             if points.is_empty() {
                 break;
@@ -739,9 +749,6 @@ pub enum RunError {
     /// The sampler cannot draw the points.
     #[error(transparent)]
     Design(#[from] DesignError),
-    /// The risk model of the active stage cannot be fitted.
-    #[error("active stage: {0}")]
-    Model(RiskError),
     /// The dictionary or journal cannot be written or read.
     #[error(transparent)]
     Dictionary(#[from] DictionaryError),

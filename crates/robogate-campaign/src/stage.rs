@@ -192,7 +192,7 @@ impl Points {
     fn design(&self, index: u64) -> &'static str {
         match &self.source {
             Source::Listed(points) => {
-                self.place(index).and_then(|at| points.get(at)).map_or(self.sampler, |point| point.design)
+                self.place(index).and_then(|at| points.get(at)).map_or(self.sampler, |point| point.choice.as_str())
             }
             Source::Drawn { .. } | Source::Suite(_) => self.sampler,
         }

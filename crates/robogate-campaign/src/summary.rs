@@ -7,6 +7,7 @@ use robogate_core::{FEASIBLE, FailureMode, FaultKind, Outcome, ParameterSpace, T
 use robogate_dictionary::Entry;
 use robogate_stats::Confidence;
 use robogate_stats::weighted::hajek;
+use robogate_stats::weighted_events::event_rate;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -28,6 +29,9 @@ pub struct Summary {
     pub episodes: u64,
     /// The success rate of the policy over the operating space, or over the suite if one was run.
     pub estimate: Estimate,
+    /// The rate of the failure mode that the plan seeks. Absent if it seeks none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sought: Option<Sought>,
     /// The completed stages.
     pub stages: Vec<StageSummary>,
     /// The outcomes of the suite's groups, if one was run.
@@ -58,14 +62,32 @@ pub struct Estimate {
     pub interval_95: [f64; 2],
 }
 
+/// The rate of one failure mode over the operating space, from all episodes by their weights.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Sought {
+    /// The failure mode.
+    pub mode: String,
+    /// The number of episodes that failed in this way.
+    pub failures: u64,
+    /// The number of valid episodes.
+    pub valid: u64,
+    /// The rate. Absent if no episode is valid.
+    pub rate: Option<f64>,
+    /// The 95 % interval of Fay and Feuer (1997), which covers at few failures as well. [0, 1] if no episode is valid.
+    pub interval_95: [f64; 2],
+    /// The number of uniform episodes that would give the same standard error. Absent without a failure.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub worth_episodes: Option<f64>,
+}
+
 /// The population that a figure estimates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Population {
     /// The operating space, with every parameter uniform in its scale.
     OperatingSpace,
-    /// The points of the boundary or the active stage. They concentrate around the boundary, so a rate over them does not estimate
-    /// the operating space.
+    /// The points of the boundary or the active stage. They concentrate around the boundary, or where a failure is likely, so a
+    /// rate over them does not estimate the operating space.
     FocusedDesign,
     /// The scenarios of a suite, equally weighted. They were chosen, so a rate over them does not estimate an operating
     /// space.
@@ -169,6 +191,8 @@ pub(crate) struct Summing {
     is_active: bool,
     /// Outcome and weight of every valid episode, if there is an active stage.
     weighted: Vec<(bool, f64)>,
+    /// The failure mode that the plan seeks, and whether each of these episodes failed in this way.
+    sought: Option<(FailureMode, Vec<bool>)>,
     suite: OutcomeCounts,
     groups: Option<Groups>,
     faults: BTreeMap<(Stage, FaultKind), u64>,
@@ -186,6 +210,11 @@ impl Summing {
             active: OutcomeCounts::default(),
             is_active: plan.active.is_some(),
             weighted: Vec::new(),
+            sought: plan
+                .active
+                .as_ref()
+                .and_then(|stage| stage.seek.as_deref())
+                .map(|mode| (FailureMode::from_foreign(mode), Vec::new())),
             suite: OutcomeCounts::default(),
             groups: plan.suite.as_ref().map(|stage| Groups::new(&stage.suite)),
             faults: BTreeMap::new(),
@@ -213,6 +242,9 @@ impl Summing {
         }
         if self.is_active && !matches!(outcome, Outcome::Invalid(_)) {
             self.weighted.push((*outcome == Outcome::Success, entry.weight));
+            if let Some((mode, events)) = &mut self.sought {
+                events.push(matches!(outcome, Outcome::Failure(failed) if failed == mode));
+            }
         }
         if is_feasible(&entry.episode.measures) == Some(true) {
             self.feasible.entry(stage).or_default().add(outcome);
@@ -247,6 +279,7 @@ impl Summing {
                 success_rate: counts.success_rate(),
                 interval_95: counts.interval_95(),
             }),
+            sought: self.sought_rate(),
             stages,
             suite,
             run_again: None,
@@ -265,6 +298,21 @@ impl Summing {
             note: format!("estimates {}; from all episodes, by their weights", population.describe()),
             success_rate: found.rate,
             interval_95: [found.interval.low, found.interval.high],
+        })
+    }
+
+    fn sought_rate(&self) -> Option<Sought> {
+        let (mode, events) = self.sought.as_ref()?;
+        let weights: Vec<f64> = self.weighted.iter().map(|(_, weight)| *weight).collect();
+        // The weights of an active stage are valid.
+        let found = event_rate(events, &weights, Confidence::P95).ok()?;
+        Some(Sought {
+            mode: mode.to_string(),
+            failures: found.events,
+            valid: found.rows,
+            rate: found.rate,
+            interval_95: [found.interval.low, found.interval.high],
+            worth_episodes: found.worth,
         })
     }
 

@@ -4,16 +4,15 @@
 //! channel to the calling thread. Only the order of the results depends on timing: an episode depends on its scenario
 //! and on a worker that was reset.
 
-use std::any::Any;
 use std::fmt;
 use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread;
 
+use robogate_core::guard::guarded;
 use robogate_core::{Assignment, Episode, Fault, FaultKind, Foresight, Measures, Outcome, Scenario, rollout};
 
 use crate::{ExecuteError, Executor, Worker, WorkerFactory};
@@ -129,19 +128,18 @@ impl EpisodeThread<'_> {
     fn episode(&self, worker: &mut Option<Worker>, scenario: Scenario) -> Result<Episode, Fault> {
         let mut ready = match worker.take() {
             Some(ready) => ready,
-            None => catch_unwind(AssertUnwindSafe(|| self.pool.factory.worker()))
-                .unwrap_or_else(|panic| Err(panicked("the worker factory", &*panic)))?,
+            None => guarded(|| self.pool.factory.worker())
+                .unwrap_or_else(|why| Err(panicked("the worker factory", &why)))?,
         };
-        // Unwind safe: the worker is not used again after a panic.
-        let run = AssertUnwindSafe(|| rollout(&mut *ready.environment, &mut *ready.policy, &scenario));
-        match catch_unwind(run) {
+        // The worker is not used again after a panic.
+        match guarded(|| rollout(&mut *ready.environment, &mut *ready.policy, &scenario)) {
             Ok(episode) => {
                 *worker = Some(ready);
                 Ok(episode)
             }
-            Err(panic) => {
+            Err(why) => {
                 discard(Some(ready));
-                Ok(lost(scenario, panicked("the environment or the policy", &*panic)))
+                Ok(lost(scenario, panicked("the environment or the policy", &why)))
             }
         }
     }
@@ -150,12 +148,11 @@ impl EpisodeThread<'_> {
 /// Drops a worker that may be in any state.
 fn discard(worker: Option<Worker>) {
     // A panic while dropping is ignored, because the first one is already reported.
-    let _ = catch_unwind(AssertUnwindSafe(|| drop(worker)));
+    let _ = guarded(|| drop(worker));
 }
 
-fn panicked(who: &str, panic: &(dyn Any + Send)) -> Fault {
-    let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
-    Fault::new(FaultKind::Unavailable, format!("{who} panicked: {}", text.unwrap_or("without a message")))
+fn panicked(who: &str, why: &str) -> Fault {
+    Fault::new(FaultKind::Unavailable, format!("{who} panicked: {why}"))
 }
 
 /// The record of an episode whose worker panicked.

@@ -7,15 +7,18 @@
 //! - [`TaskSpec`]: a task as data.
 //! - [`Environment`], [`Policy`] and [`rollout`]: the components and the loop of an episode.
 //! - [`Episode`] and [`Outcome`]: the record of an episode and how it ended.
+//! - [`budget`] and [`guard`]: limits on text that another program wrote, and panics of libraries that read it.
 //!
 //! The crate uses no file, socket, thread or clock. All randomness comes from a [`Seed`].
 
 mod action;
+pub mod budget;
 mod copula;
 mod design;
 mod episode;
 mod feasibility;
 mod foresight;
+pub mod guard;
 pub mod latency;
 mod measures;
 mod observation;

@@ -14,7 +14,11 @@ pub(crate) const MOST_WORDS: usize = 1000;
 
 /// The fields of all rows so far, in order of appearance.
 #[derive(Debug, Default)]
-pub(crate) struct Fields(Vec<Field>);
+pub(crate) struct Fields {
+    all: Vec<Field>,
+    /// The position after the last one. Rows mostly have their fields in the same order.
+    next: usize,
+}
 
 impl Fields {
     /// Adds the value of `row` in the field `name`. Returns an error if a field has values of two kinds.
@@ -48,31 +52,34 @@ impl Fields {
     }
 
     fn field(&mut self, number: u64, name: &Arc<str>) -> Option<&mut Field> {
-        let at = match self.0.iter().position(|field| field.name == *name) {
+        let is_next = self.all.get(self.next).is_some_and(|field| field.name == *name);
+        let known = if is_next { Some(self.next) } else { self.all.iter().position(|field| field.name == *name) };
+        let at = match known {
             Some(at) => at,
-            None if self.0.len() == MOST_FIELDS => return None,
+            None if self.all.len() == MOST_FIELDS => return None,
             None => {
                 let missing = (number > 0).then_some(0);
-                self.0.push(Field {
+                self.all.push(Field {
                     name: Arc::clone(name),
                     missing,
                     seen: number,
                     values: 0,
                     kind: FieldKind::Nothing,
                 });
-                self.0.len() - 1
+                self.all.len() - 1
             }
         };
-        self.0.get_mut(at)
+        self.next = at + 1;
+        self.all.get_mut(at)
     }
 
     /// The names of the fields.
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
-        self.0.iter().map(|field| &*field.name)
+        self.all.iter().map(|field| &*field.name)
     }
 
     pub(crate) fn into_iter(self) -> impl Iterator<Item = Field> {
-        self.0.into_iter()
+        self.all.into_iter()
     }
 }
 

@@ -146,40 +146,12 @@ impl Journal {
 
     /// Checks the header. Returns `false` if the file ends inside it, because its writer was killed while creating it.
     fn scan_header(&mut self, reader: &mut (impl Read + Seek)) -> Result<bool, DictionaryError> {
-        let refuse = |reason: String| Err(DictionaryError::NotAJournal { path: self.path.clone(), reason });
         let mut found = Vec::new();
         reader.take(HEADER).read_to_end(&mut found).map_err(DictionaryError::io(&self.path, "read"))?;
-        let expected = header_of(&self.plan);
-        if found == expected {
-            return Ok(true);
-        }
-        if found.starts_with(&old_header(UNBOUND)) {
-            self.header = UNBOUND_HEADER;
-            reader.seek(SeekFrom::Start(UNBOUND_HEADER)).map_err(DictionaryError::io(&self.path, "read"))?;
-            return Ok(true);
-        }
-        // Before the plan's hash, a header of another plan is the same.
-        if expected.starts_with(&found) || old_header(UNBOUND).starts_with(&found) {
-            return Ok(false);
-        }
-        let version = found.get(8..12).and_then(|bytes| bytes.first_chunk()).map(|bytes| u32::from_le_bytes(*bytes));
-        match (found.first_chunk(), version) {
-            (Some(&MAGIC), Some(version)) if version > VERSION => refuse(format!(
-                "version {version} is newer than {VERSION}, the newest that this version of robogate reads\nhint: upgrade robogate"
-            )),
-            (Some(&MAGIC), Some(BEFORE_TASKS)) if found.starts_with(&old_header(BEFORE_TASKS)) => refuse(
-                "this run was started with robogate 0.1\nhint: finish it with that version, or start it again"
-                    .to_owned(),
-            ),
-            (Some(&MAGIC), _) => match found.get(12..44).and_then(|bytes| bytes.first_chunk()) {
-                Some(plan) if found == header_of(plan) => {
-                    let [found, expected] = [plan, &self.plan].map(|plan| hex(plan));
-                    Err(DictionaryError::OtherPlan { path: self.path.clone(), found, expected })
-                }
-                _ => refuse("its header is damaged".to_owned()),
-            },
-            _ => refuse("it does not start with the header of a journal\nhint: check the path".to_owned()),
-        }
+        let Some(size) = header_size(&self.path, &found, &self.plan)? else { return Ok(false) };
+        self.header = size;
+        reader.seek(SeekFrom::Start(size)).map_err(DictionaryError::io(&self.path, "read"))?;
+        Ok(true)
     }
 
     /// The size of the frame at `self.end`, with `left` bytes remaining in the file. `None` if the frame is incomplete.
@@ -373,6 +345,40 @@ impl Drop for Journal {
         // Closing alone would keep the lock while a forked child process that has not yet called exec holds a copy of
         // the handle.
         let _ = self.file.unlock();
+    }
+}
+
+/// The size of the header that `found`, the first bytes of a journal, contains. `None` if the file ends inside it.
+pub(crate) fn header_size(path: &Path, found: &[u8], plan: &PlanHash) -> Result<Option<u64>, DictionaryError> {
+    let refuse = |reason: String| Err(DictionaryError::NotAJournal { path: path.to_owned(), reason });
+    let found = found.get(..HEADER as usize).unwrap_or(found);
+    let expected = header_of(plan);
+    if found == expected {
+        return Ok(Some(HEADER));
+    }
+    if found.starts_with(&old_header(UNBOUND)) {
+        return Ok(Some(UNBOUND_HEADER));
+    }
+    // Before the plan's hash, a header of another plan is the same.
+    if expected.starts_with(found) || old_header(UNBOUND).starts_with(found) {
+        return Ok(None);
+    }
+    let version = found.get(8..12).and_then(|bytes| bytes.first_chunk()).map(|bytes| u32::from_le_bytes(*bytes));
+    match (found.first_chunk(), version) {
+        (Some(&MAGIC), Some(version)) if version > VERSION => refuse(format!(
+            "version {version} is newer than {VERSION}, the newest that this version of robogate reads\nhint: upgrade robogate"
+        )),
+        (Some(&MAGIC), Some(BEFORE_TASKS)) if found.starts_with(&old_header(BEFORE_TASKS)) => refuse(
+            "this run was started with robogate 0.1\nhint: finish it with that version, or start it again".to_owned(),
+        ),
+        (Some(&MAGIC), _) => match found.get(12..44).and_then(|bytes| bytes.first_chunk()) {
+            Some(named) if found == header_of(named) => {
+                let [found, expected] = [named, plan].map(|plan| hex(plan));
+                Err(DictionaryError::OtherPlan { path: path.to_owned(), found, expected })
+            }
+            _ => refuse("its header is damaged".to_owned()),
+        },
+        _ => refuse("it does not start with the header of a journal\nhint: check the path".to_owned()),
     }
 }
 

@@ -20,6 +20,8 @@ pub mod frame;
 mod hash;
 mod identity;
 mod journal;
+mod journal_tail;
+mod pages;
 mod parquet;
 mod platform;
 pub mod provenance;
@@ -27,6 +29,7 @@ pub mod published;
 mod raw;
 pub mod results;
 mod schema;
+mod text;
 pub mod v1;
 
 pub use columns::{FixedColumn, Kind, fixed_columns};
@@ -35,9 +38,11 @@ pub use error::{DictionaryError, Row};
 pub use hash::{DatasetHash, dataset_hash, hex};
 pub use identity::{TaskIdentity, suite_sha256};
 pub use journal::{Journal, PlanHash, Recovery};
+pub use journal_tail::JournalTail;
 pub use parquet::{Column, Dictionary, DictionaryWriter, Entries, Written, write_parquet};
 pub use platform::Platform;
 pub use provenance::{
     Build, Dimensions, Engine, Provenance, Robot, RowSampling, Source, SourceColumn, Stopping, Tool, robot_sha256,
 };
 pub use schema::{SCHEMA_VERSION, SchemaVersion};
+pub use text::{read_regular_text, read_text};

@@ -20,13 +20,15 @@ use parquet::errors::ParquetError;
 use parquet::file::metadata::{ColumnChunkMetaData, KeyValue, ParquetMetaData, ParquetMetaDataReader};
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use parquet::file::reader::{ChunkReader, Length};
-use parquet::file::serialized_reader::SerializedPageReader;
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::{ColumnPath, Type};
+
+use robogate_core::budget::Budget;
 
 use crate::atomic::AtomicFile;
 use crate::codec::Interner;
 use crate::columns::{Cell, ColumnSpec, Columns, Kind, WrongCell};
+use crate::pages::{Allowance, check_footer, page_reader};
 use crate::{DatasetHash, DictionaryError, Entry, Provenance, Row, SCHEMA_VERSION, SchemaVersion};
 
 /// Rows of a row group. A reader or writer keeps one group in memory, a few megabytes.
@@ -34,6 +36,16 @@ const ROWS_PER_GROUP: usize = 1 << 14;
 
 /// Maximum rows of a row group that is read, which bounds memory for any file.
 const MOST_ROWS_PER_GROUP: usize = 1 << 20;
+
+/// Values that a row group may have in memory, in addition to [`CELLS_PER_BYTE`] for each byte of the file.
+const MOST_CELLS_PER_GROUP: u64 = 1 << 22;
+const CELLS_PER_BYTE: u64 = 64;
+
+/// Largest column chunk that is read, in bytes. Chunks of this tool have at most some hundred kilobytes.
+const MOST_CHUNK: usize = 256 << 20;
+
+/// Maximum number of columns.
+const MOST_COLUMNS: usize = 1 << 13;
 
 const KEY_VERSION: &str = "robogate.schema_version";
 const KEY_PROVENANCE: &str = "robogate.provenance";
@@ -349,6 +361,8 @@ impl Dictionary {
     pub fn open(path: &Path) -> Result<Self, DictionaryError> {
         let mut file = File::open(path).map_err(DictionaryError::io(path, "open"))?;
         check_ends(&mut file, path)?;
+        check_footer(&mut file).map_err(|reason| damaged(path, "the footer", reason))?;
+        let length = file.metadata().map_err(DictionaryError::io(path, "inspect"))?.len();
         let metadata = guarded(|| ParquetMetaDataReader::new().parse_and_finish(&file))
             .map_err(|reason| damaged(path, "the footer", reason))?;
         let value = |key: &str| {
@@ -377,7 +391,7 @@ impl Dictionary {
             return Err(damaged(path, "the provenance", "it does not match its checksum".to_owned()));
         }
         let provenance: Provenance =
-            serde_json::from_str(json).map_err(|e| damaged(path, "the provenance", e.to_string()))?;
+            Budget::FILE.json(json.as_bytes()).map_err(|e| damaged(path, "the provenance", e.to_string()))?;
         let columns = Columns::of_provenance(&provenance, version)?;
         let leaves = find_leaves(&metadata, &columns, path)?;
         let checksums = checksums
@@ -385,7 +399,7 @@ impl Dictionary {
             .collect::<Result<Vec<_>, _>>()
             .map_err(|e| damaged(path, "the list of checksums", e.to_string()))?;
         let dataset_hash = value(KEY_DATASET).unwrap_or_default().to_owned();
-        let rows = count_rows(&metadata, checksums.len()).map_err(|reason| damaged(path, "the footer", reason))?;
+        let rows = count_rows(&metadata, checksums.len(), length).map_err(|e| damaged(path, "the footer", e))?;
         Ok(Self {
             file,
             path: path.to_owned(),
@@ -524,6 +538,9 @@ impl Dictionary {
         if start.checked_add(length as u64).is_none_or(|end| end > length_of_file) {
             return Err(wrong(format!("bytes {start} to {start}+{length} are beyond the file's end")));
         }
+        if length > MOST_CHUNK {
+            return Err(wrong(format!("it has {length} bytes. At most {MOST_CHUNK} are accepted")));
+        }
         let mut bytes = vec![0; length];
         (&self.file)
             .seek(SeekFrom::Start(start))
@@ -537,8 +554,7 @@ impl Dictionary {
         let read = guarded(|| {
             let descriptor = metadata.column_descr_ptr();
             let optional = descriptor.max_def_level() > 0;
-            let pages = SerializedPageReader::new(Arc::new(chunk), metadata, rows, None)?;
-            let pages = Box::new(pages);
+            let pages = page_reader(Arc::new(chunk), metadata, rows, &Allowance::of(length as u64))?;
             match spec.kind {
                 Kind::Number => {
                     let (present, values) =
@@ -590,13 +606,26 @@ fn check_ends(file: &mut File, path: &Path) -> Result<(), DictionaryError> {
 
 fn find_leaves(metadata: &ParquetMetaData, columns: &Columns, path: &Path) -> Result<Vec<usize>, DictionaryError> {
     let descriptor = metadata.file_metadata().schema_descr();
+    if descriptor.num_columns() > MOST_COLUMNS {
+        let found = descriptor.num_columns();
+        return Err(damaged(
+            path,
+            "the schema",
+            format!("it has {found} columns. At most {MOST_COLUMNS} are accepted"),
+        ));
+    }
+    let mut by_name = HashMap::new();
+    for leaf in 0..descriptor.num_columns() {
+        let column = descriptor.column(leaf);
+        if let [name] = column.path().parts() {
+            by_name.entry(name.clone()).or_insert(leaf);
+        }
+    }
     let find = |spec: &ColumnSpec| {
         let refuse = |what: &str| {
             damaged(path, "the schema", format!("column `{}` of the schema {SCHEMA_VERSION} {what}", spec.name))
         };
-        let leaf = (0..descriptor.num_columns())
-            .find(|i| descriptor.column(*i).path().parts() == [spec.name.as_str()])
-            .ok_or_else(|| refuse("is missing"))?;
+        let leaf = by_name.get(spec.name.as_str()).copied().ok_or_else(|| refuse("is missing"))?;
         let column = descriptor.column(leaf);
         if column.physical_type() != physical(spec.kind) || column.max_rep_level() > 0 || column.max_def_level() > 1 {
             return Err(refuse("has another type"));
@@ -606,14 +635,22 @@ fn find_leaves(metadata: &ParquetMetaData, columns: &Columns, path: &Path) -> Re
     columns.specs().iter().map(find).collect()
 }
 
-fn count_rows(metadata: &ParquetMetaData, checksums: usize) -> Result<u64, String> {
+/// Counts the rows and checks that their number, and that of the columns, is plausible for a file of `length` bytes.
+fn count_rows(metadata: &ParquetMetaData, checksums: usize, length: u64) -> Result<u64, String> {
+    let columns = metadata.file_metadata().schema_descr().num_columns();
+    let most = MOST_CELLS_PER_GROUP.saturating_add(length.saturating_mul(CELLS_PER_BYTE));
     let mut rows = 0;
     for (i, group) in metadata.row_groups().iter().enumerate() {
         match usize::try_from(group.num_rows()) {
             Ok(n) if (1..=MOST_ROWS_PER_GROUP).contains(&n) => rows += n as u64,
             _ => return Err(format!("row group {i} declares {} rows", group.num_rows())),
         }
+        if group.num_rows().unsigned_abs().saturating_mul(columns as u64) > most {
+            let rows = group.num_rows();
+            return Err(format!("row group {i} declares {rows} rows of {columns} columns in a file of {length} bytes"));
+        }
     }
+    Allowance::of(length).check_cells(rows, columns)?;
     if u64::try_from(metadata.file_metadata().num_rows()) != Ok(rows) {
         let claimed = metadata.file_metadata().num_rows();
         return Err(format!("its footer declares {claimed} rows, but its row groups have {rows}"));
@@ -633,10 +670,10 @@ fn damaged(path: &Path, place: &str, reason: String) -> DictionaryError {
 
 /// Runs the Parquet library on a file and converts a panic into an error for that file.
 pub(crate) fn guarded<T>(read: impl FnOnce() -> Result<T, ParquetError>) -> Result<T, String> {
-    match std::panic::catch_unwind(std::panic::AssertUnwindSafe(read)) {
+    match robogate_core::guard::guarded(read) {
         Ok(Ok(value)) => Ok(value),
         Ok(Err(error)) => Err(error.to_string()),
-        Err(_) => Err("the Parquet library panicked on this file".to_owned()),
+        Err(why) => Err(format!("the Parquet library panicked on this file: {why}")),
     }
 }
 

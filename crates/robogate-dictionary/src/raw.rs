@@ -51,11 +51,20 @@ impl Scalar {
 pub(crate) struct RawRow {
     pub(crate) number: u64,
     pub(crate) fields: Vec<(Arc<str>, Scalar)>,
+    /// Where the last search ended. Fields are mostly read in order, and a row may have a thousand of them.
+    next: Cell<usize>,
 }
 
 impl RawRow {
     pub(crate) fn get(&self, name: &str) -> Option<&Scalar> {
-        self.fields.iter().find(|(field, _)| &**field == name).map(|(_, value)| value)
+        let is_it = |(field, _): &&(Arc<str>, Scalar)| &**field == name;
+        if let Some((_, value)) = self.fields.get(self.next.get()).filter(is_it) {
+            self.next.set(self.next.get() + 1);
+            return Some(value);
+        }
+        let at = self.fields.iter().position(|field| is_it(&field))?;
+        self.next.set(at + 1);
+        self.fields.get(at).map(|(_, value)| value)
     }
 
     /// An error about a field of this row.

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use robogate_dictionary::hex;
+use robogate_core::budget::Budget;
+use robogate_dictionary::{hex, read_regular_text};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -55,8 +56,7 @@ impl Asked {
         if !path.is_file() {
             return Ok(None);
         }
-        let text =
-            std::fs::read_to_string(&path).map_err(|source| GateError::Unreadable { path: path.clone(), source })?;
+        let text = read_regular_text(&path).map_err(|source| GateError::Unreadable { path: path.clone(), source })?;
         Self::from_json(&path, &text).map(Some)
     }
 
@@ -66,7 +66,8 @@ impl Asked {
     /// If the content is not valid.
     pub fn from_json(path: &Path, text: &str) -> Result<Self, GateError> {
         let in_file = |error| GateError::InFile { path: path.to_owned(), error: Box::new(error) };
-        let asked: Self = serde_json::from_str(text)
+        let asked: Self = Budget::FILE
+            .json(text.as_bytes())
             .map_err(|error| in_file(GateError::Syntax(format!("not a gate's question: {error}"))))?;
         if asked.format != Self::FORMAT {
             let text =

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use robogate_dictionary::Tool;
+use robogate_core::budget::{Budget, JsonError};
+use robogate_dictionary::{Tool, read_text};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -90,8 +91,7 @@ impl Baseline {
     /// # Errors
     /// If the file is not a baseline, or has a newer format.
     pub fn open(path: &Path) -> Result<Self, GateError> {
-        let text =
-            std::fs::read_to_string(path).map_err(|source| GateError::Unreadable { path: path.to_owned(), source })?;
+        let text = read_text(path).map_err(|source| GateError::Unreadable { path: path.to_owned(), source })?;
         Self::from_json(&text).map_err(|error| GateError::InFile { path: path.to_owned(), error: Box::new(error) })
     }
 
@@ -104,14 +104,14 @@ impl Baseline {
         struct Form {
             format: u32,
         }
-        let syntax = |error: serde_json::Error| {
+        let syntax = |error: JsonError| {
             GateError::Syntax(format!("not a baseline: {error}\nhint: create one with `robogate baseline RUN -o FILE`"))
         };
-        let Form { format } = serde_json::from_str(text).map_err(syntax)?;
+        let Form { format } = Budget::FILE.json(text.as_bytes()).map_err(syntax)?;
         if format > Self::FORMAT {
             return Err(GateError::NewerBaseline { found: format, known: Self::FORMAT });
         }
-        let baseline: Self = serde_json::from_str(text).map_err(syntax)?;
+        let baseline: Self = Budget::FILE.json(text.as_bytes()).map_err(syntax)?;
         if baseline.valid == 0
             || baseline
                 .figures

@@ -12,6 +12,7 @@
 //! | scenarios and requirements, before a run | [`GatePlan`] |
 //! | several records | [`Leaderboard`] |
 //! | a record and its control arm | [`Twins`] |
+//! | evaluations of the units of a fleet | [`Fleet`] |
 //! | a record and requirements ([`Question`]) | [`Evaluation`], with [`ConfidenceScore`] and [`Verdict`] |
 
 mod asked;
@@ -22,6 +23,7 @@ mod error;
 mod evaluation;
 pub mod evidence;
 mod figure;
+mod fleet;
 mod joint_plan;
 mod leaderboard;
 mod metric;
@@ -48,6 +50,7 @@ pub use evaluation::{
     Counts, Dropped, EndingCount, Evaluation, FeasibleRate, GroupResult, Question, RequirementResult, Sampling, Status,
 };
 pub use figure::Extremes;
+pub use fleet::{DriverForm, Fleet, FleetSubject, FleetUnit, UnitDriver, UnitPlaces, UnitShare};
 pub use joint_plan::JointOperating;
 pub use leaderboard::{Leaderboard, Standing};
 pub use metric::{Metric, Statistic};

@@ -7,6 +7,7 @@
 use std::path::Path;
 
 use robogate_core::TaskSpec;
+use robogate_core::budget::Budget;
 use robogate_stats::Trials;
 use robogate_stats::exact_strata::{Stratum, bounds, estimate, p_above, p_below};
 use schemars::JsonSchema;
@@ -65,7 +66,7 @@ impl RealEvidence {
             path: path.to_owned(),
             error: Box::new(GateError::Syntax(format!("not real evidence: {reason}"))),
         };
-        let found: Self = serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?;
+        let found: Self = Budget::FILE.json(text.as_bytes()).map_err(|error| wrong(error.to_string()))?;
         found.check().map_err(wrong)?;
         Ok(found)
     }

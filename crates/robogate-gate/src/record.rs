@@ -193,15 +193,19 @@ impl Record {
         for entry in entries {
             let entry = entry?;
             let named = ["uniform", "imported", "suite"].contains(&entry.stage.as_str());
-            let focused =
-                ["boundary", "active"].contains(&entry.stage.as_str()) || (!named && (entry.weight - 1.0).abs() > 0.0);
-            *uneven.entry(entry.stage.clone()).or_insert(false) |= focused;
-            rows.push((entry.stage.clone(), Trial::of(&entry, &unseen, provenance.schema_version)));
+            // The episodes of an active stage that its model did not choose are a sample from the operating space.
+            let sampled = entry.stage == "active" && entry.design == "uniform";
+            let focused = !sampled
+                && (["boundary", "active"].contains(&entry.stage.as_str())
+                    || (!named && (entry.weight - 1.0).abs() > 0.0));
+            let part = (entry.stage.clone(), sampled);
+            *uneven.entry(part.clone()).or_insert(false) |= focused;
+            rows.push((part, Trial::of(&entry, &unseen, provenance.schema_version)));
         }
         let all = rows.len();
         let trials: Vec<Trial> = rows
             .into_iter()
-            .filter_map(|(stage, trial)| (!uneven.get(&stage).copied().unwrap_or(false)).then_some(trial))
+            .filter_map(|(part, trial)| (!uneven.get(&part).copied().unwrap_or(false)).then_some(trial))
             .collect();
         let imported = provenance.source.is_some();
         if imported {

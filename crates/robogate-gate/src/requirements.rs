@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use robogate_core::{Severity, TaskSpec};
+use robogate_dictionary::read_text;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -108,8 +109,7 @@ impl Requirements {
             return if fits || name_or_path != DEFAULT { Ok(set) } else { Ok(Self::derived(task)) };
         }
         let path = Path::new(name_or_path);
-        let text =
-            std::fs::read_to_string(path).map_err(|source| GateError::Unreadable { path: path.to_owned(), source })?;
+        let text = read_text(path).map_err(|source| GateError::Unreadable { path: path.to_owned(), source })?;
         Self::from_toml(&text).map_err(|error| GateError::InFile { path: path.to_owned(), error: Box::new(error) })
     }
 

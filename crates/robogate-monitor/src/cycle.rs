@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use robogate_stats::format::is_deceptive;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -57,8 +58,10 @@ pub enum ParameterValue {
 /// An error in a cycle.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CycleError {
-    /// A name that is empty, too long or contains control characters.
-    #[error("`{field}` must have 1 to {LONGEST_NAME} bytes and no control characters")]
+    /// A name that is empty, too long, or contains control characters or controls of the text direction.
+    #[error(
+        "`{field}` must have 1 to {LONGEST_NAME} bytes and no control characters or controls of the text direction"
+    )]
     Name {
         /// The field.
         field: &'static str,
@@ -89,7 +92,7 @@ pub enum CycleError {
 
 /// Whether a text is a valid id, robot, recipe, failure mode or parameter name.
 pub(crate) fn is_name(name: &str) -> bool {
-    !name.is_empty() && name.len() <= LONGEST_NAME && !name.chars().any(char::is_control)
+    !name.is_empty() && name.len() <= LONGEST_NAME && !name.contains(is_deceptive)
 }
 
 /// A cycle as it is read: with events, or with the fields that the first cycle records had for two of them.

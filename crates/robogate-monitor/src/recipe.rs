@@ -20,7 +20,7 @@ use crate::learning::{Learning, Tally};
 use crate::metric::Metric;
 use crate::modes::ModeList;
 use crate::paper::PaperWindow;
-use crate::series::{Series, SeriesPoint};
+use crate::series::{Observed, Series, SeriesPoint};
 use crate::settings::Settings;
 
 /// One recipe with its detectors.
@@ -339,29 +339,36 @@ impl Recipe {
             }
         }
         self.learn(&symbols, settings);
-        let evidence = self.largest_evidence(settings);
-        self.state.series.push(self.state.cycles, cycle.time_s, cycle.success, evidence);
+        let observed =
+            Observed { cycle: self.state.cycles, outside: judged.outside, by_detector: self.evidence_shares(settings) };
+        self.state.series.push(cycle, settings.events.keys(), &observed);
         judged
     }
 
-    /// The largest evidence of any detector for a warning, as a share of its limit. 1 while a warning is active.
-    fn largest_evidence(&self, settings: &Settings) -> f64 {
-        let share = |metric: Metric| {
+    /// The evidence of each detector for a warning as a share of its limit, by the index of the metric. 1 while an alarm is
+    /// active.
+    fn evidence_shares<const N: usize>(&self, settings: &Settings) -> [f32; N] {
+        let mut shares = [0.0; N];
+        for metric in Metric::all(settings) {
             let i = metric.index();
-            if self.state.standing[i].iter().any(Option::is_some) {
-                return 1.0;
-            }
-            match (&self.state.evidence[i], &self.factors[i]) {
-                (Some(evidence), Some(factors)) => {
-                    evidence[Level::Warning as usize].value(factors) / settings.limit(metric, Level::Warning)
+            let share = if self.state.standing[i].iter().any(Option::is_some) {
+                1.0
+            } else {
+                match (&self.state.evidence[i], &self.factors[i]) {
+                    (Some(evidence), Some(factors)) => {
+                        evidence[Level::Warning as usize].value(factors) / settings.limit(metric, Level::Warning)
+                    }
+                    _ => 0.0,
                 }
-                _ => 0.0,
+            };
+            if let Some(place) = shares.get_mut(i) {
+                *place = share as f32;
             }
-        };
-        Metric::all(settings).map(share).fold(0.0, f64::max)
+        }
+        shares
     }
 
-    /// The course of the success rate and of the evidence, oldest first.
+    /// The course of all metrics and of the evidence, oldest first.
     pub fn series(&self) -> &[SeriesPoint] {
         self.state.series.points()
     }

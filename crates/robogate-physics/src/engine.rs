@@ -248,6 +248,8 @@ pub struct Readback {
     pub friction: f64,
     /// Friction coefficient that acts between the object and the table.
     pub table_friction: f64,
+    /// Friction coefficient that acts between the object and the pads; `None` without pads.
+    pub pad_friction: Option<f64>,
     /// Gravity, in m/s^2, downwards.
     pub gravity: f64,
     /// Stiffness of the arm's servos as a multiple of the robot's setting; `None` if the engine does not report it.

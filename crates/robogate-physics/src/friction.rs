@@ -5,10 +5,12 @@ use robogate_core::{Fault, FaultKind};
 /// The friction coefficients that act on an object.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Friction {
-    /// Against everything but the table.
+    /// Against everything but the table and the pads.
     pub(crate) others: f64,
     /// Against the table.
     pub(crate) table: f64,
+    /// Against the pads of the gripper, if it has pads.
+    pub(crate) pads: Option<f64>,
 }
 
 /// Coefficients of single contacts, collected.
@@ -16,12 +18,29 @@ pub(crate) struct Friction {
 pub(crate) struct Coefficients {
     others: Vec<f64>,
     table: Vec<f64>,
+    pads: Vec<f64>,
+}
+
+/// What an object touches, as far as it determines the coefficient.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Against {
+    /// The table or a receptacle.
+    Table,
+    /// A pad of the gripper.
+    Pad,
+    /// Anything else.
+    Other,
 }
 
 impl Coefficients {
-    /// Adds the coefficient of a contact with the table, or with anything else.
-    pub(crate) fn add(&mut self, table: bool, coefficient: f64) {
-        (if table { &mut self.table } else { &mut self.others }).push(coefficient);
+    /// Adds the coefficient of a contact.
+    pub(crate) fn add(&mut self, against: Against, coefficient: f64) {
+        let list = match against {
+            Against::Table => &mut self.table,
+            Against::Pad => &mut self.pads,
+            Against::Other => &mut self.others,
+        };
+        list.push(coefficient);
     }
 
     /// The one coefficient of each kind of contact.
@@ -29,7 +48,11 @@ impl Coefficients {
     /// # Errors
     /// If contacts of one kind have different coefficients, or there is none.
     pub(crate) fn finish(self) -> Result<Friction, Fault> {
-        Ok(Friction { others: one("other bodies", &self.others)?, table: one("the table", &self.table)? })
+        Ok(Friction {
+            others: one("other bodies", &self.others)?,
+            table: one("the table", &self.table)?,
+            pads: if self.pads.is_empty() { None } else { Some(one("the pads", &self.pads)?) },
+        })
     }
 }
 
@@ -54,15 +77,15 @@ mod tests {
     #[test]
     fn different_coefficients_are_a_fault() {
         let mut coefficients = Coefficients::default();
-        coefficients.add(true, 0.2);
-        coefficients.add(false, 0.8);
-        coefficients.add(false, 0.8);
-        assert_eq!(coefficients.finish().unwrap(), Friction { others: 0.8, table: 0.2 });
+        coefficients.add(Against::Table, 0.2);
+        coefficients.add(Against::Other, 0.8);
+        coefficients.add(Against::Other, 0.8);
+        assert_eq!(coefficients.finish().unwrap(), Friction { others: 0.8, table: 0.2, pads: None });
 
         let mut coefficients = Coefficients::default();
-        coefficients.add(true, 0.2);
-        coefficients.add(false, 0.8);
-        coefficients.add(false, 0.9);
+        coefficients.add(Against::Table, 0.2);
+        coefficients.add(Against::Other, 0.8);
+        coefficients.add(Against::Other, 0.9);
         assert_eq!(coefficients.finish().unwrap_err().kind, FaultKind::NotApplied);
     }
 }

@@ -7,9 +7,10 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::Seed;
 use serde::Serialize;
 
+use crate::grasp::{self, Grasp};
 use crate::{
-    Chain, Engine, Fixture, GRAVITY, JointTargets, MassProperties, MujocoEngine, Object, Part, Primitive, Problem,
-    Robot, RobotError, RobotSettings, Scene, Visual, WORKSPACE_CENTRE, built_in_robot, is_folder,
+    Chain, Engine, Fixture, GRAVITY, GripperUnit, JointTargets, MassProperties, MujocoEngine, Object, Part, Primitive,
+    Problem, Robot, RobotError, RobotSettings, Scene, Visual, WORKSPACE_CENTRE, built_in_robot, is_folder,
 };
 
 /// Number of random postures from which the reach is measured.
@@ -66,6 +67,8 @@ pub struct Measured {
     pub reaches: Vec<bool>,
     /// Largest tracking error of any joint in a short trial of holding and moving, in radians; `None` without a trial.
     pub tracking_error_rad: Option<f64>,
+    /// The grasp of a test part; `None` without a trial.
+    pub grasp: Option<Grasp>,
 }
 
 /// Inspects a robot: a built-in one by its name, any other by its folder. `positions` (x, y in metres on the table) are
@@ -130,11 +133,23 @@ fn measure(engine: &mut MujocoEngine, positions: &[[f64; 2]], problems: &mut Vec
         ));
     }
     let tracking_error_rad = trial(engine, &settings, problems);
-    Measured { masses_kg: engine.masses(), flange_reach_m, tool_reach_m, workspace_share, reaches, tracking_error_rad }
+    let grasp = match tracking_error_rad {
+        Some(_) if problems.is_empty() => grasp::test(engine.robot(), problems),
+        _ => None,
+    };
+    Measured {
+        masses_kg: engine.masses(),
+        flange_reach_m,
+        tool_reach_m,
+        workspace_share,
+        reaches,
+        tracking_error_rad,
+        grasp,
+    }
 }
 
 /// Largest distances of flange and tool from the first joint's axis, in metres.
-fn reach(chain: &Chain) -> [f64; 2] {
+pub(crate) fn reach(chain: &Chain) -> [f64; 2] {
     let mut stream = Seed::campaign(0).stream("reach");
     let mut farthest = [0.0_f64; 2];
     let Some(first) = chain.joints.first() else { return farthest };
@@ -202,6 +217,7 @@ fn trial_scene() -> Scene {
         friction: 0.8,
         table_friction: None,
         arm_stiffness: 1.0,
+        gripper: GripperUnit::default(),
         fixtures: vec![Fixture::table()],
         gravity: GRAVITY,
         marker: None,

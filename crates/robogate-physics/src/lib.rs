@@ -6,14 +6,20 @@
 
 pub mod contact;
 pub mod description;
+#[cfg(feature = "mujoco")]
+mod draft;
 mod engine;
 #[cfg(any(feature = "mujoco", feature = "rapier"))]
 mod friction;
+#[cfg(feature = "mujoco")]
+mod grasp;
 mod gripper_command;
 #[cfg(feature = "mujoco")]
 mod inspect;
 mod kinematics;
 mod mass;
+#[cfg(feature = "mujoco")]
+mod mesh_files;
 #[cfg(feature = "mujoco")]
 mod model;
 mod motion;
@@ -24,6 +30,7 @@ mod primitive;
 #[cfg(feature = "rapier")]
 mod rapier;
 mod robot;
+mod robot_folder;
 #[cfg(feature = "mujoco")]
 mod robot_model;
 mod scene;
@@ -33,7 +40,11 @@ pub mod suction;
 pub mod trajectory;
 mod visual;
 
+#[cfg(feature = "mujoco")]
+pub use draft::{Draft, draft};
 pub use engine::{Collision, Engine, EngineBuild, FixtureRead, FreeBodyRead, JointTargets, Readback, Touches, Wrench};
+#[cfg(feature = "mujoco")]
+pub use grasp::Grasp;
 pub use gripper_command::GripperCommand;
 #[cfg(feature = "mujoco")]
 pub use inspect::{Inspection, Measured, inspect};
@@ -53,7 +64,8 @@ pub use robot::{
     built_in_robot, built_in_robots, is_folder,
 };
 pub use scene::{
-    Fixture, FixtureKind, FreeBody, GRAVITY, Object, Scene, TABLE_CENTRE, TABLE_HALF, WORKSPACE_CENTRE, isometry, pose,
+    Fixture, FixtureKind, FreeBody, GRAVITY, GripperUnit, Object, Scene, TABLE_CENTRE, TABLE_HALF, WORKSPACE_CENTRE,
+    isometry, pose,
 };
 pub use servo::Servo;
 pub use steering::Steering;

@@ -3,10 +3,10 @@
 //! It uses no randomness and does not decide outcomes.
 
 use nalgebra::{Isometry3, Vector3};
-use robogate_core::Fault;
+use robogate_core::{Fault, FaultKind};
 
 use crate::suction::{self, Change, Suction};
-use crate::{Engine, Gripper, GripperCommand, JointTargets, Part, Scene, Servo, SuctionLaw, Touches};
+use crate::{Engine, Gripper, GripperCommand, JointTargets, Part, Scene, Servo, SuctionCup, SuctionLaw, Touches};
 
 /// The state that an observer gets after each time step.
 #[derive(Debug)]
@@ -68,6 +68,8 @@ struct Drives {
     parts: Vec<Vec<Part>>,
     /// The free body that the gripper acts on.
     selected: usize,
+    /// Grip force of this scene's unit, in newtons.
+    grip_force_n: f64,
 }
 
 impl<E: Engine> Plant<E> {
@@ -102,6 +104,13 @@ impl<E: Engine> Plant<E> {
         self.grip_force_n
     }
 
+    /// The grip force that acts, as a multiple of [`Self::grip_force_n`]. `None` before [`Plant::load`].
+    pub fn grip_force_scale(&self) -> Option<f64> {
+        let drives = self.drives.as_ref()?;
+        let acting = drives.suction.as_ref().map_or(drives.grip_force_n, Suction::force_n);
+        Some(acting / self.grip_force_n)
+    }
+
     /// Number of engine time steps in a control period.
     pub fn steps_per_period(&self) -> usize {
         self.steps_per_period
@@ -121,9 +130,23 @@ impl<E: Engine> Plant<E> {
         let home = settings.arm.home_rad.clone();
         let finger = gripper.jaw().map_or(0.0, |jaw| 0.5 * jaw.opening_m);
         let step = self.engine.time_step();
-        let suction = gripper
-            .cup()
-            .map(|cup| Suction::new(self.suction_law, cup.clone(), grip_threshold_m, scene.friction, step));
+        let force_scale = scene.gripper.force_scale;
+        let suction = gripper.cup().map(|cup| {
+            let cup = SuctionCup { vacuum_pa: cup.vacuum_pa * force_scale, ..cup.clone() };
+            Suction::new(self.suction_law, cup, grip_threshold_m, scene.friction, step)
+        });
+        if let Some(jaw) = gripper.jaw()
+            && self.grip_force_n * force_scale > jaw.force_limit_n
+        {
+            return Err(Fault::new(
+                FaultKind::Setup,
+                format!(
+                    "the grip force of {:.1} N is above the gripper's limit of {:.1} N",
+                    self.grip_force_n * force_scale,
+                    jaw.force_limit_n
+                ),
+            ));
+        }
         self.engine.load(scene, &home)?;
         self.drives = Some(Drives {
             servo: Servo::at_rest(&home, self.control_period_s),
@@ -131,6 +154,7 @@ impl<E: Engine> Plant<E> {
             suction,
             parts: scene.free_bodies().map(|(object, _)| object.parts.clone()).collect(),
             selected: 0,
+            grip_force_n: self.grip_force_n * force_scale,
         });
         Ok(())
     }
@@ -165,7 +189,7 @@ impl<E: Engine> Plant<E> {
             };
             // The fingers press with the grip force: their target is ahead of them by at most the distance over which
             // the servo's spring builds up that force.
-            (goal, self.grip_force_n / jaw.stiffness_n_m, jaw.finger_speed_m_s * self.engine.time_step())
+            (goal, drives.grip_force_n / jaw.stiffness_n_m, jaw.finger_speed_m_s * self.engine.time_step())
         });
         for k in 1..=self.steps_per_period {
             let fraction = k as f64 / self.steps_per_period as f64;

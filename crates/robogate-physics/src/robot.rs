@@ -1,11 +1,13 @@
 //! Robots: a folder with an MJCF or URDF model, and a `robot.toml` with settings that the model cannot express.
 
 use std::borrow::Cow;
+use std::fmt;
 use std::path::{Path, PathBuf};
-use std::{fmt, fs};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::robot_folder;
 
 /// A robot as read from its folder. An engine checks it against its model.
 #[derive(Debug, Clone, PartialEq)]
@@ -267,9 +269,9 @@ impl Robot {
     /// Reads a robot together with all problems of its settings.
     pub(crate) fn read(folder: &Path) -> Result<(Self, Vec<Problem>), RobotError> {
         let file = folder.join("robot.toml");
-        let text =
-            fs::read_to_string(&file).map_err(|e| RobotError::Read { path: file.clone(), why: e.to_string() })?;
+        let text = robot_folder::settings(&file)?;
         let settings = RobotSettings::parse(&text, &file)?;
+        robot_folder::check(folder)?;
         let mut problems = settings.problems();
         if problems.is_empty() && !folder.join(&settings.model).is_file() {
             problems.push(Problem::new(
@@ -292,28 +294,9 @@ impl Robot {
                 (self.settings.model.clone(), Cow::Borrowed(model.as_bytes())),
                 ("robot.toml".to_owned(), Cow::Borrowed(settings.as_bytes())),
             ]),
-            RobotSource::Folder(folder) => {
-                let mut files = Vec::new();
-                collect_files(folder, "", &mut files)?;
-                files.sort_by(|(a, _), (b, _)| a.cmp(b));
-                Ok(files)
-            }
+            RobotSource::Folder(folder) => robot_folder::files(folder),
         }
     }
-}
-
-fn collect_files(folder: &Path, prefix: &str, files: &mut Vec<RobotFile>) -> Result<(), RobotError> {
-    let read = |e: std::io::Error, path: &Path| RobotError::Read { path: path.to_owned(), why: e.to_string() };
-    for entry in fs::read_dir(folder).map_err(|e| read(e, folder))? {
-        let path = entry.map_err(|e| read(e, folder))?.path();
-        let name = format!("{prefix}{}", path.file_name().unwrap_or_default().to_string_lossy());
-        if path.is_dir() {
-            collect_files(&path, &format!("{name}/"), files)?;
-        } else {
-            files.push((name, Cow::Owned(fs::read(&path).map_err(|e| read(e, &path))?)));
-        }
-    }
-    Ok(())
 }
 
 impl RobotSettings {

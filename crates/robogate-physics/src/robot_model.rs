@@ -1,6 +1,6 @@
 //! Builds a MuJoCo model from a robot's folder, with the drives of `robot.toml`. All problems are reported at once.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use mujoco_rs::mujoco_c::mjtLimited;
 use mujoco_rs::prelude::*;
@@ -10,7 +10,7 @@ use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 use crate::mujoco::{PREFIX, ROBOT, wxyz};
 use crate::robot::RobotSource;
 use crate::scene::isometry;
-use crate::{Chain, ChainJoint, Gripper, ParallelJaw, Problem, Robot, RobotSettings, Site, contact};
+use crate::{Chain, ChainJoint, Gripper, ParallelJaw, Problem, Robot, RobotSettings, Site, contact, mesh_files};
 
 /// Group of the model's own actuators, which is disabled: `robot.toml` defines the drives.
 const OFF_GROUP: i32 = 30;
@@ -26,11 +26,10 @@ pub(crate) fn path(robot: &Robot) -> PathBuf {
 /// The robot alone, ready for a scene, and its kinematics.
 pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain), Vec<Problem>> {
     let parsed = match &robot.source {
-        RobotSource::BuiltIn { model, .. } => MjSpec::from_xml_string(model),
-        RobotSource::Folder(_) => MjSpec::from_xml(path(robot)),
+        RobotSource::BuiltIn { model, .. } => MjSpec::from_xml_string(model).map_err(|error| error.to_string()),
+        RobotSource::Folder(_) => read(&path(robot)),
     };
-    let mut spec =
-        parsed.map_err(|e| vec![Problem::new(e.to_string(), "MuJoCo reads MJCF and URDF: correct the file")])?;
+    let mut spec = parsed.map_err(|why| vec![Problem::new(why, "MuJoCo reads MJCF and URDF: correct the file")])?;
     let settings = &robot.settings;
     let mut problems = Vec::new();
     prepare(&mut spec, time_step);
@@ -71,8 +70,20 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain), Ve
     }
 }
 
+/// Reads a model file. The mesh files of a URDF are found in its folder, also by `package://` addresses.
+pub(crate) fn read(path: &Path) -> Result<MjSpec, String> {
+    let is_urdf = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("urdf"));
+    let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let text = if is_urdf { std::fs::read_to_string(path).ok() } else { None };
+    match text.and_then(|text| mesh_files::with_full_paths(&text, folder)) {
+        Some(text) => MjSpec::from_xml_string(&text),
+        None => MjSpec::from_xml(path),
+    }
+    .map_err(|error| error.to_string())
+}
+
 /// Removes everything from the model that is not part of the robot: options, actuators, keyframes, contact settings.
-fn prepare(spec: &mut MjSpec, time_step: f64) {
+pub(crate) fn prepare(spec: &mut MjSpec, time_step: f64) {
     *spec.option_mut() = MjSpec::new().option().clone();
     spec.set_memory(MjSpec::new().memory());
     let compiler = spec.compiler_mut();
@@ -258,7 +269,7 @@ fn leave_out_missing_meshes(spec: &mut MjSpec, robot: &Robot) -> Vec<Problem> {
     missing.into_iter().map(problem).collect()
 }
 
-fn joint_id(model: &MjModel, name: &str) -> Option<usize> {
+pub(crate) fn joint_id(model: &MjModel, name: &str) -> Option<usize> {
     model.name_to_id(MjtObjBase::mjOBJ_JOINT, name)
 }
 

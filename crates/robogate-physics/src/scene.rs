@@ -4,6 +4,8 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::Pose;
 use serde::{Deserialize, Serialize};
 
+#[cfg(any(feature = "mujoco", feature = "rapier"))]
+use crate::friction::Against;
 use crate::{Color, MassProperties, Motion, Part, Primitive, Visual};
 
 /// Standard gravity on Earth, in m/s^2.
@@ -33,6 +35,8 @@ pub struct Scene {
     pub table_friction: Option<f64>,
     /// Stiffness of the arm's servos as a multiple of the robot's setting. Their damping ratio does not change.
     pub arm_stiffness: f64,
+    /// Deviations of this robot's gripper from its settings.
+    pub gripper: GripperUnit,
     /// The table first, then all other bodies that the robot must not touch.
     pub fixtures: Vec<Fixture>,
     /// Gravity, in m/s^2.
@@ -53,6 +57,28 @@ impl Scene {
     /// A free body: 0 is the object, then come the others.
     pub fn free_body(&self, body: usize) -> &Object {
         body.checked_sub(1).and_then(|other| self.others.get(other)).map_or(&self.object, |other| &other.object)
+    }
+}
+
+/// Deviations of one unit's gripper from the settings of the robot.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GripperUnit {
+    /// Force of the pads, or vacuum of the cup, as a multiple of the robot's setting.
+    pub force_scale: f64,
+    /// Friction coefficient of an object against the pads as a multiple of the object's. A suction cup has no pads.
+    pub pad_friction_scale: f64,
+}
+
+impl Default for GripperUnit {
+    fn default() -> Self {
+        Self { force_scale: 1.0, pad_friction_scale: 1.0 }
+    }
+}
+
+impl GripperUnit {
+    /// The friction coefficient of the pads, if it is not that of the object.
+    pub(crate) fn pad_friction(&self, object: f64) -> Option<f64> {
+        ((self.pad_friction_scale - 1.0).abs() > 0.0).then_some(self.pad_friction_scale * object)
     }
 }
 
@@ -111,6 +137,12 @@ impl FixtureKind {
     /// Whether the object has the table's friction coefficient against such a fixture.
     pub(crate) fn has_table_friction(self) -> bool {
         matches!(self, Self::Table | Self::Receptacle)
+    }
+
+    /// The kind of contact of an object with such a fixture.
+    #[cfg(any(feature = "mujoco", feature = "rapier"))]
+    pub(crate) fn against(self) -> Against {
+        if self.has_table_friction() { Against::Table } else { Against::Other }
     }
 }
 

@@ -223,6 +223,11 @@ impl Suction {
         Self { law, cup, threshold, friction, time_step, state: State::Idle }
     }
 
+    /// Largest tension along the cup's axis on a plane, in newtons.
+    pub(crate) fn force_n(&self) -> f64 {
+        self.cup.force_n()
+    }
+
     /// The distance at which the cup grips, in metres.
     pub(crate) fn threshold_m(&self) -> f64 {
         self.threshold

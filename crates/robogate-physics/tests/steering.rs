@@ -4,8 +4,8 @@
 use nalgebra::Isometry3;
 use robogate_core::{Command, Fault, FaultKind};
 use robogate_physics::{
-    Engine, Fixture, GRAVITY, GripperCommand, MassProperties, MujocoEngine, Object, Part, Plant, Primitive, Scene,
-    Steering, Visual, built_in_robot,
+    Engine, Fixture, GRAVITY, GripperCommand, GripperUnit, MassProperties, MujocoEngine, Object, Part, Plant,
+    Primitive, Scene, Steering, Visual, built_in_robot,
 };
 
 /// A Franka at home beside a table with a small box.
@@ -26,6 +26,7 @@ impl World {
             friction: 0.8,
             table_friction: None,
             arm_stiffness: 1.0,
+            gripper: GripperUnit::default(),
             fixtures: vec![Fixture::table()],
             gravity: GRAVITY,
             marker: None,

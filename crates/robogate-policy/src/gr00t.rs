@@ -246,7 +246,7 @@ fn declared(reply: &ValueRef<'_>) -> Result<Json, PolicyError> {
         let (Some(kind), Some(config)) = (msgpack::name(kind), msgpack::get(config, "as_json")) else { continue };
         let config = match msgpack::name(config) {
             // N1.5.
-            Some(text) => serde_json::from_str(text).map_err(|e| PolicyError::invalid_reply(WHAT, e))?,
+            Some(text) => super::json_numpy::parse(WHAT, text.as_bytes())?,
             None => msgpack::to_json(config),
         };
         all.insert(kind.to_owned(), config);

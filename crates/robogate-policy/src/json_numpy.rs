@@ -3,6 +3,7 @@
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use robogate_core::budget::{Budget, JsonError};
 use serde_json::Value as Json;
 
 use super::array::{Array, Dtype};
@@ -20,6 +21,14 @@ pub(crate) fn write(json: &mut String, array: &Array, ones: usize) {
 /// Append a string.
 pub(crate) fn write_text(json: &mut String, text: &str) {
     json.push_str(&Json::from(text).to_string());
+}
+
+/// Decode JSON from a server, within a budget.
+pub(crate) fn parse(what: &'static str, text: &[u8]) -> Result<Json, PolicyError> {
+    Budget::REPLY.json(text).map_err(|error| match error {
+        JsonError::Syntax(error) => PolicyError::invalid_reply(what, format!("not valid JSON: {error}")),
+        JsonError::OverBudget(limit) => PolicyError::invalid_reply(what, limit),
+    })
 }
 
 /// Read an array.
@@ -48,7 +57,10 @@ pub(crate) fn read(what: &'static str, json: &Json) -> Result<Array, PolicyError
 /// Appends the numbers of nested lists, which must form an array of one shape.
 fn flatten(json: &Json, depth: usize, shape: &mut Vec<usize>, numbers: &mut Vec<f64>) -> Result<(), String> {
     let Json::Array(items) = json else {
-        let number = json.as_f64().ok_or_else(|| format!("expected a number, got {json}"))?;
+        let number = json.as_f64().ok_or_else(|| {
+            let shown: String = json.to_string().chars().take(60).collect();
+            format!("expected a number, got {shown}")
+        })?;
         if depth < shape.len() {
             return Err("the lists have different depths".to_owned());
         }
@@ -70,6 +82,26 @@ fn flatten(json: &Json, depth: usize, shape: &mut Vec<usize>, numbers: &mut Vec<
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn json_bombs_are_rejected() {
+        for (text, part) in [
+            (format!("[{}0]", "{\"\":0},".repeat(1_000_000)), "too many values"),
+            (format!("[{}0]", "[],".repeat(2_000_000)), "too many values"),
+            (format!("[{}0]", "0,".repeat(4_000_000)), "too many values"),
+            ("[".repeat(8_000_000), "nested too deeply"),
+        ] {
+            let (result, peak) = robogate_testing::peak_memory(|| parse("reply", text.as_bytes()));
+            let error = result.unwrap_err().to_string();
+            assert!(error.contains(part), "{error}");
+            assert!(peak < 10_000, "{peak}");
+        }
+        // The largest list that is accepted.
+        let text = format!("[{}0]", "0,".repeat(Budget::REPLY.values - 3));
+        let (result, peak) = robogate_testing::peak_memory(|| parse("reply", text.as_bytes()));
+        assert!(result.is_ok());
+        assert!(peak < 2 * robogate_core::budget::BYTES_PER_VALUE * Budget::REPLY.values, "{peak}");
+    }
 
     #[test]
     fn plain_lists_are_arrays() {

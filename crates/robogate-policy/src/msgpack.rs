@@ -1,6 +1,7 @@
 //! Values and arrays in msgpack. Policy servers write NumPy arrays as maps, in two variants.
 
 use rmpv::ValueRef;
+use robogate_core::budget::Budget;
 
 use super::array::{Array, Dtype};
 use super::error::PolicyError;
@@ -58,6 +59,7 @@ pub(crate) fn encode_into(bytes: &mut Vec<u8>, value: &ValueRef<'_>) {
 
 /// Decode a value that takes up all bytes.
 pub(crate) fn decode<'a>(what: &'static str, bytes: &'a [u8]) -> Result<ValueRef<'a>, PolicyError> {
+    check(bytes).map_err(|why| PolicyError::invalid_reply(what, why))?;
     let mut rest = bytes;
     let value = rmpv::decode::read_value_ref_with_max_depth(&mut rest, MAX_DEPTH)
         .map_err(|e| PolicyError::invalid_reply(what, format!("not valid msgpack: {e}")))?;
@@ -65,6 +67,44 @@ pub(crate) fn decode<'a>(what: &'static str, bytes: &'a [u8]) -> Result<ValueRef
         return Ok(value);
     }
     Err(PolicyError::invalid_reply(what, format!("not valid msgpack: {} bytes after the end", rest.len())))
+}
+
+/// Check the number of values. One of a single byte needs up to 80 bytes once it is decoded.
+///
+/// Values follow each other without gaps, also those in lists and maps, so no nesting has to be followed. Bytes that are not
+/// msgpack may pass: the decoder rejects them.
+fn check(bytes: &[u8]) -> Result<(), String> {
+    let (mut rest, mut values) = (bytes, 0_usize);
+    while let Some((&marker, after)) = rest.split_first() {
+        values += 1;
+        if values > Budget::REPLY.values {
+            return Err(format!("it has more than {} values, which is too many", Budget::REPLY.values));
+        }
+        let length = |digits: usize| -> usize {
+            after.get(..digits).unwrap_or_default().iter().fold(0, |sum, byte| sum << 8 | usize::from(*byte))
+        };
+        let skipped = match marker {
+            0xa0..=0xbf => usize::from(marker & 0x1f),
+            0xc4 | 0xd9 => 1 + length(1),
+            0xc5 | 0xda => 2 + length(2),
+            0xc6 | 0xdb => 4 + length(4),
+            0xc7 => 2 + length(1),
+            0xc8 => 3 + length(2),
+            0xc9 => 5 + length(4),
+            0xcc | 0xd0 => 1,
+            0xcd | 0xd1 | 0xd4 | 0xdc | 0xde => 2,
+            0xd5 => 3,
+            0xca | 0xce | 0xd2 | 0xdd | 0xdf => 4,
+            0xd6 => 5,
+            0xcb | 0xcf | 0xd3 => 8,
+            0xd7 => 9,
+            0xd8 => 17,
+            _ => 0,
+        };
+        let Some(next) = after.get(skipped..) else { return Ok(()) };
+        rest = next;
+    }
+    Ok(())
 }
 
 /// The value of a key in a map whose keys are strings or bytes.
@@ -115,5 +155,52 @@ pub(crate) fn to_json(value: &ValueRef<'_>) -> serde_json::Value {
             entries.iter().filter_map(|(key, value)| Some((name(key)?.to_owned(), to_json(value)))).collect(),
         ),
         other => name(other).map_or_else(|| Json::from("(bytes)"), Json::from),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::websocket::MAX_REPLY;
+
+    /// A reply of the largest size in which each byte is a value.
+    #[test]
+    fn many_small_values_are_rejected() {
+        let maps = |marker: u8| {
+            let mut bytes = vec![0xdd];
+            bytes.extend((MAX_REPLY as u32 - 5).to_be_bytes());
+            bytes.resize(MAX_REPLY, marker);
+            bytes
+        };
+        for marker in [0xc0, 0x80, 0x90, 0x01, 0xa0] {
+            let (result, peak) = robogate_testing::peak_memory(|| decode("reply", &maps(marker)).map(drop));
+            assert!(result.unwrap_err().to_string().contains("too many"), "{marker:#x}");
+            assert!(peak < 2 * MAX_REPLY, "{peak}");
+        }
+    }
+
+    #[test]
+    fn values_are_counted_without_their_content() {
+        let array = Array::vector(&[0.5; 4_000], Dtype::F64);
+        let encoded = encode(&map([("actions", super::array(&array, Keys::Text)), ("a", ValueRef::from(7_000_000))]));
+        assert_eq!(check(&encoded), Ok(()));
+        assert_eq!(read_array("reply", get(&decode("reply", &encoded).unwrap(), "actions").unwrap()).unwrap(), array);
+    }
+
+    #[test]
+    fn deep_nesting_is_an_error() {
+        for bytes in [vec![0x91; 1_000], [0x81, 0xa0].repeat(1_000)] {
+            assert!(decode("reply", &bytes).is_err());
+        }
+    }
+
+    #[test]
+    fn claimed_lengths_reserve_nothing() {
+        for marker in [0xc6, 0xdb, 0xdd, 0xdf, 0xc9] {
+            let bytes = [&[marker][..], &[0xff; 4], &[0; 3]].concat();
+            let (result, peak) = robogate_testing::peak_memory(|| decode("reply", &bytes).map(drop));
+            assert!(result.is_err());
+            assert!(peak < 10_000, "{marker:#x}: {peak}");
+        }
     }
 }

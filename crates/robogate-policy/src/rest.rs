@@ -50,7 +50,7 @@ impl RestServer {
         let declared = match api {
             Api::Rest { .. } | Api::Gr00tN15 { .. } => {
                 let reply = http.get("/health", deadline)?;
-                let health: Json = serde_json::from_slice(&reply.body).unwrap_or_default();
+                let health = json_numpy::parse("reply to /health", &reply.body).unwrap_or_default();
                 if let Some("loading" | "starting" | "initializing") = health.get("status").and_then(Json::as_str) {
                     let why = format!("its /health reports {}", health["status"]);
                     return Err(PolicyError::NotReady { url: url.to_owned(), why });
@@ -62,7 +62,7 @@ impl RestServer {
             }
             Api::OpenVla { .. } | Api::OpenVlaOft => {
                 let reply = http.get("/openapi.json", deadline)?;
-                let api: Json = serde_json::from_slice(&reply.body).unwrap_or_default();
+                let api = json_numpy::parse("reply to /openapi.json", &reply.body).unwrap_or_default();
                 let paths = api.get("paths").and_then(Json::as_object);
                 match paths {
                     Some(paths) if reply.status == 200 && paths.contains_key("/act") => {
@@ -169,8 +169,7 @@ fn decode(reply: &Reply, api: &Api) -> Result<Chunk, PolicyError> {
     if reply.status != 200 {
         return Err(http_error(reply.status, &reply.body));
     }
-    let json: Json = serde_json::from_slice(&reply.body)
-        .map_err(|e| PolicyError::invalid_reply(WHAT, format!("not valid JSON: {e}")))?;
+    let json = json_numpy::parse(WHAT, &reply.body)?;
     match (&json, api) {
         // OpenVLA's server reports every error in this way, with status 200.
         (Json::String(text), _) if text == "error" => {

@@ -9,6 +9,9 @@ use super::array::Array;
 use super::msgpack;
 use super::query::Query;
 
+#[global_allocator]
+static MEMORY: robogate_testing::CountingAllocator = robogate_testing::CountingAllocator;
+
 /// Bytes of an upstream server or client.
 pub(crate) struct Capture {
     pub(crate) bytes: Vec<u8>,

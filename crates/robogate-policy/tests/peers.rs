@@ -1,6 +1,6 @@
 //! Tests against upstream code: openpi-client's codec and image tools, and vla-eval's model server.
 //!
-//! `ROBOGATE_POLICY_PYTHON` is the path of a Python interpreter with `tests/requirements.txt`, which `scripts/test.sh`
+//! `ROBOGATE_POLICY_PYTHON` is the path of a Python interpreter with `tests/requirements.lock`, which `scripts/test.sh`
 //! creates. Without it these tests are skipped.
 
 #[path = "support/direct.rs"]

@@ -1,18 +1,21 @@
 //! Recorded episodes: the motion of all bodies with contacts, commands, measures and events, for pages and exports.
 //!
 //! [`record`] runs an episode and returns a [`Recording`]. [`reel`] packs several of them, each as a [`Clip`], into one
-//! JSON document for the viewer of a page. Equal recordings give equal bytes.
+//! JSON document for the viewer of a page. [`mcap`](mcap()) writes one episode for Foxglove and other tools. Equal recordings
+//! give equal bytes.
 //!
 //! The crate uses no file, socket, thread or clock.
 
 mod clip;
+mod mcap;
 mod pack;
 mod recording;
 mod reel;
 mod signals;
 
 pub use clip::Clip;
-pub use pack::packed_integers;
-pub use recording::{FRAME_PERIOD_S, Mark, Recording, record};
+pub use mcap::{EncodedImage, Export, Sample, mcap};
+pub use pack::{packed_floats, packed_integers};
+pub use recording::{FRAME_PERIOD_S, Mark, Recording, record, record_with};
 pub use reel::{MESH_BUDGET_BYTES, Reel, reel};
 pub use signals::{Clock, Signal};

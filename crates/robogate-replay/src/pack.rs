@@ -9,6 +9,9 @@ use miniz_oxide::deflate::compress_to_vec;
 /// The strongest level of compression that is not exhaustive.
 const LEVEL: u8 = 9;
 
+/// The level for columns of numbers, which may be long and compress little.
+const FLOAT_LEVEL: u8 = 6;
+
 /// A stream of integers.
 #[derive(Debug, Default)]
 pub(crate) struct Packer(Vec<u8>);
@@ -66,13 +69,21 @@ pub fn packed_integers(values: impl IntoIterator<Item = u64>) -> String {
     packer.finish()
 }
 
+/// Packs numbers for a page, with all their bits: the first byte of each (little-endian), then the second ones, and so
+/// on. The bytes of one kind are alike, so they compress better together.
+pub fn packed_floats(values: &[f32]) -> String {
+    let bytes: Vec<[u8; 4]> = values.iter().map(|value| value.to_le_bytes()).collect();
+    let planes: Vec<u8> = (0..4).flat_map(|plane| bytes.iter().map(move |bytes| bytes[plane])).collect();
+    base64(&compress_to_vec(&planes, FLOAT_LEVEL))
+}
+
 /// Compresses bytes (raw DEFLATE) and encodes them as base64.
 pub(crate) fn packed(bytes: &[u8]) -> String {
     base64(&compress_to_vec(bytes, LEVEL))
 }
 
 /// Base64 with padding (RFC 4648, section 4).
-fn base64(bytes: &[u8]) -> String {
+pub(crate) fn base64(bytes: &[u8]) -> String {
     const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
     for group in bytes.chunks(3) {

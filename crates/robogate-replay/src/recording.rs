@@ -1,6 +1,6 @@
 //! Records an episode.
 
-use robogate_core::{Command, Environment, Episode, Policy, Scenario, Trajectory, Word, rollout_with, vectors};
+use robogate_core::{Command, Environment, Episode, Policy, Scenario, Tick, Trajectory, Word, rollout_with, vectors};
 
 use crate::signals::{Clock, Signal};
 
@@ -38,6 +38,16 @@ pub struct Mark {
 
 /// Runs one episode and records it.
 pub fn record(environment: &mut dyn Environment, policy: &mut dyn Policy, scenario: &Scenario) -> Recording {
+    record_with(environment, policy, scenario, &mut |_| {})
+}
+
+/// Runs one episode and records it, with an observer that is called after every control period.
+pub fn record_with(
+    environment: &mut dyn Environment,
+    policy: &mut dyn Policy,
+    scenario: &Scenario,
+    observe: &mut dyn FnMut(&Tick<'_>),
+) -> Recording {
     let task = environment.task().clone();
     environment.record_trajectory(Some(FRAME_PERIOD_S));
     let mut tick_s = Vec::new();
@@ -46,6 +56,7 @@ pub fn record(environment: &mut dyn Environment, policy: &mut dyn Policy, scenar
     let mut events: Vec<Mark> = Vec::new();
     let mut phase = None;
     let episode = rollout_with(environment, policy, scenario, &mut |tick| {
+        observe(&tick);
         let begin_s = tick.observation.time_s;
         if tick.action.phase != phase {
             phase = tick.action.phase;

@@ -8,8 +8,10 @@
 //! | a [`Comparison`](robogate_analysis::Comparison) | [`comparison_html`], [`comparison_markdown`], [`comparison_json`] |
 //! | a [`Transfer`](robogate_analysis::transfer::Transfer) | [`transfer_html`], [`transfer_json`] |
 //! | a [`Study`](robogate_analysis::study::Study) | [`study_markdown`], [`study_json`] |
-//! | an [`Evaluation`] of the gate | [`junit`], [`reqif`], [`evaluation_markdown`] |
+//! | an [`Evaluation`] of the gate | [`junit`], [`reqif`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
+//! | episodes of runs | [`explorer_page`] |
 //! | a [`Leaderboard`](robogate_gate::Leaderboard) | [`leaderboard_html`], [`leaderboard_markdown`] |
+//! | a [`Fleet`](robogate_gate::Fleet) | [`fleet_html`], [`fleet_markdown`] |
 
 mod document;
 mod figures;
@@ -25,10 +27,11 @@ use robogate_analysis::PairCounts;
 use robogate_gate::{Evaluation, Twins};
 
 pub use gate::{
-    RequirementRow, TwinRow, evaluation_markdown, feasible_part, how_judged, junit, leaderboard_html,
-    leaderboard_markdown, leaderboards_html, leaderboards_markdown, reqif, sign, what_next,
+    RequirementRow, TwinRow, evaluation_markdown, evaluation_markdown_with, feasible_part, fleet_drivers,
+    fleet_headline, fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html, leaderboard_markdown,
+    leaderboards_html, leaderboards_markdown, reqif, sign, what_next,
 };
-pub use html::{comparison_html, comparison_html_with, html, html_with, transfer_html};
+pub use html::{comparison_html, comparison_html_with, explorer_page, html, html_with, transfer_html};
 pub use json::{
     AnalysisReport, ComparisonReport, StudyReport, TransferReport, analysis_json, analysis_json_with, comparison_json,
     study_json, transfer_json,
@@ -36,7 +39,7 @@ pub use json::{
 pub use markdown::{comparison_markdown, markdown, markdown_with};
 pub use study::{answer as study_answer, study_markdown};
 pub use text::{ComparisonHeadline, Headline, TransferHeadline, comparison_limits, limits, low_side};
-pub use watch::{Watch, WatchItem};
+pub use watch::{Strip, Watch, WatchItem};
 
 /// Additions to the page of an analysis.
 #[derive(Debug, Clone, Copy, Default)]

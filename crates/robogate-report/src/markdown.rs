@@ -4,8 +4,9 @@ use std::fmt::Write;
 
 use crate::Additions;
 use crate::document::{Block, Document, Figure, Kind, Table, analysis_document, comparison_document};
-use crate::watch::Watch;
+use crate::watch::{Watch, WatchItem};
 use robogate_analysis::{Analysis, Comparison};
+use robogate_stats::format::is_deceptive;
 
 /// The analysis as Markdown (GitHub's flavour, because of its tables).
 pub fn markdown(analysis: &Analysis) -> String {
@@ -86,21 +87,41 @@ fn block(out: &mut String, block: &Block) {
 
 /// The episodes worth watching, with the commands that replay them.
 fn watch(out: &mut String, watch: &Watch) {
-    for item in &watch.items {
-        let _ = writeln!(
-            out,
-            "- **{}** ({}): {} {} `{}`",
-            escape_markdown(&item.title),
-            escape_markdown(&item.outcome),
-            escape_markdown(&item.why),
-            escape_markdown(&item.beside),
-            item.command.replace(['`', '\n'], "'")
-        );
-    }
+    watch.items.iter().for_each(|item| watch_item(out, item));
     out.push('\n');
     for remark in &watch.remarks {
         let _ = write!(out, "{}\n\n", escape_markdown(remark));
     }
+}
+
+/// An episode with its command and, where they exist, its frames.
+pub(crate) fn watch_item(out: &mut String, item: &WatchItem) {
+    let words = [&item.why, &item.beside].map(|text| escape_markdown(text));
+    let words: Vec<&str> = words.iter().map(String::as_str).filter(|text| !text.is_empty()).collect();
+    let _ = writeln!(
+        out,
+        "- **{}** ({}): {} `{}`",
+        escape_markdown(&item.title),
+        escape_markdown(&item.outcome),
+        words.join(" "),
+        item.command.replace(['`', '\n'], "'")
+    );
+    for strip in &item.strips {
+        let _ = writeln!(out, "\n  ![{}]({})\n", escape_markdown(&strip.alt), link(&strip.file));
+    }
+}
+
+/// A relative path as the target of a link: other characters than letters, digits and `-._~/` are percent-encoded.
+fn link(path: &str) -> String {
+    let mut target = String::with_capacity(path.len());
+    for byte in path.bytes() {
+        if byte.is_ascii_alphanumeric() || b"-._~/".contains(&byte) {
+            target.push(char::from(byte));
+        } else {
+            let _ = write!(target, "%{byte:02X}");
+        }
+    }
+    target
 }
 
 fn figure(out: &mut String, figure: &Figure) {
@@ -158,6 +179,7 @@ pub(crate) fn escape_markdown(text: &str) -> String {
                 safe.push('\\');
                 safe.push(letter);
             }
+            c if is_deceptive(c) && c != '\t' => safe.push('\u{fffd}'),
             c => safe.push(c),
         }
     }

@@ -32,6 +32,17 @@ pub struct WatchItem {
     pub clip: Option<usize>,
     /// Index of the recording of the second episode.
     pub second: Option<usize>,
+    /// Frames of the episode and of the second one, for pages that cannot play them.
+    pub strips: Vec<Strip>,
+}
+
+/// An image with frames of an episode, in a file beside the page.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Strip {
+    /// The path of the file, relative to the page, with `/` between its parts.
+    pub file: String,
+    /// The content for readers who do not see it.
+    pub alt: String,
 }
 
 impl Watch {

@@ -13,9 +13,6 @@ use crate::Inputs;
 /// Number of parts of the cross-validation.
 const FOLDS: usize = 5;
 
-/// Smallest number of episodes of each outcome for a fit.
-pub(crate) const LEAST: usize = 10;
-
 /// The shares of the boosting among which cross-validation chooses.
 const SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 
@@ -69,12 +66,14 @@ pub struct RiskModel {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RiskError {
     /// Too few episodes of one outcome.
-    #[error("{successes} successes and {failures} failures. Expected at least {LEAST} of each")]
+    #[error("{successes} successes and {failures} failures. Expected at least {least} of each")]
     TooFew {
         /// Number of successes.
         successes: usize,
         /// Number of failures.
         failures: usize,
+        /// Expected number of each.
+        least: usize,
     },
     /// The task cannot set a scenario up.
     #[error("episode {index}: {fault}")]
@@ -93,15 +92,18 @@ pub enum RiskError {
 }
 
 impl RiskModel {
-    /// Fits a model to these episodes.
+    /// The usual smallest number of episodes of each outcome for a fit.
+    pub const LEAST: usize = 10;
+
+    /// Fits a model to these episodes, if each outcome has at least `least` of them.
     ///
     /// # Errors
     /// Too few episodes of one outcome, or a scenario that the task cannot set up.
-    pub fn fit(inputs: Arc<Inputs>, samples: &[Sample], learner: Learner) -> Result<Self, RiskError> {
+    pub fn fit(inputs: Arc<Inputs>, samples: &[Sample], learner: Learner, least: usize) -> Result<Self, RiskError> {
         let successes = samples.iter().filter(|sample| sample.success).count();
         let failures = samples.len() - successes;
-        if successes.min(failures) < LEAST {
-            return Err(RiskError::TooFew { successes, failures });
+        if successes.min(failures) < least {
+            return Err(RiskError::TooFew { successes, failures, least });
         }
         let rows = samples
             .iter()
@@ -143,7 +145,7 @@ impl RiskModel {
         }
         let all: Vec<usize> = (0..rows.len()).collect();
         let Pair { boosting, splines } = Pair::fit(&inputs, rows, outcomes, &all, learner)?;
-        let choice = best.ok_or(RiskError::TooFew { successes: 0, failures: 0 })?;
+        let choice = best.ok_or(RiskError::TooFew { successes: 0, failures: 0, least: 1 })?;
         Ok(Self { inputs, boosting, splines, choice })
     }
 
@@ -155,6 +157,11 @@ impl RiskModel {
     /// The inputs.
     pub fn inputs(&self) -> &Inputs {
         &self.inputs
+    }
+
+    /// The spline model, unless the boosting alone was fitted. Its log-odds come before the calibration.
+    pub fn splines(&self) -> Option<&SplineLogistic> {
+        self.splines.as_ref()
     }
 
     fn of_row(&self, row: &[f64]) -> f64 {
@@ -344,7 +351,8 @@ mod tests {
         let all = samples(800);
         let (train, test) = all.split_at(300);
         let fit = |foresight: Option<Arc<dyn Foresight>>| {
-            RiskModel::fit(Arc::new(Inputs::new(&space(), foresight)), train, Learner::Chosen).unwrap()
+            RiskModel::fit(Arc::new(Inputs::new(&space(), foresight)), train, Learner::Chosen, RiskModel::LEAST)
+                .unwrap()
         };
         let (told, blind) = (fit(Some(Arc::new(Hidden))), fit(None));
         let [with, without] = [&told, &blind].map(|model| brier(|s| model.told(s).unwrap(), test));
@@ -363,7 +371,7 @@ mod tests {
     fn learners_can_be_fixed() {
         let all = samples(200);
         for (learner, share) in [(Learner::Boosting, 1.0), (Learner::Splines, 0.0)] {
-            let model = RiskModel::fit(Arc::new(Inputs::new(&space(), None)), &all, learner).unwrap();
+            let model = RiskModel::fit(Arc::new(Inputs::new(&space(), None)), &all, learner, RiskModel::LEAST).unwrap();
             assert!((model.choice().boosting_share - share).abs() < 1e-12);
             assert!(model.choice().brier < 0.25, "{:?}", model.choice());
         }
@@ -373,7 +381,7 @@ mod tests {
     fn one_outcome_is_rejected() {
         let successes: Vec<Sample> = samples(100).into_iter().filter(|s| s.success).collect();
         let n = successes.len();
-        let error = RiskModel::fit(Arc::new(Inputs::new(&space(), None)), &successes, Learner::Chosen).unwrap_err();
-        assert_eq!(error, RiskError::TooFew { successes: n, failures: 0 });
+        let error = RiskModel::fit(Arc::new(Inputs::new(&space(), None)), &successes, Learner::Chosen, 10).unwrap_err();
+        assert_eq!(error, RiskError::TooFew { successes: n, failures: 0, least: 10 });
     }
 }

@@ -120,9 +120,27 @@ pub fn sentence(text: &str) -> String {
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
+/// Whether a character can hide or reorder the text around it: control characters, line and paragraph separators, and
+/// the controls of Unicode's bidirectional algorithm (UAX #9). A name with the latter can show `pass` where its bytes say
+/// something else.
+#[must_use]
+pub fn is_deceptive(c: char) -> bool {
+    c.is_control()
+        || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn reordering_characters_are_deceptive() {
+        for c in ['\u{1b}', '\u{9b}', '\u{7f}', '\u{202e}', '\u{2066}', '\u{2069}', '\u{200f}', '\u{2028}'] {
+            assert!(is_deceptive(c), "{c:?}");
+        }
+        // Letters of languages written from right to left, and combined emoji, stay.
+        assert!(!"a \u{e4}\u{5d0}\u{627}\u{1f468}\u{200d}\u{1f469}\u{b7}\u{2013}".contains(is_deceptive));
+    }
 
     #[test]
     fn numbers_are_short() {

@@ -27,8 +27,10 @@
 //! | do two rates differ? | [`difference`], [`compare`], [`multiplicity`], [`crossed`] |
 //! | is it good enough, with any number of looks? | [`stratified`], [`anytime`], [`bounded_mean`] |
 //! | how often does such a gate pass or fail? | [`operating`] |
+//! | which share of the units of a fleet meets the requirements, and what do the others have in common? | [`unit_share`], [`max_statistic`] |
 //! | may B replace A? | [`non_inferiority`], [`group_sequential`] after each round |
 //! | what is the estimate for the operating space if the rows were sampled elsewhere? | [`weighted`] |
+//! | the same for a rare event? | [`weighted_events`] |
 //! | what is the rate of the real robot, from simulation and a few real trials? | [`prediction_powered`], [`exact_strata`] |
 //! | how must the simulation be corrected for it? | [`recalibration`] |
 //! | how is a figure written for people? | [`mod@format`] |
@@ -52,6 +54,7 @@ pub mod interval;
 pub mod likelihood_ratio;
 pub mod limit_state;
 pub mod logistic;
+pub mod max_statistic;
 pub mod model_error;
 pub mod modes;
 pub mod multiplicity;
@@ -71,7 +74,9 @@ pub mod spline_logistic;
 pub mod stratified;
 pub mod surface;
 pub mod threshold;
+pub mod unit_share;
 pub mod weighted;
+pub mod weighted_events;
 pub mod zone;
 
 pub use interval::{Confidence, Interval, IntervalError, Trials, clopper_pearson, wilson};

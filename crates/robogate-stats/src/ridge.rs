@@ -63,6 +63,11 @@ pub fn by_evidence(data: Data<'_>, prior_variances: &[f64]) -> Result<Option<Rid
 }
 
 impl RidgeFit {
+    /// L, the lower Cholesky factor of the posterior precision (the curvature at the mode), row by row.
+    pub fn precision_factor(&self) -> &[f64] {
+        self.curvature.lower()
+    }
+
     /// Moderated log-odds of success for whole columns. `None` if their number or lengths do not match.
     pub fn log_odds(&self, columns: &[&[f64]]) -> Option<Vec<f64>> {
         let moderate = |(eta, variance): (f64, f64)| eta / (1.0 + std::f64::consts::PI * variance / 8.0).sqrt();

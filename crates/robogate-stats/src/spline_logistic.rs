@@ -17,7 +17,7 @@ const PRIOR_VARIANCES: [f64; 3] = [0.02, 0.1, 0.5];
 /// A fitted model.
 #[derive(Debug, Clone)]
 pub struct SplineLogistic {
-    terms: Vec<Term>,
+    terms: Vec<SplineTerm>,
     /// Mean and standard deviation of each term.
     scale: Vec<(f64, f64)>,
     fit: RidgeFit,
@@ -25,13 +25,32 @@ pub struct SplineLogistic {
 
 /// A term of the linear predictor.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Term {
+pub enum SplineTerm {
+    /// The value of a column.
     Line(usize),
+    /// max(0, x - knot) of a column.
     Hinge(usize, f64),
+    /// The product of two columns.
     Product(usize, usize),
 }
 
-impl Term {
+/// The numbers of a fitted model, with which another program can evaluate it.
+///
+/// With the terms t(x), z = (1, (t(x) - mean) / deviation): the log-odds of success have the posterior mean z'β and the
+/// posterior variance |L⁻¹z|².
+#[derive(Debug, Clone, Copy)]
+pub struct SplineParts<'a> {
+    /// The terms.
+    pub terms: &'a [SplineTerm],
+    /// Mean and standard deviation of each term.
+    pub scale: &'a [(f64, f64)],
+    /// β: the intercept, then one coefficient for each term.
+    pub coefficients: &'a [f64],
+    /// L, the lower Cholesky factor of the posterior precision, row by row, with zeros above the diagonal.
+    pub precision_factor: &'a [f64],
+}
+
+impl SplineTerm {
     fn at(self, row: impl Fn(usize) -> f64) -> f64 {
         match self {
             Self::Line(column) => row(column),
@@ -53,18 +72,18 @@ impl SplineLogistic {
             let mut sorted = column.to_vec();
             sorted.sort_unstable_by(f64::total_cmp);
             sorted.dedup();
-            terms.push(Term::Line(at));
+            terms.push(SplineTerm::Line(at));
             if sorted.len() > 2 {
                 let mut all = column.to_vec();
                 all.sort_unstable_by(f64::total_cmp);
                 let mut knots: Vec<f64> =
                     (1..4).map(|quarter| all[(quarter * all.len() / 4).min(all.len() - 1)]).collect();
                 knots.dedup();
-                terms.extend(knots.into_iter().map(|knot| Term::Hinge(at, knot)));
+                terms.extend(knots.into_iter().map(|knot| SplineTerm::Hinge(at, knot)));
             }
         }
         for (i, a) in interacting.iter().enumerate() {
-            terms.extend(interacting[..i].iter().map(|b| Term::Product(*b, *a)));
+            terms.extend(interacting[..i].iter().map(|b| SplineTerm::Product(*b, *a)));
         }
         let mut scale = Vec::with_capacity(terms.len());
         let mut kept = Vec::with_capacity(terms.len());
@@ -93,6 +112,16 @@ impl SplineLogistic {
         let beta = &self.fit.coefficients;
         let terms = self.terms.iter().zip(&self.scale).zip(&beta[1..]);
         terms.fold(beta[0], |sum, ((term, (mean, deviation)), beta)| sum + beta * (term.at(at) - mean) / deviation)
+    }
+
+    /// The numbers of the model.
+    pub fn parts(&self) -> SplineParts<'_> {
+        SplineParts {
+            terms: &self.terms,
+            scale: &self.scale,
+            coefficients: &self.fit.coefficients,
+            precision_factor: self.fit.precision_factor(),
+        }
     }
 
     /// The number of terms.

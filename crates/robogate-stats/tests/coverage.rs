@@ -8,6 +8,7 @@ use robogate_stats::compare::{Pairs, newcombe_paired};
 use robogate_stats::logistic::{Data, firth_profile};
 use robogate_stats::roc::auc;
 use robogate_stats::threshold::{Threshold, ThresholdOptions, threshold};
+use robogate_stats::weighted_events::event_rate;
 use robogate_stats::{Confidence, Interval};
 
 fn unit(random: &mut ChaCha8Rng) -> f64 {
@@ -88,4 +89,59 @@ fn paired_interval_covers_difference() {
         newcombe_paired(Pairs::count(&first, &second).unwrap(), Confidence::P95).interval
     });
     assert!((0.935..=0.975).contains(&covered), "{covered}");
+}
+
+/// A rare event, with an adaptive design whose model knows one region: events by rows, and their weights. The region has 2 % of the
+/// space and the share `inside` of the events. Each row is uniform with 30 %, and otherwise chooses one of 64 points in
+/// proportion to the event rate of its part of the space so far.
+fn sought(random: &mut ChaCha8Rng, rate: f64, inside: f64, rows: usize) -> (Vec<bool>, Vec<f64>) {
+    const SHARE: f64 = 0.02;
+    const UNIFORM: f64 = 0.3;
+    const POINTS: usize = 64;
+    let chance = [rate * (1.0 - inside) / (1.0 - SHARE), rate * inside / SHARE];
+    let mut counts = [[0.5, 1.0], [0.5, 1.0]];
+    let (mut events, mut weights) = (Vec::with_capacity(rows), Vec::with_capacity(rows));
+    for _ in 0..rows {
+        let points: Vec<usize> = (0..POINTS).map(|_| usize::from(unit(random) < SHARE)).collect();
+        let score = |part: &usize| counts[*part][0] / counts[*part][1];
+        let sum: f64 = points.iter().map(score).sum();
+        let mut at = unit(random) * sum;
+        let chosen = points.iter().find(|part| {
+            at -= score(part);
+            at < 0.0
+        });
+        let part = if unit(random) < UNIFORM { points[0] } else { *chosen.unwrap_or(&points[0]) };
+        let probability = UNIFORM / POINTS as f64 + (1.0 - UNIFORM) * score(&part) / sum;
+        let event = unit(random) < chance[part];
+        counts[part] = [counts[part][0] + f64::from(u8::from(event)), counts[part][1] + 1.0];
+        events.push(event);
+        weights.push(1.0 / (POINTS as f64 * probability));
+    }
+    (events, weights)
+}
+
+#[test]
+fn rare_rate_covers_at_five_failures() {
+    println!("rate, in region, rows: failures, coverage, normal interval, worth");
+    // The model knows nearly all events, half of them, or none.
+    let cases = [(0.004, 0.9, 140), (0.004, 0.9, 300), (0.004, 0.5, 300), (0.004, 0.02, 1200), (0.02, 0.5, 100)];
+    for (rate, inside, rows) in cases {
+        let (mut events, mut worth, mut normal) = (0, 0.0, 0);
+        let runs = 1_000;
+        let covered = coverage(runs, rate, |random| {
+            let (happened, weights) = sought(random, rate, inside, rows);
+            let found = event_rate(&happened, &weights, Confidence::P95).unwrap();
+            events += found.events;
+            worth += found.worth.unwrap_or_default() / runs as f64;
+            let n = rows as f64;
+            let terms = happened.iter().zip(&weights).map(|(event, w)| if *event { *w } else { 0.0 });
+            let (sum, square) = terms.fold((0.0, 0.0), |(sum, square), x| (sum + x, square + x * x));
+            let half = 1.96 * (square / n - (sum / n).powi(2)).max(0.0).sqrt() / n.sqrt();
+            normal += u64::from((sum / n - rate).abs() <= half);
+            found.interval
+        });
+        let (events, normal) = (events as f64 / runs as f64, normal as f64 / runs as f64);
+        println!("{rate} {inside} {rows}: {events:.1}, {covered:.3}, {normal:.3}, {worth:.0}");
+        assert!(covered >= 0.935, "{rate} {inside} {rows}: {covered}");
+    }
 }

@@ -6,7 +6,7 @@ mod common;
 use common::EngineKind;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Assignment, Episode, Outcome, ParameterSpace, Scenario, Seed, Value, rollout};
-use robogate_physics::{Engine, Fixture, GRAVITY, JointTargets, Scene, SuctionLaw, Visual};
+use robogate_physics::{Engine, Fixture, GRAVITY, GripperUnit, JointTargets, Scene, SuctionLaw, Visual};
 use robogate_tasks::ArmTask;
 use robogate_tasks::insertion::{Insertion, parts, whitney};
 
@@ -52,6 +52,7 @@ fn leaning(depth: f64, lever: f64, friction: f64) -> Scene {
         friction: 0.8,
         table_friction: Some(friction),
         arm_stiffness: 1.0,
+        gripper: GripperUnit::default(),
         fixtures,
         // The analysis is quasi-static: with a small weight the peg is slow while the contact forces build up.
         gravity: 0.01 * GRAVITY,

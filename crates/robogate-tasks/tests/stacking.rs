@@ -7,8 +7,8 @@ use common::EngineKind;
 use nalgebra::Isometry3;
 use robogate_core::{Assignment, Domain, Episode, Outcome, ParameterSpace, Scenario, Seed, Value, rollout};
 use robogate_physics::{
-    Color, Engine, Fixture, FreeBody, GRAVITY, JointTargets, MassProperties, Object, Part, Primitive, Scene,
-    SuctionLaw, Visual,
+    Color, Engine, Fixture, FreeBody, GRAVITY, GripperUnit, JointTargets, MassProperties, Object, Part, Primitive,
+    Scene, SuctionLaw, Visual,
 };
 use robogate_tasks::ArmTask;
 use robogate_tasks::stacking::Stacking;
@@ -51,6 +51,7 @@ fn stack(offsets: &[f64], masses: &[f64]) -> Scene {
         friction: 0.6,
         table_friction: None,
         arm_stiffness: 1.0,
+        gripper: GripperUnit::default(),
         fixtures: vec![Fixture::table()],
         gravity: GRAVITY,
         marker: None,

@@ -11,10 +11,14 @@
 //! # }
 //! ```
 
+mod memory;
+
 use std::env;
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::PathBuf;
+
+pub use memory::{CountingAllocator, LARGEST, peak_memory};
 
 /// Environment variable. With the value `1` a missing tool fails the test.
 pub const STRICT: &str = "ROBOGATE_TESTS_STRICT";

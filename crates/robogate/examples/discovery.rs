@@ -47,13 +47,14 @@ fn main() -> anyhow::Result<()> {
             ("parameters", None, Learner::Chosen),
         ];
         for (name, foresight, learner) in variants {
-            let model = match RiskModel::fit(Arc::new(Inputs::new(&space, foresight)), &train, learner) {
-                Ok(model) => model,
-                Err(error) => {
-                    println!("{run}\t{}\t{name}\t-\t{error}", train.len());
-                    continue;
-                }
-            };
+            let model =
+                match RiskModel::fit(Arc::new(Inputs::new(&space, foresight)), &train, learner, RiskModel::LEAST) {
+                    Ok(model) => model,
+                    Err(error) => {
+                        println!("{run}\t{}\t{name}\t-\t{error}", train.len());
+                        continue;
+                    }
+                };
             let (mut brier, mut log_loss) = (0.0, 0.0);
             for sample in &test {
                 let p = model.averaged(&sample.scenario.requested, DRAWS).map_err(|fault| anyhow!("{fault}"))?;

@@ -4,7 +4,7 @@ use robogate_gate::{Evaluation, GatePlan, Metric, Mode, PairPlan, Population, Sa
 use robogate_report::{RequirementRow, feasible_part, how_judged, sign, what_next};
 use robogate_stats::format::number;
 
-use crate::terminal::{Styled, bold, dim, grouped, line, percent, styled};
+use crate::terminal::{Styled, bold, dim, grouped, line, longest_line, percent, styled};
 use crate::twins;
 
 /// Prints the evaluation.
@@ -72,7 +72,7 @@ fn counts(evaluation: &Evaluation) {
     line(format_args!("  {} episodes{rounds}, {invalid}", grouped(counts.episodes)));
     if counts.focused > 0 {
         line(format_args!(
-            "  {} episodes sampled near the failure boundary are excluded: they do not estimate the rate of the operating space",
+            "  {} episodes of a focused design are excluded: they do not estimate the rate of the operating space",
             grouped(counts.focused)
         ));
     }
@@ -287,9 +287,10 @@ fn colour(status: Status, text: &str) -> Styled<&str> {
 
 /// Prints a sentence in dimmed lines of at most 100 columns.
 fn wrapped(text: &str) {
+    let longest = longest_line() - 4;
     let mut row = String::new();
     for word in text.split(' ') {
-        if !row.is_empty() && row.chars().count() + word.chars().count() > 96 {
+        if !row.is_empty() && row.chars().count() + word.chars().count() > longest {
             line(dim(format_args!("  {row}")));
             row.clear();
         }

@@ -16,7 +16,9 @@ use robogate_physics::{
 use robogate_remote::message::{self, Hello};
 use robogate_remote::{Pool, RemotePhysics};
 use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
-use robogate_tasks::pick_place::{PickPlace, Rules, SceneParameters, Scripted, check_suite, default_space, remote};
+use robogate_tasks::pick_place::{
+    PickPlace, Rules, SceneParameters, Scripted, check_suite, default_space, remote, unit_space,
+};
 use serde::{Deserialize, Serialize};
 
 use crate::registry::{ENGINES, EngineEntry};
@@ -155,6 +157,11 @@ impl Cell {
         default_space(&self.robot.settings.gripper)
     }
 
+    /// The name of the distribution of this robot's units.
+    pub(crate) fn unit_space(&self) -> &'static str {
+        unit_space(&self.robot.settings.gripper)
+    }
+
     /// Rejects a space with a parameter that the gripper or the servers do not have.
     pub(crate) fn check_space(&self, space: &ParameterSpace) -> anyhow::Result<()> {
         self.check_known(space).with_context(|| format!("space {}", space.name()))?;
@@ -283,7 +290,7 @@ impl Cell {
         hello.space = None;
         hello.task.action.spaces.truncate(1);
         hello.task.observation.cameras.clear();
-        hello.task.parameters.retain(|parameter| !remote::is_local(&parameter.name));
+        hello.task.parameters.retain(|parameter| remote::is_for_engines(&parameter.name));
         let Setup { robot, time_step_s, .. } = self.setup();
         Ok(PhysicsHost::new(hello, (EngineEntry::find(&self.settings.engine)?.host)(robot, time_step_s)?))
     }

@@ -28,9 +28,25 @@ pub(crate) fn parse(text: &str) -> Result<Duration, String> {
     Ok(Duration::from_secs_f64(seconds))
 }
 
+/// Formats a duration to a second: `8 s`, `2 min 5 s`, `1 h 3 min`.
+pub(crate) fn in_words(duration: Duration) -> String {
+    match duration.as_secs() {
+        s @ 0..60 => format!("{s} s"),
+        s @ 60..3600 => format!("{} min {} s", s / 60, s % 60),
+        s => format!("{} h {} min", s / 3600, s % 3600 / 60),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn durations_are_short() {
+        for (s, text) in [(0, "0 s"), (59, "59 s"), (125, "2 min 5 s"), (3780, "1 h 3 min")] {
+            assert_eq!(in_words(Duration::from_secs(s)), text);
+        }
+    }
 
     #[test]
     fn durations_need_units() {

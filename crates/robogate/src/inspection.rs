@@ -1,6 +1,6 @@
 //! The result of a robot check, in the terminal and as JSON.
 
-use robogate_physics::RobotSettings;
+use robogate_physics::{Grasp, RobotSettings};
 use robogate_tasks::pick_place::{Inspection, Measured, inspect};
 use serde_json::json;
 
@@ -59,5 +59,23 @@ fn summary(settings: &RobotSettings, Measured { robot: measured, reaches_target 
     match measured.tracking_error_rad {
         Some(error) => line(format_args!("servos     hold and track within {:.2} mrad", 1e3 * error)),
         None => line("servos     not tested: see the problems above"),
+    }
+    match &measured.grasp {
+        Some(grasp) => line(format_args!("grasp      {}", in_sentence(grasp))),
+        None => {
+            line("grasp      not tested: see the problems above, or the arm cannot lift a part from its home posture")
+        }
+    }
+}
+
+/// The test grasp in one sentence.
+fn in_sentence(grasp: &Grasp) -> String {
+    let Grasp { opening_m, part_m, mass_kg, force_n, slip_m, held } = grasp;
+    let opens = opening_m.map_or_else(String::new, |opening| format!("opens {:.1} mm; ", 1e3 * opening));
+    let part = format!("a part of {:.0} mm and {mass_kg:.2} kg", 1e3 * part_m);
+    let force = force_n.map_or_else(String::new, |force| format!(" with {force:.1} N on each pad"));
+    match held {
+        true => format!("{opens}holds {part}{force}; it moved by {:.2} mm in the gripper", 1e3 * slip_m),
+        false => format!("{opens}loses {part}"),
     }
 }

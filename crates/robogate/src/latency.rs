@@ -135,6 +135,14 @@ impl LatencyArguments {
         }
     }
 
+    /// The same arguments, with the latency set by the parameter if `space` has it and no latency is given.
+    pub(crate) fn varied_by(&self, space: &ParameterSpace) -> Self {
+        match space.position(LATENCY_PARAMETER) {
+            Some(_) if self.latency.is_none() => Self { latency: Some(Wanted::Varied(None)), ..self.clone() },
+            _ => self.clone(),
+        }
+    }
+
     /// Rejects a range for a suite, whose scenarios are fixed.
     pub(crate) fn check_suite(&self, space: &ParameterSpace) -> anyhow::Result<()> {
         match &self.latency {

@@ -3,6 +3,7 @@
 mod answer;
 mod arm_cell;
 mod benchmark;
+mod canvas;
 mod cell;
 mod commands;
 mod duration;
@@ -30,9 +31,11 @@ mod terminal;
 mod twins;
 mod watch;
 
+use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use robogate_core::guard::{is_guarded, message};
 
 /// Deployment gate for robot manipulation policies.
 ///
@@ -41,13 +44,16 @@ use clap::{Parser, Subcommand};
 #[derive(Debug, Parser)]
 #[command(version, max_term_width = 100)]
 struct Arguments {
+    /// Print results, warnings and errors only: no progress and no notes
+    #[arg(long, short, global = true)]
+    quiet: bool,
     #[command(subcommand)]
     verb: Verb,
 }
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    /// Find where the policy fails: a campaign over the operating space, then near the failure boundary
+    /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain
     Run(commands::run::Run),
     /// Resume an interrupted campaign
     Resume(commands::resume::Resume),
@@ -71,8 +77,12 @@ enum Verb {
     Transfer(commands::transfer::TransferTo),
     /// Write a run or a dictionary as one page: HTML, Markdown or JSON
     Report(commands::report::Report),
+    /// Explore the episodes of one or several runs in the browser, also while they run
+    View(commands::view::View),
     /// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run
     Gate(commands::gate::Gate),
+    /// Estimate the share of a robot's units that meet the requirements, and find what distinguishes the others
+    Fleet(commands::fleet::FleetOf),
     /// Write a run's figures to a file, as a baseline for other runs
     Baseline(commands::baseline::BaselineOf),
     /// Rank policies that ran the same scenarios
@@ -114,8 +124,39 @@ enum Verb {
 }
 
 fn main() -> ExitCode {
+    std::panic::set_hook(Box::new(panicked));
     let arguments = Arguments::parse();
-    let result = match arguments.verb {
+    if arguments.quiet {
+        terminal::be_quiet();
+    }
+    // A panic has been reported by the hook.
+    let Ok(result) = catch_unwind(AssertUnwindSafe(|| execute(arguments.verb))) else {
+        return ExitCode::from(exit::INFRASTRUCTURE);
+    };
+    match result {
+        Ok(code) => ExitCode::from(code),
+        Err(exit) => {
+            terminal::error(&exit);
+            ExitCode::from(exit.code)
+        }
+    }
+}
+
+/// Reports a panic as an error. A panic in a library that reads foreign data is reported by its caller.
+fn panicked(panic: &PanicHookInfo<'_>) {
+    if is_guarded() {
+        return;
+    }
+    let place = panic.location().map(|place| format!(" ({}:{})", place.file(), place.line())).unwrap_or_default();
+    let why = message(panic.payload());
+    let error = anyhow::anyhow!(
+        "internal error: {why}{place}\nhint: this is a defect of robogate. Report the command and this message"
+    );
+    terminal::error(&exit::Exit { code: exit::INFRASTRUCTURE, error });
+}
+
+fn execute(verb: Verb) -> Result<u8, exit::Exit> {
+    match verb {
         Verb::Run(run) => run.execute(),
         Verb::Resume(resume) => resume.execute(),
         Verb::Plan(plan) => plan.execute(),
@@ -128,7 +169,9 @@ fn main() -> ExitCode {
         Verb::Compare(compare) => compare.execute(),
         Verb::Transfer(transfer) => transfer.execute(),
         Verb::Report(report) => report.execute(),
+        Verb::View(view) => view.execute(),
         Verb::Gate(gate) => gate.execute(),
+        Verb::Fleet(fleet) => fleet.execute(),
         Verb::Baseline(baseline) => baseline.execute(),
         Verb::Leaderboard(leaderboard) => leaderboard.execute(),
         Verb::Export(export) => export.execute(),
@@ -148,12 +191,5 @@ fn main() -> ExitCode {
         Verb::Serve(serve) => serve.execute(),
         Verb::Bridge(bridge) => bridge.execute(),
         Verb::Check(check) => check.execute(),
-    };
-    match result {
-        Ok(code) => ExitCode::from(code),
-        Err(exit) => {
-            terminal::error(&exit);
-            ExitCode::from(exit.code)
-        }
     }
 }

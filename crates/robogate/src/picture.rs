@@ -34,7 +34,7 @@ pub(crate) fn write(path: &Path, image: &Image) -> anyhow::Result<()> {
 }
 
 /// Encodes an image as PNG.
-fn png(image: &Image) -> anyhow::Result<Vec<u8>> {
+pub(crate) fn png(image: &Image) -> anyhow::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, u32::try_from(image.width)?, u32::try_from(image.height)?);
     encoder.set_color(png::ColorType::Rgb);

@@ -7,6 +7,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_core::{Fault, FaultKind, Policy};
+use robogate_dictionary::read_text;
 use robogate_policy::{Access, ExternalPolicy, PolicyError, Profile};
 use robogate_tasks::Random;
 use serde::{Deserialize, Serialize};
@@ -175,7 +176,7 @@ impl PolicyAccess {
     pub(crate) fn access(&self) -> Result<Access, Exit> {
         let mut access = Access::from_environment().with_wait(self.wait.unwrap_or_default());
         if let Some(file) = &self.policy_key {
-            let text = std::fs::read_to_string(file).with_context(|| format!("--policy-key {}", file.display()));
+            let text = read_text(file).with_context(|| format!("--policy-key {}", file.display()));
             let text = text.or_usage()?;
             access = access.with_key(&text).with_context(|| format!("--policy-key {}", file.display())).or_usage()?;
         }
@@ -279,7 +280,7 @@ pub(crate) fn profile(wanted: &str) -> anyhow::Result<Profile> {
             bail!("--profile {wanted}: unknown profile. Expected the path of a TOML file or one of: {known}")
         }
         None => {
-            let text = std::fs::read_to_string(wanted).with_context(|| format!("cannot read {wanted}"))?;
+            let text = read_text(Path::new(wanted)).with_context(|| format!("cannot read {wanted}"))?;
             Profile::from_toml(&text).with_context(|| wanted.to_owned())
         }
     }

@@ -23,7 +23,7 @@ use robogate_zmtp::Address;
 
 use crate::environments::{Interpreter, Servers};
 use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
-use crate::terminal::note;
+use crate::terminal::{note, warning};
 
 /// The arguments that select remote simulators.
 #[derive(Debug, Clone, Args)]
@@ -81,7 +81,7 @@ impl Simulators {
 
 /// Prints failures of servers.
 fn listener() -> Listener {
-    Box::new(|failure: &str| note(format_args!("warning: {failure}")))
+    Box::new(|failure: &str| warning(failure))
 }
 
 /// Gives an error of a pool its exit code.

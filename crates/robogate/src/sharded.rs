@@ -1,15 +1,20 @@
 //! A campaign in shards, with the question of its gate if it has one.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use robogate_campaign::shards::{Assignment, OpenRound, ShardError, ShardStatus, Shards};
 use robogate_campaign::{AfterRound, Event, Round};
+use robogate_core::Foresight;
+use robogate_dictionary::Provenance;
 use robogate_gate::{Asked, GateError, Record};
 
 use crate::commands::gate::{Look, compared_with, finish, refused, write_question};
 use crate::commands::run::{conclude, write_report};
 use crate::commands::shard::exit;
 use crate::exit::Exit;
+use crate::remote::Simulators;
+use crate::subject::{Subject, starts_processes};
 use crate::twins;
 
 /// A campaign in shards. After each round of a gate, the sequential test decides whether another one follows.
@@ -41,6 +46,23 @@ impl Gate {
     }
 }
 
+/// What the task knows about episodes before they run. `None` if it knows nothing.
+pub(crate) type Knowledge = Option<Arc<dyn Foresight>>;
+
+/// The knowledge of the environment of a run. The policy, whose server may be gone, is not needed.
+fn recorded_foresight(provenance: &Provenance) -> Result<Knowledge, Exit> {
+    let mut world = provenance.clone();
+    if let Some(settings) = world.world.as_object_mut() {
+        settings.remove("policy");
+    }
+    if starts_processes(&world) {
+        // The bridge protocol has no such knowledge for environments in other processes.
+        return Ok(None);
+    }
+    let subject = Subject::recorded(&world, &Simulators::none())?;
+    subject.foresight()
+}
+
 impl Campaign {
     /// Reads the question of the gate.
     pub(crate) fn of(shards: Shards) -> Result<Self, Exit> {
@@ -51,6 +73,19 @@ impl Campaign {
     /// The shards.
     pub(crate) fn shards(&self) -> &Shards {
         &self.shards
+    }
+
+    /// Chooses the points of the next round of an active stage, if it can be chosen now. `foresight` is called only then.
+    pub(crate) fn choose(&self, foresight: &dyn Fn() -> Result<Knowledge, Exit>) -> Result<(), Exit> {
+        if let Some(round) = self.shards.unchosen().map_err(exit)? {
+            self.shards.choose(round, foresight()?).map_err(exit)?;
+        }
+        Ok(())
+    }
+
+    /// Like [`Self::choose`], in the environment of the plan.
+    pub(crate) fn choose_as_recorded(&self) -> Result<(), Exit> {
+        self.choose(&|| recorded_foresight(&self.shards.settings().provenance))
     }
 
     /// Calls `work` with the decision after each round.
@@ -87,6 +122,7 @@ impl Campaign {
 
     /// Merges the shards into `out`, and prints nothing.
     pub(crate) fn merge_quietly(mut self, out: &Path, events: &mut dyn FnMut(&Event)) -> Result<(), Exit> {
+        self.choose_as_recorded()?;
         self.in_rounds(|shards, after_round| shards.merge(out, events, after_round))?;
         write_report(out);
         Ok(())
@@ -94,6 +130,7 @@ impl Campaign {
 
     /// Merges the shards into `out`, and prints the summary or the verdict.
     pub(crate) fn merge(mut self, out: &Path, events: &mut dyn FnMut(&Event), json: bool) -> Result<u8, Exit> {
+        self.choose_as_recorded()?;
         let completion = self.in_rounds(|shards, after_round| shards.merge(out, events, after_round))?;
         twins::merge(&self.shards, out, &completion)?;
         match &self.gate {

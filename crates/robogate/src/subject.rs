@@ -9,10 +9,10 @@ use clap::Args;
 use robogate_campaign::{Worker, WorkerFactory};
 use robogate_core::latency::{Execution, LATENCY_PARAMETER, Latency, with_latency, with_parameter};
 use robogate_core::{
-    Assignment, Environment, Fault, FaultKind, InfeasibleShare, ParameterSpace, Policy, SpaceFeasibility, Suite,
-    TaskSpec,
+    Assignment, Environment, Fault, FaultKind, Foresight, InfeasibleShare, ParameterSpace, Policy, SpaceFeasibility,
+    Suite, TaskSpec,
 };
-use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance};
+use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance, read_text};
 use robogate_gate::Controls;
 use robogate_physics::{RobotFile, SuctionLaw, is_folder};
 use robogate_policy::Arm;
@@ -440,12 +440,29 @@ impl Subject {
         &self.task
     }
 
+    /// What the task knows about episodes before they run. `None` if it knows nothing.
+    pub(crate) fn foresight(&self) -> Result<Option<Arc<dyn Foresight>>, Exit> {
+        // The parameter of a latency belongs to an adapter, which needs a policy.
+        if self.execution.is_some() {
+            return Ok(self.worker().or_broken()?.environment.foresight());
+        }
+        Ok(self.environment.environment().or_broken()?.foresight())
+    }
+
     /// The name of the environment's own suite, if it has one.
     pub(crate) fn own_suite(&self) -> Option<&'static str> {
         match &self.environment {
             EnvironmentSource::Cell(_) => Some("industrial-68"),
             EnvironmentSource::Arm(cell) => Some(cell.suite()),
             EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
+        }
+    }
+
+    /// The distribution of the units of the robot, if it is known.
+    pub(crate) fn own_unit_space(&self) -> Option<&'static str> {
+        match &self.environment {
+            EnvironmentSource::Cell(cell) => Some(cell.unit_space()),
+            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
         }
     }
 
@@ -592,7 +609,7 @@ impl Subject {
 }
 
 /// Rejects a space with a parameter that the task does not declare, or with values that it does not accept.
-fn check_declared(task: &TaskSpec, space: &ParameterSpace) -> anyhow::Result<()> {
+pub(crate) fn check_declared(task: &TaskSpec, space: &ParameterSpace) -> anyhow::Result<()> {
     for parameter in space.parameters() {
         let Some(spec) = task.parameter(&parameter.name) else {
             let known: Vec<&str> = task.parameters.iter().map(|spec| &*spec.name).collect();
@@ -609,6 +626,23 @@ fn check_declared(task: &TaskSpec, space: &ParameterSpace) -> anyhow::Result<()>
 }
 
 impl EnvironmentSource {
+    /// The declarations of all built-in tasks except that of the built-in cell.
+    pub(crate) fn declared_tasks() -> Result<Vec<Arc<TaskSpec>>, Exit> {
+        let arms = registry::ARM_TASKS.iter().map(|task| {
+            let settings = ArmSettings {
+                task: task.name().to_owned(),
+                robot: franka(),
+                engine: ENGINES[0].name.to_owned(),
+                time_step_s: ENGINES[0].time_step_s,
+                grip_force_n: None,
+                suction: None,
+            };
+            ArmCell::new(settings, SuctionLaw::Vacuum).map(|cell| Self::Arm(Box::new(cell)))
+        });
+        let others = registry::TASKS.iter().map(|task| Ok(Self::SelfContained(*task)));
+        arms.chain(others).map(|source| source.and_then(|source| source.task())).collect::<Result<_, _>>().or_setup()
+    }
+
     /// The same environment with the failure modes and the workspace of the paper, if it is the built-in cell.
     pub(crate) fn like_the_paper(mut self) -> Self {
         if let Self::Cell(cell) = &mut self {
@@ -851,7 +885,7 @@ pub(crate) fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
             let known = built_in_spaces().collect::<Vec<_>>().join(", ");
             bail!("--space {wanted}: unknown parameter space. Expected a file, or one of: {known}")
         }
-        None => std::fs::read_to_string(wanted)
+        None => read_text(Path::new(wanted))
             .with_context(|| format!("cannot read {wanted}"))
             .and_then(|text| ParameterSpace::from_toml(&text).with_context(|| wanted.to_owned())),
     }

@@ -5,11 +5,12 @@ use std::path::Path;
 use robogate_analysis::{Analysis, MarginalEffect};
 use robogate_campaign::folder::{ACTIVE, DICTIONARY};
 use robogate_campaign::{
-    ActiveReport, BoundaryReport, DrawnFrom, Estimate, OutcomeCounts, Population, Stage, StageSummary, SuiteSummary,
-    Summary,
+    ActiveReport, BoundaryReport, DrawnFrom, Estimate, OutcomeCounts, Population, Sought, Stage, StageSummary,
+    SuiteSummary, Summary,
 };
 use robogate_gate::Twins;
-use robogate_report::Headline;
+use robogate_report::{Headline, low_side};
+use robogate_stats::format::{p_value, percent_or_dash};
 use serde_json::json;
 
 use crate::commands::analyze::by_influence;
@@ -40,6 +41,9 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
     if summary.stages.iter().any(|stage| stage.stage == Stage::Active) {
         weighted(&summary.estimate);
     }
+    if let Some(found) = &summary.sought {
+        sought(found);
+    }
     for stage in &summary.stages {
         rate(stage, &summary.sampler);
     }
@@ -49,6 +53,7 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
     }
     if let Some(analysis) = analysis {
         headline(analysis);
+        influential(analysis);
         // The report lists all of them.
         let significant =
             |effect: &&MarginalEffect| analysis.effects.significant().any(|of| of.parameter == effect.parameter);
@@ -78,14 +83,15 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
 /// Formats the counts of an unfinished campaign in one line.
 pub(crate) fn outcomes_in_one_line(counts: &OutcomeCounts) -> String {
     let mut text = match counts.success_rate() {
-        Some(rate) => format!("success {}", percent(rate)),
+        Some(rate) => format!("success {} ({} of {})", percent(rate), grouped(counts.success), grouped(counts.valid())),
         None => "no valid episode yet".to_owned(),
     };
-    for (mode, count) in &counts.failures {
-        text += &format!(" · {mode} {count}");
-    }
+    // First, because a narrow terminal cuts the end.
     if counts.invalid > 0 {
-        text += &format!(" · INVALID {}", counts.invalid);
+        text += &format!(" · INVALID {}", grouped(counts.invalid));
+    }
+    for (mode, count) in &counts.failures {
+        text += &format!(" · {mode} {}", grouped(*count));
     }
     text
 }
@@ -134,6 +140,23 @@ fn weighted(estimate: &Estimate) {
             percent(high)
         ));
     }
+}
+
+/// The rate of the failure mode that the campaign sought.
+fn sought(found: &Sought) {
+    let Some(rate) = found.rate else { return };
+    let [low, high] = found.interval_95;
+    let saved = found.worth_episodes.map_or_else(String::new, |worth| {
+        format!("; as precise as {} uniform episodes", grouped(worth.round() as u64))
+    });
+    line(format_args!(
+        "{}  over the operating space: {} of {} episodes failed in this way, 95 % interval {} to {}{saved}",
+        bold(format_args!("{} {}", found.mode, small_percent(rate))),
+        grouped(found.failures),
+        grouped(found.valid),
+        small_percent(low),
+        small_percent(high),
+    ));
 }
 
 /// The last risk model of an active design.
@@ -236,6 +259,28 @@ fn headline(analysis: &Analysis) {
             line(bold(title));
             lines.iter().for_each(|text| wrapped(text));
         }
+    }
+}
+
+/// Parameters in the list of the most influential ones.
+const MAX_PARAMETERS: usize = 5;
+
+/// The parameters with significant effects, the most influential first. At most five.
+pub(crate) fn influential(analysis: &Analysis) {
+    let effects = &analysis.effects;
+    let mut significant = effects.significant().peekable();
+    if significant.peek().is_none() {
+        return;
+    }
+    line("");
+    line(bold("Most influential parameters"));
+    for effect in significant.take(MAX_PARAMETERS) {
+        let p = p_value(effect.adjusted_p.max(f64::MIN_POSITIVE).ln());
+        let rates = effect.shape.estimated().map_or_else(String::new, |shape| {
+            let [low, high] = [shape.low.rate, shape.high.rate].map(percent_or_dash);
+            format!("  {low} success {}, elsewhere {high}", low_side(&effect.parameter, shape))
+        });
+        line(format_args!("  {:<16} p {p:<8}{rates}", effect.parameter));
     }
 }
 

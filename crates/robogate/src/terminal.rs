@@ -5,10 +5,100 @@ use std::fmt::{self, Display};
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{self, IsTerminal, Write};
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
 
+use console::{Term, measure_text_width, strip_ansi_codes};
+use indicatif::MultiProgress;
+
+use robogate_stats::format::is_deceptive;
 pub(crate) use robogate_stats::format::{count as grouped, percent};
 
+use crate::canvas;
 use crate::exit::Exit;
+
+/// The longest line of text, in columns. Also the width without a terminal, so that the output does not depend on one.
+const LONGEST_LINE: usize = 100;
+
+/// Whether stderr shows nothing but warnings and errors.
+static QUIET: AtomicBool = AtomicBool::new(false);
+/// The live view of this process, once there is one.
+static SCREEN: OnceLock<MultiProgress> = OnceLock::new();
+
+/// Shows warnings, errors and results only.
+pub(crate) fn be_quiet() {
+    QUIET.store(true, Ordering::Relaxed);
+}
+
+/// The live view on stderr. Other lines on stderr are written above it.
+#[derive(Debug, Clone)]
+pub(crate) struct Screen(MultiProgress);
+
+impl Screen {
+    /// The view of this process.
+    pub(crate) fn open() -> Self {
+        Self(SCREEN.get_or_init(|| canvas::bars(QUIET.load(Ordering::Relaxed))).clone())
+    }
+
+    /// The bars of the view.
+    pub(crate) fn bars(&self) -> &MultiProgress {
+        &self.0
+    }
+
+    /// Width of stderr in columns.
+    pub(crate) fn columns(&self) -> usize {
+        usize::from(Term::stderr().size().1)
+    }
+
+    /// Removes the view before the process ends. The cursor moves to the start of a line.
+    pub(crate) fn close() {
+        // The process ends, and a terminal that cannot be written to shows nothing anyway.
+        let _ = SCREEN.get().map(MultiProgress::clear);
+    }
+}
+
+/// Width of stdout in columns. `None` if it is not a terminal.
+fn columns() -> Option<usize> {
+    io::stdout().is_terminal().then(|| Term::stdout().size_checked()).flatten().map(|(_, columns)| usize::from(columns))
+}
+
+/// Breaks lines that are longer than the terminal is wide between words, with a hanging indent. Without a terminal,
+/// text stays as it is.
+fn fitted(text: String, columns: Option<usize>) -> String {
+    let Some(columns) = columns.filter(|columns| text.lines().any(|line| measure_text_width(line) > *columns)) else {
+        return text;
+    };
+    let lines: Vec<String> = text.split('\n').map(|line| folded(line, columns)).collect();
+    lines.join("\n")
+}
+
+/// Breaks one line.
+fn folded(line: &str, columns: usize) -> String {
+    let visible = strip_ansi_codes(line);
+    let indent = visible.len() - visible.trim_start_matches(' ').len();
+    let hanging = " ".repeat((indent + 2).min(columns / 2));
+    let mut text = String::with_capacity(line.len() + hanging.len());
+    let (mut used, mut spaces, mut empty) = (0, 0, true);
+    // A number stays with its percent sign.
+    for word in line.replace(" %", "\u{a0}%").split(' ') {
+        let wide = measure_text_width(word);
+        if wide == 0 && word.is_empty() {
+            spaces += 1;
+            continue;
+        }
+        if !empty && used + spaces + wide > columns {
+            text.push('\n');
+            text.push_str(&hanging);
+            used = hanging.len();
+        } else {
+            text.push_str(&" ".repeat(spaces));
+            used += spaces;
+        }
+        text.push_str(word);
+        used += wide;
+        (spaces, empty) = (1, false);
+    }
+    text.replace('\u{a0}', " ")
+}
 
 /// Whether a stream shows colours: it is a terminal, and `NO_COLOR` is not set.
 fn colour(stream: &impl IsTerminal) -> bool {
@@ -64,10 +154,11 @@ pub(crate) fn indented(text: impl Display) -> String {
     escaped(&text.to_string(), |rest| rest.starts_with('\n').then_some(1)).replace('\n', "\n    ")
 }
 
-/// Escapes control characters (C0, DEL, C1) as JSON does, so that a JSON document keeps its meaning. `kept` returns the
+/// Escapes control characters (C0, DEL, C1) and controls of the text direction as JSON does, so that a JSON document keeps its
+/// meaning. `kept` returns the
 /// number of bytes at the start of a text that are copied unchanged.
 fn escaped(text: &str, kept: impl Fn(&str) -> Option<usize>) -> Cow<'_, str> {
-    if !text.contains(char::is_control) {
+    if !text.contains(is_deceptive) {
         return Cow::Borrowed(text);
     }
     let mut safe = String::with_capacity(text.len());
@@ -76,7 +167,7 @@ fn escaped(text: &str, kept: impl Fn(&str) -> Option<usize>) -> Cow<'_, str> {
         let taken = kept(rest);
         let (head, tail) = rest.split_at(taken.unwrap_or(c.len_utf8()));
         match c {
-            _ if taken.is_some() || !c.is_control() => safe.push_str(head),
+            _ if taken.is_some() || !is_deceptive(c) => safe.push_str(head),
             '\n' => safe.push_str("\\n"),
             '\r' => safe.push_str("\\r"),
             '\t' => safe.push_str("\\t"),
@@ -90,7 +181,7 @@ fn escaped(text: &str, kept: impl Fn(&str) -> Option<usize>) -> Cow<'_, str> {
 /// Writes a line of data or summary to stdout. A closed pipe is not an error.
 pub(crate) fn line(text: impl Display) {
     // The reader of stdout has gone away, so there is nothing to report to.
-    let _ = writeln!(io::stdout(), "{}", harmless(&text.to_string()));
+    let _ = writeln!(io::stdout(), "{}", fitted(harmless(&text.to_string()), columns()));
 }
 
 /// Escapes control characters, because the text contains data from files. Line ends, tabs and the styles that this module
@@ -108,11 +199,17 @@ fn harmless(text: &str) -> String {
     safe
 }
 
-/// Writes text in lines of at most 100 columns.
+/// The longest line of text in columns: 100, or the width of the terminal if that is less.
+pub(crate) fn longest_line() -> usize {
+    columns().map_or(LONGEST_LINE, |columns| columns.clamp(40, LONGEST_LINE))
+}
+
+/// Writes text in lines of at most [`longest_line`] columns.
 pub(crate) fn wrapped(text: &str) {
+    let longest = longest_line() - 2;
     let mut so_far = String::from("  ");
     for word in text.split_whitespace() {
-        if so_far.chars().count() + word.chars().count() > 98 && !so_far.trim().is_empty() {
+        if so_far.chars().count() + word.chars().count() > longest && !so_far.trim().is_empty() {
             line(so_far.trim_end());
             so_far = String::from("  ");
         }
@@ -122,15 +219,40 @@ pub(crate) fn wrapped(text: &str) {
     line(so_far.trim_end());
 }
 
-/// Writes a line for the user to stderr.
+/// Writes a line for the user to stderr, unless the user wants none.
 pub(crate) fn note(text: impl Display) {
-    let _ = writeln!(io::stderr(), "{}", harmless(&text.to_string()));
+    if !QUIET.load(Ordering::Relaxed) {
+        tell(&text.to_string());
+    }
+}
+
+/// Writes a line to stderr, above the live view.
+fn tell(text: &str) {
+    let write = || {
+        // Without stderr there is no place to report to.
+        let columns = io::stderr().is_terminal().then(|| Term::stderr().size_checked()).flatten();
+        let columns = columns.map(|(_, columns)| usize::from(columns));
+        let _ = writeln!(io::stderr(), "{}", fitted(harmless(text), columns));
+    };
+    match SCREEN.get() {
+        Some(screen) => screen.suspend(write),
+        None => write(),
+    }
+}
+
+/// Writes a warning.
+pub(crate) fn warning(text: impl Display) {
+    tell(&format!("{}: {text}", label("1;33", "warning")));
 }
 
 /// Writes an error.
 pub(crate) fn error(exit: &Exit) {
-    let label = if colour(&io::stderr()) { format!("{}error{}", mark("1;31"), mark("0")) } else { "error".to_owned() };
-    note(format_args!("{label}: {exit}"));
+    tell(&format!("{}: {exit}", label("1;31", "error")));
+}
+
+/// A word in a style, if stderr shows colours.
+fn label(style: &str, word: &str) -> String {
+    if colour(&io::stderr()) { format!("{}{word}{}", mark(style), mark("0")) } else { word.to_owned() }
 }
 
 /// Formats a share from 0 to 1 as a bar of `width` cells, in eighths of a cell.
@@ -153,6 +275,8 @@ mod tests {
         // Colours of others could hide a word, or show a verdict in green.
         assert_eq!(harmless("\x1b[8mhidden\x1b[0m"), "\\u001b[8mhidden\\u001b[0m");
         assert_eq!(harmless(&format!("{}\x1b[2J", mark("1"))), "\x1b[1m\\u001b[2J");
+        // A name that reads "fail pass" backwards.
+        assert_eq!(harmless("\u{202e}ssap\u{202c} \u{2066}x"), "\\u202essap\\u202c \\u2066x");
         let hostile = "a\x1b]0;title\x07\x1b[2Jb\u{9b}c\r";
         assert_eq!(harmless(hostile), "a\\u001b]0;title\\u0007\\u001b[2Jb\\u009bc\\r");
     }
@@ -164,6 +288,21 @@ mod tests {
             "a\\u001b[2J\\nverdict: pass\\u009b1m\\u007f\u{e4}"
         );
         assert_eq!(indented("not a plan\nhint: \rleave it out"), "not a plan\n    hint: \\rleave it out");
+    }
+
+    #[test]
+    fn lines_fit_the_terminal() {
+        let text = "  \x1b[1mcollision\x1b[0m   12 of 40  in the weakest group of scenarios";
+        assert_eq!(
+            fitted(text.to_owned(), Some(30)),
+            "  \x1b[1mcollision\x1b[0m   12 of 40  in the\n    weakest group of scenarios"
+        );
+        assert_eq!(fitted(text.to_owned(), Some(80)), text);
+        assert_eq!(fitted(text.to_owned(), None), text);
+        assert_eq!(folded("\x1b[2m    one two\x1b[0m", 9), "\x1b[2m    one\n    two\x1b[0m");
+        assert_eq!(folded("elsewhere 46.8 %", 15), "elsewhere\n  46.8 %");
+        // A path is not broken.
+        assert_eq!(folded("a/long/path/without/spaces", 10), "a/long/path/without/spaces");
     }
 
     #[test]

@@ -2,14 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::Context;
 use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
 use robogate_analysis::{Analysis, Comparison, HERE, ReplayEpisode, Source, shell_word, worth_watching};
 use robogate_campaign::{WorkerFactory, recorded};
-use robogate_core::{Outcome, Value};
+use robogate_core::{Episode, Outcome, Value};
 use robogate_replay::{Clip, Recording, record, reel};
-use robogate_report::{Watch, WatchItem};
+use robogate_report::{Strip, Watch, WatchItem};
 use robogate_stats::format::{counted, number};
 
+use crate::film::{self, Cameras, Filmed, Shot};
+use crate::picture;
 use crate::policy_source::PolicySource;
 use crate::remote::Simulators;
 use crate::subject::{Subject, starts_processes};
@@ -28,9 +31,24 @@ pub(crate) enum Moment {
     OnRequest,
 }
 
+/// Where images with frames of the episodes are written, for pages that cannot play them.
+#[derive(Debug, Clone)]
+pub(crate) struct Frames {
+    /// The folder.
+    pub(crate) folder: PathBuf,
+    /// Its path relative to the page.
+    pub(crate) link: String,
+}
+
+/// Number of frames of an episode.
+const FRAMES: u32 = 4;
+/// Width and height of a frame in pixels, if the built-in cell renders it.
+const FRAME_PX: usize = 240;
+
 /// The folders of runs with their environments and policies, and the clips so far.
 struct Recorder<'a> {
     place: Place,
+    frames: Option<&'a Frames>,
     runs: Vec<Run<'a>>,
     clips: Vec<Clip>,
     /// Number of episodes whose replay differs from the record.
@@ -43,26 +61,38 @@ struct Recorder<'a> {
 struct Run<'a> {
     folder: &'a Path,
     subject: Subject,
-    /// Recorded episodes: index, and place in the clips.
-    done: Vec<(u64, Option<usize>)>,
+    /// The episodes so far.
+    done: Vec<Done>,
+}
+
+/// An episode that was recorded again.
+#[derive(Clone)]
+struct Done {
+    index: u64,
+    /// The place in the clips. `None` if it cannot be shown.
+    clip: Option<usize>,
+    strip: Option<Strip>,
 }
 
 /// The episodes of a run that are worth watching. Nothing is recorded for rows without a run's folder, and for a run
-/// that needs a server which `simulators` does not name.
+/// that needs a server which `simulators` does not name. With `frames`, images are written too if the environment has a
+/// camera.
 pub(crate) fn watch(
     source: &Source,
     analysis: &Analysis,
     simulators: &Simulators,
     moment: Moment,
+    frames: Option<&Frames>,
 ) -> anyhow::Result<Watch> {
     let chosen = worth_watching(source, analysis, MAX_CLIPS)?;
     let mut recorder = Recorder::new(moment, Place::Beside);
+    recorder.frames = frames;
     let run = if chosen.is_empty() { None } else { recorder.add(source.folder(), source, simulators) };
     let folder = source.folder().filter(|_| analysis.subject.replayable);
     let mut items = Vec::with_capacity(chosen.len());
     for one in chosen {
-        let clip = run.and_then(|run| recorder.clip(run, &one.episode));
-        let second = run.and_then(|run| recorder.clip(run, &one.twin.as_ref()?.episode));
+        let first = run.and_then(|run| recorder.clip(run, &one.episode));
+        let twin = run.and_then(|run| recorder.clip(run, &one.twin.as_ref()?.episode));
         items.push(WatchItem {
             title: one.title,
             why: one.why,
@@ -73,8 +103,9 @@ pub(crate) fn watch(
                 |_| command(Path::new(HERE), one.episode.index),
             ),
             beside: one.twin.map_or_else(String::new, |twin| twin.differences),
-            clip,
-            second,
+            clip: first.as_ref().and_then(|done| done.clip),
+            second: twin.as_ref().and_then(|done| done.clip),
+            strips: [first, twin].into_iter().flatten().filter_map(|done| done.strip).collect(),
         });
     }
     Ok(recorder.finish(items))
@@ -108,8 +139,8 @@ pub(crate) fn compared(
                 figure: String::new(),
                 parameters: flip.parameters.clone(),
             };
-            let clip = runs[0].and_then(|run| recorder.named(run, &episode(&flip.first), &pair.first));
-            let beside = runs[1].and_then(|run| recorder.named(run, &episode(&flip.second), &pair.second));
+            let clip = runs[0].and_then(|run| recorder.named(run, &episode(&flip.first), &pair.first)?.clip);
+            let beside = runs[1].and_then(|run| recorder.named(run, &episode(&flip.second), &pair.second)?.clip);
             items.push(WatchItem {
                 title: format!("Episode {}", flip.index),
                 why: format!(
@@ -125,6 +156,7 @@ pub(crate) fn compared(
                 beside: String::new(),
                 clip,
                 second: if clip.is_some() { beside } else { None },
+                strips: Vec::new(),
             });
         }
     }
@@ -140,13 +172,14 @@ enum Place {
     Elsewhere,
 }
 
-fn command(folder: &Path, index: u64) -> String {
+/// The command that replays an episode of the run in `folder`.
+pub(crate) fn command(folder: &Path, index: u64) -> String {
     format!("robogate replay {} {index}", shell_word(&folder.display().to_string()))
 }
 
 impl<'a> Recorder<'a> {
     fn new(moment: Moment, place: Place) -> Self {
-        Self { place, runs: Vec::new(), clips: Vec::new(), differing: 0, remarks: Vec::new(), moment }
+        Self { place, frames: None, runs: Vec::new(), clips: Vec::new(), differing: 0, remarks: Vec::new(), moment }
     }
 
     /// Prepares a run, and returns its place. `None` with a remark if its episodes cannot be recorded again.
@@ -169,6 +202,10 @@ impl<'a> Recorder<'a> {
                 None
             }
             Ok(subject) => {
+                // The size of images would change what a policy that sees them receives.
+                let seeing = subject.policy_source().and_then(PolicySource::profile).is_some();
+                let smaller = self.frames.is_some() && !seeing;
+                let subject = if smaller { subject.with_pictures_of(FRAME_PX) } else { subject };
                 self.runs.push(Run { folder, subject, done: Vec::new() });
                 Some(self.runs.len() - 1)
             }
@@ -182,38 +219,35 @@ impl<'a> Recorder<'a> {
         }
     }
 
-    fn clip(&mut self, run: usize, episode: &ReplayEpisode) -> Option<usize> {
+    fn clip(&mut self, run: usize, episode: &ReplayEpisode) -> Option<Done> {
         self.named(run, episode, "Episode")
     }
 
-    /// Records an episode, and returns its place in the clips. `None` if its replay differs from the record.
-    fn named(&mut self, run: usize, chosen: &ReplayEpisode, name: &str) -> Option<usize> {
+    /// Records an episode. It has no clip if its replay differs from the record.
+    fn named(&mut self, run: usize, chosen: &ReplayEpisode, name: &str) -> Option<Done> {
         let Run { folder, subject, done } = self.runs.get_mut(run)?;
-        if let Some((_, place)) = done.iter().find(|(index, _)| *index == chosen.index) {
-            return *place;
+        if let Some(known) = done.iter().find(|known| known.index == chosen.index) {
+            return Some(known.clone());
         }
-        let recording = again(folder, subject, chosen.index);
-        let place = match recording {
-            Ok(Some(recording)) => {
-                let parameters = recording.episode.scenario.requested.iter();
-                let show = |value: &Value| match value {
-                    Value::Number(x) => number(*x),
-                    other => other.to_string(),
+        let mut strip = None;
+        let before = recorded(folder, chosen.index).map_err(anyhow::Error::from);
+        let recording = before.and_then(|before| again(subject, &before.episode, self.frames.is_some()));
+        let clip = match recording {
+            Ok(Some((recording, shots))) => {
+                match self.frames.map(|frames| write_strip(frames, &recording, chosen.index, &shots)) {
+                    Some(Ok(written)) => strip = written,
+                    Some(Err(why)) => {
+                        self.remarks.push(format!("Episode {} has no frames: {why:#}.", chosen.index));
+                    }
+                    None => {}
+                }
+                let title = if name == "Episode" {
+                    format!("Episode {}", chosen.index)
+                } else {
+                    format!("{name}, episode {}", chosen.index)
                 };
-                self.clips.push(Clip {
-                    title: if name == "Episode" {
-                        format!("Episode {}", chosen.index)
-                    } else {
-                        format!("{name}, episode {}", chosen.index)
-                    },
-                    outcome: mode_label(recording.episode.outcome.as_str()),
-                    success: recording.episode.outcome == Outcome::Success,
-                    parameters: parameters
-                        .map(|(name, value)| (parameter_label(name), value_with_unit(&show(value), name)))
-                        .collect(),
-                    command: command(if self.place == Place::Beside { Path::new(HERE) } else { folder }, chosen.index),
-                    recording,
-                });
+                let folder = if self.place == Place::Beside { Path::new(HERE) } else { folder };
+                self.clips.push(labelled(recording, title, command(folder, chosen.index)));
                 Some(self.clips.len() - 1)
             }
             Ok(None) => {
@@ -226,8 +260,9 @@ impl<'a> Recorder<'a> {
                 None
             }
         };
-        done.push((chosen.index, place));
-        place
+        let one = Done { index: chosen.index, clip, strip };
+        done.push(one.clone());
+        Some(one)
     }
 
     fn finish(mut self, items: Vec<WatchItem>) -> Watch {
@@ -267,10 +302,58 @@ fn behind_server(subject: &Subject) -> bool {
     subject.policy_source().and_then(PolicySource::profile).is_some_and(|profile| !profile.dialect.is_file())
 }
 
-/// Records an episode again. `None` if it differs from the record.
-fn again(folder: &Path, subject: &Subject, index: u64) -> anyhow::Result<Option<Recording>> {
-    let before = recorded(folder, index)?.episode;
+/// Records an episode again, with images at equal distances in time on request. `None` if it differs from the record.
+pub(crate) fn again(
+    subject: &Subject,
+    before: &Episode,
+    images: bool,
+) -> anyhow::Result<Option<(Recording, Vec<Shot>)>> {
     let mut worker = subject.worker().map_err(|fault| anyhow::anyhow!("{fault}"))?;
-    let recording = record(&mut *worker.environment, &mut *worker.policy, &before.scenario);
-    Ok((recording.episode == before).then_some(recording))
+    // The last observation. A policy that gives up ends an episode before the time of its ending.
+    let end_s = f64::from(before.ticks) * worker.environment.task().control_period_s;
+    let part = end_s / f64::from(FRAMES - 1);
+    let times: Vec<f64> = if images { (0..FRAMES).map(|i| f64::from(i) * part).collect() } else { Vec::new() };
+    let mut filmed = Filmed::at(&mut *worker.environment, Cameras::First, &times);
+    let recording = record(&mut filmed, &mut *worker.policy, &before.scenario);
+    // An environment that cannot render has no images.
+    let shots = std::mem::take(&mut filmed.shots);
+    Ok((recording.episode == *before).then_some((recording, shots)))
+}
+
+/// Writes frames of an episode. `None` without frames.
+fn write_strip(frames: &Frames, recording: &Recording, index: u64, shots: &[Shot]) -> anyhow::Result<Option<Strip>> {
+    let (Some(first), Some(last)) = (shots.first(), shots.last()) else { return Ok(None) };
+    let name = format!("episode-{index}.png");
+    let image = film::strip(&shots.iter().collect::<Vec<_>>());
+    let path = frames.folder.join(&name);
+    std::fs::create_dir_all(&frames.folder)
+        .and_then(|()| std::fs::write(&path, picture::png(&image).map_err(std::io::Error::other)?))
+        .with_context(|| format!("cannot write {}", path.display()))?;
+    let alt = format!(
+        "Episode {index}, {}: {} from {:.2} s to {:.2} s",
+        mode_label(recording.episode.outcome.as_str()),
+        counted(shots.len() as u64, "frame"),
+        first.time_s,
+        last.time_s
+    );
+    Ok(Some(Strip { file: format!("{}/{name}", frames.link), alt }))
+}
+
+/// A recording with its labels on a page.
+pub(crate) fn labelled(recording: Recording, title: String, command: String) -> Clip {
+    let show = |value: &Value| match value {
+        Value::Number(x) => number(*x),
+        other => other.to_string(),
+    };
+    let parameters = recording.episode.scenario.requested.iter();
+    Clip {
+        title,
+        outcome: mode_label(recording.episode.outcome.as_str()),
+        success: recording.episode.outcome == Outcome::Success,
+        parameters: parameters
+            .map(|(name, value)| (parameter_label(name), value_with_unit(&show(value), name)))
+            .collect(),
+        command,
+        recording,
+    }
 }

@@ -73,7 +73,7 @@ fn arm_tasks_pass_through_the_verbs() {
         let a = format!("{task}-a");
         verb(&format!("{run} --threads 2 --out {a}"), 0, &["ur5e"]);
         verb(&format!("{run} --threads 1 --out {task}-b"), 0, &[]);
-        // The uniform stage, then the boundary stage.
+        // The uniform stage, then one round of the active stage.
         for shard in [0, 1, 0, 1] {
             verb(&format!("{run} --shard {shard}/2 --out {task}-s"), 0, &[]);
         }
@@ -92,6 +92,37 @@ fn arm_tasks_pass_through_the_verbs() {
     verb("run --task stacking --robot ur5e --grip-force 10 -n 2 --out c", 2, &["needs fingers"]);
     verb("run --task stacking --renderer egl -n 2 --out d", 2, &["--renderer egl"]);
     verb("run --task stacking --engine none -n 2 --out e", 2, &["no such engine"]);
+}
+
+/// The default design is active. Its gate uses the episodes that no model chose, and other designs can be chosen.
+#[test]
+fn designs_of_the_pendulum() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    let verb = |arguments: &str, code: i32, parts: &[&str]| robogate(at, arguments, code, parts);
+    let run = "run --task pendulum -n 200 --seed 3";
+    verb(&format!("{run} --out a"), 0, &["all episodes by their weights", "Risk model"]);
+    verb("export a rows.csv", 0, &[]);
+    let rows = fs::read_to_string(at.join("rows.csv")).unwrap();
+    let header: Vec<&str> = rows.lines().next().unwrap().split(',').collect();
+    let column = |name: &str| header.iter().position(|of| *of == name).unwrap();
+    let (stage, design) = (column("stage"), column("design"));
+    let cells: Vec<Vec<&str>> = rows.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    let count = |of: &str, chosen: &str| cells.iter().filter(|row| row[stage] == of && row[design] == chosen).count();
+    let sampled = count("uniform", "latin_hypercube") + count("active", "uniform");
+    assert_eq!(sampled + count("active", "active"), 200);
+    assert!(sampled > 100 && sampled < 160, "{sampled}");
+    let judged = format!("{sampled} episodes");
+    let excluded = format!("{} episodes of a focused design are excluded", 200 - sampled);
+    verb("gate --run a --requirements default", 1, &[&judged, &excluded]);
+    verb("analyze a", 0, &["active (uniform part)", "all rows, reweighted"]);
+
+    verb(&format!("{run} --design uniform --out uniform"), 0, &["200 episodes over the operating space, into uniform"]);
+    verb(&format!("{run} --design two-stage --out two"), 0, &["134 episodes over the operating space, then 66 near"]);
+    assert!(!at.join("two/active.json").exists() && at.join("two/boundary.json").exists());
+    verb(&format!("{run} --seek fell --out sought"), 0, &["fell", "of 200 episodes failed in this way"]);
+    verb(&format!("{run} --seek flew --out x"), 2, &["no such failure mode", "fell", "overspeed"]);
+    verb(&format!("{run} --seek fell --design uniform --out x"), 2, &["active design"]);
 }
 
 #[test]

@@ -14,8 +14,8 @@ use nalgebra::Isometry3;
 use openpi::{actions, serve};
 use robogate_core::{Observation, vectors};
 use robogate_physics::{
-    Engine, Fixture, GRAVITY, GripperCommand, MassProperties, MujocoEngine, Object, Part, Plant, Primitive, Scene,
-    Steering, Visual, built_in_robot,
+    Engine, Fixture, GRAVITY, GripperCommand, GripperUnit, MassProperties, MujocoEngine, Object, Part, Plant,
+    Primitive, Scene, Steering, Visual, built_in_robot,
 };
 use robogate_policy::{Decoder, Profile, state_numbers};
 use robogate_tasks::pick_place::Rules;
@@ -195,6 +195,7 @@ fn cell() -> (Plant<MujocoEngine>, Steering) {
         visual: Visual::default(),
         others: Vec::new(),
         arm_stiffness: 1.0,
+        gripper: GripperUnit::default(),
     };
     plant.load(&scene, 0.01).unwrap();
     (plant, Steering::default())

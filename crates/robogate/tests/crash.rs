@@ -16,6 +16,8 @@ use tempfile::TempDir;
 
 /// Operations that are tried for each kind of fault.
 const POINTS: u64 = 6;
+/// Commands with at most this number of operations are stopped at each of them.
+const FEW: u64 = 12;
 const KINDS: [&str; 4] = ["kill", "eio", "enospc", "short"];
 
 /// The compiled library and a folder for the tests.
@@ -62,8 +64,14 @@ impl Faults {
     }
 
     /// For each kind of fault and operation: runs `first` in a fresh folder with the fault, then `again` until it ends
-    /// with the code of the undisturbed command, and compares the folder.
-    fn everywhere(&self, first: &dyn Fn(&Path) -> Vec<String>, again: &dyn Fn(&Path) -> Vec<String>) {
+    /// with the code of the undisturbed command, and compares the folder. After the fault, the files `complete` are
+    /// absent or whole, and a folder with one of these names is absent or has all of its files.
+    fn everywhere(
+        &self,
+        complete: &[&str],
+        first: &dyn Fn(&Path) -> Vec<String>,
+        again: &dyn Fn(&Path) -> Vec<String>,
+    ) {
         let words = |words: &[String]| words.iter().map(String::as_str).collect::<Vec<_>>().join(" ");
         let run = |arguments: &[String], dir: &Path, kind: &str, at: u64| {
             self.run(&arguments.iter().map(String::as_str).collect::<Vec<_>>(), dir, kind, at)
@@ -75,7 +83,14 @@ impl Faults {
         let operations = operations.unwrap();
         assert!(operations > 3, "{operations} operations: the library is not loaded");
         let files = files_of(&whole);
-        let points: Vec<u64> = if std::env::var_os("ROBOGATE_CRASH_POINTS").is_some_and(|points| points == "all") {
+        let is_part = |name: &str| {
+            complete
+                .iter()
+                .any(|whole| name.strip_prefix(whole).is_some_and(|rest| rest.is_empty() || rest.starts_with('/')))
+        };
+        assert!(complete.iter().all(|whole| files.keys().any(|name| name.starts_with(whole))), "{complete:?}");
+        let all = std::env::var_os("ROBOGATE_CRASH_POINTS").is_some_and(|points| points == "all");
+        let points: Vec<u64> = if all || operations <= FEW {
             (1..=operations).collect()
         } else {
             (0..POINTS).map(|i| 1 + i * (operations - 1) / (POINTS - 1)).collect()
@@ -85,7 +100,16 @@ impl Faults {
                 let dir = self.path(&format!("{kind}-{at}"));
                 let (disturbed, _) = run(&first(&dir), &dir, kind, *at);
                 let stderr = String::from_utf8_lossy(&disturbed.stderr).into_owned();
-                assert!(!stderr.contains("panicked"), "{kind} at {at}: {stderr}");
+                assert!(!stderr.contains("internal error"), "{kind} at {at}: {stderr}");
+                let after = files_of(&dir);
+                for whole in complete {
+                    let parts = |files: &BTreeMap<String, Vec<u8>>| -> BTreeMap<String, Vec<u8>> {
+                        let parts = files.iter().filter(|(name, _)| is_part(name) && name.starts_with(whole));
+                        parts.map(|(name, bytes)| (name.clone(), bytes.clone())).collect()
+                    };
+                    let there = parts(&after);
+                    assert!(there.is_empty() || there == parts(&files), "{kind} at {at}: half of {whole} is there");
+                }
                 if files_of(&dir) != files {
                     // A plan that was never written has to be started again.
                     let begun = dir.join("plan.json").exists();
@@ -136,7 +160,8 @@ fn owned(words: &[&str], dir: &Path) -> Vec<String> {
 fn runs_survive_any_fault() {
     let Some(faults) = Faults::new() else { return };
     let first = ["run", "--task", "pendulum", "-n", "6", "--seed", "3", "--threads", "1", "--out", "DIR"];
-    faults.everywhere(&|dir| owned(&first, dir), &|dir| owned(&["resume", "DIR", "--threads", "1"], dir));
+    let complete = ["plan.json", "dictionary.parquet", "report.html"];
+    faults.everywhere(&complete, &|dir| owned(&first, dir), &|dir| owned(&["resume", "DIR", "--threads", "1"], dir));
 }
 
 #[test]
@@ -154,7 +179,7 @@ fn merges_survive_any_fault() {
     }
     let from = shards.to_str().unwrap();
     let merge = |dir: &Path| owned(&["merge", from, "--out", "DIR"], dir);
-    faults.everywhere(&merge, &merge);
+    faults.everywhere(&["dictionary.parquet"], &merge, &merge);
 }
 
 #[test]
@@ -169,5 +194,47 @@ fn evidence_survives_any_fault() {
         let to = dir.join("evidence").to_str().unwrap().to_owned();
         ["evidence", of.to_str().unwrap(), &to, "--requirements", "default"].map(str::to_owned).to_vec()
     };
-    faults.everywhere(&write, &write);
+    faults.everywhere(&["evidence"], &write, &write);
+}
+
+/// A run, and a function that names a file in a folder after creating the folder.
+fn recorded(faults: &Faults) -> (String, impl Fn(&Path, &str) -> String) {
+    let run = faults.path("run");
+    let words = ["run", "--task", "pendulum", "-n", "40", "--seed", "3", "--out", "DIR"];
+    let output = Command::new(env!("CARGO_BIN_EXE_robogate")).args(owned(&words, &run)).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let inside = |dir: &Path, name: &str| {
+        fs::create_dir_all(dir).unwrap();
+        dir.join(name).to_str().unwrap().to_owned()
+    };
+    (run.to_str().unwrap().to_owned(), inside)
+}
+
+#[test]
+fn exports_survive_any_fault() {
+    let Some(faults) = Faults::new() else { return };
+    let (run, inside) = recorded(&faults);
+    for name in ["rows.csv", "rows.jsonl", "rows.parquet"] {
+        let export = |dir: &Path| ["export", run.as_str(), &inside(dir, name)].map(str::to_owned).to_vec();
+        faults.everywhere(&[name], &export, &export);
+        fs::remove_dir_all(faults.path("whole")).unwrap();
+    }
+}
+
+#[test]
+fn imports_survive_any_fault() {
+    let Some(faults) = Faults::new() else { return };
+    let (run, inside) = recorded(&faults);
+    let table = faults.path("rows.jsonl").to_str().unwrap().to_owned();
+    let output = Command::new(env!("CARGO_BIN_EXE_robogate")).args(["export", &run, &table]).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let plain = faults.path("plain.csv");
+    let rows: String = (0..200).map(|i| format!("{},0.{i:03},{}\n", i % 3 == 0, i % 7)).collect();
+    fs::write(&plain, format!("success,mass_kg,obstacles\n{rows}")).unwrap();
+    let plain = plain.to_str().unwrap().to_owned();
+    for from in [&table, &plain] {
+        let import = |dir: &Path| ["import", from, &inside(dir, "imported.parquet")].map(str::to_owned).to_vec();
+        faults.everywhere(&["imported.parquet"], &import, &import);
+        fs::remove_dir_all(faults.path("whole")).unwrap();
+    }
 }

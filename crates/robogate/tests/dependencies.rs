@@ -125,3 +125,11 @@ fn expressions_are_evaluated() {
         assert_eq!(satisfied(expression, &allowed), expected, "{expression}");
     }
 }
+
+/// The scripts install Python packages by version and hash. Each lock states the requirements that it was made from.
+#[test]
+fn python_locks_are_current() {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scripts/lock_python.sh");
+    let output = Command::new(script).arg("--check").output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}

@@ -67,6 +67,19 @@ fn operate(chromium: &Path, axe: Option<&PathBuf>, page: &Path) {
         browser.wait("!!document.querySelector('.pairs-map rect')");
         browser.evaluate("document.querySelector('.pairs-map').focus()");
         browser.press("ArrowRight");
+        // A click on a cell lists its episodes, and a recorded one is played.
+        browser.evaluate(
+            "[...document.querySelectorAll('.pairs-map rect')].every((cell) => { cell.dispatchEvent(new MouseEvent('click')); \
+             return !document.querySelector('.pairs-list button') })",
+        );
+        browser.wait("document.querySelectorAll('.pairs-list li').length > 0");
+        if browser.evaluate("!!document.querySelector('.pairs-list button')") == json!(true) {
+            browser.evaluate("document.querySelector('.pairs-list button').click()");
+            browser.wait(
+                "document.querySelector('.pairs-list button').textContent.includes(document.querySelector('.view-label \
+                 b').textContent + ':')",
+            );
+        }
         browser.wait("document.querySelector('.pairs-reading').textContent.includes('interval') || document.querySelector('.pairs-reading').textContent.includes('no episode')");
     }
     browser.assert_no_trouble();
@@ -112,4 +125,141 @@ fn pages_work_in_a_browser() {
     let verdict = text.find("class=\"verdict-word\"").unwrap();
     assert!(verdict < text.find("class=\"hero\"").unwrap(), "the verdict comes first");
     operate(&chromium, axe.as_ref(), &at("gate/report.html"));
+    printed(&chromium, &at("gate/report.html"));
+    printed(&chromium, &page);
+    robogate(
+        dir.path(),
+        &["gate", "--requirements", "paper", "--rounds", "1", "--policy", "random", "--out", "failed"],
+    );
+    printed(&chromium, &at("failed/report.html"));
+    monitor_works(&chromium, axe.as_ref(), dir.path());
+}
+
+/// Prints a page, and checks that the paper has the verdict, all requirements and all listed episodes.
+fn printed(chromium: &Path, page: &Path) {
+    let Some(pdftotext) = robogate_testing::program("pdftotext") else { return };
+    let profile = TempDir::new().unwrap();
+    let file = profile.path().join("page.pdf");
+    let output = Command::new(chromium)
+        .args(["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--no-pdf-header-footer"])
+        .arg(format!("--user-data-dir={}", profile.path().display()))
+        .arg(format!("--print-to-pdf={}", file.display()))
+        .arg(format!("file://{}", page.display()))
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let output = Command::new(pdftotext).arg("-layout").arg(&file).arg("-").output().unwrap();
+    let paper = String::from_utf8(output.stdout).unwrap();
+    let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let text = fs::read_to_string(page).unwrap();
+    if let Some((_, verdict)) = text.split_once("class=\"verdict-word\"") {
+        let word = verdict.split(['>', '<']).nth(1).unwrap();
+        // The first page has the verdict with its requirements.
+        let first = words(paper.split('\x0c').next().unwrap());
+        let folder = page.parent().unwrap();
+        let gate: serde_json::Value = serde_json::from_slice(&fs::read(folder.join("gate.json")).unwrap()).unwrap();
+        assert_eq!(word.to_lowercase(), gate["verdict"].as_str().unwrap());
+        for needed in
+            [word, "Next step", "success rate at least", "mean of cycle time", "collision", "grip loss", "grasp miss"]
+        {
+            assert!(first.contains(needed), "`{needed}` is missing: {first}");
+        }
+    }
+    // The list of episodes is complete, and folded sections are open.
+    let listed = text.matches("class=\"watch-command\"").count();
+    let commands = paper.split("Drivers of success").next().unwrap().matches("robogate replay .").count();
+    assert_eq!(commands, listed, "{paper}");
+    assert!(words(&paper).contains("Provenance dataset hash"), "{paper}");
+}
+
+/// A monitor that is ended on drop.
+struct Monitor(std::process::Child);
+
+impl Drop for Monitor {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Cycles of two recipes on three robots; one recipe fails more often from its cycle 1,500 on.
+fn cycles() -> String {
+    let cycle = |i: u64| {
+        let chance = (i.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f64 / f64::from(1 << 24);
+        let part = if i.is_multiple_of(2) { "part-a" } else { "part-b" };
+        let failed = chance < if i.is_multiple_of(2) && i > 3000 { 0.4 } else { 0.03 };
+        let mut cycle = json!({
+            "id": format!("c{i}"), "robot": format!("cell-{}", i % 3), "recipe": part, "time_s": 1_760_000_000 + 4 * i,
+            "success": !failed, "events": { "drop": failed && i.is_multiple_of(4) }, "cycle_time_s": 4.0 + chance,
+            "parameters": { "mass_kg": 0.2 + chance, "friction": 0.6 },
+        });
+        if failed {
+            cycle["failure_mode"] = json!("grip_loss");
+        }
+        cycle.to_string() + "\n"
+    };
+    (0..4000).map(cycle).collect()
+}
+
+/// Filters the monitor's page, and opens the cycles of an alarm.
+fn monitor_works(chromium: &Path, axe: Option<&PathBuf>, folder: &Path) {
+    use std::io::{BufRead, BufReader};
+    fs::write(folder.join("cycles.jsonl"), cycles()).unwrap();
+    let child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+        .args(["monitor", "serve", "cycles.jsonl", "--store", "monitor.db", "--listen", "127.0.0.1:0"])
+        .args(["--episodes", "mujoco"])
+        .current_dir(folder)
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut monitor = Monitor(child);
+    let mut said = BufReader::new(monitor.0.stderr.take().unwrap()).lines().map(Result::unwrap);
+    let address = said.find_map(|line| line.strip_prefix("Listening on ").map(str::to_owned)).unwrap();
+    // The pipe must be read, or the monitor stops when it is full.
+    std::thread::spawn(move || said.for_each(drop));
+    let mut browser = Browser::start(chromium);
+    browser.open(format!("{}/", address.trim_end_matches('/')));
+    browser.wait("document.querySelector('#state').textContent === 'live'");
+    browser.wait("document.querySelector('#intake').textContent.includes('4,000 cycles accepted')");
+    browser.wait("document.querySelectorAll('#recipes .charts svg').length >= 6");
+    // The chart of the failure rate has a baseline, and the alarm is marked on it.
+    browser.wait(
+        "!!document.querySelector('#recipes svg .base') && !!document.querySelector('#recipes svg .mark.critical')",
+    );
+    // One card for each event: warning and critical alarm of a metric are one.
+    let cards = "[...document.querySelectorAll('#alarms .card h3 span:first-child')].map((one) => one.textContent)";
+    let shown = browser.evaluate(cards);
+    assert!(!shown.as_array().unwrap().is_empty(), "no event");
+    // The cycles of an alarm, with the nearest simulated episode.
+    browser.evaluate("document.querySelector('#alarms button').click()");
+    browser.wait("document.querySelector('#around').textContent.includes('robogate replay mujoco ')");
+    browser.wait("document.querySelectorAll('#cycles tr').length === 30");
+    browser.wait("[...document.querySelectorAll('#cycles tr')].every((row) => row.textContent.includes('part-a'))");
+    browser.evaluate("document.querySelector('#around button').click()");
+    browser.wait("document.querySelectorAll('#cycles tr').length === 20");
+    // Filters.
+    let choose = |id: &str, value: &str| {
+        format!(
+            "(() => {{ const one = document.querySelector('#{id}'); one.value = '{value}'; \
+             one.dispatchEvent(new Event('change')) }})()"
+        )
+    };
+    browser.evaluate(&choose("of-recipe", "part-b"));
+    browser.wait("document.querySelectorAll('#recipes > .card').length === 1");
+    browser.wait("document.querySelector('#alarms').textContent.includes('No alarms')");
+    browser.evaluate(&choose("of-robot", "cell-1"));
+    browser.wait("[...document.querySelectorAll('#cycles tr')].every((row) => row.textContent.includes('cell-1'))");
+    browser.evaluate(&choose("of-recipe", ""));
+    browser.evaluate(&choose("of-robot", ""));
+    browser.wait("document.querySelectorAll('#recipes > .card').length === 2");
+    browser.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true })");
+    if let Some(axe) = axe {
+        for theme in ["light", "dark"] {
+            let media = json!({ "features": [{ "name": "prefers-color-scheme", "value": theme }] });
+            browser.call("Emulation.setEmulatedMedia", media);
+            browser.assert_accessible(axe);
+        }
+    }
+    browser.assert_no_trouble();
 }

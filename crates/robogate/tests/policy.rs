@@ -159,7 +159,21 @@ fn a_run_is_resumed_after_a_server_stopped() {
     // The first episode takes seven requests.
     go_down(listener, 10);
     let run = dir.path().join("run").to_str().unwrap().to_owned();
-    let start = ["run", "--policy", &url, "--profile", &profile, "-n", "24", "--threads", "1", "--out", &run];
+    let start = [
+        "run",
+        "--policy",
+        &url,
+        "--profile",
+        &profile,
+        "--design",
+        "two-stage",
+        "-n",
+        "24",
+        "--threads",
+        "1",
+        "--out",
+        &run,
+    ];
     assert_exit(&start, 5, &["10 episodes in a row were lost", "robogate resume"]);
     assert_exit(&["resume", &run], 5, &["unreachable", &url]);
     go_down(TcpListener::bind(address).unwrap(), usize::MAX);
@@ -183,7 +197,21 @@ fn shard_without_server_is_not_committed() {
     go_down(listener, 0);
     let run = dir.path().join("run").to_str().unwrap().to_owned();
     let shard = dir.path().join("run/shards/uniform-1-of-4.rgs");
-    let plan = ["run", "--policy", &url, "--profile", &profile, "-n", "18", "--shard", "1/4", "--out", &run];
+    let plan = [
+        "run",
+        "--policy",
+        &url,
+        "--profile",
+        &profile,
+        "--design",
+        "two-stage",
+        "-n",
+        "18",
+        "--shard",
+        "1/4",
+        "--out",
+        &run,
+    ];
     // A shard of three episodes is lost if the server is unavailable in all of them. One thread connects once, before the
     // server stops; a second one might find it stopped already.
     let plan = [&plan[..], &["--threads", "1"]].concat();
@@ -206,8 +234,23 @@ fn server_lost_at_the_end_of_a_shard() {
     go_down(listener, 5);
     let run = dir.path().join("run").to_str().unwrap().to_owned();
     let shard = dir.path().join("run/shards/uniform-0-of-1.rgs");
-    let start =
-        ["run", "--policy", &url, "--profile", &profile, "-n", "12", "--shard", "0/1", "--threads", "1", "--out", &run];
+    let start = [
+        "run",
+        "--policy",
+        &url,
+        "--profile",
+        &profile,
+        "--design",
+        "two-stage",
+        "-n",
+        "12",
+        "--shard",
+        "0/1",
+        "--threads",
+        "1",
+        "--out",
+        &run,
+    ];
     assert_exit(&start, 5, &["unreachable", &url]);
     assert!(!shard.exists(), "a shard with lost episodes was committed");
     go_down(TcpListener::bind(address).unwrap(), usize::MAX);

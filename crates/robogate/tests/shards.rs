@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::{BufRead, BufReader};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::thread;
 use std::time::Instant;
@@ -50,7 +50,7 @@ fn run_everything(dir: &Path) -> usize {
     }
 }
 
-const PENDULUM: &str = "run --task pendulum -n 90 --seed 3 --out run";
+const PENDULUM: &str = "run --task pendulum --design two-stage -n 90 --seed 3 --out run";
 
 #[test]
 fn merged_shards_equal_single_run() {
@@ -70,10 +70,18 @@ fn merged_shards_equal_single_run() {
     verb(&format!("{PENDULUM} --shard 2/3"), 0, &["nothing to do"]);
 
     // Everything that differs from the first shard is named.
-    verb("run --task pendulum -n 91 --seed 3 --out run --shard 0/3", 2, &["plan.uniform.episodes", "60", "61"]);
-    verb("run --task pendulum -n 90 --seed 4 --out run --shard 0/3", 2, &["plan.seed"]);
+    verb(
+        "run --task pendulum --design two-stage -n 91 --seed 3 --out run --shard 0/3",
+        2,
+        &["plan.uniform.episodes", "60", "61"],
+    );
+    verb("run --task pendulum --design two-stage -n 90 --seed 4 --out run --shard 0/3", 2, &["plan.seed"]);
     verb("run --preset quick --out run --shard 0/3", 2, &["another"]);
-    verb("run --task pendulum --policy random -n 90 --seed 3 --out run --shard 0/3", 2, &["policy", "random"]);
+    verb(
+        "run --task pendulum --design two-stage --policy random -n 90 --seed 3 --out run --shard 0/3",
+        2,
+        &["policy", "random"],
+    );
     verb("run --out run --shard 0/4", 2, &["divided into 3 shards"]);
     verb("run --out run --shard 3/3", 2, &["0 to 2"]);
     verb("run --out run --shard third", 2, &["Expected K/N"]);
@@ -202,6 +210,26 @@ fn sweep_ranks_policies_on_any_executor() {
     let parts = ["failed with exit code", "1 of 2 runs are missing: random actions, pendulum", "page:"];
     robogate(threads, "matrix broken.toml --out broken", 5, &parts);
     assert!(threads.join("broken/leaderboard.html").exists());
+}
+
+/// The default design: workers choose the points of each round, and every scheduler runs it with the same loop.
+#[test]
+fn active_shards_equal_single_run() {
+    let (one, many) = (TempDir::new().unwrap(), TempDir::new().unwrap());
+    let run = "run --task pendulum -n 120 --seed 3 --out run";
+    robogate(one.path(), run, 0, &[]);
+    let at = many.path();
+    robogate(at, &format!("{run} --divide 2"), 0, &["120 episodes in 2 shards"]);
+    assert!(run_everything(at) >= 6);
+    robogate(at, "status run", 0, &["120 of 120 episodes", "active-0"]);
+    robogate(at, "merge run", 0, &["Risk model"]);
+    assert!(files(&at.join("run")) == files(&one.path().join("run")));
+    // A worker that is killed after it commits the last shard chooses nothing. The merge does it then.
+    let last = fs::read_dir(at.join("run/shards")).unwrap().map(|entry| entry.unwrap().path());
+    let is_choice = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().starts_with("active-");
+    let last = last.filter(|path| is_choice(path) && path.extension().unwrap() == "json").max().unwrap();
+    fs::remove_file(last).unwrap();
+    robogate(at, "merge run --out again", 0, &[]);
 }
 
 #[test]

@@ -26,7 +26,7 @@ fn json(path: &Path) -> Value {
     serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
 }
 
-const RUN: &str = "run --task pendulum -n 90 --seed 3 --twins";
+const RUN: &str = "run --task pendulum --design two-stage -n 90 --seed 3 --twins";
 
 /// The files that a control arm adds or changes.
 const FILES: [&str; 5] =
@@ -50,7 +50,7 @@ fn twins_do_not_depend_on_threads_shards_or_interruptions() {
     assert_eq!((twins["pairs"].as_u64(), twins["unpaired"].as_u64()), (Some(60), Some(0)));
     assert_eq!(twins["families"][0]["family"], "6 parameters together");
     // The campaign itself is the same with and without a control arm.
-    robogate(at, "run --task pendulum -n 90 --seed 3 --out plain", 0, &[]);
+    robogate(at, "run --task pendulum --design two-stage -n 90 --seed 3 --out plain", 0, &[]);
     let rows = |name: &str| json(&at.join(name).join("summary.json"))["dataset_hash"].clone();
     assert_eq!(rows("a"), rows("plain"));
 

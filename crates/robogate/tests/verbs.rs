@@ -183,7 +183,19 @@ fn paired_runs_can_be_replayed() {
     let dir = TempDir::new().unwrap();
     let (strong, weak) = (path(&dir, "strong"), path(&dir, "weak"));
     for (out, force) in [(&strong, "30"), (&weak, "2")] {
-        let output = robogate(&["run", "-n", "45", "--grip-force", force, "--threads", "1", "--out", out]);
+        let output = robogate(&[
+            "run",
+            "--design",
+            "two-stage",
+            "-n",
+            "45",
+            "--grip-force",
+            force,
+            "--threads",
+            "1",
+            "--out",
+            out,
+        ]);
         assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     }
     let output = robogate(&["compare", &strong, &weak, "--paired", "--json"]);
@@ -199,7 +211,7 @@ fn paired_runs_can_be_replayed() {
     assert!(Path::new(words[2]).is_dir());
     assert_eq!(robogate(&words[1..]).status.code(), Some(0));
     let other = path(&dir, "other");
-    robogate(&["run", "-n", "45", "--seed", "9", "--threads", "1", "--out", &other]);
+    robogate(&["run", "--design", "two-stage", "-n", "45", "--seed", "9", "--threads", "1", "--out", &other]);
     assert_usage(&["compare", &strong, &other, "--paired"], &["row 0", "seed"]);
 }
 

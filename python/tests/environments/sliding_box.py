@@ -8,9 +8,12 @@ XML = """
 <mujoco>
   <option timestep="0.005"/>
   <worldbody>
+    <light name="lamp" pos="0 0 2"/>
+    <camera name="front" pos="1 0 0.5" xyaxes="0 1 0 -0.4 0 1"/>
     <geom name="table" type="plane" size="2 2 0.1" friction="1.5"/>
     <body name="pusher" pos="-0.2 0 0.06">
       <joint name="slide" type="slide" axis="1 0 0" damping="20"/>
+      <camera name="on_pusher" pos="0 0 0.2"/>
       <geom name="plate" type="box" size="0.01 0.1 0.05" mass="1" friction="0.2"/>
     </body>
     <body name="box" pos="0 0 0.05">

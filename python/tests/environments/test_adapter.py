@@ -1,5 +1,6 @@
 """The adapter, on environments that have no package of their own. They need gymnasium, mujoco, pyzmq and msgpack."""
 
+import dataclasses
 import unittest
 
 import gymnasium
@@ -130,6 +131,31 @@ class Running(unittest.TestCase):
         self.assertEqual(adapter.reset(Scenario(0, 1, {"stiffness": 70.0}))["applied"], {"stiffness": 70.0})
 
 
+class Views(unittest.TestCase):
+    def test_light_and_cameras_are_read_from_the_scene(self):
+        adapter = sliding_box()
+        wanted = {"light": 0.3, "camera_x_front": 0.2, "camera_z_front": -0.1, "camera_turn_front": 0.4, "camera_y_on_pusher": 0.05}
+        applied = adapter.reset(Scenario(0, 1, wanted))["applied"]
+        for name, value in wanted.items():
+            self.assertAlmostEqual(applied[name], value, msg=name)
+        camera = adapter._model.data.camera("front")
+        np.testing.assert_allclose(camera.xpos, [1.2, 0.0, 0.4])
+
+    def test_light_that_does_not_follow_is_read_back(self):
+        adapter = sliding_box()
+        knob = adapter._by_parameter["light"]
+
+        def dim_the_lamp_only(env, value):
+            adapter._model.edit(adapter._model.model.light_diffuse, slice(None), adapter._model.model.light_diffuse * value)
+
+        adapter._by_parameter["light"] = dataclasses.replace(knob, set=dim_the_lamp_only)
+        adapter.knobs[adapter.knobs.index(knob)] = adapter._by_parameter["light"]
+        self.assertNotAlmostEqual(adapter.reset(Scenario(0, 1, {"light": 0.5}))["applied"]["light"], 0.5)
+
+    def test_views_do_not_change_the_physics(self):
+        self.assertEqual(run(sliding_box(), 3, light=0.5, camera_x_front=0.3)[1], run(sliding_box(), 3)[1])
+
+
 class Friction(unittest.TestCase):
     """MuJoCo takes the larger friction of two geoms. The table has 1.5 and the plate 0.2."""
 
@@ -176,8 +202,6 @@ class Friction(unittest.TestCase):
 
 
 def _without_priority(adapter, knob):
-    import dataclasses
-
     return dataclasses.replace(knob, set=lambda env, value: friction_of.write(adapter._model, [2], value, raise_priority=False))
 
 

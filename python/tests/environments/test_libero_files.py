@@ -3,6 +3,7 @@
 import io
 import os
 import pickle
+import sys
 import tempfile
 import unittest
 import zipfile
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robogate_eval.libero import bddl, initial_states
+from robogate_eval.libero import bddl, initial_states, installation
 from robogate_eval.libero.suites import SUITES, wording
 
 TASK = """
@@ -129,6 +130,22 @@ class InitialStates(unittest.TestCase):
     def test_in_no_archive_are_explained(self):
         with tempfile.NamedTemporaryFile() as file, self.assertRaisesRegex(initial_states.InitialStatesError, file.name):
             initial_states.read(file.name)
+
+
+class Installation(unittest.TestCase):
+    def test_inner_folder_on_the_path_is_reported(self):
+        # The first import of LIBERO's inner package asks a question, which would block a server.
+        with tempfile.TemporaryDirectory() as folder:
+            inner = Path(folder) / "libero"
+            inner.mkdir()
+            (inner / "__init__.py").write_text("raise AssertionError('imported')")
+            (inner / "envs").mkdir()
+            sys.path.insert(0, folder)
+            try:
+                with self.assertRaisesRegex(installation.LiberoMissing, "no folder `libero`"):
+                    installation.folder()
+            finally:
+                sys.path.remove(folder)
 
 
 class Suites(unittest.TestCase):

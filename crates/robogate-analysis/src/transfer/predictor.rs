@@ -44,7 +44,7 @@ pub(super) fn predict(
     points: &[Vec<f64>],
     task: &TaskAnalysis,
 ) -> Result<Predictions, String> {
-    let mut train = table.valid();
+    let mut train = table.unselected();
     if train.len() > MOST_EPISODES {
         let kept: Vec<bool> = (0..train.len()).map(|i| i < MOST_EPISODES).collect();
         train = train.restricted(&kept);

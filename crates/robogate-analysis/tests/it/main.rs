@@ -6,6 +6,7 @@ mod anchors;
 mod comparison;
 mod degenerate;
 mod designs;
+mod explorer;
 mod headlines;
 mod noise;
 mod populations;

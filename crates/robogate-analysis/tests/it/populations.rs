@@ -58,6 +58,49 @@ fn reweighting_recovers_the_operating_rate() {
     assert!(width(found.estimate.interval_95) < width(both.success.rate.wilson_95));
 }
 
+/// An active stage: the first half of its rows is a uniform sample, the model chose the others in the upper half of friction.
+/// The weights are those of the mixture with equal shares: 2/(1 + 2) above, 2/(1 + 0) below.
+fn active(n: u64, from: u64) -> Vec<robogate_dictionary::Entry> {
+    let space = space(&["box"]);
+    let middle = (0.05_f64 * 1.2).sqrt();
+    (from..from + n)
+        .map(|i| {
+            let mut requested = point(&space, i);
+            let chosen = i >= from + n / 2;
+            if chosen {
+                hold(&mut requested, &space, "friction", 0.5 + 0.5 * unit(i, 50));
+            }
+            let above = requested.number("friction").unwrap() > middle;
+            let went = outcome(i, &requested);
+            let mut entry = entry(i, requested, went);
+            "active".clone_into(&mut entry.stage);
+            if chosen { "active" } else { "uniform" }.clone_into(&mut entry.design);
+            entry.weight = if above { 2.0 / 3.0 } else { 2.0 };
+            entry
+        })
+        .collect()
+}
+
+#[test]
+fn uniform_part_counts_and_chosen_rows_do_not() {
+    let space = space(&["box"]);
+    let truth = truth();
+    let both = analysed(&space, law(&space, 1_000).into_iter().chain(active(4_000, 1_000)).collect());
+    assert_eq!(both.population, Population::OperatingSpace);
+    // 980 valid rows of the uniform stage and those of the uniform part.
+    assert!((2_900..=3_000).contains(&both.success.rate.n), "{}", both.success.rate.n);
+    let rate = both.success.rate.rate.unwrap();
+    assert!((rate - truth).abs() < 0.03, "{rate} for {truth}");
+    let stage = |name: &str| both.success.stages.iter().find(|s| s.stage == name).unwrap();
+    assert_eq!(stage("active").population, Population::FocusedDesign);
+    assert_eq!(stage("active (uniform part)").population, Population::OperatingSpace);
+    let plain = stage("active").rate.rate.unwrap();
+    assert!((plain - truth).abs() > 0.1, "the chosen rows alone: {plain} for {truth}");
+    let found = both.success.reweighted.as_ref().unwrap().estimated().unwrap();
+    assert!((found.estimate.rate - truth).abs() < 0.025, "{} for {truth}", found.estimate.rate);
+    assert!(found.rows > 4_500);
+}
+
 #[test]
 fn focused_rows_are_not_operating_rates() {
     let space = space(&["box"]);

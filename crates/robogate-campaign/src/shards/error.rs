@@ -17,11 +17,16 @@ pub enum ShardError {
     /// The text does not name a shard.
     #[error(transparent)]
     Name(#[from] ShardNameError),
-    /// The plan has an active stage.
+    /// The points of a round of the active stage are not chosen yet.
     #[error(
-        "a campaign with an active stage cannot be divided into shards\nhint: use the two-stage design, or run it on one machine with more threads"
+        "the points of round {round} are not chosen yet\nhint: `robogate plan {} --next` prints its shards; the first one that runs chooses them", dir.display()
     )]
-    Active,
+    NotChosen {
+        /// The folder.
+        dir: PathBuf,
+        /// The round.
+        round: ShardRound,
+    },
     /// The store returned an error.
     #[error("cannot {action} {}: {source}{}", place.display(), io_hint(source))]
     Store {

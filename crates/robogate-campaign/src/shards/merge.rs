@@ -5,12 +5,12 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use robogate_core::{Episode, Fault, FaultKind, Scenario};
-use robogate_dictionary::{Journal, Platform, Provenance, SCHEMA_VERSION, Tool};
+use robogate_dictionary::{Entry, Journal, Platform, Provenance, SCHEMA_VERSION, Tool};
 
 use super::{DirectoryStore, OpenRound, ShardError, ShardRound, ShardStore, Shards, Stored, put};
 use crate::folder::{Folder, JOURNAL, PLAN};
 use crate::run::{AfterRound, Run, finished, same_origin};
-use crate::{Bins, Completion, Event, ExecuteError, Executor, Round, RunError};
+use crate::{Bins, Completion, Event, ExecuteError, Executor, OutcomeCounts, Round, RunError};
 
 impl Shards {
     /// Merges all shards into the folder `out`, which may be the campaign's own folder. The files are byte-identical to
@@ -19,6 +19,7 @@ impl Shards {
     /// All entries are appended to a journal, and the code that finishes any run does the rest. An interrupted merge
     /// can be repeated.
     ///
+    /// `events` hears of each round and episode while the shards are read, and then the events of the run that finishes.
     /// `after_round` is that of [`Self::open_round`].
     pub fn merge(
         &self,
@@ -31,17 +32,19 @@ impl Shards {
         if let Some(OpenRound { round, missing }) = open {
             return Err(ShardError::Missing { dir: self.dir(), round, shards: self.shards(), missing });
         }
+        let chosen = self.all_chosen()?;
         let folder = self.folder(out)?;
         if let Some(finished) = finished(&folder, events)? {
             return Ok(finished);
         }
-        self.fill_journal(&folder, &rounds)?;
+        self.fill_journal(&folder, &rounds, events)?;
         let mut all_rounds = |_: &Round<'_>| ControlFlow::Continue(());
         let after_round: &mut AfterRound<'_> = match after_round {
             Some(after_round) => after_round,
             None => &mut all_rounds,
         };
-        let completion = Run::new(folder, self.settings.clone(), &NothingLeft, events, after_round)?.run()?;
+        let run = Run::new(folder, self.settings.clone(), &NothingLeft, events, after_round)?;
+        let completion = run.with_chosen(chosen).run()?;
         let leftovers = "remove unfinished files of";
         self.store.remove_leftovers().map_err(super::failed(&*self.store, "", leftovers))?;
         let store = DirectoryStore::new(out);
@@ -78,8 +81,13 @@ impl Shards {
         Ok(folder)
     }
 
-    /// Writes a journal with the entries of all shards.
-    fn fill_journal(&self, folder: &Folder, rounds: &[ShardRound]) -> Result<(), ShardError> {
+    /// Writes a journal with the entries of all shards. Each round and episode is an event.
+    fn fill_journal(
+        &self,
+        folder: &Folder,
+        rounds: &[ShardRound],
+        events: &mut dyn FnMut(&Event),
+    ) -> Result<(), ShardError> {
         // An interrupted merge left it, or a run with the same plan, whose episodes are the same.
         if folder.has(JOURNAL) {
             folder.remove(JOURNAL)?;
@@ -87,11 +95,23 @@ impl Shards {
         let mut journal = Journal::create(&folder.path(JOURNAL), &self.plan_hash).map_err(RunError::from)?;
         let mut bins = Bins::of(self.plan(), &self.space).map_err(RunError::from)?;
         for round in rounds {
+            let stage = round.stage();
+            let episodes = round.indices(self.plan());
+            let mut outcomes = OutcomeCounts::default();
+            events(&Event::StageStarted {
+                stage,
+                episodes: episodes.end - episodes.start,
+                already_done: outcomes.clone(),
+            });
             journal.extend(self.entries(*round).inspect(|entry| {
-                if let (ShardRound::Uniform, Ok(entry)) = (round, entry) {
-                    bins.add(&entry.episode.scenario.requested, &entry.episode.outcome);
+                let Ok(Entry { episode, .. }) = entry else { return };
+                if *round == ShardRound::Uniform {
+                    bins.add(&episode.scenario.requested, &episode.outcome);
                 }
+                outcomes.add(&episode.outcome);
+                events(&Event::episode(stage, episode));
             }))?;
+            events(&Event::StageFinished { stage, outcomes });
         }
         if rounds.contains(&ShardRound::Boundary) {
             // The boundary that the shards of the second stage used must follow from the first stage.

@@ -6,15 +6,19 @@
 //! DIR/shards/layout.json            the number of shards
 //! DIR/shards/uniform-3-of-16.rgs    the episodes of one shard
 //! DIR/boundary.json                 the boundary found by the uniform stage
+//! DIR/shards/active-2.json          the points of a round of the active stage
 //! ```
 //!
-//! A campaign has rounds ([`ShardRound`]): the uniform stage and then the boundary stage, or the rounds of a suite. Each
+//! A campaign has rounds ([`ShardRound`]): the uniform stage and then the boundary stage or the rounds of the active stage, or the
+//! rounds of a suite. Each
 //! round is divided into the same number of shards. The next round opens when all shards of a round are committed,
 //! because its points may follow from their results.
 //!
 //! Every file is written completely and then stored under a name that does not exist yet, so there are no locks, and any
 //! number of processes may run the same shard. A shard that is interrupted leaves nothing and runs again from its start.
 
+mod active;
+mod arrivals;
 mod division;
 mod error;
 mod file;
@@ -115,9 +119,6 @@ impl Shards {
         // Checks the number of shards.
         Shard::new(0, shards)?;
         plan.check(&provenance.space).map_err(RunError::from)?;
-        if plan.active.is_some() {
-            return Err(ShardError::Active);
-        }
         let path = store.place(PLAN);
         let unreadable = |source| RunError::Unreadable { path: path.clone(), source };
         let present = Settings::new(plan, provenance).map_err(unreadable)?;
@@ -203,6 +204,9 @@ impl Shards {
         let committed = self.committed()?;
         let mut complete = Vec::new();
         for round in ShardRound::all(self.plan()) {
+            if self.is_over(round)? {
+                break;
+            }
             let missing = self.missing(&committed, round);
             if !missing.is_empty() {
                 return Ok((complete, Some(OpenRound { round, missing })));
@@ -321,6 +325,10 @@ impl Shards {
         Ok(match (round, &self.plan().suite) {
             (ShardRound::Boundary, _) => Points::boundary(self.plan(), &self.space, &self.boundary()?)?,
             (ShardRound::Suite(_), Some(suite)) => Points::suite(suite, self.plan().seed),
+            (ShardRound::Active(number), _) => {
+                let chosen = self.chosen(number)?.ok_or(ShardError::NotChosen { dir: self.dir(), round })?;
+                Points::active(self.plan(), round.indices(self.plan()).start, chosen.points)
+            }
             _ => Points::uniform(self.plan(), &self.space)?,
         })
     }

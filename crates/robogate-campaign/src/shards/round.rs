@@ -16,6 +16,9 @@ pub enum ShardRound {
     Boundary,
     /// A round of a suite, from 0.
     Suite(u64),
+    /// A round of the active stage, from 0. Its points follow from the results of all rounds before. The stage may end
+    /// earlier than planned.
+    Active(u64),
 }
 
 impl ShardRound {
@@ -23,8 +26,11 @@ impl ShardRound {
     pub fn all(plan: &Plan) -> Vec<Self> {
         match &plan.suite {
             Some(suite) => (0..suite.rounds).map(Self::Suite).collect(),
-            None if plan.boundary.episodes == 0 => vec![Self::Uniform],
-            None => vec![Self::Uniform, Self::Boundary],
+            None if plan.boundary.episodes > 0 => vec![Self::Uniform, Self::Boundary],
+            None => {
+                let active = plan.active.as_ref().map_or(0, |stage| stage.rounds(plan.uniform.episodes).len() as u64);
+                std::iter::once(Self::Uniform).chain((0..active).map(Self::Active)).collect()
+            }
         }
     }
 
@@ -34,6 +40,7 @@ impl ShardRound {
             Self::Uniform => Stage::Uniform,
             Self::Boundary => Stage::Boundary,
             Self::Suite(_) => Stage::Suite,
+            Self::Active(_) => Stage::Active,
         }
     }
 
@@ -45,6 +52,10 @@ impl ShardRound {
             (Self::Boundary, _) => uniform..uniform + plan.boundary.episodes,
             (Self::Suite(number), Some(suite)) => suite.indices(number),
             (Self::Suite(_), None) => 0..0,
+            (Self::Active(number), _) => {
+                let rounds = plan.active.as_ref().map_or_else(Vec::new, |stage| stage.rounds(uniform));
+                usize::try_from(number).ok().and_then(|at| rounds.get(at).cloned()).unwrap_or(0..0)
+            }
         }
     }
 
@@ -54,6 +65,7 @@ impl ShardRound {
             Self::Uniform => (0, 0),
             Self::Boundary => (1, 0),
             Self::Suite(number) => (2, number),
+            Self::Active(number) => (3, number),
         }
     }
 
@@ -63,16 +75,20 @@ impl ShardRound {
             (0, 0) => Some(Self::Uniform),
             (1, 0) => Some(Self::Boundary),
             (2, number) => Some(Self::Suite(number)),
+            (3, number) => Some(Self::Active(number)),
             _ => None,
         }
     }
 
     /// The round with this name.
     pub(super) fn from_name(name: &str) -> Option<Self> {
-        match name.strip_prefix("suite-") {
-            Some(number) => number.parse().ok().map(Self::Suite),
-            None => [Self::Uniform, Self::Boundary].into_iter().find(|round| round.to_string() == name),
+        if let Some(number) = name.strip_prefix("suite-") {
+            return number.parse().ok().map(Self::Suite);
         }
+        if let Some(number) = name.strip_prefix("active-") {
+            return number.parse().ok().map(Self::Active);
+        }
+        [Self::Uniform, Self::Boundary].into_iter().find(|round| round.to_string() == name)
     }
 }
 
@@ -80,7 +96,7 @@ impl fmt::Display for ShardRound {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Uniform | Self::Boundary => self.stage().fmt(f),
-            Self::Suite(number) => write!(f, "suite-{number}"),
+            Self::Suite(number) | Self::Active(number) => write!(f, "{}-{number}", self.stage()),
         }
     }
 }
@@ -103,7 +119,7 @@ impl JsonSchema for ShardRound {
 
     fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
         schemars::json_schema!({
-            "description": "The name of a round: `uniform`, `boundary`, or `suite-0`, `suite-1`, ...",
+            "description": "The name of a round: `uniform`, `boundary`, `active-0`, `active-1`, ..., or `suite-0`, `suite-1`, ...",
             "type": "string",
         })
     }
@@ -115,11 +131,12 @@ mod tests {
 
     #[test]
     fn names_and_codes_round_trip() {
-        for round in [ShardRound::Uniform, ShardRound::Boundary, ShardRound::Suite(0), ShardRound::Suite(12)] {
+        let numbered = [ShardRound::Suite(0), ShardRound::Suite(12), ShardRound::Active(0), ShardRound::Active(9)];
+        for round in [ShardRound::Uniform, ShardRound::Boundary].into_iter().chain(numbered) {
             assert_eq!(ShardRound::from_name(&round.to_string()), Some(round));
             assert_eq!(ShardRound::from_code(round.code()), Some(round));
         }
-        for name in ["", "suite", "suite-", "suite-x", "Uniform"] {
+        for name in ["", "suite", "suite-", "suite-x", "active", "active-", "Uniform"] {
             assert_eq!(ShardRound::from_name(name), None, "{name}");
         }
         assert_eq!(ShardRound::from_code((1, 1)), None);

@@ -10,7 +10,7 @@ use crate::{RunError, folder};
 /// A store of files that many processes use at the same time, without locks and without renames.
 ///
 /// Names are relative and use `/` on every system. A file is never changed once it has its name.
-pub trait ShardStore {
+pub trait ShardStore: Send {
     /// Stores a complete file unless the name exists. Of several processes that store the same name at the same time,
     /// exactly one gets [`Stored::New`].
     fn put_if_absent(&self, name: &str, bytes: &[u8]) -> io::Result<Stored>;
@@ -129,7 +129,12 @@ impl ShardStore for DirectoryStore {
     }
 
     fn get(&self, name: &str) -> io::Result<Option<Vec<u8>>> {
-        match fs::read(self.dir.join(name)) {
+        let path = self.dir.join(name);
+        // A pipe in the folder of another machine would never end.
+        if fs::metadata(&path).is_ok_and(|there| !there.is_file()) {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file"));
+        }
+        match fs::read(path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
             read => read.map(Some),
         }

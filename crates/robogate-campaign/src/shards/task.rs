@@ -20,6 +20,11 @@ pub enum Assignment {
         /// The open round.
         round: ShardRound,
     },
+    /// [`Shards::choose`] the points of this round first, then ask again.
+    Choose {
+        /// The open round, of the active stage.
+        round: ShardRound,
+    },
     /// Nothing: all rounds are complete.
     Complete,
 }
@@ -80,6 +85,11 @@ impl Shards {
             // A damaged file is reported as early as possible.
             self.read(round, shard, &indices)?;
             return Ok(Assignment::Committed { round });
+        }
+        if let (ShardRound::Active(number), true) = (round, self.plan().active.is_some())
+            && self.chosen(number)?.is_none()
+        {
+            return Ok(Assignment::Choose { round });
         }
         let points = self.points(round)?;
         Ok(Assignment::Run(Box::new(ShardTask { points, indices, round, shard, plan: self.plan_hash })))

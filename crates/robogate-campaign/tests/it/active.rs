@@ -3,8 +3,11 @@
 use std::path::Path;
 use std::sync::atomic::Ordering;
 
-use robogate_campaign::{ActiveReport, ActiveStage, Completion, Plan, PlanError, Population, Stage};
-use robogate_dictionary::{Dictionary, Entry};
+use robogate_campaign::{
+    ActiveReport, ActiveStage, Completion, Plan, PlanError, Population, RowsError, Stage, check_rows,
+};
+use robogate_core::{FailureMode, Outcome};
+use robogate_dictionary::{Dictionary, DictionaryError, Entry};
 
 use crate::world::{self, Synthetic, plan, provenance, start, stop_after, summary, with_pool};
 
@@ -57,12 +60,15 @@ fn rows_have_bounded_weights() {
     assert_eq!(rows.len(), 600);
     assert!(rows[..150].iter().all(|row| row.stage == "uniform" && (row.weight - 1.0).abs() < 1e-12));
     let stage = &rows[150..];
-    assert!(stage.iter().all(|row| row.stage == "active" && row.design == "active"));
-    assert!(stage.iter().all(|row| row.weight > 0.0 && row.weight <= 4.0 + 1e-9));
+    assert!(stage.iter().all(|row| row.stage == "active" && ["active", "uniform"].contains(&row.design.as_str())));
+    assert!(stage.iter().all(|row| row.weight > 0.0 && row.weight <= 2.0 + 1e-9));
+    // Half of the stage is a uniform sample.
+    let uniform = stage.iter().filter(|row| row.design == "uniform").count();
+    assert!((190..=260).contains(&uniform), "{uniform}");
     // The weights vary and have the mean 1.
     let mean = stage.iter().map(|row| row.weight).sum::<f64>() / stage.len() as f64;
     assert!((mean - 1.0).abs() < 0.15, "{mean}");
-    assert!(stage.iter().any(|row| row.weight < 0.8) && stage.iter().any(|row| row.weight > 1.5));
+    assert!(stage.iter().any(|row| row.weight < 0.8) && stage.iter().any(|row| row.weight > 1.4));
     let summary = summary(&done);
     assert_eq!(summary.estimate.stages, [Stage::Uniform, Stage::Active]);
     assert_eq!(summary.estimate.population, Population::OperatingSpace);
@@ -86,6 +92,66 @@ fn weighted_rate_agrees_with_uniform_one() {
     // The raw rate of the stage is another one, because its points were chosen.
     let raw = summary(&done).stages[1].success_rate.unwrap();
     assert!((raw - truth).abs() > 0.02, "{raw} {truth}");
+}
+
+/// The rows that no model chose are a sample from the operating space, so their plain rate needs no weights.
+#[test]
+fn uniform_part_is_unbiased() {
+    let even = tempfile::tempdir().unwrap();
+    let uniform = start(even.path(), &plan(6000, 0), &Synthetic::default(), 2).unwrap();
+    let truth = summary(&uniform).estimate.success_rate.unwrap();
+    let (mut successes, mut episodes) = (0, 0);
+    for seed in 0..8 {
+        let dir = tempfile::tempdir().unwrap();
+        let plan = Plan { seed, ..active(400, |_| {}) };
+        start(dir.path(), &plan, &Synthetic::default(), 2).unwrap();
+        for row in rows(dir.path()).iter().filter(|row| row.stage == "active" && row.design == "uniform") {
+            episodes += 1;
+            successes += u64::from(row.episode.outcome == Outcome::Success);
+        }
+    }
+    let rate = successes as f64 / episodes as f64;
+    // About 1,200 episodes: the standard error is 0.014.
+    assert!(episodes > 1000 && (rate - truth).abs() < 0.05, "{rate} of {episodes} for {truth}");
+}
+
+/// Seeking a mode finds more of its failures, and the weighted rate is that of uniform episodes.
+#[test]
+fn sought_mode_is_found_more_often() {
+    let share = |rows: &[Entry]| {
+        let hit = rows.iter().filter(|row| row.episode.outcome == Outcome::Failure(FailureMode::constant("grip_loss")));
+        hit.count() as f64 / rows.len() as f64
+    };
+    let even = tempfile::tempdir().unwrap();
+    start(even.path(), &plan(4000, 0), &Synthetic::default(), 2).unwrap();
+    let truth = share(&rows(even.path()));
+    let dir = tempfile::tempdir().unwrap();
+    let mut plan = active(1200, |_| {});
+    plan.active = plan.active.map(|stage| ActiveStage { candidates: 64, ..stage.seeking("grip_loss") });
+    let done = start(dir.path(), &plan, &Synthetic::default(), 2).unwrap();
+    let all = rows(dir.path());
+    assert!(share(&all[300..]) > 1.3 * truth, "{} {truth}", share(&all[300..]));
+    let sought = summary(&done).sought.clone().unwrap();
+    assert_eq!((sought.mode.as_str(), sought.valid), ("grip_loss", 1200));
+    let [low, high] = sought.interval_95;
+    assert!(low < truth && truth < high, "{sought:?} {truth}");
+    assert!(sought.worth_episodes.unwrap() > 600.0, "{sought:?}");
+}
+
+#[test]
+fn rows_follow_from_earlier_ones() {
+    let dir = tempfile::tempdir().unwrap();
+    start(dir.path(), &active(200, |stage| stage.until_rms = Some(0.5)), &Synthetic::default(), 2).unwrap();
+    let dictionary = Dictionary::open(&dir.path().join("dictionary.parquet")).unwrap();
+    let check =
+        |rows: &[Entry]| check_rows(dictionary.provenance(), None, rows.iter().cloned().map(Ok::<_, DictionaryError>));
+    let rows = rows(dir.path());
+    assert_eq!(check(&rows).unwrap(), rows.len() as u64);
+    // Other outcomes of the uniform stage give another model, which chooses other points.
+    let mut invented = rows.clone();
+    invented[..40].iter_mut().for_each(|row| row.episode.outcome = Outcome::Success);
+    assert!(matches!(check(&invented), Err(RowsError::Foreign { index: 50.. })));
+    assert!(matches!(check(&rows[..rows.len() - 3]), Err(RowsError::Count { .. })));
 }
 
 #[test]

@@ -7,6 +7,7 @@ mod boundary;
 mod determinism;
 mod faults;
 mod folder;
+mod follow;
 mod merge_speed;
 mod overhead;
 mod plan;

@@ -12,6 +12,8 @@ fn franka() -> ParameterSpace {
 #[test]
 fn presets_match_the_paper() {
     let [quick, paper] = Preset::ALL.map(|preset| preset.plan().unwrap());
+    assert_eq!((quick.uniform.episodes, quick.boundary.episodes, quick.episodes()), (750, 0, 3_000));
+    let quick = quick.with_two_stages();
     assert_eq!((quick.uniform.episodes, quick.boundary.episodes), (2_000, 1_000));
     assert_eq!((paper.uniform.episodes, paper.boundary.episodes), (10_000, 10_000));
     assert_eq!(paper.clone().with_total(3_000), quick);
@@ -47,7 +49,7 @@ fn presets_match_the_paper() {
 #[test]
 fn total_is_split_two_to_one() {
     let split = |n| {
-        let plan = Preset::Quick.plan().unwrap().with_total(n);
+        let plan = Preset::Quick.plan().unwrap().with_total(n).with_two_stages();
         (plan.uniform.episodes, plan.boundary.episodes)
     };
     assert_eq!(

@@ -15,7 +15,7 @@ fn rows_of(plan: &Plan) -> (Provenance, Vec<Entry>) {
 }
 
 fn check(provenance: &Provenance, rows: &[Entry]) -> Result<u64, RowsError> {
-    check_rows(provenance, rows.iter().cloned().map(Ok::<_, DictionaryError>))
+    check_rows(provenance, None, rows.iter().cloned().map(Ok::<_, DictionaryError>))
 }
 
 #[test]

@@ -53,10 +53,31 @@ fn run_all(dir: &Path, shards: u32, plan: &Plan, provenance: &Provenance) -> Sha
         chance.shuffle(&mut round.missing);
         for index in round.missing {
             // Each worker knows the folder only.
+            choose(&open(dir));
+            // The active stage may be over.
+            if let Assignment::Complete = open(dir).assign(index, None).unwrap() {
+                continue;
+            }
             assert_eq!(run(&open(dir), index), Commit::First);
         }
     }
+    choose(&campaign);
     campaign
+}
+
+/// Chooses the points of the next round of an active stage.
+fn choose(shards: &Shards) {
+    if let Some(round) = shards.unchosen().unwrap() {
+        shards.choose(round, None).unwrap();
+        // A second process gets the same points.
+        shards.choose(round, None).unwrap();
+    }
+}
+
+fn active_plan(until_rms: Option<f64>) -> Plan {
+    let mut plan = plan(160, 0).with_active();
+    plan.active.as_mut().unwrap().until_rms = until_rms;
+    plan
 }
 
 fn merge(shards: &Shards, out: &Path) -> Result<Completion, ShardError> {
@@ -88,7 +109,14 @@ fn suite_plan() -> Plan {
 #[test]
 fn merged_files_equal_single_run() {
     let base = tempfile::tempdir().unwrap();
-    for (name, plan, provenance) in [("stages", plan(200, 100), provenance()), ("suite", suite_plan(), origin())] {
+    let plans = [
+        ("stages", plan(200, 100), provenance()),
+        ("suite", suite_plan(), origin()),
+        ("active", active_plan(None), provenance()),
+        // The certificate ends the stage before its last round.
+        ("early", active_plan(Some(0.5)), provenance()),
+    ];
+    for (name, plan, provenance) in plans {
         let expected = one_machine(&base.path().join(name), &plan, &provenance);
         for shards in [1, 3, 16] {
             let dir = base.path().join(format!("{name}-{shards}"));
@@ -147,6 +175,43 @@ fn early_stop_merges_fewer_rounds() {
     assert_eq!(files(&dir), files(&one));
     let error = merge(&campaign, &base.path().join("all")).unwrap_err();
     assert!(matches!(error, ShardError::Missing { round: ShardRound::Suite(2), .. }), "{error}");
+}
+
+#[test]
+fn active_rounds_open_in_order() {
+    let base = tempfile::tempdir().unwrap();
+    let campaign = begin(base.path(), 2, &active_plan(None), provenance()).unwrap();
+    assert_eq!(campaign.unchosen().unwrap(), None);
+    (0..2).for_each(|index| assert_eq!(run(&campaign, index), Commit::First));
+    let first = ShardRound::Active(0);
+    assert_eq!(campaign.unchosen().unwrap(), Some(first));
+    assert!(matches!(campaign.assign(0, None).unwrap(), Assignment::Choose { round } if round == first));
+    let rounds: Vec<RoundState> = campaign.status(None).unwrap().rounds.iter().map(|round| round.state).collect();
+    assert_eq!(rounds[..3], [RoundState::Complete, RoundState::Open, RoundState::Waiting]);
+    let error = merge(&campaign, base.path()).unwrap_err();
+    assert!(matches!(error, ShardError::Missing { round, .. } if round == first), "{error}");
+    choose(&campaign);
+    assert_eq!(campaign.unchosen().unwrap(), None);
+    // Points that another machine chose are used, and other ones are rejected.
+    let path = base.path().join("shards/active-0.json");
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replacen("\"episodes\": 20", "\"episodes\": 21", 1)).unwrap();
+    assert!(matches!(campaign.choose(first, None).unwrap_err(), ShardError::Conflict { .. }));
+    fs::write(&path, "{}").unwrap();
+    assert!(matches!(campaign.assign(0, None).unwrap_err(), ShardError::Run(RunError::Unreadable { .. })));
+}
+
+#[test]
+fn missing_report_is_named() {
+    let base = tempfile::tempdir().unwrap();
+    let campaign = run_all(base.path(), 1, &active_plan(None), &provenance());
+    let last = ShardRound::all(&active_plan(None)).len() as u64 - 1;
+    fs::remove_file(base.path().join(format!("shards/active-{last}.json"))).unwrap();
+    assert_eq!(campaign.unchosen().unwrap(), Some(ShardRound::Active(last)));
+    let error = merge(&campaign, base.path()).unwrap_err();
+    assert!(matches!(error, ShardError::NotChosen { round: ShardRound::Active(at), .. } if at == last), "{error}");
+    choose(&campaign);
+    merge(&campaign, base.path()).unwrap();
 }
 
 #[test]

@@ -7,9 +7,9 @@ use std::sync::Arc;
 use super::queue::Queue;
 use super::{Execution, LATENCY_PARAMETER, Latency, latency_parameter};
 use crate::{
-    Action, ActionSpace, ActionSpec, Assignment, Command, Environment, Fault, FaultKind, Image, Infeasibility,
-    Measures, Observation, Policy, PredictedStep, Prediction, Scenario, Seed, Start, Step, Stream, TaskInstance,
-    TaskSpec, Trajectory, Value,
+    Action, ActionSpace, ActionSpec, Assignment, Command, Environment, Fault, FaultKind, FeatureSpec, Foresight, Image,
+    Infeasibility, Measures, Observation, Policy, PredictedStep, Prediction, Scenario, Seed, Start, Step, Stream,
+    TaskInstance, TaskSpec, Trajectory, Value,
 };
 
 /// The latency of the scenario, in seconds. The environment's adapter sets it, and the policy's adapter applies it.
@@ -50,9 +50,36 @@ struct LatencyEnvironment {
     shared: Shared,
 }
 
+/// The knowledge of a task that has no latency.
+struct WithoutLatency(Arc<dyn Foresight>);
+
+impl WithoutLatency {
+    fn known(scenario: &Scenario) -> Scenario {
+        Scenario { requested: without_latency(&scenario.requested), ..scenario.clone() }
+    }
+}
+
+impl Foresight for WithoutLatency {
+    fn draws(&self, scenario: &Scenario) -> Result<Measures, Fault> {
+        self.0.draws(&Self::known(scenario))
+    }
+
+    fn feature_specs(&self) -> &[FeatureSpec] {
+        self.0.feature_specs()
+    }
+
+    fn features(&self, scenario: &Scenario) -> Result<Vec<f64>, Fault> {
+        self.0.features(&Self::known(scenario))
+    }
+}
+
 impl Environment for LatencyEnvironment {
     fn task(&self) -> &Arc<TaskSpec> {
         &self.task
+    }
+
+    fn foresight(&self) -> Option<Arc<dyn Foresight>> {
+        self.environment.foresight().map(|foresight| Arc::new(WithoutLatency(foresight)) as Arc<dyn Foresight>)
     }
 
     fn draws(&self, scenario: &Scenario) -> Result<Measures, Fault> {

@@ -356,6 +356,20 @@ impl SuiteFile {
         }
     }
 
+    /// Sets a parameter to one value in every scenario.
+    pub(super) fn fix(&mut self, name: &Arc<str>, value: &Value) {
+        for group in &mut self.group {
+            group.defaults.remove(name);
+            group.scenarios.iter_mut().for_each(|scenario| drop(scenario.parameters.remove(name)));
+        }
+        let given = match value {
+            Value::Integer(n) => Given::Integer(*n),
+            Value::Number(x) => Given::Number(*x),
+            Value::Category(word) => Given::Word(Arc::clone(word)),
+        };
+        self.defaults.insert(Arc::clone(name), given);
+    }
+
     pub(super) fn group_description(&self, category: &str, group: &str) -> Option<&str> {
         self.group.iter().find(|g| g.category == category && g.name == group)?.description.as_deref()
     }

@@ -105,6 +105,31 @@ impl Suite {
         serde_json::from_value(file).map_err(|why| wrong(why.to_string()))
     }
 
+    /// The same scenarios under another name, with `constants` in all of them: parameters that belong to one unit of a
+    /// robot. A parameter that the suite sets to one value in all scenarios is replaced.
+    ///
+    /// # Errors
+    /// If a scenario varies one of these parameters.
+    pub fn with_constants(&self, name: &str, constants: &Assignment) -> Result<Self, SuiteError> {
+        let mut file = self.file.clone();
+        file.name = name.to_owned();
+        let mut problems = Vec::new();
+        for (parameter, value) in constants.iter() {
+            if self.varies(parameter) {
+                problems.push(SuiteProblem::Varies { parameter: parameter.to_owned() });
+            }
+            file.fix(&parameter.into(), value);
+        }
+        if problems.is_empty() { Self::try_from(file) } else { Err(SuiteError::Problems(problems)) }
+    }
+
+    /// Whether a parameter differs between scenarios or is sampled.
+    fn varies(&self, parameter: &str) -> bool {
+        let spreads = || self.cases.iter().flat_map(|case| &case.parameters).filter(|(name, _)| &**name == parameter);
+        let first = spreads().next().map(|(_, spread)| spread);
+        spreads().any(|(_, spread)| matches!(spread, Spread::Drawn(_)) || Some(spread) != first)
+    }
+
     /// The version of the file format that is written, and the newest one that is read.
     pub const SCHEMA: u32 = 1;
 

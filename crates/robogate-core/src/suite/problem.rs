@@ -122,6 +122,14 @@ pub enum SuiteProblem {
         /// The problem.
         error: crate::SpaceError,
     },
+    /// A parameter that should be constant differs between scenarios or is sampled.
+    #[error(
+        "`{parameter}` varies over the scenarios of the suite: a parameter belongs either to the scenarios or to the unit"
+    )]
+    Varies {
+        /// The parameter.
+        parameter: String,
+    },
     /// The parameters do not form a valid space.
     #[error(transparent)]
     Space(crate::SpaceError),

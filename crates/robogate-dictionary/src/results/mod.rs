@@ -26,9 +26,10 @@ mod role;
 mod survey;
 mod task;
 mod vla_eval;
-mod zstd;
 
+use std::collections::BTreeSet;
 use std::path::Path;
+use std::sync::Arc;
 
 pub use format::Format;
 pub use mapping::{About, Mapping};
@@ -37,7 +38,7 @@ pub use survey::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED};
 
 use crate::codec::Interner;
 use crate::published::{self, Imported};
-use crate::raw::RawRow;
+use crate::raw::{MOST_FIELDS, RawRow};
 use crate::{Dictionary, DictionaryError, DictionaryWriter};
 
 /// The content of a file except its rows.
@@ -103,14 +104,19 @@ fn fixed_columns(from: &Path, what: &str) -> DictionaryError {
 fn columns(format: Format, path: &Path) -> Vec<String> {
     const FIRST_ROWS: u64 = 100;
     let mut names: Vec<String> = Vec::new();
+    let mut known: BTreeSet<Arc<str>> = BTreeSet::new();
     // The error ends the reading early.
     let _ = read(format, path, &mut |row| {
         for (name, _) in &row.fields {
-            if !names.iter().any(|known| **known == **name) {
+            if known.insert(Arc::clone(name)) {
                 names.push(name.to_string());
             }
         }
-        if row.number < FIRST_ROWS { Ok(()) } else { Err(DictionaryError::results(path, "enough rows were read")) }
+        if row.number < FIRST_ROWS && names.len() < 2 * MOST_FIELDS {
+            Ok(())
+        } else {
+            Err(DictionaryError::results(path, "enough rows were read"))
+        }
     });
     names
 }

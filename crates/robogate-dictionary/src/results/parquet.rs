@@ -4,13 +4,14 @@ use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
-use ::parquet::basic::{Compression, Type as Physical};
-use ::parquet::column::reader::ColumnReader;
+use ::parquet::basic::Type as Physical;
+use ::parquet::column::reader::{ColumnReader, get_column_reader};
 use ::parquet::errors::ParquetError;
 use ::parquet::file::reader::{FileReader, SerializedFileReader};
 
-use super::{Frame, Sink, zstd};
+use super::{Frame, Sink};
 use crate::DictionaryError;
+use crate::pages::{Allowance, check_footer, page_reader};
 use crate::parquet::guarded;
 use crate::raw::{MOST_FIELDS, Metered, RawRow, Scalar};
 
@@ -19,6 +20,9 @@ const BATCH: usize = 4096;
 
 /// Maximum unpacked size of a column in one row group, in bytes.
 const MOST_COLUMN: i64 = 1 << 30;
+
+/// Maximum bytes of the texts in one batch of rows. A text of a dictionary page may be repeated in every row.
+const MOST_TEXT: usize = 64 << 20;
 
 pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
     let refuse = |reason: String| {
@@ -31,7 +35,8 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
     };
     let mut hashed = Metered::open(path, u64::MAX)?;
     io::copy(&mut hashed, &mut io::sink()).map_err(DictionaryError::io(path, "read"))?;
-    let file = std::fs::File::open(path).map_err(DictionaryError::io(path, "open"))?;
+    let mut file = std::fs::File::open(path).map_err(DictionaryError::io(path, "open"))?;
+    check_footer(&mut file).map_err(refuse)?;
     let length = file.metadata().map_err(DictionaryError::io(path, "inspect"))?.len();
     let file = Arc::new(file);
     let reader = guarded(|| SerializedFileReader::new(Arc::clone(&file).as_ref().try_clone()?)).map_err(refuse)?;
@@ -53,7 +58,11 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
                 .push(format!("Column `{name}` is ignored: it does not contain plain numbers, truth values or texts."));
         }
     }
+    let allowance = Allowance::of(length);
     let mut row = RawRow::default();
+    let all_rows = metadata.row_groups().iter().map(|group| group.num_rows().unsigned_abs());
+    let all_rows = all_rows.fold(0, u64::saturating_add);
+    allowance.check_cells(all_rows, columns.len().max(1)).map_err(refuse)?;
     for (at, group) in metadata.row_groups().iter().enumerate() {
         let rows = usize::try_from(group.num_rows())
             .map_err(|_| refuse(format!("row group {at} has {} rows", group.num_rows())))?;
@@ -70,19 +79,22 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
             }
         }
         let mut readers = guarded(|| {
-            let group = reader.get_row_group(at)?;
-            let open = |(leaf, _): &(usize, Arc<str>)| match group.metadata().column(*leaf).compression() {
-                Compression::ZSTD(_) => zstd::column_reader(&file, group.metadata().column(*leaf), rows),
-                _ => group.get_column_reader(*leaf),
+            let open = |(leaf, _): &(usize, Arc<str>)| {
+                let column = group.column(*leaf);
+                let pages = page_reader(Arc::clone(&file), column, rows, &allowance)?;
+                Ok(get_column_reader(column.column_descr_ptr(), pages))
             };
-            columns.iter().map(open).collect::<Result<Vec<_>, _>>()
+            columns.iter().map(open).collect::<Result<Vec<_>, ParquetError>>()
         })
         .map_err(refuse)?;
         let mut left = rows;
         while left > 0 {
             let n = left.min(BATCH);
-            let batch = guarded(|| readers.iter_mut().map(|reader| values(reader, n)).collect::<Result<Vec<_>, _>>())
-                .map_err(refuse)?;
+            let mut text = MOST_TEXT;
+            let batch = guarded(|| {
+                readers.iter_mut().map(|reader| values(reader, n, &mut text)).collect::<Result<Vec<_>, _>>()
+            })
+            .map_err(refuse)?;
             let mut batch: Vec<_> = batch.into_iter().map(Vec::into_iter).collect();
             for _ in 0..n {
                 row.fields.clear();
@@ -98,8 +110,8 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
     Ok(frame)
 }
 
-/// The next `n` values of a column.
-fn values(reader: &mut ColumnReader, n: usize) -> Result<Vec<Scalar>, ParquetError> {
+/// The next `n` values of a column. Texts are charged to `text`, a number of bytes.
+fn values(reader: &mut ColumnReader, n: usize, text: &mut usize) -> Result<Vec<Scalar>, ParquetError> {
     macro_rules! read {
         ($reader:expr, $scalar:expr) => {{
             let (mut present, mut values) = (Vec::new(), Vec::new());
@@ -129,7 +141,12 @@ fn values(reader: &mut ColumnReader, n: usize) -> Result<Vec<Scalar>, ParquetErr
         ColumnReader::FloatColumnReader(reader) => read!(reader, |x| Ok(number(x.into()))),
         ColumnReader::DoubleColumnReader(reader) => read!(reader, |x| Ok(number(x))),
         ColumnReader::ByteArrayColumnReader(reader) => {
-            read!(reader, |text: ::parquet::data_type::ByteArray| Ok(Scalar::Text(text.as_utf8()?.to_owned())))
+            read!(reader, |value: ::parquet::data_type::ByteArray| {
+                *text = text.checked_sub(value.len()).ok_or_else(|| {
+                    ParquetError::General(format!("its texts have more than {MOST_TEXT} bytes in {BATCH} rows"))
+                })?;
+                Ok(Scalar::Text(value.as_utf8()?.to_owned()))
+            })
         }
         ColumnReader::Int96ColumnReader(_) | ColumnReader::FixedLenByteArrayColumnReader(_) => {
             Err(ParquetError::General("a column has an unsupported type".to_owned()))

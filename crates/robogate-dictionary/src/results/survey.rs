@@ -1,6 +1,6 @@
 //! The first pass: finds parameters and failure modes, and which quantities the source does not record.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -43,6 +43,8 @@ pub(super) struct Survey<'a> {
     /// Other columns in order of appearance, with their number of values.
     others: Vec<(Arc<str>, u64)>,
     modes: BTreeSet<FailureMode>,
+    /// The use of each column by its name, computed once.
+    uses: BTreeMap<Arc<str>, Use>,
     /// Whether the column of each role exists.
     roles: [bool; Role::ALL.len()],
     flags: Vec<FlagUse>,
@@ -56,6 +58,14 @@ pub(super) struct Survey<'a> {
     invalid: u64,
     invalid_by_error: u64,
     without_time: u64,
+}
+
+/// What a column can become.
+#[derive(Debug, Clone, Copy)]
+enum Use {
+    Measure,
+    Parameter,
+    Other,
 }
 
 /// The use of a flag in the rows.
@@ -84,6 +94,7 @@ impl<'a> Survey<'a> {
             measures: Fields::default(),
             others: Vec::new(),
             modes: BTreeSet::new(),
+            uses: BTreeMap::new(),
             roles: [false; Role::ALL.len()],
             failure_type: false,
             names_modes: false,
@@ -116,23 +127,35 @@ impl<'a> Survey<'a> {
 
     fn take(&mut self, row: &RawRow, name: &Arc<str>, value: &Scalar) {
         let present = *value != Scalar::Null;
-        if self.is_measure(name) {
-            if present {
+        match self.use_of(name) {
+            Use::Measure | Use::Parameter if !present => {}
+            Use::Measure => {
                 let truth = |truth: bool| Scalar::Integer(i64::from(truth));
                 let value = if let Scalar::Bool(value) = value { &truth(*value) } else { value };
                 self.measures.take_if_it_fits(row, name, value);
             }
-        } else if self.may_be_parameter(name) {
-            if present {
-                self.fields.take_if_it_fits(row, name, value);
-            }
-        } else {
-            match self.others.iter().position(|(known, _)| known == name) {
+            Use::Parameter => self.fields.take_if_it_fits(row, name, value),
+            Use::Other => match self.others.iter().position(|(known, _)| known == name) {
                 Some(at) => self.others[at].1 += u64::from(present),
                 None if self.others.len() < MOST_FIELDS => self.others.push((Arc::clone(name), u64::from(present))),
                 None => {}
-            }
+            },
         }
+    }
+
+    fn use_of(&mut self, name: &Arc<str>) -> Use {
+        if let Some(known) = self.uses.get(name) {
+            return *known;
+        }
+        let found = if self.is_measure(name) {
+            Use::Measure
+        } else if self.may_be_parameter(name) {
+            Use::Parameter
+        } else {
+            Use::Other
+        };
+        self.uses.insert(Arc::clone(name), found);
+        found
     }
 
     /// Whether the column is a measure, by the mapping or by its name.

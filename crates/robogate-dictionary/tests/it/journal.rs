@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use crate::common::{Folder, PLAN, entry, same, strange_entry, task};
 use robogate_core::Seed;
 use robogate_dictionary::frame::{Frames, encode_frame};
-use robogate_dictionary::{DictionaryError, Entry, Journal, Recovery, dataset_hash};
+use robogate_dictionary::{DictionaryError, Entry, Journal, JournalTail, Recovery, dataset_hash};
 
 /// Creates a journal with the entries of these indices. Also returns the end of each record.
 fn journal(path: &std::path::Path, indices: impl IntoIterator<Item = u64>) -> Vec<u64> {
@@ -309,4 +309,72 @@ fn full_disk_keeps_the_journal() {
     journal.append(&entry(n)).unwrap();
     let undisturbed = dataset_hash(task(), (0..=n).map(|index| Ok(entry(index)))).unwrap();
     assert_eq!(dataset_hash(task(), journal.ordered()).unwrap(), undisturbed);
+}
+
+/// The indices of the entries that a tail has not passed on yet.
+fn arrived(tail: &mut JournalTail) -> Result<Vec<u64>, DictionaryError> {
+    let mut indices = Vec::new();
+    tail.read(&mut |entry| indices.push(entry.index()))?;
+    Ok(indices)
+}
+
+#[test]
+fn tail_follows_an_open_journal() {
+    let folder = Folder::new("journal-tail");
+    let path = folder.join("j");
+    let mut tail = JournalTail::new(&path, &PLAN);
+    assert_eq!(arrived(&mut tail).unwrap(), [0; 0], "the file does not exist yet");
+    // The writer holds its lock all the time.
+    let mut written = Journal::create(&path, &PLAN).unwrap();
+    assert_eq!(arrived(&mut tail).unwrap(), [0; 0]);
+    for index in [4, 2] {
+        written.append(&entry(index)).unwrap();
+    }
+    assert_eq!(arrived(&mut tail).unwrap(), [4, 2]);
+    written.append(&strange_entry(7)).unwrap();
+    assert_eq!(arrived(&mut tail).unwrap(), [7]);
+    assert_eq!(arrived(&mut tail).unwrap(), [0; 0]);
+    assert!(same(&tail.entry(7).unwrap().unwrap(), &strange_entry(7)));
+    assert!(same(&tail.entry(4).unwrap().unwrap(), &entry(4)));
+    assert!(tail.entry(5).unwrap().is_none());
+    assert_eq!(tail.len(), 3);
+}
+
+#[test]
+fn tail_waits_for_the_rest_of_a_record() {
+    let folder = Folder::new("journal-tail-cut");
+    let (whole, path) = (folder.join("whole"), folder.join("j"));
+    let ends = journal(&whole, 0..3);
+    let bytes = fs::read(&whole).unwrap();
+    // A reader sees any prefix of what a writer writes, the header included.
+    for cut in 0..bytes.len() {
+        fs::write(&path, &bytes[..cut]).unwrap();
+        let mut tail = JournalTail::new(&path, &PLAN);
+        let complete = ends.iter().skip(1).filter(|end| **end <= cut as u64).count() as u64;
+        assert_eq!(arrived(&mut tail).unwrap().len() as u64, complete, "{cut}");
+        fs::write(&path, &bytes).unwrap();
+        assert_eq!(arrived(&mut tail).unwrap(), (complete..3).collect::<Vec<_>>(), "{cut}");
+    }
+}
+
+#[test]
+fn tail_reports_damage_and_other_plans() {
+    let folder = Folder::new("journal-tail-damage");
+    let path = folder.join("j");
+    let ends = journal(&path, 0..3);
+    let mut tail = JournalTail::new(&path, &PLAN);
+    arrived(&mut tail).unwrap();
+    OpenOptions::new().write(true).open(&path).unwrap().set_len(ends[1]).unwrap();
+    assert!(matches!(arrived(&mut tail), Err(DictionaryError::DamagedJournal { intact: 3, .. })));
+    let mut bytes = fs::read(&path).unwrap();
+    bytes[ends[0] as usize + 20] ^= 1;
+    bytes.extend_from_slice(&[7; 40]);
+    fs::write(&path, &bytes).unwrap();
+    let error = arrived(&mut JournalTail::new(&path, &PLAN)).unwrap_err();
+    assert!(matches!(error, DictionaryError::DamagedJournal { intact: 0, .. }), "{error}");
+    let error = arrived(&mut JournalTail::new(&path, &[9; 32])).unwrap_err();
+    assert!(matches!(error, DictionaryError::OtherPlan { .. }), "{error}");
+    fs::write(&path, "no journal at all, but long enough for a header of one").unwrap();
+    let error = arrived(&mut JournalTail::new(&path, &PLAN)).unwrap_err();
+    assert!(matches!(error, DictionaryError::NotAJournal { .. }), "{error}");
 }

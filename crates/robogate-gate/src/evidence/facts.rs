@@ -4,7 +4,7 @@ use std::fs;
 use std::io::{self, Read};
 use std::path::Path;
 
-use robogate_dictionary::{Dictionary, TaskIdentity, Tool, hex};
+use robogate_dictionary::{Dictionary, TaskIdentity, Tool, hex, read_regular_text};
 use sha2::{Digest, Sha256};
 
 use super::{
@@ -16,11 +16,11 @@ use crate::{Against, Baseline, Evaluation, Question, RealEvidence, Record, Requi
 /// Computes the evaluation from the rows and requirements in the folder.
 pub(super) fn evaluate(folder: &Path, sampling: Sampling, margin: Option<f64>) -> Result<Evaluation, EvidenceError> {
     let path = folder.join(REQUIREMENTS);
-    let text = fs::read_to_string(&path).map_err(EvidenceError::io(&path, "read"))?;
+    let text = read_regular_text(&path).map_err(EvidenceError::io(&path, "read"))?;
     let requirements = Requirements::from_toml(&text)?;
     let path = folder.join(BASELINE);
     let baseline = if path.exists() {
-        let text = fs::read_to_string(&path).map_err(EvidenceError::io(&path, "read"))?;
+        let text = read_regular_text(&path).map_err(EvidenceError::io(&path, "read"))?;
         Some(Baseline::from_json(&text)?)
     } else {
         None
@@ -28,7 +28,7 @@ pub(super) fn evaluate(folder: &Path, sampling: Sampling, margin: Option<f64>) -
     let mut record = Record::of(&Dictionary::open(&folder.join(DICTIONARY))?)?;
     let path = folder.join(RealEvidence::FILE);
     if path.exists() {
-        let text = fs::read_to_string(&path).map_err(EvidenceError::io(&path, "read"))?;
+        let text = read_regular_text(&path).map_err(EvidenceError::io(&path, "read"))?;
         record.real = Some(RealEvidence::from_json(&path, &text)?);
     }
     let other = match margin {

@@ -4,7 +4,8 @@ use std::fs;
 use std::path::Path;
 
 use robogate_core::Suite;
-use robogate_dictionary::{Provenance, robot_sha256};
+use robogate_core::budget::Budget;
+use robogate_dictionary::{Provenance, read_regular_text, robot_sha256};
 
 use super::{FileRecord, Problem, Role, policy};
 
@@ -24,7 +25,7 @@ pub(super) fn problems(folder: &Path, files: &[FileRecord], provenance: &Provena
     for (role, check) in [(Role::Plan, plan as fn(&str, &Provenance) -> Result<(), String>), (Role::Suite, suite as _)]
     {
         for file in of(role) {
-            let text = fs::read_to_string(folder.join(&file.path)).map_err(|e| format!("cannot be read: {e}"));
+            let text = read_regular_text(&folder.join(&file.path)).map_err(|e| format!("cannot be read: {e}"));
             if let Err(reason) = text.and_then(|text| check(&text, provenance)) {
                 problems.push(Problem::new(file.path.as_str(), reason));
             }
@@ -38,7 +39,7 @@ pub(super) fn problems(folder: &Path, files: &[FileRecord], provenance: &Provena
 }
 
 fn plan(text: &str, provenance: &Provenance) -> Result<(), String> {
-    let settings: Settings = serde_json::from_str(text).map_err(|e| format!("not a plan of a run: {e}"))?;
+    let settings: Settings = Budget::FILE.json(text.as_bytes()).map_err(|e| format!("not a plan of a run: {e}"))?;
     if settings.plan != provenance.plan {
         return Err("not the plan of the rows: `plan` differs".to_owned());
     }

@@ -1,10 +1,9 @@
 //! Binds evidence to the question that the gate was asked before its first episode.
 
 use std::fmt;
-use std::fs;
 use std::path::Path;
 
-use robogate_dictionary::Provenance;
+use robogate_dictionary::{Provenance, read_regular_text};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -51,7 +50,7 @@ pub(super) fn binding(
     let listed = files.iter().any(|file| file.path == Asked::FILE);
     let path = folder.join(Asked::FILE);
     let asked = if listed {
-        let text = fs::read_to_string(&path).map_err(EvidenceError::io(&path, "read"))?;
+        let text = read_regular_text(&path).map_err(EvidenceError::io(&path, "read"))?;
         Some(Asked::from_json(Path::new(Asked::FILE), &text)?)
     } else {
         None
@@ -67,11 +66,11 @@ pub(super) fn binding(
         (_, Some(asked)) => asked,
     };
     let path = folder.join(REQUIREMENTS);
-    let text = fs::read_to_string(&path).map_err(EvidenceError::io(&path, "read"))?;
+    let text = read_regular_text(&path).map_err(EvidenceError::io(&path, "read"))?;
     let requirements = Requirements::from_toml(&text)?;
     let path = folder.join(BASELINE);
     let baseline = if files.iter().any(|file| file.path == BASELINE) {
-        let text = fs::read_to_string(&path).map_err(EvidenceError::io(&path, "read"))?;
+        let text = read_regular_text(&path).map_err(EvidenceError::io(&path, "read"))?;
         Some(Baseline::from_json(&text)?)
     } else {
         None

@@ -8,7 +8,8 @@ use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use robogate_dictionary::{Provenance, hex};
+use robogate_core::budget::Budget;
+use robogate_dictionary::{Provenance, hex, read_regular_text};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -99,7 +100,8 @@ impl Registration {
 
     /// Reads a signed registration. The error says what is wrong with it.
     pub fn open(envelope: &str, key: &PublicKey) -> Result<Self, String> {
-        let envelope: Envelope = serde_json::from_str(envelope).map_err(|e| format!("not a DSSE envelope: {e}"))?;
+        let envelope: Envelope =
+            Budget::FILE.json(envelope.as_bytes()).map_err(|e| format!("not a DSSE envelope: {e}"))?;
         if envelope.payload_type != PAYLOAD_TYPE {
             return Err(format!("payload type `{}`. Expected {PAYLOAD_TYPE}", envelope.payload_type.escape_debug()));
         }
@@ -107,8 +109,7 @@ impl Registration {
             return Err(format!("no valid signature of key {}", key.id()));
         }
         let body = envelope.body().unwrap_or_default();
-        let statement: Statement =
-            serde_json::from_slice(&body).map_err(|e| format!("not a registration of a run: {e}"))?;
+        let statement: Statement = Budget::FILE.json(&body).map_err(|e| format!("not a registration of a run: {e}"))?;
         let matches = statement.type_uri == STATEMENT_TYPE
             && statement.predicate_type == REGISTRATION_PREDICATE
             && statement.subject == statement.predicate.subject();
@@ -199,7 +200,7 @@ pub(super) fn check(
         if !has(name) {
             return Err(problem("missing: the registration is signed by this key".to_owned()));
         }
-        std::fs::read_to_string(folder.join(name)).map_err(|e| problem(format!("cannot be read: {e}")))
+        read_regular_text(&folder.join(name)).map_err(|e| problem(format!("cannot be read: {e}")))
     };
     let key = PublicKey::from_pem(&read(REGISTRATION_KEY)?).map_err(|reason| Problem::new(REGISTRATION_KEY, reason))?;
     let wrong = |reason: String| Problem::new(REGISTRATION, reason);

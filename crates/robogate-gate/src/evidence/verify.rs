@@ -4,13 +4,15 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
+use robogate_core::budget::Budget;
+
 use super::manifest::is_plain;
 use super::{
     AGAINST, ATTESTATION, BARE_ENDING, BASELINE, DICTIONARY, EVALUATION, Envelope, EnvironmentBinding, EvidenceError,
     MANIFEST, Manifest, PAYLOAD_TYPE, PolicyBinding, Problem, PublicKey, QuestionBinding, REQUIREMENTS, Registered,
     SIGNED_ENDING, SIGNER, TEST_RESULT, facts, statement,
 };
-use crate::{Counts, Verdict};
+use crate::{Counts, RealEvidence, Verdict};
 
 /// Size limit of manifests, statements and public keys, in bytes. Real ones are far smaller.
 const LONGEST: u64 = 16 << 20;
@@ -155,7 +157,7 @@ fn manifest_of(folder: &Path) -> Result<Manifest, Problem> {
     let wrong = |reason: String| Problem::new(MANIFEST, reason);
     let text = read(folder, MANIFEST)
         .map_err(|reason| wrong(format!("{reason}\nhint: expected a folder written by `robogate evidence RUN OUT`")))?;
-    let json: serde_json::Value = serde_json::from_str(&text).map_err(|e| wrong(format!("not JSON: {e}")))?;
+    let json: serde_json::Value = Budget::FILE.json(text.as_bytes()).map_err(|e| wrong(format!("not JSON: {e}")))?;
     match json.get("format").and_then(serde_json::Value::as_u64) {
         Some(format) if format == u64::from(Manifest::FORMAT) => {}
         Some(format) if format > u64::from(Manifest::FORMAT) => {
@@ -169,7 +171,7 @@ fn manifest_of(folder: &Path) -> Result<Manifest, Problem> {
         }
         None => return Err(wrong("no `format`, so it is not a manifest of evidence".to_owned())),
     }
-    let manifest: Manifest = serde_json::from_str(&text).map_err(|e| wrong(format!("not a manifest: {e}")))?;
+    let manifest: Manifest = Budget::FILE.json(text.as_bytes()).map_err(|e| wrong(format!("not a manifest: {e}")))?;
     if manifest.to_json() != text {
         return Err(wrong("was changed: robogate writes the same content with other bytes".to_owned()));
     }
@@ -265,7 +267,7 @@ fn walk(
 
 /// Recomputes the manifest from the files. `None` if that is not possible.
 fn check_facts(folder: &Path, manifest: &Manifest, problems: &mut Vec<Problem>) -> Option<crate::Evaluation> {
-    let uses = [DICTIONARY, REQUIREMENTS, BASELINE, AGAINST];
+    let uses = [DICTIONARY, REQUIREMENTS, BASELINE, AGAINST, RealEvidence::FILE];
     if problems.iter().any(|problem| uses.contains(&problem.file.as_str())) {
         // Results of changed files say nothing about the other files.
         return None;
@@ -361,7 +363,7 @@ fn check_key(
 /// The content of the envelope `name`, if `key` signed it and the envelope was not changed.
 fn signed_body(folder: &Path, name: &str, key: &PublicKey) -> Result<String, String> {
     let text = read(folder, name)?;
-    let envelope: Envelope = serde_json::from_str(&text).map_err(|e| format!("not a DSSE envelope: {e}"))?;
+    let envelope: Envelope = Budget::FILE.json(text.as_bytes()).map_err(|e| format!("not a DSSE envelope: {e}"))?;
     if envelope.payload_type != PAYLOAD_TYPE {
         return Err(format!("payload type `{}`. Expected {PAYLOAD_TYPE}", envelope.payload_type.escape_debug()));
     }

@@ -553,6 +553,15 @@ fn pipes_and_devices_are_not_read() {
         assert!(about(verify(&folder, None), &name).contains("1099511627776 bytes"));
         fs::rename(&kept, &path).unwrap();
     }
+    // Nor are those that the manifest does not list.
+    for name in ["baseline.json", "against.parquet", "real.json", "gate-question.json", "registration.dsse.json"] {
+        let path = folder.join(name);
+        if !path.exists() {
+            pipe(&path);
+            assert!(about(verify(&folder, None), name).contains("not part of the evidence"));
+            fs::remove_file(&path).unwrap();
+        }
+    }
     let path = run.folder.path().join("pipe");
     pipe(&path);
     assert!(PublicKey::read(&path).unwrap_err().to_string().contains("not a regular file"));

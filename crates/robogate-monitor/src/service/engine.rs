@@ -10,7 +10,7 @@ use super::batch::Batch;
 use super::fleet::Tallies;
 use super::intake::{Intake, IntakeError, Taken};
 use super::metrics::metrics;
-use super::status::Status;
+use super::status::{Around, Status};
 
 /// Maximum number of waiting requests.
 const WAITING: usize = 1_024;
@@ -44,6 +44,7 @@ impl From<super::StoreError> for Problem {
 pub(super) enum Job {
     Cycles { batch: Batch, reply: oneshot::Sender<Answer<Taken>> },
     Status { reply: oneshot::Sender<Answer<Status>> },
+    Around { recipe: String, until: String, reply: oneshot::Sender<Answer<Around>> },
     Fleet { reply: oneshot::Sender<Answer<Tallies>> },
     Metrics { reply: oneshot::Sender<Answer<String>> },
     Healthy { reply: oneshot::Sender<Answer<()>> },
@@ -238,6 +239,9 @@ fn together(
 fn quick(intake: &mut Intake, job: Job) {
     match job {
         Job::Status { reply } => answer(reply, Status::of(intake).map_err(Problem::from)),
+        Job::Around { recipe, until, reply } => {
+            answer(reply, Around::of(intake, &recipe, &until).map_err(Problem::from));
+        }
         Job::Fleet { reply } => answer(reply, Ok(Tallies::of(intake))),
         Job::Metrics { reply } => answer(reply, Ok(metrics(intake))),
         Job::Restart { recipe, reply } => answer(reply, intake.restart(&recipe).map_err(Problem::from)),

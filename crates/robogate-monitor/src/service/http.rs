@@ -3,6 +3,7 @@
 //! | request | answer |
 //! |---|---|
 //! | `POST /v1/cycles` | takes one cycle, an array of cycles, or one cycle per line; returns the result of the batch |
+//! | `GET /v1/cycles?recipe=NAME&until=ID` | the last cycles of a recipe up to this one, and similar simulated episodes |
 //! | `POST /v1/recipes/NAME/restart` | restarts the recipe's detectors, after the cause was repaired |
 //! | `GET /v1/status` | the status document |
 //! | `GET /v1/fleet` | all robots, and the differences between the robots of each recipe |
@@ -18,7 +19,7 @@
 //! an unfinished head gives its place to a new connection. Bodies are parsed on other threads.
 
 use std::convert::Infallible;
-use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::net::SocketAddr;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -36,6 +37,7 @@ use serde_json::value::RawValue;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{oneshot, watch};
 
+use super::admission::{is_this_machine, same};
 use super::batch::Batch;
 use super::engine::{Answer, Busy, Handle, Job, Problem};
 use super::fleet::FleetStatus;
@@ -103,6 +105,12 @@ pub enum HttpError {
     /// An address that other machines can reach, without a token.
     #[error("other machines can reach {0}, but no token is configured. Hint: use --token-file, or listen on 127.0.0.1")]
     NoToken(SocketAddr),
+    /// An address that other machines can reach, for a server that only serves this one.
+    #[error("{0} is not an address of this machine alone. Expected a loopback address such as 127.0.0.1")]
+    NotLocal(SocketAddr),
+    /// The operating system has no random numbers for a token.
+    #[error("the operating system returned no random numbers: {0}")]
+    Random(String),
     /// A token that is too short.
     #[error("the token has {0} bytes. Expected at least 16")]
     ShortToken(usize),
@@ -262,9 +270,9 @@ async fn converse(server: &Arc<Server>, stream: TcpStream, connection: Connectio
     let _ = tokio::time::timeout(Duration::from_secs_f64(last), connection).await;
 }
 
-type Reply = Response<Full<Bytes>>;
+pub(super) type Reply = Response<Full<Bytes>>;
 
-fn reply(status: StatusCode, kind: &'static str, body: impl Into<Bytes>) -> Reply {
+pub(super) fn reply(status: StatusCode, kind: &'static str, body: impl Into<Bytes>) -> Reply {
     let mut reply = Response::new(Full::new(body.into()));
     *reply.status_mut() = status;
     let headers = reply.headers_mut();
@@ -286,7 +294,7 @@ fn later(status: StatusCode, because: impl std::fmt::Display) -> Reply {
     reply
 }
 
-fn refusal(status: StatusCode, because: impl std::fmt::Display) -> Reply {
+pub(super) fn refusal(status: StatusCode, because: impl std::fmt::Display) -> Reply {
     document(status, &json!({ "error": because.to_string() }))
 }
 
@@ -309,6 +317,13 @@ async fn respond(server: &Server, request: Request<Incoming>) -> Reply {
         (&Method::GET, "/v1/status") => match ask(server, |reply| Job::Status { reply }).await {
             Ok(status) => document(StatusCode::OK, &status),
             Err(refused) => refused,
+        },
+        (&Method::GET, "/v1/cycles") => match (asked(&request, "recipe"), asked(&request, "until")) {
+            (Some(recipe), Some(until)) => match ask(server, |reply| Job::Around { recipe, until, reply }).await {
+                Ok(around) => document(StatusCode::OK, &around),
+                Err(refused) => refused,
+            },
+            _ => refusal(StatusCode::BAD_REQUEST, "expected `?recipe=NAME&until=ID` with the id of a cycle"),
         },
         (&Method::GET, "/v1/fleet") => fleet(server).await,
         (&Method::GET, "/metrics") => match ask(server, |reply| Job::Metrics { reply }).await {
@@ -359,28 +374,6 @@ fn admit(server: &Server, request: &Request<Incoming>, open: bool) -> Option<Rep
             foreign.then(|| refusal(StatusCode::FORBIDDEN, "pages of other sites may not send requests"))
         }
     }
-}
-
-/// Whether the value of a Host header names this machine (RFC 9110, section 7.2: `host [ ":" port ]`). Anything else in it,
-/// as in `[::1].example.com`, is another name.
-fn is_this_machine(host: &str) -> bool {
-    let is_port = |text: &str| text.is_empty() || text.parse::<u16>().is_ok();
-    match host.strip_prefix('[') {
-        Some(rest) => rest.split_once(']').is_some_and(|(address, rest)| {
-            let port = rest.is_empty() || rest.strip_prefix(':').is_some_and(is_port);
-            port && address.parse::<Ipv6Addr>().is_ok_and(|address| address.is_loopback())
-        }),
-        None => {
-            let (name, port) = host.split_once(':').unwrap_or((host, ""));
-            let local = name.eq_ignore_ascii_case("localhost");
-            is_port(port) && (local || name.parse::<Ipv4Addr>().is_ok_and(|address| address.is_loopback()))
-        }
-    }
-}
-
-/// Compares two tokens in constant time.
-fn same(a: &[u8], b: &[u8]) -> bool {
-    a.len() == b.len() && a.iter().zip(b).fold(0, |sum, (a, b)| sum | (a ^ b)) == 0
 }
 
 /// Sends a request to the engine and converts a problem into a reply.
@@ -532,7 +525,17 @@ fn answer_of(taken: &Taken) -> Reply {
 
 /// The decoded recipe name of `/v1/recipes/NAME/restart`.
 fn restart_of(path: &str) -> Option<String> {
-    let name = path.strip_prefix("/v1/recipes/")?.strip_suffix("/restart")?;
+    decoded(path.strip_prefix("/v1/recipes/")?.strip_suffix("/restart")?)
+}
+
+/// The value of a name in the query of a request.
+fn asked(request: &Request<Incoming>, name: &str) -> Option<String> {
+    let pairs = request.uri().query()?.split('&').filter_map(|pair| pair.split_once('='));
+    decoded(pairs.into_iter().find(|(known, _)| *known == name)?.1)
+}
+
+/// Percent-decodes a text. `None` if it is empty or not UTF-8.
+fn decoded(name: &str) -> Option<String> {
     let mut bytes = Vec::new();
     let mut rest = name.bytes();
     while let Some(byte) = rest.next() {
@@ -544,35 +547,4 @@ fn restart_of(path: &str) -> Option<String> {
         });
     }
     String::from_utf8(bytes).ok().filter(|name| !name.is_empty())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_local_hosts_are_this_machine() {
-        for host in ["localhost", "LOCALHOST:80", "127.0.0.1", "127.9.9.9:8080", "[::1]", "[::1]:8080"] {
-            assert!(is_this_machine(host), "{host}");
-        }
-        for host in [
-            "",
-            "[::1].evil.com",
-            "[::1]evil.com:80",
-            "[::1]:80.evil.com",
-            "[::1",
-            "localhost.evil.com",
-            "localhost:80.evil.com",
-            "127.0.0.1.evil.com",
-            "127.0.0.1:80:90",
-            "user@localhost",
-            "localhost@evil.com",
-            "10.0.0.1",
-            "[::2]",
-            "[127.0.0.1]",
-            "::1",
-        ] {
-            assert!(!is_this_machine(host), "{host}");
-        }
-    }
 }

@@ -16,6 +16,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::Serialize;
 
 use super::batch::{Batch, LISTED, TooManyLines};
+use super::nearest::Episodes;
 use super::store::{Kept, Store, StoreError};
 use crate::{Alarm, Cycle, Monitor, TooManyRecipes};
 
@@ -109,9 +110,21 @@ pub struct Intake {
     unwritten: Vec<Alarm>,
     /// The sum of all results since the start.
     totals: Taken,
+    /// Simulated episodes, to compare cycles with.
+    episodes: Option<Episodes>,
 }
 
 impl Intake {
+    /// The same intake with simulated episodes. The page compares failed cycles with them.
+    #[must_use]
+    pub fn with_episodes(self, episodes: Episodes) -> Self {
+        Self { episodes: Some(episodes), ..self }
+    }
+
+    pub(super) fn episodes(&self) -> Option<&Episodes> {
+        self.episodes.as_ref()
+    }
+
     /// Restores each recipe's state from the store, then processes the later cycles.
     ///
     /// # Errors
@@ -141,6 +154,7 @@ impl Intake {
             newest,
             unwritten: Vec::new(),
             totals: Taken::default(),
+            episodes: None,
         })
     }
 

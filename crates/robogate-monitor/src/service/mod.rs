@@ -4,13 +4,17 @@
 //! One thread owns the store and the monitor ([`ServiceEngine`]). Feeds send bytes to it and wait for the reply.
 //! Requests that wait at the same time share one commit.
 
+mod admission;
 mod batch;
+mod charts;
 mod engine;
 mod fleet;
 mod http;
 mod intake;
+mod local;
 mod metrics;
 mod mqtt;
+mod nearest;
 mod outputs;
 mod peers;
 mod settings;
@@ -18,12 +22,15 @@ mod status;
 mod store;
 
 pub use batch::{Batch, MOST_LINES, MOST_MALFORMED, TooManyLines};
+pub use charts::{Charts, EvidenceChart, MetricChart};
 pub use engine::{Busy, Handle, ServiceEngine};
 pub use fleet::{FleetStatus, OutlierStatus, RecipeFleet, RobotStatus, SpreadStatus};
 pub use http::{HttpError, HttpSettings, serve};
 pub use intake::{Intake, IntakeError, Refused, Taken};
+pub use local::{LocalReply, LocalRequest, random_token, serve_local};
 pub use mqtt::Broker;
+pub use nearest::{Episodes, NearestEpisode, SimulatedEpisode};
 pub use outputs::{Deliver, Output, OutputError, json_lines, of_rule, webhook};
 pub use settings::ServiceSettings;
-pub use status::{DetectorStatus, OutsideStatus, RateStatus, RecipeStatus, Status};
+pub use status::{Around, DetectorStatus, OutsideStatus, RateStatus, RecipeStatus, Status};
 pub use store::{Store, StoreError, StoreSettings};

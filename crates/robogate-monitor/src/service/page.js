@@ -37,6 +37,101 @@ function detector(d) {
   return el("div", { class: "level" }, el("span", {}, d.label), track,
     el("span", { class: d.standing || "dim" }, d.standing || whole(critical[0]) + " / " + whole(critical[1])));
 }
+const SVG = "http://www.w3.org/2000/svg";
+function draw(tag, attributes, text) {
+  const node = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+  if (text != null) node.textContent = text;
+  return node;
+}
+const WIDE = 340, HIGH = 110, LEFT = 46, TOP = 8, LOW = HIGH - 20;
+const hint = text => draw("title", {}, text);
+// The frame of a chart over the cycles of a recipe, with the marks of alarms.
+function frame(charts, marks, label) {
+  const svg = draw("svg", { viewBox: `0 0 ${WIDE} ${HIGH}`, role: "img", "aria-label": label });
+  const last = charts.cycles[charts.cycles.length - 1], first = Math.max(1, charts.cycles[0] - (charts.cycles[1] - charts.cycles[0] || 0));
+  const x = cycle => LEFT + (WIDE - LEFT - 4) * (cycle - first) / Math.max(1, last - first);
+  svg.append(draw("line", { class: "frame", x1: LEFT, x2: WIDE - 4, y1: LOW, y2: LOW }),
+    draw("text", { x: LEFT, y: HIGH - 6 }, "cycle " + whole(first)), draw("text", { x: WIDE - 4, y: HIGH - 6, "text-anchor": "end" }, whole(last)));
+  for (const a of marks) {
+    if (a.cycle < first) continue;
+    const kind = a.happening === "raised" ? a.level : "cleared";
+    const line = draw("line", { class: "mark " + kind, x1: x(a.cycle), x2: x(a.cycle), y1: TOP, y2: LOW });
+    line.append(hint(`${kind}, cycle ${whole(a.cycle)}: ${a.what}`));
+    svg.append(line);
+  }
+  return [svg, x];
+}
+function axis(svg, y, values, show) {
+  for (const value of values) svg.append(draw("text", { x: LEFT - 5, y: y(value) + 4, "text-anchor": "end" }, show(value)),
+    draw("line", { class: "frame", x1: LEFT - 3, x2: LEFT, y1: y(value), y2: y(value) }));
+}
+// A round number of at least x: 1, 2 or 5 times a power of ten.
+function round(x) {
+  const power = 10 ** Math.floor(Math.log10(x || 1e-3));
+  return power * [1, 2, 5, 10].find(step => step * power >= x * 0.999);
+}
+function metric(charts, m, marks) {
+  const show = m.share ? x => String(Number((100 * x).toPrecision(3))) + " %" : x => String(Number(x.toPrecision(3))) + " s";
+  const seen = [...m.values, ...m.intervals_95.flatMap(i => i || []), ...(m.bounds || []), m.baseline].filter(x => x != null);
+  let low = 0, high = Math.min(m.share ? 1 : Infinity, round(Math.max(...seen)));
+  if (!m.share) {
+    const room = Math.max(0.05, 0.15 * (Math.max(...seen) - Math.min(...seen)));
+    [low, high] = [Math.max(0, Math.min(...seen) - room), Math.max(...seen) + room];
+  }
+  const y = value => LOW - (LOW - TOP) * (Math.min(value, high) - low) / (high - low || 1);
+  const now = m.values.findLast(x => x != null);
+  const base = m.baseline == null ? "baseline being learnt or not given" : `baseline ${show(m.baseline)}` +
+    (m.bounds ? ` (${show(m.bounds[0])} to ${show(m.bounds[1])})` : "");
+  const [svg, x] = frame(charts, marks, `${m.label} over the cycles: last ${show(now)}, ${base}`);
+  axis(svg, y, [low, high], show);
+  if (m.bounds) svg.prepend(draw("rect", { class: "bounds", x: LEFT, width: WIDE - LEFT - 4, y: y(m.bounds[1]),
+    height: Math.max(1, y(m.bounds[0]) - y(m.bounds[1])) }));
+  if (m.baseline != null) svg.append(draw("line", { class: "base", x1: LEFT, x2: WIDE - 4, y1: y(m.baseline), y2: y(m.baseline) }));
+  m.values.forEach((value, i) => {
+    if (value == null) return;
+    const at = x(charts.cycles[i]), interval = m.intervals_95[i];
+    if (interval) svg.append(draw("line", { class: "whisker", x1: at, x2: at, y1: y(interval[0]), y2: y(interval[1]) }));
+    const dot = draw("circle", { class: "dot", cx: at, cy: y(value), r: 2 });
+    dot.append(hint(`up to cycle ${whole(charts.cycles[i])} (${time(charts.times_s[i])} UTC): ${show(value)}` +
+      (interval ? `, 95 %: ${show(interval[0])} to ${show(interval[1])}` : "")));
+    svg.append(dot);
+  });
+  return el("figure", {}, el("figcaption", {}, m.label + " ", el("span", { class: "dim" }, `last ${show(now)}; ${base}`)), svg);
+}
+// Evidence grows by factors, so its axis is logarithmic.
+const LEAST = 1e-4;
+function evidence(charts, marks, promised) {
+  const y = share => TOP + (LOW - TOP) * Math.log10(Math.max(share, LEAST)) / Math.log10(LEAST);
+  const [svg, x] = frame(charts, marks, "evidence of each detector as a share of the limit of a warning, on a logarithmic scale");
+  axis(svg, y, [1, 1e-2, 1e-4], share => ({ 1: "limit", 0.01: "1 %", 0.0001: "0.01 %" })[share]);
+  svg.append(draw("line", { class: "limit", x1: LEFT, x2: WIDE - 4, y1: y(1), y2: y(1) }));
+  const keys = [];
+  charts.evidence.forEach((e, i) => {
+    const line = draw("polyline", { class: "course", style: `stroke: var(--l${i % 8})`,
+      points: e.shares.map((share, at) => `${x(charts.cycles[at]).toFixed(1)},${y(share).toFixed(1)}`).join(" ") });
+    line.append(hint(e.label));
+    svg.append(line);
+    keys.push(el("span", {}, el("span", { class: "key", style: `background: var(--l${i % 8})` }), e.label));
+  });
+  return el("figure", {}, el("figcaption", {}, "evidence for a change ", el("span", { class: "dim" },
+    `Without a change, a warning (all metrics and recipes together) is raised after at least ${whole(promised[0])} cycles on average.`)), svg,
+    el("div", { class: "keys" }, ...keys));
+}
+// Parts that the reader opened stay open when the page is drawn again.
+const opened = new Map();
+function fold(key, open, title, ...children) {
+  const node = el("details", (opened.has(key) ? opened.get(key) : open) ? { open: "" } : {}, el("summary", { class: "dim", "data-key": key }, title), ...children);
+  node.addEventListener("toggle", () => opened.set(key, node.open));
+  return node;
+}
+function course(r) {
+  if (!r.charts || !r.charts.cycles.length) return [];
+  const ours = current.alarms.filter(a => a.rule === "detector" && a.recipe === r.recipe);
+  const figures = r.charts.metrics.map(m => metric(r.charts, m, ours.filter(a => a.metric === m.metric)));
+  if (r.charts.evidence.length) figures.push(evidence(r.charts, ours, current.promised_cycles));
+  return [fold("charts " + r.recipe, r.level != null || current.recipes.length < 4, "Time series", el("div", { class: "charts" }, ...figures))];
+}
 function recipe(r) {
   const level = r.level || "fine";
   const shown = r.window.cycles ? r.window : r.all;
@@ -46,7 +141,7 @@ function recipe(r) {
       el("span", { class: "dim" }, `${range(shown.interval_95)} in the last ${whole(shown.cycles)}; ` +
         `baseline ${r.baseline == null ? "being learnt" : percent(r.baseline)}; all ${whole(r.all.cycles)} cycles ${percent(r.all.rate)}` +
         (r.paper ? `; the paper's rule: ${r.paper}` : ""))),
-    ...r.detectors.map(detector), ...r.outside.map(outside));
+    ...r.detectors.map(detector), ...r.outside.map(outside), ...course(r));
 }
 function outside(o) {
   const range = o.numbers && (o.numbers[0] < o.numbers[1] ? `${short(o.numbers[0])} to ${short(o.numbers[1])}` : short(o.numbers[0]));
@@ -55,12 +150,80 @@ function outside(o) {
     ? `${o.parameter} ${range || o.word || ""} in ${whole(o.cycles)} cycles; validated: ${valid}`
     : `${whole(o.cycles)} cycles with a combination of parameters outside the validated region`);
 }
-function alarm(a) {
+// Alarms of one metric belong to one event until all of them are cleared.
+function events(alarms) {
+  const all = [], open = new Map();
+  for (const a of [...alarms].reverse()) {
+    const key = [a.recipe, a.metric, a.metric === "robot" ? a.robot : ""].join("\n");
+    let event = open.get(key);
+    if (!event) {
+      event = { alarms: [], active: new Set() };
+      open.set(key, event);
+      all.push(event);
+    }
+    event.alarms.push(a);
+    if (a.happening === "raised") event.active.add(a.level); else event.active.delete(a.level);
+    if (!event.active.size) open.delete(key);
+  }
+  return all.reverse();
+}
+function happened(event) {
+  const raised = event.alarms.filter(a => a.happening === "raised"), lead = raised[raised.length - 1] || event.alarms[event.alarms.length - 1];
+  const level = event.active.has("critical") ? "critical" : event.active.has("warning") ? "warning" : null;
+  const node = alarm(lead, level || "cleared", level);
+  const steps = event.alarms.filter(a => a !== lead || event.alarms.length > 1);
+  if (steps.length) node.append(el("ol", { class: "dim" }, ...steps.map(a => el("li", {},
+    `${time(a.time_s)} UTC, cycle ${whole(a.cycle)}: ${a.level} ${a.happening}`))));
+  const link = el("button", { class: "link", type: "button", "data-key": "around " + lead.id }, "Show its cycles and similar simulated episodes");
+  link.addEventListener("click", () => around(lead));
+  node.append(link);
+  return node;
+}
+// The cycles before an alarm, in place of the last cycles.
+let chosen = null;
+async function around(a) {
+  chosen = { alarm: a, ...(await get(`/v1/cycles?recipe=${encodeURIComponent(a.recipe)}&until=${encodeURIComponent(a.cycle_id)}`)) };
+  cycles();
+  $("cycles-title").focus();
+}
+function similar(one, what) {
+  return one ? [el("div", {}, `${what}: episode ${one.index}, ${one.outcome.replaceAll("_", " ")}. Difference ${short(one.distance)} of the ranges ` +
+    `of ${one.parameters.join(", ")}.`), el("pre", {}, el("code", {}, one.command))] : [];
+}
+function cycles() {
+  const back = el("button", { class: "link", type: "button" }, "Show the last cycles");
+  back.addEventListener("click", () => { chosen = null; cycles(); });
+  $("cycles-title").textContent = chosen ? "Cycles before the alarm" : "Last cycles";
+  $("around").hidden = !chosen;
+  if (chosen) {
+    const near = [...similar(chosen.nearest, "Nearest simulated episode"),
+      ...(chosen.nearest && chosen.nearest_failure && chosen.nearest.index === chosen.nearest_failure.index ? [] :
+        similar(chosen.nearest_failure, "Nearest simulated failure"))];
+    $("around").replaceChildren(`${chosen.alarm.recipe}: ${chosen.alarm.what} (cycle ${chosen.alarm.cycle_id}). `, back,
+      ...(near.length ? [el("div", {}, `The last failed cycle with parameters is ${chosen.like}.`), ...near] :
+        [el("div", { class: "dim" }, "No simulated episode to compare with: start the monitor with --episodes RUN, and report parameters with the cycles.")]));
+  }
+  const shown = chosen ? chosen.cycles : current.cycles.filter(c => wanted(c)).slice(0, 20);
+  $("cycles").replaceChildren(...shown.map(cycle));
+}
+// Filters.
+let current = null, robotsKnown = new Set();
+const wanted = one => (!$("of-recipe").value || one.recipe === $("of-recipe").value) &&
+  (!$("of-robot").value || one.robot === $("of-robot").value);
+function choices(id, names) {
+  const select = $(id), kept = select.value;
+  const now = [...select.options].slice(1).map(option => option.value);
+  if (now.join("\n") === names.join("\n")) return;
+  select.replaceChildren(el("option", { value: "" }, "all"), ...names.map(name => el("option", { value: name }, name)));
+  select.value = names.includes(kept) ? kept : "";
+}
+for (const id of ["of-recipe", "of-robot"]) $(id).addEventListener("change", () => show());
+function alarm(a, word, level) {
   const since = a.since && `Since cycle ${whole(a.since.cycle)} (${time(a.since.time_s)} UTC), 95 %: ` +
     `${whole(a.since.cycles_95[0])}${a.since.or_before ? " or before" : ""} to ${whole(a.since.cycles_95[1])}.`;
   return el("section", { class: "card" },
     el("h3", {}, el("span", {}, `${a.recipe}: ${a.what}`),
-      el("span", { class: a.happening === "raised" ? a.level : "dim" }, a.happening === "raised" ? a.level : "cleared")),
+      el("span", { class: level || "dim" }, word)),
     el("div", { class: "dim" }, `${time(a.time_s)} UTC, ${a.rule === "paper" ? "the paper's rule" : "detector"}, cycle ${whole(a.cycle)} ` +
       `(${a.cycle_id}), ${a.robot}`),
     ...(since ? [el("div", {}, since)] : []), el("div", {}, a.how_sure),
@@ -92,30 +255,48 @@ function cycle(c) {
 }
 const fill = (id, all, make, nothing) =>
   $(id).replaceChildren(...(all.length ? all.map(make) : [el("p", { class: "dim" }, nothing)]));
+// The last documents. A page that would not change is not drawn again.
+let drawn = "";
 async function refresh() {
   try {
     const [s, f] = await Promise.all([get("/v1/status"), get("/v1/fleet")]);
     $("body").hidden = false;
-    $("promise").textContent = `Without a change, the mean number of cycles to a false warning is at least ${whole(s.promised_cycles[0])}, ` +
-      `to a false critical alarm at least ${whole(s.promised_cycles[1])}, over all metrics and recipes together. ` +
-      "Bars show the evidence of a detector relative to its critical limit, on a logarithmic scale.";
-    fill("recipes", s.recipes, recipe, "No cycle has arrived yet.");
-    const [ours, papers] = ["detector", "paper"].map(rule => s.alarms.filter(a => a.rule === rule));
-    fill("alarms", ours, alarm, "No alarms.");
-    fill("paper", papers, alarm, "No alarms.");
-    $("papers").textContent = `Alarms of the paper's rule (${whole(papers.length)})`;
-    fleet(f);
-    $("cycles").replaceChildren(...s.cycles.map(cycle));
-    const i = s.intake;
-    $("intake").textContent = `Since the start: ${whole(i.accepted)} cycles accepted, ${whole(i.duplicates)} duplicates, ` +
-      `${whole(i.out_of_order)} out of order (${whole(i.late)} late), ${whole(i.outside)} outside the validated region, ` +
-      `${whole(i.refused)} refused. ${whole(s.recipes_known)} recipes.`;
+    const text = JSON.stringify([s, f]);
+    current = { ...s, fleet: f };
+    if (text !== drawn) show();
+    drawn = text;
     $("state").textContent = "live";
     $("state").className = "fine";
   } catch (error) {
     $("state").textContent = error.message || "the monitor does not respond";
     $("state").className = "critical";
   }
+}
+function show() {
+    // The focus stays on the element with the same key.
+    const focused = document.activeElement && document.activeElement.dataset.key;
+    const s = current, f = current.fleet;
+    for (const one of [...s.cycles, ...s.alarms]) robotsKnown.add(one.robot);
+    for (const one of f.recipes) for (const r of one.robots) robotsKnown.add(r.robot);
+    choices("of-recipe", s.recipes.map(r => r.recipe).sort());
+    choices("of-robot", [...robotsKnown].sort());
+    $("promise").textContent = `Without a change, the mean number of cycles to a false warning is at least ${whole(s.promised_cycles[0])}, ` +
+      `to a false critical alarm at least ${whole(s.promised_cycles[1])}, over all metrics and recipes together. ` +
+      "Bars show the evidence of a detector relative to its critical limit, on a logarithmic scale.";
+    const name = $("of-recipe").value;
+    fill("recipes", s.recipes.filter(r => !name || r.recipe === name), recipe, "No cycle has arrived yet.");
+    const [ours, papers] = ["detector", "paper"].map(rule => s.alarms.filter(a => a.rule === rule && wanted(a)));
+    fill("alarms", events(ours), happened, "No alarms.");
+    fill("paper", papers, a => alarm(a, a.happening === "raised" ? a.level : "cleared", a.happening === "raised" ? a.level : null), "No alarms.");
+    $("papers").textContent = `Alarms of the paper's rule (${whole(papers.length)})`;
+    fleet(name ? { ...f, recipes: f.recipes.filter(r => r.recipe === name) } : f);
+    if (!chosen) cycles();
+    const i = s.intake;
+    $("intake").textContent = `Since the start: ${whole(i.accepted)} cycles accepted, ${whole(i.duplicates)} duplicates, ` +
+      `${whole(i.out_of_order)} out of order (${whole(i.late)} late), ${whole(i.outside)} outside the validated region, ` +
+      `${whole(i.refused)} refused. ${whole(s.recipes_known)} recipes.`;
+    const again = focused && [...document.querySelectorAll("[data-key]")].find(one => one.dataset.key === focused);
+    if (again) again.focus();
 }
 refresh();
 setInterval(() => document.hidden || refresh(), 3000);

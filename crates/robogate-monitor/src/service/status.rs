@@ -6,15 +6,56 @@ use robogate_stats::{Confidence, Trials, wilson};
 use serde::Serialize;
 use serde_json::Value;
 
+use super::charts::Charts;
 use super::intake::{Intake, IntakeError, Taken};
+use super::nearest::{NearestEpisode, SimulatedEpisode};
+use crate::cycle::Cycle;
 use crate::domain::Validated;
 use crate::{Level, OutsideTally, Recipe, Settings};
 
 /// Maximum number of recipes, the most severe and busiest first.
 const RECIPES: usize = 200;
+/// Number of recipes with charts.
+const CHARTS: usize = 24;
 /// Maximum numbers of alarms and cycles.
 const ALARMS: u32 = 100;
-const CYCLES: u32 = 20;
+const CYCLES: u32 = 200;
+/// Number of cycles before an alarm.
+const AROUND: u32 = 30;
+
+/// The last cycles of a recipe up to one of them, and the simulated episodes that resemble it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Around {
+    /// The version of the format.
+    pub version: u32,
+    /// The cycles, newest first.
+    pub cycles: Vec<Value>,
+    /// The cycle that the episodes resemble: the last failed one with parameters. `None` without such a cycle.
+    pub like: Option<String>,
+    /// The nearest simulated episode.
+    pub nearest: Option<NearestEpisode>,
+    /// The nearest simulated failure.
+    pub nearest_failure: Option<NearestEpisode>,
+}
+
+impl Around {
+    pub(super) fn of(intake: &Intake, recipe: &str, until: &str) -> Result<Self, IntakeError> {
+        let bodies = intake.store().cycles_until(recipe, until, AROUND)?;
+        let cycles: Vec<Cycle> = bodies.iter().filter_map(|body| serde_json::from_str(body).ok()).collect();
+        let like = cycles.iter().find(|cycle| !cycle.success && !cycle.parameters.is_empty());
+        let near = |failed: bool| {
+            let wanted = |one: &SimulatedEpisode| !failed || one.outcome != "success";
+            intake.episodes()?.nearest(&like?.parameters, wanted)
+        };
+        Ok(Self {
+            version: 1,
+            nearest: near(false),
+            nearest_failure: near(true),
+            like: like.map(|cycle| cycle.id.clone()),
+            cycles: bodies.into_iter().map(|body| serde_json::from_str(&body).unwrap_or(Value::Null)).collect(),
+        })
+    }
+}
 
 /// The status of the monitor.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -75,8 +116,8 @@ pub struct RecipeStatus {
     pub detectors: Vec<DetectorStatus>,
     /// Cycles outside the validated region, by parameter, since the detectors started.
     pub outside: Vec<OutsideStatus>,
-    /// The course of the success rate and of the evidence since the first cycle, oldest first.
-    pub series: Vec<crate::SeriesPoint>,
+    /// The course of the metrics and of the evidence since the first cycle. `None` for all but the first recipes.
+    pub charts: Option<Charts>,
 }
 
 /// The status of a detector.
@@ -117,7 +158,12 @@ impl Status {
             version: 1,
             promised_cycles: [settings.warning_cycles, settings.critical_cycles],
             recipes_known: order.len(),
-            recipes: order.iter().take(RECIPES).map(|(name, recipe)| recipe_status(name, recipe, settings)).collect(),
+            recipes: order
+                .iter()
+                .take(RECIPES)
+                .enumerate()
+                .map(|(at, (name, recipe))| recipe_status(name, recipe, settings, at < CHARTS))
+                .collect(),
             alarms: intake.store().last_alarms(ALARMS)?.into_iter().map(value).collect(),
             cycles: intake.store().last_cycles(CYCLES)?.into_iter().map(value).collect(),
             intake: intake.totals().clone(),
@@ -125,7 +171,7 @@ impl Status {
     }
 }
 
-fn recipe_status(name: &str, recipe: &Recipe, settings: &Settings) -> RecipeStatus {
+fn recipe_status(name: &str, recipe: &Recipe, settings: &Settings, charts: bool) -> RecipeStatus {
     let detector = |view: crate::DetectorView| DetectorStatus {
         metric: view.name,
         label: view.label,
@@ -147,6 +193,6 @@ fn recipe_status(name: &str, recipe: &Recipe, settings: &Settings) -> RecipeStat
         baseline: recipe.baseline().success_rate(),
         detectors: recipe.detectors(settings).into_iter().map(detector).collect(),
         outside: outside.collect(),
-        series: recipe.series().to_vec(),
+        charts: charts.then(|| Charts::of(recipe, settings)),
     }
 }

@@ -251,6 +251,17 @@ impl Store {
         Ok(rows.collect::<Result<_, _>>()?)
     }
 
+    /// The cycles of a recipe up to the one with this id, newest first. Empty if it is not stored any more.
+    pub(super) fn cycles_until(&self, recipe: &str, id: &str, n: u32) -> Result<Vec<String>, StoreError> {
+        // The limit on `seq` bounds the search for a recipe with few cycles.
+        let mut last = self.connection.prepare_cached(
+            "SELECT c.body FROM cycles c, (SELECT seq FROM cycles WHERE id = ?2) AS found
+             WHERE c.seq <= found.seq AND c.seq > found.seq - 20000 AND c.recipe = ?1 ORDER BY c.seq DESC LIMIT ?3",
+        )?;
+        let rows = last.query_map(params![recipe, id, n], |row| row.get(0))?;
+        Ok(rows.collect::<Result<_, _>>()?)
+    }
+
     /// Adds alarms in order. Known alarms are not changed.
     pub(super) fn add_alarms(&self, alarms: &[Alarm]) -> Result<(), StoreError> {
         let sql = "INSERT INTO alarms (id, body) VALUES (?1, ?2) ON CONFLICT (id) DO NOTHING";

@@ -8,7 +8,7 @@ use robogate_core::{ContactBetween, ContactPoint, Fault};
 
 use super::{Kind, Loaded};
 use crate::engine::Collision;
-use crate::friction::{Coefficients, Friction};
+use crate::friction::{Against, Coefficients, Friction};
 use crate::{Touches, Wrench};
 
 impl Loaded {
@@ -18,14 +18,15 @@ impl Loaded {
         let object: Vec<(usize, usize)> = self.kinds.iter().enumerate().filter_map(object_geom).collect();
         let mut friction = Coefficients::default();
         for (geom, kind) in self.kinds.iter().enumerate() {
-            let (table, own) = match *kind {
-                Kind::Fixture(fixture) => (self.scene.fixtures[fixture].kind.has_table_friction(), None),
-                Kind::Robot { .. } => (false, None),
-                Kind::Object(body) => (false, Some(body)),
+            let (against, own) = match *kind {
+                Kind::Fixture(fixture) => (self.scene.fixtures[fixture].kind.against(), None),
+                Kind::Robot { finger: Some(_), .. } => (Against::Pad, None),
+                Kind::Robot { finger: None, .. } => (Against::Other, None),
+                Kind::Object(body) => (Against::Other, Some(body)),
                 Kind::Visual => continue,
             };
             let others = object.iter().filter(|(_, body)| own != Some(*body));
-            others.for_each(|(part, _)| friction.add(table, contact_friction(model, *part, geom)));
+            others.for_each(|(part, _)| friction.add(against, contact_friction(model, *part, geom)));
         }
         friction.finish()
     }

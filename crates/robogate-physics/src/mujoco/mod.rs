@@ -278,7 +278,9 @@ impl Engine for MujocoEngine {
                 (Some(fixture), _) => Kind::Fixture(fixture),
                 (None, Some(object)) => Kind::Object(object),
                 (None, None) if touchable => {
-                    Kind::Robot { body, finger: finger_bodies.iter().position(|f| *f == body) }
+                    // Bodies that are welded to a finger belong to it.
+                    let weld = |body: usize| model.body_weldid()[body];
+                    Kind::Robot { body, finger: finger_bodies.iter().position(|f| weld(*f) == weld(body)) }
                 }
                 (None, None) => Kind::Visual,
             });
@@ -334,10 +336,11 @@ impl Engine for MujocoEngine {
                 fixtures.push(FixtureRead { fixture: *fixture, primitive: primitive(model, geom), pose, motion });
             }
         }
-        let Friction { others, table } = loaded.friction()?;
+        let Friction { others, table, pads } = loaded.friction()?;
         Ok(Readback {
             friction: others,
             table_friction: table,
+            pad_friction: pads,
             gravity: -loaded.data.model_opt().gravity[2],
             arm_stiffness: self.arm_stiffness(),
             mass_kg: model.body_mass()[loaded.free[0].body],

@@ -1,7 +1,7 @@
 //! Converts a scene to a MuJoCo model.
 
 use mujoco_rs::prelude::*;
-use mujoco_rs::wrappers::mj_editing::MjsGeom;
+use mujoco_rs::wrappers::mj_editing::{MjsBody, MjsGeom};
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion};
 
 use super::{FIXTURE, MujocoEngine, OBJECT, PREFIX, wxyz};
@@ -12,6 +12,7 @@ impl MujocoEngine {
     pub fn furnish(&self, spec: &mut MjSpec, scene: &Scene) -> Result<(), MjEditError> {
         spec.option_mut().gravity = [0.0, 0.0, -scene.gravity];
         self.set_stiffness(spec, scene.arm_stiffness);
+        self.set_pad_friction(spec, scene);
         let world = spec.world_body_mut();
         for fixture in &scene.fixtures {
             let name = format!("{PREFIX}{}", fixture.name);
@@ -95,6 +96,37 @@ impl MujocoEngine {
                 actuator.biasprm_mut()[1] *= scale;
                 actuator.biasprm_mut()[2] *= scale.sqrt();
             }
+        }
+    }
+}
+
+impl MujocoEngine {
+    /// Gives the pads their own friction coefficient, if it is not that of the object. It takes precedence over the
+    /// object's and the table's.
+    fn set_pad_friction(&self, spec: &mut MjSpec, scene: &Scene) {
+        let Some(friction) = scene.gripper.pad_friction(scene.friction) else { return };
+        let mut parts = scene.free_bodies().flat_map(|(object, _)| &object.parts);
+        let rolls = parts.any(|part| matches!(part.primitive, Primitive::Sphere { .. }));
+        let bodies = self.robot.settings.gripper.jaw().map_or(&[][..], |jaw| &jaw.finger_bodies);
+        for name in bodies {
+            if let Some(body) = spec.body_mut(name) {
+                set_friction(body, friction, rolls);
+            }
+        }
+    }
+}
+
+/// Sets the friction coefficient of a body and of the bodies that are welded to it.
+fn set_friction(body: &mut MjsBody, friction: f64, rolls: bool) {
+    for geom in body.geom_iter_mut(false) {
+        if geom.contype() != 0 || geom.conaffinity() != 0 {
+            geom.set_priority(3);
+            object_contact(geom, friction, rolls);
+        }
+    }
+    for child in body.body_iter_mut() {
+        if child.joint_iter(false).next().is_none() {
+            set_friction(child, friction, rolls);
         }
     }
 }

@@ -9,7 +9,7 @@ use robogate_core::{ContactBetween, ContactPoint, Fault};
 use super::{Kind, Loaded, SUBSTEPS};
 use crate::description::isometry;
 use crate::engine::Collision;
-use crate::friction::{Coefficients, Friction};
+use crate::friction::{Against, Coefficients, Friction};
 use crate::{Touches, Wrench, contact};
 
 impl Loaded {
@@ -17,16 +17,17 @@ impl Loaded {
     pub(super) fn friction(&self) -> Result<Friction, Fault> {
         let mut friction = Coefficients::default();
         for (handle, kind) in &self.colliders {
-            let (table, own) = match *kind {
-                Kind::Fixture(fixture) => (self.scene.fixtures[fixture].kind.has_table_friction(), None),
-                Kind::Robot { .. } => (false, None),
-                Kind::Object(body) => (false, Some(body)),
+            let (against, own) = match *kind {
+                Kind::Fixture(fixture) => (self.scene.fixtures[fixture].kind.against(), None),
+                Kind::Robot { finger: Some(_), .. } => (Against::Pad, None),
+                Kind::Robot { finger: None, .. } => (Against::Other, None),
+                Kind::Object(body) => (Against::Other, Some(body)),
             };
             let other = &self.world.colliders[*handle];
             let shapes = self.free.iter().enumerate().filter(|(body, _)| own != Some(*body));
             for part in shapes.flat_map(|(_, (_, shapes))| shapes).map(|shape| &self.world.colliders[*shape]) {
                 friction.add(
-                    table,
+                    against,
                     CoefficientCombineRule::combine(
                         part.friction(),
                         other.friction(),

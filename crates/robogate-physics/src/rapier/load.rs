@@ -111,9 +111,13 @@ impl Build<'_> {
     /// The robot's links and their shapes, at joint positions 0.
     fn add_links(&mut self) -> Result<(), Fault> {
         let jaw = self.engine.robot.settings.gripper.jaw();
-        let finger_bodies = jaw.map_or(&[][..], |jaw| &jaw.finger_bodies);
+        let link_of = |body: &String| {
+            self.engine.description.bodies.iter().find(|(name, ..)| name == body).map(|(_, link, _)| *link)
+        };
+        let finger_links: Vec<Option<usize>> =
+            jaw.map_or(&[][..], |jaw| &jaw.finger_bodies).iter().map(link_of).collect();
         let mut places = Vec::with_capacity(self.engine.description.links.len());
-        for link in &self.engine.description.links {
+        for (id, link) in self.engine.description.links.iter().enumerate() {
             let place = link.joint.as_ref().map_or_else(Isometry3::identity, |joint| {
                 let parent: Isometry3<f64> = places[joint.parent];
                 parent * joint.in_parent * joint.in_link.inverse()
@@ -135,13 +139,22 @@ impl Build<'_> {
                     self.bodies.len() - 1
                 });
                 let (shared, at) = solid(&shape.solid, &shape.pose).map_err(setup)?;
+                // Bodies that are welded to a finger belong to it.
+                let finger = finger_links.iter().position(|link| *link == Some(id));
+                let object = self.scene.friction;
+                let (friction, rule) = match self.scene.gripper.pad_friction(object).filter(|_| finger.is_some()) {
+                    Some(friction) => {
+                        let friction = precedent_coefficient("pad_friction", friction, object).map_err(setup)?;
+                        (friction, CoefficientCombineRule::GeometricMean)
+                    }
+                    None => (0.0, CoefficientCombineRule::Max),
+                };
                 let collider = ColliderBuilder::new(shared)
                     .position(pose(&at))
                     .density(0.0)
-                    .friction(0.0)
-                    .friction_combine_rule(CoefficientCombineRule::Max)
+                    .friction(friction)
+                    .friction_combine_rule(rule)
                     .collision_groups(groups(ROBOT, OBJECT | FIXTURE));
-                let finger = finger_bodies.iter().position(|name| *name == shape.body);
                 let kind = Kind::Robot { body, finger, fixed: link.joint.is_none() };
                 self.add_collider(collider, handle, kind);
             }
@@ -281,7 +294,7 @@ impl Build<'_> {
             };
             let (friction, rule) = match self.scene.table_friction.filter(|_| fixture.kind.has_table_friction()) {
                 Some(friction) => (
-                    table_coefficient(friction, self.scene.friction).map_err(setup)?,
+                    precedent_coefficient("table_friction", friction, self.scene.friction).map_err(setup)?,
                     CoefficientCombineRule::GeometricMean,
                 ),
                 None => (0.0, CoefficientCombineRule::Max),
@@ -341,13 +354,13 @@ impl Build<'_> {
     }
 }
 
-/// The table's coefficient that gives `friction` in contact with an object of coefficient `object`.
+/// The coefficient of a table or a pad that gives `friction` in contact with an object of coefficient `object`.
 ///
 /// The geometric mean is the only rule that takes precedence over the object's rule and can give any coefficient.
-fn table_coefficient(friction: f64, object: f64) -> Result<f64, String> {
+fn precedent_coefficient(what: &str, friction: f64, object: f64) -> Result<f64, String> {
     if friction > 0.0 && object <= 0.0 {
         return Err(format!(
-            "table_friction = {friction}: in Rapier an object without friction has no friction on the table either"
+            "{what} = {friction}: in Rapier an object without friction has no friction against anything"
         ));
     }
     Ok(if friction > 0.0 { friction * friction / object } else { 0.0 })

@@ -141,7 +141,7 @@ impl Engine for RapierEngine {
 
     fn read_back(&self) -> Result<Readback, Fault> {
         let loaded = self.loaded();
-        let Friction { others, table } = loaded.friction()?;
+        let Friction { others, table, pads } = loaded.friction()?;
         let free = |body: usize| {
             let (handle, shapes) = &loaded.free[body];
             let object = &loaded.world.bodies[*handle];
@@ -172,6 +172,7 @@ impl Engine for RapierEngine {
         Ok(Readback {
             friction: others,
             table_friction: table,
+            pad_friction: pads,
             gravity: -loaded.world.gravity.z,
             arm_stiffness: loaded.arm_stiffness(&self.robot.settings.arm),
             mass_kg,

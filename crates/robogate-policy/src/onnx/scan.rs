@@ -3,8 +3,9 @@
 //! The library allocates what a length field claims, and follows nested messages by recursion. A length that exceeds the
 //! file, or a deep nesting, would end the process.
 
-/// Most messages and texts in a file. The library needs up to 300 bytes for each.
-const MAX_MESSAGES: usize = 4_000_000;
+/// Most messages and texts in a file. The library needs up to 300 bytes for each. A network of 50,000 nodes has about half a
+/// million.
+const MAX_MESSAGES: usize = 1_000_000;
 
 /// Deepest nesting of graphs and sequence types.
 const MAX_DEPTH: usize = 8;
@@ -114,6 +115,15 @@ mod tests {
         // A name of the producer with 2^40 bytes, in a file of seven.
         let why = check(&[0x12, 0x80, 0x80, 0x80, 0x80, 0x80, 0x20]).unwrap_err();
         assert!(why.contains("longer than"), "{why}");
+    }
+
+    #[test]
+    fn many_messages_are_an_error() {
+        // Each text of two bytes needs up to 300 bytes in the library.
+        let bytes = [0x12, 0].repeat(MAX_MESSAGES + 1);
+        let (why, peak) = robogate_testing::peak_memory(|| check(&bytes).unwrap_err());
+        assert!(why.contains("more than 1000000 messages"), "{why}");
+        assert!(peak < 1_000, "{peak}");
     }
 
     #[test]

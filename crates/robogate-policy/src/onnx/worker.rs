@@ -1,6 +1,5 @@
 //! Calls of the ONNX library in a thread of their own, so that a deadline ends the wait for them.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::thread;
@@ -95,7 +94,7 @@ fn ended(operation: &str) -> PolicyError {
 
 /// Runs a third-party library and converts a panic into an error.
 pub(super) fn catch_panics<T>(work: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
-    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| Err("the ONNX library panicked".to_owned()))
+    robogate_core::guard::guarded(work).unwrap_or_else(|why| Err(format!("the ONNX library panicked: {why}")))
 }
 
 #[cfg(test)]

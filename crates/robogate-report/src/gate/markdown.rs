@@ -5,11 +5,20 @@ use std::fmt::Write;
 use robogate_gate::{ConfidenceScore, Controls, Evaluation, Mode, Twins, Verdict};
 
 use super::{RequirementRow, TwinRow, feasible_part, how_judged, sign, value, what_next};
-use crate::markdown::escape_markdown;
-use robogate_stats::format::{count, fixed, percent, percent_range, sentence};
+use crate::markdown::{escape_markdown, watch_item};
+use crate::watch::Watch;
+use robogate_stats::format::{count, counted, fixed, percent, percent_range, sentence};
+
+/// Maximum number of episodes in the summary of a pull request.
+const MAX_EPISODES: usize = 6;
 
 /// The evaluation as Markdown.
 pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
+    evaluation_markdown_with(evaluation, None)
+}
+
+/// The evaluation as Markdown, with the episodes that are worth watching.
+pub fn evaluation_markdown_with(evaluation: &Evaluation, watch: Option<&Watch>) -> String {
     let mut out = String::new();
     let mark = match evaluation.verdict {
         Verdict::Pass => "\u{2705}",
@@ -50,7 +59,7 @@ pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
         let _ = writeln!(out, "\n{next}");
     }
     let counts = evaluation.counts;
-    let rounds = counts.rounds.map_or_else(String::new, |rounds| format!(" in {} rounds", count(rounds)));
+    let rounds = counts.rounds.map_or_else(String::new, |rounds| format!(" in {}", counted(rounds, "round")));
     let _ = writeln!(
         out,
         "\n{} episodes{rounds}, {} of them invalid. {} {}",
@@ -71,6 +80,10 @@ pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
     }
     if let Some(twins) = &evaluation.twins {
         self::twins(&mut out, twins);
+    }
+    if let Some(watch) = watch.filter(|watch| !watch.items.is_empty()) {
+        out.push_str("\n### Episodes worth watching\n\n");
+        watch.items.iter().take(MAX_EPISODES).for_each(|item| watch_item(&mut out, item));
     }
     if let Some(score) = &evaluation.score {
         self::score(&mut out, score);

@@ -1,5 +1,6 @@
 //! Gate evaluations for readers and for CI.
 
+mod fleet;
 mod junit;
 mod leaderboard;
 mod markdown;
@@ -9,9 +10,10 @@ mod verdict;
 
 use robogate_gate::{Evaluation, Metric, Mode, RequirementResult, Sampling, Status};
 
+pub use fleet::{fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share};
 pub use junit::junit;
 pub use leaderboard::{leaderboard_html, leaderboard_markdown, leaderboards_html, leaderboards_markdown};
-pub use markdown::evaluation_markdown;
+pub use markdown::{evaluation_markdown, evaluation_markdown_with};
 pub use reqif::reqif;
 pub use twins::TwinRow;
 pub(crate) use verdict::VerdictBlock;

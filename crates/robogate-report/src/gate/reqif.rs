@@ -7,6 +7,7 @@
 use std::fmt::Write;
 
 use robogate_gate::Evaluation;
+use robogate_stats::format::is_deceptive;
 
 use super::RequirementRow;
 
@@ -110,7 +111,7 @@ fn escape(text: &str) -> String {
                 // Writing to a string cannot fail.
                 let _ = write!(escaped, "&#{};", u32::from(c));
             }
-            c if c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}') => escaped.push('\u{fffd}'),
+            c if is_deceptive(c) || matches!(c, '\u{fffe}' | '\u{ffff}') => escaped.push('\u{fffd}'),
             c => escaped.push(c),
         }
     }

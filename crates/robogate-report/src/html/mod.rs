@@ -1,5 +1,6 @@
 //! Documents as self-contained HTML files.
 
+mod explorer;
 mod pairs;
 mod policy;
 mod prose;
@@ -10,6 +11,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use robogate_analysis::transfer::Transfer;
 use robogate_analysis::{Analysis, Comparison};
 
+pub use explorer::explorer_page;
 pub(crate) use prose::prose;
 
 use crate::Additions;
@@ -52,7 +54,8 @@ pub fn transfer_html(transfer: &Transfer) -> String {
 /// A complete page around a body.
 pub(crate) fn frame(title: &str, body: &Markup, script: bool) -> String {
     let own = script.then_some(SCRIPT);
-    let policy = policy::of(&body.0, own);
+    let body = prose::inert(&body.0);
+    let policy = policy::of(&body, own, STYLE);
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -66,7 +69,7 @@ pub(crate) fn frame(title: &str, body: &Markup, script: bool) -> String {
                 style { (PreEscaped(STYLE)) }
             }
             body {
-                (body)
+                (PreEscaped(&body))
                 footer {
                     p {
                         "RoboGate " (env!("CARGO_PKG_VERSION"))

@@ -1,11 +1,13 @@
 //! Escapes text for a page.
 
+use std::borrow::Cow;
 use std::fmt::Write;
 
 use maud::{Escaper, Render};
+use robogate_stats::format::is_deceptive;
 
 /// Prepares a text for a page: a percent sign stays on the line of its number, and characters that XML does not allow
-/// are replaced. The template escapes markup.
+/// or that reorder the text are replaced. The template escapes markup.
 pub(crate) struct Prose<'a>(&'a str);
 
 /// A text for a page.
@@ -20,13 +22,20 @@ impl Render for Prose<'_> {
         while let Some(letter) = letters.next() {
             let letter = match letter {
                 ' ' if letters.peek() == Some(&'%') => '\u{a0}',
-                c if c.is_control() && !matches!(c, '\n' | '\t') => '\u{FFFD}',
+                c if is_deceptive(c) && !matches!(c, '\n' | '\t') => '\u{FFFD}',
                 c => c,
             };
             // Writing to a string cannot fail.
             let _ = escaped.write_char(letter);
         }
     }
+}
+
+/// A page without characters that hide or reorder text. Text of the template has none; blocks of data for the scripts may,
+/// because JSON keeps them.
+pub(super) fn inert(page: &str) -> Cow<'_, str> {
+    let is_hidden = |c: char| is_deceptive(c) && !matches!(c, '\n' | '\t' | '\r');
+    if page.contains(is_hidden) { page.replace(is_hidden, "\u{fffd}").into() } else { page.into() }
 }
 
 #[cfg(test)]
@@ -41,6 +50,12 @@ mod tests {
     #[test]
     fn control_characters_are_replaced() {
         assert_eq!(prose("a\u{0}b").render().into_string(), "a\u{FFFD}b");
+        assert_eq!(prose("fail\u{202e}ssap").render().into_string(), "fail\u{FFFD}ssap");
+    }
+
+    #[test]
+    fn data_for_scripts_is_inert() {
+        assert_eq!(inert("{\"name\":\"\u{202e}ssap\u{9b}\"}\n"), "{\"name\":\"\u{fffd}ssap\u{fffd}\"}\n");
     }
 
     #[test]

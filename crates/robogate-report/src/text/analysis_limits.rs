@@ -12,11 +12,16 @@ pub fn limits(analysis: &Analysis) -> Vec<String> {
     let mut limits = vec![population(analysis, &joint), origin(analysis)];
     let focused = |population| population == Population::FocusedDesign;
     if success.stages.iter().any(|s| focused(s.population)) && !focused(analysis.population) {
-        limits.push(
+        let active = success.stages.iter().any(|s| s.stage == "active");
+        let focused = if active {
+            "The active stage chooses episodes whose outcome its risk model does not know. Their plain success rate does not estimate the \
+             operating space. They count in the reweighted rate only, not in any bin, threshold or model; the episodes of its uniform part \
+             count everywhere."
+        } else {
             "The focused stage samples near the boundary that the first stage estimated, and nowhere else. Its plain success rate \
              does not estimate the operating space. Its episodes count in the reweighted rate only, not in any bin, threshold or model."
-                .to_owned(),
-        );
+        };
+        limits.push(focused.to_owned());
     }
     if success.bounds.invalid > 0 {
         limits.push(format!(

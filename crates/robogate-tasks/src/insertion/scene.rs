@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{CameraSpec, Fault, Pose, Scenario, TaskSpec};
-use robogate_physics::{Fixture, GRAVITY, Robot, Scene, Visual};
+use robogate_physics::{Fixture, GRAVITY, GripperUnit, Robot, Scene, Visual};
 
 use super::parameters::{ROWS, Settings};
 use super::parts::{self, DEPTH_M};
@@ -85,6 +85,7 @@ impl Settings {
             friction: GRIP_FRICTION,
             table_friction: Some(self.friction),
             arm_stiffness: self.arm_stiffness,
+            gripper: GripperUnit::default(),
             fixtures,
             gravity: GRAVITY,
             marker: None,

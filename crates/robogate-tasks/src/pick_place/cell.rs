@@ -64,7 +64,13 @@ impl ResolvedCell {
             let mut stream = scenario.seed.stream("encoder-bias");
             joints.iter().map(|_| stream.between(-bound, bound)).collect()
         };
-        let bias = encoders(parameters.ik_noise_rad);
+        let fixed = parameters.encoder_bias_rad;
+        if let Some(joint) = (joints.len()..fixed.len()).find(|joint| fixed[*joint].abs() > 0.0) {
+            let (joint, count) = (joint + 1, joints.len());
+            return Err(setup(format!("unit_bias_{joint}_rad: the arm has {count} joints")));
+        }
+        let mut bias: Vec<f64> = encoders(parameters.ik_noise_rad);
+        bias.iter_mut().zip(&fixed).for_each(|(bias, fixed)| *bias += fixed);
         let draws = Draws { jitter: [fraction * cos, fraction * sin], encoders: encoders(1.0) };
         Ok(Self { parameters, scale, placement, scene, target, bias, draws })
     }

@@ -72,17 +72,19 @@ fn narrowest(shape: Shape, friction: f64) -> Option<f64> {
 
 /// Pads that press with F each on vertical faces carry at most 2 mu F (Coulomb). The other shapes may rest on the pads.
 fn slips(parameters: &SceneParameters, grip_force_n: f64) -> Option<Infeasibility> {
-    let vertical = matches!(parameters.shape, Shape::Box | Shape::Cylinder) && parameters.friction < 1.0;
+    let friction = parameters.pad_friction();
+    let grip_force_n = grip_force_n * parameters.gripper.force_scale;
+    let vertical = matches!(parameters.shape, Shape::Box | Shape::Cylinder) && friction < 1.0;
     let weight = parameters.mass_kg * GRAVITY * parameters.gravity_scale;
-    (vertical && weight > 2.0 * parameters.friction * grip_force_n)
+    (vertical && weight > 2.0 * friction * grip_force_n)
         .then(|| reason("the part is heavier than friction can carry", format!("{grip_force_n:.0} N for each pad")))
 }
 
 /// The vacuum of a cup carries at most its pressure times its area.
 fn too_heavy(parameters: &SceneParameters, cup: &SuctionCup) -> Option<Infeasibility> {
     let weight = parameters.mass_kg * GRAVITY * parameters.gravity_scale;
-    (weight > cup.force_n())
-        .then(|| reason("the part is heavier than the vacuum can carry", format!("{:.0} N", cup.force_n())))
+    let force_n = cup.force_n() * parameters.gripper.force_scale;
+    (weight > force_n).then(|| reason("the part is heavier than the vacuum can carry", format!("{force_n:.0} N")))
 }
 
 #[cfg(test)]

@@ -339,7 +339,7 @@ impl PickPlaceForesight {
         let log_ratio = |a: f64, b: f64| (a.max(1e-9) / b.max(1e-9)).ln().clamp(-6.0, 8.0);
         match &self.robot.settings.gripper {
             Gripper::ParallelJaw(jaw) => {
-                let force = 2.0 * p.friction * self.grip_force_n;
+                let force = 2.0 * p.pad_friction() * self.grip_force_n * p.gripper.force_scale;
                 let width = p.size_m * if p.shape == Shape::Irregular { 0.76 } else { 1.0 };
                 let closing = lateral.y.abs();
                 let over = nearest.as_ref().map_or(-FAR_M, |near| near.height_m - tool.translation.z);

@@ -45,6 +45,8 @@ pub(crate) struct Acting<'a> {
     pub(crate) visual: &'a Visual,
     /// Threshold of the suction cup, in metres; `None` without a cup.
     pub(crate) grip_threshold_m: Option<f64>,
+    /// Grip force as a multiple of the robot's setting; `None` if the engine is in another process.
+    pub(crate) grip_force_scale: Option<f64>,
 }
 
 /// The running episode.
@@ -120,8 +122,9 @@ impl Judge {
         }
         let mut briefing = cell.briefing();
         briefing.orientation_tolerance_rad = self.rules.orientation_tolerance_rad;
-        let Acting { engine, visual, grip_threshold_m } = acting;
-        let context = ReadbackContext { cell: &cell, engine, visual, grip_threshold_m, briefing: &briefing };
+        let Acting { engine, visual, grip_threshold_m, grip_force_scale } = acting;
+        let context =
+            ReadbackContext { cell: &cell, engine, visual, grip_threshold_m, grip_force_scale, briefing: &briefing };
         let applied = context.applied(&scenario.requested);
         let instance = briefing.instance();
         let mut episode = Episode {
@@ -129,7 +132,7 @@ impl Judge {
             referee: Referee::new(
                 Goal { target: cell.target, tolerance_m: TOLERANCE_M, shape: cell.parameters.shape },
                 self.rules,
-                self.grip_force_n,
+                self.grip_force_n * cell.parameters.gripper.force_scale,
             ),
             measured: Vec::new(),
             gripper: GripperCommand::Open,

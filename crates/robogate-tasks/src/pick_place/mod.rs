@@ -44,6 +44,6 @@ pub use rules::{ModeSet, Rules, Workspace};
 pub use scene::scene;
 pub use scripted::Scripted;
 pub use simulator::PickPlace;
-pub use spaces::{FRANKA_SPACE, built_in_space, built_in_spaces, default_space};
+pub use spaces::{FRANKA_SPACE, built_in_space, built_in_spaces, default_space, unit_space};
 pub use suite::{SuiteMisfit, check_suite};
 pub use tool_expert::ToolExpert;

@@ -84,6 +84,7 @@ pub(crate) fn scaled_scene(
         friction: parameters.friction,
         table_friction: parameters.table_friction,
         arm_stiffness: 1.0,
+        gripper: parameters.gripper,
         fixtures,
         gravity: GRAVITY * parameters.gravity_scale,
         marker: Some(target),

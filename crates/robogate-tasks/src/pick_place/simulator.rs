@@ -138,7 +138,12 @@ impl<E: Engine> Environment for PickPlace<E> {
             film.start(&plant.engine, &cell.scene);
         }
         let engine = plant.engine.read_back()?;
-        let acting = Acting { engine: &engine, visual: &visual, grip_threshold_m: plant.grip_threshold_m() };
+        let acting = Acting {
+            engine: &engine,
+            visual: &visual,
+            grip_threshold_m: plant.grip_threshold_m(),
+            grip_force_scale: plant.grip_force_scale(),
+        };
         judge.start(scenario, cell, acting, plant.engine.touches(), plant.arm_state())
     }
 

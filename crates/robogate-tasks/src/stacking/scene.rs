@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{CameraSpec, Fault, Pose, Scenario, TaskSpec};
 use robogate_physics::{
-    Color, Fixture, FreeBody, GRAVITY, MassProperties, Object, Part, Primitive, Robot, Scene, Visual,
+    Color, Fixture, FreeBody, GRAVITY, GripperUnit, MassProperties, Object, Part, Primitive, Robot, Scene, Visual,
 };
 
 use super::parameters::{PARTS, ROWS, Settings};
@@ -99,6 +99,7 @@ pub(super) fn scene(settings: &Settings) -> Scene {
         friction: settings.friction,
         table_friction: None,
         arm_stiffness: 1.0,
+        gripper: GripperUnit::default(),
         fixtures: vec![Fixture::table()],
         gravity: GRAVITY * settings.gravity_scale,
         marker: None,

@@ -18,7 +18,7 @@ use serde_json::json;
 use crate::cell::Cell;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::subject::{EnvironmentArguments, named_space};
-use crate::terminal::{grouped, line, note};
+use crate::terminal::{grouped, line, note, warning};
 
 /// Frames per second: one for each control period.
 const FPS: u32 = 20;
@@ -94,7 +94,7 @@ impl Demos {
                     Outcome::Failure(_) => failed += 1,
                     Outcome::Invalid(fault) => {
                         invalid += 1;
-                        note(format_args!("warning: an episode is invalid: {fault}"));
+                        warning(format_args!("an episode is invalid: {fault}"));
                         continue;
                     }
                 }

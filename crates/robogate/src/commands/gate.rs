@@ -10,20 +10,22 @@ use clap::Args;
 use robogate_analysis::transfer::Transfer;
 use robogate_analysis::{Finding, Source};
 use robogate_campaign::{Completion, DEFAULT_SEED, Event, Plan, Round, Settings};
+use robogate_core::budget::Budget;
 use robogate_core::{Suite, TaskSpec};
-use robogate_dictionary::{Label, Provenance};
+use robogate_dictionary::{Label, Provenance, read_text};
 use robogate_gate::{
     Against, Asked, AskedAgainst, Baseline, Evaluation, GateError, GatePlan, Mode, PairPlan, Planned, Question,
     RealEvidence, RealStratum, Record, Requirements, Sampling, Trial, Verdict,
 };
 use robogate_physics::SuctionLaw;
-use robogate_report::{evaluation_markdown, junit, reqif};
+use robogate_report::{Watch, evaluation_markdown_with, junit, reqif};
+use robogate_stats::format::counted;
 
 use crate::answer;
 use crate::benchmark;
 use crate::commands::register::{Registered, Registrar, free};
 use crate::commands::rival::Rival;
-use crate::commands::run::{How, free_folder, interrupted, introduce, write_report};
+use crate::commands::run::{How, free_folder, interrupted, introduce, write_report_with};
 use crate::commands::{controls, shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::latency::LatencyArguments;
@@ -31,8 +33,10 @@ use crate::policy_source::{PolicyAccess, PolicyArguments, PolicyLocation};
 use crate::remote::Simulators;
 use crate::source::open_source;
 use crate::subject::{EnvironmentArguments, Subject};
-use crate::terminal::{grouped, line, note};
+use crate::summary::influential;
+use crate::terminal::{grouped, line, note, warning};
 use crate::twins::{self, Arm, NominalArguments};
+use crate::watch::Frames;
 
 /// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run.
 ///
@@ -127,6 +131,9 @@ const SAMPLED_SCENARIOS: usize = 64;
 /// The files of the evaluation in a run's folder.
 const ANSWER: [&str; 4] = ["gate.json", "gate.md", "gate.junit.xml", "gate.reqif"];
 
+/// The folder of images to which the Markdown file refers, in a run's folder.
+const FRAMES: &str = "frames";
+
 /// The built-in baselines.
 const BASELINES: [&str; 1] = [include_str!("../../../../assets/baselines/franka-industrial-68.json")];
 
@@ -187,7 +194,7 @@ impl Gate {
         evaluation.twins = self.nominal.twins(&source, sampling)?;
         if let Some(out) = &self.out {
             fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display())).or_broken()?;
-            write_answer(out, &evaluation)?;
+            write_answer(out, &evaluation, None)?;
         }
         show(self.out.as_deref(), &evaluation, source.dictionary().provenance(), self.how.json)
     }
@@ -346,16 +353,16 @@ impl Gate {
             };
             let evaluation = question.evaluate(&record).map_err(refused)?;
             fs::create_dir_all(&dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
-            write_answer(&dir, &evaluation)?;
+            write_answer(&dir, &evaluation, None)?;
             return show(Some(&dir), &evaluation, &planned, self.how.json);
         }
         introduce(&provenance, plan.seed);
         note(format_args!(
-            "{}: {} scenarios, {} {} rounds, requirements `{}`, into {}",
+            "{}: {} scenarios, {} {}, requirements `{}`, into {}",
             record.population,
             labels.len(),
             if fixed { "exactly" } else { "at most" },
-            rounds,
+            counted(u64::from(rounds), "round"),
             asked.requirements.name,
             dir.display()
         ));
@@ -479,8 +486,9 @@ pub(crate) fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, 
 
 /// Reads the trials of the real robot from the file of `robogate transfer --out`.
 pub(crate) fn real_evidence(path: &Path) -> Result<RealEvidence, Exit> {
-    let text = fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
-    let transfer: Transfer = serde_json::from_str(&text)
+    let text = read_text(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+    let transfer: Transfer = Budget::FILE
+        .json(text.as_bytes())
         .with_context(|| {
             format!(
                 "{}: not a transfer\nhint: create it with `robogate transfer --sim RUN --real FILE --out FILE`",
@@ -633,7 +641,7 @@ fn question<'a>(asked: &'a Asked, other: Option<&'a Record>) -> Question<'a> {
 /// Writes the question beside the plan. Without it `resume` would run all rounds; the verdict would be the same.
 pub(crate) fn write_question(dir: &Path, asked: &Asked) {
     if let Err(error) = fs::write(dir.join(Asked::FILE), asked.to_json()) {
-        note(format_args!("warning: cannot write {}: {error}", dir.join(Asked::FILE).display()));
+        warning(format_args!("cannot write {}: {error}", dir.join(Asked::FILE).display()));
     }
 }
 
@@ -652,7 +660,8 @@ pub(crate) fn finish(
     if let Some(error) = trouble {
         return Err(refused(error));
     }
-    write_report(dir);
+    let frames = Frames { folder: dir.join(FRAMES), link: FRAMES.to_owned() };
+    let (analysis, watch) = write_report_with(dir, Some(&frames)).unzip();
     // The evaluation uses the rows on disk, and not those that were seen during the run.
     let source = Source::open(dir).or_broken()?;
     let mut record = Record::of(source.dictionary()).map_err(refused)?;
@@ -662,12 +671,17 @@ pub(crate) fn finish(
     if let Some(twins) = &evaluation.twins {
         twins::write(dir, twins)?;
     }
-    write_answer(dir, &evaluation)?;
-    show(Some(dir), &evaluation, source.dictionary().provenance(), json)
+    write_answer(dir, &evaluation, watch.flatten().as_ref())?;
+    let code = show(Some(dir), &evaluation, source.dictionary().provenance(), json)?;
+    if let Some(analysis) = analysis.filter(|_| !json) {
+        influential(&analysis);
+    }
+    Ok(code)
 }
 
-fn write_answer(dir: &Path, evaluation: &Evaluation) -> Result<(), Exit> {
-    let texts = [evaluation.to_json(), evaluation_markdown(evaluation), junit(evaluation), reqif(evaluation)];
+pub(crate) fn write_answer(dir: &Path, evaluation: &Evaluation, watch: Option<&Watch>) -> Result<(), Exit> {
+    let texts =
+        [evaluation.to_json(), evaluation_markdown_with(evaluation, watch), junit(evaluation), reqif(evaluation)];
     for (name, text) in ANSWER.iter().zip(texts) {
         let path = dir.join(name);
         fs::write(&path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
@@ -706,7 +720,7 @@ fn show(dir: Option<&Path>, evaluation: &Evaluation, provenance: &Provenance, js
 pub(crate) fn open_requirements(name_or_path: &str, task: &TaskSpec) -> Result<Requirements, Exit> {
     let requirements = Requirements::open(name_or_path, task).map_err(refused)?;
     if !Requirements::NAMES.contains(&name_or_path)
-        && let Ok(text) = fs::read_to_string(name_or_path)
+        && let Ok(text) = read_text(Path::new(name_or_path))
     {
         for (old, new) in Requirements::old_spellings(&text) {
             note(format_args!("note: {name_or_path}: `{old}` is the old name of `{new}`"));

@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::{Args, ValueEnum};
 use robogate_core::Word;
 use robogate_dictionary::results::{Format, Mapping, import};
-use robogate_dictionary::{RowSampling, Stopping};
+use robogate_dictionary::{RowSampling, Stopping, read_text};
 
 use crate::commands::export::require_absent;
 use crate::exit::{DONE, Exit, OrExit};
@@ -163,9 +163,8 @@ pub(crate) fn open_mapping(file: Option<&Path>, pairs: &[String]) -> Result<Mapp
     let mut mapping = match file {
         None => Mapping::default(),
         Some(path) => {
-            let text = std::fs::read_to_string(path)
-                .with_context(|| format!("cannot read the mapping {}", path.display()))
-                .or_usage()?;
+            let text =
+                read_text(path).with_context(|| format!("cannot read the mapping {}", path.display())).or_usage()?;
             Mapping::from_toml(&text, &path.display().to_string()).or_usage()?
         }
     };

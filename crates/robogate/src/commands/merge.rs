@@ -10,6 +10,7 @@ use crate::commands::matrix;
 use crate::commands::shard::open;
 use crate::exit::{Exit, OrExit};
 use crate::place;
+use crate::progress::Progress;
 use crate::terminal::{grouped, note};
 
 /// Merge the shards of a campaign to the files of a run on one machine: dictionary, boundary, summary and report. The
@@ -44,10 +45,12 @@ impl Merge {
         let out = self.out.as_ref().unwrap_or(&self.dir);
         let episodes = shards.settings().plan.episodes();
         note(format_args!("{} episodes in {} shards, into {}", grouped(episodes), shards.shards(), out.display()));
+        let mut progress = Progress::new();
         let mut show = |event: &Event| match event {
-            Event::Warning { message, .. } => note(format_args!("warning: {message}")),
             Event::Finished { already: true, .. } => note("the shards are merged already"),
-            _ => {}
+            // All episodes are recorded when the run starts that finishes the merge.
+            Event::Started { .. } => {}
+            event => progress.hear(event),
         };
         campaign.merge(out, &mut show, self.json)
     }

@@ -10,7 +10,7 @@ use robogate_gate::evidence::{PrivateKey, REGISTRATION, REGISTRATION_KEY, list_o
 
 use crate::commands::evidence::evidence_error;
 use crate::exit::{Exit, OrExit};
-use crate::terminal::note;
+use crate::terminal::{note, warning};
 
 /// The key that signs registrations.
 pub(crate) struct Registrar {
@@ -57,7 +57,7 @@ impl Registered {
         for (name, content) in self.files() {
             let path = dir.join(name);
             if let Err(error) = fs::write(&path, content) {
-                note(format_args!("warning: cannot write {}: {error}", path.display()));
+                warning(format_args!("cannot write {}: {error}", path.display()));
             }
         }
     }

@@ -1,16 +1,19 @@
 //! `robogate replay`: replays one episode bit for bit and prints its timeline.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 use clap::Args;
 use robogate_campaign::{WorkerFactory, recorded};
-use robogate_core::{Episode, Outcome, TaskSpec, Tick, Word, rollout_with};
+use robogate_core::{Environment, Episode, Outcome, TaskSpec, Tick, Word, rollout_with};
+use robogate_dictionary::Provenance;
+use robogate_replay::{EncodedImage, Export, Recording, Sample, mcap, record_with};
 use robogate_stats::format::number;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, INVALID, OrExit};
-use crate::film::{self, Filmed};
+use crate::film::{self, Cameras, Filmed, Shot};
+use crate::picture;
 use crate::policy_source::{PolicyAccess, PolicyLocation, PolicySource};
 use crate::remote::Simulators;
 use crate::subject::Subject;
@@ -30,10 +33,17 @@ pub(crate) struct Replay {
     /// Write an animation of a camera to this file (GIF)
     #[arg(long, value_name = "FILE")]
     gif: Option<PathBuf>,
+    /// Write a video of a camera to this file (MP4); the program `ffmpeg` encodes it
+    #[arg(long, value_name = "FILE")]
+    mp4: Option<PathBuf>,
     /// Write six frames at equal distances in time to this file (PNG)
     #[arg(long, value_name = "FILE")]
     png_strip: Option<PathBuf>,
-    /// Choose the camera of the images; default: the first one of the environment
+    /// Write poses, joint states, commands, contacts, measures, events and camera images to this file for Foxglove and other
+    /// tools (MCAP)
+    #[arg(long, value_name = "FILE")]
+    mcap: Option<PathBuf>,
+    /// Choose the camera of the images; default: the first one of the environment, in MCAP all of them
     #[arg(long, value_name = "CAMERA")]
     camera: Option<String>,
     /// Set width and height of the images, in pixels (16 to 2048), if the built-in cell renders them
@@ -58,7 +68,13 @@ impl Replay {
             let location = PolicyLocation::with_access(&self.access);
             Subject::recorded_at(&settings.provenance, &self.simulators, &location)?
         };
-        let filming = self.gif.is_some() || self.png_strip.is_some();
+        if self.mp4.is_some() {
+            film::check_mp4().or_usage()?;
+        }
+        let pictures = self.gif.is_some() || self.mp4.is_some() || self.png_strip.is_some();
+        // An environment without cameras still has poses and commands.
+        let cameras = !subject.task().observation.cameras.is_empty();
+        let filming = pictures || (self.mcap.is_some() && (cameras || self.camera.is_some()));
         // The size of images would change what a policy that sees them receives.
         let seeing = subject.policy_source().and_then(PolicySource::profile).is_some();
         let subject = if filming && !seeing { subject.with_pictures_of(usize::from(self.size)) } else { subject };
@@ -78,10 +94,26 @@ impl Replay {
             }
             timeline.extend(tick.step.events.iter().map(|what| Line { time_s, phase, what: what.clone() }));
         };
-        let again = if filming {
-            let mut filmed = Filmed::new(&mut *worker.environment, self.camera.clone());
-            let episode = rollout_with(&mut filmed, &mut *worker.policy, &before.scenario, &mut observe);
-            self.write_images(&filmed)?;
+        let again = if filming || self.mcap.is_some() {
+            let filmed = &mut match (&self.camera, &self.mcap) {
+                _ if !filming => Filmed::at(&mut *worker.environment, Cameras::First, &[]),
+                (Some(camera), _) => Filmed::new(&mut *worker.environment, Cameras::Named(camera.clone())),
+                (None, Some(_)) => Filmed::new(&mut *worker.environment, Cameras::All),
+                (None, None) => Filmed::new(&mut *worker.environment, Cameras::First),
+            };
+            let episode = if let Some(file) = &self.mcap {
+                let mut samples = Vec::new();
+                let recording = record_with(filmed, &mut *worker.policy, &before.scenario, &mut |tick| {
+                    samples.push(Sample::of(tick));
+                    let Tick { observation, action, step } = *tick;
+                    observe(Tick { observation, action, step });
+                });
+                self.write_mcap(file, &recording, &samples, filmed, &settings.provenance)?;
+                recording.episode
+            } else {
+                rollout_with(filmed, &mut *worker.policy, &before.scenario, &mut observe)
+            };
+            self.write_images(filmed)?;
             episode
         } else {
             rollout_with(&mut *worker.environment, &mut *worker.policy, &before.scenario, &mut observe)
@@ -123,17 +155,51 @@ impl Replay {
 
     /// Writes the requested images.
     fn write_images(&self, filmed: &Filmed<'_>) -> Result<(), Exit> {
-        if let Some(fault) = &filmed.trouble {
-            return Err(anyhow!("the episode cannot be rendered: {fault}")).or_usage();
+        rendered(filmed)?;
+        let shots = filmed.of(self.camera.as_deref());
+        type Writer = fn(&Path, &[&Shot]) -> anyhow::Result<()>;
+        let files: [(&Option<PathBuf>, Writer); 3] =
+            [(&self.gif, film::write_gif), (&self.mp4, film::write_mp4), (&self.png_strip, film::write_strip)];
+        for (file, write) in files {
+            if let Some(file) = file {
+                write(file, &shots).or_usage()?;
+                note(foreign(file.display()));
+            }
         }
-        if let Some(file) = &self.gif {
-            film::write_gif(file, &filmed.shots).or_usage()?;
-            note(foreign(file.display()));
+        Ok(())
+    }
+
+    /// Writes the episode as MCAP.
+    fn write_mcap(
+        &self,
+        file: &Path,
+        recording: &Recording,
+        samples: &[Sample],
+        filmed: &Filmed<'_>,
+        provenance: &Provenance,
+    ) -> Result<(), Exit> {
+        rendered(filmed)?;
+        let mut images = Vec::with_capacity(filmed.shots.len());
+        for Shot { time_s, image } in &filmed.shots {
+            let png = picture::png(image).or_broken()?;
+            images.push(EncodedImage { time_s: *time_s, camera: image.camera.clone(), png });
         }
-        if let Some(file) = &self.png_strip {
-            film::write_strip(file, &filmed.shots).or_usage()?;
-            note(foreign(file.display()));
-        }
+        let episode = &recording.episode;
+        let mut metadata: Vec<(String, String)> = [
+            ("episode", self.index.to_string()),
+            ("task", provenance.task.name.to_string()),
+            ("robot", provenance.robot.name.to_string()),
+            ("policy", provenance.policy.to_string()),
+            ("outcome", episode.outcome.as_str().to_owned()),
+            ("trajectory_hash", format!("{:016x}", episode.trajectory_hash)),
+        ]
+        .map(|(name, value)| (name.to_owned(), value))
+        .into();
+        let requested = episode.scenario.requested.iter();
+        metadata.extend(requested.map(|(name, value)| (format!("parameter.{name}"), value.to_string())));
+        let task = filmed.task();
+        film::create(file, &mcap(&Export { task, recording, samples, images: &images, metadata })).or_usage()?;
+        note(foreign(file.display()));
         Ok(())
     }
 
@@ -189,6 +255,14 @@ impl Replay {
             "same_as_recorded": same,
             "timeline": timeline,
         }));
+    }
+}
+
+/// Returns an error if the environment could not render.
+fn rendered(filmed: &Filmed<'_>) -> Result<(), Exit> {
+    match &filmed.trouble {
+        Some(fault) => Err(anyhow!("the episode cannot be rendered: {fault}")).or_usage(),
+        None => Ok(()),
     }
 }
 

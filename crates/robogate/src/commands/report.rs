@@ -15,7 +15,7 @@ use crate::remote::Simulators;
 use crate::source::open_source;
 use crate::terminal::{line, note};
 use crate::twins::{self, NominalArguments};
-use crate::watch::{self, Moment};
+use crate::watch::{self, Frames, Moment};
 
 /// Write a run or a dictionary as one page: where the policy fails, what to do, and the confidence intervals.
 #[derive(Debug, Args)]
@@ -57,15 +57,33 @@ enum Form {
     Json,
 }
 
+impl Form {
+    /// The ending of a file's name.
+    fn ending(self) -> &'static str {
+        match self {
+            Self::Html => "html",
+            Self::Md => "md",
+            Self::Json => "json",
+        }
+    }
+}
+
 impl Report {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let source = open_source(&self.dictionary)?;
         let analysis = analyse(&source, &self.dictionary, &options(&self.pair, self.target))?;
         let evaluation = source.folder().and_then(|folder| gate_of(folder, &source));
+        let out = match &self.out {
+            Some(out) if out.as_os_str() == "-" => None,
+            Some(out) => Some(out.clone()),
+            None => Some(source.folder().unwrap_or(Path::new("")).join(format!("report.{}", self.format.ending()))),
+        };
+        // Markdown on stdout has no place for images.
+        let frames = out.as_deref().filter(|_| matches!(self.format, Form::Md)).map(frames_beside);
         let watch = match self.format {
-            Form::Html | Form::Md if !self.no_replay => {
-                Some(watch::watch(&source, &analysis, &self.simulators, Moment::OnRequest).or_usage()?)
-            }
+            Form::Html | Form::Md if !self.no_replay => Some(
+                watch::watch(&source, &analysis, &self.simulators, Moment::OnRequest, frames.as_ref()).or_usage()?,
+            ),
             _ => None,
         };
         let pairs = pair_counts(&source, &analysis).or_usage()?;
@@ -77,32 +95,37 @@ impl Report {
             pairs: Some(&pairs),
             twins: twins.as_ref(),
         };
-        let (text, ending) = match self.format {
-            Form::Html => (html_with(&analysis, &additions), "html"),
-            Form::Md => (markdown_with(&analysis, &additions), "md"),
-            Form::Json => (analysis_json_with(&analysis, twins.as_ref()), "json"),
+        let text = match self.format {
+            Form::Html => html_with(&analysis, &additions),
+            Form::Md => markdown_with(&analysis, &additions),
+            Form::Json => analysis_json_with(&analysis, twins.as_ref()),
         };
-        match &self.out {
-            Some(out) if out.as_os_str() == "-" => line(text.trim_end()),
-            out => {
-                let default = || source.folder().unwrap_or(Path::new("")).join(format!("report.{ending}"));
-                write(&out.clone().unwrap_or_else(default), &text)?;
-            }
+        match &out {
+            Some(out) => write(out, &text)?,
+            None => line(text.trim_end()),
         }
         Ok(evidence(&analysis))
     }
 }
 
-/// Analyzes a finished run and writes its page into its folder, unless it exists.
-pub(crate) fn page(dir: &Path) -> Result<Analysis, Exit> {
+/// The folder for images beside a page: `report-frames` for `report.md`.
+fn frames_beside(page: &Path) -> Frames {
+    let stem = page.file_stem().map_or_else(|| "report".to_owned(), |stem| stem.to_string_lossy().into_owned());
+    let link = format!("{stem}-frames");
+    Frames { folder: page.with_file_name(&link), link }
+}
+
+/// Analyzes a finished run and writes its page into its folder, unless it exists. With `frames`, images of the episodes
+/// worth watching are written too. The second result is empty if the page exists.
+pub(crate) fn page(dir: &Path, frames: Option<&Frames>) -> Result<(Analysis, Option<Watch>), Exit> {
     let out = dir.join(PAGE);
     let source = Source::open(dir).or_broken()?;
     let analysis = analyse(&source, dir, &AnalysisOptions::default())?;
     if out.exists() {
-        return Ok(analysis);
+        return Ok((analysis, None));
     }
     let evaluation = gate_of(dir, &source);
-    let watch = watch::watch(&source, &analysis, &Simulators::none(), Moment::EndOfRun).or_broken()?;
+    let watch = watch::watch(&source, &analysis, &Simulators::none(), Moment::EndOfRun, frames).or_broken()?;
     let pairs = pair_counts(&source, &analysis).or_broken()?;
     let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
     let twins = twins::of_folder(dir, &source, sampling)?;
@@ -118,7 +141,7 @@ pub(crate) fn page(dir: &Path) -> Result<Analysis, Exit> {
         .and_then(|()| std::fs::rename(&part, &out))
         .with_context(|| format!("cannot write {}", out.display()))
         .or_broken()?;
-    Ok(analysis)
+    Ok((analysis, Some(watch)))
 }
 
 /// The verdict of the gate that a run belongs to. A problem is a note, because the analysis does not depend on it.

@@ -55,7 +55,7 @@ pub(crate) fn rerun(
         return Err(anyhow!("--rerun: {reason}\n  hint: name the judged policy with --policy-at")).or_usage();
     }
     let wrong = |reason: String| Ok(Err(Problem::new(ROWS, reason)));
-    if let Err(error) = check_rows(recorded, dictionary.entries()) {
+    if let Err(error) = check_rows(recorded, subject.foresight()?, dictionary.entries()) {
         return wrong(error.to_string());
     }
     let mut valid = Vec::new();

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 use robogate_gate::Asked;
 
-use crate::commands::gate;
 use crate::commands::run::How;
+use crate::commands::{fleet, gate};
 use crate::exit::{Exit, OrExit};
 use crate::policy_source::PolicyLocation;
 use crate::remote::Simulators;
@@ -28,6 +28,9 @@ pub(crate) struct Resume {
 
 impl Resume {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        if fleet::is_fleet(&self.dir) {
+            return fleet::resume(&self.dir, &self.simulators, &self.location, &self.how);
+        }
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
         let subject = Subject::recorded_at(&settings.provenance, &self.simulators, &self.location)?;
         if let Some(asked) = Asked::of(&self.dir).or_usage()? {

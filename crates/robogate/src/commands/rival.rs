@@ -20,7 +20,7 @@ use crate::exit::{Exit, OrExit};
 use crate::policy_source::PolicyLocation;
 use crate::remote::Simulators;
 use crate::subject::Subject;
-use crate::terminal::note;
+use crate::terminal::warning;
 
 /// The dictionary of the other policy in the folder of the gate.
 const FILE: &str = "against.parquet";
@@ -185,7 +185,7 @@ impl Rival {
             if let Err(error) = fs::remove_file(&path)
                 && error.kind() != ErrorKind::NotFound
             {
-                note(format_args!("warning: cannot remove {}: {error}", path.display()));
+                warning(format_args!("cannot remove {}: {error}", path.display()));
             }
         }
     }

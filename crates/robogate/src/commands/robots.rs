@@ -1,10 +1,18 @@
 //! `robogate robots`: lists and checks robots.
 
+#[cfg(feature = "mujoco")]
+use std::path::Path;
+use std::path::PathBuf;
+
+#[cfg(feature = "mujoco")]
+use anyhow::{Context, anyhow};
 use clap::{Args, Subcommand};
 use robogate_physics::{Gripper, RobotSettings, built_in_robot, built_in_robots};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, OrExit};
+#[cfg(feature = "mujoco")]
+use crate::terminal::note;
 use crate::terminal::{bold, line};
 
 /// List the built-in robots, or check one of your own.
@@ -19,8 +27,10 @@ pub(crate) struct Robots {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Check a robot: report every problem, and what it can reach and hold
+    /// Check a robot: report every problem, what it can reach, and how it grasps a test part
     Check(Check),
+    /// Draft robot.toml for a model, and mark what is guessed
+    Init(Init),
 }
 
 /// Loads the robot, measures it, holds it still and moves it a little. Exit code 2 if there is a problem.
@@ -34,10 +44,25 @@ struct Check {
     json: bool,
 }
 
+/// Writes robot.toml beside the model: joints, limits, gains, home posture, frames and gripper, as far as the model states
+/// them. A comment lists what is guessed.
+#[derive(Debug, Args)]
+struct Init {
+    /// Model of one arm with its gripper: MJCF or URDF
+    model: PathBuf,
+    /// Set the robot's name; default: the name of the model's folder
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+    /// Replace an existing robot.toml
+    #[arg(long)]
+    force: bool,
+}
+
 impl Robots {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         match &self.what {
             Some(What::Check(check)) => check.execute(),
+            Some(What::Init(init)) => init.execute(),
             None => self.list(),
         }
     }
@@ -94,6 +119,41 @@ impl Check {
             "this build has no MuJoCo, which the check needs\nhint: build with --features mujoco, or run a few episodes: robogate run --robot {} -n 10",
             self.robot
         );
+        Err(anyhow::anyhow!(why)).or_usage()
+    }
+}
+
+impl Init {
+    #[cfg(feature = "mujoco")]
+    fn execute(&self) -> Result<u8, Exit> {
+        let folder = self.model.canonicalize().ok().and_then(|model| model.parent().map(Path::to_owned));
+        let folder = folder.with_context(|| format!("{}: no such file", self.model.display())).or_usage()?;
+        let file = folder.join("robot.toml");
+        if file.exists() && !self.force {
+            return Err(anyhow!("{} exists\n  hint: replace it with --force", file.display())).or_usage();
+        }
+        let own = || folder.file_name().map(|name| name.to_string_lossy().into_owned());
+        let name = self.name.clone().or_else(own).unwrap_or_else(|| "robot".to_owned());
+        let draft = match robogate_physics::draft(&self.model, &name) {
+            Ok(draft) => draft,
+            Err(problems) => {
+                let lines: Vec<String> =
+                    problems.iter().map(|problem| format!("{}\n  hint: {}", problem.what, problem.hint)).collect();
+                return Err(anyhow!("{}: {}", self.model.display(), lines.join("\n"))).or_usage();
+            }
+        };
+        std::fs::write(&file, &draft.text).with_context(|| format!("cannot write {}", file.display())).or_broken()?;
+        line(format_args!("{}", bold(file.display())));
+        line("Guessed, because the model does not state it:");
+        draft.guesses.iter().for_each(|guess| line(format_args!("  - {guess}")));
+        note(format_args!("next: robogate robots check {}", folder.display()));
+        Ok(DONE)
+    }
+
+    #[cfg(not(feature = "mujoco"))]
+    fn execute(&self) -> Result<u8, Exit> {
+        let Self { model, name, force } = self;
+        let why = format!("{}: this build has no MuJoCo, which reads the model ({name:?}, {force})", model.display());
         Err(anyhow::anyhow!(why)).or_usage()
     }
 }

@@ -11,11 +11,14 @@ use clap::{ArgMatches, Args, FromArgMatches, Id};
 use robogate_analysis::Analysis;
 use robogate_campaign::folder::PLAN;
 use robogate_campaign::shards::Shard;
-use robogate_campaign::{Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, Settings, ThreadPool};
-use robogate_core::ParameterSpace;
+use robogate_campaign::{
+    ActiveStage, Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, Settings, ThreadPool,
+};
+use robogate_core::{FailureMode, ParameterSpace, TaskSpec};
 use robogate_dictionary::Provenance;
 use robogate_gate::Sampling;
 use robogate_physics::SuctionLaw;
+use robogate_report::Watch;
 
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
@@ -26,16 +29,17 @@ use crate::policy_source::{PolicyArguments, PolicyLocation};
 use crate::progress::Progress;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary;
-use crate::terminal::{grouped, note};
+use crate::terminal::{Screen, grouped, note, percent, warning};
 use crate::twins::{self, Arm};
+use crate::watch::Frames;
 
-/// Find where the policy fails: a campaign over the operating space, then near the failure boundary.
+/// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain.
 #[derive(Debug, Args)]
 pub(crate) struct Run {
     /// First, because reading the other arguments removes them.
     #[command(flatten)]
     given: Given,
-    /// Choose the episode budgets: quick (2,000 + 1,000 episodes) or paper (10,000 + 10,000)
+    /// Choose the plan: quick (3,000 episodes, active design) or paper (10,000 + 10,000, two stages)
     #[arg(long, value_name = "PRESET", default_value = "quick", value_parser = ["quick", "paper"])]
     preset: String,
     /// Use this plan instead of a preset (TOML; the format is that of assets/presets)
@@ -50,14 +54,17 @@ pub(crate) struct Run {
     /// Set the number of rounds of the suite; each round has fresh seeds
     #[arg(long, value_name = "N", default_value_t = 1, requires = "suite")]
     rounds: u64,
-    /// Set the total number of episodes; two thirds of them are uniform, with the active design a quarter
+    /// Set the total number of episodes. A quarter of them is uniform before the first round of the active design; with two
+    /// stages, two thirds
     #[arg(short, long, value_name = "N")]
     n: Option<u64>,
-    /// Choose the design after the uniform stage: two-stage (a region around the failure boundary) or active (rounds where
-    /// a risk model of all earlier episodes is least certain; a quarter of all episodes is uniform); default: that of the
-    /// preset or plan
-    #[arg(long, value_name = "DESIGN", value_parser = ["two-stage", "active"], conflicts_with = "suite")]
+    /// Choose the design: active (rounds, half of each where a risk model of all earlier episodes is least certain),
+    /// two-stage (then a region around the failure boundary) or uniform; default: that of the preset or plan
+    #[arg(long, value_name = "DESIGN", value_parser = ["active", "two-stage", "uniform"], conflicts_with = "suite")]
     design: Option<String>,
+    /// Estimate the rate of this failure mode: the active design samples where the mode is likely
+    #[arg(long, value_name = "MODE", conflicts_with_all = ["suite", "until_rms"])]
+    seek: Option<String>,
     /// Stop the active design when the root mean square error of its risk model is at most this (0 to 0.5), with 95 %
     /// confidence
     #[arg(long, value_name = "ERROR", conflicts_with = "suite")]
@@ -213,9 +220,19 @@ impl Run {
                 dir.display()
             )),
             (None, Some(active)) => note(format_args!(
-                "{} episodes over the operating space, then up to {} where the risk model is least certain, into {}",
+                "{} episodes over the operating space, then up to {} in rounds, {} of them {}, into {}",
                 grouped(plan.uniform.episodes),
                 grouped(active.episodes),
+                percent(1.0 - active.uniform_share),
+                match &active.seek {
+                    Some(mode) => format!("where {mode} is likely"),
+                    None => "where the risk model is least certain".to_owned(),
+                },
+                dir.display()
+            )),
+            (None, None) if plan.boundary.episodes == 0 => note(format_args!(
+                "{} episodes over the operating space, into {}",
+                grouped(plan.uniform.episodes),
                 dir.display()
             )),
             (None, None) => note(format_args!(
@@ -253,10 +270,18 @@ impl Run {
                 plan
             }
         };
+        if let Some(n) = self.n {
+            plan = plan.with_total(n);
+        }
         match self.design.as_deref() {
             Some("active") => plan = plan.with_active(),
-            Some(_) => plan = plan.with_two_stages(),
+            Some("two-stage") => plan = plan.with_two_stages(),
+            Some(_) => plan = plan.with_uniform_only(),
+            None if self.seek.is_some() => plan = plan.with_active(),
             None => {}
+        }
+        if let Some(mode) = &self.seek {
+            plan.active = Some(seeking(plan.active.take(), mode, subject.task()).or_usage()?);
         }
         match (&mut plan.active, self.until_rms) {
             (Some(active), Some(_)) => active.until_rms = self.until_rms,
@@ -265,9 +290,6 @@ impl Run {
                     .or_usage();
             }
             _ => {}
-        }
-        if let Some(n) = self.n {
-            plan = plan.with_total(n);
         }
         if let Some(seed) = self.seed {
             plan.seed = seed;
@@ -302,7 +324,7 @@ impl How {
             if asked.swap(true, Ordering::Relaxed) {
                 stop_at_once();
             }
-            note("\nstopping after the episodes in flight (once more: at once) ...");
+            note("stopping after the episodes in flight (once more: at once)");
         })
         .or_broken()?;
         work(&ThreadPool { factory: subject, threads, stop: &stop })
@@ -352,6 +374,20 @@ impl How {
     }
 }
 
+/// The active stage that seeks a failure mode of the task.
+fn seeking(stage: Option<ActiveStage>, mode: &str, task: &TaskSpec) -> anyhow::Result<ActiveStage> {
+    let stage = stage.ok_or_else(|| anyhow!("--seek applies to the active design\n  hint: leave out --design"))?;
+    if !task.modes().any(|declared: FailureMode| declared.as_str() == mode) {
+        let modes: Vec<&str> = task.modes().map(FailureMode::as_str).collect();
+        anyhow::bail!(
+            "--seek {mode}: the task {} has no such failure mode. Expected one of: {}",
+            task.name,
+            modes.join(", ")
+        );
+    }
+    Ok(stage.seeking(mode))
+}
+
 /// Writes the report of a finished campaign, and prints its summary.
 pub(crate) fn conclude(dir: &Path, completion: &Completion, json: bool) -> Result<u8, Exit> {
     match completion {
@@ -378,6 +414,7 @@ pub(crate) fn conclude(dir: &Path, completion: &Completion, json: bool) -> Resul
 /// because the journal can be cut at any byte.
 #[expect(clippy::exit, reason = "worker threads cannot be interrupted")]
 pub(crate) fn stop_at_once() -> ! {
+    Screen::close();
     std::process::exit(i32::from(INTERRUPTED))
 }
 
@@ -391,10 +428,15 @@ pub(crate) fn interrupted(dir: &Path, done: u64, episodes: u64) -> u8 {
 /// Writes the page of a finished campaign and returns its analysis. An error is a warning, because the dictionary is
 /// complete without the page.
 pub(crate) fn write_report(dir: &Path) -> Option<Analysis> {
-    match super::report::page(dir) {
-        Ok(analysis) => Some(analysis),
+    write_report_with(dir, None).map(|(analysis, _)| analysis)
+}
+
+/// Writes the page of a finished campaign as [`write_report`] does, and images of its episodes worth watching.
+pub(crate) fn write_report_with(dir: &Path, frames: Option<&Frames>) -> Option<(Analysis, Option<Watch>)> {
+    match super::report::page(dir, frames) {
+        Ok(written) => Some(written),
         Err(exit) => {
-            note(format_args!("warning: no report: {exit}"));
+            warning(format_args!("no report: {exit}"));
             None
         }
     }

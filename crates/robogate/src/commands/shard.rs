@@ -26,6 +26,8 @@ pub(crate) fn run(
 ) -> Result<u8, Exit> {
     introduce(&provenance, plan.seed);
     let mut campaign = Campaign::of(begin(dir, shard.of(), plan, provenance, &[])?)?;
+    let foresight = || subject.foresight();
+    campaign.choose(&foresight)?;
     let report = |state: &str, round: Option<String>, outcomes: Option<&OutcomeCounts>| {
         if how.json {
             let (dir, shard) = (dir, shard.to_string());
@@ -36,6 +38,7 @@ pub(crate) fn run(
         Ok(DONE)
     };
     match campaign.assign(shard.index())? {
+        Assignment::Choose { round } => Err(exit(ShardError::NotChosen { dir: dir.to_owned(), round })),
         Assignment::Complete => {
             note("nothing to do: all rounds are complete");
             note(format_args!("next: robogate merge {}", quoted(dir)));
@@ -69,6 +72,8 @@ pub(crate) fn run(
                     return Err(exit(error));
                 }
             };
+            // The last shard of a round chooses the points of the next one, so that the others need not wait for it.
+            campaign.choose(&foresight)?;
             report(state, Some(result.round().to_string()), Some(result.outcomes()))
         }
     }
@@ -135,7 +140,6 @@ pub(crate) fn exit(error: ShardError) -> Exit {
     let code = match error {
         ShardError::Run(error) => return run::exit(error),
         ShardError::Name(_)
-        | ShardError::Active
         | ShardError::SingleRun { .. }
         | ShardError::NotInShards { .. }
         | ShardError::OtherCount { .. }
@@ -147,6 +151,7 @@ pub(crate) fn exit(error: ShardError) -> Exit {
         ShardError::Store { .. }
         | ShardError::Damaged { .. }
         | ShardError::Conflict { .. }
+        | ShardError::NotChosen { .. }
         | ShardError::Missing { .. } => INFRASTRUCTURE,
     };
     Exit { code, error: error.into() }

@@ -20,7 +20,7 @@ use crate::commands::run::{How, exit};
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
 use crate::progress::Progress;
 use crate::subject::{EnvironmentArguments, Subject};
-use crate::terminal::{bold, dim, grouped, line, note, percent, wrapped};
+use crate::terminal::{bold, dim, grouped, line, note, percent, warning, wrapped};
 
 /// The settings of the study. The file is written first and never changed.
 const SETTINGS: &str = "study.json";
@@ -121,7 +121,7 @@ impl Study {
             self.out.display()
         ));
         if repeats == 1 {
-            note("warning: one repeat gives no confidence intervals and no verdict");
+            warning("one repeat gives no confidence intervals and no verdict");
         }
         self.how.with_pool(&subject, |pool| match self.conduct(pool, &settings, &campaigns)? {
             Some(study) => self.tell(&study),

@@ -6,9 +6,11 @@ use anyhow::{Context, anyhow};
 use clap::{Args, Subcommand};
 use robogate_campaign::{BUILT_IN_SUITES, built_in_suite, suite_sha256};
 use robogate_core::{Case, Domain, Spread, Suite, SuiteError};
+use robogate_dictionary::read_text;
 use serde_json::{Value, json};
 
 use crate::exit::{DONE, Exit, OrExit, USAGE};
+use crate::subject::{EnvironmentSource, check_declared};
 use crate::terminal::{bold, dim, line, note};
 
 /// List, show and check suites.
@@ -102,8 +104,7 @@ impl Suites {
         let text = read(file).or_usage()?;
         let (suite, problems): (Option<Suite>, Vec<String>) = match Suite::from_toml(&text) {
             Ok(suite) => {
-                let problems =
-                    robogate_tasks::pick_place::check_suite(&suite, None).iter().map(ToString::to_string).collect();
+                let problems = misfits(&suite)?;
                 (Some(suite), problems)
             }
             Err(SuiteError::Syntax(text)) => (None, vec![text]),
@@ -133,6 +134,27 @@ impl Suites {
     }
 }
 
+/// The problems of a suite with the task that has most of its parameters. A suite that names its environment is checked by
+/// that environment, when it runs.
+fn misfits(suite: &Suite) -> Result<Vec<String>, Exit> {
+    if suite.environment().is_some() {
+        return Ok(Vec::new());
+    }
+    let parameters = suite.space().parameters();
+    let own = || robogate_tasks::pick_place::check_suite(suite, None).iter().map(ToString::to_string).collect();
+    let unknown = |known: &dyn Fn(&str) -> bool| parameters.iter().filter(|p| !known(&p.name)).count();
+    let of_cell = unknown(&|name| robogate_tasks::pick_place::parameters().iter().any(|row| row.name == name));
+    let mut best: (usize, Vec<String>) = (of_cell, own());
+    for task in EnvironmentSource::declared_tasks()? {
+        let missing = unknown(&|name| task.parameter(name).is_some());
+        if missing < best.0 {
+            let problem = check_declared(&task, suite.space()).err();
+            best = (missing, problem.iter().map(|why| format!("{why:#}")).collect());
+        }
+    }
+    Ok(best.1)
+}
+
 /// Finds a suite by its name or file.
 pub(crate) fn find(name: &str) -> Result<Suite, Exit> {
     if let Some(suite) = built_in_suite(name) {
@@ -150,7 +172,7 @@ pub(crate) fn find(name: &str) -> Result<Suite, Exit> {
 }
 
 fn read(file: &Path) -> anyhow::Result<String> {
-    std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))
+    read_text(file).with_context(|| format!("cannot read {}", file.display()))
 }
 
 fn head(suite: &Suite) -> Value {

@@ -168,9 +168,21 @@ fn keep(stream: impl Read, output: &Mutex<VecDeque<String>>) {
         if lines.len() == LINES {
             lines.pop_front();
         }
-        lines.push_back(String::from_utf8_lossy(&line).trim_end().to_owned());
+        lines.push_back(without_colours(String::from_utf8_lossy(&line).trim_end()));
         line.clear();
     }
+}
+
+/// A line without the control sequences that colour text in a terminal.
+fn without_colours(line: &str) -> String {
+    let mut parts = line.split("\u{1b}[");
+    let mut out = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        // A sequence has parameters, and ends with a letter.
+        let text = part.find(|c: char| c.is_ascii_alphabetic()).and_then(|end| part.get(end + 1..));
+        out.push_str(text.unwrap_or_default());
+    }
+    out
 }
 
 impl Running {
@@ -216,5 +228,17 @@ impl Drop for Servers {
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_are_removed() {
+        assert_eq!(without_colours("a \u{1b}[33mWARN: low\u{1b}[0m, b"), "a WARN: low, b");
+        assert_eq!(without_colours("plain"), "plain");
+        assert_eq!(without_colours("cut \u{1b}[3"), "cut ");
     }
 }

@@ -11,7 +11,7 @@ const PALETTE_SPEED: i32 = 10;
 const LAST_CS: u16 = 150;
 
 /// Encodes shots of equal size. Times are rounded to hundredths of a second, the unit of the format.
-pub(super) fn encode(shots: &[Shot]) -> anyhow::Result<Vec<u8>> {
+pub(super) fn encode(shots: &[&Shot]) -> anyhow::Result<Vec<u8>> {
     let Some(first) = shots.first() else { bail!("the episode has no image") };
     let width = u16::try_from(first.image.width).context("a GIF is at most 65,535 pixels wide")?;
     let height = u16::try_from(first.image.height).context("a GIF is at most 65,535 pixels high")?;
@@ -46,7 +46,8 @@ mod tests {
             time_s,
             image: Image { camera: "front".to_owned(), width: 8, height: 6, rgb: vec![grey; 3 * 48] },
         };
-        let bytes = encode(&[shot(0.0, 10), shot(0.05, 120), shot(0.2, 250)]).unwrap();
+        let shots = [shot(0.0, 10), shot(0.05, 120), shot(0.2, 250)];
+        let bytes = encode(&shots.iter().collect::<Vec<_>>()).unwrap();
         let mut options = gif::DecodeOptions::new();
         options.set_color_output(gif::ColorOutput::RGBA);
         let mut decoder = options.read_info(&*bytes).unwrap();

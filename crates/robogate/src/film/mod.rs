@@ -1,14 +1,16 @@
-//! Images of an episode: an animation, or a strip of frames.
+//! Images of an episode: an animation, a video, or a strip of frames.
 
 mod filmed;
 mod gif;
+mod mp4;
 
 use std::path::Path;
 
 use anyhow::{Context, bail};
 use robogate_core::Image;
 
-pub(crate) use filmed::{Filmed, Shot};
+pub(crate) use filmed::{Cameras, Filmed, Shot};
+pub(crate) use mp4::check as check_mp4;
 
 use crate::picture;
 
@@ -16,26 +18,36 @@ use crate::picture;
 const STRIP_FRAMES: usize = 6;
 
 /// Writes the images of one camera as an animated GIF that repeats without end.
-pub(crate) fn write_gif(path: &Path, shots: &[Shot]) -> anyhow::Result<()> {
+pub(crate) fn write_gif(path: &Path, shots: &[&Shot]) -> anyhow::Result<()> {
     let bytes = gif::encode(shots)?;
     create(path, &bytes)
 }
 
+/// Writes the images of one camera as a video.
+pub(crate) fn write_mp4(path: &Path, shots: &[&Shot]) -> anyhow::Result<()> {
+    mp4::write(path, shots)
+}
+
 /// Writes frames at equal distances in time as one PNG, each with its time.
-pub(crate) fn write_strip(path: &Path, shots: &[Shot]) -> anyhow::Result<()> {
+pub(crate) fn write_strip(path: &Path, shots: &[&Shot]) -> anyhow::Result<()> {
     if shots.is_empty() {
         bail!("the episode has no image");
     }
     let last = shots.len() - 1;
     let count = STRIP_FRAMES.min(shots.len());
-    let at = |i: usize| &shots[if count > 1 { i * last / (count - 1) } else { 0 }];
+    let chosen: Vec<&Shot> = (0..count).map(|i| shots[if count > 1 { i * last / (count - 1) } else { 0 }]).collect();
+    picture::write(path, &strip(&chosen))
+}
+
+/// Shots of equal size in one row, each with its time.
+pub(crate) fn strip(shots: &[&Shot]) -> Image {
     let frames: Vec<(String, Image)> =
-        (0..count).map(at).map(|shot| (format!("{:.2} s", shot.time_s), shot.image.clone())).collect();
-    picture::write(path, &picture::sheet(&frames, count))
+        shots.iter().map(|shot| (format!("{:.2} s", shot.time_s), shot.image.clone())).collect();
+    picture::sheet(&frames, frames.len())
 }
 
 /// Writes a new file. Returns an error if it already exists.
-fn create(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+pub(crate) fn create(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     use std::io::Write;
     let mut file = match std::fs::File::create_new(path) {
         Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {

@@ -20,6 +20,8 @@ pub struct Browser {
     session: Option<String>,
     last: u64,
     troubles: Vec<String>,
+    /// The server whose pages may be requested.
+    server: Option<String>,
     _profile: TempDir,
 }
 
@@ -55,7 +57,8 @@ impl Browser {
         let stream = TcpStream::connect(&host).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
         let (socket, _) = tungstenite::client(&*address, stream).unwrap();
-        let mut browser = Self { process, socket, session: None, last: 0, troubles: Vec::new(), _profile: profile };
+        let mut browser =
+            Self { process, socket, session: None, last: 0, troubles: Vec::new(), server: None, _profile: profile };
         let target = browser.call("Target.createTarget", json!({ "url": "about:blank" }));
         let attach = json!({ "targetId": target["targetId"], "flatten": true });
         let session = browser.call("Target.attachToTarget", attach);
@@ -96,16 +99,24 @@ impl Browser {
             "Network.requestWillBeSent" => {
                 let url = parameters["request"]["url"].as_str().unwrap_or_default();
                 let local = ["file:", "data:", "blob:", "about:"].iter().any(|scheme| url.starts_with(scheme));
-                (!local).then(|| format!("request of {url}"))
+                let served = self.server.as_ref().is_some_and(|server| url.starts_with(server));
+                (!local && !served).then(|| format!("request of {url}"))
             }
             _ => None,
         };
         self.troubles.extend(trouble);
     }
 
-    /// Opens a page from a file.
-    pub fn open(&mut self, page: &Path) {
-        let url = format!("file://{}", page.canonicalize().unwrap().display());
+    /// Opens a page: the path of a file, or an address such as `http://127.0.0.1:7380/`.
+    pub fn open(&mut self, page: impl AsRef<Path>) {
+        let page = page.as_ref();
+        let url = match page.to_str() {
+            Some(address) if address.starts_with("http:") => {
+                self.server = Some(address.to_owned());
+                address.to_owned()
+            }
+            _ => format!("file://{}", page.canonicalize().unwrap().display()),
+        };
         self.call("Page.navigate", json!({ "url": url }));
         self.wait("document.readyState === 'complete'");
     }

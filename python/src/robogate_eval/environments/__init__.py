@@ -13,7 +13,7 @@ A **bundled environment** is one Python file of this folder that defines `FAMILY
 
 The file must import on any Python 3.10 without the packages it is about: import them inside the functions. List the module in
 `FAMILIES`. A user names an environment as `FAMILY:NAME`, for example `metaworld:drawer-open-v3`, `fetch:FetchPickAndPlace-v4`,
-`robosuite:Lift` or `libero:spatial/3`.
+`robosuite:Lift`, `libero:spatial/3` or `dm_control:reach_site`.
 
 `Environment` says all that there is to say about an environment: how it is made, its task, its knobs, and its policies. See its
 documentation.
@@ -34,7 +34,7 @@ from .family import Family, UnknownEnvironment
 __all__ = ["Family", "UnknownEnvironment", "families", "find"]
 
 # The modules of this folder that define a `FAMILY`.
-FAMILIES = ("metaworld", "fetch", "robosuite", "libero")
+FAMILIES = ("metaworld", "fetch", "robosuite", "libero", "dm_control")
 
 
 def families() -> dict[str, Family]:

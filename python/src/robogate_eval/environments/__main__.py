@@ -89,7 +89,14 @@ def _requirements(arguments: argparse.Namespace) -> None:
 
 def _missing(arguments: argparse.Namespace, error: ModuleNotFoundError) -> str:
     family = getattr(arguments, "name", "").partition(":")[0]
-    hint = f"`robogate env setup {family}` creates a Python environment with all that it needs" if family in families() else f"install it for {sys.executable}"
+    # What any environment needs, by the names that pip knows.
+    basis = {"numpy": "numpy", "gymnasium": "gymnasium", "zmq": "pyzmq", "msgpack": "msgpack"}
+    if family in families():
+        hint = f"`robogate env setup {family}` creates a Python environment with all that it needs"
+    elif error.name in basis:
+        hint = f"{sys.executable} -m pip install {' '.join(basis.values())}"
+    else:
+        hint = f"{sys.executable} -m pip install {error.name}, if the package has this name, or choose another interpreter with --python"
     return f"the Python package {error.name} is missing in {sys.executable}\n  hint: {hint}"
 
 

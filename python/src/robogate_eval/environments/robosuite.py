@@ -12,7 +12,7 @@ except ModuleNotFoundError:
     np = None
 
 from ..serving.environment import Camera, Environment, FailureMode, Measure, Policy, Task
-from .family import Family, UnknownEnvironment
+from .family import Family, UnknownEnvironment, installed
 
 PERIOD_S = 0.05
 TIME_LIMIT_S = 15.0
@@ -159,11 +159,13 @@ def environment(name: str) -> Environment:
     kind = KINDS.get(name)
     if kind is None:
         raise UnknownEnvironment(f"robosuite:{name}: unknown task. Expected one of: {', '.join(KINDS)}")
-    import robosuite  # noqa: F401  A missing package is reported before anything else.
+    from ..serving.model import Model, rigid
 
-    body = kind.body
+    made = [World(kind)]
+    body, model = kind.body, Model(made[0])
+    mass = float(model.model.body_mass[rigid(model.model, model.names("body").index(body))].sum())
     space = {
-        f"mass:{body}": (0.02, 2.0, "log"),
+        f"mass:{body}": (0.3 * mass, 3.0 * mass, "log"),
         f"friction:{body}": (0.05, 2.0, "log"),
         f"shift_x:{body}": (-0.03, 0.03),
         f"shift_y:{body}": (-0.03, 0.03),
@@ -173,7 +175,7 @@ def environment(name: str) -> Environment:
     }
     scripted = Policy(_lift, "Ours. It reads the state of the scene, grasps the cube from above and lifts it.")
     return Environment(
-        make=lambda: World(kind),
+        make=lambda: made.pop() if made else World(kind),
         task=Task(
             name=f"robosuite.{name}",
             instruction=kind.instruction,
@@ -194,6 +196,7 @@ def environment(name: str) -> Environment:
             action_names=["x", "y", "z", "roll", "pitch", "yaw", "gripper"],
             rest_action=REST_ACTION,
         ),
+        source=installed("robosuite"),
         space=space,
         policies={"scripted": scripted} if name == "Lift" else {},
         observe=lambda env: env.observe(),

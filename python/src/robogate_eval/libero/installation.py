@@ -16,6 +16,11 @@ class LiberoMissing(ModuleNotFoundError):
 
 def folder() -> Path:
     """The folder of the package `libero.libero`, with its task files, initial states and assets."""
+    outer = importlib.util.find_spec("libero")
+    places = list(outer.submodule_search_locations or ()) if outer is not None else []
+    # The inner package asks a question on standard input when it is imported, so it must not be taken for the outer one.
+    if places and not any((Path(place) / "libero").is_dir() for place in places):
+        raise LiberoMissing(f"{places[0]} is not LIBERO: it contains no folder `libero`. Put the folder that git cloned on PYTHONPATH", name="libero")
     try:
         found = importlib.util.find_spec("libero.libero")
     except ModuleNotFoundError:

@@ -157,7 +157,7 @@ class Adapter:
         names = {knob for knob in wanted if isinstance(knob, str)}
         offered = self._disturbances.knobs(self._period)
         if self._model is not None:
-            found = mujoco_knobs.catalogue(self._model, self._can_observe(), names | set(self._environment.space))
+            found = mujoco_knobs.catalogue(self._model, self._can_observe(), names | set(self._environment.space), bool(self._observations.images))
             if "*" not in names:
                 found = [knob for knob in found if knob.name in names]
             kept, self.dropped = mujoco_knobs.self_test(self._model, found, self._env)
@@ -250,8 +250,9 @@ class Adapter:
 
     def _reply(self, observation: Any) -> dict:
         """What a policy receives, and the action of the policy that runs here."""
-        noise = self._disturbances.noise()
-        seen = self._observations.with_noise(observation, noise) if noise else observation
+        seen = observation
+        if self._disturbances.noisy:
+            seen = self._observations.with_noise(observation, self._disturbances.noise())
         self._seen = seen
         self._hash = self._state()
         reply = {"observation": {"vectors": self._observations.encode(seen)}}
@@ -260,7 +261,9 @@ class Adapter:
         return reply
 
     def step(self, action: Any) -> dict:
-        executed = self._disturbances.delayed(self._actions.decode(action.numbers))
+        executed = self._actions.decode(action.numbers)
+        if self._disturbances.delays:
+            executed = self._disturbances.delayed(executed)
         observation, reward, terminated, truncated, info = self._env.step(executed)
         trajectory = self._trajectory
         trajectory.observations.append(observation)
@@ -268,32 +271,38 @@ class Adapter:
         trajectory.rewards.append(float(reward))
         trajectory.infos.append(info)
         trajectory.terminated = bool(terminated)
-        trajectory.over = bool(terminated or truncated or trajectory.steps >= self._limit)
-        self._check()
-        ending, measures = self._ending(), {}
-        if ending is not None or trajectory.over:
+        trajectory.over = over = bool(terminated or truncated or len(trajectory.actions) >= self._limit)
+        if self._model is not None:
+            self._check(self._model)
+        ending, measures = self._ending(trajectory, info), {}
+        if ending is not None or over:
             # A policy is not asked for an action that nobody runs.
             self._policy = None
             if self._task.measure is not None:
                 measures = dict(self._task.measure(trajectory))
-        return self._reply(observation) | {"ending": ending, "measures": measures}
+        reply = self._reply(observation)
+        reply["ending"], reply["measures"], reply["state_hash"] = ending, measures, self._hash
+        return reply
 
-    def _ending(self) -> dict | None:
-        trajectory = self._trajectory
-        if (self._task.success or _succeeded)(trajectory):
+    def _ending(self, trajectory: Trajectory, info: dict) -> dict | None:
+        if self._task.success is None:
+            # Most environments report it in this way.
+            reported = info.get("success", info)
+            done = reported if type(reported) is bool else bool(reported) if type(reported) is float else _succeeded(trajectory)
+        else:
+            done = self._task.success(trajectory)
+        if done:
             return {"failure": None}
         failure = None if self._task.failure is None else self._task.failure(trajectory)
         if failure is None and trajectory.over:
             failure = "terminated" if trajectory.terminated else "timeout"
         return None if failure is None else {"failure": failure}
 
-    def _check(self) -> None:
+    def _check(self, model: Model) -> None:
         """Raise if the physics diverged, or if a parameter does not act any more."""
-        if self._model is None:
-            return
-        if (why := self._model.diverged()) is not None:
+        if (why := model.diverged()) is not None:
             raise Problem("diverged", why)
-        if not self._model.advanced():
+        if not model.advanced():
             raise Problem("not_applied", "the environment does not step the model to which the parameters were written")
         for knob, wanted in self._watched:
             found = knob.watch(self._env)

@@ -26,6 +26,8 @@ class Disturbances:
         """Start an episode without delay and noise."""
         self._queue: deque = deque()
         self._scale = dict.fromkeys(self._vectors, 0.0)
+        # Whether the episode has noise, and whether it has a delay.
+        self.noisy = self.delays = False
         digest = hashlib.blake2b(f"{seed}/{index}/noise".encode(), digest_size=8).digest()
         self._random = np.random.default_rng(int.from_bytes(digest, "little"))
 
@@ -43,6 +45,7 @@ class Disturbances:
 
         def delay(env: Any, value: int) -> None:
             self._queue = deque(self._rest.copy() for _ in range(int(value)))
+            self.delays = bool(self._queue)
 
         knobs = [
             Knob("action_delay", delay, lambda env: len(self._queue), 0, MAX_DELAY, nominal=0, unit="steps", integer=True,
@@ -52,6 +55,7 @@ class Disturbances:
 
             def scale(env: Any, value: float, name: str = name) -> None:
                 self._scale[name] = value
+                self.noisy = True
 
             knobs.append(
                 Knob(f"noise:{name}", scale, lambda env, name=name: self._scale[name], 0.0, 1.0, nominal=0.0,

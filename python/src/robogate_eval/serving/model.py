@@ -84,6 +84,7 @@ class Model:
         # Views of the memory of the engine.
         self._state = (data.qpos, data.qvel, data.act, data.mocap_pos, data.mocap_quat, data.qacc_warmstart)
         self._warnings = data.warning.number
+        self._no_warnings = bytes(self._warnings.nbytes)
         # Positions after the reset.
         self.start = data.qpos.copy()
         self._time = float(data.time)
@@ -122,7 +123,8 @@ class Model:
 
     def diverged(self) -> str | None:
         """MuJoCo's warning about a state that is not finite, after which it resets the state silently."""
-        if not self._warnings.any():
+        # The same as `not self._warnings.any()`, five times as fast.
+        if self._warnings.tobytes() == self._no_warnings:
             return None
         import mujoco
 
@@ -133,10 +135,7 @@ class Model:
 
     def hash(self) -> int:
         """A 64-bit hash of the full state."""
-        digest = hashlib.blake2b(digest_size=8)
-        for array in self._state:
-            digest.update(array)
-        return int.from_bytes(digest.digest(), "little")
+        return int.from_bytes(hashlib.blake2b(b"".join(self._state), digest_size=8).digest(), "little")
 
     def names(self, kind: str) -> list[str]:
         """The names of all bodies, joints, actuators, cameras or lights; empty for one without a name."""

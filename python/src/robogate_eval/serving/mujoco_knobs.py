@@ -11,6 +11,9 @@
 | `damping:JOINT`, `friction_loss:JOINT` | of a joint with one degree of freedom | N m s/rad or N s/m; N m or N |
 | `gain`, `gain:ACTUATOR` | factor of the force of all actuators, or of one (its name or index) | |
 | `gravity` | along the direction of the model | m/s^2 |
+| `light` | factor of the brightness of all lights | |
+| `camera_x:CAMERA`, `camera_y:CAMERA`, `camera_z:CAMERA` | translation of a camera, in the frame of the body that holds it | m |
+| `camera_turn:CAMERA` | rotation of a camera about the z axis of that body | rad |
 
 A body that moves includes the bodies that are fixed to it. Every value is read from the model that the environment steps, friction from contacts (`friction.py`). A knob whose effect cannot be
 read is not in the catalogue.
@@ -24,19 +27,22 @@ from typing import Any
 
 import numpy as np
 
-from . import friction
+from . import friction, view_knobs
 from .knobs import Knob
 from .model import Model, rigid
 
 SMALLEST_MASS_KG = 1e-3
 
 
-def catalogue(model: Model, can_observe: bool, named: set[str]) -> list[Knob]:
+def catalogue(model: Model, can_observe: bool, named: set[str], images: bool = False) -> list[Knob]:
     """The knobs of a model, in its nominal state after a reset. `can_observe`: the observation can be taken again after a change.
+    `images`: the observation contains images.
 
     No two of them change the same quantity, unless `named` contains them: a part of a body, or a single actuator.
     """
     knobs = _gravity(model) + _gains(model, named)
+    if can_observe or not images:
+        knobs += view_knobs.catalogue(model, moves=images)
     for body, name in enumerate(model.names("body")):
         part = model.model.body_weldid[body] not in (0, body)
         if name and body and (not part or any(knob.endswith(f":{name}") for knob in named)):
@@ -89,12 +95,13 @@ def _gain(model: Model, name: str, which: list[int], meaning: str) -> Knob:
 
 
 def _factor(now: np.ndarray, base: np.ndarray) -> float:
-    """The factor between two arrays: that of the entry which is farthest from the mean."""
+    """The factor between two arrays. If the entries have different factors, their mean, so that an entry which does not follow is
+    noticed."""
     used = base != 0.0
     if not used.any():
         return 1.0
     factors = now[used] / base[used]
-    return float(factors[np.argmax(np.abs(factors - factors.mean()))])
+    return float(factors[0] if np.ptp(factors) <= 1e-9 * abs(factors[0]) else factors.mean())
 
 
 def _body(model: Model, body: int, name: str, can_observe: bool) -> list[Knob]:

@@ -24,6 +24,8 @@ class Observations:
         # name -> (path, height, width)
         self.images: dict[str, tuple[tuple[str, ...], int, int]] = {}
         self._add(space, ())
+        # The whole observation is one vector.
+        self._single = list(self.vectors.values()) == [((), self.vectors["observation"][1])] if "observation" in self.vectors else False
 
     def _add(self, space: spaces.Space, path: tuple[str, ...]) -> None:
         name = task_name(".".join(path)) if path else "observation"
@@ -46,6 +48,8 @@ class Observations:
 
     def encode(self, observation: Any) -> dict[str, list[float]]:
         """The vectors of an observation."""
+        if self._single and type(observation) is np.ndarray and observation.ndim == 1 and observation.dtype == np.float64:
+            return {"observation": observation.tolist()}
         return {name: np.asarray(_at(observation, path), dtype=float).ravel().tolist() for name, (path, _) in self.vectors.items()}
 
     def image(self, observation: Any, name: str) -> np.ndarray:
@@ -86,6 +90,8 @@ class Actions:
         self.names = list(names) or [f"action_{i}" for i in range(len(low))]
         if len(self.names) != len(low):
             raise DeclarationError(f"the task names {len(self.names)} numbers of an action, but the environment has {len(low)}")
+        # The last action that was encoded, as numbers and as an array: most often it is the next that is decoded.
+        self._last: tuple[list[float], np.ndarray] = ([], np.empty(0))
 
     def declaration(self) -> dict:
         """The action space in the form of the bridge protocol."""
@@ -93,6 +99,9 @@ class Actions:
 
     def decode(self, numbers: Sequence[float]) -> np.ndarray:
         """The action that the environment takes."""
+        last, array = self._last
+        if numbers is last:
+            return array.astype(self.dtype).reshape(self.shape)
         return self._clipped(np.asarray(numbers, dtype=float)).astype(self.dtype).reshape(self.shape)
 
     def encode(self, action: Any) -> list[float]:
@@ -100,7 +109,9 @@ class Actions:
         numbers = np.asarray(action, dtype=float).ravel()
         if len(numbers) != len(self.low):
             raise ValueError(f"the policy returned {len(numbers)} numbers. Expected {len(self.low)}")
-        return self._clipped(numbers).tolist()
+        array = self._clipped(numbers)
+        self._last = (array.tolist(), array)
+        return self._last[0]
 
     def _clipped(self, numbers: np.ndarray) -> np.ndarray:
         # The same as `np.clip`, three times as fast for a few numbers.

@@ -1,5 +1,7 @@
 //! Pairs the rows of two datasets by scenario.
 
+use std::collections::BTreeSet;
+
 use robogate_dictionary::{Column, DictionaryError};
 use robogate_stats::compare::Pairs;
 
@@ -21,6 +23,14 @@ impl Design {
         };
         Ok(Self { rows, seeds })
     }
+
+    /// This design without episodes of an active stage that the other one lacks: each campaign has its own model, and only the
+    /// episodes that no model chose can have the same scenario.
+    fn shared_with(&self, own: &Dataset<'_>, dataset: &Dataset<'_>, other: &Self) -> Self {
+        let there: BTreeSet<u64> = other.rows.iter().map(|row| dataset.table.index[*row]).collect();
+        let keep = |row: &usize| !own.table.is_uniform_part(*row) || there.contains(&own.table.index[*row]);
+        Self { rows: self.rows.iter().copied().filter(keep).collect(), seeds: self.seeds.clone() }
+    }
 }
 
 /// Two datasets with their rows in pairs.
@@ -41,9 +51,10 @@ impl<'a> PairedRows<'a> {
         second: &'a Dataset<'a>,
         two: &Design,
     ) -> Result<Self, String> {
-        match difference(first, one, second, two) {
+        let (one, two) = (one.shared_with(first, second, two), two.shared_with(second, first, one));
+        match difference(first, &one, second, &two) {
             Some(difference) => Err(difference),
-            None => Ok(Self { first, second, rows: one.rows.iter().copied().zip(two.rows.iter().copied()).collect() }),
+            None => Ok(Self { first, second, rows: one.rows.into_iter().zip(two.rows).collect() }),
         }
     }
 

@@ -32,7 +32,8 @@ pub(crate) fn analysis_document(analysis: &Analysis, additions: &Additions<'_>) 
         kind: "failure report",
         title: title(analysis),
         subtitle: format!(
-            "{} in {engine} \u{b7} dataset {}",
+            "{}{} in {engine} \u{b7} dataset {}",
+            if is_unknown(&subject.task) { String::new() } else { format!("Task {} \u{b7} ", subject.task) },
             counted(subject.episodes, "episode"),
             subject.dataset_hash.get(..12).unwrap_or(&subject.dataset_hash)
         ),

@@ -8,7 +8,7 @@ mod readback;
 mod table;
 
 use robogate_core::{Assignment, Domain, ParameterSpace, ParameterSpec};
-use robogate_physics::{Gripper, Object, Visual};
+use robogate_physics::{Gripper, GripperUnit, Object, Visual};
 
 use super::{Disturbance, Shape};
 
@@ -49,6 +49,10 @@ pub struct SceneParameters {
     pub size_m: f64,
     /// `ik_noise_rad`
     pub ik_noise_rad: f64,
+    /// `unit_bias_1_rad` to `unit_bias_7_rad`
+    pub encoder_bias_rad: [f64; 7],
+    /// `grip_force_scale`, `pad_friction_scale`
+    pub gripper: GripperUnit,
     /// `obstacles`
     pub obstacles: usize,
     /// `shape`
@@ -97,6 +101,8 @@ impl SceneParameters {
             com_offset: f64::NAN,
             size_m: f64::NAN,
             ik_noise_rad: f64::NAN,
+            encoder_bias_rad: [f64::NAN; 7],
+            gripper: GripperUnit { force_scale: f64::NAN, pad_friction_scale: f64::NAN },
             obstacles: 0,
             shape: Shape::Box,
             placement: String::new(),
@@ -159,6 +165,11 @@ impl SceneParameters {
             row_for(name, gripper)?.set(&mut parameters, value)?;
         }
         Ok(parameters)
+    }
+
+    /// Friction coefficient of the object against the pads.
+    pub fn pad_friction(&self) -> f64 {
+        self.friction * self.gripper.pad_friction_scale
     }
 
     /// The object described by these parameters.

@@ -28,6 +28,8 @@ pub(crate) struct ReadbackContext<'a> {
     pub(crate) visual: &'a Visual,
     /// Threshold of the suction cup in metres; `None` without a cup.
     pub(crate) grip_threshold_m: Option<f64>,
+    /// Grip force as a multiple of the robot's setting; `None` if the engine is in another process.
+    pub(crate) grip_force_scale: Option<f64>,
     /// The briefing that the policy receives.
     pub(crate) briefing: &'a Briefing,
 }
@@ -134,7 +136,11 @@ pub(super) fn position_jitter(context: &ReadbackContext<'_>) -> f64 {
 
 /// The bound of the episode's encoder biases. `NaN` if they do not match this episode's draws.
 pub(super) fn encoder_bias(context: &ReadbackContext<'_>) -> f64 {
-    let (biases, draws) = (&context.cell.bias, &context.cell.draws.encoders);
+    let draws = &context.cell.draws.encoders;
+    let fixed = &context.cell.parameters.encoder_bias_rad;
+    // The biases of the unit, which do not change between episodes, are added to those of the episode.
+    let biases: Vec<f64> =
+        context.cell.bias.iter().enumerate().map(|(j, bias)| bias - fixed.get(j).unwrap_or(&0.0)).collect();
     let requested = context.cell.parameters.ik_noise_rad;
     // Least squares over the joints.
     let product: f64 = biases.iter().zip(draws).map(|(bias, draw)| bias * draw).sum();
@@ -142,6 +148,25 @@ pub(super) fn encoder_bias(context: &ReadbackContext<'_>) -> f64 {
     let bound = if (estimate - requested).abs() < ROUNDING { requested } else { estimate };
     let drawn = biases.iter().zip(draws).all(|(bias, draw)| (bias - bound * draw).abs() < ROUNDING);
     if drawn && biases.len() == draws.len() { bound } else { f64::NAN }
+}
+
+/// The constant bias of the encoder of joint `J`, in radians. `NaN` if the robot has no such joint.
+pub(super) fn unit_bias<const J: usize>(context: &ReadbackContext<'_>) -> f64 {
+    let (bias, draw) = (context.cell.bias.get(J), context.cell.draws.encoders.get(J));
+    let (Some(bias), Some(draw)) = (bias, draw) else { return f64::NAN };
+    let read = bias - context.cell.parameters.ik_noise_rad * draw;
+    let requested = context.cell.parameters.encoder_bias_rad[J];
+    if (read - requested).abs() < ROUNDING { requested } else { read }
+}
+
+/// Friction against the pads as a multiple of that against everything else. `NaN` without pads.
+pub(super) fn pad_friction_scale(context: &ReadbackContext<'_>) -> f64 {
+    match (context.engine.pad_friction, context.engine.friction) {
+        // A multiple of no friction cannot be read, and has no effect.
+        (Some(pads), others) if pads.abs() + others.abs() <= 0.0 => context.cell.parameters.gripper.pad_friction_scale,
+        (Some(pads), others) => pads / others,
+        (None, _) => f64::NAN,
+    }
 }
 
 pub(super) fn obstacles(context: &ReadbackContext<'_>) -> usize {
@@ -189,7 +214,7 @@ pub(super) fn disturbance(context: &ReadbackContext<'_>) -> Disturbance {
 #[cfg(test)]
 mod tests {
     use robogate_core::{Assignment, Fault, FaultKind, Scenario, Seed, Value, check_applied};
-    use robogate_physics::built_in_robot;
+    use robogate_physics::{GripperUnit, built_in_robot};
 
     use super::*;
     use crate::pick_place::Rules;
@@ -206,6 +231,7 @@ mod tests {
         Readback {
             friction: scene.friction,
             table_friction: scene.table_friction.unwrap_or(scene.friction),
+            pad_friction: Some(scene.friction * scene.gripper.pad_friction_scale),
             gravity: scene.gravity,
             arm_stiffness: Some(scene.arm_stiffness),
             mass_kg: scene.object.mass.mass_kg,
@@ -230,8 +256,14 @@ mod tests {
         let mut grip_threshold_m = Some(cell.parameters.grip_threshold_m);
         change(&mut cell, &mut briefing, &mut grip_threshold_m);
         let (engine, visual) = (faithful(&cell), cell.scene.visual);
-        let context =
-            ReadbackContext { cell: &cell, engine: &engine, visual: &visual, grip_threshold_m, briefing: &briefing };
+        let context = ReadbackContext {
+            cell: &cell,
+            engine: &engine,
+            visual: &visual,
+            grip_threshold_m,
+            grip_force_scale: Some(cell.scene.gripper.force_scale),
+            briefing: &briefing,
+        };
         check_applied(&scenario.requested, &context.applied(&scenario.requested))
     }
 
@@ -247,6 +279,19 @@ mod tests {
         assert_not_applied(check("franka", noise(), |cell, _, _| cell.bias.iter_mut().for_each(|bias| *bias *= 1.01)));
         assert_not_applied(check("franka", noise(), |cell, _, _| cell.bias.swap(0, 1)));
         assert_not_applied(check("franka", noise(), |cell, _, _| cell.bias.truncate(6)));
+    }
+
+    #[test]
+    fn unit_parameters_are_read_from_drives() {
+        let bias = || ("unit_bias_4_rad", Value::Number(0.01));
+        check("franka", bias(), |_, _, _| {}).unwrap();
+        assert_not_applied(check("franka", bias(), |cell, _, _| cell.bias[3] = 0.0));
+        assert_not_applied(check("franka", bias(), |cell, _, _| cell.bias.truncate(3)));
+        for name in ["grip_force_scale", "pad_friction_scale"] {
+            let scale = || (name, Value::Number(0.7));
+            check("franka", scale(), |_, _, _| {}).unwrap();
+            assert_not_applied(check("franka", scale(), |cell, _, _| cell.scene.gripper = GripperUnit::default()));
+        }
     }
 
     #[test]

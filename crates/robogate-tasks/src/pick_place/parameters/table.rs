@@ -33,6 +33,10 @@ pub enum ActsOn {
     Engine,
     /// The suction cup: the parameter needs one.
     Cup,
+    /// The drive of the gripper.
+    Gripper,
+    /// The pads of a jaw: the parameter needs one.
+    Pads,
     /// The encoders, whose readings the servo and the policy use.
     Encoders,
     /// The policy, which receives the value with its task.
@@ -47,6 +51,8 @@ impl ActsOn {
         match self {
             Self::Engine => "state of the engine",
             Self::Cup => "suction cup",
+            Self::Gripper => "drive of the gripper",
+            Self::Pads => "contact of the pads",
             Self::Encoders => "encoder biases",
             Self::Policy => "task that the policy receives",
             Self::Cameras => "lamp, surfaces and poses of the cameras",
@@ -116,7 +122,11 @@ impl ParameterRow {
 
     /// Whether the parameter applies to a robot with this gripper.
     pub fn applies_to(&self, gripper: &Gripper) -> bool {
-        self.acts_on != ActsOn::Cup || gripper.cup().is_some()
+        match self.acts_on {
+            ActsOn::Cup => gripper.cup().is_some(),
+            ActsOn::Pads => gripper.jaw().is_some(),
+            _ => true,
+        }
     }
 
     pub(super) fn set(&self, parameters: &mut SceneParameters, value: &Value) -> Result<(), ParameterError> {
@@ -210,10 +220,21 @@ const fn number([low, high]: [f64; 2], nominal: f64, set: fn(&mut SceneParameter
     Access::Number { range: [low, high], nominal: Some(nominal), set, read }
 }
 
-use ActsOn::{Cameras, Cup, Encoders, Engine, Policy};
+/// The row of the constant bias of joint `J`'s encoder.
+const fn encoder_bias<const J: usize>(name: &'static str) -> ParameterRow {
+    row(
+        name,
+        "rad",
+        Encoders,
+        "Constant bias of this joint's encoder (counted from the base): measured minus true position. It is added to that of `ik_noise_rad`.",
+        number([-0.1, 0.1], 0.0, |p, x| p.encoder_bias_rad[J] = x, readback::unit_bias::<J>),
+    )
+}
+
+use ActsOn::{Cameras, Cup, Encoders, Engine, Pads, Policy};
 
 /// Every parameter of the task.
-pub(super) static TABLE: [ParameterRow; 30] = [
+pub(super) static TABLE: [ParameterRow; 39] = [
     row(
         "friction",
         "",
@@ -461,6 +482,27 @@ pub(super) static TABLE: [ParameterRow; 30] = [
             set: |p, word| Color::from_hex(word).map(|color| p.visual.object_color = color),
             read: |c| c.visual.object_color.to_string(),
         },
+    ),
+    encoder_bias::<0>("unit_bias_1_rad"),
+    encoder_bias::<1>("unit_bias_2_rad"),
+    encoder_bias::<2>("unit_bias_3_rad"),
+    encoder_bias::<3>("unit_bias_4_rad"),
+    encoder_bias::<4>("unit_bias_5_rad"),
+    encoder_bias::<5>("unit_bias_6_rad"),
+    encoder_bias::<6>("unit_bias_7_rad"),
+    row(
+        "grip_force_scale",
+        "",
+        ActsOn::Gripper,
+        "Force of the pads, or vacuum of the cup, as a multiple of the robot's setting.",
+        number([0.05, 2.0], 1.0, |p, x| p.gripper.force_scale = x, |c| c.grip_force_scale.unwrap_or(f64::NAN)),
+    ),
+    row(
+        "pad_friction_scale",
+        "",
+        Pads,
+        "Friction coefficient of the object against the pads, as a multiple of `friction`.",
+        number([0.05, 2.0], 1.0, |p, x| p.gripper.pad_friction_scale = x, readback::pad_friction_scale),
     ),
 ];
 

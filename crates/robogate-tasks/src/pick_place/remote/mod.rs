@@ -24,9 +24,9 @@ use robogate_physics::{ArmState, Chain, Fixture, Gripper, Robot, grip_force, iso
 use crate::arm::{camera_specs, render};
 use crate::pick_place::cell::ResolvedCell;
 use crate::pick_place::judge::{Acting, Judge};
-use crate::pick_place::parameters;
 use crate::pick_place::simulator::show;
 use crate::pick_place::spec::spec;
+use crate::pick_place::{ActsOn, parameters};
 use crate::pick_place::{PickPlaceForesight, Rules};
 
 /// Largest distance between the reported tool pose and the tool pose computed from the reported joint positions at the
@@ -159,8 +159,8 @@ impl RemotePickPlace {
         let visual = show(&mut self.cameras, &cell);
         self.seen = Some(self.posture(observation, seen.object));
         let engine = held.into();
-        // Suction cups are supported only by an engine in this process.
-        let acting = Acting { engine: &engine, visual: &visual, grip_threshold_m: None };
+        // Suction cups and deviations of the gripper are supported only by an engine in this process.
+        let acting = Acting { engine: &engine, visual: &visual, grip_threshold_m: None, grip_force_scale: None };
         self.judge.start(&scenario, cell, acting, &touches, arm_state(observation))
     }
 
@@ -231,6 +231,11 @@ impl RemotePickPlace {
 /// Whether a parameter acts in this process (on encoders, policy or cameras), so the engine need not apply it.
 pub fn is_local(parameter: &str) -> bool {
     parameters().iter().any(|row| row.name == parameter && row.acts_on.is_local())
+}
+
+/// Whether an engine in another process may have a parameter.
+pub fn is_for_engines(parameter: &str) -> bool {
+    parameters().iter().any(|row| row.name == parameter && row.acts_on == ActsOn::Engine)
 }
 
 fn arm_state(observation: &Observation) -> ArmState {

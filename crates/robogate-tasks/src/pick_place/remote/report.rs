@@ -200,6 +200,8 @@ impl From<RemoteReadback> for Readback {
         Self {
             friction: held.friction,
             table_friction: held.table_friction,
+            // Engines of other processes have no parameter for it.
+            pad_friction: None,
             gravity: held.gravity_m_s2,
             arm_stiffness: None,
             mass_kg: held.mass_kg,

@@ -16,7 +16,7 @@ use crate::commands::leaderboard::print;
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit};
 use crate::source::open_source;
-use crate::terminal::{line, note};
+use crate::terminal::{line, warning};
 
 /// The pages in the folder of a sweep.
 const PAGES: [&str; 2] = ["leaderboard.html", "leaderboard.md"];
@@ -28,12 +28,12 @@ pub(crate) fn merge(dir: &Path, plan: &SweepPlan, as_json: bool) -> Result<u8, E
         let folder = run.dir(dir);
         let mut events = |event: &Event| {
             if let Event::Warning { message, .. } = event {
-                note(format_args!("warning: {}: {message}", run.name));
+                warning(format_args!("{}: {message}", run.name));
             }
         };
         let merged = shard::open(&folder).and_then(|campaign| campaign.merge_quietly(&folder, &mut events));
         if let Err(exit) = merged {
-            note(format_args!("{}: {exit}", run.name));
+            warning(format_args!("{}: {exit}", run.name));
             failed.push(run.name.clone());
         }
     }

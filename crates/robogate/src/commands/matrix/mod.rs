@@ -16,6 +16,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
+use robogate_core::budget::Budget;
+use robogate_dictionary::read_text;
 
 use crate::commands::run::free_folder;
 use crate::exit::{Exit, OrExit};
@@ -79,7 +81,7 @@ impl Matrix {
     }
 
     fn plan(&self) -> anyhow::Result<SweepPlan> {
-        let text = fs::read_to_string(&self.sweep).context("cannot read the file of the sweep")?;
+        let text = read_text(&self.sweep).context("cannot read the file of the sweep")?;
         let base = self.sweep.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         Sweep::parse(&text)?.plan(base, self.divide)
     }
@@ -127,8 +129,9 @@ pub(crate) fn open(dir: &Path) -> Result<Option<SweepPlan>, Exit> {
     if !path.is_file() {
         return Ok(None);
     }
-    let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display())).or_broken()?;
-    let plan: SweepPlan = serde_json::from_str(&text)
+    let text = read_text(&path).with_context(|| format!("cannot read {}", path.display())).or_broken()?;
+    let plan: SweepPlan = Budget::FILE
+        .json(text.as_bytes())
         .with_context(|| format!("{}: not the plan of a sweep", path.display()))
         .or_usage()?;
     if plan.version != VERSION {

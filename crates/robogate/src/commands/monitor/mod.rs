@@ -8,6 +8,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
+use robogate_core::budget::Budget;
+use robogate_dictionary::read_text;
 use robogate_monitor::service::ServiceSettings;
 use robogate_monitor::{EventSettings, Reference, default_events};
 
@@ -71,7 +73,7 @@ impl Watched {
 }
 
 fn settings(path: &Path) -> Result<ServiceSettings, Exit> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+    let text = read_text(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
     let context = || format!("{}", path.display());
     let mut table: toml::Table = toml::from_str(&text).with_context(context).or_usage()?;
     let renamed = table.get_mut("detectors").and_then(toml::Value::as_table_mut).map_or_else(Vec::new, rename);
@@ -106,11 +108,11 @@ fn rename(detectors: &mut toml::Table) -> Vec<(String, String)> {
 }
 
 fn reference(path: &Path) -> Result<Reference, Exit> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+    let text = read_text(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
     let hint = || {
         format!("{}: not a monitor reference file. Create one with `robogate monitor reference RUN`", path.display())
     };
-    let reference: Reference = serde_json::from_str(&text).with_context(hint).or_usage()?;
+    let reference: Reference = Budget::FILE.json(text.as_bytes()).with_context(hint).or_usage()?;
     reference.check().with_context(|| format!("{}", path.display())).or_usage()?;
     Ok(reference)
 }

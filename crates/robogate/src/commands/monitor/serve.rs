@@ -12,14 +12,18 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use clap::{Args, ValueEnum};
+use robogate_analysis::shell_word;
+use robogate_core::{Outcome, Value};
+use robogate_dictionary::read_text;
 use robogate_monitor::service::{
-    Broker, Deliver, Handle, HttpError, Intake, Output, ServiceEngine, Store, Taken, json_lines, of_rule, serve,
-    webhook,
+    Broker, Deliver, Episodes, Handle, HttpError, Intake, Output, ServiceEngine, SimulatedEpisode, Store, Taken,
+    json_lines, of_rule, serve, webhook,
 };
-use robogate_monitor::{Level, Monitor, Rule};
+use robogate_monitor::{Level, Monitor, ParameterValue, Rule};
 
 use super::Watched;
 use crate::exit::{DONE, Exit, FAIL, INFRASTRUCTURE, INVALID, OrExit};
+use crate::source::open_source;
 use crate::terminal::{grouped, note};
 
 /// Lines of a feed that are processed together.
@@ -67,8 +71,39 @@ pub(super) struct Serve {
     /// Choose which critical alarms set exit code 1 at the end of the feed
     #[arg(long, value_name = "STREAM", default_value = "guaranteed")]
     exit_on: ExitOn,
+    /// Compare failed cycles on the page with the episodes of this run, by the parameters that the cycles report
+    #[arg(long, value_name = "RUN", requires = "listen")]
+    episodes: Option<PathBuf>,
     #[command(flatten)]
     watched: Watched,
+}
+
+/// The largest number of episodes that cycles are compared with.
+const MOST_EPISODES: usize = 200_000;
+
+/// Reads the valid episodes of a run.
+fn episodes(run: &Path) -> Result<Episodes, Exit> {
+    let source = open_source(run)?;
+    let mut episodes = Vec::new();
+    for entry in source.dictionary().entries().take(MOST_EPISODES) {
+        let episode = entry.or_usage()?.episode;
+        if matches!(episode.outcome, Outcome::Invalid(_)) {
+            continue;
+        }
+        let value = |value: &Value| match value {
+            Value::Number(x) => ParameterValue::Number(*x),
+            Value::Integer(n) => ParameterValue::Number(*n as f64),
+            other => ParameterValue::Word(other.to_string()),
+        };
+        let requested = episode.scenario.requested.iter();
+        episodes.push(SimulatedEpisode {
+            index: episode.scenario.index,
+            outcome: episode.outcome.as_str().to_owned(),
+            parameters: requested.map(|(name, one)| (name.to_owned(), value(one))).collect(),
+        });
+    }
+    let folder = source.folder().unwrap_or(run);
+    Ok(Episodes::new(shell_word(&folder.display().to_string()), episodes))
 }
 
 /// The alarms that set the exit code.
@@ -105,7 +140,10 @@ impl Serve {
             None => Store::in_memory(settings.store).map_err(anyhow::Error::from),
         };
         let monitor = Monitor::new(settings.detectors).or_usage()?;
-        let intake = Intake::open(store.or_broken()?, monitor, settings.late_after_s).or_broken()?;
+        let mut intake = Intake::open(store.or_broken()?, monitor, settings.late_after_s).or_broken()?;
+        if let Some(run) = &self.episodes {
+            intake = intake.with_episodes(episodes(run)?);
+        }
         let engine = ServiceEngine::open(intake, |text| note(text));
         let ending = Arc::new(AtomicBool::new(false));
         let outputs = self.outputs(&engine, broker.as_ref())?;
@@ -222,7 +260,7 @@ fn token(path: &Path) -> Result<String, Exit> {
             .or_usage();
         }
     }
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+    let text = read_text(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
     Ok(text.trim().to_owned())
 }
 

@@ -1,0 +1,60 @@
+//! Tests of the columns of the explorer.
+
+use robogate_analysis::{ExplorerTable, Role, ValueKind};
+
+use crate::synthetic::{law, provenance, space};
+
+fn column<'a>(table: &'a ExplorerTable, name: &str) -> &'a robogate_analysis::ExplorerColumn {
+    table.columns().iter().find(|column| column.name == name).unwrap()
+}
+
+#[test]
+fn columns_hold_the_rows() {
+    let space = space(&["box", "sphere"]);
+    let entries = law(&space, 100);
+    let mut table = ExplorerTable::new();
+    let run = table.add_run("a", &provenance(space.clone()));
+    entries.iter().for_each(|entry| table.push(run, entry));
+    assert_eq!(table.rows(), 100);
+    assert!(table.columns().iter().all(|column| column.values().len() == 100));
+    let friction = column(&table, "friction");
+    assert_eq!((friction.role, friction.kind, friction.log), (Role::Parameter, ValueKind::Number, true));
+    assert_eq!(friction.range, Some([0.05, 1.2]));
+    let (outcome, shape) = (column(&table, "outcome"), column(&table, "shape"));
+    assert_eq!(outcome.levels[0], "success");
+    assert_eq!(shape.levels, ["box", "sphere"]);
+    assert_eq!((column(&table, "mass_kg").label.as_str(), column(&table, "mass_kg").unit.as_str()), ("mass", "kg"));
+    for (row, entry) in entries.iter().enumerate() {
+        let requested = &entry.episode.scenario.requested;
+        assert_eq!(friction.values()[row].to_bits(), (requested.number("friction").unwrap() as f32).to_bits());
+        assert_eq!(shape.levels[shape.values()[row] as usize], requested.category("shape").unwrap());
+        assert_eq!(outcome.levels[outcome.values()[row] as usize], entry.episode.outcome.as_str());
+    }
+    // A part of the rows, column after column.
+    let bytes = table.bytes(10..30);
+    assert_eq!(bytes.len(), 4 * 20 * table.columns().len());
+    let at = table.columns().iter().position(|column| column.name == "friction").unwrap();
+    assert_eq!(bytes[4 * 20 * at..][..4], friction.values()[10].to_le_bytes());
+    assert!(table.bytes(90..110).is_empty(), "rows that do not exist");
+}
+
+#[test]
+fn runs_share_columns_of_one_name() {
+    let (first, second) = (space(&["box", "sphere"]), space(&["sphere", "cone"]));
+    let mut table = ExplorerTable::new();
+    let runs = [table.add_run("a", &provenance(first.clone())), table.add_run("b", &provenance(second.clone()))];
+    for (run, space) in runs.into_iter().zip([&first, &second]) {
+        law(space, 20).iter().for_each(|entry| table.push(run, entry));
+    }
+    let shape = column(&table, "shape");
+    assert_eq!(shape.levels, ["box", "sphere", "cone"]);
+    assert!(shape.values()[20..].iter().all(|code| *code >= 1.0));
+    let names: Vec<&str> = table.columns().iter().map(|column| column.name.as_str()).collect();
+    let mut distinct = names.clone();
+    distinct.sort_unstable();
+    distinct.dedup();
+    assert_eq!(distinct.len(), names.len(), "{names:?}");
+    assert_eq!(column(&table, "run").levels, ["a", "b"]);
+    table.clear();
+    assert_eq!((table.rows(), column(&table, "shape").levels.len()), (0, 3));
+}

@@ -1,0 +1,640 @@
+//! Drafts a `robot.toml` from a robot's model, and marks what is guessed.
+//!
+//! The arm is the chain of hinges from the base to the first body that branches into fingers, or to the end. Limits, servo
+//! gains and the home posture come from the model where it has them. A model that is not one arm is rejected.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use mujoco_rs::prelude::*;
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use robogate_core::Seed;
+
+use crate::mujoco::load_mujoco;
+use crate::robot::RobotSource;
+use crate::robot_model::{self, joint_id};
+use crate::scene::isometry;
+use crate::{Chain, MujocoEngine, Problem, Robot, RobotSettings};
+
+/// An arm has at least this many hinges in a row.
+const FEWEST_JOINTS: usize = 4;
+/// Random postures among which a home posture is sought.
+const POSTURES: usize = 20_000;
+/// Where the tool waits at home, in metres from the base: over the middle of the workspace.
+const HOME_TOOL: [f64; 3] = [0.45, 0.0, 0.30];
+/// Distance that the home posture keeps from the ends of the joints' ranges, in radians.
+const HOME_MARGIN: f64 = 0.05;
+/// Speed of a joint without a stated limit, in rad/s.
+const SPEED: f64 = 2.0;
+/// Acceleration of the joints, in rad/s^2: no model states it. MoveIt configurations of industrial arms use this value.
+const ACCELERATION: f64 = 5.0;
+/// Torque limit of a joint without one, in N m.
+const TORQUE: f64 = 100.0;
+/// Stiffness of a servo without a stated gain, in multiples of its torque limit per radian.
+const STIFFNESS: f64 = 60.0;
+/// Damping of such a servo, in multiples of its stiffness, in seconds.
+const DAMPING_S: f64 = 0.07;
+/// Distance from the fingertips back to the tool centre point, in metres.
+const TIP: f64 = 0.01;
+
+/// A drafted `robot.toml`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Draft {
+    /// The text of the file, with a comment on each guess.
+    pub text: String,
+    /// The guesses, one sentence each.
+    pub guesses: Vec<String>,
+}
+
+/// Drafts the `robot.toml` of a model (MJCF or URDF). `name` is the robot's name.
+///
+/// # Errors
+/// If the model cannot be read, or is not one arm.
+pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
+    let one = |what: String, hint: &str| vec![Problem::new(what, hint)];
+    load_mujoco().map_err(|error| one(error.to_string(), "MuJoCo reads the model"))?;
+    let file = model.file_name().map(|file| file.to_string_lossy().into_owned()).unwrap_or_default();
+    let mut spec =
+        robot_model::read(model).map_err(|error| one(error, "MuJoCo reads MJCF and URDF: correct the file"))?;
+    let raw = spec
+        .clone()
+        .compile()
+        .map_err(|error| one(error.to_string(), "this error is from MuJoCo: correct the model"))?;
+    robot_model::prepare(&mut spec, MujocoEngine::TIME_STEP_S);
+    let compiled =
+        spec.compile().map_err(|error| one(error.to_string(), "this error is from MuJoCo: correct the model"))?;
+    let text = std::fs::read_to_string(model).unwrap_or_default();
+    let tree = Tree::of(&compiled).map_err(|problem| vec![problem])?;
+    let mut draft = Writer { out: String::new(), guesses: Vec::new() };
+    let arm = ArmDraft::of(&compiled, &raw, &tree, &text);
+    let tool = Tool::of(&compiled, &tree)?;
+    let mut settings = settings(name, &file, &arm, &tool, arm.home.clone().unwrap_or_else(|| arm.middle()))?;
+    let home_is_known = arm.home.is_some();
+    let folder = model.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let chain = kinematics(&settings, folder);
+    let found = if home_is_known { None } else { chain.as_ref().and_then(sought_home) };
+    if let Some(home) = &found {
+        settings.arm.home_rad.clone_from(home);
+    }
+    if let Some(chain) = &chain {
+        settings.arm.reach_m = crate::inspect::reach(chain)[0];
+    }
+    draft.write(name, &file, &arm, &tool, &settings, (home_is_known, found.is_some()));
+    Ok(Draft { text: draft.out, guesses: draft.guesses })
+}
+
+/// The arm's joints and the body that carries the gripper.
+struct Tree {
+    /// Joints from base to tip.
+    joints: Vec<usize>,
+    /// The body of the last joint.
+    last: usize,
+    /// The body where the fingers branch. `None` without fingers.
+    palm: Option<usize>,
+    /// The joints of the gripper.
+    fingers: Vec<usize>,
+}
+
+impl Tree {
+    fn of(model: &MjModel) -> Result<Self, Problem> {
+        let bodies = model.body_parentid().len();
+        let joints_of = |body: usize| {
+            let first = model.body_jntadr()[body].max(0) as usize;
+            first..first + model.body_jntnum()[body] as usize
+        };
+        let children = |body: usize| (1..bodies).filter(move |child| model.body_parentid()[*child] as usize == body);
+        // A body comes after its parent, so counts can be added from the last body to the first.
+        let mut below = vec![0; bodies];
+        let mut deepest = vec![0; bodies];
+        for body in (1..bodies).rev() {
+            let hinges = joints_of(body).filter(|joint| model.jnt_type()[*joint] == MjtJoint::mjJNT_HINGE).count();
+            below[body] += joints_of(body).len();
+            deepest[body] += hinges;
+            let parent = model.body_parentid()[body] as usize;
+            if parent > 0 {
+                below[parent] += below[body];
+                deepest[parent] = deepest[parent].max(deepest[body]);
+            }
+        }
+        let name =
+            |joint: usize| model.id_to_name(MjtObjBase::mjOBJ_JOINT, joint).unwrap_or("(without a name)").to_owned();
+        let (mut joints, mut last, mut at) = (Vec::new(), 0, 0);
+        loop {
+            let moving: Vec<usize> = children(at).filter(|child| below[*child] > 0).collect();
+            let arms = moving.iter().filter(|child| deepest[**child] >= FEWEST_JOINTS).count();
+            let [next] = moving[..] else {
+                if moving.is_empty() && joints.len() >= FEWEST_JOINTS {
+                    return Ok(Self { joints, last, palm: None, fingers: Vec::new() });
+                }
+                if joints.len() < FEWEST_JOINTS {
+                    return Err(not_one_arm(arms, moving.len()));
+                }
+                let fingers = moving.iter().flat_map(|child| subtree(model, *child)).flat_map(joints_of).collect();
+                return Ok(Self { joints, last, palm: Some(at), fingers });
+            };
+            for joint in joints_of(next) {
+                match model.jnt_type()[joint] {
+                    MjtJoint::mjJNT_HINGE => {
+                        joints.push(joint);
+                        last = next;
+                    }
+                    MjtJoint::mjJNT_SLIDE if joints.len() >= FEWEST_JOINTS => {
+                        return Err(Problem::new(
+                            format!("`{}` is the only finger that moves", name(joint)),
+                            "only grippers with two moving fingers are supported",
+                        ));
+                    }
+                    MjtJoint::mjJNT_SLIDE => {
+                        return Err(Problem::new(
+                            format!(
+                                "`{}` slides between the base and the arm: mobile and gantry robots are not supported",
+                                name(joint)
+                            ),
+                            "fix the joint in the model, so that the arm's base stands still",
+                        ));
+                    }
+                    _ => {
+                        return Err(Problem::new(
+                            format!("`{}` moves the base freely: mobile robots are not supported", name(joint)),
+                            "fix the base to the world in the model",
+                        ));
+                    }
+                }
+            }
+            at = next;
+        }
+    }
+}
+
+/// The reason why a model with these branches at its base is not one arm.
+fn not_one_arm(arms: usize, branches: usize) -> Problem {
+    match (arms, branches) {
+        (2.., _) => Problem::new(
+            format!("the model has {arms} arms: robots with several arms are not supported"),
+            "write a model with one of the arms, and fix or remove the others",
+        ),
+        (_, 0 | 1) => Problem::new(
+            format!("the model has fewer than {FEWEST_JOINTS} hinges in a row: it is not an arm"),
+            "check that the joints are hinges (URDF: type=\"revolute\") and not fixed",
+        ),
+        _ => Problem::new(
+            format!("the base has {branches} moving parts, such as wheels or legs: mobile robots are not supported"),
+            "fix or remove everything that moves except the arm and its gripper",
+        ),
+    }
+}
+
+/// A body and all bodies that it carries.
+fn subtree(model: &MjModel, root: usize) -> Vec<usize> {
+    let mut found = vec![root];
+    for body in root + 1..model.body_parentid().len() {
+        if found.contains(&(model.body_parentid()[body] as usize)) {
+            found.push(body);
+        }
+    }
+    found
+}
+
+/// The arm's figures. `None` where the model has none.
+struct ArmDraft {
+    names: Vec<String>,
+    ranges: Vec<[f64; 2]>,
+    home: Option<Vec<f64>>,
+    velocity: Vec<Option<f64>>,
+    torque: Vec<Option<f64>>,
+    gains: Vec<Option<[f64; 2]>>,
+}
+
+impl ArmDraft {
+    fn of(model: &MjModel, raw: &MjModel, tree: &Tree, text: &str) -> Self {
+        let name = |joint: &usize| model.id_to_name(MjtObjBase::mjOBJ_JOINT, *joint).unwrap_or_default().to_owned();
+        let names: Vec<String> = tree.joints.iter().map(name).collect();
+        let drive = |joint: &usize| {
+            (0..model.actuator_trnid().len()).find(|actuator| {
+                model.actuator_trntype()[*actuator] == MjtTrn::mjTRN_JOINT
+                    && model.actuator_trnid()[*actuator][0] == *joint as i32
+            })
+        };
+        let torque = |joint: &usize| {
+            let limited = model.jnt_actfrclimited()[*joint].then(|| model.jnt_actfrcrange()[*joint][1]);
+            let driven = drive(joint).filter(|actuator| model.actuator_forcelimited()[*actuator]);
+            limited
+                .or_else(|| driven.map(|actuator| model.actuator_forcerange()[actuator][1]))
+                .filter(|limit| *limit > 0.0)
+        };
+        // A position servo: force = kp (ctrl - q) - kv dq.
+        let gains = |joint: &usize| {
+            let actuator = drive(joint)?;
+            let (gain, bias) = (model.actuator_gainprm()[actuator][0], model.actuator_biasprm()[actuator]);
+            let damping = -bias[2] + model.dof_damping()[model.jnt_dofadr()[*joint] as usize];
+            (gain > 0.0 && (gain + bias[1]).abs() < 1e-9 * gain && damping > 0.0).then_some([gain, damping])
+        };
+        Self {
+            ranges: tree
+                .joints
+                .iter()
+                .map(|joint| {
+                    if model.jnt_limited()[*joint] {
+                        model.jnt_range()[*joint]
+                    } else {
+                        [-std::f64::consts::PI, std::f64::consts::PI]
+                    }
+                })
+                .collect(),
+            home: home(raw, &names),
+            velocity: names.iter().map(|name| urdf_velocity(text, name)).collect(),
+            torque: tree.joints.iter().map(torque).collect(),
+            gains: tree.joints.iter().map(gains).collect(),
+            names,
+        }
+    }
+
+    fn middle(&self) -> Vec<f64> {
+        self.ranges
+            .iter()
+            .map(|[low, high]| 0.0_f64.clamp(low + HOME_MARGIN, (high - HOME_MARGIN).max(low + HOME_MARGIN)))
+            .collect()
+    }
+}
+
+/// The posture of the keyframe `home`, or of the only keyframe.
+fn home(model: &MjModel, joints: &[String]) -> Option<Vec<f64>> {
+    let nq = model.qpos0().len();
+    let keys = model.key_qpos().len() / nq.max(1);
+    let key = model.name_to_id(MjtObjBase::mjOBJ_KEY, "home").or_else(|| (keys == 1).then_some(0))?;
+    let position =
+        |name: &String| model.key_qpos().get(key * nq + model.jnt_qposadr()[joint_id(model, name)?] as usize).copied();
+    joints.iter().map(position).collect()
+}
+
+/// The velocity limit of a joint of a URDF, in rad/s. MuJoCo does not read it.
+fn urdf_velocity(text: &str, joint: &str) -> Option<f64> {
+    let start = [format!("name=\"{joint}\""), format!("name='{joint}'")]
+        .iter()
+        .flat_map(|name| text.match_indices(name.as_str()).map(|(at, _)| at).collect::<Vec<_>>())
+        .find(|at| text[..*at].trim_end().ends_with("<joint"))?;
+    let element = text[start..].split("</joint>").next()?;
+    let value = element.split("velocity=").nth(1)?;
+    let quote = value.chars().next().filter(|quote| "\"'".contains(*quote))?;
+    value[1..].split(quote).next()?.trim().parse().ok().filter(|speed: &f64| *speed > 0.0 && speed.is_finite())
+}
+
+/// The frames and the gripper.
+struct Tool {
+    /// Sites to add: name, body, position in metres, and roll, pitch and yaw.
+    sites: Vec<(String, String, [f64; 3], [f64; 3])>,
+    flange: String,
+    tcp: String,
+    /// `[gripper]` as TOML.
+    gripper: toml::Table,
+    guesses: Vec<String>,
+}
+
+impl Tool {
+    fn of(model: &MjModel, tree: &Tree) -> Result<Self, Vec<Problem>> {
+        let body_name = |body: usize| model.id_to_name(MjtObjBase::mjOBJ_BODY, body).unwrap_or_default().to_owned();
+        let palm = tree.palm.unwrap_or_else(|| end_of(model, tree.last));
+        let mut tool = Self {
+            sites: Vec::new(),
+            flange: String::new(),
+            tcp: String::new(),
+            gripper: toml::Table::new(),
+            guesses: Vec::new(),
+        };
+        let bodies: Vec<usize> = subtree(model, tree.last);
+        let site = |words: &[&str]| {
+            (0..model.site_bodyid().len()).find(|site| {
+                let name = model.id_to_name(MjtObjBase::mjOBJ_SITE, *site).unwrap_or_default().to_lowercase();
+                bodies.contains(&(model.site_bodyid()[*site] as usize)) && words.iter().any(|word| name.contains(word))
+            })
+        };
+        let site_name = |site: usize| model.id_to_name(MjtObjBase::mjOBJ_SITE, site).unwrap_or_default().to_owned();
+        match site(&["flange", "attachment", "tool0"]) {
+            Some(found) => tool.flange = site_name(found),
+            None => {
+                let carrier = named_body(model, &bodies, &["flange", "tool0"]).unwrap_or(tree.last);
+                tool.sites.push(("flange".to_owned(), body_name(carrier), [0.0; 3], [0.0; 3]));
+                tool.flange = "flange".to_owned();
+                tool.guesses.push(format!("the flange is at the frame of the body `{}`", body_name(carrier)));
+            }
+        }
+        let jaw = tree.palm.map(|palm| Jaw::of(model, tree, palm)).transpose()?;
+        let known = site(&["tcp", "grip", "pinch", "tool_center"])
+            .or_else(|| if jaw.is_none() { site(&["tool", "ee"]) } else { None });
+        match (known, &jaw) {
+            (Some(found), _) => tool.tcp = site_name(found),
+            (None, Some(jaw)) => {
+                let at = jaw.tcp;
+                let (roll, pitch, yaw) = at.rotation.euler_angles();
+                tool.sites.push(("tcp".to_owned(), body_name(palm), at.translation.vector.into(), [roll, pitch, yaw]));
+                tool.tcp = "tcp".to_owned();
+                tool.guesses.push(format!(
+                    "the tool centre point is {} mm behind the fingertips, in the middle between the pads",
+                    1e3 * TIP
+                ));
+            }
+            (None, None) => {
+                let carrier = named_body(model, &bodies, &["tcp", "tool", "ee_link", "end_effector"]).unwrap_or(palm);
+                tool.sites.push(("tcp".to_owned(), body_name(carrier), [0.0; 3], [0.0; 3]));
+                tool.tcp = "tcp".to_owned();
+                tool.guesses
+                    .push(format!("the tool centre point is at the frame of the body `{}`", body_name(carrier)));
+            }
+        }
+        match &jaw {
+            Some(jaw) => tool.add_jaw(jaw),
+            None => tool.add_cup(&body_name(palm)),
+        }
+        Ok(tool)
+    }
+
+    fn add_jaw(&mut self, jaw: &Jaw) {
+        let strings = |names: &[String; 2]| toml::Value::from(names.to_vec());
+        let force = jaw.force_n.unwrap_or(30.0);
+        for (key, value) in [
+            ("kind", toml::Value::from("parallel_jaw")),
+            ("finger_joints", strings(&jaw.joints)),
+            ("finger_bodies", strings(&jaw.bodies)),
+            ("opening_m", rounded(jaw.opening_m)),
+            ("finger_speed_m_s", 0.05.into()),
+            ("force_n", rounded(force.min(30.0))),
+            ("force_limit_n", rounded(force.max(30.0))),
+            ("stiffness_n_m", 10_000.0.into()),
+            ("damping_ns_m", 100.0.into()),
+            ("tip_m", TIP.into()),
+            ("palm_m", rounded(jaw.palm_m)),
+        ] {
+            self.gripper.insert(key.to_owned(), value);
+        }
+        self.guesses.push("speed, force, stiffness and damping of the fingers".to_owned());
+        self.guesses
+            .push("the fingers' zero is where the pads meet, so the opening is the sum of their ranges".to_owned());
+    }
+
+    fn add_cup(&mut self, body: &str) {
+        for (key, value) in [
+            ("kind", toml::Value::from("suction")),
+            ("cup_body", body.into()),
+            ("cup_diameter_m", 0.04.into()),
+            ("vacuum_pa", 60_000.0.into()),
+        ] {
+            self.gripper.insert(key.to_owned(), value);
+        }
+        self.guesses.push(format!(
+            "the model has no fingers, so the gripper is a suction cup of 40 mm at 60 kPa on the body `{body}`, with its lip at the tool centre point"
+        ));
+    }
+}
+
+/// A number with six decimals.
+fn rounded(x: f64) -> toml::Value {
+    ((x * 1e6).round() / 1e6).into()
+}
+
+/// The last body that is fixed to `body`.
+fn end_of(model: &MjModel, body: usize) -> usize {
+    let fixed = |other: &usize| model.body_weldid()[*other] == model.body_weldid()[body];
+    subtree(model, body).into_iter().rfind(fixed).unwrap_or(body)
+}
+
+fn named_body(model: &MjModel, bodies: &[usize], words: &[&str]) -> Option<usize> {
+    let named = |body: &&usize| {
+        let name = model.id_to_name(MjtObjBase::mjOBJ_BODY, **body).unwrap_or_default().to_lowercase();
+        words.iter().any(|word| name.contains(word))
+    };
+    bodies.iter().rev().find(named).copied()
+}
+
+/// Two fingers that slide.
+struct Jaw {
+    joints: [String; 2],
+    bodies: [String; 2],
+    opening_m: f64,
+    force_n: Option<f64>,
+    palm_m: f64,
+    /// The tool centre point in the palm's frame.
+    tcp: Isometry3<f64>,
+}
+
+impl Jaw {
+    fn of(model: &MjModel, tree: &Tree, palm: usize) -> Result<Self, Vec<Problem>> {
+        let name = |kind, id: usize| model.id_to_name(kind, id).unwrap_or_default().to_owned();
+        let slides: Vec<usize> =
+            tree.fingers.iter().copied().filter(|j| model.jnt_type()[*j] == MjtJoint::mjJNT_SLIDE).collect();
+        let ([first, second], true) = (&slides[..], slides.len() == tree.fingers.len()) else {
+            let names: Vec<String> = tree.fingers.iter().map(|joint| name(MjtObjBase::mjOBJ_JOINT, *joint)).collect();
+            return Err(vec![Problem::new(
+                format!("the gripper has the joints {}: only two fingers that slide are supported", names.join(", ")),
+                "replace the fingers in the model by two sliding ones with the same pads and opening",
+            )]);
+        };
+        let carrier = |joint: &usize| model.jnt_bodyid()[*joint] as usize;
+        let mut data = MjData::new(Box::new(model.clone()));
+        data.forward();
+        let frame = isometry(&data.xpos()[palm], &data.xquat()[palm]);
+        // The corners of the fingers' shapes in the palm's frame, at joint positions 0.
+        let mut corners: Vec<Vector3<f64>> = Vec::new();
+        for geom in 0..model.geom_bodyid().len() {
+            let body = model.body_weldid()[model.geom_bodyid()[geom] as usize];
+            let on_finger = [first, second].iter().any(|joint| model.body_weldid()[carrier(joint)] == body);
+            if !on_finger || (model.geom_contype()[geom] == 0 && model.geom_conaffinity()[geom] == 0) {
+                continue;
+            }
+            let [x, y, z, a, b, c] = model.geom_aabb()[geom];
+            let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_row_slice(&data.geom_xmat()[geom]));
+            let at = Isometry3::from_parts(
+                Translation3::from(Vector3::from(data.geom_xpos()[geom])),
+                UnitQuaternion::from_rotation_matrix(&rotation),
+            );
+            for (i, j, k) in [-1.0, 1.0]
+                .iter()
+                .flat_map(|i| [-1.0, 1.0].map(|j| (*i, j)))
+                .flat_map(|(i, j)| [-1.0, 1.0].map(|k| (i, j, k)))
+            {
+                let corner = at * Point3::new(x + i * a, y + j * b, z + k * c);
+                corners.push(frame.inverse_transform_point(&corner).coords);
+            }
+        }
+        if corners.is_empty() {
+            return Err(vec![Problem::new(
+                "the fingers have no collision shape",
+                "give them geoms with contype or conaffinity, or <collision> elements",
+            )]);
+        }
+        // The fingers close along y; z points from the palm to their tips.
+        let along = frame.rotation.inverse()
+            * (isometry(&data.xpos()[carrier(first)], &data.xquat()[carrier(first)]).rotation
+                * Vector3::from(model.jnt_axis()[*first]));
+        let y = along.normalize();
+        let middle = corners.iter().sum::<Vector3<f64>>() / corners.len() as f64;
+        let outwards = middle - y * middle.dot(&y);
+        let z = if outwards.norm() > 1e-6 { outwards.normalize() } else { y.cross(&Vector3::x()).normalize() };
+        let tip = corners.iter().map(|corner| corner.dot(&z)).fold(f64::NEG_INFINITY, f64::max);
+        let base = corners.iter().map(|corner| corner.dot(&z)).fold(f64::INFINITY, f64::min);
+        let side = middle - z * middle.dot(&z);
+        let rotation =
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[
+                y.cross(&z),
+                y,
+                z,
+            ])));
+        let tcp = Isometry3::from_parts(Translation3::from(side - y * side.dot(&y) + z * (tip - TIP)), rotation);
+        let pair = |of: &dyn Fn(&usize) -> String| [of(first), of(second)];
+        let limit = |joint: &usize| model.jnt_actfrclimited()[*joint].then(|| model.jnt_actfrcrange()[*joint][1]);
+        Ok(Self {
+            joints: pair(&|joint| name(MjtObjBase::mjOBJ_JOINT, *joint)),
+            bodies: pair(&|joint| name(MjtObjBase::mjOBJ_BODY, carrier(joint))),
+            opening_m: [first, second].iter().map(|joint| model.jnt_range()[**joint][1]).sum(),
+            force_n: limit(first).filter(|force| *force > 0.0),
+            palm_m: (tip - TIP - base).clamp(0.001, 0.5),
+            tcp,
+        })
+    }
+}
+
+/// The settings for the search of a home posture.
+fn settings(
+    name: &str,
+    file: &str,
+    arm: &ArmDraft,
+    tool: &Tool,
+    home: Vec<f64>,
+) -> Result<RobotSettings, Vec<Problem>> {
+    let text = document(name, file, arm, tool, &home, 1.0);
+    RobotSettings::from_toml(&text, Path::new("robot.toml")).map_err(crate::RobotError::into_problems)
+}
+
+/// `robot.toml` without comments.
+fn document(name: &str, file: &str, arm: &ArmDraft, tool: &Tool, home: &[f64], reach: f64) -> String {
+    let list = |values: Vec<f64>| toml::Value::Array(values.into_iter().map(rounded).collect());
+    let torque: Vec<f64> = arm.torque.iter().map(|torque| torque.unwrap_or(TORQUE)).collect();
+    let gains: Vec<[f64; 2]> = arm
+        .gains
+        .iter()
+        .zip(&torque)
+        .map(|(gains, torque)| gains.unwrap_or([STIFFNESS * torque, STIFFNESS * torque * DAMPING_S]))
+        .collect();
+    let mut table = toml::Table::new();
+    table.insert("joints".to_owned(), arm.names.clone().into());
+    for (key, values) in [
+        ("home_rad", home.to_vec()),
+        ("velocity_limit_rad_s", arm.velocity.iter().map(|speed| speed.unwrap_or(SPEED)).collect()),
+        ("acceleration_limit_rad_s2", vec![ACCELERATION; arm.names.len()]),
+        ("torque_limit_nm", torque),
+        ("stiffness_nm_rad", gains.iter().map(|[stiffness, _]| *stiffness).collect()),
+        ("damping_nms_rad", gains.iter().map(|[_, damping]| *damping).collect()),
+    ] {
+        table.insert(key.to_owned(), list(values));
+    }
+    table.insert("flange_site".to_owned(), tool.flange.clone().into());
+    table.insert("tcp_site".to_owned(), tool.tcp.clone().into());
+    table.insert("reach_m".to_owned(), ((reach * 1e3).floor() / 1e3).max(0.01).into());
+    table.insert("payload_kg".to_owned(), 1.0.into());
+    let mut text = format!("name = {}\nmodel = {}\n", toml::Value::from(name), toml::Value::from(file));
+    // Writing to a string cannot fail.
+    let _ = write!(text, "\n[arm]\n{table}\n[gripper]\n{}", tool.gripper);
+    for (name, body, position, rpy) in &tool.sites {
+        let _ = write!(
+            text,
+            "\n[[site]]\nname = {}\nbody = {}\nposition_m = {}\nrpy_rad = {}\n",
+            toml::Value::from(name.as_str()),
+            toml::Value::from(body.as_str()),
+            list(position.to_vec()),
+            list(rpy.to_vec())
+        );
+    }
+    text
+}
+
+/// The kinematics of the robot with these settings.
+fn kinematics(settings: &RobotSettings, folder: &Path) -> Option<Chain> {
+    let robot = Robot { settings: settings.clone(), source: RobotSource::Folder(folder.to_owned()) };
+    robot_model::build(&robot, MujocoEngine::TIME_STEP_S).ok().map(|(_, chain)| chain)
+}
+
+/// A posture with the tool pointing down over the workspace, away from the ends of the ranges.
+fn sought_home(chain: &Chain) -> Option<Vec<f64>> {
+    let mut stream = Seed::campaign(0).stream("home posture");
+    let goal = Vector3::from(HOME_TOOL);
+    let mut best: Vec<(f64, Vec<f64>)> = Vec::new();
+    for _ in 0..POSTURES {
+        let q: Vec<f64> = chain.joints.iter().map(|joint| stream.between(joint.range[0], joint.range[1])).collect();
+        let tcp = chain.tcp_at(&q);
+        let down = 1.0 + (tcp.rotation * Vector3::z()).z;
+        let turn: f64 = q.iter().map(|q| q.abs()).sum();
+        let score = (tcp.translation.vector - goal).norm() + 0.3 * down + 0.02 * turn;
+        if best.len() < 40 || best.last().is_some_and(|(worst, _)| score < *worst) {
+            best.push((score, q));
+            best.sort_by(|a, b| a.0.total_cmp(&b.0));
+            best.truncate(40);
+        }
+    }
+    best.into_iter().find_map(|(_, q)| {
+        let at = chain.tcp_at(&q);
+        let x = at.rotation * Vector3::x();
+        let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), x.y.atan2(x.x));
+        let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+        let home = chain.reach(&Isometry3::from_parts(Translation3::from(goal), yaw * down), &q).ok()?;
+        let inside = |(q, joint): (&f64, &crate::ChainJoint)| {
+            (joint.range[0] + HOME_MARGIN..=joint.range[1] - HOME_MARGIN).contains(q)
+        };
+        home.iter().zip(&chain.joints).all(inside).then_some(home)
+    })
+}
+
+/// Writes the file with comments.
+struct Writer {
+    out: String,
+    guesses: Vec<String>,
+}
+
+impl Writer {
+    fn write(
+        &mut self,
+        name: &str,
+        file: &str,
+        arm: &ArmDraft,
+        tool: &Tool,
+        settings: &RobotSettings,
+        (home_is_known, home_is_found): (bool, bool),
+    ) {
+        let reach: f64 = settings.arm.reach_m;
+        let joints = |missing: &dyn Fn(usize) -> bool| {
+            let names: Vec<&str> =
+                arm.names.iter().enumerate().filter(|(i, _)| missing(*i)).map(|(_, name)| name.as_str()).collect();
+            names.join(", ")
+        };
+        let mut guess = |text: String| self.guesses.push(text);
+        if !home_is_known {
+            guess(match home_is_found {
+                true => "home_rad: a posture with the tool pointing down over the workspace".to_owned(),
+                false => {
+                    "home_rad: zero; no posture with the tool pointing down over the workspace was found".to_owned()
+                }
+            });
+        }
+        for (missing, what) in [
+            (joints(&|i| arm.velocity[i].is_none()), format!("velocity_limit_rad_s = {SPEED}")),
+            (joints(&|i| arm.torque[i].is_none()), format!("torque_limit_nm = {TORQUE}")),
+            (
+                joints(&|i| arm.gains[i].is_none()),
+                format!(
+                    "stiffness_nm_rad = {STIFFNESS} times the torque limit, damping_nms_rad = {DAMPING_S} times that"
+                ),
+            ),
+        ] {
+            if !missing.is_empty() {
+                guess(format!("{what} for {missing}"));
+            }
+        }
+        guess(format!("acceleration_limit_rad_s2 = {ACCELERATION}: no model states it"));
+        guess("payload_kg = 1, and reach_m: replace them by the manufacturer's figures".to_owned());
+        self.guesses.extend(tool.guesses.iter().cloned());
+        let lines: Vec<String> = self.guesses.iter().map(|guess| format!("# - {guess}\n")).collect();
+        self.out = format!(
+            "# Drafted from {file}. Guessed, because the model does not state it:\n{}# Correct these, and check the robot with `robogate robots check FOLDER`.\n\n{}",
+            lines.concat(),
+            document(name, file, arm, tool, &settings.arm.home_rad, reach)
+        );
+    }
+}

@@ -1,0 +1,246 @@
+//! Reads the files of a robot's folder, and checks its models before MuJoCo compiles them.
+//!
+//! A folder of another author may contain pipes, links in a circle, or a model of a few lines that describes millions of
+//! bodies. MuJoCo follows such a model until the memory is used up, which ends the process.
+
+use std::borrow::Cow;
+use std::fs;
+use std::io::Read;
+use std::path::Path;
+
+use crate::robot::{RobotError, RobotFile};
+
+/// Most files of a folder, deepest folder in it, and most bytes of all files together.
+const MOST_FILES: usize = 10_000;
+const DEEPEST: usize = 16;
+const MOST_BYTES: u64 = 1 << 30;
+
+/// Most elements of a model, with those that it repeats. Models of robots have about a thousand.
+const MOST_ELEMENTS: u64 = 500_000;
+/// Deepest element. An arm of seven joints has about 15 levels.
+const DEEPEST_ELEMENT: usize = 200;
+/// Most pixels of a texture, or heights of a height field.
+const MOST_CELLS: u64 = 1 << 26;
+
+/// All files below a folder: names relative to the folder, and contents.
+pub(crate) fn files(folder: &Path) -> Result<Vec<RobotFile>, RobotError> {
+    let mut files = Vec::new();
+    collect(folder, "", 0, &mut files, &mut MOST_BYTES.clone())?;
+    files.sort_by(|(a, _), (b, _)| a.cmp(b));
+    Ok(files)
+}
+
+/// Reads the settings of a robot: a regular text file.
+pub(crate) fn settings(path: &Path) -> Result<String, RobotError> {
+    const LONGEST: u64 = 16 << 20;
+    let error = |why: String| RobotError::Read { path: path.to_owned(), why };
+    let metadata = fs::metadata(path).map_err(|e| error(e.to_string()))?;
+    if !metadata.is_file() || metadata.len() > LONGEST {
+        return Err(error("not a text file of at most 16 MiB".to_owned()));
+    }
+    fs::read_to_string(path).map_err(|e| error(e.to_string()))
+}
+
+/// Checks the models of a folder: the files whose names end with `.xml`, `.urdf` or `.mjcf`.
+pub(crate) fn check(folder: &Path) -> Result<(), RobotError> {
+    for (name, content) in files(folder)? {
+        let is_model = [".xml", ".urdf", ".mjcf"].iter().any(|ending| name.to_ascii_lowercase().ends_with(ending));
+        if is_model {
+            check_model(&content).map_err(|why| RobotError::Read { path: folder.join(&name), why })?;
+        }
+    }
+    Ok(())
+}
+
+fn collect(
+    folder: &Path,
+    prefix: &str,
+    depth: usize,
+    files: &mut Vec<RobotFile>,
+    left: &mut u64,
+) -> Result<(), RobotError> {
+    let error = |path: &Path, why: String| RobotError::Read { path: path.to_owned(), why };
+    let read = |e: std::io::Error, path: &Path| error(path, e.to_string());
+    if depth > DEEPEST {
+        return Err(error(folder, format!("nested more than {DEEPEST} folders deep. Expected a robot's folder")));
+    }
+    for entry in fs::read_dir(folder).map_err(|e| read(e, folder))? {
+        let entry = entry.map_err(|e| read(e, folder))?;
+        let path = entry.path();
+        let name = format!("{prefix}{}", path.file_name().unwrap_or_default().to_string_lossy());
+        if entry.file_type().map_err(|e| read(e, &path))?.is_dir() {
+            collect(&path, &format!("{name}/"), depth + 1, files, left)?;
+            continue;
+        }
+        // A link to a file counts as this file. One to a folder could lead in a circle.
+        let metadata = fs::metadata(&path).map_err(|e| read(e, &path))?;
+        if !metadata.is_file() {
+            return Err(error(
+                &path,
+                "not a regular file. Expected only files and folders in a robot's folder".to_owned(),
+            ));
+        }
+        let mut content = Vec::new();
+        let file = fs::File::open(&path).map_err(|e| read(e, &path))?;
+        file.take(*left + 1).read_to_end(&mut content).map_err(|e| read(e, &path))?;
+        files.push((name, Cow::Owned(content)));
+        let size = files.last().map_or(0, |(_, content)| content.len() as u64);
+        *left = left.checked_sub(size).filter(|_| files.len() <= MOST_FILES).ok_or_else(|| {
+            let why =
+                format!("has more than {MOST_FILES} files or {} MiB. Expected a robot's folder", MOST_BYTES >> 20);
+            error(folder, why)
+        })?;
+    }
+    Ok(())
+}
+
+/// Checks an MJCF or URDF text: number and depth of its elements, and the sizes that attributes request.
+pub(crate) fn check_model(text: &[u8]) -> Result<(), String> {
+    let mut elements = 0_u64;
+    // How often each open element is repeated.
+    let mut open: Vec<u64> = vec![1];
+    let mut rest = text;
+    while let Some(start) = rest.iter().position(|byte| *byte == b'<') {
+        rest = &rest[start..];
+        let skipped = [(&b"<!--"[..], &b"-->"[..]), (b"<![CDATA[", b"]]>"), (b"<?", b"?>")];
+        if let Some((_, end)) = skipped.iter().find(|(start, _)| rest.starts_with(start)) {
+            rest = after(rest, end);
+            continue;
+        }
+        if rest.starts_with(b"<!") {
+            return Err("it has a document type declaration, which models do not need. Remove it".to_owned());
+        }
+        let (tag, end) = tag(rest);
+        rest = end;
+        if tag.starts_with(b"/") {
+            if open.len() > 1 {
+                open.pop();
+            }
+            continue;
+        }
+        let copies = open.last().copied().unwrap_or(1);
+        elements = elements.saturating_add(copies);
+        let name = tag.split(|byte| byte.is_ascii_whitespace() || *byte == b'/').next().unwrap_or_default();
+        let counts = |attribute: &str| numbers(tag, attribute).into_iter().fold(1_u64, u64::saturating_mul);
+        let repeated = match name {
+            b"replicate" | b"composite" | b"flexcomp" => counts("count"),
+            _ => 1,
+        };
+        if name != b"replicate" {
+            elements = elements.saturating_add(copies.saturating_mul(repeated - repeated.min(1)));
+        }
+        if elements > MOST_ELEMENTS || copies.saturating_mul(repeated) > MOST_ELEMENTS {
+            return Err(format!("it describes more than {MOST_ELEMENTS} elements, with those that it repeats"));
+        }
+        let cells = match name {
+            b"hfield" => counts("nrow").saturating_mul(counts("ncol")),
+            b"texture" => counts("width").saturating_mul(counts("height")),
+            _ => 0,
+        };
+        if cells > MOST_CELLS {
+            let name = String::from_utf8_lossy(name);
+            return Err(format!("a {name} has {cells} values. At most {MOST_CELLS} are accepted"));
+        }
+        if !tag.ends_with(b"/") {
+            open.push(if name == b"replicate" { copies.saturating_mul(repeated) } else { copies });
+            if open.len() > DEEPEST_ELEMENT {
+                return Err(format!("its elements are nested more than {DEEPEST_ELEMENT} levels deep"));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The text after the first `end`.
+fn after<'a>(text: &'a [u8], end: &[u8]) -> &'a [u8] {
+    let at = text.windows(end.len()).position(|window| window == end);
+    at.map_or(&[], |at| &text[at + end.len()..])
+}
+
+/// The content of the tag at the start of a text, and the text after it. Quoted values may contain `>`.
+fn tag(text: &[u8]) -> (&[u8], &[u8]) {
+    let mut quote = None;
+    for (at, byte) in text.iter().enumerate().skip(1) {
+        match (quote, byte) {
+            (None, b'>') => return (&text[1..at], &text[at + 1..]),
+            (None, b'"' | b'\'') => quote = Some(*byte),
+            (Some(open), _) if open == *byte => quote = None,
+            _ => {}
+        }
+    }
+    (text.get(1..).unwrap_or_default(), &[])
+}
+
+/// The numbers in an attribute of a tag. Those that are not positive count as 1.
+fn numbers(tag: &[u8], attribute: &str) -> Vec<u64> {
+    let text = String::from_utf8_lossy(tag);
+    let value = text.match_indices(attribute).find_map(|(at, _)| {
+        let is_start = text[..at].ends_with(|c: char| c.is_ascii_whitespace());
+        let value = text[at + attribute.len()..].trim_start().strip_prefix('=')?.trim_start();
+        let quote = value.chars().next().filter(|c| is_start && matches!(c, '"' | '\''))?;
+        value[1..].split(quote).next()
+    });
+    let number = |word: &str| word.parse::<f64>().map_or(1, |n| n.max(1.0) as u64);
+    value.unwrap_or_default().split_whitespace().map(number).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn models_of_robots_are_accepted() {
+        let here = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/robots");
+        for robot in ["franka", "ur3e", "ur5e", "ur10e"] {
+            check(&here.join(robot)).unwrap();
+        }
+        let text =
+            b"<?xml version='1.0'?><mujoco><!-- <!DOCTYPE --> <replicate count='20'><geom name='a>b'/></replicate>\
+            <composite count=\"3 4 5\" type=\"particle\"/></mujoco>";
+        assert_eq!(check_model(text), Ok(()));
+    }
+
+    #[test]
+    fn models_with_many_elements_are_rejected() {
+        let repeated = |levels: usize, count: &str| {
+            let open = format!("<replicate count=\"{count}\">").repeat(levels);
+            format!("<mujoco>{open}<geom/>{}</mujoco>", "</replicate>".repeat(levels))
+        };
+        for (text, part) in [
+            (repeated(1, "100000000"), "more than 500000 elements"),
+            (repeated(4, "100"), "more than 500000 elements"),
+            ("<mujoco><composite type='grid' count='1000 1000 1000'/></mujoco>".to_owned(), "more than 500000"),
+            ("<mujoco><flexcomp count = '1e9 1 1'/></mujoco>".to_owned(), "more than 500000 elements"),
+            ("<mujoco><geom/>".to_owned() + &"<geom/>".repeat(500_000), "more than 500000 elements"),
+            ("<mujoco><hfield nrow='100000' ncol='100000'/></mujoco>".to_owned(), "a hfield has 10000000000 values"),
+            ("<mujoco><texture width='99999' height='99999'/></mujoco>".to_owned(), "a texture has"),
+            ("<body>".repeat(100_000), "nested more than 200 levels"),
+            ("<!DOCTYPE lolz [<!ENTITY lol \"lol\">]><robot/>".to_owned(), "document type declaration"),
+        ] {
+            let why = check_model(text.as_bytes()).unwrap_err();
+            assert!(why.contains(part), "{why}");
+        }
+    }
+
+    #[test]
+    fn damaged_texts_are_left_to_the_parser() {
+        for text in
+            ["", "<", "<a", "</a></a></a>", "<a b='", "<!--", "<![CDATA[", "<a count=>", "\u{fffd}<\u{e4} count='"]
+        {
+            assert_eq!(check_model(text.as_bytes()), Ok(()), "{text}");
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_in_a_circle_are_rejected() {
+        let folder = std::env::temp_dir().join(format!("robogate-circle-{}", std::process::id()));
+        fs::create_dir_all(folder.join("a")).unwrap();
+        for name in ["b", "c"] {
+            std::os::unix::fs::symlink(&folder, folder.join("a").join(name)).unwrap();
+        }
+        let why = files(&folder).unwrap_err().to_string();
+        fs::remove_dir_all(&folder).unwrap();
+        assert!(why.contains("not a regular file"), "{why}");
+    }
+}

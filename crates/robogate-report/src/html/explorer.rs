@@ -1,0 +1,49 @@
+//! The explorer: a page that shows the episodes of runs, served or as one file.
+
+use maud::{DOCTYPE, PreEscaped, html};
+
+use super::policy;
+use super::prose::prose;
+
+/// The explorer, bundled from web/src/explorer/main.js.
+const SCRIPT: &str = include_str!("explorer.js");
+/// Colours and the viewer of episodes.
+const STYLE: &str = include_str!("style.css");
+/// The parts of the explorer.
+const OWN_STYLE: &str = include_str!("explorer.css");
+
+/// The page, and its content security policy.
+///
+/// `data` are two JSON documents: the episodes, and the reel of recorded episodes. Both must contain no `<`. With them the
+/// page is self-contained and makes no request. Without them it reads everything from the server that it came from.
+pub fn explorer_page(runs: &str, data: Option<(&str, &str)>) -> (String, String) {
+    let body = html! {
+        div id="explorer" {
+            noscript { p.text { "The explorer needs JavaScript." } }
+        }
+        @if let Some((episodes, reel)) = data {
+            script type="application/json" id="explorer-data" { (PreEscaped(episodes)) }
+            script type="application/json" id="explorer-reel" { (PreEscaped(reel)) }
+        }
+        script { (PreEscaped(SCRIPT)) }
+    };
+    let style = format!("{STYLE}{OWN_STYLE}");
+    let policy = if data.is_some() { policy::of(&body.0, None, &style) } else { policy::of_served(&body.0, &style) };
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
+                link rel="icon" href="data:,";
+                // The header of the server has more than a page can say about itself.
+                @if data.is_some() { meta http-equiv="Content-Security-Policy" content=(policy); }
+                title { (prose(runs)) " \u{b7} RoboGate explorer" }
+                style { (PreEscaped(style)) }
+            }
+            body.explorer { (body) }
+        }
+    };
+    (page.into_string(), policy)
+}

@@ -1,0 +1,175 @@
+//! The plan of a fleet: its units, their scenarios and the question.
+
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::{Context, anyhow};
+use robogate_campaign::Plan;
+use robogate_core::samplers::Uniform;
+use robogate_core::{Assignment, ParameterSpace, Sampler, Seed, Suite, SuiteError};
+use robogate_dictionary::Provenance;
+use robogate_gate::{Asked, Baseline, Record, Requirements, Sampling};
+use serde::{Deserialize, Serialize};
+
+use crate::commands::gate::refused;
+use crate::exit::{Exit, OrExit};
+
+/// The plan in the folder of a fleet.
+pub(super) const PLAN: &str = "fleet.json";
+/// The version of its format.
+pub(super) const VERSION: u32 = 1;
+
+/// Everything that the results of a fleet depend on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct FleetPlan {
+    pub(super) version: u32,
+    /// The number of units.
+    pub(super) units: u32,
+    /// The seed of units and episodes.
+    pub(super) seed: u64,
+    /// The maximum number of rounds of each unit.
+    pub(super) rounds: u32,
+    /// Whether a unit stops as soon as its verdict is certain.
+    pub(super) sampling: Sampling,
+    pub(super) required_share: Option<f64>,
+    /// The distribution of the unit parameters.
+    pub(super) unit_space: ParameterSpace,
+    /// The scenarios, without the parameters of the units.
+    pub(super) suite: Suite,
+    pub(super) requirements: Requirements,
+    /// The baseline of relative requirements: the nominal robot on the same scenarios.
+    pub(super) baseline: Option<Baseline>,
+    /// Environment and policy.
+    pub(super) provenance: Provenance,
+}
+
+/// One unit: its parameters, and the seed of its episodes. They depend only on the seed of the fleet and the number.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Unit {
+    /// The number, from 1.
+    pub(super) number: u32,
+    pub(super) seed: u64,
+    pub(super) parameters: Assignment,
+}
+
+/// The campaign of a unit and its question.
+pub(super) struct UnitCampaign {
+    pub(super) plan: Plan,
+    pub(super) asked: Asked,
+    /// The provenance, with the hash of the question.
+    pub(super) provenance: Provenance,
+    /// The record before the first episode.
+    pub(super) record: Record,
+}
+
+impl FleetPlan {
+    /// Draws a unit.
+    pub(super) fn unit(&self, number: u32) -> anyhow::Result<Unit> {
+        let campaign = Seed::campaign(self.seed);
+        let design =
+            Uniform.design(&Arc::new(self.unit_space.clone()), 1, campaign.stream(&format!("fleet-unit-{number}")))?;
+        let parameters = design.assignment(0).context("the unit space is empty")?;
+        // 53 bits: every reader of JSON keeps them.
+        let seed = campaign.stream(&format!("fleet-unit-{number}-seed")).bits() >> 11;
+        Ok(Unit { number, seed, parameters })
+    }
+
+    /// All units in order.
+    pub(super) fn all_units(&self) -> impl Iterator<Item = anyhow::Result<Unit>> {
+        (1..=self.units).map(|number| self.unit(number))
+    }
+
+    /// The record of the scenarios without the parameters of a unit.
+    pub(super) fn nominal_record(&self) -> Result<Record, Exit> {
+        let plan = Plan::of_suite(self.suite.clone(), u64::from(self.rounds), self.seed);
+        begun(&plan, &self.provenance)
+    }
+
+    /// The campaign of a unit.
+    pub(super) fn campaign(&self, unit: &Unit) -> Result<UnitCampaign, Exit> {
+        let suite = unit.suite(self).map_err(|error| anyhow!("unit {}: {error}", unit.number)).or_usage()?;
+        let space = suite.space().clone();
+        let plan = Plan::of_suite(suite, u64::from(self.rounds), unit.seed);
+        let provenance = Provenance { space, ..self.provenance.clone() };
+        let record = begun(&plan, &provenance)?;
+        // The scenarios of a unit are those of the baseline, on another unit of the same robot.
+        let baseline =
+            self.baseline.clone().map(|baseline| Baseline { population: record.population.clone(), ..baseline });
+        let asked = Asked {
+            format: Asked::FORMAT,
+            requirements: self.requirements.clone(),
+            baseline,
+            against: None,
+            sampling: self.sampling,
+            real: None,
+        };
+        let provenance = Provenance { question_sha256: Some(asked.sha256()), ..provenance };
+        Ok(UnitCampaign { plan, asked, provenance, record })
+    }
+
+    /// Writes the plan to a new folder, or checks that it is that of the folder.
+    pub(super) fn begin(&self, dir: &Path) -> Result<(), Exit> {
+        let text = serde_json::to_string_pretty(self).or_broken()? + "\n";
+        let path = dir.join(PLAN);
+        if path.is_file() {
+            let there =
+                fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display())).or_broken()?;
+            if there == text {
+                return Ok(());
+            }
+            return Err(anyhow!(
+                "{} contains another fleet\n  hint: choose another folder with --out, or continue that fleet with `robogate \
+                 resume {}`",
+                dir.display(),
+                dir.display()
+            ))
+            .or_usage();
+        }
+        if let Some(name) = fs::read_dir(dir).ok().and_then(|mut entries| entries.next()?.ok()) {
+            return Err(anyhow!(
+                "{} is not empty (it contains `{}`) and is not a fleet\n  hint: choose an empty or new folder",
+                dir.display(),
+                name.file_name().display()
+            ))
+            .or_usage();
+        }
+        fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
+        let part = dir.join(format!(".{PLAN}.part"));
+        fs::write(&part, text)
+            .and_then(|()| fs::rename(&part, &path))
+            .with_context(|| format!("cannot write {}", path.display()))
+            .or_broken()
+    }
+
+    /// Reads the plan of a fleet.
+    pub(super) fn open(dir: &Path) -> Result<Self, Exit> {
+        let path = dir.join(PLAN);
+        let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+        let plan: Self = serde_json::from_str(&text)
+            .with_context(|| format!("{}: not the plan of a fleet", path.display()))
+            .or_usage()?;
+        if plan.version != VERSION {
+            return Err(anyhow!("{} has version {}, expected {VERSION}", path.display(), plan.version)).or_usage();
+        }
+        Ok(plan)
+    }
+}
+
+impl Unit {
+    /// The scenarios with the parameters of the unit.
+    pub(super) fn suite(&self, plan: &FleetPlan) -> Result<Suite, SuiteError> {
+        plan.suite.with_constants(&format!("{}-{}", plan.suite.name(), self.folder()), &self.parameters)
+    }
+
+    /// The folder below that of the fleet.
+    pub(super) fn folder(&self) -> String {
+        format!("unit-{:03}", self.number)
+    }
+}
+
+fn begun(plan: &Plan, provenance: &Provenance) -> Result<Record, Exit> {
+    let planned = Provenance { plan: serde_json::to_value(plan).or_broken()?, ..provenance.clone() };
+    Record::begun(&planned).map_err(refused)
+}

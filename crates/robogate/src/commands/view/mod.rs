@@ -1,0 +1,52 @@
+//! `robogate view`: explores the episodes of one or several runs in the browser.
+
+mod board;
+mod clips;
+mod export;
+mod model;
+mod server;
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::exit::Exit;
+use crate::remote::Simulators;
+use board::Board;
+
+/// Explore the episodes of one or several runs: parallel coordinates, scatter plots, the model's map, and replays.
+///
+/// Without --export the page is served on this machine until Ctrl-C, and a run in progress updates. The printed address
+/// contains a token, without which nobody reads the data.
+#[derive(Debug, Args)]
+pub(crate) struct View {
+    /// Folders of runs (also unfinished ones, and campaigns in shards), dictionaries (Parquet) or published JSON
+    /// dictionaries
+    #[arg(required = true, value_name = "DIR")]
+    runs: Vec<PathBuf>,
+    /// Write one self-contained page to this file instead of serving
+    #[arg(long, value_name = "FILE")]
+    export: Option<PathBuf>,
+    /// Choose the largest number of recorded episodes in the exported page (0 to 200)
+    #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(0..=200), requires = "export")]
+    clips: u16,
+    /// Serve on this port of 127.0.0.1; 0 lets the system choose
+    #[arg(long, value_name = "PORT", default_value_t = 0, conflicts_with = "export")]
+    port: u16,
+    #[command(flatten)]
+    simulators: Simulators,
+}
+
+impl View {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let board = Board::open(&self.runs)?;
+        match &self.export {
+            Some(file) => export::write(file, board, &self.simulators, usize::from(self.clips)),
+            None => {
+                let address = SocketAddr::from((Ipv4Addr::LOCALHOST, self.port));
+                server::serve(address, board, self.simulators.clone())
+            }
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! The server of the page.
+
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use robogate_monitor::service::{HttpError, LocalReply, LocalRequest, random_token, serve_local};
+use robogate_report::explorer_page;
+use serde_json::{Value, json};
+
+use super::board::Board;
+use super::clips::{Clips, Origin};
+use super::model;
+use crate::exit::{DONE, Exit, OrExit};
+use crate::remote::Simulators;
+use crate::terminal::{line, note};
+
+/// Shortest time between two looks at the runs.
+const LOOK: Duration = Duration::from_millis(400);
+/// Largest number of rows of a reply.
+const MOST_ROWS: usize = 100_000;
+
+struct State {
+    board: Mutex<(Board, Instant)>,
+    clips: Mutex<Clips>,
+    /// The last model of each run.
+    models: Mutex<Vec<Option<Fitted>>>,
+}
+
+/// A model of a run.
+#[derive(Clone)]
+struct Fitted {
+    epoch: u64,
+    /// The number of rows that it was fitted to.
+    rows: usize,
+    json: Vec<u8>,
+}
+
+/// Serves the page until the process is interrupted.
+pub(super) fn serve(address: SocketAddr, board: Board, simulators: Simulators) -> Result<u8, Exit> {
+    let token = random_token().or_broken()?;
+    let names: Vec<&str> = board.runs.iter().map(|run| run.name.as_str()).collect();
+    let (html, policy) = explorer_page(&names.join(", "), None);
+    let runs = board.runs.len();
+    let state = Arc::new(State {
+        board: Mutex::new((board, Instant::now())),
+        clips: Mutex::new(Clips::new(simulators)),
+        models: Mutex::new(vec![None; runs]),
+    });
+    let (stop, stopped) = tokio::sync::oneshot::channel();
+    let stop = Mutex::new(Some(stop));
+    ctrlc::set_handler(move || {
+        let stop = stop.lock().unwrap_or_else(PoisonError::into_inner).take();
+        // The server may have ended already.
+        let _ = stop.map(|stop| stop.send(()));
+    })
+    .or_broken()?;
+    let page = LocalReply::Page { html, policy };
+    let answer = move |request: &LocalRequest| match request.path.as_str() {
+        "/" => page.clone(),
+        _ => state.answer(request),
+    };
+    let listening = |address: SocketAddr| {
+        line(format_args!("http://{address}/#token={token}"));
+        note("Open this address in a browser on this machine. Ctrl-C ends the server.");
+    };
+    match serve_local(address, &token, Arc::new(answer), listening, stopped) {
+        Ok(()) => Ok(DONE),
+        error @ Err(HttpError::Listen { .. }) => error.or_broken().map(|()| DONE),
+        error => error.or_usage().map(|()| DONE),
+    }
+}
+
+impl State {
+    fn answer(&self, request: &LocalRequest) -> LocalReply {
+        let number = |name: &str| request.value(name).and_then(|text| text.parse::<u64>().ok());
+        match request.path.as_str() {
+            "/v1/state" => LocalReply::Json(self.state()),
+            "/v1/rows" => match (number("epoch"), number("from"), number("to")) {
+                (Some(epoch), Some(from), Some(to)) => self.rows(epoch, from, to),
+                _ => LocalReply::Wrong("expected /v1/rows?epoch=N&from=N&to=N".to_owned()),
+            },
+            "/v1/model" => match number("run") {
+                Some(run) => self.model(run),
+                None => LocalReply::Wrong("expected /v1/model?run=N".to_owned()),
+            },
+            "/v1/clip" => match (number("run"), number("index")) {
+                (Some(run), Some(index)) => self.clip(run, index),
+                _ => LocalReply::Wrong("expected /v1/clip?run=N&index=N".to_owned()),
+            },
+            _ => LocalReply::NotFound("not found; the page is at /".to_owned()),
+        }
+    }
+
+    fn with_board<T>(&self, work: impl FnOnce(&mut Board) -> T) -> T {
+        // A panic while a row was added leaves a column longer than the others; all are read up to the number of rows.
+        let mut held = self.board.lock().unwrap_or_else(PoisonError::into_inner);
+        work(&mut held.0)
+    }
+
+    fn state(&self) -> Vec<u8> {
+        let mut held = self.board.lock().unwrap_or_else(PoisonError::into_inner);
+        let (board, last) = &mut *held;
+        if last.elapsed() >= LOOK {
+            board.look();
+            *last = Instant::now();
+        }
+        bytes(&board.state())
+    }
+
+    fn rows(&self, epoch: u64, from: u64, to: u64) -> LocalReply {
+        self.with_board(|board| {
+            let rows = board.table.rows();
+            let (from, to) = (usize::try_from(from).unwrap_or(usize::MAX), usize::try_from(to).unwrap_or(usize::MAX));
+            if epoch != board.epoch {
+                return LocalReply::Wrong(format!("epoch {epoch} is over; the present one is {}", board.epoch));
+            }
+            if from > to || to > rows || to - from > MOST_ROWS {
+                return LocalReply::Wrong(format!(
+                    "rows {from} to {to} are out of range: expected 0 to {rows}, and at most {MOST_ROWS} rows"
+                ));
+            }
+            LocalReply::Bytes(board.table.bytes(from..to))
+        })
+    }
+
+    fn model(&self, run: u64) -> LocalReply {
+        let Ok(at) = usize::try_from(run) else { return no_run(run) };
+        let copied = self.with_board(|board| {
+            let of = board.runs.get(at)?;
+            Some((board.epoch, board.table.rows(), of.is_finished(), model::training(&board.table, at, &of.provenance)))
+        });
+        let Some((epoch, rows, finished, training)) = copied else { return no_run(run) };
+        let mut models = self.models.lock().unwrap_or_else(PoisonError::into_inner);
+        // A fit takes seconds, so that of a running campaign is kept until a fifth of its rows is new.
+        let fresh = |known: &&Fitted| {
+            known.epoch == epoch && if finished { known.rows == rows } else { 5 * rows <= 6 * known.rows }
+        };
+        if let Some(known) = models.get(at).and_then(Option::as_ref).filter(fresh) {
+            return LocalReply::Json(known.json.clone());
+        }
+        let json = bytes(&model::fit(&training).unwrap_or_else(|because| json!({ "version": 1, "because": because })));
+        if let Some(place) = models.get_mut(at) {
+            *place = Some(Fitted { epoch, rows, json: json.clone() });
+        }
+        LocalReply::Json(json)
+    }
+
+    fn clip(&self, run: u64, index: u64) -> LocalReply {
+        let Ok(at) = usize::try_from(run) else { return no_run(run) };
+        let found = self.with_board(|board| {
+            let named = board.runs.len() > 1;
+            let of = board.runs.get(at)?;
+            let origin = Origin {
+                run: at,
+                name: of.name.clone(),
+                path: of.path.clone(),
+                provenance: Arc::clone(&of.provenance),
+                named,
+            };
+            let playable = of.is_playable();
+            Some((origin, playable, board.recorded(at, index)))
+        });
+        let Some((origin, playable, entry)) = found else { return no_run(run) };
+        if !playable {
+            return LocalReply::Wrong(
+                "These rows do not come from a run's folder, so no episode can be shown.".to_owned(),
+            );
+        }
+        let entry = match entry {
+            Ok(Some(entry)) => entry,
+            Ok(None) => return LocalReply::NotFound(format!("the run has no episode {index}")),
+            Err(error) => return LocalReply::Failed(format!("{error:#}")),
+        };
+        let mut clips = self.clips.lock().unwrap_or_else(PoisonError::into_inner);
+        match clips.reel(&origin, &entry) {
+            Ok(reel) => LocalReply::Json(reel.json.into_bytes()),
+            Err(because) => LocalReply::Failed(because),
+        }
+    }
+}
+
+fn no_run(run: u64) -> LocalReply {
+    LocalReply::NotFound(format!("there is no run {run}"))
+}
+
+fn bytes(document: &Value) -> Vec<u8> {
+    // Strings and finite numbers always serialise.
+    serde_json::to_vec(document).unwrap_or_default()
+}
