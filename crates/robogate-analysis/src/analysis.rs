@@ -64,11 +64,13 @@ pub struct AnalysisOptions {
     pub pairs: Vec<(String, String)>,
     /// The success rate that the advice aims at, between 0 and 1.
     pub target_rate: f64,
+    /// Whether to fit the risk model and to draw maps. No claim of the headline depends on them.
+    pub models: bool,
 }
 
 impl Default for AnalysisOptions {
     fn default() -> Self {
-        Self { pairs: Vec::new(), target_rate: DEFAULT_TARGET }
+        Self { pairs: Vec::new(), target_rate: DEFAULT_TARGET, models: true }
     }
 }
 
@@ -139,7 +141,7 @@ impl Analysis {
     /// # Errors
     /// As [`Analysis::of`], and for a target rate that is not between 0 and 1.
     pub fn with(source: &Source, path: &Path, options: &AnalysisOptions) -> Result<Self, AnalysisError> {
-        let AnalysisOptions { pairs, target_rate } = options;
+        let AnalysisOptions { pairs, target_rate, models } = options;
         if !(*target_rate > 0.0 && *target_rate < 1.0) {
             return Err(AnalysisError::TargetRate { found: *target_rate });
         }
@@ -159,8 +161,12 @@ impl Analysis {
                 wanted.push(pair.clone());
             }
         }
+        if !models {
+            wanted.clear();
+        }
         let envelopes = wanted.iter().filter_map(|(up, across)| envelope(&base, up, across)).collect();
-        let (risk, scored) = match risk(&base, task) {
+        let fitted = if *models { risk(&base, task) } else { Finding::not("models were not requested") };
+        let (risk, scored) = match fitted {
             Finding::Estimated((model, scored)) => (Finding::Estimated(model), Some(scored)),
             Finding::CannotBeEstimated { because } => (Finding::CannotBeEstimated { because }, None),
         };

@@ -71,8 +71,8 @@ impl FailureModes {
                 count(unknown_failures),
                 counted(failures, "failure")
             )),
-            Some(found) if found.count == failures => Finding::Estimated(mode_name(found.mode)),
-            Some(found) if found.ln_p.is_some_and(|p| p < 0.05_f64.ln()) => Finding::Estimated(mode_name(found.mode)),
+            // Without a second mode there is nothing to compare with.
+            Some(found) if found.ln_p.is_none_or(|p| p <= 0.05_f64.ln()) => Finding::Estimated(mode_name(found.mode)),
             Some(_) => Finding::not(format!(
                 "the two most frequent modes do not differ significantly in {}",
                 counted(failures, "failure")

@@ -21,6 +21,8 @@
 //! Instead of all stages, a plan may name a suite ([`Plan::of_suite`]). Every scenario then runs once per round, and
 //! [`start_in_rounds`] calls a closure after each round to decide whether to stop.
 //!
+//! A plan with `twins` has a control arm ([`NominalArm`]): the same episodes with the nominal values of the task.
+//!
 //! Many machines can share a campaign: each runs some [`shards`], and the merged files are those of one machine.
 //!
 //! An [`Executor`] runs the episodes with workers from a [`WorkerFactory`]. This crate knows no specific environment or
@@ -43,6 +45,7 @@ mod suite;
 mod summary;
 mod tally;
 mod threads;
+mod twins;
 
 pub use active::{ActiveReport, ActiveRound, ActiveStage, Certificate, ModelScore};
 pub use boundary::{
@@ -64,3 +67,4 @@ pub use suite::{
 pub use summary::{Estimate, FaultCount, FeasiblePart, ModeCount, Population, Sought, StageSummary, Summary};
 pub use tally::{Bin, Bins, MarginalEffect, OutcomeCounts};
 pub use threads::ThreadPool;
+pub use twins::{NOMINAL, NominalArm};

@@ -35,6 +35,14 @@ pub struct Plan {
     /// The suite that replaces all stages: its scenarios run in rounds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub suite: Option<SuiteStage>,
+    /// Whether the nominal twins of the episodes run after the campaign: those of the first stage, or of the suite.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub twins: bool,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_false(value: &bool) -> bool {
+    !*value
 }
 
 /// The first stage: every parameter is uniform in its scale.
@@ -261,6 +269,7 @@ impl Plan {
             uniform: UniformStage { episodes: 0 },
             boundary: BoundaryStage::default(),
             active: None,
+            twins: suite.has_twins(),
             suite: Some(SuiteStage::new(suite, rounds)),
         }
     }

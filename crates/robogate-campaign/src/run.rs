@@ -743,6 +743,9 @@ pub enum RunError {
     /// The plan is invalid or does not fit the space.
     #[error(transparent)]
     Plan(#[from] PlanError),
+    /// The scenarios have no nominal twins.
+    #[error(transparent)]
+    Suite(#[from] robogate_core::SuiteError),
     /// The sampler cannot draw the points.
     #[error(transparent)]
     Design(#[from] DesignError),

@@ -1,7 +1,7 @@
 //! Tests of suites and of the error message for each mistake in one.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use robogate_core::{Domain, Seed, Suite, SuiteError, SuiteProblem, Value};
+use robogate_core::{Assignment, Domain, Seed, Suite, SuiteError, SuiteProblem, TaskSpec, Value};
 
 const TWO: &str = r#"
     schema = 1
@@ -169,4 +169,54 @@ fn syntax_error_names_line_and_expectation() {
             assert!(text.contains("line "), "{text}");
         }
     }
+}
+
+/// A task with nominal values for friction and mass only.
+fn task() -> TaskSpec {
+    serde_json::from_value(serde_json::json!({
+        "name": "door", "version": 1, "instruction": "open it", "control_period_s": 0.02, "time_limit_s": 4.0,
+        "failure_modes": [], "measures": [],
+        "parameters": [
+            { "name": "friction", "kind": "continuous", "low": 0.1, "high": 2.0, "nominal": 0.5 },
+            { "name": "mass_kg", "kind": "continuous", "low": 0.0, "high": 9.0, "nominal": 1.0 },
+            { "name": "obstacles", "kind": "integer", "low": 0, "high": 9 }
+        ],
+        "observation": { "vectors": [] },
+        "action": { "spaces": [{ "kind": "vector", "names": ["torque"], "low": [-1.0], "high": [1.0] }] }
+    }))
+    .unwrap()
+}
+
+#[test]
+fn twins_have_nominal_values_and_the_same_seeds() {
+    let suite = two();
+    let twin = suite.nominal_twin(&task()).unwrap();
+    let seed = Seed::campaign(5);
+    for index in 0..12 {
+        let (of, twin) = (suite.scenario(seed, index), twin.scenario(seed, index));
+        assert_eq!(of.seed, twin.seed);
+        assert_eq!((twin.requested.number("friction"), twin.requested.number("mass_kg")), (Some(0.5), Some(1.0)));
+        // Values without a nominal one are kept, also if they are sampled in each round.
+        for kept in ["obstacles", "shape", "jitter_m"] {
+            assert_eq!(of.requested.get(kept), twin.requested.get(kept), "{kept} of {index}");
+        }
+    }
+    assert_eq!(twin.case(2).group, "crowd");
+    assert!(!suite.has_twins() && Suite::from_toml(&format!("nominal = true\n{TWO}")).unwrap().has_twins());
+}
+
+#[test]
+fn twins_of_points_are_one_scenario_or_one_each() {
+    let point = |obstacles: Option<i64>, friction: f64| -> Assignment {
+        let values = [("friction".into(), Value::Number(friction)), ("mass_kg".into(), Value::Number(3.0))];
+        values.into_iter().chain(obstacles.map(|n| ("obstacles".into(), Value::Integer(n)))).collect()
+    };
+    let all = Suite::nominal_twins(&task(), &[point(None, 0.2), point(None, 0.9)]).unwrap();
+    assert_eq!(all.cases().len(), 1);
+    let some = Suite::nominal_twins(&task(), &[point(Some(3), 0.2), point(Some(4), 0.9)]).unwrap();
+    let at = |index| some.scenario(Seed::campaign(1), index).requested;
+    assert_eq!((at(0).number("obstacles"), at(1).number("obstacles")), (Some(3.0), Some(4.0)));
+    assert_eq!(at(1).number("friction"), Some(0.5));
+    let none: Assignment = [("shape".into(), Value::Category("box".into()))].into_iter().collect();
+    assert!(matches!(Suite::nominal_twins(&task(), &[none]), Err(SuiteError::NoNominal { .. })));
 }

@@ -162,6 +162,16 @@ pub enum GateError {
         /// The row that repeats it.
         second: u64,
     },
+    /// A control arm that no row belongs to.
+    #[error(
+        "no row has `{column}` = `{value}`\nhint: give the column that names the perturbation and its value without one, for example --nominal category=none"
+    )]
+    NoNominalRows {
+        /// The column.
+        column: String,
+        /// The value.
+        value: String,
+    },
     /// Imported episodes without scenario seeds, which cannot be paired.
     #[error(
         "the imported episodes of {policy} cannot be paired, because case and seed are not recorded for each\nhint: set both columns on import (--map case=COLUMN --map seed=COLUMN), or compare with a baseline: `robogate baseline RUN -o FILE`"

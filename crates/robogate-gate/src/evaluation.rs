@@ -21,7 +21,7 @@ use crate::rounds::Rounds;
 use crate::scope::{Scope, expand};
 use crate::{
     Baseline, Bound, ConfidenceScore, Controls, Ending, Family, GateError, Metric, Mode, Population, RealEvidence,
-    Record, Requirement, Requirements, Trial, Verdict,
+    Record, Requirement, Requirements, Trial, Twins, Verdict,
 };
 
 /// How the number of episodes was chosen. It determines which test is valid.
@@ -199,6 +199,9 @@ pub struct Evaluation {
     /// The controls of the gate. `None` if it ran none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub controls: Option<Controls>,
+    /// The episodes compared with their nominal twins. The verdict does not depend on it. `None` without a control arm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub twins: Option<Twins>,
 }
 
 /// The success rate over the feasible part of the valid episodes.
@@ -346,6 +349,7 @@ impl Question<'_> {
             score: ConfidenceScore::of(&requirements.score, self.baseline, rounds.rounds.iter().flatten().copied()),
             decided_at_episodes,
             controls: record.controls.clone(),
+            twins: None,
         })
     }
 

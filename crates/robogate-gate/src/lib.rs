@@ -11,6 +11,7 @@
 //! | rows of a dictionary | [`Record`] of [`Trial`]s |
 //! | scenarios and requirements, before a run | [`GatePlan`] |
 //! | several records | [`Leaderboard`] |
+//! | a record and its control arm | [`Twins`] |
 //! | evaluations of the units of a fleet | [`Fleet`] |
 //! | a record and requirements ([`Question`]) | [`Evaluation`], with [`ConfidenceScore`] and [`Verdict`] |
 
@@ -37,6 +38,7 @@ mod rounds;
 mod scope;
 mod score;
 mod trial;
+mod twins;
 mod verdict;
 
 pub use asked::{Asked, AskedAgainst};
@@ -60,4 +62,5 @@ pub use requirement::{Bound, Each, Requirement, Sense};
 pub use requirements::{Budget, Family, Mode, Requirements};
 pub use score::{ConfidenceScore, ScoreTerm, ScoredTerm, Scoring};
 pub use trial::{Ending, Trial};
+pub use twins::{Effect, Family as TwinFamily, Twins};
 pub use verdict::Verdict;

@@ -78,7 +78,7 @@ fn simulate(test: &mut PairedRun, difference: f64, disagreement: f64, per_round:
     for run in 0..RUNS {
         let mut stream = Seed::campaign(7).episode(run).stream("pairs");
         let mut found = Pairs::default();
-        for _ in 0..rounds {
+        for round in 1..=rounds {
             for _ in 0..per_round {
                 let u = stream.uniform();
                 if u < other {
@@ -89,7 +89,7 @@ fn simulate(test: &mut PairedRun, difference: f64, disagreement: f64, per_round:
                     found.both += 1;
                 }
             }
-            let decided = test.look(found);
+            let decided = test.look(round, found);
             if decided.contains(&true) {
                 counts[usize::from(decided[1])] += 1;
                 break;

@@ -3,6 +3,7 @@
 use robogate_analysis::study::Study;
 use robogate_analysis::transfer::Transfer;
 use robogate_analysis::{Analysis, Comparison};
+use robogate_gate::Twins;
 use schemars::JsonSchema;
 use serde::Serialize;
 
@@ -19,6 +20,9 @@ pub struct AnalysisReport<'a> {
     pub headline: Headline,
     /// The limits of the figures, in sentences.
     pub limits: Vec<String>,
+    /// The episodes compared with their nominal twins. Absent without a control arm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub twins: Option<&'a Twins>,
 }
 
 /// The JSON document of a comparison.
@@ -55,7 +59,12 @@ pub struct StudyReport<'a> {
 
 /// An analysis as one versioned JSON document. Equal rows give equal bytes.
 pub fn analysis_json(analysis: &Analysis) -> String {
-    text(&AnalysisReport { analysis, headline: Headline::of(analysis), limits: limits(analysis) })
+    analysis_json_with(analysis, None)
+}
+
+/// The same with the comparison of its control arm.
+pub fn analysis_json_with(analysis: &Analysis, twins: Option<&Twins>) -> String {
+    text(&AnalysisReport { analysis, headline: Headline::of(analysis), limits: limits(analysis), twins })
 }
 
 /// A comparison as one versioned JSON document with the same properties.

@@ -24,17 +24,17 @@ mod text;
 mod watch;
 
 use robogate_analysis::PairCounts;
-use robogate_gate::Evaluation;
+use robogate_gate::{Evaluation, Twins};
 
 pub use gate::{
-    RequirementRow, evaluation_markdown, evaluation_markdown_with, feasible_part, fleet_drivers, fleet_headline,
-    fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html, leaderboard_markdown,
+    RequirementRow, TwinRow, evaluation_markdown, evaluation_markdown_with, feasible_part, fleet_drivers,
+    fleet_headline, fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html, leaderboard_markdown,
     leaderboards_html, leaderboards_markdown, reqif, sign, what_next,
 };
 pub use html::{comparison_html, comparison_html_with, explorer_page, html, html_with, transfer_html};
 pub use json::{
-    AnalysisReport, ComparisonReport, StudyReport, TransferReport, analysis_json, comparison_json, study_json,
-    transfer_json,
+    AnalysisReport, ComparisonReport, StudyReport, TransferReport, analysis_json, analysis_json_with, comparison_json,
+    study_json, transfer_json,
 };
 pub use markdown::{comparison_markdown, markdown, markdown_with};
 pub use study::{answer as study_answer, study_markdown};
@@ -50,4 +50,6 @@ pub struct Additions<'a> {
     pub watch: Option<&'a Watch>,
     /// Counts for a map of any two parameters.
     pub pairs: Option<&'a PairCounts>,
+    /// The episodes compared with their nominal twins.
+    pub twins: Option<&'a Twins>,
 }

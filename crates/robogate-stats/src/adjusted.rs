@@ -1,17 +1,19 @@
 //! A success rate with less variance: known distributions of the parameters as a control variate.
 //!
-//! The points of a campaign are sampled from known distributions, so the share of the operating space in each bin of a
-//! parameter is known. A linear model of the outcome on the bins of all parameters, y = β0 + Σ β(bin) + e, gives the rate
-//! over the operating space, Σ share · β. Its variance is only that of e: the part of the outcome that single parameters
-//! do not explain. For independent points this is a regression estimator (post-stratification on all margins). The points
-//! of a Latin hypercube have the known shares already, so the estimate stays the observed rate, and the smaller variance is
-//! the true one: a Latin hypercube removes the variance of all additive parts.
+//! The points of a campaign are sampled from known distributions, so the mean over the operating space of any function
+//! of one parameter is known. A linear model of the outcome, y = β0 + Σ f(parameter) + e, gives the rate over the operating
+//! space from these means. Its variance is only that of e: the part of the outcome that single parameters do not explain.
+//! A numeric parameter has a piecewise linear f, a categorical one a value for each level. For independent points this is a
+//! regression estimator. The points of a Latin hypercube have the known means already, so the estimate stays near the
+//! observed rate, and the smaller variance is the true one: a Latin hypercube removes the variance of all additive parts.
+//! A piecewise constant f would leave the variance within its bins and make the interval too wide for steep effects.
 //!
 //! The interval is Wilson's at the number of independent episodes with the same variance, n' = p (1 - p) / variance.
 //!
-//! Limits: bins must be fixed before the outcomes are seen, and every bin needs rows. The model needs enough rows of the
-//! rarer outcome. The tests simulate the coverage. Sources: Cochran (1977), Sampling Techniques, chapter 7; Stein
-//! (1987), Technometrics 29(2), and Owen (1992), JRSS B 54(2), for Latin hypercubes.
+//! Limits: knots must be fixed before the outcomes are seen, and the rows must determine the model. The model needs enough
+//! rows of the rarer outcome. `examples/adjusted.rs` measures the coverage; `docs/results/variance-reduction.md` has the
+//! figures. Sources: Cochran (1977), Sampling Techniques, chapter 7; Stein (1987), Technometrics 29(2), and Owen (1992), JRSS
+//! B 54(2), for Latin hypercubes.
 
 use robogate_maths::dense::{Cholesky, dot};
 
@@ -24,20 +26,78 @@ pub const FEWEST: usize = 50;
 /// Fewest rows for each coefficient.
 pub const ROWS_PER_COEFFICIENT: usize = 8;
 
-/// One parameter, divided into bins.
+/// One parameter with a known distribution.
 #[derive(Debug, Clone)]
-pub struct Strata {
-    /// The bin of each row.
-    pub bins: Vec<u16>,
-    /// The share of the operating space in each bin. They add up to 1.
-    pub shares: Vec<f64>,
+pub enum Control {
+    /// A parameter with levels.
+    Levels {
+        /// The level of each row.
+        of: Vec<u16>,
+        /// The share of the operating space of each level. They add up to 1.
+        shares: Vec<f64>,
+    },
+    /// A numeric parameter that is uniform on its scale.
+    Uniform {
+        /// The value of each row, from 0 to 1.
+        at: Vec<f64>,
+        /// The number of knots of the piecewise linear function, at least 2. They have equal distances.
+        knots: usize,
+    },
+}
+
+impl Control {
+    fn rows(&self) -> usize {
+        match self {
+            Self::Levels { of, .. } => of.len(),
+            Self::Uniform { at, .. } => at.len(),
+        }
+    }
+
+    fn is_valid(&self) -> bool {
+        match self {
+            Self::Levels { of, shares } => of.iter().all(|level| usize::from(*level) < shares.len()),
+            Self::Uniform { at, knots } => *knots >= 2 && at.iter().all(|x| (0.0..=1.0).contains(x)),
+        }
+    }
+
+    /// The number of functions. They add up to 1, so the last one is not used.
+    fn functions(&self) -> usize {
+        match self {
+            Self::Levels { shares, .. } => shares.len(),
+            Self::Uniform { knots, .. } => *knots,
+        }
+    }
+
+    /// The functions that are not 0 at a row, and their values there.
+    fn at(&self, row: usize) -> [(usize, f64); 2] {
+        match self {
+            Self::Levels { of, .. } => [(usize::from(of[row]), 1.0), (usize::MAX, 0.0)],
+            Self::Uniform { at, knots } => {
+                let place = at[row] * (knots - 1) as f64;
+                let knot = (place as usize).min(knots - 2);
+                let part = place - knot as f64;
+                [(knot, 1.0 - part), (knot + 1, part)]
+            }
+        }
+    }
+
+    /// The mean of each function over the operating space.
+    fn means(&self) -> Vec<f64> {
+        match self {
+            Self::Levels { shares, .. } => shares.clone(),
+            Self::Uniform { knots, .. } => {
+                let step = 1.0 / (knots - 1) as f64;
+                (0..*knots).map(|knot| if knot == 0 || knot == knots - 1 { 0.5 * step } else { step }).collect()
+            }
+        }
+    }
 }
 
 /// The reason why there is no adjusted rate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum AdjustError {
-    /// Columns of different lengths, or a bin without a share.
-    #[error("the bins do not match the rows or the shares")]
+    /// Columns of different lengths, a level without a share, or a value out of range.
+    #[error("the parameters do not match the rows, the shares or the range from 0 to 1")]
     Mismatch,
     /// Too few rows of one outcome.
     #[error("the rarer outcome has {0} episodes. Expected at least {FEWEST}")]
@@ -52,8 +112,8 @@ pub enum AdjustError {
         /// Coefficients.
         coefficients: usize,
     },
-    /// A bin without rows, or bins that determine each other.
-    #[error("a bin of a parameter has no episode")]
+    /// A part of a parameter's range without rows, or parameters that determine each other.
+    #[error("a part of a parameter's range has no episode")]
     Empty,
 }
 
@@ -70,14 +130,13 @@ pub struct AdjustedRate {
     pub effective: f64,
 }
 
-/// The rate over the operating space with the known shares of all bins.
+/// The rate over the operating space with the known distributions of all parameters.
 ///
 /// # Errors
-/// Too few rows, or bins that do not fit.
-pub fn adjusted(strata: &[Strata], outcomes: &[bool], confidence: Confidence) -> Result<AdjustedRate, AdjustError> {
+/// Too few rows, or parameters that do not fit.
+pub fn adjusted(controls: &[Control], outcomes: &[bool], confidence: Confidence) -> Result<AdjustedRate, AdjustError> {
     let n = outcomes.len();
-    let fits = |s: &Strata| s.bins.len() == n && s.bins.iter().all(|bin| usize::from(*bin) < s.shares.len());
-    if !strata.iter().all(fits) {
+    if !controls.iter().all(|control| control.rows() == n && control.is_valid()) {
         return Err(AdjustError::Mismatch);
     }
     let successes = outcomes.iter().filter(|y| **y).count();
@@ -85,27 +144,27 @@ pub fn adjusted(strata: &[Strata], outcomes: &[bool], confidence: Confidence) ->
     if rarer < FEWEST {
         return Err(AdjustError::FewRows(rarer));
     }
-    // The intercept, then all bins of each parameter but the last.
+    // The intercept, then all functions of each parameter but the last.
     let mut first = Vec::new();
     let mut q = 1;
-    for of in strata {
+    for of in controls {
         first.push(q);
-        q += of.shares.len().saturating_sub(1);
+        q += of.functions().saturating_sub(1);
     }
     if n < ROWS_PER_COEFFICIENT * q {
         return Err(AdjustError::FewRowsForModel { rows: n, coefficients: q });
     }
-    let (gram, moments) = normal_equations(strata, &first, outcomes, q);
+    let (gram, moments) = normal_equations(controls, &first, outcomes, q);
     let factor = Cholesky::new(&gram, q, PIVOT).map_err(|_| AdjustError::Empty)?;
     let mut beta = moments.clone();
     factor.solve(&mut beta);
     // The mean row of the operating space.
     let mut mean = vec![0.0; q];
     mean[0] = 1.0;
-    for (of, first) in strata.iter().zip(&first) {
-        for (bin, share) in of.shares.iter().take(of.shares.len().saturating_sub(1)).enumerate() {
-            mean[first + bin] = *share;
-        }
+    for (of, first) in controls.iter().zip(&first) {
+        let means = of.means();
+        let kept = means.len().saturating_sub(1);
+        mean[*first..first + kept].copy_from_slice(&means[..kept]);
     }
     let rate = dot(&mean, &beta).clamp(0.5 / n as f64, 1.0 - 0.5 / n as f64);
     // Outcomes are 0 and 1, so their sum of squares is the number of successes.
@@ -116,32 +175,22 @@ pub fn adjusted(strata: &[Strata], outcomes: &[bool], confidence: Confidence) ->
     Ok(AdjustedRate { rate, se, interval: wilson_at(rate, effective, confidence), effective })
 }
 
-/// X'X and X'y, from the counts of all pairs of bins.
-fn normal_equations(strata: &[Strata], first: &[usize], outcomes: &[bool], q: usize) -> (Vec<f64>, Vec<f64>) {
+/// X'X and X'y, from the few functions that are not 0 at each row.
+fn normal_equations(controls: &[Control], first: &[usize], outcomes: &[bool], q: usize) -> (Vec<f64>, Vec<f64>) {
     let (mut gram, mut moments) = (vec![0.0; q * q], vec![0.0; q]);
-    gram[0] = outcomes.len() as f64;
-    moments[0] = outcomes.iter().filter(|y| **y).count() as f64;
-    for (i, a) in strata.iter().enumerate() {
-        let kept = a.shares.len().saturating_sub(1);
-        for (bin, y) in a.bins.iter().zip(outcomes) {
-            let bin = usize::from(*bin);
-            if bin < kept {
-                let at = first[i] + bin;
-                gram[at * q] += 1.0;
-                gram[at * q + at] += 1.0;
-                moments[at] += f64::from(u8::from(*y));
-            }
+    let mut row: Vec<(usize, f64)> = Vec::new();
+    for (at, y) in outcomes.iter().enumerate() {
+        row.clear();
+        row.push((0, 1.0));
+        for (of, first) in controls.iter().zip(first) {
+            let kept = of.functions().saturating_sub(1);
+            row.extend(of.at(at).into_iter().filter(|(k, x)| *k < kept && *x > 0.0).map(|(k, x)| (first + k, x)));
         }
-        for (j, b) in strata.iter().enumerate().take(i) {
-            let (wide, other) = (b.shares.len(), b.shares.len().saturating_sub(1));
-            let mut counts = vec![0_u32; a.shares.len() * wide];
-            for (x, y) in a.bins.iter().zip(&b.bins) {
-                counts[usize::from(*x) * wide + usize::from(*y)] += 1;
-            }
-            for x in 0..kept {
-                for y in 0..other {
-                    gram[(first[i] + x) * q + first[j] + y] = f64::from(counts[x * wide + y]);
-                }
+        for (i, (a, x)) in row.iter().enumerate() {
+            moments[*a] += if *y { *x } else { 0.0 };
+            // Indices increase within a row.
+            for (b, z) in &row[..=i] {
+                gram[a * q + b] += x * z;
             }
         }
     }
@@ -169,7 +218,7 @@ mod tests {
     use rand_core::SeedableRng;
 
     const PARAMETERS: usize = 5;
-    const BINS: u16 = 5;
+    const KNOTS: usize = 5;
 
     /// A point set: a Latin hypercube, or independent points.
     fn points(rng: &mut ChaCha8Rng, n: usize, latin: bool) -> Vec<Vec<f64>> {
@@ -198,14 +247,9 @@ mod tests {
             let points = points(&mut rng, n, latin);
             let row = |i: usize| points.iter().map(|c| c[i]).collect::<Vec<f64>>();
             let outcomes: Vec<bool> = (0..n).map(|i| uniform(&mut rng) < law(&row(i))).collect();
-            let strata: Vec<Strata> = points
-                .iter()
-                .map(|c| Strata {
-                    bins: c.iter().map(|x| (x * f64::from(BINS)) as u16).collect(),
-                    shares: vec![1.0 / f64::from(BINS); usize::from(BINS)],
-                })
-                .collect();
-            let found = adjusted(&strata, &outcomes, Confidence::P95).unwrap();
+            let controls: Vec<Control> =
+                points.iter().map(|c| Control::Uniform { at: c.clone(), knots: KNOTS }).collect();
+            let found = adjusted(&controls, &outcomes, Confidence::P95).unwrap();
             covered += u32::from(found.interval.contains(truth));
             effective += found.effective / n as f64 / f64::from(sets);
         }
@@ -232,14 +276,17 @@ mod tests {
 
     #[test]
     fn unusable_rows_are_rejected() {
-        let strata = |bins: Vec<u16>| Strata { bins, shares: vec![0.5, 0.5] };
-        let of = |bins: Vec<u16>, y: &[bool]| adjusted(&[strata(bins)], y, Confidence::P95);
+        let levels = |of: Vec<u16>| Control::Levels { of, shares: vec![0.5, 0.5] };
+        let of = |of: Vec<u16>, y: &[bool]| adjusted(&[levels(of)], y, Confidence::P95);
         assert_eq!(of(vec![0; 3], &[true; 2]), Err(AdjustError::Mismatch));
         assert_eq!(of(vec![2; 2], &[true; 2]), Err(AdjustError::Mismatch));
         assert_eq!(of(vec![0; 200], &[true; 200]), Err(AdjustError::FewRows(0)));
         let y: Vec<bool> = (0..200).map(|i| i % 2 == 0).collect();
         assert_eq!(of(vec![0; 200], &y), Err(AdjustError::Empty));
-        let both = adjusted(&[strata((0..200).map(|i| i / 100).collect())], &y, Confidence::P95).unwrap();
+        for at in [vec![1.5; 200], vec![f64::NAN; 200]] {
+            assert_eq!(adjusted(&[Control::Uniform { at, knots: 3 }], &y, Confidence::P95), Err(AdjustError::Mismatch));
+        }
+        let both = adjusted(&[levels((0..200).map(|i| i / 100).collect())], &y, Confidence::P95).unwrap();
         assert!((both.rate - 0.5).abs() < 1e-12);
     }
 }

@@ -46,6 +46,7 @@ pub mod correlation;
 pub mod crossed;
 pub mod difference;
 pub mod exact_strata;
+pub mod families;
 pub mod format;
 pub mod fourier;
 pub mod group_sequential;

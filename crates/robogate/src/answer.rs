@@ -5,6 +5,7 @@ use robogate_report::{RequirementRow, feasible_part, how_judged, sign, what_next
 use robogate_stats::format::number;
 
 use crate::terminal::{Styled, bold, dim, grouped, line, longest_line, percent, styled};
+use crate::twins;
 
 /// Prints the evaluation.
 pub(crate) fn print(evaluation: &Evaluation) {
@@ -53,6 +54,7 @@ pub(crate) fn print(evaluation: &Evaluation) {
         );
     }
     groups(evaluation);
+    evaluation.twins.iter().for_each(twins::print);
     score(evaluation);
 }
 

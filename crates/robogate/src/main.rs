@@ -28,6 +28,7 @@ mod source;
 mod subject;
 mod summary;
 mod terminal;
+mod twins;
 mod watch;
 
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};

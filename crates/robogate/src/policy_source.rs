@@ -206,6 +206,11 @@ impl PolicyLocation {
         Self { at: None, access: access.clone() }
     }
 
+    /// The same access without another address: that of a second policy, whose address is recorded.
+    pub(crate) fn without_address(&self) -> Self {
+        Self::with_access(&self.access)
+    }
+
     /// Rejects the argument for a policy that is neither a server nor a file.
     pub(crate) fn unused(&self) -> Result<(), Exit> {
         match &self.at {

@@ -15,6 +15,7 @@ use crate::commands::shard::exit;
 use crate::exit::Exit;
 use crate::remote::Simulators;
 use crate::subject::{Subject, starts_processes};
+use crate::twins;
 
 /// A campaign in shards. After each round of a gate, the sequential test decides whether another one follows.
 pub(crate) struct Campaign {
@@ -131,6 +132,7 @@ impl Campaign {
     pub(crate) fn merge(mut self, out: &Path, events: &mut dyn FnMut(&Event), json: bool) -> Result<u8, Exit> {
         self.choose_as_recorded()?;
         let completion = self.in_rounds(|shards, after_round| shards.merge(out, events, after_round))?;
+        twins::merge(&self.shards, out, &completion)?;
         match &self.gate {
             Some(Gate { asked, other, .. }) => {
                 if !out.join(Asked::FILE).exists() {

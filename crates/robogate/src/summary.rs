@@ -8,6 +8,7 @@ use robogate_campaign::{
     ActiveReport, BoundaryReport, DrawnFrom, Estimate, OutcomeCounts, Population, Sought, Stage, StageSummary,
     SuiteSummary, Summary,
 };
+use robogate_gate::Twins;
 use robogate_report::{Headline, low_side};
 use robogate_stats::format::{p_value, percent_or_dash};
 use serde_json::json;
@@ -20,8 +21,16 @@ use crate::terminal::{bar, bold, dim, foreign, grouped, line, percent, wrapped};
 const FEW: u64 = 20;
 
 /// Prints the summary as one JSON document.
-pub(crate) fn json(dir: &Path, summary: &Summary, boundary: Option<&BoundaryReport>) -> serde_json::Result<()> {
-    let document = json!({ "version": 1, "dir": dir, "summary": summary, "boundary": boundary });
+pub(crate) fn json(
+    dir: &Path,
+    summary: &Summary,
+    boundary: Option<&BoundaryReport>,
+    twins: Option<&Twins>,
+) -> serde_json::Result<()> {
+    let mut document = json!({ "version": 1, "dir": dir, "summary": summary, "boundary": boundary });
+    if let (Some(document), Some(twins)) = (document.as_object_mut(), twins) {
+        document.insert("twins".to_owned(), serde_json::to_value(twins)?);
+    }
     line(serde_json::to_string_pretty(&document)?);
     Ok(())
 }

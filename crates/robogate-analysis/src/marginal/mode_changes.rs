@@ -59,7 +59,9 @@ pub(super) fn mode_changes(table: &EpisodeTable, base: &Sample, parameter: &Para
     let bins = (failed.len() / 30).clamp(2, BINS);
     let edges = integer_edges(parameter).map_or_else(|| Edges::equal_count(&values, bins), Ok);
     let mode_name = |mode: usize| table.mode(mode).to_owned();
-    let found = edges.and_then(|edges| transitions(&values, &modes_of, table.modes.len(), &edges, Confidence::P95));
+    // The page lists the changes of all parameters, so they share the error.
+    let level = Confidence::P95.shared_by(base.parameters.len());
+    let found = edges.and_then(|edges| transitions(&values, &modes_of, table.modes.len(), &edges, level));
     match found {
         Ok(Transitions { bins, transitions, .. }) => Finding::Estimated(ModeChanges {
             bins: bins

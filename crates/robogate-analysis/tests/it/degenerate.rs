@@ -54,6 +54,21 @@ fn one_outcome_has_no_model() {
 }
 
 #[test]
+fn one_failure_names_no_dominant_mode() {
+    let failing = |failures: u64| {
+        of(with_outcomes(200, move |i| match i < failures {
+            true => Outcome::Failure(FailureMode::constant("grasp_miss")),
+            false => Outcome::Success,
+        }))
+    };
+    for few in [1, 2, 4] {
+        let because = failing(few).failure_modes.dominant.because().unwrap().to_owned();
+        assert!(because.contains("do not differ significantly"), "{few}: {because}");
+    }
+    assert_eq!(failing(12).failure_modes.dominant.estimated().unwrap(), "grasp_miss");
+}
+
+#[test]
 fn constant_parameter_is_named() {
     let space = space(&["box", "sphere"]);
     let entries = (0..400).map(|i| {

@@ -66,12 +66,3 @@ pub(crate) fn write(path: &Path, space: &ParameterSpace, entries: Vec<Entry>) {
     let entries = entries.into_iter().map(Ok::<_, DictionaryError>);
     write_parquet(path, &provenance(space.clone()), entries).unwrap();
 }
-
-/// The analysis of these entries, written to a file and read back.
-pub(crate) fn analysed(space: &ParameterSpace, entries: Vec<Entry>) -> robogate_analysis::Analysis {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("dictionary.parquet");
-    write(&path, space, entries);
-    let source = robogate_analysis::Source::open(&path).unwrap();
-    robogate_analysis::Analysis::of(&source, Path::new("test.parquet"), &[]).unwrap()
-}

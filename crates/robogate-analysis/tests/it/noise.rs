@@ -1,12 +1,13 @@
 //! Simulated dictionaries whose law is known: success that depends on nothing, and one planted effect. The program
 //! `headlines` of `robogate-report` runs them at full size.
 
+use std::path::Path;
 use std::sync::Arc;
 
-use robogate_analysis::{Advice, Analysis};
+use robogate_analysis::{Advice, Analysis, AnalysisOptions, Source};
 use robogate_core::{FailureMode, Outcome, ParameterSpace};
 
-use crate::synthetic::{analysed, entry, unit};
+use crate::synthetic::{entry, unit, write};
 
 /// A space of ten parameters: seven continuous ones (two of them logarithmic), one integer and two with levels.
 pub(crate) fn ten() -> ParameterSpace {
@@ -42,7 +43,12 @@ pub(crate) fn simulated(seed: u64, n: u64, law: impl Fn(&[f64]) -> f64) -> Analy
         let success = unit(of, 99) < law(&at);
         entry(index, requested, if success { Outcome::Success } else { Outcome::Failure(FailureMode::constant(mode)) })
     };
-    analysed(&space, (0..n).map(one).collect())
+    // Models and maps name nothing, and most of the time would be theirs.
+    let options = AnalysisOptions { models: false, ..AnalysisOptions::default() };
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("dictionary.parquet");
+    write(&path, &space, (0..n).map(one).collect());
+    Analysis::with(&Source::open(&path).unwrap(), Path::new("test.parquet"), &options).unwrap()
 }
 
 /// Everything that a report names: regions, interactions, boxes, danger zones.

@@ -4,12 +4,22 @@
 #[path = "episodes.rs"]
 mod episodes;
 
+use std::path::Path;
 use std::sync::Arc;
 
 use robogate_core::{Assignment, FailureMode, Fault, FaultKind, Outcome, ParameterSpace};
 use robogate_dictionary::Entry;
 
-pub(crate) use episodes::{analysed, entry, provenance, unit, write};
+pub(crate) use episodes::{entry, provenance, unit, write};
+
+/// The analysis of these entries, written to a file and read back.
+pub(crate) fn analysed(space: &ParameterSpace, entries: Vec<Entry>) -> robogate_analysis::Analysis {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("dictionary.parquet");
+    write(&path, space, entries);
+    let source = robogate_analysis::Source::open(&path).unwrap();
+    robogate_analysis::Analysis::of(&source, Path::new("test.parquet"), &[]).unwrap()
+}
 
 /// A space of friction, mass, obstacles and a shape with these levels.
 pub(crate) fn space(shapes: &[&str]) -> ParameterSpace {

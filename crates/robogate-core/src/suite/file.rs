@@ -13,6 +13,11 @@ use crate::{Domain, Parameter, ParameterSpace, Scale, Value};
 
 type Table = BTreeMap<Arc<str>, Given>;
 
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_false(value: &bool) -> bool {
+    !*value
+}
+
 /// A suite of scenarios.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -29,6 +34,9 @@ pub(super) struct SuiteFile {
     /// The environment of the scenarios, as `--env` names it. Default: the environment that the command selects.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) environment: Option<String>,
+    /// Whether each scenario also runs with the task's nominal values and the same seed.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub(super) nominal: bool,
     /// Published results on these scenarios, for orientation.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) published: Vec<Published>,
@@ -258,7 +266,63 @@ impl Given {
     }
 }
 
+impl From<&Value> for Given {
+    fn from(value: &Value) -> Self {
+        match value {
+            Value::Integer(n) => Self::Integer(*n),
+            Value::Number(x) => Self::Number(*x),
+            Value::Category(word) => Self::Word(Arc::clone(word)),
+        }
+    }
+}
+
+impl From<&Spread> for Given {
+    fn from(spread: &Spread) -> Self {
+        match spread {
+            Spread::Fixed(value) => Self::from(value),
+            Spread::Drawn(Domain::Continuous { low, high, .. }) => Self::Range(Ends { low: *low, high: *high }),
+            Spread::Drawn(Domain::Integer { low, high }) => Self::IntegerRange(Ends { low: *low, high: *high }),
+            Spread::Drawn(Domain::Categorical { choices }) => Self::Words(choices.clone()),
+        }
+    }
+}
+
 impl SuiteFile {
+    /// A suite with these scenarios: category, group, id and parameters of each. Neighbours with equal group are one group.
+    pub(super) fn of_scenarios<'a>(
+        [name, version, description]: [String; 3],
+        environment: Option<String>,
+        scenarios: impl Iterator<Item = ([&'a str; 2], String, Vec<(Arc<str>, Spread)>)>,
+    ) -> Self {
+        let mut groups: Vec<GroupFile> = Vec::new();
+        for ([category, group], id, parameters) in scenarios {
+            let parameters = parameters.into_iter().map(|(name, spread)| (name, Given::from(&spread))).collect();
+            let scenario = ScenarioFile { id, parameters };
+            match groups.last_mut().filter(|of| of.category == category && of.name == group) {
+                Some(of) => of.scenarios.push(scenario),
+                None => groups.push(GroupFile {
+                    name: group.to_owned(),
+                    category: category.to_owned(),
+                    description: None,
+                    defaults: Table::new(),
+                    scenarios: vec![scenario],
+                }),
+            }
+        }
+        let (nominal, published, defaults) = (false, Vec::new(), Table::new());
+        Self {
+            schema: Suite::SCHEMA,
+            name,
+            version,
+            description,
+            environment,
+            nominal,
+            published,
+            defaults,
+            group: groups,
+        }
+    }
+
     /// Returns the scenarios with all their parameters and the space of these, or all problems.
     pub(super) fn resolve(&self) -> Result<(Vec<Case>, ParameterSpace), Vec<SuiteProblem>> {
         let mut problems = Vec::new();

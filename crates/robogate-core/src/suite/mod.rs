@@ -2,6 +2,7 @@
 
 mod file;
 mod problem;
+mod twin;
 
 use std::sync::Arc;
 

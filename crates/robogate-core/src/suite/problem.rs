@@ -9,6 +9,11 @@ pub enum SuiteError {
     Syntax(String),
     /// The file can be read, but its content is invalid. Lists all problems, at least one.
     Problems(Vec<SuiteProblem>),
+    /// Nominal twins of scenarios without a parameter that has a nominal value.
+    NoNominal {
+        /// The task.
+        task: String,
+    },
 }
 
 impl std::error::Error for SuiteError {}
@@ -17,6 +22,11 @@ impl fmt::Display for SuiteError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Syntax(text) => f.write_str(text),
+            Self::NoNominal { task } => write!(
+                f,
+                "the task {task} declares a nominal value for none of these parameters, so the scenarios have no nominal \
+                 twins\nhint: declare `nominal` for the parameters in the task of the environment"
+            ),
             Self::Problems(problems) => {
                 for (i, problem) in problems.iter().enumerate() {
                     if i > 0 {

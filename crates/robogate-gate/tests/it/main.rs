@@ -14,3 +14,4 @@ mod real;
 mod score;
 mod simulated;
 mod table;
+mod twins;

@@ -2,9 +2,9 @@
 
 use std::fmt::Write;
 
-use robogate_gate::{ConfidenceScore, Controls, Evaluation, Mode, Verdict};
+use robogate_gate::{ConfidenceScore, Controls, Evaluation, Mode, Twins, Verdict};
 
-use super::{RequirementRow, feasible_part, how_judged, sign, value, what_next};
+use super::{RequirementRow, TwinRow, feasible_part, how_judged, sign, value, what_next};
 use crate::markdown::{escape_markdown, watch_item};
 use crate::watch::Watch;
 use robogate_stats::format::{count, counted, fixed, percent, percent_range, sentence};
@@ -78,6 +78,9 @@ pub fn evaluation_markdown_with(evaluation: &Evaluation, watch: Option<&Watch>) 
     if let Some(text) = feasible_part(evaluation) {
         let _ = writeln!(out, "\n{text}");
     }
+    if let Some(twins) = &evaluation.twins {
+        self::twins(&mut out, twins);
+    }
     if let Some(watch) = watch.filter(|watch| !watch.items.is_empty()) {
         out.push_str("\n### Episodes worth watching\n\n");
         watch.items.iter().take(MAX_EPISODES).for_each(|item| watch_item(&mut out, item));
@@ -108,6 +111,19 @@ pub fn evaluation_markdown_with(evaluation: &Evaluation, watch: Option<&Watch>) 
         out.push_str("\n</details>\n");
     }
     out
+}
+
+/// The control arm.
+fn twins(out: &mut String, twins: &Twins) {
+    out.push_str("\n### Control arm: the same seeds without the perturbations\n\n");
+    for line in twins.lines() {
+        let _ = writeln!(out, "- {}", escape_markdown(&line));
+    }
+    let _ = writeln!(out, "\n| {} |\n|---|---|---:|---:|---|", TwinRow::HEADS.join(" | "));
+    for family in &twins.families {
+        let cells = TwinRow::of(family).cells().map(|cell| escape_markdown(&cell));
+        let _ = writeln!(out, "| {} |", cells.join(" | "));
+    }
 }
 
 fn score(out: &mut String, score: &ConfidenceScore) {

@@ -5,6 +5,7 @@ mod junit;
 mod leaderboard;
 mod markdown;
 mod reqif;
+mod twins;
 mod verdict;
 
 use robogate_gate::{Evaluation, Metric, Mode, RequirementResult, Sampling, Status};
@@ -14,6 +15,7 @@ pub use junit::junit;
 pub use leaderboard::{leaderboard_html, leaderboard_markdown, leaderboards_html, leaderboards_markdown};
 pub use markdown::{evaluation_markdown, evaluation_markdown_with};
 pub use reqif::reqif;
+pub use twins::TwinRow;
 pub(crate) use verdict::VerdictBlock;
 
 use robogate_stats::format::{self, count, fixed, number, percent, percent_range};

@@ -2,7 +2,7 @@
 
 use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
 use robogate_analysis::{
-    Advice, Analysis, BoxLimit, EffectShape, FailureRegion, ModeShare, Population, SafeBox, ShapeKind, unrecorded,
+    Advice, Analysis, BoxLimit, EffectShape, FailureModes, FailureRegion, Population, SafeBox, ShapeKind, unrecorded,
 };
 use robogate_stats::format::{count, counted, list, number, percent, percent_or_dash, percent_range, range, sentence};
 use schemars::JsonSchema;
@@ -12,6 +12,9 @@ use super::labels;
 
 /// Smallest number of valid episodes for a verbal description of the rate.
 const MIN_EPISODES: u64 = 30;
+
+/// Maximum number of failure modes in a sentence.
+const LISTED_MODES: usize = 3;
 
 /// Smallest gain of the adjusted interval that is reported.
 const MIN_GAIN: f64 = 1.1;
@@ -43,24 +46,16 @@ impl Headline {
 
 fn answer(analysis: &Analysis) -> String {
     let rate = &analysis.success.rate;
-    let Some(share) = rate.rate else {
+    if rate.rate.is_none() {
         return "No episode is valid, so there is no evidence about this policy.".to_owned();
-    };
+    }
     let of = match analysis.population {
         Population::OperatingSpace => "over the operating space",
         Population::AsImported => "over the imported episodes",
         Population::Suite => "over the scenarios of the suite (not the operating space)",
         _ => "in a focused design (not the operating space)",
     };
-    let chance = if rate.n < MIN_EPISODES {
-        String::new()
-    } else if share < 0.005 {
-        ": almost never".to_owned()
-    } else if share > 0.995 {
-        ": almost always".to_owned()
-    } else {
-        format!(": about {} times in 10", (10.0 * share).round().clamp(0.0, 10.0))
-    };
+    let chance = if rate.n < MIN_EPISODES { String::new() } else { chance(rate.wilson_95) };
     let of_feasible = match &analysis.success.feasible {
         Some(part) if part.n < rate.n => match part.rate {
             Some(share) => format!(
@@ -81,13 +76,24 @@ fn answer(analysis: &Analysis) -> String {
     )
 }
 
+/// A success rate in words, from both ends of its interval: a rate alone would claim more than the episodes support.
+fn chance([low, high]: [f64; 2]) -> String {
+    let tenths = [low, high].map(|end| (10.0 * end).round().clamp(0.0, 10.0));
+    match tenths {
+        _ if high < 0.01 => ": almost never".to_owned(),
+        _ if low > 0.99 => ": almost always".to_owned(),
+        [low, high] if high - low < 0.5 => format!(": about {low} times in 10"),
+        [low, high] => format!(": about {low} to {high} times in 10"),
+    }
+}
+
 fn where_it_fails(analysis: &Analysis) -> Vec<String> {
     let mut lines = Vec::new();
     let modes = &analysis.failure_modes;
     if modes.failures > 0 && !modes.not_recorded.is_empty() {
         lines.push(format!("The failure modes are uncertain: {}.", unrecorded(&modes.not_recorded)));
     } else if modes.failures > 0 {
-        lines.push(main_modes(&modes.modes));
+        lines.push(main_modes(modes));
     } else if analysis.success.rate.n > 0 {
         lines.push("No failure was observed. This bounds the failure rate, but does not make it zero.".to_owned());
     }
@@ -110,20 +116,30 @@ fn where_it_fails(analysis: &Analysis) -> Vec<String> {
     lines
 }
 
-fn main_modes(modes: &[ModeShare]) -> String {
-    let occurred = modes.iter().filter(|m| m.failures > 0);
+/// The most frequent mode if a test supports it, otherwise the counts alone.
+fn main_modes(modes: &FailureModes) -> String {
+    let occurred = modes.modes.iter().filter(|m| m.failures > 0);
     let (unknown, mut by): (Vec<_>, Vec<_>) = occurred.partition(|m| m.is_unknown());
     if by.is_empty() {
         return "No failure mode is recorded.".to_owned();
     }
     by.sort_by_key(|m| std::cmp::Reverse(m.failures));
-    let shares: Vec<String> = by
-        .iter()
-        .take(2)
-        .map(|m| format!("{} ({})", mode_label(&m.mode), percent(m.share.unwrap_or_default())))
-        .collect();
-    let mostly = if by.len() > 2 || !unknown.is_empty() { "mostly by" } else { "by" };
-    format!("It fails {mostly} {}.", list(&shares))
+    let failures = counted(modes.failures, "failure");
+    if let Some(dominant) = modes.dominant.estimated() {
+        let of = by.iter().find(|m| m.mode == *dominant).map_or(0, |m| m.failures);
+        return format!(
+            "{} is the most frequent failure mode: {} of {failures}.",
+            sentence(&mode_label(dominant)),
+            count(of)
+        );
+    }
+    let others = by.iter().skip(LISTED_MODES).chain(&unknown).map(|m| m.failures).sum::<u64>();
+    let mut counts: Vec<String> =
+        by.iter().take(LISTED_MODES).map(|m| format!("{} {}", count(m.failures), mode_label(&m.mode))).collect();
+    if others > 0 {
+        counts.push(format!("{} other", count(others)));
+    }
+    format!("{}: {}. No mode is significantly the most frequent.", sentence(&failures), list(&counts))
 }
 
 fn region(region: &FailureRegion) -> String {

@@ -1,6 +1,6 @@
 //! Compares the tests behind headlines with `tests/reference/claims.py`.
 
-use robogate_stats::adjusted::{Strata, adjusted};
+use robogate_stats::adjusted::{Control, adjusted};
 use robogate_stats::likelihood_ratio::likelihood_ratio;
 use robogate_stats::logistic::{Data, Options, fit, interaction};
 use robogate_stats::scan::{Order, scan};
@@ -70,12 +70,17 @@ fn scan_matches_scipy_permutations() {
 #[test]
 fn adjusted_rate_matches_statsmodels() {
     let (_, _, _, y) = rows();
-    let strata = |multiplier, modulus, bins: usize| Strata {
-        bins: formula(ROWS, multiplier, modulus).iter().map(|u| (u * bins as f64) as u16).collect(),
-        shares: vec![1.0 / bins as f64; bins],
+    let levels = |multiplier, modulus, levels: usize| Control::Levels {
+        of: formula(ROWS, multiplier, modulus).iter().map(|u| (u * levels as f64) as u16).collect(),
+        shares: vec![1.0 / levels as f64; levels],
     };
-    let found = adjusted(&[strata(37, 101, 4), strata(53, 211, 3)], &y, Confidence::P95).unwrap();
+    let found = adjusted(&[levels(37, 101, 4), levels(53, 211, 3)], &y, Confidence::P95).unwrap();
     let expected = &reference()["adjusted"];
     close("rate", found.rate, float(&expected["rate"]), 1e-10);
     close("se", found.se, float(&expected["se"]), 1e-10);
+    let uniform = |multiplier, modulus, knots| Control::Uniform { at: formula(ROWS, multiplier, modulus), knots };
+    let found = adjusted(&[uniform(37, 101, 5), uniform(53, 211, 3)], &y, Confidence::P95).unwrap();
+    let expected = &reference()["adjusted_linear"];
+    close("rate", found.rate, float(&expected["rate"]), 1e-8);
+    close("se", found.se, float(&expected["se"]), 1e-8);
 }

@@ -2,7 +2,7 @@
 
 use robogate_stats::compare::Pairs;
 use robogate_stats::difference::{independent, paired};
-use robogate_stats::group_sequential::joint_p;
+use robogate_stats::group_sequential::{boundary_p, joint_p};
 use robogate_stats::stratified::Strata;
 use robogate_stats::{Confidence, Trials};
 use serde_json::Value;
@@ -40,6 +40,14 @@ fn paired_differences_match_tango() {
 fn joint_p_values_match_multivariate_normal() {
     for case in list(&reference()["joint"]) {
         let found = joint_p(float(&case["p"]), count(&case["looks"]));
+        assert!((found / float(&case["joint"]) - 1.0).abs() < 0.01, "{case}: {found}");
+    }
+}
+
+#[test]
+fn rising_limits_match_multivariate_normal() {
+    for case in list(&reference()["boundary"]) {
+        let found = boundary_p(float(&case["limit"]), count(&case["looks"]));
         assert!((found / float(&case["joint"]) - 1.0).abs() < 0.01, "{case}: {found}");
     }
 }

@@ -4,7 +4,7 @@ another way than the crate does.
 - independent differences: the p-value of statsmodels (Miettinen and Nurminen), and their statistic from a numerical maximum
   of the constrained likelihood, solved by brentq
 - paired differences: Tango's statistic from a numerical maximum of the constrained likelihood, solved by brentq
-- joint p-values: the multivariate normal distribution of the looks (scipy)
+- joint p-values, and the limits that rise from look to look: the multivariate normal distribution of the looks (scipy)
 - stratified evidence: the constrained maximum of the likelihood by SLSQP, everything else by direct sums and quadrature
 
 Usage: python gate.py   (packages: requirements.txt)
@@ -77,6 +77,16 @@ def joint(p, looks):
         np.full(looks, z)
     )
     return {"p": p, "looks": looks, "joint": 1 - inside}
+
+
+def boundary(limit, looks):
+    """Probability that a look k has a statistic above limit (k/K)^0.1."""
+    k = np.arange(1, looks + 1)
+    covariance = np.sqrt(np.minimum.outer(k, k) / np.maximum.outer(k, k))
+    inside = stats.multivariate_normal(cov=covariance, allow_singular=True, maxpts=4_000_000, abseps=1e-7).cdf(
+        limit * (k / looks) ** 0.1
+    )
+    return {"limit": limit, "looks": looks, "joint": 1 - inside}
 
 
 def weights(p0):
@@ -152,6 +162,7 @@ out = {
     ],
     "paired": [paired(*case) for case in [(30, 12, 1000), (8, 2, 400), (55, 60, 2000), (100, 20, 500)]],
     "joint": [joint(*case) for case in [(0.01, 2), (0.0169, 5), (0.005, 5), (0.0116, 10), (0.001, 10)]],
+    "boundary": [boundary(*case) for case in [(1.9, 2), (2.2, 3), (2.4, 5), (2.6, 10)]],
     "stratified": [stratified(rounds, p0) for rounds, p0 in scenarios()],
 }
 Path(__file__).with_name("gate.json").write_text(json.dumps(out, indent=1) + "\n")

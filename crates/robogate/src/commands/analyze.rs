@@ -7,13 +7,15 @@ use robogate_analysis::{
     Analysis, AnalysisError, AnalysisOptions, CriticalThreshold, DEFAULT_TARGET, Envelope, Finding, MarginalEffect,
     PairMap, Population, Regression, RiskModel, Source, Zone,
 };
-use robogate_report::{Headline, analysis_json, limits, low_side};
+use robogate_gate::Sampling;
+use robogate_report::{Headline, analysis_json_with, limits, low_side};
 use robogate_stats::format::{p_value, percent_or_dash};
 
 use crate::commands::report::evidence;
 use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
 use crate::source::open_source;
 use crate::terminal::{bar, bold, dim, grouped, line, percent, wrapped};
+use crate::twins::{self, NominalArguments};
 
 /// Analyze a dictionary: where the policy fails, the effects of the parameters, and their confidence intervals.
 #[derive(Debug, Args)]
@@ -29,16 +31,20 @@ pub(crate) struct Analyze {
     /// Set the success rate that the advice aims at, between 0 and 1
     #[arg(long, value_name = "RATE", default_value_t = DEFAULT_TARGET)]
     target: f64,
+    #[command(flatten)]
+    nominal: NominalArguments,
 }
 
 impl Analyze {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let source = open_source(&self.dictionary)?;
         let analysis = analyse(&source, &self.dictionary, &options(&self.pair, self.target))?;
+        let twins = self.nominal.twins(&source, Sampling::Fixed)?;
         if self.json {
-            line(analysis_json(&analysis));
+            line(analysis_json_with(&analysis, twins.as_ref()));
         } else {
             print(&analysis);
+            twins.iter().for_each(twins::print);
         }
         Ok(evidence(&analysis))
     }
@@ -47,7 +53,7 @@ impl Analyze {
 /// The options `--pair A B` and `--target RATE`.
 pub(crate) fn options(names: &[String], target_rate: f64) -> AnalysisOptions {
     let pairs = names.chunks_exact(2).map(|pair| (pair[0].clone(), pair[1].clone())).collect();
-    AnalysisOptions { pairs, target_rate }
+    AnalysisOptions { pairs, target_rate, ..AnalysisOptions::default() }
 }
 
 /// Analyzes a source. Its errors get their exit codes.

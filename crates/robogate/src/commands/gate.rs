@@ -30,10 +30,12 @@ use crate::commands::{controls, shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::latency::LatencyArguments;
 use crate::policy_source::{PolicyAccess, PolicyArguments, PolicyLocation};
+use crate::remote::Simulators;
 use crate::source::open_source;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary::influential;
 use crate::terminal::{grouped, line, note, warning};
+use crate::twins::{self, Arm, NominalArguments};
 use crate::watch::Frames;
 
 /// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run.
@@ -83,6 +85,12 @@ pub(crate) struct Gate {
     /// Print how often the gate passes and fails at given true rates, and run nothing
     #[arg(long)]
     plan: bool,
+    /// Also run the nominal twin of each scenario: the same seed with the task's nominal values. The gate then states the
+    /// effect of each group of perturbations and what fails without them. The verdict does not depend on it
+    #[arg(long, conflicts_with = "run")]
+    twins: bool,
+    #[command(flatten)]
+    nominal: NominalArguments,
     /// Set the number of episodes of each control of an external policy: the environment's expert, the expert through
     /// the profile, and random actions of the model. 0 skips the controls, and the result says so
     #[arg(long, value_name = "N", default_value_t = controls::EPISODES)]
@@ -182,7 +190,8 @@ impl Gate {
             against: other.against(margin),
             sampling,
         };
-        let evaluation = question.evaluate(&record).map_err(refused)?;
+        let mut evaluation = question.evaluate(&record).map_err(refused)?;
+        evaluation.twins = self.nominal.twins(&source, sampling)?;
         if let Some(out) = &self.out {
             fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display())).or_broken()?;
             write_answer(out, &evaluation, None)?;
@@ -218,6 +227,7 @@ impl Gate {
 
     /// Runs a suite until the verdict is certain.
     fn run_suite(&self) -> Result<u8, Exit> {
+        self.nominal.unused()?;
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         let environment = self.environment.environment_of(suite.as_ref(), SuctionLaw::Vacuum)?;
         let subject = Subject::new(environment, self.policy.source_at(&self.location())?)?;
@@ -253,12 +263,14 @@ impl Gate {
             Some(controls) => subject.with_controls(controls),
             None => subject,
         };
-        let plan = Plan::of_suite(suite, u64::from(rounds), seed);
+        let mut plan = Plan::of_suite(suite, u64::from(rounds), seed);
+        plan.twins |= self.twins;
         let space = plan.suite.as_ref().map(|stage| stage.suite.space().clone());
         let space = space.ok_or_else(|| anyhow!("the plan has no suite")).or_broken()?;
         let provenance = subject.provenance(space)?;
         plan.check(&provenance.space).or_usage()?;
-        let planned = Provenance { plan: serde_json::to_value(&plan).or_broken()?, ..provenance.clone() };
+        let planned =
+            Provenance { plan: serde_json::to_value(&plan).or_broken()?, seed: plan.seed, ..provenance.clone() };
         let mut record = Record::begun(&planned).map_err(refused)?;
         record.real = self.real.as_deref().map(real_evidence).transpose()?;
         let other = self.other(&record)?;
@@ -371,13 +383,14 @@ impl Gate {
             }
             None => None,
         };
+        let arm = Arm::of(&dir, &plan, &provenance.space, &subject)?;
         let mut other = other.record.map(|(_, record)| record);
         let mut trouble = None;
         let mut broken = None;
         let completion = {
             let mut after = |round: &Round<'_>| {
                 if let Some(rival) = &mut rival
-                    && let Err(error) = rival.run(round)
+                    && let Err(error) = rival.run(&dir, round)
                 {
                     broken = Some(error);
                     return ControlFlow::Break(());
@@ -386,7 +399,7 @@ impl Gate {
                 Look { asked: &asked, other, record: &mut record, trouble: &mut trouble }.after(round)
             };
             self.how.carry(&subject, |executor, events| {
-                let mut events = |event: &Event| {
+                let mut with_question = |event: &Event| {
                     // The folder exists and contains the plan; no episode has run yet.
                     if let Event::Started { .. } = event {
                         write_question(&dir, &asked);
@@ -394,18 +407,22 @@ impl Gate {
                     }
                     events(event);
                 };
-                robogate_campaign::start_in_rounds(&dir, &plan, provenance, executor, &mut events, &mut after)
+                let completion = robogate_campaign::start_in_rounds(
+                    &dir,
+                    &plan,
+                    provenance,
+                    executor,
+                    &mut with_question,
+                    &mut after,
+                )?;
+                arm.map_or(Ok(completion.clone()), |arm| arm.after(completion, executor, events))
             })
         }?;
         if let Some(error) = broken {
             return Err(error);
         }
         if let (Some(rival), Completion::Finished { .. }) = (rival, &completion) {
-            let (path, record) = rival.write(&dir)?;
-            let dataset_sha256 = record.dataset_sha256.clone();
-            asked.against = Some(AskedAgainst { path, dataset_sha256, margin });
-            write_question(&dir, &asked);
-            other = Some(record);
+            other = Some(finish_rival(rival, &dir, &mut asked, margin)?);
         }
         finish(&dir, &asked, other.as_ref(), trouble, completion, self.how.json)
     }
@@ -504,23 +521,71 @@ pub(crate) fn evaluation_of(folder: &Path, source: &Source) -> Result<Option<Eva
     let mut record = Record::of(source.dictionary()).map_err(refused)?;
     record.real.clone_from(&asked.real);
     let other = compared_with(&asked)?.map(|(_, record)| record);
-    question(&asked, other.as_ref()).evaluate(&record).map_err(refused).map(Some)
+    let mut evaluation = question(&asked, other.as_ref()).evaluate(&record).map_err(refused)?;
+    evaluation.twins = twins::of_folder(folder, source, asked.sampling)?;
+    Ok(Some(evaluation))
 }
 
 /// Resumes an interrupted gate.
-pub(crate) fn resume(dir: &Path, asked: Asked, subject: &Subject, settings: Settings, how: &How) -> Result<u8, Exit> {
-    let other = compared_with(&asked)?.map(|(_, record)| record);
+pub(crate) fn resume(
+    dir: &Path,
+    mut asked: Asked,
+    subject: &Subject,
+    settings: Settings,
+    simulators: &Simulators,
+    location: &PolicyLocation,
+    how: &How,
+) -> Result<u8, Exit> {
+    // The rows of a policy that runs beside this one do not exist before the end.
+    let running = asked.against.as_ref().filter(|against| against.dataset_sha256.is_empty()).map(|a| a.margin);
+    let mut rival = match running {
+        Some(_) => Some(Rival::resume(dir, simulators, location, &settings.provenance, how.threads_for_rival())?),
+        None => None,
+    };
+    let mut other = match rival {
+        Some(_) => None,
+        None => compared_with(&asked)?.map(|(_, record)| record),
+    };
     let mut record = Record::begun(&settings.provenance).map_err(refused)?;
     record.real.clone_from(&asked.real);
+    let arm = Arm::of(dir, &settings.plan, &settings.provenance.space, subject)?;
     let provenance = subject.provenance(settings.provenance.space)?;
     let mut trouble = None;
+    let mut broken = None;
     let completion = {
-        let mut look = Look { asked: &asked, other: other.as_ref(), record: &mut record, trouble: &mut trouble };
+        let mut after = |round: &Round<'_>| {
+            if let Some(rival) = &mut rival
+                && let Err(error) = rival.run(dir, round)
+            {
+                broken = Some(error);
+                return ControlFlow::Break(());
+            }
+            let other = rival.as_ref().map(Rival::record).or(other.as_ref());
+            Look { asked: &asked, other, record: &mut record, trouble: &mut trouble }.after(round)
+        };
         how.carry(subject, |executor, events| {
-            robogate_campaign::resume_in_rounds(dir, &provenance, executor, events, &mut |round| look.after(round))
+            let completion = robogate_campaign::resume_in_rounds(dir, &provenance, executor, events, &mut after)?;
+            arm.map_or(Ok(completion.clone()), |arm| arm.after(completion, executor, events))
         })
     };
-    finish(dir, &asked, other.as_ref(), trouble, completion?, how.json)
+    let completion = completion?;
+    if let Some(error) = broken {
+        return Err(error);
+    }
+    if let (Some(rival), Some(margin), Completion::Finished { .. }) = (rival, running, &completion) {
+        other = Some(finish_rival(rival, dir, &mut asked, margin)?);
+    }
+    finish(dir, &asked, other.as_ref(), trouble, completion, how.json)
+}
+
+/// Writes the rows of the policy of --against, and names them in the question.
+fn finish_rival(rival: Rival, dir: &Path, asked: &mut Asked, margin: f64) -> Result<Record, Exit> {
+    let (path, record) = rival.write(dir)?;
+    let dataset_sha256 = record.dataset_sha256.clone();
+    asked.against = Some(AskedAgainst { path, dataset_sha256, margin });
+    write_question(dir, asked);
+    rival.clean(dir);
+    Ok(record)
 }
 
 /// A baseline's figures, and the run that they came from if it can be compared episode by episode.
@@ -601,7 +666,11 @@ pub(crate) fn finish(
     let source = Source::open(dir).or_broken()?;
     let mut record = Record::of(source.dictionary()).map_err(refused)?;
     record.real.clone_from(&asked.real);
-    let evaluation = question(asked, other).evaluate(&record).map_err(refused)?;
+    let mut evaluation = question(asked, other).evaluate(&record).map_err(refused)?;
+    evaluation.twins = twins::of_folder(dir, &source, asked.sampling)?;
+    if let Some(twins) = &evaluation.twins {
+        twins::write(dir, twins)?;
+    }
     write_answer(dir, &evaluation, watch.flatten().as_ref())?;
     let code = show(Some(dir), &evaluation, source.dictionary().provenance(), json)?;
     if let Some(analysis) = analysis.filter(|_| !json) {

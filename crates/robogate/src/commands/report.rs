@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use robogate_analysis::{Analysis, AnalysisOptions, DEFAULT_TARGET, Source, pair_counts};
-use robogate_gate::Evaluation;
-use robogate_report::{Additions, Watch, analysis_json, html_with, markdown_with};
+use robogate_gate::{Evaluation, Sampling};
+use robogate_report::{Additions, Watch, analysis_json_with, html_with, markdown_with};
 
 use crate::commands::analyze::{analyse, options};
 use crate::commands::gate;
@@ -14,6 +14,7 @@ use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::remote::Simulators;
 use crate::source::open_source;
 use crate::terminal::{line, note};
+use crate::twins::{self, NominalArguments};
 use crate::watch::{self, Frames, Moment};
 
 /// Write a run or a dictionary as one page: where the policy fails, what to do, and the confidence intervals.
@@ -37,6 +38,8 @@ pub(crate) struct Report {
     /// Leave out the recorded episodes
     #[arg(long)]
     no_replay: bool,
+    #[command(flatten)]
+    nominal: NominalArguments,
     #[command(flatten)]
     simulators: Simulators,
 }
@@ -84,12 +87,18 @@ impl Report {
             _ => None,
         };
         let pairs = pair_counts(&source, &analysis).or_usage()?;
-        let additions =
-            Additions { evaluation: evaluation.as_ref(), watch: shown(watch.as_ref()), pairs: Some(&pairs) };
+        let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
+        let twins = self.nominal.twins(&source, sampling)?;
+        let additions = Additions {
+            evaluation: evaluation.as_ref(),
+            watch: shown(watch.as_ref()),
+            pairs: Some(&pairs),
+            twins: twins.as_ref(),
+        };
         let text = match self.format {
             Form::Html => html_with(&analysis, &additions),
             Form::Md => markdown_with(&analysis, &additions),
-            Form::Json => analysis_json(&analysis),
+            Form::Json => analysis_json_with(&analysis, twins.as_ref()),
         };
         match &out {
             Some(out) => write(out, &text)?,
@@ -118,7 +127,14 @@ pub(crate) fn page(dir: &Path, frames: Option<&Frames>) -> Result<(Analysis, Opt
     let evaluation = gate_of(dir, &source);
     let watch = watch::watch(&source, &analysis, &Simulators::none(), Moment::EndOfRun, frames).or_broken()?;
     let pairs = pair_counts(&source, &analysis).or_broken()?;
-    let additions = Additions { evaluation: evaluation.as_ref(), watch: shown(Some(&watch)), pairs: Some(&pairs) };
+    let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
+    let twins = twins::of_folder(dir, &source, sampling)?;
+    let additions = Additions {
+        evaluation: evaluation.as_ref(),
+        watch: shown(Some(&watch)),
+        pairs: Some(&pairs),
+        twins: twins.as_ref(),
+    };
     // Renamed when it is complete, because an existing page is kept.
     let part = dir.join(format!(".{PAGE}.part"));
     std::fs::write(&part, html_with(&analysis, &additions))

@@ -11,6 +11,7 @@ use crate::exit::{Exit, OrExit};
 use crate::policy_source::PolicyLocation;
 use crate::remote::Simulators;
 use crate::subject::Subject;
+use crate::twins::Arm;
 
 /// Resume an interrupted campaign.
 #[derive(Debug, Args)]
@@ -33,11 +34,13 @@ impl Resume {
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
         let subject = Subject::recorded_at(&settings.provenance, &self.simulators, &self.location)?;
         if let Some(asked) = Asked::of(&self.dir).or_usage()? {
-            return gate::resume(&self.dir, asked, &subject, settings, &self.how);
+            return gate::resume(&self.dir, asked, &subject, settings, &self.simulators, &self.location, &self.how);
         }
+        let arm = Arm::of(&self.dir, &settings.plan, &settings.provenance.space, &subject)?;
         let provenance = subject.provenance(settings.provenance.space)?;
         self.how.conduct(&self.dir, &subject, |executor, events| {
-            robogate_campaign::resume(&self.dir, &provenance, executor, events)
+            let completion = robogate_campaign::resume(&self.dir, &provenance, executor, events)?;
+            arm.map_or(Ok(completion.clone()), |arm| arm.after(completion, executor, events))
         })
     }
 }

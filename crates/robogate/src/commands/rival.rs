@@ -1,23 +1,33 @@
 //! The other policy of `robogate gate --against`: it runs the scenarios of each round after this policy did.
 
 use std::collections::BTreeMap;
+use std::fs;
+use std::io::ErrorKind;
 use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use anyhow::anyhow;
+use anyhow::{Context, anyhow};
+use robogate_campaign::folder::PLAN;
 use robogate_campaign::{Executor, Round, ThreadPool};
-use robogate_core::{Episode, Scenario};
-use robogate_dictionary::{Dictionary, Entry, Provenance, write_parquet};
+use robogate_dictionary::{Dictionary, Entry, Journal, PlanHash, Provenance, write_parquet};
 use robogate_gate::{Record, Trial};
+use sha2::{Digest, Sha256};
 
 use crate::commands::gate::refused;
 use crate::exit::{Exit, OrExit};
+use crate::policy_source::PolicyLocation;
+use crate::remote::Simulators;
 use crate::subject::Subject;
+use crate::terminal::warning;
 
 /// The dictionary of the other policy in the folder of the gate.
 const FILE: &str = "against.parquet";
+/// Its origin, from which an interrupted gate prepares it again.
+const ORIGIN: &str = "against.json";
+/// Its episodes so far.
+const JOURNAL: &str = "against.rgj";
 
 /// The other policy with its episodes so far.
 pub(crate) struct Rival {
@@ -25,7 +35,8 @@ pub(crate) struct Rival {
     threads: NonZeroUsize,
     provenance: Provenance,
     record: Record,
-    entries: Vec<Entry>,
+    entries: BTreeMap<u64, Entry>,
+    journal: Option<Journal>,
 }
 
 impl Rival {
@@ -35,7 +46,63 @@ impl Rival {
         let provenance = Provenance { plan: planned.plan.clone(), seed: planned.seed, ..own };
         let record = Record::begun(&provenance).map_err(refused)?;
         let threads = subject.at_most().map_or(threads, |most| most.min(threads));
-        Ok(Self { subject, threads, provenance, record, entries: Vec::new() })
+        Ok(Self { subject, threads, provenance, record, entries: BTreeMap::new(), journal: None })
+    }
+
+    /// Prepares the other policy of an interrupted gate. Its recorded episodes do not run again.
+    pub(crate) fn resume(
+        dir: &Path,
+        simulators: &Simulators,
+        location: &PolicyLocation,
+        planned: &Provenance,
+        threads: NonZeroUsize,
+    ) -> Result<Self, Exit> {
+        let path = dir.join(ORIGIN);
+        let text = fs::read(&path)
+            .with_context(|| format!("cannot read {}, which describes the policy of --against", path.display()))
+            .or_usage()?;
+        let recorded: Provenance = serde_json::from_slice(&text)
+            .with_context(|| format!("{}: robogate writes this file, and it must not be edited", path.display()))
+            .or_usage()?;
+        let subject = Subject::recorded_at(&recorded, simulators, &location.without_address())?;
+        let mut rival = Self::new(subject, planned, threads)?;
+        if rival.provenance.policy != recorded.policy {
+            return Err(anyhow!(
+                "the gate was started against {}; the policy is now {}",
+                recorded.policy,
+                rival.provenance.policy
+            ))
+            .or_usage();
+        }
+        rival.open(dir)?;
+        Ok(rival)
+    }
+
+    /// Starts or continues the record of its episodes in the folder of the gate, which contains the plan.
+    pub(crate) fn open(&mut self, dir: &Path) -> Result<(), Exit> {
+        if self.journal.is_some() {
+            return Ok(());
+        }
+        let origin = dir.join(ORIGIN);
+        if !origin.exists() {
+            let text = serde_json::to_string_pretty(&self.provenance).or_broken()?;
+            fs::write(&origin, text).with_context(|| format!("cannot write {}", origin.display())).or_broken()?;
+        }
+        let plan = dir.join(PLAN);
+        let plan = fs::read(&plan).with_context(|| format!("cannot read {}", plan.display())).or_broken()?;
+        let hash: PlanHash = Sha256::digest(plan).into();
+        let path = dir.join(JOURNAL);
+        let mut journal = if path.exists() {
+            Journal::open(&path, &hash).or_broken()?.0
+        } else {
+            Journal::create(&path, &hash).or_broken()?
+        };
+        for entry in journal.ordered() {
+            let entry = entry.or_broken()?;
+            self.entries.insert(entry.index(), entry);
+        }
+        self.journal = Some(journal);
+        Ok(())
     }
 
     /// The policy's name.
@@ -49,40 +116,77 @@ impl Rival {
         full.join(FILE).to_string_lossy().into_owned()
     }
 
-    /// Its episodes so far.
+    /// Its episodes of the rounds so far.
     pub(crate) fn record(&self) -> &Record {
         &self.record
     }
 
-    /// Runs the scenarios of a round.
-    pub(crate) fn run(&mut self, round: &Round<'_>) -> Result<(), Exit> {
+    /// Runs the scenarios of a round that are not recorded yet.
+    pub(crate) fn run(&mut self, dir: &Path, round: &Round<'_>) -> Result<(), Exit> {
+        self.open(dir)?;
+        if round.number == 0 {
+            self.record.trials.clear();
+        }
         let never = AtomicBool::new(false);
         let pool = ThreadPool { factory: &self.subject, threads: self.threads, stop: &never };
-        let scenarios: Vec<Scenario> = round.entries.iter().map(|entry| entry.episode.scenario.clone()).collect();
-        let mut found: BTreeMap<u64, Episode> = BTreeMap::new();
-        pool.execute(&|at| scenarios.get(at).cloned(), &mut |episode| {
-            found.insert(episode.scenario.index, episode);
-            ControlFlow::Continue(())
+        let due: Vec<&Entry> =
+            round.entries.iter().filter(|entry| !self.entries.contains_key(&entry.index())).collect();
+        let (journal, entries) = (&mut self.journal, &mut self.entries);
+        let mut problem = None;
+        pool.execute(&|at| due.get(at).map(|entry| entry.episode.scenario.clone()), &mut |episode| {
+            let Some(own) = due.iter().find(|entry| entry.index() == episode.scenario.index) else {
+                return ControlFlow::Continue(());
+            };
+            let entry = Entry { episode, ..(*own).clone() };
+            match journal.as_mut().map_or(Ok(()), |journal| journal.append(&entry)) {
+                Ok(()) => {
+                    entries.insert(entry.index(), entry);
+                    ControlFlow::Continue(())
+                }
+                Err(error) => {
+                    problem = Some(error);
+                    ControlFlow::Break(())
+                }
+            }
         })
         .or_broken()?;
-        for entry in round.entries {
-            let episode = found
-                .remove(&entry.index())
-                .ok_or_else(|| anyhow!("the policy of --against did not finish episode {}", entry.index()))
+        if let Some(error) = problem {
+            return Err(error).or_broken();
+        }
+        for own in round.entries {
+            let entry = self
+                .entries
+                .get(&own.index())
+                .ok_or_else(|| anyhow!("the policy of --against did not finish episode {}", own.index()))
                 .or_broken()?;
-            let entry = Entry { episode, ..entry.clone() };
-            self.record.trials.push(Trial::from(&entry));
-            self.entries.push(entry);
+            // The same settings give the same scenarios. Otherwise the record belongs to another gate.
+            if entry.episode.scenario != own.episode.scenario {
+                let path = dir.join(JOURNAL);
+                return Err(anyhow!("{}: episode {} is that of another gate", path.display(), own.index())).or_usage();
+            }
+            self.record.trials.push(Trial::from(entry));
         }
         Ok(())
     }
 
     /// Writes its dictionary. Returns the path and the record of its rows.
-    pub(crate) fn write(self, dir: &Path) -> Result<(String, Record), Exit> {
+    pub(crate) fn write(&self, dir: &Path) -> Result<(String, Record), Exit> {
         let path = dir.join(FILE);
-        let text = self.file(dir);
-        write_parquet(&path, &self.provenance, self.entries.into_iter().map(Ok)).or_broken()?;
+        write_parquet(&path, &self.provenance, self.entries.values().cloned().map(Ok)).or_broken()?;
         let record = Record::of(&Dictionary::open(&path).or_broken()?).map_err(refused)?;
-        Ok((text, record))
+        Ok((self.file(dir), record))
+    }
+
+    /// Removes the files of an unfinished gate, after its question names the dictionary.
+    pub(crate) fn clean(self, dir: &Path) {
+        drop(self.journal);
+        for name in [JOURNAL, ORIGIN] {
+            let path = dir.join(name);
+            if let Err(error) = fs::remove_file(&path)
+                && error.kind() != ErrorKind::NotFound
+            {
+                warning(format_args!("cannot remove {}: {error}", path.display()));
+            }
+        }
     }
 }

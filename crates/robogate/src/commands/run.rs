@@ -16,6 +16,7 @@ use robogate_campaign::{
 };
 use robogate_core::{FailureMode, ParameterSpace, TaskSpec};
 use robogate_dictionary::Provenance;
+use robogate_gate::Sampling;
 use robogate_physics::SuctionLaw;
 use robogate_report::Watch;
 
@@ -29,6 +30,7 @@ use crate::progress::Progress;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary;
 use crate::terminal::{Screen, grouped, note, percent, warning};
+use crate::twins::{self, Arm};
 use crate::watch::Frames;
 
 /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain.
@@ -70,6 +72,10 @@ pub(crate) struct Run {
     /// Set the campaign seed
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
+    /// Also run the nominal twin of each episode of the first stage, or of the suite: the same seed with the task's nominal
+    /// values. The report then states the effect of the perturbations and what fails without them
+    #[arg(long)]
+    twins: bool,
     #[command(flatten)]
     environment: EnvironmentArguments,
     #[command(flatten)]
@@ -169,7 +175,8 @@ impl Run {
         let environment = self.environment.environment_of(suite.as_ref(), suction)?;
         let environment = if papers { environment.like_the_paper() } else { environment };
         let subject = Subject::new(environment, self.policy.source_at(&self.location)?)?.with_latency(&self.latency)?;
-        let (plan, space) = self.plan_and_space(&subject)?;
+        let (mut plan, space) = self.plan_and_space(&subject)?;
+        plan.twins |= self.twins;
         let provenance = subject.provenance(space)?;
         if let (Some(shard), Some(dir)) = (self.shard, &self.out) {
             return shard::run(dir, shard, &subject, &plan, provenance, &self.how);
@@ -235,8 +242,10 @@ impl Run {
                 dir.display()
             )),
         }
+        let arm = Arm::of(&dir, &plan, &provenance.space, &subject)?;
         self.how.conduct(&dir, &subject, |executor, events| {
-            robogate_campaign::start(&dir, &plan, provenance, executor, events)
+            let completion = robogate_campaign::start(&dir, &plan, provenance, executor, events)?;
+            arm.map_or(Ok(completion.clone()), |arm| arm.after(completion, executor, events))
         })
     }
 
@@ -383,11 +392,16 @@ fn seeking(stage: Option<ActiveStage>, mode: &str, task: &TaskSpec) -> anyhow::R
 pub(crate) fn conclude(dir: &Path, completion: &Completion, json: bool) -> Result<u8, Exit> {
     match completion {
         Completion::Finished { summary, boundary } => {
+            let twins = twins::of_run(dir, Sampling::Fixed)?;
+            if let Some(twins) = &twins {
+                twins::write(dir, twins)?;
+            }
             let analysis = write_report(dir);
             if json {
-                summary::json(dir, summary, boundary.as_deref()).or_broken()?;
+                summary::json(dir, summary, boundary.as_deref(), twins.as_ref()).or_broken()?;
             } else {
                 summary::print(dir, summary, boundary.as_deref(), analysis.as_ref());
+                twins.iter().for_each(twins::print);
             }
             let evidence = summary.stages.iter().any(|stage| stage.valid > 0);
             Ok(if evidence { DONE } else { INVALID })
@@ -438,6 +452,7 @@ pub(crate) fn exit(error: RunError) -> Exit {
         | RunError::NewerVersion { .. }
         | RunError::Mismatch { .. }
         | RunError::NoSuchEpisode { .. }
+        | RunError::Suite(_)
         | RunError::Plan(_) => USAGE,
         _ => INFRASTRUCTURE,
     };

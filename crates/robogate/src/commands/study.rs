@@ -142,6 +142,7 @@ impl Study {
             boundary: BoundaryStage::default(),
             active: None,
             suite: None,
+            twins: false,
         };
         let repeat = |r: u64| {
             let campaign = |word: &str, name: &str, plan: &dyn Fn(u64) -> Plan, space: &ParameterSpace| Campaign {

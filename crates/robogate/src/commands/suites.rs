@@ -109,6 +109,7 @@ impl Suites {
             }
             Err(SuiteError::Syntax(text)) => (None, vec![text]),
             Err(SuiteError::Problems(problems)) => (None, problems.iter().map(ToString::to_string).collect()),
+            Err(error @ SuiteError::NoNominal { .. }) => (None, vec![error.to_string()]),
         };
         let ok = problems.is_empty();
         if self.json {

@@ -8,6 +8,7 @@ mod models;
 mod provenance;
 mod replay;
 mod sampling;
+mod twins;
 
 use robogate_analysis::Analysis;
 use robogate_stats::format::{count, counted, percent, percent_range, sentence};
@@ -61,6 +62,7 @@ pub(crate) fn analysis_document(analysis: &Analysis, additions: &Additions<'_>) 
 /// The sections: first what a reader acts on, then the evidence.
 fn sections(analysis: &Analysis, additions: &Additions<'_>) -> Vec<Section> {
     let mut sections: Vec<Section> = additions.watch.map(watch_section).into_iter().collect();
+    sections.extend(additions.twins.map(twins::section));
     sections.extend([
         marginal::section(analysis),
         envelope::section(analysis, additions.pairs),

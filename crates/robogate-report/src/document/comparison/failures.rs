@@ -28,9 +28,11 @@ pub(super) fn section(of: &Comparison) -> Section {
 
 fn dominant(dataset: &ComparedDataset) -> String {
     match &dataset.failure_modes.dominant {
-        Finding::Estimated(mode) => format!("{} fails mostly by {}.", dataset.name, mode_label(mode)),
+        Finding::Estimated(mode) => {
+            format!("{}: {} is significantly the most frequent failure mode.", dataset.name, mode_label(mode))
+        }
         Finding::CannotBeEstimated { because } => {
-            format!("{}: no failure mode dominates significantly, because {because}.", dataset.name)
+            format!("{}: no failure mode is significantly the most frequent: {because}.", dataset.name)
         }
     }
 }

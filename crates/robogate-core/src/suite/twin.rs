@@ -1,0 +1,70 @@
+//! Nominal twins: the scenarios of a control arm.
+//!
+//! The twin of an episode has its seed and its index, and the task's nominal value for each parameter. A parameter for which
+//! the task declares no nominal value is not a perturbation (the id of a scene, for example): the twin keeps its value.
+//! A pair of an episode and its twin therefore differs in the perturbed parameters only.
+
+use std::sync::Arc;
+
+use super::file::SuiteFile;
+use super::{Spread, Suite, SuiteError};
+use crate::{Assignment, TaskSpec, Value};
+
+impl Suite {
+    /// The nominal twins of all scenarios, in the same order and groups: episode `i` of this suite and of its twin have the
+    /// same seed.
+    ///
+    /// # Errors
+    /// [`SuiteError::NoNominal`] if the task declares a nominal value for none of the parameters.
+    pub fn nominal_twin(&self, task: &TaskSpec) -> Result<Self, SuiteError> {
+        some_nominal(task, self.cases.iter().flat_map(|case| case.parameters.iter().map(|(name, _)| &**name)))?;
+        let scenarios = self.cases.iter().map(|case| {
+            let twin = |(name, spread): &(Arc<str>, Spread)| {
+                let nominal = nominal(task, name).map_or_else(|| spread.clone(), Spread::Fixed);
+                (Arc::clone(name), nominal)
+            };
+            let parameters = case.parameters.iter().map(twin).collect();
+            ([case.category.as_str(), case.group.as_str()], case.id.clone(), parameters)
+        });
+        let about = format!("The scenarios of {} with the nominal values of the task.", self.name());
+        let names = [format!("{}-nominal", self.name()), self.version().to_owned(), about];
+        Self::try_from(SuiteFile::of_scenarios(names, self.environment().map(str::to_owned), scenarios))
+    }
+
+    /// The nominal twins of these episodes, in one round: episode `i` is the twin of the `i`-th point. If the task declares
+    /// a nominal value for every parameter, the suite has one scenario, and its round `i` is the twin of the `i`-th point.
+    ///
+    /// # Errors
+    /// [`SuiteError::NoNominal`] if the task declares a nominal value for none of the parameters.
+    pub fn nominal_twins(task: &TaskSpec, points: &[Assignment]) -> Result<Self, SuiteError> {
+        let first = points.first().map(Assignment::iter).into_iter().flatten();
+        some_nominal(task, first.map(|(name, _)| name))?;
+        let all_nominal = |point: &Assignment| point.iter().all(|(name, _)| nominal(task, name).is_some());
+        let different = if points.iter().all(all_nominal) { &points[..1] } else { points };
+        let scenarios = different.iter().enumerate().map(|(i, point)| {
+            let twin = |(name, value): (&str, &Value)| {
+                (Arc::from(name), Spread::Fixed(nominal(task, name).unwrap_or_else(|| value.clone())))
+            };
+            (["nominal", "nominal"], format!("nominal-{i}"), point.iter().map(twin).collect())
+        });
+        let about = "The episodes of a campaign with the nominal values of the task.".to_owned();
+        let names = ["nominal".to_owned(), "1.0.0".to_owned(), about];
+        Self::try_from(SuiteFile::of_scenarios(names, None, scenarios))
+    }
+
+    /// Whether each scenario also runs with the task's nominal values and the same seed.
+    pub fn has_twins(&self) -> bool {
+        self.file.nominal
+    }
+}
+
+fn nominal(task: &TaskSpec, name: &str) -> Option<Value> {
+    task.parameter(name)?.nominal.clone()
+}
+
+fn some_nominal<'a>(task: &TaskSpec, mut names: impl Iterator<Item = &'a str>) -> Result<(), SuiteError> {
+    if names.any(|name| nominal(task, name).is_some()) {
+        return Ok(());
+    }
+    Err(SuiteError::NoNominal { task: task.name.as_str().to_owned() })
+}
