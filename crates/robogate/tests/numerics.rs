@@ -26,7 +26,9 @@ fn robogate(arguments: &[&str]) {
 fn compare(name: &str, arguments: &[&str]) {
     let dir = TempDir::new().unwrap();
     let [run, csv] = ["run", "rows.csv"].map(|file| dir.path().join(file).to_str().unwrap().to_owned());
-    robogate(&[&["run", "--design", "two-stage", "--out", &run], arguments].concat());
+    // A suite has no design.
+    let design: &[&str] = if arguments.contains(&"--suite") { &[] } else { &["--design", "two-stage"] };
+    robogate(&[&["run", "--out", &run], design, arguments].concat());
     robogate(&["export", &run, &csv]);
     let rows = select(&fs::read_to_string(csv).unwrap());
     let recorded = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/numerics").join(format!("{name}.csv"));

@@ -203,7 +203,9 @@ fn running_campaigns_update() {
 #[test]
 fn shards_arrive_one_by_one() {
     let dir = TempDir::new().unwrap();
-    let shard = |k: u32| robogate(dir.path(), &format!("run --task pendulum -n 90 --seed 3 --shard {k}/3 --out s"));
+    let shard = |k: u32| {
+        robogate(dir.path(), &format!("run --task pendulum --design two-stage -n 90 --seed 3 --shard {k}/3 --out s"))
+    };
     shard(1);
     let server = Server::start(dir.path(), &["s"]);
     let first = server.json("/v1/state");

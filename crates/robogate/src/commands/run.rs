@@ -19,6 +19,7 @@ use robogate_dictionary::Provenance;
 use robogate_gate::Sampling;
 use robogate_physics::SuctionLaw;
 use robogate_report::Watch;
+use robogate_stats::format::counted;
 
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
@@ -220,8 +221,8 @@ impl Run {
                 dir.display()
             )),
             (None, Some(active)) => note(format_args!(
-                "{} episodes over the operating space, then up to {} in rounds, {} of them {}, into {}",
-                grouped(plan.uniform.episodes),
+                "{} over the operating space, then up to {} in rounds, {} of them {}, into {}",
+                counted(plan.uniform.episodes, "episode"),
                 grouped(active.episodes),
                 percent(1.0 - active.uniform_share),
                 match &active.seek {
@@ -231,13 +232,13 @@ impl Run {
                 dir.display()
             )),
             (None, None) if plan.boundary.episodes == 0 => note(format_args!(
-                "{} episodes over the operating space, into {}",
-                grouped(plan.uniform.episodes),
+                "{} over the operating space, into {}",
+                counted(plan.uniform.episodes, "episode"),
                 dir.display()
             )),
             (None, None) => note(format_args!(
-                "{} episodes over the operating space, then {} near the failure boundary, into {}",
-                grouped(plan.uniform.episodes),
+                "{} over the operating space, then {} near the failure boundary, into {}",
+                counted(plan.uniform.episodes, "episode"),
                 grouped(plan.boundary.episodes),
                 dir.display()
             )),

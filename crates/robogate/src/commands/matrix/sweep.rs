@@ -152,6 +152,8 @@ impl Sweep {
         let file = |name: &String| in_folder(base, name);
         let number = |number: u64| number.to_string();
         let own_task = if task.simulators.is_empty() { Some(task.name.clone()) } else { None };
+        // Another design chooses scenarios by the results of a policy; a sweep compares policies on the same ones.
+        let design = task.suite.is_none() && task.plan.is_none();
         let options = [
             ("--task", own_task),
             ("--robot", robot.map(|robot| in_folder(base, robot))),
@@ -160,6 +162,7 @@ impl Sweep {
             ("--rounds", task.rounds.map(number)),
             ("--space", task.space.as_ref().map(file)),
             ("--plan", task.plan.as_ref().map(file)),
+            ("--design", design.then(|| "uniform".to_owned())),
             ("-n", task.episodes.map(number)),
             ("--policy", policy.policy.as_ref().map(file)),
             ("--profile", policy.profile.as_ref().map(file)),
