@@ -14,7 +14,7 @@ use robogate_stats::format::{p_value, percent_or_dash};
 use crate::commands::report::evidence;
 use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
 use crate::source::open_source;
-use crate::terminal::{bar, bold, dim, grouped, line, percent, wrapped};
+use crate::terminal::{self, bar, bold, dim, grouped, line, percent, wrapped};
 use crate::twins::{self, NominalArguments};
 
 /// Analyze a dictionary: where the policy fails, the effects of the parameters, and their confidence intervals.
@@ -106,7 +106,7 @@ fn answer(analysis: &Analysis) {
     ));
     line("");
     let headline = Headline::of(analysis);
-    line(bold(&headline.answer));
+    terminal::headline(&headline.answer);
     for (title, lines) in [
         ("Where it fails", &headline.where_it_fails),
         ("What to do", &headline.what_to_do),

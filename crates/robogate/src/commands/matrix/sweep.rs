@@ -265,9 +265,10 @@ mod tests {
         );
         assert_eq!(
             runs[1].options.join(" "),
-            "--task pick_place --robot franka --engine mujoco -n 60 --policy ws://127.0.0.1:8000 --profile pi0-libero --seed 7"
+            "--task pick_place --robot franka --engine mujoco --design uniform -n 60 --policy ws://127.0.0.1:8000 --profile pi0-libero \
+             --seed 7"
         );
-        assert_eq!(runs[3].options.join(" "), "--task pendulum --seed 7");
+        assert_eq!(runs[3].options.join(" "), "--task pendulum --design uniform --seed 7");
         assert_eq!(runs[3].name, "scripted, pendulum");
     }
 
