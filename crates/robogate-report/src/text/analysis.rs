@@ -203,13 +203,17 @@ fn box_in_words(found: &SafeBox) -> String {
     list(&found.limits.iter().map(limit).collect::<Vec<_>>())
 }
 
+/// A verification that needs more episodes than this multiple of the run is not advised.
+const MOST_MORE: u64 = 20;
+
 fn operate(found: &SafeBox) -> String {
     let main = found.avoided_modes.iter().max_by_key(|mode| mode.avoided).filter(|mode| mode.avoided > 0);
     let main = main.map_or_else(String::new, |m| {
         format!(", among them {} of {} by {}", count(m.avoided), count(m.failures), mode_label(&m.mode))
     });
     format!(
-        "Operate within {}: success is at least {} there with 95 % confidence ({} of {} held-out episodes). This is {} of the          space and avoids {} of {}{main}.",
+        "Operate within {}: success is at least {} there with 95 % confidence ({} of {} held-out episodes). This is {} of the \
+         space and avoids {} of {}{main}.",
         box_in_words(found),
         percent(found.target),
         count(found.held_out.successes),
@@ -233,6 +237,13 @@ fn advise(analysis: &Analysis, advice: &Advice) -> String {
             percent(*target)
         ),
         Advice::Operate { .. } => found.map_or_else(String::new, operate),
+        Advice::RunMore { target, episodes } if *episodes > MOST_MORE * analysis.success.rate.n => format!(
+            "No limits on up to three parameters were verified to raise success to {}: the best ones ({}) are so near to it \
+             that {} would be necessary.",
+            percent(*target),
+            found.map_or_else(String::new, box_in_words),
+            counted(*episodes, "more episode")
+        ),
         Advice::RunMore { target, episodes } => format!(
             "Run about {} to verify a success rate of {} within {}: the episodes so far do not show it with 95 % confidence.",
             counted(*episodes, "more episode"),
