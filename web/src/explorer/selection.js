@@ -122,7 +122,7 @@ export class Selection {
 
   /**
    * The stages whose points were not sampled from the operating space: the boundary and the active stage, and any unknown
-   * stage whose weights are not all 1. The analysis has the same rule.
+   * stage whose weights are not all 1. The analysis also counts the uniform part of the active stage, so it has more rows.
    */
   focused() {
     const { stage, weight, rows } = this.data;

@@ -59,7 +59,7 @@ export class Summary {
     bar.children[0].style.width = `${100 * (high - low)}%`;
     bar.children[1].style.left = of.n ? `${(100 * of.k) / of.n}%` : "-10px";
     const more = [];
-    if (of.focused > 0) more.push(`${count(of.focused)} of the boundary or active stage do not count: they were sampled where failures are likely.`);
+    if (of.focused > 0) more.push(`${count(of.focused)} of the boundary or active stage do not count: many of them were sampled where failures are likely.`);
     if (of.invalid > 0) more.push(`${count(of.invalid)} invalid.`);
     return element(
       "div", { class: "x-rate" },

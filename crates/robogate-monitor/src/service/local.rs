@@ -60,7 +60,7 @@ pub enum LocalReply {
     Json(Vec<u8>),
     /// Bytes.
     Bytes(Vec<u8>),
-    /// There is no such thing.
+    /// The address does not exist.
     NotFound(String),
     /// The request is wrong.
     Wrong(String),
