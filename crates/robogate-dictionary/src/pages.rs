@@ -16,7 +16,6 @@ use ::parquet::errors::{ParquetError, Result};
 use ::parquet::file::metadata::ColumnChunkMetaData;
 use ::parquet::file::reader::ChunkReader;
 use ::parquet::file::serialized_reader::SerializedPageReader;
-use bytes::Bytes;
 use ruzstd::decoding::StreamingDecoder;
 
 /// Largest footer, in bytes. The footer of 30 million episodes with 60 columns has about this size.
@@ -156,56 +155,20 @@ impl<R: ChunkReader> Pages<R> {
     }
 
     /// The page with its values decompressed. The levels of a page of version 2 are never compressed.
-    fn decompressed(&self, page: Page) -> Result<Page> {
+    fn decompressed(&self, mut page: Page) -> Result<Page> {
         if self.codec == Compression::UNCOMPRESSED {
             return Ok(page);
         }
-        Ok(match page {
-            Page::DataPage { buf, num_values, encoding, def_level_encoding, rep_level_encoding, statistics } => {
-                Page::DataPage {
-                    buf: self.unpack(&buf)?.into(),
-                    num_values,
-                    encoding,
-                    def_level_encoding,
-                    rep_level_encoding,
-                    statistics,
+        match &mut page {
+            Page::DataPage { buf, .. } | Page::DictionaryPage { buf, .. } => *buf = self.unpack(buf)?.into(),
+            Page::DataPageV2 { buf, def_levels_byte_len, rep_levels_byte_len, is_compressed, .. } => {
+                let (levels, values) = split_levels(buf, *def_levels_byte_len, *rep_levels_byte_len)?;
+                if std::mem::replace(is_compressed, false) {
+                    *buf = [levels, &self.unpack(values)?].concat().into();
                 }
             }
-            Page::DictionaryPage { buf, num_values, encoding, is_sorted } => {
-                Page::DictionaryPage { buf: self.unpack(&buf)?.into(), num_values, encoding, is_sorted }
-            }
-            Page::DataPageV2 {
-                buf,
-                num_values,
-                encoding,
-                num_nulls,
-                num_rows,
-                def_levels_byte_len,
-                rep_levels_byte_len,
-                is_compressed,
-                statistics,
-            } => {
-                let (levels, values) = split_levels(&buf, def_levels_byte_len, rep_levels_byte_len)?;
-                let buf = if is_compressed {
-                    let mut whole = levels.to_vec();
-                    whole.extend(self.unpack(values)?);
-                    Bytes::from(whole)
-                } else {
-                    buf
-                };
-                Page::DataPageV2 {
-                    buf,
-                    num_values,
-                    encoding,
-                    num_nulls,
-                    num_rows,
-                    def_levels_byte_len,
-                    rep_levels_byte_len,
-                    is_compressed: false,
-                    statistics,
-                }
-            }
-        })
+        }
+        Ok(page)
     }
 
     /// Checks what the library would believe.

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::io::{BufReader, Read};
+use std::marker::PhantomData;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -164,6 +165,97 @@ impl<'a> Rows<'a> {
         self.row.number += 1;
         self.row.fields.clear();
         Ok(())
+    }
+}
+
+/// An array of objects, each of which becomes a row after `complete`.
+pub(super) struct RowArray<'a, 'b, F>(pub(super) &'a mut Rows<'b>, pub(super) F);
+
+impl<'de, F: FnMut(&mut Rows<'_>)> DeserializeSeed<'de> for RowArray<'_, '_, F> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de, F: FnMut(&mut Rows<'_>)> Visitor<'de> for RowArray<'_, '_, F> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an array of episodes")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(mut self, mut seq: A) -> Result<(), A::Error> {
+        loop {
+            let Rows { row, names, .. } = &mut *self.0;
+            if seq.next_element_seed(FlatRow { row, names, prefix: "" })?.is_none() {
+                return Ok(());
+            }
+            (self.1)(self.0);
+            self.0.finish_row()?;
+        }
+    }
+}
+
+/// An object of a task with several episodes.
+pub(super) trait TaskObject {
+    /// What the object is, for error messages.
+    const EXPECTED: &'static str;
+
+    /// Reads the fields and passes on the rows.
+    fn read<'de, A: MapAccess<'de>>(rows: &mut Rows<'_>, map: A) -> Result<(), A::Error>;
+}
+
+/// An array of [`TaskObject`]s.
+pub(super) struct TaskArray<'a, 'b, T>(&'a mut Rows<'b>, PhantomData<T>);
+
+impl<'a, 'b, T> TaskArray<'a, 'b, T> {
+    pub(super) fn new(rows: &'a mut Rows<'b>) -> Self {
+        Self(rows, PhantomData)
+    }
+}
+
+impl<'de, T: TaskObject> DeserializeSeed<'de> for TaskArray<'_, '_, T> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de, T: TaskObject> Visitor<'de> for TaskArray<'_, '_, T> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an array of tasks")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<(), A::Error> {
+        while seq.next_element_seed(OneTask::<T>(&mut *self.0, PhantomData))?.is_some() {}
+        Ok(())
+    }
+}
+
+struct OneTask<'a, 'b, T>(&'a mut Rows<'b>, PhantomData<T>);
+
+impl<'de, T: TaskObject> DeserializeSeed<'de> for OneTask<'_, '_, T> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_map(self)
+    }
+}
+
+impl<'de, T: TaskObject> Visitor<'de> for OneTask<'_, '_, T> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(T::EXPECTED)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<(), A::Error> {
+        T::read(self.0, map)
     }
 }
 

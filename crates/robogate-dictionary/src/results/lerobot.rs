@@ -8,9 +8,9 @@
 use std::fmt;
 use std::path::Path;
 
-use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Visitor};
 
-use super::flat::{FlatRow, Rows, Scalars};
+use super::flat::{RowArray, Rows, Scalars, TaskArray, TaskObject};
 use super::{Frame, Mapping, SOURCE_EPISODE, Sink};
 use crate::DictionaryError;
 use crate::raw::{AnyScalar, Scalar};
@@ -95,11 +95,11 @@ impl<'de> Visitor<'de> for Whole<'_, '_> {
                 }
                 "per_episode" => {
                     *self.found = true;
-                    map.next_value_seed(Episodes(&mut *self.rows))?;
+                    map.next_value_seed(RowArray(&mut *self.rows, |_: &mut Rows<'_>| ()))?;
                 }
                 "per_task" => {
                     *self.found = true;
-                    map.next_value_seed(Tasks(&mut *self.rows))?;
+                    map.next_value_seed(TaskArray::<Task>::new(&mut *self.rows))?;
                 }
                 "aggregated" | "overall" => map.next_value_seed(Scalars(&mut *self.metadata))?,
                 _ => {
@@ -111,77 +111,13 @@ impl<'de> Visitor<'de> for Whole<'_, '_> {
     }
 }
 
-/// `per_episode`.
-struct Episodes<'a, 'b>(&'a mut Rows<'b>);
+/// A task of `per_task`.
+enum Task {}
 
-impl<'de> DeserializeSeed<'de> for Episodes<'_, '_> {
-    type Value = ();
+impl TaskObject for Task {
+    const EXPECTED: &'static str = "a task with `task_group`, `task_id` and `metrics`";
 
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        deserializer.deserialize_seq(self)
-    }
-}
-
-impl<'de> Visitor<'de> for Episodes<'_, '_> {
-    type Value = ();
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("an array of episodes")
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<(), A::Error> {
-        loop {
-            let Rows { row, names, .. } = &mut *self.0;
-            if seq.next_element_seed(FlatRow { row, names, prefix: "" })?.is_none() {
-                return Ok(());
-            }
-            self.0.finish_row()?;
-        }
-    }
-}
-
-/// `per_task`.
-struct Tasks<'a, 'b>(&'a mut Rows<'b>);
-
-impl<'de> DeserializeSeed<'de> for Tasks<'_, '_> {
-    type Value = ();
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        deserializer.deserialize_seq(self)
-    }
-}
-
-impl<'de> Visitor<'de> for Tasks<'_, '_> {
-    type Value = ();
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("an array of tasks")
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<(), A::Error> {
-        while seq.next_element_seed(OneTask(&mut *self.0))?.is_some() {}
-        Ok(())
-    }
-}
-
-struct OneTask<'a, 'b>(&'a mut Rows<'b>);
-
-impl<'de> DeserializeSeed<'de> for OneTask<'_, '_> {
-    type Value = ();
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        deserializer.deserialize_map(self)
-    }
-}
-
-impl<'de> Visitor<'de> for OneTask<'_, '_> {
-    type Value = ();
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a task with `task_group`, `task_id` and `metrics`")
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+    fn read<'de, A: MapAccess<'de>>(rows: &mut Rows<'_>, mut map: A) -> Result<(), A::Error> {
         let (mut group, mut id, mut metrics) = (Scalar::Null, Scalar::Null, None);
         while let Some(key) = map.next_key::<String>()? {
             match key.as_str() {
@@ -204,7 +140,6 @@ impl<'de> Visitor<'de> for OneTask<'_, '_> {
         };
         let (group, id) = (word(&group), word(&id));
         for (episode, success) in successes.into_iter().enumerate() {
-            let rows = &mut *self.0;
             rows.push("success", success.map_or(Scalar::Null, Scalar::Bool));
             rows.push(SOURCE_EPISODE, Scalar::Integer(episode as i64));
             for (name, values) in &metrics.rewards {

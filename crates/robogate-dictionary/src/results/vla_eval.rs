@@ -7,9 +7,9 @@
 use std::fmt;
 use std::path::Path;
 
-use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Visitor};
 
-use super::flat::{FlatRow, Rows, Scalars, metadata};
+use super::flat::{RowArray, Rows, Scalars, TaskArray, TaskObject, metadata};
 use super::{Frame, Mapping, Sink};
 use crate::DictionaryError;
 use crate::raw::{AnyScalar, Scalar};
@@ -63,7 +63,7 @@ impl<'de> Visitor<'de> for Whole<'_, '_> {
                 "tasks" if *self.found => return Err(A::Error::custom("`tasks` appears twice")),
                 "tasks" => {
                     *self.found = true;
-                    map.next_value_seed(Tasks(&mut *self.rows))?;
+                    map.next_value_seed(TaskArray::<Task>::new(&mut *self.rows))?;
                 }
                 "server_info" => {
                     map.next_value_seed(OptionalScalars(&mut *self.metadata))?;
@@ -112,47 +112,13 @@ impl<'de> Visitor<'de> for OptionalScalars<'_> {
     }
 }
 
-struct Tasks<'a, 'b>(&'a mut Rows<'b>);
+/// A task of `tasks`.
+enum Task {}
 
-impl<'de> DeserializeSeed<'de> for Tasks<'_, '_> {
-    type Value = ();
+impl TaskObject for Task {
+    const EXPECTED: &'static str = "a task with `task` and `episodes`";
 
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        deserializer.deserialize_seq(self)
-    }
-}
-
-impl<'de> Visitor<'de> for Tasks<'_, '_> {
-    type Value = ();
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("an array of tasks")
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<(), A::Error> {
-        while seq.next_element_seed(OneTask(&mut *self.0))?.is_some() {}
-        Ok(())
-    }
-}
-
-struct OneTask<'a, 'b>(&'a mut Rows<'b>);
-
-impl<'de> DeserializeSeed<'de> for OneTask<'_, '_> {
-    type Value = ();
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        deserializer.deserialize_map(self)
-    }
-}
-
-impl<'de> Visitor<'de> for OneTask<'_, '_> {
-    type Value = ();
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a task with `task` and `episodes`")
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+    fn read<'de, A: MapAccess<'de>>(rows: &mut Rows<'_>, mut map: A) -> Result<(), A::Error> {
         let mut task: Option<String> = None;
         let mut found = false;
         while let Some(key) = map.next_key::<String>()? {
@@ -164,7 +130,7 @@ impl<'de> Visitor<'de> for OneTask<'_, '_> {
                     let Some(task) = &task else {
                         return Err(A::Error::custom("a task has its `episodes` before its name `task`"));
                     };
-                    map.next_value_seed(Episodes { rows: &mut *self.0, task })?;
+                    map.next_value_seed(RowArray(&mut *rows, |rows: &mut Rows<'_>| complete(rows, task)))?;
                 }
                 _ => {
                     map.next_value::<IgnoredAny>()?;
@@ -172,38 +138,6 @@ impl<'de> Visitor<'de> for OneTask<'_, '_> {
             }
         }
         if found { Ok(()) } else { Err(A::Error::custom("a task has no `episodes`")) }
-    }
-}
-
-struct Episodes<'a, 'b> {
-    rows: &'a mut Rows<'b>,
-    task: &'a str,
-}
-
-impl<'de> DeserializeSeed<'de> for Episodes<'_, '_> {
-    type Value = ();
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        deserializer.deserialize_seq(self)
-    }
-}
-
-impl<'de> Visitor<'de> for Episodes<'_, '_> {
-    type Value = ();
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("an array of episodes")
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<(), A::Error> {
-        loop {
-            let Rows { row, names, .. } = &mut *self.rows;
-            if seq.next_element_seed(FlatRow { row, names, prefix: "" })?.is_none() {
-                return Ok(());
-            }
-            complete(self.rows, self.task);
-            self.rows.finish_row()?;
-        }
     }
 }
 

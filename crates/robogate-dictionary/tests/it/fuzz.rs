@@ -20,6 +20,7 @@ use robogate_dictionary::results::{Format, Mapping, import};
 use robogate_dictionary::{Dictionary, Journal, export, published, write_parquet};
 
 use crate::common::{Folder, PLAN, entry, provenance};
+use crate::raw_parquet::random;
 
 /// A file reader under test. `read` returns `true` for an accepted file and `false` for a rejected one.
 struct Target {
@@ -268,4 +269,37 @@ fn fuzzed_files_never_panic_or_hang() {
     for (target, (read, refused)) in targets.iter().zip(&counts) {
         assert!(!enough || (*refused > 0 && *read > 0), "{}", target.name);
     }
+}
+
+/// Files that are built part by part, so that a reader gets far into them. Their number is [`ROUNDS`], or what
+/// `ROBOGATE_FUZZ_SECONDS` allows.
+#[test]
+fn generated_parquet_files_never_panic() {
+    const ROUNDS: u64 = 4_000;
+    let budget = number("ROBOGATE_FUZZ_SECONDS").map(Duration::from_secs);
+    let first = number("ROBOGATE_FUZZ_SEED").unwrap_or(0);
+    let folder = Folder::new("fuzz-parquet");
+    let path = folder.join("generated");
+    for kind in ["parquet", "dictionary"] {
+        let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus").join(kind);
+        for file in fs::read_dir(corpus).unwrap() {
+            let file = file.unwrap().path();
+            fs::copy(&file, &path).unwrap();
+            assert!(!import_as(&path, Some(Format::Parquet)) && !read_dictionary(&path), "{}", file.display());
+        }
+    }
+    let start = Instant::now();
+    let (mut round, mut read) = (first, 0_u64);
+    let mut most = (0, 0);
+    while budget.map_or(round < first + ROUNDS, |budget| start.elapsed() < budget) {
+        let bytes = random(&mut Seed::campaign(round).stream("parquet")).to_bytes();
+        fs::write(&path, &bytes).unwrap();
+        let (accepted, peak) = robogate_testing::peak_memory(|| import_as(&path, Some(Format::Parquet)));
+        read += u64::from(accepted);
+        most = most.max((peak, round));
+        round += 1;
+    }
+    println!("{} files, {read} read, most memory {most:?} in {:.0?}", round - first, start.elapsed());
+    assert!(read > 0, "no generated file is valid");
+    assert!(most.0 < 256 << 20, "{most:?}");
 }

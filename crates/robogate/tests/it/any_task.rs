@@ -1,0 +1,183 @@
+//! End-to-end tests of tasks other than pick and place: a built-in one, and one that a Python server declares.
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use tempfile::TempDir;
+
+use crate::harness::verb;
+
+/// Runs all verbs on the same run. Their documents contain the modes and measures of its task and no others.
+#[test]
+fn pendulum_passes_through_every_verb() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    let verb = |arguments: &str, code: i32, parts: &[&str]| verb(at, arguments, code, parts);
+    verb("list", 0, &["pick_place", "pendulum"]);
+    verb("run --task pendulum -n 150 --seed 3 --threads 2 --out a", 0, &["pendulum in mujoco", "fell", "overspeed"]);
+    verb("run --task pendulum -n 150 --seed 3 --threads 1 --out b", 0, &[]);
+    let rows = |name: &str| fs::read(at.join(name).join("dictionary.parquet")).unwrap();
+    assert!(rows("a") == rows("b"), "rows depend on the number of threads");
+    verb("resume a", 0, &[]);
+    verb("replay a 7", 0, &["identical to the recorded episode", "peak_speed_rad_s"]);
+    verb("analyze a", 0, &["pendulum", "torque limit"]);
+    verb("report a --out page.html", 0, &[]);
+    let page = fs::read_to_string(at.join("page.html")).unwrap();
+    assert!(page.contains("overspeed") && !page.contains("grasp"));
+    verb("run --task pendulum --policy random -n 150 --seed 3 --out random", 0, &["random policy"]);
+    verb("compare a random", 0, &["random"]);
+    verb("export a rows.csv", 0, &[]);
+    assert!(fs::read_to_string(at.join("rows.csv")).unwrap().lines().next().unwrap().contains("upright_error_rad"));
+
+    verb("gate --task pendulum --out gate", 1, &["FAIL", "success rate at least 92.0 %", "overspeed"]);
+    verb("gate --run a --requirements paper", 2, &["pick_place", "pendulum"]);
+    verb("evidence gate evidence", 1, &[]);
+    verb("verify evidence", 0, &["verification passed: verdict fail"]);
+    verb("gate --task pendulum --policy random --out other", 1, &["FAIL"]);
+    verb("leaderboard gate other", 0, &["gate", "other"]);
+    verb("baseline gate --out baseline.json", 0, &["overspeed"]);
+    verb("gate --run gate --baseline baseline.json", 1, &[]);
+    verb(
+        "monitor reference a --out reference.json",
+        2,
+        &["below the 92.0 % that the gate requires", "--learn-baseline"],
+    );
+    verb("monitor reference a --learn-baseline --out reference.json", 0, &["risk model"]);
+}
+
+/// Runs the verbs on tasks for an arm, whose robot and engine are chosen.
+#[test]
+fn arm_tasks_pass_through_the_verbs() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    let verb = |arguments: &str, code: i32, parts: &[&str]| verb(at, arguments, code, parts);
+    verb("list", 0, &["stacking", "insertion", "stacking-40", "insertion-40"]);
+    for (task, mode, measure, other) in
+        [("stacking", "toppled", "stability_margin_m", "wedge"), ("insertion", "wedge", "insertion_depth_m", "toppled")]
+    {
+        let run = format!("run --task {task} --robot ur5e -n 8 --seed 3");
+        let a = format!("{task}-a");
+        verb(&format!("{run} --threads 2 --out {a}"), 0, &["ur5e"]);
+        verb(&format!("{run} --threads 1 --out {task}-b"), 0, &[]);
+        // The uniform stage, then one round of the active stage.
+        for shard in [0, 1, 0, 1] {
+            verb(&format!("{run} --shard {shard}/2 --out {task}-s"), 0, &[]);
+        }
+        verb(&format!("merge {task}-s"), 0, &[]);
+        let rows = |name: &str| fs::read(at.join(name).join("dictionary.parquet")).unwrap();
+        assert!(rows(&a) == rows(&format!("{task}-b")), "rows depend on the number of threads");
+        assert!(rows(&a) == rows(&format!("{task}-s")), "rows depend on the shards");
+        verb(&format!("resume {a}"), 0, &[]);
+        verb(&format!("replay {a} 3"), 0, &["identical to the recorded episode", measure]);
+        verb(&format!("analyze {a}"), 0, &["RoboGate ur5e"]);
+        verb(&format!("report {a} --out {task}.html"), 0, &[]);
+        let page = fs::read_to_string(at.join(format!("{task}.html"))).unwrap();
+        assert!(page.contains(mode) && !page.contains(other));
+        verb(&format!("monitor reference {a} --learn-baseline --out {task}.json"), 0, &[]);
+    }
+    verb("run --task stacking --robot ur5e --grip-force 10 -n 2 --out c", 2, &["needs fingers"]);
+    verb("run --task stacking --renderer egl -n 2 --out d", 2, &["--renderer egl"]);
+    verb("run --task stacking --engine none -n 2 --out e", 2, &["no such engine"]);
+}
+
+/// The default design is active. Its gate uses the episodes that no model chose, and other designs can be chosen.
+#[test]
+fn designs_of_the_pendulum() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    let verb = |arguments: &str, code: i32, parts: &[&str]| verb(at, arguments, code, parts);
+    let run = "run --task pendulum -n 200 --seed 3";
+    verb(&format!("{run} --out a"), 0, &["all episodes by their weights", "Risk model"]);
+    verb("export a rows.csv", 0, &[]);
+    let rows = fs::read_to_string(at.join("rows.csv")).unwrap();
+    let header: Vec<&str> = rows.lines().next().unwrap().split(',').collect();
+    let column = |name: &str| header.iter().position(|of| *of == name).unwrap();
+    let (stage, design) = (column("stage"), column("design"));
+    let cells: Vec<Vec<&str>> = rows.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    let count = |of: &str, chosen: &str| cells.iter().filter(|row| row[stage] == of && row[design] == chosen).count();
+    let sampled = count("uniform", "latin_hypercube") + count("active", "uniform");
+    assert_eq!(sampled + count("active", "active"), 200);
+    assert!(sampled > 100 && sampled < 160, "{sampled}");
+    let judged = format!("{sampled} episodes");
+    let excluded = format!("{} episodes of a focused design are excluded", 200 - sampled);
+    verb("gate --run a --requirements default", 1, &[&judged, &excluded]);
+    verb("analyze a", 0, &["active (uniform part)", "all rows, reweighted"]);
+
+    verb(&format!("{run} --design uniform --out uniform"), 0, &["200 episodes over the operating space, into uniform"]);
+    verb(&format!("{run} --design two-stage --out two"), 0, &["134 episodes over the operating space, then 66 near"]);
+    assert!(!at.join("two/active.json").exists() && at.join("two/boundary.json").exists());
+    verb(&format!("{run} --seek fell --out sought"), 0, &["fell", "of 200 episodes failed in this way"]);
+    verb(&format!("{run} --seek flew --out x"), 2, &["no such failure mode", "fell", "overspeed"]);
+    verb(&format!("{run} --seek fell --design uniform --out x"), 2, &["active design"]);
+}
+
+#[test]
+fn interrupted_pendulum_resumes_identically() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    verb(at, "run --task pendulum -n 300 --seed 9 --out whole", 0, &[]);
+    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+        .args("run --task pendulum -n 300 --seed 9 --out cut".split(' '))
+        .current_dir(at)
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    assert!(lines.any(|line| line.unwrap().starts_with("uniform")), "no progress was reported");
+    child.kill().unwrap();
+    child.wait().unwrap();
+    verb(at, "resume cut", 0, &[]);
+    let rows = |name: &str| fs::read(at.join(name).join("dictionary.parquet")).unwrap();
+    assert!(rows("whole") == rows("cut"));
+}
+
+struct Server(Child);
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        drop(self.0.kill());
+        drop(self.0.wait());
+    }
+}
+
+/// The command judges the task of `examples/task_server.py`, which no crate contains, without a settings file.
+#[test]
+fn declared_tasks_need_only_an_address() {
+    let Some(python) = robogate_testing::path("ROBOGATE_BRIDGE_PYTHON", "a Python with pyzmq and msgpack") else {
+        return;
+    };
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let script = fs::read_to_string(root.join("examples/task_server.py")).unwrap();
+    // Adds a failure mode that the task does not declare, and takes any free port.
+    let script = script
+        .replace("tcp://127.0.0.1:5570\")", "tcp://127.0.0.1:*\")")
+        .replace("failure = \"overspeed\" if", "failure = \"jammed\" if self.mass > 1.5 else \"overspeed\" if");
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    fs::write(at.join("server.py"), script).unwrap();
+    let mut child = Command::new(python)
+        .arg(at.join("server.py"))
+        .env("PYTHONPATH", root.join("bridges/common"))
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let _server = Server(child);
+    let address =
+        line.split(['"', ' ', '\n']).find(|part| part.starts_with("tcp://")).unwrap_or_else(|| panic!("{line}"));
+
+    verb(at, &format!("bridge check {address}"), 0, &["pass"]);
+    let run = format!("run --simulator {address} --policy random -n 40 --seed 4 --out run");
+    verb(at, &run, 0, &["swing_up", "jammed"]);
+    verb(at, "analyze run", 0, &["jammed"]);
+    verb(at, "export run rows.csv", 0, &[]);
+    let csv = fs::read_to_string(at.join("rows.csv")).unwrap();
+    let jammed = csv.lines().filter(|row| row.contains(",jammed,")).count();
+    assert!(jammed > 0, "{csv}");
+    verb(at, &format!("replay run 3 --simulator {address}"), 0, &["identical to the recorded episode"]);
+    verb(at, &format!("gate --simulator {address} --policy random --out gate"), 1, &["FAIL", "overspeed"]);
+    verb(at, &format!("run --simulator {address} -n 10"), 2, &["no scripted controller", "--policy"]);
+}

@@ -1,0 +1,47 @@
+//! End-to-end tests of `robogate demos`.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use tempfile::TempDir;
+
+/// All files below a folder, by their relative path.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut waiting = vec![folder.to_owned()];
+    while let Some(next) = waiting.pop() {
+        for entry in fs::read_dir(next).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                waiting.push(path);
+            } else {
+                found.insert(path.strip_prefix(folder).unwrap().to_owned(), fs::read(&path).unwrap());
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn bytes_do_not_depend_on_threads() {
+    let dir = TempDir::new().unwrap();
+    // One thread records five episodes as a round of four and a rest. Two threads get three and two of them.
+    let record = |threads: &str| {
+        let out = dir.path().join(threads);
+        let output = Command::new(env!("CARGO_BIN_EXE_robogate"))
+            .args(["demos", "-n", "5", "--size", "16", "--all", "--threads", threads, "--out"])
+            .arg(&out)
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        files(&out)
+    };
+    let (one, two) = (record("1"), record("2"));
+    assert!(one.keys().any(|path| path.extension().is_some_and(|e| e == "parquet")));
+    assert_eq!(one.keys().collect::<Vec<_>>(), two.keys().collect::<Vec<_>>());
+    for (path, bytes) in &one {
+        assert!(*bytes == two[path], "{} differs", path.display());
+    }
+}

@@ -1,0 +1,81 @@
+//! Runs the command and checks its answer.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use tempfile::TempDir;
+
+/// Runs the command.
+pub(crate) fn robogate(arguments: &[&str]) -> Output {
+    robogate_in(Path::new("."), arguments)
+}
+
+/// Runs the command in `dir`.
+pub(crate) fn robogate_in(dir: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_robogate")).args(arguments).current_dir(dir).output().unwrap()
+}
+
+pub(crate) fn stdout(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+pub(crate) fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Everything that the command printed: stdout, then stderr.
+pub(crate) fn text(output: &Output) -> String {
+    stdout(output) + &stderr(output)
+}
+
+#[track_caller]
+pub(crate) fn assert_done(output: &Output) {
+    assert_eq!(output.status.code(), Some(0), "{}", text(output));
+}
+
+/// Runs the command and checks its exit code and each of `parts` in what it prints. Returns all of that.
+#[track_caller]
+pub(crate) fn assert_exit(arguments: &[&str], code: i32, parts: &[&str]) -> String {
+    assert_exit_in(Path::new("."), arguments, code, parts)
+}
+
+/// [`assert_exit`] in `dir`.
+#[track_caller]
+pub(crate) fn assert_exit_in(dir: &Path, arguments: &[&str], code: i32, parts: &[&str]) -> String {
+    let output = robogate_in(dir, arguments);
+    let printed = text(&output);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {printed}");
+    for part in parts {
+        assert!(printed.contains(part), "{arguments:?}: expected {part:?} in {printed}");
+    }
+    printed
+}
+
+/// Checks that the command refuses its arguments: exit code 2, nothing on stdout, and each of `parts` on stderr.
+#[track_caller]
+pub(crate) fn assert_usage(arguments: &[&str], parts: &[&str]) {
+    let output = robogate(arguments);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", text(&output));
+    assert_eq!(stdout(&output), "", "{arguments:?}");
+    for part in parts {
+        assert!(stderr(&output).contains(part), "{arguments:?}: expected {part:?} in {}", stderr(&output));
+    }
+}
+
+/// Runs a line of arguments, separated by spaces, in `dir`. Checks exit code and parts of the output, and returns stdout.
+#[track_caller]
+pub(crate) fn verb(dir: &Path, line: &str, code: i32, parts: &[&str]) -> String {
+    let arguments: Vec<&str> = line.split(' ').collect();
+    let output = robogate_in(dir, &arguments);
+    let printed = text(&output);
+    assert_eq!(output.status.code(), Some(code), "{line}: {printed}");
+    for part in parts {
+        assert!(printed.contains(part), "{line} does not say {part:?}: {printed}");
+    }
+    stdout(&output)
+}
+
+/// The path of a file in a temporary folder, as an argument.
+pub(crate) fn path(dir: &TempDir, name: &str) -> String {
+    dir.path().join(name).to_str().unwrap().to_owned()
+}

@@ -1,0 +1,132 @@
+//! End-to-end tests of policies other than the scripted controller: networks in files, the random policy, and
+//! demonstrations of failed episodes.
+
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::harness::assert_exit_in;
+
+const PLAN: &str = "seed = 5\n[uniform]\nepisodes = 6\n";
+
+fn networks() -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../robogate-policy/tests/networks")
+}
+
+/// Creates a folder with the plan and the small network.
+fn folder_with_network() -> TempDir {
+    let dir = TempDir::new().unwrap();
+    fs::write(dir.path().join("plan.toml"), PLAN).unwrap();
+    for file in ["small.onnx", "small.toml"] {
+        fs::copy(networks().join(file), dir.path().join(file)).unwrap();
+    }
+    dir
+}
+
+const RUN: [&str; 6] = ["run", "--space", "learned", "--plan", "plan.toml", "--json"];
+
+/// Reads a run's summary.
+fn run(dir: &Path, more: &[&str]) -> Value {
+    let text = assert_exit_in(dir, &[&RUN, more].concat(), 0, &[]);
+    serde_json::from_str::<Value>(&text).unwrap()["summary"].take()
+}
+
+#[test]
+fn moved_policy_runs_shards() {
+    let dir = folder_with_network();
+    fs::write(dir.path().join("plan.toml"), "seed = 5\n[uniform]\nepisodes = 1\n").unwrap();
+    let run =
+        |more: &[&str], code, parts: &[&str]| assert_exit_in(dir.path(), &[&RUN[..5], more].concat(), code, parts);
+    run(&["--policy", "small.onnx", "--profile", "small.toml", "--divide", "1", "--out", "r"], 0, &[]);
+    fs::rename(dir.path().join("small.onnx"), dir.path().join("moved.onnx")).unwrap();
+    let shard = ["run", "--shard", "0/1", "--out", "r"];
+    assert_exit_in(dir.path(), &shard, 2, &["small.onnx"]);
+    assert_exit_in(dir.path(), &[&shard[..], &["--policy-at", "moved.onnx"]].concat(), 0, &["shard 0/1"]);
+    assert_exit_in(dir.path(), &["merge", "r"], 0, &["dataset"]);
+    let plan = fs::read_to_string(dir.path().join("r/plan.json")).unwrap();
+    assert!(plan.contains("small.onnx") && !plan.contains("moved.onnx"));
+}
+
+#[test]
+fn replay_works_from_another_folder() {
+    let dir = folder_with_network();
+    run(dir.path(), &["--policy", "small.onnx", "--profile", "small.toml", "--out", "r"]);
+    let elsewhere = TempDir::new().unwrap();
+    let r = dir.path().join("r");
+    assert_exit_in(
+        elsewhere.path(),
+        &["replay", r.to_str().unwrap(), "0"],
+        0,
+        &["identical to the recorded episode, bit for bit"],
+    );
+}
+
+#[test]
+fn random_policy_ignores_thread_count() {
+    let dir = folder_with_network();
+    let one = run(dir.path(), &["--policy", "random", "--threads", "1", "--out", "one"]);
+    let two = run(dir.path(), &["--policy", "random", "--threads", "2", "--out", "two"]);
+    let hash = |summary: &Value| summary["dataset_hash"].as_str().map(str::to_owned);
+    assert!(hash(&one).is_some(), "{one}");
+    assert_eq!(hash(&one), hash(&two));
+    assert_exit_in(dir.path(), &["replay", "one", "3"], 0, &["identical to the recorded episode, bit for bit"]);
+}
+
+#[test]
+fn wrong_policies_are_explained() {
+    let dir = folder_with_network();
+    let bad: [(&[&str], &[&str]); 7] = [
+        (&["--policy", "small.onnx"], &["--profile is missing", "robogate policy profiles"]),
+        (&["--policy", "octo"], &["octo: not a policy", "an ONNX file, `random` or `scripted`"]),
+        (&["--policy", "scripted", "--profile", "learned"], &["--profile cannot be used with --policy scripted"]),
+        (&["--policy", "small.onnx", "--profile", "octo"], &["--profile octo: unknown profile", "octo-small"]),
+        (&["--policy", "random", "--profile", "learned"], &["--profile cannot be used with --policy random"]),
+        (&["--policy", "missing.onnx", "--profile", "small.toml"], &["missing.onnx", "cannot be read"]),
+        (
+            &["--policy", "plan.toml", "--profile", "small.toml"],
+            &["plan.toml: it is a text file. Expected an ONNX model"],
+        ),
+    ];
+    for (more, parts) in bad {
+        assert_exit_in(dir.path(), &[&RUN, more].concat(), 2, parts);
+    }
+}
+
+#[test]
+fn failed_episodes_are_demonstrated() {
+    let dir = folder_with_network();
+    run(dir.path(), &["--policy", "random", "--out", "r"]);
+    let demos = ["demos", "--failed-in", "r", "-n", "8", "--size", "16", "--push", "0", "--out", "d", "--json"];
+    let output: Value = serde_json::from_str(&assert_exit_in(dir.path(), &demos, 0, &[])).unwrap();
+    // The run has six failures, so the first two are demonstrated twice.
+    assert_eq!((&output["episodes"], &output["failed"]), (&8.into(), &0.into()), "{output}");
+    assert_exit_in(
+        dir.path(),
+        &["demos", "--failed-in", "plan.toml", "--out", "e"],
+        2,
+        &["plan.toml: not a finished run"],
+    );
+    assert!(!dir.path().join("e").exists());
+    run(dir.path(), &["--out", "good"]);
+    assert_exit_in(
+        dir.path(),
+        &["demos", "--failed-in", "good", "--out", "e"],
+        2,
+        &["good: the run has no failed episode"],
+    );
+    assert!(!dir.path().join("e").exists());
+}
+
+#[test]
+fn shipped_networks_pick_and_place() {
+    let dir = folder_with_network();
+    let policies = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/policies");
+    for name in ["learned", "learned-wide"] {
+        let file = policies.join(format!("{name}.onnx"));
+        let summary = run(dir.path(), &["--policy", file.to_str().unwrap(), "--profile", "learned", "--out", name]);
+        let succeeded = summary["stages"][0]["successes"].as_u64();
+        assert!(succeeded.is_some_and(|n| n >= 5), "{name}: {succeeded:?} of 6: {summary}");
+    }
+}

@@ -1,0 +1,38 @@
+//! End-to-end tests of the command, and tests of the repository as a whole.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod any_task;
+mod bridge;
+#[cfg(feature = "mujoco")]
+#[expect(unreachable_pub, reason = "a module of a test")]
+mod browser;
+mod command;
+mod controls;
+#[cfg(target_os = "linux")]
+mod crash;
+mod demos;
+mod dependencies;
+mod environments;
+mod fleet;
+mod gate;
+mod generated;
+mod harness;
+mod layering;
+mod local_policies;
+#[cfg(feature = "mujoco")]
+mod media;
+mod monitor;
+#[cfg(all(target_os = "linux", target_arch = "x86_64", feature = "mujoco", feature = "rapier", feature = "onnx"))]
+mod numerics;
+#[path = "../../../robogate-policy/tests/support/openpi.rs"]
+mod openpi;
+#[cfg(all(feature = "mujoco", feature = "rapier"))]
+mod pages;
+mod policy;
+mod shards;
+mod signatures;
+mod study;
+mod twins;
+mod verbs;
+#[cfg(feature = "mujoco")]
+mod view;

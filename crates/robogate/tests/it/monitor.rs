@@ -1,0 +1,225 @@
+//! End-to-end tests of `robogate monitor`.
+
+use std::fs;
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Command, Stdio};
+
+use robogate_monitor::{Cycle, Reference};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::harness::{path, robogate};
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+/// Parameters and outcome of row `i` of a campaign. The failure rate increases with the mass.
+fn row(i: u32) -> (f64, f64, &'static str, bool) {
+    let unit = |step: u32| f64::from((i * step) % 97) / 96.0;
+    let (friction, mass) = (0.05 + 1.15 * unit(31), 0.05 + 1.95 * unit(17));
+    let placement = if i.is_multiple_of(2) { "center_0" } else { "edge_0" };
+    (friction, mass, placement, friction + unit(53) > 0.2 + 0.3 * mass)
+}
+
+/// Writes a dictionary of 970 rows in the published format, and its reference file.
+fn reference(dir: &TempDir) -> (String, Reference) {
+    let experiments: Vec<Value> = (0..970)
+        .map(|i| {
+            let (friction, mass, placement, success) = row(i);
+            json!({
+                "sample_idx": i, "friction": friction, "mass": mass, "placement": placement, "success": success,
+                "failure_type": if success { "none" } else { "grasp_miss" }, "cycle_time": 4.0,
+            })
+        })
+        .collect();
+    let document = json!({ "metadata": { "robot": "ur5e" }, "summary": {}, "experiments": experiments });
+    let (run, file) = (path(dir, "run.json"), path(dir, "reference.json"));
+    fs::write(&run, document.to_string()).unwrap();
+    // Many of these rows fail, so the default limit of the gate rejects them as a baseline.
+    let refused = robogate(&["monitor", "reference", &run, "--out", &file]);
+    assert_eq!(refused.status.code(), Some(2), "{}", text(&refused.stderr));
+    assert!(text(&refused.stderr).contains("--learn-baseline"), "{}", text(&refused.stderr));
+    let low = path(dir, "low.toml");
+    fs::write(&low, "name = 'low'\nmode = 'confidence'\n[[requirement]]\nmetric = 'success'\nat_least = 0.2\n")
+        .unwrap();
+    let output = robogate(&["monitor", "reference", &run, "--requirements", &low, "--out", &file]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let reference: Reference = serde_json::from_str(&fs::read_to_string(&file).unwrap()).unwrap();
+    (file, reference)
+}
+
+fn cycle(i: u32, mass: f64, success: bool) -> Value {
+    let (friction, _, placement, _) = row(i);
+    json!({
+        "id": format!("c{i}"), "robot": "cell-1", "recipe": "bracket", "time_s": 1_795_254_000 + 4 * i, "success": success,
+        "parameters": { "friction": friction, "mass_kg": mass, "placement": placement },
+    })
+}
+
+#[test]
+fn a_reference_contains_its_own_rows() {
+    let dir = tempfile::tempdir().unwrap();
+    let (_, reference) = reference(&dir);
+    let (mut risk, mut failures) = (0.0, 0.0);
+    for i in 0..970 {
+        let (_, mass, _, success) = row(i);
+        let cycle: Cycle = serde_json::from_value(cycle(i, mass, success)).unwrap();
+        let judged = reference.domain.judge(&cycle, |place, value| panic!("row {i}: parameter {place} is {value:?}"));
+        assert_eq!(judged.outside, Some(false), "row {i}");
+        risk += judged.risk.unwrap();
+        failures += f64::from(u8::from(!success));
+    }
+    // At the maximum of the likelihood, its derivative with respect to the intercept, Σ (y - p), is 0.
+    assert!(failures > 50.0 && (risk - failures).abs() < 1e-6 * failures, "{risk} expected, {failures} seen");
+    let success = reference.baseline.success.unwrap();
+    assert_eq!((success.count, success.of), (970 - failures as u64, 970));
+}
+
+#[test]
+fn simulated_modes_are_left_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let (file, written) = reference(&dir);
+    assert!(written.simulated && written.baseline.failure_modes.is_none());
+    let learnt = path(&dir, "learnt.json");
+    let run = path(&dir, "run.json");
+    let output = robogate(&["monitor", "reference", &run, "--learn-baseline", "--out", &learnt]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let learnt: Reference = serde_json::from_str(&fs::read_to_string(&learnt).unwrap()).unwrap();
+    assert_eq!((learnt.baseline.success, learnt.domain), (None, written.domain));
+    // A file whose baseline is below its limit is rejected when it is used, too.
+    let edited = fs::read_to_string(&file).unwrap().replace("\"required_success\": 0.2", "\"required_success\": 0.999");
+    fs::write(&file, edited).unwrap();
+    let feed = path(&dir, "cycles.jsonl");
+    fs::write(&feed, format!("{}\n", cycle(0, 1.0, true))).unwrap();
+    let refused = robogate(&["monitor", "serve", &feed, "--reference", &file]);
+    assert_eq!(refused.status.code(), Some(2), "{}", text(&refused.stderr));
+}
+
+#[test]
+fn papers_alarms_are_a_separate_stream() {
+    let dir = tempfile::tempdir().unwrap();
+    let settings = path(&dir, "monitor.toml");
+    fs::write(&settings, "[detectors.baseline]\nsuccess = { count = 950, of = 1000 }\n").unwrap();
+    let (feed, papers) = (path(&dir, "cycles.jsonl"), path(&dir, "paper.jsonl"));
+    // Sixteen failures in a hundred cycles: critical for the paper's rule, not enough for a detector.
+    let lines: String = (0..300_u32).map(|i| format!("{}\n", cycle(i, 1.0, !(284..300).contains(&i)))).collect();
+    fs::write(&feed, lines).unwrap();
+    let serve = ["monitor", "serve", &feed, "--settings", &settings];
+    let found = robogate(&[&serve[..], &["--paper-alarms", &papers]].concat());
+    let alarms = fs::read_to_string(&papers).unwrap();
+    assert!(
+        alarms.lines().any(|line| line.contains("\"critical\""))
+            && alarms.lines().all(|line| line.contains("\"paper\"")),
+        "{alarms}"
+    );
+    assert!(!text(&found.stdout).contains("\"rule\":\"paper\""), "{}", text(&found.stdout));
+}
+
+#[test]
+fn exit_code_reports_a_critical_alarm() {
+    let dir = tempfile::tempdir().unwrap();
+    let (reference, _) = reference(&dir);
+    let feed = path(&dir, "cycles.jsonl");
+    // Masses inside the validated range first, then outside.
+    let write = |after: Option<f64>| {
+        let mass = |i: u32| after.filter(|_| i >= 900).unwrap_or(row(i).1);
+        let lines: String = (0..1_200).map(|i| format!("{}\n", cycle(i, mass(i), true))).collect();
+        fs::write(&feed, lines).unwrap();
+    };
+    write(None);
+    let quiet = robogate(&["monitor", "serve", &feed, "--reference", &reference]);
+    assert_eq!((quiet.status.code(), text(&quiet.stdout)), (Some(0), String::new()), "{}", text(&quiet.stderr));
+    write(Some(2.5));
+    let loud = robogate(&["monitor", "serve", &feed, "--reference", &format!("bracket={reference}")]);
+    assert_eq!(loud.status.code(), Some(1), "{}", text(&loud.stderr));
+    assert!(text(&loud.stderr).contains("300 outside the validated region"), "{}", text(&loud.stderr));
+    let alarms: Vec<Value> = text(&loud.stdout).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let critical = alarms.iter().find(|alarm| alarm["level"] == "critical").unwrap();
+    assert_eq!((&critical["metric"], &critical["recipe"]), (&json!("outside"), &json!("bracket")));
+    assert!(critical["look_at"][0].as_str().unwrap().starts_with("mass_kg: 2.5 in"), "{critical}");
+}
+
+#[test]
+fn bad_feeds_and_settings_are_errors() {
+    let dir = tempfile::tempdir().unwrap();
+    let (empty, settings) = (path(&dir, "empty.jsonl"), path(&dir, "monitor.toml"));
+    fs::write(&empty, "\nno cycle\n").unwrap();
+    let nothing = robogate(&["monitor", "serve", &empty]);
+    assert_eq!(nothing.status.code(), Some(4), "{}", text(&nothing.stderr));
+    assert!(text(&nothing.stderr).contains("line 2: "), "{}", text(&nothing.stderr));
+    for (wrong, because) in [
+        ("[detectors]\nwarning_cycles = 0", "warning_cycles"),
+        ("[detectors.baseline]\nsuccess = { count = 9, of = 5 }", "9 of 5"),
+        ("[http]\nhead_s = 1e300", "head_s"),
+        ("speed = 9", "speed"),
+    ] {
+        fs::write(&settings, wrong).unwrap();
+        let refused = robogate(&["monitor", "serve", &empty, "--settings", &settings]);
+        assert_eq!(refused.status.code(), Some(2), "{wrong}");
+        assert!(text(&refused.stderr).contains(because), "{}", text(&refused.stderr));
+    }
+    fs::write(&settings, "[detectors.shares]\ndrop = 0.05\n").unwrap();
+    let former = robogate(&["monitor", "serve", &empty, "--settings", &settings]);
+    assert_eq!(former.status.code(), Some(4), "{}", text(&former.stderr));
+    assert!(
+        text(&former.stderr).contains("is the old name of `detectors.events.drop.share`"),
+        "{}",
+        text(&former.stderr)
+    );
+    for arguments in [
+        vec!["monitor", "serve"],
+        vec!["monitor", "serve", "--listen", "127.0.0.1:0"],
+        vec!["monitor", "serve", "nowhere.jsonl"],
+        vec!["monitor", "serve", &empty, "--reference", &empty],
+    ] {
+        assert_eq!(robogate(&arguments).status.code(), Some(2), "{arguments:?}");
+    }
+    let store = path(&dir, "monitor.db");
+    let open = robogate(&["monitor", "serve", "--store", &store, "--listen", "0.0.0.0:0"]);
+    assert_eq!(open.status.code(), Some(2));
+    assert!(text(&open.stderr).contains("--token-file"), "{}", text(&open.stderr));
+}
+
+#[test]
+fn pipes_are_read_line_by_line() {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+        .args(["monitor", "serve", "-"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut pipe = child.stdin.take().unwrap();
+    for i in 0..600 {
+        writeln!(pipe, "{}", cycle(i, 0.3, i % 20 != 0)).unwrap();
+    }
+    writeln!(pipe, "{}", "x".repeat(3_000_000)).unwrap();
+    for i in 600..900 {
+        writeln!(pipe, "{}", cycle(i, 0.3, false)).unwrap();
+    }
+    pipe.flush().unwrap();
+    // The pipe is still open: an alarm is raised before the end of the feed.
+    let mut alarm = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut alarm).unwrap();
+    assert!(alarm.contains("\"raised\""), "{alarm}");
+    drop(pipe);
+    let output = child.wait_with_output().unwrap();
+    let stderr = text(&output.stderr);
+    assert!(stderr.contains("line 601: longer than") && stderr.contains("900 cycles accepted"), "{stderr}");
+    assert_eq!(output.status.code(), Some(1));
+}
+
+#[test]
+fn simulation_prints_a_json_document() {
+    let output = robogate(&["monitor", "simulate", "--streams", "20", "--json", "--cycle-s", "10"]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let document: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((&document["version"], &document["cycles_per_day"]), (&json!(1), &json!(8_640.0)));
+    let figures = document["figures"].as_array().unwrap();
+    assert_eq!(figures.len(), 4);
+    assert!(figures.iter().all(|figure| figure["delays"].as_array().unwrap().len() == 3));
+    let promised: Vec<&Value> = figures.iter().map(|figure| &figure["promised_cycles"]).collect();
+    assert_eq!(promised, [&Value::Null, &json!(2_000.0), &Value::Null, &json!(50_000.0)]);
+    assert_eq!(robogate(&["monitor", "simulate", "--rate", "1.5"]).status.code(), Some(2));
+}

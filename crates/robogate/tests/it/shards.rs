@@ -1,0 +1,270 @@
+//! End-to-end tests of a campaign in shards: several processes run it, and the merged files are those of one process.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::thread;
+use std::time::Instant;
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::harness::verb;
+
+/// The files of a folder, without its subfolders.
+fn files(dir: &Path) -> BTreeMap<String, Vec<u8>> {
+    fs::read_dir(dir)
+        .unwrap()
+        .map(|entry| entry.unwrap())
+        .filter(|entry| entry.file_type().unwrap().is_file())
+        .map(|entry| (entry.file_name().into_string().unwrap(), fs::read(entry.path()).unwrap()))
+        .collect()
+}
+
+/// Runs the commands that `robogate plan` prints until it prints none. Returns how many there were.
+fn run_everything(dir: &Path) -> usize {
+    let mut commands = 0;
+    loop {
+        let next = verb(dir, "plan run --next", 0, &[]);
+        if next.is_empty() {
+            return commands;
+        }
+        for command in next.lines() {
+            verb(dir, command.strip_prefix("robogate ").unwrap(), 0, &[]);
+            commands += 1;
+        }
+    }
+}
+
+const PENDULUM: &str = "run --task pendulum --design two-stage -n 90 --seed 3 --out run";
+
+#[test]
+fn merged_shards_equal_single_run() {
+    let (one, many) = (TempDir::new().unwrap(), TempDir::new().unwrap());
+    verb(one.path(), PENDULUM, 0, &[]);
+    let at = many.path();
+    let verb = |arguments: &str, code: i32, parts: &[&str]| verb(at, arguments, code, parts);
+    verb("plan run --next", 2, &["no campaign in shards", "--shard 0/N"]);
+    verb(&format!("{PENDULUM} --divide 0"), 2, &["0 shards are out of range"]);
+    verb(&format!("{PENDULUM} --divide 3"), 0, &["90 episodes in 3 shards", "next: robogate plan run --next"]);
+    verb(&format!("{PENDULUM} --divide 3"), 0, &[]);
+    verb(&format!("{PENDULUM} --divide 4"), 2, &["divided into 3 shards"]);
+    verb(&format!("{PENDULUM} --divide 3 --shard 0/3"), 2, &["cannot be used with"]);
+    verb(&format!("{PENDULUM} --policy-at ws://127.0.0.1:1 --shard 2/3"), 2, &["neither a server nor a file"]);
+    verb(&format!("{PENDULUM} --shard 2/3"), 0, &["shard 2/3 of round uniform: 20 episodes"]);
+    verb("run --shard 2/3 --out run", 0, &["nothing to do", "committed already"]);
+    verb(&format!("{PENDULUM} --shard 2/3"), 0, &["nothing to do"]);
+
+    // Everything that differs from the first shard is named.
+    verb(
+        "run --task pendulum --design two-stage -n 91 --seed 3 --out run --shard 0/3",
+        2,
+        &["plan.uniform.episodes", "60", "61"],
+    );
+    verb("run --task pendulum --design two-stage -n 90 --seed 4 --out run --shard 0/3", 2, &["plan.seed"]);
+    verb("run --preset quick --out run --shard 0/3", 2, &["another"]);
+    verb(
+        "run --task pendulum --design two-stage --policy random -n 90 --seed 3 --out run --shard 0/3",
+        2,
+        &["policy", "random"],
+    );
+    verb("run --out run --shard 0/4", 2, &["divided into 3 shards"]);
+    verb("run --out run --shard 3/3", 2, &["0 to 2"]);
+    verb("run --out run --shard third", 2, &["Expected K/N"]);
+    verb("run --shard 0/3", 2, &["--out"]);
+    verb("resume run", 2, &["in shards", "robogate plan run --next"]);
+
+    let status = verb("status run", 0, &["20 of 90 episodes", "uniform", "1 of 3 shards", "missing: 0-1"]);
+    assert!(status.contains("1 more round after that"), "{status}");
+    let status: Value = serde_json::from_str(&verb("status run --json", 0, &[])).unwrap();
+    assert_eq!((status["done"].as_u64(), status["complete"].as_bool()), (Some(20), Some(false)));
+    let next: Value = serde_json::from_str(&verb("plan run --next --json", 0, &[])).unwrap();
+    assert_eq!((next["round"].as_str(), next["items"].as_array().unwrap().len()), (Some("uniform"), 2));
+    let command = serde_json::json!(["robogate", "run", "--shard", "1/3", "--out", "run"]);
+    assert_eq!((&next["items"][1]["command"], next["items"][1]["episodes"].as_u64()), (&command, Some(20)));
+    verb("merge run", 5, &["2 of 3 shards of round uniform are missing: 0, 1"]);
+
+    assert_eq!(run_everything(at), 5);
+    verb("plan run --next", 0, &["next: robogate merge run"]);
+    verb("run --shard 0/3 --out run", 0, &["all rounds are complete"]);
+    verb("status run", 0, &["90 of 90 episodes", "boundary"]);
+    verb("merge run --out elsewhere", 0, &["success"]);
+    verb("merge run", 0, &["success", "dataset"]);
+    let expected = files(&one.path().join("run"));
+    assert!(expected.contains_key("report.html"));
+    assert!(files(&at.join("run")) == expected, "the merged run differs");
+    let mut elsewhere = files(&at.join("elsewhere"));
+    // The report names its folder.
+    elsewhere.insert("report.html".to_owned(), expected["report.html"].clone());
+    assert!(elsewhere == expected, "the run that was merged into another folder differs");
+    verb("merge run", 0, &["merged already"]);
+    verb("replay run 70", 0, &["identical to the recorded episode"]);
+
+    // One changed byte of a shard.
+    let shard = at.join("run/shards/uniform-1-of-3.rgs");
+    let mut bytes = fs::read(&shard).unwrap();
+    bytes[1000] ^= 1;
+    fs::write(&shard, bytes).unwrap();
+    verb("merge run --out again", 5, &["uniform-1-of-3.rgs is damaged", "run this shard again"]);
+    verb("status run", 5, &["uniform-1-of-3.rgs is damaged"]);
+}
+
+#[test]
+fn suite_shards_equal_single_run() {
+    let dirs = [TempDir::new().unwrap(), TempDir::new().unwrap()];
+    let suite = r#"
+        schema = 1
+        name = "two"
+        version = "1.0.0"
+        description = "Two scenarios."
+        defaults = { mass_kg = { low = 0.2, high = 0.4 }, position_jitter_m = 0.003, lighting_lux = 500.0 }
+        [[group]]
+        name = "plain"
+        category = "nominal"
+        scenarios = [{ id = "plain-1" }, { id = "plain-2", mass_kg = 0.5 }]
+    "#;
+    let [one, many] = dirs.each_ref().map(|dir| {
+        fs::write(dir.path().join("two.toml"), suite).unwrap();
+        dir.path()
+    });
+    let run = "run --suite two.toml --rounds 2 --out run";
+    verb(one, run, 0, &[]);
+    verb(many, &format!("{run} --shard 0/2"), 0, &["round suite-0: 1 episodes"]);
+    assert_eq!(run_everything(many), 3);
+    verb(many, "merge run", 0, &[]);
+    assert!(files(&many.join("run")) == files(&one.join("run")));
+}
+
+#[test]
+fn gate_in_shards_equals_single_gate() {
+    let dirs = [TempDir::new().unwrap(), TempDir::new().unwrap()];
+    let [one, many] = dirs.each_ref().map(TempDir::path);
+    // The test stops before the last round: 92 % are required, and random actions never succeed.
+    let gate = "gate --task pendulum --policy random --rounds 9 --seed 3 --out run";
+    let verdict = verb(one, gate, 1, &["FAIL"]);
+    verb(many, "gate --task pendulum --divide 3", 2, &["--out"]);
+    verb(many, &format!("{gate} --divide 3"), 0, &["576 episodes in 3 shards"]);
+    verb(many, &format!("{gate} --divide 3 --margin 0.1"), 0, &[]);
+    verb(many, &format!("{gate} --divide 3 --requirements paper"), 2, &["baseline"]);
+    let commands = run_everything(many);
+    assert!(commands < 27 && commands.is_multiple_of(3), "{commands} shards ran");
+    verb(many, "status run", 0, &["next: robogate merge run"]);
+    assert_eq!(verb(many, "merge run", 1, &["FAIL"]), verdict);
+    assert!(files(&many.join("run")) == files(&one.join("run")));
+    verb(many, "merge run --out elsewhere", 1, &["FAIL"]);
+}
+
+#[test]
+fn sweep_ranks_policies_on_any_executor() {
+    let dirs = [TempDir::new().unwrap(), TempDir::new().unwrap()];
+    let sweep = r#"
+        version = 1
+        name = "swing-ups"
+        seed = 3
+        [[task]]
+        name = "pendulum"
+        episodes = 60
+        [[policy]]
+        name = "scripted"
+        [[policy]]
+        name = "random actions"
+        policy = "random"
+    "#;
+    let [threads, shards] = dirs.each_ref().map(|dir| {
+        fs::write(dir.path().join("sweep.toml"), sweep).unwrap();
+        dir.path()
+    });
+    verb(threads, "matrix sweep.toml --list", 0, &["--task pendulum --design uniform -n 60 --policy random --seed 3"]);
+    verb(threads, "matrix sweep.toml --out run", 0, &["scripted, pendulum", "page: run/leaderboard.html"]);
+    verb(threads, "matrix sweep.toml --out run", 0, &["finished already"]);
+    fs::write(threads.join("other.toml"), sweep.replace("60", "61")).unwrap();
+    verb(threads, "matrix other.toml --out run", 2, &["another sweep"]);
+
+    verb(shards, "matrix sweep.toml --divide 2 --out run", 0, &["robogate plan run --next"]);
+    verb(shards, "merge run", 5, &["no run of swing-ups is finished"]);
+    verb(shards, "status run", 0, &["0 of 120 episodes", "uniform 0 of 2 shards"]);
+    assert_eq!(run_everything(shards), 4);
+    verb(shards, "merge run", 0, &["random actions"]);
+    let [one, other] = [threads, shards].map(|dir| files(&dir.join("run")));
+    for page in ["leaderboard.html", "leaderboard.md"] {
+        assert!(one[page] == other[page], "{page} differs");
+    }
+
+    // A run that fails does not end the sweep.
+    let broken = sweep.replace("policy = \"random\"", "policy = \"nowhere.onnx\"\nprofile = \"learned\"");
+    fs::write(threads.join("broken.toml"), broken).unwrap();
+    let parts = ["failed with exit code", "1 of 2 runs are missing: random actions, pendulum", "page:"];
+    verb(threads, "matrix broken.toml --out broken", 5, &parts);
+    assert!(threads.join("broken/leaderboard.html").exists());
+}
+
+/// The default design: workers choose the points of each round, and every scheduler runs it with the same loop.
+#[test]
+fn active_shards_equal_single_run() {
+    let (one, many) = (TempDir::new().unwrap(), TempDir::new().unwrap());
+    let run = "run --task pendulum -n 120 --seed 3 --out run";
+    verb(one.path(), run, 0, &[]);
+    let at = many.path();
+    verb(at, &format!("{run} --divide 2"), 0, &["120 episodes in 2 shards"]);
+    assert!(run_everything(at) >= 6);
+    verb(at, "status run", 0, &["120 of 120 episodes", "active-0"]);
+    verb(at, "merge run", 0, &["Risk model"]);
+    assert!(files(&at.join("run")) == files(&one.path().join("run")));
+    // A worker that is killed after it commits the last shard chooses nothing. The merge does it then.
+    let last = fs::read_dir(at.join("run/shards")).unwrap().map(|entry| entry.unwrap().path());
+    let is_choice = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().starts_with("active-");
+    let last = last.filter(|path| is_choice(path) && path.extension().unwrap() == "json").max().unwrap();
+    fs::remove_file(last).unwrap();
+    verb(at, "merge run --out again", 0, &[]);
+}
+
+#[test]
+fn killed_merge_can_be_repeated() {
+    let (one, many) = (TempDir::new().unwrap(), TempDir::new().unwrap());
+    let run = "run --task pendulum -n 600 --seed 5 --out run";
+    verb(one.path(), run, 0, &[]);
+    verb(many.path(), &format!("{run} --divide 2"), 0, &[]);
+    run_everything(many.path());
+    let begin = Instant::now();
+    verb(many.path(), "merge run --out elsewhere", 0, &[]);
+    let merge = begin.elapsed();
+    // Killed at moments that are spread over its usual time. Wherever it is then, the next one starts over.
+    for tenth in 0..10 {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+            .args(["merge", "run"])
+            .current_dir(many.path())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        thread::sleep(merge * tenth / 10);
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+    verb(many.path(), "merge run", 0, &[]);
+    assert!(files(&many.path().join("run")) == files(&one.path().join("run")));
+}
+
+#[cfg(unix)]
+#[test]
+fn interrupted_shard_is_not_committed() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+        .args("run --task pendulum -n 30000 --threads 1 --out run --shard 0/1".split(' '))
+        .current_dir(at)
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    assert!(lines.any(|line| line.unwrap().starts_with("shard 0/1")), "the shard did not start");
+    // The handler of signals is installed after that line.
+    thread::sleep(std::time::Duration::from_millis(300));
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let rest: Vec<String> = lines.map(Result::unwrap).collect();
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{rest:?}");
+    assert!(rest.iter().any(|line| line.contains("not committed")), "{rest:?}");
+    assert_eq!(files(&at.join("run/shards")).keys().collect::<Vec<_>>(), ["layout.json"]);
+}

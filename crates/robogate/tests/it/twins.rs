@@ -1,0 +1,205 @@
+//! End-to-end tests of the control arm: nominal twins of a campaign, of a suite, in shards, and imported.
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::harness::verb;
+
+fn json(path: &Path) -> Value {
+    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+}
+
+const RUN: &str = "run --task pendulum --design two-stage -n 90 --seed 3 --twins";
+
+/// The files that a control arm adds or changes.
+const FILES: [&str; 5] =
+    ["twins.json", "nominal/dictionary.parquet", "nominal/plan.json", "dictionary.parquet", "summary.json"];
+
+fn same_files(dir: &Path, a: &str, b: &str) {
+    for file in FILES {
+        let [a, b] = [a, b].map(|name| fs::read(dir.join(name).join(file)).unwrap());
+        assert!(a == b, "{file} differs");
+    }
+}
+
+#[test]
+fn twins_do_not_depend_on_threads_shards_or_interruptions() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    verb(at, &format!("{RUN} --threads 2 --out a"), 0, &["60 nominal twins", "Control arm", "60 pairs"]);
+    verb(at, &format!("{RUN} --threads 1 --out b"), 0, &[]);
+    same_files(at, "a", "b");
+    let twins = json(&at.join("a/twins.json"));
+    assert_eq!((twins["pairs"].as_u64(), twins["unpaired"].as_u64()), (Some(60), Some(0)));
+    assert_eq!(twins["families"][0]["family"], "6 parameters together");
+    // The campaign itself is the same with and without a control arm.
+    verb(at, "run --task pendulum --design two-stage -n 90 --seed 3 --out plain", 0, &[]);
+    let rows = |name: &str| json(&at.join(name).join("summary.json"))["dataset_hash"].clone();
+    assert_eq!(rows("a"), rows("plain"));
+
+    // Killed in the control arm, then resumed.
+    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+        .args(format!("{RUN} --threads 1 --out cut").split(' '))
+        .current_dir(at)
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    assert!(lines.any(|line| line.unwrap().contains("nominal twins")), "the control arm did not start");
+    child.kill().unwrap();
+    child.wait().unwrap();
+    verb(at, "resume cut", 0, &["Control arm"]);
+    same_files(at, "a", "cut");
+
+    verb(at, &format!("{RUN} --divide 2 --out run"), 0, &[]);
+    let everything = |folder: &str| loop {
+        let next = verb(at, &format!("plan {folder} --next"), 0, &[]);
+        if next.is_empty() {
+            break;
+        }
+        next.lines().for_each(|command| drop(verb(at, command.strip_prefix("robogate ").unwrap(), 0, &[])));
+    };
+    everything("run");
+    verb(at, "merge run", 0, &["the control arm is incomplete", "robogate plan run/nominal --next"]);
+    everything("run/nominal");
+    verb(at, "merge run", 0, &["Control arm"]);
+    for file in ["twins.json", "nominal/dictionary.parquet"] {
+        let [a, b] = ["a", "run"].map(|name| fs::read(at.join(name).join(file)).unwrap());
+        assert!(a == b, "{file} differs");
+    }
+    assert!(fs::read_to_string(at.join("run/report.html")).unwrap().contains("Control arm"));
+    verb(at, "analyze a", 0, &["Control arm"]);
+    let report = verb(at, "report a --format json --out -", 0, &[]);
+    assert_eq!(serde_json::from_str::<Value>(&report).unwrap()["twins"], twins);
+}
+
+const SUITE: &str = r#"
+schema = 1
+name = "benches"
+version = "1.0.0"
+description = "Pendulums with a weak motor, and with a slightly heavier pole."
+nominal = true
+defaults = { mass_kg = 0.5, torque_limit_nm = 0.5, start_rad = 0.0 }
+[[group]]
+name = "usual"
+category = "nominal"
+scenarios = [{ id = "usual-1" }]
+[[group]]
+name = "weak_motor"
+category = "motor"
+scenarios = [{ id = "weak-1", torque_limit_nm = 0.05 }, { id = "weak-2", torque_limit_nm = 0.06 }, { id = "weak-3", torque_limit_nm = 0.07 }]
+[[group]]
+name = "heavier"
+category = "pole"
+scenarios = [{ id = "heavier-1", mass_kg = 0.51 }]
+"#;
+
+const REQUIREMENTS: &str = r#"
+name = "test"
+mode = "confidence"
+confidence = 0.75
+[budget]
+rounds = 40
+[[requirement]]
+metric = "success"
+at_least = 0.9
+"#;
+
+#[test]
+fn gate_states_the_effect_of_each_group() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    fs::write(at.join("suite.toml"), SUITE).unwrap();
+    fs::write(at.join("gate.toml"), REQUIREMENTS).unwrap();
+    verb(
+        at,
+        "gate --task pendulum --suite suite.toml --rounds 12 --fixed --requirements gate.toml --out g",
+        1,
+        &["Control arm", "motor/weak_motor"],
+    );
+    let verdict = json(&at.join("g/gate.json"));
+    let twins = &verdict["twins"];
+    assert_eq!((twins["pairs"].as_u64(), twins["unperturbed"].as_u64()), (Some(48), Some(12)));
+    let effect = |family: &str| {
+        let families = twins["families"].as_array().unwrap();
+        families.iter().find(|of| of["family"] == family).unwrap()["effect"].clone()
+    };
+    assert_eq!(effect("motor/weak_motor"), "harmful");
+    assert_eq!(effect("pole/heavier"), "not_significant");
+    assert!(fs::read_to_string(at.join("g/gate.md")).unwrap().contains("Control arm"));
+    // The verdict and its evidence do not depend on the arm.
+    verb(at, "gate --run g", 1, &["Control arm"]);
+    verb(at, "evidence g evidence", 1, &[]);
+    verb(at, "verify evidence", 0, &[]);
+}
+
+#[test]
+fn interrupted_comparison_resumes_identically() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    fs::write(at.join("suite.toml"), SUITE.replace("nominal = true\n", "")).unwrap();
+    fs::write(at.join("gate.toml"), REQUIREMENTS).unwrap();
+    let gate = |out: &str| {
+        format!(
+            "gate --task pendulum --suite suite.toml --rounds 40 --fixed --requirements gate.toml --against random --threads 1 --out {out}"
+        )
+    };
+    let output = |out: &str| verb(at, &gate(out), 1, &["not worse than random"]);
+    output("whole");
+    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+        .args(gate("cut").split(' '))
+        .current_dir(at)
+        .stderr(Stdio::null())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    // Both policies have episodes.
+    let journal = at.join("cut/against.rgj");
+    for _ in 0..2_000 {
+        if fs::metadata(&journal).is_ok_and(|file| file.len() > 2_000) {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(journal.exists() && !at.join("cut/against.parquet").exists(), "the gate was not interrupted");
+    verb(at, "resume cut", 1, &["not worse than random"]);
+    assert!(!journal.exists() && !at.join("cut/against.json").exists());
+    for file in ["against.parquet", "dictionary.parquet"] {
+        let [a, b] = ["whole", "cut"].map(|name| fs::read(at.join(name).join(file)).unwrap());
+        assert!(a == b, "{file} differs");
+    }
+    // The finished gate is evaluated again from its files.
+    verb(at, "gate --run cut", 1, &["not worse than random"]);
+}
+
+#[test]
+fn imported_arms_are_paired() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    let mut rows = "task,seed,perturbation,success\n".to_owned();
+    for seed in 0..40 {
+        let camera = u8::from(seed % 2 == 0);
+        rows += &format!("lift,{seed},none,1\nlift,{seed},camera,{camera}\nlift,{seed},light,1\n");
+    }
+    fs::write(at.join("results.csv"), rows).unwrap();
+    verb(
+        at,
+        "import results.csv results.parquet --map case=task,seed=seed,category=perturbation --stopping fixed",
+        0,
+        &[],
+    );
+    verb(
+        at,
+        "analyze results.parquet --nominal category=none",
+        0,
+        &["Shown to lower the success rate: camera.", "20 fail with it only"],
+    );
+    verb(at, "analyze results.parquet --nominal category=other", 2, &["no row has `category` = `other`"]);
+}

@@ -1,0 +1,259 @@
+//! End-to-end tests of `analyze`, `report` and `compare`: exit codes, stdout and stderr.
+
+use std::fs;
+use std::path::Path;
+use std::process::Output;
+
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::harness::{assert_usage, path, robogate, stderr, stdout};
+
+/// A published dictionary in which episodes succeed above the friction `from`, and mass has a small effect.
+fn published(dir: &TempDir, robot: &str, rows: u32, from: f64) -> String {
+    let experiments: Vec<Value> = (0..rows)
+        .map(|i| {
+            let unit = |step: u32| f64::from((i * step) % 97) / 97.0;
+            let (friction, mass) = (0.05 + 1.15 * unit(31), 0.05 + 1.95 * unit(17));
+            let success = friction + 0.1 * unit(53) > from + 0.2 * mass;
+            json!({
+                "sample_idx": i,
+                "friction": friction,
+                "mass": mass,
+                "placement": if i % 2 == 0 { "center_0" } else { "edge_0" },
+                "success": success,
+                "failure_type": if success { "none" } else { "grasp_miss" },
+                "cycle_time": 4.0
+            })
+        })
+        .collect();
+    let text = json!({ "metadata": { "robot": robot }, "summary": {}, "experiments": experiments }).to_string();
+    let file = path(dir, &format!("{robot}.json"));
+    fs::write(&file, text).unwrap();
+    file
+}
+
+fn assert_self_contained(page: &str) {
+    let text = fs::read_to_string(page).unwrap();
+    assert!(text.starts_with("<!DOCTYPE html>") && text.trim_end().ends_with("</html>"));
+    for forbidden in ["http://", "https://", "src=", "@import", "url(http", "//cdn"] {
+        assert!(!text.contains(forbidden), "{page} has {forbidden}");
+    }
+}
+
+fn assert_fits(output: &Output) {
+    let text = stdout(output);
+    for line in text.lines() {
+        assert!(line.chars().count() <= 100, "{} columns: {line}", line.chars().count());
+    }
+}
+
+#[test]
+fn analyze_writes_to_stdout() {
+    let dir = TempDir::new().unwrap();
+    let file = published(&dir, "arm", 200, 0.5);
+    let output = robogate(&["analyze", &file]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert_eq!(stderr(&output), "");
+    assert!(stdout(&output).contains("Where it fails"));
+    assert_fits(&output);
+    let output = robogate(&["analyze", &file, "--json"]);
+    assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(0), ""));
+    let document: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(document["version"], 3);
+    assert_eq!(document["success"]["rate"]["n"], 200);
+    assert_usage(&["analyze", &path(&dir, "nowhere")], &["nowhere"]);
+    assert_usage(&["analyze", &file, "--target", "1.2"], &["1.2", "between 0 and 1"]);
+    assert_usage(&["analyze", &file, "--pair", "friction", "fricton"], &["fricton", "mass_kg"]);
+}
+
+#[test]
+fn older_dictionaries_give_a_note() {
+    let old = concat!(env!("CARGO_MANIFEST_DIR"), "/../robogate-dictionary/tests/fixtures/v0.1/run");
+    let output = robogate(&["analyze", old, "--json"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(stderr(&output).contains("a dictionary of schema 1.1; its old names are read as those of schema 2.1"));
+    assert!(stderr(&output).contains("`pick_place`"));
+}
+
+#[test]
+fn report_writes_one_file() {
+    let dir = TempDir::new().unwrap();
+    let file = published(&dir, "arm", 200, 0.5);
+    let page = path(&dir, "page.html");
+    let output = robogate(&["report", &file, "--out", &page]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert_eq!(stdout(&output), "");
+    assert!(stderr(&output).contains("page.html"));
+    assert_self_contained(&page);
+    let markdown = robogate(&["report", &file, "--format", "md", "--out", "-"]);
+    assert_eq!((markdown.status.code(), stderr(&markdown).as_str()), (Some(0), ""));
+    assert!(stdout(&markdown).starts_with("# "));
+    let document = robogate(&["report", &file, "--format", "json", "--out", "-"]);
+    let analysis = robogate(&["analyze", &file, "--json"]);
+    assert_eq!(document.stdout, analysis.stdout);
+    assert_usage(&["report", &file, "--format", "pdf"], &["pdf", "html"]);
+    let nowhere = robogate(&["report", &file, "--out", &path(&dir, "no/such/folder.html")]);
+    assert_eq!(nowhere.status.code(), Some(5), "{}", stderr(&nowhere));
+}
+
+#[test]
+fn compare_writes_every_format() {
+    let dir = TempDir::new().unwrap();
+    let (one, two) = (published(&dir, "one", 300, 0.4), published(&dir, "two", 240, 0.8));
+    let (page, text) = (path(&dir, "page.html"), path(&dir, "page.md"));
+    let output = robogate(&[
+        "compare",
+        &one,
+        &two,
+        "--html",
+        &page,
+        "--md",
+        &text,
+        "--reach",
+        "one=0.85",
+        "--reach",
+        "two=0.5",
+        "--workspace",
+        "0.5",
+    ]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    for part in ["Success rates", "one - two", "Where all of them are below 40 %", "Effect of mass", "ratio   1.000"] {
+        assert!(stdout(&output).contains(part), "{part}: {}", stdout(&output));
+    }
+    assert_fits(&output);
+    assert!(stderr(&output).contains("page.html") && stderr(&output).contains("page.md"));
+    assert_self_contained(&page);
+    assert!(fs::read_to_string(&text).unwrap().starts_with("# one and two"));
+    let output = robogate(&["compare", &one, &two, "--json"]);
+    assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(0), ""));
+    let document: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(document["version"], 3);
+    assert_eq!(document["compared"], json!(["one", "two"]));
+    assert!(document["differences"][0]["adjusted_p"].as_f64().unwrap() < 0.05);
+    assert_eq!(document["reach"][0]["reach_m"], Value::Null);
+}
+
+#[test]
+fn compare_rejects_invalid_arguments() {
+    let dir = TempDir::new().unwrap();
+    let (one, two) = (published(&dir, "one", 60, 0.4), published(&dir, "two", 50, 0.8));
+    assert_usage(&["compare", &one], &["at least two", "analyze"]);
+    assert_usage(&["compare", &one, &one], &["given twice"]);
+    let copy = path(&dir, "copy.json");
+    fs::copy(&one, &copy).unwrap();
+    assert_usage(&["compare", &one, &copy], &["same rows"]);
+    assert_usage(&["compare", &one, &two, "--paired"], &["did not run the same scenarios", "60", "50"]);
+    assert_usage(&["compare", &one, &two, "--reach", "three=1"], &["`three`", "one, two"]);
+    assert_usage(&["compare", &one, &two, "--reach", "one"], &["NAME=METRES"]);
+    assert_usage(&["compare", &one, &two, "--danger", "40"], &["40", "(0, 1)"]);
+    assert_usage(&["compare", &one, &two, "--names", "a"], &["1 names for 2"]);
+    assert_usage(&["compare", &one, &two, "--pair", "friction", "colour"], &["`colour`", "friction"]);
+    assert_usage(&["compare", &one, &two, "--html", &two], &["would overwrite"]);
+    assert_usage(&["compare", &one, &path(&dir, "nowhere.json")], &["nowhere.json"]);
+}
+
+#[test]
+fn paired_runs_can_be_replayed() {
+    let dir = TempDir::new().unwrap();
+    let (strong, weak) = (path(&dir, "strong"), path(&dir, "weak"));
+    for (out, force) in [(&strong, "30"), (&weak, "2")] {
+        let output = robogate(&[
+            "run",
+            "--design",
+            "two-stage",
+            "-n",
+            "45",
+            "--grip-force",
+            force,
+            "--threads",
+            "1",
+            "--out",
+            out,
+        ]);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    }
+    let output = robogate(&["compare", &strong, &weak, "--paired", "--json"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let document: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let pair = &document["paired"][0];
+    assert_eq!(pair["scenarios"], 30);
+    assert_eq!(document["reach"][0]["reach_m"], 0.855);
+    assert!(pair["first_only"].as_u64().unwrap() > 0, "a gripper of 2 N loses nothing that one of 30 N holds");
+    let command = pair["flips"][0]["replay"][0].as_str().unwrap();
+    let words: Vec<&str> = command.split(' ').collect();
+    assert_eq!(&words[..2], ["robogate", "replay"]);
+    assert!(Path::new(words[2]).is_dir());
+    assert_eq!(robogate(&words[1..]).status.code(), Some(0));
+    let other = path(&dir, "other");
+    robogate(&["run", "--design", "two-stage", "-n", "45", "--seed", "9", "--threads", "1", "--out", &other]);
+    assert_usage(&["compare", &strong, &other, "--paired"], &["row 0", "seed"]);
+}
+
+#[test]
+fn transfer_writes_every_format() {
+    let dir = TempDir::new().unwrap();
+    let simulation = published(&dir, "franka", 300, 0.6);
+    let trials = path(&dir, "trials.csv");
+    let rows: Vec<String> = (0..40)
+        .map(|i| {
+            let unit = |step: u32| f64::from((i * step + 11) % 97) / 97.0;
+            let (friction, mass) = (0.05 + 1.15 * unit(37), 0.05 + 1.95 * unit(29));
+            format!("{},{friction},{mass},{}", friction > 0.65, 1 + i % 5)
+        })
+        .collect();
+    fs::write(&trials, format!("success,friction,mass_kg,note\n{}\n", rows.join("\n"))).unwrap();
+    let (page, file) = (path(&dir, "transfer.html"), path(&dir, "transfer.json"));
+    let arguments = ["transfer", "--sim", &simulation, "--real", &trials, "--html", &page, "--out", &file];
+    let output = robogate(&arguments);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let text = stdout(&output);
+    for part in ["The real robot", "Trials to run next", "Ignored columns: note"] {
+        assert!(text.contains(part) || text.contains("The trials alone"), "{part}: {text}");
+    }
+    assert_self_contained(&page);
+    let json = robogate(&["transfer", "--sim", &simulation, "--real", &trials, "--json"]);
+    assert_eq!(fs::read_to_string(&file).unwrap().trim(), stdout(&json).trim());
+    let document: Value = serde_json::from_str(&stdout(&json)).unwrap();
+    assert_eq!(document["real"]["trials"], 40);
+    fs::write(&trials, "success,friction\nperhaps,0.5\n").unwrap();
+    assert_usage(&["transfer", "--sim", &simulation, "--real", &trials], &["trials.csv:2", "perhaps"]);
+}
+
+/// Markup, a colour, and a reversed text in every name that a table can bring along.
+#[test]
+fn hostile_names_are_inert() {
+    let dir = TempDir::new().unwrap();
+    let name = "<img src=x onerror=a()>\u{1b}[32mok\u{9b}2J\u{202e}ssap\u{2066}";
+    let table = path(&dir, "table.csv");
+    let rows: String = (0..120).map(|i| format!("{},0.{:03},{name}{}\n", i % 3 == 0, i * 7 % 997, i % 2)).collect();
+    fs::write(&table, format!("success,mass_kg,{name}\n{rows}")).unwrap();
+    let [one, other, page] = ["one.parquet", "other.parquet", "page.html"].map(|file| path(&dir, file));
+    let mapping = path(&dir, "mapping.toml");
+    fs::write(&mapping, format!("[parameters]\nmass_kg = \"mass_kg\"\nkind = {}\n", json!(name))).unwrap();
+    let named = ["--policy", name, "--robot", name, "--simulator", name, "--mapping", &mapping];
+    let commands: Vec<Vec<&str>> = vec![
+        [&["import", &table, &one][..], &named[..]].concat(),
+        [&["import", &table, &other][..], &named[..]].concat(),
+        vec!["analyze", &one],
+        vec!["analyze", &one, "--json"],
+        vec!["audit", &one],
+        vec!["report", &one, "--out", &page],
+        vec!["report", &one, "--format", "md", "--out", "-"],
+        vec!["compare", &one, &other],
+        vec!["report", name],
+        vec!["run", "--task", name],
+        vec!["gate", "--requirements", name],
+    ];
+    let hidden = ['\u{1b}', '\u{9b}', '\u{202e}', '\u{2066}'];
+    for arguments in commands {
+        let output = robogate(&arguments);
+        for text in [stdout(&output), stderr(&output)] {
+            assert!(!text.contains(hidden), "{arguments:?}: {text:?}");
+            assert!(!text.contains("internal error"), "{text}");
+        }
+    }
+    let text = fs::read_to_string(&page).unwrap();
+    assert!(text.contains("&lt;img src=x"), "the name is not on the page");
+    assert!(!text.contains(hidden) && !text.contains("<img src=x"));
+}

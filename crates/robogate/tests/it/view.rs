@@ -1,0 +1,420 @@
+//! The explorer: its server, its page as one file, and its figures. The parts in a browser are skipped without Chromium.
+
+use std::fs::{self, OpenOptions};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use robogate_core::{Outcome, Value as Parameter};
+use robogate_dictionary::Dictionary;
+use robogate_risk::{Inputs, Learner, RiskModel, Sample};
+use robogate_stats::{Confidence, Trials, clopper_pearson, wilson};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::browser::Browser;
+use crate::harness::{assert_done, robogate_in, stderr};
+
+/// Runs a line of arguments in `folder`, and returns what it prints on stderr.
+fn robogate(folder: &Path, line: &str) -> String {
+    let output = robogate_in(folder, &line.split(' ').collect::<Vec<_>>());
+    assert_done(&output);
+    stderr(&output)
+}
+
+/// A process that ends with the test.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        drop(self.0.kill());
+        drop(self.0.wait());
+    }
+}
+
+/// A server of the explorer.
+struct Server {
+    _process: Process,
+    address: String,
+    token: String,
+}
+
+impl Server {
+    fn start(folder: &Path, runs: &[&str]) -> Self {
+        let mut process = Process(
+            Command::new(env!("CARGO_BIN_EXE_robogate"))
+                .arg("view")
+                .args(runs)
+                .current_dir(folder)
+                .stdout(Stdio::piped())
+                .stderr(Stdio::null())
+                .spawn()
+                .unwrap(),
+        );
+        let mut line = String::new();
+        BufReader::new(process.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let (address, token) = line.trim().split_once("/#token=").unwrap();
+        let address = address.strip_prefix("http://").unwrap().to_owned();
+        Self { _process: process, address, token: token.to_owned() }
+    }
+
+    /// Sends a request, and returns status, head and body.
+    fn send(&self, request: &str) -> (u16, String, Vec<u8>) {
+        let mut stream = TcpStream::connect(&self.address).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut reply = Vec::new();
+        stream.read_to_end(&mut reply).unwrap();
+        let end = reply.windows(4).position(|four| four == b"\r\n\r\n").unwrap();
+        let head = String::from_utf8_lossy(&reply[..end]).into_owned();
+        let status = head.split(' ').nth(1).unwrap().parse().unwrap();
+        (status, head, reply[end + 4..].to_vec())
+    }
+
+    fn get(&self, path: &str) -> (u16, String, Vec<u8>) {
+        let (address, token) = (&self.address, &self.token);
+        self.send(&format!(
+            "GET {path} HTTP/1.1\r\nHost: {address}\r\nAuthorization: Bearer {token}\r\nConnection: close\r\n\r\n"
+        ))
+    }
+
+    fn json(&self, path: &str) -> Value {
+        let (status, _, body) = self.get(path);
+        assert_eq!(status, 200, "{path}: {}", String::from_utf8_lossy(&body));
+        serde_json::from_slice(&body).unwrap()
+    }
+
+    /// Waits until the state fulfils a condition.
+    fn wait(&self, condition: impl Fn(&Value) -> bool) -> Value {
+        let begun = Instant::now();
+        loop {
+            let state = self.json("/v1/state");
+            if condition(&state) {
+                return state;
+            }
+            assert!(begun.elapsed() < Duration::from_secs(90), "{state:#}");
+            std::thread::sleep(Duration::from_millis(200));
+        }
+    }
+}
+
+#[test]
+fn server_admits_its_own_page_only() {
+    let dir = TempDir::new().unwrap();
+    robogate(dir.path(), "run --task pendulum -n 120 --seed 3 --out a");
+    let server = Server::start(dir.path(), &["a"]);
+    let (address, token) = (&server.address, &server.token);
+    assert!(address.starts_with("127.0.0.1:") && token.len() == 32, "{address} {token}");
+    let ask = |method: &str, path: &str, host: &str, authorization: &str| {
+        let request = format!("{method} {path} HTTP/1.1\r\nHost: {host}\r\n{authorization}Connection: close\r\n\r\n");
+        let (status, head, body) = server.send(&request);
+        (status, head, String::from_utf8_lossy(&body).into_owned())
+    };
+    let bearer = format!("Authorization: Bearer {token}\r\n");
+    // The page has no data, and its policy allows its own scripts and this server alone.
+    let (status, head, page) = ask("GET", "/", address, "");
+    assert_eq!(status, 200);
+    assert!(
+        head.contains("script-src 'sha256-")
+            && head.contains("connect-src 'self'")
+            && head.contains("frame-ancestors 'none'")
+    );
+    assert!(
+        page.contains("id=\"explorer\"") && !page.contains("id=\"explorer-data\"") && !page.contains(token.as_str())
+    );
+    for path in ["/v1/state", "/v1/rows?epoch=1&from=0&to=9", "/v1/model?run=0", "/v1/clip?run=0&index=0", "/x"] {
+        assert_eq!(ask("GET", path, address, "").0, 401, "{path}");
+        let wrong = format!("Authorization: Bearer {}\r\n", "0".repeat(32));
+        assert_eq!(ask("GET", path, address, &wrong).0, 401, "{path}");
+        assert_eq!(ask("GET", path, "evil.example:80", &bearer).0, 403, "{path}");
+        assert_eq!(ask("POST", path, address, &bearer).0, 405, "{path}");
+    }
+    assert_eq!(ask("GET", "/", "127.0.0.1.evil.example", "").0, 403);
+    for (path, status) in [
+        ("/v1/nothing", 404),
+        ("/../../etc/passwd", 404),
+        ("/v1/rows", 400),
+        ("/v1/rows?epoch=1&from=5&to=4", 400),
+        ("/v1/rows?epoch=1&from=0&to=121", 400),
+        ("/v1/rows?epoch=7&from=0&to=9", 400),
+        ("/v1/rows?epoch=1&from=-1&to=9", 400),
+        ("/v1/rows?epoch=1&from=0&to=99999999999999999999", 400),
+        ("/v1/model", 400),
+        ("/v1/model?run=1", 404),
+        ("/v1/model?run=18446744073709551615", 404),
+        ("/v1/clip?run=0", 400),
+        ("/v1/clip?run=0&index=120", 404),
+        ("/v1/clip?run=9&index=0", 404),
+    ] {
+        let (found, _, body) = server.get(path);
+        assert_eq!(found, status, "{path}: {}", String::from_utf8_lossy(&body));
+    }
+    let state = server.json("/v1/state");
+    assert_eq!((&state["rows"], &state["runs"][0]["finished"]), (&json!(120), &json!(true)));
+    let columns = state["columns"].as_array().unwrap().len();
+    assert_eq!(server.get("/v1/rows?epoch=1&from=20&to=70").2.len(), 4 * 50 * columns);
+    let reel = server.json("/v1/clip?run=0&index=7");
+    assert_eq!(reel["clips"][0]["title"], json!("Episode 7"));
+}
+
+#[test]
+fn running_campaigns_update() {
+    let dir = TempDir::new().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let run = Process(
+        Command::new(env!("CARGO_BIN_EXE_robogate"))
+            .args("run --task pendulum -n 200000 --seed 3 --threads 1 --out a".split(' '))
+            .current_dir(dir.path())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap(),
+    );
+    let begun = Instant::now();
+    while fs::metadata(at("a/journal.rgj")).map_or(0, |file| file.len()) < 10_000 {
+        assert!(begun.elapsed() < Duration::from_secs(90), "the run does not begin");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let server = Server::start(dir.path(), &["a"]);
+    let first = server.json("/v1/state");
+    assert_eq!(first["runs"][0]["finished"], json!(false));
+    let rows = first["rows"].as_u64().unwrap();
+    assert!(rows > 0);
+    server.wait(|state| state["rows"].as_u64().unwrap() > rows + 20);
+    // An episode of an unfinished run is played, although the run holds its lock.
+    assert_eq!(server.json("/v1/clip?run=0&index=3")["clips"][0]["title"], json!("Episode 3"));
+    // A killed run leaves a truncated journal.
+    drop(run);
+    let journal = OpenOptions::new().write(true).open(at("a/journal.rgj")).unwrap();
+    let length = journal.metadata().unwrap().len();
+    let known = server.wait(|state| state["epoch"] == json!(1));
+    journal.set_len(length / 2).unwrap();
+    let after = server.wait(|state| state["epoch"] != json!(1));
+    assert!(after["rows"].as_u64().unwrap() < known["rows"].as_u64().unwrap());
+    assert_eq!(after["runs"][0]["problem"], Value::Null);
+    assert_eq!(Server::start(dir.path(), &["a"]).json("/v1/state")["rows"], after["rows"]);
+}
+
+#[test]
+fn shards_arrive_one_by_one() {
+    let dir = TempDir::new().unwrap();
+    let shard = |k: u32| {
+        robogate(dir.path(), &format!("run --task pendulum --design two-stage -n 90 --seed 3 --shard {k}/3 --out s"))
+    };
+    shard(1);
+    let server = Server::start(dir.path(), &["s"]);
+    let first = server.json("/v1/state");
+    let rows = first["rows"].as_u64().unwrap();
+    assert!(rows > 0 && first["runs"][0]["finished"] == json!(false), "{first:#}");
+    shard(0);
+    server.wait(|state| state["rows"].as_u64().unwrap() > rows);
+    for round in [2, 0, 1, 2] {
+        shard(round);
+    }
+    robogate(dir.path(), "merge s");
+    let whole = server.wait(|state| state["runs"][0]["finished"] == json!(true));
+    assert_eq!(whole["rows"], whole["runs"][0]["planned"]);
+    assert_eq!(whole["epoch"], json!(1));
+}
+
+/// Opens a page, brushes, colours, selects by keyboard, opens an episode, and checks its accessibility in both themes.
+fn operate(browser: &mut Browser, axe: Option<&std::path::PathBuf>) {
+    browser.wait("document.body.dataset.ready === 'true'");
+    browser.wait("document.body.dataset.modelled === 'true'");
+    browser.wait("!robogateExplorer.explorer.awake");
+    let all = browser.evaluate("robogateExplorer.explorer.selection.kept").as_u64().unwrap();
+    // Brush an axis with the pointer.
+    browser.evaluate(
+        "(() => { const p = robogateExplorer.explorer.parallel, box = p.overlay.getBoundingClientRect(), x = box.left + p.x(1); \
+         const at = (type, y) => p.overlay.dispatchEvent(new PointerEvent(type, { clientX: x, clientY: box.top + y, bubbles: true, pointerId: 1, buttons: 1 })); \
+         p.overlay.setPointerCapture = () => {}; at('pointerdown', p.y(0.75)); at('pointermove', p.y(0.5)); at('pointermove', p.y(0.25)); at('pointerup', p.y(0.25)) })()",
+    );
+    browser.wait(&format!("robogateExplorer.explorer.selection.kept < {all} && !robogateExplorer.explorer.awake"));
+    browser.wait("!document.querySelector('.x-caution').hidden");
+    let kept = browser.evaluate("robogateExplorer.explorer.selection.kept").as_u64().unwrap();
+    assert_eq!(browser.evaluate("document.querySelectorAll('.x-chips button').length"), json!(2));
+    // A lasso on the scatter plot keeps a part of that.
+    browser.evaluate(
+        "(() => { const s = robogateExplorer.explorer.scatter, box = s.overlay.getBoundingClientRect(); s.overlay.setPointerCapture = () => {}; \
+         const at = (type, u, v) => s.overlay.dispatchEvent(new PointerEvent(type, { clientX: box.left + s.x(u), clientY: box.top + s.y(v), bubbles: true, pointerId: 1, shiftKey: true })); \
+         at('pointerdown', 0.1, 0.1); at('pointermove', 0.9, 0.1); at('pointermove', 0.9, 0.9); at('pointermove', 0.1, 0.9); at('pointerup', 0.1, 0.9) })()",
+    );
+    browser.wait(&format!(
+        "robogateExplorer.explorer.selection.kept < {kept} && robogateExplorer.explorer.selection.kept > 0"
+    ));
+    browser.evaluate("document.querySelector('.x-clear').click()");
+    browser.wait(&format!("robogateExplorer.explorer.selection.kept === {all}"));
+    // Every colour, and every class of a legend.
+    let colours = browser.evaluate("document.querySelector('.x-top select').options.length").as_u64().unwrap();
+    for at in 0..colours {
+        browser.evaluate(&format!(
+            "(() => {{ const s = document.querySelector('.x-top select'); s.selectedIndex = {at}; s.dispatchEvent(new Event('change')) }})()"
+        ));
+        browser.wait("!robogateExplorer.explorer.awake && document.querySelectorAll('.x-key').length > 0");
+    }
+    browser.evaluate("document.querySelector('.x-key').click()");
+    browser.wait("document.querySelector('.x-key').getAttribute('aria-pressed') === 'true'");
+    browser.evaluate("document.querySelector('.x-clear').click()");
+    // The form does the same without a pointer.
+    browser.evaluate("document.querySelector('.x-form').open = true");
+    browser.wait("document.querySelectorAll('.x-filters fieldset').length > 1");
+    browser.evaluate(
+        "(() => { const i = document.querySelector('.x-filters input[type=number]'); i.value = Number(i.placeholder) * 1.5 + 0.01; \
+         i.dispatchEvent(new Event('change')) })()",
+    );
+    browser.wait(&format!("robogateExplorer.explorer.selection.kept < {all}"));
+    browser.evaluate("robogateExplorer.explorer.clear()");
+    // Read the map by keyboard, and move a slider.
+    browser.evaluate("document.querySelector('.x-map .x-overlay').focus()");
+    browser.press("ArrowRight");
+    browser.wait("document.querySelector('.x-map .x-reading').textContent.includes('95 % interval of the model')");
+    browser.evaluate(
+        "document.querySelectorAll('.x-slider input').forEach((s) => { s.value = 0.8; s.dispatchEvent(new Event('input')) })",
+    );
+    browser.wait("!robogateExplorer.explorer.awake");
+    // Sort, and play an episode by keyboard.
+    browser.evaluate("document.querySelectorAll('.x-th button')[1].click()");
+    browser.wait("!!document.querySelector('.x-th [aria-sort=ascending]')");
+    browser.evaluate("document.querySelector('.x-scroll').focus()");
+    browser.press("End");
+    browser.press("Home");
+    let playable = "(() => { const e = robogateExplorer.explorer, d = e.data; for (let r = 0; r < d.rows; r++) if (e.canPlay(d.run.values[r], d.index.values[r])) return r; return -1 })()";
+    browser.evaluate(&format!("robogateExplorer.explorer.open({playable})"));
+    browser.wait(
+        "document.querySelector('.x-player [data-ready]') !== null && !document.querySelector('.x-stage').hidden",
+    );
+    browser.evaluate("document.querySelector('.view-play').click()");
+    browser.wait("Number(document.querySelector('.view-bar input[type=range]').value) > 0.1");
+    browser.evaluate("document.querySelector('.view-play').click()");
+    if let Some(axe) = axe {
+        for theme in ["light", "dark"] {
+            let media = json!({ "features": [{ "name": "prefers-color-scheme", "value": theme }] });
+            browser.call("Emulation.setEmulatedMedia", media);
+            browser.assert_accessible(axe);
+        }
+    }
+}
+
+/// The page predicts what the risk model of Rust predicts, for every episode of a run.
+fn compare_predictions(browser: &mut Browser, dictionary: &Path) {
+    let dictionary = Dictionary::open(dictionary).unwrap();
+    let entries = dictionary.entries().map(|entry| {
+        let mut episode = entry.unwrap().episode;
+        // The page has the parameters as 32-bit numbers.
+        let requested = episode.scenario.requested.clone();
+        for (name, value) in requested.iter() {
+            if let Parameter::Number(x) = value {
+                episode.scenario.requested.set(name, Parameter::Number(f64::from(*x as f32)));
+            }
+        }
+        episode
+    });
+    let samples: Vec<Sample> = entries
+        .filter(|episode| !matches!(episode.outcome, Outcome::Invalid(_)))
+        .map(|episode| Sample { success: episode.outcome == Outcome::Success, scenario: episode.scenario })
+        .collect();
+    let inputs = Inputs::new(&dictionary.provenance().space, None);
+    let model = RiskModel::fit(std::sync::Arc::new(inputs), &samples, Learner::Splines, RiskModel::LEAST).unwrap();
+    let mut largest = 0.0_f64;
+    for sample in &samples {
+        let [found, low, high]: [f64; 3] = serde_json::from_value(
+            browser.evaluate(&format!("robogateExplorer.predict(0, {})", sample.scenario.index)),
+        )
+        .unwrap();
+        let expected: f64 = model.told(&sample.scenario).unwrap();
+        largest = largest.max((found - expected).abs());
+        assert!(low <= found && found <= high, "{low} {found} {high}");
+    }
+    assert!(largest < 1e-6, "{largest}");
+}
+
+/// The intervals of the page equal those of the statistics.
+fn compare_figures(browser: &mut Browser) {
+    for (k, n) in [(0, 0), (0, 1), (1, 1), (3, 7), (0, 40), (39, 40), (17, 123), (998, 1000), (12_345, 20_000)] {
+        let trials = Trials::new(k, n).unwrap();
+        for (name, interval) in
+            [("wilson", wilson(trials, Confidence::P95)), ("clopperPearson", clopper_pearson(trials, Confidence::P95))]
+        {
+            let found = browser.evaluate(&format!("robogateExplorer.{name}({k}, {n})"));
+            for (at, expected) in [interval.low, interval.high].into_iter().enumerate() {
+                let found = found[at].as_f64().unwrap();
+                assert!((found - expected).abs() < 1e-10, "{name}({k}, {n}): {found} {expected}");
+            }
+        }
+    }
+}
+
+#[test]
+fn exported_page_is_operated() {
+    let Some(chromium) = robogate_testing::program("chromium") else { return };
+    let axe = robogate_testing::path("ROBOGATE_TEST_AXE", "the file axe.min.js of axe-core");
+    let dir = TempDir::new().unwrap();
+    robogate(dir.path(), "run -n 150 --seed 7 --out a");
+    robogate(dir.path(), "run -n 150 --seed 8 --policy random --out b");
+    let text = robogate(dir.path(), "view a b --export explorer.html --clips 4");
+    assert!(text.contains("4 recorded episodes"), "{text}");
+    let mut browser = Browser::start(&chromium);
+    browser.open(dir.path().join("explorer.html"));
+    operate(&mut browser, axe.as_ref());
+    compare_figures(&mut browser);
+    compare_predictions(&mut browser, &dir.path().join("a/dictionary.parquet"));
+    assert_eq!(browser.evaluate("document.querySelectorAll('.x-rate').length"), json!(2), "one rate for each run");
+    browser.assert_no_trouble();
+    // The same runs give the same page.
+    let first = fs::read(dir.path().join("explorer.html")).unwrap();
+    robogate(dir.path(), "view a b --export again.html --clips 4");
+    assert!(first == fs::read(dir.path().join("again.html")).unwrap(), "the pages differ");
+}
+
+/// Results of another tool with words that would run as scripts in a careless page.
+#[test]
+fn foreign_words_stay_text() {
+    let Some(chromium) = robogate_testing::program("chromium") else { return };
+    let dir = TempDir::new().unwrap();
+    let hostile = "<img src=x onerror=window.bad=1></script><script>window.bad=1</script>";
+    let mut rows = "success,surface,mass\n".to_owned();
+    for i in 0..90 {
+        rows += &format!("{},{},{}\n", i % 3 % 2, ["steel", hostile][i % 2], 0.1 + 0.01 * i as f64);
+    }
+    fs::write(dir.path().join("rows.csv"), rows).unwrap();
+    robogate(dir.path(), "import rows.csv rows.parquet");
+    robogate(dir.path(), "view rows.parquet --export page.html");
+    let mut browser = Browser::start(&chromium);
+    browser.open(dir.path().join("page.html"));
+    browser.wait("document.body.dataset.modelled === 'true' && !robogateExplorer.explorer.awake");
+    browser.evaluate("document.querySelector('.x-form').open = true");
+    browser.wait("document.querySelectorAll('.x-filters fieldset').length > 1");
+    browser.evaluate("robogateExplorer.explorer.open(1)");
+    browser.wait("document.querySelector('.x-player').textContent.includes('<img src=x') && document.querySelector('.x-scroll').textContent.includes('<img')");
+    assert_eq!(browser.evaluate("window.bad === undefined && !document.querySelector('img')"), json!(true));
+    browser.assert_no_trouble();
+}
+
+/// Brushes 20,000 rows and prints the times of the frames. The limit is on the processor time of the page's thread for each
+/// frame, because the browser shares the processors with other tests.
+#[test]
+fn many_rows_stay_interactive() {
+    let Some(chromium) = robogate_testing::program("chromium") else { return };
+    let dir = TempDir::new().unwrap();
+    robogate(dir.path(), "run --task pendulum -n 5000 --seed 3 --out a");
+    robogate(dir.path(), "view a a a a --export page.html --clips 0");
+    let mut browser = Browser::start(&chromium);
+    browser.open(dir.path().join("page.html"));
+    browser.wait("document.body.dataset.modelled === 'true' && !robogateExplorer.explorer.awake");
+    browser.call("Performance.enable", json!({ "timeDomain": "threadTicks" }));
+    let spent = |browser: &mut Browser| {
+        let metrics = browser.call("Performance.getMetrics", json!({}))["metrics"].clone();
+        let of = |metric: &&Value| metric["name"] == json!("TaskDuration");
+        let seconds = metrics.as_array().unwrap().iter().find(of).unwrap()["value"].as_f64().unwrap();
+        (seconds, browser.evaluate("robogateExplorer.explorer.work.frames").as_f64().unwrap())
+    };
+    let before = spent(&mut browser);
+    let measured = browser.evaluate("robogateExplorer.measure(60)");
+    let after = spent(&mut browser);
+    let frame_ms = 1e3 * (after.0 - before.0) / (after.1 - before.1);
+    println!("{frame_ms:.1} ms of processor time per frame; {measured}");
+    assert!(measured["rows"].as_u64().unwrap() >= 20_000, "{measured}");
+    assert!(frame_ms < 50.0, "{frame_ms} ms");
+    browser.assert_no_trouble();
+}

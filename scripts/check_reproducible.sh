@@ -1,0 +1,41 @@
+#!/usr/bin/env bash
+# Builds the release of the present commit twice, in two clones with different paths, one after the other, and compares the SHA-256 sums of all
+# files. Takes the time of two releases, so .ci/run does not include it.
+#
+# Usage: scripts/check_reproducible.sh [ARCHITECTURE...]       as for scripts/release.sh
+#
+# Exit codes: 0 the sums agree; 1 they differ, and the output lists the lines that do.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+target=${CARGO_TARGET_DIR:-target}
+mkdir -p "$target"
+work=$(mktemp -d "$(cd "$target" && pwd)/reproducible-XXXXXX")
+trap 'rm -rf "$work"' EXIT
+
+for copy in one another/folder; do
+    mkdir -p "$work/$copy"
+    git clone --quiet . "$work/$copy/source"
+    # The tools are pinned, and are not part of what is compared.
+    mkdir "$work/$copy/target"
+    if [ -d "$target/release-tools" ]; then
+        ln -s "$(cd "$target/release-tools" && pwd)" "$work/$copy/target/release-tools"
+    fi
+    (cd "$work/$copy/source" && CARGO_TARGET_DIR=$work/$copy/target scripts/release.sh "$@") > "$work/log" 2>&1 || {
+        tail -n 30 "$work/log" >&2
+        exit 1
+    }
+    mv "$work/$copy/target/release-files" "$work/files-${copy%%/*}"
+    rm -rf "${work:?}/$copy"
+done
+
+git log -1 --format='commit %H'
+if diff "$work/files-one/SHA256SUMS" "$work/files-another/SHA256SUMS"; then
+    cat "$work/files-one/SHA256SUMS"
+    echo "two builds in different folders: the same bytes"
+else
+    mkdir -p "$target/reproducible"
+    cp -r "$work/files-one" "$work/files-another" "$target/reproducible/"
+    echo "two builds in different folders differ; their files are in $target/reproducible" >&2
+    exit 1
+fi
