@@ -1,0 +1,96 @@
+//! `robogate gate --run`: judges a finished run.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::Context;
+use robogate_analysis::Source;
+use robogate_gate::{Asked, Evaluation, Question, Record, Requirements, Sampling};
+
+use super::Gate;
+use super::question::{MARGIN, Other, compared_with, open_requirements, question, real_evidence, refused};
+use super::verdict::{show, write_answer};
+use crate::exit::{Exit, OrExit};
+use crate::source::open_source;
+use crate::terminal::note;
+use crate::twins;
+
+impl Gate {
+    /// Judges a finished run.
+    pub(super) fn judge(&self, run: &Path) -> Result<u8, Exit> {
+        let source = open_source(run)?;
+        let mut record = Record::of(source.dictionary()).map_err(refused)?;
+        let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
+        // A run that was tested after each round stays a sequential test, also if it is judged again.
+        let sampling = asked.as_ref().map_or(Sampling::Fixed, |asked| asked.sampling);
+        let requirements = match (&self.requirements, &asked) {
+            (None, Some(asked)) => asked.requirements.clone(),
+            (name, _) => open_requirements(name.as_deref().unwrap_or("default"), &record.task)?,
+        };
+        let other = match &asked {
+            Some(asked) if self.baseline.is_none() => {
+                Other { baseline: asked.baseline.clone(), record: compared_with(asked)? }
+            }
+            _ => self.other(&record)?,
+        };
+        let asked_margin = asked.as_ref().and_then(|asked| Some(asked.against.as_ref()?.margin));
+        let margin = self.margin.or(asked_margin).unwrap_or(MARGIN);
+        if let Some(asked) = &asked {
+            self.note_changes(asked, &requirements, asked_margin);
+        }
+        record.real = match &self.real {
+            Some(file) => Some(real_evidence(file)?),
+            None => asked.as_ref().and_then(|asked| asked.real.clone()),
+        };
+        let question = Question {
+            requirements: &requirements,
+            baseline: other.baseline.as_ref(),
+            against: other.against(margin),
+            sampling,
+        };
+        let mut evaluation = question.evaluate(&record).map_err(refused)?;
+        evaluation.twins = self.nominal.twins(&source, sampling)?;
+        if let Some(out) = &self.out {
+            fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display())).or_broken()?;
+            write_answer(out, &evaluation, None)?;
+        }
+        show(self.out.as_deref(), &evaluation, source.dictionary().provenance(), self.how.json)
+    }
+
+    /// Prints one line for each part of the question that differs from the question of the run's gate.
+    fn note_changes(&self, asked: &Asked, requirements: &Requirements, margin: Option<f64>) {
+        if *requirements != asked.requirements {
+            let (was, is) = (&asked.requirements.name, &requirements.name);
+            note(format_args!(
+                "note: the run's gate used the requirements `{was}`; this evaluation uses `{is}` as given now"
+            ));
+        }
+        if let Some(path) = &self.baseline {
+            let was = match (&asked.against, &asked.baseline) {
+                (Some(against), _) => format!("the run {}", against.path),
+                (None, Some(_)) => "another baseline".to_owned(),
+                (None, None) => "no baseline".to_owned(),
+            };
+            note(format_args!(
+                "note: the run's gate compared with {was}; this evaluation compares with {}",
+                path.display()
+            ));
+        }
+        if let (Some(was), Some(is)) = (margin, self.margin)
+            && (was - is).abs() > 0.0
+        {
+            note(format_args!("note: the run's gate used the margin {was}; this evaluation uses {is}"));
+        }
+    }
+}
+
+/// The evaluation of the gate that a run's folder belongs to. `None` for a run without a gate.
+pub(crate) fn evaluation_of(folder: &Path, source: &Source) -> Result<Option<Evaluation>, Exit> {
+    let Some(asked) = Asked::of(folder).map_err(refused)? else { return Ok(None) };
+    let mut record = Record::of(source.dictionary()).map_err(refused)?;
+    record.real.clone_from(&asked.real);
+    let other = compared_with(&asked)?.map(|(_, record)| record);
+    let mut evaluation = question(&asked, other.as_ref()).evaluate(&record).map_err(refused)?;
+    evaluation.twins = twins::of_folder(folder, source, asked.sampling)?;
+    Ok(Some(evaluation))
+}

@@ -1,0 +1,127 @@
+//! `robogate gate`: decides whether a policy may run.
+//!
+//! `start` prepares a gate and runs its suite, `rounds` asks the question after each round, `judge` asks it about a finished run, and
+//! `verdict` writes and prints the answer.
+
+mod judge;
+mod question;
+mod rounds;
+mod start;
+mod verdict;
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::commands::controls;
+use crate::commands::run::How;
+use crate::exit::Exit;
+use crate::latency::LatencyArguments;
+use crate::policy_source::{PolicyAccess, PolicyArguments, PolicyLocation};
+use crate::subject::EnvironmentArguments;
+use crate::twins::NominalArguments;
+
+pub(crate) use judge::evaluation_of;
+pub(crate) use question::{
+    built_in_baseline, compared_with, open_requirements, real_evidence, refused, write_question,
+};
+pub(crate) use rounds::{Look, resume};
+pub(crate) use verdict::{finish, write_answer};
+
+/// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run.
+///
+/// Exit codes: 0 pass, 1 fail, 3 inconclusive, 4 nothing was evaluated.
+#[derive(Debug, Args)]
+pub(crate) struct Gate {
+    /// Judge this run's folder or dictionary instead of running episodes
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["suite", "rounds", "fixed", "seed", "plan"])]
+    run: Option<PathBuf>,
+    /// Run this suite: a built-in one or a TOML file; default: industrial-68 in the built-in cell, otherwise 64
+    /// scenarios sampled from the environment's parameter space with the seed of the rounds
+    #[arg(long, value_name = "NAME|FILE")]
+    suite: Option<String>,
+    /// Sample the suite from this parameter space; default: the environment's own
+    #[arg(long, value_name = "NAME|FILE", conflicts_with = "suite")]
+    space: Option<String>,
+    /// Choose the requirements: default, paper or a TOML file
+    #[arg(long, value_name = "NAME|FILE")]
+    requirements: Option<String>,
+    /// Compare relative requirements with this baseline file or run; with a run, also test whether this policy may
+    /// replace that one
+    #[arg(long, value_name = "FILE|RUN")]
+    baseline: Option<PathBuf>,
+    /// Judge requirements on `real:success` with these trials of the real robot: the file of `robogate transfer --out`;
+    /// default: that of the run's gate
+    #[arg(long, value_name = "FILE")]
+    real: Option<PathBuf>,
+    /// Set the non-inferiority margin: how far the success rate may lie below that of the baseline run or of the policy
+    /// of --against; default: 0.05, with --run the margin of its gate
+    #[arg(long, value_name = "SHARE")]
+    margin: Option<f64>,
+    /// Also test whether this policy may replace another one, which runs the same scenarios round by round: `random`,
+    /// `scripted`, the address of a policy server, or an ONNX file
+    #[arg(long, value_name = "URL|FILE|random|scripted", conflicts_with_all = ["run", "baseline"])]
+    against: Option<String>,
+    /// Choose the observation and action mapping of the policy of --against
+    #[arg(long, value_name = "NAME|FILE", requires = "against")]
+    against_profile: Option<String>,
+    /// Set the maximum number of rounds of the suite; default: the budget of the requirements, or 1 for a published
+    /// benchmark
+    #[arg(long, value_name = "N")]
+    rounds: Option<u32>,
+    /// Run all rounds and test once, instead of stopping as soon as the verdict is certain
+    #[arg(long)]
+    fixed: bool,
+    /// Print how often the gate passes and fails at given true rates, and run nothing
+    #[arg(long)]
+    plan: bool,
+    /// Also run the nominal twin of each scenario: the same seed with the task's nominal values. The gate then states the
+    /// effect of each group of perturbations and what fails without them. The verdict does not depend on it
+    #[arg(long, conflicts_with = "run")]
+    twins: bool,
+    #[command(flatten)]
+    nominal: NominalArguments,
+    /// Set the number of episodes of each control of an external policy: the environment's expert, the expert through
+    /// the profile, and random actions of the model. 0 skips the controls, and the result says so
+    #[arg(long, value_name = "N", default_value_t = controls::EPISODES)]
+    controls: u32,
+    /// Set the seed of the rounds
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    #[command(flatten)]
+    environment: EnvironmentArguments,
+    #[command(flatten)]
+    policy: PolicyArguments,
+    #[command(flatten)]
+    access: PolicyAccess,
+    #[command(flatten)]
+    latency: LatencyArguments,
+    #[command(flatten)]
+    how: How,
+    /// Write the plan of the gate in N shards to --out, and run nothing: `robogate plan DIR --next` prints the commands
+    /// that run the next round, and `robogate merge DIR` returns the verdict (docs/cluster.md)
+    #[arg(long, value_name = "N", requires = "out", conflicts_with_all = ["run", "plan"])]
+    divide: Option<u32>,
+    /// Register the run before its first episode: sign its plan, seed, question and policy with this private key, and
+    /// number the registration in PRIVATE.registrations (docs/signatures.md)
+    #[arg(long, value_name = "PRIVATE", conflicts_with_all = ["run", "plan"])]
+    register: Option<PathBuf>,
+    /// Write the run to this folder (default: a new one under runs/); with --run, write only the verdict's files
+    /// (default: none)
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+impl Gate {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        match &self.run {
+            Some(run) => self.judge(run),
+            None => self.start(),
+        }
+    }
+
+    /// How this process reaches the policy.
+    fn location(&self) -> PolicyLocation {
+        PolicyLocation::with_access(&self.access)
+    }
+}

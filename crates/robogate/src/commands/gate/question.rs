@@ -1,0 +1,161 @@
+//! What a gate asks: requirements, the baseline or the run that it compares with, and trials of the real robot.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow};
+use robogate_analysis::Finding;
+use robogate_analysis::transfer::Transfer;
+use robogate_core::TaskSpec;
+use robogate_core::budget::Budget;
+use robogate_dictionary::read_text;
+use robogate_gate::{Against, Asked, Baseline, GateError, Question, RealEvidence, RealStratum, Record, Requirements};
+
+use super::Gate;
+use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::source::open_source;
+use crate::terminal::{note, warning};
+
+/// The default non-inferiority margin, as a fraction.
+pub(super) const MARGIN: f64 = 0.05;
+
+/// The built-in baselines.
+const BASELINES: [&str; 1] = [include_str!("../../../../../assets/baselines/franka-industrial-68.json")];
+
+/// Finds the built-in baseline for these scenarios and this robot.
+pub(crate) fn built_in_baseline(record: &Record) -> Option<Baseline> {
+    BASELINES
+        .iter()
+        .filter_map(|text| Baseline::from_json(text).ok())
+        .find(|baseline| baseline.population.is_that_of(&record.population) && baseline.robot == record.robot)
+}
+
+/// A baseline's figures, and the run that they came from if it can be compared episode by episode.
+pub(super) struct Other {
+    pub(super) baseline: Option<Baseline>,
+    pub(super) record: Option<(PathBuf, Record)>,
+}
+
+impl Other {
+    pub(super) fn against(&self, margin: f64) -> Option<Against<'_>> {
+        self.record.as_ref().map(|(_, record)| Against { record, margin })
+    }
+}
+
+impl Gate {
+    /// The baseline's path, if it is a run. Its episodes can be compared one by one.
+    fn against_run(&self) -> Option<&Path> {
+        let path = self.baseline.as_deref()?;
+        (path.is_dir() || path.extension().is_some_and(|ending| ending == "parquet")).then_some(path)
+    }
+
+    pub(super) fn other_seed(&self) -> Result<Option<u64>, Exit> {
+        let Some(path) = self.against_run() else { return Ok(None) };
+        Ok(Some(open_source(path)?.dictionary().provenance().seed))
+    }
+
+    /// The baseline of the comparison.
+    pub(super) fn other(&self, record: &Record) -> Result<Other, Exit> {
+        let Some(path) = &self.baseline else {
+            return Ok(Other { baseline: built_in_baseline(record), record: None });
+        };
+        if self.against_run().is_none() {
+            let baseline = Baseline::open(path).map_err(refused)?;
+            return Ok(Other { baseline: Some(baseline), record: None });
+        }
+        let source = open_source(path)?;
+        let a = Record::of(source.dictionary()).map_err(refused)?;
+        let baseline = Baseline::of(&a).map_err(refused)?;
+        Ok(Other { baseline: Some(baseline), record: Some((path.clone(), a)) })
+    }
+}
+
+/// Opens the run that the gate compares with. Returns an error if it has changed since.
+pub(crate) fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, Exit> {
+    let Some(against) = &asked.against else { return Ok(None) };
+    let path = PathBuf::from(&against.path);
+    let source = open_source(&path)?;
+    let record = Record::of(source.dictionary()).map_err(refused)?;
+    if record.dataset_sha256 != against.dataset_sha256 {
+        return Err(anyhow!(
+            "{} has changed since this gate started. Expected the dataset that it was compared with",
+            against.path
+        ))
+        .or_usage();
+    }
+    Ok(Some((path, record)))
+}
+
+/// Reads the trials of the real robot from the file of `robogate transfer --out`.
+pub(crate) fn real_evidence(path: &Path) -> Result<RealEvidence, Exit> {
+    let text = read_text(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+    let transfer: Transfer = Budget::FILE
+        .json(text.as_bytes())
+        .with_context(|| {
+            format!(
+                "{}: not a transfer\nhint: create it with `robogate transfer --sim RUN --real FILE --out FILE`",
+                path.display()
+            )
+        })
+        .or_usage()?;
+    let exact = match &transfer.exact {
+        Finding::Estimated(exact) => exact,
+        Finding::CannotBeEstimated { because } => {
+            return Err(anyhow!("{}: it has no exact rate because {because}", path.display())).or_usage();
+        }
+    };
+    let strata = exact.strata.map(|s| RealStratum { share: s.share, trials: s.trials, successes: s.successes });
+    Ok(RealEvidence {
+        format: RealEvidence::FORMAT,
+        task: transfer.task.name.clone(),
+        robot: transfer.simulation.robot.clone(),
+        policy: transfer.simulation.policy.clone(),
+        population: transfer.population.clone(),
+        trials_sha256: transfer.real.sha256.clone(),
+        simulation_sha256: transfer.simulation.dataset_hash.clone(),
+        strata,
+    })
+}
+
+/// The question of a run, with the record of the run that it compares with.
+pub(super) fn question<'a>(asked: &'a Asked, other: Option<&'a Record>) -> Question<'a> {
+    Question {
+        requirements: &asked.requirements,
+        baseline: asked.baseline.as_ref(),
+        against: other.zip(asked.against.as_ref()).map(|(record, a)| Against { record, margin: a.margin }),
+        sampling: asked.sampling,
+    }
+}
+
+/// Writes the question beside the plan. Without it `resume` would run all rounds; the verdict would be the same.
+pub(crate) fn write_question(dir: &Path, asked: &Asked) {
+    if let Err(error) = fs::write(dir.join(Asked::FILE), asked.to_json()) {
+        warning(format_args!("cannot write {}: {error}", dir.join(Asked::FILE).display()));
+    }
+}
+
+/// Opens built-in requirements or a file. Prints a note for each name of version 0.1 in the file.
+pub(crate) fn open_requirements(name_or_path: &str, task: &TaskSpec) -> Result<Requirements, Exit> {
+    let requirements = Requirements::open(name_or_path, task).map_err(refused)?;
+    if !Requirements::NAMES.contains(&name_or_path)
+        && let Ok(text) = read_text(Path::new(name_or_path))
+    {
+        for (old, new) in Requirements::old_spellings(&text) {
+            note(format_args!("note: {name_or_path}: `{old}` is the old name of `{new}`"));
+        }
+    }
+    Ok(requirements)
+}
+
+/// Gives an error of the gate its exit code: usage if the user can correct it, invalid if there is no evidence.
+pub(crate) fn refused(error: GateError) -> Exit {
+    let code = match &error {
+        GateError::EmptyBaseline
+        | GateError::MixedLabels { .. }
+        | GateError::PlannedSuite { .. }
+        | GateError::Copies { .. } => INVALID,
+        GateError::Dictionary(_) => INFRASTRUCTURE,
+        _ => USAGE,
+    };
+    Exit { code, error: error.into() }
+}

@@ -1,0 +1,130 @@
+//! The rounds of a gate: the other policy runs the scenarios after this one, and then the question is asked.
+
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use robogate_campaign::{Completion, Round, Settings};
+use robogate_gate::{Asked, AskedAgainst, GateError, Record, Sampling, Trial, Verdict};
+
+use super::question::{compared_with, question, refused, write_question};
+use super::verdict::finish;
+use crate::commands::rival::Rival;
+use crate::commands::run::How;
+use crate::exit::Exit;
+use crate::policy_source::PolicyLocation;
+use crate::remote::Simulators;
+use crate::subject::Subject;
+use crate::twins::Arm;
+
+/// Evaluates the question after each round.
+pub(crate) struct Look<'a> {
+    pub(crate) asked: &'a Asked,
+    pub(crate) other: Option<&'a Record>,
+    pub(crate) record: &'a mut Record,
+    pub(crate) trouble: &'a mut Option<GateError>,
+}
+
+impl Look<'_> {
+    /// Whether another round follows. Each pass over the rounds starts with round 0.
+    pub(crate) fn after(&mut self, round: &Round<'_>) -> ControlFlow<()> {
+        if round.number == 0 {
+            self.record.trials.clear();
+        }
+        self.record.trials.extend(round.entries.iter().map(Trial::from));
+        if self.asked.sampling == Sampling::Fixed {
+            return ControlFlow::Continue(());
+        }
+        match question(self.asked, self.other).evaluate(self.record) {
+            Ok(evaluation) if matches!(evaluation.verdict, Verdict::Pass | Verdict::Fail) => ControlFlow::Break(()),
+            Ok(_) => ControlFlow::Continue(()),
+            Err(error) => {
+                *self.trouble = Some(error);
+                ControlFlow::Break(())
+            }
+        }
+    }
+}
+
+/// A gate between its rounds.
+pub(super) struct Rounds<'a> {
+    pub(super) dir: &'a Path,
+    pub(super) asked: Asked,
+    /// The policy of `--against`, and its non-inferiority margin.
+    pub(super) rival: Option<(Rival, f64)>,
+    /// The finished run that the gate compares with.
+    pub(super) other: Option<Record>,
+    pub(super) record: Record,
+    pub(super) trouble: Option<GateError>,
+    pub(super) broken: Option<Exit>,
+}
+
+impl Rounds<'_> {
+    /// Whether another round follows.
+    pub(super) fn after(&mut self, round: &Round<'_>) -> ControlFlow<()> {
+        if let Some((rival, _)) = &mut self.rival
+            && let Err(error) = rival.run(self.dir, round)
+        {
+            self.broken = Some(error);
+            return ControlFlow::Break(());
+        }
+        let other = self.rival.as_ref().map(|(rival, _)| rival.record()).or(self.other.as_ref());
+        Look { asked: &self.asked, other, record: &mut self.record, trouble: &mut self.trouble }.after(round)
+    }
+
+    /// Writes and prints the verdict.
+    pub(super) fn end(mut self, completion: Completion, json: bool) -> Result<u8, Exit> {
+        if let Some(error) = self.broken {
+            return Err(error);
+        }
+        if let (Some((rival, margin)), Completion::Finished { .. }) = (self.rival, &completion) {
+            self.other = Some(finish_rival(rival, self.dir, &mut self.asked, margin)?);
+        }
+        finish(self.dir, &self.asked, self.other.as_ref(), self.trouble, completion, json)
+    }
+}
+
+/// Writes the rows of the policy of --against, and names them in the question.
+fn finish_rival(rival: Rival, dir: &Path, asked: &mut Asked, margin: f64) -> Result<Record, Exit> {
+    let (path, record) = rival.write(dir)?;
+    let dataset_sha256 = record.dataset_sha256.clone();
+    asked.against = Some(AskedAgainst { path, dataset_sha256, margin });
+    write_question(dir, asked);
+    rival.clean(dir);
+    Ok(record)
+}
+
+/// Resumes an interrupted gate.
+pub(crate) fn resume(
+    dir: &Path,
+    asked: Asked,
+    subject: &Subject,
+    settings: Settings,
+    simulators: &Simulators,
+    location: &PolicyLocation,
+    how: &How,
+) -> Result<u8, Exit> {
+    // The rows of a policy that runs beside this one do not exist before the end.
+    let running = asked.against.as_ref().filter(|against| against.dataset_sha256.is_empty()).map(|a| a.margin);
+    let rival = match running {
+        Some(margin) => {
+            let threads = how.threads_for_rival();
+            Some((Rival::resume(dir, simulators, location, &settings.provenance, threads)?, margin))
+        }
+        None => None,
+    };
+    let other = match rival {
+        Some(_) => None,
+        None => compared_with(&asked)?.map(|(_, record)| record),
+    };
+    let mut record = Record::begun(&settings.provenance).map_err(refused)?;
+    record.real.clone_from(&asked.real);
+    let arm = Arm::of(dir, &settings.plan, &settings.provenance.space, subject)?;
+    let provenance = subject.provenance(settings.provenance.space)?;
+    let mut rounds = Rounds { dir, asked, rival, other, record, trouble: None, broken: None };
+    let completion = how.carry(subject, |executor, events| {
+        let mut after = |round: &Round<'_>| rounds.after(round);
+        let completion = robogate_campaign::resume_in_rounds(dir, &provenance, executor, events, &mut after)?;
+        arm.map_or(Ok(completion.clone()), |arm| arm.after(completion, executor, events))
+    })?;
+    rounds.end(completion, how.json)
+}

@@ -1,0 +1,322 @@
+//! A gate that runs episodes: prepares the question, and runs the suite until the verdict is certain.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context, anyhow};
+use robogate_campaign::{DEFAULT_SEED, Event, Plan, Round};
+use robogate_core::Suite;
+use robogate_dictionary::{Label, Provenance};
+use robogate_gate::{Asked, AskedAgainst, GatePlan, Mode, PairPlan, Planned, Question, Record, Requirements, Sampling};
+use robogate_physics::SuctionLaw;
+use robogate_stats::format::counted;
+
+use super::Gate;
+use super::question::{MARGIN, Other, open_requirements, real_evidence, refused, write_question};
+use super::rounds::Rounds;
+use super::verdict::{show, write_answer};
+use crate::answer;
+use crate::commands::register::{Registered, Registrar, free};
+use crate::commands::rival::Rival;
+use crate::commands::run::{free_folder, introduce};
+use crate::commands::{controls, shard, suites};
+use crate::exit::{DONE, Exit, OrExit};
+use crate::policy_source::PolicyArguments;
+use crate::subject::Subject;
+use crate::terminal::{line, note};
+use crate::twins::Arm;
+
+/// The number of scenarios of a suite that is sampled from a space.
+const SAMPLED_SCENARIOS: usize = 64;
+
+/// A gate before its first episode.
+struct Prepared {
+    subject: Subject,
+    plan: Plan,
+    /// The provenance without the plan.
+    provenance: Provenance,
+    /// The provenance as the run records it.
+    planned: Provenance,
+    record: Record,
+    requirements: Requirements,
+    other: Other,
+    /// The non-inferiority margin.
+    margin: f64,
+    sampling: Sampling,
+    rounds: u64,
+    scenarios: usize,
+    /// How often the gate decides.
+    expected: GatePlan,
+    /// Whether a control of the policy failed, so that its episodes would say nothing about it.
+    control_failed: bool,
+}
+
+impl Gate {
+    /// Runs a suite until the verdict is certain.
+    pub(super) fn start(&self) -> Result<u8, Exit> {
+        self.nominal.unused()?;
+        let prepared = self.prepare()?;
+        if self.plan {
+            return self.print_expected(&prepared);
+        }
+        let rival = self.rival(&prepared)?;
+        let asked = prepared.asked(rival.is_some() && self.divide.is_none());
+        let provenance = Provenance { question_sha256: Some(asked.sha256()), ..prepared.provenance.clone() };
+        // Read before anything is written, so that an unusable key is reported early.
+        let registrar = self.register.as_deref().map(Registrar::new).transpose()?;
+        if let (Some(shards), Some(dir)) = (self.divide, &self.out) {
+            return self.divide(dir, shards, &prepared.plan, provenance, &asked, registrar.as_ref());
+        }
+        let dir = match &self.out {
+            Some(dir) => dir.clone(),
+            None => free_folder(&format!("gate-{}-{}", prepared.subject.label(), prepared.plan.seed)),
+        };
+        if prepared.control_failed {
+            return self.refuse(&dir, &prepared, &asked);
+        }
+        self.introduce(&dir, &prepared, &provenance);
+        self.run_suite(dir, prepared, asked, provenance, rival, registrar.as_ref())
+    }
+
+    /// Finds everything that the gate depends on. Questions that cannot be decided are reported before anything runs.
+    fn prepare(&self) -> Result<Prepared, Exit> {
+        let suite = self.suite.as_deref().map(suites::find).transpose()?;
+        let environment = self.environment.environment_of(suite.as_ref(), SuctionLaw::Vacuum)?;
+        let subject = Subject::new(environment, self.policy.source_at(&self.location())?)?;
+        let subject = subject.with_latency(&self.latency)?;
+        let wanted = self.requirements.as_deref().unwrap_or("default");
+        let requirements = open_requirements(wanted, subject.task())?;
+        let suite = self.suite(&subject)?;
+        if self.suite.is_some() {
+            self.latency.check_suite(suite.space()).or_usage()?;
+        }
+        subject.check_suite(&suite).or_usage()?;
+        // The protocol of a published benchmark fixes the number of episodes.
+        let protocol = !suite.published().is_empty();
+        let rounds = self.rounds.unwrap_or(if protocol { 1 } else { requirements.budget.rounds });
+        let fixed = self.fixed || requirements.mode == Mode::Point;
+        let sampling = if fixed { Sampling::Fixed } else { Sampling::Sequential };
+        let labels: Vec<Label> = suite
+            .cases()
+            .iter()
+            .map(|case| Label {
+                case: Some(case.id.clone()),
+                category: Some(case.category.clone()),
+                group: Some(case.group.clone()),
+            })
+            .collect();
+        // A comparison with another run uses its seed, because only identical scenarios can be paired.
+        let seed = match (self.seed, self.other_seed()?) {
+            (Some(seed), _) | (None, Some(seed)) => seed,
+            (None, None) => DEFAULT_SEED,
+        };
+        let controls = if self.plan { None } else { controls::run(&subject, &suite, self.controls, seed)? };
+        let subject = match &controls {
+            Some(controls) => subject.with_controls(controls),
+            None => subject,
+        };
+        let mut plan = Plan::of_suite(suite, u64::from(rounds), seed);
+        plan.twins |= self.twins;
+        let space = plan.suite.as_ref().map(|stage| stage.suite.space().clone());
+        let space = space.ok_or_else(|| anyhow!("the plan has no suite")).or_broken()?;
+        let provenance = subject.provenance(space)?;
+        plan.check(&provenance.space).or_usage()?;
+        let planned =
+            Provenance { plan: serde_json::to_value(&plan).or_broken()?, seed: plan.seed, ..provenance.clone() };
+        let mut record = Record::begun(&planned).map_err(refused)?;
+        record.real = self.real.as_deref().map(real_evidence).transpose()?;
+        let other = self.other(&record)?;
+        let expected = GatePlan::of(&requirements, other.baseline.as_ref(), &labels, sampling, u64::from(rounds))
+            .map_err(refused)?;
+        let margin = self.margin.unwrap_or(MARGIN);
+        if let Some((_, a)) = &other.record {
+            let planned = Planned { seed: plan.seed, rounds: u64::from(rounds), sampling, alpha: requirements.alpha() };
+            robogate_gate::check_pairing(a, &record, planned, margin).map_err(refused)?;
+        }
+        Ok(Prepared {
+            subject,
+            plan,
+            provenance,
+            planned,
+            record,
+            requirements,
+            other,
+            margin,
+            sampling,
+            rounds: u64::from(rounds),
+            scenarios: labels.len(),
+            expected,
+            control_failed: controls.is_some_and(|controls| controls.failure().is_some()),
+        })
+    }
+
+    /// The suite of the arguments, or that of the task, or one sampled from the environment's space.
+    fn suite(&self, subject: &Subject) -> Result<Suite, Exit> {
+        match (&self.suite, &self.space, subject.own_suite()) {
+            (Some(name), _, _) => suites::find(name),
+            (None, None, Some(own)) => suites::find(own),
+            (None, space, _) => {
+                let space =
+                    subject.space(space.as_deref()).and_then(|space| self.latency.added_to(space)).or_usage()?;
+                let seed = self.seed.unwrap_or(DEFAULT_SEED);
+                Suite::sampled(&Arc::new(space), SAMPLED_SCENARIOS, seed).map_err(anyhow::Error::from).or_usage()
+            }
+        }
+    }
+
+    /// Prints how often the gate passes and fails at given true rates.
+    fn print_expected(&self, prepared: &Prepared) -> Result<u8, Exit> {
+        let pairs = match self.against {
+            Some(_) => {
+                let (alpha, per_round) = (prepared.requirements.alpha(), prepared.scenarios as u64);
+                Some(PairPlan::of(prepared.margin, alpha, per_round, prepared.rounds).map_err(refused)?)
+            }
+            None => None,
+        };
+        if self.how.json {
+            let mut document = serde_json::to_value(&prepared.expected).or_broken()?;
+            if let (Some(document), Some(pairs)) = (document.as_object_mut(), &pairs) {
+                document.insert("against".to_owned(), serde_json::to_value(pairs).or_broken()?);
+            }
+            line(serde_json::to_string_pretty(&document).or_broken()?);
+        } else {
+            answer::print_plan(&prepared.expected);
+            pairs.iter().for_each(answer::print_pair_plan);
+        }
+        Ok(DONE)
+    }
+
+    /// The policy of `--against`.
+    fn rival(&self, prepared: &Prepared) -> Result<Option<Rival>, Exit> {
+        let Some(policy) = &self.against else { return Ok(None) };
+        let source = PolicyArguments::of(policy, self.against_profile.as_deref()).source_at(&self.location())?;
+        let environment = self.environment.environment(SuctionLaw::Vacuum)?;
+        let subject = Subject::new(environment, source)?;
+        Rival::new(subject, &prepared.planned, self.how.threads_for_rival()).map(Some)
+    }
+
+    /// Writes the plan of the gate in shards.
+    fn divide(
+        &self,
+        dir: &Path,
+        shards: u32,
+        plan: &Plan,
+        provenance: Provenance,
+        asked: &Asked,
+        registrar: Option<&Registrar>,
+    ) -> Result<u8, Exit> {
+        let question = asked.to_json();
+        let registration = registrar.map(|registrar| registrar.register(plan, &provenance)).transpose()?;
+        let files = registration.as_ref().map(Registered::files).into_iter().flatten();
+        let documents: Vec<(&str, &[u8])> = std::iter::once((Asked::FILE, question.as_bytes())).chain(files).collect();
+        shard::divide(dir, shards, plan, provenance, &documents, self.how.json)
+    }
+
+    /// Answers without an episode of the policy, because a control failed.
+    fn refuse(&self, dir: &Path, prepared: &Prepared, asked: &Asked) -> Result<u8, Exit> {
+        let question = Question {
+            requirements: &asked.requirements,
+            baseline: asked.baseline.as_ref(),
+            against: None,
+            sampling: asked.sampling,
+        };
+        let evaluation = question.evaluate(&prepared.record).map_err(refused)?;
+        fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
+        write_answer(dir, &evaluation, None)?;
+        show(Some(dir), &evaluation, &prepared.planned, self.how.json)
+    }
+
+    /// Prints what will run.
+    fn introduce(&self, dir: &Path, prepared: &Prepared, provenance: &Provenance) {
+        let seed = prepared.plan.seed;
+        introduce(provenance, seed);
+        note(format_args!(
+            "{}: {} scenarios, {} {}, requirements `{}`, into {}",
+            prepared.record.population,
+            prepared.scenarios,
+            if prepared.sampling == Sampling::Fixed { "exactly" } else { "at most" },
+            counted(prepared.rounds, "round"),
+            prepared.requirements.name,
+            dir.display()
+        ));
+        if self.seed.is_none() {
+            note(format_args!(
+                "seed {seed}: the default of every gate. A policy that was tuned on these scenarios must be judged with another --seed"
+            ));
+        }
+    }
+
+    /// Runs the rounds, and prints the verdict.
+    fn run_suite(
+        &self,
+        dir: PathBuf,
+        prepared: Prepared,
+        mut asked: Asked,
+        provenance: Provenance,
+        rival: Option<Rival>,
+        registrar: Option<&Registrar>,
+    ) -> Result<u8, Exit> {
+        let Prepared { subject, plan, record, other, margin, .. } = prepared;
+        if let Some(rival) = &rival {
+            asked.against = Some(AskedAgainst { path: rival.file(&dir), dataset_sha256: String::new(), margin });
+            note(format_args!("against {}: the same scenarios, round by round", rival.name()));
+        }
+        let registration = match registrar {
+            Some(registrar) => {
+                free(&dir)?;
+                Some(registrar.register(&plan, &provenance)?)
+            }
+            None => None,
+        };
+        let arm = Arm::of(&dir, &plan, &provenance.space, &subject)?;
+        let question = asked.clone();
+        let mut rounds = Rounds {
+            dir: &dir,
+            asked,
+            rival: rival.map(|rival| (rival, margin)),
+            other: other.record.map(|(_, record)| record),
+            record,
+            trouble: None,
+            broken: None,
+        };
+        let completion = self.how.carry(&subject, |executor, events| {
+            let mut with_question = |event: &Event| {
+                // The folder exists and contains the plan; no episode has run yet.
+                if let Event::Started { .. } = event {
+                    write_question(&dir, &question);
+                    registration.iter().for_each(|registration| registration.write(&dir));
+                }
+                events(event);
+            };
+            let mut after = |round: &Round<'_>| rounds.after(round);
+            let completion =
+                robogate_campaign::start_in_rounds(&dir, &plan, provenance, executor, &mut with_question, &mut after)?;
+            arm.map_or(Ok(completion.clone()), |arm| arm.after(completion, executor, events))
+        })?;
+        rounds.end(completion, self.how.json)
+    }
+}
+
+impl Prepared {
+    /// The question. With `unwritten`, the rows of the other policy do not exist yet: the file is written again once they do.
+    fn asked(&self, unwritten: bool) -> Asked {
+        let against = match &self.other.record {
+            _ if unwritten => Some((String::new(), String::new())),
+            Some((path, record)) => {
+                let full = path.canonicalize().unwrap_or_else(|_| path.clone());
+                Some((full.to_string_lossy().into_owned(), record.dataset_sha256.clone()))
+            }
+            None => None,
+        };
+        let against = against.map(|(path, dataset_sha256)| AskedAgainst { path, dataset_sha256, margin: self.margin });
+        Asked {
+            format: Asked::FORMAT,
+            requirements: self.requirements.clone(),
+            baseline: self.other.baseline.clone(),
+            against,
+            sampling: self.sampling,
+            real: self.record.real.clone(),
+        }
+    }
+}

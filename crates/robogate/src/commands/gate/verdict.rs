@@ -1,0 +1,104 @@
+//! The answer of a gate: its files, and what is printed.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::Context;
+use robogate_analysis::Source;
+use robogate_campaign::Completion;
+use robogate_dictionary::Provenance;
+use robogate_gate::{Asked, Evaluation, GateError, Record, Verdict};
+use robogate_report::{Watch, evaluation_markdown_with, junit, reqif};
+
+use super::question::{question, refused};
+use crate::answer;
+use crate::benchmark;
+use crate::commands::run::{interrupted, write_report_with};
+use crate::exit::{Exit, OrExit};
+use crate::summary::influential;
+use crate::terminal::{grouped, line, note};
+use crate::twins;
+use crate::watch::Frames;
+
+/// The files of the evaluation in a run's folder.
+const ANSWER: [&str; 4] = ["gate.json", "gate.md", "gate.junit.xml", "gate.reqif"];
+
+/// The folder of images to which the Markdown file refers, in a run's folder.
+const FRAMES: &str = "frames";
+
+/// Evaluates a finished run, writes the verdict and the report, and prints the verdict.
+pub(crate) fn finish(
+    dir: &Path,
+    asked: &Asked,
+    other: Option<&Record>,
+    trouble: Option<GateError>,
+    completion: Completion,
+    json: bool,
+) -> Result<u8, Exit> {
+    if let Completion::Interrupted { done, episodes } = completion {
+        return Ok(interrupted(dir, done, episodes));
+    }
+    if let Some(error) = trouble {
+        return Err(refused(error));
+    }
+    let frames = Frames { folder: dir.join(FRAMES), link: FRAMES.to_owned() };
+    let (analysis, watch) = write_report_with(dir, Some(&frames)).unzip();
+    // The evaluation uses the rows on disk, and not those that were seen during the run.
+    let source = Source::open(dir).or_broken()?;
+    let mut record = Record::of(source.dictionary()).map_err(refused)?;
+    record.real.clone_from(&asked.real);
+    let mut evaluation = question(asked, other).evaluate(&record).map_err(refused)?;
+    evaluation.twins = twins::of_folder(dir, &source, asked.sampling)?;
+    if let Some(twins) = &evaluation.twins {
+        twins::write(dir, twins)?;
+    }
+    write_answer(dir, &evaluation, watch.flatten().as_ref())?;
+    let code = show(Some(dir), &evaluation, source.dictionary().provenance(), json)?;
+    if let Some(analysis) = analysis.filter(|_| !json) {
+        influential(&analysis);
+    }
+    Ok(code)
+}
+
+/// Writes the files of the evaluation into the folder of a run.
+pub(crate) fn write_answer(dir: &Path, evaluation: &Evaluation, watch: Option<&Watch>) -> Result<(), Exit> {
+    let texts =
+        [evaluation.to_json(), evaluation_markdown_with(evaluation, watch), junit(evaluation), reqif(evaluation)];
+    for (name, text) in ANSWER.iter().zip(texts) {
+        let path = dir.join(name);
+        fs::write(&path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
+    }
+    Ok(())
+}
+
+/// Prints the verdict. `provenance` is that of the judged run.
+pub(super) fn show(
+    dir: Option<&Path>,
+    evaluation: &Evaluation,
+    provenance: &Provenance,
+    json: bool,
+) -> Result<u8, Exit> {
+    if json {
+        line(evaluation.to_json().trim_end());
+    } else {
+        answer::print(evaluation);
+        benchmark::print(evaluation, provenance);
+        if let Some(dir) = dir {
+            let files: Vec<String> = ANSWER.iter().map(|name| dir.join(name).display().to_string()).collect();
+            note(format_args!("files: {}", files.join(", ")));
+        }
+        if evaluation.verdict == Verdict::Fail || evaluation.counts.invalid > 0 {
+            note(format_args!(
+                "details: robogate report {}",
+                dir.map_or_else(|| "RUN".to_owned(), |d| d.display().to_string())
+            ));
+        }
+        if evaluation.counts.left_over > 0 {
+            note(format_args!(
+                "{} episodes after the last complete round are not judged",
+                grouped(evaluation.counts.left_over)
+            ));
+        }
+    }
+    Ok(evaluation.verdict.exit_code())
+}
