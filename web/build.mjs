@@ -4,7 +4,7 @@ import { readFile, writeFile } from "node:fs/promises";
 
 const html = "../crates/robogate-report/src/html";
 const targets = [
-  ["src/viewer.js", `${html}/viewer.js`],
+  ["src/replays.js", `${html}/viewer.js`],
   ["src/pairs.js", `${html}/pairs.js`],
   ["src/explorer/main.js", `${html}/explorer.js`],
 ];

@@ -8,7 +8,9 @@ const NS = (() => {
   parent.innerHTML = "<svg></svg>";
   return parent.firstChild.namespaceURI;
 })();
-const ROW = 32, GAP = 7, LEFT = 150, RIGHT = 96, TOP = 4, BAND = 18;
+const ROW = 32, GAP = 7, TOP = 4, BAND = 18;
+/** Room for names and for readings beside the chart, in pixels; and on a narrow page. */
+const SIDES = [150, 96], NARROW_SIDES = [128, 60], NARROW = 480;
 /** Stepped signals: a command holds until the next one. */
 const STEPPED = /command/;
 
@@ -39,9 +41,18 @@ export function step(span, wanted) {
 /** Values in the units that a person reads: millimetres for short lengths. */
 function readable(signal) {
   if (signal.unit === "m" && Math.max(Math.abs(signal.low), Math.abs(signal.high)) < 0.5) {
-    return { ...signal, unit: "mm", low: signal.low * 1e3, high: signal.high * 1e3, values: signal.values.map((x) => (x === null ? null : x * 1e3)) };
+    return { ...signal, unit: "mm", low: millimetres(signal.low), high: millimetres(signal.high), values: signal.values.map((x) => (x === null ? null : millimetres(x))) };
   }
   return signal;
+}
+
+/** Tenths of a millimetre: smaller lengths are noise of the contacts. */
+const millimetres = (metres) => Math.round(metres * 1e4) / 10;
+
+/** Whether a signal has one value throughout all episodes, such as a mark of the scenario. */
+function isConstant(signals) {
+  const values = signals.filter(Boolean).flatMap(({ values }) => values.filter((x) => x !== null));
+  return values.every((x) => x === values[0]);
 }
 
 function title(name) {
@@ -64,13 +75,14 @@ export class Chart {
     for (const { motion } of sides) for (const s of motion.signals) if (!names.includes(s.name)) names.push(s.name);
     // A force of zero throughout, in an environment without contacts, says nothing.
     const silent = (name) => name === "contact force" && sides.every(({ motion }) => motion.contacts.every((points) => points.length === 0));
-    this.rows = names.filter((name) => !silent(name)).slice(0, 8).map((name) => ({
+    const rows = names.filter((name) => !silent(name)).map((name) => ({
       name,
       signals: sides.map(({ motion }) => {
         const found = motion.signals.find((s) => s.name === name);
         return found && readable(found);
       }),
     }));
+    this.rows = rows.filter(({ signals }) => !isConstant(signals)).slice(0, 8);
     const bands = sides.filter(({ clip }) => clip.phases.length > 0).length;
     this.first = TOP + bands * (BAND + 4) + (bands ? 6 : 0);
     this.height = this.first + this.rows.length * (ROW + GAP) + 26;
@@ -83,7 +95,7 @@ export class Chart {
     this.parent = parent;
     const at = (event) => {
       const box = this.root.getBoundingClientRect();
-      seek(((event.clientX - box.left - LEFT) / (this.width - LEFT - RIGHT)) * this.end);
+      seek(((event.clientX - box.left - this.left) / (this.width - this.left - this.right)) * this.end);
     };
     this.root.addEventListener("pointerdown", (event) => {
       this.root.setPointerCapture(event.pointerId);
@@ -94,19 +106,20 @@ export class Chart {
   }
 
   x(t) {
-    return LEFT + (t / this.end) * (this.width - LEFT - RIGHT);
+    return this.left + (t / this.end) * (this.width - this.left - this.right);
   }
 
   layout() {
-    const width = Math.max(360, Math.floor(this.parent.clientWidth));
+    const width = Math.max(300, Math.floor(this.parent.clientWidth));
     if (width === this.width) return;
     this.width = width;
+    [this.left, this.right] = width < NARROW ? NARROW_SIDES : SIDES;
     const root = this.root;
     root.setAttribute("viewBox", `0 0 ${width} ${this.height}`);
     root.setAttribute("height", this.height);
     root.replaceChildren();
     const bottom = this.height - 22;
-    const ticks = step(this.end, (width - LEFT - RIGHT) / 70);
+    const ticks = step(this.end, (width - this.left - this.right) / 70);
     for (let t = 0; t <= this.end + 1e-9; t += ticks) {
       root.append(svg("line", { class: "strip-grid", x1: this.x(t), x2: this.x(t), y1: TOP, y2: bottom }));
       root.append(svg("text", { class: "strip-tick", x: this.x(t), y: this.height - 6, "text-anchor": "middle" }, `${figure(t)} s`));
@@ -147,8 +160,8 @@ export class Chart {
     const unit = known[0].unit;
     const root = this.root;
     root.append(svg("text", { class: "strip-name", x: 0, y: y + 13 }, title(name)));
-    root.append(svg("text", { class: "strip-range", x: 0, y: y + 28 }, `${figure(low)} to ${figure(high)} ${unit}`));
-    root.append(svg("line", { class: "strip-base", x1: LEFT, x2: this.width - RIGHT, y1: y + ROW, y2: y + ROW }));
+    root.append(svg("text", { class: "strip-range", x: 0, y: y + 28 }, `${figure(low)} to ${figure(high)} ${unit}`.trim()));
+    root.append(svg("line", { class: "strip-base", x1: this.left, x2: this.width - this.right, y1: y + ROW, y2: y + ROW }));
     const place = (value) => y + ROW - 2 - ((value - low) / (high - low)) * (ROW - 6);
     signals.forEach((signal, side) => {
       if (!signal) return;
@@ -165,7 +178,7 @@ export class Chart {
       root.append(svg("path", { class: `strip-line side${side}`, d: path }));
     });
     return signals.map((signal, side) => {
-      const text = svg("text", { class: `strip-value side${side}`, x: this.width - RIGHT + 10, y: y + 13 + 15 * side });
+      const text = svg("text", { class: `strip-value side${side}`, x: this.width - this.right + 8, y: y + 13 + 15 * side });
       root.append(text);
       return { text, signal };
     });

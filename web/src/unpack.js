@@ -1,6 +1,7 @@
 // Reads the packed streams of a reel: raw DEFLATE in base64. The format is described in crates/robogate-replay/src/pack.rs.
 
-async function inflate(text) {
+/** The bytes of a packed text. */
+export async function inflate(text) {
   const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
   return new Uint8Array(await new Response(stream).arrayBuffer());

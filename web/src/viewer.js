@@ -27,6 +27,9 @@ function style() {
   return { background: value("--stage", "#eceae6"), accent: value("--accent", "#1f5f95") };
 }
 
+/** Zero without a sign: the width of a closed gripper may be a rounded negative number. */
+const positive = (text) => text.replace(/-(0(?:\.0+)?)(?![\d.])/g, "$1");
+
 /** A viewer in `parent` for the clips of a reel. */
 export class Viewer {
   constructor(parent, reel) {
@@ -74,7 +77,7 @@ export class Viewer {
       const box = element("input", { type: "checkbox", checked: on, onchange: () => act(box.checked) });
       return element("label", {}, box, ` ${label}`);
     };
-    this.pairBox = check("Twin", true, (on) => { this.paired = on; this.arrange(); });
+    this.pairBox = check("Both", true, (on) => { this.paired = on; this.arrange(); });
     this.paired = true;
     this.contactBox = check("Contacts", true, (on) => {
       this.contacts = on;
@@ -199,7 +202,7 @@ export class Viewer {
       "div", {},
       element("h3", {}, clip.title),
       element("ol", { class: "view-events" }, ...clip.events.map((event) => element(
-        "li", {}, element("button", { type: "button", onclick: () => this.seek(event.t) }, `${event.t.toFixed(2)} s`), ` ${event.what}`,
+        "li", {}, element("button", { type: "button", onclick: () => this.seek(event.t) }, `${event.t.toFixed(2)} s`), ` ${positive(event.what)}`,
       )), ...(clip.events.length ? [] : [element("li", {}, "No event.")]), ...(clip.contact ? [element("li", {}, clip.contact)] : [])),
       element("p", {}, element("code", {}, clip.command)),
     ));
@@ -311,30 +314,3 @@ export class Viewer {
     act();
   }
 }
-
-function start() {
-  const data = document.getElementById("reel");
-  const parent = document.querySelector("[data-viewer]");
-  if (!data || !parent) return;
-  const viewer = new Viewer(parent, JSON.parse(data.textContent));
-  const choices = [...document.querySelectorAll("button[data-first]")];
-  const open = (choice) => {
-    choices.forEach((other) => other.setAttribute("aria-pressed", String(other === choice)));
-    const second = choice.dataset.second;
-    return viewer.open(Number(choice.dataset.first), second === undefined ? null : Number(second));
-  };
-  choices.forEach((choice) => {
-    choice.disabled = false;
-    choice.addEventListener("click", () => open(choice));
-  });
-  // Other parts of the page open recordings by their place in the reel.
-  document.addEventListener("open-episode", (event) => {
-    choices.forEach((other) => other.setAttribute("aria-pressed", "false"));
-    void viewer.open(event.detail, null);
-    viewer.root.scrollIntoView({ block: "nearest" });
-    viewer.play.focus();
-  });
-  if (choices[0]) open(choices[0]);
-}
-
-start();

@@ -6,7 +6,9 @@ use robogate_core::{Better, Domain, Outcome, Scale, Value};
 use robogate_dictionary::{Entry, Provenance, results};
 use serde::Serialize;
 
+use crate::distance::{Difference, sentence};
 use crate::labels::{label_and_unit, mode_label};
+use crate::table::{ParameterKind, stage_of};
 
 /// Largest number of levels of a column. Further words share the last one.
 const MAX_LEVELS: usize = 4_096;
@@ -58,8 +60,11 @@ pub enum Role {
     Run,
     /// The index of the episode in its run.
     Index,
-    /// The stage of the campaign.
+    /// The stage of the campaign. The rows of the active stage that no model chose are a stage of their own, as in the
+    /// analysis.
     Stage,
+    /// The sampler of the point.
+    Design,
     /// How the episode ended: `success`, `invalid`, or a failure mode.
     Outcome,
     /// A requested value of a parameter.
@@ -91,6 +96,8 @@ struct Run {
     /// The level of the run.
     code: f32,
     parameters: Vec<(String, usize)>,
+    /// The domain of each parameter.
+    domains: Vec<Domain>,
     measures: Vec<(String, usize)>,
     draws: Vec<(String, usize)>,
 }
@@ -106,6 +113,16 @@ mod fixed {
     pub(super) const CATEGORY: usize = 6;
     pub(super) const GROUP: usize = 7;
     pub(super) const CASE: usize = 8;
+    pub(super) const DESIGN: usize = 9;
+}
+
+/// The passing episode with the most similar parameters.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct PassingTwin {
+    /// Its index in the run.
+    pub index: u64,
+    /// The largest differences from the failed episode, as a sentence.
+    pub differences: String,
 }
 
 impl ExplorerTable {
@@ -126,6 +143,7 @@ impl ExplorerTable {
             word("category", Role::Scenario),
             word("group", Role::Scenario),
             word("case", Role::Scenario),
+            word("design", Role::Design),
         ];
         table.columns.extend(fixed);
         table.columns[fixed::OUTCOME].level("success");
@@ -142,6 +160,7 @@ impl ExplorerTable {
         // Identifiers of imported rows are not parameters of the scenario.
         let identifiers = [results::SOURCE_ROW, results::SOURCE_SEED, results::SOURCE_EPISODE];
         let parameters = provenance.space.parameters().iter().filter(|p| !identifiers.contains(&&*p.name));
+        let domains = parameters.clone().map(|parameter| parameter.domain.clone()).collect();
         let parameters = parameters.map(|parameter| {
             let (label, unit) = label_and_unit(&parameter.name);
             let declared = provenance.task.parameter(&parameter.name).map(|spec| spec.unit.clone());
@@ -190,7 +209,8 @@ impl ExplorerTable {
         let mut places = |columns: Vec<(String, ExplorerColumn)>| -> Vec<(String, usize)> {
             columns.into_iter().map(|(name, column)| (name, self.place(column))).collect()
         };
-        let run = Run { code, parameters: places(parameters), measures: places(measures), draws: places(draws) };
+        let run =
+            Run { code, parameters: places(parameters), domains, measures: places(measures), draws: places(draws) };
         self.runs.push(run);
         self.runs.len() - 1
     }
@@ -225,8 +245,10 @@ impl ExplorerTable {
         let columns = &mut self.columns;
         columns[fixed::RUN].values.push(run.code);
         columns[fixed::INDEX].values.push(entry.index() as f32);
-        let stage = columns[fixed::STAGE].level(&entry.stage) as f32;
+        let stage = columns[fixed::STAGE].level(stage_of(&entry.stage, &entry.design)) as f32;
         columns[fixed::STAGE].values.push(stage);
+        let design = columns[fixed::DESIGN].level(&entry.design) as f32;
+        columns[fixed::DESIGN].values.push(design);
         let word = match &episode.outcome {
             Outcome::Invalid(_) => "invalid",
             outcome => outcome.as_str(),
@@ -271,9 +293,67 @@ impl ExplorerTable {
         self.columns.iter_mut().for_each(|column| column.values.clear());
     }
 
+    /// The nearest passing twin of a failed episode: the successful episode of its run with the most similar parameters, by
+    /// the distance of [`worth_watching`](crate::worth_watching). `None` for any other episode, and if no episode passed.
+    pub fn passing_twin(&self, run: usize, index: u64) -> Option<PassingTwin> {
+        let of = self.runs.get(run)?;
+        let row = self.row(run, index)?;
+        let [runs, indices, outcomes] =
+            [fixed::RUN, fixed::INDEX, fixed::OUTCOME].map(|at| self.columns[at].values.as_slice());
+        let is_own = |row: &usize| runs[*row].to_bits() == of.code.to_bits();
+        // The first level of an outcome is always success.
+        let passed = |row: usize| outcomes[row] <= 0.0;
+        let invalid = self.columns[fixed::OUTCOME].known.get("invalid").map(|code| *code as f32);
+        if passed(row) || invalid.is_some_and(|code| code.to_bits() == outcomes[row].to_bits()) {
+            return None;
+        }
+        let parameters: Vec<(&str, ParameterKind, &[f32])> = of
+            .parameters
+            .iter()
+            .zip(&of.domains)
+            .map(|((name, at), domain)| (name.as_str(), kind(domain, &self.columns[*at]), &*self.columns[*at].values))
+            .collect();
+        let point: Vec<f64> = parameters.iter().map(|(_, kind, values)| kind.position(values[row].into())).collect();
+        let distance = |other: usize| -> f64 {
+            let part = |((_, kind, values), to): (&(&str, ParameterKind, &[f32]), &f64)| {
+                kind.apart(kind.position(values[other].into()), *to).powi(2)
+            };
+            parameters.iter().zip(&point).map(part).sum()
+        };
+        let passing = (0..self.rows).filter(|other| passed(*other) && is_own(other));
+        let (twin, _) = passing.map(|other| (other, distance(other))).min_by(|a, b| a.1.total_cmp(&b.1))?;
+        let differences = sentence(parameters.iter().map(|(name, kind, values)| Difference {
+            name,
+            kind,
+            failed: values[row].into(),
+            passed: values[twin].into(),
+        }));
+        Some(PassingTwin { index: indices[twin] as u64, differences })
+    }
+
     /// The number of episodes.
     pub fn rows(&self) -> usize {
         self.rows
+    }
+
+    /// The row of an episode.
+    pub fn row(&self, run: usize, index: u64) -> Option<usize> {
+        let of = self.runs.get(run)?;
+        let [runs, indices] = [fixed::RUN, fixed::INDEX].map(|at| self.columns[at].values.as_slice());
+        let wanted = (of.code.to_bits(), (index as f32).to_bits());
+        (0..self.rows).find(|row| (runs[*row].to_bits(), indices[*row].to_bits()) == wanted)
+    }
+
+    /// At most this number of rows in ascending order, chosen by a fixed hash of their numbers: a sample that does not depend
+    /// on the order or the values of the rows.
+    pub fn sample(&self, most: usize) -> Vec<usize> {
+        let mut rows: Vec<usize> = (0..self.rows).collect();
+        if rows.len() > most {
+            rows.sort_unstable_by_key(|row| mixed(*row as u64));
+            rows.truncate(most);
+            rows.sort_unstable();
+        }
+        rows
     }
 
     /// The columns.
@@ -326,6 +406,25 @@ impl ExplorerColumn {
         self.levels.push(word.to_owned());
         self.known.insert(word.to_owned(), self.levels.len() - 1);
         self.levels.len() - 1
+    }
+}
+
+/// The finaliser of SplitMix64 (Steele, Lea and Flood 2014).
+fn mixed(x: u64) -> u64 {
+    let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
+}
+
+/// The range of a parameter, with the words of its column.
+fn kind(domain: &Domain, column: &ExplorerColumn) -> ParameterKind {
+    match domain {
+        Domain::Continuous { low, high, scale } => {
+            ParameterKind::Continuous { low: *low, high: *high, log: *scale == Scale::Log }
+        }
+        Domain::Integer { low, high } => ParameterKind::Integer { low: *low, high: *high },
+        Domain::Categorical { .. } => ParameterKind::Categorical { levels: column.levels.clone() },
     }
 }
 

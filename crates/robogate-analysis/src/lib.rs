@@ -18,6 +18,7 @@ mod analysis;
 mod claims;
 mod comparison;
 mod danger;
+mod distance;
 mod effects;
 mod error;
 mod explorer;
@@ -50,7 +51,7 @@ pub use comparison::{
 pub use danger::{DANGER_LIMIT, DangerZone, DangerZones};
 pub use effects::{EffectShape, Effects, Interaction, LEVEL, ParameterEffect, RateStep, ShapeKind};
 pub use error::AnalysisError;
-pub use explorer::{ExplorerColumn, ExplorerTable, Role, ValueKind};
+pub use explorer::{ExplorerColumn, ExplorerTable, PassingTwin, Role, ValueKind};
 pub use failures::{FailureModes, ModeShare, unrecorded};
 pub use marginal::{
     Cell, Correlation, CriticalThreshold, CurvePoint, MarginalEffect, ModeBin, ModeChange, ModeChanges, ParameterType,

@@ -253,11 +253,7 @@ impl ParameterColumn {
 
     /// A value for display.
     pub(crate) fn show(&self, value: f64) -> String {
-        match &self.kind {
-            ParameterKind::Continuous { .. } => robogate_stats::format::number(value),
-            ParameterKind::Integer { .. } => format!("{value:.0}"),
-            ParameterKind::Categorical { levels } => levels.get(value as usize).cloned().unwrap_or_default(),
-        }
+        self.kind.show(value)
     }
 }
 
@@ -292,10 +288,15 @@ pub(crate) fn categories(
 }
 
 /// The stage whose weights refer to the whole operating distribution.
-const ACTIVE: &str = "active";
+pub(crate) const ACTIVE: &str = "active";
 
 /// The rows of the active stage that were sampled from the operating distribution.
 const UNIFORM_PART: &str = "active (uniform part)";
+
+/// The name of a row's stage, which separates the uniform part of the active stage.
+pub(crate) fn stage_of<'a>(stage: &'a str, design: &str) -> &'a str {
+    if stage == ACTIVE && design == "uniform" { UNIFORM_PART } else { stage }
+}
 
 /// Makes a stage of the rows of the active stage whose points its model did not choose: a sample from the operating
 /// distribution.

@@ -3,17 +3,16 @@
 use robogate_core::{Better, TaskSpec};
 use robogate_stats::format::{count, counted, number, percent};
 
-use crate::labels::{mode_label, parameter_label, value_with_unit};
+use crate::distance::{Difference, sentence};
+use crate::labels::{mode_label, parameter_label};
 use crate::replay::{ReplayEpisode, ReplayReason, episode};
-use crate::table::{Ending, EpisodeTable, ParameterColumn, ParameterKind, categories};
+use crate::table::{Ending, EpisodeTable, ParameterColumn, categories};
 use crate::{Analysis, AnalysisError, Source};
 
 /// Maximum number of failure modes with a typical episode.
 const MAX_MODES: usize = 4;
 /// Maximum number of scenario groups with a failed episode.
 const MAX_GROUPS: usize = 2;
-/// Maximum number of parameters in a sentence about the difference of two episodes.
-const MAX_DIFFERENCES: usize = 3;
 
 /// An episode that is worth watching.
 #[derive(Debug, Clone, PartialEq)]
@@ -90,8 +89,8 @@ impl<'a> Space<'a> {
     /// Distance of a row from a point: Euclidean over numbers, and 1 for a different level.
     fn distance(&self, row: usize, point: &[f64]) -> f64 {
         let part = |((column, values), to): (&(&ParameterColumn, Vec<f64>), &f64)| {
-            let off = values[row] - to;
-            if column.is_numeric() { off * off } else { f64::from(off.abs() > 0.5) }
+            let off = column.kind.apart(values[row], *to);
+            off * off
         };
         self.columns.iter().zip(point).map(part).sum()
     }
@@ -129,45 +128,18 @@ impl<'a> Space<'a> {
 
     /// The largest differences between a failed episode and its twin.
     fn differences(&self, row: usize, twin: usize) -> String {
-        let mut all: Vec<(f64, &ParameterColumn, usize)> = self
-            .columns
-            .iter()
-            .enumerate()
-            .map(|(at, (column, values))| {
-                let off = (values[row] - values[twin]).abs();
-                (if column.is_numeric() { off } else { f64::from(off > 0.5) }, *column, at)
-            })
-            .filter(|(off, ..)| *off > 1e-3)
-            .collect();
-        all.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.2.cmp(&b.2)));
-        let text = |(_, column, _): &(f64, &ParameterColumn, usize)| {
-            let [from, to] = [row, twin].map(|row| value_with_unit(&column.show(column.values[row]), &column.name));
-            format!("{} {to} instead of {from}", parameter_label(&column.name))
-        };
-        let parts: Vec<String> = all.iter().take(MAX_DIFFERENCES).map(text).collect();
-        if parts.is_empty() {
-            "The parameters are the same.".to_owned()
-        } else {
-            format!("It has {}.", parts.join(", "))
-        }
+        sentence(self.columns.iter().map(|(column, _)| Difference {
+            name: &column.name,
+            kind: &column.kind,
+            failed: column.values[row],
+            passed: column.values[twin],
+        }))
     }
 }
 
 /// The values of a column on a scale from 0 to 1; those of a categorical one are its levels.
 fn scaled(column: &ParameterColumn) -> Vec<f64> {
-    let scale = |value: f64, [low, high]: [f64; 2]| {
-        let position = (value - low) / (high - low);
-        if position.is_finite() { position } else { 0.0 }
-    };
-    let value = |x: f64| match column.kind {
-        ParameterKind::Continuous { low, high, log: true } if low > 0.0 => {
-            scale(x.max(low).ln(), [low.ln(), high.ln()])
-        }
-        ParameterKind::Continuous { low, high, .. } => scale(x, [low, high]),
-        ParameterKind::Integer { low, high } => scale(x, [low as f64, high as f64]),
-        ParameterKind::Categorical { .. } => x,
-    };
-    column.values.iter().map(|x| value(*x)).map(|x| if x.is_finite() { x } else { 0.0 }).collect()
+    column.values.iter().map(|x| column.kind.position(*x)).collect()
 }
 
 /// Without failures: the most typical success and the slowest one.

@@ -538,6 +538,8 @@ fn conclude(counts: Counts, results: &[RequirementResult], comparison: Option<&C
         (Verdict::Fail, format!("violated: {}", violated.join(", ")))
     } else if !none.is_empty() {
         (Verdict::Inconclusive, format!("no evidence about {}", none.join(", ")))
+    } else if open.is_empty() && all.len() == 1 {
+        (Verdict::Pass, "the requirement is met".to_owned())
     } else if open.is_empty() && !all.is_empty() {
         (Verdict::Pass, format!("all {} requirements are met", all.len()))
     } else {

@@ -6,7 +6,7 @@
 //! |---|---|
 //! | an [`Analysis`](robogate_analysis::Analysis) | [`html`], [`markdown`], [`analysis_json`] |
 //! | a [`Comparison`](robogate_analysis::Comparison) | [`comparison_html`], [`comparison_markdown`], [`comparison_json`] |
-//! | a [`Transfer`](robogate_analysis::transfer::Transfer) | [`transfer_html`], [`transfer_json`] |
+//! | a [`Transfer`](robogate_analysis::transfer::Transfer) | [`transfer_html`], [`transfer_json`], [`next_trials`] |
 //! | a [`Study`](robogate_analysis::study::Study) | [`study_markdown`], [`study_json`] |
 //! | an [`Evaluation`] of the gate | [`junit`], [`reqif`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
 //! | episodes of runs | [`explorer_page`] |
@@ -38,7 +38,7 @@ pub use json::{
 };
 pub use markdown::{comparison_markdown, markdown, markdown_with};
 pub use study::{answer as study_answer, study_markdown};
-pub use text::{ComparisonHeadline, Headline, TransferHeadline, comparison_limits, limits, low_side};
+pub use text::{ComparisonHeadline, Headline, TransferHeadline, comparison_limits, limits, low_side, next_trials};
 pub use watch::{Strip, Watch, WatchItem};
 
 /// Additions to the page of an analysis.

@@ -3,6 +3,9 @@
 /** Blocks of rows that are drawn together. Blocks come in a mixed order, so that a part of them shows the whole. */
 const BLOCK = 64;
 
+/** Bins of the order of a column. */
+const BINS = 4096;
+
 /** A number between -0.5 and 0.5 that depends on the row and the column alone. */
 function jitter(row, column) {
   let x = Math.imul(row ^ Math.imul(column + 1, 0x9e3779b9), 0x85ebca6b);
@@ -33,7 +36,7 @@ export class Dataset {
         known.levels = spec.levels;
       } else {
         const values = new Float32Array(this.room).fill(NaN);
-        this.columns.push({ ...spec, at, values, units: null, low: Infinity, high: -Infinity, filled: 0 });
+        this.columns.push({ ...spec, at, values, units: null, order: null, low: Infinity, high: -Infinity, filled: 0 });
       }
     });
     const of = (role) => this.columns.find((column) => column.role === role);
@@ -46,7 +49,7 @@ export class Dataset {
 
   clear() {
     this.rows = 0;
-    for (const column of this.columns) Object.assign(column, { units: null, low: Infinity, high: -Infinity, filled: 0 });
+    for (const column of this.columns) Object.assign(column, { units: null, order: null, low: Infinity, high: -Infinity, filled: 0 });
   }
 
   /** Appends rows: one array of numbers per column. */
@@ -72,7 +75,7 @@ export class Dataset {
         if (x < low) low = x;
         if (x > high) high = x;
       }
-      Object.assign(column, { low, high, filled, units: null });
+      Object.assign(column, { low, high, filled, units: null, order: null });
     });
     this.rows = from + count;
   }
@@ -129,6 +132,30 @@ export class Dataset {
     }
     column.units = units;
     return units;
+  }
+
+  /**
+   * The rows of a column in ascending bins of its values, without rows that have no value: `rows` from `starts[bin]` to
+   * `starts[bin + 1]` have values in that bin, in order of their number.
+   */
+  order(column) {
+    if (column.order) return column.order;
+    const { values } = column;
+    let [low, high] = [Infinity, -Infinity];
+    for (let i = 0; i < this.rows; i++) {
+      const x = values[i];
+      if (x < low) low = x;
+      if (x > high) high = x;
+    }
+    const scale = high > low ? BINS / (high - low) : 0;
+    const bin = (x) => (x > low ? (x < high ? Math.min(BINS - 1, Math.floor((x - low) * scale)) : BINS - 1) : 0);
+    const starts = new Uint32Array(BINS + 1);
+    for (let i = 0; i < this.rows; i++) if (values[i] === values[i]) starts[bin(values[i]) + 1] += 1;
+    for (let i = 0; i < BINS; i++) starts[i + 1] += starts[i];
+    const next = starts.slice(), rows = new Uint32Array(starts[BINS]);
+    for (let i = 0; i < this.rows; i++) if (values[i] === values[i]) rows[next[bin(values[i])]++] = i;
+    column.order = { rows, starts, bin, bins: BINS };
+    return column.order;
   }
 
   /** Calls `work(from, to)` with blocks of rows in a mixed order, from `progress` on, until `work` says stop. */

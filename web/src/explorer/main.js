@@ -1,6 +1,6 @@
 // The explorer: linked plots, a table and a player over the episodes of one or several runs.
 
-import { Viewer } from "../viewer.js";
+import { Viewer } from "./viewer.js";
 import { colouring } from "./colours.js";
 import { Dataset, count, named, shown } from "./data.js";
 import { choice, element } from "./dom.js";
@@ -8,6 +8,7 @@ import { Filters } from "./filters.js";
 import { ModelMap } from "./map.js";
 import { Model } from "./model.js";
 import { Parallel } from "./parallel.js";
+import { Predictor } from "./predictor.js";
 import { Scatter } from "./scatter.js";
 import { Selection } from "./selection.js";
 import { source } from "./source.js";
@@ -61,7 +62,8 @@ class Explorer {
     this.player = element("div", { class: "x-stage" });
     this.message = element("p", { class: "x-reading", "aria-live": "polite" }, "Choose an episode in the list, or click a dot, to play it.");
     player.append(this.message, this.player);
-    this.views = [this.summary, this.map, this.scatter, this.parallel, this.table];
+    this.predictor = new Predictor(this);
+    this.views = [this.summary, this.map, this.scatter, this.parallel, this.table, this.predictor];
   }
 
   columnOf(at) {
@@ -107,11 +109,11 @@ class Explorer {
     else this.openFirst();
   }
 
-  /** Opens the first recorded episode of a page that contains some. */
+  /** Opens a recorded episode of a page that contains some: a failed one with its passing twin, if there is one. */
   openFirst() {
-    const [first] = this.source.episodes, { data } = this;
+    const first = this.source.episodes.find((one) => one.twin) ?? this.source.episodes[0], { data } = this;
     if (!first) return;
-    const row = data.run.values.findIndex((run, at) => run === first[0] && data.index.values[at] === first[1]);
+    const row = data.run.values.findIndex((run, at) => run === first.run && data.index.values[at] === first.index);
     if (row >= 0) void this.open(row);
   }
 
@@ -157,7 +159,7 @@ class Explorer {
       this.colours.column ??= data.runs.length > 1 ? data.run : data.outcome;
       this.colour.fill(usable.map((column) => [column.at, named(column)]), this.colours.column.at);
     }
-    this.predict();
+    this.predictor.restart(false);
     this.selection.update(all);
     this.recolour();
     this.parallel.layout();
@@ -172,7 +174,8 @@ class Explorer {
       const of = run.finished || run.planned === null ? `${count(run.rows)} episodes` : `unfinished, ${count(run.rows)} of ${count(run.planned)} episodes`;
       return `${name}${of}, ${run.policy} on ${run.robot} in ${run.engine}${run.problem ? ` (${run.problem})` : ""}`;
     });
-    this.status.textContent = `${data.runs[0]?.task ?? ""} · ${parts.join(" · ")}`;
+    const sample = data.isSample ? ` · this page has a random sample of ${count(data.rows)} episodes, and its rates are those of the sample` : "";
+    this.status.textContent = `${data.runs[0]?.task ?? ""} · ${parts.join(" · ")}${sample}`;
   }
 
   /** Fetches the models, which takes seconds for a server. */
@@ -192,34 +195,27 @@ class Explorer {
     if (first) {
       this.prediction = {
         at: "prediction", name: "prediction", label: "predicted success", unit: "", role: "prediction", kind: "number", percent: true, computed: true, log: false,
-        levels: [], values: new Float32Array(0), units: null, low: 0, high: 1, filled: 0,
+        levels: [], values: new Float32Array(0), units: null, order: null, range: [0, 1], low: 0, high: 1, filled: 0,
       };
     }
-    if (this.prediction) this.prediction.known = 0;
+    this.predictor.restart(true);
     this.refresh(false);
     this.map.take(this.models);
     document.body.dataset.modelled = "true";
   }
 
-  /** The predicted chance of success of rows that have none yet. */
-  predict() {
-    const { prediction, data } = this;
-    if (!prediction) return;
-    if (prediction.values.length < data.rows) {
-      const values = new Float32Array(data.room).fill(NaN);
-      values.set(prediction.values.subarray(0, prediction.known));
-      prediction.values = values;
+  /** Takes the predictions of all rows. */
+  predicted() {
+    const { prediction, selection } = this;
+    if (selection.filters.has(prediction)) selection.filter(prediction, selection.filters.get(prediction));
+    const shown = this.axes.includes(prediction) || [this.scatter.horizontal, this.scatter.up].includes(prediction);
+    if (this.colours.column === prediction) this.recolour();
+    if (shown || selection.filters.has(prediction)) {
+      this.parallel.restart(true);
+      this.scatter.restart(true);
+      this.summary.restart();
     }
-    // Of very many rows, a part is predicted at once; the others have no value until then.
-    const from = Math.min(prediction.known ?? 0, data.rows);
-    for (let row = from; row < data.rows; row++) {
-      const model = this.models[data.run.values[row]];
-      if (!model) continue;
-      for (const at of model.columns) model.set(at, data.columns[at].values[row]);
-      prediction.values[row] = model.chance();
-    }
-    prediction.known = data.rows;
-    Object.assign(prediction, { units: null, filled: data.rows, low: 0, high: 1, range: [0, 1] });
+    this.table.restart();
   }
 
   setAxes(axes) {
@@ -240,6 +236,7 @@ class Explorer {
     const sizes = new Array(this.colours.palette.length).fill(0);
     for (const kind of this.colours.classes) sizes[kind] += 1;
     this.colours.sizes = sizes;
+    this.selection.sort(this.colours.classes, sizes.length);
     this.parallel.restart(false);
     this.scatter.restart(false);
     this.table.restart();
@@ -298,24 +295,25 @@ class Explorer {
     this.opened = row;
     this.table.stale = true;
     this.wake();
-    const name = `${data.runs.length > 1 ? `${data.runs[run].name}, ` : ""}episode ${shown(data.index, index)}`;
-    const values = [data.outcome, ...this.axes.filter((column) => column !== data.outcome)].map((column) => `${column.label} ${shown(column, column.values[row])}${column.unit ? ` ${column.unit}` : ""}`);
-    const facts = `${name}: ${values.join(", ")}.`;
+    const name = `${data.runs.length > 1 ? `${data.runs[run].name}, episode` : "Episode"} ${shown(data.index, index)}`;
+    const facts = `${name}: ${shown(data.outcome, data.outcome.values[row])}.`;
     if (!this.canPlay(run, index)) {
-      this.message.textContent = `${facts} ${data.runs[run].playable ? "This file does not contain its recording: robogate view plays it beside the run." : "It has no recording."}`;
+      const values = this.axes.filter((column) => column !== data.outcome).map((column) => `${column.label} ${shown(column, column.values[row])}${column.unit ? ` ${column.unit}` : ""}`);
+      const because = data.runs[run].playable ? "This file does not contain its recording: robogate view plays it beside the run." : "It has no recording.";
+      this.message.textContent = `${facts} ${values.join(", ")}. ${because}`;
       this.player.hidden = true;
       return;
     }
     const ticket = (this.ticket = (this.ticket ?? 0) + 1);
     this.message.textContent = `${name} is being recomputed …`;
     try {
-      const { reel, at } = await this.source.clip(run, index);
+      const { reel, at, twin } = await this.source.clip(run, index);
       if (ticket !== this.ticket) return;
       this.player.hidden = false;
       this.viewer ??= new Viewer(this.player, reel);
       if (this.viewer.reel !== reel) this.viewer.load(reel);
-      await this.viewer.open(at);
-      this.message.textContent = facts;
+      await this.viewer.open(at, twin?.at);
+      this.message.textContent = twin ? `${facts} ${beside(twin)}` : facts;
       this.player.dataset.row = String(row);
     } catch (error) {
       if (ticket !== this.ticket) return;
@@ -356,6 +354,12 @@ class Explorer {
   }
 }
 
+/** The passing episode beside a failed one, in words. */
+function beside(twin) {
+  if (typeof twin.at !== "number") return `The most similar passing episode, ${count(twin.index)}, is not shown${twin.because ? `: ${twin.because}` : "."}`;
+  return `Beside it: episode ${count(twin.index)}, the passing episode with the most similar parameters. ${twin.differences}`;
+}
+
 const root = document.getElementById("explorer");
 if (root) {
   const explorer = new Explorer(root);
@@ -366,7 +370,7 @@ if (root) {
     measure: (frames) => explorer.measure(frames),
     predict: (run, row) => {
       const model = explorer.models[run];
-      for (const at of model.columns) model.set(at, explorer.data.columns[at].values[row]);
+      model.of(explorer.data.columns.map((column) => column.values), row);
       return model.interval();
     },
   };

@@ -3,6 +3,13 @@
 
 const logistic = (x) => 1 / (1 + Math.exp(-x));
 
+/** A value on the scale of an input. */
+function coded(input, value) {
+  if (input.level !== undefined) return input.level === value ? 1 : 0;
+  if (input.low === input.high) return 0.5;
+  return input.log ? Math.log(value / input.low) / Math.log(input.high / input.low) : (value - input.low) / (input.high - input.low);
+}
+
 export class Model {
   constructor(document) {
     this.document = document;
@@ -22,12 +29,13 @@ export class Model {
 
   /** Sets the inputs of one column of the table. */
   set(column, value) {
-    this.inputs.forEach((input, at) => {
-      if (input.column !== column) return;
-      if (input.level !== undefined) this.row[at] = input.level === value ? 1 : 0;
-      else if (input.low === input.high) this.row[at] = 0.5;
-      else this.row[at] = input.log ? Math.log(value / input.low) / Math.log(input.high / input.low) : (value - input.low) / (input.high - input.low);
-    });
+    for (let at = 0; at < this.inputs.length; at++) if (this.inputs[at].column === column) this.row[at] = coded(this.inputs[at], value);
+  }
+
+  /** The chance of success of a row of these columns. */
+  of(columns, row) {
+    for (let at = 0; at < this.inputs.length; at++) this.row[at] = coded(this.inputs[at], columns[this.inputs[at].column][row]);
+    return this.chance();
   }
 
   /** The scaled terms of the inputs that are set. */

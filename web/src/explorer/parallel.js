@@ -2,16 +2,14 @@
 
 import { element, layer, svg } from "./dom.js";
 import { faint } from "./colours.js";
-import { named, shown, ticks } from "./data.js";
-import { Raster } from "./raster.js";
+import { count, named, shown, ticks } from "./data.js";
+import { Raster, isDue } from "./raster.js";
 
+/** The smallest distance of two axes, in pixels. A narrow page scrolls. */
+const LEAST_GAP = 64;
 const TOP = 54, BOTTOM = 18, SIDE = 66, HEIGHT = 330;
-/** Cells of an axis when rows are counted before they are drawn. */
-const CELLS = 150;
-/** Rows from which lines are drawn by cells. */
-const MANY = 60000;
-/** Rows of a first picture, before many rows are counted. */
-const SKETCH = 3000;
+/** The largest number of lines. Of more rows, a sample of each class is drawn, and each line stands for several rows. */
+const LINES = 20000;
 /** The distance from an axis within which a brush starts, in pixels. */
 const REACH = 14;
 
@@ -24,7 +22,8 @@ export class Parallel {
     this.front = layer(this.stage);
     this.overlay = svg("svg", { class: "x-overlay", role: "img", "aria-label": "Parallel coordinates. The filters below do the same as brushes on the axes." });
     this.stage.append(this.overlay, this.heads);
-    parent.append(this.stage);
+    this.note = element("p", { class: "x-quality", hidden: true });
+    parent.append(element("div", { class: "x-wide" }, this.stage), this.note);
     this.width = 0;
     new ResizeObserver(() => this.layout()).observe(this.stage);
     this.overlay.addEventListener("pointerdown", (event) => this.begin(event));
@@ -47,6 +46,7 @@ export class Parallel {
   }
 
   layout() {
+    this.stage.style.minWidth = `${2 * SIDE + LEAST_GAP * (this.axes.length - 1)}px`;
     const width = Math.floor(this.stage.clientWidth);
     if (width < 50) return;
     if (width !== this.width) {
@@ -172,7 +172,7 @@ export class Parallel {
   }
 
   job(all) {
-    return { all, done: true, progress: 0, drawn: 0, wanted: 1 };
+    return { all, done: true, progress: 0, drawn: 0, total: 0 };
   }
 
   /** Draws anew: all rows in the background if the axes changed, and the selected ones. */
@@ -180,7 +180,7 @@ export class Parallel {
     if (!this.raster) return;
     for (const work of this.work) {
       if (work.all && !all) continue;
-      Object.assign(work, { done: false, progress: 0, drawn: 0, cells: null, fresh: true, sketched: false });
+      Object.assign(work, { done: false, progress: 0, drawn: 0, fresh: true, painted: 0 });
     }
     this.explorer.wake();
   }
@@ -195,92 +195,63 @@ export class Parallel {
     return this.work.every((work) => work.done);
   }
 
+  /** Starts a picture: the rows of each class, the lines that stand for them, and the lines so far. */
+  prepare(work, raster) {
+    const { data, selection } = this.explorer;
+    raster.clear();
+    const rows = work.all ? [data.rows] : [...selection.kinds];
+    const total = rows.reduce((sum, n) => sum + n, 0), classes = rows.filter((n) => n > 0).length;
+    const each = Math.floor(LINES / Math.max(1, classes));
+    const lines = total > LINES ? rows.map((n) => Math.min(n, each)) : rows;
+    Object.assign(work, { fresh: false, rows, lines, total, taken: rows.map(() => 0), left: lines.reduce((sum, n) => sum + n, 0) });
+    if (work.all) return;
+    const sampled = work.left < total;
+    this.note.hidden = !sampled;
+    if (sampled) this.note.textContent = `The lines are a sample of ${count(work.left)} of ${count(total)} episodes, with at most ${count(each)} of each colour. All counts and rates use every episode.`;
+  }
+
   draw(work, deadline) {
     const { data, selection, colours } = this.explorer;
     const raster = this.raster[work.all ? 0 : 1];
-    if (work.fresh) {
-      raster.clear();
-      work.fresh = false;
-    }
-    const units = this.axes.map((column) => data.units(column));
-    const xs = this.axes.map((_, at) => this.x(at) * this.ratio);
-    const top = TOP * this.ratio, span = (HEIGHT - TOP - BOTTOM) * this.ratio;
-    const classes = colours.classes;
-    const skip = work.all ? selection.isEmpty : false;
-    if (skip) {
+    if (work.fresh) this.prepare(work, raster);
+    if (work.all && selection.isEmpty) {
       work.done = true;
       this.paint(work);
       return;
     }
-    const many = data.rows > MANY && work.sketched;
-    const most = data.rows > MANY && !many ? SKETCH : Infinity;
-    if (many && !work.cells) work.cells = new Map();
-    [work.progress, work.done] = data.blocks(work.progress, (from, to) => {
+    const units = this.axes.map((column) => data.units(column));
+    const xs = this.axes.map((_, at) => this.x(at) * this.ratio);
+    const top = TOP * this.ratio, span = (HEIGHT - TOP - BOTTOM) * this.ratio;
+    const { classes } = colours, { rows, lines, taken } = work;
+    let ended;
+    [work.progress, ended] = data.blocks(work.progress, (from, to) => {
       for (let row = from; row < to; row++) {
         if (!work.all && !selection.has(row)) continue;
-        work.drawn += 1;
         const kind = work.all ? 0 : classes[row];
-        if (many) {
-          this.tally(work, units, kind, row);
-          continue;
-        }
+        if (taken[kind] >= lines[kind]) continue;
+        taken[kind] += 1;
+        work.left -= 1;
+        const weight = rows[kind] / lines[kind];
+        work.drawn += weight;
         const layer = raster.layer(kind);
         let before = units[0][row];
         for (let at = 1; at < units.length; at++) {
           const here = units[at][row];
-          if (before === before && here === here) raster.line(layer, xs[at - 1], top + (1 - before) * span, xs[at], top + (1 - here) * span, 1);
+          if (before === before && here === here) raster.line(layer, xs[at - 1], top + (1 - before) * span, xs[at], top + (1 - here) * span, weight);
           before = here;
         }
       }
-      return work.drawn >= most || performance.now() > deadline;
+      return work.left <= 0 || performance.now() > deadline;
     });
-    if (most < Infinity && (work.done || work.drawn >= most)) {
-      work.part = Math.min(1, (work.progress * 64) / data.rows);
-      this.paint(work);
-      Object.assign(work, { done: false, sketched: true, progress: 0, drawn: 0 });
-      return;
-    }
-    if (many && work.done) this.strokes(work, raster, xs, top, span);
-    work.part = data.rows ? Math.min(1, (work.progress * 64) / data.rows) : 1;
-    if (!many || work.done) this.paint(work);
-  }
-
-  /** Counts a row in the cells between all neighbouring axes. */
-  tally(work, units, kind, row) {
-    let cells = work.cells.get(kind);
-    if (!cells) work.cells.set(kind, (cells = units.slice(1).map(() => new Float32Array(CELLS * CELLS))));
-    let before = units[0][row];
-    for (let at = 1; at < units.length; at++) {
-      const here = units[at][row];
-      if (before === before && here === here) {
-        const a = Math.min(CELLS - 1, Math.max(0, (before * CELLS) | 0)), b = Math.min(CELLS - 1, Math.max(0, (here * CELLS) | 0));
-        cells[at - 1][a * CELLS + b] += 1;
-      }
-      before = here;
-    }
-  }
-
-  strokes(work, raster, xs, top, span) {
-    raster.clear();
-    for (const [kind, gaps] of work.cells) {
-      const layer = raster.layer(kind);
-      gaps.forEach((cells, gap) => {
-        for (let a = 0; a < CELLS; a++) {
-          for (let b = 0; b < CELLS; b++) {
-            const n = cells[a * CELLS + b];
-            if (n > 0) raster.line(layer, xs[gap], top + (1 - (a + 0.5) / CELLS) * span, xs[gap + 1], top + (1 - (b + 0.5) / CELLS) * span, n);
-          }
-        }
-      });
-    }
-    work.cells = null;
+    work.done = ended || work.left <= 0;
+    if (work.done || isDue(work)) this.paint(work);
   }
 
   paint(work) {
     const { colours, data } = this.explorer;
     const raster = this.raster[work.all ? 0 : 1];
-    const part = work.part || 1;
-    const density = Math.max(1, work.drawn / part / ((HEIGHT - TOP - BOTTOM) * this.ratio));
+    const part = work.done || !work.total ? 1 : Math.max(work.drawn, 1) / work.total;
+    const density = Math.max(1, work.total / ((HEIGHT - TOP - BOTTOM) * this.ratio));
     const palette = work.all ? [faint()] : colours.palette;
     raster.paint((work.all ? this.back : this.front).context, palette, work.all ? [data.rows] : colours.sizes, work.all ? 6 * density : 1 + 4 * density, 1 / part, work.all ? 0.42 : 1);
   }

@@ -2,8 +2,17 @@
 
 /** Steps between no and full opacity. */
 const LEVELS = 2047;
-/** Pixels that are mixed together. */
-const CHUNK = 4096;
+
+/** Milliseconds between two paintings of a picture that is not complete. */
+const REPAINT = 120;
+
+/** Whether an incomplete picture is painted now: at once, and then from time to time, because painting takes longer than counting. */
+export function isDue(work) {
+  const now = performance.now();
+  if (work.painted && now - work.painted < REPAINT) return false;
+  work.painted = now;
+  return true;
+}
 
 /** Counts of one picture. */
 export class Raster {
@@ -12,8 +21,6 @@ export class Raster {
     this.height = Math.max(1, Math.round(height));
     this.layers = [];
     this.image = new ImageData(this.width, this.height);
-    const numbers = () => new Float32Array(CHUNK);
-    this.scratch = { sum: numbers(), red: numbers(), green: numbers(), blue: numbers(), total: numbers() };
   }
 
   clear() {
@@ -83,36 +90,29 @@ export class Raster {
     const opacity = new Uint8Array(LEVELS + 1);
     for (let i = 0; i <= LEVELS; i++) opacity[i] = (255 * most * Math.log1p((full * i) / LEVELS)) / Math.log1p(full);
     const step = (LEVELS / full) * scale, n = known.length, all = this.width * this.height;
-    const { sum, red, green, blue, total } = this.scratch;
-    // A few thousand pixels at a time stay in the cache of the processor.
-    for (let from = 0; from < all; from += CHUNK) {
-      const size = Math.min(CHUNK, all - from);
-      for (const one of [sum, red, green, blue, total]) one.fill(0);
+    const counts = known.map(({ layer }) => layer), shares = Float64Array.from(known, ({ share }) => share);
+    const [reds, greens, blues] = [0, 1, 2].map((channel) => Float64Array.from(known, ({ colour }) => colour[channel]));
+    for (let i = 0, to = 0; i < all; i++, to += 4) {
+      let total = 0, sum = 0, red = 0, green = 0, blue = 0;
       for (let k = 0; k < n; k++) {
-        const { layer, colour: [r, g, b], share } = known[k];
-        for (let i = 0; i < size; i++) {
-          const c = layer[from + i];
-          if (c === 0) continue;
-          const x = c * share, w = x * x;
-          total[i] += c;
-          sum[i] += w;
-          red[i] += w * r;
-          green[i] += w * g;
-          blue[i] += w * b;
-        }
+        const c = counts[k][i];
+        if (c === 0) continue;
+        const x = c * shares[k], w = x * x;
+        total += c;
+        sum += w;
+        red += w * reds[k];
+        green += w * greens[k];
+        blue += w * blues[k];
       }
-      for (let i = 0, to = 4 * from; i < size; i++, to += 4) {
-        const c = total[i];
-        if (c === 0) {
-          pixels[to + 3] = 0;
-          continue;
-        }
-        const w = 1 / sum[i], level = c * step;
-        pixels[to] = red[i] * w;
-        pixels[to + 1] = green[i] * w;
-        pixels[to + 2] = blue[i] * w;
-        pixels[to + 3] = opacity[level < LEVELS ? level | 0 : LEVELS];
+      if (total === 0) {
+        pixels[to + 3] = 0;
+        continue;
       }
+      const w = 1 / sum, level = total * step;
+      pixels[to] = red * w;
+      pixels[to + 1] = green * w;
+      pixels[to + 2] = blue * w;
+      pixels[to + 3] = opacity[level < LEVELS ? level | 0 : LEVELS];
     }
     context.putImageData(image, 0, 0);
   }

@@ -3,8 +3,10 @@
 import { choice, element, layer, svg } from "./dom.js";
 import { faint } from "./colours.js";
 import { named, shown, ticks } from "./data.js";
-import { Raster } from "./raster.js";
+import { Raster, isDue } from "./raster.js";
 
+/** Rows from which a row is one pixel instead of a disc. */
+const MANY = 40000;
 const LEFT = 76, RIGHT = 14, TOP = 12, BOTTOM = 46;
 
 export class Scatter {
@@ -201,7 +203,7 @@ export class Scatter {
 
   restart(all) {
     if (!this.raster || !this.horizontal) return;
-    for (const work of this.work) if (!work.all || all) Object.assign(work, { done: false, progress: 0, drawn: 0, fresh: true });
+    for (const work of this.work) if (!work.all || all) Object.assign(work, { done: false, progress: 0, drawn: 0, fresh: true, painted: 0 });
     this.explorer.wake();
   }
 
@@ -222,7 +224,8 @@ export class Scatter {
     const [us, vs] = [data.units(this.horizontal), data.units(this.up)];
     const left = LEFT * ratio, width = (this.width - LEFT - RIGHT) * ratio, bottom = (this.height - BOTTOM) * ratio, height = (this.height - TOP - BOTTOM) * ratio;
     const expected = work.all ? data.rows : selection.kept;
-    const radius = ratio * (expected < 600 ? 3.2 : expected < 4000 ? 2.4 : expected < 40000 ? 1.5 : 0.6);
+    const many = expected >= MANY;
+    const radius = ratio * (expected < 600 ? 3.2 : expected < 4000 ? 2.4 : 1.5);
     const { classes } = colours;
     const skip = work.all && selection.isEmpty;
     if (skip) work.done = true;
@@ -233,13 +236,16 @@ export class Scatter {
           const u = us[row], v = vs[row];
           if (u !== u || v !== v) continue;
           work.drawn += 1;
-          raster.dot(raster.layer(work.all ? 0 : classes[row]), left + u * width, bottom - v * height, radius);
+          const layer = raster.layer(work.all ? 0 : classes[row]);
+          if (many) layer[Math.trunc(bottom - v * height) * raster.width + Math.trunc(left + u * width)] += 1;
+          else raster.dot(layer, left + u * width, bottom - v * height, radius);
         }
         return performance.now() > deadline;
       });
     }
+    if (!work.done && !isDue(work)) return;
     const part = data.rows ? Math.min(1, (work.progress * 64) / data.rows) || 1 : 1;
-    const density = Math.max(1, ((work.drawn / part) * Math.PI * radius * radius) / (width * height));
+    const density = Math.max(1, ((work.drawn / part) * (many ? 1 : Math.PI * radius * radius)) / (width * height));
     raster.paint((work.all ? this.back : this.front).context, work.all ? [faint()] : colours.palette, work.all ? [data.rows] : colours.sizes, work.all ? 5 * density : 0.5 + 2.5 * density, work.done ? 1 : 1 / part, work.all ? 0.42 : 0.95);
   }
 }

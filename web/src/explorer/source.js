@@ -1,15 +1,10 @@
 // Where the episodes come from: the server, or this page itself.
 
 
+import { inflate } from "../unpack.js";
 
 /** Rows of one request. */
 const CHUNK = 50000;
-
-async function inflate(text) {
-  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
-  return new Uint8Array(await new Response(stream).arrayBuffer());
-}
 
 /** The numbers of a packed column. The format is described in crates/robogate-replay/src/pack.rs. */
 async function floats(text) {
@@ -30,6 +25,7 @@ class Contained {
   async load(data) {
     data.describe(this.document.state);
     data.append(await Promise.all(this.document.columns.map(floats)));
+    data.isSample = data.rows < this.document.state.rows;
     return true;
   }
 
@@ -39,14 +35,15 @@ class Contained {
 
   /** Whether an episode can be played. */
   has(run, index) {
-    return this.document.episodes.some(([r, i]) => r === run && i === index);
+    return this.document.episodes.some((one) => one.run === run && one.index === index);
   }
 
+  /** An episode, and its nearest passing twin: { reel, at, twin }. The places are those in the reel. */
   async clip(run, index) {
-    const at = this.document.episodes.findIndex(([r, i]) => r === run && i === index);
+    const at = this.document.episodes.findIndex((one) => one.run === run && one.index === index);
     if (at < 0) return null;
     this.content ??= JSON.parse(this.reel);
-    return { reel: this.content, at };
+    return { reel: this.content, at, twin: this.document.episodes[at].twin };
   }
 
   get episodes() {
@@ -92,7 +89,8 @@ class Served {
   }
 
   async clip(run, index) {
-    return { reel: await (await this.get(`/v1/clip?run=${run}&index=${index}`)).json(), at: 0 };
+    const { reel, twin } = await (await this.get(`/v1/clip?run=${run}&index=${index}`)).json();
+    return { reel, at: 0, twin };
   }
 
   get episodes() {

@@ -32,10 +32,11 @@ export class Summary {
 
   draw() {
     const { data, selection } = this.explorer;
-    if (!selection.runs) return;
+    if (!selection.counts) return;
+    const { runs } = selection;
     const chosen = !selection.isEmpty;
     const several = data.runs.length > 1;
-    this.rates.replaceChildren(...selection.runs.map((of, at) => this.rate(of, several ? data.runs[at].name : null, chosen)));
+    this.rates.replaceChildren(...runs.map((of, at) => this.rate(of, several ? data.runs[at].name : null, chosen)));
     this.caution.textContent = chosen
       ? "You chose this selection after you saw its outcomes, so its interval is too narrow, and a difference from the rest is not a test. Run new episodes in this region to test it."
       : "";
@@ -43,7 +44,7 @@ export class Summary {
     this.drawLegend();
     this.drawChips();
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => { this.live.textContent = selection.runs.map((of, at) => this.sentence(of, several ? data.runs[at].name : "")).join(" "); }, 700);
+    this.timer = setTimeout(() => { this.live.textContent = runs.map((of, at) => this.sentence(of, several ? data.runs[at].name : "")).join(" "); }, 700);
   }
 
   sentence(of, name) {
@@ -59,7 +60,7 @@ export class Summary {
     bar.children[0].style.width = `${100 * (high - low)}%`;
     bar.children[1].style.left = of.n ? `${(100 * of.k) / of.n}%` : "-10px";
     const more = [];
-    if (of.focused > 0) more.push(`${count(of.focused)} of the boundary or active stage do not count: many of them were sampled where failures are likely.`);
+    if (of.focused > 0) more.push(`${count(of.focused)} that the boundary or active stage chose do not count: most were sampled where failures are likely.`);
     if (of.invalid > 0) more.push(`${count(of.invalid)} invalid.`);
     return element(
       "div", { class: "x-rate" },
@@ -74,9 +75,8 @@ export class Summary {
   /** One button per class, which keeps it alone or gives it up. */
   drawLegend() {
     const { data, selection, colours } = this.explorer;
-    const { column, classes, palette, labels, sets } = colours;
-    const counts = new Array(palette.length).fill(0);
-    for (let row = 0; row < data.rows; row++) if (selection.has(row)) counts[classes[row]] += 1;
+    const { column, palette, labels, sets } = colours;
+    const counts = selection.kinds;
     this.legend.setAttribute("aria-label", `Colours: ${named(column)}. Press one to select it.`);
     const filter = selection.filters.get(column);
     const kept = Math.max(1, selection.kept);

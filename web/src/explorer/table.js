@@ -4,7 +4,7 @@ import { element } from "./dom.js";
 import { css } from "./colours.js";
 import { count, named, shown } from "./data.js";
 
-const ROW = 30, MOST = 300000;
+const ROW = 30, MOST = 20000;
 
 export class Table {
   constructor(parent, explorer) {
@@ -39,10 +39,8 @@ export class Table {
 
   collect() {
     const { data, selection } = this.explorer;
-    const rows = new Uint32Array(Math.min(selection.kept, MOST));
-    let n = 0;
-    for (let row = 0; row < data.rows && n < rows.length; row++) if (selection.has(row)) rows[n++] = row;
     const { column, down } = this.order;
+    const rows = column && selection.kept > MOST ? this.ends(column, down) : this.first();
     if (column) {
       const { values } = column, sign = down ? -1 : 1;
       // Missing values are last in both directions.
@@ -52,10 +50,32 @@ export class Table {
         return sign * (x - y) || a - b;
       });
     }
-    this.rows = rows;
-    this.active = Math.min(this.active, Math.max(0, rows.length - 1));
-    const more = selection.kept > MOST ? ` The list shows the first ${count(MOST)}.` : "";
+    this.rows = rows.length > MOST ? rows.subarray(0, MOST) : rows;
+    this.active = Math.min(this.active, Math.max(0, this.rows.length - 1));
+    const more = selection.kept > MOST ? ` The list shows ${count(MOST)} of them.` : "";
     this.note.textContent = `${count(selection.kept)} episodes.${more}`;
+  }
+
+  /** The first selected rows. */
+  first() {
+    const { data, selection } = this.explorer;
+    const rows = new Uint32Array(Math.min(selection.kept, MOST));
+    let n = 0;
+    for (let row = 0; row < data.rows && n < rows.length; row++) if (selection.has(row)) rows[n++] = row;
+    return rows;
+  }
+
+  /** The selected rows with the smallest or the largest values, at least as many as the list shows. Of very many equal values, some. */
+  ends(column, down) {
+    const { data, selection } = this.explorer;
+    const { rows, starts, bins } = data.order(column);
+    const found = [], most = column.kind === "number" ? 4 * MOST : MOST;
+    for (let i = 0; i < bins && found.length < MOST; i++) {
+      const bin = down ? bins - 1 - i : i;
+      for (let at = starts[bin]; at < starts[bin + 1] && found.length < most; at++) if (selection.has(rows[at])) found.push(rows[at]);
+    }
+    for (let row = 0; row < data.rows && found.length < MOST; row++) if (column.values[row] !== column.values[row] && selection.has(row)) found.push(row);
+    return Uint32Array.from(found);
   }
 
   get columns() {

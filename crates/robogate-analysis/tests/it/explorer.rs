@@ -1,8 +1,9 @@
 //! Tests of the columns of the explorer.
 
-use robogate_analysis::{ExplorerTable, Role, ValueKind};
+use robogate_analysis::{Analysis, ExplorerTable, Role, Source, ValueKind, worth_watching};
+use robogate_core::Outcome;
 
-use crate::synthetic::{law, provenance, space};
+use crate::synthetic::{law, provenance, space, write};
 
 fn column<'a>(table: &'a ExplorerTable, name: &str) -> &'a robogate_analysis::ExplorerColumn {
     table.columns().iter().find(|column| column.name == name).unwrap()
@@ -57,4 +58,29 @@ fn runs_share_columns_of_one_name() {
     assert_eq!(column(&table, "run").levels, ["a", "b"]);
     table.clear();
     assert_eq!((table.rows(), column(&table, "shape").levels.len()), (0, 3));
+}
+
+#[test]
+fn twins_equal_those_of_the_report() {
+    let space = space(&["box", "sphere"]);
+    let entries = law(&space, 400);
+    let mut table = ExplorerTable::new();
+    let run = table.add_run("a", &provenance(space.clone()));
+    entries.iter().for_each(|entry| table.push(run, entry));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rows.parquet");
+    write(&path, &space, entries.clone());
+    let source = Source::open(&path).unwrap();
+    let analysis = Analysis::of(&source, &path, &[]).unwrap();
+    let watched = worth_watching(&source, &analysis, 12).unwrap();
+    let failed: Vec<_> = watched.iter().filter_map(|one| Some((one.episode.index, one.twin.as_ref()?))).collect();
+    assert!(failed.len() > 2, "{watched:?}");
+    for (index, twin) in failed {
+        let found = table.passing_twin(run, index).unwrap();
+        assert_eq!((found.index, &found.differences), (twin.episode.index, &twin.differences), "episode {index}");
+    }
+    let passed = entries.iter().find(|entry| entry.episode.outcome == Outcome::Success).unwrap();
+    assert_eq!(table.passing_twin(run, passed.index()), None);
+    assert_eq!(table.passing_twin(run, 400), None, "an episode that does not exist");
+    assert_eq!(table.passing_twin(1, 0), None, "a run that does not exist");
 }

@@ -7,11 +7,14 @@ function el(tag, attributes, ...children) {
   node.append(...children);
   return node;
 }
-const percent = x => x == null ? "-" : (100 * x).toFixed(1) + " %";
+// A percent sign stays on the line of its number.
+const percent = x => x == null ? "-" : (100 * x).toFixed(1) + "\u00a0%";
 const whole = x => Math.round(x).toLocaleString("en");
 const short = x => String(Number(x.toPrecision(3)));
 const time = s => new Date(1000 * s).toISOString().replace("T", " ").slice(0, 19);
 const range = ([low, high]) => percent(low) + " to " + percent(high);
+// A sentence of the monitor, whose names stand between backticks.
+const said = text => text.replaceAll(" %", "\u00a0%").split("`").map((part, i) => i % 2 ? el("code", {}, part) : part);
 let token = sessionStorage.getItem("token") || "";
 async function get(path) {
   const answer = await fetch(path, token ? { headers: { authorization: "Bearer " + token } } : {});
@@ -29,7 +32,7 @@ $("login").addEventListener("submit", event => {
 // Evidence grows by factors, so the bar has a logarithmic scale. It is full at the limit.
 const share = ([evidence, limit]) => Math.max(0, Math.min(1, Math.log1p(evidence) / Math.log1p(limit)));
 function detector(d) {
-  if (!d.levels) return el("div", { class: "level" }, el("span", {}, d.label), el("span", { class: "dim" }, d.because), el("span"));
+  if (!d.levels) return el("div", { class: "level" }, el("span", {}, d.label), el("span", { class: "dim because" }, d.because));
   const [, critical] = d.levels, full = d.standing === "critical" ? 1 : share(critical);
   const track = el("span", { class: "track", role: "meter", "aria-valuemin": 0, "aria-valuemax": 100,
     "aria-valuenow": Math.round(100 * full), "aria-label": d.label + ": evidence relative to its critical limit" },
@@ -44,7 +47,7 @@ function draw(tag, attributes, text) {
   if (text != null) node.textContent = text;
   return node;
 }
-const WIDE = 340, HIGH = 110, LEFT = 46, TOP = 8, LOW = HIGH - 20;
+const WIDE = 340, HIGH = 114, LEFT = 46, TOP = 12, LOW = HIGH - 20;
 const hint = text => draw("title", {}, text);
 // The frame of a chart over the cycles of a recipe, with the marks of alarms.
 function frame(charts, marks, label) {
@@ -72,7 +75,7 @@ function round(x) {
   return power * [1, 2, 5, 10].find(step => step * power >= x * 0.999);
 }
 function metric(charts, m, marks) {
-  const show = m.share ? x => String(Number((100 * x).toPrecision(3))) + " %" : x => String(Number(x.toPrecision(3))) + " s";
+  const show = m.share ? x => String(Number((100 * x).toPrecision(3))) + "\u00a0%" : x => String(Number(x.toPrecision(3))) + "\u00a0s";
   const seen = [...m.values, ...m.intervals_95.flatMap(i => i || []), ...(m.bounds || []), m.baseline].filter(x => x != null);
   let low = 0, high = Math.min(m.share ? 1 : Infinity, round(Math.max(...seen)));
   if (!m.share) {
@@ -199,7 +202,7 @@ function cycles() {
     const near = [...similar(chosen.nearest, "Nearest simulated episode"),
       ...(chosen.nearest && chosen.nearest_failure && chosen.nearest.index === chosen.nearest_failure.index ? [] :
         similar(chosen.nearest_failure, "Nearest simulated failure"))];
-    $("around").replaceChildren(`${chosen.alarm.recipe}: ${chosen.alarm.what} (cycle ${chosen.alarm.cycle_id}). `, back,
+    $("around").replaceChildren(`${chosen.alarm.recipe}: `, ...said(chosen.alarm.what), ` (cycle ${chosen.alarm.cycle_id}) `, back,
       ...(near.length ? [el("div", {}, `The last failed cycle with parameters is ${chosen.like}.`), ...near] :
         [el("div", { class: "dim" }, "No simulated episode to compare with: start the monitor with --episodes RUN, and report parameters with the cycles.")]));
   }
@@ -222,11 +225,11 @@ function alarm(a, word, level) {
   const since = a.since && `Since cycle ${whole(a.since.cycle)} (${time(a.since.time_s)} UTC), 95 %: ` +
     `${whole(a.since.cycles_95[0])}${a.since.or_before ? " or before" : ""} to ${whole(a.since.cycles_95[1])}.`;
   return el("section", { class: "card" },
-    el("h3", {}, el("span", {}, `${a.recipe}: ${a.what}`),
+    el("h3", {}, el("span", {}, `${a.recipe}: `, ...said(a.what)),
       el("span", { class: level || "dim" }, word)),
     el("div", { class: "dim" }, `${time(a.time_s)} UTC, ${a.rule === "paper" ? "the paper's rule" : "detector"}, cycle ${whole(a.cycle)} ` +
       `(${a.cycle_id}), ${a.robot}`),
-    ...(since ? [el("div", {}, since)] : []), el("div", {}, a.how_sure),
+    ...(since ? [el("div", {}, since)] : []), el("div", {}, ...said(a.how_sure)),
     ...(a.look_at.length ? [el("ul", {}, ...a.look_at.map(text => el("li", {}, text)))] : []));
 }
 function robots(f) {

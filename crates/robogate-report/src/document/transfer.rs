@@ -2,12 +2,12 @@
 
 use robogate_analysis::labels::{mode_label, parameter_label};
 use robogate_analysis::transfer::{Transfer, WithInterval};
-use robogate_stats::format::{count, fixed, percent, percent_range, range};
+use robogate_stats::format::{count, fixed, percent, percent_range, range, sentence};
 
 use super::Kind::{Number, Short, Text};
 use super::{Block, Document, Section, Table, plain_p};
 use crate::figures;
-use crate::text::TransferHeadline;
+use crate::text::{TransferHeadline, next_trials};
 
 pub(crate) fn transfer_document(of: &Transfer) -> Document {
     let headline = TransferHeadline::of(of);
@@ -23,7 +23,7 @@ pub(crate) fn transfer_document(of: &Transfer) -> Document {
     };
     Document {
         kind: "transfer",
-        title: format!("{} on the real {}", of.simulation.policy, of.simulation.robot),
+        title: format!("{} policy on the real {}", sentence(&of.simulation.policy), of.simulation.robot),
         subtitle: format!(
             "{} trials of the real robot, {} episodes in {}",
             count(of.real.trials),
@@ -93,11 +93,8 @@ fn next(of: &Transfer) -> Section {
             .iter()
             .map(|trial| vec![trial.setting.clone(), percent(trial.simulated), percent(trial.expected)]);
         blocks.push(Block::Text(format!(
-            "These settings are a random sample of the population with one from each tenth by predicted success. They are expected \
-             to narrow the interval from ±{} to ±{} points. Without the simulation this would need {} more trials.",
-            fixed(100.0 * next.half_width, 1),
-            fixed(100.0 * next.expected_half_width, 1),
-            count(next.without_simulation)
+            "These settings are a random sample of the population with one from each tenth by predicted success. {}",
+            next_trials(next)
         )));
         let columns = [("setting", Text), ("simulated success", Number), ("corrected", Number)];
         blocks.push(Block::Table(Table::new("Trials to run next", &columns, rows.collect())));

@@ -28,6 +28,7 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> M
     let curve = drawn_frontier(map, frontier).is_some();
     let drop = drop(&map.x, w);
     let mut svg = Svg::new(WIDTH, bottom + drop + if curve { 112.0 } else { 92.0 });
+    let mut numbers = Vec::new();
     for (i, cell) in map.cells.iter().enumerate() {
         let (row, column) = (i / nx, i % nx);
         let place = [LEFT + w * column as f64 + 0.75, bottom - h * (row + 1) as f64 + 0.75, w - 1.5, h - 1.5];
@@ -58,22 +59,14 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> M
         if classified {
             mark(&mut svg, [place[0] + place[2], place[1]]);
         }
-        let ink = format!("t{step}{}", if classified { "" } else { " light" });
+        // The numbers are above the frontier, each with a rim in the colour of its cell.
+        let ink = format!("t{step} rim h{step}{}", if classified { "" } else { " light" });
+        let success = format!("{:.0}", 100.0 * rate);
         if w >= 26.0 && h >= 30.0 {
-            svg.text(
-                &format!("v {ink}"),
-                Anchor::Middle,
-                [middle[0], middle[1] + 1.0],
-                &format!("{:.0}", 100.0 * rate),
-            );
-            svg.text(&format!("n {ink}"), Anchor::Middle, [middle[0], middle[1] + 13.0], &count(cell.rate.n));
+            numbers.push((format!("v {ink}"), [middle[0], middle[1] + 1.0], success));
+            numbers.push((format!("n {ink}"), [middle[0], middle[1] + 13.0], count(cell.rate.n)));
         } else if w >= 20.0 {
-            svg.text(
-                &format!("n {ink}"),
-                Anchor::Middle,
-                [middle[0], middle[1] + 4.0],
-                &format!("{:.0}", 100.0 * rate),
-            );
+            numbers.push((format!("n {ink}"), [middle[0], middle[1] + 4.0], success));
         }
     }
     if let Some(frontier) = drawn_frontier(map, frontier) {
@@ -82,6 +75,9 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> M
         svg.clipped(id, [LEFT, TOP, WIDTH - LEFT - RIGHT, bottom - TOP], |svg| {
             draw_frontier(svg, frontier, across, up)
         });
+    }
+    for (class, place, text) in &numbers {
+        svg.text(class, Anchor::Middle, *place, text);
     }
     ticks(&mut svg, map, [w, h], bottom, drop);
     legend(&mut svg, bottom + drop + 56.0, drawn_frontier(map, frontier));

@@ -3,22 +3,25 @@
 use std::fmt::Write;
 
 use maud::{Markup, html};
+use robogate_analysis::labels::label_with_unit;
 use robogate_gate::{DriverForm, Fleet, FleetUnit, UnitDriver, UnitPlaces, Verdict};
 use robogate_stats::format::{count, fixed, number, percent, percent_range};
 
-use crate::html::{frame, prose};
+use crate::html::{frame, prose, rich};
 use crate::markdown::escape_markdown;
 
 /// The result of a fleet in one sentence.
 pub fn fleet_headline(fleet: &Fleet) -> String {
     let share = &fleet.share;
     format!(
-        "{} of {} units meet the requirements `{}`, {} violate them, {} are undecided",
+        "{} of {} units meet the requirements `{}`, {} {} them, {} {} undecided",
         share.meets,
         fleet.units.len(),
         fleet.requirements.name,
         share.violates,
-        share.undecided
+        if share.violates == 1 { "violates" } else { "violate" },
+        share.undecided,
+        if share.undecided == 1 { "is" } else { "are" }
     )
 }
 
@@ -164,7 +167,7 @@ pub fn fleet_html(fleet: &Fleet) -> String {
     let body = html! {
         header.top {
             p.brand { b { "RoboGate" } " fleet" }
-            h1 { (prose(&fleet_headline(fleet))) }
+            h1 { (rich(&fleet_headline(fleet))) }
             p.sub { (prose(&subject(fleet))) }
             (share_scale(fleet))
             @for text in fleet_share(fleet) { p.answer { (prose(&text)) } }
@@ -173,7 +176,7 @@ pub fn fleet_html(fleet: &Fleet) -> String {
         main {
             section {
                 header { h2 { "What distinguishes failing units" } }
-                ul.plain { @for text in fleet_drivers(fleet) { li { (prose(&text)) } } }
+                ul.plain { @for text in fleet_drivers(fleet) { li { (rich(&text)) } } }
                 (parameters(fleet))
                 p.text { (prose(TEST)) }
             }
@@ -196,17 +199,22 @@ pub fn fleet_html(fleet: &Fleet) -> String {
     frame("Fleet", &body, false)
 }
 
-/// The interval of the share on a line from 0 to 100 %.
+/// The interval of the share, and the required share, on an axis from 0 to 100 %.
 fn share_scale(fleet: &Fleet) -> Markup {
-    let [low, high] = fleet.share.interval_95.map(|share| 100.0 * share);
+    let x = |share: f64| 16.0 + 320.0 * share;
+    let [low, high] = fleet.share.interval_95;
     html! {
-        svg viewBox="-1 0 102 14" width="320" height="40" role="img"
-            aria-label={ "share of units from " (fixed(low, 1)) " to " (fixed(high, 1)) " %" } style="display:block"
+        svg viewBox="0 0 352 40" width="352" height="40" role="img" style="display:block"
+            aria-label={ "share of units from " (percent(low)) " to " (percent(high)) }
         {
-            line x1="0" y1="7" x2="100" y2="7" stroke="var(--line)" {}
-            rect x=(fixed(low, 2)) y="4" width=(fixed((high - low).max(0.5), 2)) height="6" fill="var(--band)" {}
+            line x1=(fixed(x(0.0), 1)) y1="11" x2=(fixed(x(1.0), 1)) y2="11" stroke="var(--line)" {}
+            rect x=(fixed(x(low), 1)) y="5" width=(fixed((x(high) - x(low)).max(1.5), 1)) height="12" fill="var(--accent)" opacity="0.5" {}
+            @for tick in [0.0, 0.25, 0.5, 0.75, 1.0] {
+                line x1=(fixed(x(tick), 1)) y1="11" x2=(fixed(x(tick), 1)) y2="20" stroke="var(--line)" {}
+                text.s.d x=(fixed(x(tick), 1)) y="34" text-anchor="middle" { (fixed(100.0 * tick, 0)) "\u{a0}%" }
+            }
             @if let Some(required) = fleet.required_share {
-                line x1=(fixed(100.0 * required, 2)) y1="1" x2=(fixed(100.0 * required, 2)) y2="13" stroke="var(--accent)" {}
+                line x1=(fixed(x(required), 1)) y1="1" x2=(fixed(x(required), 1)) y2="21" stroke="var(--ink)" stroke-width="2" {}
             }
         }
     }
@@ -227,7 +235,7 @@ fn parameters(fleet: &Fleet) -> Markup {
                 tbody {
                     @for of in fleet.places() {
                         tr {
-                            th scope="row" { (prose(&of.parameter)) }
+                            th scope="row" { (prose(&label_with_unit(&of.parameter))) }
                             td { (strip(&of)) }
                             @for cell in parameter_cells(fleet, &of) { td { (prose(&cell)) } }
                         }

@@ -8,7 +8,7 @@ use robogate_gate::{Leaderboard, Standing};
 use crate::html::{frame, prose};
 use crate::markdown::escape_markdown;
 use robogate_analysis::labels::mode_label;
-use robogate_stats::format::{count, fixed, percent, percent_range};
+use robogate_stats::format::{count, counted, fixed, percent, percent_range};
 
 /// The cells of one policy.
 struct Line {
@@ -131,7 +131,7 @@ pub fn leaderboards_html(title: &str, boards: &[Leaderboard]) -> String {
         header.top {
             p.brand { b { "RoboGate" } " leaderboard" }
             h1 { (prose(title)) }
-            p.sub { (prose(&format!("{policies} runs on {} sets of scenarios", boards.len()))) }
+            p.sub { (prose(&format!("{} on {} of scenarios", counted(policies as u64, "run"), counted(boards.len() as u64, "set")))) }
         }
         main {
             @for board in boards {

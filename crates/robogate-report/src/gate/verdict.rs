@@ -116,8 +116,12 @@ fn because(evaluation: &Evaluation, requirements: &[VerdictRow]) -> String {
     robogate_stats::format::sentence(&format!("{}.", evaluation.because.trim_end_matches('.')))
 }
 
-/// The scenario groups with the lowest success rates, as sentences.
+/// The scenario groups with the lowest success rates, as sentences. A single group, such as that of sampled scenarios, is not
+/// weaker than another one.
 fn weakest(evaluation: &Evaluation) -> Vec<String> {
+    if evaluation.groups.len() < 2 {
+        return Vec::new();
+    }
     let rate = |successes: u64, valid: u64| successes as f64 / valid.max(1) as f64;
     let mut groups: Vec<_> = evaluation.groups.iter().filter(|group| group.successes < group.valid).collect();
     groups.sort_by(|a, b| rate(a.successes, a.valid).total_cmp(&rate(b.successes, b.valid)));

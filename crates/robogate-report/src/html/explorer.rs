@@ -4,8 +4,9 @@ use maud::{DOCTYPE, PreEscaped, html};
 
 use super::policy;
 use super::prose::prose;
+use super::watch::VIEWER;
 
-/// The explorer, bundled from web/src/explorer/main.js.
+/// The explorer, bundled from web/src/explorer/main.js. It uses the viewer of the script before it.
 const SCRIPT: &str = include_str!("explorer.js");
 /// Colours and the viewer of episodes.
 const STYLE: &str = include_str!("style.css");
@@ -25,6 +26,7 @@ pub fn explorer_page(runs: &str, data: Option<(&str, &str)>) -> (String, String)
             script type="application/json" id="explorer-data" { (PreEscaped(episodes)) }
             script type="application/json" id="explorer-reel" { (PreEscaped(reel)) }
         }
+        script { (PreEscaped(VIEWER)) }
         script { (PreEscaped(SCRIPT)) }
     };
     let style = format!("{STYLE}{OWN_STYLE}");

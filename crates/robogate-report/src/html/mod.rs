@@ -12,7 +12,7 @@ use robogate_analysis::transfer::Transfer;
 use robogate_analysis::{Analysis, Comparison};
 
 pub use explorer::explorer_page;
-pub(crate) use prose::prose;
+pub(crate) use prose::{prose, rich};
 
 use crate::Additions;
 use crate::document::{
@@ -106,13 +106,13 @@ fn hero(document: &Document) -> Markup {
                     (document.scale)
                     p.ci-text { (prose(&document.interval)) }
                 }
-                div.say { p.answer { (prose(&document.answer)) } }
+                div.say { p.answer { (rich(&document.answer)) } }
             }
             div.three {
                 @for (title, lines) in &document.columns {
                     section {
                         h2 { (prose(title)) }
-                        ul { @for line in lines { li { (prose(line)) } } }
+                        ul { @for line in lines { li { (rich(line)) } } }
                     }
                 }
             }
@@ -139,7 +139,7 @@ const OPEN: [&str; 5] = ["watch", "marginal-effects", "rates", "paired", ENVELOP
 const ENVELOPE: &str = "envelope";
 
 fn section(section: &Section, below_verdict: bool) -> Markup {
-    let of = html! { @if let Some(population) = &section.population { p.of { (prose(population)) } } };
+    let of = html! { @if let Some(population) = &section.population { p.of { (rich(population)) } } };
     let blocks = html! { @for one in &section.blocks { (block(one)) } };
     let open = OPEN.iter().any(|id| section.id.starts_with(id)) && !(below_verdict && section.id == ENVELOPE);
     html! {
@@ -156,8 +156,8 @@ fn section(section: &Section, below_verdict: bool) -> Markup {
 
 fn block(block: &Block) -> Markup {
     match block {
-        Block::Text(text) => html! { p.text { (prose(text)) } },
-        Block::Caution(text) => html! { p.caution { (prose(text)) } },
+        Block::Text(text) => html! { p.text { (rich(text)) } },
+        Block::Caution(text) => html! { p.caution { (rich(text)) } },
         Block::Code(text) => html! { pre { (prose(text)) } },
         Block::Heading(text) => html! { h3 { (prose(text)) } },
         Block::List(lines) => list("plain", lines),
@@ -180,7 +180,7 @@ fn block(block: &Block) -> Markup {
 }
 
 fn list(class: &str, lines: &[String]) -> Markup {
-    html! { ul class=(class) { @for line in lines { li { (prose(line)) } } } }
+    html! { ul class=(class) { @for line in lines { li { (rich(line)) } } } }
 }
 
 fn figure(figure: &Figure, class: &str) -> Markup {
@@ -191,7 +191,7 @@ fn figure(figure: &Figure, class: &str) -> Markup {
                 div.draw.map[figure.is_map] { (figure.svg) }
                 figcaption {
                     @if !figure.findings.is_empty() { (list("reading", &figure.findings)) }
-                    @if !figure.caption.is_empty() { p { (prose(&figure.caption)) } }
+                    @if !figure.caption.is_empty() { p { (rich(&figure.caption)) } }
                 }
             }
             (folded(&figure.table))
@@ -225,7 +225,7 @@ fn table(table: &Table) -> Markup {
                 }
             }
         }
-        @if let Some(remark) = &table.remark { p.remark { (prose(remark)) } }
+        @if let Some(remark) = &table.remark { p.remark { (rich(remark)) } }
     }
 }
 

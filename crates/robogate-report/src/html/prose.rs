@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::fmt::Write;
 
-use maud::{Escaper, Render};
+use maud::{Escaper, Markup, Render, html};
 use robogate_stats::format::is_deceptive;
 
 /// Prepares a text for a page: a percent sign stays on the line of its number, and characters that XML does not allow
@@ -27,6 +27,22 @@ impl Render for Prose<'_> {
             };
             // Writing to a string cannot fail.
             let _ = escaped.write_char(letter);
+        }
+    }
+}
+
+/// A sentence for a page. What it has between backticks is code.
+pub(crate) fn rich(text: &str) -> Markup {
+    let parts: Vec<&str> = text.split('`').collect();
+    html! {
+        @for (at, part) in parts.iter().enumerate() {
+            @if at % 2 == 0 {
+                (prose(part))
+            } @else if at + 1 < parts.len() {
+                code { (prose(part)) }
+            } @else {
+                "`" (prose(part))
+            }
         }
     }
 }
@@ -56,6 +72,13 @@ mod tests {
     #[test]
     fn data_for_scripts_is_inert() {
         assert_eq!(inert("{\"name\":\"\u{202e}ssap\u{9b}\"}\n"), "{\"name\":\"\u{fffd}ssap\u{fffd}\"}\n");
+    }
+
+    #[test]
+    fn backticks_become_code() {
+        assert_eq!(rich("run `a<b` 5 % now").into_string(), "run <code>a&lt;b</code> 5\u{a0}% now");
+        assert_eq!(rich("one ` alone").into_string(), "one ` alone");
+        assert_eq!(rich("`a` and ` b").into_string(), "<code>a</code> and ` b");
     }
 
     #[test]

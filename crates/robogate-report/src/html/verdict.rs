@@ -3,14 +3,14 @@
 use maud::{Markup, html};
 use robogate_gate::Status;
 
-use super::prose::prose;
+use super::prose::{prose, rich};
 use crate::gate::{VerdictBlock, sign};
 
 pub(super) fn verdict(of: &VerdictBlock) -> Markup {
     html! {
         section class={ "verdict " (of.verdict.as_str()) } aria-label="Verdict" {
             p.verdict-word { (of.word()) }
-            p.verdict-because { (prose(&of.because)) }
+            p.verdict-because { (rich(&of.because)) }
             ul.requirements {
                 @for one in &of.requirements {
                     li class=(status(one.row.status)) {
@@ -25,16 +25,16 @@ pub(super) fn verdict(of: &VerdictBlock) -> Markup {
                     }
                 }
             }
-            p.verdict-next { b { "Next step" } " " (prose(&of.next)) }
+            p.verdict-next { b { "Next step" } " " (rich(&of.next)) }
             @if !of.weakest.is_empty() {
                 p.verdict-head { "Weakest scenarios" }
-                ul.verdict-weakest { @for line in &of.weakest { li { (prose(line)) } } }
+                ul.verdict-weakest { @for line in &of.weakest { li { (rich(line)) } } }
             }
             @if !of.controls.is_empty() {
                 p.verdict-head { "Controls" }
-                ul.verdict-weakest { @for line in &of.controls { li { (prose(line)) } } }
+                ul.verdict-weakest { @for line in &of.controls { li { (rich(line)) } } }
             }
-            details { summary { "How this was decided" } p.remark { (prose(&of.basis)) } }
+            details { summary { "How this was decided" } p.remark { (rich(&of.basis)) } }
         }
     }
 }

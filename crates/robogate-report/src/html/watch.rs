@@ -2,11 +2,11 @@
 
 use maud::{Markup, PreEscaped, html};
 
-use super::prose::prose;
+use super::prose::{prose, rich};
 use crate::watch::{Watch, WatchItem};
 
-/// The viewer, bundled from web/src/viewer.js.
-const VIEWER: &str = include_str!("viewer.js");
+/// The viewer with three.js, bundled from web/src/replays.js.
+pub(super) const VIEWER: &str = include_str!("viewer.js");
 
 /// The list, and the place of the viewer.
 pub(super) fn watch(watch: &Watch) -> Markup {
@@ -19,7 +19,7 @@ pub(super) fn watch(watch: &Watch) -> Markup {
                 }
             }
         }
-        @for remark in &watch.remarks { p.remark { (prose(remark)) } }
+        @for remark in &watch.remarks { p.remark { (rich(remark)) } }
     }
 }
 

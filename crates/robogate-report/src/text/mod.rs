@@ -10,7 +10,7 @@ pub use analysis::{Headline, low_side};
 pub use analysis_limits::limits;
 pub use comparison::ComparisonHeadline;
 pub use comparison_limits::comparison_limits;
-pub use transfer::TransferHeadline;
+pub use transfer::{TransferHeadline, next_trials};
 
 use robogate_analysis::labels::parameter_label;
 use robogate_stats::format::list;

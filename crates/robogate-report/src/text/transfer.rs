@@ -2,7 +2,7 @@
 
 use robogate_analysis::Finding;
 use robogate_analysis::labels::{mode_label, parameter_label};
-use robogate_analysis::transfer::Transfer;
+use robogate_analysis::transfer::{NextTrials, Transfer};
 use robogate_stats::format::{count, counted, fixed, list, percent, percent_or_dash, percent_range, sentence};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -18,6 +18,20 @@ pub struct TransferHeadline {
     pub what_differs: Vec<String>,
     /// What the figures assume.
     pub limits: Vec<String>,
+}
+
+/// What the trials to run next are expected to give.
+pub fn next_trials(next: &NextTrials) -> String {
+    let mut text = format!(
+        "They are expected to narrow the interval from ±{} to ±{} points.",
+        fixed(100.0 * next.half_width, 1),
+        fixed(100.0 * next.expected_half_width, 1)
+    );
+    // Without a saving, the number would be that of these trials or less.
+    if next.without_simulation > next.settings.len() as u64 {
+        text += &format!(" Without the simulation this would need {} more trials.", count(next.without_simulation));
+    }
+    text
 }
 
 impl TransferHeadline {

@@ -7,7 +7,7 @@ use anyhow::Context;
 use clap::Args;
 use robogate_analysis::AnalysisError;
 use robogate_analysis::transfer::{Transfer, TransferOptions};
-use robogate_report::{TransferHeadline, transfer_html, transfer_json};
+use robogate_report::{TransferHeadline, next_trials, transfer_html, transfer_json};
 use robogate_stats::format::{fixed, range};
 
 use crate::commands::analyze::{heading, interval};
@@ -124,13 +124,7 @@ fn print(of: &Transfer) {
                 percent(trial.expected)
             ));
         }
-        wrapped(&format!(
-            "They are expected to narrow the interval from ±{} to ±{} points. Without the simulation this would need {} more \
-             trials.",
-            fixed(100.0 * next.half_width, 1),
-            fixed(100.0 * next.expected_half_width, 1),
-            grouped(next.without_simulation)
-        ));
+        wrapped(&next_trials(next));
     }
     heading("Assumptions");
     headline.limits.iter().for_each(|text| wrapped(text));

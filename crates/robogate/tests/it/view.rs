@@ -154,8 +154,18 @@ fn server_admits_its_own_page_only() {
     assert_eq!((&state["rows"], &state["runs"][0]["finished"]), (&json!(120), &json!(true)));
     let columns = state["columns"].as_array().unwrap().len();
     assert_eq!(server.get("/v1/rows?epoch=1&from=20&to=70").2.len(), 4 * 50 * columns);
-    let reel = server.json("/v1/clip?run=0&index=7");
-    assert_eq!(reel["clips"][0]["title"], json!("Episode 7"));
+    let clip = server.json("/v1/clip?run=0&index=7");
+    assert_eq!(clip["reel"]["clips"][0]["title"], json!("Episode 7"));
+    // A failed episode comes with its nearest passing twin.
+    let entries = Dictionary::open(&dir.path().join("a/dictionary.parquet")).unwrap();
+    let outcomes: Vec<Outcome> = entries.entries().map(|entry| entry.unwrap().episode.outcome).collect();
+    let failed = outcomes.iter().position(|outcome| matches!(outcome, Outcome::Failure(_))).unwrap();
+    let clip = server.json(&format!("/v1/clip?run=0&index={failed}"));
+    let twin = clip["twin"]["index"].as_u64().unwrap() as usize;
+    assert_eq!((&outcomes[twin], &clip["twin"]["at"]), (&Outcome::Success, &json!(1)));
+    assert_eq!(clip["reel"]["clips"][1]["title"], json!(format!("Episode {twin}")));
+    let passed = outcomes.iter().position(|outcome| *outcome == Outcome::Success).unwrap();
+    assert_eq!(server.json(&format!("/v1/clip?run=0&index={passed}"))["twin"], Value::Null);
 }
 
 #[test]
@@ -183,7 +193,7 @@ fn running_campaigns_update() {
     assert!(rows > 0);
     server.wait(|state| state["rows"].as_u64().unwrap() > rows + 20);
     // An episode of an unfinished run is played, although the run holds its lock.
-    assert_eq!(server.json("/v1/clip?run=0&index=3")["clips"][0]["title"], json!("Episode 3"));
+    assert_eq!(server.json("/v1/clip?run=0&index=3")["reel"]["clips"][0]["title"], json!("Episode 3"));
     // A killed run leaves a truncated journal.
     drop(run);
     let journal = OpenOptions::new().write(true).open(at("a/journal.rgj")).unwrap();
@@ -284,6 +294,9 @@ fn operate(browser: &mut Browser, axe: Option<&std::path::PathBuf>) {
     browser.wait(
         "document.querySelector('.x-player [data-ready]') !== null && !document.querySelector('.x-stage').hidden",
     );
+    // A failed episode is beside its nearest passing twin, on one clock.
+    browser.wait("document.querySelectorAll('.x-player .view-label').length === 2 && document.querySelector('.x-player .chip.good') !== null");
+    browser.wait("document.querySelector('.x-player > .x-reading').textContent.includes('the passing episode with the most similar parameters')");
     browser.evaluate("document.querySelector('.view-play').click()");
     browser.wait("Number(document.querySelector('.view-bar input[type=range]').value) > 0.1");
     browser.evaluate("document.querySelector('.view-play').click()");
@@ -299,8 +312,11 @@ fn operate(browser: &mut Browser, axe: Option<&std::path::PathBuf>) {
 /// The page predicts what the risk model of Rust predicts, for every episode of a run.
 fn compare_predictions(browser: &mut Browser, dictionary: &Path) {
     let dictionary = Dictionary::open(dictionary).unwrap();
-    let entries = dictionary.entries().map(|entry| {
-        let mut episode = entry.unwrap().episode;
+    // The points that the model of the active stage chose are no sample at their parameters.
+    let entries = dictionary.entries().map(Result::unwrap);
+    let entries = entries.filter(|entry| entry.stage != "active" || entry.design == "uniform");
+    let entries = entries.filter(|entry| !matches!(entry.episode.outcome, Outcome::Invalid(_))).map(|entry| {
+        let mut episode = entry.episode;
         // The page has the parameters as 32-bit numbers.
         let requested = episode.scenario.requested.clone();
         for (name, value) in requested.iter() {
@@ -311,7 +327,6 @@ fn compare_predictions(browser: &mut Browser, dictionary: &Path) {
         episode
     });
     let samples: Vec<Sample> = entries
-        .filter(|episode| !matches!(episode.outcome, Outcome::Invalid(_)))
         .map(|episode| Sample { success: episode.outcome == Outcome::Success, scenario: episode.scenario })
         .collect();
     let inputs = Inputs::new(&dictionary.provenance().space, None);
@@ -367,6 +382,63 @@ fn exported_page_is_operated() {
     assert!(first == fs::read(dir.path().join("again.html")).unwrap(), "the pages differ");
 }
 
+/// The report of a run, as JSON.
+fn analysis(folder: &Path, run: &str) -> Value {
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_robogate")).args(["analyze", run, "--json"]).current_dir(folder).output();
+    serde_json::from_slice(&output.unwrap().stdout).unwrap()
+}
+
+/// Episodes and successes of a run's selection on the page after some action.
+fn counted(browser: &mut Browser, run: usize, action: &str) -> (Value, Value) {
+    browser.evaluate(&format!("(() => {{ const e = robogateExplorer.explorer; {action} }})()"));
+    let found = browser.evaluate(&format!("robogateExplorer.explorer.selection.runs[{run}]"));
+    (found["n"].clone(), found["k"].clone())
+}
+
+/// For each design: the rate of the run, of each of its stages, and of each bin of each parameter.
+#[test]
+fn rates_equal_the_report() {
+    let Some(chromium) = robogate_testing::program("chromium") else { return };
+    let dir = TempDir::new().unwrap();
+    let designs = ["active", "two-stage", "uniform"];
+    for design in designs {
+        robogate(dir.path(), &format!("run --task pendulum --design {design} -n 300 --seed 3 --out {design}"));
+    }
+    robogate(dir.path(), &format!("view {} --export page.html --clips 0", designs.join(" ")));
+    let mut browser = Browser::start(&chromium);
+    browser.open(dir.path().join("page.html"));
+    browser.wait("document.body.dataset.modelled === 'true' && !robogateExplorer.explorer.awake");
+    for (run, design) in designs.into_iter().enumerate() {
+        let report = analysis(dir.path(), design);
+        let of = |rate: &Value| (rate["n"].clone(), rate["successes"].clone());
+        assert_eq!(counted(&mut browser, run, "e.clear()"), of(&report["success"]["rate"]), "{design}");
+        for stage in report["success"]["stages"].as_array().unwrap() {
+            let name = &stage["stage"];
+            let action =
+                format!("e.setFilter(e.data.stage, {{ levels: new Set([e.data.stage.levels.indexOf({name})]) }})");
+            let counts = counted(&mut browser, run, &action);
+            let expected =
+                if stage["population"] == json!("focused_design") { (json!(0), json!(0)) } else { of(&stage["rate"]) };
+            assert_eq!(counts, expected, "{design}: {name}");
+        }
+        let mut cells = 0;
+        for effect in report["marginal_effects"].as_array().unwrap() {
+            let name = &effect["parameter"];
+            for cell in effect["cells"].as_array().unwrap().iter().filter(|cell| cell["range"].is_array()) {
+                let [low, high] = [&cell["range"][0], &cell["range"][1]];
+                let action = format!(
+                    "e.clear(); e.setFilter(e.data.columns.find((c) => c.name === {name}), {{ low: {low}, high: {high} }})"
+                );
+                assert_eq!(counted(&mut browser, run, &action), of(&cell["rate"]), "{design}: {name} {low} to {high}");
+                cells += 1;
+            }
+        }
+        assert!(cells > 8, "{design}: {cells} cells");
+    }
+    browser.assert_no_trouble();
+}
+
 /// Results of another tool with words that would run as scripts in a careless page.
 #[test]
 fn foreign_words_stay_text() {
@@ -391,8 +463,36 @@ fn foreign_words_stay_text() {
     browser.assert_no_trouble();
 }
 
-/// Brushes 20,000 rows and prints the times of the frames. The limit is on the processor time of the page's thread for each
-/// frame, because the browser shares the processors with other tests.
+/// Appends copies of the rows with other values until the page has `rows` of them.
+fn grow(browser: &mut Browser, rows: usize) {
+    browser.evaluate(&format!(
+        "(() => {{ const e = robogateExplorer.explorer, d = e.data, known = d.rows, more = {rows} - known; \
+         d.append(d.columns.map((c) => {{ const spread = c.kind === 'number' && c.role !== 'weight' ? 0.01 * (c.high - c.low) : 0; \
+         return Float32Array.from({{ length: more }}, (_, i) => c.role === 'index' ? known + i : c.values[i % known] + spread * ((i * 0.618) % 1)); }})); \
+         e.refresh(true); }})()"
+    ));
+    browser.wait("!robogateExplorer.explorer.awake");
+}
+
+/// Moves a brush, and returns the milliseconds of processor time of the page's thread for each frame. The browser shares the
+/// processors with other tests, so wall times are only printed.
+fn brushed(browser: &mut Browser) -> f64 {
+    browser.call("Performance.enable", json!({ "timeDomain": "threadTicks" }));
+    let spent = |browser: &mut Browser| {
+        let metrics = browser.call("Performance.getMetrics", json!({}))["metrics"].clone();
+        let of = |metric: &&Value| metric["name"] == json!("TaskDuration");
+        let seconds = metrics.as_array().unwrap().iter().find(of).unwrap()["value"].as_f64().unwrap();
+        (seconds, browser.evaluate("robogateExplorer.explorer.work.frames").as_f64().unwrap())
+    };
+    let before = spent(browser);
+    let measured = browser.evaluate("robogateExplorer.measure(60)");
+    let after = spent(browser);
+    let frame_ms = 1e3 * (after.0 - before.0) / (after.1 - before.1);
+    println!("{frame_ms:.1} ms of processor time per frame; {measured}");
+    frame_ms
+}
+
+/// Brushes 20,000 and a million rows.
 #[test]
 fn many_rows_stay_interactive() {
     let Some(chromium) = robogate_testing::program("chromium") else { return };
@@ -402,19 +502,22 @@ fn many_rows_stay_interactive() {
     let mut browser = Browser::start(&chromium);
     browser.open(dir.path().join("page.html"));
     browser.wait("document.body.dataset.modelled === 'true' && !robogateExplorer.explorer.awake");
-    browser.call("Performance.enable", json!({ "timeDomain": "threadTicks" }));
-    let spent = |browser: &mut Browser| {
-        let metrics = browser.call("Performance.getMetrics", json!({}))["metrics"].clone();
-        let of = |metric: &&Value| metric["name"] == json!("TaskDuration");
-        let seconds = metrics.as_array().unwrap().iter().find(of).unwrap()["value"].as_f64().unwrap();
-        (seconds, browser.evaluate("robogateExplorer.explorer.work.frames").as_f64().unwrap())
-    };
-    let before = spent(&mut browser);
-    let measured = browser.evaluate("robogateExplorer.measure(60)");
-    let after = spent(&mut browser);
-    let frame_ms = 1e3 * (after.0 - before.0) / (after.1 - before.1);
-    println!("{frame_ms:.1} ms of processor time per frame; {measured}");
-    assert!(measured["rows"].as_u64().unwrap() >= 20_000, "{measured}");
-    assert!(frame_ms < 50.0, "{frame_ms} ms");
+    let rows = |browser: &mut Browser| browser.evaluate("robogateExplorer.explorer.data.rows").as_u64().unwrap();
+    assert!(rows(&mut browser) >= 20_000);
+    let frame_ms = brushed(&mut browser);
+    assert!(frame_ms < 50.0, "20,000 rows: {frame_ms} ms");
+    grow(&mut browser, 1_000_000);
+    assert_eq!(rows(&mut browser), 1_000_000);
+    let frame_ms = brushed(&mut browser);
+    assert!(frame_ms < 50.0, "a million rows: {frame_ms} ms");
+    // A moved brush updates the counts by the rows at its ends. They equal those of a full count.
+    for ends in ["[0.1, 0.4]", "[0.15, 0.7]", "[0.5, 0.9]", "[0, 1]"] {
+        let equal = browser.evaluate(&format!(
+            "(() => {{ const e = robogateExplorer.explorer, s = e.selection; e.brush(e.axes[0], {ends}); \
+             const counts = () => JSON.stringify([s.kept, [...s.counts], [...s.kinds]]), moved = counts(); s.count(); return moved === counts() }})()"
+        ));
+        assert_eq!(equal, json!(true), "{ends}");
+    }
+    browser.wait("!robogateExplorer.explorer.awake && document.querySelector('.x-rows > .x-reading').textContent.includes('The list shows 20,000')");
     browser.assert_no_trouble();
 }

@@ -16,7 +16,15 @@ pub(super) fn section(analysis: &Analysis, pairs: Option<&PairCounts>) -> Sectio
         blocks.push(Block::cannot("An envelope", "there are fewer than two numeric parameters"));
     }
     for (i, envelope) in analysis.envelopes.iter().enumerate() {
-        one(&mut blocks, envelope, i);
+        // The first map has the strongest parameters. The others are folded.
+        match &envelope.map {
+            Finding::Estimated(map) if i > 0 => {
+                let mut folded = Vec::new();
+                one(&mut folded, envelope, i);
+                blocks.push(Block::Group(title(map), folded));
+            }
+            _ => one(&mut blocks, envelope, i),
+        }
     }
     blocks.extend(pairs.filter(|pairs| pairs.axes.len() > 2).map(|pairs| Block::Pairs(pairs.clone())));
     Section { id: "envelope", title: "Operating envelope".to_owned(), population: population(analysis), blocks }
@@ -32,6 +40,10 @@ fn one(blocks: &mut Vec<Block>, envelope: &Envelope, at: usize) {
         Finding::Estimated(frontier) => frontier_blocks(blocks, frontier),
         Finding::CannotBeEstimated { because } => blocks.push(Block::cannot("The frontier in closed form", because)),
     }
+}
+
+fn title(map: &PairMap) -> String {
+    format!("{} \u{d7} {}", sentence(&parameter_label(&map.y.parameter)), parameter_label(&map.x.parameter))
 }
 
 fn map_figure(map: &PairMap, frontier: Option<&Frontier>, at: usize) -> Figure {
@@ -60,7 +72,7 @@ fn map_figure(map: &PairMap, frontier: Option<&Frontier>, at: usize) -> Figure {
     });
     findings.extend(frontier.map(frontier_findings).unwrap_or_default());
     Figure {
-        title: format!("{} \u{d7} {}", sentence(&y), x),
+        title: title(map),
         svg: heatmap(map, frontier, &format!("clip{at}")),
         is_map: true,
         caption: match map.length_scale {
@@ -101,15 +113,15 @@ fn frontier_findings(frontier: &Frontier) -> Vec<String> {
     match frontier.valid_for {
         _ if drawable(frontier).is_empty() => {
             lines.push(format!(
-                "The frontier {x}*({y}) is not drawn: its exact interval is unbounded within the observed ranges, so no {x} \
-                 significantly separates success from failure."
+                "The 50 % frontier is not drawn: its exact interval is unbounded within the \
+                 observed ranges, so no {x} significantly separates success from failure."
             ));
             return lines;
         }
         Some(valid) => {
             if let Some(above) = frontier.success_above {
                 let side = if above { "above" } else { "below" };
-                lines.push(format!("Success is more likely than failure {side} the frontier {x}*({y})."));
+                lines.push(format!("Success is more likely than failure {side} the 50 % frontier of the model."));
             }
             if !frontier.contradicted && frontier.near.n > 0 {
                 lines.push(format!(
@@ -119,17 +131,22 @@ fn frontier_findings(frontier: &Frontier) -> Vec<String> {
                 ));
             }
             lines.push(format!(
-                "It lies within the observed ranges for {y} {}; outside it is an extrapolation.",
+                "Episodes support the frontier for {y} {}; elsewhere it is an extrapolation.",
                 value_with_unit(&range(valid), &frontier.y)
             ));
         }
         None => lines.push(format!(
-            "The frontier {x}*({y}) lies outside the observed ranges: the model predicts the same outcome everywhere."
+            "The 50 % frontier lies outside the observed ranges of {y} and {x}: the model \
+             predicts the same outcome everywhere."
         )),
     }
-    if let Some(pole) = frontier.pole {
+    let observed = |y: &f64| {
+        let known = frontier.curve.iter().filter(|point| point.observed).map(|point| point.y);
+        known.clone().any(|other| other <= *y) && known.clone().any(|other| other >= *y)
+    };
+    if let Some(pole) = frontier.pole.filter(observed) {
         lines.push(format!(
-            "It diverges (pole) at {y} {}; near the pole no {x} separates success from failure.",
+            "It has no value near {y} {}: no {x} separates success from failure there.",
             value_with_unit(&number(pole), &frontier.y)
         ));
     }

@@ -15,7 +15,7 @@ use crate::text::low_side;
 /// Maximum number of figures on the page. The other parameters are in the tables.
 const MAX_FIGURES: usize = 16;
 /// Number of figures that are visible before the reader opens the others.
-const FIRST_FIGURES: usize = 6;
+const FIRST_FIGURES: usize = 3;
 /// Share of crossing replicates above which the observed side of 50 % is not significant.
 const CROSSING: f64 = 0.05;
 

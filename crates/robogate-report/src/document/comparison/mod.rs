@@ -26,12 +26,9 @@ pub(crate) fn comparison_document(of: &Comparison, watch: Option<&Watch>) -> Doc
     let mut sections: Vec<Section> = watch.map(watch_section).into_iter().collect();
     sections.push(rates::section(of));
     sections.extend(of.paired.iter().enumerate().map(|(i, pair)| paired::section(pair, i)));
+    sections.extend([failures::section(of), marginal::section(of), universal::section(of), sensitivity::section(of)]);
+    sections.extend(reach::section(of));
     sections.extend([
-        failures::section(of),
-        marginal::section(of),
-        universal::section(of),
-        sensitivity::section(of),
-        reach::section(of),
         sources(of),
         Section {
             id: "limits",

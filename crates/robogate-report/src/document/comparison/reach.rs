@@ -7,7 +7,11 @@ use super::{Block, Figure, Section, Table, population};
 use crate::document::Kind::{Number, Short, Text};
 use crate::figures;
 
-pub(super) fn section(of: &Comparison) -> Section {
+/// The section. `None` if no dataset has a reach, such as for a task without an arm.
+pub(super) fn section(of: &Comparison) -> Option<Section> {
+    if of.reach.iter().all(|row| row.reach_m.is_none()) {
+        return None;
+    }
     let table = table(of);
     let mut blocks = Vec::new();
     if of.reach.iter().filter(|row| row.ratio.is_some()).count() >= 2 {
@@ -28,7 +32,7 @@ pub(super) fn section(of: &Comparison) -> Section {
             blocks.push(Block::Table(table));
         }
     }
-    Section { id: "reach", title: "Workspace and reach".to_owned(), population: population(of), blocks }
+    Some(Section { id: "reach", title: "Workspace and reach".to_owned(), population: population(of), blocks })
 }
 
 fn table(of: &Comparison) -> Table {

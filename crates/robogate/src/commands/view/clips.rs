@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use robogate_dictionary::{Entry, Provenance};
-use robogate_replay::{Clip, Reel, reel};
+use robogate_replay::Clip;
 
 use crate::remote::Simulators;
 use crate::subject::Subject;
@@ -54,10 +54,5 @@ impl Clips {
             format!("Episode {}", entry.index())
         };
         Ok(watch::labelled(recording, title, watch::command(&origin.path, entry.index())))
-    }
-
-    /// Records an episode as a document for the viewer.
-    pub(super) fn reel(&mut self, origin: &Origin, entry: &Entry) -> Result<Reel, String> {
-        Ok(reel(&[self.clip(origin, entry)?]))
     }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use robogate_analysis::{ExplorerTable, Role};
-use robogate_replay::{packed_floats, reel};
+use robogate_replay::{Clip, packed_floats, reel};
 use robogate_report::explorer_page;
 use serde_json::{Value, json};
 
@@ -16,7 +16,7 @@ use crate::exit::{DONE, Exit, OrExit};
 use crate::remote::Simulators;
 use crate::terminal::{foreign, note};
 
-/// Writes the page with at most this number of recorded episodes.
+/// Writes the page with at most this number of recorded episodes and of rows.
 pub(super) fn write(file: &Path, mut board: Board, simulators: &Simulators, most: usize) -> Result<u8, Exit> {
     let models: Vec<Value> = (0..board.runs.len())
         .map(|run| {
@@ -24,39 +24,22 @@ pub(super) fn write(file: &Path, mut board: Board, simulators: &Simulators, most
             model::fit(&training).unwrap_or_else(|because| json!({ "version": 1, "because": because }))
         })
         .collect();
-    let mut clips = Clips::new(simulators.clone());
-    let mut recorded = Vec::new();
-    let mut places = Vec::new();
+    let mut recorder = Recorder::new(simulators, most);
     for (run, index) in chosen(&board, most) {
-        let of = &board.runs[run];
-        let origin = Origin {
-            run,
-            name: of.name.clone(),
-            path: of.path.clone(),
-            provenance: Arc::clone(&of.provenance),
-            named: board.runs.len() > 1,
-        };
-        let entry = board.recorded(run, index).or_broken()?;
-        match entry.map(|entry| clips.clip(&origin, &entry)) {
-            Some(Ok(clip)) => {
-                places.push(json!([run, index]));
-                recorded.push(clip);
-            }
-            Some(Err(because)) => note(format_args!(
-                "note: episode {index} of {} is not in the page: {}",
-                foreign(&origin.name),
-                foreign(because)
-            )),
-            None => {}
+        recorder.add(&mut board, run, index)?;
+        if let Some(twin) = board.table.passing_twin(run, index) {
+            recorder.add(&mut board, run, twin.index)?;
         }
     }
+    let episodes: Vec<Value> = recorder.episodes(&board.table).collect();
+    let recorded = recorder.recorded;
     let reel = reel(&recorded);
     let columns: Vec<String> = board.table.columns().iter().map(|column| packed_floats(column.values())).collect();
     let document = json!({
         "state": board.state(),
         "columns": columns,
         "models": models,
-        "episodes": places,
+        "episodes": episodes,
     });
     let data = document.to_string().replace('<', "\\u003c");
     let names: Vec<&str> = board.runs.iter().map(|run| run.name.as_str()).collect();
@@ -70,6 +53,67 @@ pub(super) fn write(file: &Path, mut board: Board, simulators: &Simulators, most
         recorded.len()
     ));
     Ok(DONE)
+}
+
+/// The recorded episodes of the page.
+struct Recorder {
+    clips: Clips,
+    most: usize,
+    recorded: Vec<Clip>,
+    /// Run and index of each recorded episode.
+    places: Vec<(usize, u64)>,
+    /// Episodes that cannot be recorded.
+    failed: Vec<(usize, u64)>,
+}
+
+impl Recorder {
+    fn new(simulators: &Simulators, most: usize) -> Self {
+        let clips = Clips::new(simulators.clone());
+        Self { clips, most, recorded: Vec::new(), places: Vec::new(), failed: Vec::new() }
+    }
+
+    /// Records an episode, unless it is there or the page is full.
+    fn add(&mut self, board: &mut Board, run: usize, index: u64) -> Result<(), Exit> {
+        let place = (run, index);
+        if self.recorded.len() >= self.most || self.places.contains(&place) || self.failed.contains(&place) {
+            return Ok(());
+        }
+        let of = &board.runs[run];
+        let origin = Origin {
+            run,
+            name: of.name.clone(),
+            path: of.path.clone(),
+            provenance: Arc::clone(&of.provenance),
+            named: board.runs.len() > 1,
+        };
+        match board.recorded(run, index).or_broken()?.map(|entry| self.clips.clip(&origin, &entry)) {
+            Some(Ok(clip)) => {
+                self.places.push(place);
+                self.recorded.push(clip);
+            }
+            Some(Err(because)) => {
+                self.failed.push(place);
+                note(format_args!(
+                    "note: episode {index} of {} is not in the page: {}",
+                    foreign(&origin.name),
+                    foreign(because)
+                ));
+            }
+            None => {}
+        }
+        Ok(())
+    }
+
+    /// The recorded episodes, each with its nearest passing twin if that is recorded too.
+    fn episodes(&self, table: &ExplorerTable) -> impl Iterator<Item = Value> {
+        self.places.iter().map(|(run, index)| {
+            let twin = table.passing_twin(*run, *index).and_then(|twin| {
+                let at = self.places.iter().position(|place| *place == (*run, twin.index))?;
+                Some(json!({ "index": twin.index, "differences": twin.differences, "at": at }))
+            });
+            json!({ "run": run, "index": index, "twin": twin })
+        })
+    }
 }
 
 /// Episodes to record: from each run and each outcome in turn, so that every failure mode can be watched.

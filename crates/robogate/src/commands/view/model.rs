@@ -14,7 +14,8 @@ const MAX_ROWS: usize = 4_000;
 /// Digits of the numbers on the page.
 const DIGITS: i32 = 9;
 
-/// The valid episodes of a run for a fit, at equal distances in order of arrival.
+/// The valid episodes of a run for a fit, at equal distances in order of arrival. Those that the model of an active stage
+/// chose are left out.
 pub(super) struct Training {
     provenance: Arc<Provenance>,
     samples: Vec<Sample>,
@@ -29,16 +30,22 @@ pub(super) fn training(table: &ExplorerTable, run: usize, provenance: &Arc<Prove
     let find = |name: &str| columns.iter().position(|column| column.role == Role::Parameter && column.name == name);
     let of_role = |role: Role| columns.iter().find(|column| column.role == role);
     let (runs, outcomes, index) = (of_role(Role::Run), of_role(Role::Outcome), of_role(Role::Index));
+    let stages = of_role(Role::Stage);
     let values = |column: Option<&robogate_analysis::ExplorerColumn>, row: usize| {
         column.and_then(|column| column.values().get(row).copied()).map_or(f64::NAN, f64::from)
     };
     let invalid = outcomes.and_then(|column| column.levels.iter().position(|level| level == "invalid"));
+    // An active stage chooses its points knowing the hidden draws, so among its rows the rate at given parameters is not that
+    // of the operating space. Its uniform part is another stage of the table.
+    let chosen = stages.and_then(|column| column.levels.iter().position(|level| level == "active"));
+    let is_chosen = |row: &usize| chosen.is_some_and(|code| values(stages, *row).to_bits() == (code as f64).to_bits());
     let is_valid = |row: &usize| {
         let outcome = values(outcomes, *row);
         values(runs, *row).to_bits() == (run as f64).to_bits()
             && invalid.is_none_or(|code| outcome.to_bits() != (code as f64).to_bits())
     };
-    let rows: Vec<usize> = (0..table.rows()).filter(is_valid).collect();
+    let valid: Vec<usize> = (0..table.rows()).filter(is_valid).collect();
+    let rows: Vec<usize> = valid.iter().copied().filter(|row| !is_chosen(row)).collect();
     let step = rows.len().div_ceil(MAX_ROWS).max(1);
     let parameters: Vec<_> = provenance
         .space
@@ -70,7 +77,7 @@ pub(super) fn training(table: &ExplorerTable, run: usize, provenance: &Arc<Prove
         provenance: Arc::clone(provenance),
         samples: samples.collect(),
         columns: parameters.iter().map(|(_, _, at)| (*at, columns[*at].levels.clone())).collect(),
-        valid: rows.len(),
+        valid: valid.len(),
     }
 }
 

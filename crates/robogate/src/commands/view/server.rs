@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use robogate_monitor::service::{HttpError, LocalReply, LocalRequest, random_token, serve_local};
+use robogate_replay::reel;
 use robogate_report::explorer_page;
 use serde_json::{Value, json};
 
@@ -159,9 +160,11 @@ impl State {
                 named,
             };
             let playable = of.is_playable();
-            Some((origin, playable, board.recorded(at, index)))
+            let twin = if playable { board.table.passing_twin(at, index) } else { None };
+            let twin = twin.map(|twin| (board.recorded(at, twin.index), twin));
+            Some((origin, playable, board.recorded(at, index), twin))
         });
-        let Some((origin, playable, entry)) = found else { return no_run(run) };
+        let Some((origin, playable, entry, twin)) = found else { return no_run(run) };
         if !playable {
             return LocalReply::Wrong(
                 "These rows do not come from a run's folder, so no episode can be shown.".to_owned(),
@@ -173,10 +176,28 @@ impl State {
             Err(error) => return LocalReply::Failed(format!("{error:#}")),
         };
         let mut clips = self.clips.lock().unwrap_or_else(PoisonError::into_inner);
-        match clips.reel(&origin, &entry) {
-            Ok(reel) => LocalReply::Json(reel.json.into_bytes()),
-            Err(because) => LocalReply::Failed(because),
-        }
+        let mut recorded = match clips.clip(&origin, &entry) {
+            Ok(clip) => vec![clip],
+            Err(because) => return LocalReply::Failed(because),
+        };
+        let twin = twin.map(|(entry, twin)| {
+            let clip = match entry {
+                Ok(Some(entry)) => clips.clip(&origin, &entry),
+                Ok(None) => Err("It is not in the run.".to_owned()),
+                Err(error) => Err(format!("{error:#}")),
+            };
+            let mut document = json!({ "index": twin.index, "differences": twin.differences });
+            match clip {
+                Ok(clip) => {
+                    document["at"] = json!(recorded.len());
+                    recorded.push(clip);
+                }
+                Err(because) => document["because"] = json!(because),
+            }
+            document
+        });
+        let twin = twin.unwrap_or_default();
+        LocalReply::Json(format!("{{\"twin\":{twin},\"reel\":{}}}", reel(&recorded).json).into_bytes())
     }
 }
 
