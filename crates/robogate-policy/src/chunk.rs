@@ -82,7 +82,8 @@ impl Chunk {
         match (profile.chunk.length, profile.chunk.execute) {
             (Some(length), _) if length != got => {
                 return Err(PolicyError::Shape(format!(
-                    "the reply has {got} actions, but chunk.length of the profile is {length}"
+                    "the reply has {got} actions, but chunk.length of the profile is {length}. Hint: set it in a copy of the profile, or \
+                     leave it out there"
                 )));
             }
             (_, execute) if got < execute => {

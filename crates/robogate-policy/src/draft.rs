@@ -18,6 +18,14 @@ pub struct Draft {
     pub open: Vec<String>,
 }
 
+impl Draft {
+    /// A copy of a profile, whose conventions remain those of the positive control.
+    pub fn of(base: &Profile) -> Self {
+        let reference = base.reference.clone().or_else(|| Profile::built_in(&base.name).map(|_| base.name.clone()));
+        Self { profile: Profile { name: format!("{}-draft", base.name), reference, ..base.clone() }, open: Vec::new() }
+    }
+}
+
 /// Draft a profile from the metadata of the server at `url`. What the server does not declare is that of `base`.
 ///
 /// # Errors

@@ -153,6 +153,14 @@ pub fn state_numbers(profile: &Profile, observation: &Observation) -> Result<Vec
     query::numbers(profile, observation).map(|states| states.concat())
 }
 
+/// How many numbers each state of the profile has.
+///
+/// # Errors
+/// If the observation lacks a vector that the profile requires.
+pub fn state_sizes(profile: &Profile, observation: &Observation) -> Result<Vec<usize>, PolicyError> {
+    query::numbers(profile, observation).map(|states| states.iter().map(Vec::len).collect())
+}
+
 /// The numbers of the states that are outside of the range of the checkpoint's training data (`state.low` and
 /// `state.high`), as one sentence each.
 ///
@@ -166,8 +174,8 @@ pub fn outside_range(profile: &Profile, observation: &Observation) -> Result<Vec
         for (at, (number, (low, high))) in numbers.iter().zip(ranges).enumerate() {
             if !(*low..=*high).contains(number) {
                 found.push(format!(
-                    "number {at} of the state `{}` is {number:.4}, outside of the published range of the checkpoint, {low} to \
-                     {high}",
+                    "number {at} of the state `{}` is {number:.4}, outside of the published range of the checkpoint, {low:.4} to \
+                     {high:.4}",
                     state.key
                 ));
             }

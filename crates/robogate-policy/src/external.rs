@@ -16,7 +16,8 @@ use super::connection::{self, Connection};
 use super::deadline::Deadline;
 use super::decoder::Decoder;
 use super::error::PolicyError;
-use super::profile::Profile;
+use super::openpi;
+use super::profile::{Dialect, Profile};
 use super::query::Query;
 use super::suits;
 
@@ -84,6 +85,10 @@ impl ExternalPolicy {
             }
         };
         let declared = connection.declared().clone();
+        let profile = match profile.dialect {
+            Dialect::Openpi {} => openpi::with_declared_length(profile, &declared)?,
+            _ => profile,
+        };
         let decoder = Decoder::new(&profile);
         Ok(Self {
             url: url.to_owned(),
@@ -105,6 +110,11 @@ impl ExternalPolicy {
     /// The metadata that the policy reports.
     pub fn declared(&self) -> &Json {
         &self.declared
+    }
+
+    /// Number of actions in a reply: that of the profile, or the one that the server declares. `None` for any number.
+    pub fn chunk_length(&self) -> Option<usize> {
+        self.profile.chunk.length
     }
 
     /// Begin an episode with this instruction. Connects again if the connection is closed.

@@ -1,4 +1,7 @@
-//! NVIDIA's Isaac GR00T servers over ZeroMQ: msgpack that contains `.npy` files.
+//! NVIDIA's Isaac GR00T servers over ZeroMQ: msgpack that contains arrays.
+//!
+//! Arrays are `.npy` files, and since May 2026 (N1.7) maps of the Python package msgpack-numpy. The reply with the
+//! configuration shows which of the two a server understands.
 //!
 //! N1.6 accepts observations in one of two layouts: nested, or flat with its simulation wrapper. Only a request shows
 //! which one. N1.5 accepts the flat layout without a batch axis. Both report the names of their images, vectors and
@@ -45,7 +48,28 @@ pub(crate) struct Gr00tServer {
     version: Version,
     settings: Gr00t,
     layout: Option<Layout>,
+    arrays: Arrays,
     declared: Json,
+}
+
+/// How a server writes and reads arrays.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Arrays {
+    /// As `.npy` files.
+    Npy,
+    /// As maps of the Python package msgpack-numpy.
+    Numpy,
+}
+
+impl Arrays {
+    /// The form that a server uses, from its reply to `get_modality_config`: the marker of a configuration changed with it.
+    fn of(reply: &ValueRef<'_>) -> Self {
+        let kinds = msgpack::entries(reply).unwrap_or_default();
+        match kinds.iter().any(|(_, config)| msgpack::get(config, "__ModalityConfig__").is_some()) {
+            true => Self::Numpy,
+            false => Self::Npy,
+        }
+    }
 }
 
 impl Gr00tServer {
@@ -63,9 +87,12 @@ impl Gr00tServer {
         let requester = Requester::new(address, limits);
         let layout = (version == Version::N15).then_some(Layout::Flat);
         let key = access.key().map(str::to_owned);
-        let mut connection = Self { requester, key, version, settings: settings.clone(), layout, declared: Json::Null };
+        let (settings_here, arrays) = (settings.clone(), Arrays::Npy);
+        let mut connection =
+            Self { requester, key, version, settings: settings_here, layout, arrays, declared: Json::Null };
         connection.call("ping", None, deadline, |_| Ok(()))?;
-        connection.declared = connection.call("get_modality_config", None, deadline, declared)?;
+        (connection.declared, connection.arrays) = connection
+            .call("get_modality_config", None, deadline, |reply| Ok((declared(reply)?, Arrays::of(reply))))?;
         if let Some(profile) = expected {
             compare(&connection.declared, settings, profile)?;
         }
@@ -114,10 +141,10 @@ impl Connection for Gr00tServer {
     fn infer(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, PolicyError> {
         let keys = self.settings.action_keys.clone();
         let language = self.settings.language_key.clone();
-        let (version, known_layout) = (self.version, self.layout);
+        let (version, known_layout, arrays) = (self.version, self.layout, self.arrays);
         let mut request = |layout| {
-            let files = Files::new(query, version, layout);
-            let data = files.observation(&query.instruction, version, layout, &language);
+            let inputs = Inputs::new(query, version, layout, arrays);
+            let data = inputs.observation(&query.instruction, version, layout, &language);
             self.call("get_action", Some(data), deadline, |reply| decode_actions(reply, &keys))
         };
         if let Some(layout) = known_layout {
@@ -147,26 +174,50 @@ fn encode(endpoint: &str, data: Option<ValueRef<'_>>, token: Option<String>) -> 
     msgpack::encode(&msgpack::map(endpoint.into_iter().chain(data).chain(token)))
 }
 
-/// The arrays of a request as `.npy` files, under the names that a layout uses.
-struct Files {
-    video: Vec<(String, Vec<u8>)>,
-    state: Vec<(String, Vec<u8>)>,
+/// An array of a request.
+enum Encoded<'q> {
+    /// A `.npy` file.
+    File(Vec<u8>),
+    /// An array that gets this number of leading axes of size 1.
+    Numpy(&'q Array, usize),
 }
 
-impl Files {
-    fn new(query: &Query, version: Version, layout: Layout) -> Self {
+impl Encoded<'_> {
+    fn value(&self) -> ValueRef<'_> {
+        match self {
+            Self::File(file) => {
+                let mark = ("__ndarray_class__", ValueRef::Boolean(true));
+                msgpack::map([mark, ("as_npy", ValueRef::Binary(file))])
+            }
+            Self::Numpy(array, ones) => msgpack::numpy(array, *ones),
+        }
+    }
+}
+
+/// The arrays of a request, under the names that a layout uses.
+struct Inputs<'q> {
+    video: Vec<(String, Encoded<'q>)>,
+    state: Vec<(String, Encoded<'q>)>,
+}
+
+impl<'q> Inputs<'q> {
+    fn new(query: &'q Query, version: Version, layout: Layout, form: Arrays) -> Self {
         // N1.6 has leading axes for batch and time, N1.5 only for time.
         let ones = if version == Version::N16 { 2 } else { 1 };
-        let files = |kind: &str, arrays: &[(String, Array)]| {
+        let encoded = |kind: &str, arrays: &'q [(String, Array)]| {
             let name = |key: &str| match layout {
                 Layout::Nested => key.to_owned(),
                 Layout::Flat => format!("{kind}.{key}"),
             };
             // Images with a history have the axis for time already.
             let ones = |array: &Array| if array.shape().len() == 4 { ones - 1 } else { ones };
-            arrays.iter().map(|(key, array)| (name(key), npy::write(array, ones(array)))).collect()
+            let encoded = |array: &'q Array| match form {
+                Arrays::Npy => Encoded::File(npy::write(array, ones(array))),
+                Arrays::Numpy => Encoded::Numpy(array, ones(array)),
+            };
+            arrays.iter().map(|(key, array)| (name(key), encoded(array))).collect()
         };
-        Self { video: files("video", &query.images), state: files("state", &query.states) }
+        Self { video: encoded("video", &query.images), state: encoded("state", &query.states) }
     }
 
     /// The data of a `get_action` request.
@@ -177,11 +228,8 @@ impl Files {
         layout: Layout,
         language: &'a str,
     ) -> ValueRef<'a> {
-        fn entries(files: &[(String, Vec<u8>)]) -> impl Iterator<Item = (&str, ValueRef<'_>)> {
-            files.iter().map(|(key, file)| {
-                let mark = ("__ndarray_class__", ValueRef::Boolean(true));
-                (key.as_str(), msgpack::map([mark, ("as_npy", ValueRef::Binary(file))]))
-            })
+        fn entries<'v>(arrays: &'v [(String, Encoded<'_>)]) -> impl Iterator<Item = (&'v str, ValueRef<'v>)> {
+            arrays.iter().map(|(key, array)| (key.as_str(), array.value()))
         }
         let sentence = ValueRef::Array(vec![instruction.into()]);
         let (video, state) = (entries(&self.video), entries(&self.state));
@@ -228,10 +276,11 @@ fn decode_actions(reply: &ValueRef<'_>, keys: &[String]) -> Result<Chunk, Policy
         let value = msgpack::get(map, &prefixed)
             .or_else(|| msgpack::get(map, key))
             .ok_or_else(|| PolicyError::Shape(format!("the reply has no `{key}`; it has {}", known())))?;
-        let Some(ValueRef::Binary(file)) = msgpack::get(value, "as_npy") else {
-            return Err(PolicyError::invalid_reply(WHAT, format!("`{key}` is not an array")));
+        let array = match msgpack::get(value, "as_npy") {
+            Some(ValueRef::Binary(file)) => npy::read(file).map_err(|why| PolicyError::invalid_reply(WHAT, why))?,
+            Some(_) => return Err(PolicyError::invalid_reply(WHAT, format!("`{key}` is not an array"))),
+            None => msgpack::read_numpy(WHAT, value)?,
         };
-        let array = npy::read(file).map_err(|why| PolicyError::invalid_reply(WHAT, why))?;
         Chunk::join(&mut rows, Chunk::columns(&array, key)?, key)?;
     }
     Chunk::of_rows(rows)
@@ -331,8 +380,10 @@ mod tests {
             .iter()
             .filter_map(|(key, value)| {
                 let key = msgpack::name(key)?.strip_prefix(prefix)?.to_owned();
-                let ValueRef::Binary(file) = msgpack::get(value, "as_npy")? else { return None };
-                let array = npy::read(file).unwrap();
+                let array = match msgpack::get(value, "as_npy") {
+                    Some(ValueRef::Binary(file)) => npy::read(file).unwrap(),
+                    _ => msgpack::read_numpy("capture", value).ok()?,
+                };
                 let shape = array.shape()[ones..].to_vec();
                 Some((key, array.reshaped(shape)))
             })
@@ -346,12 +397,20 @@ mod tests {
                 "gr00t_n16/libero_panda_nested/03_get_action.req.bin",
                 Version::N16,
                 Layout::Nested,
+                Arrays::Npy,
                 "pick up the black bowl",
             ),
-            ("gr00t_n16/libero_panda_sim/03_get_action.req.bin", Version::N16, Layout::Flat, "pick up the black bowl"),
-            ("gr00t_n15/get_action.req.bin", Version::N15, Layout::Flat, "pick up"),
+            (
+                "gr00t_n16/libero_panda_sim/03_get_action.req.bin",
+                Version::N16,
+                Layout::Flat,
+                Arrays::Npy,
+                "pick up the black bowl",
+            ),
+            ("gr00t_n15/get_action.req.bin", Version::N15, Layout::Flat, Arrays::Npy, "pick up"),
+            ("gr00t_n17/get_action.req.bin", Version::N16, Layout::Nested, Arrays::Numpy, "pick up the black bowl"),
         ];
-        for (name, version, layout, instruction) in cases {
+        for (name, version, layout, form, instruction) in cases {
             let capture = Capture::read("", name);
             let question = capture.msgpack();
             let data = msgpack::get(&question, "data").unwrap();
@@ -364,8 +423,8 @@ mod tests {
             let (images, states) = (arrays("video"), arrays("state"));
             assert_eq!((images.len(), states.len()), (2, 7), "{name}");
             let query = Query { images, states, instruction: instruction.to_owned(), step: 0, time_s: 0.0 };
-            let (files, language) = (Files::new(&query, version, layout), settings().language_key);
-            let data = files.observation(instruction, version, layout, &language);
+            let (inputs, language) = (Inputs::new(&query, version, layout, form), settings().language_key);
+            let data = inputs.observation(instruction, version, layout, &language);
             assert_eq!(encode("get_action", Some(data), None), capture.bytes, "{name}");
         }
         let folder = "gr00t_n16/libero_panda_nested";
@@ -382,6 +441,7 @@ mod tests {
             ("gr00t_n16/libero_panda_nested/03_get_action.rep.bin", 16),
             ("gr00t_n16/libero_panda_sim/03_get_action.rep.bin", 16),
             ("gr00t_n15/get_action.rep.bin", 16),
+            ("gr00t_n17/get_action.rep.bin", 16),
         ] {
             let capture = Capture::read("", name);
             let chunk =
@@ -425,6 +485,21 @@ mod tests {
     }
 
     #[test]
+    fn configurations_show_how_arrays_are_written() {
+        for (name, form) in [
+            ("gr00t_n15/get_modality_config.rep.bin", Arrays::Npy),
+            ("gr00t_n16/libero_panda_nested/01_get_modality_config.rep.bin", Arrays::Npy),
+            ("gr00t_n17/get_modality_config.rep.bin", Arrays::Numpy),
+        ] {
+            let capture = Capture::read("", name);
+            assert_eq!(Arrays::of(&capture.msgpack()), form, "{name}");
+        }
+        let capture = Capture::read("gr00t_n17", "get_modality_config.rep.bin");
+        let profile = Profile::from_toml(Profile::built_in("gr00t-n1.7-libero").unwrap()).unwrap();
+        compare(&super::declared(&capture.msgpack()).unwrap(), &settings(), &profile).unwrap();
+    }
+
+    #[test]
     fn n15_configurations_are_decoded() {
         let capture = Capture::read("gr00t_n15", "get_modality_config.rep.bin");
         let declared = super::declared(&capture.msgpack()).unwrap();
@@ -442,6 +517,8 @@ mod tests {
             "gr00t_n16/libero_panda_nested/03_get_action.rep.bin",
             "gr00t_n15/get_modality_config.rep.bin",
             "gr00t_n15/get_action.rep.bin",
+            "gr00t_n17/get_modality_config.rep.bin",
+            "gr00t_n17/get_action.rep.bin",
         ]
         .map(|name| Capture::read("", name).bytes);
         let keys = settings().action_keys;

@@ -38,6 +38,7 @@ mod resample;
 mod rest;
 mod roboarena;
 mod rotation;
+mod statistics;
 mod suits;
 #[cfg(test)]
 mod tests;
@@ -51,7 +52,7 @@ pub use chunk::Chunk;
 pub use control::{RandomModel, ThroughProfile};
 pub use decoder::Decoder;
 pub use draft::{Draft, draft};
-pub use encoder::{Encoder, outside_range, read_pose, state_numbers};
+pub use encoder::{Encoder, outside_range, read_pose, state_numbers, state_sizes};
 pub use error::PolicyError;
 pub use external::ExternalPolicy;
 pub use mapping::{MappingProblem, MappingStep, compare_mappings};
@@ -61,3 +62,4 @@ pub use profile::{
     ProfileError, Rotation, Side, State, Timeouts, Tool,
 };
 pub use query::Query;
+pub use statistics::{Statistics, StatisticsError};

@@ -1,4 +1,5 @@
-//! Values and arrays in msgpack. Policy servers write NumPy arrays as maps, in two variants.
+//! Values and arrays in msgpack. Policy servers write NumPy arrays as maps, in three variants: that of openpi with keys of
+//! bytes or of text, and that of the Python package msgpack-numpy.
 
 use rmpv::ValueRef;
 use robogate_core::budget::Budget;
@@ -32,6 +33,20 @@ pub(crate) fn array(array: &Array, keys: Keys) -> ValueRef<'_> {
         (key("dtype"), dtype),
         (key("shape"), shape),
     ])
+}
+
+/// An array as the Python package msgpack-numpy writes it, with `ones` additional leading axes of size 1. Its decoder
+/// requires keys of bytes.
+pub(crate) fn numpy(array: &Array, ones: usize) -> ValueRef<'_> {
+    let shape = std::iter::repeat_n(&1, ones).chain(array.shape()).map(|n| ValueRef::from(*n)).collect();
+    let entries = [
+        ("nd", ValueRef::Boolean(true)),
+        ("type", ValueRef::from(array.dtype().name())),
+        ("kind", ValueRef::Binary(b"")),
+        ("shape", ValueRef::Array(shape)),
+        ("data", ValueRef::Binary(array.data())),
+    ];
+    ValueRef::Map(entries.into_iter().map(|(key, value)| (ValueRef::Binary(key.as_bytes()), value)).collect())
 }
 
 /// Named arrays as entries of a map.
@@ -128,11 +143,21 @@ pub(crate) fn name<'a>(value: &ValueRef<'a>) -> Option<&'a str> {
 
 /// Read an array from its map, with keys of either type.
 pub(crate) fn read_array(what: &'static str, value: &ValueRef<'_>) -> Result<Array, PolicyError> {
+    read_marked(what, value, "__ndarray__", "dtype")
+}
+
+/// Read an array that the Python package msgpack-numpy wrote.
+pub(crate) fn read_numpy(what: &'static str, value: &ValueRef<'_>) -> Result<Array, PolicyError> {
+    read_marked(what, value, "nd", "type")
+}
+
+/// Read an array from a map with these keys for the marker and for the type of the elements.
+fn read_marked(what: &'static str, value: &ValueRef<'_>, marker: &str, type_key: &str) -> Result<Array, PolicyError> {
     let missing =
         |key: &str| PolicyError::invalid_reply(what, format!("not an array: `{key}` is missing or has the wrong type"));
-    let Some(ValueRef::Boolean(true)) = get(value, "__ndarray__") else { return Err(missing("__ndarray__")) };
+    let Some(ValueRef::Boolean(true)) = get(value, marker) else { return Err(missing(marker)) };
     let Some(ValueRef::Binary(data)) = get(value, "data") else { return Err(missing("data")) };
-    let dtype = get(value, "dtype").and_then(name).ok_or_else(|| missing("dtype"))?;
+    let dtype = get(value, type_key).and_then(name).ok_or_else(|| missing(type_key))?;
     let dtype = Dtype::by_name(dtype)
         .ok_or_else(|| PolicyError::invalid_reply(what, format!("unsupported array type `{dtype}`")))?;
     let Some(ValueRef::Array(shape)) = get(value, "shape") else { return Err(missing("shape")) };

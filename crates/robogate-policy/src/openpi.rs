@@ -4,6 +4,8 @@
 //! The server sends its metadata on connection. A text message is a Python traceback, after which the server closes the
 //! connection. It keeps no state between requests.
 
+use std::sync::Arc;
+
 use rmpv::ValueRef;
 use serde_json::Value as Json;
 
@@ -12,6 +14,7 @@ use super::connection::Connection;
 use super::deadline::Deadline;
 use super::error::PolicyError;
 use super::msgpack::{self, Keys};
+use super::profile::{Chunking, Profile};
 use super::websocket::{Reply, Socket};
 use super::{chunk::Chunk, query::Query};
 
@@ -81,6 +84,23 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<Chunk, PolicyError> {
     Chunk::of_array(&msgpack::read_array(WHAT, actions)?)
 }
 
+/// The profile with the number of actions that the server declares in its metadata, as `action_horizon`: the name of the
+/// setting in openpi's configurations.
+pub(crate) fn with_declared_length(profile: Arc<Profile>, declared: &Json) -> Result<Arc<Profile>, PolicyError> {
+    let declared = declared.get("action_horizon").and_then(Json::as_u64).and_then(|n| usize::try_from(n).ok());
+    match declared {
+        Some(length) if length < profile.chunk.execute => Err(PolicyError::Mismatch(format!(
+            "the server sends {length} actions, but chunk.execute of the profile is {}",
+            profile.chunk.execute
+        ))),
+        Some(length) if profile.chunk.length.is_some_and(|known| known != length) => {
+            let chunk = Chunking { length: Some(length), ..profile.chunk };
+            Ok(Arc::new(Profile { chunk, ..Profile::clone(&profile) }))
+        }
+        _ => Ok(profile),
+    }
+}
+
 /// Decode the metadata of a server.
 pub(crate) fn metadata(bytes: &[u8]) -> Result<Json, PolicyError> {
     const WHAT: &str = "metadata of the server";
@@ -123,6 +143,17 @@ mod tests {
     fn metadata_become_json() {
         let metadata = metadata(&Capture::read(FOLDER, "s2c_00_metadata.bin").bytes).unwrap();
         assert_eq!(metadata, serde_json::json!({"reset_pose": [0, -1.5, 1.5, 0, 0, 0]}));
+    }
+
+    #[test]
+    fn servers_can_declare_the_length() {
+        let profile = Arc::new(Profile::from_toml(Profile::built_in("pi05-droid").unwrap()).unwrap());
+        let length = |declared: Json| with_declared_length(Arc::clone(&profile), &declared).map(|p| p.chunk.length);
+        assert_eq!(length(serde_json::json!({})), Ok(Some(15)));
+        assert_eq!(length(serde_json::json!({"action_horizon": 16})), Ok(Some(16)));
+        assert_eq!(length(serde_json::json!({"action_horizon": "many"})), Ok(Some(15)));
+        let error = length(serde_json::json!({"action_horizon": 4})).unwrap_err().to_string();
+        assert!(error.contains("sends 4 actions, but chunk.execute of the profile is 8"), "{error}");
     }
 
     #[test]

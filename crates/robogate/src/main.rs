@@ -5,6 +5,7 @@ mod arm_cell;
 mod benchmark;
 mod canvas;
 mod cell;
+mod checkpoint_statistics;
 mod commands;
 mod duration;
 mod environments;

@@ -113,6 +113,11 @@ impl Dialect {
         }
     }
 
+    /// Whether its servers declare the names of their inputs and outputs, or the size of their images.
+    pub fn declares_modalities(&self) -> bool {
+        matches!(self, Self::Gr00tN15(_) | Self::Gr00tN16(_) | Self::RoboArena {})
+    }
+
     /// Whether the address is the path of a file.
     pub fn is_file(&self) -> bool {
         matches!(self, Self::Onnx {})

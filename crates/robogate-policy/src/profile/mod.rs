@@ -86,6 +86,7 @@ const BUILT_IN: &[(&str, &str)] = &[
     ("smolvla", include_str!("../profiles/smolvla.toml")),
     ("octo-base", include_str!("../profiles/octo-base.toml")),
     ("octo-small", include_str!("../profiles/octo-small.toml")),
+    ("droid", include_str!("../profiles/droid.toml")),
     ("droid-roboarena", include_str!("../profiles/droid-roboarena.toml")),
     ("pi0-fast-libero", include_str!("../profiles/pi0-fast-libero.toml")),
     ("pi05-libero", include_str!("../profiles/pi05-libero.toml")),

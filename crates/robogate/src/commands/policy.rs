@@ -12,8 +12,9 @@ use robogate_physics::SuctionLaw;
 use robogate_policy::{Arm, Chunk, Decoder, Draft, ExternalPolicy, PolicyError, Profile, Side, outside_range};
 use serde_json::json;
 
+use crate::checkpoint_statistics::CheckpointStatistics;
 use crate::exit::{DONE, Exit, FAIL, OrExit};
-use crate::policy_source::{PolicyAccess, connect, policy_error, profile};
+use crate::policy_source::{BuiltInPolicy, PolicyAccess, PolicySource, connect, policy_error, profile};
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{bold, foreign, line, note};
 
@@ -54,10 +55,12 @@ struct Check {
     /// The old name of --requests
     #[arg(long, hide = true, value_name = "N", conflicts_with = "requests", value_parser = clap::value_parser!(u32).range(2..))]
     questions: Option<u32>,
-    /// Draft a profile from what the server declares about its inputs and outputs, write it to this file, and check
-    /// nothing. What the server does not declare is that of --profile. GR00T and RoboArena servers
+    /// Draft a profile from what the server declares about its inputs and outputs (GR00T and RoboArena servers), and from
+    /// --statistics, write it to this file, and check nothing. The rest is that of --profile
     #[arg(long, value_name = "FILE", conflicts_with = "json")]
     write: Option<PathBuf>,
+    #[command(flatten)]
+    statistics: CheckpointStatistics,
     #[command(flatten)]
     access: PolicyAccess,
     #[command(flatten)]
@@ -131,12 +134,15 @@ impl Check {
         if let Some(path) = &self.write {
             return self.draft(&profile, path);
         }
-        let subject = Subject::new(self.environment.environment(SuctionLaw::Vacuum)?, None)?;
-        let subject = profile.rendered_px.into_iter().fold(subject, Subject::with_pictures_of);
+        let subject = self.subject(&profile)?;
         let mut found = Findings { properties: Vec::new(), problems: Vec::new() };
         let mut policy = connect(&self.url, Arc::clone(&profile), self.access.access()?)?;
         found.properties.push(("metadata", foreign(policy.declared())));
+        if let Some(length) = policy.chunk_length().filter(|length| profile.chunk.length != Some(*length)) {
+            found.properties.push(("declared length", format!("{length} actions in each reply")));
+        }
         let mut worker = subject.worker().or_broken()?;
+        let profile = self.ranged(&profile, &mut worker)?;
         match self.infer(&profile, &mut policy, &mut worker, &mut found) {
             Ok(()) => {}
             // These errors are results of the check.
@@ -169,12 +175,37 @@ impl Check {
         Ok(if found.problems.is_empty() { DONE } else { FAIL })
     }
 
-    /// Drafts a profile from the metadata of the server.
+    fn subject(&self, profile: &Profile) -> Result<Subject, Exit> {
+        // Only the environment is used, so it needs no controller of its own.
+        let nobody = Some(PolicySource::BuiltIn(BuiltInPolicy::Random));
+        let subject = Subject::new(self.environment.environment(SuctionLaw::Vacuum)?, nobody)?;
+        Ok(profile.rendered_px.into_iter().fold(subject, Subject::with_pictures_of))
+    }
+
+    /// The profile with the ranges of --statistics.
+    fn ranged(&self, profile: &Profile, worker: &mut Worker) -> Result<Profile, Exit> {
+        if !self.statistics.is_given() {
+            return Ok(profile.clone());
+        }
+        let start = worker.environment.reset(&nominal()).or_broken()?;
+        self.statistics.add_to(profile, &start.observation)
+    }
+
+    /// Drafts a profile from the metadata of the server and the statistics of the checkpoint.
     fn draft(&self, base: &Profile, path: &Path) -> Result<u8, Exit> {
         if path.exists() {
             return Err(anyhow!("{}: the file exists\n  hint: choose another name", path.display())).or_usage();
         }
-        let Draft { profile, open } = robogate_policy::draft(&self.url, base).map_err(policy_error)?;
+        let drafted = if base.dialect.declares_modalities() || !self.statistics.is_given() {
+            robogate_policy::draft(&self.url, base).map_err(policy_error)?
+        } else {
+            Draft::of(base)
+        };
+        let Draft { profile, open } = drafted;
+        let profile = match self.statistics.is_given() {
+            true => self.ranged(&profile, &mut self.subject(&profile)?.worker().or_broken()?)?,
+            false => profile,
+        };
         let text = toml::to_string_pretty(&profile).or_broken()?;
         std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
         for text in &open {
@@ -210,9 +241,15 @@ impl Check {
                 Err(fault) => return Err(cannot(fault.to_string())),
             };
         }
-        for text in outside_range(profile, &observation)? {
-            found.problems.push(text);
+        let ranges: usize = profile.states.iter().map(|state| state.low.len()).sum();
+        let outside = outside_range(profile, &observation)?;
+        if ranges > 0 {
+            let inside = ranges - outside.len();
+            found
+                .properties
+                .push(("published ranges", format!("{inside} of {ranges} numbers of the state are inside")));
         }
+        found.problems.extend(outside);
         policy.begin(&start.instance.instruction)?;
         let (first, first_s) = timed(policy, &observation)?;
         let mut later = Vec::new();
@@ -385,7 +422,8 @@ fn check_motion(profile: &Profile, environment: &mut dyn Environment, found: &mu
 
 /// Position of the tool, in metres.
 fn position(observation: &Observation) -> [f64; 3] {
-    observation.tool_pose().map_or([f64::NAN; 3], |pose| pose.position)
+    let robosuite = || <[f64; 3]>::try_from(observation.vector("eef_pos")?).ok();
+    observation.tool_pose().map(|pose| pose.position).or_else(robosuite).unwrap_or([f64::NAN; 3])
 }
 
 fn nominal() -> Scenario {
