@@ -9,10 +9,10 @@
 //! | `GET /v1/fleet` | all robots, and the differences between the robots of each recipe |
 //! | `GET /metrics` | metrics for Prometheus |
 //! | `GET /healthz` | 200 while cycles can be written |
-//! | `GET /`, `GET /page.js` | the page and its script |
+//! | `GET /`, `GET /page.js`, `GET /page.css` | the page, its script and its style |
 //!
 //! Without a token, only this machine may connect: the address must be a loopback address, requests must name it as
-//! their host, and pages of other sites may not post. With a token, all paths except `/`, `/page.js` (which contain no data)
+//! their host, and pages of other sites may not post. With a token, all paths except those of the page (which contain no data)
 //! and `/healthz` require it.
 //!
 //! A slow client only occupies one of many connections: request heads, bodies and whole connections have time limits, and
@@ -58,6 +58,8 @@ const HEALTH_HOLDS: Duration = Duration::from_secs(60);
 const PAGE: &str = include_str!("page.html");
 /// Its script. It is a file of its own, so that the policy of the page forbids inline scripts.
 const SCRIPT: &str = include_str!("page.js");
+/// Its style.
+const STYLE: &str = include_str!("page.css");
 
 /// Limits of the HTTP server.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -300,7 +302,7 @@ pub(super) fn refusal(status: StatusCode, because: impl std::fmt::Display) -> Re
 
 async fn respond(server: &Server, request: Request<Incoming>) -> Reply {
     let path = request.uri().path().to_owned();
-    let open = matches!(path.as_str(), "/" | "/page.js" | "/healthz");
+    let open = matches!(path.as_str(), "/" | "/page.js" | "/page.css" | "/healthz");
     if let Some(refused) = admit(server, &request, open) {
         return refused;
     }
@@ -333,13 +335,14 @@ async fn respond(server: &Server, request: Request<Incoming>) -> Reply {
         (&Method::GET, "/healthz") => healthy(server).await,
         (&Method::GET, "/") => {
             let mut page = reply(StatusCode::OK, "text/html; charset=utf-8", PAGE);
-            let policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'self'; connect-src 'self'; \
+            let policy = "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; \
                           img-src data:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'";
             page.headers_mut().insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(policy));
             page
         }
         (&Method::GET, "/page.js") => reply(StatusCode::OK, "text/javascript; charset=utf-8", SCRIPT),
-        (_, "/v1/cycles" | "/v1/status" | "/v1/fleet" | "/metrics" | "/healthz" | "/page.js" | "/") => {
+        (&Method::GET, "/page.css") => reply(StatusCode::OK, "text/css; charset=utf-8", STYLE),
+        (_, "/v1/cycles" | "/v1/status" | "/v1/fleet" | "/metrics" | "/healthz" | "/page.js" | "/page.css" | "/") => {
             refusal(StatusCode::METHOD_NOT_ALLOWED, "this path does not support this method")
         }
         _ => refusal(StatusCode::NOT_FOUND, "not found; the page is at /"),

@@ -1,9 +1,15 @@
 "use strict";
 // Everything shown comes in as text, never as HTML: names are the senders'.
 const $ = id => document.getElementById(id);
+// The policy of the page forbids styles in attributes; scripts may set them.
+function assign(node, attributes) {
+  for (const [name, value] of Object.entries(attributes || {})) {
+    if (name === "style") node.style.cssText = value; else node.setAttribute(name, value);
+  }
+  return node;
+}
 function el(tag, attributes, ...children) {
-  const node = document.createElement(tag);
-  for (const [name, value] of Object.entries(attributes || {})) node.setAttribute(name, value);
+  const node = assign(document.createElement(tag), attributes);
   node.append(...children);
   return node;
 }
@@ -42,8 +48,7 @@ function detector(d) {
 }
 const SVG = "http://www.w3.org/2000/svg";
 function draw(tag, attributes, text) {
-  const node = document.createElementNS(SVG, tag);
-  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+  const node = assign(document.createElementNS(SVG, tag), attributes);
   if (text != null) node.textContent = text;
   return node;
 }

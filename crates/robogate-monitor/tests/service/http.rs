@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use robogate_monitor::service::{HttpSettings, serve};
 use serde_json::json;
 
-use crate::common::{Service, cycle, cycles, get, post};
+use crate::common::{Service, agent, cycle, cycles, get, post};
 
 fn open() -> (tempfile::TempDir, Service) {
     let folder = tempfile::tempdir().unwrap();
@@ -73,6 +73,10 @@ fn all_paths_answer() {
     let fleet: serde_json::Value = serde_json::from_str(&get(to, "/v1/fleet").1).unwrap();
     assert_eq!(fleet["recipes"][0]["spread"]["robots"], 3);
     assert!(get(to, "/").1.contains("<title>RoboGate monitor</title>"));
+    assert!(get(to, "/page.css").1.contains(":root"));
+    let page = agent().get(format!("http://{to}/")).call().unwrap();
+    let policy = page.headers()["content-security-policy"].to_str().unwrap();
+    assert!(policy.contains("script-src 'self'") && !policy.contains("unsafe"), "{policy}");
     assert_eq!(get(to, "/nothing").0, 404);
     assert_eq!(post(to, "/v1/recipes/part-0/restart", "", None).0, 200);
     assert_eq!(post(to, "/v1/recipes/none/restart", "", None).0, 404);
@@ -111,7 +115,9 @@ fn token_protects_all_data() {
     assert_eq!(post(to, "/v1/cycles", &cycle(1, 0.0), None).0, 401);
     assert_eq!(post(to, "/v1/cycles", &cycle(1, 0.0), Some("0123456789abcdeF")).0, 401);
     assert_eq!(post(to, "/v1/cycles", &cycle(1, 0.0), Some(token)).0, 200);
-    for (path, status) in [("/v1/status", 401), ("/metrics", 401), ("/v1/fleet", 401), ("/", 200), ("/healthz", 200)] {
+    for (path, status) in
+        [("/v1/status", 401), ("/metrics", 401), ("/v1/fleet", 401), ("/", 200), ("/page.css", 200), ("/healthz", 200)]
+    {
         assert_eq!(get(to, path).0, status, "{path}");
     }
     service.end();
