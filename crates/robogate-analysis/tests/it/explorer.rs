@@ -84,3 +84,19 @@ fn twins_equal_those_of_the_report() {
     assert_eq!(table.passing_twin(run, 400), None, "an episode that does not exist");
     assert_eq!(table.passing_twin(1, 0), None, "a run that does not exist");
 }
+
+#[test]
+fn samples_are_even() {
+    let space = space(&["box"]);
+    let mut table = ExplorerTable::new();
+    let run = table.add_run("a", &provenance(space.clone()));
+    law(&space, 900).iter().for_each(|entry| table.push(run, entry));
+    assert_eq!(table.sample(900), (0..900).collect::<Vec<_>>());
+    let rows = table.sample(300);
+    assert!(rows.len() == 300 && rows.is_sorted() && rows == table.sample(300));
+    // Each third of the rows has about a third of the sample.
+    for part in 0..3 {
+        let n = rows.iter().filter(|row| **row / 300 == part).count();
+        assert!((75..=125).contains(&n), "part {part}: {n}");
+    }
+}

@@ -474,9 +474,9 @@ fn grow(browser: &mut Browser, rows: usize) {
     browser.wait("!robogateExplorer.explorer.awake");
 }
 
-/// Moves a brush, and returns the milliseconds of processor time of the page's thread for each frame. The browser shares the
-/// processors with other tests, so wall times are only printed.
-fn brushed(browser: &mut Browser) -> f64 {
+/// Moves a brush, and returns the milliseconds of processor time of the page's thread for each frame, and all times. The browser
+/// shares the processors with other tests, so wall times are only printed.
+fn brushed(browser: &mut Browser) -> (f64, Value) {
     browser.call("Performance.enable", json!({ "timeDomain": "threadTicks" }));
     let spent = |browser: &mut Browser| {
         let metrics = browser.call("Performance.getMetrics", json!({}))["metrics"].clone();
@@ -487,9 +487,7 @@ fn brushed(browser: &mut Browser) -> f64 {
     let before = spent(browser);
     let measured = browser.evaluate("robogateExplorer.measure(60)");
     let after = spent(browser);
-    let frame_ms = 1e3 * (after.0 - before.0) / (after.1 - before.1);
-    println!("{frame_ms:.1} ms of processor time per frame; {measured}");
-    frame_ms
+    (1e3 * (after.0 - before.0) / (after.1 - before.1), measured)
 }
 
 /// Brushes 20,000 and a million rows.
@@ -502,13 +500,20 @@ fn many_rows_stay_interactive() {
     let mut browser = Browser::start(&chromium);
     browser.open(dir.path().join("page.html"));
     browser.wait("document.body.dataset.modelled === 'true' && !robogateExplorer.explorer.awake");
+    // A page with a sample says so, and its recorded episodes are in it.
+    let text = robogate(dir.path(), "view a --export sample.html --clips 2 --rows 500");
+    assert!(text.contains("random sample of 50"), "{text}");
+    let page = fs::metadata(dir.path().join("sample.html")).unwrap().len();
+    assert!(page < 1_500_000, "{page} bytes");
     let rows = |browser: &mut Browser| browser.evaluate("robogateExplorer.explorer.data.rows").as_u64().unwrap();
     assert!(rows(&mut browser) >= 20_000);
-    let frame_ms = brushed(&mut browser);
+    let (frame_ms, measured) = brushed(&mut browser);
+    println!("{frame_ms:.1} ms of processor time per frame; {measured}");
     assert!(frame_ms < 50.0, "20,000 rows: {frame_ms} ms");
     grow(&mut browser, 1_000_000);
     assert_eq!(rows(&mut browser), 1_000_000);
-    let frame_ms = brushed(&mut browser);
+    let (frame_ms, measured) = brushed(&mut browser);
+    println!("{frame_ms:.1} ms of processor time per frame; {measured}");
     assert!(frame_ms < 50.0, "a million rows: {frame_ms} ms");
     // A moved brush updates the counts by the rows at its ends. They equal those of a full count.
     for ends in ["[0.1, 0.4]", "[0.15, 0.7]", "[0.5, 0.9]", "[0, 1]"] {
@@ -519,5 +524,8 @@ fn many_rows_stay_interactive() {
         assert_eq!(equal, json!(true), "{ends}");
     }
     browser.wait("!robogateExplorer.explorer.awake && document.querySelector('.x-rows > .x-reading').textContent.includes('The list shows 20,000')");
+    browser.open(dir.path().join("sample.html"));
+    browser.wait("document.querySelector('.x-status').textContent.includes('random sample of 50')");
+    browser.wait("document.querySelector('.x-player [data-ready]') !== null");
     browser.assert_no_trouble();
 }

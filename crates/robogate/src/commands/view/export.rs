@@ -17,7 +17,13 @@ use crate::remote::Simulators;
 use crate::terminal::{foreign, note};
 
 /// Writes the page with at most this number of recorded episodes and of rows.
-pub(super) fn write(file: &Path, mut board: Board, simulators: &Simulators, most: usize) -> Result<u8, Exit> {
+pub(super) fn write(
+    file: &Path,
+    mut board: Board,
+    simulators: &Simulators,
+    most: usize,
+    most_rows: usize,
+) -> Result<u8, Exit> {
     let models: Vec<Value> = (0..board.runs.len())
         .map(|run| {
             let training = model::training(&board.table, run, &board.runs[run].provenance);
@@ -32,9 +38,15 @@ pub(super) fn write(file: &Path, mut board: Board, simulators: &Simulators, most
         }
     }
     let episodes: Vec<Value> = recorder.episodes(&board.table).collect();
-    let recorded = recorder.recorded;
+    let Recorder { recorded, places, .. } = recorder;
     let reel = reel(&recorded);
-    let columns: Vec<String> = board.table.columns().iter().map(|column| packed_floats(column.values())).collect();
+    let rows = rows(&board.table, &places, most_rows);
+    let columns: Vec<String> = board
+        .table
+        .columns()
+        .iter()
+        .map(|column| packed_floats(&rows.iter().map(|row| column.values()[*row]).collect::<Vec<f32>>()))
+        .collect();
     let document = json!({
         "state": board.state(),
         "columns": columns,
@@ -49,10 +61,28 @@ pub(super) fn write(file: &Path, mut board: Board, simulators: &Simulators, most
         "{}: {} KB, {} rows, {} recorded episodes",
         file.display(),
         html.len().div_ceil(1024),
-        board.table.rows(),
+        rows.len(),
         recorded.len()
     ));
+    if rows.len() < board.table.rows() {
+        note(format_args!(
+            "note: the page has a random sample of {} of {} rows\n  hint: choose its size with --rows",
+            rows.len(),
+            board.table.rows()
+        ));
+    }
     Ok(DONE)
+}
+
+/// The rows of the page: all, or a sample with the recorded episodes.
+fn rows(table: &ExplorerTable, places: &[(usize, u64)], most: usize) -> Vec<usize> {
+    let mut rows = table.sample(most);
+    if rows.len() < table.rows() {
+        rows.extend(places.iter().filter_map(|(run, index)| table.row(*run, *index)));
+        rows.sort_unstable();
+        rows.dedup();
+    }
+    rows
 }
 
 /// The recorded episodes of the page.

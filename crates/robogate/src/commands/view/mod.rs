@@ -31,6 +31,9 @@ pub(crate) struct View {
     /// Choose the largest number of recorded episodes in the exported page (0 to 200)
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(0..=200), requires = "export")]
     clips: u16,
+    /// Choose the largest number of rows in the exported page; of more, it has a random sample and says so
+    #[arg(long, value_name = "N", default_value_t = 250_000, value_parser = clap::value_parser!(u32).range(1..), requires = "export")]
+    rows: u32,
     /// Serve on this port of 127.0.0.1; 0 lets the system choose
     #[arg(long, value_name = "PORT", default_value_t = 0, conflicts_with = "export")]
     port: u16,
@@ -42,7 +45,7 @@ impl View {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let board = Board::open(&self.runs)?;
         match &self.export {
-            Some(file) => export::write(file, board, &self.simulators, usize::from(self.clips)),
+            Some(file) => export::write(file, board, &self.simulators, usize::from(self.clips), self.rows as usize),
             None => {
                 let address = SocketAddr::from((Ipv4Addr::LOCALHOST, self.port));
                 server::serve(address, board, self.simulators.clone())
