@@ -83,6 +83,32 @@ fn policy_servers_are_checked_and_replayed() {
 }
 
 #[test]
+fn statistics_of_a_checkpoint_are_compared() {
+    let dir = TempDir::new().unwrap();
+    let profile = profile(&dir, "pi0-libero", &TEN);
+    let (listener, url) = listener();
+    go_down(listener, usize::MAX);
+    let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
+    let eight = |value: f64| [value; 8];
+    let state = serde_json::json!({"mean": eight(0.0), "q01": eight(-4.0), "q99": eight(4.0)});
+    fs::write(path("wide.json"), serde_json::json!({"norm_stats": {"state": state}}).to_string()).unwrap();
+    // Fingers are never 3 m apart.
+    let mut low = eight(-4.0);
+    low[6] = 3.0;
+    let state = serde_json::json!({"min": low, "max": eight(4.0)});
+    fs::write(path("narrow.json"), serde_json::json!({"bridge_orig": {"proprio": state}}).to_string()).unwrap();
+    let check = ["policy", "check", &url, "--profile", &profile, "--requests", "2", "--statistics"];
+    let with = |rest: &[&str], code: i32, parts: &[&str]| assert_exit(&[&check[..], rest].concat(), code, parts);
+    with(&[&path("wide.json")], 0, &["8 of 8 numbers of the state are inside", "no problems found"]);
+    let outside = "number 6 of the state `observation/state` is 0.0400, outside of the published range";
+    with(&[&path("narrow.json")], 1, &["7 of 8 numbers", outside, "3.0000 to 4.0000"]);
+    with(&[&path("narrow.json"), "--statistics-group", "fractal"], 2, &["no group `fractal`. Known: bridge_orig"]);
+    // A profile with the ranges, which is compared in every later check.
+    with(&[&path("narrow.json"), "--write", &path("mine.toml")], 0, &["a draft of a profile"]);
+    assert_exit(&["policy", "check", &url, "--profile", &path("mine.toml"), "--requests", "2"], 1, &[outside]);
+}
+
+#[test]
 fn mismatches_with_the_profile_are_named() {
     let dir = TempDir::new().unwrap();
     let (openpi, url) = listener();
@@ -138,7 +164,7 @@ fn a_run_is_resumed_after_a_server_stopped() {
     let (listener, url) = listener();
     let address = listener.local_addr().unwrap();
     // The first episode takes seven requests.
-    go_down(listener, 10);
+    go_down(listener, usize::MAX);
     let run = dir.path().join("run").to_str().unwrap().to_owned();
     let start = [
         "run",

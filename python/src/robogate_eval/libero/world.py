@@ -130,7 +130,15 @@ class World:
 
     def observe(self):
         """The observation in the present state."""
-        return self._encode(self._env.env._get_observations(force_update=True))
+        env = self._env.env
+        # robosuite counts a forced update as a time step, and would from then on sample each observation one step (2 ms) earlier than in
+        # LIBERO's own loop.
+        sensors = list(env._observables.values())
+        phases = [(sensor._time_since_last_sample, sensor._sampled) for sensor in sensors]
+        seen = env._get_observations(force_update=True)
+        for sensor, phase in zip(sensors, phases):
+            sensor._time_since_last_sample, sensor._sampled = phase
+        return self._encode(seen)
 
     def _encode(self, seen):
         from robosuite.utils.transform_utils import quat2axisangle
