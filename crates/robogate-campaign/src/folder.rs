@@ -20,6 +20,8 @@ pub const JOURNAL: &str = "journal.rgj";
 pub const LOST: &str = "lost_episodes.jsonl";
 /// The boundary found by the first stage.
 pub const BOUNDARY: &str = "boundary.json";
+/// The episodes of the campaign from which the risk model of the active stage starts. Written before the plan.
+pub const PRIOR: &str = "prior.json";
 /// The models of the active stage.
 pub const ACTIVE: &str = "active.json";
 /// The division of a campaign into shards.
@@ -66,7 +68,9 @@ impl Folder {
     /// The names of the files in the folder, without our own partial files.
     pub(crate) fn names(&self) -> Result<Vec<String>, RunError> {
         let mut names = names(&self.dir).map_err(RunError::io(&self.dir, "list"))?;
-        names.retain(|name| *name != partial(PLAN));
+        // A process that was killed before it wrote the plan may have left the prior.
+        let planned = names.iter().any(|name| name == PLAN);
+        names.retain(|name| ![partial(PLAN), partial(PRIOR)].contains(name) && (planned || name != PRIOR));
         Ok(names)
     }
 
@@ -79,11 +83,17 @@ impl Folder {
 
     /// Writes a JSON document atomically: complete or not at all, even after a power failure.
     pub(crate) fn write(&self, name: &str, document: &impl Serialize) -> Result<(), RunError> {
+        let text = document_bytes(document).map_err(|error| RunError::io(&self.path(name), "write")(error.into()))?;
+        self.write_bytes(name, &text)
+    }
+
+    /// Writes a file atomically, as [`Self::write`] does.
+    pub(crate) fn write_bytes(&self, name: &str, bytes: &[u8]) -> Result<(), RunError> {
         let path = self.path(name);
         let part = self.path(&partial(name));
         let write = || {
             let mut file = File::create(&part)?;
-            file.write_all(&document_bytes(document)?)?;
+            file.write_all(bytes)?;
             file.sync_all()?;
             fs::rename(&part, &path)?;
             sync(&self.dir)

@@ -47,7 +47,10 @@ mod tally;
 mod threads;
 mod twins;
 
-pub use active::{ActiveReport, ActiveRound, ActiveStage, Certificate, ModelScore};
+pub use active::{
+    ActiveReport, ActiveRound, ActiveStage, Certificate, ModelScore, Prior, PriorEffect, PriorError, PriorResult,
+    PriorRound, PriorRun,
+};
 pub use boundary::{
     BoundaryReport, DrawnFrom, EmphasisFound, Focus, ParameterBoundary, PooledWeights, Region, Restricted,
 };
@@ -58,7 +61,8 @@ pub use lost::{LostEpisode, RunAgain};
 pub use plan::{BoundaryStage, DEFAULT_SEED, Emphasis, Plan, PlanError, Preset, Range, UniformStage};
 pub use rows::{RowsError, check_rows};
 pub use run::{
-    AfterRound, Completion, RunError, Settings, recorded, resume, resume_in_rounds, settings, start, start_in_rounds,
+    AfterRound, Completion, RunError, Settings, recorded, resume, resume_in_rounds, settings, start, start_from,
+    start_in_rounds,
 };
 pub use stage::{Points, Stage};
 pub use suite::{

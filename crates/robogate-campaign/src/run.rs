@@ -5,6 +5,7 @@
 //! DIR/journal.rgj          the episodes of an unfinished run
 //! DIR/lost_episodes.jsonl  attempts that an infrastructure fault lost, if there were any
 //! DIR/boundary.json        the boundary found by the first stage
+//! DIR/prior.json           the episodes from which the risk model of the active stage starts, if the plan has a prior
 //! DIR/active.json          the models of the active stage
 //! DIR/dictionary.parquet   the episodes in order of index
 //! DIR/summary.json         the summary; written last, then the journal is deleted
@@ -23,17 +24,18 @@ use robogate_core::{DesignError, Episode, ParameterSpace};
 use robogate_dictionary::{
     Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Platform, Provenance, Recovery, read_text,
 };
+use robogate_risk::RiskError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::active::{Chooser, Opened};
-use crate::folder::{self, ACTIVE, BOUNDARY, DICTIONARY, Folder, JOURNAL, LAYOUT, LOST, PLAN, SUMMARY};
+use crate::folder::{self, ACTIVE, BOUNDARY, DICTIONARY, Folder, JOURNAL, LAYOUT, LOST, PLAN, PRIOR, SUMMARY};
 use crate::invalid::AllInvalid;
 use crate::summary::Summing;
 use crate::{
-    ActiveReport, Bins, BoundaryReport, Event, ExecuteError, Executor, OutcomeCounts, Plan, PlanError, Points, Round,
-    RunAgain, Stage, SuiteStage, Summary, Warning,
+    ActiveReport, ActiveStage, Bins, BoundaryReport, Event, ExecuteError, Executor, OutcomeCounts, Plan, PlanError,
+    Points, Prior, Round, RunAgain, Stage, SuiteStage, Summary, Warning,
 };
 
 /// The content of `plan.json`: everything that the results of a run depend on.
@@ -124,6 +126,19 @@ pub fn start(
     start_in_rounds(dir, plan, provenance, executor, events, &mut |_| ControlFlow::Continue(()))
 }
 
+/// Starts a campaign whose plan names `prior`, like [`start`].
+pub fn start_from(
+    dir: &Path,
+    plan: &Plan,
+    provenance: Provenance,
+    prior: &Prior,
+    executor: &dyn Executor,
+    events: &mut dyn FnMut(&Event),
+) -> Result<Completion, RunError> {
+    let (folder, settings) = begin(dir, plan, provenance, Some(prior))?;
+    Run::new(folder, settings, executor, events, &mut |_| ControlFlow::Continue(()))?.run()
+}
+
 /// Starts a plan that runs a suite, like [`start`], and calls `after_round` after each round.
 ///
 /// `after_round` gets the rounds in order, each once it is completely recorded. The campaign is finished after the
@@ -140,6 +155,17 @@ pub fn start_in_rounds(
     events: &mut dyn FnMut(&Event),
     after_round: &mut AfterRound<'_>,
 ) -> Result<Completion, RunError> {
+    let (folder, settings) = begin(dir, plan, provenance, None)?;
+    Run::new(folder, settings, executor, events, after_round)?.run()
+}
+
+/// Creates the folder of a campaign with its prior and its plan.
+fn begin(
+    dir: &Path,
+    plan: &Plan,
+    provenance: Provenance,
+    prior: Option<&Prior>,
+) -> Result<(Folder, Settings), RunError> {
     plan.check(&provenance.space)?;
     std::fs::create_dir_all(dir).map_err(RunError::io(dir, "create"))?;
     let folder = Folder::lock(dir)?;
@@ -153,8 +179,19 @@ pub fn start_in_rounds(
     }
     let settings =
         Settings::new(plan, provenance).map_err(|source| RunError::Unreadable { path: dir.join(PLAN), source })?;
+    match (&settings.plan.active, prior) {
+        (Some(ActiveStage { prior: Some(named), .. }), Some(prior)) => {
+            let path = folder.path(PRIOR);
+            let text = prior.document().map_err(|source| RunError::Unreadable { path: path.clone(), source })?;
+            Prior::parse(&path, &text, named)?;
+            folder.write_bytes(PRIOR, &text)?;
+        }
+        (Some(ActiveStage { prior: Some(_), .. }), None) => return Err(RunError::NoPrior),
+        _ if folder.has(PRIOR) => folder.remove(PRIOR)?,
+        _ => {}
+    }
     folder.write(PLAN, &settings)?;
-    Run::new(folder, settings, executor, events, after_round)?.run()
+    Ok((folder, settings))
 }
 
 /// Resumes the campaign in `dir`. The resulting files are byte-identical to those of an uninterrupted run. A finished
@@ -437,11 +474,13 @@ impl<'a> Run<'a> {
 
     /// Runs the rounds of the active stage, and writes the report on their models.
     fn active(&mut self) -> Result<Progress, RunError> {
-        let foresight = if self.chosen.is_empty() { self.executor.foresight()? } else { None };
-        let Some(mut chooser) = Chooser::new(&self.settings.plan, &self.space, foresight) else {
+        // The points that other processes have chosen need no model.
+        let (foresight, prior) =
+            if self.chosen.is_empty() { (self.executor.foresight()?, self.prior()?) } else { (None, None) };
+        let Some(mut chooser) = Chooser::new(&self.settings.plan, &self.space, foresight, prior.as_ref())? else {
             return Ok(Progress::Complete);
         };
-        let mut report = ActiveReport { version: ActiveReport::VERSION, rounds: Vec::new() };
+        let mut rounds = Vec::new();
         let (mut number, mut recorded) = (0, 0);
         loop {
             let first = chooser.rounds().get(number).map_or(self.settings.plan.episodes(), |round| round.start);
@@ -455,7 +494,7 @@ impl<'a> Run<'a> {
                 Some(chosen) => chosen.clone(),
                 None => chooser.open(number)?,
             };
-            report.rounds.push(round);
+            rounds.push(round);
             if points.is_empty() {
                 break;
             }
@@ -465,8 +504,18 @@ impl<'a> Run<'a> {
             }
             number += 1;
         }
-        self.folder.write(ACTIVE, &report)?;
+        self.folder.write(ACTIVE, &ActiveReport::of(rounds))?;
         Ok(Progress::Complete)
+    }
+
+    /// The episodes from which the risk model starts, if the plan has a prior.
+    fn prior(&self) -> Result<Option<Prior>, RunError> {
+        let Some(named) = self.settings.plan.active.as_ref().and_then(|stage| stage.prior.as_ref()) else {
+            return Ok(None);
+        };
+        let path = self.folder.path(PRIOR);
+        let text = read_text(&path).map_err(RunError::io(&path, "read"))?;
+        Prior::parse(&path, text.as_bytes(), named).map(Some)
     }
 
     fn interrupted(&self) -> Completion {
@@ -746,6 +795,17 @@ pub enum RunError {
     /// The scenarios have no nominal twins.
     #[error(transparent)]
     Suite(#[from] robogate_core::SuiteError),
+    /// The plan names a prior that was not given.
+    #[error(
+        "the plan has `active.prior`, whose episodes are not given\nhint: remove it from the plan, and add --prior RUN"
+    )]
+    NoPrior,
+    /// No model can be fitted to the prior.
+    #[error("prior: {source}\nhint: choose another run, or leave out --prior")]
+    Prior {
+        /// The reason.
+        source: RiskError,
+    },
     /// The sampler cannot draw the points.
     #[error(transparent)]
     Design(#[from] DesignError),

@@ -52,4 +52,36 @@ pub struct Additions<'a> {
     pub pairs: Option<&'a PairCounts>,
     /// The episodes compared with their nominal twins.
     pub twins: Option<&'a Twins>,
+    /// The risk model that chose the episodes.
+    pub active: Option<&'a ActiveModel>,
+}
+
+/// The risk model of an active design.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ActiveModel {
+    /// Its score, the effect of its prior and its certificate, as sentences without a full stop.
+    pub sentences: Vec<String>,
+    /// The rounds. The last one, without episodes, is the model of all episodes.
+    pub rounds: Vec<ActiveModelRound>,
+}
+
+/// The model before a round. Figures that do not exist are absent.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct ActiveModelRound {
+    /// Episodes of the round.
+    pub episodes: u64,
+    /// Episodes to which the model was fitted.
+    pub trained_on: u64,
+    /// Share of gradient boosting; the rest is logistic regression on splines.
+    pub boosting_share: Option<f64>,
+    /// Brier score of the cross-validation.
+    pub brier: Option<f64>,
+    /// Mean log loss of the cross-validation.
+    pub log_loss: Option<f64>,
+    /// Slope of the prior in the model before the previous round.
+    pub prior_slope: Option<f64>,
+    /// Mean log loss of that model on the uniform episodes of the previous round.
+    pub with_prior: Option<f64>,
+    /// The same without the prior.
+    pub without_prior: Option<f64>,
 }

@@ -105,12 +105,9 @@ impl Inputs {
         Ok(row)
     }
 
-    /// The columns of an episode with these parameters and the fresh draw of this number.
-    ///
-    /// # Errors
-    /// As [`Self::row`].
-    pub fn fresh_row(&self, requested: &Assignment, draw: u64) -> Result<Vec<f64>, Fault> {
+    /// An episode with these parameters and the fresh draw of this number.
+    pub fn fresh(requested: &Assignment, draw: u64) -> Scenario {
         let seed = Seed::campaign(FRESH).episode(draw);
-        self.row(&Scenario { index: draw, seed, requested: requested.clone() })
+        Scenario { index: draw, seed, requested: requested.clone() }
     }
 }

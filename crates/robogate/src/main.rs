@@ -1,5 +1,6 @@
 //! The command line of `robogate`, with one file for each verb.
 
+mod active_model;
 mod answer;
 mod arm_cell;
 mod benchmark;

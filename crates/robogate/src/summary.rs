@@ -3,16 +3,16 @@
 use std::path::Path;
 
 use robogate_analysis::{Analysis, MarginalEffect};
-use robogate_campaign::folder::{ACTIVE, DICTIONARY};
+use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{
-    ActiveReport, BoundaryReport, DrawnFrom, Estimate, OutcomeCounts, Population, Sought, Stage, StageSummary,
-    SuiteSummary, Summary,
+    BoundaryReport, DrawnFrom, Estimate, OutcomeCounts, Population, Sought, Stage, StageSummary, SuiteSummary, Summary,
 };
 use robogate_gate::Twins;
-use robogate_report::{Headline, low_side};
+use robogate_report::{ActiveModel, Headline, low_side};
 use robogate_stats::format::{p_value, percent_or_dash};
 use serde_json::json;
 
+use crate::active_model;
 use crate::commands::analyze::by_influence;
 use crate::commands::report::PAGE;
 use crate::terminal::{bar, bold, dim, foreign, grouped, line, percent, wrapped};
@@ -74,9 +74,7 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
             foreign(&again.first_fault)
         ));
     }
-    if let Some(report) = std::fs::read(dir.join(ACTIVE)).ok().and_then(|text| serde_json::from_slice(&text).ok()) {
-        model(&report);
-    }
+    active_model::of_run(dir).iter().for_each(model);
     files(dir, summary);
 }
 
@@ -160,26 +158,10 @@ fn sought(found: &Sought) {
 }
 
 /// The last risk model of an active design.
-fn model(report: &ActiveReport) {
-    let Some(last) = report.rounds.last() else { return };
+fn model(model: &ActiveModel) {
     line("");
     line(bold("Risk model"));
-    match &last.model {
-        Some(model) => line(format_args!(
-            "  Brier score {:.3} in cross-validation, told the hidden draws, from {} episodes",
-            model.brier,
-            grouped(last.trained_on)
-        )),
-        None => line("  none: fewer than ten failures or ten successes"),
-    }
-    if let Some(found) = &last.certificate {
-        let reached = if found.reached { "reached" } else { "not reached" };
-        line(format_args!(
-            "  error of the model of the parameters: at most {:.3} (95 % confidence, {} pairs); the requested error is {reached}",
-            found.rms_bound,
-            grouped(found.pairs)
-        ));
-    }
+    model.sentences.iter().for_each(|text| wrapped(text));
 }
 
 /// The rate over the scenarios that some policy may complete, if there are others.

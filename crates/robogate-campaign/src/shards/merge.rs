@@ -7,8 +7,8 @@ use std::path::Path;
 use robogate_core::{Episode, Fault, FaultKind, Scenario};
 use robogate_dictionary::{Entry, Journal, Platform, Provenance, SCHEMA_VERSION, Tool};
 
-use super::{DirectoryStore, OpenRound, ShardError, ShardRound, ShardStore, Shards, Stored, put};
-use crate::folder::{Folder, JOURNAL, PLAN};
+use super::{DirectoryStore, OpenRound, ShardError, ShardRound, ShardStore, Shards, Stored, put, put_equal};
+use crate::folder::{Folder, JOURNAL, PLAN, PRIOR};
 use crate::run::{AfterRound, Run, finished, same_origin};
 use crate::{Bins, Completion, Event, ExecuteError, Executor, OutcomeCounts, Round, RunError};
 
@@ -77,6 +77,9 @@ impl Shards {
             && super::get(&store, PLAN)?.unwrap_or_default() != self.plan_text
         {
             return Err(ShardError::OtherRun { dir: out.to_owned() });
+        }
+        if let Some(prior) = self.document(PRIOR)? {
+            put_equal(&store, PRIOR, &prior)?;
         }
         Ok(folder)
     }

@@ -3,6 +3,7 @@
 //!
 //! ```text
 //! DIR/plan.json                     everything the campaign depends on
+//! DIR/prior.json                    the episodes from which the risk model starts, if the plan has a prior
 //! DIR/shards/layout.json            the number of shards
 //! DIR/shards/uniform-3-of-16.rgs    the episodes of one shard
 //! DIR/boundary.json                 the boundary found by the uniform stage
@@ -165,7 +166,10 @@ impl Shards {
         let settings = Settings::parse(&path, &plan_text)?;
         settings.plan.check(&settings.provenance.space).map_err(RunError::from)?;
         let space = Arc::new(settings.provenance.space.clone());
-        Ok(Self { store, settings, plan_text, plan_hash, space, shards: layout.shards })
+        let shards = Self { store, settings, plan_text, plan_hash, space, shards: layout.shards };
+        // A missing or changed prior is reported before any episode runs.
+        shards.prior()?;
+        Ok(shards)
     }
 
     /// The number of shards of each round.

@@ -11,6 +11,7 @@ mod follow;
 mod merge_speed;
 mod overhead;
 mod plan;
+mod prior;
 mod rows;
 mod shards;
 mod suite;

@@ -8,6 +8,7 @@ use robogate_analysis::{Analysis, AnalysisOptions, DEFAULT_TARGET, Source, pair_
 use robogate_gate::{Evaluation, Sampling};
 use robogate_report::{Additions, Watch, analysis_json_with, html_with, markdown_with};
 
+use crate::active_model;
 use crate::commands::analyze::{analyse, options};
 use crate::commands::gate;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
@@ -89,11 +90,13 @@ impl Report {
         let pairs = pair_counts(&source, &analysis).or_usage()?;
         let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
         let twins = self.nominal.twins(&source, sampling)?;
+        let active = source.folder().and_then(active_model::of_run);
         let additions = Additions {
             evaluation: evaluation.as_ref(),
             watch: shown(watch.as_ref()),
             pairs: Some(&pairs),
             twins: twins.as_ref(),
+            active: active.as_ref(),
         };
         let text = match self.format {
             Form::Html => html_with(&analysis, &additions),
@@ -129,11 +132,13 @@ pub(crate) fn page(dir: &Path, frames: Option<&Frames>) -> Result<(Analysis, Opt
     let pairs = pair_counts(&source, &analysis).or_broken()?;
     let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
     let twins = twins::of_folder(dir, &source, sampling)?;
+    let active = active_model::of_run(dir);
     let additions = Additions {
         evaluation: evaluation.as_ref(),
         watch: shown(Some(&watch)),
         pairs: Some(&pairs),
         twins: twins.as_ref(),
+        active: active.as_ref(),
     };
     // Renamed when it is complete, because an existing page is kept.
     let part = dir.join(format!(".{PAGE}.part"));

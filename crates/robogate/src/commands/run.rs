@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::anyhow;
+use anyhow::{Context, anyhow};
 use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, FromArgMatches, Id};
 use robogate_analysis::Analysis;
 use robogate_campaign::folder::PLAN;
 use robogate_campaign::shards::Shard;
 use robogate_campaign::{
-    ActiveStage, Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, Settings, ThreadPool,
+    ActiveStage, Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, Prior, RunError, Settings, ThreadPool,
 };
 use robogate_core::{FailureMode, ParameterSpace, TaskSpec};
 use robogate_dictionary::Provenance;
@@ -28,6 +28,7 @@ use crate::lost_episodes::{Outage, RunsLostAgain};
 use crate::place;
 use crate::policy_source::{PolicyArguments, PolicyLocation};
 use crate::progress::Progress;
+use crate::source::open_source;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary;
 use crate::terminal::{Screen, grouped, note, percent, warning};
@@ -66,6 +67,10 @@ pub(crate) struct Run {
     /// Estimate the rate of this failure mode: the active design samples where the mode is likely
     #[arg(long, value_name = "MODE", conflicts_with_all = ["suite", "until_rms"])]
     seek: Option<String>,
+    /// Start the risk model of the active design from this finished run of the same task, with another policy, engine or robot.
+    /// The summary states whether that helped
+    #[arg(long, value_name = "RUN", conflicts_with = "suite")]
+    prior: Option<PathBuf>,
     /// Stop the active design when the root mean square error of its risk model is at most this (0 to 0.5), with 95 %
     /// confidence
     #[arg(long, value_name = "ERROR", conflicts_with = "suite")]
@@ -165,7 +170,7 @@ impl Run {
             let subject = Subject::recorded_at(&provenance, &self.environment.simulators, &self.location)?;
             let question_sha256 = provenance.question_sha256;
             let provenance = Provenance { question_sha256, ..subject.provenance(provenance.space)? };
-            return shard::run(dir, shard, &subject, &plan, provenance, &self.how);
+            return shard::run(dir, shard, &subject, &plan, provenance, None, &self.how);
         }
         // The surface gripper, four failure modes and one workspace for all robots belong to the paper preset. All other
         // runs use the physical vacuum law and every mode.
@@ -179,11 +184,14 @@ impl Run {
         let (mut plan, space) = self.plan_and_space(&subject)?;
         plan.twins |= self.twins;
         let provenance = subject.provenance(space)?;
+        let prior = self.prior(&mut plan, &provenance)?;
         if let (Some(shard), Some(dir)) = (self.shard, &self.out) {
-            return shard::run(dir, shard, &subject, &plan, provenance, &self.how);
+            return shard::run(dir, shard, &subject, &plan, provenance, prior.as_ref(), &self.how);
         }
         if let (Some(shards), Some(dir)) = (self.divide, &self.out) {
-            return shard::divide(dir, shards, &plan, provenance, &[], self.how.json);
+            let documents = shard::documents(prior.as_ref())?;
+            let documents: Vec<(&str, &[u8])> = documents.iter().map(|(name, text)| (*name, &**text)).collect();
+            return shard::divide(dir, shards, &plan, provenance, &documents, self.how.json);
         }
         let dir = match &self.out {
             Some(dir) if place::is_remote(dir) => {
@@ -245,9 +253,34 @@ impl Run {
         }
         let arm = Arm::of(&dir, &plan, &provenance.space, &subject)?;
         self.how.conduct(&dir, &subject, |executor, events| {
-            let completion = robogate_campaign::start(&dir, &plan, provenance, executor, events)?;
+            let completion = match &prior {
+                Some(prior) => robogate_campaign::start_from(&dir, &plan, provenance, prior, executor, events)?,
+                None => robogate_campaign::start(&dir, &plan, provenance, executor, events)?,
+            };
             arm.map_or(Ok(completion.clone()), |arm| arm.after(completion, executor, events))
         })
+    }
+
+    /// The episodes of `--prior`, which the plan names from now on.
+    fn prior(&self, plan: &mut Plan, provenance: &Provenance) -> Result<Option<Prior>, Exit> {
+        let Some(run) = &self.prior else { return Ok(None) };
+        let at = || format!("--prior {}", run.display());
+        let Some(stage) = &mut plan.active else {
+            return Err(anyhow!("--prior applies to the active design\n  hint: add --design active")).or_usage();
+        };
+        let source = open_source(run)?;
+        let prior = Prior::of(source.dictionary()).with_context(at).or_usage()?;
+        prior.check(&provenance.task, &provenance.space, stage.seek.as_deref()).with_context(at).or_usage()?;
+        let named = prior.identity(&provenance.robot).or_broken()?;
+        note(format_args!(
+            "prior: {} policy on {} in {}{}",
+            named.policy,
+            named.robot,
+            named.engine,
+            if named.told_draws { "" } else { "; another robot, so its model does not use the hidden draws" }
+        ));
+        stage.prior = Some(named);
+        Ok(Some(prior))
     }
 
     /// The plan and its parameter space.
@@ -453,6 +486,7 @@ pub(crate) fn exit(error: RunError) -> Exit {
         | RunError::NewerVersion { .. }
         | RunError::Mismatch { .. }
         | RunError::NoSuchEpisode { .. }
+        | RunError::NoPrior
         | RunError::Suite(_)
         | RunError::Plan(_) => USAGE,
         _ => INFRASTRUCTURE,

@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use anyhow::anyhow;
+use robogate_campaign::folder::PRIOR;
 use robogate_campaign::shards::{Assignment, Commit, Shard, ShardEnd, ShardError, ShardResult, ShardTask, Shards};
-use robogate_campaign::{OutcomeCounts, Plan};
+use robogate_campaign::{OutcomeCounts, Plan, Prior};
 use robogate_dictionary::Provenance;
 use serde_json::json;
 
@@ -15,17 +16,20 @@ use crate::sharded::Campaign;
 use crate::subject::Subject;
 use crate::terminal::{grouped, line, note};
 
-/// Runs shard `shard` of the open round of the campaign in `dir`, and commits it.
+/// Runs shard `shard` of the open round of the campaign in `dir`, and commits it. The first process stores the prior.
 pub(crate) fn run(
     dir: &Path,
     shard: Shard,
     subject: &Subject,
     plan: &Plan,
     provenance: Provenance,
+    prior: Option<&Prior>,
     how: &How,
 ) -> Result<u8, Exit> {
     introduce(&provenance, plan.seed);
-    let mut campaign = Campaign::of(begin(dir, shard.of(), plan, provenance, &[])?)?;
+    let documents = documents(prior)?;
+    let documents: Vec<(&str, &[u8])> = documents.iter().map(|(name, text)| (*name, &**text)).collect();
+    let mut campaign = Campaign::of(begin(dir, shard.of(), plan, provenance, &documents)?)?;
     let foresight = || subject.foresight();
     campaign.choose(&foresight)?;
     let report = |state: &str, round: Option<String>, outcomes: Option<&OutcomeCounts>| {
@@ -97,6 +101,11 @@ pub(crate) fn divide(
         line(json!({ "version": 1, "dir": dir, "shards": shards, "episodes": episodes }));
     }
     Ok(DONE)
+}
+
+/// The documents beside the plan of a campaign that starts from a prior: names and contents.
+pub(crate) fn documents(prior: Option<&Prior>) -> Result<Vec<(&'static str, Vec<u8>)>, Exit> {
+    prior.map(|prior| Ok((PRIOR, prior.document()?))).into_iter().collect::<serde_json::Result<_>>().or_broken()
 }
 
 /// Starts or joins a campaign in shards in `dir`.

@@ -1,5 +1,6 @@
 //! The document of an analysis: the result first, then the evidence.
 
+mod active;
 mod danger;
 mod envelope;
 mod failures;
@@ -67,6 +68,9 @@ fn sections(analysis: &Analysis, additions: &Additions<'_>) -> Vec<Section> {
         marginal::section(analysis),
         envelope::section(analysis, additions.pairs),
         failures::section(analysis),
+    ]);
+    sections.extend(additions.active.map(active::section));
+    sections.extend([
         models::risk(analysis),
         replay::section(analysis),
         paper(analysis),

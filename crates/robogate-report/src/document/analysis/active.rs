@@ -1,0 +1,53 @@
+//! The risk model of an active design: its rounds, and whether its prior helped.
+
+use robogate_stats::format::{count, fixed, percent_or_dash, sentence};
+
+use super::{Block, Section, Table};
+use crate::ActiveModel;
+use crate::document::Kind::Number;
+use crate::document::{MAX_ROWS, or_dash};
+
+pub(super) fn section(model: &ActiveModel) -> Section {
+    let rows = model.rounds.iter().map(|round| {
+        let number = |value: Option<f64>| or_dash(value, |value| fixed(value, 3));
+        vec![
+            if round.episodes > 0 { count(round.episodes) } else { "end".to_owned() },
+            count(round.trained_on),
+            percent_or_dash(round.boosting_share),
+            number(round.brier),
+            number(round.log_loss),
+            number(round.prior_slope),
+            number(round.with_prior),
+            number(round.without_prior),
+        ]
+    });
+    let columns = [
+        ("episodes of the round", Number),
+        ("trained on", Number),
+        ("share of boosting", Number),
+        ("Brier score", Number),
+        ("log loss", Number),
+        ("slope of the prior", Number),
+        ("loss with prior", Number),
+        ("loss without prior", Number),
+    ];
+    let mut table = Table::new("Rounds", &columns, rows.collect()).without_empty().at_most(MAX_ROWS);
+    table.remark = Some(
+        "Scores of cross-validation before each round, over all episodes so far. Losses with and without a prior: uniform episodes of \
+         the round before, which no model had seen."
+            .to_owned(),
+    );
+    let mut about = vec![
+        "This model chose the episodes of the active design: gradient boosting and logistic regression on splines, told the \
+         parameters, the hidden draws and the margins of the task. The risk model further below is another one: a logistic \
+         regression on the parameters, whose coefficients can be read."
+            .to_owned(),
+    ];
+    about.extend(model.sentences.iter().map(|text| format!("{}.", sentence(text))));
+    Section {
+        id: "active",
+        title: "Risk model of the active design".to_owned(),
+        population: None,
+        blocks: vec![Block::List(about), Block::Folded(table)],
+    }
+}

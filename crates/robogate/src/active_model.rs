@@ -1,0 +1,76 @@
+//! The risk model of an active design, for the terminal and the page.
+
+use std::path::Path;
+
+use robogate_campaign::folder::ACTIVE;
+use robogate_campaign::{ActiveReport, ActiveRound, Certificate, PriorEffect, PriorResult};
+use robogate_report::{ActiveModel, ActiveModelRound};
+use robogate_stats::format::counted;
+
+use crate::terminal::grouped;
+
+/// The model of the active design in the folder of a run. `None` without one.
+pub(crate) fn of_run(dir: &Path) -> Option<ActiveModel> {
+    let text = std::fs::read(dir.join(ACTIVE)).ok()?;
+    let report: ActiveReport = serde_json::from_slice(&text).ok()?;
+    let last = report.rounds.last()?;
+    let mut sentences = vec![score(last)];
+    sentences.extend(report.prior.as_ref().map(|found| prior(found, last)));
+    sentences.extend(last.certificate.as_ref().map(certificate));
+    Some(ActiveModel { sentences, rounds: report.rounds.iter().map(round).collect() })
+}
+
+fn score(last: &ActiveRound) -> String {
+    match (&last.model, &last.problem) {
+        (Some(model), _) => format!(
+            "Brier score {:.3} in cross-validation, told the hidden draws, from {} episodes",
+            model.brier,
+            grouped(last.trained_on)
+        ),
+        (None, Some(problem)) => format!("none: {problem}"),
+        (None, None) => "none: fewer than ten failures or ten successes".to_owned(),
+    }
+}
+
+fn certificate(found: &Certificate) -> String {
+    let reached = if found.reached { "reached" } else { "not reached" };
+    format!(
+        "error of the model of the parameters: at most {:.3} (95 % confidence, {} pairs); the requested error is {reached}",
+        found.rms_bound,
+        grouped(found.pairs)
+    )
+}
+
+/// Whether the prior helped.
+fn prior(found: &PriorResult, last: &ActiveRound) -> String {
+    let effect = match found.effect {
+        PriorEffect::Helped => "the prior helped",
+        PriorEffect::NoDifference => "the prior made no significant difference",
+        PriorEffect::Hurt => "the prior made the predictions worse",
+    };
+    let [low, high] = found.gain_95;
+    let slope = last.prior.map_or_else(String::new, |round| match round.slope {
+        slope if slope > 0.0 => format!("; its slope was {slope:.2} in the last round"),
+        _ => "; cross-validation did not choose it in the last round".to_owned(),
+    });
+    format!(
+        "{effect}: log loss {:.3} with it and {:.3} without (95 % interval of the gain {low:+.3} to {high:+.3}), on {} that \
+         neither model had seen{slope}",
+        found.with,
+        found.without,
+        counted(found.episodes, "uniform episode"),
+    )
+}
+
+fn round(round: &ActiveRound) -> ActiveModelRound {
+    ActiveModelRound {
+        episodes: round.episodes,
+        trained_on: round.trained_on,
+        boosting_share: round.model.map(|model| model.boosting_share),
+        brier: round.model.map(|model| model.brier),
+        log_loss: round.model.map(|model| model.log_loss),
+        prior_slope: round.prior.map(|prior| prior.slope),
+        with_prior: round.prior.map(|prior| prior.with),
+        without_prior: round.prior.map(|prior| prior.without),
+    }
+}
