@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_physics::description::{Description, LinkLook, Solid};
-use robogate_physics::{Robot, RobotError, RobotSource};
+use robogate_physics::{FingerMotion, Robot, RobotError, RobotSource};
 
 use crate::Posture;
 use crate::body::Form;
@@ -27,6 +27,8 @@ pub(crate) struct RobotLooks {
     #[cfg(feature = "egl")]
     pub(crate) bodies: Vec<(String, usize, Isometry3<f64>)>,
     links: Vec<Option<Hinge>>,
+    /// Motion of fingers with drives.
+    fingers: Option<FingerMotion>,
     /// The link with the tool centre point, and its pose in that link.
     tool: (usize, Isometry3<f64>),
 }
@@ -58,6 +60,8 @@ enum Drive {
     Arm(usize),
     /// Distance of a finger from the closed position.
     Finger,
+    /// A joint of fingers with drives, by its index in their motion.
+    Linkage(usize),
     /// `factor` times the joint of another link plus `offset`.
     Follows { link: usize, factor: f64, offset: f64 },
     /// No source: the joint stays at 0.
@@ -66,19 +70,21 @@ enum Drive {
 
 impl RobotLooks {
     pub(crate) fn new(robot: &Robot) -> Result<Self, String> {
-        let description = Description::read(robot).map_err(|error| match error {
+        let why = |error: RobotError| match error {
             RobotError::Invalid { problems, .. } => {
                 problems.first().map_or_else(|| "the model cannot be read".to_owned(), |first| first.what.clone())
             }
             other => other.to_string(),
-        })?;
+        };
+        let description = Description::read(robot).map_err(why)?;
+        let fingers = FingerMotion::of(robot).map_err(why)?;
         let hinges = description.links.iter().map(|link| {
             link.joint.as_ref().map(|joint| Hinge {
                 parent: joint.parent,
                 in_parent: joint.in_parent,
                 from_joint: joint.in_link.inverse(),
                 slides: joint.slides,
-                drive: drive(&joint.name, robot, &description),
+                drive: drive(&joint.name, robot, &description, fingers.as_ref()),
             })
         });
         let links = hinges.collect();
@@ -105,6 +111,7 @@ impl RobotLooks {
             #[cfg(feature = "egl")]
             bodies: description.bodies,
             links,
+            fingers,
             tool: description.tcp,
         })
     }
@@ -117,9 +124,15 @@ impl RobotLooks {
     /// Poses of the links.
     pub(crate) fn links(&self, posture: &Posture) -> Vec<Isometry3<f64>> {
         let mut poses: Vec<Isometry3<f64>> = Vec::with_capacity(self.links.len());
+        // Without an opening the gripper is open.
+        let opening = posture.opening_m.unwrap_or(f64::INFINITY);
+        let linkage = self.fingers.as_ref().map(|fingers| fingers.joints_at(opening));
         for hinge in &self.links {
             let pose = hinge.as_ref().map_or_else(Isometry3::identity, |hinge| {
-                let q = self.position(hinge.drive, posture);
+                let q = match (hinge.drive, &linkage) {
+                    (Drive::Linkage(i), Some(joints)) => joints.get(i).copied().unwrap_or_default(),
+                    (drive, _) => self.position(drive, posture),
+                };
                 let motion = if hinge.slides {
                     Isometry3::translation(q, 0.0, 0.0)
                 } else {
@@ -150,19 +163,22 @@ impl RobotLooks {
                 };
                 factor * led + offset
             }
-            Drive::Nothing => 0.0,
+            Drive::Linkage(_) | Drive::Nothing => 0.0,
         }
     }
 }
 
 /// The source of the position of the joint with this name.
-fn drive(joint: &str, robot: &Robot, description: &Description) -> Drive {
+fn drive(joint: &str, robot: &Robot, description: &Description, fingers: Option<&FingerMotion>) -> Drive {
     let settings = &robot.settings;
     if let Some(i) = settings.arm.joints.iter().position(|name| name == joint) {
         return Drive::Arm(i);
     }
-    if settings.gripper.jaw().is_some_and(|jaw| jaw.finger_joints.iter().any(|name| name == joint)) {
+    if settings.gripper.jaw().is_some_and(|jaw| jaw.slides().iter().any(|name| name == joint)) {
         return Drive::Finger;
+    }
+    if let Some(i) = fingers.and_then(|fingers| fingers.joints.iter().position(|name| name == joint)) {
+        return Drive::Linkage(i);
     }
     let coupling = description.couplings.iter().find(|coupling| coupling.second == joint);
     coupling

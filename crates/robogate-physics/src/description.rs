@@ -256,7 +256,10 @@ impl Reader<'_> {
         let named = self.model.bodies.iter().zip(&places);
         let bodies =
             named.filter_map(|(entry, (link, within))| Some((entry.body.name.clone()?, *link, *within))).collect();
-        Ok(Description { chain, couplings: self.couplings()?, links, tcp, bodies })
+        // The motion of fingers with drives is measured, not computed from couplings.
+        let measured = robot.settings.gripper.jaw().is_some_and(|jaw| !jaw.drives.is_empty());
+        let couplings = if measured { Vec::new() } else { self.couplings()? };
+        Ok(Description { chain, couplings, links, tcp, bodies })
     }
 
     fn joint(&self, joint: &Joint, parent: usize, placement: &Isometry3<f64>, body: &str) -> Result<LinkJoint, String> {

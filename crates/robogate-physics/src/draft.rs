@@ -7,9 +7,10 @@ use std::fmt::Write;
 use std::path::Path;
 
 use mujoco_rs::prelude::*;
-use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::Seed;
 
+use crate::drafted_jaw::{Jaw, TIP};
 use crate::mujoco::load_mujoco;
 use crate::robot::RobotSource;
 use crate::robot_model::{self, joint_id};
@@ -34,8 +35,6 @@ const TORQUE: f64 = 100.0;
 const STIFFNESS: f64 = 60.0;
 /// Damping of such a servo, in multiples of its stiffness, in seconds.
 const DAMPING_S: f64 = 0.07;
-/// Distance from the fingertips back to the tool centre point, in metres.
-const TIP: f64 = 0.01;
 
 /// A drafted `robot.toml`.
 #[derive(Debug, Clone, PartialEq)]
@@ -61,13 +60,15 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
         .compile()
         .map_err(|error| one(error.to_string(), "this error is from MuJoCo: correct the model"))?;
     robot_model::prepare(&mut spec, MujocoEngine::TIME_STEP_S);
-    let compiled =
-        spec.compile().map_err(|error| one(error.to_string(), "this error is from MuJoCo: correct the model"))?;
+    let compiled = spec
+        .clone()
+        .compile()
+        .map_err(|error| one(error.to_string(), "this error is from MuJoCo: correct the model"))?;
     let text = std::fs::read_to_string(model).unwrap_or_default();
     let tree = Tree::of(&compiled).map_err(|problem| vec![problem])?;
     let mut draft = Writer { out: String::new(), guesses: Vec::new() };
     let arm = ArmDraft::of(&compiled, &raw, &tree, &text);
-    let tool = Tool::of(&compiled, &tree)?;
+    let tool = Tool::of(&spec, &compiled, &tree)?;
     let mut settings = settings(name, &file, &arm, &tool, arm.home.clone().unwrap_or_else(|| arm.middle()))?;
     let home_is_known = arm.home.is_some();
     let folder = model.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -291,7 +292,7 @@ struct Tool {
 }
 
 impl Tool {
-    fn of(model: &MjModel, tree: &Tree) -> Result<Self, Vec<Problem>> {
+    fn of(spec: &MjSpec, model: &MjModel, tree: &Tree) -> Result<Self, Vec<Problem>> {
         let body_name = |body: usize| model.id_to_name(MjtObjBase::mjOBJ_BODY, body).unwrap_or_default().to_owned();
         let palm = tree.palm.unwrap_or_else(|| end_of(model, tree.last));
         let mut tool = Self {
@@ -302,15 +303,16 @@ impl Tool {
             guesses: Vec::new(),
         };
         let bodies: Vec<usize> = subtree(model, tree.last);
-        let site = |words: &[&str]| {
-            (0..model.site_bodyid().len()).find(|site| {
+        let sites = |words: &[&str]| -> Vec<usize> {
+            let named = |site: &usize| {
                 let name = model.id_to_name(MjtObjBase::mjOBJ_SITE, *site).unwrap_or_default().to_lowercase();
                 bodies.contains(&(model.site_bodyid()[*site] as usize)) && words.iter().any(|word| name.contains(word))
-            })
+            };
+            (0..model.site_bodyid().len()).filter(named).collect()
         };
         let site_name = |site: usize| model.id_to_name(MjtObjBase::mjOBJ_SITE, site).unwrap_or_default().to_owned();
-        match site(&["flange", "attachment", "tool0"]) {
-            Some(found) => tool.flange = site_name(found),
+        match sites(&["flange", "attachment", "tool0"]).first() {
+            Some(found) => tool.flange = site_name(*found),
             None => {
                 let carrier = named_body(model, &bodies, &["flange", "tool0"]).unwrap_or(tree.last);
                 tool.sites.push(("flange".to_owned(), body_name(carrier), [0.0; 3], [0.0; 3]));
@@ -318,16 +320,27 @@ impl Tool {
                 tool.guesses.push(format!("the flange is at the frame of the body `{}`", body_name(carrier)));
             }
         }
-        let jaw = tree.palm.map(|palm| Jaw::of(model, tree, palm)).transpose()?;
-        let known = site(&["tcp", "grip", "pinch", "tool_center"])
-            .or_else(|| if jaw.is_none() { site(&["tool", "ee"]) } else { None });
+        let jaw = tree.palm.map(|palm| Jaw::of(spec, model, &tree.joints, palm, &tree.fingers)).transpose()?;
+        let mut tcp = jaw.as_ref().map_or_else(Isometry3::identity, |jaw| jaw.tcp);
+        // A site of the model is used where it is between the pads, z out of the tool and the fingers along y.
+        let fits = |site: &usize| {
+            let Some(jaw) = &jaw else { return true };
+            in_body(model, *site, palm).is_some_and(|pose| jaw.accepts(&pose))
+        };
+        let words: &[&[&str]] = &[&["tcp", "grip", "pinch", "tool_center"], &["tool", "ee"]];
+        let known = words.iter().flat_map(|words| sites(words)).find(fits);
+        if let Some(pose) = known.and_then(|site| in_body(model, site, palm)) {
+            tcp = pose;
+        }
         match (known, &jaw) {
             (Some(found), _) => tool.tcp = site_name(found),
             (None, Some(jaw)) => {
                 let at = jaw.tcp;
                 let (roll, pitch, yaw) = at.rotation.euler_angles();
-                tool.sites.push(("tcp".to_owned(), body_name(palm), at.translation.vector.into(), [roll, pitch, yaw]));
-                tool.tcp = "tcp".to_owned();
+                let taken = (0..model.site_bodyid().len())
+                    .any(|site| model.id_to_name(MjtObjBase::mjOBJ_SITE, site) == Some("tcp"));
+                tool.tcp = if taken { "drafted_tcp" } else { "tcp" }.to_owned();
+                tool.sites.push((tool.tcp.clone(), body_name(palm), at.translation.vector.into(), [roll, pitch, yaw]));
                 tool.guesses.push(format!(
                     "the tool centre point is {} mm behind the fingertips, in the middle between the pads",
                     1e3 * TIP
@@ -342,33 +355,46 @@ impl Tool {
             }
         }
         match &jaw {
-            Some(jaw) => tool.add_jaw(jaw),
+            Some(jaw) => tool.add_jaw(jaw, jaw.tip_and_palm(&tcp)),
             None => tool.add_cup(&body_name(palm)),
         }
         Ok(tool)
     }
 
-    fn add_jaw(&mut self, jaw: &Jaw) {
+    fn add_jaw(&mut self, jaw: &Jaw, [tip_m, palm_m]: [f64; 2]) {
         let strings = |names: &[String; 2]| toml::Value::from(names.to_vec());
         let force = jaw.force_n.unwrap_or(30.0);
         for (key, value) in [
             ("kind", toml::Value::from("parallel_jaw")),
-            ("finger_joints", strings(&jaw.joints)),
             ("finger_bodies", strings(&jaw.bodies)),
             ("opening_m", rounded(jaw.opening_m)),
             ("finger_speed_m_s", 0.05.into()),
             ("force_n", rounded(force.min(30.0))),
             ("force_limit_n", rounded(force.max(30.0))),
-            ("stiffness_n_m", 10_000.0.into()),
-            ("damping_ns_m", 100.0.into()),
-            ("tip_m", TIP.into()),
-            ("palm_m", rounded(jaw.palm_m)),
+            ("stiffness_n_m", jaw.stiffness_n_m.into()),
+            ("damping_ns_m", jaw.damping_ns_m.into()),
+            ("tip_m", rounded(tip_m)),
+            ("palm_m", rounded(palm_m)),
         ] {
             self.gripper.insert(key.to_owned(), value);
         }
         self.guesses.push("speed, force, stiffness and damping of the fingers".to_owned());
-        self.guesses
-            .push("the fingers' zero is where the pads meet, so the opening is the sum of their ranges".to_owned());
+        self.guesses.push(format!(
+            "the pads are on `{}` and `{}`; opening_m, tip_m and palm_m are measured from their collision shapes",
+            jaw.bodies[0], jaw.bodies[1]
+        ));
+        match &jaw.slides {
+            Some(joints) => {
+                self.gripper.insert("finger_joints".to_owned(), strings(joints));
+            }
+            None => {
+                let drives: Vec<toml::Value> =
+                    jaw.drives.iter().filter_map(|d| toml::Value::try_from(d).ok()).collect();
+                let names: Vec<&str> = jaw.drives.iter().map(|drive| drive.moves.as_str()).collect();
+                self.guesses.push(format!("{} drives the fingers between the ends of its range", names.join(" and ")));
+                self.gripper.insert("drive".to_owned(), drives.into());
+            }
+        }
     }
 
     fn add_cup(&mut self, body: &str) {
@@ -391,6 +417,19 @@ fn rounded(x: f64) -> toml::Value {
     ((x * 1e6).round() / 1e6).into()
 }
 
+/// The pose of a site in the frame of a body that it is fixed to. `None` if it moves relative to that body.
+fn in_body(model: &MjModel, site: usize, body: usize) -> Option<Isometry3<f64>> {
+    let carrier = model.site_bodyid()[site] as usize;
+    if model.body_weldid()[carrier] != model.body_weldid()[body] {
+        return None;
+    }
+    let mut data = MjData::new(Box::new(model.clone()));
+    data.forward();
+    let carrier = isometry(&data.xpos()[carrier], &data.xquat()[carrier]);
+    let at = carrier * isometry(&model.site_pos()[site], &model.site_quat()[site]);
+    Some(isometry(&data.xpos()[body], &data.xquat()[body]).inverse() * at)
+}
+
 /// The last body that is fixed to `body`.
 fn end_of(model: &MjModel, body: usize) -> usize {
     let fixed = |other: &usize| model.body_weldid()[*other] == model.body_weldid()[body];
@@ -403,93 +442,6 @@ fn named_body(model: &MjModel, bodies: &[usize], words: &[&str]) -> Option<usize
         words.iter().any(|word| name.contains(word))
     };
     bodies.iter().rev().find(named).copied()
-}
-
-/// Two fingers that slide.
-struct Jaw {
-    joints: [String; 2],
-    bodies: [String; 2],
-    opening_m: f64,
-    force_n: Option<f64>,
-    palm_m: f64,
-    /// The tool centre point in the palm's frame.
-    tcp: Isometry3<f64>,
-}
-
-impl Jaw {
-    fn of(model: &MjModel, tree: &Tree, palm: usize) -> Result<Self, Vec<Problem>> {
-        let name = |kind, id: usize| model.id_to_name(kind, id).unwrap_or_default().to_owned();
-        let slides: Vec<usize> =
-            tree.fingers.iter().copied().filter(|j| model.jnt_type()[*j] == MjtJoint::mjJNT_SLIDE).collect();
-        let ([first, second], true) = (&slides[..], slides.len() == tree.fingers.len()) else {
-            let names: Vec<String> = tree.fingers.iter().map(|joint| name(MjtObjBase::mjOBJ_JOINT, *joint)).collect();
-            return Err(vec![Problem::new(
-                format!("the gripper has the joints {}: only two fingers that slide are supported", names.join(", ")),
-                "replace the fingers in the model by two sliding ones with the same pads and opening",
-            )]);
-        };
-        let carrier = |joint: &usize| model.jnt_bodyid()[*joint] as usize;
-        let mut data = MjData::new(Box::new(model.clone()));
-        data.forward();
-        let frame = isometry(&data.xpos()[palm], &data.xquat()[palm]);
-        // The corners of the fingers' shapes in the palm's frame, at joint positions 0.
-        let mut corners: Vec<Vector3<f64>> = Vec::new();
-        for geom in 0..model.geom_bodyid().len() {
-            let body = model.body_weldid()[model.geom_bodyid()[geom] as usize];
-            let on_finger = [first, second].iter().any(|joint| model.body_weldid()[carrier(joint)] == body);
-            if !on_finger || (model.geom_contype()[geom] == 0 && model.geom_conaffinity()[geom] == 0) {
-                continue;
-            }
-            let [x, y, z, a, b, c] = model.geom_aabb()[geom];
-            let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_row_slice(&data.geom_xmat()[geom]));
-            let at = Isometry3::from_parts(
-                Translation3::from(Vector3::from(data.geom_xpos()[geom])),
-                UnitQuaternion::from_rotation_matrix(&rotation),
-            );
-            for (i, j, k) in [-1.0, 1.0]
-                .iter()
-                .flat_map(|i| [-1.0, 1.0].map(|j| (*i, j)))
-                .flat_map(|(i, j)| [-1.0, 1.0].map(|k| (i, j, k)))
-            {
-                let corner = at * Point3::new(x + i * a, y + j * b, z + k * c);
-                corners.push(frame.inverse_transform_point(&corner).coords);
-            }
-        }
-        if corners.is_empty() {
-            return Err(vec![Problem::new(
-                "the fingers have no collision shape",
-                "give them geoms with contype or conaffinity, or <collision> elements",
-            )]);
-        }
-        // The fingers close along y; z points from the palm to their tips.
-        let along = frame.rotation.inverse()
-            * (isometry(&data.xpos()[carrier(first)], &data.xquat()[carrier(first)]).rotation
-                * Vector3::from(model.jnt_axis()[*first]));
-        let y = along.normalize();
-        let middle = corners.iter().sum::<Vector3<f64>>() / corners.len() as f64;
-        let outwards = middle - y * middle.dot(&y);
-        let z = if outwards.norm() > 1e-6 { outwards.normalize() } else { y.cross(&Vector3::x()).normalize() };
-        let tip = corners.iter().map(|corner| corner.dot(&z)).fold(f64::NEG_INFINITY, f64::max);
-        let base = corners.iter().map(|corner| corner.dot(&z)).fold(f64::INFINITY, f64::min);
-        let side = middle - z * middle.dot(&z);
-        let rotation =
-            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[
-                y.cross(&z),
-                y,
-                z,
-            ])));
-        let tcp = Isometry3::from_parts(Translation3::from(side - y * side.dot(&y) + z * (tip - TIP)), rotation);
-        let pair = |of: &dyn Fn(&usize) -> String| [of(first), of(second)];
-        let limit = |joint: &usize| model.jnt_actfrclimited()[*joint].then(|| model.jnt_actfrcrange()[*joint][1]);
-        Ok(Self {
-            joints: pair(&|joint| name(MjtObjBase::mjOBJ_JOINT, *joint)),
-            bodies: pair(&|joint| name(MjtObjBase::mjOBJ_BODY, carrier(joint))),
-            opening_m: [first, second].iter().map(|joint| model.jnt_range()[**joint][1]).sum(),
-            force_n: limit(first).filter(|force| *force > 0.0),
-            palm_m: (tip - TIP - base).clamp(0.001, 0.5),
-            tcp,
-        })
-    }
 }
 
 /// The settings for the search of a home posture.
@@ -532,7 +484,9 @@ fn document(name: &str, file: &str, arm: &ArmDraft, tool: &Tool, home: &[f64], r
     table.insert("payload_kg".to_owned(), 1.0.into());
     let mut text = format!("name = {}\nmodel = {}\n", toml::Value::from(name), toml::Value::from(file));
     // Writing to a string cannot fail.
-    let _ = write!(text, "\n[arm]\n{table}\n[gripper]\n{}", tool.gripper);
+    let mut gripper = toml::Table::new();
+    gripper.insert("gripper".to_owned(), tool.gripper.clone().into());
+    let _ = write!(text, "\n[arm]\n{table}\n{gripper}");
     for (name, body, position, rpy) in &tool.sites {
         let _ = write!(
             text,
@@ -549,7 +503,7 @@ fn document(name: &str, file: &str, arm: &ArmDraft, tool: &Tool, home: &[f64], r
 /// The kinematics of the robot with these settings.
 fn kinematics(settings: &RobotSettings, folder: &Path) -> Option<Chain> {
     let robot = Robot { settings: settings.clone(), source: RobotSource::Folder(folder.to_owned()) };
-    robot_model::build(&robot, MujocoEngine::TIME_STEP_S).ok().map(|(_, chain)| chain)
+    robot_model::build(&robot, MujocoEngine::TIME_STEP_S).ok().map(|(_, chain, _)| chain)
 }
 
 /// A posture with the tool pointing down over the workspace, away from the ends of the ranges.

@@ -40,6 +40,12 @@ pub trait Engine {
     /// Opening between the pads, in metres; `None` for a gripper without fingers.
     fn opening(&self) -> Option<f64>;
 
+    /// The opening that the position of the fingers' drives stands for, in metres: what the gripper's own controller
+    /// measures. It differs from [`Engine::opening`] where a linkage between drive and pads yields.
+    fn drive_opening(&self) -> Option<f64> {
+        self.opening()
+    }
+
     /// Selects the free body that is "the object" in all other methods and in [`Touches`]: 0 is the object of the scene,
     /// then come the others. [`Engine::load`] selects 0. A body that the cup holds stays selected.
     fn select(&mut self, body: usize);
@@ -138,6 +144,10 @@ impl<E: Engine + ?Sized> Engine for Box<E> {
 
     fn opening(&self) -> Option<f64> {
         (**self).opening()
+    }
+
+    fn drive_opening(&self) -> Option<f64> {
+        (**self).drive_opening()
     }
 
     fn select(&mut self, body: usize) {

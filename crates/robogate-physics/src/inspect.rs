@@ -297,12 +297,23 @@ fn trial(engine: &mut MujocoEngine, settings: &RobotSettings, problems: &mut Vec
     if let Some(jaw) = settings.gripper.jaw() {
         let reached = |engine: &MujocoEngine| engine.opening().unwrap_or(f64::NAN);
         let opened = reached(engine);
+        if let Some(gap) = engine.pad_gap().filter(|gap| jaw.drives.is_empty() && (gap - opened).abs() > FINGERS_M) {
+            problems.push(Problem::new(
+                format!(
+                    "with the gripper open, the fingers' shapes are {:.1} mm apart, and their joints stand for {:.1} mm",
+                    1e3 * gap,
+                    1e3 * opened
+                ),
+                "describe these fingers by [[gripper.drive]] instead of gripper.finger_joints: the opening is then read from the pads",
+            ));
+        }
         let finger_step = jaw.finger_speed_m_s * step;
         for _ in 0..steps(0.5 + 0.5 * jaw.opening_m / jaw.finger_speed_m_s) {
             targets.finger = (targets.finger - finger_step).max(0.0);
             engine.advance(&targets);
         }
-        for (command, wanted, reached) in [("open", jaw.opening_m, opened), ("close", 0.0, reached(engine))] {
+        let closed = [engine.narrowest_m(), reached(engine)];
+        for (command, [wanted, reached]) in [("open", [jaw.opening_m, opened]), ("close", closed)] {
             if (reached - wanted).abs() > FINGERS_M || reached.is_nan() {
                 problems.push(Problem::new(
                     format!(
@@ -310,7 +321,7 @@ fn trial(engine: &mut MujocoEngine, settings: &RobotSettings, problems: &mut Vec
                         1e3 * reached,
                         1e3 * wanted
                     ),
-                    "0 must be closed for both finger joints, and gripper.opening_m the sum of their ranges; check their coupling (equality, tendon) and gripper.stiffness_n_m and damping_ns_m",
+                    "check the coupling of the fingers (equality, tendon), their friction, and gripper.stiffness_n_m and damping_ns_m; with gripper.finger_joints, 0 must be closed and opening_m the sum of their ranges",
                 ));
             }
         }

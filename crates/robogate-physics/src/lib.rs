@@ -8,7 +8,10 @@ pub mod contact;
 pub mod description;
 #[cfg(feature = "mujoco")]
 mod draft;
+#[cfg(feature = "mujoco")]
+mod drafted_jaw;
 mod engine;
+mod finger_motion;
 #[cfg(any(feature = "mujoco", feature = "rapier"))]
 mod friction;
 #[cfg(feature = "mujoco")]
@@ -43,6 +46,7 @@ mod visual;
 #[cfg(feature = "mujoco")]
 pub use draft::{Draft, draft};
 pub use engine::{Collision, Engine, EngineBuild, FixtureRead, FreeBodyRead, JointTargets, Readback, Touches, Wrench};
+pub use finger_motion::FingerMotion;
 #[cfg(feature = "mujoco")]
 pub use grasp::Grasp;
 pub use gripper_command::GripperCommand;
@@ -60,8 +64,8 @@ pub use primitive::{Part, Primitive};
 #[cfg(feature = "rapier")]
 pub use rapier::RapierEngine;
 pub use robot::{
-    Arm, Gripper, ParallelJaw, Problem, Robot, RobotError, RobotFile, RobotSettings, RobotSource, Site, SuctionCup,
-    built_in_robot, built_in_robots, is_folder,
+    Arm, FingerDrive, Gripper, ParallelJaw, Problem, Robot, RobotError, RobotFile, RobotSettings, RobotSource, Site,
+    SuctionCup, built_in_robot, built_in_robots, is_folder,
 };
 pub use scene::{
     Fixture, FixtureKind, FreeBody, GRAVITY, GripperUnit, Object, Scene, TABLE_CENTRE, TABLE_HALF, WORKSPACE_CENTRE,

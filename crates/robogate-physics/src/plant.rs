@@ -195,7 +195,7 @@ impl<E: Engine> Plant<E> {
             let fraction = k as f64 / self.steps_per_period as f64;
             let targets = &mut drives.targets;
             drives.servo.targets(fraction, &mut targets.positions, &mut targets.velocities);
-            if let (Some((goal, lead, step)), Some(opening)) = (jaw, self.engine.opening()) {
+            if let (Some((goal, lead, step)), Some(opening)) = (jaw, self.engine.drive_opening()) {
                 let finger = 0.5 * opening;
                 let next = targets.finger + (goal - targets.finger).clamp(-step, step);
                 targets.finger = next.clamp(finger - lead, finger + lead);

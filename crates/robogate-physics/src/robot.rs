@@ -100,19 +100,20 @@ pub struct Arm {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Gripper {
-    /// Two fingers that slide against each other.
+    /// Two fingers that close on an object. Give either `finger_joints` or `drive`.
     ParallelJaw(ParallelJaw),
     /// A suction cup.
     Suction(SuctionCup),
 }
 
-/// Two fingers that slide against each other.
+/// Two fingers that close on an object. Give either `finger_joints` or `drive`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ParallelJaw {
-    /// The fingers' sliding joints; 0 is closed.
-    pub finger_joints: [String; 2],
-    /// The bodies that carry the pads.
+    /// The sliding joints of two fingers; 0 is closed. The opening is the sum of their positions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub finger_joints: Option<[String; 2]>,
+    /// The bodies that carry the pads. Bodies that are welded to them belong to the finger.
     pub finger_bodies: [String; 2],
     /// Opening between the pads when open, in metres.
     pub opening_m: f64,
@@ -130,6 +131,29 @@ pub struct ParallelJaw {
     pub tip_m: f64,
     /// From the tool centre point back to the palm, in metres.
     pub palm_m: f64,
+    /// The drives of all other fingers: rotary linkages, tendons, slides with another zero. The opening is the distance
+    /// between the pads in the model. Only MuJoCo simulates them.
+    #[serde(rename = "drive", default, skip_serializing_if = "Vec::is_empty")]
+    pub drives: Vec<FingerDrive>,
+}
+
+/// A drive that moves fingers through the model's joints, equalities and tendons.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FingerDrive {
+    /// Name of the joint or tendon that the drive moves.
+    pub moves: String,
+    /// Position of that joint or tendon with the gripper open, in the model's unit: radians or metres.
+    pub open: f64,
+    /// Its position with the gripper closed.
+    pub closed: f64,
+}
+
+impl ParallelJaw {
+    /// The joints of two sliding fingers; empty for fingers with drives.
+    pub fn slides(&self) -> &[String] {
+        self.finger_joints.as_ref().map_or(&[], |joints| &joints[..])
+    }
 }
 
 /// A suction cup. Its lip is a circle around the tool centre point, perpendicular to the tool's z axis.
@@ -172,7 +196,10 @@ impl Gripper {
     /// All names of the model that the gripper refers to.
     fn names(&self) -> Vec<&String> {
         match self {
-            Self::ParallelJaw(jaw) => jaw.finger_joints.iter().chain(&jaw.finger_bodies).collect(),
+            Self::ParallelJaw(jaw) => {
+                let drives = jaw.drives.iter().map(|drive| &drive.moves);
+                jaw.slides().iter().chain(&jaw.finger_bodies).chain(drives).collect()
+            }
             Self::Suction(cup) => vec![&cup.cup_body],
         }
     }
@@ -199,12 +226,31 @@ impl Gripper {
     /// Describes a contradiction between the quantities.
     fn contradiction(&self) -> Option<String> {
         match self {
-            Self::ParallelJaw(ParallelJaw { force_n, force_limit_n, .. }) => (force_n > force_limit_n)
-                .then(|| format!("gripper.force_n = {force_n} exceeds gripper.force_limit_n = {force_limit_n}")),
+            Self::ParallelJaw(jaw) => jaw.contradiction(),
             Self::Suction(SuctionCup { vacuum_pa, .. }) => (*vacuum_pa > ATMOSPHERE_PA).then(|| {
                 format!("gripper.vacuum_pa = {vacuum_pa} is more than the ambient pressure of {ATMOSPHERE_PA} Pa")
             }),
         }
+    }
+}
+
+impl ParallelJaw {
+    /// Describes a contradiction between the settings.
+    fn contradiction(&self) -> Option<String> {
+        let Self { force_n, force_limit_n, .. } = self;
+        if force_n > force_limit_n {
+            return Some(format!("gripper.force_n = {force_n} exceeds gripper.force_limit_n = {force_limit_n}"));
+        }
+        if self.finger_joints.is_some() != self.drives.is_empty() {
+            return Some(
+                "[gripper] needs either finger_joints (two slides whose zero is closed) or [[gripper.drive]] (all others)"
+                    .to_owned(),
+            );
+        }
+        self.drives.iter().find_map(|FingerDrive { moves, open, closed }| {
+            let moved = open.is_finite() && closed.is_finite() && (open - closed).abs() > 1e-6;
+            (!moved).then(|| format!("[[gripper.drive]] `{moves}`: open = {open} and closed = {closed} must differ"))
+        })
     }
 }
 
@@ -377,7 +423,7 @@ impl RobotSettings {
             }
         }
         if let Some(why) = self.gripper.contradiction() {
-            problem(why, "see the gripper's data sheet");
+            problem(why, "see docs/robots.md and the gripper's data sheet");
         }
         problems
     }

@@ -7,13 +7,18 @@ use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::MjsBody;
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
+use crate::mujoco::sweep;
 use crate::mujoco::{PREFIX, ROBOT, wxyz};
 use crate::robot::RobotSource;
 use crate::scene::isometry;
-use crate::{Chain, ChainJoint, Gripper, ParallelJaw, Problem, Robot, RobotSettings, Site, contact, mesh_files};
+use crate::{
+    Chain, ChainJoint, FingerMotion, Gripper, ParallelJaw, Problem, Robot, RobotSettings, Site, contact, mesh_files,
+};
 
 /// Group of the model's own actuators, which is disabled: `robot.toml` defines the drives.
 const OFF_GROUP: i32 = 30;
+/// Opening and length of fingers may differ from the model by this much, in metres.
+const STATED_M: f64 = 2e-3;
 
 /// The model's file.
 pub(crate) fn path(robot: &Robot) -> PathBuf {
@@ -23,8 +28,8 @@ pub(crate) fn path(robot: &Robot) -> PathBuf {
     }
 }
 
-/// The robot alone, ready for a scene, and its kinematics.
-pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain), Vec<Problem>> {
+/// The robot alone, ready for a scene, its kinematics, and the motion of fingers with drives.
+pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain, Option<FingerMotion>), Vec<Problem>> {
     let parsed = match &robot.source {
         RobotSource::BuiltIn { model, .. } => MjSpec::from_xml_string(model).map_err(|error| error.to_string()),
         RobotSource::Folder(_) => read(&path(robot)),
@@ -64,10 +69,47 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain), Ve
     check_alone(&model, settings, &mut problems);
     // Without all names the chain cannot be followed.
     let chain = if named { chain(&model, settings, &mut problems) } else { None };
-    match chain {
-        Some(chain) if problems.is_empty() => Ok((spec, chain)),
-        _ => Err(problems),
+    let Some(chain) = chain.filter(|_| problems.is_empty()) else { return Err(problems) };
+    let fingers = match settings.gripper.jaw().filter(|jaw| !jaw.drives.is_empty()) {
+        Some(jaw) => Some(finger_motion(model, &mut spec, settings, jaw)?),
+        None => None,
+    };
+    Ok((spec, chain, fingers))
+}
+
+/// Measures how the drives move the fingers, and gives them their limits.
+fn finger_motion(
+    model: MjModel,
+    spec: &mut MjSpec,
+    settings: &RobotSettings,
+    jaw: &ParallelJaw,
+) -> Result<FingerMotion, Vec<Problem>> {
+    let motion = sweep::measure(model, settings, jaw)?;
+    let open = motion.open().opening_m;
+    let mut problems = Vec::new();
+    if (open - jaw.opening_m).abs() > STATED_M {
+        problems.push(Problem::new(
+            format!(
+                "gripper.opening_m = {}, but with [[gripper.drive]] at open the pads are {open:.4} m apart",
+                jaw.opening_m
+            ),
+            "give the distance between the pads of the open gripper, or another position for open",
+        ));
     }
+    if motion.tip_m > jaw.tip_m + STATED_M {
+        problems.push(Problem::new(
+            format!(
+                "gripper.tip_m = {}, but the fingers reach {:.4} m beyond the tool centre point between open and closed",
+                jaw.tip_m, motion.tip_m
+            ),
+            "give the largest distance from the site of arm.tcp_site to the fingertips, along its z axis",
+        ));
+    }
+    if !problems.is_empty() {
+        return Err(problems);
+    }
+    sweep::limit(spec, jaw, &motion);
+    Ok(motion)
 }
 
 /// Reads a model file. The mesh files of a URDF are found in its folder, also by `package://` addresses.
@@ -170,7 +212,7 @@ fn check_names(spec: &MjSpec, settings: &RobotSettings, problems: &mut Vec<Probl
         problems.push(Problem::new(what, hint));
     };
     let (fingers, bodies): (&[String], &[String]) = match &settings.gripper {
-        Gripper::ParallelJaw(jaw) => (&jaw.finger_joints, &jaw.finger_bodies),
+        Gripper::ParallelJaw(jaw) => (jaw.slides(), &jaw.finger_bodies),
         Gripper::Suction(cup) => (&[], std::slice::from_ref(&cup.cup_body)),
     };
     for name in arm.joints.iter().chain(fingers).filter(|name| spec.joint(name).is_none()) {
@@ -183,6 +225,12 @@ fn check_names(spec: &MjSpec, settings: &RobotSettings, problems: &mut Vec<Probl
             name,
             format!("the model has {there}; add one in robot.toml: [[site]] with name, body, position_m and rpy_rad"),
         );
+    }
+    let drives = settings.gripper.jaw().map_or(&[][..], |jaw| &jaw.drives).iter().map(|drive| &drive.moves);
+    for name in drives.filter(|name| spec.joint(name).is_none() && spec.tendon(name).is_none()) {
+        let joints = spec.joint_iter().map(|joint| joint.name());
+        let there = listed(joints.chain(spec.tendon_iter().map(|tendon| tendon.name())));
+        missing("joint or tendon", name, format!("the model has {there}"));
     }
     for name in bodies.iter().filter(|name| spec.body(name).is_none()) {
         missing("body", name, format!("the model has {}", listed(spec.body_iter().map(|body| body.name()))));
@@ -199,9 +247,10 @@ fn add_drives(spec: &mut MjSpec, settings: &RobotSettings, problems: &mut Vec<Pr
             [&arm.stiffness_nm_rad, &arm.damping_nms_rad, &arm.torque_limit_nm].map(|values| entry(values, i));
         (name, stiffness, damping, limit)
     });
-    let fingers = settings.gripper.jaw().into_iter().flat_map(|jaw| {
-        jaw.finger_joints.iter().map(|name| (name, jaw.stiffness_n_m, jaw.damping_ns_m, jaw.force_limit_n))
-    });
+    let fingers =
+        settings.gripper.jaw().into_iter().flat_map(|jaw| {
+            jaw.slides().iter().map(|name| (name, jaw.stiffness_n_m, jaw.damping_ns_m, jaw.force_limit_n))
+        });
     for (joint, stiffness, damping, limit) in joints.chain(fingers) {
         let Some(driven) = spec.joint_mut(joint) else { continue };
         // The drives' torque limits include the weight of the arm.
@@ -234,6 +283,13 @@ fn add_drives(spec: &mut MjSpec, settings: &RobotSettings, problems: &mut Vec<Pr
         actuator.set_forcelimited(mjtLimited::mjLIMITED_TRUE);
         *actuator.forcerange_mut() = [-limit, limit];
         actuator.set_group(0);
+    }
+    for drive in settings.gripper.jaw().map_or(&[][..], |jaw| &jaw.drives) {
+        let there = spec.joint(&drive.moves).is_some() || spec.tendon(&drive.moves).is_some();
+        if there && !sweep::add_motor(spec, &drive.moves) {
+            let what = format!("`{}` is named twice in robot.toml", drive.moves);
+            problems.push(Problem::new(what, "name each joint or tendon once"));
+        }
     }
 }
 
@@ -354,14 +410,15 @@ fn check_shapes(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Pr
 
 /// Checks a parallel jaw.
 fn check_jaw(model: &MjModel, jaw: &ParallelJaw, problems: &mut Vec<Problem>) {
-    let ParallelJaw { finger_joints, finger_bodies, opening_m, .. } = jaw;
-    if finger_bodies[0] == finger_bodies[1] || finger_joints[0] == finger_joints[1] {
+    let ParallelJaw { finger_bodies, opening_m, .. } = jaw;
+    if finger_bodies[0] == finger_bodies[1] || jaw.finger_joints.as_ref().is_some_and(|[a, b]| a == b) {
         problems.push(Problem::new(
             "gripper: both fingers have the same name",
             "give two different joints and two different bodies",
         ));
         return;
     }
+    let Some(finger_joints) = &jaw.finger_joints else { return };
     let mut width = 0.0;
     for name in finger_joints {
         let Some(joint) = joint_id(model, name) else { return };
@@ -369,14 +426,14 @@ fn check_jaw(model: &MjModel, jaw: &ParallelJaw, problems: &mut Vec<Problem>) {
         if model.jnt_type()[joint] != MjtJoint::mjJNT_SLIDE || !model.jnt_limited()[joint] {
             problems.push(Problem::new(
                 format!("finger joint `{name}` is not a slide with a range"),
-                "only fingers that slide are supported: give each a range from 0, closed, to half the opening",
+                "gripper.finger_joints are slides that range from 0, closed, to half the opening; give all other fingers [[gripper.drive]] (docs/robots.md)",
             ));
             return;
         }
         if low > 0.0 || high <= 0.0 {
             problems.push(Problem::new(
                 format!("finger joint `{name}` ranges from {low} to {high}. Expected 0, closed, to a positive value"),
-                "set the joint's zero where the pads meet and its positive direction to opening",
+                "describe a slide with another zero or direction by [[gripper.drive]] (docs/robots.md)",
             ));
             return;
         }

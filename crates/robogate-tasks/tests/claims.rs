@@ -1,6 +1,7 @@
 //! Tests of the physics claims for every engine, with few episodes. `robogate check physics` runs them at full length.
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test fails by panicking, and prints its figures")]
 
+#[macro_use]
 mod common;
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
@@ -12,23 +13,6 @@ use robogate_core::{Assignment, FailureMode, Outcome, ParameterSpace, Scenario, 
 use robogate_physics::{FixtureKind, JointTargets, Scene, built_in_robot};
 use robogate_tasks::pick_place::claims::{self, ClaimResult, Setup, Workbench};
 use robogate_tasks::pick_place::{self, Placement, Rules, SceneParameters, Shape, built_in_space};
-
-/// Creates one test per claim and engine.
-macro_rules! of_every_engine {
-    ($($(#[$doc:meta])* fn $claim:ident($on:ident: EngineKind) $body:block)*) => {
-        $($(#[$doc])* fn $claim($on: EngineKind) $body)*
-
-        #[cfg(feature = "mujoco")]
-        mod mujoco {
-            $(#[test] fn $claim() { super::$claim(super::EngineKind::Mujoco) })*
-        }
-
-        #[cfg(feature = "rapier")]
-        mod rapier {
-            $(#[test] fn $claim() { super::$claim(super::EngineKind::Rapier) })*
-        }
-    };
-}
 
 fn confirm(result: Result<ClaimResult, String>) {
     let result = result.unwrap();

@@ -1,35 +1,19 @@
 //! Physics claims of insertion for every engine, and its controller on every kind of gripper.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+#[macro_use]
 mod common;
 
-use common::EngineKind;
+use common::{EngineKind, episodes, let_run, outcome, scenario};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::{Assignment, Episode, Outcome, ParameterSpace, Scenario, Seed, Value, rollout};
-use robogate_physics::{Engine, Fixture, GRAVITY, GripperUnit, JointTargets, Scene, SuctionLaw, Visual};
+use robogate_core::{Assignment, Episode, ParameterSpace, Scenario, Seed, Value};
+use robogate_physics::{Engine, Fixture, GRAVITY, GripperUnit, Scene, Visual};
 use robogate_tasks::ArmTask;
 use robogate_tasks::insertion::{Insertion, parts, whitney};
 
 /// Width of the peg and clearance of the claims, in metres.
 const WIDTH: f64 = 0.03;
 const CLEARANCE: f64 = 2e-4;
-
-/// Creates one test per claim and engine.
-macro_rules! of_every_engine {
-    ($($(#[$doc:meta])* fn $claim:ident($on:ident: EngineKind) $body:block)*) => {
-        $($(#[$doc])* fn $claim($on: EngineKind) $body)*
-
-        #[cfg(feature = "mujoco")]
-        mod mujoco {
-            $(#[test] fn $claim() { super::$claim(super::EngineKind::Mujoco) })*
-        }
-
-        #[cfg(feature = "rapier")]
-        mod rapier {
-            $(#[test] fn $claim() { super::$claim(super::EngineKind::Rapier) })*
-        }
-    };
-}
 
 /// A peg that leans in the hole at this depth (m), with its weight `lever` metres from the hole's axis.
 fn leaning(depth: f64, lever: f64, friction: f64) -> Scene {
@@ -63,36 +47,8 @@ fn leaning(depth: f64, lever: f64, friction: f64) -> Scene {
 
 /// The distance in metres by which a free peg sinks within this time in seconds.
 fn sinks(engine: &mut dyn Engine, scene: &Scene, seconds: f64) -> f64 {
-    let home = engine.robot().settings.arm.home_rad.clone();
-    engine.load(scene, &home).unwrap();
-    let targets = JointTargets { velocities: vec![0.0; home.len()], positions: home, finger: 0.04 };
-    (0..(seconds / engine.time_step()) as usize).for_each(|_| engine.advance(&targets));
-    engine.health().unwrap();
+    let_run(engine, scene, seconds);
     scene.object_pose.translation.z - engine.object().translation.z
-}
-
-fn scenario(index: u64, parameters: &[(&str, f64)]) -> Scenario {
-    let requested: Assignment =
-        parameters.iter().map(|(name, value)| ((*name).into(), Value::Number(*value))).collect();
-    Scenario { index, seed: Seed::campaign(5).episode(index), requested }
-}
-
-/// Runs episodes of the scripted controller.
-fn episodes(on: EngineKind, robot: &str, scenarios: &[Scenario]) -> Vec<Episode> {
-    let cell = on.robot(robot);
-    let engine = cell.engine();
-    let mut controller = Insertion.controller(cell.robot.clone(), engine.chain().clone());
-    let mut environment = Insertion.environment(engine, None, SuctionLaw::Vacuum, 64).unwrap();
-    controller.check(environment.task()).unwrap();
-    scenarios.iter().map(|scenario| rollout(&mut *environment, &mut *controller, scenario)).collect()
-}
-
-fn outcome(episode: &Episode) -> &str {
-    match &episode.outcome {
-        Outcome::Failure(mode) => mode.as_str(),
-        Outcome::Success => "success",
-        Outcome::Invalid(fault) => panic!("{fault}"),
-    }
 }
 
 of_every_engine! {
@@ -144,14 +100,14 @@ of_every_engine! {
                 scenario(1, &[("hole_jitter_m", 0.002)]),
                 scenario(2, &[("clearance_m", 0.0005), ("hole_jitter_m", 0.001)]),
             ];
-            let found: Vec<Episode> = episodes(on, robot, &scenarios);
+            let found: Vec<Episode> = episodes(on, &Insertion, robot, &scenarios);
             found.iter().for_each(|episode| assert_eq!(outcome(episode), "success", "{robot}: {episode:#?}"));
         }
     }
 
     fn distant_pegs_are_missed(on: EngineKind) {
         let scenarios: Vec<Scenario> = (0..4).map(|index| scenario(index, &[("peg_jitter_m", 0.03)])).collect();
-        let found = episodes(on, "ur5e", &scenarios);
+        let found = episodes(on, &Insertion, "ur5e", &scenarios);
         let failures = found.iter().filter(|episode| ["missed", "dropped"].contains(&outcome(episode)));
         assert!(failures.count() > 0, "{:?}", found.iter().map(outcome).collect::<Vec<_>>());
     }
@@ -166,14 +122,14 @@ of_every_engine! {
             }
             requested.set("lighting_lux", Value::Integer(700));
             let scenario = Scenario { index: 3, seed: Seed::campaign(5).episode(3), requested };
-            outcome(&episodes(on, "franka", &[scenario])[0]);
+            outcome(&episodes(on, &Insertion, "franka", &[scenario])[0]);
         }
     }
 
     fn episodes_repeat_bit_for_bit(on: EngineKind) {
         let parameters = [("hole_jitter_m", 0.002), ("peg_jitter_m", 0.002), ("encoder_bias_rad", 0.001)];
         let scenarios = [scenario(7, &parameters)];
-        let hashes = || episodes(on, "ur5e", &scenarios).into_iter().map(|e| (e.time_s, e.trajectory_hash));
+        let hashes = || episodes(on, &Insertion, "ur5e", &scenarios).into_iter().map(|e| (e.time_s, e.trajectory_hash));
         assert!(hashes().eq(hashes()));
     }
 }

@@ -1,14 +1,14 @@
 //! Physics claims of stacking for every engine, and its controller on every kind of gripper.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+#[macro_use]
 mod common;
 
-use common::EngineKind;
+use common::{EngineKind, episodes, let_run, outcome, scenario};
 use nalgebra::Isometry3;
-use robogate_core::{Assignment, Domain, Episode, Outcome, ParameterSpace, Scenario, Seed, Value, rollout};
+use robogate_core::{Assignment, Domain, ParameterSpace, Scenario, Seed, Value};
 use robogate_physics::{
-    Color, Engine, Fixture, FreeBody, GRAVITY, GripperUnit, JointTargets, MassProperties, Object, Part, Primitive,
-    Scene, SuctionLaw, Visual,
+    Color, Engine, Fixture, FreeBody, GRAVITY, GripperUnit, MassProperties, Object, Part, Primitive, Scene, Visual,
 };
 use robogate_tasks::ArmTask;
 use robogate_tasks::stacking::Stacking;
@@ -16,23 +16,6 @@ use robogate_tasks::stacking::statics::{Level, margin};
 
 /// Edge of the cubes, in metres.
 const SIZE: f64 = 0.05;
-
-/// Creates one test per claim and engine.
-macro_rules! of_every_engine {
-    ($($(#[$doc:meta])* fn $claim:ident($on:ident: EngineKind) $body:block)*) => {
-        $($(#[$doc])* fn $claim($on: EngineKind) $body)*
-
-        #[cfg(feature = "mujoco")]
-        mod mujoco {
-            $(#[test] fn $claim() { super::$claim(super::EngineKind::Mujoco) })*
-        }
-
-        #[cfg(feature = "rapier")]
-        mod rapier {
-            $(#[test] fn $claim() { super::$claim(super::EngineKind::Rapier) })*
-        }
-    };
-}
 
 /// A stack of cubes at these offsets (fractions of the size) with these masses (kg), as a scene.
 fn stack(offsets: &[f64], masses: &[f64]) -> Scene {
@@ -61,39 +44,11 @@ fn stack(offsets: &[f64], masses: &[f64]) -> Scene {
 
 /// Whether a stack stands after 3 s.
 fn stands(engine: &mut dyn Engine, scene: &Scene) -> bool {
-    let home = engine.robot().settings.arm.home_rad.clone();
-    engine.load(scene, &home).unwrap();
-    let targets = JointTargets { velocities: vec![0.0; home.len()], positions: home, finger: 0.04 };
-    (0..(3.0 / engine.time_step()) as usize).for_each(|_| engine.advance(&targets));
-    engine.health().unwrap();
+    let_run(engine, scene, 3.0);
     let at_rest = |(body, (_, start)): (usize, (&Object, &Isometry3<f64>))| {
         (engine.free_body(body).translation.vector - start.translation.vector).norm() < 0.2 * SIZE
     };
     scene.free_bodies().enumerate().all(at_rest)
-}
-
-fn scenario(index: u64, parameters: &[(&str, f64)]) -> Scenario {
-    let requested: Assignment =
-        parameters.iter().map(|(name, value)| ((*name).into(), Value::Number(*value))).collect();
-    Scenario { index, seed: Seed::campaign(5).episode(index), requested }
-}
-
-/// Runs episodes of the scripted controller.
-fn episodes(on: EngineKind, robot: &str, scenarios: &[Scenario]) -> Vec<Episode> {
-    let cell = on.robot(robot);
-    let engine = cell.engine();
-    let mut controller = Stacking.controller(cell.robot.clone(), engine.chain().clone());
-    let mut environment = Stacking.environment(engine, None, SuctionLaw::Vacuum, 64).unwrap();
-    controller.check(environment.task()).unwrap();
-    scenarios.iter().map(|scenario| rollout(&mut *environment, &mut *controller, scenario)).collect()
-}
-
-fn outcome(episode: &Episode) -> &str {
-    match &episode.outcome {
-        Outcome::Failure(mode) => mode.as_str(),
-        Outcome::Success => "success",
-        Outcome::Invalid(fault) => panic!("{fault}"),
-    }
 }
 
 of_every_engine! {
@@ -121,13 +76,13 @@ of_every_engine! {
     }
 
     fn fingers_stack_nominal_parts(on: EngineKind) {
-        let found = episodes(on, "franka", &[scenario(0, &[]), scenario(1, &[("overhang", 0.2)])]);
+        let found = episodes(on, &Stacking, "franka", &[scenario(0, &[]), scenario(1, &[("overhang", 0.2)])]);
         found.iter().for_each(|episode| assert_eq!(outcome(episode), "success", "{episode:#?}"));
     }
 
     fn cups_stack_nominal_parts(on: EngineKind) {
         for robot in ["ur5e", "ur10e"] {
-            let found = episodes(on, robot, &[scenario(0, &[]), scenario(1, &[("overhang", 0.2)])]);
+            let found = episodes(on, &Stacking, robot, &[scenario(0, &[]), scenario(1, &[("overhang", 0.2)])]);
             found.iter().for_each(|episode| assert_eq!(outcome(episode), "success", "{robot}: {episode:#?}"));
         }
     }
@@ -135,7 +90,7 @@ of_every_engine! {
     /// The third part tips the stack over beyond one third.
     fn overhang_topples_the_stack(on: EngineKind) {
         for robot in ["franka", "ur5e"] {
-            let found = episodes(on, robot, &[scenario(0, &[("overhang", 0.42)])]);
+            let found = episodes(on, &Stacking, robot, &[scenario(0, &[("overhang", 0.42)])]);
             assert_eq!(outcome(&found[0]), "toppled", "{robot}: {:#?}", found[0]);
         }
     }
@@ -143,13 +98,13 @@ of_every_engine! {
     fn distant_parts_are_missed(on: EngineKind) {
         let far = [("position_jitter_m", 0.03)];
         let scenarios: Vec<Scenario> = (0..6).map(|index| scenario(index, &far)).collect();
-        let found = episodes(on, "franka", &scenarios);
+        let found = episodes(on, &Stacking, "franka", &scenarios);
         let failures = found.iter().filter(|episode| ["missed", "misplaced", "toppled"].contains(&outcome(episode)));
         assert!(failures.count() >= 2, "{:?}", found.iter().map(outcome).collect::<Vec<_>>());
     }
 
     fn heavy_parts_are_dropped(on: EngineKind) {
-        let found = episodes(on, "franka", &[scenario(0, &[("mass_kg", 3.0), ("friction", 0.08)])]);
+        let found = episodes(on, &Stacking, "franka", &[scenario(0, &[("mass_kg", 3.0), ("friction", 0.08)])]);
         assert_eq!(outcome(&found[0]), "dropped", "{:#?}", found[0]);
     }
 
@@ -168,14 +123,14 @@ of_every_engine! {
             requested.set("gravity_scale", Value::Number([0.9, 1.2][end]));
             requested.set("lighting_lux", Value::Integer(700));
             let scenario = Scenario { index: 3, seed: Seed::campaign(5).episode(3), requested };
-            outcome(&episodes(on, "franka", &[scenario])[0]);
+            outcome(&episodes(on, &Stacking, "franka", &[scenario])[0]);
         }
     }
 
     fn episodes_repeat_bit_for_bit(on: EngineKind) {
         let parameters = [("position_jitter_m", 0.004), ("yaw_jitter_rad", 0.2), ("encoder_bias_rad", 0.003)];
         let scenarios = [scenario(7, &parameters), scenario(8, &parameters)];
-        let hashes = || episodes(on, "ur5e", &scenarios).into_iter().map(|e| (e.time_s, e.trajectory_hash));
+        let hashes = || episodes(on, &Stacking, "ur5e", &scenarios).into_iter().map(|e| (e.time_s, e.trajectory_hash));
         assert!(hashes().eq(hashes()));
     }
 }

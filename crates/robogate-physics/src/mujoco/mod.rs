@@ -8,6 +8,7 @@
 mod contacts;
 mod inspection;
 mod scene;
+pub(crate) mod sweep;
 
 use std::sync::Once;
 
@@ -17,10 +18,12 @@ use mujoco_rs::wrappers::mj_logging::{log_config, set_log_config};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{ContactPoint, Fault, FaultKind};
 
+use self::sweep::DriveAt;
+use crate::finger_motion::DriveReading;
 use crate::friction::Friction;
 use crate::{
-    Chain, Engine, EngineBuild, FixtureRead, FreeBodyRead, JointTargets, Motion, Primitive, Readback, Robot,
-    RobotError, Scene, Touches, Wrench, isometry, robot_model,
+    Chain, Engine, EngineBuild, FingerMotion, FixtureRead, FreeBodyRead, JointTargets, Motion, Primitive, Readback,
+    Robot, RobotError, Scene, Touches, Wrench, isometry, robot_model,
 };
 
 /// Contact masks (`contype`, `conaffinity`). The robot collides with object and fixtures, the object with fixtures. The
@@ -37,6 +40,8 @@ pub struct MujocoEngine {
     robot: Robot,
     base: MjSpec,
     chain: Chain,
+    /// Motion of fingers with drives.
+    fingers: Option<FingerMotion>,
     time_step: f64,
     loaded: Option<Loaded>,
 }
@@ -61,8 +66,14 @@ struct Loaded {
     kinds: Vec<Kind>,
     /// Addresses of the arm's joints in qpos and qvel.
     arm: Vec<(usize, usize)>,
-    /// Addresses of the finger joints in qpos and qvel. Empty without fingers.
+    /// Addresses of the joints of sliding fingers in qpos and qvel. Empty without such fingers.
     fingers: Vec<(usize, usize)>,
+    /// Where the drives of other fingers act. Empty without such fingers.
+    drives: Vec<DriveAt>,
+    /// The collision shapes of each finger.
+    pads: [Vec<usize>; 2],
+    /// Distance between the pads of fingers with drives, in metres.
+    gap: f64,
     /// The weld between cup and each free body. Empty without a cup.
     welds: Vec<Weld>,
     /// The free bodies: the object, then the others.
@@ -118,9 +129,26 @@ impl MujocoEngine {
     /// all problems.
     pub fn new(robot: Robot, time_step: f64) -> Result<Self, RobotError> {
         load_mujoco().map_err(|error| RobotError::Engine { why: error.to_string() })?;
-        let (base, chain) = robot_model::build(&robot, time_step)
+        let (base, chain, fingers) = robot_model::build(&robot, time_step)
             .map_err(|problems| RobotError::Invalid { path: robot_model::path(&robot), problems })?;
-        Ok(Self { robot, base, chain, time_step, loaded: None })
+        Ok(Self { robot, base, chain, fingers, time_step, loaded: None })
+    }
+
+    /// The motion of a robot's fingers, measured in its model.
+    pub(crate) fn finger_motion_of(robot: &Robot) -> Result<Option<FingerMotion>, RobotError> {
+        Self::new(robot.clone(), Self::TIME_STEP_S).map(|engine| engine.fingers)
+    }
+
+    /// Opening of the closed gripper, in metres: 0 where the pads meet.
+    pub(crate) fn narrowest_m(&self) -> f64 {
+        self.fingers.as_ref().map_or(0.0, FingerMotion::narrowest_m)
+    }
+
+    /// Smallest distance between the fingers' collision shapes in the loaded scene, in metres. `None` without fingers.
+    pub(crate) fn pad_gap(&mut self) -> Option<f64> {
+        let loaded = self.loaded.as_mut().filter(|loaded| loaded.pads.iter().all(|pad| !pad.is_empty()))?;
+        let [first, second] = &loaded.pads;
+        Some(sweep::gap(&mut loaded.data, [first, second]))
     }
 
     /// The loaded scene. All methods that read the state require one.
@@ -248,12 +276,18 @@ impl Engine for MujocoEngine {
                 .map(|joint| (model.jnt_qposadr()[joint] as usize, model.jnt_dofadr()[joint] as usize))
         };
         let arm = self.robot.settings.arm.joints.iter().map(|name| address(name)).collect::<Result<Vec<_>, _>>()?;
-        let mut fingers = Vec::new();
+        let (mut fingers, mut drives) = (Vec::new(), Vec::new());
         let mut finger_bodies = Vec::new();
         if let Some(jaw) = gripper.jaw() {
-            for (joint, body) in jaw.finger_joints.iter().zip(&jaw.finger_bodies) {
+            for joint in jaw.slides() {
                 fingers.push(address(joint)?);
+            }
+            for body in &jaw.finger_bodies {
                 finger_bodies.push(id(MjtObjBase::mjOBJ_BODY, "body", body)?);
+            }
+            for drive in &jaw.drives {
+                let name = &drive.moves;
+                drives.push(DriveAt::find(&model, name).ok_or_else(|| setup(format!("the model has no `{name}`")))?);
             }
         }
         let mut welds = Vec::new();
@@ -299,12 +333,27 @@ impl Engine for MujocoEngine {
         for ((address, _), jaw) in fingers.iter().zip(gripper.jaw().into_iter().cycle()) {
             data.qpos_mut()[*address] = 0.5 * jaw.opening_m;
         }
+        // The robot's joints come first in a compiled scene, in the order of the robot's own model.
+        let others = (0..data.model().jnt_type().len())
+            .filter(|joint| !arm.iter().any(|(qpos, _)| *qpos == data.model().jnt_qposadr()[*joint] as usize))
+            .map(|joint| data.model().jnt_qposadr()[joint] as usize)
+            .collect::<Vec<_>>();
+        for (address, q) in others.iter().zip(self.fingers.iter().flat_map(|fingers| &fingers.open().joints)) {
+            data.qpos_mut()[*address] = *q;
+        }
         data.forward();
+        let pads = [0, 1].map(|i| {
+            let on_finger = |kind: &Kind| matches!(kind, Kind::Robot { finger: Some(finger), .. } if *finger == i);
+            kinds.iter().enumerate().filter(|(_, kind)| on_finger(kind)).map(|(geom, _)| geom).collect()
+        });
         let loaded = Loaded {
             data,
             kinds,
             arm,
             fingers,
+            drives,
+            pads,
+            gap: 0.0,
             welds,
             free,
             selected: 0,
@@ -318,6 +367,7 @@ impl Engine for MujocoEngine {
         let loaded = self.loaded.insert(loaded);
         loaded.move_fixtures(self.time_step);
         loaded.read_touches();
+        loaded.read_gap();
         Ok(())
     }
 
@@ -362,7 +412,7 @@ impl Engine for MujocoEngine {
     fn advance(&mut self, targets: &JointTargets) {
         let arm = &self.robot.settings.arm;
         let Some(loaded) = self.loaded.as_mut() else { return };
-        let first = loaded.data.ctrl().len() - arm.joints.len() - loaded.fingers.len();
+        let first = loaded.data.ctrl().len() - arm.joints.len() - loaded.fingers.len() - loaded.drives.len();
         let softness = loaded.scene.arm_stiffness.sqrt();
         let ctrl = &mut loaded.data.ctrl_mut()[first..];
         for (i, ctrl) in ctrl[..arm.joints.len()].iter_mut().enumerate() {
@@ -370,11 +420,22 @@ impl Engine for MujocoEngine {
             let lead = targets.velocities[i] * arm.damping_nms_rad[i] / arm.stiffness_nm_rad[i];
             *ctrl = targets.positions[i] + lead / softness;
         }
-        ctrl[arm.joints.len()..].fill(targets.finger);
+        let (slides, drives) = (arm.joints.len(), arm.joints.len() + loaded.fingers.len());
+        ctrl[slides..drives].fill(targets.finger);
+        if let (Some(jaw), Some(fingers)) = (self.robot.settings.gripper.jaw(), &self.fingers) {
+            for i in 0..loaded.drives.len() {
+                let [position, _] = loaded.drives[i].state(&loaded.data);
+                let DriveReading { opening_m, slope } = fingers.reading(i, position);
+                // The servo of a finger, which moves by half of the opening: the force on its pad, positive to open.
+                let force = jaw.stiffness_n_m * (targets.finger - 0.5 * opening_m);
+                loaded.data.ctrl_mut()[first + drives + i] = force * slope / loaded.drives.len() as f64;
+            }
+        }
         loaded.data.step();
         loaded.steps += 1;
         loaded.move_fixtures(self.time_step);
         loaded.read_touches();
+        loaded.read_gap();
     }
 
     fn health(&self) -> Result<(), Fault> {
@@ -400,8 +461,23 @@ impl Engine for MujocoEngine {
 
     fn opening(&self) -> Option<f64> {
         let loaded = self.loaded();
+        if !loaded.drives.is_empty() {
+            return Some(loaded.gap);
+        }
         let opening = loaded.fingers.iter().map(|(q, _)| loaded.data.qpos()[*q]).sum();
         (!loaded.fingers.is_empty()).then_some(opening)
+    }
+
+    fn drive_opening(&self) -> Option<f64> {
+        let loaded = self.loaded();
+        match &self.fingers {
+            Some(fingers) if !loaded.drives.is_empty() => {
+                let readings = loaded.drives.iter().enumerate();
+                let openings = readings.map(|(i, at)| fingers.reading(i, at.state(&loaded.data)[0]).opening_m);
+                Some(openings.sum::<f64>() / loaded.drives.len() as f64)
+            }
+            _ => self.opening(),
+        }
     }
 
     fn attach(&mut self) {
@@ -533,6 +609,14 @@ impl Loaded {
         for Mover { qpos, qvel, motion, .. } in &self.movers {
             self.data.qpos_mut()[*qpos] = motion.offset(time).norm();
             self.data.qvel_mut()[*qvel] = motion.velocity_at(time).norm();
+        }
+    }
+
+    /// Measures the distance between the pads of fingers with drives.
+    fn read_gap(&mut self) {
+        if !self.drives.is_empty() {
+            let [first, second] = &self.pads;
+            self.gap = sweep::gap(&mut self.data, [first, second]).max(0.0);
         }
     }
 

@@ -108,12 +108,24 @@ impl MujocoEngine {
         let mut parts = scene.free_bodies().flat_map(|(object, _)| &object.parts);
         let rolls = parts.any(|part| matches!(part.primitive, Primitive::Sphere { .. }));
         let bodies = self.robot.settings.gripper.jaw().map_or(&[][..], |jaw| &jaw.finger_bodies);
-        for name in bodies {
-            if let Some(body) = spec.body_mut(name) {
-                set_friction(body, friction, rolls);
-            }
-        }
+        set_finger_friction(spec.world_body_mut(), bodies, friction, rolls);
     }
+}
+
+/// Sets the friction coefficient of all bodies that are welded to one of these.
+fn set_finger_friction(body: &mut MjsBody, fingers: &[String], friction: f64, rolls: bool) {
+    for child in body.body_iter_mut() {
+        if child.joint_iter(false).next().is_some() && carries(child, fingers) {
+            set_friction(child, friction, rolls);
+        }
+        set_finger_friction(child, fingers, friction, rolls);
+    }
+}
+
+/// Whether a body is one of these, or one of these is welded to it as a descendant.
+fn carries(body: &MjsBody, fingers: &[String]) -> bool {
+    let welded = |child: &MjsBody| child.joint_iter(false).next().is_none() && carries(child, fingers);
+    fingers.iter().any(|finger| finger == body.name()) || body.body_iter(false).any(welded)
 }
 
 /// Sets the friction coefficient of a body and of the bodies that are welded to it.

@@ -68,7 +68,7 @@ impl RapierEngine {
         // Colliders follow their bodies during a step, but no step has run yet.
         build.world.bodies.propagate_modified_body_positions_to_colliders(&mut build.world.colliders);
         let settings = &self.robot.settings;
-        let fingers = settings.gripper.jaw().map_or(&[][..], |jaw| &jaw.finger_joints);
+        let fingers = settings.gripper.jaw().map_or(&[][..], |jaw| jaw.slides());
         Ok(Loaded {
             arm: build.joint_handles(&settings.arm.joints)?,
             fingers: build.joint_handles(fingers)?,
@@ -215,7 +215,7 @@ impl Build<'_> {
     fn configure_drives(&mut self, joints: &[f64]) -> Result<(), Fault> {
         let settings = &self.engine.robot.settings;
         let (arm, jaw) = (&settings.arm, settings.gripper.jaw());
-        let finger_joints = jaw.map_or(&[][..], |jaw| &jaw.finger_joints);
+        let finger_joints = jaw.map_or(&[][..], |jaw| jaw.slides());
         let (description, links) = (&self.engine.description, &self.links);
         let first = self.joint_handles(&arm.joints)?.first().copied();
         let (multibody, _) = first

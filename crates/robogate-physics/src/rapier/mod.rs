@@ -22,8 +22,8 @@ use self::convert::{pose, quarter, read_primitive, vector};
 use crate::description::{Description, isometry};
 use crate::friction::Friction;
 use crate::{
-    Arm, Chain, Engine, EngineBuild, FixtureRead, FreeBodyRead, JointTargets, ParallelJaw, Readback, Robot, RobotError,
-    Scene, Touches, Wrench,
+    Arm, Chain, Engine, EngineBuild, FixtureRead, FreeBodyRead, JointTargets, ParallelJaw, Problem, Readback, Robot,
+    RobotError, Scene, Touches, Wrench,
 };
 
 /// Number of solver substeps in a time step.
@@ -97,6 +97,13 @@ impl RapierEngine {
     /// # Errors
     /// If the robot's model is not MJCF, uses elements that Rapier does not support, or does not match `robot.toml`.
     pub fn new(robot: Robot, time_step: f64) -> Result<Self, RobotError> {
+        if robot.settings.gripper.jaw().is_some_and(|jaw| !jaw.drives.is_empty()) {
+            let problem = Problem::new(
+                "[[gripper.drive]]: Rapier simulates only fingers that slide (gripper.finger_joints)",
+                "use --engine mujoco",
+            );
+            return Err(RobotError::Invalid { path: "robot.toml".into(), problems: vec![problem] });
+        }
         let description = Description::read(&robot)?;
         Ok(Self { robot, description, time_step, loaded: None })
     }

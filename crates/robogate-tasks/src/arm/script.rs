@@ -21,6 +21,8 @@ const GUARD_M: f64 = 0.01;
 const GRIPPER_SETTLED_M: f64 = 1e-4;
 /// ... for this many control periods: it needs time to start and to build up its force.
 const SETTLE_TICKS: usize = 4;
+/// The last stage has run out this many control periods after its end.
+const IDLE_TICKS: usize = 10;
 /// Gap between fingertips and table in the grasp, in metres.
 const TIP_ROOM_M: f64 = 0.004;
 /// Gap between palm and part in the grasp, in metres.
@@ -101,6 +103,14 @@ impl Script {
         let Some(end) = stage.path.last().filter(|_| self.stopped.is_none()) else { return false };
         let off = self.chain.tcp_at(end).translation.vector - self.chain.tcp_at(measured).translation.vector;
         self.tick >= stage.path.len() + SETTLE_TICKS && off.norm() <= POSITION_TOLERANCE_M
+    }
+
+    /// Whether nothing but waiting follows: the guard has stopped the arm, which keeps its position and its phase, or the
+    /// last stage has run out.
+    pub(crate) fn gave_up(&self) -> bool {
+        let ran_out = |stage: &Stage| self.tick >= stage.path.len() + IDLE_TICKS;
+        self.stopped.is_some()
+            || self.stages.get(self.current..).is_some_and(|rest| matches!(rest, [last] if ran_out(last)))
     }
 
     /// Joint positions at the end of the script, in radians.
@@ -190,37 +200,50 @@ impl<'a> Planner<'a> {
     /// # Errors
     /// If no pose is in reach.
     pub(crate) fn nearest(&self, poses: &[Isometry3<f64>]) -> Result<(usize, Vec<f64>), Unreachable> {
-        let home = &self.robot.settings.arm.home_rad;
-        let mut best: Option<(f64, usize, Vec<f64>)> = None;
-        let mut failure = None;
-        for (index, pose) in poses.iter().enumerate() {
-            match self.chain.reach(pose, home) {
-                Ok(q) => {
-                    let bend = q.iter().zip(home).map(|(q, home)| (q - home).abs()).fold(0.0, f64::max);
-                    if best.as_ref().is_none_or(|(least, ..)| bend < *least) {
-                        best = Some((bend, index, q));
-                    }
-                }
-                Err(unreachable) => failure = Some(unreachable),
-            }
-        }
-        match (best, failure) {
-            (Some((_, index, q)), _) => Ok((index, q)),
-            (None, Some(unreachable)) => Err(unreachable),
-            (None, None) => Err(Unreachable { position: [f64::NAN; 3], position_error_m: 0.0, angle_error_rad: 0.0 }),
-        }
+        nearest(self.chain, &self.robot.settings.arm.home_rad, poses)
     }
 
     /// Height of the tool above the underside of an upright part of this height (m) in the grasp. For fingers it is the
     /// part's centre, but high enough to keep the fingertips off the table and the palm off the part. For a cup it is
     /// just above the part.
     pub(crate) fn grasp_height(&self, height: f64) -> f64 {
-        match &self.robot.settings.gripper {
-            Gripper::ParallelJaw(jaw) => {
-                (0.5 * height).max(height - (jaw.palm_m - PALM_ROOM_M)).max(jaw.tip_m + TIP_ROOM_M)
-            }
-            Gripper::Suction(_) => height + CUP_ROOM_M,
+        grasp_height(&self.robot.settings.gripper, height)
+    }
+}
+
+/// As [`Planner::grasp_height`], for this gripper.
+pub(crate) fn grasp_height(gripper: &Gripper, height: f64) -> f64 {
+    match gripper {
+        Gripper::ParallelJaw(jaw) => {
+            (0.5 * height).max(height - (jaw.palm_m - PALM_ROOM_M)).max(jaw.tip_m + TIP_ROOM_M)
         }
+        Gripper::Suction(_) => height + CUP_ROOM_M,
+    }
+}
+
+/// Among tool poses, the index of the one with the smallest largest joint motion from the arm's home position, with its
+/// joint positions.
+///
+/// # Errors
+/// If no pose is in reach.
+pub(crate) fn nearest(chain: &Chain, home: &[f64], poses: &[Isometry3<f64>]) -> Result<(usize, Vec<f64>), Unreachable> {
+    let mut best: Option<(f64, usize, Vec<f64>)> = None;
+    let mut failure = None;
+    for (index, pose) in poses.iter().enumerate() {
+        match chain.reach(pose, home) {
+            Ok(q) => {
+                let bend = q.iter().zip(home).map(|(q, home)| (q - home).abs()).fold(0.0, f64::max);
+                if best.as_ref().is_none_or(|(least, ..)| bend < *least) {
+                    best = Some((bend, index, q));
+                }
+            }
+            Err(unreachable) => failure = Some(unreachable),
+        }
+    }
+    match (best, failure) {
+        (Some((_, index, q)), _) => Ok((index, q)),
+        (None, Some(unreachable)) => Err(unreachable),
+        (None, None) => Err(Unreachable { position: [f64::NAN; 3], position_error_m: 0.0, angle_error_rad: 0.0 }),
     }
 }
 

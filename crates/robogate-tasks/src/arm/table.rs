@@ -96,6 +96,19 @@ pub(crate) fn applied<S>(rows: &[Row<S>], requested: &Assignment, acting: &Actin
 }
 
 impl<S> Row<S> {
+    /// A parameter that is a number.
+    pub(crate) const fn number(
+        name: &'static str,
+        unit: &'static str,
+        meaning: &'static str,
+        read_from: &'static str,
+        (range, nominal): ([f64; 2], f64),
+        set: fn(&mut S, f64),
+        read: fn(&Acting<'_, S>) -> f64,
+    ) -> Self {
+        Self { name, unit, meaning, read_from, access: Access::Number { range, nominal, set, read } }
+    }
+
     fn spec(&self) -> ParameterSpec {
         let (allowed, nominal) = match &self.access {
             Access::Number { range: [low, high], nominal, .. } => {

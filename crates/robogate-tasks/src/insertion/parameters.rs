@@ -4,7 +4,7 @@ use nalgebra::Isometry3;
 use robogate_physics::{FixtureKind, Primitive, Readback};
 
 use super::parts;
-use crate::arm::{Access, Acting, Row};
+use crate::arm::{Acting, Row};
 
 /// The decoded parameters of a scenario, and its draws.
 #[derive(Debug, Clone, Default)]
@@ -95,21 +95,9 @@ fn encoder_bias(acting: &Acting<'_, Settings>) -> f64 {
     acting.bias[largest] / draws[largest]
 }
 
-const fn number(
-    name: &'static str,
-    unit: &'static str,
-    meaning: &'static str,
-    read_from: &'static str,
-    (range, nominal): ([f64; 2], f64),
-    set: fn(&mut Settings, f64),
-    read: fn(&Acting<'_, Settings>) -> f64,
-) -> Row<Settings> {
-    Row { name, unit, meaning, read_from, access: Access::Number { range, nominal, set, read } }
-}
-
 /// Every parameter of the task.
 pub(super) static ROWS: [Row<Settings>; 11] = [
-    number(
+    Row::number(
         "clearance_m",
         "m",
         "Difference of the widths of hole and peg; the policy is told.",
@@ -118,7 +106,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.clearance_m = x,
         clearance,
     ),
-    number(
+    Row::number(
         "chamfer_m",
         "m",
         "Width of the 45 degree chamfer of the hole; the policy is told.",
@@ -127,7 +115,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.chamfer_m = x,
         |a| of_block(a, a.settings.chamfer_m),
     ),
-    number(
+    Row::number(
         "width_m",
         "m",
         "Width of the peg's square shaft.",
@@ -136,7 +124,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.width_m = x,
         width,
     ),
-    number(
+    Row::number(
         "mass_kg",
         "kg",
         "Mass of the peg.",
@@ -145,7 +133,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.mass_kg = x,
         |a| a.engine.mass_kg,
     ),
-    number(
+    Row::number(
         "friction",
         "",
         "Coulomb friction coefficient of the peg against block and table.",
@@ -154,7 +142,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.friction = x,
         |a| a.engine.table_friction,
     ),
-    number(
+    Row::number(
         "arm_stiffness",
         "",
         "Stiffness of the arm's servos as a multiple of the robot's own; the policy is told.",
@@ -163,7 +151,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.arm_stiffness = x,
         |a| a.engine.arm_stiffness.unwrap_or(f64::NAN),
     ),
-    number(
+    Row::number(
         "hole_jitter_m",
         "m",
         "Radius of the disc from which the hole's offset from its place is drawn; the policy is not told.",
@@ -172,7 +160,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.hole_jitter_m = x,
         |a| of_block(a, a.settings.hole_jitter_m),
     ),
-    number(
+    Row::number(
         "hole_tilt_rad",
         "rad",
         "Largest tilt of the hole's axis, about an axis in a random direction; the policy is not told.",
@@ -181,7 +169,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.hole_tilt_rad = x,
         |a| of_block(a, a.settings.hole_tilt_rad),
     ),
-    number(
+    Row::number(
         "peg_jitter_m",
         "m",
         "Radius of the disc from which the peg's offset from its place is drawn; the policy is not told.",
@@ -190,7 +178,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.peg_jitter_m = x,
         peg_jitter,
     ),
-    number(
+    Row::number(
         "encoder_bias_rad",
         "rad",
         "Largest encoder bias: each joint's encoder has a constant bias, drawn uniformly between minus and plus this value.",
@@ -199,7 +187,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.encoder_bias_rad = x,
         encoder_bias,
     ),
-    number(
+    Row::number(
         "lighting_lux",
         "lux",
         "Illuminance on the table.",

@@ -8,14 +8,10 @@ use super::parameters::{ROWS, Settings};
 use super::parts::{self, DEPTH_M};
 use super::referee::Referee;
 use super::spec::{self, Briefing, CONTROL_PERIOD_S};
-use crate::arm::{Resolved, Rules, decode, encoder_bias};
+use crate::arm::{Resolved, Rules, decode, disc_point, encoder_bias, within_reach};
 
 /// Nominal positions (x, y) of peg and hole, in metres.
 const PLACES: [[f64; 2]; 2] = [[0.42, -0.14], [0.48, 0.14]];
-
-/// An arm with less reach than this, in metres, works on a layout that is smaller by [`SHORT_SCALE`].
-const SHORT_REACH_M: f64 = 0.6;
-const SHORT_SCALE: f64 = 0.7;
 
 /// Friction coefficient of the peg against the gripper: rubber pads or a rubber lip.
 const GRIP_FRICTION: f64 = 0.8;
@@ -34,13 +30,10 @@ impl Rules for InsertionRules {
 
     fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved<Referee>, Fault> {
         let mut settings: Settings = decode(&ROWS, &scenario.requested)?;
-        let scale = if robot.settings.arm.reach_m < SHORT_REACH_M { SHORT_SCALE } else { 1.0 };
-        settings.places = PLACES.map(|place| place.map(|x| scale * x));
+        settings.places = within_reach(robot, PLACES);
         let mut stream = scenario.seed.stream("part-jitter");
         for shift in &mut settings.shift {
-            let fraction = stream.uniform().sqrt();
-            let (sin, cos) = stream.between(0.0, std::f64::consts::TAU).sin_cos();
-            *shift = [fraction * cos, fraction * sin];
+            *shift = disc_point(&mut stream);
         }
         settings.tilt = [stream.between(0.0, std::f64::consts::TAU), stream.uniform()];
         settings.encoders = encoder_bias(scenario, robot, 1.0);

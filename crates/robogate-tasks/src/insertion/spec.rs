@@ -1,14 +1,13 @@
 //! The declaration of insertion as data.
 
 use robogate_core::{
-    Better, CameraSpec, FailureMode, FailureModeSpec, Fault, FaultKind, MeasureSpec, ObservationSpec, Pose, Severity,
-    TaskInstance, TaskSpec, Word,
+    Better, CameraSpec, FailureMode, Fault, FaultKind, ObservationSpec, Pose, Severity, TaskInstance, TaskSpec, Word,
 };
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
 use super::parameters::ROWS;
-use crate::arm::{action_spec, observed_vectors, specs};
+use crate::arm::{action_spec, measure, mode, observed_vectors, specs};
 
 /// Time between two actions, in seconds.
 pub(super) const CONTROL_PERIOD_S: f64 = 0.05;
@@ -51,18 +50,6 @@ pub(super) mod phases {
 
 /// The task specification for this robot with these cameras.
 pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
-    let mode = |name, severity, meaning: &str| FailureModeSpec {
-        name,
-        meaning: meaning.to_owned(),
-        severity,
-        published_as: None,
-    };
-    let measure = |name, unit: &str, better, meaning: &str| MeasureSpec {
-        name,
-        unit: unit.to_owned(),
-        meaning: meaning.to_owned(),
-        better,
-    };
     TaskSpec {
         name: Word::constant(super::NAME),
         version: 1,

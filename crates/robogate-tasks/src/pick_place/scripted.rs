@@ -10,39 +10,20 @@
 
 use std::f64::consts::PI;
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::{Action, Command, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec, Word};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use robogate_core::{Action, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec};
 use robogate_physics::trajectory::{ToolLimit, joint_path, straight_path};
 use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
 use super::Shape;
 use super::cell::CONTROL_PERIOD_S;
 use super::spec::{Briefing, phases};
+use crate::arm::{FREE, Script, Stage, nearest, tool_down};
 
-/// A phase ends within this distance of its goal, in metres ...
-const POSITION_TOLERANCE_M: f64 = 0.005;
-/// ... and this angle, in radians (paper, section 4.1).
-const ANGLE_TOLERANCE_RAD: f64 = 0.05;
-/// The tool stops if it is off its path by more than this, in metres.
-const GUARD_M: f64 = 0.01;
 /// Height of the tool above the table on transit paths, in metres: the carried object passes over the highest obstacle.
 pub(super) const TRANSIT_HEIGHT_M: f64 = 0.25;
-/// Gap between fingertips and table in the grasp, in metres.
-const TIP_ROOM_M: f64 = 0.004;
-/// Gap between palm and object in the grasp, in metres.
-const PALM_ROOM_M: f64 = 0.002;
-/// Gap between a cup and the top of the object, in metres. It is well below the grip threshold.
-const CUP_ROOM_M: f64 = 0.002;
 /// Height of the object above the table at its release, in metres.
 pub(super) const RELEASE_ROOM_M: f64 = 0.003;
-/// The gripper is at rest if its opening changed by less than this in a control period, in metres.
-const GRIPPER_SETTLED_M: f64 = 1e-4;
-/// ... for this many control periods: it needs time to start and to build up its force.
-const SETTLE_TICKS: usize = 4;
-/// The controller gives up this many control periods after the end of its plan.
-const IDLE_TICKS: usize = 10;
-/// Limits of free motion.
-const FREE: ToolLimit = ToolLimit { speed: 0.5, acceleration: 2.0 };
 /// Limits of motion with the object in hand. They are low, so that weight and not acceleration decides whether it
 /// slips.
 const CARRY: ToolLimit = ToolLimit { speed: 0.6, acceleration: CARRY_ACCELERATION_M_S2 };
@@ -54,51 +35,20 @@ pub(super) const CARRY_ACCELERATION_M_S2: f64 = 1.2;
 pub struct Scripted {
     robot: Robot,
     chain: Chain,
-    /// The plan of the running episode, phase by phase.
-    plan: Vec<Stage>,
-    current: usize,
-    tick: usize,
-    last_opening: Option<f64>,
-    /// The last two commands, the older one first.
-    commanded: Option<[Vec<f64>; 2]>,
-    /// Joint positions at which the guard stopped the arm.
-    stopped: Option<Vec<f64>>,
-    /// Number of control periods for which the gripper has been at rest.
-    rest: usize,
-}
-
-/// One phase of a plan.
-#[derive(Debug, Clone)]
-struct Stage {
-    phase: Word,
-    /// Joint positions for every control period. The last one is kept until the phase ends.
-    path: Vec<Vec<f64>>,
-    gripper: GripperCommand,
-    /// Whether the gripper must be at rest for the phase to end.
-    settles: bool,
+    /// The plan of the running episode and the progress in it.
+    script: Script,
 }
 
 impl Scripted {
     /// Creates the controller for a robot with these kinematics.
     pub fn new(robot: Robot, chain: Chain) -> Self {
-        Self {
-            robot,
-            chain,
-            plan: Vec::new(),
-            current: 0,
-            tick: 0,
-            last_opening: None,
-            commanded: None,
-            stopped: None,
-            rest: 0,
-        }
+        let script = Script::new(chain.clone(), Vec::new());
+        Self { robot, chain, script }
     }
 
     /// The tool pose above `at`, pointing down. The fingers close along the direction `yaw` + 90 degrees.
     fn above(at: &[f64; 3], height: f64, yaw: f64) -> Isometry3<f64> {
-        let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
-        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
-        Isometry3::from_parts(Translation3::new(at[0], at[1], height), rotation * down)
+        tool_down([at[0], at[1], height], yaw)
     }
 
     /// Candidate yaws of the tool for an object with this `yaw`. For fingers these are the symmetric yaws of the
@@ -120,26 +70,9 @@ impl Scripted {
 
     /// The grasp yaw with the smallest joint motion from home, and the joint positions above the object with this yaw.
     fn choose_grasp(&self, task: &Briefing, at: &[f64; 3], yaw: f64) -> Result<(f64, Vec<f64>), Unreachable> {
-        let home = &self.robot.settings.arm.home_rad;
-        let mut best: Option<(f64, f64, Vec<f64>)> = None;
-        let mut failure = None;
-        for yaw in self.grasp_yaws(task, at, yaw) {
-            let goal = Self::above(at, TRANSIT_HEIGHT_M, yaw);
-            match self.chain.reach(&goal, home) {
-                Ok(q) => {
-                    let bend = q.iter().zip(home).map(|(q, home)| (q - home).abs()).fold(0.0, f64::max);
-                    if best.as_ref().is_none_or(|(least, ..)| bend < *least) {
-                        best = Some((bend, yaw, q));
-                    }
-                }
-                Err(unreachable) => failure = Some(unreachable),
-            }
-        }
-        match (best, failure) {
-            (Some((_, yaw, q)), _) => Ok((yaw, q)),
-            (None, Some(unreachable)) => Err(unreachable),
-            (None, None) => unreachable!("an object has at least one grasp yaw"),
-        }
+        let yaws = self.grasp_yaws(task, at, yaw);
+        let goals: Vec<_> = yaws.iter().map(|yaw| Self::above(at, TRANSIT_HEIGHT_M, *yaw)).collect();
+        nearest(&self.chain, &self.robot.settings.arm.home_rad, &goals).map(|(index, q)| (yaws[index], q))
     }
 
     /// The grasp offset in the base frame, for an object with this yaw.
@@ -210,15 +143,6 @@ impl Scripted {
         Ok(())
     }
 
-    /// Whether the tool is off its commanded path. The servo lags the commands by half a control period, so the tool
-    /// should be halfway between the last two.
-    fn pushed_off(&self, measured: &[f64]) -> bool {
-        let Some([before, last]) = &self.commanded else { return false };
-        let middle: Vec<f64> = before.iter().zip(last).map(|(a, b)| 0.5 * (a + b)).collect();
-        let off = self.chain.tcp_at(&middle).translation.vector - self.chain.tcp_at(measured).translation.vector;
-        off.norm() > GUARD_M
-    }
-
     /// Yaw of the tool at the target. It follows the arm's base, which keeps the wrist posture.
     fn carry_yaw(&self, joints: &[f64], yaw: f64, target: &[f64; 3]) -> f64 {
         let from = self.chain.tcp_at(joints).translation.vector;
@@ -241,12 +165,7 @@ fn offset_by(centre: &[f64; 3], offset: Vector3<f64>) -> [f64; 3] {
 /// but high enough to keep the fingertips off the table and the palm off the object. For a cup it is just above the
 /// object.
 pub(super) fn grasp_height(robot: &Robot, extent: &[f64; 3]) -> f64 {
-    match &robot.settings.gripper {
-        Gripper::ParallelJaw(jaw) => {
-            (0.5 * extent[2]).max(extent[2] - (jaw.palm_m - PALM_ROOM_M)).max(jaw.tip_m + TIP_ROOM_M)
-        }
-        Gripper::Suction(_) => extent[2] + CUP_ROOM_M,
-    }
+    crate::arm::grasp_height(&robot.settings.gripper, extent[2])
 }
 
 /// Horizontal offset from the object's centre to the grasp point, in the object's frame, in metres.
@@ -294,60 +213,21 @@ impl Policy for Scripted {
         let task = &Briefing::of(instance)?;
         // If a pose is out of reach, the controller runs the reachable part of its plan and then waits. This is a failure
         // of the controller (a timeout), not a fault of the simulator.
-        self.plan = self.plan(task).unwrap_or_else(|(begun, _)| begun);
-        if self.plan.is_empty() {
+        let mut plan = self.plan(task).unwrap_or_else(|(begun, _)| begun);
+        if plan.is_empty() {
             let path = vec![self.robot.settings.arm.home_rad.clone()];
-            self.plan.push(Stage {
-                phase: phases::APPROACH_ABOVE,
-                path,
-                gripper: GripperCommand::Open,
-                settles: false,
-            });
+            let gripper = GripperCommand::Open;
+            plan.push(Stage { phase: phases::APPROACH_ABOVE, path, gripper, settles: false });
         }
-        (self.current, self.tick, self.last_opening, self.rest) = (0, 0, None, 0);
-        (self.commanded, self.stopped) = (None, None);
+        self.script = Script::new(self.chain.clone(), plan);
         Ok(())
     }
 
     fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
-        let opening = observation.gripper_opening_m();
-        let measured = observation.joint_positions();
-        let moved = match (self.last_opening, opening) {
-            (Some(before), Some(now)) => (before - now).abs(),
-            _ => 0.0,
-        };
-        self.rest = if moved < GRIPPER_SETTLED_M { self.rest + 1 } else { 0 };
-        self.last_opening = opening;
-        if self.pushed_off(measured) {
-            self.stopped.get_or_insert_with(|| measured.to_vec());
-        }
-        let stage = &self.plan[self.current];
-        if self.stopped.is_none() && self.tick >= stage.path.len() && self.current + 1 < self.plan.len() {
-            let end = &stage.path[stage.path.len() - 1];
-            let goal = self.chain.tcp_at(end);
-            let off = goal.inverse() * self.chain.tcp_at(measured);
-            let there =
-                off.translation.vector.norm() <= POSITION_TOLERANCE_M && off.rotation.angle() <= ANGLE_TOLERANCE_RAD;
-            if there && (!stage.settles || self.rest.min(self.tick) >= SETTLE_TICKS) {
-                (self.current, self.tick) = (self.current + 1, 0);
-            }
-        }
-        let stage = &self.plan[self.current];
-        let joints = self.stopped.as_ref().unwrap_or(&stage.path[self.tick.min(stage.path.len() - 1)]).clone();
-        self.tick += 1;
-        let last = self.commanded.take().map_or_else(|| measured.to_vec(), |[_, last]| last);
-        self.commanded = Some([last, joints.clone()]);
-        Ok(Action {
-            command: Command::JointPosition(joints),
-            gripper: Some(stage.gripper.number()),
-            phase: Some(stage.phase),
-        })
+        Ok(self.script.act(observation))
     }
 
     fn gave_up(&self) -> bool {
-        // A stopped arm keeps its position and its phase, and a finished plan its last command.
-        let finished = |stage: &Stage| self.tick >= stage.path.len() + IDLE_TICKS;
-        self.stopped.is_some()
-            || self.plan.get(self.current..).is_some_and(|rest| matches!(rest, [last] if finished(last)))
+        self.script.gave_up()
     }
 }

@@ -106,18 +106,6 @@ fn order(acting: &Acting<'_, Settings>) -> String {
     }
 }
 
-const fn number(
-    name: &'static str,
-    unit: &'static str,
-    meaning: &'static str,
-    read_from: &'static str,
-    (range, nominal): ([f64; 2], f64),
-    set: fn(&mut Settings, f64),
-    read: fn(&Acting<'_, Settings>) -> f64,
-) -> Row<Settings> {
-    Row { name, unit, meaning, read_from, access: Access::Number { range, nominal, set, read } }
-}
-
 /// Every parameter of the task.
 pub(super) static ROWS: [Row<Settings>; 11] = [
     Row {
@@ -136,7 +124,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
             read: order,
         },
     },
-    number(
+    Row::number(
         "overhang",
         "",
         "Offset of each part from the part below it along x, as a fraction of its size; the policy is told.",
@@ -145,7 +133,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.overhang = x,
         |a| a.settings.overhang,
     ),
-    number(
+    Row::number(
         "size_m",
         "m",
         "Edge of each part.",
@@ -154,7 +142,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.size_m = x,
         size,
     ),
-    number(
+    Row::number(
         "mass_kg",
         "kg",
         "Mass of the part at the bottom.",
@@ -163,7 +151,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.mass_kg = x,
         |a| mass_at(a, 0),
     ),
-    number(
+    Row::number(
         "mass_step",
         "",
         "Mass of each part as a multiple of the part below it.",
@@ -172,7 +160,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.mass_step = x,
         mass_step,
     ),
-    number(
+    Row::number(
         "friction",
         "",
         "Coulomb friction coefficient of the parts against everything they touch.",
@@ -181,7 +169,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.friction = x,
         |a| if a.engine.friction == a.engine.table_friction { a.engine.friction } else { f64::NAN },
     ),
-    number(
+    Row::number(
         "gravity_scale",
         "",
         "Gravity as a multiple of 9.81 m/s^2.",
@@ -190,7 +178,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.gravity_scale = x,
         |a| a.engine.gravity / GRAVITY,
     ),
-    number(
+    Row::number(
         "position_jitter_m",
         "m",
         "Radius of the disc from which each part's offset from its place is drawn; the policy is not told.",
@@ -199,7 +187,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.position_jitter_m = x,
         position_jitter,
     ),
-    number(
+    Row::number(
         "yaw_jitter_rad",
         "rad",
         "Largest rotation of each part about the vertical, in both directions; the policy is not told.",
@@ -208,7 +196,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.yaw_jitter_rad = x,
         yaw_jitter,
     ),
-    number(
+    Row::number(
         "encoder_bias_rad",
         "rad",
         "Largest encoder bias: each joint's encoder has a constant bias, drawn uniformly between minus and plus this value.",
@@ -217,7 +205,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.encoder_bias_rad = x,
         |a| scale(&a.settings.encoders, a.bias),
     ),
-    number(
+    Row::number(
         "lighting_lux",
         "lux",
         "Illuminance on the table.",

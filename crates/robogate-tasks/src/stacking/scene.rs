@@ -9,14 +9,10 @@ use robogate_physics::{
 use super::parameters::{PARTS, ROWS, Settings};
 use super::referee::Referee;
 use super::spec::{self, Briefing, CONTROL_PERIOD_S, TOLERANCE_M};
-use crate::arm::{Resolved, Rules, decode, encoder_bias};
+use crate::arm::{Resolved, Rules, decode, disc_point, encoder_bias, within_reach};
 
 /// Nominal positions (x, y) of the parts, in metres. A hand that grasps one of them has room beside the others.
 const PLACES: [[f64; 2]; 3] = [[0.42, -0.16], [0.56, 0.0], [0.42, 0.16]];
-
-/// An arm with less reach than this, in metres, works on a layout that is smaller by [`SHORT_SCALE`].
-const SHORT_REACH_M: f64 = 0.6;
-const SHORT_SCALE: f64 = 0.7;
 
 /// Colours of the parts.
 const COLORS: [Color; 3] = [Color([200, 60, 40]), Color([58, 110, 165]), Color([222, 170, 60])];
@@ -34,8 +30,10 @@ impl Rules for StackRules {
     }
 
     fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved<Referee>, Fault> {
-        let settings =
-            Settings { places: places(robot), ..drawn(decode(&ROWS, &scenario.requested)?, scenario, robot) };
+        let settings = Settings {
+            places: within_reach(robot, PLACES),
+            ..drawn(decode(&ROWS, &scenario.requested)?, scenario, robot)
+        };
         let briefing = Briefing {
             size_m: settings.size_m,
             parts: settings.places.map(|[x, y]| Pose::upright([x, y, 0.5 * settings.size_m], 0.0)),
@@ -52,19 +50,11 @@ impl Rules for StackRules {
     }
 }
 
-/// Nominal positions of the parts for this robot, in metres.
-fn places(robot: &Robot) -> [[f64; 2]; 3] {
-    let scale = if robot.settings.arm.reach_m < SHORT_REACH_M { SHORT_SCALE } else { 1.0 };
-    PLACES.map(|[x, y]| [scale * x, scale * y])
-}
-
 /// The settings with the episode's random draws.
 fn drawn(mut settings: Settings, scenario: &Scenario, robot: &Robot) -> Settings {
     let mut stream = scenario.seed.stream("part-jitter");
     for part in 0..PARTS.len() {
-        let fraction = stream.uniform().sqrt();
-        let (sin, cos) = stream.between(0.0, std::f64::consts::TAU).sin_cos();
-        settings.shift[part] = [fraction * cos, fraction * sin];
+        settings.shift[part] = disc_point(&mut stream);
         settings.turn[part] = stream.between(-1.0, 1.0);
     }
     settings.encoders = encoder_bias(scenario, robot, 1.0);

@@ -1,16 +1,35 @@
 //! Test cells: a robot in an engine.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-#![allow(dead_code, reason = "each test binary uses only some items")]
+#![allow(dead_code, unused_macros, reason = "each test binary uses only some items")]
 
 use std::path::Path;
 
+use robogate_core::{Assignment, Episode, Outcome, Scenario, Seed, Value, rollout};
 #[cfg(feature = "mujoco")]
 use robogate_physics::MujocoEngine;
 #[cfg(feature = "rapier")]
 use robogate_physics::RapierEngine;
-use robogate_physics::{Engine, Robot, SuctionLaw};
+use robogate_physics::{Engine, JointTargets, Robot, Scene, SuctionLaw};
+use robogate_tasks::ArmTask;
 use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
 use robogate_tasks::pick_place::{PickPlace, Rules, Scripted};
+
+/// Creates one test per claim and engine.
+macro_rules! of_every_engine {
+    ($($(#[$doc:meta])* fn $claim:ident($on:ident: EngineKind) $body:block)*) => {
+        $($(#[$doc])* fn $claim($on: EngineKind) $body)*
+
+        #[cfg(feature = "mujoco")]
+        mod mujoco {
+            $(#[test] fn $claim() { super::$claim(super::EngineKind::Mujoco) })*
+        }
+
+        #[cfg(feature = "rapier")]
+        mod rapier {
+            $(#[test] fn $claim() { super::$claim(super::EngineKind::Rapier) })*
+        }
+    };
+}
 
 /// The engines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -100,4 +119,39 @@ fn bench<E: Engine + 'static>(engine: E, setup: &Setup) -> Result<Bench, String>
     let policy = Scripted::new(setup.robot.clone(), engine.chain().clone());
     let cell = PickPlace::new(engine, None)?.with_suction(setup.suction).with_rules(setup.rules)?;
     Ok((Box::new(cell), Box::new(policy)))
+}
+
+/// Lets a scene run for this time in seconds, with the arm at home and its fingers open.
+pub(crate) fn let_run(engine: &mut dyn Engine, scene: &Scene, seconds: f64) {
+    let home = engine.robot().settings.arm.home_rad.clone();
+    engine.load(scene, &home).unwrap();
+    let targets = JointTargets { velocities: vec![0.0; home.len()], positions: home, finger: 0.04 };
+    (0..(seconds / engine.time_step()) as usize).for_each(|_| engine.advance(&targets));
+    engine.health().unwrap();
+}
+
+/// A scenario of the campaign with seed 5.
+pub(crate) fn scenario(index: u64, parameters: &[(&str, f64)]) -> Scenario {
+    let requested: Assignment =
+        parameters.iter().map(|(name, value)| ((*name).into(), Value::Number(*value))).collect();
+    Scenario { index, seed: Seed::campaign(5).episode(index), requested }
+}
+
+/// Runs episodes of a task's scripted controller.
+pub(crate) fn episodes(on: EngineKind, task: &dyn ArmTask, robot: &str, scenarios: &[Scenario]) -> Vec<Episode> {
+    let cell = on.robot(robot);
+    let engine = cell.engine();
+    let mut controller = task.controller(cell.robot.clone(), engine.chain().clone());
+    let mut environment = task.environment(engine, None, SuctionLaw::Vacuum, 64).unwrap();
+    controller.check(environment.task()).unwrap();
+    scenarios.iter().map(|scenario| rollout(&mut *environment, &mut *controller, scenario)).collect()
+}
+
+/// The outcome of a valid episode as a word.
+pub(crate) fn outcome(episode: &Episode) -> &str {
+    match &episode.outcome {
+        Outcome::Failure(mode) => mode.as_str(),
+        Outcome::Success => "success",
+        Outcome::Invalid(fault) => panic!("{fault}"),
+    }
 }

@@ -199,7 +199,7 @@ impl Cell {
     /// The cell of this episode for this robot.
     ///
     /// # Errors
-    /// If the gripper is not a parallel jaw.
+    /// If the gripper is not a parallel jaw of two slides.
     pub(super) fn new(
         resolved: &ResolvedCell,
         robot: &Robot,
@@ -211,6 +211,12 @@ impl Cell {
         let jaw = robot.settings.gripper.jaw().ok_or_else(|| {
             let (name, gripper) = (robot.name(), robot.settings.gripper.description());
             format!("{name} has {gripper}. Expected a parallel jaw for an engine of another process")
+        })?;
+        let finger_joints = jaw.finger_joints.clone().ok_or_else(|| {
+            format!(
+                "the fingers of {} have drives. Expected finger_joints for an engine of another process",
+                robot.name()
+            )
         })?;
         let mass = &scene.object.mass;
         let m: &Matrix3<f64> = &mass.inertia;
@@ -248,7 +254,7 @@ impl Cell {
                 damping_nms_rad: arm.damping_nms_rad.clone(),
                 tcp_site: arm.tcp_site.clone(),
                 gripper: CellGripper::ParallelJaw {
-                    finger_joints: jaw.finger_joints.clone(),
+                    finger_joints,
                     finger_bodies: jaw.finger_bodies.clone(),
                     opening_m: jaw.opening_m,
                     finger_speed_m_s: jaw.finger_speed_m_s,

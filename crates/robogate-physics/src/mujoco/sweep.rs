@@ -1,0 +1,334 @@
+//! Measures how drives move the fingers of a robot: the drives go from open to closed in the model without a scene.
+//!
+//! Equalities, tendons and springs of the model act as in an episode. The arm stands still. Rotary linkages, tendons and
+//! slides are therefore the same case.
+
+use mujoco_rs::mujoco_c::mjtLimited;
+use mujoco_rs::prelude::*;
+use nalgebra::{Isometry3, Point3};
+
+use super::{PREFIX, rigid};
+use crate::finger_motion::{FingerMotion, FingerState};
+use crate::{FingerDrive, ParallelJaw, Problem, RobotSettings, contact};
+
+/// Number of states from open to closed.
+const STATES: usize = 33;
+/// Natural frequency of the drives during the measurement, in rad/s.
+const FREQUENCY: f64 = 60.0;
+/// Gain of the integral of the error, in 1/s, as a multiple of the stiffness: it overcomes springs and friction.
+const INTEGRAL: f64 = 20.0;
+/// A drive has arrived within this fraction of its travel, if it moves by less than that fraction in a second. The state
+/// that is measured is the one it has reached.
+const ARRIVED: f64 = 5e-3;
+/// Most time steps to one state.
+const MOST_STEPS: usize = 1_500;
+/// Distances between pads are measured up to this one, in metres.
+const FARTHEST_M: f64 = 0.5;
+
+/// Where a drive acts.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum DriveAt {
+    /// A joint, by its addresses in qpos and qvel.
+    Joint { qpos: usize, qvel: usize },
+    /// A tendon, by its index.
+    Tendon(usize),
+}
+
+impl DriveAt {
+    /// Where the drive of this name acts in a compiled model.
+    pub(super) fn find(model: &MjModel, moves: &str) -> Option<Self> {
+        match model.name_to_id(MjtObjBase::mjOBJ_JOINT, moves) {
+            Some(joint) => Some(Self::Joint {
+                qpos: model.jnt_qposadr()[joint] as usize,
+                qvel: model.jnt_dofadr()[joint] as usize,
+            }),
+            None => model.name_to_id(MjtObjBase::mjOBJ_TENDON, moves).map(Self::Tendon),
+        }
+    }
+
+    /// Position and speed of joint or tendon.
+    pub(super) fn state(self, data: &MjData<Box<MjModel>>) -> [f64; 2] {
+        match self {
+            Self::Joint { qpos, qvel } => [data.qpos()[qpos], data.qvel()[qvel]],
+            Self::Tendon(id) => [data.ten_length()[id], data.ten_velocity()[id]],
+        }
+    }
+
+    /// The inertia that the drive moves at joint positions 0, in kg m^2 or kg.
+    fn inertia(self, model: &MjModel) -> f64 {
+        let inverse = match self {
+            Self::Joint { qvel, .. } => model.dof_invweight0()[qvel],
+            Self::Tendon(id) => model.tendon_invweight0()[id],
+        };
+        1.0 / inverse.max(1e-9)
+    }
+}
+
+/// Adds a motor for a drive to the robot's model. Its control is a force or torque; [`limit`] adds damping and limits.
+pub(crate) fn add_motor(spec: &mut MjSpec, moves: &str) -> bool {
+    let on_joint = spec.joint(moves).is_some();
+    if let Some(joint) = spec.joint_mut(moves) {
+        joint.set_actfrclimited(mjtLimited::mjLIMITED_FALSE);
+    }
+    let actuator = spec.add_actuator();
+    if actuator.set_name(&format!("{PREFIX}{moves}")).is_err() {
+        // SAFETY: the handle was created above, is used for the last time, and no other handle is held.
+        #[expect(unsafe_code, reason = "the binding has no safe deletion")]
+        let _ = unsafe { actuator.delete() };
+        return false;
+    }
+    actuator.set_trntype(if on_joint { MjtTrn::mjTRN_JOINT } else { MjtTrn::mjTRN_TENDON });
+    actuator.set_target(moves);
+    actuator.set_gaintype(MjtGain::mjGAIN_FIXED);
+    actuator.set_biastype(MjtBias::mjBIAS_AFFINE);
+    actuator.gainprm_mut()[0] = 1.0;
+    actuator.set_ctrllimited(mjtLimited::mjLIMITED_FALSE);
+    actuator.set_forcelimited(mjtLimited::mjLIMITED_FALSE);
+    actuator.set_group(0);
+    true
+}
+
+/// Gives the motors of the drives their damping and their limits of force and travel.
+///
+/// A pad force F on each pad does the work F dx over a change dx of the opening. With the slope s = d(opening)/d(position)
+/// and n drives that share it, a drive's force is F s / n, and the damping D of a finger, which moves by half of the
+/// opening, is D s^2 / (2 n) at the drive.
+pub(crate) fn limit(spec: &mut MjSpec, jaw: &ParallelJaw, motion: &FingerMotion) {
+    let drives = jaw.drives.len() as f64;
+    for (i, FingerDrive { moves, .. }) in jaw.drives.iter().enumerate() {
+        let slope = motion.steepest(i);
+        let force = jaw.force_limit_n * slope / drives;
+        if let Some(actuator) = spec.actuator_mut(&format!("{PREFIX}{moves}")) {
+            actuator.biasprm_mut()[2] = -jaw.damping_ns_m * slope * slope / (2.0 * drives);
+            actuator.set_forcelimited(mjtLimited::mjLIMITED_TRUE);
+            *actuator.forcerange_mut() = [-force, force];
+        }
+        // The pads of an empty gripper pass through each other: an end stop is where they meet.
+        let ends = [motion.states[0].drives[i], motion.open().drives[i]];
+        let range = [ends[0].min(ends[1]), ends[0].max(ends[1])];
+        let stop = [contact::TIME_CONSTANT_S, 1.0];
+        if let Some(joint) = spec.joint_mut(moves) {
+            *joint.range_mut() = range;
+            joint.set_limited(mjtLimited::mjLIMITED_TRUE);
+            joint.solref_limit_mut()[..2].copy_from_slice(&stop);
+            joint.solimp_limit_mut()[..3].copy_from_slice(&contact::LIMIT_IMPEDANCE);
+        } else if let Some(tendon) = spec.tendon_mut(moves) {
+            *tendon.range_mut() = range;
+            tendon.set_limited(mjtLimited::mjLIMITED_TRUE);
+            tendon.solref_limit_mut()[..2].copy_from_slice(&stop);
+            tendon.solimp_limit_mut()[..3].copy_from_slice(&contact::LIMIT_IMPEDANCE);
+        }
+    }
+}
+
+/// A gripper whose drives move through the model.
+pub(crate) struct Sweep {
+    pub(crate) data: MjData<Box<MjModel>>,
+    names: Vec<String>,
+    drives: Vec<DriveAt>,
+    /// Positions of the drives when open and closed.
+    ends: Vec<[f64; 2]>,
+    inertia: Vec<f64>,
+    integral: Vec<f64>,
+    /// Addresses and positions of the arm's joints.
+    arm: Vec<(usize, usize, f64)>,
+}
+
+impl Sweep {
+    /// The drives at their open end. `model` is the robot alone, with a motor for each drive after all other actuators;
+    /// `arm` are its arm's joints with their positions.
+    pub(crate) fn new(model: MjModel, arm: &[(&str, f64)], drives: &[FingerDrive]) -> Result<Self, Problem> {
+        let at: Vec<DriveAt> = drives.iter().filter_map(|drive| DriveAt::find(&model, &drive.moves)).collect();
+        let arm = arm.iter().filter_map(|(name, q)| match DriveAt::find(&model, name) {
+            Some(DriveAt::Joint { qpos, qvel }) => Some((qpos, qvel, *q)),
+            _ => None,
+        });
+        let mut sweep = Self {
+            names: drives.iter().map(|drive| drive.moves.clone()).collect(),
+            ends: drives.iter().map(|drive| [drive.open, drive.closed]).collect(),
+            inertia: at.iter().map(|drive| drive.inertia(&model)).collect(),
+            integral: vec![0.0; at.len()],
+            drives: at,
+            arm: arm.collect(),
+            data: MjData::new(Box::new(model)),
+        };
+        for (drive, [open, _]) in sweep.drives.iter().zip(&sweep.ends) {
+            if let DriveAt::Joint { qpos, .. } = drive {
+                sweep.data.qpos_mut()[*qpos] = *open;
+            }
+        }
+        for (qpos, _, q) in &sweep.arm {
+            sweep.data.qpos_mut()[*qpos] = *q;
+        }
+        sweep.data.forward();
+        sweep.go(0.0)?;
+        Ok(sweep)
+    }
+
+    /// Moves the drives to a share of their way from open (0) to closed (1).
+    pub(crate) fn go(&mut self, share: f64) -> Result<(), Problem> {
+        let first = self.data.ctrl().len() - self.drives.len();
+        let step = self.data.model_opt().timestep;
+        let mut off = 0;
+        for _ in 0..MOST_STEPS {
+            let mut arrived = true;
+            for (i, drive) in self.drives.iter().enumerate() {
+                let [open, closed] = self.ends[i];
+                let [position, speed] = drive.state(&self.data);
+                let error = open + share * (closed - open) - position;
+                let stiffness = self.inertia[i] * FREQUENCY * FREQUENCY;
+                self.integral[i] += INTEGRAL * step * error;
+                self.data.ctrl_mut()[first + i] =
+                    stiffness * (error + self.integral[i]) - 2.0 * self.inertia[i] * FREQUENCY * speed;
+                let travel = (closed - open).abs();
+                if error.abs() > ARRIVED * travel || speed.abs() > ARRIVED * travel {
+                    (arrived, off) = (false, i);
+                }
+            }
+            if arrived {
+                return Ok(());
+            }
+            self.data.step();
+            for (qpos, qvel, q) in &self.arm {
+                self.data.qpos_mut()[*qpos] = *q;
+                self.data.qvel_mut()[*qvel] = 0.0;
+            }
+        }
+        let ([open, closed], [position, _]) = (self.ends[off], self.drives[off].state(&self.data));
+        Err(Problem::new(
+            format!(
+                "[[gripper.drive]] `{}` does not reach {:.4} on its way from open = {open} to closed = {closed}: it stops at {position:.4}",
+                self.names[off],
+                open + share * (closed - open),
+            ),
+            "check open and closed (radians or metres), the ranges of the gripper's joints, and the equalities and tendons that couple them",
+        ))
+    }
+
+    /// Positions of the drives.
+    fn positions(&self) -> Vec<f64> {
+        self.drives.iter().map(|drive| drive.state(&self.data)[0]).collect()
+    }
+
+    /// Smallest distance between a shape of the first set and one of the second, in metres. Negative if they overlap.
+    pub(crate) fn gap(&mut self, [first, second]: &[Vec<usize>; 2]) -> f64 {
+        self.data.forward();
+        gap(&mut self.data, [first, second])
+    }
+
+    /// The nearest points of the shapes of the first set and of the second.
+    pub(crate) fn nearest(&mut self, [first, second]: &[Vec<usize>; 2]) -> [Point3<f64>; 2] {
+        let (mut smallest, mut points) = (FARTHEST_M, [Point3::origin(); 2]);
+        for a in first {
+            for b in second {
+                let mut line = [0.0; 6];
+                let distance = self.data.geom_distance(*a, *b, FARTHEST_M, Some(&mut line));
+                if distance < smallest {
+                    smallest = distance;
+                    points = [Point3::new(line[0], line[1], line[2]), Point3::new(line[3], line[4], line[5])];
+                }
+            }
+        }
+        points
+    }
+
+    /// The inertia that each drive moves, in kg m^2 or kg.
+    pub(crate) fn inertia(&self) -> &[f64] {
+        &self.inertia
+    }
+
+    /// The corners of the bounding boxes of these shapes, in metres.
+    pub(crate) fn corners(&mut self, geoms: &[usize]) -> Vec<Point3<f64>> {
+        self.data.forward();
+        let model = self.data.model();
+        let of = |geom: &usize| {
+            let [x, y, z, a, b, c] = model.geom_aabb()[*geom];
+            let at = rigid(self.data.geom_xpos()[*geom], &self.data.geom_xmat()[*geom]);
+            (0..8).map(move |bits: u8| {
+                let side = |bit: u8| if bits >> bit & 1 == 1 { 1.0 } else { -1.0 };
+                at * Point3::new(x + side(0) * a, y + side(1) * b, z + side(2) * c)
+            })
+        };
+        geoms.iter().flat_map(of).collect()
+    }
+}
+
+/// Smallest distance between a shape of the first set and one of the second, in metres.
+pub(crate) fn gap(data: &mut MjData<Box<MjModel>>, [first, second]: [&[usize]; 2]) -> f64 {
+    let mut smallest = FARTHEST_M;
+    for a in first {
+        for b in second {
+            smallest = smallest.min(data.geom_distance(*a, *b, smallest, None));
+        }
+    }
+    smallest
+}
+
+/// The collision shapes of the bodies that are welded to `body`, or are `body`.
+pub(crate) fn shapes(model: &MjModel, body: usize) -> Vec<usize> {
+    let weld = |body: usize| model.body_weldid()[body];
+    let touchable = |geom: &usize| model.geom_contype()[*geom] != 0 || model.geom_conaffinity()[*geom] != 0;
+    let of = |geom: &usize| weld(model.geom_bodyid()[*geom] as usize) == weld(body);
+    (0..model.geom_bodyid().len()).filter(of).filter(touchable).collect()
+}
+
+/// Measures the motion of the fingers of a robot. `model` is the robot alone, with its drives.
+pub(crate) fn measure(
+    model: MjModel,
+    settings: &RobotSettings,
+    jaw: &ParallelJaw,
+) -> Result<FingerMotion, Vec<Problem>> {
+    let arm: Vec<(&str, f64)> =
+        settings.arm.joints.iter().map(String::as_str).zip(settings.arm.home_rad.iter().copied()).collect();
+    let joints: Vec<(String, usize)> = (0..model.jnt_type().len())
+        .map(|joint| (model.id_to_name(MjtObjBase::mjOBJ_JOINT, joint).unwrap_or_default().to_owned(), joint))
+        .filter(|(name, _)| !settings.arm.joints.contains(name))
+        .map(|(name, joint)| (name, model.jnt_qposadr()[joint] as usize))
+        .collect();
+    let find = |kind, name: &str| model.name_to_id(kind, name).unwrap_or_default();
+    let pads = [0, 1].map(|i| shapes(&model, find(MjtObjBase::mjOBJ_BODY, &jaw.finger_bodies[i])));
+    let tcp = find(MjtObjBase::mjOBJ_SITE, &settings.arm.tcp_site);
+    let mut sweep = Sweep::new(model, &arm, &jaw.drives).map_err(|problem| vec![problem])?;
+    let (mut states, mut tip_m) = (Vec::with_capacity(STATES), f64::NEG_INFINITY);
+    for k in 0..STATES {
+        sweep.go(k as f64 / (STATES - 1) as f64).map_err(|problem| vec![problem])?;
+        let opening_m = sweep.gap(&pads);
+        let tool: Isometry3<f64> = rigid(sweep.data.site_xpos()[tcp], &sweep.data.site_xmat()[tcp]);
+        let ahead = |corner: &Point3<f64>| tool.inverse_transform_point(corner).z;
+        tip_m = pads.iter().flat_map(|pad| sweep.corners(pad)).map(|corner| ahead(&corner)).fold(tip_m, f64::max);
+        let joints = joints.iter().map(|(_, qpos)| sweep.data.qpos()[*qpos]).collect();
+        states.push(FingerState { opening_m, drives: sweep.positions(), joints });
+        if opening_m <= 0.0 {
+            break;
+        }
+    }
+    states.reverse();
+    let (closed, open) = (states[0].opening_m, states[states.len() - 1].opening_m);
+    let grows = |pair: &[FingerState]| pair[1].opening_m > pair[0].opening_m;
+    if states.len() < 2 || !states.windows(2).all(grows) {
+        return Err(vec![Problem::new(
+            format!(
+                "the pads of `{}` and `{}` do not approach each other steadily from open ({:.1} mm apart) to closed ({:.1} mm apart)",
+                jaw.finger_bodies[0],
+                jaw.finger_bodies[1],
+                1e3 * open,
+                1e3 * closed
+            ),
+            "name the bodies that carry the pads in gripper.finger_bodies, and check open and closed of [[gripper.drive]]",
+        )]);
+    }
+    meet(&mut states);
+    Ok(FingerMotion { joints: joints.into_iter().map(|(name, _)| name).collect(), states, tip_m })
+}
+
+/// Moves the closed end to where the pads meet, if they overlap there.
+fn meet(states: &mut [FingerState]) {
+    let [closed, next, ..] = states else { return };
+    if closed.opening_m < 0.0 {
+        let share = -closed.opening_m / (next.opening_m - closed.opening_m);
+        let mix = |a: &mut Vec<f64>, b: &[f64]| a.iter_mut().zip(b).for_each(|(a, b)| *a += share * (b - *a));
+        mix(&mut closed.drives, &next.drives);
+        mix(&mut closed.joints, &next.joints);
+        closed.opening_m = 0.0;
+    }
+}
