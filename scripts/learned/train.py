@@ -61,7 +61,7 @@ def load(folder):
                 pictures[camera].append(fitted(file["bytes"], crop, side))
         states.append(np.array(table["observation.state"].to_pylist(), dtype=np.float32)[:, kept])
         actions.append(np.array(table["action"].to_pylist(), dtype=np.float32))
-        positions = np.array(table["observation.environment_state"].to_pylist(), dtype=np.float32)
+        positions = np.array(table["expert.object"].to_pylist(), dtype=np.float32)
         objects.append(positions[:, :2])
         index.append(np.array(table["episode_index"]))
     return [np.stack(files) for files in pictures.values()], *map(np.concatenate, (states, actions, objects, index))

@@ -372,7 +372,7 @@ const VECTORS: [(&str, Size, Values); 5] = [
     ("action.tool_delta", |_| 6, |frame| frame.wanted_delta.to_vec()),
     // Information that the expert had at the start, the same in all frames. It is for losses and analysis, never for
     // the policy.
-    ("observation.environment_state", |_| 4, |frame| frame.told.to_vec()),
+    ("expert.object", |_| 4, |frame| frame.told.to_vec()),
 ];
 
 fn flat(pose: &Pose) -> impl Iterator<Item = f64> {

@@ -108,6 +108,13 @@ fn frames_round_trip() {
     assert_eq!(info["codebase_version"], "v3.0");
     assert_eq!(info["features"]["observation.images.front"]["shape"], serde_json::json!([2, 4, 3]));
     assert_eq!(info["splits"]["train"], "0:2");
+    // LeRobot's trainer makes an input of each feature of this kind, so the object's position has another name.
+    let features = info["features"].as_object().unwrap();
+    let mut inputs: Vec<&str> =
+        features.keys().map(String::as_str).filter(|name| name.starts_with("observation")).collect();
+    inputs.sort_unstable();
+    assert_eq!(inputs, ["observation.images.front", "observation.images.wrist", "observation.state"]);
+    assert!(features.contains_key("expert.object"));
     let stats: serde_json::Value = serde_json::from_slice(&fs::read(path.join("meta/stats.json")).unwrap()).unwrap();
     // Red is 0, 30, 60 ... 210 of 255 in every image.
     let red = stats["observation.images.front"]["mean"][0][0][0].as_f64().unwrap();
