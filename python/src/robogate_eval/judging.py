@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,8 @@ def run(env: Any, policy: Any = None, *, episodes: int | None = None, out: "str 
 
     - a function from an observation of the environment to an action, or a model with `predict`, such as one of Stable-Baselines3;
     - the name of a policy that the environment declares, or `"random"`;
-    - the address of a policy server or an ONNX file, with `profile=...`;
+    - the address of a policy server or an ONNX file, with `profile=...`, and `map=...` for the map between the environment and the
+      profile: paths of TOML files, names of built-in profiles, or the same tables as dicts;
     - None for the environment's own policy.
 
     A function or a model runs in this process, one episode at a time. Anything else runs in processes of the command, one for each
@@ -64,7 +66,11 @@ def _folder(out: "str | Path | None", verb: str) -> Path:
 
 
 def _judge(verb: str, env: Any, policy: Any, out: Path, options: dict[str, Any]) -> None:
-    arguments = [verb, "--out", str(out), *_options(options)]
+    with _tables_as_files(options) as options:
+        _command(env, policy, options, [verb, "--out", str(out), *_options(options)])
+
+
+def _command(env: Any, policy: Any, options: dict[str, Any], arguments: list[str]) -> None:
     if isinstance(env, str) and (policy is None or isinstance(policy, (str, os.PathLike))):
         interpreter = [] if "python" in options else ["--python", sys.executable]
         code = run_command(*arguments, "--env", env, *interpreter, *_named(policy)).returncode
@@ -73,6 +79,28 @@ def _judge(verb: str, env: Any, policy: Any, out: Path, options: dict[str, Any])
             code = run_command(*arguments, "--simulator", address, *_named(chosen)).returncode
     if code not in WITH_RESULT:
         raise CommandError(code)
+
+
+@contextmanager
+def _tables_as_files(options: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """The options, with a TOML file for each dict."""
+    with tempfile.TemporaryDirectory(prefix="robogate-") as folder:
+        named = dict(options)
+        for name, value in options.items():
+            if isinstance(value, Mapping):
+                named[name] = Path(folder) / f"{name}.toml"
+                named[name].write_text("".join(f"{json.dumps(key)} = {_toml(one)}\n" for key, one in value.items()), encoding="utf-8")
+        yield named
+
+
+def _toml(value: Any) -> str:
+    """A value in TOML."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{json.dumps(str(key))} = {_toml(one)}" for key, one in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    # Strings, numbers and truth values are written as in JSON.
+    return json.dumps(value)
 
 
 def _named(policy: Any) -> list[str]:

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import hashlib
+import math
+import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from robogate_bridge import Image, Problem
+from robogate_bridge import FreeRun, Image, Problem
 
 from . import mujoco_knobs
 from .disturbances import Disturbances
-from .environment import Camera, DeclarationError, Environment
+from .environment import Camera, DeclarationError, Environment, task_name
 from .knobs import Knob, differs, parameter_name
 from .model import Model, NoModel
+from .rendering import renderer
 from .spaces import Actions, Observations
 from .trajectory import Trajectory
 
 # The protocol allows 256 parameters.
 MAX_KNOBS = 250
+# Width and height of the images of the model's own cameras, in pixels, and how many of them are offered.
+PICTURE_PX = 256
+MAX_CAMERAS = 16
 
 
 def _mujoco_sha256() -> str | None:
@@ -52,6 +59,7 @@ class Adapter:
         self.dropped: list[tuple[str, str]] = []
         self.knobs = self._knobs()
         self._by_parameter = {knob.parameter: knob for knob in self.knobs}
+        self._order = {knob.parameter: position for position, knob in enumerate(self.knobs)}
         self._cameras = self._find_cameras()
         self._renderers: dict[tuple[int, int], Any] = {}
         self._hash = 0
@@ -207,7 +215,7 @@ class Adapter:
     def reset(self, scenario: Any) -> dict:
         requested = [(self._by_parameter[name], value) for name, value in scenario.parameters.items()]
         # The order of the declaration: a mass is set before the inertia that scales with it.
-        requested.sort(key=lambda pair: self.knobs.index(pair[0]))
+        requested.sort(key=lambda pair: self._order[pair[0].parameter])
         if self._model is not None:
             self._model.restore()
         self._disturbances.begin(scenario.seed, scenario.index)
@@ -261,7 +269,67 @@ class Adapter:
         return reply
 
     def step(self, action: Any) -> dict:
-        executed = self._actions.decode(action.numbers)
+        observation, ending, measures = self._advance(action.numbers)
+        reply = self._reply(observation)
+        reply["ending"], reply["measures"], reply["state_hash"] = ending, measures, self._hash
+        return reply
+
+    def free_run(self, numbers: list[float], periods: int, ends: float) -> FreeRun:
+        """Up to so many control periods with the actions of the episode's policy, of which `numbers` is the next: what `step` does in
+        turns. Stops at the time `ends` of the monotonic clock.
+
+        What does not decide the next action is computed afterwards, all at once: between two steps of the physics, the processor
+        finds neither code nor data of it in its caches.
+        """
+        seen_all, actions, states = [], [], []
+        last, error = None, None
+        noisy, vectors = self._disturbances.noisy, self._observations
+        try:
+            while len(actions) < periods and time.monotonic() <= ends:
+                observation, ending, measures = self._advance(numbers)
+                if self._policy is None or not vectors.is_plain(observation):
+                    last = self._reply(observation) | {"ending": ending, "measures": measures, "state_hash": self._hash}
+                    break
+                seen = vectors.with_noise(observation, self._disturbances.noise()) if noisy else observation
+                # The next control period may write to the array.
+                self._seen = seen = seen.copy()
+                state = self._model.state()
+                numbers = self._actions.encode(self._policy(seen))
+                if not math.isfinite(sum(numbers)):
+                    last = self._answer(seen, numbers, state)
+                    break
+                seen_all.append(seen)
+                actions.append(numbers)
+                states.append(state)
+        except Exception as why:
+            error = why
+        digests = [self._model.hash_of(state) for state in states]
+        if digests and last is None:
+            self._hash = digests[-1]
+        rows = np.asarray(seen_all)
+        if np.isfinite(rows).all():
+            return FreeRun("observation", rows.tolist(), actions, digests, [] if last is None else [last], error)
+        # The server says which number is not finite.
+        answers = [self._answer(*one) for one in zip(seen_all, actions, states)]
+        return FreeRun("observation", [], [], [], answers if last is None else [*answers, last], error)
+
+    def _answer(self, seen: Any, action: list[float], state: bytes) -> dict:
+        """What `step` returns for a control period in which the episode goes on."""
+        return {
+            "observation": {"vectors": self._observations.encode(seen)},
+            "proposed": {"action_space": "vector", "action": action},
+            "ending": None,
+            "measures": {},
+            "state_hash": self._model.hash_of(state),
+        }
+
+    def can_free_run(self) -> bool:
+        """Whether `free_run` can run this environment."""
+        return self._model is not None and self._policy is not None and bool(self._observations.single)
+
+    def _advance(self, numbers: list[float]) -> tuple[Any, dict | None, dict]:
+        """Run one control period. Returns the observation, and the ending with its measures."""
+        executed = self._actions.decode(numbers)
         if self._disturbances.delays:
             executed = self._disturbances.delayed(executed)
         observation, reward, terminated, truncated, info = self._env.step(executed)
@@ -280,9 +348,7 @@ class Adapter:
             self._policy = None
             if self._task.measure is not None:
                 measures = dict(self._task.measure(trajectory))
-        reply = self._reply(observation)
-        reply["ending"], reply["measures"], reply["state_hash"] = ending, measures, self._hash
-        return reply
+        return observation, ending, measures
 
     def _ending(self, trajectory: Trajectory, info: dict) -> dict | None:
         if self._task.success is None:
@@ -327,7 +393,12 @@ class Adapter:
 
     def _find_cameras(self) -> list[Camera]:
         seen = [Camera(name, width, height) for name, (_, height, width) in self._observations.images.items()]
-        return [*seen, *self._task.cameras]
+        declared = [*seen, *self._task.cameras]
+        if declared or self._model is None:
+            return declared
+        # Without a choice of the environment: the cameras of its model. Only those that a policy uses are rendered.
+        names = [name for name in self._model.names("camera") if name]
+        return [Camera(task_name(name), PICTURE_PX, PICTURE_PX, partial(self._pixels, name)) for name in names[:MAX_CAMERAS]]
 
     def render(self, cameras: list[str]) -> list[Image]:
         by_name = {camera.name: camera for camera in self._cameras}
@@ -343,17 +414,21 @@ class Adapter:
         return Image(camera.name, camera.width, camera.height, pixels.tobytes())
 
     def _rendered(self, camera: Camera) -> np.ndarray:
-        import mujoco
-
         if self._model is None:
             raise Problem("unsupported", f"the camera {camera.name} has no render function, and there is no MuJoCo model")
-        size = (camera.height, camera.width)
-        model = self._model.model
+        return self._pixels(camera.name, self._env, camera.width, camera.height)
+
+    def _pixels(self, name: str, env: Any, width: int = PICTURE_PX, height: int = PICTURE_PX) -> np.ndarray:
+        """The image of a camera of the model."""
+        model, size = self._model.model, (height, width)
         held = self._renderers.get(size)
         if held is None or held[0] is not model:
-            held = (model, mujoco.Renderer(model, *size))
+            try:
+                held = (model, renderer(model, *size))
+            except Exception as why:
+                raise Problem("setup", f"MuJoCo cannot render the camera {name}: {why}. Set MUJOCO_GL to egl, osmesa or glfw") from why
             self._renderers[size] = held
-        held[1].update_scene(self._model.data, camera=camera.name)
+        held[1].update_scene(self._model.data, camera=name)
         return held[1].render()
 
 

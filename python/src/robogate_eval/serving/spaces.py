@@ -25,7 +25,7 @@ class Observations:
         self.images: dict[str, tuple[tuple[str, ...], int, int]] = {}
         self._add(space, ())
         # The whole observation is one vector.
-        self._single = list(self.vectors.values()) == [((), self.vectors["observation"][1])] if "observation" in self.vectors else False
+        self.single = list(self.vectors.values()) == [((), self.vectors["observation"][1])] if "observation" in self.vectors else False
 
     def _add(self, space: spaces.Space, path: tuple[str, ...]) -> None:
         name = task_name(".".join(path)) if path else "observation"
@@ -48,9 +48,13 @@ class Observations:
 
     def encode(self, observation: Any) -> dict[str, list[float]]:
         """The vectors of an observation."""
-        if self._single and type(observation) is np.ndarray and observation.ndim == 1 and observation.dtype == np.float64:
+        if self.is_plain(observation):
             return {"observation": observation.tolist()}
         return {name: np.asarray(_at(observation, path), dtype=float).ravel().tolist() for name, (path, _) in self.vectors.items()}
+
+    def is_plain(self, observation: Any) -> bool:
+        """Whether an observation is one array of double precision, as most are."""
+        return bool(self.single) and type(observation) is np.ndarray and observation.ndim == 1 and observation.dtype == np.float64
 
     def image(self, observation: Any, name: str) -> np.ndarray:
         """The image of a camera in an observation."""
