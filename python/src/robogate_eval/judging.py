@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ._command import run_command
+from .policies import as_function, is_model_file, load
 from .results import Run, Verdict
 
 # Exit codes of the command after which there is a result: done or pass, fail, inconclusive, invalid evidence.
@@ -31,7 +32,9 @@ def run(env: Any, policy: Any = None, *, episodes: int | None = None, out: "str 
 
     `env` is the name of an environment, an `Environment`, or a function that makes a `gymnasium.Env`. `policy` is
 
-    - a function from an observation of the environment to an action, or a model with `predict`, such as one of Stable-Baselines3;
+    - a function from an observation of the environment to an action;
+    - a model of Stable-Baselines3, or the path of its `.zip` file; anything with `predict`;
+    - a policy of LeRobot. Its inputs are found by name in a Dict observation: `observation.state` is `state`;
     - the name of a policy that the environment declares, or `"random"`;
     - the address of a policy server or an ONNX file, with `profile=...`, and `map=...` for the map between the environment and the
       profile: paths of TOML files, names of built-in profiles, or the same tables as dicts;
@@ -66,6 +69,8 @@ def _folder(out: "str | Path | None", verb: str) -> Path:
 
 
 def _judge(verb: str, env: Any, policy: Any, out: Path, options: dict[str, Any]) -> None:
+    if is_model_file(policy):
+        policy = load(policy)
     with _tables_as_files(options) as options:
         _command(env, policy, options, [verb, "--out", str(out), *_options(options)])
 
@@ -132,7 +137,7 @@ def _served(env: Any, policy: Any) -> Iterator[tuple[str, Any]]:
     chosen = policy
     if policy is not None and not isinstance(policy, (str, os.PathLike)):
         chosen = _name(policy)
-        own = Policy(lambda _: _function(policy), f"{type(policy).__name__} of the calling process.")
+        own = Policy(lambda _: as_function(policy), f"{type(policy).__name__} of the calling process.")
         environment = dataclasses.replace(environment, policies={**environment.policies, chosen: own})
     with Background(Adapter(environment)) as address:
         yield address, chosen
@@ -143,15 +148,3 @@ def _name(policy: Any) -> str:
     cleaned = "".join(c for c in name if c.isascii() and (c.isalnum() or c in "_-"))[:64] or "policy"
     # These names mean other policies.
     return f"own-{cleaned}" if cleaned in ("random", "scripted") else cleaned
-
-
-def _function(policy: Any) -> Any:
-    """The policy as a function from an observation to an action."""
-    reset = getattr(policy, "reset", None)
-    if callable(reset) and not hasattr(policy, "predict"):
-        reset()
-    if hasattr(policy, "predict"):
-        return lambda observation: policy.predict(observation, deterministic=True)[0]
-    if callable(policy):
-        return policy
-    raise TypeError(f"{type(policy).__name__}: not a policy. Expected a function, a model with `predict`, or a name")

@@ -1,11 +1,14 @@
 """The adapter, on environments that have no package of their own. They need gymnasium, mujoco, pyzmq and msgpack."""
 
 import dataclasses
+import tempfile
 import unittest
+from pathlib import Path
 
 import gymnasium
 import numpy as np
 from robogate_bridge import Action, Problem, Scenario, Server, codec, declaration
+from robogate_eval.environments import UnknownEnvironment, find
 from robogate_eval.serving import Camera, FailureMode, Knob, Measure, Policy, Task
 from robogate_eval.serving import friction as friction_of
 from robogate_eval.serving.adapter import Adapter
@@ -92,6 +95,23 @@ class RunningAhead(unittest.TestCase):
             self.assertEqual((len(steps), reply["error"]["kind"]), (2, "diverged"), ahead)
 
 
+class Finding(unittest.TestCase):
+    def test_only_class_of_a_file_is_found(self):
+        text = "import gymnasium\nfrom sliding_box import SlidingBox\nclass {}(SlidingBox):\n    pass\n"
+        with tempfile.TemporaryDirectory() as folder:
+            one, two = Path(folder) / "only_one.py", Path(folder) / "two_of_them.py"
+            one.write_text(text.format("Mine"))
+            two.write_text(text.format("First") + text.format("Second"))
+            self.assertEqual(find(str(one)).task.name, "only_one.Mine")
+            with self.assertRaisesRegex(UnknownEnvironment, "It has the environments First, Second: name one after a colon"):
+                find(str(two))
+            self.assertEqual(find(f"{two}:Second").task.name, "two_of_them.Second")
+
+    def test_nearest_family_is_named(self):
+        with self.assertRaisesRegex(UnknownEnvironment, "Did you mean metaworld:push-v3"):
+            find("metawrld:push-v3")
+
+
 class Declaring(unittest.TestCase):
     def test_declaration_is_valid(self):
         hello = declaration.hello(sliding_box(space={"friction:box": (0.1, 1.0)}).hello())
@@ -136,6 +156,45 @@ class Declaring(unittest.TestCase):
 
         with self.assertRaisesRegex(DeclarationError, "bounds"):
             sliding_box(Unbounded)
+
+    def test_differences_from_the_declared_spaces_are_refused(self):
+        class Other(SlidingBox):
+            def _get_obs(self):
+                return {"box": np.zeros(2), "pusher": {"x": np.zeros(1)}}
+
+        class Missing(SlidingBox):
+            def _get_obs(self):
+                return {"box": np.zeros(3)}
+
+        class Tuple(SlidingBox):
+            observation_space = gymnasium.spaces.Tuple([gymnasium.spaces.Box(-1.0, 1.0, (2,))])
+
+        class Numbered(SlidingBox):
+            action_space = gymnasium.spaces.Discrete(3)
+
+        class Old(SlidingBox):
+            def step(self, action):
+                observation, reward, terminated, _, info = super().step(action)
+                return observation, reward, terminated, info
+
+        class OldReset(SlidingBox):
+            def reset(self, seed=None):
+                return super().reset(seed)[0]
+
+        class Endless(SlidingBox):
+            max_path_length = None
+
+        for make, part in (
+            (Other, "declares box with 3 numbers, but reset returned 2 numbers"),
+            (Missing, "declares pusher.x with 1 numbers, but reset returned a dict with the keys box"),
+            (Tuple, "the observation is a Tuple"),
+            (Numbered, "the action space is a Discrete.*ActionWrapper"),
+            (Old, "step returned 4 values"),
+            (OldReset, "reset returned a dict"),
+            (Endless, "Task\\(name=.*time_limit_s=10.0"),
+        ):
+            with self.assertRaisesRegex(DeclarationError, part):
+                sliding_box(make)
 
     def test_class_is_an_environment(self):
         environment = as_environment(SlidingBox, "mine.SlidingBox")

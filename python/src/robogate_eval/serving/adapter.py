@@ -50,7 +50,10 @@ class Adapter:
         rest = np.zeros(len(self._actions.low)) if self._task.rest_action is None else np.asarray(self._task.rest_action)
         lengths = {name: length for name, (_, length) in self._observations.vectors.items()}
         self._disturbances = Disturbances(lengths, self._actions.decode(rest))
-        env.reset(seed=0)
+        first = env.reset(seed=0)
+        if not isinstance(first, tuple) or len(first) != 2:
+            raise DeclarationError(f"reset returned {_values(first)}. Expected observation and info, as in Gymnasium")
+        self._observations.check(first[0])
         try:
             self._model: Model | None = Model(env)
         except (NoModel, ImportError):
@@ -137,7 +140,7 @@ class Adapter:
         rate = (getattr(base, "metadata", None) or {}).get("render_fps")
         if rate:
             return 1.0 / float(rate)
-        raise DeclarationError(f"{self._task.name}: the control period is unknown. Set control_period_s in its Task")
+        raise DeclarationError(self._unknown("control period", "control_period_s=0.05"))
 
     def _step_limit(self) -> int:
         if self._task.time_limit_s is not None:
@@ -146,7 +149,13 @@ class Adapter:
         for limit in (getattr(specification, "max_episode_steps", None), getattr(self._env.unwrapped, "max_path_length", None)):
             if limit:
                 return int(limit)
-        raise DeclarationError(f"{self._task.name}: the time limit is unknown. Set time_limit_s in its Task")
+        raise DeclarationError(self._unknown("time limit", "time_limit_s=10.0"))
+
+    def _unknown(self, what: str, field: str) -> str:
+        """The error for something that neither the environment nor its task says."""
+        name, made = self._task.name, type(self._env.unwrapped).__name__
+        example = f'environment = Environment(make={made}, task=Task(name="{name.rpartition(".")[2].lower()}", {field}))'
+        return f"the {what} of {name} is unknown. Declare it in a Task:\n    from robogate_eval import Environment, Task\n    {example}"
 
     def _engine(self) -> tuple[str, str]:
         if self._environment.engine is not None:
@@ -332,7 +341,11 @@ class Adapter:
         executed = self._actions.decode(numbers)
         if self._disturbances.delays:
             executed = self._disturbances.delayed(executed)
-        observation, reward, terminated, truncated, info = self._env.step(executed)
+        result = self._env.step(executed)
+        try:
+            observation, reward, terminated, truncated, info = result
+        except (TypeError, ValueError):
+            raise Problem("setup", f"step returned {_values(result)}. Expected observation, reward, terminated, truncated, info") from None
         trajectory = self._trajectory
         trajectory.observations.append(observation)
         trajectory.actions.append(executed)
@@ -430,6 +443,10 @@ class Adapter:
             self._renderers[size] = held
         held[1].update_scene(self._model.data, camera=name)
         return held[1].render()
+
+
+def _values(result: Any) -> str:
+    return f"{len(result)} values" if isinstance(result, tuple) else f"a {type(result).__name__}"
 
 
 def _seed(scenario: Any) -> int:
