@@ -128,6 +128,8 @@ def _served(env: Any, policy: Any) -> Iterator[tuple[str, Any]]:
     """Serve an environment in a thread of this process. Gives its address and the name of the policy."""
     import dataclasses
 
+    from robogate_bridge import Scenario
+
     from .environments import find
     from .serving.adapter import Adapter
     from .serving.environment import Policy, as_environment
@@ -139,7 +141,11 @@ def _served(env: Any, policy: Any) -> Iterator[tuple[str, Any]]:
         chosen = _name(policy)
         own = Policy(lambda _: as_function(policy), f"{type(policy).__name__} of the calling process.")
         environment = dataclasses.replace(environment, policies={**environment.policies, chosen: own})
-    with Background(Adapter(environment)) as address:
+    adapter = Adapter(environment)
+    if chosen in environment.policies:
+        # A policy that does not fit the observations raises here, and not in each episode.
+        adapter.reset(Scenario(index=0, seed=0, parameters={}, policy=chosen))
+    with Background(adapter) as address:
         yield address, chosen
 
 

@@ -410,8 +410,9 @@ class Adapter:
         if declared or self._model is None:
             return declared
         # Without a choice of the environment: the cameras of its model. Only those that a policy uses are rendered.
-        names = [name for name in self._model.names("camera") if name]
-        return [Camera(task_name(name), PICTURE_PX, PICTURE_PX, partial(self._pixels, name)) for name in names[:MAX_CAMERAS]]
+        names = {task_name(name): name for name in self._model.names("camera") if name}
+        own = [Camera(task, PICTURE_PX, PICTURE_PX, partial(self._pixels, name)) for task, name in names.items()]
+        return own[:MAX_CAMERAS]
 
     def render(self, cameras: list[str]) -> list[Image]:
         by_name = {camera.name: camera for camera in self._cameras}
