@@ -305,8 +305,9 @@ impl Gate {
         let mut rival = match &self.against {
             None => None,
             Some(policy) => {
-                let source =
-                    PolicyArguments::of(policy, self.against_profile.as_deref()).source_at(&self.location())?;
+                let source = PolicyArguments::of(policy, self.against_profile.as_deref())
+                    .with_map_of(&self.policy)
+                    .source_at(&self.location())?;
                 let environment = self.environment.environment(SuctionLaw::Vacuum)?;
                 Some(Rival::new(Subject::new(environment, source)?, &planned, self.how.threads_for_rival())?)
             }
