@@ -49,6 +49,7 @@ def page(robogate, out, suites, maps):
         total, valid = sum(g["successes"] for g in groups), sum(g["valid"] for g in groups)
         solved = sum(2 * g["successes"] > g["valid"] for g in groups)
         print(f"## libero-{name}: {total} of {valid} episodes, {solved} of {len(groups)} tasks above one half\n")
+        print(f"The first {max(g['valid'] for g in groups)} of the benchmark's 50 initial states of each task.\n")
         print("| instruction in the task file | success | other endings |")
         print("|---|---|---|")
         for instruction, rate, endings, _ in rows:

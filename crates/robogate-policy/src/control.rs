@@ -133,7 +133,7 @@ impl RandomModel {
 
 impl Policy for RandomModel {
     fn check(&self, task: &TaskSpec) -> Result<(), String> {
-        suits::check(&self.profile, task)
+        suits::check_task(&self.profile, task)
     }
 
     fn reset(&mut self, task: &TaskSpec, _: &TaskInstance, seed: Seed) -> Result<(), Fault> {

@@ -201,7 +201,7 @@ impl ExternalPolicy {
 
 impl Policy for ExternalPolicy {
     fn check(&self, task: &TaskSpec) -> Result<(), String> {
-        suits::check(&self.profile, task)
+        suits::check_task(&self.profile, task)
     }
 
     fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {

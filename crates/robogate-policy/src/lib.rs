@@ -23,6 +23,7 @@ mod http;
 mod identify;
 mod json_numpy;
 mod lerobot;
+mod map;
 mod mapping;
 mod msgpack;
 mod npy;
@@ -55,11 +56,13 @@ pub use draft::{Draft, draft};
 pub use encoder::{Encoder, outside_range, read_pose, state_numbers, state_sizes};
 pub use error::PolicyError;
 pub use external::ExternalPolicy;
+pub use map::{BoundMap, CameraPiece, MapRow, Mapped, Piece, Pieces, Slice, Source, TaskMap, Unmapped, map_table};
 pub use mapping::{MappingProblem, MappingStep, compare_mappings};
 pub use picture::Picture;
 pub use profile::{
     ActionForm, Arm, Axes, Camera, Chunking, Dialect, Filter, Fit, Frame, Gr00t, LeRobot, Orientation, Part, Profile,
     ProfileError, Rotation, Side, State, Timeouts, Tool,
 };
-pub use query::Query;
+pub use query::{Query, tool_pose};
 pub use statistics::{Statistics, StatisticsError};
+pub use suits::check_task;

@@ -38,6 +38,15 @@ impl Picture {
         Some(picture)
     }
 
+    /// The pixels of an image in this orientation. `None` if they do not change, or if their number does not match the size.
+    pub(crate) fn reoriented(image: &Image, orientation: Orientation) -> Option<Vec<u8>> {
+        let Image { width, height, rgb, .. } = image;
+        let view = View { width: *width, height: *height, rgb };
+        (3 * width * height == rgb.len())
+            .then(|| view.oriented(orientation, &mut Buffers::default()))?
+            .map(|new| new.rgb)
+    }
+
     /// Exchange top and bottom.
     fn flip(&mut self) {
         let row = 3 * self.width;

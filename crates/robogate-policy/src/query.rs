@@ -209,7 +209,7 @@ fn opening_m(observation: &Observation) -> Option<f64> {
 /// of LIBERO's own environment, which has these conventions.
 ///
 /// The sign of the quaternion is that of robosuite's forward kinematics for a tool that points down.
-pub(crate) fn tool_pose(profile: &Profile, observation: &Observation) -> Option<Pose> {
+pub fn tool_pose(profile: &Profile, observation: &Observation) -> Option<Pose> {
     if let Some(pose) = observation.tool_pose() {
         let pose = rotation::model_pose(&pose, profile.tool.shift_m, profile.tool.turn_rad);
         return Some(Pose { orientation: rotation::downwards(pose.orientation), ..pose });

@@ -5,8 +5,11 @@ use robogate_core::TaskSpec;
 use super::decoder::is_robosuite;
 use super::profile::{Arm, Part, Profile};
 
-/// Check that the task provides what the profile requires. The error names what is missing.
-pub(crate) fn check(profile: &Profile, task: &TaskSpec) -> Result<(), String> {
+/// Check that the task provides what the profile requires.
+///
+/// # Errors
+/// If something is missing. The message names it, and what the task has.
+pub fn check_task(profile: &Profile, task: &TaskSpec) -> Result<(), String> {
     check_observation(profile, task)?;
     check_action(profile, task)
 }
@@ -27,7 +30,8 @@ fn check_observation(profile: &Profile, task: &TaskSpec) -> Result<(), String> {
     let named = profile.states.iter().flat_map(|state| state.vectors.iter().copied());
     for vector in parts.chain(named).chain(joints) {
         if !has(vector.as_str()) {
-            let known = list(observed.vectors.iter().map(|vector| vector.name.as_str()));
+            let sizes: Vec<String> = observed.vectors.iter().map(|v| format!("{} ({})", v.name, v.length)).collect();
+            let known = list(sizes.iter().map(String::as_str));
             return Err(format!("profile `{name}` uses the vector `{vector}`; the task observes {known}"));
         }
     }

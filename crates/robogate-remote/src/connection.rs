@@ -5,7 +5,7 @@ use std::collections::hash_map::RandomState;
 use std::hash::{BuildHasher, Hasher};
 use std::time::Duration;
 
-use robogate_core::{Fault, FaultKind, Image, Observation};
+use robogate_core::{CameraSpec, Fault, FaultKind, Image, Observation};
 use robogate_zmtp::{Address, Requester, ZmtpError};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -169,14 +169,22 @@ impl Connection {
 
     /// Render all cameras of the server in its current state.
     pub fn render(&mut self) -> Result<Vec<Image>, RequestError> {
+        self.render_some(None)
+    }
+
+    /// Render the cameras of these names, or all.
+    pub(crate) fn render_some(&mut self, wanted: Option<&[String]>) -> Result<Vec<Image>, RequestError> {
         if self.hello.task.observation.cameras.is_empty() {
             return Err(RequestError::Local(Fault::new(FaultKind::Setup, "this simulator has no cameras")));
         }
-        let (reply, frames): (RenderReply, _) = self.request_with_frames("render", RenderRequest { cameras: None })?;
+        let declared = self.hello.task.observation.cameras.iter();
+        let cameras: Vec<CameraSpec> =
+            declared.filter(|camera| wanted.is_none_or(|names| names.contains(&camera.name))).cloned().collect();
+        let names = wanted.map(|_| cameras.iter().map(|camera| camera.name.clone()).collect());
+        let (reply, frames): (RenderReply, _) = self.request_with_frames("render", RenderRequest { cameras: names })?;
         if reply.tick != self.tick {
             return Err(violation(format!("the images are of tick {}; expected tick {}", reply.tick, self.tick)));
         }
-        let cameras = &self.hello.task.observation.cameras;
         if reply.images.len() != cameras.len() || frames.len() != cameras.len() {
             let (images, sent, expected) = (reply.images.len(), frames.len(), cameras.len());
             return Err(violation(format!("the reply has {images} images in {sent} frames; expected {expected}")));

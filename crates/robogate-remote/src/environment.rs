@@ -25,12 +25,14 @@ pub struct IncompatibleServer(String);
 /// Each episode runs in any free server of the pool.
 pub struct RemoteEnvironment {
     episodes: Episodes<ScoredSession>,
+    /// The cameras that are rendered. `None`: all.
+    cameras: Option<Vec<String>>,
 }
 
 impl RemoteEnvironment {
     /// Create an environment in the servers of this pool, which must score themselves.
     pub fn new(pool: Arc<Pool>) -> Result<Self, IncompatibleServer> {
-        Ok(Self { episodes: Episodes::new(pool, ScoredSession::default())? })
+        Ok(Self { episodes: Episodes::new(pool, ScoredSession::default())?, cameras: None })
     }
 
     /// Create an environment like [`RemoteEnvironment::new`], and the declared policy of this name, which runs in the
@@ -44,7 +46,12 @@ impl RemoteEnvironment {
         }
         let proposals = Proposals::new(policy);
         let session = ScoredSession::with_policy(proposals.clone());
-        Ok((Self { episodes: Episodes::new(pool, session)? }, RemotePolicy(proposals)))
+        Ok((Self { episodes: Episodes::new(pool, session)?, cameras: None }, RemotePolicy(proposals)))
+    }
+
+    /// Render these cameras only. An image that no policy uses costs as much time as any other.
+    pub fn with_cameras(self, cameras: Vec<String>) -> Self {
+        Self { cameras: Some(cameras), ..self }
     }
 
     /// The servers' reply to `hello`.
@@ -80,7 +87,7 @@ impl Environment for RemoteEnvironment {
             return Err(Fault::new(FaultKind::Setup, detail));
         }
         let mut lease = self.episodes.lease.take().ok_or_else(no_episode)?;
-        match lease.connection.as_mut().ok_or_else(no_episode)?.render() {
+        match lease.connection.as_mut().ok_or_else(no_episode)?.render_some(self.cameras.as_deref()) {
             Ok(images) => {
                 self.episodes.lease = Some(lease);
                 Ok(images)

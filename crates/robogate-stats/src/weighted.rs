@@ -108,7 +108,8 @@ pub fn hajek(outcomes: &[bool], weights: &[f64], confidence: Confidence) -> Resu
     let largest = weights.iter().copied().fold(0.0, f64::max);
     let share = |i: usize| weights[i] / largest;
     let sum: f64 = (0..weights.len()).map(share).sum();
-    let successes: f64 = (0..weights.len()).filter(|&i| outcomes[i]).map(share).sum();
+    // The sum of no numbers is -0.0, and this is printed.
+    let successes: f64 = (0..weights.len()).filter(|&i| outcomes[i]).map(share).sum::<f64>() + 0.0;
     let rate = (successes / sum).min(1.0);
     let squares: f64 = (0..weights.len()).map(|i| (share(i) * (f64::from(u8::from(outcomes[i])) - rate)).powi(2)).sum();
     let n = rows as f64;
@@ -185,6 +186,7 @@ mod tests {
     fn zero_successes_leave_an_interval() {
         let r = hajek(&[false; 30], &[1.0; 30], Confidence::P95).unwrap();
         assert_eq!((r.rate, r.se, r.interval.low), (Some(0.0), None, 0.0));
+        assert!(r.rate.unwrap().is_sign_positive());
         assert!(r.interval.high > 0.1);
     }
 

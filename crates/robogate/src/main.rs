@@ -14,6 +14,7 @@ mod exit;
 mod film;
 #[cfg(feature = "mujoco")]
 mod inspection;
+mod interface;
 mod latency;
 mod lost_episodes;
 #[cfg(feature = "object-store")]

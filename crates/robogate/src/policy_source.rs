@@ -8,7 +8,7 @@ use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_core::{Fault, FaultKind, Policy};
 use robogate_dictionary::read_text;
-use robogate_policy::{Access, ExternalPolicy, PolicyError, Profile};
+use robogate_policy::{Access, ExternalPolicy, Mapped, PolicyError, Profile, TaskMap};
 use robogate_tasks::Random;
 use serde::{Deserialize, Serialize};
 
@@ -55,6 +55,9 @@ pub(crate) struct ExternalSource {
     server: String,
     /// Observation and action mapping of the policy.
     profile: Arc<Profile>,
+    /// How the environment becomes the task that the profile expects.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    map: Option<Arc<TaskMap>>,
     /// What the policy reported about itself on the first connection.
     declared: serde_json::Value,
     /// Where this process reaches the policy, if not at the recorded address.
@@ -83,11 +86,20 @@ impl PolicySource {
         }
     }
 
+    /// The map between the environment and the profile, if there is one.
+    pub(crate) fn map(&self) -> Option<&Arc<TaskMap>> {
+        match self {
+            Self::External(served) => served.map.as_ref(),
+            Self::BuiltIn(_) | Self::Declared(_) => None,
+        }
+    }
+
     /// The same policy with new connection metadata.
     pub(crate) fn asked_again(&self, location: &PolicyLocation) -> Result<Self, Exit> {
         match self {
             Self::External(served) => {
-                ExternalSource::ask(&served.server, Arc::clone(&served.profile), location).map(Self::External)
+                ExternalSource::ask(&served.server, Arc::clone(&served.profile), served.map.clone(), location)
+                    .map(Self::External)
             }
             Self::BuiltIn(_) | Self::Declared(_) => location.unused().map(|()| self.clone()),
         }
@@ -104,7 +116,7 @@ impl PolicySource {
                     served.access.clone(),
                     &mut |_| {},
                 );
-                Box::new(policy?)
+                mapped(Box::new(policy?), &served.profile, served.map.as_ref())
             }
             Self::BuiltIn(BuiltInPolicy::Random) => Box::new(Random::new()),
             Self::Declared(declared) => {
@@ -117,7 +129,12 @@ impl PolicySource {
 
 impl ExternalSource {
     /// Connect to a policy and record what it reports about itself.
-    fn ask(server: &str, profile: Arc<Profile>, location: &PolicyLocation) -> Result<Self, Exit> {
+    fn ask(
+        server: &str,
+        profile: Arc<Profile>,
+        map: Option<Arc<TaskMap>>,
+        location: &PolicyLocation,
+    ) -> Result<Self, Exit> {
         // A run may be resumed and replayed from another folder.
         let is_file = profile.dialect.is_file() && !server.contains("://");
         let full = if is_file { std::path::absolute(server).ok() } else { None };
@@ -126,7 +143,7 @@ impl ExternalSource {
         let reached = at.as_deref().unwrap_or(&server);
         let access = location.access.access()?;
         let policy = connect(reached, Arc::clone(&profile), access.clone())?;
-        Ok(Self { server, profile, declared: policy.declared().clone(), at, access })
+        Ok(Self { server, profile, map, declared: policy.declared().clone(), at, access })
     }
 }
 
@@ -142,6 +159,10 @@ pub(crate) struct PolicyArguments {
     /// or a TOML file
     #[arg(long, value_name = "NAME|FILE", requires = "policy")]
     profile: Option<String>,
+    /// Map the observations, cameras and actions of the environment to those of the profile with this TOML file
+    /// (docs/environments.md)
+    #[arg(long, value_name = "FILE", requires = "profile")]
+    map: Option<PathBuf>,
 }
 
 /// The argument that says where this process reaches an external policy.
@@ -226,7 +247,13 @@ impl PolicyLocation {
 impl PolicyArguments {
     /// The arguments for another policy than that of the command line.
     pub(crate) fn of(policy: &str, profile: Option<&str>) -> Self {
-        Self { policy: Some(policy.to_owned()), profile: profile.map(str::to_owned) }
+        Self { policy: Some(policy.to_owned()), profile: profile.map(str::to_owned), map: None }
+    }
+
+    /// The same arguments with the map of others: it describes the environment. A policy without a profile needs none.
+    pub(crate) fn with_map_of(self, other: &Self) -> Self {
+        let map = self.profile.as_ref().and_then(|_| other.map.clone());
+        Self { map, ..self }
     }
 
     /// Connect to the policy of these arguments at `location`; `None` for the scripted controller.
@@ -238,7 +265,8 @@ impl PolicyArguments {
                 Err(anyhow!("--profile cannot be used with --policy {name}\n  hint: leave out --profile")).or_usage()
             }
             (Some(server), Some(wanted)) => {
-                ExternalSource::ask(server, Arc::new(profile(wanted).or_usage()?), location)
+                let map = self.map.as_deref().map(task_map).transpose().or_usage()?;
+                ExternalSource::ask(server, Arc::new(profile(wanted).or_usage()?), map, location)
                     .map(|served| Some(PolicySource::External(served)))
             }
             (Some(name), None) if is_name(name) => {
@@ -283,6 +311,20 @@ pub(crate) fn profile(wanted: &str) -> anyhow::Result<Profile> {
             let text = read_text(Path::new(wanted)).with_context(|| format!("cannot read {wanted}"))?;
             Profile::from_toml(&text).with_context(|| wanted.to_owned())
         }
+    }
+}
+
+/// A map from its file.
+pub(crate) fn task_map(file: &Path) -> anyhow::Result<Arc<TaskMap>> {
+    let text = read_text(file).with_context(|| format!("--map {}", file.display()))?;
+    TaskMap::from_toml(&text).map(Arc::new).map_err(|why| anyhow!("{}: {why}", file.display()))
+}
+
+/// A policy that sees the environment through a map, if there is one.
+pub(crate) fn mapped(policy: Box<dyn Policy>, profile: &Arc<Profile>, map: Option<&Arc<TaskMap>>) -> Box<dyn Policy> {
+    match map {
+        Some(map) => Box::new(Mapped::new(policy, Arc::clone(profile), Arc::clone(map))),
+        None => policy,
     }
 }
 

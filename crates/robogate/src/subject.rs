@@ -15,7 +15,7 @@ use robogate_core::{
 use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance, read_text};
 use robogate_gate::Controls;
 use robogate_physics::{RobotFile, SuctionLaw, is_folder};
-use robogate_policy::Arm;
+use robogate_policy::{Arm, BoundMap, Profile, TaskMap};
 use robogate_remote::message::{self, Hello, HostedPolicy};
 use robogate_remote::{Pool, RemoteEnvironment};
 use robogate_tasks::SelfContained;
@@ -287,11 +287,8 @@ impl Subject {
     /// Combines this policy, or the environment's scripted controller, with this environment. Returns an error if the
     /// policy cannot drive the task.
     pub(crate) fn new(environment: EnvironmentSource, policy: Option<PolicySource>) -> Result<Self, Exit> {
-        let environment = match (environment, policy.as_ref().and_then(|policy| policy.profile()?.rendered_px)) {
-            (EnvironmentSource::Cell(cell), Some(px)) => EnvironmentSource::Cell(Box::new(cell.with_pictures_of(px))),
-            (EnvironmentSource::Arm(cell), Some(px)) => EnvironmentSource::Arm(Box::new(cell.with_pictures_of(px))),
-            (environment, _) => environment,
-        };
+        let rendered_px = policy.as_ref().and_then(|policy| policy.profile()?.rendered_px);
+        let environment = rendered_px.into_iter().fold(environment, EnvironmentSource::with_pictures_of);
         let task = environment.task().or_broken()?;
         let policy = environment.declared_policy(policy).or_usage()?;
         let subject = Self { environment, policy, task, execution: None, controls: None };
@@ -303,9 +300,22 @@ impl Subject {
         };
         ready
             .check(&subject.task)
-            .map_err(|why| anyhow!("the policy {} cannot drive this environment: {why}", subject.policy_name()))
+            .map_err(|why| {
+                anyhow!("the policy {} cannot drive this environment: {why}{}", subject.policy_name(), subject.hint())
+            })
             .or_usage()?;
         Ok(subject)
+    }
+
+    /// The hint for a policy that does not fit an environment in another process.
+    fn hint(&self) -> &'static str {
+        match (&self.environment, &self.policy) {
+            (EnvironmentSource::Remote(_), Some(source)) if source.profile().is_some() => {
+                "\n  hint: --map FILE maps the environment to the profile; `robogate policy check` with the same options shows both \
+                 sides"
+            }
+            _ => "",
+        }
     }
 
     /// The same subject with the latency of these arguments. A latency that is to be measured is measured now.
@@ -427,11 +437,7 @@ impl Subject {
 
     /// The same subject with camera images of this width and height in pixels, if the cell renders them.
     pub(crate) fn with_pictures_of(mut self, picture_px: usize) -> Self {
-        self.environment = match self.environment {
-            EnvironmentSource::Cell(cell) => EnvironmentSource::Cell(Box::new(cell.with_pictures_of(picture_px))),
-            EnvironmentSource::Arm(cell) => EnvironmentSource::Arm(Box::new(cell.with_pictures_of(picture_px))),
-            other => other,
-        };
+        self.environment = self.environment.with_pictures_of(picture_px);
         self
     }
 
@@ -710,6 +716,28 @@ impl EnvironmentSource {
         })
     }
 
+    /// Creates an environment for a policy with this profile. A remote one renders only the cameras that the policy uses.
+    pub(crate) fn environment_for(
+        &self,
+        profile: &Profile,
+        map: Option<&TaskMap>,
+    ) -> anyhow::Result<Box<dyn Environment>> {
+        let Self::Remote(source) = self else { return self.environment() };
+        let none = TaskMap::default();
+        let bound = BoundMap::new(map.unwrap_or(&none), profile, &source.pool.hello().task);
+        let cameras = bound.map_err(|why| anyhow!("the map does not fit: {why}"))?.cameras();
+        Ok(Box::new(RemoteEnvironment::new(Arc::clone(&source.pool))?.with_cameras(cameras)))
+    }
+
+    /// The same environment with camera images of this width and height in pixels, if this process renders them.
+    pub(crate) fn with_pictures_of(self, picture_px: usize) -> Self {
+        match self {
+            Self::Cell(cell) => Self::Cell(Box::new(cell.with_pictures_of(picture_px))),
+            Self::Arm(cell) => Self::Arm(Box::new(cell.with_pictures_of(picture_px))),
+            other => other,
+        }
+    }
+
     /// An environment and an expert that drives it with the commands of this arm mode. `None` without an expert.
     pub(crate) fn expert(&self, arm: Arm) -> anyhow::Result<Option<Worker>> {
         Ok(match self {
@@ -932,8 +960,14 @@ impl WorkerFactory for Subject {
                 .map_err(|why| Fault::new(FaultKind::Setup, why.to_string()))?;
             return Ok(Worker { environment: Box::new(environment), policy: Box::new(policy) });
         }
-        let environment =
-            self.environment.environment().map_err(|why| Fault::new(FaultKind::Unavailable, format!("{why:#}")))?;
+        let source = self.policy.as_ref();
+        let environment = match source.and_then(PolicySource::profile) {
+            Some(profile) => {
+                self.environment.environment_for(profile, source.and_then(|source| source.map().map(|map| &**map)))
+            }
+            None => self.environment.environment(),
+        };
+        let environment = environment.map_err(|why| Fault::new(FaultKind::Unavailable, format!("{why:#}")))?;
         let policy = self.policy()?;
         Ok(match &self.execution {
             None => Worker { environment, policy },

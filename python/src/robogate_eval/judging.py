@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from ._command import run_command
+from .policies import as_function, is_model_file, load
 from .results import Run, Verdict
 
 # Exit codes of the command after which there is a result: done or pass, fail, inconclusive, invalid evidence.
@@ -30,9 +32,12 @@ def run(env: Any, policy: Any = None, *, episodes: int | None = None, out: "str 
 
     `env` is the name of an environment, an `Environment`, or a function that makes a `gymnasium.Env`. `policy` is
 
-    - a function from an observation of the environment to an action, or a model with `predict`, such as one of Stable-Baselines3;
+    - a function from an observation of the environment to an action;
+    - a model of Stable-Baselines3, or the path of its `.zip` file; anything with `predict`;
+    - a policy of LeRobot. Its inputs are found by name in a Dict observation: `observation.state` is `state`;
     - the name of a policy that the environment declares, or `"random"`;
-    - the address of a policy server or an ONNX file, with `profile=...`;
+    - the address of a policy server or an ONNX file, with `profile=...`, and `map=...` for the map between the environment and the
+      profile: paths of TOML files, names of built-in profiles, or the same tables as dicts;
     - None for the environment's own policy.
 
     A function or a model runs in this process, one episode at a time. Anything else runs in processes of the command, one for each
@@ -64,7 +69,13 @@ def _folder(out: "str | Path | None", verb: str) -> Path:
 
 
 def _judge(verb: str, env: Any, policy: Any, out: Path, options: dict[str, Any]) -> None:
-    arguments = [verb, "--out", str(out), *_options(options)]
+    if is_model_file(policy):
+        policy = load(policy)
+    with _tables_as_files(options) as options:
+        _command(env, policy, options, [verb, "--out", str(out), *_options(options)])
+
+
+def _command(env: Any, policy: Any, options: dict[str, Any], arguments: list[str]) -> None:
     if isinstance(env, str) and (policy is None or isinstance(policy, (str, os.PathLike))):
         interpreter = [] if "python" in options else ["--python", sys.executable]
         code = run_command(*arguments, "--env", env, *interpreter, *_named(policy)).returncode
@@ -73,6 +84,28 @@ def _judge(verb: str, env: Any, policy: Any, out: Path, options: dict[str, Any])
             code = run_command(*arguments, "--simulator", address, *_named(chosen)).returncode
     if code not in WITH_RESULT:
         raise CommandError(code)
+
+
+@contextmanager
+def _tables_as_files(options: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """The options, with a TOML file for each dict."""
+    with tempfile.TemporaryDirectory(prefix="robogate-") as folder:
+        named = dict(options)
+        for name, value in options.items():
+            if isinstance(value, Mapping):
+                named[name] = Path(folder) / f"{name}.toml"
+                named[name].write_text("".join(f"{json.dumps(key)} = {_toml(one)}\n" for key, one in value.items()), encoding="utf-8")
+        yield named
+
+
+def _toml(value: Any) -> str:
+    """A value in TOML."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{json.dumps(str(key))} = {_toml(one)}" for key, one in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    # Strings, numbers and truth values are written as in JSON.
+    return json.dumps(value)
 
 
 def _named(policy: Any) -> list[str]:
@@ -95,6 +128,8 @@ def _served(env: Any, policy: Any) -> Iterator[tuple[str, Any]]:
     """Serve an environment in a thread of this process. Gives its address and the name of the policy."""
     import dataclasses
 
+    from robogate_bridge import Scenario
+
     from .environments import find
     from .serving.adapter import Adapter
     from .serving.environment import Policy, as_environment
@@ -104,9 +139,13 @@ def _served(env: Any, policy: Any) -> Iterator[tuple[str, Any]]:
     chosen = policy
     if policy is not None and not isinstance(policy, (str, os.PathLike)):
         chosen = _name(policy)
-        own = Policy(lambda _: _function(policy), f"{type(policy).__name__} of the calling process.")
+        own = Policy(lambda _: as_function(policy), f"{type(policy).__name__} of the calling process.")
         environment = dataclasses.replace(environment, policies={**environment.policies, chosen: own})
-    with Background(Adapter(environment)) as address:
+    adapter = Adapter(environment)
+    if chosen in environment.policies:
+        # A policy that does not fit the observations raises here, and not in each episode.
+        adapter.reset(Scenario(index=0, seed=0, parameters={}, policy=chosen))
+    with Background(adapter) as address:
         yield address, chosen
 
 
@@ -115,15 +154,3 @@ def _name(policy: Any) -> str:
     cleaned = "".join(c for c in name if c.isascii() and (c.isalnum() or c in "_-"))[:64] or "policy"
     # These names mean other policies.
     return f"own-{cleaned}" if cleaned in ("random", "scripted") else cleaned
-
-
-def _function(policy: Any) -> Any:
-    """The policy as a function from an observation to an action."""
-    reset = getattr(policy, "reset", None)
-    if callable(reset) and not hasattr(policy, "predict"):
-        reset()
-    if hasattr(policy, "predict"):
-        return lambda observation: policy.predict(observation, deterministic=True)[0]
-    if callable(policy):
-        return policy
-    raise TypeError(f"{type(policy).__name__}: not a policy. Expected a function, a model with `predict`, or a name")

@@ -1,12 +1,15 @@
 """The adapter, on environments that have no package of their own. They need gymnasium, mujoco, pyzmq and msgpack."""
 
 import dataclasses
+import tempfile
 import unittest
+from pathlib import Path
 
 import gymnasium
 import numpy as np
-from robogate_bridge import Action, Problem, Scenario, declaration
-from robogate_eval.serving import FailureMode, Knob, Measure, Policy, Task
+from robogate_bridge import Action, Problem, Scenario, Server, codec, declaration
+from robogate_eval.environments import UnknownEnvironment, find
+from robogate_eval.serving import Camera, FailureMode, Knob, Measure, Policy, Task
 from robogate_eval.serving import friction as friction_of
 from robogate_eval.serving.adapter import Adapter
 from robogate_eval.serving.environment import DeclarationError, Environment, as_environment
@@ -36,6 +39,79 @@ def run(adapter, index=0, policy="push", **parameters):
     return step, states
 
 
+class Plain(SlidingBox):
+    """The observation is one array."""
+
+    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (4,))
+
+    def _get_obs(self):
+        return np.concatenate([self.data.body("box").xpos, self.data.qpos[:1]])
+
+
+class Reused(Plain):
+    """All observations are the same array."""
+
+    seen = np.zeros(4)
+
+    def _get_obs(self):
+        self.seen[:] = super()._get_obs()
+        return self.seen
+
+
+class RunningAhead(unittest.TestCase):
+    def episode(self, make, ahead, **parameters):
+        """All control periods of an episode over the protocol, with so many ahead."""
+        task = Task(name="sliding_box", measures=[Measure("way_m", "m")], measure=lambda t: {"way_m": float(t.env.data.qpos[1])})
+        server = Server(Adapter(Environment(make=make, task=task, policies={"push": PUSH})))
+
+        def ask(**fields):
+            return codec.decode(bytes(server.answer([codec.encode({"v": codec.VERSION, "episode": 1, **fields})])[0]))
+
+        reply = ask(op="reset", index=0, seed=1, parameters=parameters, policy="push")
+        steps = []
+        while reply["ok"] and (not steps or steps[-1].get("ending") is None):
+            action = (steps[-1] if steps else reply)["proposed"]["action"]
+            reply = ask(op="step", tick=len(steps), action_space="vector", actions=[action], ahead=ahead)
+            steps += reply.get("steps", [])
+        return steps, reply
+
+    def test_steps_do_not_depend_on_the_distance(self):
+        for make in (Plain, Reused, SlidingBox):
+            for parameters in ({}, {"noise_box" if make is SlidingBox else "noise_observation": 0.1, "action_delay": 2}):
+                one, _ = self.episode(make, 0, **parameters)
+                many, _ = self.episode(make, 64, **parameters)
+                self.assertEqual(one, many, make.__name__)
+                self.assertGreater(len(one), 3)
+                self.assertIsNone(one[-1]["ending"]["failure"])
+
+    def test_numbers_that_are_not_finite_are_reported_in_their_step(self):
+        class Broken(Plain):
+            def _get_obs(self):
+                found = super()._get_obs()
+                return found * np.nan if self.data.time > 0.12 else found
+
+        for ahead in (0, 64):
+            steps, reply = self.episode(Broken, ahead)
+            self.assertEqual((len(steps), reply["error"]["kind"]), (2, "diverged"), ahead)
+
+
+class Finding(unittest.TestCase):
+    def test_only_class_of_a_file_is_found(self):
+        text = "import gymnasium\nfrom sliding_box import SlidingBox\nclass {}(SlidingBox):\n    pass\n"
+        with tempfile.TemporaryDirectory() as folder:
+            one, two = Path(folder) / "only_one.py", Path(folder) / "two_of_them.py"
+            one.write_text(text.format("Mine"))
+            two.write_text(text.format("First") + text.format("Second"))
+            self.assertEqual(find(str(one)).task.name, "only_one.Mine")
+            with self.assertRaisesRegex(UnknownEnvironment, "It has the environments First, Second: name one after a colon"):
+                find(str(two))
+            self.assertEqual(find(f"{two}:Second").task.name, "two_of_them.Second")
+
+    def test_nearest_family_is_named(self):
+        with self.assertRaisesRegex(UnknownEnvironment, "Did you mean metaworld:push-v3"):
+            find("metawrld:push-v3")
+
+
 class Declaring(unittest.TestCase):
     def test_declaration_is_valid(self):
         hello = declaration.hello(sliding_box(space={"friction:box": (0.1, 1.0)}).hello())
@@ -54,6 +130,22 @@ class Declaring(unittest.TestCase):
         # The table does not move, so its mass does not act.
         self.assertNotIn("mass:world", names)
 
+    def test_cameras_of_the_model_are_offered(self):
+        adapter = sliding_box()
+        cameras = declaration.hello(adapter.hello())["task"]["observation"]["cameras"]
+        self.assertEqual([(c["name"], c["width"]) for c in cameras], [("front", 256), ("on_pusher", 256)])
+        adapter.reset(Scenario(0, 1, {}))
+        (image,) = adapter.render(["front"])
+        self.assertEqual((image.camera, len(image.rgb)), ("front", 3 * 256 * 256))
+        self.assertGreater(len(set(image.rgb)), 10)
+
+    def test_declared_cameras_are_the_only_ones(self):
+        task = Task(name="sliding_box", cameras=[Camera("front", 64, 32)])
+        adapter = Adapter(Environment(make=SlidingBox, task=task))
+        adapter.reset(Scenario(0, 1, {}))
+        self.assertEqual([len(image.rgb) for image in adapter.render(["front"])], [3 * 64 * 32])
+        self.assertEqual([c["name"] for c in adapter.hello()["task"]["observation"]["cameras"]], ["front"])
+
     def test_unknown_knob_is_refused(self):
         with self.assertRaisesRegex(DeclarationError, "mass:ball"):
             sliding_box(knobs=["mass:ball"])
@@ -64,6 +156,45 @@ class Declaring(unittest.TestCase):
 
         with self.assertRaisesRegex(DeclarationError, "bounds"):
             sliding_box(Unbounded)
+
+    def test_differences_from_the_declared_spaces_are_refused(self):
+        class Other(SlidingBox):
+            def _get_obs(self):
+                return {"box": np.zeros(2), "pusher": {"x": np.zeros(1)}}
+
+        class Missing(SlidingBox):
+            def _get_obs(self):
+                return {"box": np.zeros(3)}
+
+        class Tuple(SlidingBox):
+            observation_space = gymnasium.spaces.Tuple([gymnasium.spaces.Box(-1.0, 1.0, (2,))])
+
+        class Numbered(SlidingBox):
+            action_space = gymnasium.spaces.Discrete(3)
+
+        class Old(SlidingBox):
+            def step(self, action):
+                observation, reward, terminated, _, info = super().step(action)
+                return observation, reward, terminated, info
+
+        class OldReset(SlidingBox):
+            def reset(self, seed=None):
+                return super().reset(seed)[0]
+
+        class Endless(SlidingBox):
+            max_path_length = None
+
+        for make, part in (
+            (Other, "declares box with 3 numbers, but reset returned 2 numbers"),
+            (Missing, "declares pusher.x with 1 numbers, but reset returned a dict with the keys box"),
+            (Tuple, "the observation is a Tuple"),
+            (Numbered, "the action space is a Discrete.*ActionWrapper"),
+            (Old, "step returned 4 values"),
+            (OldReset, "reset returned a dict"),
+            (Endless, "Task\\(name=.*time_limit_s=10.0"),
+        ):
+            with self.assertRaisesRegex(DeclarationError, part):
+                sliding_box(make)
 
     def test_class_is_an_environment(self):
         environment = as_environment(SlidingBox, "mine.SlidingBox")

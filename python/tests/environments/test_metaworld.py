@@ -19,8 +19,8 @@ class MetaWorld(unittest.TestCase):
     def test_all_tasks_are_known(self):
         family = families()["metaworld"]
         self.assertEqual(len(family.names()), 50)
-        with self.assertRaisesRegex(UnknownEnvironment, "drawer-open-v3"):
-            family.environment("drawer-v3")
+        with self.assertRaisesRegex(UnknownEnvironment, "Did you mean metaworld:drawer-open-v3"):
+            family.environment("drawr-open-v3")
 
     def test_expert_succeeds(self):
         for name in ("drawer-open-v3", "push-v3"):

@@ -1,11 +1,15 @@
 //! The controls of a gate: an expert and random actions, through the profile of the policy.
 
+use std::sync::Arc;
+
+use anyhow::anyhow;
 use robogate_campaign::Worker;
-use robogate_core::{Assignment, Outcome, Scenario, Seed, Suite, rollout};
+use robogate_core::{Assignment, Outcome, Policy, Scenario, Seed, Suite, rollout};
 use robogate_gate::{ControlProblem, ControlResult, Controls};
-use robogate_policy::{Profile, RandomModel, ThroughProfile, compare_mappings};
+use robogate_policy::{Profile, RandomModel, TaskMap, ThroughProfile, Unmapped, compare_mappings};
 
 use crate::exit::{Exit, OrExit};
+use crate::policy_source::mapped;
 use crate::subject::{EnvironmentSource, Subject};
 use crate::terminal::note;
 
@@ -18,6 +22,7 @@ pub(crate) const EPISODES: u32 = 5;
 /// spaced. Their seeds are not those of the gate.
 pub(crate) fn run(subject: &Subject, suite: &Suite, episodes: u32, seed: u64) -> Result<Option<Controls>, Exit> {
     let Some(profile) = subject.policy_source().and_then(|source| source.profile()) else { return Ok(None) };
+    let map = subject.policy_source().and_then(|source| source.map());
     let reference = profile.published().or_usage()?;
     let mut controls = Controls { reference: reference.name.clone(), ..Controls::default() };
     if episodes == 0 {
@@ -50,17 +55,33 @@ pub(crate) fn run(subject: &Subject, suite: &Suite, episodes: u32, seed: u64) ->
         return Ok(Some(controls));
     }
     controls.expert = Some(known);
-    controls.positive = expert()?.map(|worker| measure(through(worker, profile, &reference), &scenarios));
+    if let Some(worker) = expert()? {
+        controls.positive = Some(measure(through(worker, profile, &reference, map).or_usage()?, &scenarios));
+    }
     controls.negative = expert()?.map(|worker| {
-        let random = Worker { policy: Box::new(RandomModel::new(profile)), ..worker };
-        measure(random, &scenarios)
+        let policy = mapped(Box::new(RandomModel::new(profile)), &Arc::new(profile.clone()), map);
+        measure(Worker { policy, ..worker }, &scenarios)
     });
     Ok(Some(controls))
 }
 
-fn through(worker: Worker, profile: &Profile, reference: &Profile) -> Worker {
+/// The expert, whose actions take the path of the model's: through the profile, and through the map if there is one.
+fn through(
+    worker: Worker,
+    profile: &Profile,
+    reference: &Profile,
+    map: Option<&Arc<TaskMap>>,
+) -> anyhow::Result<Worker> {
     let Worker { environment, policy } = worker;
-    Worker { environment, policy: Box::new(ThroughProfile::new(policy, profile, reference)) }
+    let expert: Box<dyn Policy> = match map {
+        Some(map) => {
+            let unmapped = Unmapped::new(policy, profile, map, environment.task());
+            Box::new(unmapped.map_err(|why| anyhow!("the map does not fit: {why}"))?)
+        }
+        None => policy,
+    };
+    let through = Box::new(ThroughProfile::new(expert, profile, reference));
+    Ok(Worker { environment, policy: mapped(through, &Arc::new(profile.clone()), map) })
 }
 
 fn scenarios(source: &EnvironmentSource, suite: &Suite, episodes: u32, seed: u64) -> Vec<Scenario> {

@@ -15,6 +15,7 @@ use serde_json::json;
 
 use crate::environments::{Interpreter, installed, installed_marker};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, OrExit};
+use crate::interface;
 use crate::terminal::{bold, dim, line, note};
 
 /// List, install and inspect environments that run in Python (docs/environments.md).
@@ -227,6 +228,9 @@ fn print(description: &Description) {
     line(format_args!("  instruction     {}", task.instruction));
     let (rate, limit) = (number(1.0 / task.control_period_s), number(task.time_limit_s));
     line(format_args!("  actions         {rate} per second, at most {limit} s"));
+    line(format_args!("  observes        {}", interface::observes(task)));
+    line(format_args!("  cameras         {}", interface::cameras(task)));
+    line(format_args!("  takes           {}", interface::takes(task)));
     let deterministic = if hello.deterministic {
         "yes: a scenario ran twice with equal states"
     } else {

@@ -22,6 +22,7 @@ pub(crate) mod merge;
 pub(crate) mod monitor;
 pub(crate) mod plan;
 pub(crate) mod policy;
+mod probe;
 pub(crate) mod register;
 pub(crate) mod replay;
 pub(crate) mod report;

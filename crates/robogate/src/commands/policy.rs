@@ -6,16 +6,20 @@ use std::time::Instant;
 
 use anyhow::{Context, anyhow};
 use clap::{Args, Subcommand};
-use robogate_campaign::{Worker, WorkerFactory};
-use robogate_core::{Action, Assignment, Environment, FaultKind, Image, Observation, Scenario, Seed};
+use robogate_core::{Action, Environment, FaultKind, Image, Observation, TaskSpec};
 use robogate_physics::SuctionLaw;
-use robogate_policy::{Arm, Chunk, Decoder, Draft, ExternalPolicy, PolicyError, Profile, Side, outside_range};
+use robogate_policy::{
+    Arm, BoundMap, Chunk, Decoder, Draft, ExternalPolicy, MapRow, PolicyError, Profile, Side, TaskMap, check_task,
+    map_table, outside_range,
+};
 use serde_json::json;
 
 use crate::checkpoint_statistics::CheckpointStatistics;
+use crate::commands::probe::{Probes, nominal, probe};
 use crate::exit::{DONE, Exit, FAIL, OrExit};
-use crate::policy_source::{BuiltInPolicy, PolicyAccess, PolicySource, connect, policy_error, profile};
-use crate::subject::{EnvironmentArguments, Subject};
+use crate::interface;
+use crate::policy_source::{PolicyAccess, connect, policy_error, profile, task_map};
+use crate::subject::{EnvironmentArguments, EnvironmentSource};
 use crate::terminal::{bold, foreign, line, note};
 
 /// List the profiles of policies, or check a policy.
@@ -35,8 +39,9 @@ enum What {
         #[arg(long)]
         json: bool,
     },
-    /// Check a policy server or an ONNX file against a profile: metadata, shapes, latency, determinism, size and
-    /// direction of the actions. Exit codes: 0 no problems, 1 problems found, 2 wrong usage or mismatch, 5 no answer
+    /// Check a policy server or an ONNX file against a profile and an environment: what the model expects and what the
+    /// environment has, as a table; metadata, shapes, latency, determinism, size, direction and effect of the actions.
+    /// Exit codes: 0 no problems, 1 problems found, 2 wrong usage or mismatch, 5 no answer
     Check(Box<Check>),
 }
 
@@ -49,6 +54,10 @@ struct Check {
     /// TOML file
     #[arg(long, value_name = "NAME|FILE")]
     profile: String,
+    /// Map the observations, cameras and actions of the environment to those of the profile with this TOML file
+    /// (docs/environments.md)
+    #[arg(long, value_name = "FILE")]
+    map: Option<PathBuf>,
     /// Set the number of requests with the same observation (at least 2)
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..))]
     requests: u32,
@@ -121,6 +130,10 @@ fn profiles(name: Option<&str>, json: bool) -> Result<u8, Exit> {
 struct Findings {
     /// Names and values of properties.
     properties: Vec<(&'static str, String)>,
+    /// What the model expects, and where the environment has it.
+    mapping: Vec<MapRow>,
+    /// The effect of each number of an action.
+    probes: Probes,
     /// Descriptions of problems.
     problems: Vec<String>,
 }
@@ -134,24 +147,35 @@ impl Check {
         if let Some(path) = &self.write {
             return self.draft(&profile, path);
         }
-        let subject = self.subject(&profile)?;
-        let mut found = Findings { properties: Vec::new(), problems: Vec::new() };
+        let map = self.map()?;
+        let source = self.source(&profile)?;
+        let task = source.task().or_broken()?;
+        let mut found =
+            Findings { properties: Vec::new(), mapping: Vec::new(), probes: Probes::default(), problems: Vec::new() };
         let mut policy = connect(&self.url, Arc::clone(&profile), self.access.access()?)?;
         found.properties.push(("metadata", foreign(policy.declared())));
         if let Some(length) = policy.chunk_length().filter(|length| profile.chunk.length != Some(*length)) {
             found.properties.push(("declared length", format!("{length} actions in each reply")));
         }
-        let mut worker = subject.worker().or_broken()?;
-        let profile = self.ranged(&profile, &mut worker)?;
-        match self.infer(&profile, &mut policy, &mut worker, &mut found) {
-            Ok(()) => {}
-            // These errors are results of the check.
-            Err(error @ (PolicyError::Shape(_) | PolicyError::NotFinite { .. } | PolicyError::Reported { .. })) => {
-                found.problems.push(error.to_string());
+        describe(&task, &mut found);
+        if let Some(bound) = fit(&profile, map.as_deref(), &task, &mut found) {
+            let mut environment = source.environment_for(&profile, map.as_deref()).or_broken()?;
+            let profile = self.ranged(&profile, &bound, &mut *environment)?;
+            match self.infer(&profile, &bound, &mut policy, &mut *environment, &mut found) {
+                Ok(()) => {}
+                // These errors are results of the check.
+                Err(error @ (PolicyError::Shape(_) | PolicyError::NotFinite { .. } | PolicyError::Reported { .. })) => {
+                    found.problems.push(error.to_string());
+                }
+                Err(error) => return Err(policy_error(error)),
             }
-            Err(error) => return Err(policy_error(error)),
+            if is_cell(&task) {
+                check_motion(&profile, &mut *environment, &mut found)?;
+            } else {
+                found.probes = probe(&profile, &bound, &mut *environment)?;
+                found.problems.append(&mut found.probes.problems);
+            }
         }
-        check_motion(&profile, &mut *worker.environment, &mut found)?;
         if self.json {
             let properties: serde_json::Map<_, _> =
                 found.properties.iter().map(|(name, value)| ((*name).to_owned(), json!(value))).collect();
@@ -160,11 +184,17 @@ impl Check {
                 "policy": self.url,
                 "profile": profile.name,
                 "properties": properties,
+                "environment": task.name,
+                "mapping": found.mapping,
+                "probes": found.probes.probes,
+                "environment_repeats": found.probes.repeats,
                 "problems": found.problems,
             }));
         } else {
             line(bold(format_args!("{} with profile {}", self.url, profile.name)));
             found.properties.iter().for_each(|(name, value)| line(format_args!("  {name:<22} {value}")));
+            print_mapping(&found.mapping);
+            print_probes(&found.probes);
             for problem in &found.problems {
                 line(format_args!("{} {}", bold("problem:"), foreign(problem)));
             }
@@ -175,20 +205,32 @@ impl Check {
         Ok(if found.problems.is_empty() { DONE } else { FAIL })
     }
 
-    fn subject(&self, profile: &Profile) -> Result<Subject, Exit> {
-        // Only the environment is used, so it needs no controller of its own.
-        let nobody = Some(PolicySource::BuiltIn(BuiltInPolicy::Random));
-        let subject = Subject::new(self.environment.environment(SuctionLaw::Vacuum)?, nobody)?;
-        Ok(profile.rendered_px.into_iter().fold(subject, Subject::with_pictures_of))
+    fn map(&self) -> Result<Option<Arc<TaskMap>>, Exit> {
+        self.map.as_deref().map(task_map).transpose().or_usage()
+    }
+
+    /// The environment with the pictures of the profile.
+    fn source(&self, profile: &Profile) -> Result<EnvironmentSource, Exit> {
+        let source = self.environment.environment(SuctionLaw::Vacuum)?;
+        Ok(profile.rendered_px.into_iter().fold(source, EnvironmentSource::with_pictures_of))
     }
 
     /// The profile with the ranges of --statistics.
-    fn ranged(&self, profile: &Profile, worker: &mut Worker) -> Result<Profile, Exit> {
+    fn ranged(&self, profile: &Profile, bound: &BoundMap, environment: &mut dyn Environment) -> Result<Profile, Exit> {
         if !self.statistics.is_given() {
             return Ok(profile.clone());
         }
-        let start = worker.environment.reset(&nominal()).or_broken()?;
-        self.statistics.add_to(profile, &start.observation)
+        let start = environment.reset(&nominal()).or_broken()?;
+        self.statistics.add_to(profile, &bound.observation(&start.observation).or_broken()?)
+    }
+
+    /// [`Self::ranged`], in an environment of its own.
+    fn ranged_draft(&self, profile: &Profile) -> Result<Profile, Exit> {
+        let (map, source) = (self.map()?, self.source(profile)?);
+        let (none, task) = (TaskMap::default(), source.task().or_broken()?);
+        let bound = BoundMap::new(map.as_deref().unwrap_or(&none), profile, &task);
+        let bound = bound.map_err(|why| anyhow!("the map does not fit: {why}")).or_usage()?;
+        self.ranged(profile, &bound, &mut *source.environment_for(profile, map.as_deref()).or_broken()?)
     }
 
     /// Drafts a profile from the metadata of the server and the statistics of the checkpoint.
@@ -203,7 +245,7 @@ impl Check {
         };
         let Draft { profile, open } = drafted;
         let profile = match self.statistics.is_given() {
-            true => self.ranged(&profile, &mut self.subject(&profile)?.worker().or_broken()?)?,
+            true => self.ranged_draft(&profile)?,
             false => profile,
         };
         let text = toml::to_string_pretty(&profile).or_broken()?;
@@ -224,23 +266,27 @@ impl Check {
     fn infer(
         &self,
         profile: &Profile,
+        bound: &BoundMap,
         policy: &mut ExternalPolicy,
-        worker: &mut Worker,
+        environment: &mut dyn Environment,
         found: &mut Findings,
     ) -> Result<(), PolicyError> {
         let cannot = |why: String| PolicyError::Observation(why);
-        let start = worker.environment.reset(&nominal()).map_err(|fault| cannot(fault.to_string()))?;
+        let start = environment.reset(&nominal()).map_err(|fault| cannot(fault.to_string()))?;
         let mut observation = start.observation;
+        let mut replaced = None;
         if !profile.cameras.is_empty() {
-            observation.images = match worker.environment.render() {
-                Ok(images) => images,
+            match environment.render() {
+                Ok(images) => observation.images = images,
                 Err(fault) if fault.kind == FaultKind::Setup => {
                     note(format_args!("note: the images are grey, because the cameras cannot be rendered: {fault}"));
-                    grey(profile)
+                    replaced = Some(grey(profile));
                 }
                 Err(fault) => return Err(cannot(fault.to_string())),
-            };
+            }
         }
+        let mut observation = bound.observation(&observation).map_err(|fault| cannot(fault.to_string()))?;
+        observation.images.extend(replaced.into_iter().flatten());
         let ranges: usize = profile.states.iter().map(|state| state.low.len()).sum();
         let outside = outside_range(profile, &observation)?;
         if ranges > 0 {
@@ -285,15 +331,108 @@ impl Check {
                 )
             },
         ));
-        check_actions(profile, &first, &observation, found);
-        Ok(())
+        check_actions(profile, &first, &observation, is_cell(bound.task()), found);
+        in_environment(profile, bound, &first, &observation, found)
     }
 }
 
-/// Check the actions for an observation with an open gripper far above the object.
-fn check_actions(profile: &Profile, chunk: &Chunk, observation: &Observation, found: &mut Findings) {
+/// Whether the task takes motions of an arm, as the built-in cell does. Any other one takes a vector.
+fn is_cell(task: &TaskSpec) -> bool {
+    task.action.tool_delta().is_some() || task.action.joints().is_some()
+}
+
+/// What the environment observes and takes.
+fn describe(task: &TaskSpec, found: &mut Findings) {
+    found.properties.push(("environment", format!("{}, {:.4} s per action", task.name, task.control_period_s)));
+    found.properties.push(("  observes", interface::observes(task)));
+    found.properties.push(("  cameras", interface::cameras(task)));
+    found.properties.push(("  takes", interface::takes(task)));
+}
+
+/// The map that fits, with its table. `None` if the environment lacks something, which is a problem.
+fn fit(profile: &Profile, map: Option<&TaskMap>, task: &TaskSpec, found: &mut Findings) -> Option<BoundMap> {
+    const HINT: &str = "--map FILE maps the environment to the profile (docs/environments.md)";
+    let none = TaskMap::default();
+    let bound = match BoundMap::new(map.unwrap_or(&none), profile, task) {
+        Ok(bound) => bound,
+        Err(why) => {
+            found.problems.push(format!("the map does not fit: {why}"));
+            return None;
+        }
+    };
+    match map_table(profile, map, task) {
+        Ok(rows) => found.mapping = rows,
+        Err(why) => found.problems.push(why),
+    }
+    if let Err(why) = check_task(profile, bound.task()) {
+        let hint = if map.is_none() && !is_cell(task) { format!(". Hint: {HINT}") } else { String::new() };
+        found.problems.push(format!("{why}{hint}"));
+        return None;
+    }
+    Some(bound)
+}
+
+fn print_mapping(rows: &[MapRow]) {
+    if rows.is_empty() {
+        return;
+    }
+    let width = |of: fn(&MapRow) -> &str, head: &str| {
+        rows.iter().map(|row| of(row).chars().count()).chain([head.len()]).max().unwrap_or(0)
+    };
+    let (model, profile) = (width(|row| &row.model, "model"), width(|row| &row.profile, "profile"));
+    line(bold(format_args!("  {:<6} {:<model$}  {:<profile$}  environment", "", "model", "profile")));
+    for row in rows {
+        line(format_args!("  {:<6} {:<model$}  {:<profile$}  {}", row.kind, row.model, row.profile, row.environment));
+    }
+}
+
+fn print_probes(found: &Probes) {
+    if found.probes.is_empty() {
+        return;
+    }
+    line(bold(format_args!("  {:<6} {:>8}  changes after 10 control periods", "number", "by")));
+    for probe in &found.probes {
+        line(format_args!("  {:<6} {:>8.3}  {}", probe.number, probe.by, probe.moves));
+    }
+    if let Some(repeats) = found.repeats {
+        let text = if repeats { "yes: an episode repeats exactly" } else { "no: the same actions give other states" };
+        line(format_args!("  {:<22} {text}", "environment repeats"));
+    }
+}
+
+/// The range of each number of the environment's action that the chunk becomes.
+fn in_environment(
+    profile: &Profile,
+    bound: &BoundMap,
+    chunk: &Chunk,
+    observation: &Observation,
+    found: &mut Findings,
+) -> Result<(), PolicyError> {
+    let mut decoder = Decoder::new(profile);
+    decoder.begin(bound.task())?;
+    let mut ranges: Vec<(f64, f64)> = Vec::new();
+    for row in chunk.rows() {
+        decoder.put(row.clone());
+        while !decoder.is_empty() {
+            let robogate_core::Command::Vector(numbers) = bound.action(decoder.next(observation)?).command else {
+                return Ok(());
+            };
+            ranges.resize(numbers.len(), (f64::INFINITY, f64::NEG_INFINITY));
+            ranges.iter_mut().zip(numbers).for_each(|(range, n)| *range = (range.0.min(n), range.1.max(n)));
+        }
+    }
+    let texts: Vec<String> = ranges.iter().map(|(low, high)| format!("{low:.3} to {high:.3}")).collect();
+    found.properties.push(("in the environment", texts.join(", ")));
+    Ok(())
+}
+
+/// Check the actions for the first observation. In the cell the gripper is open and far above the object.
+fn check_actions(profile: &Profile, chunk: &Chunk, observation: &Observation, cell: bool, found: &mut Findings) {
     let form = &profile.action;
-    let arms = || chunk.rows().iter().filter_map(|row| row.split_last());
+    // The numbers of a vector are all for the arm.
+    let whole = form.arm == Arm::Vector;
+    let arms =
+        || chunk.rows().iter().filter_map(move |row| if whole { Some((&0.0, &**row)) } else { row.split_last() });
     let largest = arms().flat_map(|(_, arm)| arm).fold(0.0_f64, |largest, n| largest.max(n.abs()));
     found.properties.push(("largest arm value", format!("{largest:.4}")));
     if form.arm != Arm::JointPositions {
@@ -321,7 +460,7 @@ fn check_actions(profile: &Profile, chunk: &Chunk, observation: &Observation, fo
         decoder.put(row.clone());
         decoder.next(observation)
     });
-    if matches!(&first, Some(Ok(action)) if action.gripper == Some(Action::CLOSE)) {
+    if cell && matches!(&first, Some(Ok(action)) if action.gripper == Some(Action::CLOSE)) {
         found.problems.push(format!(
             "the first action closes the gripper ({}) although it is open and far from the object. Check \
              action.gripper_open and action.gripper_threshold = {threshold}",
@@ -424,10 +563,6 @@ fn check_motion(profile: &Profile, environment: &mut dyn Environment, found: &mu
 fn position(observation: &Observation) -> [f64; 3] {
     let robosuite = || <[f64; 3]>::try_from(observation.vector("eef_pos")?).ok();
     observation.tool_pose().map(|pose| pose.position).or_else(robosuite).unwrap_or([f64::NAN; 3])
-}
-
-fn nominal() -> Scenario {
-    Scenario { index: 0, seed: Seed::campaign(0).episode(0), requested: Assignment::default() }
 }
 
 /// Grey images for the cameras of the profile.

@@ -48,6 +48,7 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/serving/model.py"),
     embedded!("robogate_eval/serving/mujoco_knobs.py"),
     embedded!("robogate_eval/serving/process.py"),
+    embedded!("robogate_eval/serving/rendering.py"),
     embedded!("robogate_eval/serving/spaces.py"),
     embedded!("robogate_eval/serving/trajectory.py"),
     embedded!("robogate_eval/serving/view_knobs.py"),

@@ -3,12 +3,17 @@
 
 use std::fs;
 use std::io::{BufRead, BufReader};
+use std::net::TcpListener;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
+use tungstenite::Message;
+
+use crate::openpi;
 
 /// A Python with Meta-World, and a folder for the test.
 struct Bench {
@@ -120,6 +125,140 @@ fn faults_are_shown_and_survived() {
     bench.robogate("run --env lacks.py -n 30", 2, &["the Python package no_such_package is missing"]);
     bench.example("breaks.py", &[("    make=Reach,", "    make=lambda: 1 / 0,")]);
     bench.robogate("run --env breaks.py -n 30", 5, &["does not start", "ZeroDivisionError"]);
+}
+
+/// A profile of a policy that knows nothing of the environment: a state of six numbers in another order and unit, an
+/// image, and an action of three numbers.
+const STEERING: &str = r#"
+name = "steering"
+model = "A proportional controller behind a server"
+[dialect]
+name = "openpi"
+[[camera]]
+from = "front"
+key = "image"
+width = 8
+height = 8
+[[state]]
+key = "state"
+vectors = ["goal", "place", "speed"]
+[action]
+size = 3
+arm = "vector"
+[chunk]
+length = 1
+execute = 1
+[server]
+attempts = 1
+"#;
+
+/// The map of the example environment, with a camera, to that profile. The goal is in centimetres.
+const MAP: &str = r#"
+[vectors]
+goal = { from = "state[4:6]", scale = 100.0 }
+place = { from = "state[:2]", scale = 100.0 }
+speed = ["state[2]", "state[3]"]
+[cameras]
+front = { from = "view", orientation = "flipped" }
+[action]
+action_0 = "action[2]"
+action_1 = { from = "action[1]", scale = -1.0 }
+"#;
+
+/// The example environment with a Dict observation that contains an image, without its own policy.
+fn with_view(bench: &Bench) {
+    bench.example(
+        "view.py",
+        &[
+            (
+                "gymnasium.spaces.Box(-10.0, 10.0, (6,))",
+                "gymnasium.spaces.Dict(state=gymnasium.spaces.Box(-10.0, 10.0, (6,)), view=gymnasium.spaces.Box(0, 255, (8, 8, 3), np.uint8))",
+            ),
+            (
+                "return np.concatenate([self.place, self.speed, self.target])",
+                "image = np.zeros((8, 8, 3), np.uint8)\n        image[0] = 200\n        \
+                 return {'state': np.concatenate([self.place, self.speed, self.target]), 'view': image}",
+            ),
+            ("t.observation[4:] - t.observation[:2]", "t.observation['state'][4:] - t.observation['state'][:2]"),
+            ("    policies={\"steer\": Policy(steer, \"A proportional controller with damping.\")},\n", ""),
+        ],
+    );
+}
+
+/// Serves the controller of the example to that profile, and checks what it receives.
+fn steering() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("ws://{}", listener.local_addr().unwrap());
+    openpi::serve(listener, |_, socket| {
+        while let Ok(message) = socket.read() {
+            if !message.is_binary() {
+                continue;
+            }
+            let request = rmpv::decode::read_value(&mut &*message.into_data()).unwrap();
+            let field = |array: &rmpv::Value, name: &str| {
+                let map = array.as_map().unwrap();
+                let same = |key: &rmpv::Value| key.as_str() == Some(name) || key.as_slice() == Some(name.as_bytes());
+                map.iter().find(|(key, _)| same(key)).unwrap().1.clone()
+            };
+            let bytes = |name: &str| field(&field(&request, name), "data").as_slice().unwrap().to_vec();
+            // The bright row of the flipped image is the last one.
+            assert!(bytes("image")[..24] == [0; 24] && bytes("image")[7 * 24..] == [200; 24]);
+            let state: Vec<f64> =
+                bytes("state").as_chunks::<8>().0.iter().map(|number| f64::from_le_bytes(*number)).collect();
+            let [goal_x, goal_y, x, y, dx, dy] = *state else { panic!("{state:?}") };
+            let (x, y) = (0.03 * (goal_x - x) - 1.5 * dx, 0.03 * (goal_y - y) - 1.5 * dy);
+            let reply = openpi::actions(1, 3, |_, number| [0.7, -y, x][number]);
+            if socket.send(Message::binary(reply)).is_err() {
+                break;
+            }
+        }
+        ControlFlow::Continue(())
+    });
+    url
+}
+
+/// A server and a network that know nothing of an environment drive it through a map.
+#[test]
+fn maps_connect_any_policy() {
+    let Some(bench) = Bench::new() else { return };
+    with_view(&bench);
+    fs::write(bench.at("profile.toml"), STEERING).unwrap();
+    fs::write(bench.at("map.toml"), MAP).unwrap();
+    let url = steering();
+    let check = format!("policy check {url} --profile profile.toml --env view.py --requests 2");
+    let parts = ["state (6)", "view (8 x 8)", "action_0 (-1 to 1), action_1 (-1 to 1)", "problem:", "Hint: --map FILE"];
+    bench.robogate(&check, 1, &parts);
+    let parts = [
+        "state[0:2]    goal",
+        "100 state[4:6]",
+        "view, 8 x 8, flipped",
+        "action_1 = -action[1] (-1 to 1)",
+        "not used",
+        "environment repeats    yes",
+        // The first number has no effect.
+        "number 0 of the action changes no observation",
+    ];
+    bench.robogate(&format!("{check} --map map.toml"), 1, &parts);
+    let run = format!("run --env view.py --policy {url} --profile profile.toml -n 20 --seed 3 --threads 2");
+    bench.robogate(
+        &run,
+        2,
+        &["cannot drive this environment", "uses the camera `front`", "the task has view", "--map"],
+    );
+    fs::write(bench.at("wrong.toml"), MAP.replace("state[4:6]", "state[4:9]")).unwrap();
+    bench.robogate(
+        &format!("{run} --map wrong.toml"),
+        2,
+        &["vectors.goal: `state[4:9]`: out of range, because `state` has 6 numbers"],
+    );
+    let text = bench.robogate(&format!("{run} --map map.toml --out mapped"), 0, &["steering policy"]);
+    assert!(!text.contains("invalid"), "{text}");
+    let summary = fs::read_to_string(bench.at("mapped/summary.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
+    assert!(summary["estimate"]["success_rate"].as_f64().unwrap() > 0.2, "{text}");
+    // The map is part of the record.
+    bench.robogate("replay mapped 7", 0, &["identical to the recorded episode"]);
+    bench.robogate("run --env view.py --policy random --map map.toml -n 20", 2, &["--profile"]);
 }
 
 /// No process is left behind when the command is killed.

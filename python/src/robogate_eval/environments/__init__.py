@@ -22,6 +22,7 @@ documentation.
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import hashlib
 import importlib
 import importlib.util
@@ -73,8 +74,10 @@ def find(name: str) -> Environment:
         if error.name is None or not (first == error.name or first.startswith(f"{error.name}.")):
             raise
         bundled = ", ".join(known)
+        nearest = difflib.get_close_matches(first, known, n=1)
+        meant = f" Did you mean {nearest[0]}:{rest}?" if nearest else ""
         raise UnknownEnvironment(
-            f"{name}: no such environment. Expected FAMILY:NAME (families: {bundled}), gymnasium:ID, FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE"
+            f"{name}: no such environment.{meant} Expected FAMILY:NAME (families: {bundled}), gymnasium:ID, FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE"
         ) from None
     return _own(module, rest, name)
 
@@ -102,8 +105,24 @@ def _load(file: Path):
 
 
 def _own(module, attribute: str, name: str) -> Environment:
+    classes = _classes(module)
+    if not attribute and not hasattr(module, "environment") and len(classes) == 1:
+        # The only class of an environment in the file.
+        attribute = classes[0]
     attribute = attribute or "environment"
     value = getattr(module, attribute, None)
     if value is None:
-        raise UnknownEnvironment(f"{name}: the module has no attribute {attribute!r}. Expected an Environment, or a function that makes one")
+        found = f" It has the environments {', '.join(classes)}: name one after a colon, for example :{classes[0]}" if classes else ""
+        raise UnknownEnvironment(
+            f"{name}: the module has no attribute {attribute!r}. Expected an Environment, or a function or class that makes one.{found}"
+        )
     return as_environment(value, f"{module.__name__}.{attribute}")
+
+
+def _classes(module) -> list[str]:
+    """The names of the classes of Gymnasium environments that a module defines."""
+    gymnasium = sys.modules.get("gymnasium")
+    if gymnasium is None:
+        return []
+    found = vars(module).items()
+    return [name for name, value in found if isinstance(value, type) and issubclass(value, gymnasium.Env) and value.__module__ == module.__name__]

@@ -6,7 +6,7 @@ from typing import Any
 
 from ..serving.environment import Environment, FailureMode, Measure, Policy, Task
 from ..serving.trajectory import Trajectory
-from .family import Family, UnknownEnvironment, installed
+from .family import Family, installed, unknown
 
 SUFFIX = "_features"
 # dm_control reports a reward from 0 to 1 and no success.
@@ -121,7 +121,7 @@ TARGETS = {"reach_site": "target_position", "reach_duplo": "duplo2x4.position"}
 
 def environment(name: str) -> Environment:
     if name not in names():
-        raise UnknownEnvironment(f"dm_control:{name}: unknown task. Expected one of: {', '.join(names())}")
+        raise unknown("task", name, names(), "dm_control:")
     first = World(name)
     policies = {"scripted": _reach(TARGETS[name])} if name in TARGETS else {}
     made = [first]

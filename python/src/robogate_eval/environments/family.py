@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib.metadata
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from ..serving.environment import Environment
@@ -34,3 +35,11 @@ def installed(package: str) -> str:
 
 class UnknownEnvironment(LookupError):
     """There is no environment of this name."""
+
+
+def unknown(kind: str, name: str, known: Iterable[str], family: str = "") -> UnknownEnvironment:
+    """The error for a name that is not one of these, with the nearest of them first."""
+    known = list(known)
+    nearest = difflib.get_close_matches(name, known, n=1)
+    meant = f"Did you mean {family}{nearest[0]}? " if nearest else ""
+    return UnknownEnvironment(f"{family}{name}: unknown {kind}. {meant}Expected one of: {', '.join(known)}")

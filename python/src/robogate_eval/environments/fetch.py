@@ -7,7 +7,7 @@ from typing import Any
 
 from ..serving.environment import Environment, FailureMode, Measure, Policy, Task
 from ..serving.trajectory import Trajectory
-from .family import Family, UnknownEnvironment, installed
+from .family import Family, installed, unknown
 
 INSTRUCTIONS = {
     "FetchReach-v4": "move the gripper to the target",
@@ -64,7 +64,7 @@ def _scripted(env: Any):
 
 def environment(name: str) -> Environment:
     if name not in INSTRUCTIONS:
-        raise UnknownEnvironment(f"fetch:{name}: unknown task. Expected one of: {', '.join(INSTRUCTIONS)}")
+        raise unknown("task", name, INSTRUCTIONS, "fetch:")
 
     def make() -> Any:
         import gymnasium

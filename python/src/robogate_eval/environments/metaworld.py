@@ -6,7 +6,7 @@ from typing import Any
 
 from ..serving.environment import Environment, FailureMode, Measure, Policy, Task
 from ..serving.trajectory import Trajectory
-from .family import Family, UnknownEnvironment, installed
+from .family import Family, installed, unknown
 
 # Bodies of the arm and its surroundings, which all tasks share. Every other body belongs to the task.
 ARM = {
@@ -81,7 +81,7 @@ def environment(name: str) -> Environment:
 
     cls = ALL_V3_ENVIRONMENTS.get(name)
     if cls is None:
-        raise UnknownEnvironment(f"metaworld:{name}: unknown task. Expected one of: {', '.join(names())}")
+        raise unknown("task", name, names(), "metaworld:")
     policies = {}
     if name in ENV_POLICY_MAP:
         expert = ENV_POLICY_MAP[name]

@@ -12,7 +12,7 @@ except ModuleNotFoundError:
     np = None
 
 from ..serving.environment import Camera, Environment, FailureMode, Measure, Policy, Task
-from .family import Family, UnknownEnvironment, installed
+from .family import Family, installed, unknown
 
 PERIOD_S = 0.05
 TIME_LIMIT_S = 15.0
@@ -158,7 +158,7 @@ def _lift(env):
 def environment(name: str) -> Environment:
     kind = KINDS.get(name)
     if kind is None:
-        raise UnknownEnvironment(f"robosuite:{name}: unknown task. Expected one of: {', '.join(KINDS)}")
+        raise unknown("task", name, KINDS, "robosuite:")
     from ..serving.model import Model, rigid
 
     made = [World(kind)]

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import hashlib
+import math
+import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from robogate_bridge import Image, Problem
+from robogate_bridge import FreeRun, Image, Problem
 
 from . import mujoco_knobs
 from .disturbances import Disturbances
-from .environment import Camera, DeclarationError, Environment
+from .environment import Camera, DeclarationError, Environment, task_name
 from .knobs import Knob, differs, parameter_name
 from .model import Model, NoModel
+from .rendering import renderer
 from .spaces import Actions, Observations
 from .trajectory import Trajectory
 
 # The protocol allows 256 parameters.
 MAX_KNOBS = 250
+# Width and height of the images of the model's own cameras, in pixels, and how many of them are offered.
+PICTURE_PX = 256
+MAX_CAMERAS = 16
 
 
 def _mujoco_sha256() -> str | None:
@@ -43,7 +50,10 @@ class Adapter:
         rest = np.zeros(len(self._actions.low)) if self._task.rest_action is None else np.asarray(self._task.rest_action)
         lengths = {name: length for name, (_, length) in self._observations.vectors.items()}
         self._disturbances = Disturbances(lengths, self._actions.decode(rest))
-        env.reset(seed=0)
+        first = env.reset(seed=0)
+        if not isinstance(first, tuple) or len(first) != 2:
+            raise DeclarationError(f"reset returned {_values(first)}. Expected observation and info, as in Gymnasium")
+        self._observations.check(first[0])
         try:
             self._model: Model | None = Model(env)
         except (NoModel, ImportError):
@@ -52,6 +62,7 @@ class Adapter:
         self.dropped: list[tuple[str, str]] = []
         self.knobs = self._knobs()
         self._by_parameter = {knob.parameter: knob for knob in self.knobs}
+        self._order = {knob.parameter: position for position, knob in enumerate(self.knobs)}
         self._cameras = self._find_cameras()
         self._renderers: dict[tuple[int, int], Any] = {}
         self._hash = 0
@@ -129,7 +140,7 @@ class Adapter:
         rate = (getattr(base, "metadata", None) or {}).get("render_fps")
         if rate:
             return 1.0 / float(rate)
-        raise DeclarationError(f"{self._task.name}: the control period is unknown. Set control_period_s in its Task")
+        raise DeclarationError(self._unknown("control period", "control_period_s=0.05"))
 
     def _step_limit(self) -> int:
         if self._task.time_limit_s is not None:
@@ -138,7 +149,13 @@ class Adapter:
         for limit in (getattr(specification, "max_episode_steps", None), getattr(self._env.unwrapped, "max_path_length", None)):
             if limit:
                 return int(limit)
-        raise DeclarationError(f"{self._task.name}: the time limit is unknown. Set time_limit_s in its Task")
+        raise DeclarationError(self._unknown("time limit", "time_limit_s=10.0"))
+
+    def _unknown(self, what: str, field: str) -> str:
+        """The error for something that neither the environment nor its task says."""
+        name, made = self._task.name, type(self._env.unwrapped).__name__
+        example = f'environment = Environment(make={made}, task=Task(name="{name.rpartition(".")[2].lower()}", {field}))'
+        return f"the {what} of {name} is unknown. Declare it in a Task:\n    from robogate_eval import Environment, Task\n    {example}"
 
     def _engine(self) -> tuple[str, str]:
         if self._environment.engine is not None:
@@ -207,7 +224,7 @@ class Adapter:
     def reset(self, scenario: Any) -> dict:
         requested = [(self._by_parameter[name], value) for name, value in scenario.parameters.items()]
         # The order of the declaration: a mass is set before the inertia that scales with it.
-        requested.sort(key=lambda pair: self.knobs.index(pair[0]))
+        requested.sort(key=lambda pair: self._order[pair[0].parameter])
         if self._model is not None:
             self._model.restore()
         self._disturbances.begin(scenario.seed, scenario.index)
@@ -261,10 +278,74 @@ class Adapter:
         return reply
 
     def step(self, action: Any) -> dict:
-        executed = self._actions.decode(action.numbers)
+        observation, ending, measures = self._advance(action.numbers)
+        reply = self._reply(observation)
+        reply["ending"], reply["measures"], reply["state_hash"] = ending, measures, self._hash
+        return reply
+
+    def free_run(self, numbers: list[float], periods: int, ends: float) -> FreeRun:
+        """Up to so many control periods with the actions of the episode's policy, of which `numbers` is the next: what `step` does in
+        turns. Stops at the time `ends` of the monotonic clock.
+
+        What does not decide the next action is computed afterwards, all at once: between two steps of the physics, the processor
+        finds neither code nor data of it in its caches.
+        """
+        seen_all, actions, states = [], [], []
+        last, error = None, None
+        noisy, vectors = self._disturbances.noisy, self._observations
+        try:
+            while len(actions) < periods and time.monotonic() <= ends:
+                observation, ending, measures = self._advance(numbers)
+                if self._policy is None or not vectors.is_plain(observation):
+                    last = self._reply(observation) | {"ending": ending, "measures": measures, "state_hash": self._hash}
+                    break
+                seen = vectors.with_noise(observation, self._disturbances.noise()) if noisy else observation
+                # The next control period may write to the array.
+                self._seen = seen = seen.copy()
+                state = self._model.state()
+                numbers = self._actions.encode(self._policy(seen))
+                if not math.isfinite(sum(numbers)):
+                    last = self._answer(seen, numbers, state)
+                    break
+                seen_all.append(seen)
+                actions.append(numbers)
+                states.append(state)
+        except Exception as why:
+            error = why
+        digests = [self._model.hash_of(state) for state in states]
+        if digests and last is None:
+            self._hash = digests[-1]
+        rows = np.asarray(seen_all)
+        if np.isfinite(rows).all():
+            return FreeRun("observation", rows.tolist(), actions, digests, [] if last is None else [last], error)
+        # The server says which number is not finite.
+        answers = [self._answer(*one) for one in zip(seen_all, actions, states)]
+        return FreeRun("observation", [], [], [], answers if last is None else [*answers, last], error)
+
+    def _answer(self, seen: Any, action: list[float], state: bytes) -> dict:
+        """What `step` returns for a control period in which the episode goes on."""
+        return {
+            "observation": {"vectors": self._observations.encode(seen)},
+            "proposed": {"action_space": "vector", "action": action},
+            "ending": None,
+            "measures": {},
+            "state_hash": self._model.hash_of(state),
+        }
+
+    def can_free_run(self) -> bool:
+        """Whether `free_run` can run this environment."""
+        return self._model is not None and self._policy is not None and bool(self._observations.single)
+
+    def _advance(self, numbers: list[float]) -> tuple[Any, dict | None, dict]:
+        """Run one control period. Returns the observation, and the ending with its measures."""
+        executed = self._actions.decode(numbers)
         if self._disturbances.delays:
             executed = self._disturbances.delayed(executed)
-        observation, reward, terminated, truncated, info = self._env.step(executed)
+        result = self._env.step(executed)
+        try:
+            observation, reward, terminated, truncated, info = result
+        except (TypeError, ValueError):
+            raise Problem("setup", f"step returned {_values(result)}. Expected observation, reward, terminated, truncated, info") from None
         trajectory = self._trajectory
         trajectory.observations.append(observation)
         trajectory.actions.append(executed)
@@ -280,9 +361,7 @@ class Adapter:
             self._policy = None
             if self._task.measure is not None:
                 measures = dict(self._task.measure(trajectory))
-        reply = self._reply(observation)
-        reply["ending"], reply["measures"], reply["state_hash"] = ending, measures, self._hash
-        return reply
+        return observation, ending, measures
 
     def _ending(self, trajectory: Trajectory, info: dict) -> dict | None:
         if self._task.success is None:
@@ -327,7 +406,13 @@ class Adapter:
 
     def _find_cameras(self) -> list[Camera]:
         seen = [Camera(name, width, height) for name, (_, height, width) in self._observations.images.items()]
-        return [*seen, *self._task.cameras]
+        declared = [*seen, *self._task.cameras]
+        if declared or self._model is None:
+            return declared
+        # Without a choice of the environment: the cameras of its model. Only those that a policy uses are rendered.
+        names = {task_name(name): name for name in self._model.names("camera") if name}
+        own = [Camera(task, PICTURE_PX, PICTURE_PX, partial(self._pixels, name)) for task, name in names.items()]
+        return own[:MAX_CAMERAS]
 
     def render(self, cameras: list[str]) -> list[Image]:
         by_name = {camera.name: camera for camera in self._cameras}
@@ -343,18 +428,26 @@ class Adapter:
         return Image(camera.name, camera.width, camera.height, pixels.tobytes())
 
     def _rendered(self, camera: Camera) -> np.ndarray:
-        import mujoco
-
         if self._model is None:
             raise Problem("unsupported", f"the camera {camera.name} has no render function, and there is no MuJoCo model")
-        size = (camera.height, camera.width)
-        model = self._model.model
+        return self._pixels(camera.name, self._env, camera.width, camera.height)
+
+    def _pixels(self, name: str, env: Any, width: int = PICTURE_PX, height: int = PICTURE_PX) -> np.ndarray:
+        """The image of a camera of the model."""
+        model, size = self._model.model, (height, width)
         held = self._renderers.get(size)
         if held is None or held[0] is not model:
-            held = (model, mujoco.Renderer(model, *size))
+            try:
+                held = (model, renderer(model, *size))
+            except Exception as why:
+                raise Problem("setup", f"MuJoCo cannot render the camera {name}: {why}. Set MUJOCO_GL to egl, osmesa or glfw") from why
             self._renderers[size] = held
-        held[1].update_scene(self._model.data, camera=camera.name)
+        held[1].update_scene(self._model.data, camera=name)
         return held[1].render()
+
+
+def _values(result: Any) -> str:
+    return f"{len(result)} values" if isinstance(result, tuple) else f"a {type(result).__name__}"
 
 
 def _seed(scenario: Any) -> int:

@@ -135,7 +135,16 @@ class Model:
 
     def hash(self) -> int:
         """A 64-bit hash of the full state."""
-        return int.from_bytes(hashlib.blake2b(b"".join(self._state), digest_size=8).digest(), "little")
+        return self.hash_of(self.state())
+
+    def state(self) -> bytes:
+        """The full state."""
+        return b"".join(self._state)
+
+    @staticmethod
+    def hash_of(state: bytes) -> int:
+        """The 64-bit hash of a full state."""
+        return int.from_bytes(hashlib.blake2b(state, digest_size=8).digest(), "little")
 
     def names(self, kind: str) -> list[str]:
         """The names of all bodies, joints, actuators, cameras or lights; empty for one without a name."""

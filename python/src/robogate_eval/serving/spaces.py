@@ -25,7 +25,7 @@ class Observations:
         self.images: dict[str, tuple[tuple[str, ...], int, int]] = {}
         self._add(space, ())
         # The whole observation is one vector.
-        self._single = list(self.vectors.values()) == [((), self.vectors["observation"][1])] if "observation" in self.vectors else False
+        self.single = list(self.vectors.values()) == [((), self.vectors["observation"][1])] if "observation" in self.vectors else False
 
     def _add(self, space: spaces.Space, path: tuple[str, ...]) -> None:
         name = task_name(".".join(path)) if path else "observation"
@@ -40,17 +40,36 @@ class Observations:
                 raise DeclarationError(f"the observation {name} has {length} numbers. Expected at most 4096, or an image as bytes")
             self.vectors[name] = (path, length)
         else:
-            raise DeclarationError(f"the observation {name} is a {type(space).__name__}. Expected a Box, or a Dict of Boxes")
+            which = f"observation {name}" if path else "observation"
+            raise DeclarationError(f"the {which} is a {type(space).__name__}. Expected a Box, or a Dict of Boxes")
 
     def declaration(self) -> list[dict]:
         """The vectors in the form of the bridge protocol."""
         return [{"name": name, "length": length} for name, (_, length) in self.vectors.items()]
 
+    def check(self, observation: Any) -> None:
+        """Raise if an observation differs from the declared space."""
+        sizes = {name: (path, length) for name, (path, length) in self.vectors.items()}
+        sizes |= {name: (path, height * width * 3) for name, (path, height, width) in self.images.items()}
+        for name, (path, length) in sizes.items():
+            try:
+                found = np.size(_at(observation, path))
+            except (KeyError, IndexError, TypeError):
+                keys = f" with the keys {', '.join(map(str, observation))}" if isinstance(observation, dict) else ""
+                found = f"a {type(observation).__name__}{keys}"
+            if found != length:
+                found = f"{found} numbers" if isinstance(found, int) else found
+                raise DeclarationError(f"observation_space declares {name} with {length} numbers, but reset returned {found}")
+
     def encode(self, observation: Any) -> dict[str, list[float]]:
         """The vectors of an observation."""
-        if self._single and type(observation) is np.ndarray and observation.ndim == 1 and observation.dtype == np.float64:
+        if self.is_plain(observation):
             return {"observation": observation.tolist()}
         return {name: np.asarray(_at(observation, path), dtype=float).ravel().tolist() for name, (path, _) in self.vectors.items()}
+
+    def is_plain(self, observation: Any) -> bool:
+        """Whether an observation is one array of double precision, as most are."""
+        return bool(self.single) and type(observation) is np.ndarray and observation.ndim == 1 and observation.dtype == np.float64
 
     def image(self, observation: Any, name: str) -> np.ndarray:
         """The image of a camera in an observation."""
@@ -82,7 +101,10 @@ class Actions:
 
     def __init__(self, space: spaces.Space, names: Sequence[str]):
         if not isinstance(space, spaces.Box):
-            raise DeclarationError(f"the action space is a {type(space).__name__}. Expected a Box")
+            raise DeclarationError(
+                f"the action space is a {type(space).__name__}. Expected a Box with finite bounds. Hint: a gymnasium.ActionWrapper can "
+                "translate the numbers of a Box"
+            )
         low, high = (np.asarray(bound, dtype=float).ravel() for bound in (space.low, space.high))
         if not (np.isfinite(low).all() and np.isfinite(high).all()):
             raise DeclarationError("the action space has no finite bounds. Wrap the environment in gymnasium.wrappers.RescaleAction")

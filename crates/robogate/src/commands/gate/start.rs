@@ -190,7 +190,9 @@ impl Gate {
     /// The policy of `--against`.
     fn rival(&self, prepared: &Prepared) -> Result<Option<Rival>, Exit> {
         let Some(policy) = &self.against else { return Ok(None) };
-        let source = PolicyArguments::of(policy, self.against_profile.as_deref()).source_at(&self.location())?;
+        let source = PolicyArguments::of(policy, self.against_profile.as_deref())
+            .with_map_of(&self.policy)
+            .source_at(&self.location())?;
         let environment = self.environment.environment(SuctionLaw::Vacuum)?;
         let subject = Subject::new(environment, source)?;
         Rival::new(subject, &prepared.planned, self.how.threads_for_rival()).map(Some)
