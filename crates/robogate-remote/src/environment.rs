@@ -54,6 +54,12 @@ impl RemoteEnvironment {
         Self { cameras: Some(cameras), ..self }
     }
 
+    /// Send each action on its own. The actions of a policy of the server may then be changed on their way.
+    pub fn in_step(mut self) -> Self {
+        self.episodes.session.in_step = true;
+        self
+    }
+
     /// The servers' reply to `hello`.
     pub fn hello(&self) -> &Hello {
         self.episodes.pool.hello()

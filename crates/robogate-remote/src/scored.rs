@@ -25,6 +25,8 @@ pub struct ScoredSession {
     pub(crate) foregone: Option<Ending>,
     /// The hidden draws of the running episode.
     pub(crate) draws: Measures,
+    /// Whether each action is sent on its own, because it may differ from the one that the policy proposed.
+    pub(crate) in_step: bool,
     /// Control periods that the server has already run, each with its action.
     ran: VecDeque<(Proposed, Period<Empty>)>,
 }
@@ -54,7 +56,8 @@ impl ScoredSession {
             }
             return Ok(period);
         }
-        let ahead = self.proposals.as_ref().map_or(0, |_| periods_ahead(&connection.hello().task));
+        let runs_ahead = self.proposals.is_some() && !self.in_step;
+        let ahead = if runs_ahead { periods_ahead(&connection.hello().task) } else { 0 };
         let (first, others) = connection.run_ahead::<Empty>(kind, numbers, ahead)?;
         let mut proposed = first.proposed.clone();
         for period in others {

@@ -760,7 +760,8 @@ impl EnvironmentSource {
                 Some(declared) => {
                     let (environment, policy) =
                         RemoteEnvironment::with_policy(Arc::clone(&source.pool), &declared.name)?;
-                    Some(Worker { environment: Box::new(environment), policy: Box::new(policy) })
+                    // A control changes its actions.
+                    Some(Worker { environment: Box::new(environment.in_step()), policy: Box::new(policy) })
                 }
                 None => None,
             },

@@ -390,7 +390,7 @@ mod tests {
     /// An environment with a vector of 6 numbers, two cameras and an action of 3.
     fn task() -> TaskSpec {
         serde_json::from_str(
-            r#"{"name": "push", "version": 1, "instruction": "push", "control_period_s": 0.05, "time_limit_s": 1.0,
+            r#"{"name": "push", "version": 1, "instruction": "push", "control_period_s": 0.05, "time_limit_s": 1.0, "failure_modes": [], "measures": [], "phases": [], "parameters": [],
                 "observation": {"vectors": [{"name": "observation", "length": 6}, {"name": "goal", "length": 2}],
                     "cameras": [{"name": "corner", "width": 2, "height": 1}, {"name": "hand", "width": 2, "height": 1}]},
                 "action": {"spaces": [{"kind": "vector", "names": ["dx", "dy", "grip"], "low": [-1, -1, 0], "high": [1, 1, 1]}]}}"#,
