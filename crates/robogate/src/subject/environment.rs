@@ -1,0 +1,306 @@
+//! Where environments come from: the built-in cell and tasks, or servers.
+
+use std::sync::Arc;
+
+use anyhow::{Context, anyhow, bail};
+use robogate_campaign::Worker;
+use robogate_core::latency::LATENCY_PARAMETER;
+use robogate_core::{Environment, ParameterSpace, Policy, TaskSpec};
+use robogate_dictionary::provenance;
+use robogate_physics::SuctionLaw;
+use robogate_policy::{Arm, BoundMap, Profile, TaskMap};
+use robogate_remote::message::{self, Hello, HostedPolicy};
+use robogate_remote::{Pool, RemoteEnvironment};
+use robogate_tasks::SelfContained;
+use robogate_tasks::pick_place::{Rules, ToolExpert};
+
+use crate::arm_cell::{ArmCell, ArmSettings};
+use crate::cell::{self, Cell, CellSettings};
+use crate::environments::Servers;
+use crate::exit::{Exit, OrExit};
+use crate::latency::without_latency;
+use crate::policy_source::{DeclaredPolicy, PolicySource, without_profile};
+use crate::registry::{self, CELL_TASK, ENGINES};
+use crate::remote::{self, Simulators};
+
+use super::arguments::absolute;
+use super::recorded::franka;
+use super::spaces::{check_declared, named_space};
+
+/// The source of environments.
+pub(crate) enum EnvironmentSource {
+    /// The built-in cell.
+    Cell(Box<Cell>),
+    /// A built-in task for an arm.
+    Arm(Box<ArmCell>),
+    /// A built-in task that brings its own world.
+    SelfContained(&'static dyn SelfContained),
+    /// Servers that declare their own task.
+    Remote(RemoteSource),
+}
+
+/// Servers that declare their own task.
+pub(crate) struct RemoteSource {
+    pub(super) pool: Arc<Pool>,
+    /// The robot of the scripted controller, if the task is that of the built-in cell.
+    pub(super) robot: String,
+    /// The environment and its servers, if this process started them.
+    pub(super) launched: Option<(String, Arc<Servers>)>,
+}
+
+impl EnvironmentSource {
+    /// The declarations of all built-in tasks except that of the built-in cell.
+    pub(crate) fn declared_tasks() -> Result<Vec<Arc<TaskSpec>>, Exit> {
+        let arms = registry::ARM_TASKS.iter().map(|task| {
+            let settings = ArmSettings {
+                task: task.name().to_owned(),
+                robot: franka(),
+                engine: ENGINES[0].name.to_owned(),
+                time_step_s: ENGINES[0].time_step_s,
+                grip_force_n: None,
+                suction: None,
+            };
+            ArmCell::new(settings, SuctionLaw::Vacuum).map(|cell| Self::Arm(Box::new(cell)))
+        });
+        let others = registry::TASKS.iter().map(|task| Ok(Self::SelfContained(*task)));
+        arms.chain(others).map(|source| source.and_then(|source| source.task())).collect::<Result<_, _>>().or_setup()
+    }
+
+    /// The same environment with the failure modes and the workspace of the paper, if it is the built-in cell.
+    pub(crate) fn like_the_paper(mut self) -> Self {
+        if let Self::Cell(cell) = &mut self {
+            cell.set_like_the_paper();
+        }
+        self
+    }
+
+    /// An environment whose servers this process starts.
+    pub(super) fn launched(name: &str, simulators: &Simulators) -> Result<Self, Exit> {
+        let (pool, servers) = simulators.launch(name)?;
+        Ok(Self::Remote(RemoteSource { pool, robot: franka(), launched: Some((name.to_owned(), servers)) }))
+    }
+
+    /// The policies that the environment declares.
+    fn policies(&self) -> &[HostedPolicy] {
+        match self {
+            Self::Remote(source) => &source.pool.hello().policies,
+            Self::Cell(_) | Self::Arm(_) | Self::SelfContained(_) => &[],
+        }
+    }
+
+    /// The policy that the user chose, with the version that the environment declares. Without a choice, the first
+    /// policy that the environment declares, if there is one.
+    pub(super) fn declared_policy(&self, chosen: Option<PolicySource>) -> anyhow::Result<Option<PolicySource>> {
+        let found = match &chosen {
+            None => self.policies().first(),
+            Some(PolicySource::Declared(wanted)) => {
+                let found = self.policies().iter().find(|policy| policy.name == wanted.environment);
+                if found.is_none() {
+                    let known: Vec<&str> = self.policies().iter().map(|policy| &*policy.name).collect();
+                    if known.is_empty() {
+                        return Err(without_profile(&wanted.environment));
+                    }
+                    let (name, known) = (&wanted.environment, known.join(", "));
+                    bail!("--policy {name}: the environment declares no such policy. Expected one of: {known}, random");
+                }
+                found
+            }
+            Some(_) => None,
+        };
+        let declared = |policy: &HostedPolicy| {
+            PolicySource::Declared(DeclaredPolicy { environment: policy.name.clone(), version: policy.version.clone() })
+        };
+        Ok(found.map(declared).or(chosen))
+    }
+
+    /// The task.
+    pub(crate) fn task(&self) -> anyhow::Result<Arc<TaskSpec>> {
+        Ok(match self {
+            Self::Cell(cell) => Arc::clone(cell.environment()?.task()),
+            Self::Arm(cell) => Arc::clone(cell.environment()?.task()),
+            Self::SelfContained(task) => task.task(),
+            Self::Remote(source) => Arc::new(source.pool.hello().task.clone()),
+        })
+    }
+
+    /// Creates an environment.
+    pub(crate) fn environment(&self) -> anyhow::Result<Box<dyn Environment>> {
+        Ok(match self {
+            Self::Cell(cell) => cell.environment()?,
+            Self::Arm(cell) => cell.environment()?,
+            Self::SelfContained(task) => task.environment()?,
+            Self::Remote(source) => Box::new(RemoteEnvironment::new(Arc::clone(&source.pool))?),
+        })
+    }
+
+    /// Creates an environment for a policy with this profile. A remote one renders only the cameras that the policy uses.
+    pub(crate) fn environment_for(
+        &self,
+        profile: &Profile,
+        map: Option<&TaskMap>,
+    ) -> anyhow::Result<Box<dyn Environment>> {
+        let Self::Remote(source) = self else { return self.environment() };
+        let none = TaskMap::default();
+        let bound = BoundMap::new(map.unwrap_or(&none), profile, &source.pool.hello().task);
+        let cameras = bound.map_err(|why| anyhow!("the map does not fit: {why}"))?.cameras();
+        Ok(Box::new(RemoteEnvironment::new(Arc::clone(&source.pool))?.with_cameras(cameras)))
+    }
+
+    /// The same environment with camera images of this width and height in pixels, if this process renders them.
+    pub(crate) fn with_pictures_of(self, picture_px: usize) -> Self {
+        match self {
+            Self::Cell(cell) => Self::Cell(Box::new(cell.with_pictures_of(picture_px))),
+            Self::Arm(cell) => Self::Arm(Box::new(cell.with_pictures_of(picture_px))),
+            other => other,
+        }
+    }
+
+    /// An environment and an expert that drives it with the commands of this arm mode. `None` without an expert.
+    pub(crate) fn expert(&self, arm: Arm) -> anyhow::Result<Option<Worker>> {
+        Ok(match self {
+            Self::Cell(cell) => {
+                let policy: Box<dyn Policy> = match arm {
+                    Arm::ToolDelta | Arm::OscPose | Arm::ToolPose => Box::new(ToolExpert::new(cell.robot().clone())),
+                    Arm::JointPositions | Arm::JointDeltas => cell.controller()?,
+                    Arm::Vector => return Ok(None),
+                };
+                Some(Worker { environment: cell.environment()?, policy })
+            }
+            Self::Arm(cell) => match arm {
+                Arm::JointPositions | Arm::JointDeltas => {
+                    Some(Worker { environment: cell.environment()?, policy: cell.controller()? })
+                }
+                Arm::ToolDelta | Arm::OscPose | Arm::ToolPose | Arm::Vector => None,
+            },
+            Self::SelfContained(task) => Some(Worker { environment: task.environment()?, policy: task.controller() }),
+            Self::Remote(source) => match source.pool.hello().policies.first() {
+                Some(declared) => {
+                    let (environment, policy) =
+                        RemoteEnvironment::with_policy(Arc::clone(&source.pool), &declared.name)?;
+                    // A control changes its actions.
+                    Some(Worker { environment: Box::new(environment.in_step()), policy: Box::new(policy) })
+                }
+                None => None,
+            },
+        })
+    }
+
+    /// The information that a server of this environment declares.
+    pub(crate) fn hello(&self) -> anyhow::Result<Hello> {
+        match self {
+            Self::Cell(cell) => cell.hello(),
+            Self::Arm(cell) => cell.hello(),
+            Self::SelfContained(task) => {
+                let engine = cell::engine(task.engine().map_err(|fault| anyhow!(fault))?);
+                let version = engine.version.unwrap_or_default();
+                let sha256 = engine.build_sha256;
+                let engine = message::Engine { name: engine.name, version, solver: None, sha256 };
+                let program =
+                    message::Program { name: "robogate".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() };
+                let space = Some(ParameterSpace::from_toml(task.space())?);
+                Ok(Hello { space, ..Hello::new((*task.task()).clone(), program, engine) })
+            }
+            Self::Remote(_) => {
+                bail!("`robogate serve` serves built-in environments only\n  hint: leave out --env and --simulator")
+            }
+        }
+    }
+
+    /// Finds a parameter space by its name or file. `None` gives that of the environment. If the latency `varies`, the space
+    /// may contain it.
+    pub(crate) fn space(&self, wanted: Option<&str>, varies: bool) -> anyhow::Result<ParameterSpace> {
+        let space = match (wanted, self) {
+            (Some(wanted), _) => named_space(wanted)?,
+            (None, Self::Cell(cell)) => named_space(cell.default_space())?,
+            (None, Self::Arm(cell)) => cell.space()?,
+            (None, Self::SelfContained(task)) => ParameterSpace::from_toml(task.space())?,
+            (None, Self::Remote(source)) => {
+                let hello = source.pool.hello();
+                match &hello.space {
+                    Some(space) => space.clone(),
+                    None => hello.task.declared_space().with_context(|| {
+                        format!(
+                            "the task {} declares no parameter with a range\n  hint: name a space with --space",
+                            hello.task.name
+                        )
+                    })?,
+                }
+            }
+        };
+        if !varies && space.position(LATENCY_PARAMETER).is_some() && self.task()?.parameter(LATENCY_PARAMETER).is_none()
+        {
+            bail!("space {}: the parameter `{LATENCY_PARAMETER}` needs the option --latency varied", space.name());
+        }
+        let own = if varies { without_latency(&space)? } else { Some(space.clone()) };
+        match (self, own) {
+            (_, None) => {}
+            (Self::Cell(cell), Some(own)) => cell.check_space(&own)?,
+            (Self::Arm(_) | Self::SelfContained(_) | Self::Remote(_), Some(own)) => {
+                check_declared(&*self.task()?, &own).with_context(|| format!("space {}", space.name()))?;
+            }
+        }
+        Ok(space)
+    }
+
+    /// The scripted controller, if the environment has one.
+    pub(super) fn controller(&self) -> anyhow::Result<Box<dyn Policy>> {
+        match self {
+            Self::Cell(cell) => cell.controller(),
+            Self::Arm(cell) => cell.controller(),
+            Self::SelfContained(task) => Ok(task.controller()),
+            // A remote environment may be a built-in cell. Its scripted controller runs in this process.
+            Self::Remote(source) if source.pool.hello().task.name == CELL_TASK => {
+                let settings = CellSettings {
+                    robot: absolute(&source.robot),
+                    engine: ENGINES[0].name.to_owned(),
+                    time_step_s: ENGINES[0].time_step_s,
+                    grip_force_n: None,
+                    suction: None,
+                    renderer: None,
+                    rules: Rules::default(),
+                    simulator: None,
+                };
+                let cell = Cell::new(settings, SuctionLaw::Vacuum, None)?;
+                let hello = source.pool.hello();
+                remote::check_robot(hello, cell.robot(), &cell.robot_sha256()?)?;
+                cell.controller()
+            }
+            Self::Remote(source) if registry::arm_task(source.pool.hello().task.name.as_str()).is_some() => {
+                let hello = source.pool.hello();
+                let settings = ArmSettings {
+                    task: hello.task.name.as_str().to_owned(),
+                    robot: absolute(&source.robot),
+                    engine: ENGINES[0].name.to_owned(),
+                    time_step_s: ENGINES[0].time_step_s,
+                    grip_force_n: None,
+                    suction: None,
+                };
+                let cell = ArmCell::new(settings, SuctionLaw::Vacuum)?;
+                remote::check_robot(hello, cell.robot(), &cell.robot_sha256()?)?;
+                cell.controller()
+            }
+            Self::Remote(source) => bail!(
+                "the task {} has no scripted controller here\n  hint: name a policy with --policy",
+                source.pool.hello().task.name
+            ),
+        }
+    }
+
+    pub(super) fn provenance(&self) -> anyhow::Result<(provenance::Engine, provenance::Robot)> {
+        let robot = |name: String, sha256| provenance::Robot { name, sha256, dimensions: None };
+        Ok(match self {
+            Self::Cell(cell) => cell.provenance()?,
+            Self::Arm(cell) => cell.provenance()?,
+            Self::SelfContained(task) => {
+                (cell::engine(task.engine().map_err(|fault| anyhow!(fault))?), robot(task.name().to_owned(), None))
+            }
+            Self::Remote(source) => {
+                let hello = source.pool.hello();
+                let known = hello.robot.clone();
+                let unnamed = || (hello.task.name.to_string(), None);
+                let (name, sha256) = known.map_or_else(unnamed, |robot| (robot.name, robot.sha256));
+                (remote::engine(hello), robot(name, sha256))
+            }
+        })
+    }
+}

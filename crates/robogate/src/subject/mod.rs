@@ -1,0 +1,318 @@
+//! The subject of a run: an environment and the policy in it.
+
+mod arguments;
+mod environment;
+mod recorded;
+mod spaces;
+
+use std::num::NonZeroUsize;
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::{Context, anyhow};
+use robogate_campaign::{Worker, WorkerFactory};
+use robogate_core::latency::{Execution, LATENCY_PARAMETER, Latency, with_latency, with_parameter};
+use robogate_core::{
+    Fault, FaultKind, Foresight, InfeasibleShare, ParameterSpace, Policy, SpaceFeasibility, Suite, TaskSpec,
+};
+use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance};
+use robogate_gate::Controls;
+use robogate_remote::RemoteEnvironment;
+use serde_json::{Value, json};
+
+use crate::exit::{Exit, OrExit};
+use crate::latency::{LatencyArguments, without_latency};
+use crate::policy_source::PolicySource;
+use crate::terminal::{note, percent};
+
+pub(crate) use arguments::EnvironmentArguments;
+pub(crate) use environment::EnvironmentSource;
+use environment::RemoteSource;
+pub(crate) use recorded::{recorded_robot, starts_processes};
+pub(crate) use spaces::{assignment, check_declared, named_space};
+
+/// The subject of a run: a policy in an environment.
+pub(crate) struct Subject {
+    environment: EnvironmentSource,
+    /// `None` for the environment's scripted controller.
+    policy: Option<PolicySource>,
+    task: Arc<TaskSpec>,
+    /// The latency of the policy. `None` if the world waits for it.
+    execution: Option<Execution>,
+    /// The controls of the gate, as its runs record them.
+    controls: Option<Value>,
+}
+
+impl Subject {
+    /// Combines this policy, or the environment's scripted controller, with this environment. Returns an error if the
+    /// policy cannot drive the task.
+    pub(crate) fn new(environment: EnvironmentSource, policy: Option<PolicySource>) -> Result<Self, Exit> {
+        let rendered_px = policy.as_ref().and_then(|policy| policy.profile()?.rendered_px);
+        let environment = rendered_px.into_iter().fold(environment, EnvironmentSource::with_pictures_of);
+        let task = environment.task().or_broken()?;
+        let policy = environment.declared_policy(policy).or_usage()?;
+        let subject = Self { environment, policy, task, execution: None, controls: None };
+        let ready = match &subject.policy {
+            // The environment declares it for its own task.
+            Some(PolicySource::Declared(_)) => return Ok(subject),
+            Some(source) => source.policy().map_err(anyhow::Error::from).or_broken()?,
+            None => subject.environment.controller().or_usage()?,
+        };
+        ready
+            .check(&subject.task)
+            .map_err(|why| {
+                anyhow!("the policy {} cannot drive this environment: {why}{}", subject.policy_name(), subject.hint())
+            })
+            .or_usage()?;
+        Ok(subject)
+    }
+
+    /// The hint for a policy that does not fit an environment in another process.
+    fn hint(&self) -> &'static str {
+        match (&self.environment, &self.policy) {
+            (EnvironmentSource::Remote(_), Some(source)) if source.profile().is_some() => {
+                "\n  hint: --map FILE maps the environment to the profile; `robogate policy check` with the same options shows both \
+                 sides"
+            }
+            _ => "",
+        }
+    }
+
+    /// The same subject with the latency of these arguments. A latency that is to be measured is measured now.
+    pub(crate) fn with_latency(self, arguments: &LatencyArguments) -> Result<Self, Exit> {
+        let execution = arguments.execution(|| self.worker()).or_usage()?;
+        self.executed(execution)
+    }
+
+    fn executed(mut self, execution: Option<Execution>) -> Result<Self, Exit> {
+        if let (Some(_), Some(PolicySource::Declared(policy))) = (&execution, &self.policy) {
+            return Err(anyhow!(
+                "--latency: the environment runs the policy {} itself, so its actions cannot be delayed\n  hint: leave out \
+                 --latency and --execution",
+                policy.environment
+            ))
+            .or_usage();
+        }
+        if execution.as_ref().is_some_and(|execution| execution.latency == Latency::Parameter) {
+            self.task = with_parameter(&self.task);
+        }
+        self.execution = execution;
+        Ok(self)
+    }
+
+    /// The same subject with the controls of its gate.
+    pub(crate) fn with_controls(self, controls: &Controls) -> Self {
+        Self { controls: Some(json!(controls)), ..self }
+    }
+
+    /// The environment.
+    pub(crate) fn environment_source(&self) -> &EnvironmentSource {
+        &self.environment
+    }
+
+    /// The same subject with camera images of this width and height in pixels, if the cell renders them.
+    pub(crate) fn with_pictures_of(mut self, picture_px: usize) -> Self {
+        self.environment = self.environment.with_pictures_of(picture_px);
+        self
+    }
+
+    /// The task.
+    pub(crate) fn task(&self) -> &Arc<TaskSpec> {
+        &self.task
+    }
+
+    /// What the task knows about episodes before they run. `None` if it knows nothing.
+    pub(crate) fn foresight(&self) -> Result<Option<Arc<dyn Foresight>>, Exit> {
+        // The parameter of a latency belongs to an adapter, which needs a policy.
+        if self.execution.is_some() {
+            return Ok(self.worker().or_broken()?.environment.foresight());
+        }
+        Ok(self.environment.environment().or_broken()?.foresight())
+    }
+
+    /// The name of the environment's own suite, if it has one.
+    pub(crate) fn own_suite(&self) -> Option<&'static str> {
+        match &self.environment {
+            EnvironmentSource::Cell(_) => Some("industrial-68"),
+            EnvironmentSource::Arm(cell) => Some(cell.suite()),
+            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
+        }
+    }
+
+    /// The distribution of the units of the robot, if it is known.
+    pub(crate) fn own_unit_space(&self) -> Option<&'static str> {
+        match &self.environment {
+            EnvironmentSource::Cell(cell) => Some(cell.unit_space()),
+            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
+        }
+    }
+
+    /// Prints the share of a space that no policy can complete, by reason.
+    pub(crate) fn note_feasibility(&self, space: &ParameterSpace) {
+        // Servers check nothing before an episode, and an environment that cannot be created is reported by the run.
+        if let EnvironmentSource::Remote(_) = self.environment {
+            return;
+        }
+        let Ok(environment) = self.environment.environment() else { return };
+        let Ok(check) = SpaceFeasibility::of(&*environment, space) else { return };
+        for InfeasibleShare { reason, share } in &check.infeasible {
+            note(format_args!(
+                "{} of this space is infeasible for every policy: {} ({})",
+                percent(*share),
+                reason.condition,
+                reason.limit
+            ));
+        }
+    }
+
+    /// A short name for folders: that of the robot, or of the task.
+    pub(crate) fn label(&self) -> String {
+        match &self.environment {
+            EnvironmentSource::Cell(cell) => {
+                let name = Path::new(&cell.settings().robot).file_name();
+                name.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+            }
+            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
+                self.task.name.as_str().to_owned()
+            }
+        }
+    }
+
+    /// The policy's name in records.
+    pub(crate) fn policy_name(&self) -> &str {
+        self.policy.as_ref().map_or("scripted", PolicySource::name)
+    }
+
+    /// The source of the policy, unless it is the environment's own controller.
+    pub(crate) fn policy_source(&self) -> Option<&PolicySource> {
+        self.policy.as_ref()
+    }
+
+    /// How many episodes the policy can drive at once, if that is limited.
+    pub(crate) fn at_most(&self) -> Option<NonZeroUsize> {
+        self.policy.as_ref()?.profile()?.dialect.one_at_a_time().then_some(NonZeroUsize::MIN)
+    }
+
+    /// How many servers the environment runs in, if it is remote. As many episodes run at once.
+    pub(crate) fn servers(&self) -> Option<NonZeroUsize> {
+        match &self.environment {
+            EnvironmentSource::Cell(cell) => cell.servers(),
+            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) => None,
+            // This process starts as many as it needs.
+            EnvironmentSource::Remote(RemoteSource { launched: Some(_), .. }) => None,
+            EnvironmentSource::Remote(source) => NonZeroUsize::new(source.pool.len()),
+        }
+    }
+
+    /// How many episodes run at once by default on this many cores. A worker waits while a policy server computes, so
+    /// others must simulate and render in the meantime, and the server must always find a request.
+    pub(crate) fn threads_on(&self, cores: NonZeroUsize) -> NonZeroUsize {
+        /// Threads per core while a server computes the actions.
+        const PER_CORE: usize = 4;
+        let waits = self.policy.as_ref().and_then(PolicySource::profile).is_some_and(|p| !p.dialect.is_file());
+        // Each worker of a launched environment is a process of its own.
+        let launched = matches!(&self.environment, EnvironmentSource::Remote(RemoteSource { launched: Some(_), .. }));
+        match waits && !launched {
+            true => NonZeroUsize::new((PER_CORE * cores.get()).clamp(8, 32)).unwrap_or(cores),
+            false => cores,
+        }
+    }
+
+    /// Starts servers for this many workers, if this process starts them.
+    pub(crate) fn start_servers(&self, workers: NonZeroUsize) -> Result<(), Exit> {
+        match &self.environment {
+            EnvironmentSource::Remote(RemoteSource { pool, launched: Some((_, servers)), .. }) => {
+                servers.grow(pool, workers)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Finds a parameter space by its name or file. `None` gives that of the environment.
+    pub(crate) fn space(&self, wanted: Option<&str>) -> anyhow::Result<ParameterSpace> {
+        let latency_s = self.execution.as_ref().is_some_and(|execution| execution.latency == Latency::Parameter);
+        self.environment.space(wanted, latency_s)
+    }
+
+    /// Rejects a suite with a parameter that the environment does not have.
+    pub(crate) fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
+        let varies = suite.space().position(LATENCY_PARAMETER).is_some();
+        match &self.environment {
+            // The cell does not know the latency.
+            EnvironmentSource::Cell(cell) if varies && self.task.parameter(LATENCY_PARAMETER).is_some() => {
+                without_latency(suite.space())?.map_or(Ok(()), |space| cell.check_space(&space))
+            }
+            EnvironmentSource::Cell(cell) => cell.check_suite(suite),
+            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
+                check_declared(&self.task, suite.space()).with_context(|| format!("suite {}", suite.name()))
+            }
+        }
+    }
+
+    /// The provenance: what the results of a run depend on, in addition to its plan.
+    pub(crate) fn provenance(&self, space: ParameterSpace) -> Result<Provenance, Exit> {
+        let (engine, robot) = self.environment.provenance().or_broken()?;
+        let mut world = self.environment.recorded().or_broken()?;
+        if let (Value::Object(world), Some(policy)) = (&mut world, &self.policy) {
+            world.insert("policy".to_owned(), json!(policy));
+        }
+        if let (Value::Object(world), Some(execution)) = (&mut world, &self.execution) {
+            world.insert("execution".to_owned(), json!(execution));
+        }
+        if let (Value::Object(world), Some(controls)) = (&mut world, &self.controls) {
+            world.insert(Controls::KEY.to_owned(), controls.clone());
+        }
+        Ok(Provenance {
+            tool: Tool::robogate(),
+            schema_version: SCHEMA_VERSION,
+            build: Some(provenance::Build { source_sha256: env!("ROBOGATE_SOURCE_SHA256").to_owned() }),
+            engine,
+            task: Arc::clone(&self.task),
+            robot,
+            policy: self.policy_name().to_owned(),
+            world,
+            space,
+            plan: Value::Null,
+            seed: 0,
+            question_sha256: None,
+            platform: Some(Platform::here()),
+            source: None,
+        })
+    }
+
+    fn policy(&self) -> Result<Box<dyn Policy>, Fault> {
+        let broken = |why: anyhow::Error| Fault::new(FaultKind::Unavailable, format!("{why:#}"));
+        match &self.policy {
+            Some(source) => source.policy(),
+            None => self.environment.controller().map_err(broken),
+        }
+    }
+}
+
+impl WorkerFactory for Subject {
+    fn worker(&self) -> Result<Worker, Fault> {
+        if let (EnvironmentSource::Remote(source), Some(PolicySource::Declared(declared))) =
+            (&self.environment, &self.policy)
+        {
+            let (environment, policy) = RemoteEnvironment::with_policy(Arc::clone(&source.pool), &declared.environment)
+                .map_err(|why| Fault::new(FaultKind::Setup, why.to_string()))?;
+            return Ok(Worker { environment: Box::new(environment), policy: Box::new(policy) });
+        }
+        let source = self.policy.as_ref();
+        let environment = match source.and_then(PolicySource::profile) {
+            Some(profile) => {
+                self.environment.environment_for(profile, source.and_then(|source| source.map().map(|map| &**map)))
+            }
+            None => self.environment.environment(),
+        };
+        let environment = environment.map_err(|why| Fault::new(FaultKind::Unavailable, format!("{why:#}")))?;
+        let policy = self.policy()?;
+        Ok(match &self.execution {
+            None => Worker { environment, policy },
+            Some(execution) => {
+                let (environment, policy) = with_latency(environment, policy, execution.clone());
+                Worker { environment, policy }
+            }
+        })
+    }
+}

@@ -1,0 +1,66 @@
+//! Parameter spaces and settings by name.
+
+use std::path::Path;
+
+use anyhow::{Context, anyhow, bail};
+use robogate_core::{Assignment, ParameterSpace, TaskSpec};
+use robogate_dictionary::read_text;
+use robogate_tasks::pick_place::{built_in_space, built_in_spaces};
+
+use crate::cell::{self};
+use crate::registry::{self};
+use crate::terminal::foreign;
+
+use super::recorded::franka;
+
+/// Finds a parameter space by its name or file.
+pub(crate) fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
+    let own = registry::TASKS.iter().find(|task| task.name() == wanted).map(|task| task.space());
+    // A task for an arm has the same parameters on every robot; its space is that of the default robot.
+    let arm =
+        registry::arm_task(wanted).map(|task| cell::robot(&franka()).map(|robot| task.space(&robot.settings.gripper)));
+    match built_in_space(wanted).or(own).or(arm.transpose()?) {
+        Some(text) => ParameterSpace::from_toml(text).with_context(|| wanted.to_owned()),
+        None if !Path::new(wanted).exists() && !wanted.contains(['/', '.']) => {
+            let known = built_in_spaces().collect::<Vec<_>>().join(", ");
+            bail!("--space {wanted}: unknown parameter space. Expected a file, or one of: {known}")
+        }
+        None => read_text(Path::new(wanted))
+            .with_context(|| format!("cannot read {wanted}"))
+            .and_then(|text| ParameterSpace::from_toml(&text).with_context(|| wanted.to_owned())),
+    }
+}
+
+/// Parses parameters given as NAME=VALUE.
+pub(crate) fn assignment(pairs: &[String]) -> anyhow::Result<Assignment> {
+    let mut assignment = Assignment::default();
+    for pair in pairs {
+        let Some((name, value)) = pair.split_once('=') else {
+            bail!("--set {}: expected NAME=VALUE", foreign(pair));
+        };
+        let value = match (value.parse::<i64>(), value.parse::<f64>()) {
+            (Ok(integer), _) => robogate_core::Value::Integer(integer),
+            (_, Ok(number)) => robogate_core::Value::Number(number),
+            _ => robogate_core::Value::Category(value.into()),
+        };
+        assignment.set(name, value);
+    }
+    Ok(assignment)
+}
+
+/// Rejects a space with a parameter that the task does not declare, or with values that it does not accept.
+pub(crate) fn check_declared(task: &TaskSpec, space: &ParameterSpace) -> anyhow::Result<()> {
+    for parameter in space.parameters() {
+        let Some(spec) = task.parameter(&parameter.name) else {
+            let known: Vec<&str> = task.parameters.iter().map(|spec| &*spec.name).collect();
+            bail!(
+                "the task {} has no parameter `{}`. Expected one of: {}",
+                task.name,
+                parameter.name,
+                known.join(", ")
+            );
+        };
+        parameter.domain.extremes().iter().try_for_each(|value| spec.accepts(value)).map_err(|why| anyhow!(why))?;
+    }
+    Ok(())
+}
