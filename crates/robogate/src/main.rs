@@ -6,9 +6,11 @@ mod benchmark;
 mod canvas;
 mod cell;
 mod commands;
+mod compliance;
 mod duration;
 mod environments;
 mod exit;
+mod families;
 mod film;
 #[cfg(feature = "mujoco")]
 mod inspection;
