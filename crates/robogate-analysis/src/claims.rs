@@ -1,7 +1,7 @@
 //! Claims of the headline, as data: failure regions, and advice that the figures support.
 //!
 //! A claim names a parameter only if its effect is significant ([`crate::Effects`]), so that noise alone names something
-//! in at most 2 % of all reports.
+//! in at most 2.5 % of all reports.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

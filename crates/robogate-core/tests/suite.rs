@@ -1,7 +1,7 @@
 //! Tests of suites and of the error message for each mistake in one.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use robogate_core::{Assignment, Domain, Seed, Suite, SuiteError, SuiteProblem, TaskSpec, Value};
+use robogate_core::{Assignment, Domain, ParameterSpace, Seed, Suite, SuiteError, SuiteProblem, TaskSpec, Value};
 
 const TWO: &str = r#"
     schema = 1
@@ -203,6 +203,30 @@ fn twins_have_nominal_values_and_the_same_seeds() {
     }
     assert_eq!(twin.case(2).group, "crowd");
     assert!(!suite.has_twins() && Suite::from_toml(&format!("nominal = true\n{TWO}")).unwrap().has_twins());
+}
+
+#[test]
+fn families_vary_one_at_a_time() {
+    let space = ParameterSpace::from_toml(
+        "name = 'three'\n[[parameter]]\nname = 'friction'\nkind = 'continuous'\nlow = 0.1\nhigh = 2.0\n\
+         [[parameter]]\nname = 'mass_kg'\nkind = 'continuous'\nlow = 2.0\nhigh = 9.0\n\
+         [[parameter]]\nname = 'obstacles'\nkind = 'integer'\nlow = 0\nhigh = 9\n",
+    )
+    .unwrap();
+    let families = [("load".to_owned(), vec!["mass_kg".to_owned()]), ("grip".to_owned(), vec!["friction".to_owned()])];
+    let suite = Suite::of_families(&space, &task(), &families).unwrap();
+    assert!(suite.has_twins() && suite.case(0).group == "load" && suite.case(1).group == "grip");
+    let twin = suite.nominal_twin(&task()).unwrap();
+    let seed = Seed::campaign(5);
+    for round in 0..5 {
+        let [load, grip] = [2 * round, 2 * round + 1].map(|index| suite.scenario(seed, index).requested);
+        assert_eq!((load.number("friction"), grip.number("mass_kg")), (Some(0.5), Some(1.0)));
+        assert!(load.number("mass_kg") >= Some(2.0) && grip.number("friction") != Some(0.5));
+        // Without a nominal value: sampled, and the same in the twin.
+        assert_eq!(load.number("obstacles"), twin.scenario(seed, 2 * round).requested.number("obstacles"));
+    }
+    let none = [("crowd".to_owned(), vec!["obstacles".to_owned()])];
+    assert!(matches!(Suite::of_families(&space, &task(), &none), Err(SuiteError::NoNominal { .. })));
 }
 
 #[test]

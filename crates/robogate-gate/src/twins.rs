@@ -4,7 +4,7 @@
 //! difference of a pair does. Pairs are grouped by the family of the perturbation: the group of a suite, or the parameters
 //! that differ between the two episodes. [`robogate_stats::families`] has the test and its adjustment for several families.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use robogate_core::Value;
 use robogate_dictionary::results::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED};
@@ -127,7 +127,7 @@ impl Twins {
     /// # Errors
     /// If episodes cannot be identified, or if a pair has two different seeds or scenarios.
     pub fn of(record: &Record, nominal: &Record, sampling: Sampling) -> Result<Self, GateError> {
-        let mut unpaired = 0;
+        let (mut unpaired, mut of_focused) = (0, 0);
         let mut pairs = Vec::new();
         if record.imported || nominal.imported {
             let one_case = [record, nominal].iter().all(|of| of.trials.iter().all(|trial| trial.label.case.is_none()));
@@ -159,8 +159,12 @@ impl Twins {
                 same_origin(trial, twin, suite)?;
                 pairs.push(Pair { perturbed: trial, nominal: twin, family: family(trial, twin, groups) });
             }
+            // Twins of episodes that a model chose. They represent no population, and are not compared.
+            let episodes = record.trials.len() as u64 + record.focused;
+            let judged: BTreeSet<u64> = record.trials.iter().map(|trial| trial.index).collect();
+            of_focused = twins.keys().filter(|index| **index < episodes && !judged.contains(*index)).count();
         }
-        unpaired += (nominal.trials.len() as u64).saturating_sub(pairs.len() as u64);
+        unpaired += (nominal.trials.len() as u64).saturating_sub((pairs.len() + of_focused) as u64);
         let looks = looks(record, sampling);
         Ok(Self::from_pairs(record, nominal, &pairs, unpaired, looks))
     }
@@ -200,7 +204,7 @@ impl Twins {
                 return Err(GateError::Copies { first: first.index, second: trial.index });
             }
         }
-        let mut used = std::collections::BTreeSet::new();
+        let mut used = BTreeSet::new();
         for ((trial, seed), case) in record.trials.iter().zip(&seeds).zip(&cases) {
             if is_nominal(trial) {
                 continue;

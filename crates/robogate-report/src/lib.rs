@@ -8,7 +8,7 @@
 //! | a [`Comparison`](robogate_analysis::Comparison) | [`comparison_html`], [`comparison_markdown`], [`comparison_json`] |
 //! | a [`Transfer`](robogate_analysis::transfer::Transfer) | [`transfer_html`], [`transfer_json`], [`next_trials`] |
 //! | a [`Study`](robogate_analysis::study::Study) | [`study_markdown`], [`study_json`] |
-//! | an [`Evaluation`] of the gate | [`junit`], [`reqif`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
+//! | an [`Evaluation`] of the gate | [`junit`], [`reqif`], [`verdict_pdf`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
 //! | episodes of runs | [`explorer_page`] |
 //! | a [`Leaderboard`](robogate_gate::Leaderboard) | [`leaderboard_html`], [`leaderboard_markdown`] |
 //! | a [`Fleet`](robogate_gate::Fleet) | [`fleet_html`], [`fleet_markdown`] |
@@ -19,6 +19,7 @@ mod gate;
 mod html;
 mod json;
 mod markdown;
+mod pdf;
 mod study;
 mod text;
 mod watch;
@@ -29,7 +30,7 @@ use robogate_gate::{Evaluation, Twins};
 pub use gate::{
     RequirementRow, TwinRow, evaluation_markdown, evaluation_markdown_with, feasible_part, fleet_drivers,
     fleet_headline, fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html, leaderboard_markdown,
-    leaderboards_html, leaderboards_markdown, reqif, sign, what_next,
+    leaderboards_html, leaderboards_markdown, reqif, sign, verdict_pdf, what_next,
 };
 pub use html::{comparison_html, comparison_html_with, explorer_page, html, html_with, transfer_html};
 pub use json::{

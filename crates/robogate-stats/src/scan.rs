@@ -4,6 +4,8 @@
 //! rate", over all ways to divide the cells of one parameter into two groups: every run of neighbouring cells against
 //! the rest ([`Order::Ordered`]), or every division of the levels by their rates ([`Order::Unordered`]; for two groups
 //! the best division never mixes rates). A one-sided effect, a band, a gap and a single bad level are all such divisions.
+//! A run has at least one twentieth of the cells, and so has its rest. Many narrow cells therefore place the ends of a run
+//! exactly, without the many candidates of a few rows that would raise the limit of the statistic.
 //!
 //! The p-value is that of a permutation test: given the rows and the successes of all cells together, the successes per
 //! cell are multivariate hypergeometric if success does not depend on the parameter. Counts are sampled directly, at a
@@ -43,6 +45,10 @@ pub struct Scan {
 const EXCEEDANCES: usize = 20;
 /// The p-value below which the bound replaces sampling.
 const BOUND: f64 = 1e-6;
+/// The narrowest run, and the narrowest rest, as a part of the number of cells.
+const NARROWEST: usize = 20;
+/// Numbers whose x ln x is tabulated.
+const TABULATED: u64 = 1 << 16;
 
 /// Tests whether the success rate depends on the parameter with these cells.
 ///
@@ -51,16 +57,17 @@ const BOUND: f64 = 1e-6;
 pub fn scan(cells: &[Trials], order: Order, replicates: usize, seed: u64) -> Option<Scan> {
     let n: Vec<u64> = cells.iter().map(|c| c.n()).collect();
     let k: Vec<u64> = cells.iter().map(|c| c.successes()).collect();
-    let (log_ratio, low) = observed(&n, &k, order)?;
-    let (rows, successes) = (n.iter().sum::<u64>(), k.iter().sum::<u64>());
+    let mut divisions = Divisions::of(&n, &k, order)?;
+    let (log_ratio, low) = divisions.observed(&n, &k)?;
     // Each division has a statistic of at least t only if one side has a deviation of at least t/2.
-    let divisions = cells.len() as f64 * (cells.len() as f64 + 1.0) / 2.0;
-    let bound = 4.0 * divisions * (-0.5 * log_ratio).exp();
+    let number = cells.len() as f64 * (cells.len() as f64 + 1.0) / 2.0;
+    let bound = 4.0 * number * (-0.5 * log_ratio).exp();
     if order == Order::Ordered && bound < BOUND {
         return Some(Scan { log_ratio, low, p: bound });
     }
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut drawn = vec![0; cells.len()];
+    let (rows, successes) = (divisions.rows, divisions.successes);
     let p = sequential(log_ratio, replicates, || {
         let (mut left, mut left_successes) = (rows, successes);
         for (of, drawn) in n.iter().zip(&mut drawn) {
@@ -68,7 +75,7 @@ pub fn scan(cells: &[Trials], order: Order, replicates: usize, seed: u64) -> Opt
             left -= of;
             left_successes -= *drawn;
         }
-        largest(&n, &drawn, order)
+        divisions.largest(&n, &drawn)
     });
     Some(Scan { log_ratio, low, p })
 }
@@ -98,13 +105,14 @@ pub fn scan_units(
         }
     };
     count(cell_of, &mut n, &mut k);
-    let (log_ratio, low) = observed(&n, &k, order)?;
+    let mut divisions = Divisions::of(&n, &k, order)?;
+    let (log_ratio, low) = divisions.observed(&n, &k)?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut labels = cell_of.to_vec();
     let p = sequential(log_ratio, replicates, || {
         shuffle(&mut rng, &mut labels);
         count(&labels, &mut n, &mut k);
-        largest(&n, &k, order)
+        divisions.largest(&n, &k)
     });
     Some(Scan { log_ratio, low, p })
 }
@@ -114,7 +122,7 @@ fn sequential(statistic: f64, replicates: usize, mut replicate: impl FnMut() -> 
     let mut reached = 0;
     for drawn in 1..=replicates {
         // Equal tables have equal statistics except for rounding.
-        if replicate() >= statistic - 1e-9 * (1.0 + statistic.abs()) {
+        if replicate() >= statistic - 1e-7 * (1.0 + statistic.abs()) {
             reached += 1;
             if reached == EXCEEDANCES {
                 return EXCEEDANCES as f64 / drawn as f64;
@@ -124,74 +132,115 @@ fn sequential(statistic: f64, replicates: usize, mut replicate: impl FnMut() -> 
     (reached + 1) as f64 / (replicates + 1) as f64
 }
 
-fn observed(n: &[u64], k: &[u64], order: Order) -> Option<(f64, Vec<bool>)> {
-    let (rows, successes) = (n.iter().sum::<u64>(), k.iter().sum::<u64>());
-    if n.iter().filter(|n| **n > 0).count() < 2 || successes == 0 || successes == rows {
-        return None;
-    }
-    let mut best = (f64::NEG_INFINITY, Vec::new());
-    divisions(n, k, order, |ratio, inside| {
-        if ratio > best.0 {
-            best = (ratio, inside.to_vec());
-        }
-    });
-    let (log_ratio, group) = best;
-    let mut low = vec![false; n.len()];
-    group.iter().for_each(|cell| low[*cell] = true);
-    let rate_of = |wanted: bool| {
-        let cells = (0..n.len()).filter(|cell| low[*cell] == wanted);
-        let (n, k) = cells.fold((0, 0), |(a, b), cell| (a + n[cell], b + k[cell]));
-        k as f64 / n.max(1) as f64
-    };
-    if rate_of(true) > rate_of(false) {
-        low.iter_mut().for_each(|low| *low = !*low);
-    }
-    log_ratio.is_finite().then_some((log_ratio, low))
-}
-
-fn largest(n: &[u64], k: &[u64], order: Order) -> f64 {
-    let mut best = f64::NEG_INFINITY;
-    divisions(n, k, order, |ratio, _| best = best.max(ratio));
-    best
-}
-
 /// k ln(k/n) + (n - k) ln((n - k)/n): the largest log-likelihood of one rate.
 pub(crate) fn log_likelihood(k: f64, n: f64) -> f64 {
     let term = |x: f64| if x > 0.0 { x * (x / n).ln() } else { 0.0 };
     term(k) + term(n - k)
 }
 
-/// Calls `visit` with the log-likelihood ratio of each division and the cells of one group.
-fn divisions(n: &[u64], k: &[u64], order: Order, mut visit: impl FnMut(f64, &[usize])) {
-    let (rows, successes) = (n.iter().sum::<u64>() as f64, k.iter().sum::<u64>() as f64);
-    let one_rate = log_likelihood(successes, rows);
-    let ratio = |inside_n: f64, inside_k: f64| {
-        log_likelihood(inside_k, inside_n) + log_likelihood(successes - inside_k, rows - inside_n) - one_rate
-    };
-    match order {
-        Order::Ordered => {
-            let all: Vec<usize> = (0..n.len()).collect();
-            for from in 0..n.len() {
-                let (mut inside_n, mut inside_k) = (0.0, 0.0);
-                // A run up to the last cell is the complement of one from the first, except for the first itself.
-                for to in from..n.len() - usize::from(from == 0) {
-                    inside_n += n[to] as f64;
-                    inside_k += k[to] as f64;
-                    if inside_n > 0.0 && inside_n < rows {
-                        visit(ratio(inside_n, inside_k), &all[from..=to]);
-                    }
-                }
-            }
+/// x ln x of an integer.
+fn x_ln_x(x: u64) -> f64 {
+    if x == 0 { 0.0 } else { x as f64 * (x as f64).ln() }
+}
+
+/// All ways to divide the cells, with the total counts, which all tables share.
+struct Divisions {
+    order: Order,
+    rows: u64,
+    successes: u64,
+    /// x ln x of small integers.
+    table: Vec<f64>,
+    /// Sums of the cells before each cell: rows and successes.
+    before: Vec<[u64; 2]>,
+    /// Levels by rate.
+    levels: Vec<usize>,
+}
+
+impl Divisions {
+    /// `None` if fewer than two cells have rows, or if all outcomes are equal.
+    fn of(n: &[u64], k: &[u64], order: Order) -> Option<Self> {
+        let (rows, successes) = (n.iter().sum::<u64>(), k.iter().sum::<u64>());
+        if n.iter().filter(|n| **n > 0).count() < 2 || successes == 0 || successes == rows {
+            return None;
         }
-        Order::Unordered => {
-            let mut levels: Vec<usize> = (0..n.len()).filter(|cell| n[*cell] > 0).collect();
-            let rate = |cell: usize| k[cell] as f64 / n[cell] as f64;
-            levels.sort_by(|a, b| rate(*a).total_cmp(&rate(*b)));
-            let (mut inside_n, mut inside_k) = (0.0, 0.0);
-            for to in 0..levels.len().saturating_sub(1) {
-                inside_n += n[levels[to]] as f64;
-                inside_k += k[levels[to]] as f64;
-                visit(ratio(inside_n, inside_k), &levels[..=to]);
+        let table = (0..=rows.min(TABULATED)).map(x_ln_x).collect();
+        Some(Self { order, rows, successes, table, before: Vec::new(), levels: Vec::new() })
+    }
+
+    /// The largest log-likelihood ratio and whether each cell is in the group with the lower rate.
+    fn observed(&mut self, n: &[u64], k: &[u64]) -> Option<(f64, Vec<bool>)> {
+        let mut best = (f64::NEG_INFINITY, [0; 2]);
+        self.visit(n, k, |ratio, run| {
+            if ratio > best.0 {
+                best = (ratio, run);
+            }
+        });
+        let (log_ratio, [from, to]) = best;
+        let mut low = vec![false; n.len()];
+        match self.order {
+            Order::Ordered => low.get_mut(from..to)?.fill(true),
+            Order::Unordered => self.levels.get(from..to)?.iter().for_each(|level| low[*level] = true),
+        }
+        let rate_of = |wanted: bool| {
+            let cells = (0..n.len()).filter(|cell| low[*cell] == wanted);
+            let (n, k) = cells.fold((0, 0), |(a, b), cell| (a + n[cell], b + k[cell]));
+            k as f64 / n.max(1) as f64
+        };
+        if rate_of(true) > rate_of(false) {
+            low.iter_mut().for_each(|low| *low = !*low);
+        }
+        log_ratio.is_finite().then_some((log_ratio, low))
+    }
+
+    fn largest(&mut self, n: &[u64], k: &[u64]) -> f64 {
+        let mut best = f64::NEG_INFINITY;
+        self.visit(n, k, |ratio, _| best = best.max(ratio));
+        best
+    }
+
+    /// Calls `visit` with the log-likelihood ratio of each division and the group of one side: a range of cells, or of the
+    /// levels by rate.
+    fn visit(&mut self, n: &[u64], k: &[u64], mut visit: impl FnMut(f64, [usize; 2])) {
+        let mut sum = [0, 0];
+        let cells = match self.order {
+            Order::Ordered => {
+                self.before.clear();
+                self.before.push(sum);
+                for (n, k) in n.iter().zip(k) {
+                    sum = [sum[0] + n, sum[1] + k];
+                    self.before.push(sum);
+                }
+                n.len()
+            }
+            Order::Unordered => {
+                self.levels.clear();
+                self.levels.extend((0..n.len()).filter(|cell| n[*cell] > 0));
+                let rate = |cell: usize| k[cell] as f64 / n[cell] as f64;
+                self.levels.sort_by(|a, b| rate(*a).total_cmp(&rate(*b)));
+                self.before.clear();
+                self.before.push(sum);
+                for level in &self.levels {
+                    sum = [sum[0] + n[*level], sum[1] + k[*level]];
+                    self.before.push(sum);
+                }
+                self.levels.len()
+            }
+        };
+        let term = |x: u64| self.table.get(x as usize).copied().unwrap_or_else(|| x_ln_x(x));
+        let likelihood = |n: u64, k: u64| term(k) + term(n - k) - term(n);
+        let one_rate = likelihood(self.rows, self.successes);
+        let (narrowest, starts) = match self.order {
+            Order::Ordered => ((cells / NARROWEST).max(1), cells),
+            Order::Unordered => (1, 1),
+        };
+        for (from, [n_before, k_before]) in self.before.iter().enumerate().take(starts) {
+            for (to, [n_to, k_to]) in self.before.iter().enumerate().skip(from + narrowest) {
+                let (inside, successes) = (n_to - n_before, k_to - k_before);
+                // A run up to the last cell is the complement of one from the first.
+                if to - from + narrowest <= cells && inside > 0 && inside < self.rows {
+                    let outside = likelihood(self.rows - inside, self.successes - successes);
+                    visit(likelihood(inside, successes) + outside - one_rate, [from, to]);
+                }
             }
         }
     }
@@ -242,7 +291,8 @@ mod tests {
     fn sampled_p_matches_exact_enumeration() {
         // Three levels of 4, 4 and 4 rows with 6 successes: all tables can be enumerated.
         let n = [4, 4, 4];
-        let seen = largest(&n, &[4, 1, 1], Order::Unordered);
+        let mut divisions = Divisions::of(&n, &[4, 1, 1], Order::Unordered).unwrap();
+        let seen = divisions.largest(&n, &[4, 1, 1]);
         let choose = [1.0, 4.0, 6.0, 4.0, 1.0];
         let (mut reached, mut all) = (0.0, 0.0);
         for a in 0..=4_u64 {
@@ -250,7 +300,7 @@ mod tests {
                 for c in (0..=4_u64).filter(|c| a + b + c == 6) {
                     let ways = choose[a as usize] * choose[b as usize] * choose[c as usize];
                     all += ways;
-                    reached += if largest(&n, &[a, b, c], Order::Unordered) >= seen - 1e-9 { ways } else { 0.0 };
+                    reached += if divisions.largest(&n, &[a, b, c]) >= seen - 1e-9 { ways } else { 0.0 };
                 }
             }
         }

@@ -8,9 +8,11 @@ mod canvas;
 mod cell;
 mod checkpoint_statistics;
 mod commands;
+mod compliance;
 mod duration;
 mod environments;
 mod exit;
+mod families;
 mod film;
 #[cfg(feature = "mujoco")]
 mod inspection;

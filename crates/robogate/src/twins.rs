@@ -7,7 +7,7 @@ use clap::Args;
 use robogate_analysis::Source;
 use robogate_campaign::folder::{DICTIONARY, PLAN};
 use robogate_campaign::shards::{ShardError, Shards};
-use robogate_campaign::{Completion, Event, Executor, NOMINAL, NominalArm, Plan, RunError, SuiteStage};
+use robogate_campaign::{Completion, Event, Executor, NOMINAL, NominalArm, Plan, RunError, SuiteStage, Summary};
 use robogate_core::ParameterSpace;
 use robogate_dictionary::Provenance;
 use robogate_gate::{Record, Sampling, TwinFamily, Twins};
@@ -128,7 +128,7 @@ impl Arm {
         if !plan.twins {
             return Ok(None);
         }
-        let rounds = plan.suite.as_ref().map_or(0, |stage| stage.rounds);
+        let rounds = plan.suite.as_ref().map_or_else(|| plan.episodes(), |stage| stage.rounds);
         let arm = NominalArm::of(plan, &space.clone().into(), subject.task(), rounds).map_err(run::exit)?;
         let space = arm.plan.suite.as_ref().map(|stage| stage.suite.space().clone());
         let space = space.ok_or_else(|| anyhow!("the control arm has no suite")).or_broken()?;
@@ -145,8 +145,8 @@ impl Arm {
     ) -> Result<Completion, RunError> {
         let Completion::Finished { summary, .. } = &campaign else { return Ok(campaign) };
         let Self { folder, mut plan, provenance } = self;
-        if let (Some(stage), Some(suite)) = (&mut plan.suite, &summary.suite) {
-            as_many_rounds(stage, suite.rounds);
+        if let Some(stage) = &mut plan.suite {
+            as_many_rounds(stage, rounds_of(summary));
         }
         let done = if folder.join(PLAN).is_file() {
             robogate_campaign::resume(&folder, &provenance, executor, events)?
@@ -161,7 +161,12 @@ impl Arm {
     }
 }
 
-/// Limits the arm of a suite to the rounds that ran.
+/// The rounds of the suite that ran, or the episodes of a campaign without a suite.
+fn rounds_of(summary: &Summary) -> u64 {
+    summary.suite.as_ref().map_or(summary.episodes, |suite| suite.rounds)
+}
+
+/// Limits the arm to the rounds that ran.
 fn as_many_rounds(stage: &mut SuiteStage, rounds: u64) {
     stage.rounds = stage.rounds.min(rounds.max(1));
 }
@@ -179,8 +184,8 @@ pub(crate) fn merge(campaign: &Shards, out: &Path, completion: &Completion) -> R
         Ok(open) => open,
         Err(ShardError::NotInShards { .. }) => {
             let space = settings.provenance.space.clone().into();
-            let rounds = summary.suite.as_ref().map_or(0, |suite| suite.rounds);
-            let arm = NominalArm::of(&settings.plan, &space, &settings.provenance.task, rounds).map_err(run::exit)?;
+            let arm = NominalArm::of(&settings.plan, &space, &settings.provenance.task, rounds_of(summary))
+                .map_err(run::exit)?;
             let space = arm.plan.suite.as_ref().map(|stage| stage.suite.space().clone());
             let space = space.ok_or_else(|| anyhow!("the control arm has no suite")).or_broken()?;
             let provenance = Provenance { space, question_sha256: None, ..settings.provenance.clone() };

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use super::file::SuiteFile;
 use super::{Spread, Suite, SuiteError};
-use crate::{Assignment, TaskSpec, Value};
+use crate::{Assignment, ParameterSpace, TaskSpec, Value, Word};
 
 impl Suite {
     /// The nominal twins of all scenarios, in the same order and groups: episode `i` of this suite and of its twin have the
@@ -50,6 +50,36 @@ impl Suite {
         let about = "The episodes of a campaign with the nominal values of the task.".to_owned();
         let names = ["nominal".to_owned(), "1.0.0".to_owned(), about];
         Self::try_from(SuiteFile::of_scenarios(names, None, scenarios))
+    }
+
+    /// A suite with one scenario, and one group, for each family of parameters: those of the family are sampled from `space`
+    /// in each round, and all others have the task's nominal value. Each scenario also has its nominal twin, so the pairs of a
+    /// group show the effect of its family alone. A parameter without a nominal value is sampled in every scenario.
+    ///
+    /// # Errors
+    /// [`SuiteError::NoNominal`] as above, and the problems of a suite with these names.
+    pub fn of_families(
+        space: &ParameterSpace,
+        task: &TaskSpec,
+        families: &[(String, Vec<String>)],
+    ) -> Result<Self, SuiteError> {
+        some_nominal(task, families.iter().flat_map(|(_, parameters)| parameters.iter().map(String::as_str)))?;
+        let scenarios = families.iter().map(|(family, varied)| {
+            let spread = |parameter: &crate::Parameter| {
+                let fixed =
+                    nominal(task, &parameter.name).filter(|_| !varied.iter().any(|name| **name == *parameter.name));
+                let spread = fixed.map_or_else(|| Spread::Drawn(parameter.domain.clone()), Spread::Fixed);
+                (Arc::clone(&parameter.name), spread)
+            };
+            let parameters = space.parameters().iter().map(spread).collect();
+            ([family.as_str(), family.as_str()], family.clone(), parameters)
+        });
+        let about = format!("One family of parameters of `{}` at a time, with nominal twins.", space.name());
+        let name = Word::nearest(space.name()).map_or("space", Word::as_str);
+        let names = [format!("{name}-families"), "1.0.0".to_owned(), about];
+        let mut file = SuiteFile::of_scenarios(names, None, scenarios);
+        file.nominal = true;
+        Self::try_from(file)
     }
 
     /// Whether each scenario also runs with the task's nominal values and the same seed.

@@ -39,6 +39,8 @@ pub enum Role {
     Summary,
     /// The public key of the signer.
     PublicKey,
+    /// A document of the compliance pack, which follows from the evaluation.
+    Compliance,
     /// A file that the user added.
     Attachment,
 }

@@ -41,7 +41,7 @@ pub use registration::{
 };
 pub use statement::{EVIDENCE_PREDICATE, PAYLOAD_TYPE, STATEMENT_TYPE, TEST_RESULT_PREDICATE};
 pub use verify::{Signed, Verified, verify};
-pub use write::{Content, Ingredients, write};
+pub use write::{Content, Documents, Ingredients, write};
 
 /// The path of the manifest in the folder.
 pub const MANIFEST: &str = "manifest.json";

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use robogate_dictionary::Tool;
+use robogate_dictionary::{Dictionary, Provenance, Tool};
 
 use super::manifest::is_plain;
 use super::{
@@ -12,7 +12,7 @@ use super::{
     Manifest, PAYLOAD_TYPE, PrivateKey, QuestionBinding, REQUIREMENTS, Role, SIGNED_ENDING, SIGNER, TEST_RESULT, facts,
     statement,
 };
-use crate::{RealEvidence, Sampling};
+use crate::{Evaluation, RealEvidence, Sampling};
 
 /// The content of a file of the evidence.
 #[derive(Debug, Clone)]
@@ -42,7 +42,12 @@ pub struct Ingredients {
     pub reasked: bool,
     /// Further files: role, path in the folder, and content.
     pub others: Vec<(Role, String, Content)>,
+    /// Documents that follow from the evaluation, in the formats of other tools. `None` for none.
+    pub documents: Option<Documents>,
 }
+
+/// Writes documents about an evaluation and the provenance of its rows: path in the folder, and content.
+pub type Documents = fn(&Evaluation, &Provenance) -> Vec<(String, Vec<u8>)>;
 
 /// Writes the folder of evidence `to`, which must not exist. The folder appears complete or not at all.
 pub fn write(to: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> Result<Manifest, EvidenceError> {
@@ -133,6 +138,12 @@ fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> R
     let margin = ingredients.against.as_ref().map(|(_, margin)| *margin);
     // The copies are judged, so that verdict and folder agree.
     let evaluation = facts::evaluate(folder, ingredients.sampling, margin)?;
+    if let Some(documents) = ingredients.documents {
+        let dictionary = Dictionary::open(&folder.join(DICTIONARY))?;
+        for (name, bytes) in documents(&evaluation, dictionary.provenance()) {
+            add(Role::Compliance, &name, &Content::Bytes(bytes))?;
+        }
+    }
     let put = |name: &str, content: &str| {
         let path = folder.join(name);
         fs::write(&path, content).map_err(EvidenceError::io(&path, "write"))

@@ -90,6 +90,7 @@ impl Run {
             sampling: Sampling::Fixed,
             reasked: false,
             others: vec![(Role::Question, Asked::FILE.to_owned(), Content::File(at(Asked::FILE)))],
+            documents: None,
         };
         let run = Self { folder, provenance, ingredients };
         run.write_rows();

@@ -114,6 +114,7 @@ fn run(failures: u64) -> Run {
             (Role::Plan, "plan.json".into(), Content::File(at("plan.json"))),
             (Role::Robot, "robot/robot.toml".into(), Content::File(at("robot.toml"))),
         ],
+        documents: None,
     };
     Run { folder, ingredients }
 }

@@ -55,7 +55,7 @@ pub fn limits(analysis: &Analysis) -> Vec<String> {
     }
     if analysis.effects.tested > 0 {
         limits.push(format!(
-            "A parameter is named only if a permutation test finds an effect of any shape, at 2 % for all {} and {} together \
+            "A parameter is named only if a permutation test finds an effect of any shape, at 2.5 % for all {} and {} together \
              (Holm). A parameter that is not named may still have an effect that these episodes do not show.",
             counted(analysis.effects.tested, "parameter"),
             counted(analysis.effects.pairs_tested, "pair")

@@ -9,11 +9,12 @@ use robogate_analysis::Source;
 use robogate_campaign::folder::LOST;
 use robogate_core::TaskSpec;
 use robogate_gate::evidence::{
-    Content, EvidenceError, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write,
+    Content, Documents, EvidenceError, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write,
 };
 use robogate_gate::{Asked, GateError, Record, Sampling};
 
 use crate::commands::gate::{built_in_baseline, open_requirements, real_evidence, refused};
+use crate::compliance;
 use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::source::open_source;
 use crate::subject::recorded_robot;
@@ -50,6 +51,9 @@ pub(crate) struct Evidence {
     /// line
     #[arg(long)]
     reasked: bool,
+    /// Add the folder `compliance` with the verdict as PDF, ReqIF and JUnit, and a CycloneDX list of components (SBOM)
+    #[arg(long)]
+    compliance: bool,
     /// Sign with this private key; without one the evidence is unsigned
     #[arg(long, value_name = "PRIVATE")]
     key: Option<PathBuf>,
@@ -111,6 +115,7 @@ impl Evidence {
             sampling: self.sampling(asked.as_ref()).or_usage()?,
             reasked: self.reasked,
             others,
+            documents: self.compliance.then_some(compliance::documents as Documents),
         };
         // Read before the evaluation, so that an unusable key is reported early.
         let key = self.key.as_deref().map(PrivateKey::read).transpose().map_err(evidence_error)?;

@@ -23,6 +23,7 @@ use robogate_stats::format::counted;
 
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
+use crate::families;
 use crate::latency::{self, LatencyArguments};
 use crate::lost_episodes::{Outage, RunsLostAgain};
 use crate::place;
@@ -78,10 +79,15 @@ pub(crate) struct Run {
     /// Set the campaign seed
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
-    /// Also run the nominal twin of each episode of the first stage, or of the suite: the same seed with the task's nominal
-    /// values. The report then states the effect of the perturbations and what fails without them
+    /// Also run the nominal twin of each episode of the first stage, of the active design, or of the suite: the same seed with
+    /// the task's nominal values. The report then states the effect of the perturbations and what fails without them
     #[arg(long)]
     twins: bool,
+    /// Vary one family of parameters at a time and run nominal twins, so that the report states the effect of each family:
+    /// NAME=PARAMETER,PARAMETER (`*` at the end stands for any ending), or `each` for every parameter alone. Repeat it for
+    /// each family
+    #[arg(long, value_name = "FAMILY", conflicts_with_all = ["suite", "plan", "design", "seek", "until_rms"])]
+    family: Vec<String>,
     #[command(flatten)]
     environment: EnvironmentArguments,
     #[command(flatten)]
@@ -306,6 +312,15 @@ impl Run {
         };
         if let Some(n) = self.n {
             plan = plan.with_total(n);
+        }
+        if !self.family.is_empty() {
+            let suite = families::suite(&self.family, &space, subject.task()).or_usage()?;
+            subject.check_suite(&suite).or_usage()?;
+            let rounds = (plan.episodes() / suite.cases().len().max(1) as u64).max(1);
+            let space = suite.space().clone();
+            let plan = Plan::of_suite(suite, rounds, self.seed.unwrap_or(DEFAULT_SEED));
+            plan.check(&space).or_usage()?;
+            return Ok((plan, space));
         }
         match self.design.as_deref() {
             Some("active") => plan = plan.with_active(),

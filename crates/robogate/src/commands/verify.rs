@@ -9,10 +9,11 @@ use robogate_gate::evidence::{
 use serde::Serialize;
 
 use crate::commands::rerun::{Rerun, rerun};
+use crate::compliance;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::policy_source::PolicyLocation;
 use crate::remote::Simulators;
-use crate::terminal::{bold, foreign, grouped, indented, line, percent};
+use crate::terminal::{bold, foreign, grouped, indented, line, note, percent};
 
 /// Verify a folder of evidence: every file, the signatures, and the verdict recomputed from the rows.
 ///
@@ -69,6 +70,15 @@ impl Verify {
             return Err(error).or_usage();
         }
         let mut checked = verify(&self.evidence, key.as_ref()).and_then(|verified| self.accept(verified, key.as_ref()));
+        if let Ok(verified) = checked {
+            let (problems, compared) = compliance::check(&self.evidence).or_broken()?;
+            if !compared {
+                note(
+                    "another version of robogate wrote the compliance pack; only the hashes of its documents were checked",
+                );
+            }
+            checked = if problems.is_empty() { Ok(verified) } else { Err(problems) };
+        }
         let mut repeated = None;
         if let (Some(k), Ok(_)) = (self.rerun, &checked) {
             match rerun(&self.evidence, k, &self.simulators, &self.location)? {

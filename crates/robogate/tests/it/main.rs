@@ -7,6 +7,7 @@ mod bridge;
 #[expect(unreachable_pub, reason = "a module of a test")]
 mod browser;
 mod command;
+mod compliance;
 mod controls;
 #[cfg(target_os = "linux")]
 mod crash;

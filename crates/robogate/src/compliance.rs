@@ -1,0 +1,173 @@
+//! The compliance pack of evidence: the verdict in the formats of requirement management, CI and filing, and the list of
+//! components behind it.
+//!
+//! All documents are functions of the evaluation, the provenance of the rows and this build, without a date. Evidence
+//! lists their hashes, and [`check`] writes them again and compares.
+
+use std::path::Path;
+
+use anyhow::Context;
+use robogate_dictionary::{Dictionary, Provenance, Tool};
+use robogate_gate::Evaluation;
+use robogate_gate::evidence::{EnvironmentBinding, MANIFEST, Manifest, PolicyBinding, Problem, Role};
+use robogate_report::{junit, reqif, verdict_pdf};
+use serde_json::{Value, json};
+
+/// The list of components.
+const SBOM: &str = "compliance/sbom.cdx.json";
+/// The exact versions that this build could link.
+const LOCK: &str = include_str!("../../../Cargo.lock");
+
+/// The documents: path in the evidence, and content.
+pub(crate) fn documents(evaluation: &Evaluation, provenance: &Provenance) -> Vec<(String, Vec<u8>)> {
+    // A tree of strings and maps cannot fail to serialise.
+    let sbom = serde_json::to_string_pretty(&sbom(evaluation, provenance)).unwrap_or_default() + "\n";
+    [
+        ("compliance/verdict.pdf", verdict_pdf(evaluation, &origin(provenance))),
+        ("compliance/gate.reqif", reqif(evaluation).into_bytes()),
+        ("compliance/gate.junit.xml", junit(evaluation).into_bytes()),
+        (SBOM, sbom.into_bytes()),
+    ]
+    .map(|(name, bytes)| (name.to_owned(), bytes))
+    .into()
+}
+
+/// Documents in verified evidence that differ from those of its evaluation, and `false` if another version wrote them, so
+/// that they could not be compared. The list of components describes the build that wrote it and is not compared.
+pub(crate) fn check(folder: &Path) -> anyhow::Result<(Vec<Problem>, bool)> {
+    let read = |name: &str| {
+        let path = folder.join(name);
+        std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
+    };
+    let manifest: Manifest = serde_json::from_slice(&read(MANIFEST)?)?;
+    let of = |role: Role| manifest.files.iter().filter(move |file| file.role == role);
+    if of(Role::Compliance).next().is_none() {
+        return Ok((Vec::new(), true));
+    }
+    if manifest.tool != Tool::robogate() {
+        return Ok((Vec::new(), false));
+    }
+    let file = |role: Role| of(role).next().map(|file| file.path.as_str()).context("a file is missing in the manifest");
+    let evaluation: Evaluation = serde_json::from_slice(&read(file(Role::Evaluation)?)?)?;
+    let dictionary = Dictionary::open(&folder.join(file(Role::Dictionary)?))?;
+    let expected = documents(&evaluation, dictionary.provenance());
+    let mut problems = Vec::new();
+    for listed in of(Role::Compliance).filter(|listed| listed.path != SBOM) {
+        let written = expected.iter().find(|(name, _)| *name == listed.path);
+        if written.map(|(_, bytes)| bytes) != Some(&read(&listed.path)?) {
+            problems.push(Problem::new(&*listed.path, "differs from the document of the evaluation"));
+        }
+    }
+    Ok((problems, true))
+}
+
+/// What identifies the judged system, as names and values.
+fn origin(provenance: &Provenance) -> Vec<(String, String)> {
+    let Provenance { tool, build, engine, robot, task, seed, .. } = provenance;
+    let with_hash = |text: String, hash: Option<&String>| match hash {
+        Some(hash) => format!("{text}, SHA-256 {hash}"),
+        None => text,
+    };
+    let version = engine.version.as_deref().unwrap_or("of unknown version");
+    let mut facts = vec![
+        ("Measured by", format!("{} {}", tool.name, tool.version)),
+        ("Policy", format!("{}: {}", provenance.policy, PolicyBinding::of(provenance))),
+        ("Robot", with_hash(robot.name.clone(), robot.sha256.as_ref())),
+        ("Task", format!("{} {}", task.name, task.version)),
+        ("Simulator", with_hash(format!("{} {version}", engine.name), engine.build_sha256.as_ref())),
+        ("Environment", format!("SHA-256 {}", EnvironmentBinding::of(provenance).sha256)),
+        ("Seed", seed.to_string()),
+    ];
+    if let Some(build) = build {
+        facts.insert(1, ("Source code", format!("SHA-256 {}", build.source_sha256)));
+    }
+    if let Some(source) = &provenance.source {
+        facts.push(("Imported from", format!("{}, SHA-256 {}", source.format, source.sha256)));
+    }
+    facts.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
+}
+
+/// The components behind the verdict as CycloneDX 1.5: what was judged, what judged it, and the Rust packages of this build.
+fn sbom(evaluation: &Evaluation, provenance: &Provenance) -> Value {
+    let Provenance { tool, engine, robot, policy, .. } = provenance;
+    let mut components = vec![
+        component("machine-learning-model", "policy", policy, None, PolicyBinding::of(provenance).sha256()),
+        component("data", "robot", &robot.name, None, robot.sha256.as_deref()),
+        component("data", "episodes", "episodes", None, Some(&evaluation.dataset_sha256)),
+        component("library", "simulator", &engine.name, engine.version.as_deref(), engine.build_sha256.as_deref()),
+    ];
+    let this = Tool::robogate();
+    let source = provenance.build.as_ref().map(|build| build.source_sha256.as_str());
+    if *tool != this || source.is_some_and(|source| source != env!("ROBOGATE_SOURCE_SHA256")) {
+        let mut measured = component("application", "measured-by", &tool.name, Some(&tool.version), None);
+        measured["properties"] = json!([{ "name": "robogate:source_sha256", "value": source.unwrap_or("unknown") }]);
+        components.push(measured);
+    }
+    components.extend(packages());
+    json!({
+        "bomFormat": "CycloneDX",
+        "specVersion": "1.5",
+        "version": 1,
+        "metadata": {
+            "component": {
+                "type": "application",
+                "bom-ref": "robogate",
+                "name": this.name,
+                "version": this.version,
+                "properties": [
+                    { "name": "robogate:source_sha256", "value": env!("ROBOGATE_SOURCE_SHA256") },
+                    {
+                        "name": "robogate:packages",
+                        "value": "Cargo.lock of this build: the packages of all its features, platforms and tests",
+                    },
+                ],
+            },
+        },
+        "components": components,
+    })
+}
+
+fn component(kind: &str, reference: &str, name: &str, version: Option<&str>, sha256: Option<&str>) -> Value {
+    let mut component = json!({ "type": kind, "bom-ref": reference, "name": name });
+    if let Some(version) = version {
+        component["version"] = json!(version);
+    }
+    if let Some(sha256) = sha256 {
+        component["hashes"] = json!([{ "alg": "SHA-256", "content": sha256 }]);
+    }
+    component
+}
+
+/// The packages of registries in `Cargo.lock`. The hash is that of the package's archive.
+fn packages() -> Vec<Value> {
+    let lock: toml::Table = LOCK.parse().unwrap_or_default();
+    let packages = lock.get("package").and_then(toml::Value::as_array).map_or(&[][..], Vec::as_slice);
+    packages
+        .iter()
+        .filter_map(|package| {
+            let text = |key: &str| package.get(key).and_then(toml::Value::as_str);
+            // The packages of this workspace have no source.
+            text("source")?;
+            let (name, version) = (text("name")?, text("version")?);
+            let purl = format!("pkg:cargo/{name}@{version}");
+            let mut component = component("library", &purl, name, Some(version), text("checksum"));
+            component["purl"] = json!(purl);
+            Some(component)
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn packages_have_hashes() {
+        let packages = packages();
+        assert!(packages.len() > 100, "{} packages", packages.len());
+        for package in &packages {
+            assert!(package["hashes"][0]["content"].as_str().is_some_and(|hash| hash.len() == 64), "{package}");
+        }
+        assert!(packages.iter().any(|package| package["name"] == "serde"));
+    }
+}
