@@ -157,16 +157,16 @@ impl Files {
     fn new(query: &Query, version: Version, layout: Layout) -> Self {
         // N1.6 has leading axes for batch and time, N1.5 only for time.
         let ones = if version == Version::N16 { 2 } else { 1 };
-        let files = |kind: &str, arrays: &[(String, Array)]| {
+        let files = |kind: &str, arrays: &[(String, Array)], axes: usize| {
             let name = |key: &str| match layout {
                 Layout::Nested => key.to_owned(),
                 Layout::Flat => format!("{kind}.{key}"),
             };
-            // Images with a history have the axis for time already.
-            let ones = |array: &Array| if array.shape().len() == 4 { ones - 1 } else { ones };
+            // Arrays with a history have the axis for time already.
+            let ones = |array: &Array| if array.shape().len() > axes { ones - 1 } else { ones };
             arrays.iter().map(|(key, array)| (name(key), npy::write(array, ones(array)))).collect()
         };
-        Self { video: files("video", &query.images), state: files("state", &query.states) }
+        Self { video: files("video", &query.images, 3), state: files("state", &query.states, 1) }
     }
 
     /// The data of a `get_action` request.
