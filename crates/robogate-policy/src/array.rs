@@ -113,6 +113,17 @@ impl Array {
         Self { dtype, shape: vec![numbers.len()], data }
     }
 
+    /// Create an array whose rows are vectors of the same length. `dtype` as for [`Self::vector`].
+    pub(crate) fn stacked<'a>(
+        rows: impl ExactSizeIterator<Item = &'a [f64]> + Clone,
+        dtype: Dtype,
+    ) -> Result<Self, InvalidArray> {
+        let shape = vec![rows.len(), rows.clone().next().map_or(0, <[f64]>::len)];
+        let numbers: Vec<f64> = rows.flatten().copied().collect();
+        let flat = Self::vector(&numbers, dtype);
+        Self::new(flat.dtype, shape, flat.data)
+    }
+
     /// The same elements with another shape of the same size.
     #[cfg(test)]
     #[must_use]

@@ -97,7 +97,15 @@ fn gr00t(
             let (parts, guessed) = parts(&key);
             let what = if guessed { "its parts are guessed from the name" } else { "unknown; a zero is sent" };
             open.push(format!("state `{key}`: {what}"));
-            State { key, parts, vectors: Vec::new(), dtype: Dtype::F32, low: Vec::new(), high: Vec::new() }
+            State {
+                key,
+                parts,
+                vectors: Vec::new(),
+                dtype: Dtype::F32,
+                history: Vec::new(),
+                low: Vec::new(),
+                high: Vec::new(),
+            }
         })
     });
     let states = states.collect();

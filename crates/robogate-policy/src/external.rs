@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use robogate_core::{
-    Action, Fault, FaultKind, Image, Observation, Policy, PredictedStep, Prediction, Seed, TaskInstance, TaskSpec,
+    Action, Fault, FaultKind, Observation, Policy, PredictedStep, Prediction, Seed, TaskInstance, TaskSpec,
 };
 use serde_json::Value as Json;
 
@@ -16,6 +16,7 @@ use super::connection::{self, Connection};
 use super::deadline::Deadline;
 use super::decoder::Decoder;
 use super::error::PolicyError;
+use super::history::History;
 use super::openpi;
 use super::profile::{Dialect, Profile};
 use super::query::Query;
@@ -44,8 +45,7 @@ pub struct ExternalPolicy {
     /// Raw actions of the chunk that are not executed yet.
     queue: VecDeque<Vec<f64>>,
     decoder: Decoder,
-    /// Images of the last actions, for profiles with a history. The present ones are last.
-    past: VecDeque<Vec<Image>>,
+    history: History,
     buffers: Buffers,
 }
 
@@ -90,6 +90,7 @@ impl ExternalPolicy {
             _ => profile,
         };
         let decoder = Decoder::new(&profile);
+        let history = History::new(&profile);
         Ok(Self {
             url: url.to_owned(),
             profile,
@@ -102,7 +103,7 @@ impl ExternalPolicy {
             step: 0,
             queue: VecDeque::new(),
             decoder,
-            past: VecDeque::new(),
+            history,
             buffers: Buffers::default(),
         })
     }
@@ -120,7 +121,7 @@ impl ExternalPolicy {
     /// Begin an episode with this instruction. Connects again if the connection is closed.
     pub fn begin(&mut self, instruction: &str) -> Result<(), PolicyError> {
         self.queue.clear();
-        self.past.clear();
+        self.history.clear();
         self.step = 0;
         self.instruction = self.profile.instruction.clone().unwrap_or_else(|| instruction.to_owned());
         let mut attempt = 0;
@@ -168,7 +169,7 @@ impl ExternalPolicy {
         let query = Query::with_buffers(
             &self.profile,
             observation,
-            &self.past,
+            &self.history,
             &self.instruction,
             self.step,
             &mut self.buffers,
@@ -185,12 +186,6 @@ impl ExternalPolicy {
         }
         self.step += 1;
         reply.map_err(|error| self.access.without_key(error))
-    }
-
-    /// Number of earlier actions whose images the model sees.
-    fn history(&self) -> usize {
-        let offsets = self.profile.cameras.iter().flat_map(|camera| &camera.history);
-        offsets.map(|offset| offset.unsigned_abs() as usize).max().unwrap_or(0)
     }
 
     fn deadline(&self) -> Deadline {
@@ -210,16 +205,13 @@ impl Policy for ExternalPolicy {
     }
 
     fn wants_images(&self) -> bool {
-        self.decoder.is_empty() && ((self.queue.is_empty() && !self.profile.cameras.is_empty()) || self.history() > 0)
+        self.decoder.is_empty()
+            && ((self.queue.is_empty() && !self.profile.cameras.is_empty()) || self.history.has_images())
     }
 
     fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
         if self.decoder.is_empty() {
-            let history = self.history();
-            if history > 0 {
-                self.past.push_back(observation.images.clone());
-                self.past.drain(..self.past.len().saturating_sub(history + 1));
-            }
+            self.history.push(&self.profile, observation)?;
             if self.queue.is_empty() {
                 let chunk = self.infer(observation)?;
                 self.queue.extend(chunk.into_rows().into_iter().take(self.profile.chunk.execute));
@@ -230,8 +222,8 @@ impl Policy for ExternalPolicy {
     }
 
     fn predict(&mut self, observation: &Observation) -> Result<Prediction, Fault> {
-        if self.history() > 0 {
-            let detail = "the model sees images of earlier actions, which a robot with latency has not kept";
+        if self.history.is_kept() {
+            let detail = "the profile has a history of images or states, which is not supported with --latency";
             return Err(Fault::new(FaultKind::Setup, detail));
         }
         let steps = self.infer(observation)?.into_rows().into_iter().map(PredictedStep::Numbers).collect();

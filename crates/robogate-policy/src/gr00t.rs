@@ -204,20 +204,20 @@ impl<'q> Inputs<'q> {
     fn new(query: &'q Query, version: Version, layout: Layout, form: Arrays) -> Self {
         // N1.6 has leading axes for batch and time, N1.5 only for time.
         let ones = if version == Version::N16 { 2 } else { 1 };
-        let encoded = |kind: &str, arrays: &'q [(String, Array)]| {
+        let encoded = |kind: &str, arrays: &'q [(String, Array)], axes: usize| {
             let name = |key: &str| match layout {
                 Layout::Nested => key.to_owned(),
                 Layout::Flat => format!("{kind}.{key}"),
             };
-            // Images with a history have the axis for time already.
-            let ones = |array: &Array| if array.shape().len() == 4 { ones - 1 } else { ones };
+            // Arrays with a history have the axis for time already.
+            let ones = |array: &Array| if array.shape().len() > axes { ones - 1 } else { ones };
             let encoded = |array: &'q Array| match form {
                 Arrays::Npy => Encoded::File(npy::write(array, ones(array))),
                 Arrays::Numpy => Encoded::Numpy(array, ones(array)),
             };
             arrays.iter().map(|(key, array)| (name(key), encoded(array))).collect()
         };
-        Self { video: encoded("video", &query.images), state: encoded("state", &query.states) }
+        Self { video: encoded("video", &query.images, 3), state: encoded("state", &query.states, 1) }
     }
 
     /// The data of a `get_action` request.

@@ -19,6 +19,7 @@ mod error;
 mod external;
 mod gr00t;
 mod grpc;
+mod history;
 mod http;
 mod identify;
 mod json_numpy;
@@ -60,8 +61,8 @@ pub use map::{BoundMap, CameraPiece, MapRow, Mapped, Piece, Pieces, Slice, Sourc
 pub use mapping::{MappingProblem, MappingStep, compare_mappings};
 pub use picture::Picture;
 pub use profile::{
-    ActionForm, Arm, Axes, Camera, Chunking, Dialect, Filter, Fit, Frame, Gr00t, LeRobot, Orientation, Part, Profile,
-    ProfileError, Rotation, Side, State, Timeouts, Tool,
+    ActionForm, Arm, Axes, Camera, Chunking, Dialect, Filter, Fit, Frame, Gr00t, LeRobot, Memory, Orientation, Part,
+    Profile, ProfileError, Rotation, Side, State, Timeouts, Tool,
 };
 pub use query::{Query, tool_pose};
 pub use statistics::{Statistics, StatisticsError};

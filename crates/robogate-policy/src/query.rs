@@ -1,12 +1,11 @@
 //! Converts observations to queries of a model, according to its profile.
 
-use std::collections::VecDeque;
-
 use robogate_core::{Image, Observation, Pose, Word, vectors};
 
 use super::array::{Array, Dtype};
 use super::buffers::Buffers;
 use super::error::PolicyError;
+use super::history::History;
 use super::picture::Picture;
 use super::profile::{Axes, Camera, Part, Profile, Rotation, State};
 use super::rotation;
@@ -34,15 +33,15 @@ impl Query {
         instruction: &str,
         step: u64,
     ) -> Result<Self, PolicyError> {
-        Self::with_buffers(profile, observation, &VecDeque::new(), instruction, step, &mut Buffers::default())
+        Self::with_buffers(profile, observation, &History::default(), instruction, step, &mut Buffers::default())
     }
 
-    /// The same as [`Query::new`], with images in buffers that [`Query::recycle`] returns. `past` has the images of
-    /// earlier actions, the present ones last.
+    /// The same as [`Query::new`], with images in buffers that [`Query::recycle`] returns. `past` has the images and
+    /// states of earlier actions.
     pub(crate) fn with_buffers(
         profile: &Profile,
         observation: &Observation,
-        past: &VecDeque<Vec<Image>>,
+        past: &History,
         instruction: &str,
         step: u64,
         buffers: &mut Buffers,
@@ -54,7 +53,7 @@ impl Query {
                     let mut stack = buffers.take();
                     let mut shape = vec![history.len()];
                     for offset in history {
-                        let one = image(camera, earlier(past, *offset).unwrap_or(&observation.images), buffers)?;
+                        let one = image(camera, past.images(*offset).unwrap_or(&observation.images), buffers)?;
                         stack.extend_from_slice(one.data());
                         shape.truncate(1);
                         shape.extend_from_slice(one.shape());
@@ -66,8 +65,18 @@ impl Query {
             Ok((camera.key.clone(), array))
         });
         let images = images.collect::<Result<_, PolicyError>>()?;
-        let states = profile.states.iter().zip(numbers(profile, observation)?);
-        let states = states.map(|(state, numbers)| (state.key.clone(), Array::vector(&numbers, state.dtype))).collect();
+        let present = numbers(profile, observation)?;
+        let states = profile.states.iter().enumerate().map(|(i, state)| {
+            let array = match state.history.as_slice() {
+                [] => Array::vector(&present[i], state.dtype),
+                history => {
+                    let rows = history.iter().map(|offset| &*past.states(*offset).unwrap_or(&present)[i]);
+                    Array::stacked(rows, state.dtype).map_err(|e| PolicyError::Observation(e.to_string()))?
+                }
+            };
+            Ok((state.key.clone(), array))
+        });
+        let states = states.collect::<Result<_, PolicyError>>()?;
         let instruction = profile.instruction.as_deref().unwrap_or(instruction).to_owned();
         Ok(Self { images, states, instruction, step, time_s: observation.time_s })
     }
@@ -76,13 +85,6 @@ impl Query {
     pub(crate) fn recycle(self, buffers: &mut Buffers) {
         self.images.into_iter().for_each(|(_, array)| buffers.recycle(array.into_data()));
     }
-}
-
-/// The images of an action: the present one for the offset 0, earlier ones for negative offsets. Before the first action
-/// these are the images of the first action.
-fn earlier(past: &VecDeque<Vec<Image>>, offset: i32) -> Option<&[Image]> {
-    let back = usize::try_from(-i64::from(offset)).unwrap_or(0);
-    past.get(past.len().saturating_sub(1 + back)).map(Vec::as_slice)
 }
 
 /// The array of one camera.
@@ -291,17 +293,24 @@ mod tests {
 
     #[test]
     fn history_is_the_first_axis() {
-        let profile = profile(|text| text.replace("224", "2").replacen("width", "history = [-2, 0]\nwidth", 1));
-        let mut past: VecDeque<Vec<Image>> = VecDeque::new();
+        let profile = profile(|text| {
+            let text = text.replace("224", "2").replacen("width", "history = [-2, 0]\nwidth", 1);
+            let parts = "\"tool_position\", \"tool_axis_angle\", \"gripper_fingers\"";
+            text.replacen(parts, "\"gripper_opening\", \"zero\"]\nhistory = [-2, -1, 0", 1)
+        });
+        let mut past = History::new(&profile);
         for shade in [1, 2, 3, 4] {
-            let mut images = observation().images;
-            images[0].rgb.fill(shade);
-            past.push_back(images);
-            let now = Observation { images: past[past.len() - 1].clone(), ..observation() };
+            let mut now = observation();
+            now.images[0].rgb.fill(shade);
+            now.vectors[1].1 = vec![f64::from(shade)];
+            past.push(&profile, &now).unwrap();
             let query = Query::with_buffers(&profile, &now, &past, "go", 0, &mut Buffers::default()).unwrap();
             assert_eq!(query.images[0].1.shape(), [2, 2, 2, 3]);
             let first = shade.saturating_sub(2).max(1);
             assert_eq!(query.images[0].1.data(), [[first; 12], [shade; 12]].concat());
+            // The first state repeats until there are enough.
+            let openings = [first, shade.saturating_sub(1).max(1), shade].map(|n| [f64::from(n), 0.0]);
+            assert_eq!((query.states[0].1.shape(), query.states[0].1.numbers()), (&[3, 2][..], openings.concat()));
         }
     }
 

@@ -4,6 +4,7 @@
 use serde_json::Value as Json;
 
 use super::access::Access;
+use super::array::Array;
 use super::connection::Connection;
 use super::deadline::Deadline;
 use super::error::PolicyError;
@@ -119,14 +120,16 @@ fn encode(query: &Query, api: &Api) -> String {
     };
     match api {
         Api::Gr00tN15 { language_key, .. } => {
+            // Arrays with a history have the axis for time already.
+            let time = |array: &Array, axes: usize| usize::from(array.shape().len() == axes);
             json.push_str("{\"observation\": ");
             for (key, array) in &query.images {
                 entry(&mut json, &format!("video.{key}"));
-                json_numpy::write(&mut json, array, 1);
+                json_numpy::write(&mut json, array, time(array, 3));
             }
             for (key, array) in &query.states {
                 entry(&mut json, &format!("state.{key}"));
-                json_numpy::write(&mut json, array, 1);
+                json_numpy::write(&mut json, array, time(array, 1));
             }
             entry(&mut json, language_key);
             json.push('[');

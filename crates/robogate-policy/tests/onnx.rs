@@ -463,6 +463,14 @@ fn unsupported_networks_are_explained() {
         (network(vec![], vec![loop_node]), "node `the_y` (Loop): control flow is not supported. Hint"),
         (network(vec![outside], vec![node("Mul", &["state", "w"], "y")]), "constant `w`: it is in another file"),
         (
+            network(vec![], vec![node("GRU", &["state", "state", "state", "", "state"], "y")]),
+            "node `the_y` (GRU): sequence_lens is not supported",
+        ),
+        (
+            network(vec![], vec![node("GRU", &["state", "state", "state"], "y")]),
+            "node `the_y` (GRU): only linear_before_reset = 1 is supported",
+        ),
+        (
             network(vec![], vec![node("Neg", &["x"], "y")]),
             "node `the_y` (Neg): it reads `x`, which no earlier node computes",
         ),

@@ -2,12 +2,13 @@
 //!
 //! The keys of cameras and states are the names of the inputs. An image is passed as bytes if the network takes bytes, and
 //! as floats from 0 to 1 if it takes floats. If an input has more axes than the profile's array, leading axes of size 1
-//! are added, for example for a batch. The first output is the chunk of actions. The same file, profile and observation
-//! give the same actions.
+//! are added, for example for a batch. The first output is the chunk of actions. The same file, profile and observations
+//! give the same actions. A recurrent network gets some of its outputs back with the next request: its memory.
 //!
 //! A file may be damaged or hostile. Its structure and the memory that it needs are checked before the library runs any
 //! of it, and loading and inference run in a thread whose results are awaited until a deadline.
 
+mod memory;
 mod scan;
 mod sizes;
 mod worker;
@@ -30,6 +31,7 @@ use super::deadline::Deadline;
 use super::error::PolicyError;
 use super::profile::{Axes, Camera, Profile};
 use super::{chunk::Chunk, query::Query};
+use memory::Cell;
 use worker::{Worker, catch_panics};
 
 /// Largest file that is read, in bytes.
@@ -38,12 +40,22 @@ const MAX_FILE: u64 = 1 << 30;
 /// A loaded network.
 pub(crate) struct Network {
     path: String,
-    worker: Worker<Vec<Value>, Output>,
+    worker: Worker<Vec<Value>, (Output, Vec<Value>)>,
     inputs: Vec<Input>,
+    /// The memory of the present episode.
+    memory: Vec<Cell>,
     declared: Json,
 }
 
-/// Shape and numbers of the first output.
+/// What is known of a network after loading it: its inputs, its memory at the start of an episode, and the SHA-256 of the
+/// file.
+struct Description {
+    inputs: Vec<Input>,
+    memory: Vec<Cell>,
+    sha256: String,
+}
+
+/// Shape and numbers of the actions.
 type Output = (Vec<usize>, Vec<f64>);
 
 /// An input of the network.
@@ -57,7 +69,8 @@ struct Input {
 struct Runnable {
     model: Model,
     inputs: Vec<NodeId>,
-    output: NodeId,
+    /// The actions, and then the memories.
+    outputs: Vec<NodeId>,
     options: RunOptions,
 }
 
@@ -65,32 +78,47 @@ impl Network {
     /// Load a file and check its inputs against the profile.
     pub(crate) fn load(path: &str, profile: &Profile, deadline: Deadline) -> Result<Self, PolicyError> {
         let operation = format!("loading {path}");
-        let (file, profile) = (path.to_owned(), profile.clone());
-        let load = move || load(&file, &profile);
-        let (worker, (inputs, sha256)) = Worker::start(load, Runnable::run, deadline, &operation)?;
+        let (file, wanted) = (path.to_owned(), profile.clone());
+        let load = move || load(&file, &wanted);
+        let (worker, Description { inputs, memory, sha256 }) =
+            Worker::start(load, Runnable::run, deadline, &operation)?;
         let described: Vec<Json> = inputs
             .iter()
             .map(|input| json!({"name": input.name, "shape": input.shape, "type": name(input.dtype)}))
             .collect();
-        let declared = json!({"sha256": sha256, "inputs": described});
-        Ok(Self { path: path.to_owned(), worker, inputs, declared })
+        let mut declared = json!({"sha256": sha256, "inputs": described});
+        if !profile.memories.is_empty() {
+            declared["memory"] = json!(profile.memories);
+        }
+        Ok(Self { path: path.to_owned(), worker, inputs, memory, declared })
     }
 }
 
 impl Connection for Network {
     fn begin(&mut self, _: &str, _: u64, _: Deadline) -> Result<(), PolicyError> {
+        for cell in &mut self.memory {
+            cell.value = memory::zero(&self.inputs[cell.input])?;
+        }
         Ok(())
     }
 
     fn infer(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, PolicyError> {
-        let values = self.inputs.iter().map(|input| {
+        let values = self.inputs.iter().enumerate().map(|(at, input)| {
+            if let Some(cell) = self.memory.iter().find(|cell| cell.input == at) {
+                return Ok(cell.value.clone());
+            }
             let mut sent = query.images.iter().chain(&query.states);
             let array = sent.find(|(key, _)| *key == input.name).map(|(_, array)| array);
             let array = array.ok_or_else(|| PolicyError::Mismatch(format!("the profile sends no `{}`", input.name)))?;
             input.value(array)
         });
         let values = values.collect::<Result<_, PolicyError>>()?;
-        let (shape, numbers) = self.worker.call(values, deadline, &format!("running {}", self.path))?;
+        let operation = format!("running {}", self.path);
+        let ((shape, numbers), remembered) = self.worker.call(values, deadline, &operation)?;
+        for (cell, value) in self.memory.iter_mut().zip(remembered) {
+            memory::check(&self.inputs[cell.input], &value)?;
+            cell.value = value;
+        }
         let data = numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
         let array = Array::new(Dtype::F64, shape, data).map_err(|e| PolicyError::Shape(e.to_string()))?;
         Chunk::of_array(&array)
@@ -102,17 +130,20 @@ impl Connection for Network {
 }
 
 impl Runnable {
-    fn run(&self, values: Vec<Value>) -> Result<Output, String> {
+    /// Compute the actions and the memories for the next request.
+    fn run(&self, values: Vec<Value>) -> Result<(Output, Vec<Value>), String> {
         let inputs: Vec<(NodeId, ValueOrView)> =
             self.inputs.iter().copied().zip(values.into_iter().map(Into::into)).collect();
-        let outputs = self.model.run(inputs, &[self.output], Some(self.options.clone())).map_err(|e| e.to_string())?;
-        match outputs.into_iter().next() {
-            Some(Value::FloatTensor(tensor)) => Ok(plain(&tensor)),
-            Some(Value::Int32Tensor(tensor)) => Ok(plain(&tensor)),
-            Some(Value::Int8Tensor(tensor)) => Ok(plain(&tensor)),
-            Some(Value::UInt8Tensor(tensor)) => Ok(plain(&tensor)),
-            _ => Err("its first output is not an array".to_owned()),
-        }
+        let outputs = self.model.run(inputs, &self.outputs, Some(self.options.clone())).map_err(|e| e.to_string())?;
+        let mut outputs = outputs.into_iter();
+        let actions = match outputs.next() {
+            Some(Value::FloatTensor(tensor)) => plain(&tensor),
+            Some(Value::Int32Tensor(tensor)) => plain(&tensor),
+            Some(Value::Int8Tensor(tensor)) => plain(&tensor),
+            Some(Value::UInt8Tensor(tensor)) => plain(&tensor),
+            _ => return Err("its first output is not an array".to_owned()),
+        };
+        Ok((actions, outputs.collect()))
     }
 }
 
@@ -186,8 +217,8 @@ fn cannot_load(why: &str) -> String {
     format!("cannot be loaded as an ONNX model: {why}")
 }
 
-/// Read and check a file. Returns the network, its inputs, and the SHA-256 of the file.
-fn load(path: &str, profile: &Profile) -> Result<(Runnable, (Vec<Input>, String)), PolicyError> {
+/// Read and check a file.
+fn load(path: &str, profile: &Profile) -> Result<(Runnable, Description), PolicyError> {
     let invalid = |why: String| PolicyError::File { path: path.to_owned(), why };
     let bytes = read(path).map_err(invalid)?;
     let sha256: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
@@ -195,11 +226,14 @@ fn load(path: &str, profile: &Profile) -> Result<(Runnable, (Vec<Input>, String)
         let inputs = fix_inputs(&mut model, profile)?;
         Ok((model, inputs))
     });
-    let (model, inputs) = parsed.map_err(|why| invalid(explain(&bytes, &why)))?;
+    let (mut model, inputs) = parsed.map_err(|why| invalid(explain(&bytes, &why)))?;
     drop(bytes);
     check_keys(&inputs, profile)?;
-    let runnable = catch_panics(|| prepare(model, &inputs)).map_err(|why| invalid(cannot_load(&why)))?;
-    Ok((runnable, (inputs, sha256)))
+    memory::choose_outputs(&mut model, profile)?;
+    let prepared = catch_panics(|| prepare(model, &inputs));
+    let (runnable, outputs) = prepared.map_err(|why| invalid(cannot_load(&why)))?;
+    let memory = memory::cells(profile, &inputs, &outputs)?;
+    Ok((runnable, Description { inputs, memory, sha256 }))
 }
 
 /// Check that the profile sends each input of the network, and nothing else.
@@ -207,15 +241,26 @@ fn check_keys(inputs: &[Input], profile: &Profile) -> Result<(), PolicyError> {
     let names: Vec<&str> = inputs.iter().map(|input| input.name.as_str()).collect();
     let cameras = profile.cameras.iter().map(|camera| camera.key.as_str());
     let keys: Vec<&str> = cameras.chain(profile.states.iter().map(|state| state.key.as_str())).collect();
+    let memories: Vec<&str> = profile.memories.iter().map(|memory| memory.input.as_str()).collect();
+    if let Some(input) = memories.iter().find(|input| !names.contains(input)) {
+        let names = names.join(", ");
+        return Err(PolicyError::Mismatch(format!(
+            "memory.input `{input}` is not an input of the network, which has {names}. Hint: correct [[memory]] in the \
+             profile"
+        )));
+    }
     if let Some(key) = keys.iter().find(|key| !names.contains(key)) {
         let names = names.join(", ");
         return Err(PolicyError::Mismatch(format!(
             "the profile sends `{key}`, but the inputs of the network are {names}"
         )));
     }
-    if let Some(name) = names.iter().find(|name| !keys.contains(name)) {
+    if let Some(name) = names.iter().find(|name| !keys.contains(name) && !memories.contains(name)) {
         let keys = keys.join(", ");
-        return Err(PolicyError::Mismatch(format!("the network has an input `{name}`, but the profile sends {keys}")));
+        return Err(PolicyError::Mismatch(format!(
+            "the network has an input `{name}`, but the profile sends {keys}. Hint: add a [[state]] or [[camera]] with this \
+             key, or a [[memory]] if an output of the network is fed back to it"
+        )));
     }
     Ok(())
 }
@@ -225,16 +270,16 @@ fn parse(bytes: &[u8]) -> Result<ModelProto, String> {
     scan::check(bytes)?;
     let mut model = ModelProto::parse_buf(bytes).map_err(|e| e.to_string())?;
     let graph = model.graph.as_mut().ok_or("it has no graph")?;
+    if graph.output.is_empty() {
+        return Err("it has no output".to_owned());
+    }
     // Only the inputs are believed; everything else follows from them.
     graph.value_info.clear();
-    graph.output.truncate(1);
-    graph.output.first_mut().ok_or("it has no output")?.r#type = None;
     graph.node.iter_mut().for_each(remove_dropout);
-    remove_unused(graph);
     Ok(model)
 }
 
-/// Remove the nodes that the first output does not depend on.
+/// Remove the nodes that no output depends on.
 fn remove_unused(graph: &mut GraphProto) {
     let mut used: HashSet<String> = graph.output.iter().filter_map(|output| output.name.clone()).collect();
     let mut nodes = std::mem::take(&mut graph.node);
@@ -282,8 +327,9 @@ fn fix_inputs(model: &mut ModelProto, profile: &Profile) -> Result<Vec<Input>, S
     inputs.collect()
 }
 
-/// Check the memory that a network needs, and load it.
-fn prepare(model: ModelProto, inputs: &[Input]) -> Result<Runnable, String> {
+/// Check the memory that a network needs, and load it. Returns also the types and shapes of its outputs.
+fn prepare(mut model: ModelProto, inputs: &[Input]) -> Result<(Runnable, Vec<sizes::Array>), String> {
+    model.graph.iter_mut().for_each(remove_unused);
     let pool = Arc::new(ThreadPool::with_num_threads(1));
     let options = RunOptions::default().with_thread_pool(Some(pool.clone()));
     let single = options.clone();
@@ -292,23 +338,33 @@ fn prepare(model: ModelProto, inputs: &[Input]) -> Result<Runnable, String> {
         let checked = sizes::check(&model, &ModelOptions::with_all_ops(), &single);
         (model, checked)
     });
-    checked?;
+    let described = checked?;
     let bytes = model.write_buf().map_err(|e| e.to_string())?;
     drop(model);
     let model = ModelOptions::with_all_ops().prepack_weights(true).load(bytes).map_err(|e| e.to_string())?;
     let ids = inputs.iter().map(|input| model.node_id(&input.name).map_err(|e| e.to_string()));
     let inputs = ids.collect::<Result<_, _>>()?;
-    let output = *model.output_ids().first().ok_or("it has no output")?;
-    Ok(Runnable { model, inputs, output, options })
+    let outputs = model.output_ids().to_vec();
+    Ok((Runnable { model, inputs, outputs, options }, described))
 }
 
-/// The shape of what the profile sends under this name: an image, or a vector whose length depends on the robot.
+/// The shape of what the profile sends under this name: an image, or a vector whose length depends on the robot, with a
+/// leading axis for a history. A memory has the shape that the network declares.
 fn sent_shape(profile: &Profile, name: &str) -> Vec<Option<usize>> {
-    match profile.cameras.iter().find(|camera| camera.key == name) {
-        Some(Camera { width: w, height: h, axes: Axes::Hwc, .. }) => vec![Some(*h), Some(*w), Some(3)],
-        Some(Camera { width: w, height: h, axes: Axes::Chw, .. }) => vec![Some(3), Some(*h), Some(*w)],
-        None => vec![None],
+    if profile.memories.iter().any(|memory| memory.input == name) {
+        return Vec::new();
     }
+    let camera = profile.cameras.iter().find(|camera| camera.key == name);
+    let state = profile.states.iter().find(|state| state.key == name);
+    let history = camera.map(|camera| &camera.history).or_else(|| state.map(|state| &state.history));
+    let mut shape: Vec<_> =
+        history.filter(|offsets| !offsets.is_empty()).map(|offsets| Some(offsets.len())).into_iter().collect();
+    match camera {
+        Some(Camera { width: w, height: h, axes: Axes::Hwc, .. }) => shape.extend([Some(*h), Some(*w), Some(3)]),
+        Some(Camera { width: w, height: h, axes: Axes::Chw, .. }) => shape.extend([Some(3), Some(*h), Some(*w)]),
+        None => shape.push(None),
+    }
+    shape
 }
 
 /// Fix the sizes that a network leaves open: 1 for leading axes that are not sent, else the size that is sent.

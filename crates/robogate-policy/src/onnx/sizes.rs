@@ -26,6 +26,13 @@ const SMALL: usize = 1024;
 /// Most nodes of a network.
 const MAX_NODES: usize = 50_000;
 
+/// Type and shape of an output of a network.
+pub(super) struct Array {
+    /// The type in which the library computes.
+    pub(super) dtype: DataType,
+    pub(super) shape: Vec<usize>,
+}
+
 /// What is known of an array.
 #[derive(Clone)]
 struct Known {
@@ -35,8 +42,9 @@ struct Known {
     content: Option<TensorProto>,
 }
 
-/// Check that a network with inputs of fixed sizes needs a limited amount of memory.
-pub(super) fn check(model: &ModelProto, options: &ModelOptions, run: &RunOptions) -> Result<(), String> {
+/// Check that a network with inputs of fixed sizes needs a limited amount of memory. Returns types and shapes of its
+/// outputs.
+pub(super) fn check(model: &ModelProto, options: &ModelOptions, run: &RunOptions) -> Result<Vec<Array>, String> {
     let graph = model.graph.as_ref().ok_or("it has no graph")?;
     if graph.node.len() > MAX_NODES {
         return Err(format!("it has {} nodes. Expected at most {MAX_NODES}", graph.node.len()));
@@ -59,7 +67,12 @@ pub(super) fn check(model: &ModelProto, options: &ModelOptions, run: &RunOptions
     for node in &graph.node {
         sizes.node(node).map_err(|why| format!("{}: {why}", label(node)))?;
     }
-    Ok(())
+    let outputs = graph.output.iter().map(|output| {
+        let name = output.name.as_deref().unwrap_or_default();
+        let known = sizes.arrays.get(name).ok_or_else(|| format!("no node computes its output `{name}`"))?;
+        Ok(Array { dtype: known.dtype, shape: known.shape.clone() })
+    });
+    outputs.collect()
 }
 
 /// The sizes computed so far.
@@ -124,6 +137,7 @@ impl<'a> Sizes<'a> {
             .filter(|name| !name.is_empty() && self.used.contains(name))
             .collect();
         let op = node.op_type.as_deref().unwrap_or_default();
+        check_recurrent(node)?;
         check_elements(largest(node, &inputs).unwrap_or(0.0))?;
         let arrays = if op == "Constant" {
             self.evaluate(single(node, &outputs), &outputs)?
@@ -256,6 +270,20 @@ impl<'a> Sizes<'a> {
             }
         })
     }
+}
+
+/// Check that the library computes a recurrent layer as its node says.
+fn check_recurrent(node: &NodeProto) -> Result<(), String> {
+    let op = node.op_type.as_deref().unwrap_or_default();
+    // The library ignores the lengths of sequences.
+    if matches!(op, "GRU" | "LSTM") && node.input.get(4).is_some_and(|name| !name.is_empty()) {
+        return Err("sequence_lens is not supported. Hint: export the model with sequences of one length".to_owned());
+    }
+    let linear = attribute(node, "linear_before_reset").and_then(|attribute| attribute.i);
+    if op == "GRU" && linear != Some(1) {
+        return Err("only linear_before_reset = 1 is supported, which PyTorch exports".to_owned());
+    }
+    Ok(())
 }
 
 /// A node for error messages.
@@ -441,7 +469,7 @@ fn content(name: &str, value: Value) -> Result<Known, String> {
 }
 
 /// The type in which the library computes with a type of ONNX.
-fn computed(dtype: DataType) -> Option<DataType> {
+pub(super) fn computed(dtype: DataType) -> Option<DataType> {
     Some(match dtype {
         DataType::FLOAT | DataType::DOUBLE | DataType::FLOAT16 => DataType::FLOAT,
         DataType::INT32 | DataType::INT64 | DataType::BOOL => DataType::INT32,

@@ -5,7 +5,7 @@ use crate::array::Dtype;
 
 /// Maximum width or height of an image, in pixels.
 const MAX_SIDE: usize = 4096;
-/// Maximum number of actions that an image may lie back.
+/// Maximum number of actions that an image or a state may lie back.
 const MAX_HISTORY: i32 = 100;
 /// Maximum number of actions in a reply.
 pub(crate) const MAX_CHUNK: usize = 1000;
@@ -37,12 +37,21 @@ fn invalid(field: impl Into<String>, why: impl Into<String>) -> Checked {
     Err(ProfileError::Value { field: field.into(), why: why.into() })
 }
 
+/// Check the offsets of a camera or a state.
+fn check_history(offsets: &[i32], field: impl Fn() -> String) -> Checked {
+    if offsets.iter().all(|offset| (-MAX_HISTORY..=0).contains(offset)) {
+        return Ok(());
+    }
+    invalid(field(), format!("the offsets are out of range. Expected integers from {} to 0", -MAX_HISTORY))
+}
+
 impl Profile {
     /// Check the values.
     pub fn check(&self) -> Result<(), ProfileError> {
         self.check_name()?;
         self.check_images()?;
         self.check_states()?;
+        self.check_memories()?;
         self.check_numbers()?;
         self.check_action()?;
         self.check_reference()?;
@@ -78,10 +87,7 @@ impl Profile {
                     format!("{} is out of range. Expected a fraction in (0, 1]", camera.crop),
                 );
             }
-            if camera.history.iter().any(|offset| !(-MAX_HISTORY..=0).contains(offset)) {
-                let why = format!("the offsets are out of range. Expected integers from {} to 0", -MAX_HISTORY);
-                return invalid(field("history"), why);
-            }
+            check_history(&camera.history, || field("history"))?;
             if camera.turned && camera.orientation != Orientation::Upright {
                 return invalid(field("turned"), "use `orientation` alone");
             }
@@ -101,6 +107,12 @@ impl Profile {
             if !matches!(state.dtype, Dtype::F32 | Dtype::F64) {
                 return invalid(field("type"), format!("{} is not supported. Expected <f4 or <f8", state.dtype.name()));
             }
+            check_history(&state.history, || field("history"))?;
+            if matches!(self.dialect, Dialect::LeRobot(_)) && !state.history.is_empty() {
+                let why =
+                    "not used with the dialect lerobot, whose policies keep earlier observations themselves. Remove it";
+                return invalid(field("history"), why);
+            }
             let (low, high) = (state.low.len(), state.high.len());
             if low != high
                 || state.low.iter().zip(&state.high).any(|(low, high)| low > high || low.is_nan() || high.is_nan())
@@ -117,6 +129,33 @@ impl Profile {
         let needs_stroke = self.states.iter().flat_map(|state| &state.parts).any(|part| part.needs_stroke());
         if needs_stroke && self.tool.stroke_m.is_none() {
             return invalid("tool.stroke_m", "missing. A state contains the openness of the gripper, which needs it");
+        }
+        Ok(())
+    }
+
+    fn check_memories(&self) -> Checked {
+        if !self.memories.is_empty() && !self.dialect.is_file() {
+            return invalid(
+                "memory",
+                "only an ONNX file has memory that RoboGate keeps. A server keeps its own. Remove it",
+            );
+        }
+        for (i, memory) in self.memories.iter().enumerate() {
+            let earlier = &self.memories[..i];
+            let input = &memory.input;
+            let cameras = self.cameras.iter().map(|camera| &camera.key);
+            if cameras.chain(self.states.iter().map(|state| &state.key)).any(|key| key == input) {
+                let why =
+                    format!("a camera or a state has the key `{input}`. Expected an input that nothing else fills");
+                return invalid(format!("memory[{i}].input"), why);
+            }
+            if earlier.iter().any(|other| other.input == *input) {
+                return invalid(format!("memory[{i}].input"), format!("another memory has the input `{input}`"));
+            }
+            if earlier.iter().any(|other| other.output == memory.output) {
+                let why = format!("another memory has the output `{}`", memory.output);
+                return invalid(format!("memory[{i}].output"), why);
+            }
         }
         Ok(())
     }
@@ -275,5 +314,30 @@ mod tests {
             let error = Profile::from_toml(&good.replacen(from, to, 1)).unwrap_err().to_string();
             assert!(error.contains(part), "{error}");
         }
+    }
+
+    #[test]
+    fn memory_and_history_are_checked() {
+        let learned = Profile::built_in("learned").unwrap();
+        let memory = |input: &str, output: &str| format!("\n[[memory]]\ninput = \"{input}\"\noutput = \"{output}\"\n");
+        let error = |text: String| Profile::from_toml(&text).unwrap_err().to_string();
+        let pair = memory("h0", "h1") + &memory("c0", "c1");
+        assert_eq!(Profile::from_toml(&(learned.to_owned() + &pair)).unwrap().memories.len(), 2);
+        for (added, part) in [
+            (memory("state", "h1"), "memory[0].input: a camera or a state has the key `state`"),
+            (memory("h0", "h1") + &memory("h0", "c1"), "memory[1].input: another memory has the input `h0`"),
+            (memory("h0", "h1") + &memory("c0", "h1"), "memory[1].output: another memory has the output `h1`"),
+        ] {
+            assert!(error(learned.to_owned() + &added).contains(part), "{added}");
+        }
+        let served = Profile::built_in("pi0-libero").unwrap();
+        assert!(error(served.to_owned() + &pair).contains("memory: only an ONNX file has memory"));
+        let history = |offsets: &str| learned.replacen("type =", &format!("history = {offsets}\ntype ="), 1);
+        assert!(Profile::from_toml(&history("[-2, -1, 0]")).is_ok());
+        for offsets in ["[-101]", "[1]", "[-2147483648]"] {
+            assert!(error(history(offsets)).contains("state[0].history: the offsets are out of range"), "{offsets}");
+        }
+        let lerobot = Profile::built_in("smolvla").unwrap().replacen("parts =", "history = [-1, 0]\nparts =", 1);
+        assert!(error(lerobot).contains("state[0].history: not used with the dialect lerobot"));
     }
 }

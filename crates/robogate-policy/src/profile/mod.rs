@@ -3,6 +3,7 @@
 mod action;
 mod check;
 mod dialect;
+mod memory;
 mod observation;
 
 use serde::{Deserialize, Serialize};
@@ -11,6 +12,7 @@ pub use action::{ActionForm, Arm, Chunking, Frame, Rotation, Side};
 pub(crate) use check::MAX_CHUNK;
 pub use check::ProfileError;
 pub use dialect::{Dialect, Gr00t, LeRobot};
+pub use memory::Memory;
 pub use observation::{Axes, Camera, Filter, Fit, Orientation, Part, State, Tool};
 
 /// The description of a model and its server, from a TOML file: built in or supplied by the user.
@@ -43,6 +45,10 @@ pub struct Profile {
     /// Vectors, in the order in which they are sent.
     #[serde(default, rename = "state", skip_serializing_if = "Vec::is_empty")]
     pub states: Vec<State>,
+    /// Outputs of a recurrent network that are its inputs at the next request. Only for ONNX files: servers keep their
+    /// own state.
+    #[serde(default, rename = "memory", skip_serializing_if = "Vec::is_empty")]
+    pub memories: Vec<Memory>,
     /// Differences between the tool of the cell and that of the training data.
     #[serde(default)]
     pub tool: Tool,

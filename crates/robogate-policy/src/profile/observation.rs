@@ -140,6 +140,10 @@ pub struct State {
     /// Type of its elements: `<f4` or `<f8`.
     #[serde(default = "double", rename = "type")]
     pub dtype: Dtype,
+    /// States of earlier actions that are sent with the present one, for example `[-2, -1, 0]`: two actions ago, one
+    /// action ago, and now. They become the first axis of the array. Default: the present state, without this axis.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub history: Vec<i32>,
     /// Smallest value of each number in the training data of the checkpoint, as published with it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub low: Vec<f64>,

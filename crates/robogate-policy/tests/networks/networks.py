@@ -1,9 +1,10 @@
-"""Write small.onnx, batch.onnx, open.onnx and operators.onnx, and expected.json: the outputs of ONNX Runtime for them and for the policies that RoboGate ships.
+"""Write the networks of this folder, and expected.json: the outputs of ONNX Runtime for them and for the policies that RoboGate ships.
 
     pip install --requirement scripts/learned/requirements.txt
     python crates/robogate-policy/tests/networks/networks.py
 
-The observation is that of tests/support, with images of 96 x 96 pixels: bytes that count up, joints at zero, an opening of 80 mm.
+The observation is that of tests/support, with images of 96 x 96 pixels: bytes that count up, joints at zero, an opening of 80 mm. For gru.onnx, lstm.onnx and
+history.onnx there are STEPS observations, of one action each: `step_state` and `step_image`.
 """
 
 import json
@@ -18,6 +19,10 @@ from PIL import Image
 HERE = Path(__file__).parent
 SHIPPED = HERE.parents[3] / "assets/policies"
 SIDE = 96
+STEPS = 8
+# Actions that are executed of each chunk, and the offsets of a history, as in the profiles of tests/onnx.rs.
+EXECUTED = {"gru": 1, "lstm": 2, "history": 2}
+HISTORY = (-2, -1, 0)
 
 
 def small(path, batch, width):
@@ -127,6 +132,109 @@ def operators(path):
     path.write_bytes(model.SerializeToString())
 
 
+def save(path, nodes, weights, inputs, outputs):
+    initializers = [numpy_helper.from_array(value, name) for name, value in weights.items()]
+    described = [[helper.make_tensor_value_info(*value) for value in values] for values in (inputs, outputs)]
+    graph = helper.make_graph(nodes, path.stem, *described, initializers)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    onnx.checker.check_model(model)
+    path.write_bytes(model.SerializeToString())
+
+
+def recurrent(path, cell, gates, memories):
+    """One recurrent layer of 16 units as PyTorch exports it, with an open batch size, and a layer to two actions. The LSTM also counts the requests."""
+    rng = np.random.default_rng(3)
+
+    def weight(*shape):
+        return rng.normal(0, 0.4, shape).astype(np.float32)
+
+    weights = {
+        "first": np.array([0], dtype=np.int64),
+        "form": np.array([1, 2, 8], dtype=np.int64),
+        "w": weight(1, gates * 16, 8), "r": weight(1, gates * 16, 16), "b": weight(1, 2 * gates * 16),
+        "layer": weight(16, 16), "bias": weight(16),
+    }
+    # linear_before_reset is that of PyTorch.
+    more = {"linear_before_reset": 1} if cell == "GRU" else {}
+    remembered = [name for name, _ in memories[:2]]
+    nodes = [
+        helper.make_node("Unsqueeze", ["state", "first"], ["sequence"]),
+        helper.make_node(cell, ["sequence", "w", "r", "b", "", *remembered], ["", *(name for _, name in memories[:2])], hidden_size=16, **more),
+        helper.make_node("Squeeze", [memories[0][1], "first"], ["last"]),
+        helper.make_node("Gemm", ["last", "layer", "bias"], ["flat"]),
+        helper.make_node("Reshape", ["flat", "form"], ["joints"]),
+    ]
+    inputs = [("state", TensorProto.FLOAT, ["batch", 8])]
+    inputs += [(name, TensorProto.FLOAT, [1, "batch", 16]) for name, _ in memories[:2]]
+    outputs = [(name, TensorProto.FLOAT, [1, "batch", 16]) for _, name in memories[:2]]
+    if len(memories) == 3:
+        counted, next_count = memories[2]
+        weights.update(one=np.array([1], dtype=np.int64), little=np.float32(0.01))
+        nodes += [
+            helper.make_node("Add", [counted, "one"], [next_count]),
+            helper.make_node("Cast", [counted], ["number"], to=TensorProto.FLOAT),
+            helper.make_node("Mul", ["number", "little"], ["drift"]),
+            helper.make_node("Add", ["joints", "drift"], ["actions"]),
+        ]
+        inputs.append((counted, TensorProto.INT64, [1]))
+        outputs.append((next_count, TensorProto.INT64, [1]))
+    else:
+        nodes[-1].output[0] = "actions"
+    # The actions need not be the first output.
+    outputs.append(("actions", TensorProto.FLOAT, [1, 2, 8]))
+    save(path, nodes, weights, inputs, outputs)
+
+
+def history(path):
+    """One layer from the mean colours of two images and three states to two actions."""
+    rng = np.random.default_rng(4)
+    weights = {
+        "scale": np.array(1 / 255, dtype=np.float32),
+        "colours_form": np.array([1, 6], dtype=np.int64), "states_form": np.array([1, 24], dtype=np.int64),
+        "form": np.array([1, 2, 8], dtype=np.int64),
+        "layer": rng.normal(0, 0.3, (30, 16)).astype(np.float32), "bias": rng.normal(0, 0.3, 16).astype(np.float32),
+    }
+    nodes = [
+        helper.make_node("Cast", ["front"], ["floats"], to=TensorProto.FLOAT),
+        helper.make_node("Mul", ["floats", "scale"], ["pictures"]),
+        helper.make_node("ReduceMean", ["pictures"], ["means"], axes=[2, 3], keepdims=0),
+        helper.make_node("Reshape", ["means", "colours_form"], ["colours"]),
+        helper.make_node("Reshape", ["state", "states_form"], ["states"]),
+        helper.make_node("Concat", ["colours", "states"], ["seen"], axis=1),
+        helper.make_node("Gemm", ["seen", "layer", "bias"], ["flat"]),
+        helper.make_node("Reshape", ["flat", "form"], ["actions"]),
+    ]
+    inputs = [("front", TensorProto.UINT8, ["batch", "images", 8, 8, 3]), ("state", TensorProto.FLOAT, ["batch", 3, 8])]
+    save(path, nodes, weights, inputs, [("actions", TensorProto.FLOAT, [1, 2, 8])])
+
+
+def step_state(step):
+    """Joints and gripper opening at an action."""
+    joints = [0.05 * (step + 1) * (joint + 1) for joint in range(7)]
+    return np.array([[*joints, 0.08 - 0.01 * step]], dtype=np.float32)
+
+
+def step_image(step):
+    """The image of 8 x 8 pixels at an action."""
+    picture = Image.frombytes("RGB", (SIDE, SIDE), bytes((i + 40 * step) % 256 for i in range(3 * SIDE * SIDE)))
+    return np.asarray(picture.resize((8, 8), Image.Resampling.BILINEAR))
+
+
+def episode(name, inputs, memories=()):
+    """The executed actions of an episode. `inputs` are those of a request at a step; memories are zero at the start."""
+    session = onnxruntime.InferenceSession(HERE / f"{name}.onnx", providers=["CPUExecutionProvider"])
+    names = [output.name for output in session.get_outputs()]
+    zeros = {"tensor(float)": np.zeros((1, 1, 16), np.float32), "tensor(int64)": np.zeros(1, np.int64)}
+    kept = {given.name: zeros[given.type] for given in session.get_inputs() if given.name in dict(memories)}
+    executed = []
+    for step in range(STEPS):
+        if step % EXECUTED[name] == 0:
+            outputs = dict(zip(names, session.run(None, {**inputs(step), **kept})))
+            kept = {given: outputs[returned] for given, returned in memories}
+        executed.append([float(x) for x in outputs["actions"][0][step % EXECUTED[name]]])
+    return executed
+
+
 def answer(path, **inputs):
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     return [[float(x) for x in row] for row in session.run(None, inputs)[0][0]]
@@ -142,7 +250,17 @@ small(HERE / "small.onnx", 1, 8)
 small(HERE / "batch.onnx", "batch", 8)
 small(HERE / "open.onnx", "batch", "width")
 operators(HERE / "operators.onnx")
+recurrent(HERE / "gru.onnx", "GRU", 3, [("h0", "h1")])
+recurrent(HERE / "lstm.onnx", "LSTM", 4, [("h0", "h1"), ("c0", "c1"), ("n0", "n1")])
+history(HERE / "history.onnx")
 expected = {name: answer(HERE / f"{name}.onnx", front=eighth, state=state) for name in ["small", "operators"]}
 for path in sorted(SHIPPED.glob("*.onnx")):
     expected[path.stem] = answer(path, front=middle, wrist=whole, state=state)
+expected["gru"] = episode("gru", lambda step: {"state": step_state(step)}, [("h0", "h1")])
+expected["lstm"] = episode("lstm", lambda step: {"state": step_state(step)}, [("h0", "h1"), ("c0", "c1"), ("n0", "n1")])
+# Before the first action, its observation repeats.
+expected["history"] = episode("history", lambda step: {
+    "state": np.stack([step_state(max(0, step + offset))[0] for offset in HISTORY])[None],
+    "front": np.stack([step_image(max(0, step + offset)) for offset in HISTORY[1:]])[None],
+})
 (HERE / "expected.json").write_text(json.dumps(expected, indent=1) + "\n")
