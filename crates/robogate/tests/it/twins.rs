@@ -82,7 +82,7 @@ fn twins_do_not_depend_on_threads_shards_or_interruptions() {
 fn active_rounds_have_twins() {
     let dir = TempDir::new().unwrap();
     let at = dir.path();
-    robogate(at, "run --task pendulum --design active -n 80 --seed 3 --twins --out a", 0, &["80 nominal twins"]);
+    verb(at, "run --task pendulum --design active -n 80 --seed 3 --twins --out a", 0, &["80 nominal twins"]);
     let twins = json(&at.join("a/twins.json"));
     // The first 20 episodes, and half of the others: the rest was chosen by a model.
     assert!(twins["pairs"].as_u64() > Some(40) && twins["unpaired"].as_u64() == Some(0), "{twins}");
@@ -93,24 +93,19 @@ fn families_have_effects_of_their_own() {
     let dir = TempDir::new().unwrap();
     let at = dir.path();
     let families = "--family motor=torque_limit_nm --family pole=mass_kg,len*";
-    robogate(
-        at,
-        &format!("run --task pendulum {families} -n 60 --seed 3 --out f"),
-        0,
-        &["Control arm", "motor", "pole"],
-    );
+    verb(at, &format!("run --task pendulum {families} -n 60 --seed 3 --out f"), 0, &["Control arm", "motor", "pole"]);
     let twins = json(&at.join("f/twins.json"));
     for (family, name) in ["motor", "pole"].iter().enumerate() {
         let of = &twins["families"][family];
         assert_eq!((of["family"].as_str(), of["pairs"].as_u64()), (Some(*name), Some(30)), "{twins}");
     }
-    robogate(at, "run --task pendulum --family each -n 12 --seed 3 --out e", 0, &["6 scenarios"]);
+    verb(at, "run --task pendulum --family each -n 12 --seed 3 --out e", 0, &["6 scenarios"]);
     for (wrong, says) in [
         ("motor=torque", "has no parameter `torque`"),
         ("motor", "expected NAME=PARAMETER"),
         ("a=mass_kg --family b=mass*", "`mass_kg` is in the family a too"),
     ] {
-        robogate(at, &format!("run --task pendulum --family {wrong} --out x"), 2, &[says]);
+        verb(at, &format!("run --task pendulum --family {wrong} --out x"), 2, &[says]);
     }
 }
 
