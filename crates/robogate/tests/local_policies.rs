@@ -88,6 +88,33 @@ fn random_policy_ignores_thread_count() {
 }
 
 #[test]
+fn recurrent_policies_ignore_thread_count() {
+    let dir = folder_with_network();
+    fs::write(dir.path().join("plan.toml"), "seed = 5\n[uniform]\nepisodes = 3\n").unwrap();
+    for name in ["gru", "history"] {
+        for kind in ["onnx", "toml"] {
+            let file = format!("{name}.{kind}");
+            fs::copy(networks().join(&file), dir.path().join(file)).unwrap();
+        }
+        let (network, profile) = (format!("{name}.onnx"), format!("{name}.toml"));
+        let hash = |threads: &str| {
+            let out = format!("{name}-{threads}");
+            let more = ["--policy", &network, "--profile", &profile, "--threads", threads, "--out", &out];
+            run(dir.path(), &more)["dataset_hash"].as_str().map(str::to_owned)
+        };
+        let one = hash("1");
+        assert!(one.is_some());
+        assert_eq!(one, hash("3"), "{name}");
+        let recorded = format!("{name}-3");
+        assert_exit(dir.path(), &["replay", &recorded, "2"], 0, &["identical to the recorded episode, bit for bit"]);
+    }
+    let check = ["policy", "check", "gru.onnx", "--profile", "gru.toml", "--requests", "3"];
+    assert_exit(dir.path(), &check, 0, &["h0 is fed by h1", "zero at the start of each episode"]);
+    let check = ["policy", "check", "history.onnx", "--profile", "history.toml", "--requests", "3"];
+    assert_exit(dir.path(), &check, 0, &["front: -1, 0; state: -2, -1, 0"]);
+}
+
+#[test]
 fn wrong_policies_are_explained() {
     let dir = folder_with_network();
     let bad: [(&[&str], &[&str]); 7] = [
