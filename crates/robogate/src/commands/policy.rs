@@ -331,6 +331,12 @@ impl Check {
                 )
             },
         ));
+        found.properties.extend(history(profile).map(|text| ("history", text)));
+        if !profile.memories.is_empty() {
+            policy.begin(&start.instance.instruction)?;
+            let repeated = [policy.infer(&observation)?, policy.infer(&observation)?];
+            found.properties.push(("memory", memory(profile, &repeated)));
+        }
         check_actions(profile, &first, &observation, is_cell(bound.task()), found);
         in_environment(profile, bound, &first, &observation, found)
     }
@@ -424,6 +430,28 @@ fn in_environment(
     let texts: Vec<String> = ranges.iter().map(|(low, high)| format!("{low:.3} to {high:.3}")).collect();
     found.properties.push(("in the environment", texts.join(", ")));
     Ok(())
+}
+
+/// The earlier observations that the model sees, as offsets in actions.
+fn history(profile: &Profile) -> Option<String> {
+    let cameras = profile.cameras.iter().map(|camera| (&camera.key, &camera.history));
+    let states = profile.states.iter().map(|state| (&state.key, &state.history));
+    let described = cameras.chain(states).filter(|(_, offsets)| !offsets.is_empty()).map(|(key, offsets)| {
+        let offsets: Vec<String> = offsets.iter().map(ToString::to_string).collect();
+        format!("{key}: {}", offsets.join(", "))
+    });
+    let described: Vec<String> = described.collect();
+    (!described.is_empty()).then(|| format!("{} (in actions; the first observation repeats)", described.join("; ")))
+}
+
+/// The memory of a recurrent network, and its effect on the second of two requests with the same observation.
+fn memory(profile: &Profile, replies: &[Chunk; 2]) -> String {
+    let pairs: Vec<String> =
+        profile.memories.iter().map(|memory| format!("{} is fed by {}", memory.input, memory.output)).collect();
+    let [first, second] = replies.each_ref().map(|chunk| chunk.rows().concat());
+    let change = first.iter().zip(&second).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    let pairs = pairs.join(", ");
+    format!("{pairs}; zero at the start of each episode; changes the second reply by up to {change:.4}")
 }
 
 /// Check the actions for the first observation. In the cell the gripper is open and far above the object.

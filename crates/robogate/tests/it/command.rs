@@ -10,7 +10,13 @@ use std::time::Duration;
 use robogate_core::Seed;
 use tempfile::TempDir;
 
-use crate::harness::{assert_done, assert_usage, path, robogate, text};
+use crate::harness::{assert_done, assert_exit, path, robogate, text};
+
+/// Asserts exit code 2 and that the message contains each of `parts`.
+#[track_caller]
+fn assert_usage(arguments: &[&str], parts: &[&str]) {
+    assert_exit(arguments, 2, parts);
+}
 
 /// The files that record a run. The report is excluded, because it names its folder.
 fn files(dir: &str) -> BTreeMap<String, Vec<u8>> {

@@ -53,7 +53,7 @@ pub(crate) fn assert_exit_in(dir: &Path, arguments: &[&str], code: i32, parts: &
 
 /// Checks that the command refuses its arguments: exit code 2, nothing on stdout, and each of `parts` on stderr.
 #[track_caller]
-pub(crate) fn assert_usage(arguments: &[&str], parts: &[&str]) {
+pub(crate) fn assert_refused(arguments: &[&str], parts: &[&str]) {
     let output = robogate(arguments);
     assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", text(&output));
     assert_eq!(stdout(&output), "", "{arguments:?}");

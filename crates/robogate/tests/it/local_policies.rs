@@ -7,7 +7,7 @@ use std::path::Path;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::assert_exit_in;
+use crate::harness::{assert_done, assert_exit_in, robogate_in, stdout};
 
 const PLAN: &str = "seed = 5\n[uniform]\nepisodes = 6\n";
 
@@ -29,8 +29,9 @@ const RUN: [&str; 6] = ["run", "--space", "learned", "--plan", "plan.toml", "--j
 
 /// Reads a run's summary.
 fn run(dir: &Path, more: &[&str]) -> Value {
-    let text = assert_exit_in(dir, &[&RUN, more].concat(), 0, &[]);
-    serde_json::from_str::<Value>(&text).unwrap()["summary"].take()
+    let output = robogate_in(dir, &[&RUN, more].concat());
+    assert_done(&output);
+    serde_json::from_str::<Value>(&stdout(&output)).unwrap()["summary"].take()
 }
 
 #[test]
@@ -75,6 +76,33 @@ fn random_policy_ignores_thread_count() {
 }
 
 #[test]
+fn recurrent_policies_ignore_thread_count() {
+    let dir = folder_with_network();
+    fs::write(dir.path().join("plan.toml"), "seed = 5\n[uniform]\nepisodes = 3\n").unwrap();
+    for name in ["gru", "history"] {
+        for kind in ["onnx", "toml"] {
+            let file = format!("{name}.{kind}");
+            fs::copy(networks().join(&file), dir.path().join(file)).unwrap();
+        }
+        let (network, profile) = (format!("{name}.onnx"), format!("{name}.toml"));
+        let hash = |threads: &str| {
+            let out = format!("{name}-{threads}");
+            let more = ["--policy", &network, "--profile", &profile, "--threads", threads, "--out", &out];
+            run(dir.path(), &more)["dataset_hash"].as_str().map(str::to_owned)
+        };
+        let one = hash("1");
+        assert!(one.is_some());
+        assert_eq!(one, hash("3"), "{name}");
+        let recorded = format!("{name}-3");
+        assert_exit(dir.path(), &["replay", &recorded, "2"], 0, &["identical to the recorded episode, bit for bit"]);
+    }
+    let check = ["policy", "check", "gru.onnx", "--profile", "gru.toml", "--requests", "3"];
+    assert_exit(dir.path(), &check, 0, &["h0 is fed by h1", "zero at the start of each episode"]);
+    let check = ["policy", "check", "history.onnx", "--profile", "history.toml", "--requests", "3"];
+    assert_exit(dir.path(), &check, 0, &["front: -1, 0; state: -2, -1, 0"]);
+}
+
+#[test]
 fn wrong_policies_are_explained() {
     let dir = folder_with_network();
     let bad: [(&[&str], &[&str]); 7] = [
@@ -99,7 +127,7 @@ fn failed_episodes_are_demonstrated() {
     let dir = folder_with_network();
     run(dir.path(), &["--policy", "random", "--out", "r"]);
     let demos = ["demos", "--failed-in", "r", "-n", "8", "--size", "16", "--push", "0", "--out", "d", "--json"];
-    let output: Value = serde_json::from_str(&assert_exit_in(dir.path(), &demos, 0, &[])).unwrap();
+    let output: Value = serde_json::from_str(&stdout(&robogate_in(dir.path(), &demos))).unwrap();
     // The run has six failures, so the first two are demonstrated twice.
     assert_eq!((&output["episodes"], &output["failed"]), (&8.into(), &0.into()), "{output}");
     assert_exit_in(

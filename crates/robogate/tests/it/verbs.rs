@@ -7,7 +7,7 @@ use std::process::Output;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::harness::{assert_usage, path, robogate, stderr, stdout};
+use crate::harness::{assert_refused, path, robogate, stderr, stdout};
 
 /// A published dictionary in which episodes succeed above the friction `from`, and mass has a small effect.
 fn published(dir: &TempDir, robot: &str, rows: u32, from: f64) -> String {
@@ -62,9 +62,9 @@ fn analyze_writes_to_stdout() {
     let document: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(document["version"], 3);
     assert_eq!(document["success"]["rate"]["n"], 200);
-    assert_usage(&["analyze", &path(&dir, "nowhere")], &["nowhere"]);
-    assert_usage(&["analyze", &file, "--target", "1.2"], &["1.2", "between 0 and 1"]);
-    assert_usage(&["analyze", &file, "--pair", "friction", "fricton"], &["fricton", "mass_kg"]);
+    assert_refused(&["analyze", &path(&dir, "nowhere")], &["nowhere"]);
+    assert_refused(&["analyze", &file, "--target", "1.2"], &["1.2", "between 0 and 1"]);
+    assert_refused(&["analyze", &file, "--pair", "friction", "fricton"], &["fricton", "mass_kg"]);
 }
 
 #[test]
@@ -92,7 +92,7 @@ fn report_writes_one_file() {
     let document = robogate(&["report", &file, "--format", "json", "--out", "-"]);
     let analysis = robogate(&["analyze", &file, "--json"]);
     assert_eq!(document.stdout, analysis.stdout);
-    assert_usage(&["report", &file, "--format", "pdf"], &["pdf", "html"]);
+    assert_refused(&["report", &file, "--format", "pdf"], &["pdf", "html"]);
     let nowhere = robogate(&["report", &file, "--out", &path(&dir, "no/such/folder.html")]);
     assert_eq!(nowhere.status.code(), Some(5), "{}", stderr(&nowhere));
 }
@@ -138,19 +138,19 @@ fn compare_writes_every_format() {
 fn compare_rejects_invalid_arguments() {
     let dir = TempDir::new().unwrap();
     let (one, two) = (published(&dir, "one", 60, 0.4), published(&dir, "two", 50, 0.8));
-    assert_usage(&["compare", &one], &["at least two", "analyze"]);
-    assert_usage(&["compare", &one, &one], &["given twice"]);
+    assert_refused(&["compare", &one], &["at least two", "analyze"]);
+    assert_refused(&["compare", &one, &one], &["given twice"]);
     let copy = path(&dir, "copy.json");
     fs::copy(&one, &copy).unwrap();
-    assert_usage(&["compare", &one, &copy], &["same rows"]);
-    assert_usage(&["compare", &one, &two, "--paired"], &["did not run the same scenarios", "60", "50"]);
-    assert_usage(&["compare", &one, &two, "--reach", "three=1"], &["`three`", "one, two"]);
-    assert_usage(&["compare", &one, &two, "--reach", "one"], &["NAME=METRES"]);
-    assert_usage(&["compare", &one, &two, "--danger", "40"], &["40", "(0, 1)"]);
-    assert_usage(&["compare", &one, &two, "--names", "a"], &["1 names for 2"]);
-    assert_usage(&["compare", &one, &two, "--pair", "friction", "colour"], &["`colour`", "friction"]);
-    assert_usage(&["compare", &one, &two, "--html", &two], &["would overwrite"]);
-    assert_usage(&["compare", &one, &path(&dir, "nowhere.json")], &["nowhere.json"]);
+    assert_refused(&["compare", &one, &copy], &["same rows"]);
+    assert_refused(&["compare", &one, &two, "--paired"], &["did not run the same scenarios", "60", "50"]);
+    assert_refused(&["compare", &one, &two, "--reach", "three=1"], &["`three`", "one, two"]);
+    assert_refused(&["compare", &one, &two, "--reach", "one"], &["NAME=METRES"]);
+    assert_refused(&["compare", &one, &two, "--danger", "40"], &["40", "(0, 1)"]);
+    assert_refused(&["compare", &one, &two, "--names", "a"], &["1 names for 2"]);
+    assert_refused(&["compare", &one, &two, "--pair", "friction", "colour"], &["`colour`", "friction"]);
+    assert_refused(&["compare", &one, &two, "--html", &two], &["would overwrite"]);
+    assert_refused(&["compare", &one, &path(&dir, "nowhere.json")], &["nowhere.json"]);
 }
 
 #[test]
@@ -187,7 +187,7 @@ fn paired_runs_can_be_replayed() {
     assert_eq!(robogate(&words[1..]).status.code(), Some(0));
     let other = path(&dir, "other");
     robogate(&["run", "--design", "two-stage", "-n", "45", "--seed", "9", "--threads", "1", "--out", &other]);
-    assert_usage(&["compare", &strong, &other, "--paired"], &["row 0", "seed"]);
+    assert_refused(&["compare", &strong, &other, "--paired"], &["row 0", "seed"]);
 }
 
 #[test]
@@ -217,7 +217,7 @@ fn transfer_writes_every_format() {
     let document: Value = serde_json::from_str(&stdout(&json)).unwrap();
     assert_eq!(document["real"]["trials"], 40);
     fs::write(&trials, "success,friction\nperhaps,0.5\n").unwrap();
-    assert_usage(&["transfer", "--sim", &simulation, "--real", &trials], &["trials.csv:2", "perhaps"]);
+    assert_refused(&["transfer", "--sim", &simulation, "--real", &trials], &["trials.csv:2", "perhaps"]);
 }
 
 /// Markup, a colour, and a reversed text in every name that a table can bring along.

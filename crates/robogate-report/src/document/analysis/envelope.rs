@@ -70,7 +70,8 @@ fn map_figure(map: &PairMap, frontier: Option<&Frontier>, at: usize) -> Figure {
                 .to_owned()
         }
     });
-    findings.extend(frontier.map(frontier_findings).unwrap_or_default());
+    // The first sentence says where success is likely. The others are with the frontier's numbers.
+    findings.extend(frontier.and_then(|frontier| frontier_findings(frontier).into_iter().next()));
     Figure {
         title: title(map),
         svg: heatmap(map, frontier, &format!("clip{at}")),
@@ -98,11 +99,13 @@ fn frontier_blocks(blocks: &mut Vec<Block>, frontier: &Frontier) {
             counted(frontier.near.n, "episode")
         )));
     }
-    let mut model = vec![
+    let details: Vec<String> = frontier_findings(frontier).into_iter().skip(1).collect();
+    let mut model: Vec<Block> = if details.is_empty() { Vec::new() } else { vec![Block::List(details)] };
+    model.extend([
         Block::Code(frontier.closed_form.clone()),
         Block::Table(regression_table("Model of the frontier", &frontier.regression)),
         Block::Table(curve_table(frontier)),
-    ];
+    ]);
     model.extend(frontier.regression.warnings.iter().cloned().map(Block::Caution));
     blocks.push(Block::Group("The frontier in closed form".to_owned(), model));
 }

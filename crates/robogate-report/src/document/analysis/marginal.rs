@@ -16,12 +16,14 @@ use crate::text::low_side;
 const MAX_FIGURES: usize = 16;
 /// Number of figures that are visible before the reader opens the others.
 const FIRST_FIGURES: usize = 3;
+/// Parameters that the table of effects shows in any case.
+const LEAST_ROWS: usize = 3;
 /// Share of crossing replicates above which the observed side of 50 % is not significant.
 const CROSSING: f64 = 0.05;
 
 pub(super) fn section(analysis: &Analysis) -> Section {
     let effects = &analysis.marginal_effects;
-    let mut blocks: Vec<Block> = effects_table(analysis).map(Block::Table).into_iter().collect();
+    let mut blocks = effects_tables(analysis);
     blocks.push(Block::Text(
         "Strongest influence on success first. Dots are observed rates with Wilson intervals. The curve is a logistic model of the \
          parameter and its square with its 95 % band. The vertical line is where success crosses 50 %, with its interval from \
@@ -64,8 +66,8 @@ pub(super) fn section(analysis: &Analysis) -> Section {
     Section { id: "marginal-effects", title: "Drivers of success".to_owned(), population: population(analysis), blocks }
 }
 
-/// The parameters in order of influence, with the test and the shape of each.
-fn effects_table(analysis: &Analysis) -> Option<Table> {
+/// The parameters in order of influence, with the test and the shape of each. Those after the last significant one are folded.
+fn effects_tables(analysis: &Analysis) -> Vec<Block> {
     let effects = &analysis.effects;
     let rows = effects.ranked.iter().map(|effect| {
         let shape = effect.shape.estimated();
@@ -88,14 +90,25 @@ fn effects_table(analysis: &Analysis) -> Option<Table> {
         ("rate there", Number),
         ("rate elsewhere", Number),
     ];
-    let mut table = Table::new("Influence on success, strongest first", &columns, rows.collect());
+    let mut rows: Vec<Vec<String>> = rows.collect();
+    if rows.is_empty() {
+        return Vec::new();
+    }
+    let significant = effects.ranked.iter().rposition(|effect| effect.significant).map_or(0, |last| last + 1);
+    let others = rows.split_off(significant.max(LEAST_ROWS).min(rows.len()));
+    let mut table = Table::new("Influence on success, strongest first", &columns, rows);
     table.remark = Some(format!(
         "Permutation tests of an effect of any shape, adjusted (Holm) for {} and {}. Steps and rates are shown for significant \
          effects; a step has its profile-likelihood interval.",
         counted(effects.tested, "parameter"),
         counted(effects.pairs_tested, "pair")
     ));
-    (!effects.ranked.is_empty()).then_some(table)
+    let mut blocks = vec![Block::Table(table)];
+    if !others.is_empty() {
+        let title = format!("{} without a significant effect", counted(others.len() as u64, "more parameter"));
+        blocks.push(Block::Folded(Table::new(title, &columns, others)));
+    }
+    blocks
 }
 
 fn caption(effect: &MarginalEffect) -> String {

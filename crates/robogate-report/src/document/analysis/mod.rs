@@ -11,7 +11,7 @@ mod replay;
 mod sampling;
 mod twins;
 
-use robogate_analysis::Analysis;
+use robogate_analysis::{Analysis, Population};
 use robogate_stats::format::{count, counted, percent, percent_range, sentence};
 
 use super::{Block, Document, Figure, Section, Table, watch_section};
@@ -41,9 +41,10 @@ pub(crate) fn analysis_document(analysis: &Analysis, additions: &Additions<'_>) 
         figure: success.rate.rate.map_or_else(|| "\u{2013}".to_owned(), percent),
         figure_label: format!("success, {}", analysis.population.brief()),
         interval: format!(
-            "95 % interval {} \u{b7} n = {}",
+            "95 % interval {} \u{b7} n = {}{}",
             percent_range(success.rate.wilson_95),
-            count(success.rate.n)
+            count(success.rate.n),
+            not_counted(analysis)
         ),
         scale: figures::rate_scale(&success.rate, bounds),
         answer: headline.answer,
@@ -57,6 +58,18 @@ pub(crate) fn analysis_document(analysis: &Analysis, additions: &Additions<'_>) 
         .collect(),
         sections: sections(analysis, additions),
         verdict: additions.evaluation.map(VerdictBlock::of),
+    }
+}
+
+/// Why the rate counts fewer episodes than the run has. Empty if it counts all stages.
+fn not_counted(analysis: &Analysis) -> String {
+    if analysis.population == Population::FocusedDesign {
+        return String::new();
+    }
+    let chosen = analysis.success.stages.iter().filter(|stage| stage.population == Population::FocusedDesign);
+    match chosen.map(|stage| stage.episodes).sum() {
+        0 => String::new(),
+        n => format!("; {} sampled near failures do not count here", counted(n, "episode")),
     }
 }
 
