@@ -24,6 +24,9 @@ const ARRIVED: f64 = 5e-3;
 const MOST_STEPS: usize = 1_500;
 /// Inertia of the gripper's motors during the measurement, in kg m^2 or kg.
 const ARMATURE: f64 = 1e-3;
+/// Inertia of the arm's motors during the measurement, in kg m^2: the arm's servos, which pull towards zero, and the reaction
+/// of the fingers do not accelerate it, so fingers with springs rest as on an arm that stands still.
+const STANDING: f64 = 1e6;
 /// Number of time steps in which the inertia that a drive moves is measured: longer than equalities take to act.
 const PROBE_STEPS: usize = 20;
 /// In these steps a drive moves by at most this fraction of its travel.
@@ -48,8 +51,9 @@ pub(crate) fn remove_friction(spec: &mut MjSpec, arm: &[&str]) {
 /// the inertia of motors, and equalities hold best if everything that they couple has a similar inertia.
 pub(crate) fn measurable(spec: &mut MjSpec, arm: &[&str]) {
     remove_friction(spec, arm);
-    for joint in spec.joint_iter_mut().filter(|joint| !arm.contains(&joint.name())) {
-        joint.set_armature(ARMATURE);
+    for joint in spec.joint_iter_mut() {
+        let inertia = if arm.contains(&joint.name()) { STANDING } else { ARMATURE };
+        joint.set_armature(inertia);
     }
 }
 
