@@ -541,7 +541,8 @@ fn is_inside(chain: &Chain, home: &[f64]) -> bool {
 fn turned_home(chain: &Chain, stated: &[f64]) -> Option<Vec<f64>> {
     let mut turned = stated.to_vec();
     let at = chain.tcp_at(stated).translation;
-    let turn = at.y.atan2(at.x) * chain.joints.first()?.axis.z.signum();
+    let first = chain.joints.first()?;
+    let turn = at.y.atan2(at.x) * (first.placement.rotation * first.axis).z.signum();
     let turns = [0.0, -std::f64::consts::TAU, std::f64::consts::TAU].map(|whole| stated[0] - turn + whole);
     turned[0] = turns.into_iter().min_by(|a, b| a.abs().total_cmp(&b.abs()))?;
     let home = chain.reach(&waiting(&chain.tcp_at(&turned)), &turned).ok()?;
