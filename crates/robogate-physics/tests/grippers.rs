@@ -1,6 +1,7 @@
 //! Tests of fingers that drives move through a linkage or a tendon.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::f64::consts::FRAC_PI_2;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -110,7 +111,7 @@ fn home_is_turned_over_the_workspace() {
     let key = "<keyframe><key name=\"home\" qpos=\"1.5708 -1.5708 1.5708 -1.5708 -1.5708 0 0 0 0 0 0 0\"/></keyframe></mujoco>";
     let (folder, text) = drafted("beside", &changed(&[("</mujoco>", key)]), |text| text);
     let home = Robot::from_folder(&folder).unwrap().settings.arm.home_rad;
-    assert!(home[0].abs() < 0.5 && (home[2] - 1.5708).abs() < 0.5, "{text}");
+    assert!(home[0].abs() < 0.5 && (home[2] - FRAC_PI_2).abs() < 0.5, "{text}");
     grasp(&folder, &text);
 }
 
