@@ -69,18 +69,20 @@ fn linkage_grasps_with_its_stated_force() {
 
 #[test]
 fn sprung_pads_are_measured_at_rest() {
-    // A spring holds each pad against the end of its range, as in fingers that adapt to a part.
+    // A spring holds each heavy pad against the end of its range, as in fingers that adapt to a part. While the fingers are
+    // measured, the arm's servos pull towards zero: if that moved the arm, the pads would swing.
     let tilt = |side: &str| {
         format!(
-            "<body name=\"{side}_pad\" pos=\"0 -0.015 0.04\"><joint name=\"{side}_tilt\" axis=\"1 0 0\" range=\"-0.5 0\" \
-             stiffness=\"0.05\" springref=\"2.6\" damping=\"0.001\" armature=\"0.001\"/>"
+            "<body name=\"{side}_pad\" pos=\"0 -0.015 0.04\"><joint name=\"{side}_tilt\" pos=\"0 0 -0.02\" axis=\"1 0 0\" \
+             range=\"-0.5 0\" stiffness=\"0.02\" springref=\"2.6\" damping=\"0.001\" armature=\"0.001\" \
+             solreflimit=\"0.004 1\" solimplimit=\"0.99 0.999 0.0001\"/>"
         )
     };
     let sides = ["right", "left"].map(|side| (format!("<body name=\"{side}_pad\" pos=\"0 -0.015 0.04\">"), tilt(side)));
-    let changes: Vec<(&str, &str)> = sides.iter().map(|(from, to)| (from.as_str(), to.as_str())).collect();
+    let mut changes: Vec<(&str, &str)> = sides.iter().map(|(from, to)| (from.as_str(), to.as_str())).collect();
+    changes.push(("mass=\"0.01\" pos=\"0 0 0\"", "mass=\"0.1\" pos=\"0 0 0\""));
     let (folder, text) = drafted("sprung", &changed(&changes), |text| text);
     crank_follows_its_formula(&folder);
-    // The arm's servos pull towards zero during the measurement.
     assert!(text.contains("home_rad") && !text.contains("home_rad = [0.0, 0.0"), "{text}");
 }
 
