@@ -25,6 +25,10 @@ const POSTURES: usize = 20_000;
 const HOME_TOOL: [f64; 3] = [0.45, 0.0, 0.30];
 /// Distance that the home posture keeps from the ends of the joints' ranges, in radians.
 const HOME_MARGIN: f64 = 0.05;
+/// At home the tool may point this far off straight down, in radians.
+const HOME_TILT: f64 = 0.3;
+/// Number of joints of the shoulder, which are near the base in every posture.
+const SHOULDER: usize = 2;
 /// Speed of a joint without a stated limit, in rad/s.
 const SPEED: f64 = 2.0;
 /// Acceleration of the joints, in rad/s^2: no model states it. MoveIt configurations of industrial arms use this value.
@@ -70,10 +74,14 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
     let arm = ArmDraft::of(&compiled, &raw, &tree, &text);
     let tool = Tool::of(&spec, &compiled, &tree)?;
     let mut settings = settings(name, &file, &arm, &tool, arm.home.clone().unwrap_or_else(|| arm.middle()))?;
-    let home_is_known = arm.home.is_some();
     let folder = model.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let chain = kinematics(&settings, folder);
-    let found = if home_is_known { None } else { chain.as_ref().and_then(sought_home) };
+    let stated = arm.home.as_deref();
+    let home_is_known = stated.is_some_and(|home| chain.as_ref().is_none_or(|chain| is_over_workspace(chain, home)));
+    let found = match (&chain, home_is_known) {
+        (Some(chain), false) => stated.and_then(|home| turned_home(chain, home)).or_else(|| sought_home(chain)),
+        _ => None,
+    };
     if let Some(home) = &found {
         settings.arm.home_rad.clone_from(home);
     }
@@ -506,7 +514,56 @@ fn kinematics(settings: &RobotSettings, folder: &Path) -> Option<Chain> {
     robot_model::build(&robot, MujocoEngine::TIME_STEP_S).ok().map(|(_, chain, _)| chain)
 }
 
-/// A posture with the tool pointing down over the workspace, away from the ends of the ranges.
+/// Whether the tool points down, in front of the base.
+fn is_over_workspace(chain: &Chain, home: &[f64]) -> bool {
+    let tcp = chain.tcp_at(home);
+    let at = tcp.translation;
+    (tcp.rotation * Vector3::z()).z < -HOME_TILT.cos() && at.x > at.y.abs()
+}
+
+/// Pose of a tool that waits over the workspace, with its x axis nearest to that of `tcp`.
+fn waiting(tcp: &Isometry3<f64>) -> Isometry3<f64> {
+    let x = tcp.rotation * Vector3::x();
+    let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), x.y.atan2(x.x));
+    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    Isometry3::from_parts(Translation3::from(Vector3::from(HOME_TOOL)), yaw * down)
+}
+
+/// Whether these positions keep a distance from the ends of the ranges.
+fn is_inside(chain: &Chain, home: &[f64]) -> bool {
+    let inside = |(q, joint): (&f64, &crate::ChainJoint)| {
+        (joint.range[0] + HOME_MARGIN..=joint.range[1] - HOME_MARGIN).contains(q)
+    };
+    home.iter().zip(&chain.joints).all(inside)
+}
+
+/// A posture like the model's, with the first joint turned so that the tool is over the workspace.
+fn turned_home(chain: &Chain, stated: &[f64]) -> Option<Vec<f64>> {
+    let mut turned = stated.to_vec();
+    let at = chain.tcp_at(stated).translation;
+    let first = chain.joints.first()?;
+    let turn = at.y.atan2(at.x) * (first.placement.rotation * first.axis).z.signum();
+    let turns = [0.0, -std::f64::consts::TAU, std::f64::consts::TAU].map(|whole| stated[0] - turn + whole);
+    turned[0] = turns.into_iter().min_by(|a, b| a.abs().total_cmp(&b.abs()))?;
+    let home = chain.reach(&waiting(&chain.tcp_at(&turned)), &turned).ok()?;
+    is_inside(chain, &home).then_some(home)
+}
+
+/// Height of the lowest joint behind the shoulder, in metres.
+fn lowest_m(chain: &Chain, positions: &[f64]) -> f64 {
+    let mut at = Isometry3::identity();
+    let mut lowest = f64::INFINITY;
+    for (i, (joint, q)) in chain.joints.iter().zip(positions).enumerate() {
+        at *= joint.placement;
+        if i >= SHOULDER {
+            lowest = lowest.min(at.translation.z);
+        }
+        at *= UnitQuaternion::from_axis_angle(&joint.axis, *q);
+    }
+    lowest
+}
+
+/// A posture with the tool pointing down over the workspace, the elbow up, away from the ends of the ranges.
 fn sought_home(chain: &Chain) -> Option<Vec<f64>> {
     let mut stream = Seed::campaign(0).stream("home posture");
     let goal = Vector3::from(HOME_TOOL);
@@ -516,7 +573,8 @@ fn sought_home(chain: &Chain) -> Option<Vec<f64>> {
         let tcp = chain.tcp_at(&q);
         let down = 1.0 + (tcp.rotation * Vector3::z()).z;
         let turn: f64 = q.iter().map(|q| q.abs()).sum();
-        let score = (tcp.translation.vector - goal).norm() + 0.3 * down + 0.02 * turn;
+        let sunk = (goal.z - lowest_m(chain, &q)).max(0.0);
+        let score = (tcp.translation.vector - goal).norm() + 0.3 * down + 0.02 * turn + sunk;
         if best.len() < 40 || best.last().is_some_and(|(worst, _)| score < *worst) {
             best.push((score, q));
             best.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -524,15 +582,8 @@ fn sought_home(chain: &Chain) -> Option<Vec<f64>> {
         }
     }
     best.into_iter().find_map(|(_, q)| {
-        let at = chain.tcp_at(&q);
-        let x = at.rotation * Vector3::x();
-        let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), x.y.atan2(x.x));
-        let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
-        let home = chain.reach(&Isometry3::from_parts(Translation3::from(goal), yaw * down), &q).ok()?;
-        let inside = |(q, joint): (&f64, &crate::ChainJoint)| {
-            (joint.range[0] + HOME_MARGIN..=joint.range[1] - HOME_MARGIN).contains(q)
-        };
-        home.iter().zip(&chain.joints).all(inside).then_some(home)
+        let home = chain.reach(&waiting(&chain.tcp_at(&q)), &q).ok()?;
+        is_inside(chain, &home).then_some(home)
     })
 }
 

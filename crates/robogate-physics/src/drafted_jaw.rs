@@ -61,6 +61,9 @@ impl Jaw {
         for drive in &drives {
             sweep::add_motor(&mut spec, &drive.moves);
         }
+        let names: Vec<&str> =
+            arm.iter().filter_map(|joint| model.id_to_name(MjtObjBase::mjOBJ_JOINT, *joint)).collect();
+        sweep::measurable(&mut spec, &names);
         let one = |what: String, hint: &str| vec![Problem::new(what, hint)];
         let compiled =
             spec.compile().map_err(|error| one(error.to_string(), "this error is from MuJoCo: correct the model"))?;
@@ -72,10 +75,10 @@ impl Jaw {
         let settings: Vec<FingerDrive> = drives.iter().map(Driven::settings).collect();
         let mut sweep = Sweep::new(compiled, &arm, &settings).map_err(|problem| vec![problem])?;
         let measured = Measured::of(&mut sweep, &pads.shapes, palm).map_err(|problem| vec![problem])?;
-        // A change of the drives' positions per change of the opening, and the mass that a pad moves.
+        // A change of the drives' positions per change of the opening.
         let travel = (drives[0].ends[1] - drives[0].ends[0]).abs();
         let slope = (measured.opening_m - measured.closed_m).max(1e-3) / travel;
-        let mass = 2.0 * drives.len() as f64 * sweep.inertia()[0] / (slope * slope);
+        let mass = pad_mass(model, &measured);
         let force = drives[0].force.map(|force| force * drives.len() as f64 / slope);
         let force = force.or_else(|| joints.first().and_then(|joint| joint_force(model, *joint)));
         Ok(Self {
@@ -184,6 +187,9 @@ fn drives(model: &MjModel, joints: &[usize]) -> Result<Vec<Driven>, Problem> {
             MjtTrn::mjTRN_TENDON if pulls(model, id, joints) => Driven::tendon(model, id),
             _ => continue,
         };
+        if driven.ends[0] >= driven.ends[1] {
+            driven.ends = commanded(model, actuator).unwrap_or(driven.ends);
+        }
         let limit = model.actuator_forcerange()[actuator][1];
         driven.force = (model.actuator_forcelimited()[actuator] && limit > 0.0).then_some(limit);
         if found.iter().all(|known| known.moves != driven.moves) {
@@ -220,6 +226,16 @@ fn drives(model: &MjModel, joints: &[usize]) -> Result<Vec<Driven>, Problem> {
         )),
         None => Ok(found),
     }
+}
+
+/// The positions at which a position actuator rests at the ends of its control range. `None` for another actuator.
+///
+/// Its force is gain times control + bias[0] + bias[1] times position, which is zero at rest.
+fn commanded(model: &MjModel, actuator: usize) -> Option<[f64; 2]> {
+    let (gain, bias) = (model.actuator_gainprm()[actuator][0], model.actuator_biasprm()[actuator]);
+    let ends = model.actuator_ctrlrange()[actuator].map(|control| (gain * control + bias[0]) / -bias[1]);
+    let rests = model.actuator_ctrllimited()[actuator] && gain > 0.0 && bias[1] < 0.0;
+    (rests && ends.iter().all(|end| end.is_finite())).then_some(ends)
 }
 
 /// Whether a tendon is a sum of joints with one of these.
@@ -319,6 +335,8 @@ struct Measured {
     tcp: Isometry3<f64>,
     tips: [f64; 2],
     base: f64,
+    /// Two states of the gripper: opening in metres, and the positions of all joints.
+    moved: [(f64, Vec<f64>); 2],
 }
 
 impl Measured {
@@ -329,9 +347,12 @@ impl Measured {
         let mut corners = vec![Self::in_palm(&frame, &sweep.corners(&all))];
         let [from, to] = sweep.nearest(pads).map(|point| frame.inverse_transform_point(&point).coords);
         let mut closed_m = opening_m;
+        let start = (opening_m, sweep.joints());
+        let mut moved = None;
         for k in 1..STATES {
             sweep.go(k as f64 / (STATES - 1) as f64)?;
             closed_m = sweep.gap(pads);
+            moved.get_or_insert_with(|| (closed_m, sweep.joints()));
             corners.push(Self::in_palm(&frame, &sweep.corners(&all)));
             if closed_m <= 0.0 {
                 break;
@@ -355,11 +376,35 @@ impl Measured {
         let centre = x * middle.dot(&x) + y * (0.5 * (from + to)).dot(&y) + z * (tips[0] - TIP);
         let rotation =
             UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z])));
-        Ok(Self { opening_m, closed_m, tcp: Isometry3::from_parts(Translation3::from(centre), rotation), tips, base })
+        let tcp = Isometry3::from_parts(Translation3::from(centre), rotation);
+        let moved = [start.clone(), moved.unwrap_or(start)];
+        Ok(Self { opening_m, closed_m, tcp, tips, base, moved })
     }
 
     fn in_palm(frame: &Isometry3<f64>, corners: &[Point3<f64>]) -> Vec<Vector3<f64>> {
         corners.iter().map(|corner| frame.inverse_transform_point(corner).coords).collect()
+    }
+}
+
+/// The mass that a pad moves, in kilograms, with all that the gripper's joints carry and the inertia of its motors.
+///
+/// With v the change of the joints' positions by the opening o and M the mass matrix, the kinetic energy is
+/// v^T M v (do/dt)^2 / 2. Each of two pads moves at half of do/dt.
+fn pad_mass(model: &MjModel, Measured { moved: [(opened, from), (closed, to)], .. }: &Measured) -> f64 {
+    let velocity: Vec<f64> = from.iter().zip(to).map(|(from, to)| (to - from) / (closed - opened)).collect();
+    let n = velocity.len();
+    let mut data = MjData::new(Box::new(model.clone()));
+    data.qpos_mut().copy_from_slice(from);
+    data.forward();
+    let mut matrix = vec![0.0; n * n];
+    match data.full_m(&mut matrix) {
+        Ok(()) => {
+            2.0 * (0..n * n)
+                .map(|k| velocity[k / n] * matrix[k] * velocity[k % n])
+                .filter(|x| x.is_finite())
+                .sum::<f64>()
+        }
+        Err(_) => 0.0,
     }
 }
 

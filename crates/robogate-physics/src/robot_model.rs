@@ -43,6 +43,10 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain, Opt
     }
     check_names(&spec, settings, &mut problems);
     let named = problems.is_empty();
+    if settings.gripper.jaw().is_some() {
+        let arm: Vec<&str> = settings.arm.joints.iter().map(String::as_str).collect();
+        sweep::remove_friction(&mut spec, &arm);
+    }
     add_drives(&mut spec, settings, &mut problems);
     let compiled = spec.clone().compile().or_else(|error| {
         let missing = leave_out_missing_meshes(&mut spec, robot);
@@ -71,19 +75,20 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain, Opt
     let chain = if named { chain(&model, settings, &mut problems) } else { None };
     let Some(chain) = chain.filter(|_| problems.is_empty()) else { return Err(problems) };
     let fingers = match settings.gripper.jaw().filter(|jaw| !jaw.drives.is_empty()) {
-        Some(jaw) => Some(finger_motion(model, &mut spec, settings, jaw)?),
+        Some(jaw) => Some(finger_motion(&mut spec, settings, jaw)?),
         None => None,
     };
     Ok((spec, chain, fingers))
 }
 
 /// Measures how the drives move the fingers, and gives them their limits.
-fn finger_motion(
-    model: MjModel,
-    spec: &mut MjSpec,
-    settings: &RobotSettings,
-    jaw: &ParallelJaw,
-) -> Result<FingerMotion, Vec<Problem>> {
+fn finger_motion(spec: &mut MjSpec, settings: &RobotSettings, jaw: &ParallelJaw) -> Result<FingerMotion, Vec<Problem>> {
+    let arm: Vec<&str> = settings.arm.joints.iter().map(String::as_str).collect();
+    let mut measurable = spec.clone();
+    sweep::measurable(&mut measurable, &arm);
+    let model = measurable
+        .compile()
+        .map_err(|error| vec![Problem::new(error.to_string(), "this error is from MuJoCo: correct the model")])?;
     let motion = sweep::measure(model, settings, jaw)?;
     let open = motion.open().opening_m;
     let mut problems = Vec::new();

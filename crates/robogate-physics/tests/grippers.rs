@@ -1,6 +1,7 @@
 //! Tests of fingers that drives move through a linkage or a tendon.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::f64::consts::FRAC_PI_2;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -26,6 +27,30 @@ fn grasp(folder: &Path, text: &str) -> Grasp {
     inspection.measured.unwrap().grasp.unwrap()
 }
 
+/// The measured motion of the linkage is that of its geometry, which springs, friction and motors do not change.
+fn crank_follows_its_formula(folder: &Path) {
+    let motion = FingerMotion::of(&Robot::from_folder(folder).unwrap()).unwrap().unwrap();
+    let at = motion.joints.iter().position(|name| name == "left_driver").unwrap();
+    for k in 1..8 {
+        // Half of the opening: 10 mm + 50 mm cos(crank + atan(4 / 3)), independent of the measurement.
+        let opening = 0.01 * f64::from(k);
+        let crank = ((0.5 * opening - 0.01) / 0.05).acos() - (4.0_f64 / 3.0).atan();
+        assert!(
+            (motion.joints_at(opening)[at] - crank).abs() < 5e-3,
+            "{opening}: {} {crank}",
+            motion.joints_at(opening)[at]
+        );
+    }
+}
+
+/// The linkage with another text in each place.
+fn changed(changes: &[(&str, &str)]) -> String {
+    changes.iter().fold(LINKAGE.to_owned(), |model, (from, to)| {
+        assert!(model.contains(from), "{from}");
+        model.replace(from, to)
+    })
+}
+
 #[test]
 fn linkage_grasps_with_its_stated_force() {
     let (folder, text) = drafted("linkage", LINKAGE, |text| text);
@@ -36,16 +61,60 @@ fn linkage_grasps_with_its_stated_force() {
         let at = motion.joints.iter().position(|name| name == "right_driver").unwrap();
         assert!((joints[at] - crank).abs() < 5e-3, "{opening}: {joints:?}");
     }
-    for k in 1..8 {
-        // Half of the opening: 10 mm + 50 mm cos(crank + atan(4 / 3)), independent of the measurement.
-        let opening = 0.01 * f64::from(k);
-        let crank = ((0.5 * opening - 0.01) / 0.05).acos() - (4.0_f64 / 3.0).atan();
-        let at = motion.joints.iter().position(|name| name == "left_driver").unwrap();
-        assert!((motion.joints_at(opening)[at] - crank).abs() < 5e-3, "{opening}");
-    }
+    crank_follows_its_formula(&folder);
     let grasp = grasp(&folder, &text);
     assert!((grasp.opening_m.unwrap() - 0.08).abs() < 1e-3, "{grasp:?}");
     assert!(grasp.held && (grasp.force_n.unwrap() - 30.0).abs() < 1.5 && grasp.slip_m < 1e-3, "{grasp:?}");
+}
+
+#[test]
+fn sprung_pads_are_measured_at_rest() {
+    // A spring holds each heavy pad against the end of its range, as in fingers that adapt to a part. While the fingers are
+    // measured, the arm's servos pull towards zero: if that moved the arm, the pads would swing.
+    let tilt = |side: &str| {
+        format!(
+            "<body name=\"{side}_pad\" pos=\"0 -0.015 0.04\"><joint name=\"{side}_tilt\" pos=\"0 0 -0.02\" axis=\"1 0 0\" \
+             range=\"-0.5 0\" stiffness=\"0.02\" springref=\"2.6\" damping=\"0.001\" armature=\"0.001\" \
+             solreflimit=\"0.004 1\" solimplimit=\"0.99 0.999 0.0001\"/>"
+        )
+    };
+    let sides = ["right", "left"].map(|side| (format!("<body name=\"{side}_pad\" pos=\"0 -0.015 0.04\">"), tilt(side)));
+    let mut changes: Vec<(&str, &str)> = sides.iter().map(|(from, to)| (from.as_str(), to.as_str())).collect();
+    changes.push(("mass=\"0.01\" pos=\"0 0 0\"", "mass=\"0.1\" pos=\"0 0 0\""));
+    let (folder, text) = drafted("sprung", &changed(&changes), |text| text);
+    crank_follows_its_formula(&folder);
+    assert!(text.contains("home_rad") && !text.contains("home_rad = [0.0, 0.0"), "{text}");
+}
+
+#[test]
+fn friction_does_not_weaken_the_grasp() {
+    let stiff = "range=\"-1 1\" armature=\"0.1\" frictionloss=\"1\"/>";
+    let model = changed(&[
+        ("range=\"-1 1\"/>", stiff),
+        ("range=\"-0.2 1\"/>", "range=\"-0.2 1\" armature=\"0.1\" frictionloss=\"1\"/>"),
+    ]);
+    let (folder, text) = drafted("friction", &model, |text| text);
+    crank_follows_its_formula(&folder);
+    let grasp = grasp(&folder, &text);
+    assert!(grasp.held && (grasp.force_n.unwrap() - 30.0).abs() < 4.0 && grasp.slip_m < 1e-3, "{grasp:?}");
+}
+
+#[test]
+fn actuator_gives_a_missing_range() {
+    let model = changed(&[("range=\"0 0.88\" armature", "armature")]);
+    let (folder, text) = drafted("unlimited", &model, |text| text);
+    assert!(text.contains("closed = 0.88") && text.contains("open = 0.0"), "{text}");
+    crank_follows_its_formula(&folder);
+}
+
+#[test]
+fn home_is_turned_over_the_workspace() {
+    // The tool of this keyframe waits beside the base, with the elbow up.
+    let key = "<keyframe><key name=\"home\" qpos=\"1.5708 -1.5708 1.5708 -1.5708 -1.5708 0 0 0 0 0 0 0\"/></keyframe></mujoco>";
+    let (folder, text) = drafted("beside", &changed(&[("</mujoco>", key)]), |text| text);
+    let home = Robot::from_folder(&folder).unwrap().settings.arm.home_rad;
+    assert!(home[0].abs() < 0.5 && (home[2] - FRAC_PI_2).abs() < 0.5, "{text}");
+    grasp(&folder, &text);
 }
 
 #[test]

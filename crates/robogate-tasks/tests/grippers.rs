@@ -48,10 +48,15 @@ fn picks_and_places(name: &str, model: &str) {
     let text = draft(&folder.join("model.xml"), name).unwrap().text;
     let (arm, _) = UR5E.split_once("[gripper]").unwrap();
     let arm = arm.replace("model = \"ur5e.xml\"", "model = \"model.xml\"").replace("\"tcp\"", "\"pinch\"");
-    fs::write(folder.join("robot.toml"), format!("{arm}{}", &text[text.find("[gripper]").unwrap()..])).unwrap();
+    succeeds(&folder, name, &format!("{arm}{}", &text[text.find("[gripper]").unwrap()..]));
+}
+
+/// The robot with these settings passes its check and succeeds in all nominal episodes.
+fn succeeds(folder: &Path, name: &str, settings: &str) {
+    fs::write(folder.join("robot.toml"), settings).unwrap();
     let inspection = inspect(folder.to_str().unwrap());
     assert!(inspection.problems.is_empty(), "{:#?}", inspection.problems);
-    let robot = Robot::from_folder(&folder).unwrap();
+    let robot = Robot::from_folder(folder).unwrap();
     let counts = outcomes(&robot, &nominal(4));
     assert_eq!(counts, BTreeMap::from([("success".to_owned(), 4)]), "{name}");
 }
@@ -64,4 +69,11 @@ fn linkage_picks_and_places() {
 #[test]
 fn tendon_picks_and_places() {
     picks_and_places("tendon", include_str!("../../robogate-physics/tests/robots/tendon.xml"));
+}
+
+#[test]
+fn drafted_robot_picks_and_places() {
+    let folder = folder("drafted", include_str!("../../robogate-physics/tests/robots/linkage.xml"));
+    let text = draft(&folder.join("model.xml"), "drafted").unwrap().text;
+    succeeds(&folder, "drafted", &text);
 }

@@ -22,8 +22,40 @@ const INTEGRAL: f64 = 20.0;
 const ARRIVED: f64 = 5e-3;
 /// Most time steps to one state.
 const MOST_STEPS: usize = 1_500;
+/// Inertia of the gripper's motors during the measurement, in kg m^2 or kg.
+const ARMATURE: f64 = 1e-3;
+/// Inertia of the arm's motors during the measurement, in kg m^2: the arm's servos, which pull towards zero, and the reaction
+/// of the fingers do not accelerate it, so fingers with springs rest as on an arm that stands still.
+const STANDING: f64 = 1e6;
+/// Number of time steps in which the inertia that a drive moves is measured: longer than equalities take to act.
+const PROBE_STEPS: usize = 20;
+/// In these steps a drive moves by at most this fraction of its travel.
+const PROBE_TRAVEL: f64 = 0.02;
+/// The inertia that a drive moves is at most this multiple of what it moves without equalities.
+const MOST_COUPLED: f64 = 1e3;
 /// Distances between pads are measured up to this one, in metres.
 const FARTHEST_M: f64 = 0.5;
+
+/// Removes dry friction from everything except the arm's joints. `robot.toml` states the force at the pads, so what the
+/// mechanism loses is already subtracted.
+pub(crate) fn remove_friction(spec: &mut MjSpec, arm: &[&str]) {
+    for joint in spec.joint_iter_mut().filter(|joint| !arm.contains(&joint.name())) {
+        joint.set_frictionloss(0.0);
+    }
+    for tendon in spec.tendon_iter_mut() {
+        tendon.set_frictionloss(0.0);
+    }
+}
+
+/// Changes a robot's model so that its fingers can be measured quickly. States at rest depend neither on dry friction nor on
+/// the inertia of motors, and equalities hold best if everything that they couple has a similar inertia.
+pub(crate) fn measurable(spec: &mut MjSpec, arm: &[&str]) {
+    remove_friction(spec, arm);
+    for joint in spec.joint_iter_mut() {
+        let inertia = if arm.contains(&joint.name()) { STANDING } else { ARMATURE };
+        joint.set_armature(inertia);
+    }
+}
 
 /// Where a drive acts.
 #[derive(Debug, Clone, Copy)]
@@ -135,8 +167,8 @@ pub(crate) struct Sweep {
 }
 
 impl Sweep {
-    /// The drives at their open end. `model` is the robot alone, with a motor for each drive after all other actuators;
-    /// `arm` are its arm's joints with their positions.
+    /// The drives at their open end. `model` is the robot alone, [`measurable`], with a motor for each drive after all other
+    /// actuators; `arm` are its arm's joints with their positions.
     pub(crate) fn new(model: MjModel, arm: &[(&str, f64)], drives: &[FingerDrive]) -> Result<Self, Problem> {
         let at: Vec<DriveAt> = drives.iter().filter_map(|drive| DriveAt::find(&model, &drive.moves)).collect();
         let arm = arm.iter().filter_map(|(name, q)| match DriveAt::find(&model, name) {
@@ -161,8 +193,44 @@ impl Sweep {
             sweep.data.qpos_mut()[*qpos] = *q;
         }
         sweep.data.forward();
+        sweep.inertia = (0..sweep.drives.len()).map(|i| sweep.coupled_inertia(i)).collect();
         sweep.go(0.0)?;
         Ok(sweep)
+    }
+
+    /// The inertia that a drive moves with all that equalities couple to it, from the speed that a force gives to it.
+    fn coupled_inertia(&mut self, i: usize) -> f64 {
+        let start = self.data.qpos().to_vec();
+        let alone = self.inertia[i];
+        let [open, closed] = self.ends[i];
+        let control = self.data.ctrl().len() - self.drives.len() + i;
+        let time = PROBE_STEPS as f64 * self.data.model_opt().timestep;
+        let force = 2.0 * alone * PROBE_TRAVEL * (closed - open) / (time * time);
+        // Springs act in both cases.
+        let speeds = [0.0, force].map(|force| {
+            self.data.ctrl_mut()[control] = force;
+            for _ in 0..PROBE_STEPS {
+                self.step();
+            }
+            self.data.forward();
+            let [_, speed] = self.drives[i].state(&self.data);
+            self.data.qpos_mut().copy_from_slice(&start);
+            self.data.qvel_mut().fill(0.0);
+            self.data.ctrl_mut()[control] = 0.0;
+            self.data.forward();
+            speed
+        });
+        let coupled = force * time / (speeds[1] - speeds[0]);
+        if coupled.is_finite() { coupled.clamp(alone, MOST_COUPLED * alone) } else { alone }
+    }
+
+    /// One time step, in which the arm stands still.
+    fn step(&mut self) {
+        self.data.step();
+        for (qpos, qvel, q) in &self.arm {
+            self.data.qpos_mut()[*qpos] = *q;
+            self.data.qvel_mut()[*qvel] = 0.0;
+        }
     }
 
     /// Moves the drives to a share of their way from open (0) to closed (1).
@@ -188,11 +256,7 @@ impl Sweep {
             if arrived {
                 return Ok(());
             }
-            self.data.step();
-            for (qpos, qvel, q) in &self.arm {
-                self.data.qpos_mut()[*qpos] = *q;
-                self.data.qvel_mut()[*qvel] = 0.0;
-            }
+            self.step();
         }
         let ([open, closed], [position, _]) = (self.ends[off], self.drives[off].state(&self.data));
         Err(Problem::new(
@@ -232,9 +296,9 @@ impl Sweep {
         points
     }
 
-    /// The inertia that each drive moves, in kg m^2 or kg.
-    pub(crate) fn inertia(&self) -> &[f64] {
-        &self.inertia
+    /// Positions of all joints.
+    pub(crate) fn joints(&self) -> Vec<f64> {
+        self.data.qpos().to_vec()
     }
 
     /// The corners of the bounding boxes of these shapes, in metres.
@@ -272,7 +336,7 @@ pub(crate) fn shapes(model: &MjModel, body: usize) -> Vec<usize> {
     (0..model.geom_bodyid().len()).filter(of).filter(touchable).collect()
 }
 
-/// Measures the motion of the fingers of a robot. `model` is the robot alone, with its drives.
+/// Measures the motion of the fingers of a robot. `model` is the robot alone, with its drives, and [`measurable`].
 pub(crate) fn measure(
     model: MjModel,
     settings: &RobotSettings,
