@@ -86,7 +86,7 @@ pub struct PriorResult {
 pub enum PriorEffect {
     /// The predictions are significantly better with the prior.
     Helped,
-    /// There is no significant difference.
+    /// The losses do not differ significantly.
     NoDifference,
     /// The predictions are significantly worse with the prior.
     Hurt,

@@ -172,7 +172,7 @@ fn bombs_in_dictionaries_are_rejected() {
     let folder = Folder::new("bombs-dictionary");
     let path = folder.join("sound.parquet");
     fs::write(&path, sound).unwrap();
-    // Its columns are read, and its rows are no episodes.
+    // Its columns can be read. Its rows are not valid episodes.
     assert!(Dictionary::open(&path).unwrap().column("weight").is_ok());
 
     let rows = 1 << 20;

@@ -312,7 +312,7 @@ fn operate(browser: &mut Browser, axe: Option<&std::path::PathBuf>) {
 /// The page predicts what the risk model of Rust predicts, for every episode of a run.
 fn compare_predictions(browser: &mut Browser, dictionary: &Path) {
     let dictionary = Dictionary::open(dictionary).unwrap();
-    // The points that the model of the active stage chose are no sample at their parameters.
+    // The model of the active stage chose points by their draws, so their outcomes are not a random sample at these parameters.
     let entries = dictionary.entries().map(Result::unwrap);
     let entries = entries.filter(|entry| entry.stage != "active" || entry.design == "uniform");
     let entries = entries.filter(|entry| !matches!(entry.episode.outcome, Outcome::Invalid(_))).map(|entry| {

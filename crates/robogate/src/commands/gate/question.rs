@@ -147,7 +147,7 @@ pub(crate) fn open_requirements(name_or_path: &str, task: &TaskSpec) -> Result<R
     Ok(requirements)
 }
 
-/// Gives an error of the gate its exit code: usage if the user can correct it, invalid if there is no evidence.
+/// Adds the exit code to an error of the gate: usage if the user can correct the request, invalid if there is no evidence.
 pub(crate) fn refused(error: GateError) -> Exit {
     let code = match &error {
         GateError::EmptyBaseline
