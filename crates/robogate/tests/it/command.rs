@@ -10,7 +10,7 @@ use std::time::Duration;
 use robogate_core::Seed;
 use tempfile::TempDir;
 
-use crate::harness::{assert_done, assert_exit, path, robogate, text};
+use crate::harness::{TWO_SCENARIOS, assert_done, assert_exit, path, robogate, text};
 
 /// Asserts exit code 2 and that the message contains each of `parts`.
 #[track_caller]
@@ -189,18 +189,7 @@ fn finished_and_damaged_runs_are_rejected() {
 fn suite_rows_ignore_thread_count() {
     let dir = TempDir::new().unwrap();
     let suite = path(&dir, "two.toml");
-    let text = r#"
-        schema = 1
-        name = "two"
-        version = "1.0.0"
-        description = "Two scenarios."
-        defaults = { mass_kg = { low = 0.2, high = 0.4 }, position_jitter_m = 0.003, lighting_lux = 500.0 }
-        [[group]]
-        name = "plain"
-        category = "nominal"
-        scenarios = [{ id = "plain-1" }, { id = "plain-2", mass_kg = 0.5 }]
-    "#;
-    fs::write(&suite, text).unwrap();
+    fs::write(&suite, TWO_SCENARIOS).unwrap();
     assert_done(&robogate(&["suites", "check", &suite]));
     let runs = ["1", "2"].map(|threads| {
         let out = path(&dir, threads);

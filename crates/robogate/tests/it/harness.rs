@@ -5,6 +5,19 @@ use std::process::{Command, Output};
 
 use tempfile::TempDir;
 
+/// A suite with two scenarios.
+pub(crate) const TWO_SCENARIOS: &str = r#"
+    schema = 1
+    name = "two"
+    version = "1.0.0"
+    description = "Two scenarios."
+    defaults = { mass_kg = { low = 0.2, high = 0.4 }, position_jitter_m = 0.003, lighting_lux = 500.0 }
+    [[group]]
+    name = "plain"
+    category = "nominal"
+    scenarios = [{ id = "plain-1" }, { id = "plain-2", mass_kg = 0.5 }]
+"#;
+
 /// Runs the command.
 pub(crate) fn robogate(arguments: &[&str]) -> Output {
     robogate_in(Path::new("."), arguments)

@@ -29,6 +29,12 @@ fn profile(dir: &TempDir, name: &str, changes: &[(&str, &str)]) -> String {
 const TEN: [(&str, &str); 2] =
     [("length = 50\nexecute = 5", "length = 10\nexecute = 10"), ("[action]", "[server]\nattempts = 1\n\n[action]")];
 
+/// The arguments of a campaign in two stages with the policy at `url`, written to `run`. `more` has further options.
+fn two_stages<'a>(url: &'a str, profile: &'a str, run: &'a str, more: &'a str) -> Vec<&'a str> {
+    let fixed = ["run", "--policy", url, "--profile", profile, "--design", "two-stage", "--out", run];
+    fixed.into_iter().chain(more.split(' ')).collect()
+}
+
 fn listener() -> (TcpListener, String) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("ws://{}", listener.local_addr().unwrap());
@@ -166,21 +172,7 @@ fn a_run_is_resumed_after_a_server_stopped() {
     // The first episode takes seven requests.
     go_down(listener, 10);
     let run = dir.path().join("run").to_str().unwrap().to_owned();
-    let start = [
-        "run",
-        "--policy",
-        &url,
-        "--profile",
-        &profile,
-        "--design",
-        "two-stage",
-        "-n",
-        "24",
-        "--threads",
-        "1",
-        "--out",
-        &run,
-    ];
+    let start = two_stages(&url, &profile, &run, "-n 24 --threads 1");
     assert_exit(&start, 5, &["10 episodes in a row were lost", "robogate resume"]);
     assert_exit(&["resume", &run], 5, &["unreachable", &url]);
     go_down(TcpListener::bind(address).unwrap(), usize::MAX);
@@ -204,24 +196,9 @@ fn shard_without_server_is_not_committed() {
     go_down(listener, 0);
     let run = dir.path().join("run").to_str().unwrap().to_owned();
     let shard = dir.path().join("run/shards/uniform-1-of-4.rgs");
-    let plan = [
-        "run",
-        "--policy",
-        &url,
-        "--profile",
-        &profile,
-        "--design",
-        "two-stage",
-        "-n",
-        "18",
-        "--shard",
-        "1/4",
-        "--out",
-        &run,
-    ];
+    let plan = two_stages(&url, &profile, &run, "-n 18 --shard 1/4 --threads 1");
     // A shard of three episodes is lost if the server is unavailable in all of them. One thread connects once, before the
     // server stops; a second one might find it stopped already.
-    let plan = [&plan[..], &["--threads", "1"]].concat();
     assert_exit(&plan, 5, &["3 episodes in a row were lost", "not committed"]);
     assert!(!shard.exists());
     let again = ["run", "--shard", "1/4", "--out", &run];
@@ -241,23 +218,7 @@ fn server_lost_at_the_end_of_a_shard() {
     go_down(listener, 5);
     let run = dir.path().join("run").to_str().unwrap().to_owned();
     let shard = dir.path().join("run/shards/uniform-0-of-1.rgs");
-    let start = [
-        "run",
-        "--policy",
-        &url,
-        "--profile",
-        &profile,
-        "--design",
-        "two-stage",
-        "-n",
-        "12",
-        "--shard",
-        "0/1",
-        "--threads",
-        "1",
-        "--out",
-        &run,
-    ];
+    let start = two_stages(&url, &profile, &run, "-n 12 --shard 0/1 --threads 1");
     assert_exit(&start, 5, &["unreachable", &url]);
     assert!(!shard.exists(), "a shard with lost episodes was committed");
     go_down(TcpListener::bind(address).unwrap(), usize::MAX);

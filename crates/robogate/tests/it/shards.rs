@@ -11,7 +11,7 @@ use std::time::Instant;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::verb;
+use crate::harness::{TWO_SCENARIOS, verb};
 
 /// The files of a folder, without its subfolders.
 fn files(dir: &Path) -> BTreeMap<String, Vec<u8>> {
@@ -114,19 +114,8 @@ fn merged_shards_equal_single_run() {
 #[test]
 fn suite_shards_equal_single_run() {
     let dirs = [TempDir::new().unwrap(), TempDir::new().unwrap()];
-    let suite = r#"
-        schema = 1
-        name = "two"
-        version = "1.0.0"
-        description = "Two scenarios."
-        defaults = { mass_kg = { low = 0.2, high = 0.4 }, position_jitter_m = 0.003, lighting_lux = 500.0 }
-        [[group]]
-        name = "plain"
-        category = "nominal"
-        scenarios = [{ id = "plain-1" }, { id = "plain-2", mass_kg = 0.5 }]
-    "#;
     let [one, many] = dirs.each_ref().map(|dir| {
-        fs::write(dir.path().join("two.toml"), suite).unwrap();
+        fs::write(dir.path().join("two.toml"), TWO_SCENARIOS).unwrap();
         dir.path()
     });
     let run = "run --suite two.toml --rounds 2 --out run";
