@@ -11,8 +11,9 @@ if [ -z "${RUSTUP_TOOLCHAIN:-}" ] && command -v rustup > /dev/null && ! rustup t
     esac
 fi
 
-# The features that tests and lints use.
+# The features of the tests, and all features, for lints and documentation.
 full=(--features robogate/full)
+every=(--features robogate/full,robogate/object-store)
 
 failed=()
 # Runs a step and continues after a failure, so that one run reports all failures: step NAME COMMAND...

@@ -3,9 +3,9 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-features=(--package robogate --no-default-features --features rapier --locked)
-cargo clippy "${features[@]}" -- -D warnings
-cargo build "${features[@]}"
+build=(--package robogate --no-default-features --locked)
+cargo clippy "${build[@]}" --features rapier -- -D warnings
+cargo build "${build[@]}" --features rapier,onnx
 binary=${CARGO_TARGET_DIR:-target}/debug/robogate
 
 if ldd "$binary" | grep -v -E 'linux-vdso|ld-linux|libc\.|libm\.|libgcc_s\.|libpthread\.|libdl\.|librt\.'; then

@@ -80,7 +80,8 @@ rust() {
         *) set -- --workspace "${full[@]}" "$@" ;;
     esac
     if command -v cargo-nextest > /dev/null; then
-        cargo nextest run --no-fail-fast --locked "$@"
+        # One more than the processors, because many tests wait for a browser or another process.
+        cargo nextest run --no-fail-fast --locked --test-threads $(($(nproc) + 1)) "$@"
     else
         cargo test --no-fail-fast --locked --lib --bins --tests --examples "$@"
     fi

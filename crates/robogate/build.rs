@@ -16,11 +16,14 @@ fn main() -> io::Result<()> {
     let mut crates: Vec<PathBuf> =
         fs::read_dir(root.join("crates"))?.map(|entry| Ok(entry?.path().join("src"))).collect::<io::Result<_>>()?;
     crates.retain(|folder| folder.is_dir());
-    let watched = FILES.iter().chain(&FOLDERS).map(|name| root.join(name)).chain(crates);
+    let hashed = FILES.iter().chain(&FOLDERS).map(|name| root.join(name)).chain(crates);
     let mut files = Vec::new();
-    for path in watched {
-        writeln!(io::stdout(), "cargo::rerun-if-changed={}", path.display())?;
+    for path in hashed {
         collect(&path, &mut files)?;
+    }
+    // Files and not their folders, where Python writes its caches. A new file has an effect only if one of these names it.
+    for path in &files {
+        writeln!(io::stdout(), "cargo::rerun-if-changed={}", path.display())?;
     }
     // Names with one separator and in one order give the same hash on every machine.
     let mut named: Vec<(String, PathBuf)> = files

@@ -10,6 +10,7 @@ use tempfile::TempDir;
 use crate::harness::{assert_done, assert_exit_in, robogate_in, stdout};
 
 const PLAN: &str = "seed = 5\n[uniform]\nepisodes = 6\n";
+const ONE_EPISODE: &str = "seed = 5\n[uniform]\nepisodes = 1\n";
 
 fn networks() -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../robogate-policy/tests/networks")
@@ -37,7 +38,7 @@ fn run(dir: &Path, more: &[&str]) -> Value {
 #[test]
 fn moved_policy_runs_shards() {
     let dir = folder_with_network();
-    fs::write(dir.path().join("plan.toml"), "seed = 5\n[uniform]\nepisodes = 1\n").unwrap();
+    fs::write(dir.path().join("plan.toml"), ONE_EPISODE).unwrap();
     let run =
         |more: &[&str], code, parts: &[&str]| assert_exit_in(dir.path(), &[&RUN[..5], more].concat(), code, parts);
     run(&["--policy", "small.onnx", "--profile", "small.toml", "--divide", "1", "--out", "r"], 0, &[]);
@@ -53,6 +54,7 @@ fn moved_policy_runs_shards() {
 #[test]
 fn replay_works_from_another_folder() {
     let dir = folder_with_network();
+    fs::write(dir.path().join("plan.toml"), ONE_EPISODE).unwrap();
     run(dir.path(), &["--policy", "small.onnx", "--profile", "small.toml", "--out", "r"]);
     let elsewhere = TempDir::new().unwrap();
     let r = dir.path().join("r");
