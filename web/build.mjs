@@ -7,6 +7,7 @@ const targets = [
   ["src/replays.js", `${html}/viewer.js`],
   ["src/pairs.js", `${html}/pairs.js`],
   ["src/explorer/main.js", `${html}/explorer.js`],
+  ["src/replay.js", `${html}/replay.js`],
 ];
 const check = process.argv.includes("--check");
 

@@ -1,6 +1,6 @@
 //! Episodes of one or several runs as columns of numbers, for the explorer.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use robogate_core::{Better, Domain, Outcome, Scale, Value};
 use robogate_dictionary::{Entry, Provenance, results};
@@ -8,19 +8,29 @@ use serde::Serialize;
 
 use crate::distance::{Difference, sentence};
 use crate::labels::{label_and_unit, mode_label};
-use crate::table::{ParameterKind, stage_of};
+use crate::table::{ParameterKind, is_focused, stage_of};
 
 /// Largest number of levels of a column. Further words share the last one.
 const MAX_LEVELS: usize = 4_096;
 /// The level of further words.
 const OTHER: &str = "(other)";
+/// The smallest sample is one in 2^32 episodes.
+const MOST_HALVINGS: u32 = 32;
 
 /// Episodes of one or several runs. Every value is a 32-bit number, which has seven digits: enough for a picture and a
 /// table, and half the memory. Words are indices of their levels. A missing value is NaN.
-#[derive(Debug, Default)]
+///
+/// The table keeps a limited number of rows. When it is full, it drops half of them and keeps one in two of the further
+/// episodes, then one in four, and so on. A hash of run and index decides, so the rows stay a random sample, whatever their
+/// order and outcomes. [`RunCounts`] always count all episodes.
+#[derive(Debug)]
 pub struct ExplorerTable {
     columns: Vec<ExplorerColumn>,
     rows: usize,
+    /// Largest number of rows.
+    most: usize,
+    /// How often the table dropped half of its rows.
+    halvings: u32,
     /// The runs, with the columns of their parameters, measures and draws.
     runs: Vec<Run>,
 }
@@ -100,6 +110,31 @@ struct Run {
     domains: Vec<Domain>,
     measures: Vec<(String, usize)>,
     draws: Vec<(String, usize)>,
+    /// All episodes by stage.
+    stages: BTreeMap<String, StageCounts>,
+}
+
+/// All episodes of a stage.
+#[derive(Debug, Clone, Copy, Default)]
+struct StageCounts {
+    successes: u64,
+    failures: u64,
+    invalid: u64,
+    /// Whether a weight differs from 1.
+    weighted: bool,
+}
+
+/// The episodes of a run: all of them, also those that are not in the table.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct RunCounts {
+    /// Valid episodes of points that were sampled from the operating space.
+    pub n: u64,
+    /// Successes among them.
+    pub k: u64,
+    /// Valid episodes of other points: those of the boundary stage and those that a model chose.
+    pub focused: u64,
+    /// Invalid episodes.
+    pub invalid: u64,
 }
 
 /// The columns that every table has, in order.
@@ -126,9 +161,9 @@ pub struct PassingTwin {
 }
 
 impl ExplorerTable {
-    /// An empty table.
-    pub fn new() -> Self {
-        let mut table = Self::default();
+    /// An empty table of at most this number of rows.
+    pub fn new(most: usize) -> Self {
+        let mut table = Self { columns: Vec::new(), rows: 0, most: most.max(1), halvings: 0, runs: Vec::new() };
         let word = |name: &str, role| ExplorerColumn::new(name, name.replace('_', " "), role, ValueKind::Category);
         let fixed = [
             word("run", Role::Run),
@@ -209,8 +244,14 @@ impl ExplorerTable {
         let mut places = |columns: Vec<(String, ExplorerColumn)>| -> Vec<(String, usize)> {
             columns.into_iter().map(|(name, column)| (name, self.place(column))).collect()
         };
-        let run =
-            Run { code, parameters: places(parameters), domains, measures: places(measures), draws: places(draws) };
+        let run = Run {
+            code,
+            parameters: places(parameters),
+            domains,
+            measures: places(measures),
+            draws: places(draws),
+            stages: BTreeMap::new(),
+        };
         self.runs.push(run);
         self.runs.len() - 1
     }
@@ -238,14 +279,27 @@ impl ExplorerTable {
         at
     }
 
-    /// Adds an episode of a run.
+    /// Counts an episode of a run, and adds it if it belongs to the sample.
     pub fn push(&mut self, run: usize, entry: &Entry) {
+        let Some(of) = self.runs.get_mut(run) else { return };
+        let stage = stage_of(&entry.stage, &entry.design);
+        of.count(stage, entry);
+        let code = of.code;
+        if !is_kept(code, entry.index() as f32, self.halvings) {
+            return;
+        }
+        if self.rows >= self.most {
+            self.halve();
+            if !is_kept(code, entry.index() as f32, self.halvings) {
+                return;
+            }
+        }
         let Some(run) = self.runs.get(run) else { return };
         let episode = &entry.episode;
         let columns = &mut self.columns;
         columns[fixed::RUN].values.push(run.code);
         columns[fixed::INDEX].values.push(entry.index() as f32);
-        let stage = columns[fixed::STAGE].level(stage_of(&entry.stage, &entry.design)) as f32;
+        let stage = columns[fixed::STAGE].level(stage) as f32;
         columns[fixed::STAGE].values.push(stage);
         let design = columns[fixed::DESIGN].level(&entry.design) as f32;
         columns[fixed::DESIGN].values.push(design);
@@ -287,10 +341,49 @@ impl ExplorerTable {
         }
     }
 
+    /// Drops the rows that a sample of half the size does not have, until there is room.
+    fn halve(&mut self) {
+        while self.rows >= self.most && self.halvings < MOST_HALVINGS {
+            self.halvings += 1;
+            let [runs, indices] = [fixed::RUN, fixed::INDEX].map(|at| self.columns[at].values.as_slice());
+            let kept: Vec<bool> =
+                runs.iter().zip(indices).map(|(run, index)| is_kept(*run, *index, self.halvings)).collect();
+            for column in &mut self.columns {
+                let mut row = kept.iter();
+                column.values.retain(|_| row.next().is_none_or(|kept| *kept));
+            }
+            self.rows = kept.iter().filter(|kept| **kept).count();
+        }
+    }
+
+    /// How often the table dropped half of its rows: it has one in `2^halvings` episodes.
+    pub fn halvings(&self) -> u32 {
+        self.halvings
+    }
+
+    /// The counts of all episodes of a run, by the rule of the analysis: a stage is focused if it is the boundary or the active
+    /// stage, or an unknown stage whose weights are not all 1.
+    pub fn counts(&self, run: usize) -> RunCounts {
+        let mut all = RunCounts::default();
+        for (name, stage) in self.runs.get(run).iter().flat_map(|run| &run.stages) {
+            let valid = stage.successes + stage.failures;
+            all.invalid += stage.invalid;
+            if is_focused(name, stage.weighted) {
+                all.focused += valid;
+            } else {
+                all.n += valid;
+                all.k += stage.successes;
+            }
+        }
+        all
+    }
+
     /// Removes all episodes of all runs. Columns and levels stay.
     pub fn clear(&mut self) {
         self.rows = 0;
+        self.halvings = 0;
         self.columns.iter_mut().for_each(|column| column.values.clear());
+        self.runs.iter_mut().for_each(|run| run.stages.clear());
     }
 
     /// The nearest passing twin of a failed episode: the successful episode of its run with the most similar parameters, by
@@ -370,6 +463,27 @@ impl ExplorerTable {
         }
         bytes
     }
+}
+
+impl Run {
+    fn count(&mut self, stage: &str, entry: &Entry) {
+        if !self.stages.contains_key(stage) {
+            self.stages.insert(stage.to_owned(), StageCounts::default());
+        }
+        let Some(counts) = self.stages.get_mut(stage) else { return };
+        counts.weighted |= (entry.weight - 1.0).abs() > 0.0;
+        match &entry.episode.outcome {
+            Outcome::Success => counts.successes += 1,
+            Outcome::Failure(_) => counts.failures += 1,
+            Outcome::Invalid(_) => counts.invalid += 1,
+        }
+    }
+}
+
+/// Whether an episode belongs to a sample of one in `2^halvings`.
+fn is_kept(run: f32, index: f32, halvings: u32) -> bool {
+    let place = u64::from(index.to_bits()) | u64::from(run.to_bits()) << 32;
+    halvings == 0 || mixed(place) >> (64 - halvings) == 0
 }
 
 impl ExplorerColumn {

@@ -51,7 +51,7 @@ pub use comparison::{
 pub use danger::{DANGER_LIMIT, DangerZone, DangerZones};
 pub use effects::{EffectShape, Effects, Interaction, LEVEL, ParameterEffect, RateStep, ShapeKind};
 pub use error::AnalysisError;
-pub use explorer::{ExplorerColumn, ExplorerTable, PassingTwin, Role, ValueKind};
+pub use explorer::{ExplorerColumn, ExplorerTable, PassingTwin, Role, RunCounts, ValueKind};
 pub use failures::{FailureModes, ModeShare, unrecorded};
 pub use marginal::{
     Cell, Correlation, CriticalThreshold, CurvePoint, MarginalEffect, ModeBin, ModeChange, ModeChanges, ParameterType,

@@ -313,8 +313,16 @@ fn separate_uniform_part(stages: &mut Vec<Stage>, stage: &mut [u8], design_names
     }
 }
 
-/// A stage is focused if its points were not sampled from the operating distribution: the boundary and the active stage,
-/// and any unknown stage whose weights are not all 1.
+/// Whether the points of a stage were not sampled from the operating distribution: those of the boundary and the active stage,
+/// and of any unknown stage whose weights are not all 1.
+pub(crate) fn is_focused(stage: &str, weighted: bool) -> bool {
+    match stage {
+        "boundary" | ACTIVE => true,
+        "uniform" | "imported" | UNIFORM_PART => false,
+        _ => weighted,
+    }
+}
+
 fn stages(
     names: &[String],
     codes: &[Option<u32>],
@@ -324,7 +332,7 @@ fn stages(
 ) -> Vec<Stage> {
     let mut stages: Vec<Stage> = names
         .iter()
-        .map(|name| Stage { name: name.clone(), designs: Vec::new(), focused: name == "boundary" || name == ACTIVE })
+        .map(|name| Stage { name: name.clone(), designs: Vec::new(), focused: is_focused(name, false) })
         .collect();
     let mut pairs: Vec<(u32, u32)> = Vec::new();
     for row in 0..codes.len() {
@@ -334,8 +342,8 @@ fn stages(
         }
         let of = &mut stages[stage as usize];
         let even = (weights[row] - 1.0).abs() <= 0.0;
-        if !even && of.name != "uniform" && of.name != "imported" {
-            of.focused = true;
+        if !even {
+            of.focused = is_focused(&of.name, true);
         }
     }
     for (stage, design) in pairs {

@@ -19,8 +19,10 @@ pub struct Follower {
     dir: PathBuf,
     settings: Settings,
     source: Source,
-    /// The episodes that were passed on.
+    /// The episodes that were passed on before the campaign was finished.
     known: HashSet<u64>,
+    /// The number of entries of the dictionary that were read.
+    read: usize,
 }
 
 #[derive(Debug)]
@@ -67,14 +69,20 @@ impl Follower {
         let text = std::fs::read(&path).map_err(RunError::io(&path, "read"))?;
         let plan: PlanHash = Sha256::digest(text).into();
         let tail = Box::new(JournalTail::new(&dir.join(JOURNAL), &plan));
-        Ok(Self { dir: dir.to_owned(), settings, source: Source::Journal { plan, tail }, known: HashSet::new() })
+        Ok(Self {
+            dir: dir.to_owned(),
+            settings,
+            source: Source::Journal { plan, tail },
+            known: HashSet::new(),
+            read: 0,
+        })
     }
 
     /// Follows a campaign in shards.
     pub fn of_shards(shards: Shards) -> Self {
         let (dir, settings) = (shards.dir(), shards.settings().clone());
         let source = Source::Shards { shards: Box::new(shards), known: BTreeSet::new() };
-        Self { dir, settings, source, known: HashSet::new() }
+        Self { dir, settings, source, known: HashSet::new(), read: 0 }
     }
 
     /// The settings of the campaign.
@@ -91,13 +99,17 @@ impl Follower {
         // A run removes its journal last.
         if dictionary.is_file() && !self.dir.join(JOURNAL).exists() {
             if !matches!(self.source, Source::Finished) {
-                for entry in Dictionary::open(&dictionary)?.entries() {
+                // After an error, the next look goes on with the entry that could not be read.
+                for entry in Dictionary::open(&dictionary)?.entries().skip(self.read) {
                     let entry = entry?;
-                    if self.known.insert(entry.index()) {
+                    self.read += 1;
+                    if !self.known.contains(&entry.index()) {
                         sink(&entry);
                     }
                 }
                 self.source = Source::Finished;
+                // No episode follows, so the memory is free again.
+                self.known = HashSet::new();
             }
             return Ok(Progress::Finished);
         }
@@ -130,7 +142,7 @@ impl Follower {
     /// # Errors
     /// A file that cannot be read or is damaged.
     pub fn recorded(&mut self, index: u64) -> Result<Option<Entry>, FollowError> {
-        if !self.known.contains(&index) {
+        if !matches!(self.source, Source::Finished) && !self.known.contains(&index) {
             return Ok(None);
         }
         Ok(match &mut self.source {

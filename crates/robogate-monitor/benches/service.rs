@@ -72,7 +72,7 @@ fn child(path: &Path) {
     let engine = ServiceEngine::open(intake, |_| {});
     let (_stop, stopped) = tokio::sync::oneshot::channel();
     let listening = |address| println!("address {address}");
-    serve("127.0.0.1:0".parse().unwrap(), None, http, engine.handle(), listening, stopped).unwrap();
+    serve("127.0.0.1:0".parse().unwrap(), None, http, engine.handle(), None, listening, stopped).unwrap();
 }
 
 struct Server {

@@ -23,6 +23,9 @@ pub struct Reference {
     pub population: String,
     /// The content hash of the rows.
     pub dataset_sha256: String,
+    /// The folder of the run, from the folder of this file. The monitor's page replays its episodes if they are still there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub run: Option<String>,
     /// Successes and failure modes, as counts. Cycle times are learnt from the robot, because those of a simulator
     /// differ.
     pub baseline: Baseline,
@@ -134,6 +137,7 @@ mod tests {
             policy: "p".to_owned(),
             population: "x".to_owned(),
             dataset_sha256: String::new(),
+            run: None,
             baseline: Baseline { success: Some(Count { count, of: 100 }), ..Baseline::default() },
             domain: Domain::default(),
             simulated: true,

@@ -9,7 +9,7 @@
 //! | a [`Transfer`](robogate_analysis::transfer::Transfer) | [`transfer_html`], [`transfer_json`], [`next_trials`] |
 //! | a [`Study`](robogate_analysis::study::Study) | [`study_markdown`], [`study_json`] |
 //! | an [`Evaluation`] of the gate | [`junit`], [`reqif`], [`verdict_pdf`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
-//! | episodes of runs | [`explorer_page`] |
+//! | episodes of runs | [`explorer_page`], [`replay_page`] |
 //! | a [`Leaderboard`](robogate_gate::Leaderboard) | [`leaderboard_html`], [`leaderboard_markdown`] |
 //! | a [`Fleet`](robogate_gate::Fleet) | [`fleet_html`], [`fleet_markdown`] |
 
@@ -32,7 +32,7 @@ pub use gate::{
     fleet_headline, fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html, leaderboard_markdown,
     leaderboards_html, leaderboards_markdown, reqif, sign, verdict_pdf, what_next,
 };
-pub use html::{comparison_html, comparison_html_with, explorer_page, html, html_with, transfer_html};
+pub use html::{comparison_html, comparison_html_with, explorer_page, html, html_with, replay_page, transfer_html};
 pub use json::{
     AnalysisReport, ComparisonReport, StudyReport, TransferReport, analysis_json, analysis_json_with, comparison_json,
     study_json, transfer_json,

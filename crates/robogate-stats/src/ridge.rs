@@ -50,10 +50,23 @@ pub fn fit(data: Data<'_>, prior_variance: f64) -> Result<RidgeFit, RegressionEr
 /// # Errors
 /// As [`fit`].
 pub fn by_evidence(data: Data<'_>, prior_variances: &[f64]) -> Result<Option<RidgeFit>, RegressionError> {
+    by_evidence_watched(data, prior_variances, &mut || {})
+}
+
+/// As [`by_evidence`]. `fitted` is called after each fit.
+///
+/// # Errors
+/// As [`fit`].
+pub fn by_evidence_watched(
+    data: Data<'_>,
+    prior_variances: &[f64],
+    fitted: &mut dyn FnMut(),
+) -> Result<Option<RidgeFit>, RegressionError> {
     let mut beta = start(data)?;
     let mut best: Option<RidgeFit> = None;
     for s2 in prior_variances {
         let found = from(data, *s2, beta)?;
+        fitted();
         beta = found.coefficients.clone();
         if best.as_ref().is_none_or(|b| found.log_evidence > b.log_evidence) {
             best = Some(found);

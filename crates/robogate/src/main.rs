@@ -33,6 +33,7 @@ mod source;
 mod subject;
 mod summary;
 mod terminal;
+mod transfer_view;
 mod twins;
 mod watch;
 

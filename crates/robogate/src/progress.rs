@@ -12,13 +12,13 @@ use crate::summary::outcomes_in_one_line;
 use crate::terminal::{self, Screen, foreign, grouped};
 
 /// Number of failures in the live view.
-const LAST_FAILURES: usize = 3;
+pub(crate) const LAST_FAILURES: usize = 3;
 /// The shortest and the longest bar, in columns.
 const BAR: [usize; 2] = [8, 40];
 /// Columns beside the bar: stage, counts, rate and time left.
 const BESIDE_BAR: usize = 60;
 /// Columns of the name of a stage, with the space after it.
-const LEFT: usize = 9;
+pub(crate) const LEFT: usize = 9;
 
 /// Listens to a campaign and shows its progress. Without a terminal, it prints a line for each tenth of a stage.
 pub(crate) struct Progress {
@@ -98,7 +98,7 @@ impl Live {
     fn new(screen: &Screen, stage: &'static str, episodes: u64, already_done: &OutcomeCounts) -> Self {
         let bars = screen.bars();
         let bar = bars.add(ProgressBar::new(episodes));
-        let wide = screen.columns().saturating_sub(BESIDE_BAR).clamp(BAR[0], BAR[1]);
+        let wide = bar_columns(screen);
         bar.set_style(style(&format!(
             "{stage:<LEFT$}{{bar:{wide}}} {{human_pos}}/{{human_len}} {{per_sec:>9}}, {{eta}} left"
         )));
@@ -186,8 +186,13 @@ impl Live {
     }
 }
 
+/// The length of a bar.
+pub(crate) fn bar_columns(screen: &Screen) -> usize {
+    screen.columns().saturating_sub(BESIDE_BAR).clamp(BAR[0], BAR[1])
+}
+
 /// A duration to a second.
-fn seconds(of: Duration) -> String {
+pub(crate) fn seconds(of: Duration) -> String {
     in_words(Duration::from_secs(of.as_secs_f64().round() as u64))
 }
 
@@ -210,7 +215,8 @@ fn outcome_of(name: &str) -> Outcome {
     }
 }
 
-fn style(template: &str) -> ProgressStyle {
+/// The style of a bar.
+pub(crate) fn style(template: &str) -> ProgressStyle {
     let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     style.progress_chars("█▉▊▋▌▍▎▏ ").with_key(
         "per_sec",

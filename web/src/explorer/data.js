@@ -23,12 +23,17 @@ export class Dataset {
     this.runs = [];
     this.rows = 0;
     this.room = 0;
+    this.halvings = 0;
+    /** Whether the rows are a part of the table. */
+    this.isPart = false;
   }
 
   /** Takes the description of runs and columns. Values of known columns stay. */
   describe(state) {
     this.runs = state.runs;
     this.epoch = state.epoch;
+    // How often the table dropped half of its rows, because it was full.
+    this.halvings = state.halvings;
     state.columns.forEach((spec, at) => {
       const known = this.columns[at];
       if (known) {
@@ -78,6 +83,11 @@ export class Dataset {
       Object.assign(column, { low, high, filled, units: null, order: null });
     });
     this.rows = from + count;
+  }
+
+  /** Whether the page has a random sample of the episodes. */
+  get isSample() {
+    return this.halvings > 0 || this.isPart;
   }
 
   /** Whether a column tells anything: it has values, and not all are equal. */

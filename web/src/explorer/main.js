@@ -174,7 +174,7 @@ class Explorer {
       const of = run.finished || run.planned === null ? `${count(run.rows)} episodes` : `unfinished, ${count(run.rows)} of ${count(run.planned)} episodes`;
       return `${name}${of}, ${run.policy} on ${run.robot} in ${run.engine}${run.problem ? ` (${run.problem})` : ""}`;
     });
-    const sample = data.isSample ? ` · this page has a random sample of ${count(data.rows)} episodes, and its rates are those of the sample` : "";
+    const sample = data.isSample ? ` · the plots show a random sample of ${count(data.rows)} episodes` : "";
     this.status.textContent = `${data.runs[0]?.task ?? ""} · ${parts.join(" · ")}${sample}`;
   }
 

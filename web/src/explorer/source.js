@@ -25,7 +25,7 @@ class Contained {
   async load(data) {
     data.describe(this.document.state);
     data.append(await Promise.all(this.document.columns.map(floats)));
-    data.isSample = data.rows < this.document.state.rows;
+    data.isPart = data.rows < this.document.state.rows;
     return true;
   }
 

@@ -33,8 +33,9 @@ export class Summary {
   draw() {
     const { data, selection } = this.explorer;
     if (!selection.counts) return;
-    const { runs } = selection;
     const chosen = !selection.isEmpty;
+    // Without a selection, the server has counted all episodes, also those that are not on the page.
+    const runs = data.isSample && !chosen ? data.runs.map((run) => run.counts) : selection.runs;
     const several = data.runs.length > 1;
     this.rates.replaceChildren(...runs.map((of, at) => this.rate(of, several ? data.runs[at].name : null, chosen)));
     this.caution.textContent = chosen
@@ -60,6 +61,7 @@ export class Summary {
     bar.children[0].style.width = `${100 * (high - low)}%`;
     bar.children[1].style.left = of.n ? `${(100 * of.k) / of.n}%` : "-10px";
     const more = [];
+    if (chosen && this.explorer.data.isSample) more.push("Counted in the random sample on this page.");
     if (of.focused > 0) more.push(`${count(of.focused)} that the boundary or active stage chose do not count: most were sampled where failures are likely.`);
     if (of.invalid > 0) more.push(`${count(of.invalid)} invalid.`);
     return element(

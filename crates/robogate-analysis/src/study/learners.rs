@@ -89,9 +89,18 @@ impl Learner {
                 plain(train, weights, test, |sample| interactions(sample, model, &scaling))
             }
             Self::MainEffects => plain(train, weights, test, |sample| coordinates(sample, test, 1)),
-            Self::Flexible => flexible(train, weights, test),
+            Self::Flexible => flexible(train, weights, test, &mut |_, _| {}),
         }
     }
+}
+
+/// The scores of [`Learner::Flexible`]. `fitted` receives the number of fits so far and the number of all fits.
+pub(crate) fn flexible_scores(
+    train: &Sample,
+    test: &Sample,
+    fitted: &mut dyn FnMut(u32, u32),
+) -> Result<Scores, String> {
+    flexible(train, None, test, fitted)
 }
 
 /// Fits by maximum likelihood, or by Firth's method if the data are separated.
@@ -109,7 +118,14 @@ fn plain(
     Ok(Scores { own: linear(beta, &own, train.len()), test: linear(beta, &other, test.len()) })
 }
 
-fn flexible(train: &Sample, weights: Option<&[f64]>, test: &Sample) -> Result<Scores, String> {
+fn flexible(
+    train: &Sample,
+    weights: Option<&[f64]>,
+    test: &Sample,
+    fitted: &mut dyn FnMut(u32, u32),
+) -> Result<Scores, String> {
+    let (mut fits, all) = (0, (LENGTH_SCALES.len() * PRIOR_VARIANCES.len()) as u32);
+    fitted(fits, all);
     let (own, other) = (coordinates(train, test, 0), coordinates(test, test, 0));
     let fourier = Fourier::new(own.len(), FREQUENCIES, SEED);
     let root = (test.parameters.len() as f64).sqrt();
@@ -126,7 +142,11 @@ fn flexible(train: &Sample, weights: Option<&[f64]>, test: &Sample) -> Result<Sc
         let columns = columns(&own, length);
         let views: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
         let data = Data::new(&views, &train.success, weights).map_err(reason)?;
-        let found = ridge::by_evidence(data, &PRIOR_VARIANCES).map_err(reason)?;
+        let mut count = || {
+            fits += 1;
+            fitted(fits, all);
+        };
+        let found = ridge::by_evidence_watched(data, &PRIOR_VARIANCES, &mut count).map_err(reason)?;
         if let Some(found) = found
             && best.as_ref().is_none_or(|(_, b)| found.log_evidence > b.log_evidence)
         {

@@ -16,6 +16,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use learners::Learner;
+pub(crate) use learners::flexible_scores;
 
 use crate::table::EpisodeTable;
 use crate::task::TaskAnalysis;

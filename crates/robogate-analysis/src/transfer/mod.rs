@@ -28,7 +28,6 @@ pub use trials::{RealTrial, RealTrials};
 
 use crate::rate::ends;
 use crate::table::EpisodeTable;
-use crate::task::TaskAnalysis;
 use crate::{AnalysisError, Finding, Rate, Source, Subject};
 
 /// Shares of the population that a stratum may have.
@@ -178,6 +177,27 @@ pub struct TransferOptions {
     pub population: Option<PathBuf>,
 }
 
+/// A step of an inference, for a live view.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum TransferStep<'a> {
+    /// The simulation was read.
+    Simulated {
+        /// Valid episodes over the operating space.
+        episodes: u64,
+        /// How many of them ended so: `success` first, then the failure modes, the most frequent first.
+        endings: &'a [(&'static str, u64)],
+    },
+    /// The trials of the real robot were read. Those outside the simulated space are left out.
+    Trials(&'a [RealTrial]),
+    /// A candidate of the model was fitted to the simulation.
+    Fitted {
+        /// The number of fits so far.
+        done: u32,
+        /// The number of all fits.
+        all: u32,
+    },
+}
+
 /// A simulation whose model predicts trials.
 pub struct Simulation<'a> {
     source: &'a Source,
@@ -217,8 +237,31 @@ impl<'a> Simulation<'a> {
     /// # Errors
     /// If the episodes do not determine a model.
     pub fn predictions(&self, trials: &RealTrials) -> Result<Predictions, AnalysisError> {
-        let task = TaskAnalysis::of(self.source.dictionary().provenance().task.name.as_str());
-        predictor::predict(&self.table, self.space(), trials, &self.points, task).map_err(no)
+        self.predictions_watched(trials, &mut |_, _| {})
+    }
+
+    fn predictions_watched(
+        &self,
+        trials: &RealTrials,
+        fitted: &mut dyn FnMut(u32, u32),
+    ) -> Result<Predictions, AnalysisError> {
+        predictor::predict(&self.table, self.space(), trials, &self.points, fitted).map_err(no)
+    }
+
+    /// The number of valid episodes over the operating space, and of those that ended so: `success` first, then the failure
+    /// modes that occurred.
+    fn endings(&self) -> (u64, Vec<(&'static str, u64)>) {
+        let sample = self.table.sample(false);
+        let mut counts: Vec<(&'static str, u64)> = vec![("success", 0)];
+        for row in &sample.rows {
+            let name = self.table.outcome_name(self.table.outcome[*row as usize]);
+            match counts.iter_mut().find(|(known, _)| *known == name) {
+                Some((_, count)) => *count += 1,
+                None => counts.push((name, 1)),
+            }
+        }
+        counts[1..].sort_by(|a, b| b.1.cmp(&a.1).then(a.0.cmp(b.0)));
+        (sample.len() as u64, counts)
     }
 }
 
@@ -258,12 +301,30 @@ impl Transfer {
     /// # Errors
     /// A problem in a file, or a simulation without a model.
     pub fn of(source: &Source, path: &Path, real: &Path, options: &TransferOptions) -> Result<Self, AnalysisError> {
+        Self::watched(source, path, real, options, &mut |_| {})
+    }
+
+    /// As [`Self::of`]. `hear` receives the steps of the inference.
+    ///
+    /// # Errors
+    /// As [`Self::of`].
+    pub fn watched(
+        source: &Source,
+        path: &Path,
+        real: &Path,
+        options: &TransferOptions,
+        hear: &mut dyn FnMut(TransferStep<'_>),
+    ) -> Result<Self, AnalysisError> {
         let simulation = Simulation::open(source, options.population.as_deref())?;
+        let (episodes, endings) = simulation.endings();
+        hear(TransferStep::Simulated { episodes, endings: &endings });
         let trials = RealTrials::open(real, simulation.space(), &options.groups)?;
+        hear(TransferStep::Trials(&trials.trials));
         if trials.trials.is_empty() {
             return Err(no(format!("{} has no trial inside the simulated space", real.display())));
         }
-        let predictions = simulation.predictions(&trials)?;
+        let predictions =
+            simulation.predictions_watched(&trials, &mut |done, all| hear(TransferStep::Fitted { done, all }))?;
         Ok(assemble(&simulation, path, real, &trials, &predictions, options))
     }
 

@@ -6,9 +6,8 @@ use robogate_core::{ParameterSpace, Sampler, Seed, samplers};
 use robogate_stats::recalibration::LARGEST_LOG_ODDS;
 
 use super::trials::RealTrials;
-use crate::study::Learner;
+use crate::study::flexible_scores;
 use crate::table::{EpisodeTable, ParameterColumn, Sample};
-use crate::task::TaskAnalysis;
 
 /// Points of the space at which the model is evaluated.
 const POINTS: usize = 4_096;
@@ -42,7 +41,7 @@ pub(super) fn predict(
     space: &ParameterSpace,
     trials: &RealTrials,
     points: &[Vec<f64>],
-    task: &TaskAnalysis,
+    fitted: &mut dyn FnMut(u32, u32),
 ) -> Result<Predictions, String> {
     let mut train = table.unselected();
     if train.len() > MOST_EPISODES {
@@ -72,7 +71,7 @@ pub(super) fn predict(
         success: vec![false; rows.len()],
         parameters: train.parameters.iter().filter_map(column).collect(),
     };
-    let scores = Learner::Flexible.scores(&train, None, &test, task)?;
+    let scores = flexible_scores(&train, &test, fitted)?;
     let probability = |eta: &f64| 1.0 / (1.0 + (-eta.clamp(-LARGEST_LOG_ODDS, LARGEST_LOG_ODDS)).exp());
     let all: Vec<f64> = scores.test.iter().map(probability).collect();
     let (population, mut rest) = all.split_at(points.len());

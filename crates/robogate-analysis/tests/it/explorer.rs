@@ -13,7 +13,7 @@ fn column<'a>(table: &'a ExplorerTable, name: &str) -> &'a robogate_analysis::Ex
 fn columns_hold_the_rows() {
     let space = space(&["box", "sphere"]);
     let entries = law(&space, 100);
-    let mut table = ExplorerTable::new();
+    let mut table = ExplorerTable::new(usize::MAX);
     let run = table.add_run("a", &provenance(space.clone()));
     entries.iter().for_each(|entry| table.push(run, entry));
     assert_eq!(table.rows(), 100);
@@ -42,7 +42,7 @@ fn columns_hold_the_rows() {
 #[test]
 fn runs_share_columns_of_one_name() {
     let (first, second) = (space(&["box", "sphere"]), space(&["sphere", "cone"]));
-    let mut table = ExplorerTable::new();
+    let mut table = ExplorerTable::new(usize::MAX);
     let runs = [table.add_run("a", &provenance(first.clone())), table.add_run("b", &provenance(second.clone()))];
     for (run, space) in runs.into_iter().zip([&first, &second]) {
         law(space, 20).iter().for_each(|entry| table.push(run, entry));
@@ -64,7 +64,7 @@ fn runs_share_columns_of_one_name() {
 fn twins_equal_those_of_the_report() {
     let space = space(&["box", "sphere"]);
     let entries = law(&space, 400);
-    let mut table = ExplorerTable::new();
+    let mut table = ExplorerTable::new(usize::MAX);
     let run = table.add_run("a", &provenance(space.clone()));
     entries.iter().for_each(|entry| table.push(run, entry));
     let folder = tempfile::tempdir().unwrap();
@@ -88,7 +88,7 @@ fn twins_equal_those_of_the_report() {
 #[test]
 fn samples_are_even() {
     let space = space(&["box"]);
-    let mut table = ExplorerTable::new();
+    let mut table = ExplorerTable::new(usize::MAX);
     let run = table.add_run("a", &provenance(space.clone()));
     law(&space, 900).iter().for_each(|entry| table.push(run, entry));
     assert_eq!(table.sample(900), (0..900).collect::<Vec<_>>());
@@ -98,5 +98,39 @@ fn samples_are_even() {
     for part in 0..3 {
         let n = rows.iter().filter(|row| **row / 300 == part).count();
         assert!((75..=125).contains(&n), "part {part}: {n}");
+    }
+}
+
+#[test]
+fn full_table_keeps_a_random_half() {
+    let space = space(&["box", "sphere"]);
+    let entries = law(&space, 1000);
+    let fill = |most: usize, entries: &mut dyn Iterator<Item = &robogate_dictionary::Entry>| {
+        let mut table = ExplorerTable::new(most);
+        let run = table.add_run("a", &provenance(space.clone()));
+        entries.for_each(|entry| table.push(run, entry));
+        table
+    };
+    let whole = fill(1000, &mut entries.iter());
+    let table = fill(300, &mut entries.iter());
+    assert_eq!((whole.rows(), whole.halvings(), table.halvings()), (1000, 0, 2));
+    assert!((180..300).contains(&table.rows()), "{}", table.rows());
+    assert!(table.columns().iter().all(|column| column.values().len() == table.rows()));
+    // The counts are those of all episodes.
+    let k = entries.iter().filter(|entry| entry.episode.outcome == Outcome::Success).count() as u64;
+    assert_eq!((table.counts(0).n, table.counts(0).k), (1000, k));
+    assert_eq!((table.counts(0), table.counts(1).n), (whole.counts(0), 0));
+    // Another order of arrival gives the same sample.
+    let sorted = |table: &ExplorerTable| {
+        let mut indices: Vec<u64> = column(table, "index").values().iter().map(|index| *index as u64).collect();
+        indices.sort_unstable();
+        indices
+    };
+    assert_eq!(sorted(&table), sorted(&fill(300, &mut entries.iter().rev())));
+    // The rows are whole.
+    let friction = column(&table, "friction").values();
+    for (row, index) in column(&table, "index").values().iter().enumerate() {
+        let expected = entries[*index as usize].episode.scenario.requested.number("friction").unwrap() as f32;
+        assert_eq!(friction[row].to_bits(), expected.to_bits());
     }
 }

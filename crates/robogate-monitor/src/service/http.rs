@@ -7,9 +7,11 @@
 //! | `POST /v1/recipes/NAME/restart` | restarts the recipe's detectors, after the cause was repaired |
 //! | `GET /v1/status` | the status document |
 //! | `GET /v1/fleet` | all robots, and the differences between the robots of each recipe |
+//! | `GET /v1/replay?run=N&index=N` | a simulated episode, recomputed, with its nearest passing episode |
 //! | `GET /metrics` | metrics for Prometheus |
 //! | `GET /healthz` | 200 while cycles can be written |
 //! | `GET /`, `GET /page.js`, `GET /page.css` | the page, its script and its style |
+//! | `GET /replay` | the page that plays the simulated episodes most similar to an alarm |
 //!
 //! Without a token, only this machine may connect: the address must be a loopback address, requests must name it as
 //! their host, and pages of other sites may not post. With a token, all paths except those of the page (which contain no data)
@@ -43,6 +45,7 @@ use super::engine::{Answer, Busy, Handle, Job, Problem};
 use super::fleet::FleetStatus;
 use super::intake::Taken;
 use super::peers::{Connection, Peers};
+use super::replays::Replays;
 
 /// Time for which a comparison of the robots is reused.
 const FLEET_HOLDS: Duration = Duration::from_secs(10);
@@ -60,6 +63,8 @@ const PAGE: &str = include_str!("page.html");
 const SCRIPT: &str = include_str!("page.js");
 /// Its style.
 const STYLE: &str = include_str!("page.css");
+/// The reply without simulated episodes.
+const NO_EPISODES: &str = "this monitor replays no simulated episodes. Hint: start it with --episodes RUN";
 
 /// Limits of the HTTP server.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -127,7 +132,7 @@ pub enum HttpError {
 }
 
 /// Serves until `stop` receives a message or is dropped. `listening` receives the address, whose port the system may
-/// have chosen.
+/// have chosen. With `replays`, the page of an alarm plays simulated episodes.
 ///
 /// # Errors
 /// If the server cannot start.
@@ -136,6 +141,7 @@ pub fn serve(
     token: Option<String>,
     settings: HttpSettings,
     engine: Handle,
+    replays: Option<Replays>,
     listening: impl FnOnce(SocketAddr),
     stop: oneshot::Receiver<()>,
 ) -> Result<(), HttpError> {
@@ -157,6 +163,7 @@ pub fn serve(
             token,
             settings,
             engine,
+            replays,
             peers: Mutex::new(Peers::default()),
             held: AtomicUsize::new(0),
             health: Mutex::new(None),
@@ -179,6 +186,7 @@ struct Server {
     token: Option<String>,
     settings: HttpSettings,
     engine: Handle,
+    replays: Option<Replays>,
     peers: Mutex<Peers>,
     /// Total size of the bodies in memory, in bytes.
     held: AtomicUsize,
@@ -290,7 +298,7 @@ fn document(status: StatusCode, body: &impl Serialize) -> Reply {
 }
 
 /// A refusal that asks the sender to try again.
-fn later(status: StatusCode, because: impl std::fmt::Display) -> Reply {
+pub(super) fn later(status: StatusCode, because: impl std::fmt::Display) -> Reply {
     let mut reply = refusal(status, because);
     reply.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
     reply
@@ -302,7 +310,7 @@ pub(super) fn refusal(status: StatusCode, because: impl std::fmt::Display) -> Re
 
 async fn respond(server: &Server, request: Request<Incoming>) -> Reply {
     let path = request.uri().path().to_owned();
-    let open = matches!(path.as_str(), "/" | "/page.js" | "/page.css" | "/healthz");
+    let open = matches!(path.as_str(), "/" | "/page.js" | "/page.css" | "/replay" | "/healthz");
     if let Some(refused) = admit(server, &request, open) {
         return refused;
     }
@@ -328,6 +336,11 @@ async fn respond(server: &Server, request: Request<Incoming>) -> Reply {
             _ => refusal(StatusCode::BAD_REQUEST, "expected `?recipe=NAME&until=ID` with the id of a cycle"),
         },
         (&Method::GET, "/v1/fleet") => fleet(server).await,
+        (&Method::GET, "/v1/replay") => replay(server, &request).await,
+        (&Method::GET, "/replay") => match &server.replays {
+            Some(replays) => replays.page(),
+            None => refusal(StatusCode::NOT_FOUND, NO_EPISODES),
+        },
         (&Method::GET, "/metrics") => match ask(server, |reply| Job::Metrics { reply }).await {
             Ok(text) => reply(StatusCode::OK, "text/plain; version=0.0.4; charset=utf-8", text),
             Err(refused) => refused,
@@ -342,10 +355,25 @@ async fn respond(server: &Server, request: Request<Incoming>) -> Reply {
         }
         (&Method::GET, "/page.js") => reply(StatusCode::OK, "text/javascript; charset=utf-8", SCRIPT),
         (&Method::GET, "/page.css") => reply(StatusCode::OK, "text/css; charset=utf-8", STYLE),
-        (_, "/v1/cycles" | "/v1/status" | "/v1/fleet" | "/metrics" | "/healthz" | "/page.js" | "/page.css" | "/") => {
-            refusal(StatusCode::METHOD_NOT_ALLOWED, "this path does not support this method")
-        }
+        (
+            _,
+            "/v1/cycles" | "/v1/status" | "/v1/fleet" | "/v1/replay" | "/metrics" | "/healthz" | "/page.js"
+            | "/page.css" | "/replay" | "/",
+        ) => refusal(StatusCode::METHOD_NOT_ALLOWED, "this path does not support this method"),
         _ => refusal(StatusCode::NOT_FOUND, "not found; the page is at /"),
+    }
+}
+
+/// A simulated episode.
+async fn replay(server: &Server, request: &Request<Incoming>) -> Reply {
+    let number = |name| asked(request, name).and_then(|text| text.parse::<u64>().ok());
+    let run = number("run").and_then(|run| usize::try_from(run).ok());
+    match (&server.replays, run.zip(number("index"))) {
+        (None, _) => refusal(StatusCode::NOT_FOUND, NO_EPISODES),
+        (Some(_), None) => refusal(StatusCode::BAD_REQUEST, "expected `?run=N&index=N`"),
+        (Some(replays), Some((run, index))) => {
+            replays.episode(run, index, Duration::from_secs_f64(server.settings.answer_s)).await
+        }
     }
 }
 

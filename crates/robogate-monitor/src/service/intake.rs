@@ -12,6 +12,7 @@
 //! Late cycles are processed, so that a robot whose clock once jumped ahead is still monitored.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use serde::Serialize;
 
@@ -110,19 +111,23 @@ pub struct Intake {
     unwritten: Vec<Alarm>,
     /// The sum of all results since the start.
     totals: Taken,
-    /// Simulated episodes, to compare cycles with.
-    episodes: Option<Episodes>,
+    /// Simulated episodes, to compare cycles with: those of one recipe, and under `None` those of all others.
+    episodes: BTreeMap<Option<String>, Arc<Episodes>>,
 }
 
 impl Intake {
-    /// The same intake with simulated episodes. The page compares failed cycles with them.
+    /// The same intake with simulated episodes for one recipe, or for all recipes without their own. The page compares
+    /// failed cycles with them.
     #[must_use]
-    pub fn with_episodes(self, episodes: Episodes) -> Self {
-        Self { episodes: Some(episodes), ..self }
+    pub fn with_episodes(mut self, recipe: Option<String>, episodes: Arc<Episodes>) -> Self {
+        self.episodes.insert(recipe, episodes);
+        self
     }
 
-    pub(super) fn episodes(&self) -> Option<&Episodes> {
-        self.episodes.as_ref()
+    /// The simulated episodes of a recipe.
+    pub(super) fn episodes(&self, recipe: &str) -> Option<&Episodes> {
+        let own = self.episodes.get(&Some(recipe.to_owned()));
+        own.or_else(|| self.episodes.get(&None)).map(Arc::as_ref)
     }
 
     /// Restores each recipe's state from the store, then processes the later cycles.
@@ -154,7 +159,7 @@ impl Intake {
             newest,
             unwritten: Vec::new(),
             totals: Taken::default(),
-            episodes: None,
+            episodes: BTreeMap::new(),
         })
     }
 

@@ -22,6 +22,8 @@ pub struct SimulatedEpisode {
 pub struct Episodes {
     /// The run's folder, for commands.
     run: String,
+    /// The number of the run for [`Replays`](super::Replays). `None` if its episodes cannot be replayed here.
+    replayed: Option<usize>,
     episodes: Vec<SimulatedEpisode>,
     /// The difference between the largest and the smallest value of each numeric parameter.
     spans: BTreeMap<String, f64>,
@@ -38,8 +40,12 @@ pub struct NearestEpisode {
     pub distance: f64,
     /// The compared parameters.
     pub parameters: Vec<String>,
+    /// Their values in the episode.
+    pub values: BTreeMap<String, ParameterValue>,
     /// The command that replays it.
     pub command: String,
+    /// The number of its run for `GET /v1/replay`. `None` if its episodes cannot be replayed here.
+    pub run: Option<usize>,
 }
 
 impl Episodes {
@@ -53,7 +59,18 @@ impl Episodes {
             }
         }
         let spans = ranges.into_iter().map(|(name, [low, high])| (name.to_owned(), high - low)).collect();
-        Self { run, episodes, spans }
+        Self { run, replayed: None, episodes, spans }
+    }
+
+    /// The same episodes, which run number `run` of [`Replays`](super::Replays) can replay.
+    #[must_use]
+    pub fn replayed(self, run: usize) -> Self {
+        Self { replayed: Some(run), ..self }
+    }
+
+    /// Whether its episodes can be replayed.
+    pub(super) fn can_replay(&self) -> bool {
+        self.replayed.is_some()
     }
 
     /// The nearest episode among those that `wanted` accepts. `None` if the cycle reports no parameter of the run. Of equally
@@ -70,12 +87,16 @@ impl Episodes {
             }
         }
         let episode = best?;
-        let compared = episode.parameters.keys().filter(|name| cycle.contains_key(*name));
+        let compared = episode.parameters.iter().filter(|(name, _)| cycle.contains_key(*name));
+        let values: BTreeMap<String, ParameterValue> =
+            compared.map(|(name, value)| (name.clone(), value.clone())).collect();
         Some(NearestEpisode {
             index: episode.index,
             outcome: episode.outcome.clone(),
             distance: least,
-            parameters: compared.cloned().collect(),
+            parameters: values.keys().cloned().collect(),
+            values,
+            run: self.replayed,
             command: format!("robogate replay {} {}", self.run, episode.index),
         })
     }
@@ -122,6 +143,7 @@ mod tests {
             episodes.nearest(&values(mass, shape), |one| !failed || one.outcome != "success").unwrap()
         };
         assert_eq!(near(0.4, "box", false).index, 0);
+        assert_eq!(near(0.4, "box", false).values, values(0.0, "box"));
         assert_eq!(near(0.6, "ball", false).command, "robogate replay runs/a 1");
         assert_eq!(near(1.9, "box", true).index, 2);
         assert!((near(1.9, "box", true).distance - 0.05 / 2_f64.sqrt()).abs() < 1e-12);

@@ -182,11 +182,15 @@ function happened(event) {
   const steps = event.alarms.filter(a => a !== lead || event.alarms.length > 1);
   if (steps.length) node.append(el("ol", { class: "dim" }, ...steps.map(a => el("li", {},
     `${time(a.time_s)} UTC, cycle ${whole(a.cycle)}: ${a.level} ${a.happening}`))));
-  const link = el("button", { class: "link", type: "button", "data-key": "around " + lead.id }, "Show its cycles and similar simulated episodes");
+  const link = el("button", { class: "link", type: "button", "data-key": "around " + lead.id }, "Show its cycles");
   link.addEventListener("click", () => around(lead));
-  node.append(link);
+  const known = current.recipes.find(r => r.recipe === lead.recipe);
+  node.append(el("div", { class: "links" }, link, ...(known && known.replays ? [el("a", { href: replay(lead), "data-key": "replay " + lead.id },
+    "Play the nearest simulated episode")] : [])));
   return node;
 }
+// The page that plays the simulated episodes most similar to the cycles of an alarm.
+const replay = a => `/replay#recipe=${encodeURIComponent(a.recipe)}&until=${encodeURIComponent(a.cycle_id)}`;
 // The cycles before an alarm, in place of the last cycles.
 let chosen = null;
 async function around(a) {
@@ -196,7 +200,8 @@ async function around(a) {
 }
 function similar(one, what) {
   return one ? [el("div", {}, `${what}: episode ${one.index}, ${one.outcome.replaceAll("_", " ")}. Difference ${short(one.distance)} of the ranges ` +
-    `of ${one.parameters.join(", ")}.`), el("pre", {}, el("code", {}, one.command))] : [];
+    `of ${one.parameters.join(", ")}. `, ...(one.run == null ? [] : [el("a", { href: `${replay(chosen.alarm)}&episode=${one.index}` }, "Play it")])),
+    el("pre", {}, el("code", {}, one.command))] : [];
 }
 function cycles() {
   const back = el("button", { class: "link", type: "button" }, "Show the last cycles");

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::charts::Charts;
 use super::intake::{Intake, IntakeError, Taken};
-use super::nearest::{NearestEpisode, SimulatedEpisode};
+use super::nearest::{Episodes, NearestEpisode, SimulatedEpisode};
 use crate::cycle::Cycle;
 use crate::domain::Validated;
 use crate::{Level, OutsideTally, Recipe, Settings};
@@ -45,7 +45,7 @@ impl Around {
         let like = cycles.iter().find(|cycle| !cycle.success && !cycle.parameters.is_empty());
         let near = |failed: bool| {
             let wanted = |one: &SimulatedEpisode| !failed || one.outcome != "success";
-            intake.episodes()?.nearest(&like?.parameters, wanted)
+            intake.episodes(recipe)?.nearest(&like?.parameters, wanted)
         };
         Ok(Self {
             version: 1,
@@ -118,6 +118,8 @@ pub struct RecipeStatus {
     pub outside: Vec<OutsideStatus>,
     /// The course of the metrics and of the evidence since the first cycle. `None` for all but the first recipes.
     pub charts: Option<Charts>,
+    /// Whether its alarms link to simulated episodes that this monitor can replay.
+    pub replays: bool,
 }
 
 /// The status of a detector.
@@ -162,7 +164,10 @@ impl Status {
                 .iter()
                 .take(RECIPES)
                 .enumerate()
-                .map(|(at, (name, recipe))| recipe_status(name, recipe, settings, at < CHARTS))
+                .map(|(at, (name, recipe))| RecipeStatus {
+                    replays: intake.episodes(name).is_some_and(Episodes::can_replay),
+                    ..recipe_status(name, recipe, settings, at < CHARTS)
+                })
                 .collect(),
             alarms: intake.store().last_alarms(ALARMS)?.into_iter().map(value).collect(),
             cycles: intake.store().last_cycles(CYCLES)?.into_iter().map(value).collect(),
@@ -194,5 +199,6 @@ fn recipe_status(name: &str, recipe: &Recipe, settings: &Settings, charts: bool)
         detectors: recipe.detectors(settings).into_iter().map(detector).collect(),
         outside: outside.collect(),
         charts: charts.then(|| Charts::of(recipe, settings)),
+        replays: false,
     }
 }

@@ -8,7 +8,7 @@ use std::thread::JoinHandle;
 use robogate_core::Seed;
 use robogate_monitor::Monitor;
 use robogate_monitor::service::{
-    HttpError, HttpSettings, Intake, ServiceEngine, ServiceSettings, Store, StoreSettings, serve,
+    HttpError, HttpSettings, Intake, Replays, ServiceEngine, ServiceSettings, Store, StoreSettings, serve,
 };
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
@@ -40,13 +40,23 @@ impl Service {
         token: Option<&str>,
         say: impl Fn(&str) + Send + 'static,
     ) -> Self {
+        Self::replaying(intake, http, token, None, say)
+    }
+
+    pub(crate) fn replaying(
+        intake: Intake,
+        http: HttpSettings,
+        token: Option<&str>,
+        replays: Option<Replays>,
+        say: impl Fn(&str) + Send + 'static,
+    ) -> Self {
         let engine = ServiceEngine::open(intake, say);
         let (stop, stopped) = oneshot::channel();
         let (bound, address) = channel();
         let (handle, token) = (engine.handle(), token.map(str::to_owned));
         let thread = std::thread::spawn(move || {
             let any = "127.0.0.1:0".parse().unwrap();
-            serve(any, token, http, handle, |address| bound.send(address).unwrap(), stopped)
+            serve(any, token, http, handle, replays, |address| bound.send(address).unwrap(), stopped)
         });
         Self { address: address.recv().unwrap(), engine, stop, thread }
     }

@@ -2,12 +2,14 @@
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use robogate_monitor::service::{HttpSettings, serve};
+use robogate_monitor::service::{HttpSettings, Replays, StoreSettings, serve};
 use serde_json::json;
 
-use crate::common::{Service, agent, cycle, cycles, get, post};
+use crate::common::{Service, agent, cycle, cycles, get, intake, post};
 
 fn open() -> (tempfile::TempDir, Service) {
     let folder = tempfile::tempdir().unwrap();
@@ -101,7 +103,8 @@ fn only_local_clients_connect_without_token() {
     assert_eq!(raw("POST /v1/cycles HTTP/1.1\r\nhost: localhost\r\norigin: http://evil.example\r\n"), "403");
     let anyone = "0.0.0.0:0".parse().unwrap();
     let (_stop, stopped) = tokio::sync::oneshot::channel();
-    let refused = serve(anyone, None, HttpSettings::default(), service.engine.handle(), |_| {}, stopped).unwrap_err();
+    let refused =
+        serve(anyone, None, HttpSettings::default(), service.engine.handle(), None, |_| {}, stopped).unwrap_err();
     assert!(refused.to_string().contains("--token-file"), "{refused}");
     service.end();
 }
@@ -298,5 +301,49 @@ fn unfinished_heads_lock_nobody_out() {
         assert_eq!(get(service.address, "/healthz").0, 200);
     }
     drop(heads);
+    service.end();
+}
+
+#[test]
+fn one_episode_is_recomputed_at_a_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let (begun, starts) = channel();
+    let (finish, ends) = channel::<()>();
+    let ends = Mutex::new(ends);
+    let recompute = move |run: usize, index: u64| {
+        if index == 9 {
+            return Err("the run has no episode 9".to_owned());
+        }
+        begun.send(()).unwrap();
+        ends.lock().unwrap().recv().unwrap();
+        Ok(json!({ "run": run, "index": index }).to_string().into_bytes())
+    };
+    let replays = Replays::new("<p>replay".to_owned(), "default-src 'none'".to_owned(), Arc::new(recompute));
+    let service = Service::replaying(
+        intake(&folder.path().join("monitor.db"), StoreSettings::default()),
+        HttpSettings::default(),
+        None,
+        Some(replays),
+        |_| {},
+    );
+    let to = service.address;
+    let first = std::thread::spawn(move || get(to, "/v1/replay?run=1&index=3"));
+    starts.recv().unwrap();
+    // Meanwhile a second one is asked to come again, and cycles are received.
+    assert_eq!(get(to, "/v1/replay?run=1&index=4").0, 503);
+    assert_eq!(post(to, "/v1/cycles", &cycle(1, 0.0), None).0, 200);
+    finish.send(()).unwrap();
+    assert_eq!(first.join().unwrap(), (200, "{\"index\":3,\"run\":1}".to_owned()));
+    assert_eq!(get(to, "/v1/replay?run=0&index=9"), (404, "{\"error\":\"the run has no episode 9\"}".to_owned()));
+    for path in ["/v1/replay", "/v1/replay?run=0", "/v1/replay?run=-1&index=0", "/v1/replay?run=0&index=x"] {
+        assert_eq!(get(to, path).0, 400, "{path}");
+    }
+    let page = agent().get(format!("http://{to}/replay")).call().unwrap();
+    assert_eq!(page.headers()["content-security-policy"], "default-src 'none'");
+    assert_eq!(post(to, "/replay", "", None).0, 405);
+    service.end();
+    // Without episodes, there is no such page.
+    let (_folder, service) = open();
+    assert_eq!([get(service.address, "/replay").0, get(service.address, "/v1/replay?run=0&index=0").0], [404, 404]);
     service.end();
 }

@@ -4,6 +4,7 @@ mod explorer;
 mod pairs;
 mod policy;
 mod prose;
+mod replay;
 mod verdict;
 mod watch;
 
@@ -13,6 +14,7 @@ use robogate_analysis::{Analysis, Comparison};
 
 pub use explorer::explorer_page;
 pub(crate) use prose::{prose, rich};
+pub use replay::replay_page;
 
 use crate::Additions;
 use crate::document::{

@@ -14,6 +14,7 @@ use crate::commands::analyze::{heading, interval};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, OrExit, USAGE};
 use crate::source::open_source;
 use crate::terminal::{bold, dim, grouped, line, note, percent, wrapped};
+use crate::transfer_view::TransferView;
 
 /// Estimate the success rate of the real robot from a simulation and a few real trials.
 ///
@@ -49,10 +50,13 @@ impl TransferTo {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let source = open_source(&self.sim)?;
         let options = TransferOptions { groups: self.groups.clone(), population: self.population.clone() };
-        let transfer = Transfer::of(&source, &self.sim, &self.real, &options).map_err(|error| {
-            let code = if matches!(error, AnalysisError::Io { .. }) { INFRASTRUCTURE } else { USAGE };
-            Exit { code, error: error.into() }
-        })?;
+        let mut view = TransferView::new();
+        let transfer = Transfer::watched(&source, &self.sim, &self.real, &options, &mut |step| view.hear(step))
+            .map_err(|error| {
+                let code = if matches!(error, AnalysisError::Io { .. }) { INFRASTRUCTURE } else { USAGE };
+                Exit { code, error: error.into() }
+            })?;
+        view.end();
         for (file, text) in [(&self.html, transfer_html as fn(&Transfer) -> String), (&self.out, transfer_json)] {
             if let Some(file) = file {
                 fs::write(file, text(&transfer))

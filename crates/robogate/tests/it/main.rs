@@ -33,6 +33,7 @@ mod policy;
 mod shards;
 mod signatures;
 mod study;
+mod terminal;
 mod twins;
 mod verbs;
 #[cfg(feature = "mujoco")]

@@ -13,6 +13,25 @@ use crate::harness::robogate_in;
 /// The budget of a page with twelve episodes, in bytes.
 const PAGE_BUDGET: u64 = 2_500_000;
 
+/// The largest height of a page before a section is opened, in pixels.
+const MOST_PX: u64 = 4_000;
+
+/// Asserts that a page is short before a section is opened, and that no part of it is wider than a wide or a narrow window.
+fn assert_fits(browser: &mut Browser, page: &Path) {
+    for width in [400, 1280] {
+        let window = json!({ "width": width, "height": 1000, "deviceScaleFactor": 1, "mobile": false });
+        browser.call("Emulation.setDeviceMetricsOverride", window);
+        browser.open(page);
+        browser.wait("!document.querySelector('#reel') || !!document.querySelector('[data-ready]')");
+        let size = |of: &str| format!("document.documentElement.{of}");
+        let wide = browser.evaluate(&size("scrollWidth")).as_u64().unwrap();
+        assert!(wide <= width, "{}: {wide} px wide in a window of {width} px", page.display());
+        let tall = browser.evaluate(&size("scrollHeight")).as_u64().unwrap();
+        println!("{}: {tall} px in a window of {width} px", page.display());
+        assert!(width < 1280 || tall <= MOST_PX, "{}: {tall} px tall, at most {MOST_PX}", page.display());
+    }
+}
+
 /// Runs the command, and returns its exit code.
 fn robogate(folder: &Path, arguments: &[&str]) -> i32 {
     let output = robogate_in(folder, arguments);
@@ -24,7 +43,7 @@ fn robogate(folder: &Path, arguments: &[&str]) -> i32 {
 /// Plays, scrubs and opens the episodes of a page, and checks its accessibility in both themes.
 fn operate(chromium: &Path, axe: Option<&PathBuf>, page: &Path) {
     let mut browser = Browser::start(chromium);
-    browser.open(page);
+    assert_fits(&mut browser, page);
     browser.wait("!!document.querySelector('[data-ready]')");
     let episodes = browser.evaluate("document.querySelectorAll('button[data-first]').length").as_u64().unwrap();
     assert!(episodes > 0, "no episode to watch");
@@ -169,6 +188,45 @@ fn printed(chromium: &Path, page: &Path) {
     assert!(words(&paper).contains("Provenance dataset hash"), "{paper}");
 }
 
+/// Pages of all kinds of runs: each design, a gate with controls, other results and a server of another task.
+#[test]
+fn pages_are_short() {
+    let Some(chromium) = robogate_testing::program("chromium") else { return };
+    let dir = TempDir::new().unwrap();
+    let mut pages = Vec::new();
+    for design in ["active", "two-stage", "uniform"] {
+        let arguments = ["run", "--task", "pendulum", "--design", design, "-n", "1500", "--seed", "3", "--out", design];
+        robogate(dir.path(), &arguments);
+        pages.push(format!("{design}/report.html"));
+    }
+    robogate(dir.path(), &["gate", "--task", "pendulum", "--out", "gate"]);
+    pages.push("gate/report.html".to_owned());
+    robogate(dir.path(), &["compare", "active", "two-stage", "uniform", "--html", "compare.html"]);
+    pages.push("compare.html".to_owned());
+    let rows: String = (0..900)
+        .map(|i| {
+            let unit = |step: u32| f64::from((i * step + 11) % 97) / 97.0;
+            let mode = if unit(37) > 0.4 + 0.3 * unit(29) {
+                ""
+            } else if unit(53) > 0.5 {
+                "slip"
+            } else {
+                "jam"
+            };
+            format!("{},{mode},{},{},{}\n", mode.is_empty(), unit(37), unit(29), ["steel", "oiled"][i as usize % 2])
+        })
+        .collect();
+    fs::write(dir.path().join("rows.csv"), format!("success,failure_mode,mass_kg,speed_m_s,surface\n{rows}")).unwrap();
+    robogate(dir.path(), &["import", "rows.csv", "rows.parquet"]);
+    robogate(dir.path(), &["report", "rows.parquet", "--out", "imported.html"]);
+    pages.push("imported.html".to_owned());
+    let mut browser = Browser::start(&chromium);
+    for page in pages {
+        assert_fits(&mut browser, &dir.path().join(page));
+    }
+    browser.assert_no_trouble();
+}
+
 /// A monitor that is ended on drop.
 struct Monitor(std::process::Child);
 
@@ -198,13 +256,48 @@ fn cycles() -> String {
     (0..4000).map(cycle).collect()
 }
 
+/// Plays the simulated episode that is most similar to an alarm, and returns to the monitor.
+fn alarm_is_replayed(browser: &mut Browser, axe: Option<&PathBuf>) {
+    browser.evaluate("document.querySelector('#alarms a[href^=\"/replay#\"]').click()");
+    browser.wait("location.pathname === '/replay' && document.querySelector('[data-ready]') !== null");
+    // The failed cycle, its failure, and the passing twin beside it on one clock.
+    browser.wait("document.querySelector('.sub').textContent.includes('of part-a before the alarm at cycle c')");
+    browser.wait("document.querySelectorAll('.view-label').length === 2 && document.querySelector('.view-label .chip.bad') !== null");
+    assert_eq!(browser.evaluate("document.querySelectorAll('.watch tbody tr').length"), json!(2), "mass and friction");
+    browser.evaluate("document.querySelector('.view-play').click()");
+    browser.wait("Number(document.querySelector('.view-bar input[type=range]').value) > 0.1");
+    browser.evaluate("document.querySelector('.view-play').click()");
+    // The nearest episode of any outcome, if it is another one.
+    let other = "document.querySelector('.watch-list button[aria-pressed=false]')";
+    if browser.evaluate(&format!("{other} !== null")) == json!(true) {
+        let index = browser.evaluate(&format!("{other}.dataset.index"));
+        browser.evaluate(&format!("{other}.click()"));
+        browser.wait(&format!(
+            "document.querySelector('.view-label b').textContent === 'Episode ' + {index} && document.querySelector('.watch-list button[data-index=' + CSS.escape({index}) + '][aria-pressed=true]') !== null"
+        ));
+    }
+    if let Some(axe) = axe {
+        for theme in ["light", "dark"] {
+            let media = json!({ "features": [{ "name": "prefers-color-scheme", "value": theme }] });
+            browser.call("Emulation.setEmulatedMedia", media);
+            browser.assert_accessible(axe);
+        }
+    }
+    browser.assert_no_trouble();
+    browser.evaluate("document.querySelector('.brand a').click()");
+    browser.wait("location.pathname === '/' && document.querySelector('#state')?.textContent === 'live'");
+}
+
 /// Filters the monitor's page, and opens the cycles of an alarm.
 fn monitor_works(chromium: &Path, axe: Option<&PathBuf>, folder: &Path) {
     use std::io::{BufRead, BufReader};
     fs::write(folder.join("cycles.jsonl"), cycles()).unwrap();
+    // The reference names the run of its episodes, from its own folder.
+    fs::create_dir_all(folder.join("monitor")).unwrap();
+    robogate(folder, &["monitor", "reference", "mujoco", "--learn-baseline", "--out", "monitor/reference.json"]);
     let child = Command::new(env!("CARGO_BIN_EXE_robogate"))
         .args(["monitor", "serve", "cycles.jsonl", "--store", "monitor.db", "--listen", "127.0.0.1:0"])
-        .args(["--episodes", "mujoco"])
+        .args(["--reference", "monitor/reference.json"])
         .current_dir(folder)
         .stdout(std::process::Stdio::null())
         .stderr(std::process::Stdio::piped())
@@ -230,11 +323,12 @@ fn monitor_works(chromium: &Path, axe: Option<&PathBuf>, folder: &Path) {
     assert!(!shown.as_array().unwrap().is_empty(), "no event");
     // The cycles of an alarm, with the nearest simulated episode.
     browser.evaluate("document.querySelector('#alarms button').click()");
-    browser.wait("document.querySelector('#around').textContent.includes('robogate replay mujoco ')");
+    browser.wait("document.querySelector('#around').textContent.match(/robogate replay \\S*mujoco \\d+/) !== null");
     browser.wait("document.querySelectorAll('#cycles tr').length === 30");
     browser.wait("[...document.querySelectorAll('#cycles tr')].every((row) => row.textContent.includes('part-a'))");
     browser.evaluate("document.querySelector('#around button').click()");
     browser.wait("document.querySelectorAll('#cycles tr').length === 20");
+    alarm_is_replayed(&mut browser, axe);
     // Filters.
     let choose = |id: &str, value: &str| {
         format!(

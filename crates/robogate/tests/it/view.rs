@@ -194,6 +194,10 @@ fn running_campaigns_update() {
     server.wait(|state| state["rows"].as_u64().unwrap() > rows + 20);
     // An episode of an unfinished run is played, although the run holds its lock.
     assert_eq!(server.json("/v1/clip?run=0&index=3")["reel"]["clips"][0]["title"], json!("Episode 3"));
+    let mut page = robogate_testing::program("chromium").map(|chromium| Page::open(&chromium, &server));
+    if let Some(page) = &mut page {
+        page.grows_with_a_selection();
+    }
     // A killed run leaves a truncated journal.
     drop(run);
     let journal = OpenOptions::new().write(true).open(at("a/journal.rgj")).unwrap();
@@ -204,6 +208,76 @@ fn running_campaigns_update() {
     assert!(after["rows"].as_u64().unwrap() < known["rows"].as_u64().unwrap());
     assert_eq!(after["runs"][0]["problem"], Value::Null);
     assert_eq!(Server::start(dir.path(), &["a"]).json("/v1/state")["rows"], after["rows"]);
+    if let Some(mut page) = page {
+        // The void rows are gone, and the selection is counted again.
+        page.0.wait(&format!("robogateExplorer.explorer.data.rows === {}", after["rows"]));
+        page.assert_counts();
+    }
+}
+
+/// The explorer in a browser, with the page of a server.
+struct Page(Browser);
+
+impl Page {
+    fn open(chromium: &Path, server: &Server) -> Self {
+        let mut browser = Browser::start(chromium);
+        browser.open(format!("http://{}/#token={}", server.address, server.token));
+        browser.wait("document.body.dataset.ready === 'true' && document.body.dataset.modelled === 'true'");
+        Self(browser)
+    }
+
+    fn rows(&mut self) -> u64 {
+        self.0.evaluate("robogateExplorer.explorer.data.rows").as_u64().unwrap()
+    }
+
+    /// Brushes an axis, waits for new rows, and plays an episode while more arrive.
+    fn grows_with_a_selection(&mut self) {
+        self.0.wait("document.querySelector('.x-status').textContent.includes('unfinished')");
+        self.0.evaluate(
+            "(() => { const e = robogateExplorer.explorer; e.brush(e.axes.find((c) => c.kind === 'number'), [0.2, 0.6]) })()",
+        );
+        let rows = self.rows();
+        self.0.wait(&format!("robogateExplorer.explorer.data.rows > {}", rows + 20));
+        self.assert_counts();
+        self.0.evaluate("robogateExplorer.explorer.open(2)");
+        self.0.wait("document.querySelector('.x-player [data-ready]') !== null");
+        let rows = self.rows();
+        self.0.wait(&format!("robogateExplorer.explorer.data.rows > {rows}"));
+    }
+
+    /// The counts of the selection are those of its rows, and the page has reported no error.
+    fn assert_counts(&mut self) {
+        let equal = self.0.evaluate(
+            "(() => { const { data, selection: s } = robogateExplorer.explorer; let kept = 0; \
+             for (let row = 0; row < data.rows; row++) kept += s.has(row) ? 1 : 0; \
+             return kept === s.kept && kept > 0 && (s.isEmpty || kept < data.rows) })()",
+        );
+        assert_eq!(equal, json!(true));
+        self.0.assert_no_trouble();
+    }
+}
+
+/// A page of few rows has a random sample, and the rate of all episodes.
+#[test]
+fn full_tables_show_a_sample() {
+    let dir = TempDir::new().unwrap();
+    robogate(dir.path(), "run --task pendulum --design uniform -n 2000 --seed 3 --out a");
+    let server = Server::start(dir.path(), &["a", "--rows", "500"]);
+    let state = server.json("/v1/state");
+    let rows = state["rows"].as_u64().unwrap();
+    assert!((250..=500).contains(&rows) && state["halvings"] == json!(2), "{state}");
+    let counts = &state["runs"][0]["counts"];
+    assert_eq!((&counts["n"], &state["runs"][0]["rows"]), (&json!(2000), &json!(2000)));
+    let report = analysis(dir.path(), "a");
+    assert_eq!(counts["k"], report["success"]["rate"]["successes"]);
+    let Some(chromium) = robogate_testing::program("chromium") else { return };
+    let mut page = Page::open(&chromium, &server);
+    assert_eq!(page.rows(), rows);
+    page.0.wait("document.querySelector('.x-what').textContent.includes('of 2,000 episodes succeeded')");
+    page.0.wait("document.querySelector('.x-status').textContent.includes('random sample of')");
+    page.0.evaluate("robogateExplorer.explorer.brush(robogateExplorer.explorer.axes[0], [0.2, 0.6])");
+    page.0.wait("document.querySelector('.x-more').textContent.includes('Counted in the random sample')");
+    page.assert_counts();
 }
 
 #[test]
@@ -217,8 +291,12 @@ fn shards_arrive_one_by_one() {
     let first = server.json("/v1/state");
     let rows = first["rows"].as_u64().unwrap();
     assert!(rows > 0 && first["runs"][0]["finished"] == json!(false), "{first:#}");
+    let mut page = robogate_testing::program("chromium").map(|chromium| Page::open(&chromium, &server));
     shard(0);
     server.wait(|state| state["rows"].as_u64().unwrap() > rows);
+    if let Some(page) = &mut page {
+        page.0.wait(&format!("robogateExplorer.explorer.data.rows > {rows}"));
+    }
     for round in [2, 0, 1, 2] {
         shard(round);
     }
@@ -226,6 +304,11 @@ fn shards_arrive_one_by_one() {
     let whole = server.wait(|state| state["runs"][0]["finished"] == json!(true));
     assert_eq!(whole["rows"], whole["runs"][0]["planned"]);
     assert_eq!(whole["epoch"], json!(1));
+    if let Some(mut page) = page {
+        page.0.wait(&format!("robogateExplorer.explorer.data.rows === {}", whole["rows"]));
+        page.0.wait("!document.querySelector('.x-status').textContent.includes('unfinished')");
+        page.assert_counts();
+    }
 }
 
 /// Opens a page, brushes, colours, selects by keyboard, opens an episode, and checks its accessibility in both themes.

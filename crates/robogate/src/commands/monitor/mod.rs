@@ -3,6 +3,7 @@
 mod reference;
 mod serve;
 mod simulate;
+mod simulated;
 
 use std::path::{Path, PathBuf};
 
@@ -54,21 +55,32 @@ struct Watched {
     reference: Vec<String>,
 }
 
+/// A reference file, and the recipe that it is for. `None`: all recipes without their own.
+struct Referred {
+    recipe: Option<String>,
+    path: PathBuf,
+    reference: Reference,
+}
+
 impl Watched {
-    fn settings(&self) -> Result<ServiceSettings, Exit> {
+    fn settings(&self) -> Result<(ServiceSettings, Vec<Referred>), Exit> {
         let mut settings = match &self.settings {
             Some(path) => settings(path)?,
             None => ServiceSettings::default(),
         };
+        let mut referred = Vec::with_capacity(self.reference.len());
         for named in &self.reference {
             let (recipe, path) = match named.split_once('=') {
                 Some((recipe, path)) => (Some(recipe), path),
                 None => (None, named.as_str()),
             };
-            settings.detectors.refer(recipe, reference(Path::new(path))?);
+            let path = PathBuf::from(path);
+            let reference = reference(&path)?;
+            settings.detectors.refer(recipe, reference.clone());
+            referred.push(Referred { recipe: recipe.map(str::to_owned), path, reference });
         }
         settings.detectors.check().or_usage()?;
-        Ok(settings)
+        Ok((settings, referred))
     }
 }
 

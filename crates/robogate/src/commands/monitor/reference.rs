@@ -1,7 +1,7 @@
 //! `robogate monitor reference`: writes baseline, envelope and risk model of a run.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Component, Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
@@ -61,6 +61,7 @@ impl ReferenceOf {
             policy: analysis.subject.policy.clone(),
             population: analysis.population.describe().to_owned(),
             dataset_sha256: analysis.subject.dataset_hash.clone(),
+            run: source.folder().and_then(|folder| self.place_of(folder)),
             baseline: self.baseline(&analysis),
             domain: domain::Domain { envelope, risk: analysis.risk.estimated().map(risk) },
             simulated: is_simulated(&analysis),
@@ -78,6 +79,20 @@ impl ReferenceOf {
             .or_broken()?;
         self.report(&analysis, &reference);
         Ok(DONE)
+    }
+
+    /// The folder of the run from the folder of the reference. `None` for a reference on stdout, which has no place.
+    fn place_of(&self, run: &Path) -> Option<String> {
+        if self.out.as_os_str() == "-" {
+            return None;
+        }
+        let parent = self.out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let (run, parent) = (run.canonicalize().ok()?, parent.canonicalize().ok()?);
+        let common = run.components().zip(parent.components()).take_while(|(a, b)| a == b).count();
+        let up = parent.components().skip(common).map(|_| Component::ParentDir);
+        let place: PathBuf = up.chain(run.components().skip(common)).collect();
+        let place = if place.as_os_str().is_empty() { PathBuf::from(".") } else { place };
+        place.to_str().map(str::to_owned)
     }
 
     fn report(&self, analysis: &Analysis, reference: &Reference) {

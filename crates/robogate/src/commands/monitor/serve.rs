@@ -12,18 +12,16 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use clap::{Args, ValueEnum};
-use robogate_analysis::shell_word;
-use robogate_core::{Outcome, Value};
 use robogate_dictionary::read_text;
 use robogate_monitor::service::{
-    Broker, Deliver, Episodes, Handle, HttpError, Intake, Output, ServiceEngine, SimulatedEpisode, Store, Taken,
-    json_lines, of_rule, serve, webhook,
+    Broker, Deliver, Handle, HttpError, Intake, Output, Replays, ServiceEngine, Store, Taken, json_lines, of_rule,
+    serve, webhook,
 };
-use robogate_monitor::{Level, Monitor, ParameterValue, Rule};
+use robogate_monitor::{Level, Monitor, Rule};
 
 use super::Watched;
+use super::simulated::simulated;
 use crate::exit::{DONE, Exit, FAIL, INFRASTRUCTURE, INVALID, OrExit};
-use crate::source::open_source;
 use crate::terminal::{grouped, note};
 
 /// Lines of a feed that are processed together.
@@ -71,39 +69,12 @@ pub(super) struct Serve {
     /// Choose which critical alarms set exit code 1 at the end of the feed
     #[arg(long, value_name = "STREAM", default_value = "guaranteed")]
     exit_on: ExitOn,
-    /// Compare failed cycles on the page with the episodes of this run, by the parameters that the cycles report
+    /// Compare failed cycles on the page with the episodes of this run, by the parameters that the cycles report; default:
+    /// the runs that the references name, if they are still there
     #[arg(long, value_name = "RUN", requires = "listen")]
     episodes: Option<PathBuf>,
     #[command(flatten)]
     watched: Watched,
-}
-
-/// The largest number of episodes that cycles are compared with.
-const MOST_EPISODES: usize = 200_000;
-
-/// Reads the valid episodes of a run.
-fn episodes(run: &Path) -> Result<Episodes, Exit> {
-    let source = open_source(run)?;
-    let mut episodes = Vec::new();
-    for entry in source.dictionary().entries().take(MOST_EPISODES) {
-        let episode = entry.or_usage()?.episode;
-        if matches!(episode.outcome, Outcome::Invalid(_)) {
-            continue;
-        }
-        let value = |value: &Value| match value {
-            Value::Number(x) => ParameterValue::Number(*x),
-            Value::Integer(n) => ParameterValue::Number(*n as f64),
-            other => ParameterValue::Word(other.to_string()),
-        };
-        let requested = episode.scenario.requested.iter();
-        episodes.push(SimulatedEpisode {
-            index: episode.scenario.index,
-            outcome: episode.outcome.as_str().to_owned(),
-            parameters: requested.map(|(name, one)| (name.to_owned(), value(one))).collect(),
-        });
-    }
-    let folder = source.folder().unwrap_or(run);
-    Ok(Episodes::new(shell_word(&folder.display().to_string()), episodes))
 }
 
 /// The alarms that set the exit code.
@@ -127,7 +98,7 @@ enum End {
 
 impl Serve {
     pub(super) fn execute(&self) -> Result<u8, Exit> {
-        let settings = self.watched.settings()?;
+        let (settings, referred) = self.watched.settings()?;
         let serves = self.listen.is_some() || self.mqtt_cycles.is_some();
         if self.feed.is_none() && !serves {
             let hint = "no source of cycles. Hint: give a file (or - for stdin), --listen or --mqtt-cycles";
@@ -141,8 +112,13 @@ impl Serve {
         };
         let monitor = Monitor::new(settings.detectors).or_usage()?;
         let mut intake = Intake::open(store.or_broken()?, monitor, settings.late_after_s).or_broken()?;
-        if let Some(run) = &self.episodes {
-            intake = intake.with_episodes(episodes(run)?);
+        let mut replays = None;
+        if self.listen.is_some() {
+            let simulated = simulated(self.episodes.as_deref(), &referred)?;
+            for (recipe, episodes) in simulated.episodes {
+                intake = intake.with_episodes(recipe, episodes);
+            }
+            replays = simulated.replays;
         }
         let engine = ServiceEngine::open(intake, |text| note(text));
         let ending = Arc::new(AtomicBool::new(false));
@@ -154,7 +130,9 @@ impl Serve {
             let _ = signal.send(End::Signal);
         })
         .or_broken()?;
-        let server = self.listen.map(|address| http(address, token, &settings.http, engine.handle(), sender.clone()));
+        let server = self
+            .listen
+            .map(|address| http(address, token, &settings.http, engine.handle(), replays.take(), sender.clone()));
         let subscriber = broker.zip(self.mqtt_cycles.clone()).map(|(broker, topic)| {
             broker.subscribe(topic, engine.handle(), Arc::clone(&ending), |problem| note(problem))
         });
@@ -232,13 +210,14 @@ fn http(
     token: Option<String>,
     settings: &robogate_monitor::service::HttpSettings,
     engine: Handle,
+    replays: Option<Replays>,
     sender: Sender<End>,
 ) -> (tokio::sync::oneshot::Sender<()>, JoinHandle<()>) {
     let (stop, stopped) = tokio::sync::oneshot::channel();
     let settings = *settings;
     let thread = std::thread::spawn(move || {
         let listening = |address| note(format_args!("Listening on http://{address}"));
-        let ended = serve(address, token, settings, engine, listening, stopped);
+        let ended = serve(address, token, settings, engine, replays, listening, stopped);
         let _ = sender.send(End::Http(ended));
     });
     (stop, thread)

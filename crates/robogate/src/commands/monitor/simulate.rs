@@ -56,7 +56,8 @@ struct Document<'a> {
 
 impl Simulate {
     pub(super) fn execute(&self) -> Result<u8, Exit> {
-        let settings = &self.watched.settings()?.detectors;
+        let (settings, _) = self.watched.settings()?;
+        let settings = &settings.detectors;
         let share = |name: &str, value: f64| {
             let good = value > 0.0 && value < 1.0;
             if good {

@@ -49,9 +49,10 @@ enum Feed {
 }
 
 impl Board {
-    /// Opens the runs and reads their episodes.
-    pub(super) fn open(paths: &[PathBuf]) -> Result<Self, Exit> {
-        let mut board = Self { runs: Vec::with_capacity(paths.len()), table: ExplorerTable::new(), epoch: 1 };
+    /// Opens the runs and reads their episodes. Of more than `most_rows` episodes, it has a random sample.
+    pub(super) fn open(paths: &[PathBuf], most_rows: usize) -> Result<Self, Exit> {
+        let table = ExplorerTable::new(most_rows);
+        let mut board = Self { runs: Vec::with_capacity(paths.len()), table, epoch: 1 };
         for path in paths {
             let (feed, provenance, planned) = open(path)?;
             let mut name = name(path, paths);
@@ -73,6 +74,8 @@ impl Board {
             });
         }
         board.look();
+        // No page has read a row yet.
+        board.epoch = 1;
         for run in &board.runs {
             if let Some(problem) = &run.problem {
                 note(format_args!("note: {}: {}", run.path.display(), foreign(problem)));
@@ -83,6 +86,7 @@ impl Board {
 
     /// Reads the episodes that arrived.
     pub(super) fn look(&mut self) {
+        let halvings = self.table.halvings();
         let mut restarted = false;
         for run in self.runs.iter_mut().filter(|run| !run.finished) {
             restarted |= run.look(&mut self.table);
@@ -94,15 +98,19 @@ impl Board {
             for run in &mut self.runs {
                 run.again(&mut self.table);
             }
+        } else if self.table.halvings() != halvings {
+            // The table dropped rows.
+            self.epoch += 1;
         }
     }
 
     /// The description of runs and columns.
     pub(super) fn state(&self) -> Value {
-        let runs = self.runs.iter().map(|run| {
+        let runs = self.runs.iter().enumerate().map(|(at, run)| {
             json!({
                 "name": run.name,
                 "rows": run.rows,
+                "counts": self.table.counts(at),
                 "planned": run.planned,
                 "finished": run.finished,
                 "problem": run.problem,
@@ -116,6 +124,7 @@ impl Board {
         json!({
             "version": 1,
             "epoch": self.epoch,
+            "halvings": self.table.halvings(),
             "rows": self.table.rows(),
             "columns": self.table.columns(),
             "runs": runs.collect::<Vec<_>>(),

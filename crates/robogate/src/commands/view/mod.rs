@@ -4,6 +4,7 @@ mod board;
 mod clips;
 mod export;
 mod model;
+mod player;
 mod server;
 
 use std::net::{Ipv4Addr, SocketAddr};
@@ -14,6 +15,12 @@ use clap::Args;
 use crate::exit::Exit;
 use crate::remote::Simulators;
 use board::Board;
+pub(in crate::commands) use player::Player;
+
+/// Largest number of rows of a served page. The server and the browser need 4 bytes for each value of a row.
+const MOST_ROWS: usize = 1_000_000;
+/// Largest number of rows of an exported page.
+const MOST_ROWS_OF_EXPORT: usize = 250_000;
 
 /// Explore the episodes of one or several runs: parallel coordinates, scatter plots, the model's map, and replays.
 ///
@@ -31,9 +38,10 @@ pub(crate) struct View {
     /// Choose the largest number of recorded episodes in the exported page (0 to 200)
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(0..=200), requires = "export")]
     clips: u16,
-    /// Choose the largest number of rows in the exported page; of more, it has a random sample and says so
-    #[arg(long, value_name = "N", default_value_t = 250_000, value_parser = clap::value_parser!(u32).range(1..), requires = "export")]
-    rows: u32,
+    /// Choose the largest number of rows of the page; of more, it has a random sample and says so. The rates without a
+    /// selection always count all episodes. Default: 250,000 in an exported page, 1,000,000 in a served one
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    rows: Option<u32>,
     /// Serve on this port of 127.0.0.1; 0 lets the system choose
     #[arg(long, value_name = "PORT", default_value_t = 0, conflicts_with = "export")]
     port: u16,
@@ -43,9 +51,14 @@ pub(crate) struct View {
 
 impl View {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let board = Board::open(&self.runs)?;
+        let rows = self.rows.map(|rows| rows as usize);
+        let most = rows.unwrap_or(MOST_ROWS);
+        let board = Board::open(&self.runs, if self.export.is_some() { most.max(MOST_ROWS) } else { most })?;
         match &self.export {
-            Some(file) => export::write(file, board, &self.simulators, usize::from(self.clips), self.rows as usize),
+            Some(file) => {
+                let rows = rows.unwrap_or(MOST_ROWS_OF_EXPORT);
+                export::write(file, board, &self.simulators, usize::from(self.clips), rows)
+            }
             None => {
                 let address = SocketAddr::from((Ipv4Addr::LOCALHOST, self.port));
                 server::serve(address, board, self.simulators.clone())

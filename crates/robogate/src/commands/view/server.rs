@@ -5,13 +5,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use robogate_monitor::service::{HttpError, LocalReply, LocalRequest, random_token, serve_local};
-use robogate_replay::reel;
 use robogate_report::explorer_page;
 use serde_json::{Value, json};
 
 use super::board::Board;
-use super::clips::{Clips, Origin};
 use super::model;
+use super::player::{NoClip, Player};
 use crate::exit::{DONE, Exit, OrExit};
 use crate::remote::Simulators;
 use crate::terminal::{line, note};
@@ -22,8 +21,8 @@ const LOOK: Duration = Duration::from_millis(400);
 const MOST_ROWS: usize = 100_000;
 
 struct State {
-    board: Mutex<(Board, Instant)>,
-    clips: Mutex<Clips>,
+    player: Player,
+    looked: Mutex<Instant>,
     /// The last model of each run.
     models: Mutex<Vec<Option<Fitted>>>,
 }
@@ -44,8 +43,8 @@ pub(super) fn serve(address: SocketAddr, board: Board, simulators: Simulators) -
     let (html, policy) = explorer_page(&names.join(", "), None);
     let runs = board.runs.len();
     let state = Arc::new(State {
-        board: Mutex::new((board, Instant::now())),
-        clips: Mutex::new(Clips::new(simulators)),
+        player: Player::new(board, simulators),
+        looked: Mutex::new(Instant::now()),
         models: Mutex::new(vec![None; runs]),
     });
     let (stop, stopped) = tokio::sync::oneshot::channel();
@@ -93,24 +92,20 @@ impl State {
         }
     }
 
-    fn with_board<T>(&self, work: impl FnOnce(&mut Board) -> T) -> T {
-        // A panic while a row was added leaves a column longer than the others; all are read up to the number of rows.
-        let mut held = self.board.lock().unwrap_or_else(PoisonError::into_inner);
-        work(&mut held.0)
-    }
-
     fn state(&self) -> Vec<u8> {
-        let mut held = self.board.lock().unwrap_or_else(PoisonError::into_inner);
-        let (board, last) = &mut *held;
-        if last.elapsed() >= LOOK {
-            board.look();
-            *last = Instant::now();
-        }
-        bytes(&board.state())
+        let mut looked = self.looked.lock().unwrap_or_else(PoisonError::into_inner);
+        let state = self.player.with_board(|board| {
+            if looked.elapsed() >= LOOK {
+                board.look();
+                *looked = Instant::now();
+            }
+            board.state()
+        });
+        bytes(&state)
     }
 
     fn rows(&self, epoch: u64, from: u64, to: u64) -> LocalReply {
-        self.with_board(|board| {
+        self.player.with_board(|board| {
             let rows = board.table.rows();
             let (from, to) = (usize::try_from(from).unwrap_or(usize::MAX), usize::try_from(to).unwrap_or(usize::MAX));
             if epoch != board.epoch {
@@ -127,7 +122,7 @@ impl State {
 
     fn model(&self, run: u64) -> LocalReply {
         let Ok(at) = usize::try_from(run) else { return no_run(run) };
-        let copied = self.with_board(|board| {
+        let copied = self.player.with_board(|board| {
             let of = board.runs.get(at)?;
             Some((board.epoch, board.table.rows(), of.is_finished(), model::training(&board.table, at, &of.provenance)))
         });
@@ -149,55 +144,13 @@ impl State {
 
     fn clip(&self, run: u64, index: u64) -> LocalReply {
         let Ok(at) = usize::try_from(run) else { return no_run(run) };
-        let found = self.with_board(|board| {
-            let named = board.runs.len() > 1;
-            let of = board.runs.get(at)?;
-            let origin = Origin {
-                run: at,
-                name: of.name.clone(),
-                path: of.path.clone(),
-                provenance: Arc::clone(&of.provenance),
-                named,
-            };
-            let playable = of.is_playable();
-            let twin = if playable { board.table.passing_twin(at, index) } else { None };
-            let twin = twin.map(|twin| (board.recorded(at, twin.index), twin));
-            Some((origin, playable, board.recorded(at, index), twin))
-        });
-        let Some((origin, playable, entry, twin)) = found else { return no_run(run) };
-        if !playable {
-            return LocalReply::Wrong(
-                "These rows do not come from a run's folder, so no episode can be shown.".to_owned(),
-            );
+        match self.player.clip(at, index) {
+            Ok(document) => LocalReply::Json(document),
+            Err(NoClip::NoRun) => no_run(run),
+            Err(NoClip::NotPlayable) => LocalReply::Wrong(NoClip::NotPlayable.to_string()),
+            Err(other @ NoClip::NoEpisode(_)) => LocalReply::NotFound(other.to_string()),
+            Err(NoClip::Failed(because)) => LocalReply::Failed(because),
         }
-        let entry = match entry {
-            Ok(Some(entry)) => entry,
-            Ok(None) => return LocalReply::NotFound(format!("the run has no episode {index}")),
-            Err(error) => return LocalReply::Failed(format!("{error:#}")),
-        };
-        let mut clips = self.clips.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut recorded = match clips.clip(&origin, &entry) {
-            Ok(clip) => vec![clip],
-            Err(because) => return LocalReply::Failed(because),
-        };
-        let twin = twin.map(|(entry, twin)| {
-            let clip = match entry {
-                Ok(Some(entry)) => clips.clip(&origin, &entry),
-                Ok(None) => Err("It is not in the run.".to_owned()),
-                Err(error) => Err(format!("{error:#}")),
-            };
-            let mut document = json!({ "index": twin.index, "differences": twin.differences });
-            match clip {
-                Ok(clip) => {
-                    document["at"] = json!(recorded.len());
-                    recorded.push(clip);
-                }
-                Err(because) => document["because"] = json!(because),
-            }
-            document
-        });
-        let twin = twin.unwrap_or_default();
-        LocalReply::Json(format!("{{\"twin\":{twin},\"reel\":{}}}", reel(&recorded).json).into_bytes())
     }
 }
 

@@ -112,7 +112,8 @@ impl Browser {
         let page = page.as_ref();
         let url = match page.to_str() {
             Some(address) if address.starts_with("http:") => {
-                self.server = Some(address.to_owned());
+                let host = address.trim_start_matches("http://").split('/').next().unwrap_or_default();
+                self.server = Some(format!("http://{host}/"));
                 address.to_owned()
             }
             _ => format!("file://{}", page.canonicalize().unwrap().display()),
