@@ -13,8 +13,9 @@ import sys
 
 import numpy as np
 import schedule
+from robogate_eval.environments.robosuite_world import REST_ACTION
 from robogate_eval.libero import initial_states, installation
-from robogate_eval.libero.suites import REST_ACTION, REST_STEPS, SEED, SUITES
+from robogate_eval.libero.suites import REST_STEPS, SEED, SUITES
 
 PIXELS = 256
 

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use robogate_dictionary::Provenance;
+use robogate_core::OutsideRange;
+use robogate_dictionary::{Dictionary, Provenance};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -49,6 +50,9 @@ pub struct Analysis {
     pub interactions: Finding<Regression>,
     /// The paper's risk model.
     pub risk: Finding<RiskModel>,
+    /// How often the policy saw states outside of the published range of its checkpoint. Absent if the range is unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outside_range: Option<OutsideRange>,
     /// How the points were sampled.
     pub sampling: Sampling,
     /// Episodes that are worth replaying.
@@ -186,6 +190,7 @@ impl Analysis {
             marginal_effects,
             interactions: interactions(&base, task),
             risk,
+            outside_range: outside_range(dictionary)?,
             sampling: sampling(source, &table),
             replay: replay_groups(&table, &base, scored.as_ref(), task),
             provenance,
@@ -205,6 +210,15 @@ impl Analysis {
         let correlations = self.provenance.space.correlations();
         correlations.iter().any(|c| c.parameters.iter().any(|name| **name == *parameter))
     }
+}
+
+/// Counts the states outside of the range of the checkpoint, in all rows.
+fn outside_range(dictionary: &Dictionary) -> Result<Option<OutsideRange>, AnalysisError> {
+    let Some(mut outside) = OutsideRange::of(&dictionary.provenance().task) else { return Ok(None) };
+    for entry in dictionary.entries() {
+        outside.add(&entry?.episode.measures);
+    }
+    Ok(Some(outside.sorted()))
 }
 
 /// The rows that figures are computed from, the other focused rows, and the population of the first.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use robogate_core::{FEASIBLE, FailureMode, FaultKind, Outcome, ParameterSpace, TaskSpec, is_feasible};
+use robogate_core::{FEASIBLE, FailureMode, FaultKind, Outcome, OutsideRange, ParameterSpace, TaskSpec, is_feasible};
 use robogate_dictionary::Entry;
 use robogate_stats::Confidence;
 use robogate_stats::weighted::hajek;
@@ -40,6 +40,9 @@ pub struct Summary {
     /// Episodes that ran again, because infrastructure faults lost earlier attempts. Absent if there were none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub run_again: Option<RunAgain>,
+    /// How often the policy saw states outside of the published range of its checkpoint. Absent if the range is unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outside_range: Option<OutsideRange>,
 }
 
 impl Summary {
@@ -199,6 +202,7 @@ pub(crate) struct Summing {
     /// The outcomes of feasible episodes.
     feasible: BTreeMap<Stage, OutcomeCounts>,
     bins: Bins,
+    outside_range: Option<OutsideRange>,
     task: Arc<TaskSpec>,
 }
 
@@ -220,6 +224,7 @@ impl Summing {
             faults: BTreeMap::new(),
             feasible: BTreeMap::new(),
             bins: Bins::of(plan, space)?,
+            outside_range: OutsideRange::of(task),
             task: Arc::clone(task),
         })
     }
@@ -245,6 +250,9 @@ impl Summing {
             if let Some((mode, events)) = &mut self.sought {
                 events.push(matches!(outcome, Outcome::Failure(failed) if failed == mode));
             }
+        }
+        if let Some(outside) = &mut self.outside_range {
+            outside.add(&entry.episode.measures);
         }
         if is_feasible(&entry.episode.measures) == Some(true) {
             self.feasible.entry(stage).or_default().add(outcome);
@@ -283,6 +291,7 @@ impl Summing {
             stages,
             suite,
             run_again: None,
+            outside_range: self.outside_range.map(OutsideRange::sorted),
         }
     }
 

@@ -23,6 +23,7 @@ pub mod latency;
 mod measures;
 mod observation;
 mod outcome;
+mod outside_range;
 mod pose;
 mod rollout;
 pub mod samplers;
@@ -42,6 +43,7 @@ pub use foresight::{FeatureSpec, Foresight};
 pub use measures::Measures;
 pub use observation::{Image, Observation, vectors};
 pub use outcome::{FailureMode, FailureModeError, Fault, FaultKind, Outcome};
+pub use outside_range::{OUTSIDE_RANGE, OutsideNumber, OutsideRange, outside_any_range, outside_range_measure};
 pub use pose::Pose;
 pub use rollout::{
     Ending, Environment, GAVE_UP, Policy, PredictedStep, Prediction, Start, Step, Tick, check_applied, rollout,

@@ -121,6 +121,17 @@ pub trait Policy {
         false
     }
 
+    /// Notes what is observed in a control period, for a policy that sees earlier observations. Called in each control
+    /// period of an episode with latency, before [`Policy::predict`]. Without latency, [`Policy::act`] takes its place.
+    fn observe(&mut self, _observation: &Observation) -> Result<(), Fault> {
+        Ok(())
+    }
+
+    /// Whether [`Policy::observe`] needs the images of each control period.
+    fn observes_images(&self) -> bool {
+        false
+    }
+
     /// Computes the next actions from one observation and executes none of them. A policy without chunks of actions
     /// computes one.
     fn predict(&mut self, observation: &Observation) -> Result<Prediction, Fault> {

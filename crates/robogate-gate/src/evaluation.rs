@@ -7,7 +7,7 @@
 //!
 //! If each "met" must also hold on its own, [`Family::Holm`] adjusts these as well.
 
-use robogate_core::{TaskSpec, is_feasible};
+use robogate_core::{OutsideRange, TaskSpec, is_feasible};
 use robogate_dictionary::{Label, TaskIdentity};
 use robogate_stats::multiplicity::holm;
 use robogate_stats::{Confidence, Trials, clopper_pearson, wilson};
@@ -199,6 +199,10 @@ pub struct Evaluation {
     /// The controls of the gate. `None` if it ran none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub controls: Option<Controls>,
+    /// How often the policy saw states outside of the published range of its checkpoint. The verdict does not depend on it.
+    /// `None` if the range is unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outside_range: Option<OutsideRange>,
     /// The episodes compared with their nominal twins. The verdict does not depend on it. `None` without a control arm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub twins: Option<Twins>,
@@ -239,6 +243,13 @@ impl FeasibleRate {
     pub fn rate(&self) -> Option<f64> {
         (self.valid > 0).then(|| self.successes as f64 / self.valid as f64)
     }
+}
+
+/// Counts the states outside of the range of the checkpoint.
+fn outside_range(record: &Record, rounds: &Rounds<'_>) -> Option<OutsideRange> {
+    let mut outside = OutsideRange::of(&record.task)?;
+    rounds.trials().for_each(|trial| outside.add(&trial.measures));
+    Some(outside.sorted())
 }
 
 /// The question that is evaluated on a record.
@@ -349,6 +360,7 @@ impl Question<'_> {
             score: ConfidenceScore::of(&requirements.score, self.baseline, rounds.rounds.iter().flatten().copied()),
             decided_at_episodes,
             controls: record.controls.clone(),
+            outside_range: outside_range(record, &rounds),
             twins: None,
         })
     }

@@ -4,9 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use robogate_core::{
-    Action, Fault, FaultKind, Observation, Policy, PredictedStep, Prediction, Seed, TaskInstance, TaskSpec,
-};
+use robogate_core::{Action, Fault, Observation, Policy, PredictedStep, Prediction, Seed, TaskInstance, TaskSpec};
 use serde_json::Value as Json;
 
 use super::access::Access;
@@ -20,6 +18,7 @@ use super::history::History;
 use super::openpi;
 use super::profile::{Dialect, Profile};
 use super::query::Query;
+use super::ranges::RangeCounts;
 use super::suits;
 
 /// Largest time between two attempts to reach a server that is still loading.
@@ -47,6 +46,8 @@ pub struct ExternalPolicy {
     decoder: Decoder,
     history: History,
     buffers: Buffers,
+    /// Counts states outside of the range of the checkpoint.
+    ranges: Option<RangeCounts>,
 }
 
 impl std::fmt::Debug for ExternalPolicy {
@@ -105,7 +106,14 @@ impl ExternalPolicy {
             decoder,
             history,
             buffers: Buffers::default(),
+            ranges: None,
         })
+    }
+
+    /// Count what the model sees outside of the ranges of the profile.
+    #[must_use]
+    pub fn counting(self, ranges: Option<RangeCounts>) -> Self {
+        Self { ranges, ..self }
     }
 
     /// The metadata that the policy reports.
@@ -122,6 +130,7 @@ impl ExternalPolicy {
     pub fn begin(&mut self, instruction: &str) -> Result<(), PolicyError> {
         self.queue.clear();
         self.history.clear();
+        self.ranges.iter().for_each(RangeCounts::clear);
         self.step = 0;
         self.instruction = self.profile.instruction.clone().unwrap_or_else(|| instruction.to_owned());
         let mut attempt = 0;
@@ -166,6 +175,9 @@ impl ExternalPolicy {
 
     /// Request a chunk of actions and check it against the profile.
     pub fn infer(&mut self, observation: &Observation) -> Result<Chunk, PolicyError> {
+        if let Some(ranges) = &self.ranges {
+            ranges.count(&self.profile, observation)?;
+        }
         let query = Query::with_buffers(
             &self.profile,
             observation,
@@ -221,11 +233,15 @@ impl Policy for ExternalPolicy {
         Ok(self.decoder.next(observation)?)
     }
 
+    fn observe(&mut self, observation: &Observation) -> Result<(), Fault> {
+        Ok(self.history.push_period(&self.profile, observation, self.decoder.periods)?)
+    }
+
+    fn observes_images(&self) -> bool {
+        self.history.has_images()
+    }
+
     fn predict(&mut self, observation: &Observation) -> Result<Prediction, Fault> {
-        if self.history.is_kept() {
-            let detail = "the profile has a history of images or states, which is not supported with --latency";
-            return Err(Fault::new(FaultKind::Setup, detail));
-        }
         let steps = self.infer(observation)?.into_rows().into_iter().map(PredictedStep::Numbers).collect();
         Ok(Prediction { steps, execute: self.profile.chunk.execute, periods: self.decoder.periods })
     }

@@ -36,6 +36,7 @@ mod pickle;
 mod picture;
 mod profile;
 mod query;
+mod ranges;
 mod resample;
 mod rest;
 mod roboarena;
@@ -65,5 +66,6 @@ pub use profile::{
     Profile, ProfileError, Rotation, Side, State, Timeouts, Tool,
 };
 pub use query::{Query, tool_pose};
+pub use ranges::{RangeCounts, RangeMeasures, with_range_measures};
 pub use statistics::{Statistics, StatisticsError};
 pub use suits::check_task;

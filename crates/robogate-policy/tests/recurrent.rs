@@ -5,7 +5,7 @@ mod support;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use robogate_core::{Command, Observation, Policy, Seed, TaskInstance, vectors};
+use robogate_core::{Command, Observation, Policy, PredictedStep, Seed, TaskInstance, vectors};
 use robogate_policy::{ExternalPolicy, Profile};
 use support::{begin, observation, task};
 
@@ -218,10 +218,22 @@ fn wrong_declarations_are_explained() {
     assert!(why.contains("all outputs of the network (actions) are memories"), "{why}");
 }
 
+/// With latency the history is that of control periods: without a delay, a network sees the same as without latency.
 #[test]
-fn latency_and_history_are_refused() {
+fn history_continues_with_latency() {
     let mut policy = load("history", HISTORY).expect("it loads");
+    let expected = episode(&mut policy, STEPS);
     policy.reset(&task(), &TaskInstance::default(), Seed::campaign(1)).expect("nothing to begin");
-    let fault = policy.predict(&seen(0)).expect_err("no history");
-    assert!(fault.to_string().contains("history of images or states"), "{fault}");
+    assert!(policy.observes_images());
+    let mut joints = |step: usize| {
+        policy.observe(&seen(step)).expect("it is kept");
+        // The first action of a chunk is executed in each mode.
+        let prediction = policy.predict(&seen(step)).expect("it answers");
+        let Some(PredictedStep::Numbers(numbers)) = prediction.steps.first() else { panic!("{prediction:?}") };
+        match policy.perform(Some(numbers), &seen(step)).expect("a valid action").command {
+            Command::JointPosition(joints) => joints,
+            other => panic!("{other:?}"),
+        }
+    };
+    assert_eq!((0..STEPS).map(&mut joints).collect::<Vec<_>>(), expected);
 }

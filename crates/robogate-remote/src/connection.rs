@@ -147,10 +147,19 @@ impl Connection {
         action: Vec<f64>,
         ahead: u32,
     ) -> Result<(Period<S>, Vec<Period<S>>), RequestError> {
-        let request = StepRequest { tick: self.tick, action_space, actions: vec![action], ahead };
-        let reply: StepReply<S> = self.request("step", request)?;
-        let count = reply.steps.len();
-        let mut steps = reply.steps.into_iter();
+        let request = StepRequest { tick: self.tick, action_space, actions: vec![action], ahead, packed: ahead > 0 };
+        let (reply, frames): (StepReply<S>, _) = self.request_with_frames("step", request)?;
+        let mut steps = reply.steps;
+        match reply.packed {
+            Some(packed) => {
+                let before = self.tick + steps.len() as u64;
+                steps.extend(packed.unpack(&frames, &self.hello.task, before).map_err(violation)?);
+                steps.extend(reply.later);
+            }
+            None => self.expect_no_frames(&frames)?,
+        }
+        let count = steps.len();
+        let mut steps = steps.into_iter();
         match steps.next() {
             Some(first) if count <= 1 + ahead as usize => Ok((first, steps.collect())),
             _ if ahead == 0 => Err(violation(format!("the reply has {count} steps for one action"))),

@@ -243,7 +243,7 @@ impl<H: Host> Server<H> {
                 break;
             }
         }
-        reply(episode, StepReply { steps })
+        reply(episode, StepReply { steps, packed: None, later: Vec::new() })
     }
 
     fn render(&mut self, request: &RenderRequest, episode: u64) -> Frames {

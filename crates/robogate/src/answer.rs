@@ -40,6 +40,9 @@ pub(crate) fn print(evaluation: &Evaluation) {
     if !next.is_empty() {
         line(bold(format_args!("  {next}")));
     }
+    if let Some(outside) = evaluation.outside_range.as_ref().filter(|outside| outside.episodes > 0) {
+        line(format_args!("  {outside}"));
+    }
     for text in evaluation.controls.iter().flat_map(robogate_gate::Controls::lines) {
         wrapped(&text);
     }

@@ -12,11 +12,11 @@ use crate::exit::{Exit, OrExit};
 use crate::policy_source::policy_error;
 
 /// The statistics that are published with a checkpoint.
-#[derive(Debug, Clone, Args)]
+#[derive(Debug, Clone, Default, Args)]
 pub(crate) struct CheckpointStatistics {
     /// Read the range of each state in the training data from the statistics that are published with the checkpoint:
     /// openpi's norm_stats.json, OpenVLA's dataset_statistics.json, GR00T's statistics.json or LeRobot's stats.json.
-    /// With --write, the ranges become part of the profile
+    /// A run counts the states outside of it
     #[arg(long, value_name = "FILE")]
     statistics: Option<PathBuf>,
     /// Choose the training set or the embodiment in that file, if it has several

@@ -6,12 +6,13 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
-use robogate_core::{Fault, FaultKind, Policy};
+use robogate_core::{Fault, FaultKind, Observation, Policy, TaskSpec};
 use robogate_dictionary::read_text;
-use robogate_policy::{Access, ExternalPolicy, Mapped, PolicyError, Profile, TaskMap};
+use robogate_policy::{Access, BoundMap, ExternalPolicy, Mapped, PolicyError, Profile, RangeCounts, TaskMap};
 use robogate_tasks::Random;
 use serde::{Deserialize, Serialize};
 
+use crate::checkpoint_statistics::CheckpointStatistics;
 use crate::duration;
 use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
 use crate::terminal::note;
@@ -81,7 +82,7 @@ impl PolicySource {
     /// The profile of an external policy.
     pub(crate) fn profile(&self) -> Option<&Profile> {
         match self {
-            Self::External(served) => Some(&served.profile),
+            Self::External(served) => Some(served.profile()),
             Self::BuiltIn(_) | Self::Declared(_) => None,
         }
     }
@@ -89,7 +90,7 @@ impl PolicySource {
     /// The map between the environment and the profile, if there is one.
     pub(crate) fn map(&self) -> Option<&Arc<TaskMap>> {
         match self {
-            Self::External(served) => served.map.as_ref(),
+            Self::External(served) => served.map(),
             Self::BuiltIn(_) | Self::Declared(_) => None,
         }
     }
@@ -106,7 +107,8 @@ impl PolicySource {
     }
 
     /// Creates the policy for one worker. One that the environment runs is created with the environment.
-    pub(crate) fn policy(&self) -> Result<Box<dyn Policy>, Fault> {
+    /// `ranges` count what it sees.
+    pub(crate) fn policy(&self, ranges: Option<&RangeCounts>) -> Result<Box<dyn Policy>, Fault> {
         Ok(match self {
             Self::External(served) => {
                 let server = served.at.as_deref().unwrap_or(&served.server);
@@ -116,7 +118,7 @@ impl PolicySource {
                     served.access.clone(),
                     &mut |_| {},
                 );
-                mapped(Box::new(policy?), &served.profile, served.map.as_ref())
+                mapped(Box::new(policy?.counting(ranges.cloned())), &served.profile, served.map.as_ref())
             }
             Self::BuiltIn(BuiltInPolicy::Random) => Box::new(Random::new()),
             Self::Declared(declared) => {
@@ -128,6 +130,31 @@ impl PolicySource {
 }
 
 impl ExternalSource {
+    /// The profile.
+    pub(crate) fn profile(&self) -> &Profile {
+        &self.profile
+    }
+
+    /// The map between the environment and the profile, if there is one.
+    pub(crate) fn map(&self) -> Option<&Arc<TaskMap>> {
+        self.map.as_ref()
+    }
+
+    /// Adds the ranges of a checkpoint to the profile. `observation` is one of the environment with this task.
+    pub(crate) fn add_ranges(
+        &mut self,
+        statistics: &CheckpointStatistics,
+        task: &TaskSpec,
+        observation: &Observation,
+    ) -> Result<(), Exit> {
+        let none = TaskMap::default();
+        let bound = BoundMap::new(self.map.as_deref().unwrap_or(&none), &self.profile, task);
+        let bound = bound.map_err(|why| anyhow!("the map does not fit: {why}")).or_usage()?;
+        let seen = bound.observation(observation).map_err(anyhow::Error::from).or_broken()?;
+        self.profile = Arc::new(statistics.add_to(&self.profile, &seen)?);
+        Ok(())
+    }
+
     /// Connect to a policy and record what it reports about itself.
     fn ask(
         server: &str,
@@ -163,6 +190,8 @@ pub(crate) struct PolicyArguments {
     /// (docs/environments.md)
     #[arg(long, value_name = "FILE", requires = "profile")]
     map: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) statistics: CheckpointStatistics,
 }
 
 /// The argument that says where this process reaches an external policy.
@@ -247,7 +276,8 @@ impl PolicyLocation {
 impl PolicyArguments {
     /// The arguments for another policy than that of the command line.
     pub(crate) fn of(policy: &str, profile: Option<&str>) -> Self {
-        Self { policy: Some(policy.to_owned()), profile: profile.map(str::to_owned), map: None }
+        let statistics = CheckpointStatistics::default();
+        Self { policy: Some(policy.to_owned()), profile: profile.map(str::to_owned), map: None, statistics }
     }
 
     /// The same arguments with the map of others: it describes the environment. A policy without a profile needs none.

@@ -71,7 +71,7 @@ impl Simulators {
     pub(crate) fn launch(&self, environment: &str) -> Result<(Arc<Pool>, Arc<Servers>), Exit> {
         let interpreter = Interpreter::choose(self.python.as_deref(), environment).or_usage()?;
         note(format_args!("starting {environment} in {}", interpreter.path().display()));
-        let (servers, address) = Servers::start(environment.to_owned(), interpreter)?;
+        let (servers, address) = Servers::start(environment.to_owned(), interpreter, self.timeouts())?;
         let pool = Pool::connect(&[address], self.timeouts(), listener()).map_err(pool_error)?;
         let starter = Arc::clone(&servers);
         let pool = pool.with_restart(Box::new(move |position| starter.restart(position)));

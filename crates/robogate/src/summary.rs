@@ -74,6 +74,9 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
             foreign(&again.first_fault)
         ));
     }
+    if let Some(outside) = summary.outside_range.as_ref().filter(|outside| outside.episodes > 0) {
+        line(outside);
+    }
     active_model::of_run(dir).iter().for_each(model);
     files(dir, summary);
 }

@@ -8,6 +8,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import isfinite
 from operator import le
@@ -78,15 +79,16 @@ class Image:
 class FreeRun:
     """Control periods that a simulator ran with the actions of its own policy (`free_run`).
 
-    The simulator guarantees that rows and actions are lists of finite floats of the declared lengths, and actions within their bounds.
+    The simulator guarantees that rows and actions are finite, that they have the declared lengths, and that actions are within their bounds.
     """
 
     # Name of the only vector of the observation.
     vector: str
-    # For each control period: the vector, the next action of the policy, and the hash of the state.
-    rows: list[list[float]]
-    actions: list[list[float]]
-    digests: list[int]
+    # For each control period: the vector, the next action of the policy, and the hash of the state. NumPy arrays of little-endian
+    # doubles (periods x length) and 64-bit integers, or anything with their `tolist` and `tobytes`.
+    rows: Any
+    actions: Any
+    digests: Any
     # Results of later control periods, as `step` returns them, with `state_hash`. They are checked.
     answers: list[dict]
     # The error that ended the run.
@@ -213,8 +215,40 @@ class Server:
             steps.append(self._period_of(action, len(steps)))
             if steps[-1].get("ending") is not None:
                 return {"steps": steps}, []
-        self._run_ahead(steps, min(_optional_u64(request, "ahead"), self._most_ahead))
+        ahead, proposed = _optional_u64(request, "ahead"), steps[-1].get("proposed")
+        if request.get("packed") is True and ahead and proposed is not None and self._can_free_run(proposed):
+            return self._packed(steps, proposed, min(ahead, codec.MAX_ACTIONS))
+        self._run_ahead(steps, min(ahead, self._most_ahead))
         return {"steps": steps}, []
+
+    def _packed(self, steps, proposed, periods):
+        """The reply with further control periods as arrays in frames of their own, which both sides copy instead of reading number
+        by number."""
+        fields, frames = {"steps": steps}, []
+        with self._keeping_errors():
+            run = self._simulator.free_run(proposed["action"], periods, time.monotonic() + AHEAD_S)
+            count, later = len(run.rows), steps
+            if count:
+                self._tick += count
+                later = []
+                fields |= {"packed": {"vector": run.vector, "periods": count}, "later": later}
+                frames = [run.rows.tobytes(), run.actions.tobytes(), run.digests.tobytes()]
+            for answer in run.answers:
+                later.append(self._checked(answer, answer["state_hash"], 1 + count + len(later)))
+            if run.error is not None:
+                raise run.error
+        return fields, frames
+
+    @contextmanager
+    def _keeping_errors(self):
+        """Keep an error for the request that gets to it, so that the record does not depend on how far this server ran ahead."""
+        try:
+            yield
+        except Problem as problem:
+            self._waiting = problem
+        except Exception as why:
+            traceback.print_exc()
+            self._waiting = Problem("internal", f"{type(why).__name__}: {why}")
 
     def _period_of(self, action, position):
         """Run one control period, the one at this position of a reply."""
@@ -280,12 +314,9 @@ class Server:
         )
 
     def _run_ahead(self, steps, periods):
-        """Run further control periods with the actions that the policy of this server proposes.
-
-        An error is kept for the request that gets there, so that the record does not depend on how far this server ran ahead.
-        """
+        """Run further control periods with the actions that the policy of this server proposes."""
         most, ends = len(steps) + periods, time.monotonic() + AHEAD_S
-        try:
+        with self._keeping_errors():
             while len(steps) < most and steps[-1].get("proposed") is not None and time.monotonic() <= ends:
                 proposed = steps[-1]["proposed"]
                 if self._can_free_run(proposed):
@@ -298,11 +329,6 @@ class Server:
                     steps.append(self._checked(answer, digest, len(steps)))
                 if error is not None:
                     raise error
-        except Problem as problem:
-            self._waiting = problem
-        except Exception as why:
-            traceback.print_exc()
-            self._waiting = Problem("internal", f"{type(why).__name__}: {why}")
 
     def _can_free_run(self, proposed):
         """Whether the simulator runs ahead by itself, which takes less time."""
@@ -320,7 +346,9 @@ class Server:
                 "state_hash": digest,
                 "proposed": {"action_space": "vector", "action": action},
             }
-            for tick, row, action, digest in zip(range(first + 1, self._tick + 1), run.rows, run.actions, run.digests)
+            for tick, row, action, digest in zip(
+                range(first + 1, self._tick + 1), run.rows.tolist(), run.actions.tolist(), run.digests.tolist()
+            )
         ]
 
     def _free_run(self, proposed, periods, ends):

@@ -58,21 +58,41 @@ class Reused(Plain):
         return self.seen
 
 
+def unpacked(reply, frames, tick, dt=0.05):
+    """The steps of a reply, with those in frames as entries like the others."""
+    packed = reply.get("packed")
+    if packed is None:
+        return reply.get("steps", [])
+    shape = (packed["periods"], -1)
+    rows, actions, hashes = (np.frombuffer(frame, kind) for frame, kind in zip(frames, ("<f8", "<f8", "<u8")))
+    entries = zip(rows.reshape(shape).tolist(), actions.reshape(shape).tolist(), hashes.tolist())
+    before = tick + len(reply["steps"])
+    middle = [
+        {"observation": {"time_s": (before + i) * dt, "vectors": {packed["vector"]: row}}, "measures": {}, "ending": None, "events": [],
+         "state_hash": digest, "proposed": {"action_space": "vector", "action": action}}
+        for i, (row, action, digest) in enumerate(entries, 1)
+    ]  # fmt: skip
+    return [*reply["steps"], *middle, *reply["later"]]
+
+
 class RunningAhead(unittest.TestCase):
-    def episode(self, make, ahead, **parameters):
+    def episode(self, make, ahead, packed=False, **parameters):
         """All control periods of an episode over the protocol, with so many ahead."""
         task = Task(name="sliding_box", measures=[Measure("way_m", "m")], measure=lambda t: {"way_m": float(t.env.data.qpos[1])})
         server = Server(Adapter(Environment(make=make, task=task, policies={"push": PUSH})))
 
         def ask(**fields):
-            return codec.decode(bytes(server.answer([codec.encode({"v": codec.VERSION, "episode": 1, **fields})])[0]))
+            header, *frames = server.answer([codec.encode({"v": codec.VERSION, "episode": 1, **fields})])
+            return codec.decode(bytes(header)), frames
 
-        reply = ask(op="reset", index=0, seed=1, parameters=parameters, policy="push")
-        steps = []
+        reply, _ = ask(op="reset", index=0, seed=1, parameters=parameters, policy="push")
+        steps, self.packed = [], 0
         while reply["ok"] and (not steps or steps[-1].get("ending") is None):
             action = (steps[-1] if steps else reply)["proposed"]["action"]
-            reply = ask(op="step", tick=len(steps), action_space="vector", actions=[action], ahead=ahead)
-            steps += reply.get("steps", [])
+            more = {"packed": True} if packed else {}
+            reply, frames = ask(op="step", tick=len(steps), action_space="vector", actions=[action], ahead=ahead, **more)
+            self.packed += len(frames)
+            steps += unpacked(reply, frames, len(steps))
         return steps, reply
 
     def test_steps_do_not_depend_on_the_distance(self):
@@ -81,6 +101,10 @@ class RunningAhead(unittest.TestCase):
                 one, _ = self.episode(make, 0, **parameters)
                 many, _ = self.episode(make, 64, **parameters)
                 self.assertEqual(one, many, make.__name__)
+                arrays, _ = self.episode(make, 64, packed=True, **parameters)
+                self.assertEqual(one, arrays, make.__name__)
+                # A Dict of observations is not packed.
+                self.assertEqual(self.packed > 0, make is not SlidingBox)
                 self.assertGreater(len(one), 3)
                 self.assertIsNone(one[-1]["ending"]["failure"])
 
@@ -90,8 +114,8 @@ class RunningAhead(unittest.TestCase):
                 found = super()._get_obs()
                 return found * np.nan if self.data.time > 0.12 else found
 
-        for ahead in (0, 64):
-            steps, reply = self.episode(Broken, ahead)
+        for ahead, packed in ((0, False), (64, False), (64, True)):
+            steps, reply = self.episode(Broken, ahead, packed)
             self.assertEqual((len(steps), reply["error"]["kind"]), (2, "diverged"), ahead)
 
 
@@ -133,7 +157,7 @@ class Declaring(unittest.TestCase):
     def test_cameras_of_the_model_are_offered(self):
         adapter = sliding_box()
         cameras = declaration.hello(adapter.hello())["task"]["observation"]["cameras"]
-        self.assertEqual([(c["name"], c["width"]) for c in cameras], [("front", 256), ("on_pusher", 256)])
+        self.assertEqual([(c["name"], c["width"]) for c in cameras], [(name, 256) for name in ("front", "on_pusher", "front.plain", "on_pusher.plain")])
         adapter.reset(Scenario(0, 1, {}))
         (image,) = adapter.render(["front"])
         self.assertEqual((image.camera, len(image.rgb)), ("front", 3 * 256 * 256))

@@ -223,10 +223,11 @@ impl Policy for Delayed {
     }
 
     fn wants_images(&self) -> bool {
-        self.is_due() && self.policy.wants_images()
+        self.policy.observes_images() || (self.is_due() && self.policy.wants_images())
     }
 
     fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
+        self.policy.observe(observation)?;
         if self.is_due() {
             self.request(observation)?;
         }

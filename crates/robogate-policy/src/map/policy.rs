@@ -63,6 +63,15 @@ impl Policy for Mapped {
         self.policy.gave_up()
     }
 
+    fn observe(&mut self, observation: &Observation) -> Result<(), Fault> {
+        let seen = self.bound()?.observation(observation)?;
+        self.policy.observe(&seen)
+    }
+
+    fn observes_images(&self) -> bool {
+        self.policy.observes_images()
+    }
+
     fn predict(&mut self, observation: &Observation) -> Result<Prediction, Fault> {
         let seen = self.bound()?.observation(observation)?;
         let mut prediction = self.policy.predict(&seen)?;

@@ -142,7 +142,8 @@ impl<'a> Checker<'a> {
         action_space: ActionKind,
         numbers: Vec<f64>,
     ) -> Result<IgnoredAny, RequestError> {
-        self.connection.request("step", StepRequest { tick, action_space, actions: vec![numbers], ahead: 0 })
+        self.connection
+            .request("step", StepRequest { tick, action_space, actions: vec![numbers], ahead: 0, packed: false })
     }
 
     /// Check that the episode continues after a request that was rejected.

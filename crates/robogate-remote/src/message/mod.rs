@@ -17,7 +17,7 @@ pub use parameters::ParameterValue;
 pub(crate) use parameters::{from_wire, to_wire};
 pub use render::{HashReply, ImageInfo, RenderReply, RenderRequest};
 pub use reset::{ResetReply, ResetRequest};
-pub use step::{ActionKind, EndingMessage, Period, Proposed, StepReply, StepRequest};
+pub use step::{ActionKind, EndingMessage, Packed, Period, Proposed, StepReply, StepRequest};
 
 /// The header of a request: common keys, then those of the operation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

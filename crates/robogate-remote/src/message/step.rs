@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use robogate_core::{Command, Contact, Ending, FailureMode};
+use robogate_core::{Command, Contact, Ending, FailureMode, TaskSpec};
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -22,6 +22,9 @@ pub struct StepRequest {
     /// Largest number of further control periods that the server may run with the actions of its own policy.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub ahead: u32,
+    /// Whether the client reads these control periods as arrays in frames of their own.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub packed: bool,
 }
 
 fn is_zero(number: &u32) -> bool {
@@ -67,6 +70,72 @@ impl fmt::Display for ActionKind {
 pub struct StepReply<S> {
     /// Results, one for each action that was run.
     pub steps: Vec<Period<S>>,
+    /// Further control periods, whose numbers are in frames after the header.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub packed: Option<Packed>,
+    /// Results of the control periods after those.
+    #[serde(default = "Vec::new", skip_serializing_if = "Vec::is_empty")]
+    pub later: Vec<Period<S>>,
+}
+
+/// Control periods in which nothing but the observation, the next action and the state changes.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Packed {
+    /// The only vector of the observation.
+    pub vector: String,
+    /// The number of control periods.
+    pub periods: usize,
+}
+
+impl Packed {
+    /// The control periods that the frames contain, for a task with this vector and these actions. The first of them is the
+    /// one after `tick` control periods.
+    ///
+    /// # Errors
+    /// If frames and task do not agree, or if a number is not finite.
+    pub fn unpack<S>(&self, frames: &[Vec<u8>], task: &TaskSpec, tick: u64) -> Result<Vec<Period<S>>, String> {
+        let known = task.observation.vectors.iter().find(|vector| vector.name == *self.vector);
+        let known = known.ok_or_else(|| format!("the task has no vector `{}`", self.vector))?;
+        let (low, _) = task.action.vector().ok_or("the task takes no vectors")?;
+        let [observations, actions, hashes] = frames else {
+            return Err(format!("{} frames after the header of packed control periods; expected 3", frames.len()));
+        };
+        let observations = doubles(observations, self.periods, known.length, "observations")?;
+        let actions = doubles(actions, self.periods, low.len(), "actions")?;
+        let (hashes, rest) = hashes.as_chunks::<8>();
+        if hashes.len() != self.periods || !rest.is_empty() {
+            return Err(format!("{} state hashes; expected {}", hashes.len(), self.periods));
+        }
+        let rows = observations.chunks_exact(known.length).zip(actions.chunks_exact(low.len())).zip(hashes);
+        let period = |(at, ((seen, action), hash)): (u64, ((&[f64], &[f64]), &[u8; 8]))| Period {
+            observation: ObservationMessage {
+                time_s: (tick + at) as f64 * task.control_period_s,
+                vectors: BTreeMap::from([(self.vector.clone(), seen.to_vec())]),
+            },
+            state_hash: u64::from_le_bytes(*hash),
+            measures: Some(BTreeMap::new()),
+            ending: None,
+            foregone: None,
+            events: None,
+            samples: None,
+            clearance_m: None,
+            proposed: Some(Proposed { action_space: ActionKind::Vector, action: action.to_vec() }),
+        };
+        Ok((1..).zip(rows).map(period).collect())
+    }
+}
+
+/// The finite numbers of a frame with so many rows of this length.
+fn doubles(frame: &[u8], rows: usize, length: usize, what: &str) -> Result<Vec<f64>, String> {
+    let (chunks, rest) = frame.as_chunks::<8>();
+    if length == 0 || Some(chunks.len()) != rows.checked_mul(length) || !rest.is_empty() {
+        return Err(format!("the frame of the {what} has {} bytes; expected {rows} x {length} doubles", frame.len()));
+    }
+    let numbers: Vec<f64> = chunks.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
+    match numbers.iter().position(|number| !number.is_finite()) {
+        Some(at) => Err(format!("number {at} of the {what} is not finite")),
+        None => Ok(numbers),
+    }
 }
 
 /// Result of one control period.
@@ -149,5 +218,53 @@ impl From<Ending> for EndingMessage {
 impl From<EndingMessage> for Ending {
     fn from(message: EndingMessage) -> Self {
         Self { failure: message.failure, time_s: message.time_s, contact: message.contact }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Empty;
+    use super::*;
+
+    fn task() -> TaskSpec {
+        serde_json::from_str(
+            r#"{"name": "push", "version": 1, "instruction": "", "control_period_s": 0.05, "time_limit_s": 1.0, "failure_modes": [], "measures": [], "phases": [], "parameters": [],
+                "observation": {"vectors": [{"name": "seen", "length": 2}], "cameras": []},
+                "action": {"spaces": [{"kind": "vector", "names": ["x"], "low": [-1], "high": [1]}]}}"#,
+        )
+        .unwrap()
+    }
+
+    fn frames(numbers: &[f64], actions: &[f64], hashes: &[u64]) -> Vec<Vec<u8>> {
+        let bytes = |numbers: &[f64]| numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
+        vec![bytes(numbers), bytes(actions), hashes.iter().flat_map(|n| n.to_le_bytes()).collect()]
+    }
+
+    #[test]
+    fn packed_periods_are_those_of_the_list() {
+        let packed = Packed { vector: "seen".to_owned(), periods: 2 };
+        let found = packed.unpack::<Empty>(&frames(&[1.0, 2.0, 3.0, 4.0], &[0.5, -0.5], &[7, u64::MAX]), &task(), 3);
+        let found = found.unwrap();
+        assert_eq!(found[1].observation.vectors["seen"], [3.0, 4.0]);
+        assert!((found[1].observation.time_s - 0.25).abs() < 1e-12);
+        assert_eq!((found[0].state_hash, found[1].state_hash), (7, u64::MAX));
+        assert_eq!(found[1].proposed.as_ref().map(|next| &*next.action), Some(&[-0.5][..]));
+    }
+
+    #[test]
+    fn wrong_frames_are_rejected() {
+        let packed = |vector: &str, periods| Packed { vector: vector.to_owned(), periods };
+        let good = || frames(&[1.0, 2.0], &[0.5], &[7]);
+        for (packed, frames, part) in [
+            (packed("other", 1), good(), "no vector `other`"),
+            (packed("seen", 2), good(), "expected 2 x 2 doubles"),
+            (packed("seen", usize::MAX), good(), "doubles"),
+            (packed("seen", 1), good()[..2].to_vec(), "2 frames"),
+            (packed("seen", 1), frames(&[1.0, f64::NAN], &[0.5], &[7]), "number 1 of the observations is not finite"),
+            (packed("seen", 1), frames(&[1.0, 2.0], &[0.5], &[]), "0 state hashes"),
+        ] {
+            let why = packed.unpack::<Empty>(&frames, &task(), 0).unwrap_err();
+            assert!(why.contains(part), "{why}");
+        }
     }
 }

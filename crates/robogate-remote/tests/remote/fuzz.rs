@@ -29,6 +29,7 @@ fn every_request_gets_a_reply() {
         action_space: ActionKind::JointPosition,
         actions: vec![vec![0.1, 0.2, 0.3, 1.0]; 2],
         ahead: 0,
+        packed: false,
     };
     let reset = request("reset", reset);
     let requests = [
@@ -68,8 +69,13 @@ fn decoded_replies_are_finite() {
     let mut random = support::Random(8);
     let mut toy = Server::new(EnvironmentHost::new(hello(), Box::new(Toy::default())));
     let reset = ResetRequest::<Empty> { index: 1, seed: 2, parameters: [].into(), cell: None, policy: None };
-    let steps =
-        StepRequest { tick: 0, action_space: ActionKind::JointPosition, actions: vec![vec![0.1; 4]; 3], ahead: 0 };
+    let steps = StepRequest {
+        tick: 0,
+        action_space: ActionKind::JointPosition,
+        actions: vec![vec![0.1; 4]; 3],
+        ahead: 0,
+        packed: false,
+    };
     let requests = [request("hello", Empty {}), request("reset", reset), request("step", steps)];
     let replies = requests.map(|request| toy.answer(&[request]).swap_remove(0));
     assert!(replies.iter().all(|reply| decode::<Envelope>(reply).unwrap().ok));

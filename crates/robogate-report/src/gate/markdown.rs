@@ -68,7 +68,8 @@ pub fn evaluation_markdown_with(evaluation: &Evaluation, watch: Option<&Watch>) 
         how_judged(evaluation),
         escape_markdown(&evaluation.estimand)
     );
-    let lines = evaluation.controls.as_ref().map(Controls::lines).unwrap_or_default();
+    let controls = evaluation.controls.iter().flat_map(Controls::lines);
+    let lines: Vec<String> = controls.chain(evaluation.outside_range.as_ref().map(ToString::to_string)).collect();
     if !lines.is_empty() {
         out.push('\n');
         lines.iter().for_each(|line| {

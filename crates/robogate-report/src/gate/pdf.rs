@@ -27,6 +27,7 @@ pub fn verdict_pdf(evaluation: &Evaluation, origin: &[(String, String)]) -> Vec<
         }
     }
     feasible_part(evaluation).iter().for_each(|text| pdf.paragraph(text));
+    evaluation.outside_range.iter().for_each(|outside| pdf.paragraph(&outside.to_string()));
     let controls = evaluation.controls.as_ref().map(Controls::lines).unwrap_or_default();
     if !controls.is_empty() {
         pdf.heading("Controls");

@@ -28,6 +28,8 @@ pub(crate) struct VerdictBlock {
     pub(crate) basis: String,
     /// One line for each control. Empty without controls.
     pub(crate) controls: Vec<String>,
+    /// How often states were outside of the range of the training data.
+    pub(crate) outside_range: Option<String>,
 }
 
 /// A requirement with its figure.
@@ -61,6 +63,7 @@ impl VerdictBlock {
             weakest: weakest(evaluation),
             next: next_step(evaluation),
             controls: evaluation.controls.as_ref().map(Controls::lines).unwrap_or_default(),
+            outside_range: evaluation.outside_range.as_ref().map(ToString::to_string),
             basis: format!(
                 "{}{rounds}, {} of them invalid. {}{}",
                 counted(counts.episodes, "episode"),
@@ -93,7 +96,7 @@ impl VerdictBlock {
             );
         }
         let _ = write!(out, "\n**Next step.** {}\n\n", escape_markdown(&self.next));
-        for line in self.weakest.iter().chain(&self.controls) {
+        for line in self.weakest.iter().chain(&self.controls).chain(&self.outside_range) {
             let _ = writeln!(out, "- {}", escape_markdown(line));
         }
         let _ = write!(out, "\n{}\n\n", escape_markdown(&self.basis));

@@ -34,6 +34,7 @@ pub(super) fn verdict(of: &VerdictBlock) -> Markup {
                 p.verdict-head { "Controls" }
                 ul.verdict-weakest { @for line in &of.controls { li { (rich(line)) } } }
             }
+            @if let Some(text) = &of.outside_range { p.remark { (rich(text)) } }
             details { summary { "How this was decided" } p.remark { (rich(&of.basis)) } }
         }
     }

@@ -31,6 +31,7 @@ pub fn limits(analysis: &Analysis) -> Vec<String> {
             percent_or_dash(success.bounds.best_case)
         ));
     }
+    limits.extend(analysis.outside_range.as_ref().map(ToString::to_string));
     limits.push(intervals(analysis));
     limits.push(
         "The rate of a bin is an average over all other parameters as they were sampled. With another distribution of these \

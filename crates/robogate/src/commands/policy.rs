@@ -14,8 +14,9 @@ use robogate_policy::{
 };
 use serde_json::json;
 
+use crate::cell::nominal;
 use crate::checkpoint_statistics::CheckpointStatistics;
-use crate::commands::probe::{Probes, nominal, probe};
+use crate::commands::probe::{Probes, probe};
 use crate::exit::{DONE, Exit, FAIL, OrExit};
 use crate::interface;
 use crate::policy_source::{PolicyAccess, connect, policy_error, profile, task_map};

@@ -1,9 +1,10 @@
 //! Small actions of a profile in an environment: what each number of the model moves.
 
-use robogate_core::{Assignment, Environment, Observation, Scenario, Seed};
+use robogate_core::{Environment, Observation};
 use robogate_policy::{Arm, BoundMap, Decoder, Frame, Profile, Side, tool_pose};
 use serde::Serialize;
 
+use crate::cell::nominal;
 use crate::exit::{Exit, OrExit};
 use crate::policy_source::policy_error;
 
@@ -40,11 +41,6 @@ pub(crate) struct Probes {
     pub(crate) repeats: Option<bool>,
     /// Descriptions of problems.
     pub(crate) problems: Vec<String>,
-}
-
-/// The nominal scenario, with a fixed seed.
-pub(crate) fn nominal() -> Scenario {
-    Scenario { index: 0, seed: Seed::campaign(0).episode(0), requested: Assignment::default() }
 }
 
 /// The end of an episode.

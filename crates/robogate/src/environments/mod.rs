@@ -1,6 +1,7 @@
 //! Environments that run in Python: the interpreter, the embedded package, and the processes.
 
 mod package;
+mod process;
 mod python;
 mod servers;
 

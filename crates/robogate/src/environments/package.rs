@@ -23,6 +23,7 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/environments/libero.py"),
     embedded!("robogate_eval/environments/metaworld.py"),
     embedded!("robogate_eval/environments/robosuite.py"),
+    embedded!("robogate_eval/environments/robosuite_world.py"),
     embedded!("robogate_eval/libero/__init__.py"),
     embedded!("robogate_eval/libero/bddl.py"),
     embedded!("robogate_eval/libero/controller.py"),

@@ -2,16 +2,18 @@
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, anyhow};
+use robogate_remote::Timeouts;
 use serde::de::DeserializeOwned;
 
 use super::package;
-use crate::exit::{Exit, OrExit, USAGE};
+use super::process::{NoAnswer, Process};
+use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
 
 /// Exit code of `python -m robogate_eval.environments` for an error that the user can correct.
-pub(super) const PYTHON_USAGE: i32 = 2;
+const PYTHON_USAGE: i32 = 2;
 
 /// The cache folder: `ROBOGATE_CACHE_DIR`, else `$XDG_CACHE_HOME/robogate`, else `~/.cache/robogate`.
 fn cache() -> anyhow::Result<PathBuf> {
@@ -75,10 +77,11 @@ impl Interpreter {
         &self.python
     }
 
-    /// The command `python -m robogate_eval.environments VERB`.
+    /// The command `python -m robogate_eval.environments VERB`, for a [`Process`].
     pub(crate) fn command(&self, verb: &str) -> Command {
         let mut command = Command::new(&self.python);
         command.args(["-u", "-m", "robogate_eval.environments", verb]).env("PYTHONPATH", &self.python_path);
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         // There is a server for each worker. Threads of NumPy's libraries would only compete with the other servers.
         for name in ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"] {
             if std::env::var_os(name).is_none() {
@@ -88,25 +91,34 @@ impl Interpreter {
         command
     }
 
-    /// Runs a verb that prints one JSON document.
+    /// Runs a verb that prints one JSON document. An environment that hangs is ended.
     pub(crate) fn ask<T: DeserializeOwned>(&self, verb: &str, arguments: &[&str]) -> Result<T, Exit> {
-        let output = self.command(verb).args(arguments).output().map_err(|why| self.unusable(&why)).or_usage()?;
-        if !output.status.success() {
-            let code = if output.status.code() == Some(PYTHON_USAGE) { USAGE } else { crate::exit::INFRASTRUCTURE };
-            let text = String::from_utf8_lossy(&output.stderr);
-            return Err(Exit { code, error: anyhow!("{}", readable(&text)) });
-        }
-        let parse = || -> anyhow::Result<T> {
-            let text = String::from_utf8(output.stdout)?;
-            let Some(last) = text.lines().last() else { bail!("it printed nothing") };
-            Ok(serde_json::from_str(last)?)
-        };
-        parse().with_context(|| format!("{}: cannot read the answer to `{verb}`", self.python.display())).or_broken()
+        let child = self.command(verb).args(arguments).spawn().map_err(|why| self.unusable(&why)).or_usage()?;
+        let mut process = Process::new(child);
+        let answer = process.answer(arguments.first().unwrap_or(&verb), &Timeouts::default());
+        let line = answer.map_err(|why| {
+            let late = why.late.as_ref().map(|late| format!("{late}\n")).unwrap_or_default();
+            let message = format!("{late}{}", readable(&why.output));
+            why.exit(if message.is_empty() { "it printed nothing".to_owned() } else { message })
+        })?;
+        let parsed = serde_json::from_str(&line);
+        parsed.with_context(|| format!("{}: cannot read the answer to `{verb}`", self.python.display())).or_broken()
     }
 
     /// The error for an interpreter that cannot be started.
     pub(crate) fn unusable(&self, why: &std::io::Error) -> anyhow::Error {
         anyhow!("--python {}: cannot be started: {why}\n  hint: name a Python 3.10 or newer", self.python.display())
+    }
+}
+
+impl NoAnswer {
+    /// The error with this message, unless the process reported an error that the user can correct.
+    pub(super) fn exit(&self, message: String) -> Exit {
+        if self.status.and_then(|status| status.code()) != Some(PYTHON_USAGE) {
+            return Exit { code: INFRASTRUCTURE, error: anyhow!(message) };
+        }
+        let own = self.output.contains("error: ");
+        Exit { code: USAGE, error: anyhow!(if own { readable(&self.output) } else { message }) }
     }
 }
 

@@ -13,13 +13,17 @@ use anyhow::{Context, anyhow};
 use robogate_campaign::{Worker, WorkerFactory};
 use robogate_core::latency::{Execution, LATENCY_PARAMETER, Latency, with_latency, with_parameter};
 use robogate_core::{
-    Fault, FaultKind, Foresight, InfeasibleShare, ParameterSpace, Policy, SpaceFeasibility, Suite, TaskSpec,
+    Environment, Fault, FaultKind, Foresight, InfeasibleShare, ParameterSpace, Policy, SpaceFeasibility, Suite,
+    TaskSpec,
 };
 use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance};
 use robogate_gate::Controls;
+use robogate_policy::{RangeCounts, RangeMeasures, with_range_measures};
 use robogate_remote::RemoteEnvironment;
 use serde_json::{Value, json};
 
+use crate::cell::nominal;
+use crate::checkpoint_statistics::CheckpointStatistics;
 use crate::exit::{Exit, OrExit};
 use crate::latency::{LatencyArguments, without_latency};
 use crate::policy_source::PolicySource;
@@ -51,11 +55,15 @@ impl Subject {
         let environment = rendered_px.into_iter().fold(environment, EnvironmentSource::with_pictures_of);
         let task = environment.task().or_broken()?;
         let policy = environment.declared_policy(policy).or_usage()?;
+        let task = match policy.as_ref().and_then(PolicySource::profile) {
+            Some(profile) => with_range_measures(&task, profile),
+            None => task,
+        };
         let subject = Self { environment, policy, task, execution: None, controls: None };
         let ready = match &subject.policy {
             // The environment declares it for its own task.
             Some(PolicySource::Declared(_)) => return Ok(subject),
-            Some(source) => source.policy().map_err(anyhow::Error::from).or_broken()?,
+            Some(source) => source.policy(None).map_err(anyhow::Error::from).or_broken()?,
             None => subject.environment.controller().or_usage()?,
         };
         ready
@@ -76,6 +84,23 @@ impl Subject {
             }
             _ => "",
         }
+    }
+
+    /// The same subject with the ranges of its checkpoint, so that states outside of them are counted.
+    pub(crate) fn with_statistics(mut self, statistics: &CheckpointStatistics) -> Result<Self, Exit> {
+        if !statistics.is_given() {
+            return Ok(self);
+        }
+        let Some(PolicySource::External(source)) = &mut self.policy else {
+            return Err(anyhow!("--statistics applies to a policy server or an ONNX file\n  hint: leave it out"))
+                .or_usage();
+        };
+        let mut environment =
+            self.environment.environment_for(source.profile(), source.map().map(|map| &**map)).or_broken()?;
+        let start = environment.reset(&nominal()).map_err(anyhow::Error::from).or_broken()?;
+        source.add_ranges(statistics, environment.task(), &start.observation)?;
+        self.task = with_range_measures(&self.task, source.profile());
+        Ok(self)
     }
 
     /// The same subject with the latency of these arguments. A latency that is to be measured is measured now.
@@ -280,10 +305,11 @@ impl Subject {
         })
     }
 
-    fn policy(&self) -> Result<Box<dyn Policy>, Fault> {
+    /// `ranges` count what the policy sees.
+    fn policy(&self, ranges: Option<&RangeCounts>) -> Result<Box<dyn Policy>, Fault> {
         let broken = |why: anyhow::Error| Fault::new(FaultKind::Unavailable, format!("{why:#}"));
         match &self.policy {
-            Some(source) => source.policy(),
+            Some(source) => source.policy(ranges),
             None => self.environment.controller().map_err(broken),
         }
     }
@@ -306,7 +332,13 @@ impl WorkerFactory for Subject {
             None => self.environment.environment(),
         };
         let environment = environment.map_err(|why| Fault::new(FaultKind::Unavailable, format!("{why:#}")))?;
-        let policy = self.policy()?;
+        let profile = source.and_then(PolicySource::profile);
+        let ranges = profile.and_then(|profile| Some((profile, RangeCounts::of(profile)?)));
+        let policy = self.policy(ranges.as_ref().map(|(_, counts)| counts))?;
+        let environment: Box<dyn Environment> = match ranges {
+            Some((profile, counts)) => Box::new(RangeMeasures::new(environment, profile, counts)),
+            None => environment,
+        };
         Ok(match &self.execution {
             None => Worker { environment, policy },
             Some(execution) => {

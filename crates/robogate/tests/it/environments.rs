@@ -118,13 +118,33 @@ fn faults_are_shown_and_survived() {
     };
     run("raises", "raise RuntimeError('the gripper is stuck')", &["the gripper is stuck"]);
     run("killed", "import os; print('last words', flush=True); os.kill(os.getpid(), 9)", &["last words", "signal: 9"]);
-    run("hangs", "import time; time.sleep(3600)", &["started again after this failure"]);
+    run("hangs", "import time; time.sleep(3600)", &["started again after this failure", "time.sleep(3600)"]);
     run("nan", "self.place[:] = np.nan", &[]);
 
     bench.example("lacks.py", &[("import gymnasium,", "import no_such_package, gymnasium,")]);
     bench.robogate("run --env lacks.py -n 30", 2, &["the Python package no_such_package is missing"]);
     bench.example("breaks.py", &[("    make=Reach,", "    make=lambda: 1 / 0,")]);
     bench.robogate("run --env breaks.py -n 30", 5, &["does not start", "ZeroDivisionError"]);
+}
+
+/// An environment that hangs before its first episode is ended after the timeout of the call, and the call is named.
+#[test]
+fn hanging_starts_are_ended() {
+    let Some(bench) = Bench::new() else { return };
+    let hang = |name: &str, before: &str, call: &str, timeout: &str| {
+        let line = "import time; time.sleep(3600)  # it hangs";
+        bench.example(&format!("{name}.py"), &[(before, &format!("{before}        {line}\n"))]);
+        let late = format!("{call} in the check before the first episode did not end within");
+        let parts = ["does not start", &*late, "--simulator-timeout", line];
+        let began = Instant::now();
+        bench.robogate(&format!("run --env {name}.py -n 30 --simulator-timeout {timeout}"), 5, &parts);
+        assert!(began.elapsed() < Duration::from_secs(60), "{:?}", began.elapsed());
+        let processes = fs::read_dir("/proc").unwrap();
+        let mut commands = processes.filter_map(|entry| fs::read(entry.ok()?.path().join("cmdline")).ok());
+        assert!(!commands.any(|command| String::from_utf8_lossy(&command).contains(name)), "a process is left");
+    };
+    hang("hangs_in_step", "    def step(self, action):\n", "`step`", "1");
+    hang("hangs_in_reset", "        super().reset(seed=seed)\n", "`reset`", "0.5");
 }
 
 /// A profile of a policy that knows nothing of the environment: a state of six numbers in another order and unit, an
@@ -185,11 +205,12 @@ fn with_view(bench: &Bench) {
     );
 }
 
-/// Serves the controller of the example to that profile, and checks what it receives.
-fn steering() -> String {
+/// Serves a policy in openpi's dialect. It gets a function that returns the bytes of an input by its name, and answers with
+/// one action.
+fn served<const N: usize>(policy: impl Fn(&dyn Fn(&str) -> Vec<u8>) -> [f64; N] + Send + 'static) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("ws://{}", listener.local_addr().unwrap());
-    openpi::serve(listener, |_, socket| {
+    openpi::serve(listener, move |_, socket| {
         while let Ok(message) = socket.read() {
             if !message.is_binary() {
                 continue;
@@ -200,21 +221,32 @@ fn steering() -> String {
                 let same = |key: &rmpv::Value| key.as_str() == Some(name) || key.as_slice() == Some(name.as_bytes());
                 map.iter().find(|(key, _)| same(key)).unwrap().1.clone()
             };
-            let bytes = |name: &str| field(&field(&request, name), "data").as_slice().unwrap().to_vec();
-            // The bright row of the flipped image is the last one.
-            assert!(bytes("image")[..24] == [0; 24] && bytes("image")[7 * 24..] == [200; 24]);
-            let state: Vec<f64> =
-                bytes("state").as_chunks::<8>().0.iter().map(|number| f64::from_le_bytes(*number)).collect();
-            let [goal_x, goal_y, x, y, dx, dy] = *state else { panic!("{state:?}") };
-            let (x, y) = (0.03 * (goal_x - x) - 1.5 * dx, 0.03 * (goal_y - y) - 1.5 * dy);
-            let reply = openpi::actions(1, 3, |_, number| [0.7, -y, x][number]);
-            if socket.send(Message::binary(reply)).is_err() {
+            let action = policy(&|name| field(&field(&request, name), "data").as_slice().unwrap().to_vec());
+            if socket.send(Message::binary(openpi::actions(1, N, |_, number| action[number]))).is_err() {
                 break;
             }
         }
         ControlFlow::Continue(())
     });
     url
+}
+
+/// The numbers of an array of double precision.
+fn doubles(bytes: &[u8]) -> Vec<f64> {
+    bytes.as_chunks::<8>().0.iter().map(|number| f64::from_le_bytes(*number)).collect()
+}
+
+/// Serves the controller of the example to that profile, and checks what it receives.
+fn steering() -> String {
+    served(|input| {
+        // The bright row of the flipped image is the last one.
+        let image = input("image");
+        assert!(image[..24] == [0; 24] && image[7 * 24..] == [200; 24]);
+        let state = doubles(&input("state"));
+        let [goal_x, goal_y, x, y, dx, dy] = *state else { panic!("{state:?}") };
+        let (x, y) = (0.03 * (goal_x - x) - 1.5 * dx, 0.03 * (goal_y - y) - 1.5 * dy);
+        [0.7, -y, x]
+    })
 }
 
 /// A server and a network that know nothing of an environment drive it through a map.
@@ -259,6 +291,143 @@ fn maps_connect_any_policy() {
     // The map is part of the record.
     bench.robogate("replay mapped 7", 0, &["identical to the recorded episode"]);
     bench.robogate("run --env view.py --policy random --map map.toml -n 20", 2, &["--profile"]);
+}
+
+/// A model that moves the tool 20 times per second with seven numbers, as models for LIBERO do. Each number is of 40 mm.
+const TOOL_MOTION: &str = r#"
+name = "tool-motion"
+model = "A controller of drawers that moves the tool"
+[dialect]
+name = "openpi"
+[[state]]
+key = "state"
+parts = ["tool_position", "gripper_opening"]
+vectors = ["handle"]
+[action]
+size = 7
+arm = "tool_delta"
+rotation = "axis_angle"
+position_scale_m = 0.04
+rotation_scale_rad = 0.5
+clip = 1.0
+control_hz = 20.0
+gripper_threshold = 0.0
+gripper_open = "below"
+[chunk]
+length = 1
+execute = 1
+"#;
+
+/// The map of Meta-World to it, with 80 actions per second of up to 10 mm.
+const SAWYER: &str = r#"
+[vectors]
+tool_pose = ["observation[0:3]", 0, 1, 0, 0]
+gripper_opening = { from = "observation[3]", scale = 0.1 }
+handle = "observation[4:7]"
+[action]
+x = { from = "x", scale = 100.0 }
+y = { from = "y", scale = 100.0 }
+z = { from = "z", scale = 100.0 }
+gripper = "gripper"
+"#;
+
+/// Opens the drawer: above the handle, down to it, and back.
+fn opening_drawers() -> String {
+    served(|input| {
+        let state = doubles(&input("state"));
+        let [x, y, z, _, handle_x, handle_y, handle_z] = *state else { panic!("{state:?}") };
+        let handle_z = handle_z - 0.02;
+        let ([away_y, up_z], gain) = if (x - handle_x).hypot(y - handle_y) > 0.06 {
+            ([0.0, 0.3], 4.0)
+        } else if (z - handle_z).abs() > 0.04 {
+            ([0.0, 0.0], 4.0)
+        } else {
+            ([-0.06, 0.0], 50.0)
+        };
+        let motion =
+            [handle_x - x, handle_y + away_y - y, handle_z + up_z - z].map(|error| (gain * error).clamp(-1.0, 1.0));
+        [motion[0], motion[1], motion[2], 0.0, 0.0, 0.0, -1.0]
+    })
+}
+
+/// Seven numbers of a model that moves the tool become the four of Meta-World. The controls of a gate act in the same way.
+#[test]
+fn tool_motions_drive_meta_world() {
+    let Some(bench) = Bench::new() else { return };
+    fs::write(bench.at("profile.toml"), TOOL_MOTION).unwrap();
+    fs::write(bench.at("map.toml"), SAWYER).unwrap();
+    let suite = "schema = 1\nname = \"two\"\nversion = \"1.0.0\"\ndescription = \"Two.\"\ndefaults = { action_delay = 0 }\n\
+                 [[group]]\nname = \"plain\"\ncategory = \"nominal\"\nscenarios = [{ id = \"a\" }, { id = \"b\", action_delay = 2 }]\n";
+    fs::write(bench.at("suite.toml"), suite).unwrap();
+    let requirements = "name = \"half\"\nmode = \"point\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.5\n";
+    fs::write(bench.at("requirements.toml"), requirements).unwrap();
+    let policy =
+        format!("--env metaworld:drawer-open-v3 --policy {} --profile profile.toml --map map.toml", opening_drawers());
+    let gate = format!(
+        "gate {policy} --suite suite.toml --requirements requirements.toml --rounds 3 --controls 4 --threads 1 --out gate"
+    );
+    let text = bench.robogate(&gate, 0, &["PASS"]);
+    let evaluation: serde_json::Value = serde_json::from_slice(&fs::read(bench.at("gate/gate.json")).unwrap()).unwrap();
+    let control = |name: &str| evaluation["controls"][name]["successes"].as_u64();
+    assert_eq!([control("expert"), control("positive"), control("negative")], [Some(4), Some(4), Some(0)], "{text}");
+    assert_eq!(evaluation["results"][0]["figure"]["estimate"].as_f64().unwrap_or(1.0), 1.0, "{evaluation}");
+    bench.robogate("replay gate 3", 0, &["identical to the recorded episode"]);
+    // With the wrong sign of one axis the expert fails through the profile, and the policy is not judged.
+    fs::write(
+        bench.at("map.toml"),
+        SAWYER.replace("x = { from = \"x\", scale = 100.0 }", "x = { from = \"y\", scale = 100.0 }"),
+    )
+    .unwrap();
+    let broken = gate.replace("--out gate", "--out broken");
+    bench.robogate(&broken, 4, &["INVALID"]);
+}
+
+/// A network that sees a camera of Meta-World's model, and eight numbers of the observation.
+const LOOKING: &str = r#"
+name = "looking"
+model = "A network of one layer, for tests"
+[dialect]
+name = "onnx"
+[[camera]]
+from = "front"
+key = "front"
+width = 8
+height = 8
+fit = "stretch"
+[[state]]
+key = "state"
+vectors = ["pose"]
+type = "<f4"
+[action]
+size = 8
+arm = "vector"
+[chunk]
+length = 2
+execute = 2
+"#;
+
+/// A network in a file sees the environment and drives it. Rendering takes most of the time, so the camera is the plain one.
+#[test]
+fn networks_with_cameras_drive_meta_world() {
+    let Some(bench) = Bench::new() else { return };
+    let network = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robogate-policy/tests/networks/small.onnx");
+    fs::copy(network, bench.at("small.onnx")).unwrap();
+    fs::write(bench.at("profile.toml"), LOOKING).unwrap();
+    let map = "[vectors]\npose = \"observation[0:8]\"\n[cameras]\nfront = { from = \"corner2.plain\", orientation = \"rotated\" }\n\
+               [action]\nx = \"action[0]\"\ny = \"action[1]\"\nz = \"action[2]\"\ngripper = \"action[7]\"\n";
+    fs::write(bench.at("map.toml"), map).unwrap();
+    // Short episodes: Meta-World's take 500 control periods.
+    let task = "import dataclasses\nfrom robogate_eval.environments import find\ndef environment():\n    drawer = find('metaworld:drawer-open-v3')\n    \
+                return dataclasses.replace(drawer, task=dataclasses.replace(drawer.task, time_limit_s=0.5))\n";
+    fs::write(bench.at("short.py"), task).unwrap();
+    bench.robogate("env inspect short.py", 0, &["corner2.plain"]);
+    fs::write(bench.at("plan.toml"), "[uniform]\nepisodes = 4\n[boundary]\nepisodes = 0\n").unwrap();
+    let run = "run --env short.py --policy small.onnx --profile profile.toml --map map.toml --plan plan.toml --seed 3";
+    let text = bench.robogate(&format!("{run} --threads 2 --out two"), 0, &["looking policy"]);
+    assert!(!text.contains("invalid"), "{text}");
+    bench.robogate(&format!("{run} --threads 1 --out one"), 0, &[]);
+    assert!(bench.rows("two") == bench.rows("one"), "rows depend on the number of servers");
+    bench.robogate("replay two 2", 0, &["identical to the recorded episode"]);
 }
 
 /// No process is left behind when the command is killed.

@@ -104,6 +104,35 @@ fn recurrent_policies_ignore_thread_count() {
     assert_exit_in(dir.path(), &check, 0, &["front: -1, 0; state: -2, -1, 0"]);
 }
 
+/// The statistics of a checkpoint make a run count the states outside of their range.
+#[test]
+fn states_outside_ranges_are_counted() {
+    let dir = folder_with_network();
+    fs::write(dir.path().join("plan.toml"), "seed = 5\n[uniform]\nepisodes = 2\n").unwrap();
+    let (low, high) = (vec![-0.01; 8], vec![0.01; 8]);
+    let statistics = serde_json::json!({"observation.state": {"min": low, "max": high}}).to_string();
+    fs::write(dir.path().join("stats.json"), statistics).unwrap();
+    let policy = ["--policy", "small.onnx", "--profile", "small.toml"];
+    let ranged = [&policy[..], &["--statistics", "stats.json"]].concat();
+    let hash = |threads: &str| {
+        let summary = run(dir.path(), &[&ranged[..], &["--threads", threads, "--out", threads]].concat());
+        let outside = &summary["outside_range"];
+        assert_eq!((&outside["episodes"], &outside["of"]), (&2.into(), &2.into()), "{summary}");
+        assert!(outside["numbers"][0]["number"].as_str().unwrap().contains("state."), "{summary}");
+        summary["dataset_hash"].clone()
+    };
+    assert_eq!(hash("1"), hash("3"));
+    assert_exit_in(dir.path(), &["replay", "3", "1"], 0, &["identical to the recorded episode, bit for bit"]);
+    let analysis = stdout(&robogate_in(dir.path(), &["analyze", "3", "--json"]));
+    assert!(analysis.contains("outside_range.") && analysis.contains("\"of\": 2"), "{analysis}");
+    let report = ["report", "3"];
+    assert_exit_in(dir.path(), &report, 0, &[]);
+    let page = fs::read_to_string(dir.path().join("3/report.html")).unwrap();
+    assert!(page.contains("outside of the published range of the checkpoint in 2 of 2 episodes"));
+    let wrong = [&RUN[..], &["--policy", "random", "--statistics", "stats.json"]].concat();
+    assert_exit_in(dir.path(), &wrong, 2, &["--statistics applies to a policy server or an ONNX file"]);
+}
+
 #[test]
 fn wrong_policies_are_explained() {
     let dir = folder_with_network();

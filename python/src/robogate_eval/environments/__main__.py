@@ -21,7 +21,7 @@ def main() -> None:
     serve.add_argument("name", help="FAMILY:NAME, gymnasium:ID, FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE")
     serve.add_argument("--bind", default="tcp://127.0.0.1:5570", help="address; tcp://127.0.0.1:* takes a free port")
     serve.add_argument("--child", action="store_true", help="serve the parent process: take a free port, and end with the standard input")
-    describe = verbs.add_parser("describe", help="print the declaration of an environment, as JSON")
+    describe = verbs.add_parser("describe", help="print the declaration of an environment to the parent process, as JSON after lines about progress")
     describe.add_argument("name")
     requirements = verbs.add_parser("requirements", help="print the pinned requirements of a family, as pip reads them")
     requirements.add_argument("name", help="name of the family")
@@ -47,7 +47,7 @@ def _serve(arguments: argparse.Namespace) -> None:
     from ..serving import process
 
     if arguments.child:
-        process.serve_child(lambda: find(arguments.name))
+        process.serve_child(arguments.name)
     else:
         process.serve(find(arguments.name), bind=arguments.bind)
 
@@ -55,15 +55,12 @@ def _serve(arguments: argparse.Namespace) -> None:
 def _describe(arguments: argparse.Namespace) -> None:
     from robogate_bridge import declaration
 
-    from ..serving.adapter import Adapter
+    from ..serving.process import Child, child_adapter
 
-    from ..serving.process import own_output
-
-    # Packages print to standard output when they are imported.
-    answer = own_output()
-    adapter = Adapter(find(arguments.name))
+    child = Child()
+    adapter = child_adapter(child, arguments.name)
     declared = declaration.hello(adapter.hello())
-    print(json.dumps(declared | {"not_offered": [{"name": name, "reason": why} for name, why in adapter.dropped]}), file=answer)
+    child.answer(json.dumps(declared | {"not_offered": [{"name": name, "reason": why} for name, why in adapter.dropped]}))
 
 
 def _list(arguments: argparse.Namespace) -> None:

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from functools import partial
-
-from ..libero.suites import PERIOD_S, REST_ACTION, REST_STEPS, SUITES
-from ..serving.environment import Camera, Environment, Policy, Task
+from ..libero.suites import REST_STEPS, SUITES
+from ..serving.environment import Environment, Policy, Task
 from .family import Family, UnknownEnvironment
-
-# The size of pictures that policies for LIBERO were trained with.
-PIXELS = 256
+from .robosuite_world import ACTION_NAMES, PERIOD_S, REST_ACTION, after_rest, cameras, once
 
 
 def names() -> list[str]:
@@ -39,10 +35,9 @@ def _declare(suite: str, task: int | None) -> Environment:
     from ..libero import scoring
     from ..libero.controller import scripted
     from ..libero.knobs import knobs
-    from ..libero.world import CAMERAS, World
+    from ..libero.world import World
 
     world = World(suite, task)
-    first = [world]
     space = {
         "initial_state": (0, 49),
         "layout_x_m": (-0.03, 0.03),
@@ -55,7 +50,7 @@ def _declare(suite: str, task: int | None) -> Environment:
         "action_delay": (0, 8),
     }
     return Environment(
-        make=lambda: first.pop() if first else World(suite, task),
+        make=once(world, lambda: World(suite, task)),
         task=Task(
             name=f"libero.{suite}" if task is None else f"libero.{suite}.{task}",
             instruction=f"any task of LIBERO-{suite}" if task is None else "",
@@ -65,10 +60,11 @@ def _declare(suite: str, task: int | None) -> Environment:
             failure=scoring.failure,
             measures=scoring.MEASURES,
             measure=scoring.measure,
-            prepare=_rest,
+            # The benchmark's first actions.
+            prepare=after_rest(REST_STEPS),
             episode_instruction=lambda env: env.instruction,
-            cameras=[Camera(camera, PIXELS, PIXELS, partial(_picture, camera)) for camera in CAMERAS],
-            action_names=["x", "y", "z", "roll", "pitch", "yaw", "gripper"],
+            cameras=cameras(),
+            action_names=ACTION_NAMES,
             rest_action=REST_ACTION,
         ),
         # Bodies of different tasks have different names, so only a single task offers MuJoCo's knobs.
@@ -77,18 +73,6 @@ def _declare(suite: str, task: int | None) -> Environment:
         policies={"scripted": Policy(scripted, "Ours. It reads the state of the scene, and plans from the goal of the task file.")},
         observe=lambda env: env.observe(),
     )
-
-
-def _rest(env, observation):
-    """The benchmark's first actions, which do nothing."""
-    for _ in range(REST_STEPS):
-        observation, *_ = env.step(REST_ACTION)
-    env.begin()
-    return observation
-
-
-def _picture(camera, env):
-    return env.render(camera, PIXELS, PIXELS)
 
 
 FAMILY = Family(

@@ -11,14 +11,11 @@ except ModuleNotFoundError:
     # The family is listed and installed by a Python without any packages.
     np = None
 
-from ..serving.environment import Camera, Environment, FailureMode, Measure, Policy, Task
+from ..serving.environment import Environment, FailureMode, Measure, Policy, Task
 from .family import Family, installed, unknown
+from .robosuite_world import ACTION_NAMES, PERIOD_S, REST_ACTION, RobosuiteWorld, after_rest, cameras, once
 
-PERIOD_S = 0.05
 TIME_LIMIT_S = 15.0
-PIXELS = 256
-CAMERAS = ("agentview", "robot0_eye_in_hand")
-REST_ACTION = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ def names() -> list[str]:
     return list(KINDS)
 
 
-class World:
+class World(RobosuiteWorld):
     """A robosuite environment with Gymnasium's interface. Its randomness depends on the seed of `reset` only."""
 
     def __init__(self, kind: Kind):
@@ -62,22 +59,6 @@ class World:
         first, _ = self.reset(0)
         self.observation_space = spaces.Dict({name: spaces.Box(-np.inf, np.inf, value.shape) for name, value in first.items()})
 
-    @property
-    def unwrapped(self):
-        return self
-
-    @property
-    def sim(self):
-        return self._env.sim
-
-    @property
-    def model(self):
-        return self._env.sim.model._model
-
-    @property
-    def data(self):
-        return self._env.sim.data._data
-
     def reset(self, seed: int):
         # In place, because robosuite's samplers keep a reference to the generator.
         self._env.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
@@ -86,7 +67,6 @@ class World:
         return self._encode(seen), {}
 
     def begin(self):
-        """Heights and displacements are relative to the present state."""
         self._start = self.position()
         self._lifted = 0.0
 
@@ -110,17 +90,6 @@ class World:
     def position(self):
         """The position of the body that the robot moves."""
         return self.data.body(self._kind.body).xpos.copy()
-
-    def render(self, camera: str):
-        """The picture of a camera, upright, without collision geometry."""
-        import mujoco
-
-        if getattr(self, "_rendered", None) is not self.model:
-            self._renderer, self._rendered = mujoco.Renderer(self.model, PIXELS, PIXELS), self.model
-        option = mujoco.MjvOption()
-        option.geomgroup[0] = 0
-        self._renderer.update_scene(self.data, camera, option)
-        return self._renderer.render()
 
     def close(self):
         self._env.close()
@@ -161,8 +130,8 @@ def environment(name: str) -> Environment:
         raise unknown("task", name, KINDS, "robosuite:")
     from ..serving.model import Model, rigid
 
-    made = [World(kind)]
-    body, model = kind.body, Model(made[0])
+    first = World(kind)
+    body, model = kind.body, Model(first)
     mass = float(model.model.body_mass[rigid(model.model, model.names("body").index(body))].sum())
     space = {
         f"mass:{body}": (0.3 * mass, 3.0 * mass, "log"),
@@ -175,7 +144,7 @@ def environment(name: str) -> Environment:
     }
     scripted = Policy(_lift, "Ours. It reads the state of the scene, grasps the cube from above and lifts it.")
     return Environment(
-        make=lambda: made.pop() if made else World(kind),
+        make=once(first, lambda: World(kind)),
         task=Task(
             name=f"robosuite.{name}",
             instruction=kind.instruction,
@@ -191,9 +160,10 @@ def environment(name: str) -> Environment:
                 Measure("displacement_m", "m", "Distance of the object from its start at the end.", "neither"),
             ],
             measure=_measure,
-            prepare=_begin,
-            cameras=[Camera(camera, PIXELS, PIXELS, lambda env, camera=camera: env.render(camera)) for camera in CAMERAS],
-            action_names=["x", "y", "z", "roll", "pitch", "yaw", "gripper"],
+            # A knob may have moved the object.
+            prepare=after_rest(1),
+            cameras=cameras(),
+            action_names=ACTION_NAMES,
             rest_action=REST_ACTION,
         ),
         source=installed("robosuite"),
@@ -201,13 +171,6 @@ def environment(name: str) -> Environment:
         policies={"scripted": scripted} if name == "Lift" else {},
         observe=lambda env: env.observe(),
     )
-
-
-def _begin(env, observation):
-    """One action that does nothing, because a knob may have moved the object."""
-    observation, *_ = env.step(np.array(REST_ACTION))
-    env.begin()
-    return observation
 
 
 FAMILY = Family(

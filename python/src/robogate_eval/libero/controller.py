@@ -6,7 +6,7 @@ import numpy as np
 
 from ..scripted.scene import Scene
 from .plans import Planner
-from .suites import REST_ACTION
+from ..environments.robosuite_world import REST_ACTION
 
 ROBOT = ("robot0_", "gripper0_", "mount0_")
 

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-# Time between two actions: 20 Hz.
-PERIOD_S = 0.05
 # Actions that do nothing, at the start of each episode: objects of the initial states fall onto their supports.
 REST_STEPS = 10
-REST_ACTION = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
 # Seed of the benchmark. It places fixtures, which the initial states do not contain.
 SEED = 7
 

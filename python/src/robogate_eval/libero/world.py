@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..environments.robosuite_world import RobosuiteWorld
 from ..serving.model import Model
 from . import bddl, initial_states, installation
 from .suites import SEED, SUITES, wording
@@ -13,10 +14,9 @@ VECTORS = {"eef_pos": 3, "eef_axis_angle": 3, "gripper_qpos": 2, "joint_pos": 7}
 FINGERS = (("gripper0_leftfinger", "gripper0_finger_joint1_tip"), ("gripper0_rightfinger", "gripper0_finger_joint2_tip"))
 # Fields of the model that knobs change.
 FIELDS = ("body_pos", "body_quat", "body_mass", "body_inertia", "cam_pos", "cam_quat", "light_diffuse", "mat_rgba", "actuator_gainprm")
-CAMERAS = ("agentview", "robot0_eye_in_hand")
 
 
-class World:
+class World(RobosuiteWorld):
     """A suite, or one task of it.
 
     Attributes that start with `wanted_` choose what the next reset loads; None lets the seed choose.
@@ -40,24 +40,6 @@ class World:
         self.image_noise = 0.0
 
     # What is loaded
-
-    @property
-    def unwrapped(self):
-        return self
-
-    @property
-    def sim(self):
-        return self._env.sim
-
-    @property
-    def model(self):
-        """MuJoCo's model of the loaded task."""
-        return self._env.sim.model._model
-
-    @property
-    def data(self):
-        """MuJoCo's data of the loaded task."""
-        return self._env.sim.data._data
 
     @property
     def states(self):
@@ -184,7 +166,6 @@ class World:
         return int(self.model.jnt_qposadr[self.model.body(f"{name}_main").jntadr[0]])
 
     def begin(self):
-        """Measures from here: displacements, heights and joints are relative to the present state."""
         self._starts = {name: self.position(name) for name in self.movable}
         self._lifted = 0.0
         self._joints = self._articulated()
@@ -259,17 +240,8 @@ class World:
 
     # Pictures
 
-    def render(self, camera: str, width: int, height: int):
-        """The picture of a camera, upright. Only what is meant to be seen is drawn, not the collision geometry."""
-        import mujoco
-
-        key = (self.index, width, height)
-        if getattr(self, "_renderer_key", None) != key:
-            self._renderer, self._renderer_key = mujoco.Renderer(self.model, height, width), key
-        option = mujoco.MjvOption()
-        option.geomgroup[0] = 0
-        self._renderer.update_scene(self.data, camera, option)
-        pixels = self._renderer.render()
+    def render(self, camera: str):
+        pixels = super().render(camera)
         if self.image_noise > 0.0:
             noisy = pixels + self._random.normal(0.0, self.image_noise, pixels.shape)
             pixels = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from .disturbances import Disturbances
 from .environment import Camera, DeclarationError, Environment, task_name
 from .knobs import Knob, differs, parameter_name
 from .model import Model, NoModel
-from .rendering import renderer
+from .rendering import Pictures
 from .spaces import Actions, Observations
 from .trajectory import Trajectory
 
@@ -37,11 +37,15 @@ def _mujoco_sha256() -> str | None:
 
 
 class Adapter:
-    """Serves an environment."""
+    """Serves an environment.
 
-    def __init__(self, environment: Environment):
+    `doing` is called before each call of the environment until it is ready: with `make`, `reset`, `knobs` and `step`.
+    """
+
+    def __init__(self, environment: Environment, doing: Callable[[str], None] = lambda _: None):
         self._environment = environment
         self._task = environment.task
+        doing("make")
         self._env = env = environment.make()
         self._observations = Observations(env.observation_space)
         self._actions = Actions(env.action_space, self._task.action_names)
@@ -50,6 +54,7 @@ class Adapter:
         rest = np.zeros(len(self._actions.low)) if self._task.rest_action is None else np.asarray(self._task.rest_action)
         lengths = {name: length for name, (_, length) in self._observations.vectors.items()}
         self._disturbances = Disturbances(lengths, self._actions.decode(rest))
+        doing("reset")
         first = env.reset(seed=0)
         if not isinstance(first, tuple) or len(first) != 2:
             raise DeclarationError(f"reset returned {_values(first)}. Expected observation and info, as in Gymnasium")
@@ -58,16 +63,17 @@ class Adapter:
             self._model: Model | None = Model(env)
         except (NoModel, ImportError):
             self._model = None
+        doing("knobs")
         # Knobs that do not act, with the reason.
         self.dropped: list[tuple[str, str]] = []
         self.knobs = self._knobs()
         self._by_parameter = {knob.parameter: knob for knob in self.knobs}
         self._order = {knob.parameter: position for position, knob in enumerate(self.knobs)}
         self._cameras = self._find_cameras()
-        self._renderers: dict[tuple[int, int], Any] = {}
+        self._pictures = Pictures()
         self._hash = 0
         try:
-            self.deterministic = self._is_deterministic()
+            self.deterministic = self._is_deterministic(doing)
         except Problem as problem:
             # The first episode of any environment shows what its declaration lacks.
             if problem.kind in ("setup", "not_applied"):
@@ -201,19 +207,21 @@ class Adapter:
             return self._environment.observe(self._env)
         return self._env.unwrapped._get_obs()
 
-    def _is_deterministic(self) -> bool:
+    def _is_deterministic(self, doing: Callable[[str], None]) -> bool:
         """Run one scenario twice, with another one in between, and compare all states."""
-        first = self._states(1, 25)
-        self._states(2, 10)
-        return first == self._states(1, 25)
+        first = self._states(1, 25, doing)
+        self._states(2, 10, doing)
+        return first == self._states(1, 25, doing)
 
-    def _states(self, index: int, steps: int) -> list[int]:
+    def _states(self, index: int, steps: int, doing: Callable[[str], None]) -> list[int]:
         from robogate_bridge import Action, Scenario
 
+        doing("reset")
         self.reset(Scenario(index=index, seed=0, parameters={}))
         random, states = np.random.default_rng(index), [self.state_hash()]
         for _ in range(min(steps, self._limit)):
             numbers = random.uniform(self._actions.low, self._actions.high).tolist()
+            doing("step")
             if self.step(Action("vector", numbers))["ending"] is not None:
                 break
             states.append(self.state_hash())
@@ -303,8 +311,8 @@ class Adapter:
                 # The next control period may write to the array.
                 self._seen = seen = seen.copy()
                 state = self._model.state()
-                numbers = self._actions.encode(self._policy(seen))
-                if not math.isfinite(sum(numbers)):
+                numbers = self._actions.bounded(self._policy(seen))
+                if not self._actions.are_finite(numbers):
                     last = self._answer(seen, numbers, state)
                     break
                 seen_all.append(seen)
@@ -315,18 +323,18 @@ class Adapter:
         digests = [self._model.hash_of(state) for state in states]
         if digests and last is None:
             self._hash = digests[-1]
-        rows = np.asarray(seen_all)
-        if np.isfinite(rows).all():
-            return FreeRun("observation", rows.tolist(), actions, digests, [] if last is None else [last], error)
-        # The server says which number is not finite.
-        answers = [self._answer(*one) for one in zip(seen_all, actions, states)]
-        return FreeRun("observation", [], [], [], answers if last is None else [*answers, last], error)
+        rows, answers = np.asarray(seen_all, dtype="<f8"), [] if last is None else [last]
+        if not np.isfinite(rows).all():
+            # The server says which number is not finite.
+            answers = [self._answer(*one) for one in zip(seen_all, actions, states)] + answers
+            rows, actions, digests = rows[:0], [], []
+        return FreeRun("observation", rows, np.asarray(actions, dtype="<f8"), np.asarray(digests, dtype="<u8"), answers, error)
 
-    def _answer(self, seen: Any, action: list[float], state: bytes) -> dict:
+    def _answer(self, seen: Any, action: np.ndarray, state: bytes) -> dict:
         """What `step` returns for a control period in which the episode goes on."""
         return {
             "observation": {"vectors": self._observations.encode(seen)},
-            "proposed": {"action_space": "vector", "action": action},
+            "proposed": {"action_space": "vector", "action": action.tolist()},
             "ending": None,
             "measures": {},
             "state_hash": self._model.hash_of(state),
@@ -336,7 +344,7 @@ class Adapter:
         """Whether `free_run` can run this environment."""
         return self._model is not None and self._policy is not None and bool(self._observations.single)
 
-    def _advance(self, numbers: list[float]) -> tuple[Any, dict | None, dict]:
+    def _advance(self, numbers: "list[float] | np.ndarray") -> tuple[Any, dict | None, dict]:
         """Run one control period. Returns the observation, and the ending with its measures."""
         executed = self._actions.decode(numbers)
         if self._disturbances.delays:
@@ -412,7 +420,9 @@ class Adapter:
         # Without a choice of the environment: the cameras of its model. Only those that a policy uses are rendered.
         names = {task_name(name): name for name in self._model.names("camera") if name}
         own = [Camera(task, PICTURE_PX, PICTURE_PX, partial(self._pixels, name)) for task, name in names.items()]
-        return own[:MAX_CAMERAS]
+        # The same views in a quality that takes a fraction of the time without a GPU.
+        plain = [Camera(f"{task[:58]}.plain", PICTURE_PX, PICTURE_PX, partial(self._pixels, name, plain=True)) for task, name in names.items()]
+        return [*own, *plain][:MAX_CAMERAS]
 
     def render(self, cameras: list[str]) -> list[Image]:
         by_name = {camera.name: camera for camera in self._cameras}
@@ -432,18 +442,12 @@ class Adapter:
             raise Problem("unsupported", f"the camera {camera.name} has no render function, and there is no MuJoCo model")
         return self._pixels(camera.name, self._env, camera.width, camera.height)
 
-    def _pixels(self, name: str, env: Any, width: int = PICTURE_PX, height: int = PICTURE_PX) -> np.ndarray:
+    def _pixels(self, name: str, env: Any, width: int = PICTURE_PX, height: int = PICTURE_PX, plain: bool = False) -> np.ndarray:
         """The image of a camera of the model."""
-        model, size = self._model.model, (height, width)
-        held = self._renderers.get(size)
-        if held is None or held[0] is not model:
-            try:
-                held = (model, renderer(model, *size))
-            except Exception as why:
-                raise Problem("setup", f"MuJoCo cannot render the camera {name}: {why}. Set MUJOCO_GL to egl, osmesa or glfw") from why
-            self._renderers[size] = held
-        held[1].update_scene(self._model.data, camera=name)
-        return held[1].render()
+        try:
+            return self._pictures.picture(self._model.model, self._model.data, name, height, width, plain)
+        except Exception as why:
+            raise Problem("setup", f"MuJoCo cannot render the camera {name}: {why}. Set MUJOCO_GL to egl, osmesa or glfw") from why
 
 
 def _values(result: Any) -> str:

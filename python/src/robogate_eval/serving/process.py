@@ -8,8 +8,9 @@ import os
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Sequence
-from typing import Any, TextIO
+from typing import Any
 
 import robogate_bridge
 
@@ -40,29 +41,68 @@ def serve(
     robogate_bridge.serve(Adapter(dataclasses.replace(environment, **changes)), bind)
 
 
-def serve_child(load: Callable[[], Environment]) -> None:
-    """Serve an environment to the parent process: `robogate run --env`.
+class Child:
+    """This process as a child of the command.
 
-    The address is one line of JSON on standard output. Everything else that is printed goes to standard error. The process ends
-    when its standard input is closed, or when its parent ends.
+    Its answer is one line on standard output, after lines that say what it is about to do, so that the parent knows what hangs.
+    Everything else that is printed goes to standard error. The process ends when its standard input is closed, or when its parent
+    ends.
     """
-    parent = os.getppid()
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != parent:
-            os._exit(0)
+
+    def __init__(self) -> None:
+        parent = os.getppid()
+        if sys.platform == "linux":
+            ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+            if os.getppid() != parent:
+                os._exit(0)
+        # Packages print to standard output when they are imported.
+        self._output = os.fdopen(os.dup(1), "w")
+        os.dup2(2, 1)
+        self._answered = False
+        threading.Thread(target=self._end_with_input, daemon=True).start()
+
+    def doing(self, what: str) -> None:
+        """Say what this process is about to do: `import`, `make`, `knobs`, `reset` or `step`."""
+        print(json.dumps({"doing": what}), file=self._output, flush=True)
+
+    def answer(self, text: str) -> None:
+        """Print the answer, one line."""
+        self._answered = True
+        print(text, file=self._output, flush=True)
+
+    def _end_with_input(self) -> None:
+        # The descriptor itself, so that no lock of `sys.stdin` is held when the process ends.
+        while os.read(0, 4096):
+            pass
+        self._tell_where()
+        os._exit(0)
+
+    def _tell_where(self) -> None:
+        """Print what the main thread does, if it works for the parent: it may hang."""
+        frame = sys._current_frames().get(threading.main_thread().ident or 0)
+        if frame is None:
+            return
+        working = any(one.f_code is robogate_bridge.Server.answer.__code__ for one, _ in traceback.walk_stack(frame))
+        if working or not self._answered:
+            print("It was here when it was ended (most recent call last):", file=sys.stderr)
+            traceback.print_stack(frame)
+
+
+def serve_child(name: str) -> None:
+    """Serve the environment of this name to the parent process: `robogate run --env`. The answer is its address."""
+    child = Child()
     # Ctrl-C reaches all processes of the terminal. The parent finishes its episodes and then closes the standard input.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_input, daemon=True).start()
-    # Packages print to standard output when they are imported.
-    answer = own_output()
-    environment = load()
-    adapter = Adapter(environment)
+    adapter = child_adapter(child, name)
+    robogate_bridge.serve(adapter, "tcp://127.0.0.1:*", ready=lambda address: child.answer(json.dumps({"listening": address})))
 
-    def ready(address: str) -> None:
-        print(json.dumps({"listening": address}), file=answer, flush=True)
 
-    robogate_bridge.serve(adapter, "tcp://127.0.0.1:*", ready=ready)
+def child_adapter(child: Child, name: str) -> Adapter:
+    """The adapter of the environment of this name."""
+    from ..environments import find
+
+    child.doing("import")
+    return Adapter(find(name), child.doing)
 
 
 class Background:
@@ -94,17 +134,3 @@ class Background:
         self._thread.join()
         self._socket.close()
         self._context.term()
-
-
-def own_output() -> TextIO:
-    """Take the standard output for this process's own answers. Everything else that is printed goes to standard error."""
-    answer = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)
-    return answer
-
-
-def _end_with_input() -> None:
-    # The descriptor itself, so that no lock of `sys.stdin` is held when the process ends.
-    while os.read(0, 4096):
-        pass
-    os._exit(0)

@@ -23,3 +23,42 @@ def renderer(model: Any, height: int, width: int) -> Any:
 
         gl_context.GLContext = GLContext
     return mujoco.Renderer(model, height, width)
+
+
+def _plain_renderer(model: Any, height: int, width: int) -> Any:
+    """A renderer without shadows, reflections and smoothed edges."""
+    import mujoco
+
+    quality = model.vis.quality
+    samples, quality.offsamples = quality.offsamples, 0
+    try:
+        made = renderer(model, height, width)
+    finally:
+        quality.offsamples = samples
+    for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+        made.scene.flags[flag] = 0
+    return made
+
+
+class Pictures:
+    """Pictures of the cameras of a model. One renderer is kept for each size and quality, until the model is another one."""
+
+    def __init__(self, hidden_groups: tuple[int, ...] = ()):
+        """Geoms of `hidden_groups` are not drawn."""
+        self._hidden = hidden_groups
+        self._held: dict[tuple[int, int, bool], tuple[Any, Any]] = {}
+
+    def picture(self, model: Any, data: Any, camera: str, height: int, width: int, plain: bool = False) -> Any:
+        """The picture of a camera in the present state: an array of height x width x 3 bytes, upright. A `plain` one has no
+        shadows, reflections and smoothed edges, which take most of the time without a GPU."""
+        import mujoco
+
+        held = self._held.get((height, width, plain))
+        if held is None or held[0] is not model:
+            held = (model, (_plain_renderer if plain else renderer)(model, height, width))
+            self._held[height, width, plain] = held
+        option = mujoco.MjvOption()
+        for group in self._hidden:
+            option.geomgroup[group] = 0
+        held[1].update_scene(data, camera, option)
+        return held[1].render()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -114,13 +115,16 @@ class Actions:
             raise DeclarationError(f"the task names {len(self.names)} numbers of an action, but the environment has {len(low)}")
         # The last action that was encoded, as numbers and as an array: most often it is the next that is decoded.
         self._last: tuple[list[float], np.ndarray] = ([], np.empty(0))
+        self._ones = np.ones(len(low))
 
     def declaration(self) -> dict:
         """The action space in the form of the bridge protocol."""
         return {"kind": "vector", "names": self.names, "low": self.low.tolist(), "high": self.high.tolist()}
 
-    def decode(self, numbers: Sequence[float]) -> np.ndarray:
-        """The action that the environment takes."""
+    def decode(self, numbers: "Sequence[float] | np.ndarray") -> np.ndarray:
+        """The action that the environment takes. An array is one of `bounded`."""
+        if type(numbers) is np.ndarray:
+            return numbers.astype(self.dtype).reshape(self.shape)
         last, array = self._last
         if numbers is last:
             return array.astype(self.dtype).reshape(self.shape)
@@ -128,12 +132,21 @@ class Actions:
 
     def encode(self, action: Any) -> list[float]:
         """The numbers of an action of a policy, clipped to the bounds. A NaN stays one, so it is reported."""
+        array = self.bounded(action)
+        self._last = (array.tolist(), array)
+        return self._last[0]
+
+    def bounded(self, action: Any) -> np.ndarray:
+        """The same as `encode`, as an array."""
         numbers = np.asarray(action, dtype=float).ravel()
         if len(numbers) != len(self.low):
             raise ValueError(f"the policy returned {len(numbers)} numbers. Expected {len(self.low)}")
-        array = self._clipped(numbers)
-        self._last = (array.tolist(), array)
-        return self._last[0]
+        return self._clipped(numbers)
+
+    def are_finite(self, numbers: np.ndarray) -> bool:
+        """Whether all numbers of an action are finite. They are bounded, so their sum is finite too."""
+        # A tenth of the time of `np.isfinite(numbers).all()`.
+        return math.isfinite(numbers.dot(self._ones))
 
     def _clipped(self, numbers: np.ndarray) -> np.ndarray:
         # The same as `np.clip`, three times as fast for a few numbers.

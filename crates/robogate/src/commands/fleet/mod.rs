@@ -100,6 +100,7 @@ impl FleetOf {
         let environment = self.environment.environment_of(suite.as_ref(), SuctionLaw::Vacuum)?;
         let location = PolicyLocation::with_access(&self.access);
         let subject = Subject::new(environment, self.policy.source_at(&location)?)?;
+        let subject = subject.with_statistics(&self.policy.statistics)?;
         let unit_space = self.unit_space(&subject)?;
         let subject = subject.with_latency(&self.latency.varied_by(&unit_space))?;
         let plan = self.plan(&subject, suite, unit_space)?;

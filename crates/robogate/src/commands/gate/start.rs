@@ -84,7 +84,7 @@ impl Gate {
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         let environment = self.environment.environment_of(suite.as_ref(), SuctionLaw::Vacuum)?;
         let subject = Subject::new(environment, self.policy.source_at(&self.location())?)?;
-        let subject = subject.with_latency(&self.latency)?;
+        let subject = subject.with_statistics(&self.policy.statistics)?.with_latency(&self.latency)?;
         let wanted = self.requirements.as_deref().unwrap_or("default");
         let requirements = open_requirements(wanted, subject.task())?;
         let suite = self.suite(&subject)?;
