@@ -388,6 +388,7 @@ class DeclaredTasks(unittest.TestCase):
             ("another name than success", lambda hello, task: task["failure_modes"].append("success")),
             ("hello.task.time_limit_s", lambda hello, task: task.update(time_limit_s=0.0)),
             ("nominal must be an integer from 0 to 3", lambda hello, task: task["parameters"][1].update(nominal=4)),
+            ("with a nominal value, because it has a family", lambda hello, task: task["parameters"][0].update(family="goal")),
             ("action.spaces[0].high", lambda hello, task: task["action"]["spaces"][0].update(high=[1])),
         ]:
             self.assertIn(part, changed(change))

@@ -21,7 +21,8 @@
 //! Instead of all stages, a plan may name a suite ([`Plan::of_suite`]). Every scenario then runs once per round, and
 //! [`start_in_rounds`] calls a closure after each round to decide whether to stop.
 //!
-//! A plan with `twins` has a control arm ([`NominalArm`]): the same episodes with the nominal values of the task.
+//! A plan with `twins` has a control arm ([`NominalArm`]): the same episodes with the nominal values of the task. If the task
+//! declares families of perturbations, a second arm has episodes with one family each ([`family_arm`]).
 //!
 //! Many machines can share a campaign: each runs some [`shards`], and the merged files are those of one machine.
 //!
@@ -71,4 +72,4 @@ pub use suite::{
 pub use summary::{Estimate, FaultCount, FeasiblePart, ModeCount, Population, Sought, StageSummary, Summary};
 pub use tally::{Bin, Bins, MarginalEffect, OutcomeCounts};
 pub use threads::ThreadPool;
-pub use twins::{NOMINAL, NominalArm};
+pub use twins::{FAMILIES, NOMINAL, NominalArm, family_arm};

@@ -150,6 +150,10 @@ pub struct ParameterSpec {
     /// Where the applied value is read back.
     #[serde(default)]
     pub read_from: String,
+    /// The family of perturbations that the parameter belongs to (`light`). A control arm measures the effect of each family.
+    /// Absent if the parameter is in no family.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub family: Option<Word>,
 }
 
 /// The values that an environment accepts for a parameter.
@@ -303,6 +307,20 @@ impl TaskSpec {
         self.parameters.iter().find(|parameter| &*parameter.name == name)
     }
 
+    /// The declared families of perturbations with those of `names` that belong to them, in the order of the declarations.
+    pub fn families_among<'a>(&self, names: impl Iterator<Item = &'a str> + Clone) -> Vec<(Word, Vec<Arc<str>>)> {
+        let mut families: Vec<(Word, Vec<Arc<str>>)> = Vec::new();
+        for spec in &self.parameters {
+            let Some(family) = spec.family.filter(|_| names.clone().any(|name| name == &*spec.name)) else { continue };
+            let name = Arc::clone(&spec.name);
+            match families.iter_mut().find(|(known, _)| *known == family) {
+                Some((_, of)) => of.push(name),
+                None => families.push((family, vec![name])),
+            }
+        }
+        families
+    }
+
     /// The space of all parameters that the task allows to vary, over their full declared ranges. Returns an error if
     /// the task declares no parameter.
     pub fn declared_space(&self) -> Result<ParameterSpace, crate::SpaceError> {
@@ -393,6 +411,9 @@ impl ParameterSpec {
             _ => {}
         }
         match &self.nominal {
+            None if self.family.is_some() => {
+                wrong("it has a `family` and no `nominal` value; a family is compared with nominal values".to_owned())
+            }
             Some(value) => self.accepts(value).or_else(|why| wrong(format!("the nominal value is not allowed: {why}"))),
             None => Ok(()),
         }

@@ -1,7 +1,7 @@
 //! Tests of suites and of the error message for each mistake in one.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use robogate_core::{Assignment, Domain, ParameterSpace, Seed, Suite, SuiteError, SuiteProblem, TaskSpec, Value};
+use robogate_core::{Assignment, Domain, ParameterSpace, Seed, Suite, SuiteError, SuiteProblem, TaskSpec, Value, Word};
 
 const TWO: &str = r#"
     schema = 1
@@ -214,7 +214,7 @@ fn families_vary_one_at_a_time() {
     )
     .unwrap();
     let families = [("load".to_owned(), vec!["mass_kg".to_owned()]), ("grip".to_owned(), vec!["friction".to_owned()])];
-    let suite = Suite::of_families(&space, &task(), &families).unwrap();
+    let suite = Suite::of_families(&space, &task(), &families, 1).unwrap();
     assert!(suite.has_twins() && suite.case(0).group == "load" && suite.case(1).group == "grip");
     let twin = suite.nominal_twin(&task()).unwrap();
     let seed = Seed::campaign(5);
@@ -226,7 +226,10 @@ fn families_vary_one_at_a_time() {
         assert_eq!(load.number("obstacles"), twin.scenario(seed, 2 * round).requested.number("obstacles"));
     }
     let none = [("crowd".to_owned(), vec!["obstacles".to_owned()])];
-    assert!(matches!(Suite::of_families(&space, &task(), &none), Err(SuiteError::NoNominal { .. })));
+    assert!(matches!(Suite::of_families(&space, &task(), &none, 1), Err(SuiteError::NoNominal { .. })));
+    let several = Suite::of_families(&space, &task(), &families, 2).unwrap();
+    let ids: Vec<&str> = several.cases().iter().map(|case| case.id.as_str()).collect();
+    assert_eq!(ids, ["load-1", "load-2", "grip-1", "grip-2"]);
 }
 
 #[test]
@@ -243,4 +246,55 @@ fn twins_of_points_are_one_scenario_or_one_each() {
     assert_eq!(at(1).number("friction"), Some(0.5));
     let none: Assignment = [("shape".into(), Value::Category("box".into()))].into_iter().collect();
     assert!(matches!(Suite::nominal_twins(&task(), &[none]), Err(SuiteError::NoNominal { .. })));
+}
+
+/// The task with two declared families.
+fn task_with_families() -> TaskSpec {
+    let mut task = task();
+    task.parameters[0].family = Some(Word::constant("contact"));
+    task.parameters[1].family = Some(Word::constant("load"));
+    task
+}
+
+#[test]
+fn declared_families_perturb_one_block_each() {
+    let task = task_with_families();
+    let families = task.families_among(["mass_kg", "friction", "obstacles"].into_iter());
+    let names: Vec<&str> = families.iter().map(|(family, _)| family.as_str()).collect();
+    assert_eq!(names, ["contact", "load"]);
+    let point = |friction: f64, mass: f64, obstacles: i64| -> Assignment {
+        let values = [("friction".into(), Value::Number(friction)), ("mass_kg".into(), Value::Number(mass))];
+        values.into_iter().chain([("obstacles".into(), Value::Integer(obstacles))]).collect()
+    };
+    let points: Vec<Assignment> = (0..5).map(|i| point(0.1 * f64::from(i + 1), 2.0 + f64::from(i), i.into())).collect();
+    let suite = Suite::points_with_one_family(&task, &families, &points).unwrap();
+    let seed = Seed::campaign(5);
+    for (i, point) in points.iter().enumerate() {
+        let of = suite.scenario(seed, i as u64).requested;
+        let (contact, load) = (point.number("friction"), point.number("mass_kg"));
+        // Three points of the first family and two of the second.
+        let expected = if i < 3 { (contact, Some(1.0)) } else { (Some(0.5), load) };
+        assert_eq!((of.number("friction"), of.number("mass_kg")), expected, "{i}");
+        assert_eq!(suite.case(i as u64).group, if i < 3 { "contact" } else { "load" });
+        // Without a nominal value, the parameter keeps its value.
+        assert_eq!(of.number("obstacles"), point.number("obstacles"));
+    }
+    // The scenarios of a suite keep their order, so their seeds are those of the suite.
+    let suite = two();
+    let one = suite.one_family_each(&task, &families).unwrap();
+    assert_eq!(one.cases().len(), suite.cases().len());
+    for index in 0..suite.cases().len() as u64 {
+        assert_eq!(one.case(index).id, suite.case(index).id);
+        assert_eq!(one.scenario(seed, index).seed, suite.scenario(seed, index).seed);
+    }
+    assert!(suite.perturbed(&task).contains(&"mass_kg") && !suite.perturbed(&task).contains(&"obstacles"));
+}
+
+#[test]
+fn family_needs_a_nominal_value() {
+    let mut task = task_with_families();
+    assert_eq!(task.check(), Ok(()));
+    task.parameters[2].family = Some(Word::constant("crowd"));
+    let error = task.check().unwrap_err().to_string();
+    assert!(error.contains("obstacles") && error.contains("nominal"), "{error}");
 }

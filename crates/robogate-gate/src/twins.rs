@@ -2,11 +2,12 @@
 //!
 //! A failure rate under perturbation does not say what the perturbation does: some scenarios fail without it too. The
 //! difference of a pair does. Pairs are grouped by the family of the perturbation: the group of a suite, or the parameters
-//! that differ between the two episodes. [`robogate_stats::families`] has the test and its adjustment for several families.
+//! that differ between the two episodes. Where the campaign perturbs several declared families at once, a further arm has episodes
+//! with one family each, and these are compared with the same twins. [`robogate_stats::families`] has the test and its adjustment for several families.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use robogate_core::Value;
+use robogate_core::{TaskSpec, Value};
 use robogate_dictionary::results::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED};
 use robogate_stats::compare::Pairs;
 use robogate_stats::families::{FamilyPairs, paired_effects};
@@ -22,6 +23,8 @@ use crate::{Ending, GateError, Population, Record, Sampling, Trial};
 const UNKNOWN_LOOKS: u64 = robogate_stats::group_sequential::MOST_LOOKS;
 /// Words without a value in imported files.
 const NO_VALUE: [&str; 6] = ["", "nan", "null", "none", "na", "n/a"];
+/// The family of pairs in which the parameters of several declared families differ.
+const TOGETHER: &str = "all perturbations together";
 /// Maximum number of parameters in the name of a family.
 const NAMED_PARAMETERS: usize = 3;
 
@@ -104,8 +107,16 @@ pub struct Twins {
     pub nominal_interval_95: [f64; 2],
     /// Failures with the perturbations that occur without them too.
     pub already_failing: u64,
+    /// Episodes with the perturbations of one declared family each, whose effects are among `families`. Absent if there are none.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub one_family: u64,
     /// The families, in the order of their first episode.
     pub families: Vec<Family>,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_zero(n: &u64) -> bool {
+    *n == 0
 }
 
 /// A pair: the perturbed episode, its twin, and the family.
@@ -127,8 +138,22 @@ impl Twins {
     /// # Errors
     /// If episodes cannot be identified, or if a pair has two different seeds or scenarios.
     pub fn of(record: &Record, nominal: &Record, sampling: Sampling) -> Result<Self, GateError> {
+        Self::with_families(record, nominal, None, sampling)
+    }
+
+    /// The same with `one_family`, the episodes with the perturbations of one declared family each. They have the seeds and
+    /// indices of the others, and are compared with the same twins.
+    ///
+    /// # Errors
+    /// As above, or if such an episode has perturbations of another family.
+    pub fn with_families(
+        record: &Record,
+        nominal: &Record,
+        one_family: Option<&Record>,
+        sampling: Sampling,
+    ) -> Result<Self, GateError> {
         let (mut unpaired, mut of_focused) = (0, 0);
-        let mut pairs = Vec::new();
+        let (mut pairs, mut alone) = (Vec::new(), Vec::new());
         if record.imported || nominal.imported {
             let one_case = [record, nominal].iter().all(|of| of.trials.iter().all(|trial| trial.label.case.is_none()));
             let (these, twins) = (identities(record, one_case)?, identities(nominal, one_case)?);
@@ -162,11 +187,28 @@ impl Twins {
             // Twins of episodes that a model chose. They represent no population, and are not compared.
             let episodes = record.trials.len() as u64 + record.focused;
             let judged: BTreeSet<u64> = record.trials.iter().map(|trial| trial.index).collect();
+            for trial in one_family.iter().flat_map(|of| &of.trials) {
+                let Some(twin) = twins.get(&trial.index) else {
+                    unpaired += 1;
+                    continue;
+                };
+                same_origin(trial, twin, false)?;
+                alone.push(Pair {
+                    perturbed: trial,
+                    nominal: twin,
+                    family: declared_family(&record.task, trial, twin)?,
+                });
+            }
+            if !alone.is_empty() {
+                for pair in &mut pairs {
+                    pair.family = pair.family.take().map(|_| TOGETHER.to_owned());
+                }
+            }
             of_focused = twins.keys().filter(|index| **index < episodes && !judged.contains(*index)).count();
         }
         unpaired += (nominal.trials.len() as u64).saturating_sub((pairs.len() + of_focused) as u64);
         let looks = looks(record, sampling);
-        Ok(Self::from_pairs(record, nominal, &pairs, unpaired, looks))
+        Ok(Self::from_pairs(record, nominal, &pairs, &alone, unpaired, looks))
     }
 
     /// Pairs the episodes of one imported file. `column` is `category`, `group` or a parameter; rows with the value
@@ -219,7 +261,7 @@ impl Twins {
             }
         }
         unpaired += (twins.len() - used.len()) as u64;
-        Ok(Self::from_pairs(record, record, &pairs, unpaired, looks(record, sampling)))
+        Ok(Self::from_pairs(record, record, &pairs, &[], unpaired, looks(record, sampling)))
     }
 
     /// The same with the parameters that have no nominal value.
@@ -228,26 +270,25 @@ impl Twins {
         Self { kept, ..self }
     }
 
-    fn from_pairs(record: &Record, nominal: &Record, pairs: &[Pair<'_>], unpaired: u64, looks: u64) -> Self {
-        let mut names: Vec<&str> = Vec::new();
-        let mut counts: Vec<FamilyPairs> = Vec::new();
-        for pair in pairs {
-            let Some(family) = &pair.family else { continue };
-            let at = names.iter().position(|name| name == family).unwrap_or_else(|| {
-                names.push(family);
-                counts.push(FamilyPairs::default());
-                names.len() - 1
-            });
-            let succeeded = |trial: &Trial| trial.ending.is_valid().then_some(trial.ending == Ending::Success);
-            let of = &mut counts[at];
-            match (succeeded(pair.perturbed), succeeded(pair.nominal)) {
-                (Some(true), Some(true)) => of.valid.both += 1,
-                (Some(true), Some(false)) => of.valid.first_only += 1,
-                (Some(false), Some(true)) => of.valid.second_only += 1,
-                (Some(false), Some(false)) => of.valid.neither += 1,
-                _ => of.invalid += 1,
-            }
-        }
+    /// `pairs` are the episodes of the campaign and their twins, `alone` those with the perturbations of one family.
+    fn from_pairs(
+        record: &Record,
+        nominal: &Record,
+        pairs: &[Pair<'_>],
+        alone: &[Pair<'_>],
+        unpaired: u64,
+        looks: u64,
+    ) -> Self {
+        let (mut names, mut counts) = counted_by_family(pairs);
+        let all = counts.iter().fold(Pairs::default(), |sum, of| Pairs {
+            both: sum.both + of.valid.both,
+            first_only: sum.first_only + of.valid.first_only,
+            second_only: sum.second_only + of.valid.second_only,
+            neither: sum.neither + of.valid.neither,
+        });
+        let (more_names, more_counts) = counted_by_family(alone);
+        names.extend(more_names);
+        counts.extend(more_counts);
         let effects = paired_effects(&counts, Confidence::P95, looks);
         let families: Vec<Family> = names
             .iter()
@@ -271,12 +312,6 @@ impl Twins {
                 },
             })
             .collect();
-        let all = counts.iter().fold(Pairs::default(), |sum, of| Pairs {
-            both: sum.both + of.valid.both,
-            first_only: sum.first_only + of.valid.first_only,
-            second_only: sum.second_only + of.valid.second_only,
-            neither: sum.neither + of.valid.neither,
-        });
         let without = all.both + all.second_only;
         let interval = wilson(Trials::new(without, all.n()).unwrap_or(Trials::NONE), Confidence::P95);
         let perturbed = pairs.iter().filter(|pair| pair.family.is_some()).count() as u64;
@@ -294,6 +329,7 @@ impl Twins {
             nominal_successes: without,
             nominal_interval_95: [interval.low, interval.high],
             already_failing: all.neither,
+            one_family: alone.len() as u64,
             families,
         }
     }
@@ -337,6 +373,12 @@ impl Twins {
         if let some @ [_, ..] = of(Effect::Beneficial).as_slice() {
             lines.push(format!("Shown to raise the success rate: {}.", list(some)));
         }
+        if self.one_family > 0 {
+            lines.push(format!(
+                "{} perturb one declared family only; their rows state the effect of that family alone.",
+                counted(self.one_family, "further episode")
+            ));
+        }
         if self.unperturbed > 0 {
             lines.push(format!("{} of nominal scenarios are not counted.", counted(self.unperturbed, "episode")));
         }
@@ -351,6 +393,30 @@ impl Twins {
         }
         lines
     }
+}
+
+/// The families of these pairs in the order of their first pair, and the outcomes of each.
+fn counted_by_family<'a>(pairs: &'a [Pair<'_>]) -> (Vec<&'a str>, Vec<FamilyPairs>) {
+    let mut names: Vec<&str> = Vec::new();
+    let mut counts: Vec<FamilyPairs> = Vec::new();
+    for pair in pairs {
+        let Some(family) = &pair.family else { continue };
+        let at = names.iter().position(|name| name == family).unwrap_or_else(|| {
+            names.push(family);
+            counts.push(FamilyPairs::default());
+            names.len() - 1
+        });
+        let succeeded = |trial: &Trial| trial.ending.is_valid().then_some(trial.ending == Ending::Success);
+        let of = &mut counts[at];
+        match (succeeded(pair.perturbed), succeeded(pair.nominal)) {
+            (Some(true), Some(true)) => of.valid.both += 1,
+            (Some(true), Some(false)) => of.valid.first_only += 1,
+            (Some(false), Some(true)) => of.valid.second_only += 1,
+            (Some(false), Some(false)) => of.valid.neither += 1,
+            _ => of.invalid += 1,
+        }
+    }
+    (names, counts)
 }
 
 /// How often the run could have been stopped.
@@ -389,13 +455,32 @@ fn same_origin(trial: &Trial, twin: &Trial, suite: bool) -> Result<(), GateError
     Err(GateError::NotPaired { index: trial.index, what })
 }
 
-/// The family of a pair: the group of the suite, or the parameters that differ. `None` if nothing differs.
-fn family(trial: &Trial, twin: &Trial, by_group: bool) -> Option<String> {
+/// The parameters that differ between the episodes of a pair.
+fn perturbed(trial: &Trial, twin: &Trial) -> Vec<String> {
     let identifies = |name: &str| [SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED].contains(&name);
     let differs = |(name, value): &(&str, &Value)| {
         !identifies(name) && twin.requested.get(name).is_some_and(|nominal| !same(nominal, value))
     };
-    let perturbed: Vec<String> = trial.requested.iter().filter(differs).map(|(name, _)| name.to_owned()).collect();
+    trial.requested.iter().filter(differs).map(|(name, _)| name.to_owned()).collect()
+}
+
+/// The declared family of a pair that perturbs only one. `None` if nothing differs.
+fn declared_family(task: &TaskSpec, trial: &Trial, twin: &Trial) -> Result<Option<String>, GateError> {
+    let family = |name: &String| task.parameter(name).and_then(|spec| spec.family);
+    let perturbed = perturbed(trial, twin);
+    let Some(first) = perturbed.first() else { return Ok(None) };
+    match family(first).filter(|declared| perturbed.iter().all(|name| family(name) == Some(*declared))) {
+        Some(declared) => Ok(Some(declared.as_str().to_owned())),
+        None => {
+            let what = format!("{} are not of one declared family", list(&perturbed));
+            Err(GateError::NotPaired { index: trial.index, what })
+        }
+    }
+}
+
+/// The family of a pair: the group of the suite, or the parameters that differ. `None` if nothing differs.
+fn family(trial: &Trial, twin: &Trial, by_group: bool) -> Option<String> {
+    let perturbed = perturbed(trial, twin);
     if perturbed.is_empty() {
         return None;
     }

@@ -1,14 +1,23 @@
 //! Families of perturbations: groups of parameters whose effects are measured one at a time.
 
+use std::sync::Arc;
+
 use anyhow::{bail, ensure};
-use robogate_core::{ParameterSpace, Suite, TaskSpec};
+use robogate_core::{ParameterSpace, Suite, TaskSpec, Word};
 
 /// The word for one family of each parameter.
 const EACH: &str = "each";
+/// The word for the families that the task declares.
+const DECLARED: &str = "declared";
 
-/// The suite of the families in the arguments: `NAME=PARAMETER,PARAMETER` or `each`. A `*` at the end of a parameter stands
-/// for any ending.
-pub(crate) fn suite(given: &[String], space: &ParameterSpace, task: &TaskSpec) -> anyhow::Result<Suite> {
+/// The suite of the families in the arguments: `NAME=PARAMETER,PARAMETER`, `each` or `declared`. A `*` at the end of a
+/// parameter stands for any ending. It has about `scenarios` scenarios, at least one for each family.
+pub(crate) fn suite(
+    given: &[String],
+    space: &ParameterSpace,
+    task: &TaskSpec,
+    scenarios: usize,
+) -> anyhow::Result<Suite> {
     ensure!(
         space.correlations().is_empty(),
         "--family: the space {} samples parameters jointly, so they cannot be varied one family at a time\nhint: choose a space without `correlation`",
@@ -18,11 +27,12 @@ pub(crate) fn suite(given: &[String], space: &ParameterSpace, task: &TaskSpec) -
     for argument in given {
         match argument.split_once('=') {
             None if argument == EACH => families.extend(each(space, task)),
+            None if argument == DECLARED => families.extend(declared(space, task)?),
             Some((name, patterns)) if !name.is_empty() && !patterns.is_empty() => {
                 families.push((name.to_owned(), matching(argument, patterns, space, task)?));
             }
             _ => bail!(
-                "--family {argument}: expected NAME=PARAMETER,PARAMETER or `{EACH}`, for example light=light,camera_*"
+                "--family {argument}: expected NAME=PARAMETER,PARAMETER, `{EACH}` or `{DECLARED}`, for example light=light,camera_*"
             ),
         }
     }
@@ -34,7 +44,8 @@ pub(crate) fn suite(given: &[String], space: &ParameterSpace, task: &TaskSpec) -
             }
         }
     }
-    Ok(Suite::of_families(space, task, &families)?)
+    let each = scenarios.div_ceil(families.len().max(1)).max(1);
+    Ok(Suite::of_families(space, task, &families, each)?)
 }
 
 fn has_nominal(task: &TaskSpec, name: &str) -> bool {
@@ -44,6 +55,21 @@ fn has_nominal(task: &TaskSpec, name: &str) -> bool {
 fn each(space: &ParameterSpace, task: &TaskSpec) -> Vec<(String, Vec<String>)> {
     let names = space.parameters().iter().map(|parameter| parameter.name.to_string());
     names.filter(|name| has_nominal(task, name)).map(|name| (name.clone(), vec![name])).collect()
+}
+
+fn declared(space: &ParameterSpace, task: &TaskSpec) -> anyhow::Result<Vec<(String, Vec<String>)>> {
+    let names = space.parameters().iter().map(|parameter| &*parameter.name);
+    let families = task.families_among(names);
+    ensure!(
+        !families.is_empty(),
+        "--family {DECLARED}: the task {} declares no family for a parameter of the space {}\nhint: use NAME=PARAMETER,PARAMETER or `{EACH}`",
+        task.name,
+        space.name()
+    );
+    let named = |(family, of): (Word, Vec<Arc<str>>)| {
+        (family.as_str().to_owned(), of.iter().map(|name| name.to_string()).collect())
+    };
+    Ok(families.into_iter().map(named).collect())
 }
 
 fn matching(argument: &str, patterns: &str, space: &ParameterSpace, task: &TaskSpec) -> anyhow::Result<Vec<String>> {

@@ -1,14 +1,18 @@
-//! The control arm of a campaign: runs the nominal twins, and compares them with their partners.
+//! The control arm of a campaign: runs the nominal twins, and compares them with their partners and with the episodes of one
+//! family of perturbations each.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate_analysis::Source;
 use robogate_campaign::folder::{DICTIONARY, PLAN};
 use robogate_campaign::shards::{ShardError, Shards};
-use robogate_campaign::{Completion, Event, Executor, NOMINAL, NominalArm, Plan, RunError, SuiteStage, Summary};
-use robogate_core::ParameterSpace;
+use robogate_campaign::{
+    Completion, Event, Executor, FAMILIES, NOMINAL, NominalArm, Plan, RunError, SuiteStage, Summary,
+};
+use robogate_core::{ParameterSpace, TaskSpec};
 use robogate_dictionary::Provenance;
 use robogate_gate::{Record, Sampling, TwinFamily, Twins};
 use robogate_report::TwinRow;
@@ -76,7 +80,13 @@ pub(crate) fn of_folder(folder: &Path, source: &Source, sampling: Sampling) -> R
     let nominal = Source::open(&arm).or_broken()?;
     let record = Record::of(source.dictionary()).map_err(refused)?;
     let nominal = Record::of(nominal.dictionary()).map_err(refused)?;
-    Ok(Some(Twins::of(&record, &nominal, sampling).map_err(refused)?.keeping(kept)))
+    let families = folder.join(FAMILIES);
+    let families = match families.join(DICTIONARY).is_file() {
+        true => Some(Record::of(Source::open(&families).or_broken()?.dictionary()).map_err(refused)?),
+        false => None,
+    };
+    let twins = Twins::with_families(&record, &nominal, families.as_ref(), sampling).map_err(refused)?;
+    Ok(Some(twins.keeping(kept)))
 }
 
 /// The same for a run that has just finished.
@@ -115,28 +125,82 @@ pub(crate) fn print(twins: &Twins) {
     }
 }
 
-/// A control arm that belongs to a campaign.
-pub(crate) struct Arm {
+/// The campaigns beside a campaign with twins: the control arm, and the episodes with one declared family of perturbations each.
+pub(crate) struct Arms(Vec<Arm>);
+
+struct Arm {
+    kind: Kind,
     folder: PathBuf,
     plan: Plan,
     provenance: Provenance,
 }
 
-impl Arm {
-    /// The control arm of a campaign in `dir`. `None` if its plan has none.
-    pub(crate) fn of(dir: &Path, plan: &Plan, space: &ParameterSpace, subject: &Subject) -> Result<Option<Self>, Exit> {
-        if !plan.twins {
-            return Ok(None);
+/// The kind of an arm.
+#[derive(Clone, Copy)]
+enum Kind {
+    Nominal,
+    Families,
+}
+
+impl Kind {
+    const ALL: [Self; 2] = [Self::Nominal, Self::Families];
+
+    fn folder(self) -> &'static str {
+        match self {
+            Self::Nominal => NOMINAL,
+            Self::Families => FAMILIES,
         }
-        let rounds = plan.suite.as_ref().map_or_else(|| plan.episodes(), |stage| stage.rounds);
-        let arm = NominalArm::of(plan, &space.clone().into(), subject.task(), rounds).map_err(run::exit)?;
-        let space = arm.plan.suite.as_ref().map(|stage| stage.suite.space().clone());
-        let space = space.ok_or_else(|| anyhow!("the control arm has no suite")).or_broken()?;
-        let provenance = subject.provenance(space)?;
-        Ok(Some(Self { folder: dir.join(NOMINAL), plan: arm.plan, provenance }))
     }
 
-    /// Runs or resumes the arm after its campaign. A campaign that was stopped has no arm yet.
+    /// The name of the arm in messages.
+    fn as_str(self) -> &'static str {
+        match self {
+            Self::Nominal => "control arm",
+            Self::Families => "arm of one family each",
+        }
+    }
+
+    /// The name of its episodes in messages.
+    fn episodes(self) -> &'static str {
+        match self {
+            Self::Nominal => "nominal twins",
+            Self::Families => "episodes",
+        }
+    }
+
+    /// The plan of the arm. `None` if the campaign has none.
+    fn plan(
+        self,
+        plan: &Plan,
+        space: &Arc<ParameterSpace>,
+        task: &TaskSpec,
+        rounds: u64,
+    ) -> Result<Option<Plan>, RunError> {
+        match self {
+            Self::Nominal => NominalArm::of(plan, space, task, rounds).map(|arm| Some(arm.plan)),
+            Self::Families => robogate_campaign::family_arm(plan, space, task, rounds),
+        }
+    }
+}
+
+impl Arms {
+    /// The arms of a campaign in `dir`. None if its plan has no twins.
+    pub(crate) fn of(dir: &Path, plan: &Plan, space: &ParameterSpace, subject: &Subject) -> Result<Self, Exit> {
+        let mut arms = Vec::new();
+        if !plan.twins {
+            return Ok(Self(arms));
+        }
+        let rounds = plan.suite.as_ref().map_or_else(|| plan.episodes(), |stage| stage.rounds);
+        let space = space.clone().into();
+        for kind in Kind::ALL {
+            let Some(plan) = kind.plan(plan, &space, subject.task(), rounds).map_err(run::exit)? else { continue };
+            let provenance = subject.provenance(space_of(&plan)?)?;
+            arms.push(Arm { kind, folder: dir.join(kind.folder()), plan, provenance });
+        }
+        Ok(Self(arms))
+    }
+
+    /// Runs or resumes the arms after their campaign. A campaign that was stopped has no arms yet.
     pub(crate) fn after(
         self,
         campaign: Completion,
@@ -144,21 +208,28 @@ impl Arm {
         events: &mut dyn FnMut(&Event),
     ) -> Result<Completion, RunError> {
         let Completion::Finished { summary, .. } = &campaign else { return Ok(campaign) };
-        let Self { folder, mut plan, provenance } = self;
-        if let Some(stage) = &mut plan.suite {
-            as_many_rounds(stage, rounds_of(summary));
+        for Arm { kind, folder, mut plan, provenance } in self.0 {
+            if let Some(stage) = &mut plan.suite {
+                as_many_rounds(stage, rounds_of(summary));
+            }
+            let done = if folder.join(PLAN).is_file() {
+                robogate_campaign::resume(&folder, &provenance, executor, events)?
+            } else {
+                note(format_args!("{}: {} {}", kind.as_str(), grouped(plan.episodes()), kind.episodes()));
+                robogate_campaign::start(&folder, &plan, provenance, executor, events)?
+            };
+            if let Completion::Interrupted { .. } = done {
+                return Ok(done);
+            }
         }
-        let done = if folder.join(PLAN).is_file() {
-            robogate_campaign::resume(&folder, &provenance, executor, events)?
-        } else {
-            note(format_args!("control arm: {} nominal twins", grouped(plan.episodes())));
-            robogate_campaign::start(&folder, &plan, provenance, executor, events)?
-        };
-        Ok(match done {
-            Completion::Finished { .. } => campaign,
-            interrupted @ Completion::Interrupted { .. } => interrupted,
-        })
+        Ok(campaign)
     }
+}
+
+/// The parameter space of the suite of an arm.
+fn space_of(plan: &Plan) -> Result<ParameterSpace, Exit> {
+    let space = plan.suite.as_ref().map(|stage| stage.suite.space().clone());
+    space.ok_or_else(|| anyhow!("the arm has no suite")).or_broken()
 }
 
 /// The rounds of the suite that ran, or the episodes of a campaign without a suite.
@@ -171,40 +242,49 @@ fn as_many_rounds(stage: &mut SuiteStage, rounds: u64) {
     stage.rounds = stage.rounds.min(rounds.max(1));
 }
 
-/// Merges the control arm of a campaign in shards into `out`, after the campaign itself was merged. If the arm does not
-/// exist, writes its plan; if shards are missing, prints how to run them.
+/// Merges the arms of a campaign in shards into `out`, after the campaign itself was merged. If an arm does not exist, writes
+/// its plan; if shards are missing, prints how to run them.
 pub(crate) fn merge(campaign: &Shards, out: &Path, completion: &Completion) -> Result<(), Exit> {
-    let settings = campaign.settings();
     let Completion::Finished { summary, .. } = completion else { return Ok(()) };
-    if !settings.plan.twins || out.join(NOMINAL).join(DICTIONARY).is_file() {
+    if campaign.settings().plan.twins {
+        for kind in Kind::ALL {
+            merge_arm(kind, campaign, out, rounds_of(summary))?;
+        }
+    }
+    Ok(())
+}
+
+fn merge_arm(kind: Kind, campaign: &Shards, out: &Path, rounds: u64) -> Result<(), Exit> {
+    let settings = campaign.settings();
+    if out.join(kind.folder()).join(DICTIONARY).is_file() {
         return Ok(());
     }
-    let dir = campaign.dir().join(NOMINAL);
+    let dir = campaign.dir().join(kind.folder());
     let open = match Shards::open(place::open(&dir)?) {
         Ok(open) => open,
         Err(ShardError::NotInShards { .. }) => {
             let space = settings.provenance.space.clone().into();
-            let arm = NominalArm::of(&settings.plan, &space, &settings.provenance.task, rounds_of(summary))
-                .map_err(run::exit)?;
-            let space = arm.plan.suite.as_ref().map(|stage| stage.suite.space().clone());
-            let space = space.ok_or_else(|| anyhow!("the control arm has no suite")).or_broken()?;
-            let provenance = Provenance { space, question_sha256: None, ..settings.provenance.clone() };
-            Shards::begin(place::create(&dir)?, campaign.shards(), &arm.plan, provenance).map_err(shard::exit)?
+            let plan = kind.plan(&settings.plan, &space, &settings.provenance.task, rounds).map_err(run::exit)?;
+            let Some(plan) = plan else { return Ok(()) };
+            let provenance =
+                Provenance { space: space_of(&plan)?, question_sha256: None, ..settings.provenance.clone() };
+            Shards::begin(place::create(&dir)?, campaign.shards(), &plan, provenance).map_err(shard::exit)?
         }
         Err(error) => return Err(shard::exit(error)),
     };
     let mut arm = Campaign::of(open)?;
     if let Some(round) = arm.open_round()? {
         note(format_args!(
-            "the control arm is incomplete: {} shards are missing\nnext: robogate plan {} --next, then robogate merge {} again",
+            "the {} is incomplete: {} shards are missing\nnext: robogate plan {} --next, then robogate merge {} again",
+            kind.as_str(),
             round.missing.len(),
             quoted(&dir),
             quoted(&campaign.dir())
         ));
         return Ok(());
     }
-    arm.merge_quietly(&out.join(NOMINAL), &mut |_: &Event| {})?;
-    // The page of the first merge has no control arm.
+    arm.merge_quietly(&out.join(kind.folder()), &mut |_: &Event| {})?;
+    // The page of an earlier merge lacks this arm.
     match std::fs::remove_file(out.join(crate::commands::report::PAGE)) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error)
             .with_context(|| format!("cannot replace {}", out.join(crate::commands::report::PAGE).display()))

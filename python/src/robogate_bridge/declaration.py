@@ -124,7 +124,7 @@ def _measure(value, where):
 def _parameter(value, where):
     kind = text(entry(value, "kind", where), f"{where}.kind", ("continuous", "integer", "categorical"))
     keys = ("choices", "open") if kind == "categorical" else ("low", "high")
-    _known(value, ("name", "unit", "meaning", "kind", "nominal", "read_from", *keys), where)
+    _known(value, ("name", "unit", "meaning", "kind", "nominal", "read_from", "family", *keys), where)
     name = text(entry(value, "name", where), f"{where}.name")
     if not re.fullmatch(r"[A-Za-z0-9_]+", name):
         raise wrong(f"{where}.name", "letters, digits and underscores")
@@ -143,6 +143,10 @@ def _parameter(value, where):
         out["nominal"] = plain(value["nominal"], f"{where}.nominal")
         if (why := refusal(out, out["nominal"])) is not None:
             raise wrong(f"{where}.nominal", why)
+    if value.get("family") is not None:
+        out["family"] = _name(value["family"], f"{where}.family")
+        if "nominal" not in out:
+            raise wrong(where, "with a nominal value, because it has a family")
     return out
 
 

@@ -12,7 +12,7 @@ mod queue;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Allowed, ParameterSpec, Value};
+use crate::{Allowed, ParameterSpec, Value, Word};
 
 pub use adapter::{with_latency, with_parameter};
 pub use distribution::{Latency, LatencyError};
@@ -60,5 +60,6 @@ pub fn latency_parameter() -> ParameterSpec {
         allowed: Allowed::Continuous { low: 0.0, high: MOST_LATENCY_S },
         nominal: Some(Value::Number(0.0)),
         read_from: "the delay of the policy adapter".to_owned(),
+        family: Some(Word::constant("latency")),
     }
 }

@@ -1,6 +1,8 @@
 //! Episodes compared with their nominal twins.
 
-use robogate_core::{FailureMode, Value};
+use std::sync::Arc;
+
+use robogate_core::{FailureMode, Value, Word};
 use robogate_gate::{Effect, Ending, GateError, Record, Sampling, Twins};
 
 use crate::common::{failed, invalid, sampled, suite};
@@ -46,6 +48,51 @@ fn groups_are_families_with_paired_effects() {
     let few = Twins::of(&arm(1, |case| case as f64, |i| i != 1), &arm(1, |_| 0.0, |_| true), Sampling::Fixed).unwrap();
     assert!(few.families.iter().all(|of| of.effect == Effect::NotSignificant));
     assert!(few.lines().join(" ").contains("No perturbation is shown to lower the success rate."));
+}
+
+/// Episodes with these values of `friction` and `mass_kg`, of a task that declares a family for each.
+fn of_families(of: impl Fn(u64) -> (f64, f64), success: impl Fn(u64) -> bool) -> Record {
+    let mut record = sampled((0..40).map(|i| ending(success(i))));
+    let task = Arc::make_mut(&mut record.task);
+    for (name, family) in [("friction", "contact"), ("mass_kg", "load")] {
+        let spec = task.parameters.iter_mut().find(|spec| &*spec.name == name).unwrap();
+        spec.family = Some(Word::constant(family));
+    }
+    for trial in &mut record.trials {
+        let (friction, mass) = of(trial.index);
+        trial.requested.set("friction", Value::Number(friction));
+        trial.requested.set("mass_kg", Value::Number(mass));
+    }
+    record
+}
+
+#[test]
+fn declared_families_have_effects_beside_the_joint_one() {
+    // A low friction is the cause of every failure.
+    let joint = of_families(|i| (0.1 + 0.001 * i as f64, 2.0), |_| false);
+    let nominal = of_families(|_| (0.8, 0.3), |_| true);
+    let one = of_families(|i| if i < 20 { (0.1, 0.3) } else { (0.8, 2.0) }, |i| i >= 20);
+    let twins = Twins::with_families(&joint, &nominal, Some(&one), Sampling::Fixed).unwrap();
+    let of: Vec<(&str, u64, Effect)> =
+        twins.families.iter().map(|of| (of.family.as_str(), of.pairs, of.effect)).collect();
+    assert_eq!(
+        of,
+        [
+            ("all perturbations together", 40, Effect::Harmful),
+            ("contact", 20, Effect::Harmful),
+            ("load", 20, Effect::NotSignificant)
+        ]
+    );
+    // The totals are those of the campaign.
+    assert_eq!((twins.valid, twins.perturbed_successes, twins.nominal_successes, twins.one_family), (40, 0, 40, 40));
+    assert!(twins.lines().join(" ").contains("40 further episodes perturb one declared family only"));
+    // The intervals hold together, so they are wider than that of one family.
+    let alone = Twins::of(&joint, &nominal, Sampling::Fixed).unwrap();
+    let width = |twins: &Twins| twins.families[0].interval_95[1] - twins.families[0].interval_95[0];
+    assert!(width(&twins) > width(&alone));
+    // An episode with perturbations of two families is not one of a family.
+    let wrong = Twins::with_families(&joint, &nominal, Some(&joint), Sampling::Fixed);
+    assert!(matches!(wrong, Err(GateError::NotPaired { .. })));
 }
 
 #[test]

@@ -110,6 +110,7 @@ pub(crate) fn task() -> TaskSpec {
         allowed,
         nominal: Some(nominal),
         read_from: String::new(),
+        family: None,
     };
     let vector = |name: Word, length: usize| VectorSpec { name, length, unit: String::new() };
     let choices = vec!["box".into(), "sphere".into()];

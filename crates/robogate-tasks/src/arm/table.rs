@@ -1,6 +1,6 @@
 //! Parameter tables: one row per parameter, with its range, setter and reader.
 
-use robogate_core::{Allowed, Assignment, Fault, FaultKind, ParameterSpec, Value};
+use robogate_core::{Allowed, Assignment, Fault, FaultKind, ParameterSpec, Value, Word};
 use robogate_physics::{Readback, Visual};
 
 /// One parameter of a task with the settings `S`.
@@ -10,6 +10,8 @@ pub(crate) struct Row<S: 'static> {
     pub(crate) meaning: &'static str,
     /// The source of the applied value.
     pub(crate) read_from: &'static str,
+    /// The family of perturbations that it belongs to.
+    pub(crate) family: Option<&'static str>,
     pub(crate) access: Access<S>,
 }
 
@@ -106,7 +108,11 @@ impl<S> Row<S> {
         set: fn(&mut S, f64),
         read: fn(&Acting<'_, S>) -> f64,
     ) -> Self {
-        Self { name, unit, meaning, read_from, access: Access::Number { range, nominal, set, read } }
+        Self { name, unit, meaning, read_from, family: None, access: Access::Number { range, nominal, set, read } }
+    }
+
+    pub(crate) const fn in_family(self, family: &'static str) -> Self {
+        Self { family: Some(family), ..self }
     }
 
     fn spec(&self) -> ParameterSpec {
@@ -126,6 +132,7 @@ impl<S> Row<S> {
             allowed,
             nominal: Some(nominal),
             read_from: self.read_from.to_owned(),
+            family: self.family.map(Word::constant),
         }
     }
 }

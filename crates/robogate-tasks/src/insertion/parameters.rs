@@ -97,7 +97,7 @@ fn encoder_bias(acting: &Acting<'_, Settings>) -> f64 {
 
 /// Every parameter of the task.
 pub(super) static ROWS: [Row<Settings>; 11] = [
-    Row::number(
+    Row::<Settings>::number(
         "clearance_m",
         "m",
         "Difference of the widths of hole and peg; the policy is told.",
@@ -105,8 +105,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.0002, 0.003], 0.001),
         |s, x| s.clearance_m = x,
         clearance,
-    ),
-    Row::number(
+    )
+    .in_family("hole"),
+    Row::<Settings>::number(
         "chamfer_m",
         "m",
         "Width of the 45 degree chamfer of the hole; the policy is told.",
@@ -114,8 +115,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.0, 0.004], 0.001),
         |s, x| s.chamfer_m = x,
         |a| of_block(a, a.settings.chamfer_m),
-    ),
-    Row::number(
+    )
+    .in_family("hole"),
+    Row::<Settings>::number(
         "width_m",
         "m",
         "Width of the peg's square shaft.",
@@ -123,8 +125,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.015, 0.04], 0.03),
         |s, x| s.width_m = x,
         width,
-    ),
-    Row::number(
+    )
+    .in_family("peg"),
+    Row::<Settings>::number(
         "mass_kg",
         "kg",
         "Mass of the peg.",
@@ -132,8 +135,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.02, 2.0], 0.2),
         |s, x| s.mass_kg = x,
         |a| a.engine.mass_kg,
-    ),
-    Row::number(
+    )
+    .in_family("peg"),
+    Row::<Settings>::number(
         "friction",
         "",
         "Coulomb friction coefficient of the peg against block and table.",
@@ -141,8 +145,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.01, 2.0], 0.2),
         |s, x| s.friction = x,
         |a| a.engine.table_friction,
-    ),
-    Row::number(
+    )
+    .in_family("peg"),
+    Row::<Settings>::number(
         "arm_stiffness",
         "",
         "Stiffness of the arm's servos as a multiple of the robot's own; the policy is told.",
@@ -150,8 +155,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.05, 2.0], 0.25),
         |s, x| s.arm_stiffness = x,
         |a| a.engine.arm_stiffness.unwrap_or(f64::NAN),
-    ),
-    Row::number(
+    )
+    .in_family("arm"),
+    Row::<Settings>::number(
         "hole_jitter_m",
         "m",
         "Radius of the disc from which the hole's offset from its place is drawn; the policy is not told.",
@@ -159,8 +165,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.0, 0.01], 0.0),
         |s, x| s.hole_jitter_m = x,
         |a| of_block(a, a.settings.hole_jitter_m),
-    ),
-    Row::number(
+    )
+    .in_family("hole"),
+    Row::<Settings>::number(
         "hole_tilt_rad",
         "rad",
         "Largest tilt of the hole's axis, about an axis in a random direction; the policy is not told.",
@@ -168,8 +175,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.0, 0.05], 0.0),
         |s, x| s.hole_tilt_rad = x,
         |a| of_block(a, a.settings.hole_tilt_rad),
-    ),
-    Row::number(
+    )
+    .in_family("hole"),
+    Row::<Settings>::number(
         "peg_jitter_m",
         "m",
         "Radius of the disc from which the peg's offset from its place is drawn; the policy is not told.",
@@ -177,8 +185,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.0, 0.03], 0.0),
         |s, x| s.peg_jitter_m = x,
         peg_jitter,
-    ),
-    Row::number(
+    )
+    .in_family("peg"),
+    Row::<Settings>::number(
         "encoder_bias_rad",
         "rad",
         "Largest encoder bias: each joint's encoder has a constant bias, drawn uniformly between minus and plus this value.",
@@ -186,8 +195,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.0, 0.1], 0.0),
         |s, x| s.encoder_bias_rad = x,
         encoder_bias,
-    ),
-    Row::number(
+    )
+    .in_family("encoders"),
+    Row::<Settings>::number(
         "lighting_lux",
         "lux",
         "Illuminance on the table.",
@@ -195,5 +205,6 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([1.0, 1e5], 500.0),
         |s, x| s.lighting_lux = x,
         |a| a.visual.lighting_lux,
-    ),
+    )
+    .in_family("light"),
 ];

@@ -1,6 +1,6 @@
 //! The parameter table of the pendulum: one row per parameter.
 
-use robogate_core::{Allowed, Assignment, Fault, FaultKind, ParameterSpec, Value};
+use robogate_core::{Allowed, Assignment, Fault, FaultKind, ParameterSpec, Value, Word};
 use robogate_physics::MujocoModel;
 
 /// The settings from which an episode's model is built.
@@ -42,6 +42,7 @@ struct Row {
     high: f64,
     nominal: f64,
     read_from: &'static str,
+    family: Option<&'static str>,
     set: fn(&mut Settings) -> &mut f64,
     read: fn(&Applied<'_>) -> f64,
 }
@@ -55,6 +56,7 @@ const ROWS: [Row; 7] = [
         high: 5.0,
         nominal: 0.5,
         read_from: "the compiled model's body mass",
+        family: Some("pole"),
         set: |settings| &mut settings.mass,
         read: |applied| applied.model.data().model().body_mass()[1],
     },
@@ -66,6 +68,7 @@ const ROWS: [Row; 7] = [
         high: 2.0,
         nominal: 0.5,
         read_from: "the compiled model's geom size",
+        family: Some("pole"),
         set: |settings| &mut settings.length,
         read: |applied| 2.0 * applied.model.data().model().geom_size()[0][1],
     },
@@ -77,6 +80,7 @@ const ROWS: [Row; 7] = [
         high: 1.0,
         nominal: 0.01,
         read_from: "the compiled model's joint damping",
+        family: Some("drive"),
         set: |settings| &mut settings.damping,
         read: |applied| applied.model.data().model().dof_damping()[0],
     },
@@ -88,6 +92,7 @@ const ROWS: [Row; 7] = [
         high: 5.0,
         nominal: 0.5,
         read_from: "the compiled model's actuator gear",
+        family: Some("drive"),
         set: |settings| &mut settings.torque_limit,
         read: |applied| applied.model.data().model().actuator_gear()[0][0],
     },
@@ -99,6 +104,7 @@ const ROWS: [Row; 7] = [
         high: 3.0,
         nominal: 1.0,
         read_from: "the compiled model's gravity",
+        family: None,
         set: |settings| &mut settings.gravity,
         read: |applied| -applied.model.data().model_opt().gravity[2] / GRAVITY,
     },
@@ -110,6 +116,7 @@ const ROWS: [Row; 7] = [
         high: 1.5,
         nominal: 0.0,
         read_from: "the joint position after the reset",
+        family: Some("start"),
         set: |settings| &mut settings.start,
         read: |applied| applied.model.data().qpos()[0],
     },
@@ -121,6 +128,7 @@ const ROWS: [Row; 7] = [
         high: 0.5,
         nominal: 0.0,
         read_from: "the encoder of the episode",
+        family: Some("encoder"),
         set: |settings| &mut settings.bias,
         read: |applied| applied.bias,
     },
@@ -135,6 +143,7 @@ pub(super) fn specs() -> Vec<ParameterSpec> {
         allowed: Allowed::Continuous { low: row.low, high: row.high },
         nominal: Some(Value::Number(row.nominal)),
         read_from: row.read_from.to_owned(),
+        family: row.family.map(Word::constant),
     };
     ROWS.iter().map(spec).collect()
 }

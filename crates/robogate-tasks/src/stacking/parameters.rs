@@ -113,6 +113,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         unit: "",
         meaning: "Order of the parts in the stack, from the bottom up. The first part stays where it is.",
         read_from: "the parts' poses in the engine",
+        family: Some("stack"),
         access: Access::Word {
             choices: &ORDERS,
             nominal: "abc",
@@ -124,7 +125,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
             read: order,
         },
     },
-    Row::number(
+    Row::<Settings>::number(
         "overhang",
         "",
         "Offset of each part from the part below it along x, as a fraction of its size; the policy is told.",
@@ -132,8 +133,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.0, 0.6], 0.0),
         |s, x| s.overhang = x,
         |a| a.settings.overhang,
-    ),
-    Row::number(
+    )
+    .in_family("stack"),
+    Row::<Settings>::number(
         "size_m",
         "m",
         "Edge of each part.",
@@ -141,8 +143,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.03, 0.07], 0.05),
         |s, x| s.size_m = x,
         size,
-    ),
-    Row::number(
+    )
+    .in_family("parts"),
+    Row::<Settings>::number(
         "mass_kg",
         "kg",
         "Mass of the part at the bottom.",
@@ -150,8 +153,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.01, 5.0], 0.2),
         |s, x| s.mass_kg = x,
         |a| mass_at(a, 0),
-    ),
-    Row::number(
+    )
+    .in_family("parts"),
+    Row::<Settings>::number(
         "mass_step",
         "",
         "Mass of each part as a multiple of the part below it.",
@@ -159,8 +163,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.25, 4.0], 1.0),
         |s, x| s.mass_step = x,
         mass_step,
-    ),
-    Row::number(
+    )
+    .in_family("parts"),
+    Row::<Settings>::number(
         "friction",
         "",
         "Coulomb friction coefficient of the parts against everything they touch.",
@@ -168,8 +173,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.01, 10.0], 0.8),
         |s, x| s.friction = x,
         |a| if a.engine.friction == a.engine.table_friction { a.engine.friction } else { f64::NAN },
-    ),
-    Row::number(
+    )
+    .in_family("parts"),
+    Row::<Settings>::number(
         "gravity_scale",
         "",
         "Gravity as a multiple of 9.81 m/s^2.",
@@ -178,7 +184,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         |s, x| s.gravity_scale = x,
         |a| a.engine.gravity / GRAVITY,
     ),
-    Row::number(
+    Row::<Settings>::number(
         "position_jitter_m",
         "m",
         "Radius of the disc from which each part's offset from its place is drawn; the policy is not told.",
@@ -186,8 +192,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.0, 0.03], 0.0),
         |s, x| s.position_jitter_m = x,
         position_jitter,
-    ),
-    Row::number(
+    )
+    .in_family("layout"),
+    Row::<Settings>::number(
         "yaw_jitter_rad",
         "rad",
         "Largest rotation of each part about the vertical, in both directions; the policy is not told.",
@@ -195,8 +202,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.0, 0.7], 0.0),
         |s, x| s.yaw_jitter_rad = x,
         yaw_jitter,
-    ),
-    Row::number(
+    )
+    .in_family("layout"),
+    Row::<Settings>::number(
         "encoder_bias_rad",
         "rad",
         "Largest encoder bias: each joint's encoder has a constant bias, drawn uniformly between minus and plus this value.",
@@ -204,8 +212,9 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([0.0, 0.1], 0.0),
         |s, x| s.encoder_bias_rad = x,
         |a| scale(&a.settings.encoders, a.bias),
-    ),
-    Row::number(
+    )
+    .in_family("encoders"),
+    Row::<Settings>::number(
         "lighting_lux",
         "lux",
         "Illuminance on the table.",
@@ -213,5 +222,6 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         ([1.0, 1e5], 500.0),
         |s, x| s.lighting_lux = x,
         |a| a.visual.lighting_lux,
-    ),
+    )
+    .in_family("light"),
 ];

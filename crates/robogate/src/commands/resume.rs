@@ -11,7 +11,7 @@ use crate::exit::{Exit, OrExit};
 use crate::policy_source::PolicyLocation;
 use crate::remote::Simulators;
 use crate::subject::Subject;
-use crate::twins::Arm;
+use crate::twins::Arms;
 
 /// Resume an interrupted campaign.
 #[derive(Debug, Args)]
@@ -36,11 +36,11 @@ impl Resume {
         if let Some(asked) = Asked::of(&self.dir).or_usage()? {
             return gate::resume(&self.dir, asked, &subject, settings, &self.simulators, &self.location, &self.how);
         }
-        let arm = Arm::of(&self.dir, &settings.plan, &settings.provenance.space, &subject)?;
+        let arms = Arms::of(&self.dir, &settings.plan, &settings.provenance.space, &subject)?;
         let provenance = subject.provenance(settings.provenance.space)?;
         self.how.conduct(&self.dir, &subject, |executor, events| {
             let completion = robogate_campaign::resume(&self.dir, &provenance, executor, events)?;
-            arm.map_or(Ok(completion.clone()), |arm| arm.after(completion, executor, events))
+            arms.after(completion, executor, events)
         })
     }
 }

@@ -33,7 +33,7 @@ use crate::source::open_source;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary;
 use crate::terminal::{Screen, grouped, note, percent, warning};
-use crate::twins::{self, Arm};
+use crate::twins::{self, Arms};
 use crate::watch::Frames;
 
 /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain.
@@ -80,12 +80,13 @@ pub(crate) struct Run {
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
     /// Also run the nominal twin of each episode of the first stage, of the active design, or of the suite: the same seed with
-    /// the task's nominal values. The report then states the effect of the perturbations and what fails without them
+    /// the task's nominal values. The report then states the effect of the perturbations and what fails without them. If the
+    /// task declares families of perturbations, each episode of the first stage also runs with one family only
     #[arg(long)]
     twins: bool,
     /// Vary one family of parameters at a time and run nominal twins, so that the report states the effect of each family:
-    /// NAME=PARAMETER,PARAMETER (`*` at the end stands for any ending), or `each` for every parameter alone. Repeat it for
-    /// each family
+    /// NAME=PARAMETER,PARAMETER (`*` at the end stands for any ending), `each` for every parameter alone, or `declared` for the
+    /// families of the task. Repeat it for each family
     #[arg(long, value_name = "FAMILY", conflicts_with_all = ["suite", "plan", "design", "seek", "until_rms"])]
     family: Vec<String>,
     #[command(flatten)]
@@ -258,13 +259,13 @@ impl Run {
                 dir.display()
             )),
         }
-        let arm = Arm::of(&dir, &plan, &provenance.space, &subject)?;
+        let arms = Arms::of(&dir, &plan, &provenance.space, &subject)?;
         self.how.conduct(&dir, &subject, |executor, events| {
             let completion = match &prior {
                 Some(prior) => robogate_campaign::start_from(&dir, &plan, provenance, prior, executor, events)?,
                 None => robogate_campaign::start(&dir, &plan, provenance, executor, events)?,
             };
-            arm.map_or(Ok(completion.clone()), |arm| arm.after(completion, executor, events))
+            arms.after(completion, executor, events)
         })
     }
 
@@ -315,7 +316,7 @@ impl Run {
             plan = plan.with_total(n);
         }
         if !self.family.is_empty() {
-            let suite = families::suite(&self.family, &space, subject.task()).or_usage()?;
+            let suite = families::suite(&self.family, &space, subject.task(), 1).or_usage()?;
             subject.check_suite(&suite).or_usage()?;
             let rounds = (plan.episodes() / suite.cases().len().max(1) as u64).max(1);
             let space = suite.space().clone();

@@ -88,6 +88,22 @@ pub(crate) fn verb(dir: &Path, line: &str, code: i32, parts: &[&str]) -> String 
     stdout(&output)
 }
 
+/// Runs the commands that `robogate plan` prints for a campaign in shards until it prints none. Returns how many there were.
+#[track_caller]
+pub(crate) fn run_all_shards(dir: &Path, folder: &str) -> usize {
+    let mut commands = 0;
+    loop {
+        let next = verb(dir, &format!("plan {folder} --next"), 0, &[]);
+        if next.is_empty() {
+            return commands;
+        }
+        for command in next.lines() {
+            verb(dir, command.strip_prefix("robogate ").unwrap(), 0, &[]);
+            commands += 1;
+        }
+    }
+}
+
 /// The path of a file in a temporary folder, as an argument.
 pub(crate) fn path(dir: &TempDir, name: &str) -> String {
     dir.path().join(name).to_str().unwrap().to_owned()

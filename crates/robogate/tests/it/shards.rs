@@ -11,7 +11,7 @@ use std::time::Instant;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::{TWO_SCENARIOS, verb};
+use crate::harness::{TWO_SCENARIOS, run_all_shards, verb};
 
 /// The files of a folder, without its subfolders.
 fn files(dir: &Path) -> BTreeMap<String, Vec<u8>> {
@@ -21,21 +21,6 @@ fn files(dir: &Path) -> BTreeMap<String, Vec<u8>> {
         .filter(|entry| entry.file_type().unwrap().is_file())
         .map(|entry| (entry.file_name().into_string().unwrap(), fs::read(entry.path()).unwrap()))
         .collect()
-}
-
-/// Runs the commands that `robogate plan` prints until it prints none. Returns how many there were.
-fn run_everything(dir: &Path) -> usize {
-    let mut commands = 0;
-    loop {
-        let next = verb(dir, "plan run --next", 0, &[]);
-        if next.is_empty() {
-            return commands;
-        }
-        for command in next.lines() {
-            verb(dir, command.strip_prefix("robogate ").unwrap(), 0, &[]);
-            commands += 1;
-        }
-    }
 }
 
 const PENDULUM: &str = "run --task pendulum --design two-stage -n 90 --seed 3 --out run";
@@ -86,7 +71,7 @@ fn merged_shards_equal_single_run() {
     assert_eq!((&next["items"][1]["command"], next["items"][1]["episodes"].as_u64()), (&command, Some(20)));
     verb("merge run", 5, &["2 of 3 shards of round uniform are missing: 0, 1"]);
 
-    assert_eq!(run_everything(at), 5);
+    assert_eq!(run_all_shards(at, "run"), 5);
     verb("plan run --next", 0, &["next: robogate merge run"]);
     verb("run --shard 0/3 --out run", 0, &["all rounds are complete"]);
     verb("status run", 0, &["90 of 90 episodes", "boundary"]);
@@ -121,7 +106,7 @@ fn suite_shards_equal_single_run() {
     let run = "run --suite two.toml --rounds 2 --out run";
     verb(one, run, 0, &[]);
     verb(many, &format!("{run} --shard 0/2"), 0, &["round suite-0: 1 episodes"]);
-    assert_eq!(run_everything(many), 3);
+    assert_eq!(run_all_shards(many, "run"), 3);
     verb(many, "merge run", 0, &[]);
     assert!(files(&many.join("run")) == files(&one.join("run")));
 }
@@ -137,7 +122,7 @@ fn gate_in_shards_equals_single_gate() {
     verb(many, &format!("{gate} --divide 3"), 0, &["576 episodes in 3 shards"]);
     verb(many, &format!("{gate} --divide 3 --margin 0.1"), 0, &[]);
     verb(many, &format!("{gate} --divide 3 --requirements paper"), 2, &["baseline"]);
-    let commands = run_everything(many);
+    let commands = run_all_shards(many, "run");
     assert!(commands < 27 && commands.is_multiple_of(3), "{commands} shards ran");
     verb(many, "status run", 0, &["next: robogate merge run"]);
     assert_eq!(verb(many, "merge run", 1, &["FAIL"]), verdict);
@@ -174,7 +159,7 @@ fn sweep_ranks_policies_on_any_executor() {
     verb(shards, "matrix sweep.toml --divide 2 --out run", 0, &["robogate plan run --next"]);
     verb(shards, "merge run", 5, &["no run of swing-ups is finished"]);
     verb(shards, "status run", 0, &["0 of 120 episodes", "uniform 0 of 2 shards"]);
-    assert_eq!(run_everything(shards), 4);
+    assert_eq!(run_all_shards(shards, "run"), 4);
     verb(shards, "merge run", 0, &["random actions"]);
     let [one, other] = [threads, shards].map(|dir| files(&dir.join("run")));
     for page in ["leaderboard.html", "leaderboard.md"] {
@@ -197,7 +182,7 @@ fn active_shards_equal_single_run() {
     verb(one.path(), run, 0, &[]);
     let at = many.path();
     verb(at, &format!("{run} --divide 2"), 0, &["120 episodes in 2 shards"]);
-    assert!(run_everything(at) >= 6);
+    assert!(run_all_shards(at, "run") >= 6);
     verb(at, "status run", 0, &["120 of 120 episodes", "active-0"]);
     verb(at, "merge run", 0, &["Risk model"]);
     assert!(files(&at.join("run")) == files(&one.path().join("run")));
@@ -215,7 +200,7 @@ fn killed_merge_can_be_repeated() {
     let run = "run --task pendulum -n 600 --seed 5 --out run";
     verb(one.path(), run, 0, &[]);
     verb(many.path(), &format!("{run} --divide 2"), 0, &[]);
-    run_everything(many.path());
+    run_all_shards(many.path(), "run");
     let begin = Instant::now();
     verb(many.path(), "merge run --out elsewhere", 0, &[]);
     let merge = begin.elapsed();

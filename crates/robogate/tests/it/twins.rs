@@ -8,17 +8,29 @@ use std::process::{Command, Stdio};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::verb;
+use crate::harness::{run_all_shards, verb};
 
 fn json(path: &Path) -> Value {
     serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
 }
 
+/// Name and number of pairs of a family.
+fn named_pairs(family: &Value) -> (&str, u64) {
+    (family["family"].as_str().unwrap(), family["pairs"].as_u64().unwrap())
+}
+
 const RUN: &str = "run --task pendulum --design two-stage -n 90 --seed 3 --twins";
 
 /// The files that a control arm adds or changes.
-const FILES: [&str; 5] =
-    ["twins.json", "nominal/dictionary.parquet", "nominal/plan.json", "dictionary.parquet", "summary.json"];
+const FILES: [&str; 7] = [
+    "twins.json",
+    "nominal/dictionary.parquet",
+    "nominal/plan.json",
+    "families/dictionary.parquet",
+    "families/plan.json",
+    "dictionary.parquet",
+    "summary.json",
+];
 
 fn same_files(dir: &Path, a: &str, b: &str) {
     for file in FILES {
@@ -36,7 +48,10 @@ fn twins_do_not_depend_on_threads_shards_or_interruptions() {
     same_files(at, "a", "b");
     let twins = json(&at.join("a/twins.json"));
     assert_eq!((twins["pairs"].as_u64(), twins["unpaired"].as_u64()), (Some(60), Some(0)));
-    assert_eq!(twins["families"][0]["family"], "6 parameters together");
+    // Each episode also ran with one of the task's families. The effects of these stand beside that of all together.
+    let families: Vec<(&str, u64)> = twins["families"].as_array().unwrap().iter().map(named_pairs).collect();
+    let expected = [("all perturbations together", 60), ("pole", 15), ("drive", 15), ("start", 15), ("encoder", 15)];
+    assert_eq!((families, twins["one_family"].as_u64()), (expected.to_vec(), Some(60)));
     // The campaign itself is the same with and without a control arm.
     verb(at, "run --task pendulum --design two-stage -n 90 --seed 3 --out plain", 0, &[]);
     let rows = |name: &str| json(&at.join(name).join("summary.json"))["dataset_hash"].clone();
@@ -57,18 +72,13 @@ fn twins_do_not_depend_on_threads_shards_or_interruptions() {
     same_files(at, "a", "cut");
 
     verb(at, &format!("{RUN} --divide 2 --out run"), 0, &[]);
-    let everything = |folder: &str| loop {
-        let next = verb(at, &format!("plan {folder} --next"), 0, &[]);
-        if next.is_empty() {
-            break;
-        }
-        next.lines().for_each(|command| drop(verb(at, command.strip_prefix("robogate ").unwrap(), 0, &[])));
-    };
-    everything("run");
+    run_all_shards(at, "run");
     verb(at, "merge run", 0, &["the control arm is incomplete", "robogate plan run/nominal --next"]);
-    everything("run/nominal");
-    verb(at, "merge run", 0, &["Control arm"]);
-    for file in ["twins.json", "nominal/dictionary.parquet"] {
+    run_all_shards(at, "run/nominal");
+    verb(at, "merge run", 0, &["Control arm", "the arm of one family each is incomplete"]);
+    run_all_shards(at, "run/families");
+    verb(at, "merge run", 0, &["Control arm", "encoder"]);
+    for file in ["twins.json", "nominal/dictionary.parquet", "families/dictionary.parquet"] {
         let [a, b] = ["a", "run"].map(|name| fs::read(at.join(name).join(file)).unwrap());
         assert!(a == b, "{file} differs");
     }
@@ -100,6 +110,7 @@ fn families_have_effects_of_their_own() {
         assert_eq!((of["family"].as_str(), of["pairs"].as_u64()), (Some(*name), Some(30)), "{twins}");
     }
     verb(at, "run --task pendulum --family each -n 12 --seed 3 --out e", 0, &["6 scenarios"]);
+    verb(at, "run --task pendulum --family declared -n 12 --seed 3 --out d", 0, &["4 scenarios", "encoder"]);
     for (wrong, says) in [
         ("motor=torque", "has no parameter `torque`"),
         ("motor", "expected NAME=PARAMETER"),
@@ -167,6 +178,27 @@ fn gate_states_the_effect_of_each_group() {
     verb(at, "gate --run g", 1, &["Control arm"]);
     verb(at, "evidence g evidence", 1, &[]);
     verb(at, "verify evidence", 0, &[]);
+}
+
+#[test]
+fn gate_judges_families_one_at_a_time() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    fs::write(at.join("gate.toml"), REQUIREMENTS).unwrap();
+    let gate = "gate --task pendulum --requirements gate.toml --fixed --rounds 1";
+    // About 64 scenarios: 16 for each of the four declared families.
+    verb(at, &format!("{gate} --family declared --out g"), 3, &["Control arm", "pole", "encoder"]);
+    let twins = json(&at.join("g/gate.json"))["twins"].clone();
+    let families: Vec<(&str, u64)> = twins["families"].as_array().unwrap().iter().map(named_pairs).collect();
+    assert_eq!(families, [("pole", 16), ("drive", 16), ("start", 16), ("encoder", 16)]);
+    // A suite that is sampled from the space perturbs all families at once. Each scenario also runs with one of them.
+    verb(at, &format!("{gate} --twins --out t"), 3, &["Control arm", "all perturbations together", "encoder"]);
+    let twins = json(&at.join("t/gate.json"))["twins"].clone();
+    let families: Vec<(&str, u64)> = twins["families"].as_array().unwrap().iter().map(named_pairs).collect();
+    let expected = [("all perturbations together", 64), ("pole", 16), ("drive", 16), ("start", 16), ("encoder", 16)];
+    assert_eq!(families, expected);
+    verb(at, &format!("{gate} --family each --suite suite.toml --out x"), 2, &["--family", "--suite"]);
+    verb(at, &format!("{gate} --family motor=torque --out x"), 2, &["has no parameter `torque`"]);
 }
 
 #[test]

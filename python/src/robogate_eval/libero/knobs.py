@@ -86,12 +86,12 @@ def _layout():
 
     where = "qpos of the object, or body_pos and body_quat of the fixture"
     out = [
-        Knob(f"layout_{axis}_m", *shift(i), -0.1, 0.1, nominal=0.0, unit="m", moves=True, read_from=where,
+        Knob(f"layout_{axis}_m", *shift(i), -0.1, 0.1, nominal=0.0, unit="m", moves=True, read_from=where, family="layout",
              meaning=f"Translation along {axis} of the object or fixture that the task is about, from its initial state.")
         for i, axis in enumerate("xy")
     ]  # fmt: skip
     return [*out, Knob("layout_turn_rad", turn, turned, -3.1, 3.1, nominal=0.0, unit="rad", moves=True, read_from=where,
-                       meaning="Rotation of it about the vertical, from its initial state.")]  # fmt: skip
+                       family="layout", meaning="Rotation of it about the vertical, from its initial state.")]  # fmt: skip
 
 
 def _robot():
@@ -107,7 +107,7 @@ def _robot():
         env.renew_robot_goal()
 
     return Knob("robot_offset_rad", write, lambda env: float(np.linalg.norm(env.data.qpos[ARM] - env.start[ARM])), 0.0,
-                LARGEST_OFFSET_RAD, nominal=0.0, unit="rad", moves=True, read_from="qpos of the arm",
+                LARGEST_OFFSET_RAD, nominal=0.0, unit="rad", moves=True, read_from="qpos of the arm", family="start",
                 meaning="Distance of the arm's start from the initial state, in joint space. Each initial state has its own direction.")  # fmt: skip
 
 
@@ -133,12 +133,12 @@ def _camera():
         return 2.0 * math.atan2(z, w)
 
     out = [
-        Knob(f"camera_{axis}_m", *shift(i), -0.5, 0.5, nominal=0.0, unit="m", read_from="cam_xpos of the state",
+        Knob(f"camera_{axis}_m", *shift(i), -0.5, 0.5, nominal=0.0, unit="m", read_from="cam_xpos of the state", family="camera",
              meaning=f"Translation of the camera {CAMERA} along {axis}.")
         for i, axis in enumerate("xyz")
     ]  # fmt: skip
     return [*out, Knob("camera_turn_rad", turn, turned, -0.6, 0.6, nominal=0.0, unit="rad", read_from="cam_quat of the model",
-                       meaning=f"Rotation of the camera {CAMERA} about the vertical.")]  # fmt: skip
+                       family="camera", meaning=f"Rotation of the camera {CAMERA} about the vertical.")]  # fmt: skip
 
 
 def _light():
@@ -147,7 +147,7 @@ def _light():
         env.edits.edit(env.model.vis.headlight.diffuse, slice(None), env.base["headlight"] * value)
 
     return Knob("light", write, lambda env: _factor(env.model.light_diffuse, _base(env, "light_diffuse")), 0.0, 3.0, nominal=1.0,
-                read_from="light_diffuse of the model", meaning="Factor of the brightness of all lights.")  # fmt: skip
+                read_from="light_diffuse of the model", family="light", meaning="Factor of the brightness of all lights.")  # fmt: skip
 
 
 def _background():
@@ -168,7 +168,7 @@ def _background():
         chosen = materials(env)
         return None if not len(chosen) else 1.0 - _factor(env.model.mat_rgba[chosen, 1:3], _base(env, "mat_rgba")[chosen, 1:3])
 
-    return Knob("background_tint", write, read, 0.0, 1.0, nominal=0.0, read_from="mat_rgba of the model",
+    return Knob("background_tint", write, read, 0.0, 1.0, nominal=0.0, read_from="mat_rgba of the model", family="background",
                 meaning="Tint of the textures of table, floor and walls: at 1 they are red, at 0 unchanged.")  # fmt: skip
 
 
@@ -177,7 +177,7 @@ def _image_noise():
         env.image_noise = value
 
     return Knob("image_noise", write, lambda env: env.image_noise, 0.0, 80.0, nominal=0.0, unit="levels",
-                read_from="the renderer", meaning="Standard deviation of the noise of each colour of a pixel, of 255 levels.")  # fmt: skip
+                read_from="the renderer", family="image", meaning="Standard deviation of the noise of each colour of a pixel, of 255 levels.")  # fmt: skip
 
 
 def _instruction():
@@ -185,7 +185,7 @@ def _instruction():
         env.wording = value
 
     return Knob("instruction", write, lambda env: env.wording, choices=WORDINGS, nominal="task_file", read_from="the instruction that is sent",
-                meaning="Wording: of the task file, of its file name (as LIBERO's benchmark class reports it), in lower case, with please, or none.")  # fmt: skip
+                family="wording", meaning="Wording: of the task file, of its file name (as LIBERO's benchmark class reports it), in lower case, with please, or none.")  # fmt: skip
 
 
 def _physics():
@@ -216,9 +216,9 @@ def _physics():
         Knob("friction", rub, rubbing, 0.02, 4.0, watch=watch, read_from="contacts of the body, in every step",
              meaning="Coefficient of sliding friction of all contacts of the object, drawer or knob that the task is about."),
         Knob("mass_factor", load, lambda env: float(env.model.body_mass[env.handled] / _base(env, "body_mass")[env.handled]), 0.1, 100.0,
-             nominal=1.0, read_from="body_mass of the model", meaning="Factor of its mass and inertia."),
+             nominal=1.0, read_from="body_mass of the model", family="object", meaning="Factor of its mass and inertia."),
         Knob("torque_factor", push, lambda env: _factor(env.model.actuator_gainprm[ARM, 0], _base(env, "actuator_gainprm")[ARM, 0]), 0.1, 3.0,
-             nominal=1.0, read_from="actuator_gainprm of the model", meaning="Factor of the torques of the arm's motors."),
+             nominal=1.0, read_from="actuator_gainprm of the model", family="motors", meaning="Factor of the torques of the arm's motors."),
     ]  # fmt: skip
 
 

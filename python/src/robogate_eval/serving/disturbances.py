@@ -49,7 +49,7 @@ class Disturbances:
 
         knobs = [
             Knob("action_delay", delay, lambda env: len(self._queue), 0, MAX_DELAY, nominal=0, unit="steps", integer=True,
-                 meaning=f"Delay of each action, in control periods of {period_s:g} s.", read_from="length of the queue of actions")
+                 family="delay", meaning=f"Delay of each action, in control periods of {period_s:g} s.", read_from="length of the queue of actions")
         ]  # fmt: skip
         for name in self._vectors:
 
@@ -58,7 +58,7 @@ class Disturbances:
                 self.noisy = True
 
             knobs.append(
-                Knob(f"noise:{name}", scale, lambda env, name=name: self._scale[name], 0.0, 1.0, nominal=0.0,
+                Knob(f"noise:{name}", scale, lambda env, name=name: self._scale[name], 0.0, 1.0, nominal=0.0, family="noise",
                      meaning=f"Standard deviation of the noise of each number of {name}.", read_from="the noise generator")
             )  # fmt: skip
         return knobs

@@ -33,6 +33,8 @@ class Knob:
     meaning: str = ""
     # Where the value is read, in words.
     read_from: str = ""
+    # The family of perturbations that the knob belongs to, such as "light". It needs a nominal value.
+    family: str = ""
     # Only integers are accepted.
     integer: bool = False
     # Set before `env.reset`, for a value that the reset itself uses, such as the index of an initial state.
@@ -56,6 +58,8 @@ class Knob:
             out |= {"kind": "integer" if self.integer else "continuous", "low": self.low, "high": self.high}
         if self.nominal is not None:
             out["nominal"] = self.nominal
+        if self.family:
+            out["family"] = self.family
         return out
 
 

@@ -91,7 +91,8 @@ def _gain(model: Model, name: str, which: list[int], meaning: str) -> Knob:
     def read(env: Any) -> float:
         return _factor(model.model.actuator_gainprm[which], gain)
 
-    return Knob(name, write, read, 0.1, 3.0, nominal=1.0, meaning=meaning, read_from="actuator_gainprm of the model that is stepped")
+    return Knob(name, write, read, 0.1, 3.0, nominal=1.0, family="motors", meaning=meaning,
+                read_from="actuator_gainprm of the model that is stepped")  # fmt: skip
 
 
 def _factor(now: np.ndarray, base: np.ndarray) -> float:
@@ -136,7 +137,7 @@ def _mass(model: Model, bodies: list[int], name: str, masses: np.ndarray, inerti
 
     return Knob(
         f"mass:{name}", write, lambda env: float(model.model.body_mass[bodies].sum()), mass / 10.0, mass * 10.0, nominal=mass, unit="kg",
-        meaning=f"Mass of {name}; its inertia scales with it.", read_from="body_mass of the model that is stepped",
+        family="bodies", meaning=f"Mass of {name}; its inertia scales with it.", read_from="body_mass of the model that is stepped",
     )  # fmt: skip
 
 
@@ -149,7 +150,7 @@ def _inertia(model: Model, bodies: list[int], name: str, masses: np.ndarray, ine
 
     return Knob(
         f"inertia:{name}", write, lambda env: _factor(model.model.body_inertia[bodies], unit()), 0.1, 10.0, nominal=1.0,
-        meaning=f"Factor of the inertia of {name} at its mass.", read_from="body_inertia of the model that is stepped",
+        family="bodies", meaning=f"Factor of the inertia of {name} at its mass.", read_from="body_inertia of the model that is stepped",
     )  # fmt: skip
 
 
@@ -168,7 +169,7 @@ def _friction(model: Model, bodies: list[int], name: str, nominal: float) -> Kno
 
     return Knob(
         f"friction:{name}", write, read, 0.01, max(4.0, nominal), nominal=nominal, watch=watch,
-        meaning=f"Coefficient of sliding friction of all contacts of {name}.", read_from="contacts of the body, in every step",
+        family="bodies", meaning=f"Coefficient of sliding friction of all contacts of {name}.", read_from="contacts of the body, in every step",
     )  # fmt: skip
 
 
@@ -194,7 +195,7 @@ def _size(model: Model, body: int, name: str, can_observe: bool) -> Knob:
 
     return Knob(
         f"size:{name}", write, read, 0.5, 2.0, nominal=1.0, moves=can_observe,
-        meaning=f"Factor of the size of {name}. Its mass stays.", read_from="geom_size of the model that is stepped",
+        family="bodies", meaning=f"Factor of the size of {name}. Its mass stays.", read_from="geom_size of the model that is stepped",
     )  # fmt: skip
 
 
@@ -222,12 +223,12 @@ def _pose(model: Model, body: int, name: str) -> list[Knob]:
     where = "qpos of the free joint"
     knobs = [
         Knob(f"shift_{axis}:{name}", *shift(i), -0.2, 0.2, nominal=0.0, unit="m", moves=True, read_from=where,
-             meaning=f"Translation of {name} along {axis}, from where the reset put it.")
+             family="layout", meaning=f"Translation of {name} along {axis}, from where the reset put it.")
         for i, axis in enumerate("xy")
     ]  # fmt: skip
     knobs.append(
         Knob(f"turn:{name}", turn, turned, -3.1, 3.1, nominal=0.0, unit="rad", moves=True, read_from=where,
-             meaning=f"Rotation of {name} about the vertical, from where the reset put it.")
+             family="layout", meaning=f"Rotation of {name} about the vertical, from where the reset put it.")
     )  # fmt: skip
     return knobs
 
@@ -255,7 +256,7 @@ def _joint(model: Model, joint: int, name: str) -> list[Knob]:
         high = 10.0 * base if base > 0.0 else 10.0
         knobs.append(
             Knob(f"{word}:{name}", write, read, 0.0, high, nominal=base, unit=unit, meaning=f"{meaning} of the joint {name}.",
-                 read_from=f"{field} of the model that is stepped")
+                 family="joints", read_from=f"{field} of the model that is stepped")
         )  # fmt: skip
     return knobs
 

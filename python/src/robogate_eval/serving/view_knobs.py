@@ -47,7 +47,7 @@ def _light(model: Model, moves: bool) -> Knob:
         return float(np.mean(seen[lit] / nominal[lit]))
 
     return Knob(
-        "light", write, read, 0.1, 3.0, nominal=1.0, moves=moves, meaning="Factor of the brightness of all lights.",
+        "light", write, read, 0.1, 3.0, nominal=1.0, moves=moves, family="light", meaning="Factor of the brightness of all lights.",
         read_from="lights of the scene that is rendered",
     )  # fmt: skip
 
@@ -92,12 +92,12 @@ def _camera(model: Model, camera: int, name: str, moves: bool) -> list[Knob]:
     frame = "" if body == 0 else f" in the frame of the body {model.names('body')[body] or body}"
     knobs = [
         Knob(f"camera_{axis}:{name}", *shift(i), -0.5, 0.5, nominal=0.0, unit="m", moves=moves, read_from=where,
-             meaning=f"Translation of the camera {name} along {axis}{frame}.")
+             family="camera", meaning=f"Translation of the camera {name} along {axis}{frame}.")
         for i, axis in enumerate("xyz")
     ]  # fmt: skip
     knobs.append(
         Knob(f"camera_turn:{name}", turn, turned, -0.6, 0.6, nominal=0.0, unit="rad", moves=moves, read_from=where,
-             meaning=f"Rotation of the camera {name} about z{frame}.")
+             family="camera", meaning=f"Rotation of the camera {name} about z{frame}.")
     )  # fmt: skip
     return knobs
 

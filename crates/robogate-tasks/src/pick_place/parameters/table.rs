@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use robogate_core::{Allowed, ParameterSpec, Value};
+use robogate_core::{Allowed, ParameterSpec, Value, Word};
 use robogate_physics::{Color, Gripper, TableMaterial};
 
 use super::readback::{self, ReadbackContext};
@@ -21,6 +21,8 @@ pub struct ParameterRow {
     pub unit: &'static str,
     /// Meaning, in one sentence.
     pub meaning: &'static str,
+    /// The family of perturbations that it belongs to.
+    pub family: Option<&'static str>,
     /// The component through which it acts, and from which its applied value is read.
     pub acts_on: ActsOn,
     pub(super) access: Access,
@@ -108,6 +110,7 @@ impl ParameterRow {
             allowed: self.allowed(),
             nominal: self.nominal(),
             read_from: self.acts_on.as_str().to_owned(),
+            family: self.family.map(Word::constant),
         }
     }
 
@@ -213,7 +216,13 @@ const fn row(
     meaning: &'static str,
     access: Access,
 ) -> ParameterRow {
-    ParameterRow { name, unit, meaning, acts_on, access }
+    ParameterRow { name, unit, meaning, family: None, acts_on, access }
+}
+
+impl ParameterRow {
+    const fn in_family(self, family: &'static str) -> Self {
+        Self { family: Some(family), ..self }
+    }
 }
 
 const fn number([low, high]: [f64; 2], nominal: f64, set: fn(&mut SceneParameters, f64), read: Read<f64>) -> Access {
@@ -229,6 +238,7 @@ const fn encoder_bias<const J: usize>(name: &'static str) -> ParameterRow {
         "Constant bias of this joint's encoder (counted from the base): measured minus true position. It is added to that of `ik_noise_rad`.",
         number([-0.1, 0.1], 0.0, |p, x| p.encoder_bias_rad[J] = x, readback::unit_bias::<J>),
     )
+    .in_family("encoders")
 }
 
 use ActsOn::{Cameras, Cup, Encoders, Engine, Pads, Policy};
@@ -241,42 +251,48 @@ pub(super) static TABLE: [ParameterRow; 39] = [
         Engine,
         "Coulomb friction coefficient of the object against everything it touches.",
         number([0.0, 10.0], 0.8, |p, x| p.friction = x, |c| c.engine.friction),
-    ),
+    )
+    .in_family("object"),
     row(
         "mass_kg",
         "kg",
         Engine,
         "Mass of the object.",
         number([1e-3, 100.0], 0.3, |p, x| p.mass_kg = x, |c| c.engine.mass_kg),
-    ),
+    )
+    .in_family("object"),
     row(
         "com_offset",
         "",
         Engine,
         "Shift of the centre of mass: the fraction of the object's mass that is a point at the centre of one face.",
         number([0.0, 0.9], 0.0, |p, x| p.com_offset = x, readback::com_offset),
-    ),
+    )
+    .in_family("object"),
     row(
         "size_m",
         "m",
         Engine,
         "Edge of the cube that the object fits.",
         number([5e-3, 0.2], 0.05, |p, x| p.size_m = x, readback::size),
-    ),
+    )
+    .in_family("object"),
     row(
         "ik_noise_rad",
         "rad",
         Encoders,
         "Largest encoder bias: each joint's encoder has a constant bias, drawn uniformly between minus and plus this value.",
         number([0.0, 1.0], 0.0, |p, x| p.ik_noise_rad = x, readback::encoder_bias),
-    ),
+    )
+    .in_family("encoders"),
     row(
         "obstacles",
         "",
         Engine,
         "Number of obstacles within 0.3 m of the workspace centre.",
         Access::Integer { range: [0, 12], nominal: 0, set: |p, n| p.obstacles = n, read: readback::obstacles },
-    ),
+    )
+    .in_family("obstacles"),
     row(
         "shape",
         "",
@@ -288,7 +304,8 @@ pub(super) static TABLE: [ParameterRow; 39] = [
             set: |p, word| Shape::from_name(word).map(|shape| p.shape = shape),
             read: readback::shape,
         },
-    ),
+    )
+    .in_family("object"),
     row(
         "placement",
         "",
@@ -303,14 +320,16 @@ pub(super) static TABLE: [ParameterRow; 39] = [
             set: |p, word| Placement::from_name(word).map(|_| p.placement = word.to_owned()),
             read: readback::placement,
         },
-    ),
+    )
+    .in_family("placement"),
     row(
         "grip_threshold_m",
         "m",
         Cup,
         "Distance to the object within which a suction cup takes hold.",
         number([0.0, 0.1], 0.01, |p, x| p.grip_threshold_m = x, |c| c.grip_threshold_m.unwrap_or(f64::NAN)),
-    ),
+    )
+    .in_family("gripper"),
     row(
         "approach_speed_m_s",
         "m/s",
@@ -341,7 +360,8 @@ pub(super) static TABLE: [ParameterRow; 39] = [
         Engine,
         "Radius of the disc from which the object's offset from its placement is drawn; the policy is not told.",
         number([0.0, 0.05], 0.0, |p, x| p.position_jitter_m = x, readback::position_jitter),
-    ),
+    )
+    .in_family("placement"),
     row(
         "gravity_scale",
         "",
@@ -355,98 +375,112 @@ pub(super) static TABLE: [ParameterRow; 39] = [
         Engine,
         "Offset of the object from its placement along x; the policy is told.",
         number([-0.6, 0.6], 0.0, |p, x| p.offset_m[0] = x, |c| readback::offset(c)[0]),
-    ),
+    )
+    .in_family("placement"),
     row(
         "offset_y_m",
         "m",
         Engine,
         "Offset of the object from its placement along y; the policy is told.",
         number([-0.6, 0.6], 0.0, |p, x| p.offset_m[1] = x, |c| readback::offset(c)[1]),
-    ),
+    )
+    .in_family("placement"),
     row(
         "obstacle_gap_m",
         "m",
         Engine,
         "Smallest free space between an obstacle and the object or the target area.",
         number([0.0, 0.2], OBSTACLE_GAP, |p, x| p.obstacle_gap_m = x, readback::obstacle_gap),
-    ),
+    )
+    .in_family("obstacles"),
     row(
         "occluders",
         "",
         Engine,
         "Number of panels between the object and the front camera.",
         Access::Integer { range: [0, 3], nominal: 0, set: |p, n| p.occluders = n, read: readback::occluders },
-    ),
+    )
+    .in_family("camera"),
     row(
         "disturbance_speed_m_s",
         "m/s",
         Engine,
         "Speed of a box that crosses the workspace; at 0 there is no box.",
         number([0.0, 1.0], 0.0, |p, x| p.disturbance.speed_m_s = x, |c| readback::disturbance(c).speed_m_s),
-    ),
+    )
+    .in_family("disturbance"),
     row(
         "disturbance_start_s",
         "s",
         Engine,
         "Time at which the disturbance starts to move.",
         number([0.0, 60.0], 0.0, |p, x| p.disturbance.start_s = x, |c| readback::disturbance(c).start_s),
-    ),
+    )
+    .in_family("disturbance"),
     row(
         "disturbance_x_m",
         "m",
         Engine,
         "Position of the disturbance's centre along x before it moves.",
         number([-0.5, 1.5], 0.5, |p, x| p.disturbance.from[0] = x, |c| readback::disturbance(c).from[0]),
-    ),
+    )
+    .in_family("disturbance"),
     row(
         "disturbance_y_m",
         "m",
         Engine,
         "Position of the disturbance's centre along y before it moves.",
         number([-1.5, 1.5], -0.5, |p, x| p.disturbance.from[1] = x, |c| readback::disturbance(c).from[1]),
-    ),
+    )
+    .in_family("disturbance"),
     row(
         "disturbance_heading_rad",
         "rad",
         Engine,
         "Direction of the disturbance's motion: 0 along +x, positive towards +y.",
         number([-PI, PI], 0.0, |p, x| p.disturbance.heading_rad = x, |c| readback::disturbance(c).heading_rad),
-    ),
+    )
+    .in_family("disturbance"),
     row(
         "disturbance_travel_m",
         "m",
         Engine,
         "Distance that the disturbance moves.",
         number([1e-3, 3.0], 0.5, |p, x| p.disturbance.travel_m = x, |c| readback::disturbance(c).travel_m),
-    ),
+    )
+    .in_family("disturbance"),
     row(
         "lighting_lux",
         "lux",
         Cameras,
         "Illuminance on the table.",
         number([1.0, 1e5], 500.0, |p, x| p.visual.lighting_lux = x, |c| c.visual.lighting_lux),
-    ),
+    )
+    .in_family("light"),
     row(
         "camera_roll_rad",
         "rad",
         Cameras,
         "Rotation of each camera about its line of sight, from its nominal pose.",
         number([-0.5, 0.5], 0.0, |p, x| p.visual.camera_roll_rad = x, |c| c.visual.camera_roll_rad),
-    ),
+    )
+    .in_family("camera"),
     row(
         "camera_pitch_rad",
         "rad",
         Cameras,
         "Upward tilt of each camera from its nominal pose.",
         number([-0.5, 0.5], 0.0, |p, x| p.visual.camera_pitch_rad = x, |c| c.visual.camera_pitch_rad),
-    ),
+    )
+    .in_family("camera"),
     row(
         "object_transparency",
         "",
         Cameras,
         "Fraction of the light that passes through the object.",
         number([0.0, 0.95], 0.0, |p, x| p.visual.object_transparency = x, |c| c.visual.object_transparency),
-    ),
+    )
+    .in_family("appearance"),
     row(
         "table_material",
         "",
@@ -458,7 +492,8 @@ pub(super) static TABLE: [ParameterRow; 39] = [
             set: |p, word| TableMaterial::from_name(word).map(|material| p.visual.table_material = material),
             read: |c| c.visual.table_material.as_str().to_owned(),
         },
-    ),
+    )
+    .in_family("appearance"),
     row(
         "background_color",
         "",
@@ -470,7 +505,8 @@ pub(super) static TABLE: [ParameterRow; 39] = [
             set: |p, word| Color::from_hex(word).map(|color| p.visual.background_color = color),
             read: |c| c.visual.background_color.to_string(),
         },
-    ),
+    )
+    .in_family("appearance"),
     row(
         "object_color",
         "",
@@ -482,7 +518,8 @@ pub(super) static TABLE: [ParameterRow; 39] = [
             set: |p, word| Color::from_hex(word).map(|color| p.visual.object_color = color),
             read: |c| c.visual.object_color.to_string(),
         },
-    ),
+    )
+    .in_family("appearance"),
     encoder_bias::<0>("unit_bias_1_rad"),
     encoder_bias::<1>("unit_bias_2_rad"),
     encoder_bias::<2>("unit_bias_3_rad"),
@@ -496,14 +533,16 @@ pub(super) static TABLE: [ParameterRow; 39] = [
         ActsOn::Gripper,
         "Force of the pads, or vacuum of the cup, as a multiple of the robot's setting.",
         number([0.05, 2.0], 1.0, |p, x| p.gripper.force_scale = x, |c| c.grip_force_scale.unwrap_or(f64::NAN)),
-    ),
+    )
+    .in_family("gripper"),
     row(
         "pad_friction_scale",
         "",
         Pads,
         "Friction coefficient of the object against the pads, as a multiple of `friction`.",
         number([0.05, 2.0], 1.0, |p, x| p.gripper.pad_friction_scale = x, readback::pad_friction_scale),
-    ),
+    )
+    .in_family("gripper"),
 ];
 
 const COLOR: &str = "a colour as #rrggbb in lower case";

@@ -43,6 +43,11 @@ pub(crate) struct Gate {
     /// Sample the suite from this parameter space; default: the environment's own
     #[arg(long, value_name = "NAME|FILE", conflicts_with = "suite")]
     space: Option<String>,
+    /// Judge one family of perturbations at a time, in about 64 scenarios, and run nominal twins: NAME=PARAMETER,PARAMETER (`*`
+    /// at the end stands for any ending), `each` for every parameter alone, or `declared` for the families of the task. Repeat
+    /// it for each family
+    #[arg(long, value_name = "FAMILY", conflicts_with_all = ["suite", "run"])]
+    family: Vec<String>,
     /// Choose the requirements: default, paper or a TOML file
     #[arg(long, value_name = "NAME|FILE")]
     requirements: Option<String>,
@@ -76,7 +81,8 @@ pub(crate) struct Gate {
     #[arg(long)]
     plan: bool,
     /// Also run the nominal twin of each scenario: the same seed with the task's nominal values. The gate then states the
-    /// effect of each group of perturbations and what fails without them. The verdict does not depend on it
+    /// effect of each group of perturbations, or of each family that the task declares, and what fails without them. The verdict
+    /// does not depend on it
     #[arg(long, conflicts_with = "run")]
     twins: bool,
     #[command(flatten)]

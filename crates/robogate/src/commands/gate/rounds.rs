@@ -14,7 +14,7 @@ use crate::exit::Exit;
 use crate::policy_source::PolicyLocation;
 use crate::remote::Simulators;
 use crate::subject::Subject;
-use crate::twins::Arm;
+use crate::twins::Arms;
 
 /// Evaluates the question after each round.
 pub(crate) struct Look<'a> {
@@ -118,13 +118,13 @@ pub(crate) fn resume(
     };
     let mut record = Record::begun(&settings.provenance).map_err(refused)?;
     record.real.clone_from(&asked.real);
-    let arm = Arm::of(dir, &settings.plan, &settings.provenance.space, subject)?;
+    let arms = Arms::of(dir, &settings.plan, &settings.provenance.space, subject)?;
     let provenance = subject.provenance(settings.provenance.space)?;
     let mut rounds = Rounds { dir, asked, rival, other, record, trouble: None, broken: None };
     let completion = how.carry(subject, |executor, events| {
         let mut after = |round: &Round<'_>| rounds.after(round);
         let completion = robogate_campaign::resume_in_rounds(dir, &provenance, executor, events, &mut after)?;
-        arm.map_or(Ok(completion.clone()), |arm| arm.after(completion, executor, events))
+        arms.after(completion, executor, events)
     })?;
     rounds.end(completion, how.json)
 }

@@ -22,10 +22,11 @@ use crate::commands::rival::Rival;
 use crate::commands::run::{free_folder, introduce};
 use crate::commands::{controls, shard, suites};
 use crate::exit::{DONE, Exit, OrExit};
+use crate::families;
 use crate::policy_source::PolicyArguments;
 use crate::subject::Subject;
 use crate::terminal::{line, note};
-use crate::twins::Arm;
+use crate::twins::Arms;
 
 /// The number of scenarios of a suite that is sampled from a space.
 const SAMPLED_SCENARIOS: usize = 64;
@@ -155,10 +156,13 @@ impl Gate {
     fn suite(&self, subject: &Subject) -> Result<Suite, Exit> {
         match (&self.suite, &self.space, subject.own_suite()) {
             (Some(name), _, _) => suites::find(name),
-            (None, None, Some(own)) => suites::find(own),
+            (None, None, Some(own)) if self.family.is_empty() => suites::find(own),
             (None, space, _) => {
                 let space =
                     subject.space(space.as_deref()).and_then(|space| self.latency.added_to(space)).or_usage()?;
+                if !self.family.is_empty() {
+                    return families::suite(&self.family, &space, subject.task(), SAMPLED_SCENARIOS).or_usage();
+                }
                 let seed = self.seed.unwrap_or(DEFAULT_SEED);
                 Suite::sampled(&Arc::new(space), SAMPLED_SCENARIOS, seed).map_err(anyhow::Error::from).or_usage()
             }
@@ -271,7 +275,7 @@ impl Gate {
             }
             None => None,
         };
-        let arm = Arm::of(&dir, &plan, &provenance.space, &subject)?;
+        let arms = Arms::of(&dir, &plan, &provenance.space, &subject)?;
         let question = asked.clone();
         let mut rounds = Rounds {
             dir: &dir,
@@ -294,7 +298,7 @@ impl Gate {
             let mut after = |round: &Round<'_>| rounds.after(round);
             let completion =
                 robogate_campaign::start_in_rounds(&dir, &plan, provenance, executor, &mut with_question, &mut after)?;
-            arm.map_or(Ok(completion.clone()), |arm| arm.after(completion, executor, events))
+            arms.after(completion, executor, events)
         })?;
         rounds.end(completion, self.how.json)
     }
