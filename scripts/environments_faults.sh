@@ -39,6 +39,9 @@ for fault in raise hang nan kill; do
     FAULT='' shown "$fault-resumed" resume "$folder/run-$fault"
     printf '```\n'
 done
+printf '\n**It hangs before the first episode** (with `--simulator-timeout 2`):\n\n```\n'
+FAULT=start shown start run --env scripts/environments/faulty.py --python "$python" --plan "$plan" --threads 2 --simulator-timeout 2 --out "$folder/run-start"
+printf '```\n'
 printf '\n**Its package is missing**:\n\n```\n'
 printf 'import a_package_that_is_missing\n' > "$folder/mine.py"
 shown missing run --env "$folder/mine.py" --python "$python" --out "$folder/run-missing"

@@ -1,4 +1,4 @@
-"""An environment that breaks on purpose, for scripts/environments_faults.sh: FAULT is raise, hang, nan or kill."""
+"""An environment that breaks on purpose, for scripts/environments_faults.sh: FAULT is raise, hang, nan, kill or start."""
 
 import os
 import signal
@@ -17,6 +17,8 @@ class Faulty(gymnasium.Env):
 
     def reset(self, seed=None, options=None):
         super().reset(seed=seed)
+        if os.environ.get("FAULT") == "start":
+            time.sleep(3600)
         self.state = np.array([0.0, self.np_random.uniform(1.0, 2.0)])
         return self.state.copy(), {}
 

@@ -1,9 +1,7 @@
 //! Counts states outside of the published range of a checkpoint, and records them as measures of each episode.
 
-use std::cell::RefCell;
 use std::collections::BTreeSet;
-use std::rc::Rc;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use robogate_core::{
     Action, Assignment, Ending, Environment, Fault, Foresight, Image, Infeasibility, MeasureSpec, Measures,
@@ -17,7 +15,7 @@ use super::query;
 
 /// The counts of the running episode. The policy counts, and its environment records.
 #[derive(Debug, Clone)]
-pub struct RangeCounts(Rc<RefCell<Counts>>);
+pub struct RangeCounts(Arc<Mutex<Counts>>);
 
 #[derive(Debug)]
 struct Counts {
@@ -61,12 +59,17 @@ impl RangeCounts {
         let numbers: Vec<_> =
             measures(profile).into_iter().map(|(state, position, measure)| (state, position, measure.name)).collect();
         let outside = vec![0; numbers.len()];
-        (!numbers.is_empty()).then(|| Self(Rc::new(RefCell::new(Counts { numbers, outside, any: 0, requests: 0 }))))
+        (!numbers.is_empty()).then(|| Self(Arc::new(Mutex::new(Counts { numbers, outside, any: 0, requests: 0 }))))
+    }
+
+    fn counts(&self) -> MutexGuard<'_, Counts> {
+        // No code panics between two related writes.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Begins an episode.
     pub(crate) fn clear(&self) {
-        let mut counts = self.0.borrow_mut();
+        let mut counts = self.counts();
         counts.outside.fill(0);
         (counts.any, counts.requests) = (0, 0);
     }
@@ -74,7 +77,7 @@ impl RangeCounts {
     /// Counts what the model sees in a request.
     pub(crate) fn count(&self, profile: &Profile, observation: &Observation) -> Result<(), PolicyError> {
         let states = query::numbers(profile, observation)?;
-        let counts = &mut *self.0.borrow_mut();
+        let counts = &mut *self.counts();
         let mut any = false;
         for ((state, position, _), outside) in counts.numbers.iter().zip(&mut counts.outside) {
             let (range, numbers) = (&profile.states[*state], &states[*state]);
@@ -97,7 +100,7 @@ impl RangeCounts {
 
     /// Sets the measures of the episode so far. Without a request there are none.
     fn record(&self, measures: &mut Measures) {
-        let counts = self.0.borrow();
+        let counts = self.counts();
         let share = |n: u32| (counts.requests > 0).then(|| f64::from(n) / f64::from(counts.requests));
         measures.set(OUTSIDE_RANGE, share(counts.any));
         for ((_, _, name), outside) in counts.numbers.iter().zip(&counts.outside) {

@@ -84,8 +84,9 @@ class Child:
             return
         working = any(one.f_code is robogate_bridge.Server.answer.__code__ for one, _ in traceback.walk_stack(frame))
         if working or not self._answered:
-            print("It was here when it was ended (most recent call last):", file=sys.stderr)
-            traceback.print_stack(frame)
+            # In one piece, because the parent does not wait for long.
+            stack = "".join(traceback.format_stack(frame))
+            os.write(2, f"It was here when it was ended (most recent call last):\n{stack}".encode())
 
 
 def serve_child(name: str) -> None:
