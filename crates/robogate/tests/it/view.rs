@@ -273,10 +273,10 @@ fn full_tables_show_a_sample() {
     let Some(chromium) = robogate_testing::program("chromium") else { return };
     let mut page = Page::open(&chromium, &server);
     assert_eq!(page.rows(), rows);
-    page.0.wait("document.querySelector('.x-what').textContent.includes('of 2,000 episodes succeeded')");
+    page.0.wait("document.querySelector('.x-what')?.textContent.includes('of 2,000 episodes succeeded')");
     page.0.wait("document.querySelector('.x-status').textContent.includes('random sample of')");
     page.0.evaluate("robogateExplorer.explorer.brush(robogateExplorer.explorer.axes[0], [0.2, 0.6])");
-    page.0.wait("document.querySelector('.x-more').textContent.includes('Counted in the random sample')");
+    page.0.wait("document.querySelector('.x-more')?.textContent.includes('Counted in the random sample')");
     page.assert_counts();
 }
 
