@@ -38,9 +38,10 @@ export function step(span, wanted) {
   return [1, 2, 5, 10].map((m) => m * power).find((s) => s >= raw) ?? 10 * power;
 }
 
-/** Values in the units that a person reads: millimetres for short lengths. */
-function readable(signal) {
-  if (signal.unit === "m" && Math.max(Math.abs(signal.low), Math.abs(signal.high)) < 0.5) {
+/** Values in the units that a person reads: millimetres for short lengths. `other` is the same signal of the other episode, which gets the same unit. */
+export function readable(signal, other) {
+  const size = (of) => (of ? Math.max(Math.abs(of.low), Math.abs(of.high)) : 0);
+  if (signal.unit === "m" && Math.max(size(signal), size(other)) < 0.5) {
     return { ...signal, unit: "mm", low: millimetres(signal.low), high: millimetres(signal.high), values: signal.values.map((x) => (x === null ? null : millimetres(x))) };
   }
   return signal;
@@ -49,13 +50,14 @@ function readable(signal) {
 /** Tenths of a millimetre: smaller lengths are noise of the contacts. */
 const millimetres = (metres) => Math.round(metres * 1e4) / 10;
 
-/** Whether a signal has one value throughout all episodes, such as a mark of the scenario. */
-function isConstant(signals) {
-  const values = signals.filter(Boolean).flatMap(({ values }) => values.filter((x) => x !== null));
-  return values.every((x) => x === values[0]);
+/** The value of a signal that has one value throughout its episode, such as a mark of the scenario. `undefined` if it changes. */
+export function constant(signal) {
+  const values = signal.values.filter((x) => x !== null);
+  return values.every((x) => x === values[0]) ? values[0] : undefined;
 }
 
-function title(name) {
+/** The name of a signal without its unit. */
+export function title(name) {
   const units = /_(nms_rad|m_s2|rad_s|m_s|kg|mm|rad|deg|m|nm|n|s|j|w|v|a|hz|lux)$/;
   const text = name.replace(units, "").replace(/_/g, " ");
   return text.charAt(0).toUpperCase() + text.slice(1);
@@ -77,12 +79,10 @@ export class Chart {
     const silent = (name) => name === "contact force" && sides.every(({ motion }) => motion.contacts.every((points) => points.length === 0));
     const rows = names.filter((name) => !silent(name)).map((name) => ({
       name,
-      signals: sides.map(({ motion }) => {
-        const found = motion.signals.find((s) => s.name === name);
-        return found && readable(found);
-      }),
+      signals: sides.map(({ motion }) => motion.signals.find((s) => s.name === name)).map((found, side, both) => found && readable(found, both[1 - side])),
     }));
-    this.rows = rows.filter(({ signals }) => !isConstant(signals)).slice(0, 8);
+    // Signals that do not change over time are in the table of parameters.
+    this.rows = rows.filter(({ signals }) => signals.some((signal) => signal && constant(signal) === undefined)).slice(0, 8);
     const bands = sides.filter(({ clip }) => clip.phases.length > 0).length;
     this.first = TOP + bands * (BAND + 4) + (bands ? 6 : 0);
     this.height = this.first + this.rows.length * (ROW + GAP) + 26;

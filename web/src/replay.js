@@ -34,7 +34,7 @@ class Replay {
     root.append(
       element("header", { class: "top" }, element("p", { class: "brand" }, element("b", {}, "RoboGate"), " ", element("a", { href: "/" }, "monitor")),
         element("h1", {}, "Similar simulated episodes"), this.status),
-      element("main", {}, element("div", { class: "watch" }, element("div", {}, this.choices, this.table), element("div", {}, this.stage, this.beside))),
+      element("main", {}, element("div", { class: "watch" }, element("div", {}, this.choices, this.table), element("div", {}, element("h2", { class: "x-hidden" }, "Replay"), this.stage, this.beside))),
     );
   }
 

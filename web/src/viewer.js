@@ -2,7 +2,7 @@
 
 import { PCFShadowMap, PerspectiveCamera, Vector3, WebGLRenderer } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { Chart, figure } from "./chart.js";
+import { Chart, constant, figure, readable, title } from "./chart.js";
 import { motionOf, solidsOf } from "./unpack.js";
 import { World } from "./world.js";
 
@@ -191,10 +191,15 @@ export class Viewer {
 
   /** Events, parameters and the command of each open episode. */
   describe() {
-    const names = [...new Set(this.sides.flatMap(({ clip }) => clip.parameters.map(([name]) => name)))];
-    const value = (clip, name) => clip.parameters.find(([known]) => known === name)?.[1] ?? "–";
+    // Measures that do not change during an episode are no line of the chart.
+    const sides = this.sides.map(({ clip, motion }) => {
+      const marks = motion.signals.map((signal) => readable(signal)).map((signal) => [title(signal.name), constant(signal), signal.unit]);
+      const known = marks.filter(([, value]) => value !== undefined).map(([name, value, unit]) => [name, `${figure(value)} ${unit}`.trim()]);
+      return new Map([...clip.parameters, ...known]);
+    });
+    const names = [...new Set(sides.flatMap((side) => [...side.keys()]))];
     const rows = names.map((name) => {
-      const values = this.sides.map(({ clip }) => value(clip, name));
+      const values = sides.map((side) => side.get(name) ?? "–");
       const differs = values.length > 1 && values[0] !== values[1];
       return element("tr", { class: differs ? "differs" : false }, element("th", { scope: "row" }, name), ...values.map((v) => element("td", {}, v)));
     });
@@ -207,11 +212,11 @@ export class Viewer {
       element("p", {}, element("code", {}, clip.command)),
     ));
     const heads = this.sides.map(({ clip }) => element("th", { scope: "col" }, clip.title));
-    const table = element(
-      "details", {}, element("summary", {}, "Parameters"),
-      element("table", {}, element("thead", {}, element("tr", {}, element("td", {}), ...heads)), element("tbody", {}, ...rows)),
-    );
-    this.facts.replaceChildren(element("div", { class: "view-columns" }, ...events), ...(names.length ? [table] : []));
+    const table = element("table", {}, element("thead", {}, element("tr", {}, element("td", {}), ...heads)), element("tbody", {}, ...rows));
+    // A report has many sections, so there they are folded until the reader opens them.
+    const open = this.details ? this.details.open : !this.root.parentElement?.hasAttribute("data-viewer");
+    this.details = element("details", { open }, element("summary", {}, "Events and parameters"), element("div", { class: "view-columns" }, ...events), ...(names.length ? [table] : []));
+    this.facts.replaceChildren(this.details);
   }
 
   resize() {

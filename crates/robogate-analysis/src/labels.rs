@@ -1,7 +1,7 @@
 //! Labels of parameters and failure modes in reports.
 
 /// Units at the end of parameter names, and their notation.
-const UNITS: [(&str, &str); 14] = [
+const UNITS: [(&str, &str); 15] = [
     ("_nms_rad", "N·m·s/rad"),
     ("_m_s2", "m/s²"),
     ("_rad_s", "rad/s"),
@@ -16,6 +16,7 @@ const UNITS: [(&str, &str); 14] = [
     ("_lux", "lx"),
     ("_hz", "Hz"),
     ("_s", "s"),
+    ("_j", "J"),
 ];
 
 /// The label of a parameter (its name without the unit, with spaces for underscores) and its unit, which may be empty.

@@ -106,10 +106,11 @@ impl Controls {
         }
         if let (Some(expert), Some(positive)) = (self.expert, self.positive) {
             lines.push(format!(
-                "Positive control: the expert through the profile succeeds in {}; without it in {}; conventions of {}",
+                "Positive control: the expert, acting through the profile with the conventions of {}, succeeds in {}; \
+                 acting directly, in {}",
+                self.reference,
                 count(positive),
-                count(expert),
-                self.reference
+                count(expert)
             ));
         }
         if let Some(negative) = self.negative {

@@ -54,11 +54,14 @@ fn bins(effect: &MarginalEffect) -> Markup {
     svg.finish(&format!("Success by {}", label_with_unit(&effect.parameter)))
 }
 
-/// Maximum number of levels in the figure.
-const MAX_LEVELS: usize = 24;
+/// Maximum number of levels in the figure. The table has all.
+const MAX_LEVELS: usize = 10;
+/// Number of levels up to which those without an episode are shown.
+const FEW_LEVELS: usize = 8;
 
 fn levels(effect: &MarginalEffect) -> Markup {
-    let cells = &effect.cells[..effect.cells.len().min(MAX_LEVELS)];
+    let few = effect.cells.len() <= FEW_LEVELS;
+    let cells: Vec<_> = effect.cells.iter().filter(|cell| few || cell.rate.n > 0).take(MAX_LEVELS).collect();
     let height = if cells.len() <= 7 { 26.0 } else { 19.0 };
     let bottom = 10.0 + height * cells.len() as f64;
     let mut svg = Svg::new(340.0, bottom + 40.0);

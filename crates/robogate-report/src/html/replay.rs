@@ -10,7 +10,7 @@ const SCRIPT: &str = include_str!("replay.js");
 /// Colours and the viewer of episodes.
 const STYLE: &str = include_str!("style.css");
 /// The parts of this page.
-const OWN_STYLE: &str = "header.top { padding-bottom: 6px; } .watch table { min-width: 0; width: 100%; margin-top: 16px; } \
+const OWN_STYLE: &str = "header.top { padding-bottom: 6px; } .brand a { text-decoration: underline; } .watch table { min-width: 0; width: 100%; margin-top: 16px; } \
      .x-hidden { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }";
 
 /// The page, and its content security policy. It contains no data: it reads the alarm from its address, and the episodes

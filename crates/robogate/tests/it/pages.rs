@@ -263,7 +263,11 @@ fn alarm_is_replayed(browser: &mut Browser, axe: Option<&PathBuf>) {
     // The failed cycle, its failure, and the passing twin beside it on one clock.
     browser.wait("document.querySelector('.sub').textContent.includes('of part-a before the alarm at cycle c')");
     browser.wait("document.querySelectorAll('.view-label').length === 2 && document.querySelector('.view-label .chip.bad') !== null");
-    assert_eq!(browser.evaluate("document.querySelectorAll('.watch tbody tr').length"), json!(2), "mass and friction");
+    assert_eq!(
+        browser.evaluate("document.querySelectorAll('.watch .scroll tbody tr').length"),
+        json!(2),
+        "mass and friction"
+    );
     browser.evaluate("document.querySelector('.view-play').click()");
     browser.wait("Number(document.querySelector('.view-bar input[type=range]').value) > 0.1");
     browser.evaluate("document.querySelector('.view-play').click()");

@@ -16,8 +16,8 @@ use crate::text::low_side;
 const MAX_FIGURES: usize = 16;
 /// Number of figures that are visible before the reader opens the others.
 const FIRST_FIGURES: usize = 3;
-/// Parameters that the table of effects shows in any case.
-const LEAST_ROWS: usize = 3;
+/// The smallest and the largest number of parameters in the table of effects. The others are folded.
+const ROWS: [usize; 2] = [3, 5];
 /// Share of crossing replicates above which the observed side of 50 % is not significant.
 const CROSSING: f64 = 0.05;
 
@@ -95,7 +95,7 @@ fn effects_tables(analysis: &Analysis) -> Vec<Block> {
         return Vec::new();
     }
     let significant = effects.ranked.iter().rposition(|effect| effect.significant).map_or(0, |last| last + 1);
-    let others = rows.split_off(significant.max(LEAST_ROWS).min(rows.len()));
+    let others = rows.split_off(significant.clamp(ROWS[0], ROWS[1]).min(rows.len()));
     let mut table = Table::new("Influence on success, strongest first", &columns, rows);
     table.remark = Some(format!(
         "Permutation tests of an effect of any shape, adjusted (Holm) for {} and {}. Steps and rates are shown for significant \
@@ -105,7 +105,9 @@ fn effects_tables(analysis: &Analysis) -> Vec<Block> {
     ));
     let mut blocks = vec![Block::Table(table)];
     if !others.is_empty() {
-        let title = format!("{} without a significant effect", counted(others.len() as u64, "more parameter"));
+        let more = counted(others.len() as u64, "more parameter");
+        let weaker = if significant > ROWS[1] { "with a weaker effect" } else { "without a significant effect" };
+        let title = format!("{more} {weaker}");
         blocks.push(Block::Folded(Table::new(title, &columns, others)));
     }
     blocks

@@ -2,12 +2,15 @@
 
 use robogate_analysis::labels::label_with_unit;
 use robogate_analysis::{Comparison, SharedCurve};
-use robogate_stats::format::{count, percent_or_dash, percent_range, sentence};
+use robogate_stats::format::{count, counted, percent_or_dash, percent_range, sentence};
 
 use super::{Block, Figure, Section, Table, population};
 use crate::document::Kind::{Number, Short, Text};
 use crate::document::MAX_ROWS;
 use crate::figures;
+
+/// Number of figures that are visible before the reader opens the others.
+const FIRST_FIGURES: usize = 3;
 
 pub(super) fn section(of: &Comparison) -> Section {
     let mut blocks = Vec::new();
@@ -22,7 +25,13 @@ pub(super) fn section(of: &Comparison) -> Section {
             findings: Vec::new(),
             table: curve_table(of, curve),
         });
-        blocks.push(Block::Grid(figures.collect()));
+        let mut figures: Vec<Figure> = figures.collect();
+        let others = figures.split_off(FIRST_FIGURES.min(figures.len()));
+        blocks.push(Block::Grid(figures));
+        if !others.is_empty() {
+            let title = counted(others.len() as u64, "more parameter");
+            blocks.push(Block::Group(title, vec![Block::Grid(others)]));
+        }
     }
     if !of.parameters.not_shared.is_empty() {
         let rows = of.parameters.not_shared.iter().map(|parameter| {

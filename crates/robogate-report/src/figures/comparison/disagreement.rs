@@ -3,9 +3,9 @@
 use maud::Markup;
 use robogate_analysis::labels::label_with_unit;
 use robogate_analysis::{Axis, DisagreementMap};
-use robogate_stats::format::{count, percent, percent_range, points, significant};
+use robogate_stats::format::{count, percent, percent_range, points};
 
-use crate::figures::svg::{Anchor, Svg, cut};
+use crate::figures::svg::{Anchor, Scale, Svg, cut, round_ticks, tick};
 
 /// Draws where the outcomes of two datasets differ.
 pub(crate) fn disagreement(map: &DisagreementMap, names: [&str; 2]) -> Markup {
@@ -90,8 +90,10 @@ fn shade(difference: f64) -> usize {
 
 fn axes(svg: &mut Svg, map: &DisagreementMap, [left, w, h, bottom]: [f64; 4]) {
     let ticks = |axis: &Axis| -> Vec<(f64, String)> {
-        if axis.levels.is_empty() {
-            axis.edges.iter().enumerate().map(|(i, edge)| (i as f64, significant(*edge, 2))).collect()
+        if let (true, [low, .., high]) = (axis.levels.is_empty(), axis.edges.as_slice()) {
+            let (from, to) = ([*low, *high], [0.0, axis.cells() as f64]);
+            let place = if axis.log { Scale::log(from, to) } else { Scale::linear(from, to) };
+            round_ticks(from, 6, axis.log).into_iter().map(|at| (place.at(at), tick(at))).collect()
         } else {
             axis.levels.iter().enumerate().map(|(i, level)| (i as f64 + 0.5, cut(level, 8))).collect()
         }

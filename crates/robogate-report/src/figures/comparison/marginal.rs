@@ -3,10 +3,10 @@
 use maud::Markup;
 use robogate_analysis::labels::label_with_unit;
 use robogate_analysis::{Rate, SharedCurve};
-use robogate_stats::format::{percent, percent_range, significant};
+use robogate_stats::format::{percent, percent_range};
 
 use super::{class, dot, legend, legend_height};
-use crate::figures::svg::{Anchor, Scale, Svg, cut};
+use crate::figures::svg::{Anchor, Scale, Svg, cut, round_ticks, tick};
 
 /// Maximum number of characters of a level below a curve.
 const MAX_LETTERS: usize = 14;
@@ -24,12 +24,11 @@ pub(crate) fn shared_curve(curve: &SharedCurve, names: &[String]) -> Markup {
     let mut svg = Svg::new(420.0, bottom + drop + 40.0);
     legend(&mut svg, names, [left, right], 0.0);
     let y = Scale::linear([0.0, 1.0], [bottom, top]);
-    for tick in [0.0, 0.5, 1.0] {
-        svg.line("gl", [left, y.at(tick), right, y.at(tick)]);
-        svg.text("s d", Anchor::End, [left - 6.0, y.at(tick) + 4.0], &format!("{:.0} %", 100.0 * tick));
+    for share in [0.0, 0.5, 1.0] {
+        svg.line("gl", [left, y.at(share), right, y.at(share)]);
+        svg.text("s d", Anchor::End, [left - 6.0, y.at(share) + 4.0], &format!("{:.0} %", 100.0 * share));
     }
-    let n = curve.cells.len().max(1);
-    let room = (right - left) / n as f64;
+    let room = (right - left) / curve.cells.len().max(1) as f64;
     let apart = (room * 0.7 / names.len().max(1) as f64).min(9.0);
     let place = |cell: usize, series: usize| {
         left + room * (cell as f64 + 0.5) + apart * (series as f64 - 0.5 * (names.len() as f64 - 1.0))
@@ -66,22 +65,18 @@ pub(crate) fn shared_curve(curve: &SharedCurve, names: &[String]) -> Markup {
             dot(&mut svg, series, [at, y.at(rate)], 3.4, &hint);
         }
     }
+    let ends = curve.cells.first().and_then(|cell| cell.range).zip(curve.cells.last().and_then(|cell| cell.range));
+    if let Some(([low, _], [_, high])) = ends {
+        let x =
+            if curve.log { Scale::log([low, high], [left, right]) } else { Scale::linear([low, high], [left, right]) };
+        for at in round_ticks([low, high], 6, curve.log) {
+            svg.text("s d", Anchor::Middle, [x.at(at), bottom + 16.0], &tick(at));
+        }
+    }
     for (i, cell) in curve.cells.iter().enumerate() {
         match cell.range {
-            Some([low, high]) => {
-                let every = (44.0 / room).ceil().max(1.0) as usize;
-                if i % every == 0 && (i + every <= n || n <= every) {
-                    svg.text(
-                        "s d",
-                        if i == 0 { Anchor::Start } else { Anchor::Middle },
-                        [left + room * i as f64, bottom + 16.0],
-                        &significant(low, 2),
-                    );
-                }
-                if i + 1 == n {
-                    svg.text("s d", Anchor::End, [right, bottom + 16.0], &significant(high, 2));
-                }
-            }
+            // Bins have an axis with round ticks.
+            Some(_) => {}
             None => {
                 let x = left + room * (i as f64 + 0.5);
                 let every = (12.0 / room).ceil().max(1.0) as usize;
