@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
-# Compares the uniform, two-stage and active design with real physics: runs the campaigns, and scores each learner on one test set.
+# Compares the uniform, two-stage and active design with real physics: runs the campaigns, and scores each learner on one test set. Points
+# of the test set run a second time with other draws, which measures the noise floor and the excess error.
 #
-#   scripts/discovery.sh OUT [ROBOT] [TEST] [REPEATS] [SIZES]
+#   scripts/discovery.sh OUT [ROBOT] [TEST] [REPEATS] [SIZES] [PAIRS]
 #
-# OUT gets the runs and ROBOT.tsv. Defaults: franka, 12000 test episodes, 10 repeats, sizes "250 500 1000 2000". An episode costs about 0.15 s of
-# one core: the defaults run about 125,000 episodes, 5 CPU hours. Campaigns that exist in OUT are resumed or kept, so the script can be
-# interrupted and repeated.
+# OUT gets the runs, ROBOT.md and ROBOT-collisions.md. Defaults: franka, 12000 test episodes, 10 repeats, sizes "250 500 1000 2000", 4000 pairs. An episode costs about
+# 0.15 s of one core: the defaults run about 130,000 episodes, 5.4 CPU hours. Campaigns that exist in OUT are resumed or kept, so the script
+# can be interrupted and repeated.
 set -euo pipefail
-out=$1 robot=${2:-franka} test=${3:-12000} repeats=${4:-10} sizes=${5:-250 500 1000 2000}
+out=$1 robot=${2:-franka} test=${3:-12000} repeats=${4:-10} sizes=${5:-250 500 1000 2000} pairs=${6:-4000}
 cd "$(dirname "$0")/.."
 # BUILT: a folder with robogate and examples/discovery, in place of a release build.
 if [ -z "${BUILT:-}" ]; then
@@ -32,6 +33,9 @@ uniform() {
 }
 
 campaign test --plan "$(uniform "$test")" --seed 900000
+example=$BUILT/examples/discovery
+"$example" points "$out/$robot-test" "$pairs" >"$out/$robot-partners.toml"
+campaign partners --suite "$out/$robot-partners.toml" --seed 910000
 runs=()
 for ((repeat = 1; repeat <= repeats; repeat++)); do
     for n in $sizes; do
@@ -41,9 +45,15 @@ for ((repeat = 1; repeat <= repeats; repeat++)); do
         runs+=("$out/$robot-uniform-$n-$repeat" "$out/$robot-two-stage-$n-$repeat" "$out/$robot-active-$n-$repeat")
     done
 done
-example=$BUILT/examples/discovery
-printf '%s\n' "${runs[@]}" | xargs -P "$(nproc)" -n 4 "$example" "$out/$robot-test" >"$out/lines.$robot"
-{ printf 'run\tepisodes\tlearner\tbrier\tlog_loss\n'; grep -v '^run' "$out/lines.$robot" | sort; } >"$out/$robot.tsv"
-# Mean Brier score over the repeats, by design, size and learner.
-awk -F '\t' 'NR > 1 && $4 != "-" { name = $1; sub(/.*\//, "", name); sub(/-[0-9]+$/, "", name); key = name "\t" $3; sum[key] += $4; n[key]++ }
-    END { for (key in sum) printf "%s\t%.4f\t%d\n", key, sum[key] / n[key], n[key] }' "$out/$robot.tsv" | sort -V
+"$example" score "$out/$robot-test" "$out/$robot-partners" "${runs[@]}" | tee "$out/$robot.md"
+
+# Collisions without obstacles: a rare failure. Episodes until ten of them, for uniform points and for points that seek them.
+space=$out/$robot-free.toml
+awk 'BEGIN { RS = ""; ORS = "\n\n" } !/name = "obstacles"/' "assets/spaces/$robot.toml" | sed "0,/^name = /s/^name = .*/name = \"$robot-free\"/" >"$space"
+campaign free --plan "$(uniform 1500)" --design uniform --space "$space" --seed 400000
+runs=("$out/$robot-free")
+for ((repeat = 1; repeat <= repeats; repeat++)); do
+    campaign "seek-$repeat" --seek collision -n 300 --space "$space" --seed "$((400000 + repeat))"
+    runs+=("$out/$robot-seek-$repeat")
+done
+"$example" until collision 10 "${runs[@]}" | tee "$out/$robot-collisions.md"

@@ -1,4 +1,5 @@
-//! How often reports name something: `cargo run -p robogate-report --example headlines [-- SETS [SIMULATION...]]`.
+//! How often reports name something: `cargo run -p robogate-report --example headlines [-- SETS [SIMULATION...] [RATE/ROWS...]]`.
+//! `200 1 0.01/10000` measures one row of simulation 1.
 //!
 //! Simulation 1: success depends on nothing. Simulation 2: one planted effect in one tenth of a parameter's range.
 //! Simulation 3: the box of the advice, at a rate that reaches the target nowhere or only in a small part. Deterministic:
@@ -22,32 +23,36 @@ const BEST_SETS: [u64; 2] = [2_000, 1_000];
 fn main() {
     let sets: u64 = std::env::args().nth(1).map_or(200, |word| word.parse().unwrap());
     // Without further arguments all simulations run.
-    let chosen: Vec<String> = std::env::args().skip(2).collect();
+    let (rows, chosen): (Vec<String>, Vec<String>) = std::env::args().skip(2).partition(|word| word.contains('/'));
     let wanted = |number: &str| chosen.is_empty() || chosen.iter().any(|word| word == number);
+    let row = |rate: f64, of: u64| rows.is_empty() || rows.contains(&format!("{rate}/{of}"));
     if wanted("1") {
-        noise(sets);
+        noise(sets, &row);
     }
     if wanted("2") {
-        planted_effects(sets);
+        planted_effects(sets, &row);
     }
     if wanted("3") {
         boxes(sets);
     }
 }
 
-fn noise(sets: u64) {
+/// Whether the row of this rate and number of episodes is measured.
+type Wanted<'a> = &'a dyn Fn(f64, u64) -> bool;
+
+fn noise(sets: u64, wanted: Wanted<'_>) {
     println!("Simulation 1: success depends on none of 10 parameters; {sets} sets each");
     println!("| rate | rows | reports that name anything |");
     println!("|---|---|---|");
     for rate in [0.01, 0.1, 0.5, 0.99] {
-        for rows in [300, 1_000, 3_000, 10_000] {
+        for rows in [300, 1_000, 3_000, 10_000].into_iter().filter(|rows| wanted(rate, *rows)) {
             let reports = (0..sets).filter(|seed| !named(&simulated(*seed, rows, |_| rate)).is_empty()).count();
             println!("| {rate} | {rows} | {} |", share(reports, sets));
         }
     }
 }
 
-fn planted_effects(sets: u64) {
+fn planted_effects(sets: u64, wanted: Wanted<'_>) {
     println!(
         "\nSimulation 2: odds of success divided or multiplied by 3 in one tenth of one parameter; {sets} sets each"
     );
@@ -60,7 +65,7 @@ fn planted_effects(sets: u64) {
             // Rows at which the effect becomes visible, where 3,000 are too few.
             let more =
                 if named_by_best(rate, ratio, ROWS) < 0.95 { vec![ROWS, 2 * ROWS, 3 * ROWS] } else { vec![ROWS] };
-            for rows in more {
+            for rows in more.into_iter().filter(|rows| wanted(rate, *rows)) {
                 let (mut first, mut any, mut other) = (0, 0, 0);
                 for seed in 0..sets {
                     // The tenth lies anywhere in the range, also at its ends.

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use robogate_core::{FailureMode, Value, Word};
+use robogate_core::{Allowed, FailureMode, ParameterSpec, Value, Word};
 use robogate_gate::{Effect, Ending, GateError, Record, Sampling, Twins};
 
 use crate::common::{failed, invalid, sampled, suite};
@@ -55,8 +55,15 @@ fn of_families(of: impl Fn(u64) -> (f64, f64), success: impl Fn(u64) -> bool) ->
     let mut record = sampled((0..40).map(|i| ending(success(i))));
     let task = Arc::make_mut(&mut record.task);
     for (name, family) in [("friction", "contact"), ("mass_kg", "load")] {
-        let spec = task.parameters.iter_mut().find(|spec| &*spec.name == name).unwrap();
-        spec.family = Some(Word::constant(family));
+        task.parameters.push(ParameterSpec {
+            name: name.into(),
+            unit: String::new(),
+            meaning: String::new(),
+            allowed: Allowed::Continuous { low: 0.0, high: 9.0 },
+            nominal: Some(Value::Number(0.5)),
+            read_from: String::new(),
+            family: Some(Word::constant(family)),
+        });
     }
     for trial in &mut record.trials {
         let (friction, mass) = of(trial.index);

@@ -30,6 +30,7 @@ mod openpi;
 #[cfg(all(feature = "mujoco", feature = "rapier"))]
 mod pages;
 mod policy;
+mod prior;
 mod shards;
 mod signatures;
 mod study;
