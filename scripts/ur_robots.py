@@ -18,6 +18,9 @@ HOME = (0.0, -90.0, 90.0, -90.0, -90.0, 0.0)  # degrees
 
 # The suction tool: a plate on the flange, a stem, the cup. RoboGate chose its size and mass.
 TCP, CUP_LENGTH, CUP_RADIUS = 0.12, 0.02, 0.02
+# The spring of the cup along its axis: how far the lip can be pressed back (m) and the stiffness (N/m).
+# RoboGate chose both for a bellows cup of this size; the data sheet of a cup states its own.
+STROKE, STIFFNESS = 0.01, 3000.0
 
 ROBOTS = {
     "ur3e": dict(
@@ -236,6 +239,11 @@ kind = "suction"
 cup_body = "suction_cup"
 cup_diameter_m = {2 * CUP_RADIUS}
 vacuum_pa = 60000.0
+
+# The spring of the cup along its axis. RoboGate chose both figures; the data sheet of your cup states its own.
+[gripper.bellows]
+stroke_m = {STROKE}
+stiffness_n_m = {STIFFNESS}
 """
 
 

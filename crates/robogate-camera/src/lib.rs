@@ -79,6 +79,8 @@ pub struct Posture {
     pub joints: Vec<f64>,
     /// Opening between the pads, in metres; `None` for a gripper without fingers.
     pub opening_m: Option<f64>,
+    /// How far the lip of a suction cup is pressed back, in metres.
+    pub cup_travel_m: f64,
     /// Pose of the object.
     pub object: Isometry3<f64>,
     /// Poses of the other free bodies, in the order of the scene.
@@ -97,6 +99,7 @@ impl Cameras {
         let waiting = Posture {
             joints: robot.settings.arm.home_rad.clone(),
             opening_m: None,
+            cup_travel_m: 0.0,
             object: Isometry3::identity(),
             others: Vec::new(),
             fixtures: Vec::new(),

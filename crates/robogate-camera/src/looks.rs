@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_physics::description::{Description, LinkLook, Solid};
-use robogate_physics::{FingerMotion, Robot, RobotError, RobotSource};
+use robogate_physics::{BELLOWS_JOINT, FingerMotion, Robot, RobotError, RobotSource};
 
 use crate::Posture;
 use crate::body::Form;
@@ -62,6 +62,8 @@ enum Drive {
     Finger,
     /// A joint of fingers with drives, by its index in their motion.
     Linkage(usize),
+    /// The spring of a suction cup.
+    Bellows,
     /// `factor` times the joint of another link plus `offset`.
     Follows { link: usize, factor: f64, offset: f64 },
     /// No source: the joint stays at 0.
@@ -123,6 +125,11 @@ impl RobotLooks {
 
     /// Poses of the links.
     pub(crate) fn links(&self, posture: &Posture) -> Vec<Isometry3<f64>> {
+        self.links_with(posture, posture.cup_travel_m)
+    }
+
+    /// Poses of the links with a cup that is pressed back by `travel` (m).
+    fn links_with(&self, posture: &Posture, travel: f64) -> Vec<Isometry3<f64>> {
         let mut poses: Vec<Isometry3<f64>> = Vec::with_capacity(self.links.len());
         // Without an opening the gripper is open.
         let opening = posture.opening_m.unwrap_or(f64::INFINITY);
@@ -131,6 +138,7 @@ impl RobotLooks {
             let pose = hinge.as_ref().map_or_else(Isometry3::identity, |hinge| {
                 let q = match (hinge.drive, &linkage) {
                     (Drive::Linkage(i), Some(joints)) => joints.get(i).copied().unwrap_or_default(),
+                    (Drive::Bellows, _) => -travel,
                     (drive, _) => self.position(drive, posture),
                 };
                 let motion = if hinge.slides {
@@ -147,9 +155,9 @@ impl RobotLooks {
         poses
     }
 
-    /// Pose of the tool centre point.
+    /// Pose of the tool centre point, with a relaxed cup: the wrist camera does not move with the lip.
     pub(crate) fn tool(&self, posture: &Posture) -> Isometry3<f64> {
-        self.links(posture).get(self.tool.0).copied().unwrap_or_default() * self.tool.1
+        self.links_with(posture, 0.0).get(self.tool.0).copied().unwrap_or_default() * self.tool.1
     }
 
     fn position(&self, drive: Drive, posture: &Posture) -> f64 {
@@ -163,7 +171,7 @@ impl RobotLooks {
                 };
                 factor * led + offset
             }
-            Drive::Linkage(_) | Drive::Nothing => 0.0,
+            Drive::Linkage(_) | Drive::Bellows | Drive::Nothing => 0.0,
         }
     }
 }
@@ -173,6 +181,9 @@ fn drive(joint: &str, robot: &Robot, description: &Description, fingers: Option<
     let settings = &robot.settings;
     if let Some(i) = settings.arm.joints.iter().position(|name| name == joint) {
         return Drive::Arm(i);
+    }
+    if joint == BELLOWS_JOINT {
+        return Drive::Bellows;
     }
     if settings.gripper.jaw().is_some_and(|jaw| jaw.slides().iter().any(|name| name == joint)) {
         return Drive::Finger;

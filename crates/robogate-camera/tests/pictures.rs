@@ -49,6 +49,7 @@ fn at_start(robot: &Robot, scene: &Scene) -> Posture {
     Posture {
         joints: robot.settings.arm.home_rad.clone(),
         opening_m: Some(0.08),
+        cup_travel_m: 0.0,
         object: scene.object_pose,
         others: Vec::new(),
         fixtures: scene.fixtures.iter().map(|fixture| fixture.part.pose).collect(),
@@ -151,6 +152,7 @@ fn in_front(point: [f64; 3]) -> [usize; 2] {
     let posture = Posture {
         joints: vec![0.0; 7],
         opening_m: None,
+        cup_travel_m: 0.0,
         object: Default::default(),
         others: Vec::new(),
         fixtures: Vec::new(),

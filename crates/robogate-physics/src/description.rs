@@ -7,8 +7,8 @@ use mjcf_rs::body::{Geom, GeomType, InertiaSpec, Joint, JointType};
 use mjcf_rs::equality::Equality;
 use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, Unit, UnitQuaternion, Vector3};
 
-use crate::robot::RobotSource;
-use crate::{Chain, ChainJoint, Problem, Robot, RobotError};
+use crate::robot::{BELLOWS_JOINT, RobotSource};
+use crate::{Bellows, Chain, ChainJoint, Problem, Robot, RobotError};
 
 /// A tree of rigid bodies. A body without a joint is part of its parent link.
 #[derive(Debug, Clone)]
@@ -181,6 +181,7 @@ impl Reader<'_> {
             looks: Vec::new(),
         };
         let mut links = vec![base];
+        let spring = self.spring(robot)?;
         // For each MJCF body: the link that it is part of, and its pose there at joint positions 0.
         let mut places: Vec<(usize, Isometry3<f64>)> = Vec::with_capacity(self.model.bodies.len());
         for (id, entry) in self.model.bodies.iter().enumerate() {
@@ -193,11 +194,20 @@ impl Reader<'_> {
                 }
                 None => (0, Isometry3::identity()),
             };
-            let place = match body.joints.as_slice() {
-                [] => (parent, placement),
-                [joint] => {
+            let spring = spring.filter(|(cup, ..)| *cup == id);
+            let joint = match (body.joints.as_slice(), spring) {
+                ([], None) => None,
+                ([], Some((_, axis, bellows))) => Some(bellows_joint(parent, &placement, &axis, &bellows)),
+                ([joint], None) => Some(self.joint(joint, parent, &placement, &name)?),
+                (_, None) => return Err(format!("body `{name}` has several joints; give each joint a separate body")),
+                (_, Some(_)) => return Err(format!("gripper.bellows: the body `{name}` has a joint of its own")),
+            };
+            let moves = joint.is_some();
+            let place = match joint {
+                None => (parent, placement),
+                Some(joint) => {
                     links.push(Link {
-                        joint: Some(self.joint(joint, parent, &placement, &name)?),
+                        joint: Some(joint),
                         mass: 0.0,
                         centre: Vector3::zeros(),
                         inertia: Matrix3::zeros(),
@@ -206,7 +216,6 @@ impl Reader<'_> {
                     });
                     (links.len() - 1, Isometry3::identity())
                 }
-                _ => return Err(format!("body `{name}` has several joints; give each joint a separate body")),
             };
             places.push(place);
             let (link, within) = (&mut links[place.0], place.1);
@@ -227,7 +236,7 @@ impl Reader<'_> {
                 };
                 let rotation = frame.rotation.to_rotation_matrix();
                 link.add(inertial.mass, frame.translation.vector, rotation * about * rotation.inverse());
-            } else if !body.joints.is_empty() {
+            } else if moves {
                 return Err(format!("body `{name}` moves but has no <inertial>, which Rapier requires"));
             }
         }
@@ -262,6 +271,29 @@ impl Reader<'_> {
         Ok(Description { chain, couplings, links, tcp, bodies })
     }
 
+    /// The spring of a suction cup: the index of the cup's body, and the tool's z axis in its frame.
+    fn spring(&self, robot: &Robot) -> Result<Option<(usize, Unit<Vector3<f64>>, Bellows)>, String> {
+        let Some(cup) = robot.settings.gripper.cup() else { return Ok(None) };
+        let Some(bellows) = cup.bellows else { return Ok(None) };
+        let tcp = &robot.settings.arm.tcp_site;
+        let (body, rotation) = match robot.settings.sites.iter().find(|site| site.name == *tcp) {
+            Some(site) => {
+                let [roll, pitch, yaw] = site.rpy_rad;
+                (self.model.body_id_by_name(&site.body), UnitQuaternion::from_euler_angles(roll, pitch, yaw))
+            }
+            None => {
+                let (body, site) =
+                    self.model.site_by_name(tcp).ok_or_else(|| format!("the model has no site `{tcp}`"))?;
+                (Some(body), isometry(&self.model.bodies[body].body.sites[site].pose).rotation)
+            }
+        };
+        let on_cup = body.filter(|body| self.model.body_id_by_name(&cup.cup_body) == Some(*body));
+        let body = on_cup.ok_or_else(|| {
+            format!("gripper.bellows: the site `{tcp}` is not on the body `{}`, which the spring moves", cup.cup_body)
+        })?;
+        Ok(Some((body, rotation * Vector3::z_axis(), bellows)))
+    }
+
     fn joint(&self, joint: &Joint, parent: usize, placement: &Isometry3<f64>, body: &str) -> Result<LinkJoint, String> {
         let name = joint.name.clone().unwrap_or_else(|| format!("the joint of body `{body}`"));
         let slides = match joint.type_ {
@@ -270,9 +302,7 @@ impl Reader<'_> {
             JointType::Ball | JointType::Free => return Err(format!("`{name}` is neither a hinge nor a slide")),
         };
         let axis = Unit::try_new(Vector3::from(joint.axis), 1e-12).ok_or_else(|| format!("`{name}` has no axis"))?;
-        let rotation = UnitQuaternion::rotation_between_axis(&Vector3::x_axis(), &axis)
-            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI));
-        let in_link = Isometry3::from_parts(Translation3::from(Vector3::from(joint.pos)), rotation);
+        let in_link = Isometry3::from_parts(Translation3::from(Vector3::from(joint.pos)), turned_to(&axis));
         let limited = joint.limited.resolve(self.model.compiler.autolimits, joint.range.is_some());
         Ok(LinkJoint {
             name,
@@ -421,14 +451,39 @@ pub(crate) fn isometry(pose: &mjcf_rs::Pose) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::new(t.x, t.y, t.z), rotation)
 }
 
+/// The joint of a cup's spring along this axis of its body.
+fn bellows_joint(parent: usize, placement: &Isometry3<f64>, axis: &Unit<Vector3<f64>>, bellows: &Bellows) -> LinkJoint {
+    let in_link = Isometry3::from_parts(Translation3::identity(), turned_to(axis));
+    LinkJoint {
+        name: BELLOWS_JOINT.to_owned(),
+        parent,
+        in_parent: placement * in_link,
+        in_link,
+        slides: true,
+        range: Some([-bellows.stroke_m, 0.0]),
+        armature: 0.0,
+        damping: 0.0,
+    }
+}
+
+/// A rotation that turns the x axis to this axis.
+fn turned_to(axis: &Unit<Vector3<f64>>) -> UnitQuaternion<f64> {
+    UnitQuaternion::rotation_between_axis(&Vector3::x_axis(), axis)
+        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI))
+}
+
 /// The serial chain of the arm's joints, tool and flange at its end.
 fn chain(
     links: &[Link],
     robot: &Robot,
-    tcp: (usize, Isometry3<f64>),
+    mut tcp: (usize, Isometry3<f64>),
     flange: (usize, Isometry3<f64>),
 ) -> Result<Chain, String> {
     let arm = &robot.settings.arm;
+    // The kinematics are those of the relaxed cup.
+    if let Some(joint) = links[tcp.0].joint.as_ref().filter(|joint| joint.name == BELLOWS_JOINT) {
+        tcp = (joint.parent, joint.in_parent * joint.in_link.inverse() * tcp.1);
+    }
     let mut path = vec![tcp.0];
     while let Some(joint) = links[path[path.len() - 1]].joint.as_ref() {
         path.push(joint.parent);

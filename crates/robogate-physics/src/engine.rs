@@ -46,6 +46,11 @@ pub trait Engine {
         self.opening()
     }
 
+    /// How far the lip of a suction cup is pressed back against its spring, in metres; 0 without a spring.
+    fn cup_travel(&self) -> f64 {
+        0.0
+    }
+
     /// Selects the free body that is "the object" in all other methods and in [`Touches`]: 0 is the object of the scene,
     /// then come the others. [`Engine::load`] selects 0. A body that the cup holds stays selected.
     fn select(&mut self, body: usize);
@@ -148,6 +153,10 @@ impl<E: Engine + ?Sized> Engine for Box<E> {
 
     fn drive_opening(&self) -> Option<f64> {
         (**self).drive_opening()
+    }
+
+    fn cup_travel(&self) -> f64 {
+        (**self).cup_travel()
     }
 
     fn select(&mut self, body: usize) {
@@ -313,19 +322,38 @@ pub struct Touches {
     pub body_on_object: bool,
     /// Whether the object touches a fixture or another free body.
     pub object_on_fixture: bool,
-    /// The strongest contact of the robot with a fixture.
+    /// The strongest contact of the robot with a fixture or with itself.
     pub collision: Option<Collision>,
     /// The largest contact force on any body of the robot.
     pub peak_force: Option<f64>,
 }
 
-/// A contact of the robot with a fixture.
+/// A contact of the robot with a fixture or with itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Collision {
     /// The robot's body, for [`Engine::robot_body`].
     pub robot_body: usize,
-    /// The fixture's index in the scene.
-    pub fixture: usize,
+    /// The body that it hit.
+    pub hit: Hit,
     /// Normal force in newtons.
     pub force: f64,
+}
+
+/// The body that the robot hit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Hit {
+    /// A fixture, by its index in the scene.
+    Fixture(usize),
+    /// Another body of the robot, for [`Engine::robot_body`]. MuJoCo alone reports such contacts.
+    Itself(usize),
+}
+
+impl Hit {
+    /// The name in reports: that of the fixture, or `self (BODY)`. `fixture` and `body` return the names.
+    pub fn name(self, fixture: impl FnOnce(usize) -> String, body: impl FnOnce(usize) -> String) -> String {
+        match self {
+            Self::Fixture(index) => fixture(index),
+            Self::Itself(index) => format!("self ({})", body(index)),
+        }
+    }
 }

@@ -40,15 +40,27 @@ pub struct Grasp {
     pub held: bool,
 }
 
-/// Grasps a part. `None` if the arm cannot lift it from its home posture.
+/// Grasps a part. The part is lifted from the tool's place at home, or up to it if the arm cannot move higher. `None`, with a
+/// problem, if the arm can do neither.
 pub(crate) fn test(robot: &Robot, problems: &mut Vec<Problem>) -> Option<Grasp> {
     let settings = robot.settings.clone();
     let engine = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).ok()?;
     let mut plant = Plant::new(engine, PERIOD_S, None).ok()?;
     let (chain, home) = (plant.engine.chain().clone(), settings.arm.home_rad.clone());
-    let tcp = chain.tcp_at(&home);
-    let lifted = Isometry3::from_parts(Translation3::new(0.0, 0.0, LIFT.0) * tcp.translation, tcp.rotation);
-    let lifted = chain.reach(&lifted, &home).ok()?;
+    let at_home = chain.tcp_at(&home);
+    let moved = |up: f64| {
+        let goal = Isometry3::from_parts(Translation3::new(0.0, 0.0, up) * at_home.translation, at_home.rotation);
+        chain.reach(&goal, &home).ok()
+    };
+    let ends = moved(LIFT.0).map(|up| (home.clone(), up)).or_else(|| moved(-LIFT.0).map(|down| (down, home.clone())));
+    let Some((low, lifted)) = ends else {
+        problems.push(Problem::new(
+            format!("the grasp was not tested: from arm.home_rad the tool moves neither {0:.0} mm up nor {0:.0} mm down", 1e3 * LIFT.0),
+            "choose an arm.home_rad over the middle of the workspace, away from the ends of the arm's reach and of the joints' ranges",
+        ));
+        return None;
+    };
+    let tcp = chain.tcp_at(&low);
     let (part_m, limit_n) = match &settings.gripper {
         Gripper::ParallelJaw(jaw) => ((0.5 * jaw.opening_m).min(LARGEST.0), FRICTION * jaw.force_n),
         Gripper::Suction(cup) => ((1.25 * cup.cup_diameter_m).max(0.02), 0.25 * cup.force_n()),
@@ -77,11 +89,16 @@ pub(crate) fn test(robot: &Robot, problems: &mut Vec<Problem>) -> Option<Grasp> 
         let in_hand = plant.engine.tcp().inverse_transform_point(&plant.engine.object().translation.vector.into());
         Some((0.5 * forces / f64::from(steps.max(1)), in_hand.coords.norm(), cup))
     };
-    let between = |share: f64| home.iter().zip(&lifted).map(|(a, b)| a + share * (b - a)).collect::<Vec<f64>>();
+    let path = |from: &[f64], to: &[f64], share: f64| -> Vec<f64> {
+        from.iter().zip(to).map(|(a, b)| a + share * (b - a)).collect()
+    };
     let closing_s = settings.gripper.jaw().map_or(0.5, |jaw| 0.5 + 0.5 * jaw.opening_m / jaw.finger_speed_m_s);
-    run(0.2, &|_| home.clone(), GripperCommand::Open)?;
-    let (_, before, _) = run(closing_s, &|_| home.clone(), GripperCommand::Close)?;
-    run(LIFT.1, &between, GripperCommand::Close)?;
+    if low != home {
+        run(LIFT.1, &|share| path(&home, &low, share), GripperCommand::Open)?;
+    }
+    run(0.2, &|_| low.clone(), GripperCommand::Open)?;
+    let (_, before, _) = run(closing_s, &|_| low.clone(), GripperCommand::Close)?;
+    run(LIFT.1, &|share| path(&low, &lifted, share), GripperCommand::Close)?;
     let (force, after, cup) = run(HOLD_S, &|_| lifted.clone(), GripperCommand::Close)?;
     let slip_m = (after - before).abs();
     let jaw = settings.gripper.jaw();

@@ -334,9 +334,11 @@ fn home_is_free(engine: &mut MujocoEngine, scene: &Scene, problems: &mut Vec<Pro
     let touches = engine.touches();
     let on_object = touches.body_on_object || touches.fingers.iter().any(Option::is_some);
     if let Some(collision) = touches.collision {
-        let (body, fixture) = (engine.robot_body(collision.robot_body), &scene.fixtures[collision.fixture].name);
+        let body = engine.robot_body(collision.robot_body);
+        let fixture = |index: usize| scene.fixtures.get(index).map_or_else(String::new, |fixture| fixture.name.clone());
+        let hit = collision.hit.name(fixture, |body| engine.robot_body(body));
         problems.push(Problem::new(
-            format!("at home `{body}` touches the {fixture}"),
+            format!("at home `{body}` touches the {hit}"),
             "choose another arm.home_rad; the table's top is the plane z = 0 and starts 0.15 m in front of the base",
         ));
     }

@@ -45,7 +45,9 @@ mod visual;
 
 #[cfg(feature = "mujoco")]
 pub use draft::{Draft, draft};
-pub use engine::{Collision, Engine, EngineBuild, FixtureRead, FreeBodyRead, JointTargets, Readback, Touches, Wrench};
+pub use engine::{
+    Collision, Engine, EngineBuild, FixtureRead, FreeBodyRead, Hit, JointTargets, Readback, Touches, Wrench,
+};
 pub use finger_motion::FingerMotion;
 #[cfg(feature = "mujoco")]
 pub use grasp::Grasp;
@@ -64,8 +66,8 @@ pub use primitive::{Part, Primitive};
 #[cfg(feature = "rapier")]
 pub use rapier::RapierEngine;
 pub use robot::{
-    Arm, FingerDrive, Gripper, ParallelJaw, Problem, Robot, RobotError, RobotFile, RobotSettings, RobotSource, Site,
-    SuctionCup, built_in_robot, built_in_robots, is_folder,
+    Arm, BELLOWS_JOINT, Bellows, FingerDrive, Gripper, ParallelJaw, Problem, Robot, RobotError, RobotFile,
+    RobotSettings, RobotSource, Site, SuctionCup, built_in_robot, built_in_robots, is_folder,
 };
 pub use scene::{
     Fixture, FixtureKind, FreeBody, GRAVITY, GripperUnit, Object, Scene, TABLE_CENTRE, TABLE_HALF, WORKSPACE_CENTRE,

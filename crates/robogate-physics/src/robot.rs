@@ -166,7 +166,36 @@ pub struct SuctionCup {
     pub cup_diameter_m: f64,
     /// Pressure in the cup below the ambient pressure, in pascals.
     pub vacuum_pa: f64,
+    /// The spring of the cup along its axis. Without it the cup is rigid.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bellows: Option<Bellows>,
 }
+
+/// The spring of a suction cup along the tool's z axis: a bellows, or a plunger that carries the cup. It lets the lip move back
+/// and is rigid in all other directions. The site of `arm.tcp_site` is the lip of the relaxed cup.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Bellows {
+    /// How far the lip can be pressed back, in metres. Beyond, the cup is rigid.
+    pub stroke_m: f64,
+    /// Stiffness, in N/m.
+    pub stiffness_n_m: f64,
+}
+
+impl Bellows {
+    /// Damping of the spring, in N s/m: critical for a cup of this mass (kg) without a part.
+    pub(crate) fn damping_ns_m(&self, cup_kg: f64) -> f64 {
+        2.0 * (self.stiffness_n_m * cup_kg).sqrt()
+    }
+
+    /// How far a force (N) presses the lip back, in metres.
+    pub fn travel_m(&self, force_n: f64) -> f64 {
+        (force_n / self.stiffness_n_m).clamp(0.0, self.stroke_m)
+    }
+}
+
+/// Name of the joint of a cup's spring in models. Its position is 0 if the cup is relaxed and negative if it is pressed.
+pub const BELLOWS_JOINT: &str = "robogate/bellows";
 
 impl Gripper {
     /// The fingers, if the gripper has fingers.
@@ -218,7 +247,14 @@ impl Gripper {
                 ("gripper.palm_m", jaw.palm_m),
             ],
             Self::Suction(cup) => {
-                vec![("gripper.cup_diameter_m", cup.cup_diameter_m), ("gripper.vacuum_pa", cup.vacuum_pa)]
+                let cup_itself = [("gripper.cup_diameter_m", cup.cup_diameter_m), ("gripper.vacuum_pa", cup.vacuum_pa)];
+                let spring = cup.bellows.iter().flat_map(|bellows| {
+                    [
+                        ("gripper.bellows.stroke_m", bellows.stroke_m),
+                        ("gripper.bellows.stiffness_n_m", bellows.stiffness_n_m),
+                    ]
+                });
+                cup_itself.into_iter().chain(spring).collect()
             }
         }
     }

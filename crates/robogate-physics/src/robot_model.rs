@@ -7,12 +7,12 @@ use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::MjsBody;
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
-use crate::mujoco::sweep;
-use crate::mujoco::{PREFIX, ROBOT, wxyz};
-use crate::robot::RobotSource;
+use crate::mujoco::{PREFIX, ROBOT, links, sweep, wxyz};
+use crate::robot::{BELLOWS_JOINT, RobotSource};
 use crate::scene::isometry;
 use crate::{
-    Chain, ChainJoint, FingerMotion, Gripper, ParallelJaw, Problem, Robot, RobotSettings, Site, contact, mesh_files,
+    Bellows, Chain, ChainJoint, FingerMotion, Gripper, ParallelJaw, Problem, Robot, RobotSettings, Site, SuctionCup,
+    contact, mesh_files,
 };
 
 /// Group of the model's own actuators, which is disabled: `robot.toml` defines the drives.
@@ -41,6 +41,7 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain, Opt
     for site in &settings.sites {
         add_site(&mut spec, site, &mut problems);
     }
+    links::name_bodies(&mut spec);
     check_names(&spec, settings, &mut problems);
     let named = problems.is_empty();
     if settings.gripper.jaw().is_some() {
@@ -48,6 +49,14 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain, Opt
         sweep::remove_friction(&mut spec, &arm);
     }
     add_drives(&mut spec, settings, &mut problems);
+    // A spring with wrong figures is a problem of the settings.
+    if let Some(cup) = settings.gripper.cup().filter(|_| named)
+        && let Some(bellows) = &cup.bellows
+        && bellows.stroke_m > 0.0
+        && bellows.stiffness_n_m > 0.0
+    {
+        add_bellows(&mut spec, settings, cup, bellows, &mut problems);
+    }
     let compiled = spec.clone().compile().or_else(|error| {
         let missing = leave_out_missing_meshes(&mut spec, robot);
         if missing.is_empty() {
@@ -78,6 +87,7 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain, Opt
         Some(jaw) => Some(finger_motion(&mut spec, settings, jaw)?),
         None => None,
     };
+    links::let_links_collide(&mut spec, model, settings, fingers.as_ref());
     Ok((spec, chain, fingers))
 }
 
@@ -298,6 +308,64 @@ fn add_drives(spec: &mut MjSpec, settings: &RobotSettings, problems: &mut Vec<Pr
     }
 }
 
+/// Adds the spring of a suction cup: a slide of the cup's body along the tool's z axis.
+fn add_bellows(
+    spec: &mut MjSpec,
+    settings: &RobotSettings,
+    cup: &SuctionCup,
+    bellows: &Bellows,
+    problems: &mut Vec<Problem>,
+) {
+    // A model that does not compile is reported by the caller.
+    let Ok(model) = spec.clone().compile() else { return };
+    let body = model.name_to_id(MjtObjBase::mjOBJ_BODY, &cup.cup_body);
+    let tcp = model.name_to_id(MjtObjBase::mjOBJ_SITE, &settings.arm.tcp_site);
+    let (Some(body), Some(tcp)) = (body, tcp) else { return };
+    let (name, site) = (&cup.cup_body, &settings.arm.tcp_site);
+    let mass = model.body_subtreemass()[body];
+    let problem = if model.site_bodyid()[tcp] as usize != body {
+        Some((
+            format!("gripper.bellows: the site `{site}` is not on the body `{name}`, which the spring moves"),
+            "put the site on the cup's own body",
+        ))
+    } else if model.body_jntnum()[body] > 0 {
+        Some((
+            format!("gripper.bellows: the body `{name}` has a joint of its own"),
+            "remove the joint from the model: RoboGate adds the spring",
+        ))
+    } else if mass <= 0.0 {
+        Some((
+            format!("gripper.bellows: the body `{name}` moves on its spring but has no mass"),
+            "give it the mass of the cup, for example 0.03 kg",
+        ))
+    } else {
+        None
+    };
+    if let Some((what, hint)) = problem {
+        problems.push(Problem::new(what, hint));
+        return;
+    }
+    let axis = isometry(&model.site_pos()[tcp], &model.site_quat()[tcp]).rotation * Vector3::z();
+    let Some(body) = spec.body_mut(name) else { return };
+    let joint = body.add_joint().with_name(BELLOWS_JOINT);
+    joint.set_type(MjtJoint::mjJNT_SLIDE);
+    *joint.pos_mut() = [0.0; 3];
+    *joint.axis_mut() = axis.into();
+    *joint.range_mut() = [-bellows.stroke_m, 0.0];
+    joint.set_limited(mjtLimited::mjLIMITED_TRUE);
+    joint.stiffness_mut().fill(0.0);
+    joint.stiffness_mut()[0] = bellows.stiffness_n_m;
+    joint.damping_mut().fill(0.0);
+    joint.damping_mut()[0] = bellows.damping_ns_m(mass);
+    // The defaults of a robot's file do not apply to the spring.
+    joint.set_springref(0.0);
+    joint.set_armature(0.0);
+    joint.set_frictionloss(0.0);
+    joint.set_margin(0.0);
+    joint.solref_limit_mut()[..2].copy_from_slice(&[contact::TIME_CONSTANT_S, 1.0]);
+    joint.solimp_limit_mut()[..3].copy_from_slice(&contact::LIMIT_IMPEDANCE);
+}
+
 /// Reports the meshes without a file, and replaces them by small balls.
 fn leave_out_missing_meshes(spec: &mut MjSpec, robot: &Robot) -> Vec<Problem> {
     let RobotSource::Folder(folder) = &robot.source else { return Vec::new() };
@@ -487,6 +555,10 @@ fn chain(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Problem>)
         let first = model.body_jntadr()[body];
         for joint in (0..model.body_jntnum()[body]).map(|k| (first + k) as usize) {
             let name = model.id_to_name(MjtObjBase::mjOBJ_JOINT, joint).unwrap_or("(without a name)");
+            // The kinematics are those of the relaxed cup.
+            if name == BELLOWS_JOINT {
+                continue;
+            }
             let expected = arm.joints.get(joints.len());
             if expected.and_then(|expected| joint_id(model, expected)) != Some(joint) {
                 let expected = expected.map_or("no more".to_owned(), |name| format!("`{name}`"));

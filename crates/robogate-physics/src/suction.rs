@@ -299,7 +299,7 @@ mod tests {
     const CUP: f64 = 0.04;
 
     fn cup() -> SuctionCup {
-        SuctionCup { cup_body: "cup".to_owned(), cup_diameter_m: CUP, vacuum_pa: 60_000.0 }
+        SuctionCup { cup_body: "cup".to_owned(), cup_diameter_m: CUP, vacuum_pa: 60_000.0, bellows: None }
     }
 
     fn cube(size: f64) -> Primitive {

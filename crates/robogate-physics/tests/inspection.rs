@@ -139,6 +139,34 @@ fn trial_reports_dynamic_problems() {
 }
 
 #[test]
+fn spring_of_a_cup_is_checked() {
+    const CUP: &str = include_str!("../../../assets/robots/ur5e/ur5e.xml");
+    const CUP_SETTINGS: &str = include_str!("../../../assets/robots/ur5e/robot.toml");
+    let reported = |name: &str, model: &str, settings: &str| {
+        let inspection = look(&folder(name, &[("ur5e.xml", model), ("robot.toml", settings)]));
+        assert_eq!(inspection.problems.len(), 1, "{name}: {:#?}", inspection.problems);
+        inspection.problems[0].what.clone()
+    };
+    let elsewhere = change(CUP_SETTINGS, "tcp_site = \"tcp\"", "tcp_site = \"lip\"");
+    let elsewhere =
+        format!("{elsewhere}\n[[site]]\nname = \"lip\"\nbody = \"suction_tool\"\nposition_m = [0.0, 0.0, 0.12]\n");
+    assert!(reported("spring-site", CUP, &elsewhere).contains("site `lip` is not on the body `suction_cup`"));
+    let jointed = change(
+        CUP,
+        "<body name=\"suction_cup\" pos=\"0 0 0.1\">",
+        "<body name=\"suction_cup\" pos=\"0 0 0.1\"><joint name=\"own\" class=\"turn\"/>",
+    );
+    let inspection = look(&folder("spring-joint", &[("ur5e.xml", &jointed), ("robot.toml", CUP_SETTINGS)]));
+    assert!(
+        inspection.problems.iter().any(|p| p.what.contains("`suction_cup` has a joint of its own")),
+        "{:#?}",
+        inspection.problems
+    );
+    let short = change(CUP_SETTINGS, "stroke_m = 0.01", "stroke_m = 0.0");
+    assert!(reported("spring-stroke", CUP, &short).contains("gripper.bellows.stroke_m = 0"));
+}
+
+#[test]
 fn incomplete_folder_names_missing_files() {
     for (name, files, part) in [
         ("empty", vec![("readme.txt", "")], "robot.toml"),

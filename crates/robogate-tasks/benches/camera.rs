@@ -76,6 +76,7 @@ fn at_home(robot: &Robot, settings: Vec<(&'static str, Value)>) -> (Scene, Postu
     let posture = Posture {
         joints: robot.settings.arm.home_rad.clone(),
         opening_m: robot.settings.gripper.jaw().map(|jaw| jaw.opening_m),
+        cup_travel_m: 0.0,
         object: scene.object_pose,
         others: Vec::new(),
         fixtures: scene.fixtures.iter().map(|fixture| fixture.part.pose).collect(),

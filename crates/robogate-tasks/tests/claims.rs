@@ -10,7 +10,7 @@ use std::sync::Arc;
 use common::EngineKind;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Assignment, FailureMode, Outcome, ParameterSpace, Scenario, Seed, Suite, Value, rollout};
-use robogate_physics::{FixtureKind, JointTargets, Scene, built_in_robot};
+use robogate_physics::{FixtureKind, Gripper, JointTargets, Scene, built_in_robot};
 use robogate_tasks::pick_place::claims::{self, ClaimResult, Setup, Workbench};
 use robogate_tasks::pick_place::{self, Placement, Rules, SceneParameters, Shape, built_in_space};
 
@@ -232,6 +232,82 @@ of_every_engine! {
             assert!((-lifted.z / heavier - 1.0).abs() < 0.01, "{lifted}");
             assert!((bent.norm() - weight * lever).abs() < 0.01 * weight * size, "{bent}");
         }
+    }
+
+    /// Presses the cup on a heavy box, from the relaxed cup to beyond its stroke. Checks that the force of the contact is
+    /// stiffness x travel within the stroke, with the travel measured between arm and lip, and that the cup is rigid beyond.
+    fn cup_presses_with_spring_force(on: EngineKind) {
+        let cell = on.ur5e();
+        let bellows = cell.robot.settings.gripper.cup().and_then(|cup| cup.bellows).unwrap();
+        let full = bellows.stiffness_n_m * bellows.stroke_m;
+        let mut engine = cell.engine();
+        let size = 0.06;
+        let values = [("mass_kg", 3.0), ("size_m", size)].map(|(name, value)| (name, Value::Number(value)));
+        let scene = scene(on, "ur5e", &[values.to_vec(), vec![("shape", Value::Category("box".into()))]].concat());
+        let home = engine.robot().settings.arm.home_rad.clone();
+        let mut top = engine.chain().tcp_at(&home);
+        top.translation.vector = scene.object_pose.translation.vector + Vector3::new(0.0, 0.0, 0.5 * size);
+        let above = engine.chain().inverse(&(Translation3::new(0.0, 0.0, 0.005) * top), &home, &home).unwrap();
+        engine.load(&scene, &above).unwrap();
+        let dt = engine.time_step();
+        let mut joints = above;
+        // Way of the tool beyond the first contact, from -5 mm, at 10 mm/s.
+        let mut measured = Vec::new();
+        for k in 0..=(0.022 / 0.01 / dt) as usize {
+            let deep = -0.005 + 0.01 * k as f64 * dt;
+            let next = engine.chain().inverse(&(Translation3::new(0.0, 0.0, -deep) * top), &joints, &home).unwrap();
+            let velocities = next.iter().zip(&joints).map(|(next, last)| (next - last) / dt).collect();
+            joints.clone_from(&next);
+            engine.advance(&JointTargets { positions: next, velocities, finger: 0.0 });
+            let relaxed = engine.chain().tcp_at(&engine.joint_positions());
+            let travel = (relaxed.inverse() * engine.tcp()).translation.vector;
+            // MuJoCo's poses are those of the beginning of its last step.
+            assert!(travel.xy().norm() < 5e-5 && (travel.z + engine.cup_travel()).abs() < 5e-5, "{travel}");
+            measured.push((deep, -travel.z, engine.touches().peak_force.unwrap_or(0.0)));
+        }
+        engine.health().unwrap();
+        let of = |from: f64, to: f64| measured.iter().filter(move |(_, travel, _)| (from..to).contains(travel));
+        for percent in [20, 40, 60, 80] {
+            let at = bellows.stroke_m * f64::from(percent) / 100.0;
+            let near: Vec<_> = of(at - 2e-4, at + 2e-4).collect();
+            let mean = |value: fn(&(f64, f64, f64)) -> f64| near.iter().map(|m| value(m)).sum::<f64>() / near.len() as f64;
+            let (travel, force) = (mean(|m| m.1), mean(|m| m.2));
+            println!("{on:?} {percent} %: {:.3} mm, {force:.2} N of {:.2} N", 1e3 * travel, bellows.stiffness_n_m * travel);
+            assert!((force / (bellows.stiffness_n_m * travel) - 1.0).abs() < 0.05, "{on:?} {percent} %: {force} N");
+        }
+        let (deep, travel, force) = measured[measured.len() - 1];
+        println!("{on:?} {:.1} mm deep: {:.3} mm, {force:.1} N", 1e3 * deep, 1e3 * travel);
+        assert!(travel < bellows.stroke_m + 2e-4 && force > 1.5 * full, "{on:?}: {travel} m, {force} N");
+        let free = measured.iter().filter(|(deep, ..)| *deep < -1e-3);
+        assert!(free.clone().count() > 100 && free.clone().all(|(_, travel, force)| *travel < 1e-4 && *force <= 0.0));
+    }
+
+    /// Pressed down by a tool that is too low, the cup presses with its spring instead of the arm's servos.
+    fn low_tool_presses_with_the_spring(on: EngineKind) {
+        let cell = on.ur5e();
+        let rigid = |setup: Setup| {
+            let mut setup = setup;
+            if let Gripper::Suction(cup) = &mut setup.robot.settings.gripper {
+                cup.bellows = None;
+            }
+            setup
+        };
+        let press = |setup: Setup| {
+            let (mut simulator, mut policy) = cell.bench(&setup).unwrap();
+            let mut peaks = Vec::new();
+            for index in 0..on.episodes(24) as u64 {
+                let values = [("ik_noise_rad", Value::Number(0.012)), ("size_m", Value::Number(0.05))];
+                let scenario = Scenario { index, seed: Seed::campaign(1).episode(index), ..scenario(&values) };
+                let episode = rollout(&mut *simulator, &mut *policy, &scenario);
+                peaks.push(episode.measures.get("peak_contact_force_n").unwrap_or(0.0));
+            }
+            peaks.sort_by(f64::total_cmp);
+            peaks
+        };
+        let (soft, hard) = (press(cell.setup()), press(rigid(cell.setup())));
+        println!("{on:?} peak forces with spring {soft:.0?} N, without {hard:.0?} N");
+        let largest = |forces: &[f64]| forces.last().copied().unwrap_or_default();
+        assert!(largest(&soft) < 0.5 * largest(&hard));
     }
 
     fn vacuum_cup_lifts_up_to_its_force(on: EngineKind) {

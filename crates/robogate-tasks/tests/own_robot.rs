@@ -117,7 +117,8 @@ fn wrist_from_the_side(robot: &Robot) -> Image {
     let flange = Point3::from(engine.chain().flange_at(&joints).translation.vector) + Vector3::z() * 0.05;
     let pose = Pinhole::looking(flange + Vector3::y() * 0.35, flange, &Vector3::z());
     let fixtures = scene.fixtures.iter().map(|fixture| fixture.part.pose).collect();
-    let posture = Posture { joints, opening_m: Some(0.08), object: scene.object_pose, others: Vec::new(), fixtures };
+    let (object, others) = (scene.object_pose, Vec::new());
+    let posture = Posture { joints, opening_m: Some(0.08), cup_travel_m: 0.0, object, others, fixtures };
     cameras.view(&Pinhole { pose, field_of_view_rad: 0.6, width: 64, height: 64 }, &posture).unwrap()
 }
 

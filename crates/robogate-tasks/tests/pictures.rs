@@ -51,6 +51,7 @@ fn wrist_camera_moves_with_the_tool() {
         let posture = Posture {
             joints: engine.joint_positions(),
             opening_m: engine.opening(),
+            cup_travel_m: engine.cup_travel(),
             object: engine.object(),
             others: Vec::new(),
             fixtures: Vec::new(),

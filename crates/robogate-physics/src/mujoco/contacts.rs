@@ -9,7 +9,7 @@ use robogate_core::{ContactBetween, ContactPoint, Fault};
 use super::{Kind, Loaded};
 use crate::engine::Collision;
 use crate::friction::{Against, Coefficients, Friction};
-use crate::{Touches, Wrench};
+use crate::{Hit, Touches, Wrench};
 
 impl Loaded {
     /// The friction coefficients that act between the object and every body that it can touch.
@@ -55,7 +55,11 @@ impl Loaded {
                     continue;
                 }
                 (Kind::Robot { body, .. }, Kind::Fixture(fixture))
-                | (Kind::Fixture(fixture), Kind::Robot { body, .. }) => (body, fixture),
+                | (Kind::Fixture(fixture), Kind::Robot { body, .. }) => (body, Hit::Fixture(fixture)),
+                // The body nearer to the tool hits the other one.
+                (Kind::Robot { body: one, .. }, Kind::Robot { body: two, .. }) => {
+                    (one.max(two), Hit::Itself(one.min(two)))
+                }
                 (first, second) if first == Kind::Object(selected) || second == Kind::Object(selected) => {
                     touches.object_on_fixture = true;
                     continue;
@@ -66,10 +70,10 @@ impl Loaded {
         }
         for ((robot_body, other), force) in self.forces.iter().copied() {
             touches.peak_force = Some(touches.peak_force.unwrap_or(0.0).max(force));
-            if let Some(fixture) = other
+            if let Some(hit) = other
                 && touches.collision.is_none_or(|strongest| force > strongest.force)
             {
-                touches.collision = Some(Collision { robot_body, fixture, force });
+                touches.collision = Some(Collision { robot_body, hit, force });
             }
         }
     }
@@ -113,6 +117,7 @@ impl Loaded {
                 (Kind::Object(_), Kind::Robot { .. }) => (ContactBetween::RobotAndObject, -1.0),
                 (Kind::Fixture(_), Kind::Robot { .. }) => (ContactBetween::RobotAndSurroundings, 1.0),
                 (Kind::Robot { .. }, Kind::Fixture(_)) => (ContactBetween::RobotAndSurroundings, -1.0),
+                (Kind::Robot { .. }, Kind::Robot { .. }) => (ContactBetween::RobotAndSurroundings, 1.0),
                 (Kind::Fixture(_) | Kind::Object(_), Kind::Object(_)) => (ContactBetween::ObjectAndSurroundings, 1.0),
                 (Kind::Object(_), Kind::Fixture(_)) => (ContactBetween::ObjectAndSurroundings, -1.0),
                 _ => continue,
@@ -166,8 +171,8 @@ fn contact_friction(model: &MjModel, a: usize, b: usize) -> f64 {
     }
 }
 
-/// Adds to the force between a robot body and a fixture (`None`: the object).
-fn add(forces: &mut Vec<((usize, Option<usize>), f64)>, pair: (usize, Option<usize>), force: f64) {
+/// Adds to the force between a robot body and what it touches (`None`: the object).
+fn add(forces: &mut Vec<((usize, Option<Hit>), f64)>, pair: (usize, Option<Hit>), force: f64) {
     match forces.iter_mut().find(|(known, _)| *known == pair) {
         Some((_, sum)) => *sum += force,
         None => forces.push((pair, force)),

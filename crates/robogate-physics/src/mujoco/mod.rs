@@ -7,6 +7,7 @@
 
 mod contacts;
 mod inspection;
+pub(crate) mod links;
 mod scene;
 pub(crate) mod sweep;
 
@@ -22,13 +23,16 @@ use self::sweep::DriveAt;
 use crate::finger_motion::DriveReading;
 use crate::friction::Friction;
 use crate::{
-    Chain, Engine, EngineBuild, FingerMotion, FixtureRead, FreeBodyRead, JointTargets, Motion, Primitive, Readback,
-    Robot, RobotError, Scene, Touches, Wrench, isometry, robot_model,
+    BELLOWS_JOINT, Chain, Engine, EngineBuild, FingerMotion, FixtureRead, FreeBodyRead, Hit, JointTargets, Motion,
+    Primitive, Readback, Robot, RobotError, Scene, Touches, Wrench, isometry, robot_model,
 };
 
-/// Contact masks (`contype`, `conaffinity`). The robot collides with object and fixtures, the object with fixtures. The
-/// robot does not collide with itself, because the fingers of an empty gripper touch each other when closed.
+/// Contact masks (`contype`, `conaffinity`). The robot collides with object and fixtures, the object with fixtures. At first
+/// the robot does not collide with itself: its fingers are measured through each other.
+/// [`links::let_links_collide`] changes that.
 pub(crate) const ROBOT: (i32, i32) = (1, 0);
+/// The masks of a robot whose links collide with each other.
+const ROBOT_WITH_ITSELF: (i32, i32) = (1, 1);
 const OBJECT: (i32, i32) = (2, 1);
 const FIXTURE: (i32, i32) = (0, 3);
 
@@ -70,6 +74,8 @@ struct Loaded {
     fingers: Vec<(usize, usize)>,
     /// Where the drives of other fingers act. Empty without such fingers.
     drives: Vec<DriveAt>,
+    /// Address in qpos of the spring of a suction cup.
+    bellows: Option<usize>,
     /// The collision shapes of each finger.
     pads: [Vec<usize>; 2],
     /// Distance between the pads of fingers with drives, in metres.
@@ -82,8 +88,8 @@ struct Loaded {
     selected: usize,
     tcp: usize,
     touches: Touches,
-    /// Force of each touching pair in the last step: robot body, and fixture or object.
-    forces: Vec<((usize, Option<usize>), f64)>,
+    /// Force of each touching pair in the last step: robot body, and what it touches; `None` is the object.
+    forces: Vec<((usize, Option<Hit>), f64)>,
     scene: Scene,
     /// The fixtures that move.
     movers: Vec<Mover>,
@@ -290,6 +296,7 @@ impl Engine for MujocoEngine {
                 drives.push(DriveAt::find(&model, name).ok_or_else(|| setup(format!("the model has no `{name}`")))?);
             }
         }
+        let bellows = gripper.cup().and_then(|cup| cup.bellows).map(|_| address(BELLOWS_JOINT)).transpose()?;
         let mut welds = Vec::new();
         let mut free = Vec::new();
         for i in 0..=scene.others.len() {
@@ -352,6 +359,7 @@ impl Engine for MujocoEngine {
             arm,
             fingers,
             drives,
+            bellows: bellows.map(|(qpos, _)| qpos),
             pads,
             gap: 0.0,
             welds,
@@ -478,6 +486,11 @@ impl Engine for MujocoEngine {
             }
             _ => self.opening(),
         }
+    }
+
+    fn cup_travel(&self) -> f64 {
+        let loaded = self.loaded();
+        loaded.bellows.map_or(0.0, |qpos| -loaded.data.qpos()[qpos])
     }
 
     fn attach(&mut self) {

@@ -10,7 +10,7 @@ use super::{Kind, Loaded, SUBSTEPS};
 use crate::description::isometry;
 use crate::engine::Collision;
 use crate::friction::{Against, Coefficients, Friction};
-use crate::{Touches, Wrench, contact};
+use crate::{Hit, Touches, Wrench, contact};
 
 impl Loaded {
     /// The friction coefficients that act between the object and every body that it can touch, by Rapier's rule.
@@ -197,7 +197,8 @@ impl Loaded {
                         None => self.touches.body_on_object = true,
                     },
                     Kind::Fixture(fixture) if !fixed && touch().is_some() => {
-                        self.touches.collision = Some(Collision { robot_body: body, fixture: *fixture, force: 0.0 });
+                        self.touches.collision =
+                            Some(Collision { robot_body: body, hit: Hit::Fixture(*fixture), force: 0.0 });
                     }
                     _ => {}
                 }
@@ -252,7 +253,7 @@ impl Loaded {
             if let Some(fixture) = other
                 && touches.collision.is_none_or(|strongest| force > strongest.force)
             {
-                touches.collision = Some(Collision { robot_body, fixture, force });
+                touches.collision = Some(Collision { robot_body, hit: Hit::Fixture(fixture), force });
             }
         }
     }

@@ -13,7 +13,7 @@ use robogate_core::{Fault, FaultKind};
 use super::convert::{mass_properties, pose, primitive, solid};
 use super::{Kind, Loaded, RapierEngine, SUBSTEPS};
 use crate::description::Link;
-use crate::{Object, Primitive, Scene, Touches};
+use crate::{BELLOWS_JOINT, Object, Primitive, Scene, Touches};
 
 /// Collision groups. The robot does not collide with itself.
 const ROBOT: Group = Group::GROUP_1;
@@ -72,6 +72,7 @@ impl RapierEngine {
         Ok(Loaded {
             arm: build.joint_handles(&settings.arm.joints)?,
             fingers: build.joint_handles(fingers)?,
+            bellows: self.description.link_of(BELLOWS_JOINT).and_then(|link| build.joints[link]),
             tcp: build.links[self.description.tcp.0],
             free,
             selected: 0,
@@ -189,11 +190,16 @@ impl Build<'_> {
             if let Some(range) = joint.range {
                 data.set_limits(axis, range);
             }
-            let limit = match arm.joints.iter().position(|name| *name == joint.name) {
-                Some(j) => arm.torque_limit_nm[j],
-                None => jaw.map_or(0.0, |jaw| jaw.force_limit_n),
-            };
-            data.set_motor_max_force(axis, limit);
+            let spring = settings.gripper.cup().and_then(|cup| cup.bellows).filter(|_| joint.name == BELLOWS_JOINT);
+            if let Some(bellows) = spring {
+                data.set_motor(axis, 0.0, 0.0, bellows.stiffness_n_m, bellows.damping_ns_m(link.mass));
+            } else {
+                let limit = match arm.joints.iter().position(|name| *name == joint.name) {
+                    Some(j) => arm.torque_limit_nm[j],
+                    None => jaw.map_or(0.0, |jaw| jaw.force_limit_n),
+                };
+                data.set_motor_max_force(axis, limit);
+            }
             let handle = self
                 .world
                 .insert_multibody_joint(self.links[joint.parent], self.links[id], data)

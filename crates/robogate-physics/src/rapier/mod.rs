@@ -67,6 +67,8 @@ struct Loaded {
     arm: Vec<MultibodyJointHandle>,
     /// Finger joints; empty without fingers.
     fingers: Vec<MultibodyJointHandle>,
+    /// The spring of a suction cup.
+    bellows: Option<MultibodyJointHandle>,
     tcp: RigidBodyHandle,
     /// The free bodies with their shapes: the object, then the others.
     free: Vec<(RigidBodyHandle, Vec<ColliderHandle>)>,
@@ -225,6 +227,11 @@ impl Engine for RapierEngine {
         (!loaded.fingers.is_empty()).then(|| fingers.sum())
     }
 
+    fn cup_travel(&self) -> f64 {
+        let loaded = self.loaded();
+        loaded.bellows.map_or(0.0, |joint| -loaded.position(joint, 0))
+    }
+
     fn attach(&mut self) {
         let Some(cup) = self.robot.settings.gripper.cup() else { return };
         let (tcp, object) = (self.tcp(), self.object());
@@ -360,7 +367,7 @@ impl Engine for RapierEngine {
             put(loaded.position(*joint, 3));
             put(loaded.velocity(*joint));
         }
-        for joint in &loaded.fingers {
+        for joint in loaded.fingers.iter().chain(&loaded.bellows) {
             put(loaded.position(*joint, 0));
             put(loaded.velocity(*joint));
         }

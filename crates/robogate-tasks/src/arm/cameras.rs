@@ -9,6 +9,7 @@ pub(crate) fn posture(engine: &impl Engine, [fixtures, others]: [usize; 2]) -> P
     Posture {
         joints: engine.joint_positions(),
         opening_m: engine.opening(),
+        cup_travel_m: engine.cup_travel(),
         object: engine.free_body(0),
         others: (1..=others).map(|i| engine.free_body(i)).collect(),
         fixtures: (0..fixtures).map(|i| engine.fixture(i)).collect(),

@@ -200,9 +200,11 @@ impl<R: Rules> Environment for ArmEnvironment<R> {
         }
         running.ticks += 1;
         let ending = running.trial.ruling().map(|ruling| {
+            let body = |body: usize| plant.engine.robot_body(body);
+            let fixture = |index: usize| running.fixtures.get(index).cloned().unwrap_or_default();
             let contact = ruling.collision.map(|collision| Contact {
-                robot_body: plant.engine.robot_body(collision.robot_body),
-                other_body: running.fixtures.get(collision.fixture).cloned().unwrap_or_default(),
+                robot_body: body(collision.robot_body),
+                other_body: collision.hit.name(fixture, body),
                 force_n: collision.force,
             });
             Ending { failure: ruling.failure, time_s: ruling.time_s, contact }

@@ -2,21 +2,24 @@
 //!
 //! It has no force sensor. The servos are springs: the distance by which the tool lags its command is a force, by the
 //! compliance of the arm at the tool (J diag(1/k) J^T; Whitney 1982). With the told stiffness the controller presses with
-//! a chosen force by commanding the tool that far beyond its measured position.
+//! a chosen force by commanding the tool that far beyond its measured position. A suction cup on a spring gives way under that
+//! force: the peg is higher than the relaxed cup would be by force over stiffness.
 //!
 //! - **touch**: moves down until the tool lags by the contact force, or is below the mouth of the hole.
 //! - **search**: presses lightly and moves on a spiral around the nominal position (Chhatpar and Branicky 2001) until the
-//!   tool sinks. The pitch of the spiral follows from clearance and chamfer.
+//!   tool sinks or, with a suction cup, the edge of the hole holds the peg back. The pitch of the spiral follows from clearance
+//!   and chamfer. A lateral force at the tip bends the peg out of a cup, so the command never leads the tool by more than what
+//!   half of the cup's moment allows, and the spiral is slower on a stiffer arm.
 //! - **insert**: presses harder. The lateral command follows the measured position, so lateral forces fade. Without
 //!   progress, the command moves on a small circle; after some time the peg is lifted and inserted again.
 //! - **release**: opens the gripper and moves up.
 
 use std::f64::consts::TAU;
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector2, Vector3};
 use robogate_core::{Action, Command, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec, Word};
 use robogate_physics::trajectory::ToolLimit;
-use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
+use robogate_physics::{Bellows, Chain, Gripper, GripperCommand, Robot, Unreachable};
 
 use super::parts::{DEPTH_M, HEAD_HEIGHT_M, SHAFT_M};
 use super::spec::{Briefing, CONTROL_PERIOD_S, phases};
@@ -40,6 +43,12 @@ const SMALLEST_LAG_M: f64 = 2e-4;
 /// Forces of search and insertion, in newtons.
 const SEARCH_N: f64 = 5.0;
 const INSERT_N: f64 = 14.0;
+/// The controller uses this part of the moment that a cup holds.
+const MOMENT_SHARE: f64 = 0.5;
+/// A step of the spiral is at most this part of the way after which the tool counts as held back.
+const LEAD_SHARE: f64 = 0.5;
+/// Pitch of the spiral as a fraction of the capture range.
+const PITCH_SHARE: f64 = 0.8;
 /// Speed on the spiral, in widths of the capture range per control period, and its bounds in m/s.
 const SPIRAL_SHARE: f64 = 0.35;
 const SPIRAL_SPEED: [f64; 2] = [0.002, 0.012];
@@ -80,6 +89,12 @@ struct Feel {
     tool_m: f64,
     /// Orientation of the tool.
     down: UnitQuaternion<f64>,
+    /// The spring of a suction cup.
+    bellows: Option<Bellows>,
+    /// Largest lateral force at the tip of the peg, in newtons.
+    lateral_n: f64,
+    /// Angle on the spiral, in radians.
+    angle: f64,
     stage: Stage,
     /// The last two commanded tool positions, the older one first, and the last joint positions. `None` before the first
     /// command.
@@ -92,10 +107,9 @@ struct Feel {
 #[derive(Debug, Clone, Copy)]
 enum Stage {
     Touch,
-    /// Height of the tool in contact with the top of the block, and the angle on the spiral.
+    /// Height of the tool in contact with the top of the block.
     Search {
         top: f64,
-        angle: f64,
     },
     /// Lowest height of the tool so far, control periods since then, and the number of lifts.
     Insert {
@@ -140,6 +154,13 @@ impl Scripted {
         }
     }
 
+    /// Largest lateral force at the tip of the peg, in newtons: a cup holds a moment up to its force times the radius of its lip
+    /// ([`robogate_physics::suction`]). Fingers hold more than the search can apply.
+    fn lateral_limit(&self) -> f64 {
+        let cup = self.robot.settings.gripper.cup();
+        cup.map_or(f64::INFINITY, |cup| MOMENT_SHARE * cup.force_n() * 0.5 * cup.cup_diameter_m / self.tool_height())
+    }
+
     /// Appends the motions that bring the peg over the hole. Returns the orientation of the tool there.
     fn pick(&self, planner: &mut Planner<'_>, briefing: &Briefing) -> Result<UnitQuaternion<f64>, Unreachable> {
         use GripperCommand::{Close, Open};
@@ -174,26 +195,54 @@ impl Scripted {
 }
 
 impl Feel {
-    /// The compliance of the arm at the tool along the vertical, in m/N.
-    fn compliance(&self, robot: &Robot, chain: &Chain, joints: &[f64]) -> f64 {
+    /// The compliance of the arm at the tool along the axes of the base frame, in m/N. The coupling of the axes counts for a cup
+    /// only: between fingers the head turns, and the tip does not follow it.
+    fn compliance(&self, robot: &Robot, chain: &Chain, joints: &[f64]) -> Matrix3<f64> {
         const STEP_RAD: f64 = 1e-5;
-        let height = chain.tcp_at(joints).translation.z;
+        let at = chain.tcp_at(joints).translation.vector;
         let of_joint = |j: usize| {
             let mut moved = joints.to_vec();
             moved[j] += STEP_RAD;
-            let lever = (chain.tcp_at(&moved).translation.z - height) / STEP_RAD;
-            lever * lever / (robot.settings.arm.stiffness_nm_rad[j] * self.stiffness)
+            let lever = (chain.tcp_at(&moved).translation.vector - at) / STEP_RAD;
+            lever * lever.transpose() / (robot.settings.arm.stiffness_nm_rad[j] * self.stiffness)
         };
-        (0..joints.len()).map(of_joint).sum()
+        let compliance: Matrix3<f64> = (0..joints.len()).map(of_joint).sum();
+        if self.lateral_n.is_finite() { compliance } else { Matrix3::from_diagonal(&compliance.diagonal()) }
     }
 
-    /// The next tool position, from the last two commanded ones and the measured one. `per_newton` is the compliance in
-    /// m/N.
-    fn next(&mut self, [before, mut at]: [Vector3<f64>; 2], measured: &Vector3<f64>, per_newton: f64) -> Vector3<f64> {
+    /// The position (x, y) on the spiral around the hole, for a peg that the hole catches within this range, in metres.
+    fn on_spiral(&self, capture_m: f64) -> [f64; 2] {
+        let radius = PITCH_SHARE * capture_m * self.angle / TAU;
+        let (sin, cos) = self.angle.sin_cos();
+        [self.hole.x + radius * cos, self.hole.y + radius * sin]
+    }
+
+    /// The next tool position, from the last two commanded ones and the measured one. `compliance` is in m/N.
+    fn next(
+        &mut self,
+        [before, mut at]: [Vector3<f64>; 2],
+        measured: &Vector3<f64>,
+        compliance: &Matrix3<f64>,
+    ) -> Vector3<f64> {
+        let per_newton = compliance[(2, 2)];
+        // A vertical force also moves the tool aside, because the axes of a bent arm are coupled. Without a lateral force, the
+        // command is at this distance from the tool.
+        let pressed = match self.stage {
+            Stage::Search { .. } => SEARCH_N,
+            Stage::Insert { .. } => INSERT_N,
+            Stage::Touch | Stage::Lift { .. } | Stage::Release { .. } => 0.0,
+        };
+        let neutral = measured.xy() - pressed * Vector2::new(compliance[(0, 2)], compliance[(1, 2)]);
+        // The command leads the tool by at most this much across the peg.
+        let lead = self.lateral_n * compliance.diagonal().xy();
+        let aside = neutral - 0.5 * (before + at).xy();
         // The servo lags the commands by half a control period.
         let held_up = measured.z - 0.5 * (before.z + at.z);
         let lag = held_up - self.free_lag_m.unwrap_or(0.0);
-        let tip = measured.z - self.tool_m;
+        // The true height of the lip or the pads. Without a free lag, nothing has been touched.
+        let touched = self.free_lag_m.and(self.bellows);
+        let height = measured.z + touched.map_or(0.0, |bellows| bellows.travel_m(lag / per_newton));
+        let tip = height - self.tool_m;
         let capture = self.clearance_m + 2.0 * self.chamfer_m;
         let step = |speed: f64| speed * CONTROL_PERIOD_S;
         // Presses with a force, but moves no faster than `speed`.
@@ -205,36 +254,40 @@ impl Feel {
             Stage::Touch => {
                 let mouth = self.hole.z;
                 if self.free_lag_m.is_some() && lag > (CONTACT_N * per_newton).max(SMALLEST_LAG_M) {
-                    self.stage = Stage::Search { top: measured.z, angle: 0.0 };
+                    self.stage = Stage::Search { top: height };
                 } else if tip < mouth - 2.0 * SUNK_M - self.chamfer_m - 0.003 {
-                    self.stage = Stage::Insert { lowest: measured.z, idle: 0, lifts: 0 };
+                    self.stage = Stage::Insert { lowest: height, idle: 0, lifts: 0 };
                 } else {
                     self.free_lag_m.get_or_insert(held_up);
                     at.z -= step(TOUCH_SPEED);
+                    if self.angle > 0.0 {
+                        let [x, y] = self.on_spiral(capture);
+                        at.x += YIELD_SHARE * (x - at.x);
+                        at.y += YIELD_SHARE * (y - at.y);
+                    }
                 }
             }
-            Stage::Search { top, angle } => {
+            Stage::Search { top } => {
                 press(&mut at, SEARCH_N, TOUCH_SPEED);
-                let pitch = 0.8 * capture;
+                let pitch = PITCH_SHARE * capture;
                 let speed = (SPIRAL_SHARE * capture / CONTROL_PERIOD_S).clamp(SPIRAL_SPEED[0], SPIRAL_SPEED[1]);
-                let radius = pitch * angle / TAU;
-                let turned = angle + step(speed) / radius.max(0.5 * pitch);
+                // Before a tool that is held back is noticed, the force grows by that of one step.
+                let speed = speed.min(LEAD_SHARE * lead.min() / CONTROL_PERIOD_S);
+                let held_back = aside.x.abs() > lead.x || aside.y.abs() > lead.y;
+                let radius = pitch * self.angle / TAU;
+                let turned = self.angle + step(speed) / radius.max(0.5 * pitch);
                 let next = pitch * turned / TAU;
-                let turned = if next > SPIRAL_RADIUS_M { 0.0 } else { turned };
-                let (sin, cos) = turned.sin_cos();
-                let radius = pitch * turned / TAU;
-                (at.x, at.y) = (self.hole.x + radius * cos, self.hole.y + radius * sin);
-                self.stage = if measured.z < top - SUNK_M {
-                    Stage::Insert { lowest: measured.z, idle: 0, lifts: 0 }
-                } else {
-                    Stage::Search { top, angle: turned }
-                };
+                self.angle = if next > SPIRAL_RADIUS_M { 0.0 } else { turned };
+                [at.x, at.y] = self.on_spiral(capture);
+                if height < top - SUNK_M || held_back {
+                    self.stage = Stage::Insert { lowest: height, idle: 0, lifts: 0 };
+                }
             }
             Stage::Insert { lowest, idle, lifts } => {
                 press(&mut at, INSERT_N, INSERT_SPEED);
-                at.x += YIELD_SHARE * (measured.x - at.x);
-                at.y += YIELD_SHARE * (measured.y - at.y);
-                let progress = measured.z < lowest - 1e-4;
+                at.x += YIELD_SHARE * (neutral.x - at.x);
+                at.y += YIELD_SHARE * (neutral.y - at.y);
+                let progress = height < lowest - 1e-4;
                 let idle = if progress { 0 } else { idle + 1 };
                 if idle >= CIRCLE_TICKS {
                     let (sin, cos) = (CIRCLE_RAD * f64::from(idle)).sin_cos();
@@ -245,15 +298,17 @@ impl Feel {
                 } else if idle >= LIFT_TICKS {
                     Stage::Lift { ticks: 8, lifts: lifts + 1 }
                 } else {
-                    Stage::Insert { lowest: lowest.min(measured.z), idle, lifts }
+                    Stage::Insert { lowest: lowest.min(height), idle, lifts }
                 };
             }
             Stage::Lift { ticks, lifts } => {
-                at.z = at.z.max(measured.z) + LIFT_M / 8.0;
+                at.z = at.z.max(height) + LIFT_M / 8.0;
                 at.x += YIELD_SHARE * (measured.x - at.x);
                 at.y += YIELD_SHARE * (measured.y - at.y);
                 self.stage = match ticks {
-                    0 => Stage::Insert { lowest: measured.z, idle: 0, lifts },
+                    // A peg that is not in the hole continues its search.
+                    0 if tip > self.hole.z => Stage::Touch,
+                    0 => Stage::Insert { lowest: height, idle: 0, lifts },
                     _ => Stage::Lift { ticks: ticks - 1, lifts },
                 };
             }
@@ -262,6 +317,11 @@ impl Feel {
                     at.z += step(4.0 * INSERT_SPEED);
                 }
                 self.stage = Stage::Release { ticks: ticks + 1 };
+            }
+        }
+        if !matches!(self.stage, Stage::Release { .. }) {
+            for axis in [0, 1] {
+                at[axis] = at[axis].max(neutral[axis] - lead[axis]).min(neutral[axis] + lead[axis]);
             }
         }
         at
@@ -297,6 +357,9 @@ impl Policy for Scripted {
             hole: Vector3::new(x, y, z),
             tool_m: self.tool_height(),
             down,
+            bellows: self.robot.settings.gripper.cup().and_then(|cup| cup.bellows),
+            lateral_n: self.lateral_limit(),
+            angle: 0.0,
             stage: Stage::Touch,
             commanded: None,
             free_lag_m: None,
@@ -321,8 +384,8 @@ impl Policy for Scripted {
             })
             .unwrap_or_else(|| ([self.chain.tcp_at(measured).translation.vector; 2], measured.to_vec()));
         let tool = self.chain.tcp_at(measured).translation.vector;
-        let per_newton = feel.compliance(&self.robot, &self.chain, measured);
-        let at = feel.next(last, &tool, per_newton);
+        let compliance = feel.compliance(&self.robot, &self.chain, measured);
+        let at = feel.next(last, &tool, &compliance);
         let goal = Isometry3::from_parts(Translation3::from(at), feel.down);
         let joints = self.chain.inverse(&goal, &joints, home).unwrap_or(joints);
         let gripper =

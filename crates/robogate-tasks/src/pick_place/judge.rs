@@ -185,7 +185,7 @@ impl Judge {
         arm_state: ArmState,
         clearance: Option<f64>,
         state_hash: u64,
-        body: impl FnOnce(usize) -> String,
+        body: impl Fn(usize) -> String,
     ) -> Result<Step, Fault> {
         let Some(episode) = &mut self.episode else {
             return Err(Fault::new(FaultKind::Setup, "no episode is running"));
@@ -199,8 +199,8 @@ impl Judge {
         let observation = episode.observation(arm_state, &self.chain);
         let (cell, referee) = (&episode.cell, &mut episode.referee);
         let decided = referee.ending(|collision| {
-            let fixture = cell.scene.fixtures.get(collision.fixture);
-            (body(collision.robot_body), fixture.map_or_else(String::new, |fixture| fixture.name.clone()))
+            let fixture = |index: usize| cell.scene.fixtures.get(index).map_or_else(String::new, |it| it.name.clone());
+            (body(collision.robot_body), collision.hit.name(fixture, &body))
         });
         let over = (episode.ticks + 1) as f64 * CONTROL_PERIOD_S > self.rules.time_limit_s + 0.5 * CONTROL_PERIOD_S;
         let mut measures = referee.measures();

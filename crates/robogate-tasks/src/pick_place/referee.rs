@@ -398,7 +398,7 @@ impl Referee {
                 self.collision = Some((sight.time, found));
                 self.measured.min_clearance_m = Some(0.0);
             }
-            (Some((_, first)), Some(now)) if (first.robot_body, first.fixture) == (now.robot_body, now.fixture) => {
+            (Some((_, first)), Some(now)) if (first.robot_body, first.hit) == (now.robot_body, now.hit) => {
                 first.force = first.force.max(now.force);
             }
             _ => {}

@@ -92,7 +92,12 @@ impl Robots {
 pub(crate) fn in_words(gripper: &Gripper) -> String {
     match gripper {
         Gripper::ParallelJaw(jaw) => format!("parallel jaw, {:.0} mm", 1e3 * jaw.opening_m),
-        Gripper::Suction(cup) => format!("suction cup, {:.0} mm", 1e3 * cup.cup_diameter_m),
+        Gripper::Suction(cup) => {
+            let spring = cup.bellows.map_or_else(String::new, |bellows| {
+                format!(", spring {:.1} N/mm over {:.0} mm", 1e-3 * bellows.stiffness_n_m, 1e3 * bellows.stroke_m)
+            });
+            format!("suction cup, {:.0} mm{spring}", 1e3 * cup.cup_diameter_m)
+        }
     }
 }
 

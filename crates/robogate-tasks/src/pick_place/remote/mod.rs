@@ -221,6 +221,7 @@ impl RemotePickPlace {
         Posture {
             joints: observation.joint_positions().to_vec(),
             opening_m: observation.gripper_opening_m(),
+            cup_travel_m: 0.0,
             object,
             others: Vec::new(),
             fixtures: self.fixtures.iter().map(fixture).collect(),

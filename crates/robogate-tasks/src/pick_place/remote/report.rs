@@ -2,7 +2,9 @@
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Fault, FaultKind, Observation, Pose};
-use robogate_physics::{Collision, FixtureRead, GripperState, Motion, Primitive, Readback, StepView, Touches, pose};
+use robogate_physics::{
+    Collision, FixtureRead, GripperState, Hit, Motion, Primitive, Readback, StepView, Touches, pose,
+};
 use serde::{Deserialize, Serialize};
 
 use super::CellMotion;
@@ -134,7 +136,7 @@ impl RemoteSight {
                     bodies.push(robot_body.clone());
                     bodies.len() - 1
                 });
-                Some(Collision { robot_body, fixture: *fixture, force: *force_n })
+                Some(Collision { robot_body, hit: Hit::Fixture(*fixture), force: *force_n })
             }
         };
         let touches = Touches {
@@ -162,10 +164,12 @@ impl RemoteSight {
             fingers: touches.fingers,
             body_on_object: touches.body_on_object,
             object_on_fixture: touches.object_on_fixture,
-            collision: touches.collision.map(|Collision { robot_body, fixture, force }| RemoteCollision {
-                robot_body: body(robot_body),
-                fixture,
-                force_n: force,
+            // The protocol carries contacts with fixtures only.
+            collision: touches.collision.and_then(|Collision { robot_body, hit, force }| match hit {
+                Hit::Fixture(fixture) => {
+                    Some(RemoteCollision { robot_body: body(robot_body), fixture, force_n: force })
+                }
+                Hit::Itself(_) => None,
             }),
             peak_force_n: touches.peak_force,
             object_pose: pose(&view.object),
