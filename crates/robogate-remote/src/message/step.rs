@@ -106,23 +106,27 @@ impl Packed {
         if hashes.len() != self.periods || !rest.is_empty() {
             return Err(format!("{} state hashes; expected {}", hashes.len(), self.periods));
         }
-        let rows = observations.chunks_exact(known.length).zip(actions.chunks_exact(low.len())).zip(hashes);
-        let period = |(at, ((seen, action), hash)): (u64, ((&[f64], &[f64]), &[u8; 8]))| Period {
+        let period = |at: usize| Period {
             observation: ObservationMessage {
-                time_s: (tick + at) as f64 * task.control_period_s,
-                vectors: BTreeMap::from([(self.vector.clone(), seen.to_vec())]),
+                time_s: (tick + 1 + at as u64) as f64 * task.control_period_s,
+                vectors: BTreeMap::from([(self.vector.clone(), row(&observations, known.length, at))]),
             },
-            state_hash: u64::from_le_bytes(*hash),
+            state_hash: u64::from_le_bytes(hashes[at]),
             measures: Some(BTreeMap::new()),
             ending: None,
             foregone: None,
             events: None,
             samples: None,
             clearance_m: None,
-            proposed: Some(Proposed { action_space: ActionKind::Vector, action: action.to_vec() }),
+            proposed: Some(Proposed { action_space: ActionKind::Vector, action: row(&actions, low.len(), at) }),
         };
-        Ok((1..).zip(rows).map(period).collect())
+        Ok((0..self.periods).map(period).collect())
     }
+}
+
+/// A row of an array with rows of this length.
+fn row(numbers: &[f64], length: usize, at: usize) -> Vec<f64> {
+    numbers.chunks_exact(length).nth(at).map(<[f64]>::to_vec).unwrap_or_default()
 }
 
 /// The finite numbers of a frame with so many rows of this length.
