@@ -165,6 +165,16 @@ impl Description {
     }
 }
 
+/// The spring of a suction cup.
+#[derive(Debug, Clone, Copy)]
+struct Spring {
+    /// Index of the cup's body.
+    body: usize,
+    /// The tool's z axis in that body's frame.
+    axis: Unit<Vector3<f64>>,
+    bellows: Bellows,
+}
+
 struct Reader<'a> {
     model: &'a mjcf_rs::Model,
     folder: &'a Path,
@@ -194,10 +204,10 @@ impl Reader<'_> {
                 }
                 None => (0, Isometry3::identity()),
             };
-            let spring = spring.filter(|(cup, ..)| *cup == id);
+            let spring = spring.filter(|spring| spring.body == id);
             let joint = match (body.joints.as_slice(), spring) {
                 ([], None) => None,
-                ([], Some((_, axis, bellows))) => Some(bellows_joint(parent, &placement, &axis, &bellows)),
+                ([], Some(spring)) => Some(bellows_joint(parent, &placement, &spring)),
                 ([joint], None) => Some(self.joint(joint, parent, &placement, &name)?),
                 (_, None) => return Err(format!("body `{name}` has several joints; give each joint a separate body")),
                 (_, Some(_)) => return Err(format!("gripper.bellows: the body `{name}` has a joint of its own")),
@@ -271,8 +281,8 @@ impl Reader<'_> {
         Ok(Description { chain, couplings, links, tcp, bodies })
     }
 
-    /// The spring of a suction cup: the index of the cup's body, and the tool's z axis in its frame.
-    fn spring(&self, robot: &Robot) -> Result<Option<(usize, Unit<Vector3<f64>>, Bellows)>, String> {
+    /// The spring of a suction cup, if the robot has one.
+    fn spring(&self, robot: &Robot) -> Result<Option<Spring>, String> {
         let Some(cup) = robot.settings.gripper.cup() else { return Ok(None) };
         let Some(bellows) = cup.bellows else { return Ok(None) };
         let tcp = &robot.settings.arm.tcp_site;
@@ -291,7 +301,7 @@ impl Reader<'_> {
         let body = on_cup.ok_or_else(|| {
             format!("gripper.bellows: the site `{tcp}` is not on the body `{}`, which the spring moves", cup.cup_body)
         })?;
-        Ok(Some((body, rotation * Vector3::z_axis(), bellows)))
+        Ok(Some(Spring { body, axis: rotation * Vector3::z_axis(), bellows }))
     }
 
     fn joint(&self, joint: &Joint, parent: usize, placement: &Isometry3<f64>, body: &str) -> Result<LinkJoint, String> {
@@ -451,16 +461,16 @@ pub(crate) fn isometry(pose: &mjcf_rs::Pose) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::new(t.x, t.y, t.z), rotation)
 }
 
-/// The joint of a cup's spring along this axis of its body.
-fn bellows_joint(parent: usize, placement: &Isometry3<f64>, axis: &Unit<Vector3<f64>>, bellows: &Bellows) -> LinkJoint {
-    let in_link = Isometry3::from_parts(Translation3::identity(), turned_to(axis));
+/// The joint of a cup's spring.
+fn bellows_joint(parent: usize, placement: &Isometry3<f64>, spring: &Spring) -> LinkJoint {
+    let in_link = Isometry3::from_parts(Translation3::identity(), turned_to(&spring.axis));
     LinkJoint {
         name: BELLOWS_JOINT.to_owned(),
         parent,
         in_parent: placement * in_link,
         in_link,
         slides: true,
-        range: Some([-bellows.stroke_m, 0.0]),
+        range: Some([-spring.bellows.stroke_m, 0.0]),
         armature: 0.0,
         damping: 0.0,
     }
