@@ -28,12 +28,11 @@ skipped() {
     fi
 }
 
-# The monitor is tested with a real MQTT broker, pages in a real browser, videos by ffmpeg, and printed pages by pdftotext. npm brings
-# the checker of accessibility. MuJoCo's renderer uses EGL, which Mesa provides without a
-# GPU.
+# The monitor is tested with a real MQTT broker, pages in a real browser, videos by ffmpeg, printed pages by pdftotext, and the live
+# view in tmux. npm brings the checker of accessibility. MuJoCo's renderer uses EGL, which Mesa provides without a GPU.
 programs() {
     local missing=() program
-    for program in mosquitto chromium npm ffmpeg pdftotext; do
+    for program in mosquitto chromium npm ffmpeg pdftotext tmux; do
         PATH=$PATH:/usr/sbin command -v "$program" > /dev/null || missing+=("$program")
     done
     if ! ldconfig -p | grep -q 'libEGL\.so\.1' || ! ldconfig -p | grep -q 'libGL\.so\.1' || ! compgen -G '/usr/lib/*/dri/swrast_dri.so' > /dev/null; then

@@ -116,9 +116,12 @@ fn full_table_keeps_a_random_half() {
     assert_eq!((whole.rows(), whole.halvings(), table.halvings()), (1000, 0, 2));
     assert!((180..300).contains(&table.rows()), "{}", table.rows());
     assert!(table.columns().iter().all(|column| column.values().len() == table.rows()));
-    // The counts are those of all episodes.
-    let k = entries.iter().filter(|entry| entry.episode.outcome == Outcome::Success).count() as u64;
-    assert_eq!((table.counts(0).n, table.counts(0).k), (1000, k));
+    // The counts are those of all valid episodes.
+    let count =
+        |which: fn(&Outcome) -> bool| entries.iter().filter(|entry| which(&entry.episode.outcome)).count() as u64;
+    let n = count(|outcome| !matches!(outcome, Outcome::Invalid(_)));
+    let k = count(|outcome| *outcome == Outcome::Success);
+    assert_eq!((table.counts(0).n, table.counts(0).k), (n, k));
     assert_eq!((table.counts(0), table.counts(1).n), (whole.counts(0), 0));
     // Another order of arrival gives the same sample.
     let sorted = |table: &ExplorerTable| {

@@ -27,7 +27,6 @@ fn assert_fits(browser: &mut Browser, page: &Path) {
         let wide = browser.evaluate(&size("scrollWidth")).as_u64().unwrap();
         assert!(wide <= width, "{}: {wide} px wide in a window of {width} px", page.display());
         let tall = browser.evaluate(&size("scrollHeight")).as_u64().unwrap();
-        println!("{}: {tall} px in a window of {width} px", page.display());
         assert!(width < 1280 || tall <= MOST_PX, "{}: {tall} px tall, at most {MOST_PX}", page.display());
     }
 }
