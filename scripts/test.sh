@@ -57,18 +57,30 @@ environment() {
     fi
 }
 
-# Sets VARIABLE to the Python of an environment, unless the caller set it: python VARIABLE NAME LOCKS...
+# The environments under construction: the process and the name for each variable.
+declare -A creating
+
+# Starts to create the environment of VARIABLE, unless the caller set it: python VARIABLE NAME LOCKS...
 python() {
     local variable=$1
     shift
-    if [ -n "${!variable:-}" ]; then
-        return
+    if [ -z "${!variable:-}" ]; then
+        environment "$@" &
+        creating[$variable]="$! $1"
     fi
-    if environment "$@"; then
-        export "$variable=$target/$1/bin/python"
-    else
-        echo "note: the Python environment for $variable cannot be created" >&2
-    fi
+}
+
+# Waits for these environments, and sets each variable to the Python of its own.
+await_pythons() {
+    local variable process name
+    for variable in "${!creating[@]}"; do
+        read -r process name <<< "${creating[$variable]}"
+        if wait "$process"; then
+            export "$variable=$target/$name/bin/python"
+        else
+            echo "note: the Python environment for $variable cannot be created" >&2
+        fi
+    done
 }
 
 # Runs cargo-nextest if it is installed, otherwise cargo test: rust ARGUMENTS...
@@ -98,6 +110,7 @@ if [ -z "${ROBOGATE_TEST_AXE:-}" ] && ./scripts/web.sh --install; then
     ROBOGATE_TEST_AXE=$PWD/web/node_modules/axe-core/axe.min.js
     export ROBOGATE_TEST_AXE
 fi
+await_pythons
 
 step "Rust tests" rust "$@"
 if [ $# -eq 0 ]; then
