@@ -191,7 +191,7 @@ export class Viewer {
 
   /** Events, parameters and the command of each open episode. */
   describe() {
-    // Measures that do not change during an episode are no line of the chart.
+    // Measures that do not change during an episode have no line in the chart.
     const sides = this.sides.map(({ clip, motion }) => {
       const marks = motion.signals.map((signal) => readable(signal)).map((signal) => [title(signal.name), constant(signal), signal.unit]);
       const known = marks.filter(([, value]) => value !== undefined).map(([name, value, unit]) => [name, `${figure(value)} ${unit}`.trim()]);

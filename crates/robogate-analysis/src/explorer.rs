@@ -21,8 +21,8 @@ const MOST_HALVINGS: u32 = 32;
 /// table, and half the memory. Words are indices of their levels. A missing value is NaN.
 ///
 /// The table keeps a limited number of rows. When it is full, it drops half of them and keeps one in two of the further
-/// episodes, then one in four, and so on. A hash of run and index decides, so the rows stay a random sample, whatever their
-/// order and outcomes. [`RunCounts`] always count all episodes.
+/// episodes, then one in four, and so on. A hash of run and index decides, so the rows stay a random sample that does
+/// not depend on their order and outcomes. [`RunCounts`] always count all episodes.
 #[derive(Debug)]
 pub struct ExplorerTable {
     columns: Vec<ExplorerColumn>,

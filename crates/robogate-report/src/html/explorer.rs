@@ -35,10 +35,7 @@ pub fn explorer_page(runs: &str, data: Option<(&str, &str)>) -> (String, String)
         (DOCTYPE)
         html lang="en" {
             head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                link rel="icon" href="data:,";
+                (super::metadata())
                 // The header of the server has more than a page can say about itself.
                 @if data.is_some() { meta http-equiv="Content-Security-Policy" content=(policy); }
                 title { (prose(runs)) " \u{b7} RoboGate explorer" }

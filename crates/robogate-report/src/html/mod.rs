@@ -53,6 +53,16 @@ pub fn transfer_html(transfer: &Transfer) -> String {
     page(&transfer_document(transfer), None)
 }
 
+/// What the head of every page begins with.
+fn metadata() -> Markup {
+    html! {
+        meta charset="utf-8";
+        meta name="viewport" content="width=device-width, initial-scale=1";
+        meta name="color-scheme" content="light dark";
+        link rel="icon" href="data:,";
+    }
+}
+
 /// A complete page around a body.
 pub(crate) fn frame(title: &str, body: &Markup, script: bool) -> String {
     let own = script.then_some(SCRIPT);
@@ -62,10 +72,7 @@ pub(crate) fn frame(title: &str, body: &Markup, script: bool) -> String {
         (DOCTYPE)
         html lang="en" {
             head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                link rel="icon" href="data:,";
+                (metadata())
                 meta http-equiv="Content-Security-Policy" content=(policy);
                 title { (prose(title)) " \u{b7} RoboGate" }
                 style { (PreEscaped(STYLE)) }

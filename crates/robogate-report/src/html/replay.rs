@@ -29,10 +29,7 @@ pub fn replay_page() -> (String, String) {
         (DOCTYPE)
         html lang="en" {
             head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                link rel="icon" href="data:,";
+                (super::metadata())
                 title { "Similar simulated episodes \u{b7} RoboGate monitor" }
                 style { (PreEscaped(style)) }
             }
