@@ -98,6 +98,44 @@ rust() {
     fi
 }
 
+# Suites that follow the Rust tests use one processor each, so as many run at a time as there are processors. Each is a step, whose output
+# is shown when all have ended: suite NAME COMMAND...
+suite() {
+    while [ "$(jobs -pr | wc -l)" -ge "$(nproc)" ]; do
+        wait -n || true
+    done
+    local log=$suites/${1//[\/ ]/-}
+    {
+        failed=()
+        step "$@"
+        printf '%s\n' "${failed[@]:+${failed[@]}}" > "$log.failed"
+    } > "$log.log" 2>&1 &
+}
+
+# Shows the output of the suites.
+await_suites() {
+    wait
+    local log name
+    for log in "$suites"/*.log; do
+        cat "$log"
+        # A suite that ended without this list was killed.
+        [ -f "${log%.log}.failed" ] || failed+=("$(basename "$log" .log)")
+    done
+    while read -r name; do
+        [ -z "$name" ] || failed+=("$name")
+    done < <(cat "$suites"/*.failed)
+    rm -rf "$suites"
+}
+
+# The environments of the bridges are needed last, so they are created beside all that follows.
+if [ $# -eq 0 ]; then
+    bridges/common/setup.sh "$target/newton-venv" bridges/newton/requirements.lock &
+    newton=$!
+    # Fakes replace the classes of Isaac Sim.
+    bridges/common/setup.sh "$target/isaac-venv" bridges/isaac_sim/tests/requirements.lock &
+    isaac=$!
+fi
+
 programs
 python ROBOGATE_TEST_PYTHON readers-venv crates/robogate-dictionary/tests/requirements.lock crates/robogate-gate/tests/evidence-requirements.lock crates/robogate-replay/tests/requirements.lock crates/robogate-report/tests/requirements.lock
 python ROBOGATE_POLICY_PYTHON policies-venv crates/robogate-policy/tests/requirements.lock
@@ -114,34 +152,37 @@ await_pythons
 
 step "Rust tests" rust "$@"
 if [ $# -eq 0 ]; then
-    step "documentation examples" cargo test --doc --no-fail-fast --workspace "${full[@]}" --locked
-    step "python" env PYTHONPATH="$PWD/python/src" python3 scripts/run_unittests.py python/tests
-    if [ -n "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
-        step "bridges/common" env PYTHONPATH=bridges/common "$ROBOGATE_BRIDGE_PYTHON" scripts/run_unittests.py bridges/common/tests
-    else
-        skipped bridges/common "no Python with pyzmq and msgpack"
-    fi
-    for suite in METAWORLD:test_adapter METAWORLD:test_metaworld METAWORLD:test_libero_files METAWORLD:test_scripted FETCH:test_fetch DM_CONTROL:test_dm_control; do
-        variable=ROBOGATE_${suite%%:*}_PYTHON
-        if [ -n "${!variable:-}" ]; then
-            step "environments ${suite#*:}" env PYTHONPATH="$PWD/python/src:$PWD/bridges/common" "${!variable}" scripts/run_unittests.py \
-                python/tests/environments --pattern "${suite#*:}.py"
-        else
-            skipped "environments ${suite#*:}" "no Python for ${suite%%:*}"
-        fi
-    done
-    # Newton compiles its kernels once and caches them in its environment.
-    if bridges/common/setup.sh "$target/newton-venv" bridges/newton/requirements.lock; then
-        step "bridges/newton" env ROBOGATE_NEWTON_VENV="$target/newton-venv" bridges/newton/test.sh
+    wait "$newton" || newton=
+    wait "$isaac" || isaac=
+    suites=$(mktemp --directory)
+    # The longest first. Newton compiles its kernels once and caches them in its environment.
+    if [ -n "$newton" ]; then
+        suite "bridges/newton" env ROBOGATE_NEWTON_VENV="$target/newton-venv" bridges/newton/test.sh
     else
         skipped bridges/newton "no Python with Newton"
     fi
-    # Fakes replace the classes of Isaac Sim.
-    if bridges/common/setup.sh "$target/isaac-venv" bridges/isaac_sim/tests/requirements.lock; then
-        step "bridges/isaac_sim" env ROBOGATE_ISAAC_TEST_VENV="$target/isaac-venv" bridges/isaac_sim/test.sh
+    suite "documentation examples" cargo test --doc --no-fail-fast --workspace "${full[@]}" --locked
+    suite "python" env PYTHONPATH="$PWD/python/src" python3 scripts/run_unittests.py python/tests
+    if [ -n "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
+        suite "bridges/common" env PYTHONPATH=bridges/common "$ROBOGATE_BRIDGE_PYTHON" scripts/run_unittests.py bridges/common/tests
+    else
+        skipped bridges/common "no Python with pyzmq and msgpack"
+    fi
+    for tests in METAWORLD:test_adapter METAWORLD:test_metaworld METAWORLD:test_libero_files METAWORLD:test_scripted FETCH:test_fetch DM_CONTROL:test_dm_control; do
+        variable=ROBOGATE_${tests%%:*}_PYTHON
+        if [ -n "${!variable:-}" ]; then
+            suite "environments ${tests#*:}" env PYTHONPATH="$PWD/python/src:$PWD/bridges/common" "${!variable}" scripts/run_unittests.py \
+                python/tests/environments --pattern "${tests#*:}.py"
+        else
+            skipped "environments ${tests#*:}" "no Python for ${tests%%:*}"
+        fi
+    done
+    if [ -n "$isaac" ]; then
+        suite "bridges/isaac_sim" env ROBOGATE_ISAAC_TEST_VENV="$target/isaac-venv" bridges/isaac_sim/test.sh
     else
         skipped bridges/isaac_sim "no Python with USD"
     fi
+    await_suites
 fi
 
 if [ -s "$ROBOGATE_SKIPPED_FILE" ]; then
