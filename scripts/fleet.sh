@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Measures docs/results/fleet.md: 20 units of the Franka, each judged by the gate on the suite industrial-68.
+# Measures docs/results/fleet.md: 20 units of the Franka, each judged by the gate on the suite industrial-68
+# with the requirement of docs/results/fleet-requirements.toml.
 #
 # Usage: scripts/fleet.sh [UNITS] > docs/results/fleet.md. An interrupted fleet is continued. ROBOGATE names the program, OUT the folder of
 # the fleet and THREADS the number of threads.
@@ -9,7 +10,8 @@ cd "$(dirname "$0")/.."
 units=${1:-20}
 robogate=${ROBOGATE:-target/release/robogate}
 out=${OUT:-runs/fleet}
-command=(fleet --units "$units" --robot franka --suite industrial-68 --unit-space docs/results/fleet-units.toml --seed 2026)
+command=(fleet --units "$units" --robot franka --suite industrial-68 --unit-space docs/results/fleet-units.toml
+    --requirements docs/results/fleet-requirements.toml --seed 2026)
 "$robogate" "${command[@]}" --threads "${THREADS:-$(nproc)}" --quiet --out "$out" > /dev/null
 
 cat << TEXT

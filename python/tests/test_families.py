@@ -21,6 +21,9 @@ class Families(unittest.TestCase):
             self.assertTrue(family["summary"] and family["missing"], family)
             for requirement in family["requirements"]:
                 self.assertIn("==", requirement)
+        # `robogate env setup` cannot install LIBERO, and says how to get it before it installs anything.
+        self.assertIn("PYTHONPATH", families["libero"]["yours"])
+        self.assertEqual(families["libero"]["missing"], families["libero"]["package"])
 
 
 if __name__ == "__main__":

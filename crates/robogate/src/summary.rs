@@ -206,10 +206,11 @@ fn failures(stage: &StageSummary) {
     )));
     let mut modes = stage.failure_modes.clone();
     modes.sort_by_key(|mode| std::cmp::Reverse(mode.episodes));
+    let wide = widest(modes.iter().map(|mode| mode.mode.as_str()), 12);
     for mode in modes {
         let share = mode.share_of_failures.unwrap_or(0.0);
         line(format_args!(
-            "  {:<12} {:>7} {:>8}  {}",
+            "  {:<wide$} {:>7} {:>8}  {}",
             mode.mode.as_str(),
             grouped(mode.episodes),
             percent(share),
@@ -218,17 +219,23 @@ fn failures(stage: &StageSummary) {
     }
 }
 
+/// The width of a column of names, in characters: at least `least`.
+fn widest<'a>(names: impl Iterator<Item = &'a str>, least: usize) -> usize {
+    names.map(|name| name.chars().count()).fold(least, usize::max)
+}
+
 fn groups(suite: &SuiteSummary) {
     line("");
     let rounds = if suite.rounds == 1 { "1 round".to_owned() } else { format!("{} rounds", grouped(suite.rounds)) };
     line(bold(format_args!("{} {}, {rounds}", suite.name, suite.version)));
-    for group in &suite.groups {
-        let name = format!("{} / {}", group.category, group.group);
+    let names: Vec<String> = suite.groups.iter().map(|group| format!("{} / {}", group.category, group.group)).collect();
+    let wide = widest(names.iter().map(String::as_str), 40);
+    for (group, name) in suite.groups.iter().zip(names) {
         let OutcomeCounts { success, invalid, .. } = group.outcomes;
         let rate = group.success_rate.map_or_else(|| "-".to_owned(), percent);
         let invalid = if invalid > 0 { format!(", {} invalid", grouped(invalid)) } else { String::new() };
         line(format_args!(
-            "  {name:<40} {rate:>8}  {:>6} of {}{invalid}",
+            "  {name:<wide$} {rate:>8}  {:>6} of {}{invalid}",
             grouped(success),
             grouped(group.outcomes.valid())
         ));
@@ -253,19 +260,20 @@ const MAX_PARAMETERS: usize = 5;
 /// The parameters with significant effects, the most influential first. At most five.
 pub(crate) fn influential(analysis: &Analysis) {
     let effects = &analysis.effects;
-    let mut significant = effects.significant().peekable();
-    if significant.peek().is_none() {
+    let significant: Vec<_> = effects.significant().take(MAX_PARAMETERS).collect();
+    if significant.is_empty() {
         return;
     }
+    let wide = widest(significant.iter().map(|effect| &*effect.parameter), 16);
     line("");
     line(bold("Most influential parameters"));
-    for effect in significant.take(MAX_PARAMETERS) {
+    for effect in significant {
         let p = p_value(effect.adjusted_p.max(f64::MIN_POSITIVE).ln());
         let rates = effect.shape.estimated().map_or_else(String::new, |shape| {
             let [low, high] = [shape.low.rate, shape.high.rate].map(percent_or_dash);
             format!("  {low} success {}, elsewhere {high}", low_side(&effect.parameter, shape))
         });
-        line(format_args!("  {:<16} p {p:<8}{rates}", effect.parameter));
+        line(format_args!("  {:<wide$} p {p:<8}{rates}", effect.parameter));
     }
 }
 
@@ -305,6 +313,8 @@ fn found(report: &BoundaryReport) {
         100.0 * low,
         100.0 * high
     )));
+    let varied = report.parameters.iter().map(|parameter| &*parameter.effect.parameter);
+    let wide = widest(varied.chain(report.restricted.iter().map(|restricted| &*restricted.parameter)), 14);
     for parameter in &report.parameters {
         let [from, to] = parameter.drawn;
         let how = match parameter.drawn_from {
@@ -312,11 +322,11 @@ fn found(report: &BoundaryReport) {
             DrawnFrom::Fallback => "no bin in the band: fallback range".to_owned(),
             DrawnFrom::WholeRange => "no bin in the band: whole range".to_owned(),
         };
-        line(format_args!("  {:<14} {from:>7.4} to {to:>7.4}  {how}", parameter.effect.parameter));
+        line(format_args!("  {:<wide$} {from:>7.4} to {to:>7.4}  {how}", parameter.effect.parameter));
     }
     for restricted in &report.restricted {
         line(format_args!(
-            "  {:<14} {:>7} to {:>7}  restricted by the plan",
+            "  {:<wide$} {:>7} to {:>7}  restricted by the plan",
             restricted.parameter, restricted.low, restricted.high
         ));
     }

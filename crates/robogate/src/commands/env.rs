@@ -76,8 +76,12 @@ struct Family {
     summary: String,
     requirements: Vec<String>,
     names: Vec<String>,
-    /// The package that is missing.
+    /// The package that must be importable.
+    package: String,
+    /// The package that is missing: that of the family, or one of the server.
     missing: Option<String>,
+    /// How users get the package of the family, if `setup` cannot install it.
+    yours: Option<String>,
 }
 
 /// The declaration of an environment.
@@ -101,6 +105,20 @@ impl Environments {
             What::List(list) => list.execute(),
             What::Setup(setup) => setup.execute(),
             What::Inspect(inspect) => inspect.execute(),
+        }
+    }
+}
+
+impl Family {
+    /// Checks, before anything is installed, that a package which only the user can provide is importable.
+    fn is_provided(&self) -> Result<(), Exit> {
+        match (&self.yours, &self.missing) {
+            (Some(yours), Some(missing)) if *missing == self.package => Err(anyhow!(
+                "{}: the package {missing} cannot be imported, and pip cannot install it\n  hint: {yours}, and repeat this command",
+                self.name
+            ))
+            .or_usage(),
+            _ => Ok(()),
         }
     }
 }
@@ -153,6 +171,7 @@ impl Setup {
             note(format_args!("{} is up to date in {}", wanted.name, folder.display()));
             return Ok(DONE);
         }
+        wanted.is_provided()?;
         if folder.exists() {
             fs::remove_dir_all(&folder).with_context(|| format!("cannot remove {}", folder.display())).or_broken()?;
         }

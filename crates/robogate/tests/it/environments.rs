@@ -70,6 +70,17 @@ impl Bench {
 
 /// The example of the documentation passes through all verbs.
 #[test]
+fn setup_asks_first_for_what_pip_cannot_install() {
+    let Some(bench) = Bench::new() else { return };
+    let mut command = bench.command("env setup libero");
+    let output = command.env_remove("PYTHONPATH").output().unwrap();
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{text}");
+    assert!(text.contains("pip cannot install it") && text.contains("export PYTHONPATH=$PWD/LIBERO"), "{text}");
+    assert!(!bench.at("cache/environments").exists(), "nothing is created");
+}
+
+#[test]
 fn own_environment_runs_from_one_file() {
     let Some(bench) = Bench::new() else { return };
     bench.example("reach.py", &[]);

@@ -70,9 +70,11 @@ def _list(arguments: argparse.Namespace) -> None:
         out.append({
             "name": family.name,
             "summary": family.summary,
+            "package": family.package,
             "requirements": [*family.requirements, *SERVER.values()],
             "names": [] if missing else family.names(),
             "missing": missing[0] if missing else None,
+            "yours": family.yours,
         })  # fmt: skip
     print(json.dumps(out))
 

@@ -26,6 +26,8 @@ class Family:
     names: Callable[[], list[str]]
     # The environment of one of these names. Raises `UnknownEnvironment` for any other name.
     environment: Callable[[str], Environment]
+    # How users get the package, if pip cannot install it: it must be importable before `robogate env setup`.
+    yours: str | None = None
 
 
 def installed(package: str) -> str:

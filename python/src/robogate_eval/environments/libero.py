@@ -85,4 +85,5 @@ FAMILY = Family(
     ],
     names=names,
     environment=environment,
+    yours="git clone https://github.com/Lifelong-Robot-Learning/LIBERO, then export PYTHONPATH=$PWD/LIBERO",
 )
