@@ -5,9 +5,10 @@
 //! so a unit may stay undecided, and a verdict is wrong with a probability of at most α. The interval of the share accounts
 //! for the finite number of units, for wrong verdicts and for undecided units ([`robogate_stats::unit_share`]).
 //!
-//! A parameter is named as a difference between failing and other units only after a permutation test over all
-//! parameters together ([`robogate_stats::max_statistic`]).
+//! Units are ordered by verdict, and by success rate among equal verdicts. A parameter is named as a difference between better
+//! and worse units only after a permutation test over all parameters together ([`robogate_stats::max_statistic`]).
 
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
 use robogate_core::{Assignment, Domain, Parameter, ParameterSpace, Value};
@@ -124,7 +125,7 @@ pub struct UnitDriver {
     /// The word, if the form is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub word: Option<String>,
-    /// Rank correlation with violating the requirements, in [-1, 1].
+    /// Rank correlation with the order of the units, in [-1, 1]. Positive: larger values are those of worse units.
     pub correlation: f64,
     /// p-value of "the verdicts do not depend on any unit parameter", adjusted for all parameters and forms.
     pub p_adjusted: f64,
@@ -305,27 +306,33 @@ struct Quantity {
     values: Vec<f64>,
 }
 
-/// Tests which unit parameters are correlated with the verdicts, or returns the reason why this is impossible.
+/// The place of each unit in the order from the best to the worst: by verdict, then by success rate. Equal units share a place.
+/// Each place depends on the episodes of the units alone, so units without an effect of any parameter are exchangeable.
+fn places_from_best(units: &[FleetUnit]) -> Vec<f64> {
+    let verdict = |unit: &FleetUnit| match unit.verdict {
+        Verdict::Pass => 0,
+        Verdict::Inconclusive | Verdict::Invalid => 1,
+        Verdict::Fail => 2,
+    };
+    // Rates are compared as fractions, without rounding.
+    let rate = |a: &FleetUnit, b: &FleetUnit| {
+        let [a_to_b, b_to_a] = [(a, b), (b, a)].map(|(of, other)| u128::from(of.successes) * u128::from(other.valid));
+        b_to_a.cmp(&a_to_b)
+    };
+    let worse = |a: &FleetUnit, b: &FleetUnit| verdict(a).cmp(&verdict(b)).then_with(|| rate(a, b));
+    let better_than = |unit: &FleetUnit| units.iter().filter(|other| worse(unit, other) == Ordering::Greater).count();
+    units.iter().map(|unit| better_than(unit) as f64).collect()
+}
+
+/// Tests which unit parameters are correlated with the order of the units, or returns the reason why this is impossible.
 fn drivers(space: &ParameterSpace, units: &[FleetUnit]) -> Result<Vec<UnitDriver>, &'static str> {
-    let any = |verdict| units.iter().any(|unit| unit.verdict == verdict);
-    if !any(Verdict::Fail) {
-        return Err("no unit is shown to violate the requirements");
+    let places = places_from_best(units);
+    if places.iter().all(|place| *place <= 0.0) {
+        return Err("all units have the same verdict and success rate");
     }
-    if !any(Verdict::Pass) {
-        return Err("no unit is shown to meet the requirements");
-    }
-    // Undecided units are between the others.
-    let result: Vec<f64> = units
-        .iter()
-        .map(|unit| match unit.verdict {
-            Verdict::Pass => 0.0,
-            Verdict::Inconclusive | Verdict::Invalid => 1.0,
-            Verdict::Fail => 2.0,
-        })
-        .collect();
     let quantities = quantities(space, units);
     let values: Vec<Vec<f64>> = quantities.iter().map(|quantity| quantity.values.clone()).collect();
-    let tests = correlated_quantities(&values, &result, PERMUTATIONS, SEED)
+    let tests = correlated_quantities(&values, &places, PERMUTATIONS, SEED)
         .ok_or("a unit has no value for one of the parameters")?;
     let median = |values: &[f64], verdict| {
         let mut chosen: Vec<f64> =
@@ -425,8 +432,33 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_named_without_failing_units() {
-        let units = vec![unit(1, 0.1, Verdict::Pass), unit(2, 0.2, Verdict::Inconclusive)];
-        assert_eq!(drivers(&space(), &units), Err("no unit is shown to violate the requirements"));
+    fn units_with_equal_verdicts_differ_by_their_success() {
+        let bias = |i: u64| (i as f64 - 9.5) / 10.0;
+        let units: Vec<FleetUnit> = (0..20)
+            .map(|i| FleetUnit { valid: 100 + i, successes: 99 - i, ..unit(i + 1, bias(i), Verdict::Pass) })
+            .collect();
+        assert_eq!(places_from_best(&units), (0..20).map(f64::from).collect::<Vec<_>>());
+        let drivers = drivers(&space(), &units).unwrap();
+        assert_eq!((drivers[0].parameter.as_str(), drivers[0].form), ("bias", DriverForm::Value));
+        assert!(drivers[0].significant && drivers[0].correlation > 0.99 && drivers[0].median_violates.is_none());
+    }
+
+    #[test]
+    fn verdict_counts_before_success() {
+        let of = |successes, valid, verdict| FleetUnit { successes, valid, ..unit(1, 0.0, verdict) };
+        let units = [
+            of(8, 10, Verdict::Pass),
+            of(9, 10, Verdict::Inconclusive),
+            of(90, 100, Verdict::Inconclusive),
+            of(0, 0, Verdict::Fail),
+            of(10, 10, Verdict::Pass),
+        ];
+        assert_eq!(places_from_best(&units), [1.0, 2.0, 2.0, 4.0, 0.0]);
+    }
+
+    #[test]
+    fn nothing_is_named_among_equal_units() {
+        let units = vec![unit(1, 0.1, Verdict::Pass), unit(2, 0.2, Verdict::Pass)];
+        assert_eq!(drivers(&space(), &units), Err("all units have the same verdict and success rate"));
     }
 }

@@ -44,7 +44,7 @@ pub fn fleet_share(fleet: &Fleet) -> Vec<String> {
     lines
 }
 
-/// What distinguishes failing units, in sentences. Only significant differences are named.
+/// What distinguishes worse units, in sentences. Only significant differences are named.
 pub fn fleet_drivers(fleet: &Fleet) -> Vec<String> {
     if let Some(because) = &fleet.not_tested {
         return vec![format!("Unit parameters cannot be compared: {because}.")];
@@ -57,7 +57,7 @@ pub fn fleet_drivers(fleet: &Fleet) -> Vec<String> {
     }
     if named.is_empty() {
         return vec![format!(
-            "No unit parameter is significantly correlated with the verdicts ({} quantities tested together, 5 % error).",
+            "No unit parameter is significantly correlated with the order of the units ({} quantities tested together, 5 % error).",
             fleet.drivers.len()
         )];
     }
@@ -67,26 +67,28 @@ pub fn fleet_drivers(fleet: &Fleet) -> Vec<String> {
 fn sentence(driver: &UnitDriver) -> String {
     let UnitDriver { parameter, form, word, correlation, .. } = driver;
     let which = match (form, *correlation > 0.0) {
-        (DriverForm::Value, true) => "units with larger values violate the requirements more often".to_owned(),
-        (DriverForm::Value, false) => "units with smaller values violate the requirements more often".to_owned(),
-        (DriverForm::Deviation, true) => {
-            "units farther from the middle of its range violate the requirements more often".to_owned()
+        (DriverForm::Value, true) => "units with larger values do worse".to_owned(),
+        (DriverForm::Value, false) => "units with smaller values do worse".to_owned(),
+        (DriverForm::Deviation, true) => "units farther from the middle of its range do worse".to_owned(),
+        (DriverForm::Deviation, false) => "units nearer to the middle of its range do worse".to_owned(),
+        (DriverForm::Word, worse) => {
+            format!(
+                "units with `{}` do {}",
+                word.as_deref().unwrap_or_default(),
+                if worse { "worse" } else { "better" }
+            )
         }
-        (DriverForm::Deviation, false) => {
-            "units nearer to the middle of its range violate the requirements more often".to_owned()
-        }
-        (DriverForm::Word, more) => format!(
-            "units with `{}` violate the requirements {} often",
-            word.as_deref().unwrap_or_default(),
-            if more { "more" } else { "less" }
-        ),
     };
     let medians = match (driver.median_violates, driver.median_meets, form) {
         (Some(violates), Some(meets), DriverForm::Value) => {
-            format!("median {} compared with {}, ", number(violates), number(meets))
+            format!("median {} of failing units, {} of passing ones, ", number(violates), number(meets))
         }
         (Some(violates), Some(meets), _) => {
-            format!("median distance {} of the half range compared with {}, ", percent(violates), percent(meets))
+            format!(
+                "median distance {} of the half range for failing units, {} for passing ones, ",
+                percent(violates),
+                percent(meets)
+            )
         }
         _ => String::new(),
     };
@@ -98,9 +100,13 @@ fn p(driver: &UnitDriver) -> String {
 }
 
 /// How the parameters are tested, in one sentence.
-const TEST: &str = "All parameters and forms are tested together: the p-value is the share of permutations of the verdicts in which any of \
-                    them is correlated at least as strongly (Westfall and Young 1993). At most 5 % of fleets without any effect name a \
-                    parameter.";
+const TEST: &str = "Units are ordered by verdict, and by success rate among equal verdicts. All parameters and forms are tested together: the \
+                    p-value is the share of permutations of this order in which any of them is correlated at least as strongly \
+                    (Westfall and Young 1993). At most 5 % of fleets without any effect name a parameter.";
+
+/// Why a unit can be undecided although its interval lies on one side of the limit.
+const INTERVAL: &str = "The exact interval assumes a fixed number of episodes. The verdict allows for a look at the data after each round, so it \
+                        needs more evidence than an interval on one side of the limit.";
 
 /// The cells of one unit.
 fn cells(unit: &FleetUnit) -> [String; 5] {
@@ -134,7 +140,7 @@ pub fn fleet_markdown(fleet: &Fleet) -> String {
     for text in fleet_share(fleet).iter().chain([&fleet.share.estimand]) {
         let _ = write!(out, "{}\n\n", escape_markdown(text));
     }
-    let _ = write!(out, "{}\n\n## What distinguishes failing units\n\n", escape_markdown(&subject(fleet)));
+    let _ = write!(out, "{}\n\n## What distinguishes worse units\n\n", escape_markdown(&subject(fleet)));
     for text in fleet_drivers(fleet) {
         let _ = writeln!(out, "- {}", escape_markdown(&text));
     }
@@ -148,6 +154,7 @@ pub fn fleet_markdown(fleet: &Fleet) -> String {
     for unit in &fleet.units {
         let _ = writeln!(out, "| {} |", cells(unit).map(|cell| escape_markdown(&cell)).join(" | "));
     }
+    let _ = write!(out, "\n{INTERVAL}\n");
     out
 }
 
@@ -175,7 +182,7 @@ pub fn fleet_html(fleet: &Fleet) -> String {
         }
         main {
             section {
-                header { h2 { "What distinguishes failing units" } }
+                header { h2 { "What distinguishes worse units" } }
                 ul.plain { @for text in fleet_drivers(fleet) { li { (rich(&text)) } } }
                 (parameters(fleet))
                 p.text { (prose(TEST)) }
@@ -192,6 +199,7 @@ pub fn fleet_html(fleet: &Fleet) -> String {
                         }
                     }
                 }
+                p.text { (INTERVAL) }
                 p.text { "The folder of each unit is a complete run: " code { "robogate report FLEET/unit-001" } " writes its page." }
             }
         }

@@ -59,7 +59,7 @@ const FLEET: &str =
     "fleet --task pendulum --suite suite.toml --unit-space units.toml --requirements most.toml --seed 5 --units 12";
 
 #[test]
-fn fleet_names_what_distinguishes_failing_units() {
+fn fleet_names_what_distinguishes_worse_units() {
     let dir = folder();
     let at = dir.path();
     let text = verb(at, &format!("{FLEET} --threads 2 --out a"), 0, &["of 12 units meet", "`angle_bias_rad`"]);

@@ -53,7 +53,7 @@ fn print(dir: &Path, fleet: &Fleet) {
     line("");
     fleet_share(fleet).iter().for_each(|text| line(format_args!("  {text}")));
     line("");
-    line(bold("  What distinguishes failing units"));
+    line(bold("  What distinguishes worse units"));
     fleet_drivers(fleet).iter().for_each(|text| wrapped(text));
     line("");
     wrapped(&fleet.share.estimand);
