@@ -145,10 +145,8 @@ pub fn rate(pairs: &Pairs, coarse: Trials, confidence: Confidence) -> Result<Two
     // The sum of both parameters of the beta distribution with these moments. Rounding must not make it infinite.
     let size = spread / (square - mean * mean).max(1e-300) - 1.0;
     let quantile = |p: f64| beta_quantile(mean * size, (1.0 - mean) * size, p);
-    let interval = Interval {
-        low: quantile(confidence.tail()).min(rate),
-        high: quantile(1.0 - confidence.tail()).max(rate),
-    };
+    let interval =
+        Interval { low: quantile(confidence.tail()).min(rate), high: quantile(1.0 - confidence.tail()).max(rate) };
     let alone = wilson(pairs.fine(), confidence);
     // Jeffreys' prior counts as one episode.
     let worth = (size - 1.0).max(1.0);

@@ -225,7 +225,7 @@ fn newer_schema_is_rejected_or_read_only() {
         let at = bytes.windows(key.len()).position(|window| window == key).unwrap() + key.len();
         let mut changed = bytes.clone();
         // Thrift's compact protocol: a field header, then the length of the text, then the text.
-        assert_eq!(&changed[at + 2..at + 5], b"2.1");
+        assert_eq!(&changed[at + 2..at + 5], b"2.2");
         changed[at + 2..at + 5].copy_from_slice(version.as_bytes());
         fs::write(&path, changed).unwrap();
         Dictionary::open(&path)
