@@ -80,7 +80,7 @@ mod tests {
         let domain = Domain::Continuous { low: 0.0, high: 1.0, scale: Scale::Linear };
         let parameters = ["a", "b"].map(|name| Parameter { name: name.into(), domain: domain.clone() });
         let space = Arc::new(ParameterSpace::new("square", parameters.to_vec()).unwrap());
-        let fine = Preset::Quick.plan().unwrap().with_total(101).with_coarse(0.2, 0.005);
+        let fine = Plan::from_toml("uniform.episodes = 101").unwrap().with_coarse(0.2, 0.005);
         assert_eq!((fine.uniform.episodes, fine.coarse.unwrap().episodes), (21, 101));
         fine.check(&space).unwrap();
         let coarse = fine.coarse_arm().unwrap();

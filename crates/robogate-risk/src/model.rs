@@ -593,6 +593,24 @@ mod tests {
         }
     }
 
+    /// The gain of a prior is measured on episodes that it does not know.
+    #[test]
+    fn gain_of_a_prior_is_found() {
+        let all = samples(800);
+        let fit = |samples: &[Sample]| Arc::new(RiskModel::fit(inputs(), samples, Learner::Splines, 10).unwrap());
+        let gain =
+            |prior: &[Sample]| crate::prior_gain(&fit(prior), &inputs(), &all[..50], Learner::Splines, 10).unwrap();
+        let good = gain(&easier(&all[300..]));
+        assert!(good.episodes == 50 && good.without - good.with > 2.0 * good.se && good.se > 0.0, "{good:?}");
+        let random: Vec<Sample> = all[300..]
+            .iter()
+            .map(|s| Sample { success: s.scenario.index % 7 < 3, scenario: s.scenario.clone() })
+            .collect();
+        let random = gain(&random);
+        assert!(random.without - random.with < 2.0 * random.se, "{random:?}");
+        assert!(crate::prior_gain(&fit(&all[300..]), &inputs(), &all[..4], Learner::Splines, 10).is_err());
+    }
+
     /// A prior of the parameters alone serves a model that is told the draws.
     #[test]
     fn prior_may_know_less() {

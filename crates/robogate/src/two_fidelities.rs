@@ -35,6 +35,9 @@ pub(crate) const SHARE: &str = "0.2";
 /// The default time step of coarse episodes, in seconds.
 pub(crate) const TIME_STEP_S: f64 = 0.005;
 
+/// Largest number of coarse episodes that train a risk model, at equal distances. More hardly change it, and the fit takes seconds.
+const MOST_TRAINED: usize = 5_000;
+
 /// The key of the time step in the record of a built-in environment.
 const TIME_STEP: &str = "time_step_s";
 
@@ -128,6 +131,7 @@ impl CoarseArm {
             }
             return run::conclude(dir, &interrupted, how.json);
         }
+        note("comparing risk models with and without the coarse episodes");
         match estimate(dir, subject) {
             Ok(found) => write(dir, &found)?,
             Err(exit) => note(format_args!("note: {exit}")),
@@ -166,7 +170,9 @@ fn risk(fine: &Dictionary, coarse: &Dictionary, subject: &Subject) -> Result<Opt
         }
         Ok(samples)
     };
-    let (own, others) = (samples(fine, 0)?, samples(coarse, fine.len())?);
+    let (own, mut others) = (samples(fine, 0)?, samples(coarse, fine.len())?);
+    let step = others.len().div_ceil(MOST_TRAINED).max(1);
+    others = others.into_iter().step_by(step).collect();
     let inputs = Arc::new(Inputs::new(&fine.provenance().space, subject.foresight()?));
     let (learner, least) = (Learner::default(), RiskModel::LEAST);
     let Ok(prior) = RiskModel::fit(Arc::clone(&inputs), &others, learner, least) else { return Ok(None) };

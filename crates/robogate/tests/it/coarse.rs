@@ -28,7 +28,8 @@ fn coarse_rows_estimate_and_stay_apart() {
     let dir = TempDir::new().unwrap();
     let at = dir.path();
     verb(at, &format!("{RUN} --out a"), 0, &["24 coarse episodes", "Fine and coarse episodes", "physics steps"]);
-    let [fine, coarse] = ["a", "a/coarse"].map(|name| Dictionary::open(&at.join(name).join("dictionary.parquet")).unwrap());
+    let [fine, coarse] =
+        ["a", "a/coarse"].map(|name| Dictionary::open(&at.join(name).join("dictionary.parquet")).unwrap());
     assert_eq!((fine.provenance().fidelity, coarse.provenance().fidelity), (Fidelity::Fine, Fidelity::Coarse));
     assert_eq!((fine.len(), coarse.len()), (12, 24));
     let rows = |dictionary: &Dictionary| dictionary.entries().collect::<Result<Vec<_>, _>>().unwrap();
@@ -43,7 +44,10 @@ fn coarse_rows_estimate_and_stay_apart() {
     let found: TwoFidelities = serde_json::from_slice(&fs::read(at.join("a/fidelity.json")).unwrap()).unwrap();
     assert_eq!((found.pairs + found.fine.invalid, found.coarse.episodes), (12, 24));
     let ticks = |rows: &[robogate_dictionary::Entry]| rows.iter().map(|row| u64::from(row.episode.ticks)).sum::<u64>();
-    assert_eq!((found.fine.physics_steps, found.coarse.physics_steps), (25 * ticks(&fine_rows), 10 * ticks(&coarse_rows)));
+    assert_eq!(
+        (found.fine.physics_steps, found.coarse.physics_steps),
+        (25 * ticks(&fine_rows), 10 * ticks(&coarse_rows))
+    );
     let success = found.success().unwrap();
     assert!(success.interval_95[0] <= success.rate && success.rate <= success.interval_95[1], "{found:?}");
 
@@ -80,14 +84,15 @@ fn coarse_rows_estimate_and_stay_apart() {
         "analyze coarse.parquet",
         "gate --run a/coarse",
         "compare a a/coarse",
-        "monitor reference a/coarse",
+        "monitor reference a/coarse --out r.json",
         "run --robot franka -n 40 --prior a/coarse --out p",
         "view a/coarse",
         "demos --failed-in a/coarse --out d",
     ] {
         verb(at, line, 2, &["coarse"]);
     }
-    let (fine, coarse) = (fs::read_to_string(at.join("fine.csv")).unwrap(), fs::read_to_string(at.join("coarse.csv")).unwrap());
+    let (fine, coarse) =
+        (fs::read_to_string(at.join("fine.csv")).unwrap(), fs::read_to_string(at.join("coarse.csv")).unwrap());
     let mixed: String = fine.split_inclusive("\r\n").chain(coarse.split_inclusive("\r\n").skip(13)).collect();
     fs::write(at.join("mixed.csv"), mixed).unwrap();
     verb(at, "import mixed.csv mixed.parquet", 2, &["has the fidelity coarse. Expected fine"]);
