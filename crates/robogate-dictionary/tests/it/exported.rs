@@ -229,7 +229,7 @@ fn edited_exports_are_rejected() {
         (cut(",ticks,", ",colour,ticks,"), "32 fields. Expected 33"),
         (cut(",seed,friction,", ",seed,Friction,"), "not all of them in order"),
         (cut(",depth_m,", ",depth in m,"), "\"depth in m\" is not a valid name"),
-        (format!("{}\"open", whole.trim_end()), "a quote is never closed"),
+        (format!("{},\"open", whole.trim_end()), "a quote is never closed"),
         (cut(",uniform,", ",\"uniform\"ly,"), "text after a closing quote"),
         (whole.lines().next().unwrap().to_owned(), "it has no episodes"),
     ] {
