@@ -12,6 +12,7 @@
 //! | several sources | [`Comparison`] |
 //! | dictionaries of several designs and a test set | [`study::Study`] |
 //! | a source and trials of the real robot | [`transfer::Transfer`] |
+//! | dictionaries of fine and coarse episodes | [`TwoFidelities`] |
 //! | the name of a task | [`TaskAnalysis`]: the additions of that task to the generic analysis |
 
 mod analysis;
@@ -39,6 +40,7 @@ mod success;
 mod table;
 mod task;
 pub mod transfer;
+mod two_fidelities;
 mod watch;
 
 pub use analysis::{Analysis, AnalysisOptions, Envelope, Subject};
@@ -72,4 +74,5 @@ pub use sampling::{SampledRange, Sampling};
 pub use source::Source;
 pub use success::{Adjusted, FaultCount, InvalidBounds, Reweighted, StageSuccess, Success, WeightedRate};
 pub use task::{InteractionModel, TaskAnalysis};
+pub use two_fidelities::{FidelityCost, FidelityRate, FidelityRisk, SimulatorFigures, TwoFidelities};
 pub use watch::{Twin, WatchedEpisode, worth_watching};

@@ -8,11 +8,11 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use robogate_core::{Domain, ParameterSpace, Sampler, Suite, samplers};
-use robogate_dictionary::read_text;
+use robogate_dictionary::{Fidelity, read_text};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{ActiveStage, Bins, SuiteStage, suite_sha256};
+use crate::{ActiveStage, Bins, CoarseStage, SuiteStage, suite_sha256};
 
 /// A campaign plan: seed, sampler, and stages.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -38,6 +38,12 @@ pub struct Plan {
     /// Whether the nominal twins of the episodes run after the campaign: those of the first stage, or of the suite.
     #[serde(default, skip_serializing_if = "is_false")]
     pub twins: bool,
+    /// Coarse episodes, whose first scenarios are those of the first stage.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub coarse: Option<CoarseStage>,
+    /// The fidelity of the episodes. Only the plan of the coarse episodes beside a campaign is coarse.
+    #[serde(default, skip_serializing_if = "Fidelity::is_fine")]
+    pub fidelity: Fidelity,
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
@@ -193,6 +199,9 @@ impl Plan {
     /// Reads a plan from TOML. Errors name line and key.
     pub fn from_toml(text: &str) -> Result<Self, PlanError> {
         let plan: Self = toml::from_str(text).map_err(|e| PlanError::Syntax(e.to_string()))?;
+        if plan.fidelity == Fidelity::Coarse {
+            return Err(PlanError::CoarseAlone);
+        }
         plan.check_alone()?;
         Ok(plan)
     }
@@ -271,6 +280,8 @@ impl Plan {
             active: None,
             twins: suite.has_twins(),
             suite: Some(SuiteStage::new(suite, rounds)),
+            coarse: None,
+            fidelity: Fidelity::Fine,
         }
     }
 
@@ -330,6 +341,7 @@ impl Plan {
 
     fn check_alone(&self) -> Result<(), PlanError> {
         self.sampler()?;
+        self.check_coarse()?;
         let (uniform, stage) = (&self.uniform, &self.boundary);
         if let Some(suite) = &self.suite {
             if uniform.episodes > 0 || stage.episodes > 0 || self.active.is_some() {
@@ -361,7 +373,10 @@ impl Plan {
         if uniform.episodes == 0 {
             return Err(PlanError::BoundaryAlone { boundary: stage.episodes });
         }
-        for (key, episodes) in [("uniform.episodes", uniform.episodes), ("boundary.episodes", stage.episodes)] {
+        let coarse = self.coarse.map_or(0, |coarse| coarse.episodes);
+        for (key, episodes) in
+            [("uniform.episodes", uniform.episodes), ("boundary.episodes", stage.episodes), ("coarse.episodes", coarse)]
+        {
             check_most(key, episodes)?;
         }
         if !(2..=MOST_BINS).contains(&stage.bins) {
@@ -577,6 +592,32 @@ pub enum PlanError {
         "`uniform.episodes` is 0, but `active` needs a uniform stage\nhint: give it about a quarter of the episodes"
     )]
     ActiveAlone,
+    /// Coarse episodes in a plan with more than a uniform stage.
+    #[error(
+        "`coarse` cannot be combined with `suite`, `active`, `boundary.episodes` or `twins`\nhint: coarse episodes estimate rates over \
+         the operating space from a uniform stage alone"
+    )]
+    CoarseAndOthers,
+    /// Coarse episodes of a design whose first points are not a sample.
+    #[error(
+        "`coarse` needs the sampler `uniform`, but `sampler` is `{found}`\nhint: the first points of another design are not an independent \
+         sample"
+    )]
+    CoarseSampler {
+        /// The sampler of the plan.
+        found: String,
+    },
+    /// Fewer coarse episodes than fine ones.
+    #[error("`coarse.episodes` is {coarse}; expected at least `uniform.episodes`, which is {fine}")]
+    FewCoarse {
+        /// Coarse episodes.
+        coarse: u64,
+        /// Fine episodes.
+        fine: u64,
+    },
+    /// A plan of coarse episodes alone.
+    #[error("`fidelity` is `coarse`; expected no such key\nhint: describe coarse episodes in the section `coarse`")]
+    CoarseAlone,
     /// A setting out of range.
     #[error("`{key}` is {found}; expected {expected}")]
     Setting {

@@ -4,7 +4,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use robogate_core::{Assignment, Design, Episode, ParameterSpace, Sampler, Scenario, Seed};
-use robogate_dictionary::{Entry, Label};
+use robogate_dictionary::{Entry, Fidelity, Label};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -53,6 +53,7 @@ pub struct Points {
     stage: Stage,
     seed: Seed,
     sampler: &'static str,
+    fidelity: Fidelity,
     first_index: u64,
     source: Source,
 }
@@ -79,7 +80,8 @@ impl Points {
         let seed = Seed::campaign(plan.seed);
         let designs = vec![draw(&*sampler, space, plan.uniform.episodes, seed, "design-uniform")?];
         let source = Source::Drawn { designs, weights: None };
-        Ok(Self { stage: Stage::Uniform, seed, sampler: sampler.name(), first_index: 0, source })
+        let fidelity = plan.fidelity;
+        Ok(Self { stage: Stage::Uniform, seed, sampler: sampler.name(), fidelity, first_index: 0, source })
     }
 
     /// Draws the points of the second stage from the boundary report. `space` is the operating space.
@@ -100,6 +102,7 @@ impl Points {
             stage: Stage::Boundary,
             seed,
             sampler: sampler.name(),
+            fidelity: plan.fidelity,
             first_index: plan.uniform.episodes,
             source: Source::Drawn { designs, weights: Some(Weights::new(report, focus)) },
         })
@@ -108,13 +111,15 @@ impl Points {
     /// The points of a round of the active stage, from this index on.
     pub(crate) fn active(plan: &Plan, first_index: u64, points: Vec<Chosen>) -> Self {
         let seed = Seed::campaign(plan.seed);
-        Self { stage: Stage::Active, seed, sampler: "active", first_index, source: Source::Listed(points) }
+        let (fidelity, source) = (plan.fidelity, Source::Listed(points));
+        Self { stage: Stage::Active, seed, sampler: "active", fidelity, first_index, source }
     }
 
     /// The scenarios of a suite, in all its rounds.
     pub fn suite(stage: &SuiteStage, seed: u64) -> Self {
         let source = Source::Suite(Box::new(stage.clone()));
-        Self { stage: Stage::Suite, seed: Seed::campaign(seed), sampler: "suite", first_index: 0, source }
+        let fidelity = Fidelity::Fine;
+        Self { stage: Stage::Suite, seed: Seed::campaign(seed), sampler: "suite", fidelity, first_index: 0, source }
     }
 
     /// The stage.
@@ -203,7 +208,8 @@ impl Points {
         let index = episode.scenario.index;
         let (weight, label) = (self.weight(index)?, self.label(index));
         let design = self.design(index).to_owned();
-        Some(Entry { stage: self.stage.as_str().to_owned(), design, weight, label, episode })
+        let (stage, fidelity) = (self.stage.as_str().to_owned(), self.fidelity);
+        Some(Entry { stage, design, weight, label, fidelity, episode })
     }
 
     /// The position of an episode in the stage or round, if it does not come before it.

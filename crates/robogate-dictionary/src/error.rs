@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use robogate_core::SpaceError;
 
-use crate::{SCHEMA_VERSION, SchemaVersion};
+use crate::{Fidelity, SCHEMA_VERSION, SchemaVersion};
 
 /// A row of a table, counted from 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -148,6 +148,19 @@ pub enum DictionaryError {
         found: u64,
         /// The dictionary's seed.
         expected: u64,
+    },
+    /// An episode of another fidelity than the dictionary.
+    #[error(
+        "episode {index} has the fidelity {found}. Expected {expected}, as in the dictionary\nhint: keep fine and coarse episodes in \
+         files of their own"
+    )]
+    ForeignFidelity {
+        /// The episode's index.
+        index: u64,
+        /// The episode's fidelity.
+        found: Fidelity,
+        /// The dictionary's fidelity.
+        expected: Fidelity,
     },
     /// An index that is not larger than the previous one.
     #[error("episode {index} follows episode {previous}. Expected each index once, in increasing order")]

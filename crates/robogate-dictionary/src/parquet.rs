@@ -29,7 +29,7 @@ use crate::atomic::AtomicFile;
 use crate::codec::Interner;
 use crate::columns::{Cell, ColumnSpec, Columns, Kind, WrongCell};
 use crate::pages::{Allowance, check_footer, page_reader};
-use crate::{DatasetHash, DictionaryError, Entry, Provenance, Row, SCHEMA_VERSION, SchemaVersion};
+use crate::{DatasetHash, DictionaryError, Entry, Fidelity, Provenance, Row, SCHEMA_VERSION, SchemaVersion};
 
 /// Rows of a row group. A reader or writer keeps one group in memory, a few megabytes.
 const ROWS_PER_GROUP: usize = 1 << 14;
@@ -82,6 +82,7 @@ pub struct DictionaryWriter {
     columns: Columns,
     chunks: Vec<Chunk>,
     seed: u64,
+    fidelity: Fidelity,
     rows_in_group: usize,
     rows: u64,
     last_index: Option<u64>,
@@ -114,6 +115,7 @@ impl DictionaryWriter {
             columns,
             chunks,
             seed: provenance.seed,
+            fidelity: provenance.fidelity,
             rows_in_group: 0,
             rows: 0,
             last_index: None,
@@ -133,6 +135,7 @@ impl DictionaryWriter {
         if found != self.seed {
             return Err(DictionaryError::ForeignCampaign { index, found, expected: self.seed });
         }
+        same_fidelity(entry, self.fidelity)?;
         let mut cells = Vec::with_capacity(self.chunks.len());
         self.columns.flatten(entry, &mut cells)?;
         for (chunk, cell) in self.chunks.iter_mut().zip(&cells) {
@@ -202,6 +205,14 @@ impl DictionaryWriter {
         sink.recent.clear();
         self.rows_in_group = 0;
         Ok(())
+    }
+}
+
+/// Rejects an episode of another fidelity than its dictionary.
+fn same_fidelity(entry: &Entry, expected: Fidelity) -> Result<(), DictionaryError> {
+    match entry.fidelity {
+        found if found == expected => Ok(()),
+        found => Err(DictionaryError::ForeignFidelity { index: entry.index(), found, expected }),
     }
 }
 
@@ -864,6 +875,7 @@ impl Entries<'_> {
         if let Some(previous) = self.last_index.filter(|previous| *previous >= index) {
             return Err(DictionaryError::Order { index, previous });
         }
+        same_fidelity(&entry, self.dictionary.provenance.fidelity)?;
         self.last_index = Some(index);
         self.hash.update(&entry);
         self.at += 1;

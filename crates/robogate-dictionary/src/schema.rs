@@ -8,14 +8,17 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
 /// The version that this crate writes, and the newest one that it knows.
-pub const SCHEMA_VERSION: SchemaVersion = SchemaVersion { major: 2, minor: 1 };
+pub const SCHEMA_VERSION: SchemaVersion = SchemaVersion { major: 2, minor: 2 };
 
-/// The oldest version that this crate reads. Version 2.0 added the task, 2.1 the hidden draws; no version
-/// removed a column.
+/// The oldest version that this crate reads. Version 2.0 added the task, 2.1 the hidden draws, 2.2 the
+/// fidelity; no version removed a column.
 pub(crate) const OLDEST: SchemaVersion = SchemaVersion { major: 1, minor: 0 };
 
 /// The version that added the columns of a suite's scenarios (`case`, `category`, `group`).
 pub(crate) const LABELLED: SchemaVersion = SchemaVersion { major: 1, minor: 1 };
+
+/// The last version without the column `fidelity`. All of its rows are of the fine simulator.
+pub(crate) const WITHOUT_FIDELITY: SchemaVersion = SchemaVersion { major: 2, minor: 1 };
 
 /// A version of the dictionary's schema, in the form `major.minor`.
 ///

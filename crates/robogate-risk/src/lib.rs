@@ -12,8 +12,10 @@
 //! Cross-validation finds the mean of both that predicts best, and calibrates it. Everything runs in the order of the
 //! episodes, so the result does not depend on the number of threads.
 
+mod gain;
 mod inputs;
 mod model;
 
+pub use gain::{PriorGain, prior_gain};
 pub use inputs::Inputs;
 pub use model::{Choice, Learner, RiskError, RiskModel, Sample};

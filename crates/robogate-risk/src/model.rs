@@ -593,6 +593,19 @@ mod tests {
         }
     }
 
+    /// The gain of a prior is measured on episodes that it does not know.
+    #[test]
+    fn gain_of_a_prior_is_found() {
+        let all = samples(800);
+        let fit = |samples: &[Sample]| Arc::new(RiskModel::fit(inputs(), samples, Learner::Splines, 10).unwrap());
+        let gain =
+            |prior: &[Sample]| crate::prior_gain(&fit(prior), &inputs(), &all[..24], Learner::Splines, 10).unwrap();
+        let good = gain(&easier(&all[300..]));
+        // 19 episodes are too few for a model of their own.
+        assert!(good.episodes == 24 && good.with < good.without && good.se > 0.0, "{good:?}");
+        assert!(crate::prior_gain(&fit(&all[300..]), &inputs(), &all[..4], Learner::Splines, 10).is_err());
+    }
+
     /// A prior of the parameters alone serves a model that is told the draws.
     #[test]
     fn prior_may_know_less() {

@@ -35,6 +35,7 @@ fn main() -> anyhow::Result<()> {
         task: task.clone(),
         world: serde_json::Value::Null,
         plan: serde_json::Value::Null,
+        fidelity: robogate_dictionary::Fidelity::Fine,
         seed: 0,
         source: None,
     };

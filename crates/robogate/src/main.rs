@@ -35,6 +35,7 @@ mod summary;
 mod terminal;
 mod transfer_view;
 mod twins;
+mod two_fidelities;
 mod watch;
 
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};

@@ -28,14 +28,14 @@ pub struct FixedColumn {
     pub meaning: &'static str,
 }
 
-/// The fixed columns in order. The last three exist since version 1.1. The hidden draws of the task have columns after
-/// them, since version 2.1.
+/// The fixed columns in order. `case`, `category` and `group` exist since version 1.1, `fidelity` since version 2.2. The
+/// hidden draws of the task have columns after them, since version 2.1.
 ///
 /// Each parameter of the space has a column of its name with the requested value, between `seed` and `applied_other`.
 /// After these, each parameter has a column with the prefix `applied_`: the value read back from the environment, null
 /// if the reset failed. The measures of the task have columns before `ticks`.
 pub fn fixed_columns() -> impl Iterator<Item = &'static FixedColumn> {
-    LEADING.iter().chain(&TRAILING).chain(&CLOSING).chain(&LABEL)
+    LEADING.iter().chain(&TRAILING).chain(&CLOSING).chain(&LABEL).chain(std::iter::once(&FIDELITY))
 }
 
 /// The columns before the parameters.
@@ -169,7 +169,7 @@ pub(super) static CLOSING: [FixedColumn; 2] = [
     },
 ];
 
-/// The columns of a suite's scenarios, the last fixed ones.
+/// The columns of a suite's scenarios.
 pub(super) static LABEL: [FixedColumn; 3] = [
     FixedColumn {
         name: "case",
@@ -193,3 +193,12 @@ pub(super) static LABEL: [FixedColumn; 3] = [
         meaning: "the scenario's group within its category",
     },
 ];
+
+/// The column of the simulator's fidelity, the last fixed one.
+pub(super) static FIDELITY: FixedColumn = FixedColumn {
+    name: "fidelity",
+    kind: Kind::Text,
+    required: true,
+    repeats: true,
+    meaning: "fine, or coarse if the episode ran with larger time steps; rows of both are never in one file",
+};

@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-use super::fixed::{CLOSING, LABEL, LEADING, TRAILING};
-use crate::schema::OLDEST;
+use super::fixed::{CLOSING, FIDELITY, LABEL, LEADING, TRAILING};
+use crate::schema::{OLDEST, WITHOUT_FIDELITY};
 use crate::{SCHEMA_VERSION, SchemaVersion};
 
 /// Positions of the parameter, measure and draw columns in the table of a dictionary.
@@ -30,8 +30,14 @@ impl Layout {
         let parameters = first..first + applied_other.checked_sub(first)? / 2;
         let label = place(LABEL[0].name).filter(|at| *at >= measures.end);
         let labelled = label.is_some();
-        let draws = label.map_or(names.len(), |at| (at + LABEL.len()).min(names.len()))..names.len();
-        let version = if labelled { SCHEMA_VERSION } else { OLDEST };
+        let after_label = label.map_or(names.len(), |at| (at + LABEL.len()).min(names.len()));
+        let with_fidelity = names.get(after_label).is_some_and(|name| name == FIDELITY.name);
+        let draws = after_label + usize::from(with_fidelity)..names.len();
+        let version = match (labelled, with_fidelity) {
+            (false, _) => OLDEST,
+            (true, false) => WITHOUT_FIDELITY,
+            (true, true) => SCHEMA_VERSION,
+        };
         (measures.start <= measures.end).then_some(Self { parameters, measures, draws, version })
     }
 }

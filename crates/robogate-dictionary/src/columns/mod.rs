@@ -12,13 +12,13 @@ use robogate_core::{
     TaskSpec, Value, Word,
 };
 
-use fixed::{CLOSING, LABEL, LEADING, TRAILING};
+use fixed::{CLOSING, FIDELITY, LABEL, LEADING, TRAILING};
 pub use fixed::{FixedColumn, Kind, fixed_columns};
 pub(crate) use layout::Layout;
 
 use crate::codec::{FAULT_KINDS, Interner, integer_as_number, number_as_integer};
-use crate::schema::LABELLED;
-use crate::{DictionaryError, Entry, Label, Provenance, SchemaVersion};
+use crate::schema::{LABELLED, WITHOUT_FIDELITY};
+use crate::{DictionaryError, Entry, Fidelity, Label, Provenance, SchemaVersion};
 
 /// One column.
 #[derive(Debug, Clone)]
@@ -70,8 +70,10 @@ pub(crate) struct Columns {
     /// The hidden draws, whose columns are last.
     draws: Vec<Word>,
     specs: Vec<ColumnSpec>,
-    /// Whether the columns before the draws are those of a suite's scenarios.
+    /// Whether there are the columns of a suite's scenarios.
     labelled: bool,
+    /// Whether the column before the draws is the fidelity.
+    with_fidelity: bool,
     /// Whether a row may lack the value of a parameter, as an imported one may.
     gaps: bool,
 }
@@ -108,6 +110,7 @@ impl Columns {
         let draws: Vec<Word> = task.draws.iter().map(|draw| draw.name).collect();
         let of_draws = draws.iter().map(|name| spec(name.as_str().to_owned(), Kind::Number, false, false));
         let labelled = version >= LABELLED;
+        let with_fidelity = version > WITHOUT_FIDELITY;
         let specs: Vec<ColumnSpec> = LEADING
             .iter()
             .map(fixed)
@@ -117,6 +120,7 @@ impl Columns {
             .chain(of_measures)
             .chain(CLOSING.iter().map(fixed))
             .chain(LABEL.iter().filter(|_| labelled).map(fixed))
+            .chain(std::iter::once(&FIDELITY).filter(|_| with_fidelity).map(fixed))
             .chain(of_draws)
             .collect();
         // Case-insensitive readers (DuckDB) cannot distinguish `Mass` from `mass`.
@@ -135,7 +139,7 @@ impl Columns {
             let at = if chosen(&pair[0].1) { pair[0].1 } else { pair[1].1 };
             return Err(DictionaryError::ColumnClash { column: specs[at].name.clone() });
         }
-        Ok(Self { space: space.clone(), measures, draws, specs, labelled, gaps: false })
+        Ok(Self { space: space.clone(), measures, draws, specs, labelled, with_fidelity, gaps: false })
     }
 
     /// The columns in order.
@@ -154,7 +158,7 @@ impl Columns {
     /// to `applied_other`, and a measure that is not finite becomes null.
     pub(crate) fn flatten<'a>(&self, entry: &'a Entry, cells: &mut Vec<Cell<'a>>) -> Result<(), DictionaryError> {
         entry.check()?;
-        let Entry { stage, design, weight, label, episode } = entry;
+        let Entry { stage, design, weight, label, fidelity, episode } = entry;
         let Episode { scenario, applied, outcome, time_s, phase, contact, measures, draws, ticks, trajectory_hash } =
             episode;
         cells.clear();
@@ -189,6 +193,9 @@ impl Columns {
         if self.labelled {
             let Label { case, category, group } = label;
             cells.extend([case, category, group].map(|word| word.as_deref().map_or(Cell::Null, text)));
+        }
+        if self.with_fidelity {
+            cells.push(text(fidelity.as_str()));
         }
         cells.extend(self.draws.iter().map(|name| number(draws.get(name.as_str()))));
         Ok(())
@@ -305,11 +312,18 @@ impl Columns {
         } else {
             Label::default()
         };
+        let fidelity = match self.with_fidelity {
+            true => {
+                let word = row.text()?;
+                Fidelity::by_name(word).ok_or_else(|| row.wrong("is not a fidelity. Expected fine or coarse"))?
+            }
+            false => Fidelity::Fine,
+        };
         let draws: Measures = self.draws.iter().map(|name| (*name, row.optional_number())).collect();
         let scenario = Scenario { index, seed, requested };
         let episode =
             Episode { scenario, applied, outcome, time_s, phase, contact, measures, draws, ticks, trajectory_hash };
-        Ok(Entry { stage, design, weight, label, episode })
+        Ok(Entry { stage, design, weight, label, fidelity, episode })
     }
 }
 

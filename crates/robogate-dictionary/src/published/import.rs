@@ -19,8 +19,8 @@ use crate::columns::Columns;
 use crate::fields::Fields;
 use crate::raw::{MOST_MODES, RawRow, Scalar};
 use crate::{
-    DictionaryError, DictionaryWriter, Engine, Entry, Label, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool,
-    Written, v1,
+    DictionaryError, DictionaryWriter, Engine, Entry, Fidelity, Label, Provenance, Robot, Row, SCHEMA_VERSION, Source,
+    Tool, Written, v1,
 };
 
 /// The result of an import.
@@ -201,6 +201,7 @@ impl Survey {
             world: serde_json::Value::Null,
             space,
             plan: json!({ "published_metadata": frame.metadata }),
+            fidelity: Fidelity::Fine,
             seed: seed.unwrap_or(0),
             question_sha256: None,
             platform: None,
@@ -284,6 +285,7 @@ impl Plan {
             design: "published".to_owned(),
             weight: 1.0,
             label: Label::default(),
+            fidelity: Fidelity::Fine,
             episode,
         })
     }

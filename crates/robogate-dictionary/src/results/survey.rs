@@ -16,7 +16,7 @@ use crate::columns::Columns;
 use crate::fields::{Field, Fields};
 use crate::provenance::SourceColumn;
 use crate::raw::{MOST_FIELDS, MOST_MODES, RawRow, Scalar};
-use crate::{DictionaryError, Engine, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool, published};
+use crate::{DictionaryError, Engine, Fidelity, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool, published};
 
 /// The parameter that stores an environment's seed.
 pub const SOURCE_SEED: &str = "source_seed";
@@ -242,6 +242,7 @@ impl<'a> Survey<'a> {
             world: serde_json::Value::Null,
             space: ParameterSpace::new("imported", parameters)?,
             plan: json!({ "source_metadata": frame.metadata }),
+            fidelity: Fidelity::Fine,
             seed: frame.metadata.get("seed").and_then(serde_json::Value::as_u64).unwrap_or(0),
             question_sha256: None,
             platform: None,

@@ -7,7 +7,9 @@ use std::sync::Arc;
 use robogate_core::{Domain, FailureMode, Outcome, ParameterSpace, TaskSpec, Value, Word};
 use robogate_dictionary::export::{Format, write_file};
 use robogate_dictionary::results::{Mapping, import};
-use robogate_dictionary::{Dictionary, DictionaryError, Entry, Provenance, dataset_hash, published, write_parquet};
+use robogate_dictionary::{
+    Dictionary, DictionaryError, Entry, Fidelity, Provenance, dataset_hash, published, write_parquet,
+};
 
 use crate::common::{Folder, entry, entry_of, pick_place, provenance, provenance_of, same, strange_entry, task};
 
@@ -45,6 +47,30 @@ fn round_trip(folder: &Folder, original: &Dictionary) -> Vec<Provenance> {
 
 fn modes(task: &TaskSpec) -> Vec<&str> {
     task.failure_modes.iter().map(|mode| mode.name.as_str()).collect()
+}
+
+#[test]
+fn fidelity_survives_the_round_trip() {
+    let folder = Folder::new("exported-fidelity");
+    let coarse = |index| Entry { fidelity: Fidelity::Coarse, ..entry(index) };
+    let provenance = Provenance { fidelity: Fidelity::Coarse, ..provenance() };
+    let original = dictionary(&folder.join("d.parquet"), &provenance, (0..20).map(coarse));
+    for imported in round_trip(&folder, &original) {
+        assert_eq!(imported.fidelity, Fidelity::Coarse);
+    }
+}
+
+#[test]
+fn exports_without_fidelity_are_fine() {
+    let folder = Folder::new("exported-older");
+    let original = dictionary(&folder.join("d.parquet"), &provenance(), (0..20).map(entry));
+    let (from, to) = (folder.join("older.csv"), folder.join("again.parquet"));
+    write_file(&original, Format::Csv, &from).unwrap();
+    let text = fs::read_to_string(&from).unwrap();
+    fs::write(&from, text.replace(",fidelity\r\n", "\r\n").replace(",fine\r\n", "\r\n")).unwrap();
+    let again = imported(&from, &to);
+    assert_eq!(again.len(), 20);
+    assert!(original.entries().zip(again.entries()).all(|(a, b)| same(&a.unwrap(), &b.unwrap())));
 }
 
 #[test]
@@ -198,12 +224,12 @@ fn edited_exports_are_rejected() {
         (cut("\r\n1,", "\r\n\"1\","), "`1` is not an integer of at least 0 without quotes"),
         (cut("\r\n1,", "\r\n5,"), "episode 2 follows episode 5"),
         (cut(",2026,", ",2027,"), "2027"),
-        (cut("\r\n2,", "\r\n2,2,"), "line 4: 32 fields. Expected 31"),
+        (cut("\r\n2,", "\r\n2,2,"), "line 4: 33 fields. Expected 32"),
         (cut("index,stage,", "stage,index,"), "not all of them in order"),
-        (cut(",ticks,", ",colour,ticks,"), "31 fields. Expected 32"),
+        (cut(",ticks,", ",colour,ticks,"), "32 fields. Expected 33"),
         (cut(",seed,friction,", ",seed,Friction,"), "not all of them in order"),
         (cut(",depth_m,", ",depth in m,"), "\"depth in m\" is not a valid name"),
-        (format!("{}\"open", whole.trim_end()), "a quote is never closed"),
+        (format!("{},\"open", whole.trim_end()), "a quote is never closed"),
         (cut(",uniform,", ",\"uniform\"ly,"), "text after a closing quote"),
         (whole.lines().next().unwrap().to_owned(), "it has no episodes"),
     ] {

@@ -7,7 +7,8 @@ use std::process::Command;
 use crate::common::{Folder, SEED, entry, provenance, same, strange_entry, task};
 use robogate_core::{Domain, Parameter, ParameterSpace, Scale, Seed, Value};
 use robogate_dictionary::{
-    Column, Dictionary, DictionaryError, DictionaryWriter, Entry, SchemaVersion, dataset_hash, write_parquet,
+    Column, Dictionary, DictionaryError, DictionaryWriter, Entry, Fidelity, Provenance, SchemaVersion, dataset_hash,
+    write_parquet,
 };
 
 fn write(path: &Path, entries: impl Iterator<Item = Entry>) -> String {
@@ -225,7 +226,7 @@ fn newer_schema_is_rejected_or_read_only() {
         let at = bytes.windows(key.len()).position(|window| window == key).unwrap() + key.len();
         let mut changed = bytes.clone();
         // Thrift's compact protocol: a field header, then the length of the text, then the text.
-        assert_eq!(&changed[at + 2..at + 5], b"2.1");
+        assert_eq!(&changed[at + 2..at + 5], b"2.2");
         changed[at + 2..at + 5].copy_from_slice(version.as_bytes());
         fs::write(&path, changed).unwrap();
         Dictionary::open(&path)
@@ -236,8 +237,32 @@ fn newer_schema_is_rejected_or_read_only() {
     let newer = with_version("2.7").unwrap();
     assert_eq!(newer.entries().filter(Result::is_ok).count(), 3);
     assert!(newer.schema_version().is_readable() && !newer.schema_version().is_writable());
+    // Earlier versions have no fidelity: their rows are fine.
+    let older = with_version("2.1").unwrap();
+    assert!(!older.column_names().any(|name| name == "fidelity"));
+    assert!(older.entries().all(|entry| entry.unwrap().fidelity == Fidelity::Fine));
     assert!(with_version("0.9").is_err());
     assert!(with_version("1-0").is_err());
+}
+
+#[test]
+fn rows_of_two_fidelities_are_rejected() {
+    let folder = Folder::new("parquet-fidelity");
+    let (fine, coarse) = (folder.join("fine"), folder.join("coarse"));
+    let coarsened = |index| Entry { fidelity: Fidelity::Coarse, ..entry(index) };
+    let mut writer = DictionaryWriter::create(&fine, &provenance()).unwrap();
+    writer.push(&entry(0)).unwrap();
+    let error = writer.push(&coarsened(1)).unwrap_err();
+    assert!(matches!(error, DictionaryError::ForeignFidelity { index: 1, .. }), "{error}");
+    let fine_hash = write(&fine, (0..9).map(entry));
+    let of_coarse = Provenance { fidelity: Fidelity::Coarse, ..provenance() };
+    let hash = write_parquet(&coarse, &of_coarse, (0..9).map(|index| Ok(coarsened(index)))).unwrap().dataset_hash;
+    assert_ne!(hash, fine_hash);
+    let dictionary = Dictionary::open(&coarse).unwrap();
+    assert_eq!(dictionary.provenance().fidelity, Fidelity::Coarse);
+    assert!(dictionary.entries().map(Result::unwrap).eq((0..9).map(coarsened)));
+    let Column::Categories { words, .. } = dictionary.column("fidelity").unwrap() else { panic!("not words") };
+    assert_eq!(words, ["coarse"]);
 }
 
 #[test]

@@ -298,6 +298,7 @@ impl Subject {
             world,
             space,
             plan: Value::Null,
+            fidelity: robogate_dictionary::Fidelity::Fine,
             seed: 0,
             question_sha256: None,
             platform: Some(Platform::here()),

@@ -6,6 +6,8 @@ mod bridge;
 #[cfg(feature = "mujoco")]
 #[expect(unreachable_pub, reason = "a module of a test")]
 mod browser;
+#[cfg(feature = "mujoco")]
+mod coarse;
 mod command;
 mod compliance;
 mod controls;
