@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use robogate_analysis::{Analysis, MarginalEffect};
+use robogate_analysis::{Analysis, Effects, MarginalEffect};
 use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{
     BoundaryReport, DrawnFrom, Estimate, OutcomeCounts, Population, Sought, Stage, StageSummary, SuiteSummary, Summary,
@@ -53,7 +53,7 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
     }
     if let Some(analysis) = analysis {
         headline(analysis);
-        influential(analysis);
+        influential(&analysis.effects, "Most influential parameters");
         // The report lists all of them.
         let significant =
             |effect: &&MarginalEffect| analysis.effects.significant().any(|of| of.parameter == effect.parameter);
@@ -250,15 +250,14 @@ fn headline(analysis: &Analysis) {
 /// Parameters in the list of the most influential ones.
 const MAX_PARAMETERS: usize = 5;
 
-/// The parameters with significant effects, the most influential first. At most five.
-pub(crate) fn influential(analysis: &Analysis) {
-    let effects = &analysis.effects;
+/// Prints the parameters with significant effects, the most influential first. At most five.
+pub(crate) fn influential(effects: &Effects, title: &str) {
     let mut significant = effects.significant().peekable();
     if significant.peek().is_none() {
         return;
     }
     line("");
-    line(bold("Most influential parameters"));
+    line(bold(title));
     for effect in significant.take(MAX_PARAMETERS) {
         let p = p_value(effect.adjusted_p.max(f64::MIN_POSITIVE).ln());
         let rates = effect.shape.estimated().map_or_else(String::new, |shape| {

@@ -13,6 +13,7 @@ use robogate_stats::format::{fixed, range};
 use crate::commands::analyze::{heading, interval};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, OrExit, USAGE};
 use crate::source::open_source;
+use crate::summary::influential;
 use crate::terminal::{bold, dim, grouped, line, note, percent, wrapped};
 use crate::transfer_view::TransferView;
 
@@ -94,6 +95,7 @@ fn print(of: &Transfer) {
         heading(title);
         lines.iter().for_each(|text| wrapped(text));
     }
+    influential(&of.effects, "Most influential parameters in the simulation");
     heading("Corrected simulation");
     let correction = &of.correction;
     line(format_args!(
