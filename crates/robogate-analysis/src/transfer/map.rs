@@ -164,7 +164,11 @@ impl Places {
     }
 
     /// The contour of the target and its band.
-    fn boundary(&self, rates: &[ModelRate], model: &Recalibration) -> (Finding<Vec<Vec<[f64; 2]>>>, Vec<Vec<[f64; 2]>>) {
+    fn boundary(
+        &self,
+        rates: &[ModelRate],
+        model: &Recalibration,
+    ) -> (Finding<Vec<Vec<[f64; 2]>>>, Vec<Vec<[f64; 2]>>) {
         if !self.has_contour() {
             return (Finding::not("one of the two parameters has few levels"), Vec::new());
         }
@@ -183,7 +187,8 @@ impl Places {
             })
             .collect();
         let value = |[x, y]: [f64; 2]| [self.x.value(x), self.y.value(y)];
-        let values = |of: Vec<Vec<[f64; 2]>>| of.into_iter().map(|line| line.into_iter().map(value).collect()).collect();
+        let values =
+            |of: Vec<Vec<[f64; 2]>>| of.into_iter().map(|line| line.into_iter().map(value).collect()).collect();
         let [nx, ny] = self.cells();
         let triangles = triangles(nx, ny);
         (Finding::Estimated(values(contour(&nodes, &triangles))), values(band(&nodes, &triangles)))
@@ -256,7 +261,8 @@ fn contour(nodes: &[Node], triangles: &[[usize; 3]]) -> Vec<Vec<[f64; 2]>> {
     let point = |(a, b): Side| between(nodes[a].place, nodes[b].place, nodes[a].rate, nodes[b].rate);
     let mut curves = Vec::new();
     // Open curves begin at a side with one neighbour. The rest are rings.
-    while let Some(first) = next.iter().find(|(_, to)| to.len() == 1).or_else(|| next.iter().next()).map(|(side, _)| *side)
+    while let Some(first) =
+        next.iter().find(|(_, to)| to.len() == 1).or_else(|| next.iter().next()).map(|(side, _)| *side)
     {
         let mut curve = vec![point(first)];
         let mut at = first;

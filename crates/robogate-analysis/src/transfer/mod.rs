@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 use robogate_core::ParameterSpace;
 use robogate_dictionary::TaskIdentity;
 use robogate_stats::exact_strata::{self, Stratum};
+use robogate_stats::format::list;
 use robogate_stats::prediction_powered::{self, Predicted};
 use robogate_stats::recalibration::{Posterior, Recalibration, log_odds};
 use robogate_stats::{Confidence, Trials};
@@ -31,6 +32,7 @@ pub use trials::{RealTrial, RealTrials};
 use self::map::Places;
 use crate::analysis::populations;
 use crate::effects::Effects;
+use crate::labels::parameter_label;
 use crate::rate::ends;
 use crate::table::EpisodeTable;
 use crate::{AnalysisError, Finding, Rate, Source, Subject};
@@ -383,8 +385,8 @@ fn assemble(
     let simulated = simulation.table.sample(false);
     let outcomes = trials.outcomes();
     let settings = differences::settings(space, trials, &simulation.points);
-    let unlike: Vec<&str> =
-        settings.iter().filter(|check| check.adjusted_p <= LEVEL).map(|check| &*check.parameter).collect();
+    let unlike = settings.iter().filter(|check| check.adjusted_p <= LEVEL);
+    let unlike: Vec<String> = unlike.map(|check| parameter_label(&check.parameter)).collect();
     let population = Predicted::of(&predictions.population);
     // The points of the space are a quasi-random sequence: their mean is known far better than that of a sample.
     let population = Predicted {
@@ -396,9 +398,9 @@ fn assemble(
             return of();
         }
         Finding::not(format!(
-            "the trials are not a random sample of the population: {} differ (p < 0.05). Choose settings at random, or pass \
-             the settings that the real robot meets with --population",
-            unlike.join(", ")
+            "the trials are not a random sample of the population: their values of {} differ from it (p < 0.05). Choose \
+             settings at random, or pass the settings that the real robot meets with --population",
+            list(&unlike)
         ))
     };
     let rate = sample(&|| {

@@ -1,7 +1,7 @@
 //! The document of a transfer to the real robot.
 
-use robogate_analysis::labels::{mode_label, parameter_label};
 use robogate_analysis::Finding;
+use robogate_analysis::labels::{mode_label, parameter_label};
 use robogate_analysis::transfer::{CorrectedMap, Transfer, WithInterval};
 use robogate_stats::format::{count, counted, fixed, percent, percent_range, range, sentence};
 
@@ -37,15 +37,24 @@ pub(crate) fn transfer_document(of: &Transfer) -> Document {
         interval: format!("95 % interval {interval}"),
         scale: figures::rate_scale(&shown, None),
         answer: headline.answer,
-        columns: vec![
+        columns: [
             ("What the simulation adds", headline.what_the_simulation_adds),
             ("What differs", headline.what_differs),
             ("Assumptions", headline.limits),
-        ],
-        sections: [Some(rates(of)), of.next.as_ref().map(|_| next(of)), Some(correction(of)), Some(differences(of))]
-            .into_iter()
-            .flatten()
-            .collect(),
+        ]
+        .into_iter()
+        .filter(|(_, lines)| !lines.is_empty())
+        .collect(),
+        sections: [
+            Some(rates(of)),
+            Some(map(of)),
+            of.next.as_ref().map(|_| next(of)),
+            Some(correction(of)),
+            Some(differences(of)),
+        ]
+        .into_iter()
+        .flatten()
+        .collect(),
         verdict: None,
     }
 }
@@ -129,20 +138,32 @@ fn correction(of: &Transfer) -> Section {
                 &[("simulated", Number), ("real (95 %)", Number)],
                 rows.collect(),
             )),
-            match &of.map {
-                Finding::Estimated(map) => Block::Figure(map_figure(map)),
-                Finding::CannotBeEstimated { because } => Block::cannot("The map of the corrected model", because),
-            },
         ],
+    }
+}
+
+fn map(of: &Transfer) -> Section {
+    let block = match &of.map {
+        Finding::Estimated(map) => Block::Figure(map_figure(map)),
+        Finding::CannotBeEstimated { because } => Block::cannot("The map of the corrected model", because),
+    };
+    Section {
+        id: "real-map",
+        title: "Real success by two parameters".to_owned(),
+        population: None,
+        blocks: vec![block],
     }
 }
 
 fn map_figure(of: &CorrectedMap) -> Figure {
     let map = &of.map;
-    let [safe, danger] = [map.zones.safe, map.zones.danger].map(count);
+    let zones = map.zones;
     let mut findings = vec![format!(
-        "{safe} of {} cells are significantly safe (70 % or more), {danger} in danger (30 % or less).",
-        map.cells.len()
+        "{} of {} cells are significantly safe (70 % or more), {} in danger (30 % or less) and {} between.",
+        zones.safe,
+        map.cells.len(),
+        zones.danger,
+        zones.boundary
     )];
     let target = format!("{:.0} %", 100.0 * of.target);
     findings.push(match &of.contour {

@@ -39,7 +39,9 @@ impl Boundary<'_> {
             Self::Frontier(frontier) => {
                 map.x.levels.is_empty() && map.y.levels.is_empty() && !drawable(frontier).is_empty()
             }
-            Self::Corrected(of) => of.contour.estimated().is_some_and(|curves| !curves.is_empty() || !of.band.is_empty()),
+            Self::Corrected(of) => {
+                of.contour.estimated().is_some_and(|curves| !curves.is_empty() || !of.band.is_empty())
+            }
         };
         if drawn { self } else { Self::None }
     }

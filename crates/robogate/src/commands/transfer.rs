@@ -8,7 +8,7 @@ use clap::Args;
 use robogate_analysis::AnalysisError;
 use robogate_analysis::transfer::{Transfer, TransferOptions};
 use robogate_report::{TransferHeadline, next_trials, transfer_html, transfer_json};
-use robogate_stats::format::{fixed, range};
+use robogate_stats::format::{fixed, percent_range, range};
 
 use crate::commands::analyze::{heading, interval};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, OrExit, USAGE};
@@ -92,6 +92,9 @@ fn print(of: &Transfer) {
         ("What the simulation adds", &headline.what_the_simulation_adds),
         ("Where simulation and reality differ (p < 0.05, adjusted)", &headline.what_differs),
     ] {
+        if lines.is_empty() {
+            continue;
+        }
         heading(title);
         lines.iter().for_each(|text| wrapped(text));
     }
@@ -109,7 +112,7 @@ fn print(of: &Transfer) {
         line(format_args!(
             "  settings with 50 % real success have {} simulated success ({})",
             percent(boundary.mean),
-            interval(boundary.interval_95).trim()
+            percent_range(boundary.interval_95)
         ));
     }
     for at in &correction.curve {

@@ -2,7 +2,7 @@
 
 use robogate_analysis::labels::{parameter_label, value_with_unit};
 use robogate_analysis::{Analysis, Envelope, Finding, Frontier, PairCounts, PairMap};
-use robogate_stats::format::{count, counted, number, percent, percent_or_dash, percent_range, range, sentence};
+use robogate_stats::format::{counted, number, percent_or_dash, percent_range, range};
 
 use super::models::regression_table;
 use super::{Block, Figure, Section, Table, population};
