@@ -200,7 +200,7 @@ async function around(a) {
 }
 function similar(one, what) {
   return one ? [el("div", {}, `${what}: episode ${one.index}, ${one.outcome.replaceAll("_", " ")}. Difference ${short(one.distance)} of the ranges ` +
-    `of ${one.parameters.join(", ")}. `, ...(one.run == null ? [] : [el("a", { href: `${replay(chosen.alarm)}&episode=${one.index}` }, "Play it")])),
+    `of ${one.parameters.map(name => name.replaceAll("_", " ")).join(", ")}. `, ...(one.run == null ? [] : [el("a", { href: `${replay(chosen.alarm)}&episode=${one.index}` }, "Play it")])),
     el("pre", {}, el("code", {}, one.command))] : [];
 }
 // The title of the nearest failure: whether it has the failure mode of the cycle.
@@ -269,7 +269,7 @@ function fleet(f) {
 }
 function cycle(c) {
   return el("tr", {}, el("td", {}, time(c.time_s)), el("td", {}, c.robot), el("td", {}, c.recipe),
-    el("td", { class: c.success ? "fine" : "critical" }, c.success ? "success" : c.failure_mode || "failure"),
+    el("td", { class: c.success ? "fine" : "critical" }, c.success ? "success" : (c.failure_mode || "failure").replaceAll("_", " ")),
     el("td", {}, c.cycle_time_s == null ? "-" : c.cycle_time_s.toFixed(2) + " s"));
 }
 const fill = (id, all, make, nothing) =>
