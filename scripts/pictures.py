@@ -26,8 +26,8 @@ IMAGES = REPOSITORY / "docs" / "images"
 GATE = ["gate", "--grip-force", "14", "--seed", "1", "--out", "gate"]
 # Without its progress, whose rates are those of the machine.
 RUN, RUN_FOLDER = "robogate run --quiet", "runs/franka-quick-2026"
-# Lines of the terminal: the campaign, where it fails, and what to do.
-RUN_LINES = 46
+# Lines of the terminal: the rates, where it fails, what to do, and the most influential parameters.
+RUN_LINES = 49
 # Seconds of simulated time between two frames of the animation, frames per second, and frames of rest at its end.
 STEP_S, FPS, REST = 0.16, 10, 12
 # The height of the window. All pictures fit into it: a page is not laid out again for a picture.
