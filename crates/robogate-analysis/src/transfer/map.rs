@@ -28,6 +28,9 @@ const TOGETHER: usize = 4;
 /// The real success rate of the contour.
 const TARGET: f64 = 0.5;
 
+/// Curves or polygons on a map.
+type Lines = Vec<Vec<[f64; 2]>>;
+
 /// Real success over the two most influential parameters, by the corrected model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CorrectedMap {
@@ -164,11 +167,7 @@ impl Places {
     }
 
     /// The contour of the target and its band.
-    fn boundary(
-        &self,
-        rates: &[ModelRate],
-        model: &Recalibration,
-    ) -> (Finding<Vec<Vec<[f64; 2]>>>, Vec<Vec<[f64; 2]>>) {
+    fn boundary(&self, rates: &[ModelRate], model: &Recalibration) -> (Finding<Lines>, Lines) {
         if !self.has_contour() {
             return (Finding::not("one of the two parameters has few levels"), Vec::new());
         }
@@ -187,8 +186,7 @@ impl Places {
             })
             .collect();
         let value = |[x, y]: [f64; 2]| [self.x.value(x), self.y.value(y)];
-        let values =
-            |of: Vec<Vec<[f64; 2]>>| of.into_iter().map(|line| line.into_iter().map(value).collect()).collect();
+        let values = |of: Lines| of.into_iter().map(|line| line.into_iter().map(value).collect()).collect();
         let [nx, ny] = self.cells();
         let triangles = triangles(nx, ny);
         (Finding::Estimated(values(contour(&nodes, &triangles))), values(band(&nodes, &triangles)))
@@ -243,7 +241,7 @@ fn between(a: [f64; 2], b: [f64; 2], of_a: f64, of_b: f64) -> [f64; 2] {
 }
 
 /// The curves on which the rate is the target.
-fn contour(nodes: &[Node], triangles: &[[usize; 3]]) -> Vec<Vec<[f64; 2]>> {
+fn contour(nodes: &[Node], triangles: &[[usize; 3]]) -> Lines {
     // A curve crosses sides of triangles. Both triangles of a side see the same point.
     type Side = (usize, usize);
     let mut next: BTreeMap<Side, Vec<Side>> = BTreeMap::new();
@@ -280,7 +278,7 @@ fn contour(nodes: &[Node], triangles: &[[usize; 3]]) -> Vec<Vec<[f64; 2]>> {
 }
 
 /// The parts of the triangles in which the interval contains the target. A cell that lies inside it is one polygon.
-fn band(nodes: &[Node], triangles: &[[usize; 3]]) -> Vec<Vec<[f64; 2]>> {
+fn band(nodes: &[Node], triangles: &[[usize; 3]]) -> Lines {
     let inside = |node: &usize| nodes[*node].below >= 0.0 && nodes[*node].above >= 0.0;
     let mut polygons = Vec::new();
     for cell in triangles.chunks(4) {

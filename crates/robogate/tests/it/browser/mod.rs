@@ -191,7 +191,7 @@ impl Browser {
         let source = std::fs::read_to_string(axe).unwrap();
         self.evaluate(&format!("{source}; true"));
         // Both themes have the same elements: the second one can only change colours.
-        for (theme, rules) in [("light", ""), ("dark", "runOnly: { type: 'tag', values: ['cat.color'] }, ")] {
+        for (theme, rules) in [("light", ""), ("dark", "runOnly: ['color-contrast', 'link-in-text-block'], ")] {
             let media = json!({ "features": [{ "name": "prefers-color-scheme", "value": theme }] });
             self.call("Emulation.setEmulatedMedia", media);
             self.assert_no_violation(theme, rules);
