@@ -55,6 +55,28 @@ def screen(command, columns, folder, path):
         subprocess.run(["tmux", "kill-session", "-t", session], check=False)
 
 
+def draw(image, text, columns, most=None):
+    """Draws a screen as a PNG: its first `most` lines, or all of them."""
+    lines = text.rstrip().splitlines()
+    while lines and not lines[0].strip():
+        lines.pop(0)
+    if most and len(lines) > most:
+        lines = [*lines[:most], "\u2026"]
+    with tempfile.TemporaryDirectory() as folder:
+        page, shot = pathlib.Path(folder) / "page.html", pathlib.Path(folder) / "shot.png"
+        page.write_text(PAGE.format(drawn("\n".join(lines))), encoding="utf-8")
+        size = f"{round(columns * COLUMN_PX) + 52},{len(lines) * LINE_PX + 2 * MARGIN_PX}"
+        chromium = shutil.which("chromium") or "chromium"
+        subprocess.run(
+            [chromium, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={folder}/profile",
+             f"--window-size={size}", f"--screenshot={shot}", page.as_uri()],
+            check=True, capture_output=True,
+        )
+        image.write_bytes(shot.read_bytes())
+    width, height = struct.unpack(">II", image.read_bytes()[16:24])
+    print(f"{image}: {width} x {height} pixels, {len(lines)} lines")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("image", type=pathlib.Path)
@@ -64,22 +86,8 @@ def main():
     arguments = parser.parse_args()
     path = f"{pathlib.Path(arguments.robogate).resolve()}:{os.environ['PATH']}"
     with tempfile.TemporaryDirectory() as folder:
-        lines = screen(arguments.command, arguments.columns, folder, path).rstrip().splitlines()
-    while lines and not lines[0].strip():
-        lines.pop(0)
-    with tempfile.TemporaryDirectory() as folder:
-        page, shot = pathlib.Path(folder) / "page.html", pathlib.Path(folder) / "shot.png"
-        page.write_text(PAGE.format(drawn("\n".join(lines))), encoding="utf-8")
-        size = f"{round(arguments.columns * COLUMN_PX) + 52},{len(lines) * LINE_PX + 2 * MARGIN_PX}"
-        chromium = shutil.which("chromium") or "chromium"
-        subprocess.run(
-            [chromium, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={folder}/profile",
-             f"--window-size={size}", f"--screenshot={shot}", page.as_uri()],
-            check=True, capture_output=True,
-        )
-        arguments.image.write_bytes(shot.read_bytes())
-    width, height = struct.unpack(">II", arguments.image.read_bytes()[16:24])
-    print(f"{arguments.image}: {width} x {height} pixels, {len(lines)} lines")
+        text = screen(arguments.command, arguments.columns, folder, path)
+    draw(arguments.image, text, arguments.columns)
 
 
 if __name__ == "__main__":

@@ -42,8 +42,9 @@ class Replay {
     try {
       const [recipe, until] = ["recipe", "until"].map((name) => encodeURIComponent(query.get(name) ?? ""));
       this.around = await get(`/v1/cycles?recipe=${recipe}&until=${until}`);
-      const { nearest, nearest_failure: failure, like } = this.around;
-      const all = [["Nearest failure", failure], ["Nearest episode", nearest]].filter(([, one], at) => one && (at === 0 || one.index !== failure?.index));
+      const { nearest, nearest_failure: failure, failure_mode: mode, like } = this.around;
+      const alike = failure && mode && failure.outcome === mode;
+      const all = [[alike ? `Nearest ${readable(mode)}` : "Nearest failure", failure], ["Nearest episode", nearest]].filter(([, one], at) => one && (at === 0 || one.index !== failure?.index));
       if (all.length === 0) {
         this.status.textContent = like === null
           ? "No failed cycle before this alarm reports parameters, so no simulated episode can be compared with it."
@@ -52,7 +53,8 @@ class Replay {
       }
       this.cycle = this.around.cycles.find((cycle) => cycle.id === like);
       this.status.textContent = `Failed cycle ${like} of ${query.get("recipe")} before the alarm at cycle ${query.get("until")}: ` +
-        `${readable(this.cycle?.failure_mode ?? "failure")}. The simulated episodes have the most similar parameters.`;
+        `${readable(this.cycle?.failure_mode ?? "failure")}. The simulated episodes have the most similar parameters.` +
+        (failure && mode && !alike ? ` No simulated episode ends with ${readable(mode)}.` : "");
       this.choices.replaceChildren(...all.map(([title, one]) => this.choice(title, one)));
       const wanted = all.findIndex(([, one]) => String(one.index) === query.get("episode"));
       await this.open(all[Math.max(0, wanted)][1]);

@@ -73,7 +73,7 @@ fn synthetic(out: &mut impl Write) -> Result<(), Box<dyn Error>> {
                     let numbers: Vec<f64> = y.iter().map(|y| f64::from(u8::from(*y))).collect();
                     let (_, interval) = normal(&numbers, &f, &population.f, None, Confidence::P95);
                     plain.add([interval.low, interval.high], p);
-                    let predictions = Predictions { trials: f, population: population.f.clone() };
+                    let predictions = Predictions { trials: f, population: population.f.clone(), map: Vec::new() };
                     if let Some((_, strata)) = strata(&predictions, &y) {
                         let inside = p_above(strata, p) > 0.025 && p_below(strata, p) > 0.025;
                         exact.covered += u64::from(inside);
@@ -216,7 +216,7 @@ fn surrogate(out: &mut impl Write, simulation: &Source, reality: &str) -> Result
             let alone = clopper_pearson(counts, Confidence::P95);
             pearson.add([alone.low, alone.high], truth);
             saved.push(found.worth - n as f64);
-            let predictions = Predictions { trials: f, population: all.trials.clone() };
+            let predictions = Predictions { trials: f, population: all.trials.clone(), map: Vec::new() };
             if let Some((_, strata)) = strata(&predictions, &y) {
                 exact.covered += u64::from(p_above(strata, truth) > 0.025 && p_below(strata, truth) > 0.025);
                 // The exact interval takes long, so its width comes from a part of the campaigns.

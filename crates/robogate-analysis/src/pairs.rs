@@ -105,6 +105,19 @@ pub struct ZoneCounts {
     pub too_few_episodes: u64,
 }
 
+impl ZoneCounts {
+    /// Counts a cell of this zone.
+    pub(crate) fn add(&mut self, zone: Zone) {
+        match zone {
+            Zone::Safe => self.safe += 1,
+            Zone::Boundary => self.boundary += 1,
+            Zone::Danger => self.danger += 1,
+            Zone::Undecided => self.undecided += 1,
+            Zone::TooFewEpisodes => self.too_few_episodes += 1,
+        }
+    }
+}
+
 /// The pairs that are mapped by default: the two numeric parameters with the most influential significant effects, then
 /// that of the task. Without effects and task, the two most influential ones. The frontier is solved for the first.
 pub(crate) fn default_pairs(base: &Sample, effects: &Effects, task: &TaskAnalysis) -> Vec<(String, String)> {
@@ -169,15 +182,7 @@ pub(crate) fn map(base: &Sample, up: &ParameterColumn, across: &ParameterColumn)
         })
         .collect();
     let mut counts = ZoneCounts::default();
-    for cell in &cells {
-        match cell.zone {
-            Zone::Safe => counts.safe += 1,
-            Zone::Boundary => counts.boundary += 1,
-            Zone::Danger => counts.danger += 1,
-            Zone::Undecided => counts.undecided += 1,
-            Zone::TooFewEpisodes => counts.too_few_episodes += 1,
-        }
-    }
+    cells.iter().for_each(|cell| counts.add(cell.zone));
     Some(PairMap {
         x: x_axis,
         y: y_axis,

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use robogate_analysis::{Analysis, MarginalEffect, TwoFidelities};
+use robogate_analysis::{Analysis, Effects, MarginalEffect, TwoFidelities};
 use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{
     BoundaryReport, DrawnFrom, Estimate, OutcomeCounts, Population, Sought, Stage, StageSummary, SuiteSummary, Summary,
@@ -57,7 +57,7 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
     }
     if let Some(analysis) = analysis {
         headline(analysis);
-        influential(analysis);
+        influential(&analysis.effects, "Most influential parameters");
         // The report lists all of them.
         let significant =
             |effect: &&MarginalEffect| analysis.effects.significant().any(|of| of.parameter == effect.parameter);
@@ -261,16 +261,15 @@ fn headline(analysis: &Analysis) {
 /// Parameters in the list of the most influential ones.
 const MAX_PARAMETERS: usize = 5;
 
-/// The parameters with significant effects, the most influential first. At most five.
-pub(crate) fn influential(analysis: &Analysis) {
-    let effects = &analysis.effects;
+/// Prints the parameters with significant effects, the most influential first. At most five.
+pub(crate) fn influential(effects: &Effects, title: &str) {
     let significant: Vec<_> = effects.significant().take(MAX_PARAMETERS).collect();
     if significant.is_empty() {
         return;
     }
     let wide = widest(significant.iter().map(|effect| &*effect.parameter), 16);
     line("");
-    line(bold("Most influential parameters"));
+    line(bold(title));
     for effect in significant {
         let p = p_value(effect.adjusted_p.max(f64::MIN_POSITIVE).ln());
         let rates = effect.shape.estimated().map_or_else(String::new, |shape| {

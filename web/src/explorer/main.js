@@ -172,7 +172,10 @@ class Explorer {
     const parts = data.runs.map((run) => {
       const name = data.runs.length > 1 ? `${run.name}: ` : "";
       const of = run.finished || run.planned === null ? `${count(run.rows)} episodes` : `unfinished, ${count(run.rows)} of ${count(run.planned)} episodes`;
-      return `${name}${of}, ${run.policy} on ${run.robot} in ${run.engine}${run.problem ? ` (${run.problem})` : ""}`;
+      // Imported rows may not say what was run where.
+      const known = [["", run.policy], ["on ", run.robot], ["in ", run.engine]].filter(([, word]) => word && word !== "unknown");
+      const where = known.length > 0 ? `, ${known.map(([before, word]) => before + word).join(" ")}` : "";
+      return `${name}${of}${where}${run.problem ? ` (${run.problem})` : ""}`;
     });
     const sample = data.isSample ? ` · the plots show a random sample of ${count(data.rows)} episodes` : "";
     this.status.textContent = `${data.runs[0]?.task ?? ""} · ${parts.join(" · ")}${sample}`;

@@ -6,6 +6,7 @@
 //! ([`robogate_stats::exact_strata`]) is the basis of requirements on the real rate.
 
 mod differences;
+mod map;
 mod next;
 mod predictor;
 mod trials;
@@ -15,6 +16,7 @@ use std::path::{Path, PathBuf};
 use robogate_core::ParameterSpace;
 use robogate_dictionary::TaskIdentity;
 use robogate_stats::exact_strata::{self, Stratum};
+use robogate_stats::format::list;
 use robogate_stats::prediction_powered::{self, Predicted};
 use robogate_stats::recalibration::{Posterior, Recalibration, log_odds};
 use robogate_stats::{Confidence, Trials};
@@ -22,10 +24,15 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use differences::{EndingDifference, ParameterDifference, SettingsCheck};
+pub use map::CorrectedMap;
 pub use next::{NextTrial, NextTrials};
 pub use predictor::Predictions;
 pub use trials::{RealTrial, RealTrials};
 
+use self::map::Places;
+use crate::analysis::populations;
+use crate::effects::Effects;
+use crate::labels::parameter_label;
 use crate::rate::ends;
 use crate::table::EpisodeTable;
 use crate::{AnalysisError, Finding, Rate, Source, Subject};
@@ -58,8 +65,14 @@ pub struct Transfer {
     pub alone: Rate,
     /// The exact interval, for requirements.
     pub exact: Finding<ExactRate>,
+    /// The parameters with an effect on success in the simulation, the most influential first.
+    #[serde(default)]
+    pub effects: Effects,
     /// The correction of the simulation's model.
     pub correction: Correction,
+    /// The corrected model over the two most influential parameters.
+    #[serde(default = "unknown_map")]
+    pub map: Finding<CorrectedMap>,
     /// Endings of trials and simulation.
     pub endings: Vec<EndingDifference>,
     /// Effects of parameters that the simulation does not explain, the most significant first.
@@ -68,6 +81,11 @@ pub struct Transfer {
     pub settings: Vec<SettingsCheck>,
     /// The trials to run next.
     pub next: Option<NextTrials>,
+}
+
+/// The map of documents from earlier versions.
+fn unknown_map() -> Finding<CorrectedMap> {
+    Finding::not("it comes from an earlier version")
 }
 
 /// The file of trials.
@@ -237,15 +255,16 @@ impl<'a> Simulation<'a> {
     /// # Errors
     /// If the episodes do not determine a model.
     pub fn predictions(&self, trials: &RealTrials) -> Result<Predictions, AnalysisError> {
-        self.predictions_watched(trials, &mut |_, _| {})
+        self.predictions_watched(trials, Vec::new(), &mut |_, _| {})
     }
 
     fn predictions_watched(
         &self,
         trials: &RealTrials,
+        map: Vec<Vec<f64>>,
         fitted: &mut dyn FnMut(u32, u32),
     ) -> Result<Predictions, AnalysisError> {
-        predictor::predict(&self.table, self.space(), trials, &self.points, fitted).map_err(no)
+        predictor::predict(&self.table, self.space(), trials, &self.points, map, fitted).map_err(no)
     }
 
     /// The number of valid episodes over the operating space, and of those that ended so: `success` first, then the failure
@@ -323,9 +342,18 @@ impl Transfer {
         if trials.trials.is_empty() {
             return Err(no(format!("{} has no trial inside the simulated space", real.display())));
         }
-        let predictions =
-            simulation.predictions_watched(&trials, &mut |done, all| hear(TransferStep::Fitted { done, all }))?;
-        Ok(assemble(&simulation, path, real, &trials, &predictions, options))
+        let (base, _, population) = populations(&simulation.table);
+        let effects = Effects::of(&base, population);
+        let places = Places::of(simulation.space(), &base, &effects, predictor::training(&simulation.table).len());
+        let others = map::others(&simulation.points, options.population.is_some());
+        let on_map = places.estimated().map_or_else(Vec::new, |places| places.settings(&others));
+        let mut fitted = |done, all| hear(TransferStep::Fitted { done, all });
+        let predictions = simulation.predictions_watched(&trials, on_map, &mut fitted)?;
+        let places = match places {
+            Finding::Estimated(places) => Finding::Estimated((places, others.len())),
+            Finding::CannotBeEstimated { because } => Finding::CannotBeEstimated { because },
+        };
+        Ok(assemble(&simulation, path, real, &trials, &predictions, (effects, places), options))
     }
 
     /// Settings whose distribution differs significantly from the population.
@@ -350,14 +378,15 @@ fn assemble(
     real: &Path,
     trials: &RealTrials,
     predictions: &Predictions,
+    (effects, places): (Effects, Finding<(Places, usize)>),
     options: &TransferOptions,
 ) -> Transfer {
     let space = simulation.space();
     let simulated = simulation.table.sample(false);
     let outcomes = trials.outcomes();
     let settings = differences::settings(space, trials, &simulation.points);
-    let unlike: Vec<&str> =
-        settings.iter().filter(|check| check.adjusted_p <= LEVEL).map(|check| &*check.parameter).collect();
+    let unlike = settings.iter().filter(|check| check.adjusted_p <= LEVEL);
+    let unlike: Vec<String> = unlike.map(|check| parameter_label(&check.parameter)).collect();
     let population = Predicted::of(&predictions.population);
     // The points of the space are a quasi-random sequence: their mean is known far better than that of a sample.
     let population = Predicted {
@@ -369,9 +398,9 @@ fn assemble(
             return of();
         }
         Finding::not(format!(
-            "the trials are not a random sample of the population: {} differ (p < 0.05). Choose settings at random, or pass \
-             the settings that the real robot meets with --population",
-            unlike.join(", ")
+            "the trials are not a random sample of the population: their values of {} differ from it (p < 0.05). Choose \
+             settings at random, or pass the settings that the real robot meets with --population",
+            list(&unlike)
         ))
     };
     let rate = sample(&|| {
@@ -446,11 +475,18 @@ fn assemble(
         rate,
         alone: Rate::of(Trials::count(outcomes.iter().copied())),
         exact,
+        effects,
         correction: Correction {
             shift: model.shift().into(),
             slope: model.slope().into(),
             boundary: model.boundary(0.5).map(WithInterval::from),
             curve: curve.to_vec(),
+        },
+        map: match places {
+            Finding::Estimated((places, others)) => {
+                Finding::Estimated(places.map(&predictions.map, others, trials, &model))
+            }
+            Finding::CannotBeEstimated { because } => Finding::CannotBeEstimated { because },
         },
         endings: differences::endings(&simulation.table, &simulated, trials),
         parameters,

@@ -25,6 +25,8 @@ pub struct Predictions {
     pub trials: Vec<f64>,
     /// For points of the population.
     pub population: Vec<f64>,
+    /// For the settings of a map, if one was requested.
+    pub map: Vec<f64>,
 }
 
 /// Points of the space: a scrambled Sobol sequence.
@@ -35,20 +37,28 @@ pub(super) fn points(space: &ParameterSpace) -> Result<Vec<Vec<f64>>, String> {
     Ok((0..design.len()).filter_map(|i| design.coded(i).map(<[f64]>::to_vec)).collect())
 }
 
-/// Trains the model on the valid episodes of a simulation and predicts trials and points.
+/// The episodes that train the model.
+pub(super) fn training(table: &EpisodeTable) -> Sample {
+    let train = table.unselected();
+    if train.len() <= MOST_EPISODES {
+        return train;
+    }
+    let kept: Vec<bool> = (0..train.len()).map(|i| i < MOST_EPISODES).collect();
+    train.restricted(&kept)
+}
+
+/// Trains the model on the valid episodes of a simulation and predicts trials, points and the settings of a map.
 pub(super) fn predict(
     table: &EpisodeTable,
     space: &ParameterSpace,
     trials: &RealTrials,
     points: &[Vec<f64>],
+    map: Vec<Vec<f64>>,
     fitted: &mut dyn FnMut(u32, u32),
 ) -> Result<Predictions, String> {
-    let mut train = table.unselected();
-    if train.len() > MOST_EPISODES {
-        let kept: Vec<bool> = (0..train.len()).map(|i| i < MOST_EPISODES).collect();
-        train = train.restricted(&kept);
-    }
-    let mut rows: Vec<Vec<f64>> = points.to_vec();
+    let train = training(table);
+    let on_map = map.len();
+    let mut rows: Vec<Vec<f64>> = points.iter().cloned().chain(map).collect();
     let mut sizes = Vec::with_capacity(trials.trials.len());
     for (i, trial) in trials.trials.iter().enumerate() {
         if trial.values.iter().all(Option::is_some) {
@@ -74,12 +84,13 @@ pub(super) fn predict(
     let scores = flexible_scores(&train, &test, fitted)?;
     let probability = |eta: &f64| 1.0 / (1.0 + (-eta.clamp(-LARGEST_LOG_ODDS, LARGEST_LOG_ODDS)).exp());
     let all: Vec<f64> = scores.test.iter().map(probability).collect();
-    let (population, mut rest) = all.split_at(points.len());
+    let (population, rest) = all.split_at(points.len());
+    let (map, mut rest) = rest.split_at(on_map);
     let mut predicted = Vec::with_capacity(sizes.len());
     for size in sizes {
         let (own, others) = rest.split_at(size);
         predicted.push(own.iter().sum::<f64>() / size as f64);
         rest = others;
     }
-    Ok(Predictions { trials: predicted, population: population.to_vec() })
+    Ok(Predictions { trials: predicted, population: population.to_vec(), map: map.to_vec() })
 }

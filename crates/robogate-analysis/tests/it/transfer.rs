@@ -71,6 +71,54 @@ fn good_simulation_saves_trials() {
 }
 
 #[test]
+fn corrected_model_is_mapped() {
+    let folder = TempDir::new().unwrap();
+    let found = transfer(&simulation(&folder), &trials(60, "", "", |_| String::new()), &[]).unwrap();
+    let named: Vec<&str> = found.effects.significant().map(|effect| &*effect.parameter).take(2).collect();
+    let map = found.map.estimated().unwrap();
+    assert_eq!([&*map.map.y.parameter, &*map.map.x.parameter], named[..]);
+    // The valid ones of 900 episodes fill 5 x 5 cells with 25 each, but not 6 x 6.
+    assert_eq!((map.map.cells.len(), map.settings), (25, 64));
+    assert_eq!(map.map.cells.iter().map(|cell| cell.rate.n).sum::<u64>(), 60);
+    let curves = map.contour.estimated().unwrap();
+    let inside = |[x, y]: &[f64; 2]| {
+        let on = |edges: &[f64], value: f64| edges[0] <= value && value <= edges[edges.len() - 1];
+        on(&map.map.x.edges, *x) && on(&map.map.y.edges, *y)
+    };
+    assert!(!curves.is_empty() && curves.iter().flatten().all(inside), "{curves:?}");
+    assert!(!map.band.is_empty() && map.band.iter().flatten().all(inside));
+    // The interval contains the rate, and more trials make the band narrower.
+    let models = map.map.cells.iter().filter_map(|cell| cell.model);
+    assert!(models.clone().all(|model| model.interval_95[0] <= model.rate && model.rate <= model.interval_95[1]));
+    let width = |of: &Transfer| {
+        let cells = &of.map.estimated().unwrap().map.cells;
+        cells.iter().filter_map(|cell| cell.model).map(|model| model.interval_95[1] - model.interval_95[0]).sum::<f64>()
+    };
+    let more = transfer(&simulation(&folder), &trials(400, "", "", |_| String::new()), &[]).unwrap();
+    assert!(width(&more) < 0.6 * width(&found), "{} {}", width(&more), width(&found));
+    // A document of an earlier version has no map.
+    let mut old = serde_json::to_value(&found).unwrap();
+    old.as_object_mut().unwrap().remove("map");
+    old.as_object_mut().unwrap().remove("effects");
+    let old: Transfer = serde_json::from_value(old).unwrap();
+    assert!(old.map.because().is_some() && old.effects.ranked.is_empty());
+}
+
+#[test]
+fn unrelated_trials_have_no_contour() {
+    let folder = TempDir::new().unwrap();
+    let all = trials(60, "", "", |_| String::new());
+    let mut rows = all.lines();
+    let header = rows.next().unwrap();
+    // Outcomes that do not depend on the setting.
+    let row = |(i, row): (usize, &str)| format!("{}{}\n", i % 2 == 0, &row[row.find(',').unwrap()..]);
+    let text: String = std::iter::once(format!("{header}\n")).chain(rows.enumerate().map(row)).collect();
+    let found = transfer(&simulation(&folder), &text, &[]).unwrap();
+    let map = found.map.estimated().unwrap();
+    assert!(map.contour.because().unwrap().contains("slope") && map.band.is_empty());
+}
+
+#[test]
 fn missing_parameters_are_averaged() {
     let folder = TempDir::new().unwrap();
     let found = transfer(&simulation(&folder), &trials(40, "friction", "", |_| String::new()), &[]).unwrap();
@@ -111,7 +159,7 @@ fn selected_settings_are_refused() {
     let text = format!("{}\n{}\n", all.lines().next().unwrap(), rows.collect::<Vec<_>>().join("\n"));
     let found = transfer(&simulation(&folder), &text, &[]).unwrap();
     assert_eq!(found.unlike().map(|check| &*check.parameter).collect::<Vec<_>>(), ["mass_kg"]);
-    assert!(found.rate.because().unwrap().contains("mass_kg"));
+    assert!(found.rate.because().unwrap().contains("values of mass differ"));
     assert!(found.next.is_none());
 }
 

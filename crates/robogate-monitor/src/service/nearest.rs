@@ -101,6 +101,17 @@ impl Episodes {
         })
     }
 
+    /// The nearest failure: one of this mode, or of any mode if no comparable episode has it.
+    pub fn nearest_failure(
+        &self,
+        cycle: &BTreeMap<String, ParameterValue>,
+        mode: Option<&str>,
+    ) -> Option<NearestEpisode> {
+        let failed = |one: &SimulatedEpisode| one.outcome != "success";
+        let alike = mode.and_then(|mode| self.nearest(cycle, |one| failed(one) && one.outcome == mode));
+        alike.or_else(|| self.nearest(cycle, failed))
+    }
+
     /// Root mean square difference over the parameters that both have.
     fn distance(&self, cycle: &BTreeMap<String, ParameterValue>, episode: &SimulatedEpisode) -> Option<f64> {
         let (mut sum, mut n) = (0.0, 0_u32);
@@ -147,6 +158,11 @@ mod tests {
         assert_eq!(near(0.6, "ball", false).command, "robogate replay runs/a 1");
         assert_eq!(near(1.9, "box", true).index, 2);
         assert!((near(1.9, "box", true).distance - 0.05 / 2_f64.sqrt()).abs() < 1e-12);
+        // A failure of the same mode is preferred to a nearer one.
+        let all = vec![episode(0, "jam", 0.5, "box"), episode(1, "grip_loss", 2.0, "ball")];
+        let episodes = Episodes::new("runs/a".to_owned(), all);
+        let failure = |mode| episodes.nearest_failure(&values(0.4, "box"), mode).unwrap().index;
+        assert_eq!([failure(None), failure(Some("grip_loss")), failure(Some("drop"))], [0, 1, 0]);
         // No common parameter.
         assert_eq!(episodes.nearest(&BTreeMap::new(), |_| true), None);
     }

@@ -200,8 +200,15 @@ async function around(a) {
 }
 function similar(one, what) {
   return one ? [el("div", {}, `${what}: episode ${one.index}, ${one.outcome.replaceAll("_", " ")}. Difference ${short(one.distance)} of the ranges ` +
-    `of ${one.parameters.join(", ")}. `, ...(one.run == null ? [] : [el("a", { href: `${replay(chosen.alarm)}&episode=${one.index}` }, "Play it")])),
+    `of ${one.parameters.map(name => name.replaceAll("_", " ")).join(", ")}. `, ...(one.run == null ? [] : [el("a", { href: `${replay(chosen.alarm)}&episode=${one.index}` }, "Play it")])),
     el("pre", {}, el("code", {}, one.command))] : [];
+}
+// The title of the nearest failure: whether it has the failure mode of the cycle.
+function failure() {
+  const { nearest_failure: one, failure_mode: mode } = chosen;
+  if (!one || !mode) return "Nearest simulated failure";
+  return one.outcome === mode ? `Nearest simulated ${mode.replaceAll("_", " ")}` :
+    `No simulated episode ends with ${mode.replaceAll("_", " ")}. Nearest simulated failure`;
 }
 function cycles() {
   const back = el("button", { class: "link", type: "button" }, "Show the last cycles");
@@ -209,11 +216,10 @@ function cycles() {
   $("cycles-title").textContent = chosen ? "Cycles before the alarm" : "Last cycles";
   $("around").hidden = !chosen;
   if (chosen) {
-    const near = [...similar(chosen.nearest, "Nearest simulated episode"),
-      ...(chosen.nearest && chosen.nearest_failure && chosen.nearest.index === chosen.nearest_failure.index ? [] :
-        similar(chosen.nearest_failure, "Nearest simulated failure"))];
+    const same = chosen.nearest && chosen.nearest_failure && chosen.nearest.index === chosen.nearest_failure.index;
+    const near = [...similar(chosen.nearest_failure, failure()), ...(same ? [] : similar(chosen.nearest, "Nearest simulated episode"))];
     $("around").replaceChildren(`${chosen.alarm.recipe}: `, ...said(chosen.alarm.what), ` (cycle ${chosen.alarm.cycle_id}) `, back,
-      ...(near.length ? [el("div", {}, `The last failed cycle with parameters is ${chosen.like}.`), ...near] :
+      ...(near.length ? [el("div", {}, `The last failed cycle with parameters is ${chosen.like}${chosen.failure_mode ? ` (${chosen.failure_mode.replaceAll("_", " ")})` : ""}.`), ...near] :
         [el("div", { class: "dim" }, "No simulated episode to compare with: start the monitor with --episodes RUN, and report parameters with the cycles.")]));
   }
   const shown = chosen ? chosen.cycles : current.cycles.filter(c => wanted(c)).slice(0, 20);
@@ -263,7 +269,7 @@ function fleet(f) {
 }
 function cycle(c) {
   return el("tr", {}, el("td", {}, time(c.time_s)), el("td", {}, c.robot), el("td", {}, c.recipe),
-    el("td", { class: c.success ? "fine" : "critical" }, c.success ? "success" : c.failure_mode || "failure"),
+    el("td", { class: c.success ? "fine" : "critical" }, c.success ? "success" : (c.failure_mode || "failure").replaceAll("_", " ")),
     el("td", {}, c.cycle_time_s == null ? "-" : c.cycle_time_s.toFixed(2) + " s"));
 }
 const fill = (id, all, make, nothing) =>

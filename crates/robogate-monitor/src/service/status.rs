@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::charts::Charts;
 use super::intake::{Intake, IntakeError, Taken};
-use super::nearest::{Episodes, NearestEpisode, SimulatedEpisode};
+use super::nearest::{Episodes, NearestEpisode};
 use crate::cycle::Cycle;
 use crate::domain::Validated;
 use crate::{Level, OutsideTally, Recipe, Settings};
@@ -34,7 +34,9 @@ pub struct Around {
     pub like: Option<String>,
     /// The nearest simulated episode.
     pub nearest: Option<NearestEpisode>,
-    /// The nearest simulated failure.
+    /// The failure mode of that cycle, if it reports one.
+    pub failure_mode: Option<String>,
+    /// The nearest simulated failure: one with that failure mode, or with any if the run has none with it.
     pub nearest_failure: Option<NearestEpisode>,
 }
 
@@ -43,14 +45,15 @@ impl Around {
         let bodies = intake.store().cycles_until(recipe, until, AROUND)?;
         let cycles: Vec<Cycle> = bodies.iter().filter_map(|body| serde_json::from_str(body).ok()).collect();
         let like = cycles.iter().find(|cycle| !cycle.success && !cycle.parameters.is_empty());
-        let near = |failed: bool| {
-            let wanted = |one: &SimulatedEpisode| !failed || one.outcome != "success";
-            intake.episodes(recipe)?.nearest(&like?.parameters, wanted)
-        };
+        let failure_mode = like.and_then(|cycle| cycle.failure_mode.clone());
+        let (episodes, parameters) = (intake.episodes(recipe), like.map(|cycle| &cycle.parameters));
+        let near = episodes.zip(parameters);
         Ok(Self {
             version: 1,
-            nearest: near(false),
-            nearest_failure: near(true),
+            nearest: near.and_then(|(episodes, parameters)| episodes.nearest(parameters, |_| true)),
+            nearest_failure: near
+                .and_then(|(episodes, parameters)| episodes.nearest_failure(parameters, failure_mode.as_deref())),
+            failure_mode,
             like: like.map(|cycle| cycle.id.clone()),
             cycles: bodies.into_iter().map(|body| serde_json::from_str(&body).unwrap_or(Value::Null)).collect(),
         })

@@ -2,6 +2,7 @@
 
 mod analysis;
 mod comparison;
+mod map;
 mod transfer;
 
 use maud::Markup;

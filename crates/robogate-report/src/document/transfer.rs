@@ -1,12 +1,14 @@
 //! The document of a transfer to the real robot.
 
+use robogate_analysis::Finding;
 use robogate_analysis::labels::{mode_label, parameter_label};
-use robogate_analysis::transfer::{Transfer, WithInterval};
-use robogate_stats::format::{count, fixed, percent, percent_range, range, sentence};
+use robogate_analysis::transfer::{CorrectedMap, Transfer, WithInterval};
+use robogate_stats::format::{count, counted, fixed, percent, percent_range, range, sentence};
 
 use super::Kind::{Number, Short, Text};
-use super::{Block, Document, Section, Table, plain_p};
-use crate::figures;
+use super::map::{map_table, map_title};
+use super::{Block, Document, Figure, Section, Table, plain_p};
+use crate::figures::{self, Boundary, heatmap};
 use crate::text::{TransferHeadline, next_trials};
 
 pub(crate) fn transfer_document(of: &Transfer) -> Document {
@@ -35,15 +37,24 @@ pub(crate) fn transfer_document(of: &Transfer) -> Document {
         interval: format!("95 % interval {interval}"),
         scale: figures::rate_scale(&shown, None),
         answer: headline.answer,
-        columns: vec![
+        columns: [
             ("What the simulation adds", headline.what_the_simulation_adds),
             ("What differs", headline.what_differs),
             ("Assumptions", headline.limits),
-        ],
-        sections: [Some(rates(of)), of.next.as_ref().map(|_| next(of)), Some(correction(of)), Some(differences(of))]
-            .into_iter()
-            .flatten()
-            .collect(),
+        ]
+        .into_iter()
+        .filter(|(_, lines)| !lines.is_empty())
+        .collect(),
+        sections: [
+            Some(rates(of)),
+            Some(map(of)),
+            of.next.as_ref().map(|_| next(of)),
+            Some(correction(of)),
+            Some(differences(of)),
+        ]
+        .into_iter()
+        .flatten()
+        .collect(),
         verdict: None,
     }
 }
@@ -128,6 +139,63 @@ fn correction(of: &Transfer) -> Section {
                 rows.collect(),
             )),
         ],
+    }
+}
+
+fn map(of: &Transfer) -> Section {
+    let block = match &of.map {
+        Finding::Estimated(map) => Block::Figure(map_figure(map)),
+        Finding::CannotBeEstimated { because } => Block::cannot("The map of the corrected model", because),
+    };
+    Section {
+        id: "real-map",
+        title: "Real success by two parameters".to_owned(),
+        population: None,
+        blocks: vec![block],
+    }
+}
+
+fn map_figure(of: &CorrectedMap) -> Figure {
+    let map = &of.map;
+    let zones = map.zones;
+    let mut findings = vec![format!(
+        "{} of {} cells are significantly safe (70 % or more), {} in danger (30 % or less) and {} between.",
+        zones.safe,
+        map.cells.len(),
+        zones.danger,
+        zones.boundary
+    )];
+    let target = format!("{:.0} %", 100.0 * of.target);
+    findings.push(match &of.contour {
+        Finding::CannotBeEstimated { because } => format!("The {target} contour is not drawn because {because}."),
+        Finding::Estimated(curves) if curves.is_empty() => {
+            format!("The corrected model predicts {target} real success nowhere on this map.")
+        }
+        Finding::Estimated(_) => format!(
+            "On the line, the corrected model predicts {target} real success. In the band, the 95 % interval contains {target}."
+        ),
+    });
+    findings.push(format!(
+        "Each rate is a mean over the other parameters of {} of the population. Intervals include the uncertainty of shift \
+         and slope, but not that of the model of the simulation.",
+        counted(of.settings, "setting")
+    ));
+    if map.outside > 0 {
+        findings.push(format!(
+            "{} {} not on the map, because a value is missing.",
+            counted(map.outside, "trial"),
+            if map.outside == 1 { "is" } else { "are" }
+        ));
+    }
+    Figure {
+        title: map_title(map),
+        svg: heatmap(map, Boundary::Corrected(of), "corrected"),
+        is_map: true,
+        caption: "Real success in percent by the corrected model, with the number of real trials below it. These are the two \
+                  numeric parameters with the most influence in the simulation."
+            .to_owned(),
+        findings,
+        table: map_table(map, "trials"),
     }
 }
 

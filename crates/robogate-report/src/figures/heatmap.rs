@@ -4,8 +4,9 @@ use maud::Markup;
 
 use super::svg::{Anchor, Scale, Svg, cut, round_ticks, tick};
 use robogate_analysis::labels::label_with_unit;
+use robogate_analysis::transfer::CorrectedMap;
 use robogate_analysis::{Axis, Frontier, FrontierPoint, PairMap};
-use robogate_stats::format::{count, percent, percent_or_dash, percent_range};
+use robogate_stats::format::{count, percent, percent_range};
 
 const WIDTH: f64 = 520.0;
 const LEFT: f64 = 62.0;
@@ -20,12 +21,54 @@ pub(crate) fn step(rate: f64) -> usize {
     ((rate * STEPS as f64) as usize).min(STEPS - 1)
 }
 
-pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> Markup {
+/// The boundary between success and failure on a map.
+#[derive(Clone, Copy)]
+pub(crate) enum Boundary<'a> {
+    None,
+    /// The frontier in closed form.
+    Frontier(&'a Frontier),
+    /// The contour of the corrected model of a real robot, with its band.
+    Corrected(&'a CorrectedMap),
+}
+
+impl Boundary<'_> {
+    /// The same, or nothing if no part of it lies on the map.
+    fn on(self, map: &PairMap) -> Self {
+        let drawn = match self {
+            Self::None => false,
+            Self::Frontier(frontier) => {
+                map.x.levels.is_empty() && map.y.levels.is_empty() && !drawable(frontier).is_empty()
+            }
+            Self::Corrected(of) => {
+                of.contour.estimated().is_some_and(|curves| !curves.is_empty() || !of.band.is_empty())
+            }
+        };
+        if drawn { self } else { Self::None }
+    }
+
+    /// The class of the curve and the text of the legend.
+    fn legend(self) -> Option<(&'static str, String)> {
+        match self {
+            Self::None => None,
+            Self::Frontier(frontier) if frontier.contradicted => {
+                Some(("curve wrong", "50 % frontier of the model, contradicted by the observed rates".to_owned()))
+            }
+            Self::Frontier(_) => Some(("curve", "50 % frontier of the model, exact 95 % band".to_owned())),
+            Self::Corrected(of) => {
+                Some(("curve", format!("{:.0} % real success, 95 % band of the correction", 100.0 * of.target)))
+            }
+        }
+    }
+}
+
+/// Draws the cells of a map with the boundary. `id` must be unique on the page.
+pub(crate) fn heatmap(map: &PairMap, boundary: Boundary<'_>, id: &str) -> Markup {
+    let boundary = boundary.on(map);
     let (nx, ny) = (map.x.cells().max(1), map.y.cells().max(1));
     let w = (WIDTH - LEFT - RIGHT) / nx as f64;
     let h = (330.0 / ny as f64).clamp(22.0, 52.0);
     let bottom = TOP + h * ny as f64;
-    let curve = drawn_frontier(map, frontier).is_some();
+    let curve = boundary.legend().is_some();
     let drop = drop(&map.x, w);
     let mut svg = Svg::new(WIDTH, bottom + drop + if curve { 112.0 } else { 92.0 });
     let mut numbers = Vec::new();
@@ -42,16 +85,22 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> M
         let model = cell.model.map_or_else(String::new, |model| {
             format!("; model {} ({})", percent(model.rate), percent_range(model.interval_95))
         });
+        let observed = match cell.rate.rate {
+            Some(rate) => format!(
+                "{} of {} succeeded, {} ({})",
+                cell.rate.successes,
+                cell.rate.n,
+                percent(rate),
+                percent_range(cell.rate.wilson_95)
+            ),
+            None => "nothing observed".to_owned(),
+        };
         let hint = format!(
-            "{} {}, {} {}: {} of {} succeeded, {} ({}){model}; {}",
+            "{} {}, {} {}: {observed}{model}; {}",
             label_with_unit(&map.y.parameter),
             map.y.cell_label(row),
             label_with_unit(&map.x.parameter),
             map.x.cell_label(column),
-            cell.rate.successes,
-            cell.rate.n,
-            percent_or_dash(cell.rate.rate),
-            percent_range(cell.rate.wilson_95),
             cell.zone.as_str()
         );
         let step = step(rate);
@@ -69,29 +118,26 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> M
             numbers.push((format!("n {ink}"), [middle[0], middle[1] + 4.0], success));
         }
     }
-    if let Some(frontier) = drawn_frontier(map, frontier) {
+    if curve {
         let across = scale(&map.x, [LEFT, WIDTH - RIGHT]);
         let up = scale(&map.y, [bottom, TOP]);
-        svg.clipped(id, [LEFT, TOP, WIDTH - LEFT - RIGHT, bottom - TOP], |svg| {
-            draw_frontier(svg, frontier, across, up)
+        svg.clipped(id, [LEFT, TOP, WIDTH - LEFT - RIGHT, bottom - TOP], |svg| match boundary {
+            Boundary::None => {}
+            Boundary::Frontier(frontier) => draw_frontier(svg, frontier, across, up),
+            Boundary::Corrected(of) => draw_contour(svg, of, across, up),
         });
     }
     for (class, place, text) in &numbers {
         svg.text(class, Anchor::Middle, *place, text);
     }
     ticks(&mut svg, map, [w, h], bottom, drop);
-    legend(&mut svg, bottom + drop + 56.0, drawn_frontier(map, frontier));
+    legend(&mut svg, bottom + drop + 56.0, boundary);
     svg.finish(&format!(
         "Success rate by {} and {}: {} cells",
         label_with_unit(&map.y.parameter),
         label_with_unit(&map.x.parameter),
         map.cells.len()
     ))
-}
-
-/// Draws the frontier, if a part of it lies on the map.
-fn drawn_frontier<'a>(map: &PairMap, frontier: Option<&'a Frontier>) -> Option<&'a Frontier> {
-    frontier.filter(|f| map.x.levels.is_empty() && map.y.levels.is_empty() && !drawable(f).is_empty())
 }
 
 fn scale(axis: &Axis, to: [f64; 2]) -> Scale {
@@ -128,6 +174,14 @@ fn draw_frontier(svg: &mut Svg, frontier: &Frontier, across: Scale, up: Scale) {
         svg.polyline("halo", &curve);
         svg.polyline(if frontier.contradicted { "curve wrong" } else { "curve" }, &curve);
     }
+}
+
+fn draw_contour(svg: &mut Svg, of: &CorrectedMap, across: Scale, up: Scale) {
+    let drawn = |points: &Vec<[f64; 2]>| points.iter().map(|[x, y]| [across.at(*x), up.at(*y)]).collect::<Vec<_>>();
+    svg.area("band", &of.band.iter().map(drawn).collect::<Vec<_>>());
+    let curves: Vec<_> = of.contour.estimated().into_iter().flatten().map(drawn).collect();
+    curves.iter().for_each(|curve| svg.polyline("halo", curve));
+    curves.iter().for_each(|curve| svg.polyline("curve", curve));
 }
 
 /// Maximum number of characters of a level on the horizontal axis.
@@ -181,7 +235,7 @@ fn mark(svg: &mut Svg, [x, y]: [f64; 2]) {
     svg.polygon("known", &[[x - 8.0, y], [x, y], [x, y + 8.0]]);
 }
 
-fn legend(svg: &mut Svg, y: f64, frontier: Option<&Frontier>) {
+fn legend(svg: &mut Svg, y: f64, boundary: Boundary<'_>) {
     let w = 15.0;
     svg.text("s", Anchor::Start, [LEFT, y + 10.0], "0 %");
     let from = LEFT + 34.0;
@@ -197,14 +251,9 @@ fn legend(svg: &mut Svg, y: f64, frontier: Option<&Frontier>) {
         [LEFT + 29.0, y + 31.0],
         "the zone of the cell (safe, boundary, danger) is significant",
     );
-    if let Some(frontier) = frontier {
-        let (class, text) = if frontier.contradicted {
-            ("curve wrong", "50 % frontier of the model, contradicted by the observed rates")
-        } else {
-            ("curve", "50 % frontier of the model, exact 95 % band")
-        };
+    if let Some((class, text)) = boundary.legend() {
         svg.rect("band", [LEFT, y + 42.0, 22.0, 12.0]);
         svg.line(class, [LEFT, y + 48.0, LEFT + 22.0, y + 48.0]);
-        svg.text("s", Anchor::Start, [LEFT + 29.0, y + 52.0], text);
+        svg.text("s", Anchor::Start, [LEFT + 29.0, y + 52.0], &text);
     }
 }

@@ -17,7 +17,7 @@ pub(crate) use comparison::{
 };
 pub(crate) use danger::danger_zones;
 pub(crate) use failures::{failure_modes, mode_changes};
-pub(crate) use heatmap::{drawable, heatmap};
+pub(crate) use heatmap::{Boundary, drawable, heatmap};
 pub(crate) use marginal::marginal_effect;
 pub(crate) use models::{coefficients, reliability, roc};
 pub(crate) use rate::rate_scale;

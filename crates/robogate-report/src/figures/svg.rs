@@ -112,6 +112,14 @@ impl Svg {
         }
     }
 
+    /// Fills polygons that may share sides as one area.
+    pub(crate) fn area(&mut self, class: &str, polygons: &[Vec<[f64; 2]>]) {
+        let outline = |points: &Vec<[f64; 2]>| format!("M{}Z", path(points));
+        if !polygons.is_empty() {
+            self.push(&html! { path class=(class) d=(polygons.iter().map(outline).collect::<String>()) {} });
+        }
+    }
+
     /// Clips everything that `draw` draws to the rectangle. `id` must be unique on the page.
     pub(crate) fn clipped(&mut self, id: &str, place: [f64; 4], draw: impl FnOnce(&mut Self)) {
         let mut inner = Self::new(self.width, self.height);

@@ -143,7 +143,7 @@ fn big(figure: &str) -> Markup {
 }
 
 /// The sections that are open when the page opens. A reader acts on them; the others hold the evidence.
-const OPEN: [&str; 5] = ["watch", "marginal-effects", "rates", "paired", ENVELOPE];
+const OPEN: [&str; 6] = ["watch", "marginal-effects", "rates", "real-map", "paired", ENVELOPE];
 /// This one is folded below a verdict: the scenarios of a gate are chosen, and do not fill a map.
 const ENVELOPE: &str = "envelope";
 

@@ -205,9 +205,10 @@ fn lowers_success(of: &Comparison) -> Option<(bool, String)> {
         some => Some((
             false,
             format!(
-                "{} significantly lowers the success of {}, but not of the others.",
+                "{} significantly lowers the success of {}, but not of the {}.",
                 sentence(&parameter),
-                list(some)
+                list(some),
+                if sensitivity.effects.len() - some.len() == 1 { "other" } else { "others" }
             ),
         )),
     }

@@ -8,11 +8,12 @@ use clap::Args;
 use robogate_analysis::AnalysisError;
 use robogate_analysis::transfer::{Transfer, TransferOptions};
 use robogate_report::{TransferHeadline, next_trials, transfer_html, transfer_json};
-use robogate_stats::format::{fixed, range};
+use robogate_stats::format::{fixed, percent_range, range};
 
 use crate::commands::analyze::{heading, interval};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, OrExit, USAGE};
 use crate::source::open_source;
+use crate::summary::influential;
 use crate::terminal::{bold, dim, grouped, line, note, percent, wrapped};
 use crate::transfer_view::TransferView;
 
@@ -91,9 +92,13 @@ fn print(of: &Transfer) {
         ("What the simulation adds", &headline.what_the_simulation_adds),
         ("Where simulation and reality differ (p < 0.05, adjusted)", &headline.what_differs),
     ] {
+        if lines.is_empty() {
+            continue;
+        }
         heading(title);
         lines.iter().for_each(|text| wrapped(text));
     }
+    influential(&of.effects, "Most influential parameters in the simulation");
     heading("Corrected simulation");
     let correction = &of.correction;
     line(format_args!(
@@ -107,7 +112,7 @@ fn print(of: &Transfer) {
         line(format_args!(
             "  settings with 50 % real success have {} simulated success ({})",
             percent(boundary.mean),
-            interval(boundary.interval_95).trim()
+            percent_range(boundary.interval_95)
         ));
     }
     for at in &correction.curve {

@@ -3,6 +3,7 @@
 
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
 use serde_json::Value;
 use tempfile::TempDir;
@@ -131,6 +132,55 @@ fn states_outside_ranges_are_counted() {
     assert!(page.contains("outside of the published range of the checkpoint in 2 of 2 episodes"));
     let wrong = [&RUN[..], &["--policy", "random", "--statistics", "stats.json"]].concat();
     assert_exit_in(dir.path(), &wrong, 2, &["--statistics applies to a policy server or an ONNX file"]);
+}
+
+const ONE_SCENARIO: &str = r#"
+schema = 1
+name = "one"
+version = "1.0.0"
+description = "One box."
+defaults = { shape = "box", size_m = 0.05, mass_kg = 0.3 }
+[[group]]
+name = "nominal"
+category = "nominal"
+scenarios = [{ id = "nominal-1" }]
+"#;
+
+/// A gate names the states outside of the range on its page, in its Markdown, in the PDF, and in the evidence.
+#[test]
+fn outside_ranges_reach_the_evidence() {
+    let dir = folder_with_network();
+    let at = |name: &str| dir.path().join(name);
+    let statistics = serde_json::json!({"observation.state": {"min": vec![-0.01; 8], "max": vec![0.01; 8]}});
+    fs::write(at("stats.json"), statistics.to_string()).unwrap();
+    fs::write(at("suite.toml"), ONE_SCENARIO).unwrap();
+    let requirements = "name = \"one\"\nmode = \"point\"\n[budget]\nrounds = 2\n[[requirement]]\nmetric = \"success\"\nat_least = 0.9\n";
+    fs::write(at("gate.toml"), requirements).unwrap();
+    let gate = "gate --policy small.onnx --profile small.toml --statistics stats.json --controls 0 --suite suite.toml --requirements \
+                gate.toml --seed 7 --out gate";
+    let sentence = "outside of the published range of the checkpoint in 2 of 2 episodes";
+    let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let printed = assert_exit_in(dir.path(), &gate.split(' ').collect::<Vec<_>>(), 1, &[]);
+    assert!(words(&printed).contains(sentence), "{printed}");
+    for file in ["gate/gate.md", "gate/report.html"] {
+        let page = fs::read_to_string(at(file)).unwrap();
+        assert!(words(&page).contains(sentence), "{file}: {page}");
+    }
+    let evaluation = |file: &str| -> Value { serde_json::from_slice(&fs::read(at(file)).unwrap()).unwrap() };
+    let outside = evaluation("gate/gate.json")["outside_range"].take();
+    assert_eq!((&outside["episodes"], &outside["of"]), (&2.into(), &2.into()), "{outside}");
+    assert_exit_in(dir.path(), &["evidence", "gate", "evidence", "--compliance"], 1, &[]);
+    assert_eq!(evaluation("evidence/evaluation.json")["outside_range"], outside);
+    let Some(pdftotext) = robogate_testing::program("pdftotext") else { return };
+    let paper = Command::new(pdftotext).arg(at("evidence/compliance/verdict.pdf")).arg("-").output().unwrap();
+    let paper = words(&String::from_utf8_lossy(&paper.stdout));
+    assert!(paper.contains(sentence), "{paper}");
+    // Another number of episodes is not that of the rows.
+    assert_exit_in(dir.path(), &["verify", "evidence"], 0, &[]);
+    let file = at("evidence/evaluation.json");
+    let forged = fs::read_to_string(&file).unwrap().replacen("\"outside_range\"", "\"inside_range\"", 1);
+    fs::write(&file, forged).unwrap();
+    assert_exit_in(dir.path(), &["verify", "evidence"], 4, &["evaluation.json"]);
 }
 
 #[test]

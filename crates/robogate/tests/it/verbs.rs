@@ -212,10 +212,17 @@ fn transfer_writes_every_format() {
         assert!(text.contains(part) || text.contains("The trials alone"), "{part}: {text}");
     }
     assert_self_contained(&page);
+    // Terminal, page and document have the most influential parameters, and the map of two of them.
+    assert!(text.contains("Most influential parameters in the simulation"), "{text}");
+    let html = fs::read_to_string(&page).unwrap();
+    assert!(html.contains("Real success in percent by the corrected model"));
     let json = robogate(&["transfer", "--sim", &simulation, "--real", &trials, "--json"]);
     assert_eq!(fs::read_to_string(&file).unwrap().trim(), stdout(&json).trim());
     let document: Value = serde_json::from_str(&stdout(&json)).unwrap();
     assert_eq!(document["real"]["trials"], 40);
+    let (ranked, map) = (&document["effects"]["ranked"], &document["map"]["estimated"]["map"]);
+    assert_eq!([&map["y"]["parameter"], &map["x"]["parameter"]], [0, 1].map(|i| &ranked[i]["parameter"]));
+    assert_eq!(map["cells"].as_array().unwrap().len(), 9);
     fs::write(&trials, "success,friction\nperhaps,0.5\n").unwrap();
     assert_refused(&["transfer", "--sim", &simulation, "--real", &trials], &["trials.csv:2", "perhaps"]);
 }

@@ -384,11 +384,7 @@ fn operate(browser: &mut Browser, axe: Option<&std::path::PathBuf>) {
     browser.wait("Number(document.querySelector('.view-bar input[type=range]').value) > 0.1");
     browser.evaluate("document.querySelector('.view-play').click()");
     if let Some(axe) = axe {
-        for theme in ["light", "dark"] {
-            let media = json!({ "features": [{ "name": "prefers-color-scheme", "value": theme }] });
-            browser.call("Emulation.setEmulatedMedia", media);
-            browser.assert_accessible(axe);
-        }
+        browser.assert_accessible(axe);
     }
 }
 
@@ -415,11 +411,11 @@ fn compare_predictions(browser: &mut Browser, dictionary: &Path) {
     let inputs = Inputs::new(&dictionary.provenance().space, None);
     let model = RiskModel::fit(std::sync::Arc::new(inputs), &samples, Learner::Splines, RiskModel::LEAST).unwrap();
     let mut largest = 0.0_f64;
-    for sample in &samples {
-        let [found, low, high]: [f64; 3] = serde_json::from_value(
-            browser.evaluate(&format!("robogateExplorer.predict(0, {})", sample.scenario.index)),
-        )
-        .unwrap();
+    let indices: Vec<u64> = samples.iter().map(|sample| sample.scenario.index).collect();
+    let predicted = browser.evaluate(&format!("{indices:?}.map((index) => robogateExplorer.predict(0, index))"));
+    let predicted: Vec<[f64; 3]> = serde_json::from_value(predicted).unwrap();
+    assert_eq!(predicted.len(), samples.len());
+    for (sample, [found, low, high]) in samples.iter().zip(predicted) {
         let expected: f64 = model.told(&sample.scenario).unwrap();
         largest = largest.max((found - expected).abs());
         assert!(low <= found && found <= high, "{low} {found} {high}");
@@ -449,7 +445,7 @@ fn exported_page_is_operated() {
     let axe = robogate_testing::path("ROBOGATE_TEST_AXE", "the file axe.min.js of axe-core");
     let dir = TempDir::new().unwrap();
     robogate(dir.path(), "run -n 150 --seed 7 --out a");
-    robogate(dir.path(), "run -n 150 --seed 8 --policy random --out b");
+    robogate(dir.path(), "run -n 40 --seed 8 --policy random --out b");
     let text = robogate(dir.path(), "view a b --export explorer.html --clips 4");
     assert!(text.contains("4 recorded episodes"), "{text}");
     let mut browser = Browser::start(&chromium);
@@ -578,8 +574,8 @@ fn brushed(browser: &mut Browser) -> (f64, Value) {
 fn many_rows_stay_interactive() {
     let Some(chromium) = robogate_testing::program("chromium") else { return };
     let dir = TempDir::new().unwrap();
-    robogate(dir.path(), "run --task pendulum -n 5000 --seed 3 --out a");
-    robogate(dir.path(), "view a a a a --export page.html --clips 0");
+    robogate(dir.path(), "run --task pendulum -n 1500 --seed 3 --out a");
+    robogate(dir.path(), "view a a --export page.html --clips 0");
     let mut browser = Browser::start(&chromium);
     browser.open(dir.path().join("page.html"));
     browser.wait("document.body.dataset.modelled === 'true' && !robogateExplorer.explorer.awake");
@@ -589,7 +585,8 @@ fn many_rows_stay_interactive() {
     let page = fs::metadata(dir.path().join("sample.html")).unwrap().len();
     assert!(page < 1_500_000, "{page} bytes");
     let rows = |browser: &mut Browser| browser.evaluate("robogateExplorer.explorer.data.rows").as_u64().unwrap();
-    assert!(rows(&mut browser) >= 20_000);
+    grow(&mut browser, 20_000);
+    assert_eq!(rows(&mut browser), 20_000);
     let (frame_ms, measured) = brushed(&mut browser);
     println!("{frame_ms:.1} ms of processor time per frame; {measured}");
     assert!(frame_ms < 50.0, "20,000 rows: {frame_ms} ms");

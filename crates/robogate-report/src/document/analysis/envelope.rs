@@ -2,13 +2,13 @@
 
 use robogate_analysis::labels::{parameter_label, value_with_unit};
 use robogate_analysis::{Analysis, Envelope, Finding, Frontier, PairCounts, PairMap};
-use robogate_stats::format::{count, counted, number, percent, percent_or_dash, percent_range, range, sentence};
+use robogate_stats::format::{counted, number, percent_or_dash, percent_range, range};
 
 use super::models::regression_table;
 use super::{Block, Figure, Section, Table, population};
-use crate::document::Kind::{Number, Short, Text, Zone};
-use crate::document::{MAX_MAP_ROWS, or_dash};
-use crate::figures::{drawable, heatmap};
+use crate::document::Kind::{Number, Text};
+use crate::document::map::{map_table, map_title};
+use crate::figures::{Boundary, drawable, heatmap};
 
 pub(super) fn section(analysis: &Analysis, pairs: Option<&PairCounts>) -> Section {
     let mut blocks = Vec::new();
@@ -21,7 +21,7 @@ pub(super) fn section(analysis: &Analysis, pairs: Option<&PairCounts>) -> Sectio
             Finding::Estimated(map) if i > 0 => {
                 let mut folded = Vec::new();
                 one(&mut folded, envelope, i);
-                blocks.push(Block::Group(title(map), folded));
+                blocks.push(Block::Group(map_title(map), folded));
             }
             _ => one(&mut blocks, envelope, i),
         }
@@ -42,12 +42,7 @@ fn one(blocks: &mut Vec<Block>, envelope: &Envelope, at: usize) {
     }
 }
 
-fn title(map: &PairMap) -> String {
-    format!("{} \u{d7} {}", sentence(&parameter_label(&map.y.parameter)), parameter_label(&map.x.parameter))
-}
-
 fn map_figure(map: &PairMap, frontier: Option<&Frontier>, at: usize) -> Figure {
-    let (y, x) = (parameter_label(&map.y.parameter), parameter_label(&map.x.parameter));
     let zones = map.zones;
     let open = |n: u64, why: &str| (n > 0).then(|| format!("{n} of {} cells {why}.", map.cells.len()));
     let mut findings = vec![format!(
@@ -73,8 +68,8 @@ fn map_figure(map: &PairMap, frontier: Option<&Frontier>, at: usize) -> Figure {
     // The first sentence says where success is likely. The others are with the frontier's numbers.
     findings.extend(frontier.and_then(|frontier| frontier_findings(frontier).into_iter().next()));
     Figure {
-        title: title(map),
-        svg: heatmap(map, frontier, &format!("clip{at}")),
+        title: map_title(map),
+        svg: heatmap(map, frontier.map_or(Boundary::None, Boundary::Frontier), &format!("clip{at}")),
         is_map: true,
         caption: match map.length_scale {
             Some(_) => "Success in percent by a smooth model, with the number of episodes below it. The table has its intervals \
@@ -85,7 +80,7 @@ fn map_figure(map: &PairMap, frontier: Option<&Frontier>, at: usize) -> Figure {
                 .to_owned(),
         },
         findings,
-        table: map_table(map, &y, &x),
+        table: map_table(map, "n"),
     }
 }
 
@@ -154,34 +149,6 @@ fn frontier_findings(frontier: &Frontier) -> Vec<String> {
         ));
     }
     lines
-}
-
-fn map_table(map: &PairMap, y: &str, x: &str) -> Table {
-    let nx = map.x.cells().max(1);
-    let rows = map.cells.iter().enumerate().map(|(i, cell)| {
-        vec![
-            map.y.cell_label(i / nx),
-            map.x.cell_label(i % nx),
-            count(cell.rate.n),
-            percent_or_dash(cell.rate.rate),
-            percent_range(cell.rate.wilson_95),
-            or_dash(cell.model, |m| percent(m.rate)),
-            or_dash(cell.model, |m| percent_range(m.interval_95)),
-            cell.zone.as_str().to_owned(),
-        ]
-    });
-    let columns = [
-        (y, Short),
-        (x, Short),
-        ("n", Number),
-        ("success", Number),
-        ("Wilson 95 %", Number),
-        ("model", Number),
-        ("model 95 %", Number),
-        ("zone", Zone),
-    ];
-    let table = Table::new(format!("Cells of {y} \u{d7} {x}"), &columns, rows.collect()).without_empty();
-    table.at_most(MAX_MAP_ROWS)
 }
 
 fn curve_table(frontier: &Frontier) -> Table {

@@ -55,7 +55,7 @@ pub(crate) fn finish(
     write_answer(dir, &evaluation, watch.flatten().as_ref())?;
     let code = show(Some(dir), &evaluation, source.dictionary().provenance(), json)?;
     if let Some(analysis) = analysis.filter(|_| !json) {
-        influential(&analysis);
+        influential(&analysis.effects, "Most influential parameters");
     }
     Ok(code)
 }

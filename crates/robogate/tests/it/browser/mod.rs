@@ -13,6 +13,22 @@ use tungstenite::{Message, WebSocket};
 /// The longest wait for a condition on a page.
 const PATIENCE: Duration = Duration::from_secs(90);
 
+/// Decodes Base64 (RFC 4648).
+fn base64(text: &str) -> Vec<u8> {
+    let value = |letter: &u8| match letter {
+        b'A'..=b'Z' => letter - b'A',
+        b'a'..=b'z' => letter - b'a' + 26,
+        b'0'..=b'9' => letter - b'0' + 52,
+        b'+' => 62,
+        _ => 63,
+    };
+    let of_four = |four: &[u8]| {
+        let bits = four.iter().fold(0_u32, |bits, letter| (bits << 6) | u32::from(value(letter)));
+        (bits << (6 * (4 - four.len()))).to_be_bytes().into_iter().skip(1).take(four.len() * 6 / 8).collect::<Vec<u8>>()
+    };
+    text.trim_end_matches('=').as_bytes().chunks(4).flat_map(of_four).collect()
+}
+
 /// A browser with one page.
 pub struct Browser {
     process: Child,
@@ -156,23 +172,41 @@ impl Browser {
         }
     }
 
+    /// Opens a page in the light theme, and prints it as PDF.
+    pub fn print(&mut self, page: &Path) -> Vec<u8> {
+        self.call("Emulation.setEmulatedMedia", json!({ "features": [] }));
+        self.call("Emulation.clearDeviceMetricsOverride", json!({}));
+        self.open(page);
+        let printed = self.call("Page.printToPDF", json!({ "preferCSSPageSize": true, "printBackground": true }));
+        base64(printed["data"].as_str().unwrap())
+    }
+
     /// Asserts that the page has reported no error and has requested nothing.
     pub fn assert_no_trouble(&self) {
         assert!(self.troubles.is_empty(), "{:#?}", self.troubles);
     }
 
-    /// Asserts that axe finds no violation. `axe` is the file of axe-core.
+    /// Asserts that axe finds no violation in either theme. `axe` is the file of axe-core.
     pub fn assert_accessible(&mut self, axe: &Path) {
         let source = std::fs::read_to_string(axe).unwrap();
         self.evaluate(&format!("{source}; true"));
+        // Both themes have the same elements: the second one can only change colours.
+        for (theme, rules) in [("light", ""), ("dark", "runOnly: ['color-contrast', 'link-in-text-block'], ")] {
+            let media = json!({ "features": [{ "name": "prefers-color-scheme", "value": theme }] });
+            self.call("Emulation.setEmulatedMedia", media);
+            self.assert_no_violation(theme, rules);
+        }
+    }
+
+    fn assert_no_violation(&mut self, theme: &str, rules: &str) {
         // The page reacts to the sizes of its parts in the next frame.
         self.evaluate(
             "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 300))))",
         );
-        let found = self.evaluate(
-            "axe.run(document, { resultTypes: ['violations'] }).then((r) => r.violations.map((v) => v.id + ': ' + \
+        let found = self.evaluate(&format!(
+            "axe.run(document, {{ {rules}resultTypes: ['violations'] }}).then((r) => r.violations.map((v) => v.id + ': ' + \
              v.nodes.slice(0, 3).map((n) => n.target + ' ' + n.failureSummary).join(' | ')))",
-        );
-        assert_eq!(found, json!([]), "{found:#}");
+        ));
+        assert_eq!(found, json!([]), "{theme}: {found:#}");
     }
 }
