@@ -56,7 +56,6 @@ impl Fidelity {
     }
 
     /// Whether this is the fine fidelity.
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
     pub fn is_fine(&self) -> bool {
         *self == Self::Fine
     }
