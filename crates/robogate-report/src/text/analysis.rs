@@ -79,12 +79,20 @@ fn answer(analysis: &Analysis) -> String {
 /// A success rate in words, from both ends of its interval: a rate alone would claim more than the episodes support.
 fn chance([low, high]: [f64; 2]) -> String {
     let tenths = [low, high].map(|end| (10.0 * end).round().clamp(0.0, 10.0));
+    // Bounds are rounded outwards, so that they hold.
+    let [least, most] = [(10.0 * low).floor(), (10.0 * high).ceil()];
     match tenths {
         _ if high < 0.01 => ": almost never".to_owned(),
         _ if low > 0.99 => ": almost always".to_owned(),
+        [_, 10.0] if least >= 1.0 => format!(": at least {} in 10", times(least)),
+        [0.0, _] if most <= 9.0 => format!(": at most {} in 10", times(most)),
         [low, high] if high - low < 0.5 => format!(": about {low} times in 10"),
         [low, high] => format!(": about {low} to {high} times in 10"),
     }
+}
+
+fn times(n: f64) -> String {
+    if n < 1.5 { "once".to_owned() } else { format!("{n} times") }
 }
 
 fn where_it_fails(analysis: &Analysis) -> Vec<String> {
@@ -238,11 +246,10 @@ fn advise(analysis: &Analysis, advice: &Advice) -> String {
         ),
         Advice::Operate { .. } => found.map_or_else(String::new, operate),
         Advice::RunMore { target, episodes } if *episodes > MOST_MORE * analysis.success.rate.n => format!(
-            "No limits on up to three parameters were verified to raise success to {}: the best ones ({}) are so near to it \
-             that {} would be necessary.",
+            "No limits on up to three parameters were verified to raise success to {}: the rate within the best ones ({}) is so near \
+             to it that {MOST_MORE} times as many episodes would not decide.",
             percent(*target),
-            found.map_or_else(String::new, box_in_words),
-            counted(*episodes, "more episode")
+            found.map_or_else(String::new, box_in_words)
         ),
         Advice::RunMore { target, episodes } => format!(
             "Run about {} to verify a success rate of {} within {}: the episodes so far do not show it with 95 % confidence.",
