@@ -4,8 +4,8 @@
 #
 #   scripts/discovery.sh OUT [ROBOT] [TEST] [REPEATS] [SIZES] [PAIRS]
 #
-# OUT gets the runs, ROBOT.md and ROBOT-collisions.md. Defaults: franka, 12000 test episodes, 10 repeats, sizes "250 500 1000 2000", 4000 pairs. An episode costs about
-# 0.15 s of one core: the defaults run about 130,000 episodes, 5.4 CPU hours. Campaigns that exist in OUT are resumed or kept, so the script
+# OUT gets the runs, ROBOT.md and ROBOT-collisions.md. Defaults: franka, 12000 test episodes, 10 repeats, sizes "250 500 1000 2000", 4000 pairs. An episode costs 0.04
+# to 0.15 s of one core: the defaults run about 130,000 episodes, 1.6 to 5.4 CPU hours. Campaigns that exist in OUT are resumed or kept, so the script
 # can be interrupted and repeated.
 set -euo pipefail
 out=$1 robot=${2:-franka} test=${3:-12000} repeats=${4:-10} sizes=${5:-250 500 1000 2000} pairs=${6:-4000}

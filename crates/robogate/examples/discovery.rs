@@ -23,6 +23,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, anyhow, bail, ensure};
+use robogate_analysis::study::{self, predictions};
 use robogate_campaign::folder::DICTIONARY;
 use robogate_core::{Environment, Fault, FeatureSpec, Foresight, Measures, Outcome, Scenario, Seed, Value};
 use robogate_dictionary::Dictionary;
@@ -34,13 +35,23 @@ use robogate_tasks::pick_place::PickPlace;
 
 /// Fresh draws over which a model is averaged.
 const DRAWS: u64 = 12;
-/// The learners: the name, whether the model is told the hidden draws, and the learner.
-const LEARNERS: [(&str, bool, Learner); 4] = [
-    ("both, told draws", true, Learner::Chosen),
-    ("boosting, told draws", true, Learner::Boosting),
-    ("splines, told draws", true, Learner::Splines),
-    ("parameters alone", false, Learner::Chosen),
+/// The name of a learner, and the learner.
+const LEARNERS: [(&str, Fitted); 5] = [
+    ("both, told draws", Fitted::Risk { told: true, learner: Learner::Chosen }),
+    ("boosting, told draws", Fitted::Risk { told: true, learner: Learner::Boosting }),
+    ("splines, told draws", Fitted::Risk { told: true, learner: Learner::Splines }),
+    ("parameters alone", Fitted::Risk { told: false, learner: Learner::Chosen }),
+    ("`flexible` of the study", Fitted::Flexible),
 ];
+
+/// What is fitted to a run.
+#[derive(Clone, Copy)]
+enum Fitted {
+    /// A risk model, which may be told the hidden draws.
+    Risk { told: bool, learner: Learner },
+    /// The flexible learner of `robogate study`, which knows the parameters alone.
+    Flexible,
+}
 /// Samples of repeats for the interval of equal numbers of episodes.
 const SAMPLES: usize = 2_000;
 
@@ -125,13 +136,23 @@ fn score(test: &str, partners: &str, runs: &[&str]) -> anyhow::Result<()> {
     let work = || -> anyhow::Result<()> {
         while let Some(run) = runs.get(next.fetch_add(1, Ordering::Relaxed)) {
             let (design, episodes, repeat) = parsed(run)?;
-            let train = samples(&open(run)?)?;
-            for (at, (name, told, learner)) in LEARNERS.into_iter().enumerate() {
-                let known = told.then(|| Arc::clone(&foresight) as Arc<dyn Foresight>);
-                let inputs = Arc::new(Inputs::new(&dictionary.provenance().space, known));
-                let model = RiskModel::fit(inputs, &train, learner, RiskModel::LEAST)
-                    .with_context(|| format!("{run}: {name}"))?;
-                let losses = test.losses(&model)?;
+            let episodes_of_run = open(run)?;
+            let train = samples(&episodes_of_run)?;
+            for (at, (name, fitted)) in LEARNERS.into_iter().enumerate() {
+                let losses = match fitted {
+                    Fitted::Risk { told, learner } => {
+                        let known = told.then(|| Arc::clone(&foresight) as Arc<dyn Foresight>);
+                        let inputs = Arc::new(Inputs::new(&dictionary.provenance().space, known));
+                        let model = RiskModel::fit(inputs, &train, learner, RiskModel::LEAST)
+                            .with_context(|| format!("{run}: {name}"))?;
+                        let chance = |sample: &Sample| model.averaged(&sample.scenario.requested, DRAWS);
+                        let map: Result<Vec<f64>, Fault> = test.points.iter().map(|(point, _)| chance(point)).collect();
+                        test.losses(&map.map_err(|fault| anyhow!("{fault}"))?)
+                    }
+                    Fitted::Flexible => {
+                        test.losses(&predictions(study::Learner::Flexible, &episodes_of_run, &dictionary)?)
+                    }
+                };
                 let mut found = found.lock().unwrap_or_else(PoisonError::into_inner);
                 found.entry((design.clone(), episodes, at)).or_default().insert(repeat, losses);
             }
@@ -300,15 +321,15 @@ impl Test {
         )
     }
 
-    fn losses(&self, model: &RiskModel) -> anyhow::Result<Losses> {
+    /// The losses of a map: its chance of success at each point.
+    fn losses(&self, map: &[f64]) -> Losses {
         let mut losses = Losses { brier: Vec::with_capacity(self.points.len()), excess: Vec::new() };
-        for (sample, partner) in &self.points {
-            let q = model.averaged(&sample.scenario.requested, DRAWS).map_err(|fault| anyhow!("{fault}"))?;
+        for ((sample, partner), q) in self.points.iter().zip(map) {
             let error = |success: bool| q - f64::from(u8::from(success));
             losses.brier.push(error(sample.success).powi(2));
             losses.excess.extend(partner.map(|other| error(sample.success) * error(other)));
         }
-        Ok(losses)
+        losses
     }
 }
 

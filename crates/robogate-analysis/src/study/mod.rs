@@ -277,6 +277,21 @@ impl Verdict {
     }
 }
 
+/// The chance of success of each valid row of `test`, in their order, by a learner that is fitted to all valid rows of `train`
+/// with equal weights.
+///
+/// # Errors
+/// A dictionary that cannot be read or whose parameters differ from the test set, or a failed fit.
+pub fn predictions(learner: Learner, train: &Dictionary, test: &Dictionary) -> Result<Vec<f64>, AnalysisError> {
+    let rows = EpisodeTable::read(test)?.valid();
+    let (sample, _) = training(train, &rows)?;
+    let task = TaskAnalysis::of_dictionary(test.provenance());
+    let scores = learner
+        .scores(&sample, None, &rows, task)
+        .map_err(|reason| AnalysisError::NoStudy { reason: format!("{}: {reason}", train.path().display()) })?;
+    Ok(scores.test.iter().map(|log_odds| 1.0 / (1.0 + (-log_odds).exp())).collect())
+}
+
 impl Study {
     /// The version of the document that this build writes.
     pub const VERSION: u32 = 2;

@@ -1,7 +1,8 @@
 //! Studies of synthetic laws with a known answer.
 
 use robogate_analysis::AnalysisError;
-use robogate_analysis::study::{Arm, Figures, Learner, Measure, Repeat, Study, Verdict};
+use robogate_analysis::study::{Arm, Figures, Learner, Measure, Repeat, Study, Verdict, predictions};
+use robogate_core::Outcome;
 use robogate_dictionary::Dictionary;
 
 use crate::designs::{Focus, Law, dictionary, even, sampled, study};
@@ -33,6 +34,25 @@ fn incomplete_design_is_worse() {
     assert_eq!(score.verdict, Some(Verdict::Worse), "{score:?}");
     // The design cannot know a quarter of the space, of which 60 % look like failures.
     assert!((0.05..0.2).contains(&difference.mean), "{difference:?}");
+}
+
+#[test]
+fn predictions_are_those_of_the_study() {
+    let law: Law = |at| if at[0] > 0.6 { 0.9 } else { 0.2 };
+    let dir = tempfile::tempdir().unwrap();
+    let space = space(&["box", "sphere"]);
+    let make =
+        |name: &str, seed: u64, n: u64| dictionary(dir.path(), name, &space, sampled(&space, seed, n, 0, law, even));
+    let (test, train) = (make("test", 999, 300), make("train", 1, 80));
+    let repeat = Repeat { uniform: &train, two_stage: &train, two_stage_weights: vec![1.0; 80], pure_boundary: &train };
+    let study = Study::of(&test, &[repeat]).unwrap();
+    for learner in [Learner::MainEffects, Learner::Flexible] {
+        let chances = predictions(learner, &train, &test).unwrap();
+        let success = test.entries().map(|row| f64::from(u8::from(row.unwrap().episode.outcome == Outcome::Success)));
+        let brier = chances.iter().zip(success).map(|(q, y)| (q - y).powi(2)).sum::<f64>() / 300.0;
+        let published = of(&study, learner, Arm::Uniform).score(Measure::Brier).unwrap().value.mean;
+        assert!((brier - published).abs() < 1e-12, "{learner:?}: {brier} {published}");
+    }
 }
 
 #[test]
