@@ -1,4 +1,4 @@
-//! Title and table of a map of two parameters.
+//! Title, zones and table of a map of two parameters.
 
 use robogate_analysis::PairMap;
 use robogate_analysis::labels::parameter_label;
@@ -10,6 +10,18 @@ use super::{MAX_MAP_ROWS, Table, or_dash};
 /// The parameters of a map.
 pub(super) fn map_title(map: &PairMap) -> String {
     format!("{} \u{d7} {}", sentence(&parameter_label(&map.y.parameter)), parameter_label(&map.x.parameter))
+}
+
+/// The number of cells in each zone, in one sentence.
+pub(super) fn map_zones(map: &PairMap) -> String {
+    let zones = map.zones;
+    format!(
+        "{} of {} cells are significantly safe (70 % or more), {} in danger (30 % or less) and {} between.",
+        zones.safe,
+        map.cells.len(),
+        zones.danger,
+        zones.boundary
+    )
 }
 
 /// The cells of a map. `counted` is the head of the column with the number of observed outcomes.

@@ -6,7 +6,7 @@ use robogate_analysis::transfer::{CorrectedMap, Transfer, WithInterval};
 use robogate_stats::format::{count, counted, fixed, percent, percent_range, range, sentence};
 
 use super::Kind::{Number, Short, Text};
-use super::map::{map_table, map_title};
+use super::map::{map_table, map_title, map_zones};
 use super::{Block, Document, Figure, Section, Table, plain_p};
 use crate::figures::{self, Boundary, heatmap};
 use crate::text::{TransferHeadline, next_trials};
@@ -157,14 +157,7 @@ fn map(of: &Transfer) -> Section {
 
 fn map_figure(of: &CorrectedMap) -> Figure {
     let map = &of.map;
-    let zones = map.zones;
-    let mut findings = vec![format!(
-        "{} of {} cells are significantly safe (70 % or more), {} in danger (30 % or less) and {} between.",
-        zones.safe,
-        map.cells.len(),
-        zones.danger,
-        zones.boundary
-    )];
+    let mut findings = vec![map_zones(map)];
     let target = format!("{:.0} %", 100.0 * of.target);
     findings.push(match &of.contour {
         Finding::CannotBeEstimated { because } => format!("The {target} contour is not drawn because {because}."),

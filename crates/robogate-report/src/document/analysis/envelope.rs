@@ -7,7 +7,7 @@ use robogate_stats::format::{counted, number, percent_or_dash, percent_range, ra
 use super::models::regression_table;
 use super::{Block, Figure, Section, Table, population};
 use crate::document::Kind::{Number, Text};
-use crate::document::map::{map_table, map_title};
+use crate::document::map::{map_table, map_title, map_zones};
 use crate::figures::{Boundary, drawable, heatmap};
 
 pub(super) fn section(analysis: &Analysis, pairs: Option<&PairCounts>) -> Section {
@@ -45,13 +45,7 @@ fn one(blocks: &mut Vec<Block>, envelope: &Envelope, at: usize) {
 fn map_figure(map: &PairMap, frontier: Option<&Frontier>, at: usize) -> Figure {
     let zones = map.zones;
     let open = |n: u64, why: &str| (n > 0).then(|| format!("{n} of {} cells {why}.", map.cells.len()));
-    let mut findings = vec![format!(
-        "{} of {} cells are significantly safe (70 % or more), {} in danger (30 % or less) and {} between.",
-        zones.safe,
-        map.cells.len(),
-        zones.danger,
-        zones.boundary
-    )];
+    let mut findings = vec![map_zones(map)];
     findings.extend(open(zones.undecided, "are undecided: their interval includes a limit"));
     findings.extend(open(zones.too_few_episodes, "have too few episodes to classify"));
     findings.push(match map.length_scale {
