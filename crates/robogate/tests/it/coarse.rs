@@ -1,15 +1,13 @@
 //! End-to-end tests of runs with coarse episodes: the estimate, interruption, and the separation of both kinds of rows.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
-use std::process::{Command, Stdio};
 
 use robogate_analysis::TwoFidelities;
 use robogate_dictionary::{Dictionary, Fidelity};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::verb;
+use crate::harness::{kill_after, verb};
 
 const RUN: &str = "run --robot franka --coarse 0.5 -n 24 --seed 5";
 
@@ -52,16 +50,7 @@ fn coarse_rows_estimate_and_stay_apart() {
     assert!(success.interval_95[0] <= success.rate && success.rate <= success.interval_95[1], "{found:?}");
 
     // Killed in the coarse episodes, then resumed.
-    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
-        .args(format!("{RUN} --threads 1 --out cut").split(' '))
-        .current_dir(at)
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
-    assert!(lines.any(|line| line.unwrap() == "24 coarse episodes"), "the coarse episodes did not start");
-    child.kill().unwrap();
-    child.wait().unwrap();
+    kill_after(at, &format!("{RUN} --threads 1 --out cut"), |line| line == "24 coarse episodes");
     verb(at, "resume cut", 0, &["Fine and coarse episodes"]);
     for file in FILES {
         let [a, b] = ["a", "cut"].map(|name| fs::read(at.join(name).join(file)).unwrap());

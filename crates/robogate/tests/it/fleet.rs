@@ -2,13 +2,11 @@
 //! interruption, and the share of units that meet the requirements.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
-use std::process::{Command, Stdio};
 
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::verb;
+use crate::harness::{kill_after, verb};
 
 /// The encoder bias decides whether a unit holds the pole upright; damping has no effect in this range.
 const UNITS: &str = r#"
@@ -112,16 +110,7 @@ fn interrupted_fleet_resumes_identically() {
     let dir = folder();
     let at = dir.path();
     verb(at, &format!("{FLEET} --out whole"), 0, &[]);
-    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
-        .args(format!("{FLEET} --out cut").split(' '))
-        .current_dir(at)
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
-    assert!(lines.any(|line| line.unwrap().starts_with("unit 2 of 12")), "no unit was reported");
-    child.kill().unwrap();
-    child.wait().unwrap();
+    kill_after(at, &format!("{FLEET} --out cut"), |line| line.starts_with("unit 2 of 12"));
     verb(at, "resume cut", 0, &[]);
     for file in ["fleet-result.json", "unit-003/dictionary.parquet", "unit-012/gate.json"] {
         assert!(

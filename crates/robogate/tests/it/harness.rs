@@ -1,7 +1,8 @@
 //! Runs the command and checks its answer.
 
+use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 use tempfile::TempDir;
 
@@ -86,6 +87,21 @@ pub(crate) fn verb(dir: &Path, line: &str, code: i32, parts: &[&str]) -> String 
         assert!(printed.contains(part), "{line} does not say {part:?}: {printed}");
     }
     stdout(&output)
+}
+
+/// Starts a line of arguments, separated by spaces, in `dir`, and kills it after the first line on stderr that is `awaited`.
+#[track_caller]
+pub(crate) fn kill_after(dir: &Path, line: &str, awaited: impl Fn(&str) -> bool) {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+        .args(line.split(' '))
+        .current_dir(dir)
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    assert!(lines.any(|line| awaited(&line.unwrap())), "{line} ended before the awaited line");
+    child.kill().unwrap();
+    child.wait().unwrap();
 }
 
 /// Runs the commands that `robogate plan` prints for a campaign in shards until it prints none. Returns how many there were.

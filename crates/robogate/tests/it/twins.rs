@@ -1,14 +1,13 @@
 //! End-to-end tests of the control arm: nominal twins of a campaign, of a suite, in shards, and imported.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::{run_all_shards, verb};
+use crate::harness::{kill_after, run_all_shards, verb};
 
 fn json(path: &Path) -> Value {
     serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
@@ -58,16 +57,7 @@ fn twins_do_not_depend_on_threads_shards_or_interruptions() {
     assert_eq!(rows("a"), rows("plain"));
 
     // Killed in the control arm, then resumed.
-    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
-        .args(format!("{RUN} --threads 1 --out cut").split(' '))
-        .current_dir(at)
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
-    assert!(lines.any(|line| line.unwrap().contains("nominal twins")), "the control arm did not start");
-    child.kill().unwrap();
-    child.wait().unwrap();
+    kill_after(at, &format!("{RUN} --threads 1 --out cut"), |line| line.contains("nominal twins"));
     verb(at, "resume cut", 0, &["Control arm"]);
     same_files(at, "a", "cut");
 
