@@ -56,10 +56,13 @@ fn twins_do_not_depend_on_threads_shards_or_interruptions() {
     let rows = |name: &str| json(&at.join(name).join("summary.json"))["dataset_hash"].clone();
     assert_eq!(rows("a"), rows("plain"));
 
-    // Killed in the control arm, then resumed.
-    kill_after(at, &format!("{RUN} --threads 1 --out cut"), |line| line.contains("nominal twins"));
-    verb(at, "resume cut", 0, &["Control arm"]);
-    same_files(at, "a", "cut");
+    // Killed in each arm, then resumed.
+    for (cut, arm) in [("cut-nominal", "control arm: "), ("cut-families", "arm of one family each: ")] {
+        kill_after(at, &format!("{RUN} --threads 1 --out {cut}"), |line| line.contains(arm));
+        assert!(!at.join(cut).join("twins.json").exists(), "the arm was not interrupted");
+        verb(at, &format!("resume {cut}"), 0, &["Control arm"]);
+        same_files(at, "a", cut);
+    }
 
     verb(at, &format!("{RUN} --divide 2 --out run"), 0, &[]);
     run_all_shards(at, "run");
