@@ -5,7 +5,7 @@ use std::collections::hash_map::RandomState;
 use std::hash::{BuildHasher, Hasher};
 use std::time::Duration;
 
-use robogate_core::{CameraSpec, Fault, FaultKind, Image, Observation};
+use robogate_core::{CameraSpec, Fault, FaultKind, Image, Observation, Trajectory};
 use robogate_zmtp::{Address, Requester, ZmtpError};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -14,8 +14,8 @@ use super::error::{RequestError, violation};
 use super::header::{decode, encode};
 use super::limits::{self, VERSION};
 use super::message::{
-    ActionKind, Empty, Envelope, ErrorKind, ErrorReply, Hello, ObservationMessage, Period, RenderReply, RenderRequest,
-    Request, StepReply, StepRequest,
+    ActionKind, Empty, Envelope, ErrorKind, ErrorReply, Hello, MotionReply, ObservationMessage, Period, RenderReply,
+    RenderRequest, Request, StepReply, StepRequest,
 };
 
 /// How long the client waits for each kind of reply.
@@ -211,6 +211,12 @@ impl Connection {
             images.push(Image { camera: info.camera, width: info.width, height: info.height, rgb });
         }
         Ok(images)
+    }
+
+    /// The recorded motion of the last episode.
+    pub(crate) fn motion(&mut self) -> Result<Trajectory, RequestError> {
+        let (reply, frames): (MotionReply, _) = self.request_with_frames("motion", Empty {})?;
+        reply.unpack(&frames).map_err(violation)
     }
 
     /// Close the connection, so that a late reply is never read.

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use robogate_core::{
     Action, Assignment, Ending, Environment, Fault, FaultKind, Foresight, Image, Infeasibility, Measures, Scenario,
-    Start, Step, TaskSpec,
+    Start, Step, TaskSpec, Trajectory,
 };
 
 use super::error::RequestError;
@@ -101,6 +101,18 @@ impl Environment for RemoteEnvironment {
             Err(why) => Err(lease.end_with(&why)),
         }
     }
+
+    fn record_trajectory(&mut self, period_s: Option<f64>) {
+        self.episodes.session.record_s = period_s;
+    }
+
+    fn take_trajectory(&mut self) -> Option<Trajectory> {
+        // A policy that gave up ended the episode before its server did.
+        if let Some(connection) = self.episodes.lease.as_mut().and_then(|lease| lease.connection.as_mut()) {
+            self.episodes.session.ended(connection);
+        }
+        self.episodes.session.motion.take()
+    }
 }
 
 /// A task of this process whose physics is computed by a server.
@@ -195,6 +207,10 @@ impl<S: Session> Episodes<S> {
         let connection = lease.connection.as_mut().ok_or_else(no_episode)?;
         let reply = self.session.step(connection, action);
         let tick = connection.tick;
+        let over = tick >= self.limit || reply.as_ref().is_ok_and(|step| step.ending.is_some());
+        if over && reply.is_ok() {
+            self.session.ended(connection);
+        }
         let notes = connection.take_notes();
         self.pool.report(notes);
         let step = match reply {
@@ -202,7 +218,7 @@ impl<S: Session> Episodes<S> {
             Err(why) => return Err(lease.end_with(&why)),
         };
         // Another worker may be waiting for the server.
-        if step.ending.is_some() || tick >= self.limit {
+        if over {
             lease.release(true);
         } else {
             self.lease = Some(lease);

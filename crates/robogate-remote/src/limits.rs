@@ -18,6 +18,8 @@ pub const NUMBERS: usize = 4096;
 pub const TICKS: u32 = 1_000_000;
 /// Maximum number of parameters of a scenario.
 pub const PARAMETERS: usize = 256;
+/// Maximum number of triangles of the solids of a recorded motion.
+pub const TRIANGLES: usize = 1_000_000;
 /// Maximum number of actions of one `step` request.
 pub const ACTIONS: usize = 256;
 /// Maximum number of control periods that a server may run ahead.

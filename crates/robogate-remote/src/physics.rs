@@ -127,7 +127,7 @@ impl<T: RemoteTask> Session for PhysicsSession<T> {
         parameters: BTreeMap<String, ParameterValue>,
     ) -> Result<(), RequestError> {
         let cell = self.0.resolve(scenario).map_err(RequestError::Local)?;
-        let request = ResetRequest { index: 0, seed: 0, parameters, cell: Some(cell), policy: None };
+        let request = ResetRequest { index: 0, seed: 0, parameters, cell: Some(cell), policy: None, record_s: None };
         connection.begin::<IgnoredAny>(request).map(drop)
     }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use robogate_core::{
     Action, ActionSpace, Command, Ending, Fault, FaultKind, Measures, Observation, Scenario, Start, Step, TaskInstance,
-    TaskSpec,
+    TaskSpec, Trajectory,
 };
 use serde::de::IgnoredAny;
 
@@ -27,6 +27,10 @@ pub struct ScoredSession {
     pub(crate) draws: Measures,
     /// Whether each action is sent on its own, because it may differ from the one that the policy proposed.
     pub(crate) in_step: bool,
+    /// The time between two recorded frames, in seconds. `None`: no motion is recorded.
+    pub(crate) record_s: Option<f64>,
+    /// The recorded motion of the last episode.
+    pub(crate) motion: Option<Trajectory>,
     /// Control periods that the server has already run, each with its action.
     ran: VecDeque<(Proposed, Period<Empty>)>,
 }
@@ -93,6 +97,8 @@ impl Session for ScoredSession {
         check_parameters(&connection.hello().task, scenario).map_err(RequestError::Local)?;
         self.ran.clear();
         let mut request = reset_request::<Empty>(scenario, &scenario.requested, None)?;
+        self.motion = None;
+        request.record_s = self.record_s.filter(|_| connection.hello().records_motion);
         request.policy = self.proposals.as_ref().map(|proposals| proposals.policy().to_owned());
         let reply: ResetReply<Empty, Empty> = connection.begin(request)?;
         self.draws = read_draws(connection, reply.draws.unwrap_or_default());
@@ -127,13 +133,24 @@ impl Session for ScoredSession {
         read_step(connection, period, observation)
     }
 
+    fn ended(&mut self, connection: &mut Connection) {
+        if self.record_s.is_none() || !connection.hello().records_motion {
+            return;
+        }
+        match connection.motion() {
+            Ok(motion) => self.motion = Some(motion).filter(|motion| !motion.frames.is_empty()),
+            // The record of the episode does not need it.
+            Err(why) => connection.note(format!("the motion of an episode is not shown: {why}")),
+        }
+    }
+
     fn send_reset(
         &mut self,
         connection: &mut Connection,
         _: &Scenario,
         parameters: BTreeMap<String, ParameterValue>,
     ) -> Result<(), RequestError> {
-        let request = ResetRequest::<Empty> { index: 0, seed: 0, parameters, cell: None, policy: None };
+        let request = ResetRequest::<Empty> { index: 0, seed: 0, parameters, cell: None, policy: None, record_s: None };
         connection.begin::<IgnoredAny>(request).map(drop)
     }
 }

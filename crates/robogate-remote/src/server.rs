@@ -1,15 +1,17 @@
 //! The server: makes an environment of this process available over the protocol.
 
-use robogate_core::{Action, Assignment, Command, Environment, Fault, GripperKind, Image, Scenario, Seed, TaskSpec};
+use robogate_core::{
+    Action, Assignment, Command, Environment, Fault, GripperKind, Image, Scenario, Seed, TaskSpec, Trajectory,
+};
 use serde::Serialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
 
 use super::header::{MalformedHeader, check, decode, encode};
 use super::limits::{self, VERSION};
 use super::message::{
-    ActionKind, Empty, EndingMessage, Envelope, ErrorKind, ErrorReply, HashReply, Hello, ImageInfo, ObservationMessage,
-    Period, RenderReply, RenderRequest, Reply, Request, ResetReply, ResetRequest, StepReply, StepRequest, from_wire,
-    to_wire,
+    ActionKind, Empty, EndingMessage, Envelope, ErrorKind, ErrorReply, HashReply, Hello, ImageInfo, MotionReply,
+    ObservationMessage, Period, RenderReply, RenderRequest, Reply, Request, ResetReply, ResetRequest, StepReply,
+    StepRequest, from_wire, to_wire,
 };
 
 /// What a [`Server`] makes available: an environment with its own task, or physics only.
@@ -30,6 +32,14 @@ pub trait Host {
 
     /// Render all cameras in the current state.
     fn render(&mut self) -> Result<Vec<Image>, Fault>;
+
+    /// Record the motion of all bodies in every later episode, as [`Environment::record_trajectory`].
+    fn record(&mut self, _period_s: Option<f64>) {}
+
+    /// The recorded motion of the last episode, empty without one. Only called if [`Host::hello`] offers it.
+    fn motion(&mut self) -> Trajectory {
+        Trajectory::default()
+    }
 }
 
 /// A [`Host`] for an [`Environment`] of this process.
@@ -40,10 +50,10 @@ pub struct EnvironmentHost {
 
 impl EnvironmentHost {
     /// A host for this environment. `hello` describes the server; its task is replaced by that of the environment, and
-    /// `scores_itself` is set to true.
+    /// `scores_itself` and `records_motion` are set to true.
     pub fn new(hello: Hello, environment: Box<dyn Environment>) -> Self {
         let task = TaskSpec::clone(environment.task());
-        Self { hello: Hello { scores_itself: true, task, ..hello }, environment }
+        Self { hello: Hello { scores_itself: true, records_motion: true, task, ..hello }, environment }
     }
 }
 
@@ -88,12 +98,22 @@ impl Host for EnvironmentHost {
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
         self.environment.render()
     }
+
+    fn record(&mut self, period_s: Option<f64>) {
+        self.environment.record_trajectory(period_s);
+    }
+
+    fn motion(&mut self) -> Trajectory {
+        self.environment.take_trajectory().unwrap_or_default()
+    }
 }
 
 /// Answers requests for a host.
 pub struct Server<H> {
     host: H,
     running: Option<Running>,
+    /// The episode whose motion is recorded.
+    recorded: Option<u64>,
 }
 
 /// The running episode.
@@ -114,7 +134,7 @@ fn reject<T>(kind: ErrorKind, detail: impl Into<String>) -> Result<T, ErrorReply
 impl<H: Host> Server<H> {
     /// Create a server for this host.
     pub fn new(host: H) -> Self {
-        Self { host, running: None }
+        Self { host, running: None, recorded: None }
     }
 
     /// Identity and capabilities of the host.
@@ -163,13 +183,14 @@ impl<H: Host> Server<H> {
                 let running = self.running(*episode)?;
                 reply(*episode, HashReply { tick: running.tick, state_hash: running.state_hash })
             }
+            "motion" => self.motion(*episode),
             "close" => {
                 self.running(*episode)?;
                 self.running = None;
                 reply(*episode, Empty {})
             }
             other => {
-                let known = "hello, reset, step, render, hash, close";
+                let known = "hello, reset, step, render, hash, motion, close";
                 let other: String = other.chars().take(40).collect();
                 reject(ErrorKind::BadRequest, format!("unknown operation `{other}`. Expected one of: {known}"))
             }
@@ -204,7 +225,12 @@ impl<H: Host> Server<H> {
             let detail = format!("the task `{}` declares no parameter `{name}`", hello.task.name);
             return reject(ErrorKind::NotApplied, detail);
         }
+        if request.record_s.is_some_and(|period_s| period_s <= 0.0) {
+            return reject(ErrorKind::BadRequest, "record_s must be above 0");
+        }
         self.running = None;
+        self.recorded = request.record_s.map(|_| episode).filter(|_| hello.records_motion);
+        self.host.record(request.record_s);
         let requested = from_wire(&request.parameters, &Assignment::default());
         let seed = Seed::campaign(request.seed).episode(request.index);
         let scenario = Scenario { index: request.index, seed, requested };
@@ -266,6 +292,17 @@ impl<H: Host> Server<H> {
         }
         frames[0] = reply(episode, RenderReply { tick, images })?.swap_remove(0);
         Ok(frames)
+    }
+
+    fn motion(&mut self, episode: u64) -> Frames {
+        // An episode that has ended is still the recorded one.
+        if self.recorded != Some(episode) {
+            return reject(ErrorKind::BadRequest, format!("the motion of episode {episode} is not recorded"));
+        }
+        self.recorded = None;
+        let (header, [motion, triangles, contacts]) = MotionReply::pack(&self.host.motion());
+        let header = reply(episode, header)?.swap_remove(0);
+        Ok(vec![header, motion, triangles, contacts])
     }
 }
 

@@ -27,6 +27,9 @@ pub trait Session {
     /// Run one control period.
     fn step(&mut self, connection: &mut Connection, action: &Action) -> Result<Step, RequestError>;
 
+    /// Called when the episode has ended, while the server is still held.
+    fn ended(&mut self, _connection: &mut Connection) {}
+
     /// Send a reset with these parameters, which the server may not know. The content of the reply is ignored.
     fn send_reset(
         &mut self,
@@ -47,7 +50,14 @@ pub(crate) fn reset_request<C: Serialize>(
         let detail = "the seed of the scenario does not belong to its index";
         return Err(RequestError::Local(Fault::new(FaultKind::Setup, detail)));
     }
-    Ok(ResetRequest { index: scenario.index, seed, parameters: to_wire(parameters), cell, policy: None })
+    Ok(ResetRequest {
+        index: scenario.index,
+        seed,
+        parameters: to_wire(parameters),
+        cell,
+        policy: None,
+        record_s: None,
+    })
 }
 
 /// The last number of an action, if the task declares a gripper.

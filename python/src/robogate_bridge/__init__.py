@@ -8,7 +8,7 @@ from .cell import CONTROL_PERIOD_S, Contact, Motion, Part, Touches, arm_observat
 from .client import Client, Refused, Unanswered
 from .errors import Problem
 from .identity import robot_sha256, state_hash
-from .server import Action, FreeRun, Image, Scenario, Server, Simulator, serve
+from .server import Action, FreeRun, Image, Recording, Scenario, Server, Simulator, serve
 from .servo import Fingers, Servo
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "Motion",
     "Part",
     "Problem",
+    "Recording",
     "Refused",
     "Scenario",
     "Server",

@@ -17,7 +17,7 @@ RESERVED = ("success", "invalid", "none")
 def hello(value):
     """Checks the reply to `hello`."""
     w = "hello"
-    known = ("server", "engine", "robot", "time_step_s", "task", "space", "policies", "scores_itself", "deterministic")
+    known = ("server", "engine", "robot", "time_step_s", "task", "space", "policies", "scores_itself", "deterministic", "records_motion")
     _known(value, known, w)
     robot, step = value.get("robot"), value.get("time_step_s")
     out = {
@@ -35,6 +35,7 @@ def hello(value):
         "image_origin": "top_left",
         "scores_itself": flag(entry(value, "scores_itself", w), f"{w}.scores_itself"),
         "deterministic": flag(entry(value, "deterministic", w), f"{w}.deterministic"),
+        "records_motion": flag(value.get("records_motion", False), f"{w}.records_motion"),
     }  # fmt: skip
     period = out["task"]["control_period_s"]
     if step is not None:

@@ -40,6 +40,8 @@ class Scenario:
     values: dict[str, float | int | str] = field(default_factory=dict)
     # The declared policy that proposes the actions of this episode, if there is one.
     policy: str | None = None
+    # Record the motion of all bodies, with at most one frame in this time in seconds. None: no recording.
+    record_s: float | None = None
 
     def random(self):
         """A random number generator for this episode."""
@@ -95,11 +97,33 @@ class FreeRun:
     error: Exception | None = None
 
 
+@dataclass(slots=True)
+class Recording:
+    """The recorded motion of all bodies of an episode.
+
+    The arrays are NumPy arrays of little-endian 32-bit floats, or anything with their `tobytes`.
+    """
+
+    # The names of the bodies.
+    bodies: list[str]
+    # The visible solids: maps as in bridges/PROTOCOL.md.
+    solids: list[dict]
+    # The number of frames.
+    frames: int
+    # For each frame its time in s, then x, y, z in m and the quaternion w, x, y, z of each body.
+    motion: Any
+    # The three corners of each triangle of the meshes.
+    triangles: Any
+    # For each contact: index of the frame, kind (0: robot and object, 1: robot and surroundings, 2: object and surroundings),
+    # position, normal force in N on the object, or on the robot if no object is involved.
+    contacts: Any
+
+
 class Simulator(Protocol):
     """What a server makes available. Return values are the maps of bridges/PROTOCOL.md; NumPy arrays are accepted as lists.
 
     Raise `Problem` for an error with a kind of the protocol. Any other exception becomes `internal`. `render` and `close` are
-    optional, and so is the pair `can_free_run() -> bool` and `free_run(action, periods, ends) -> FreeRun`.
+    optional, `motion` is needed if `hello` declares `records_motion`, and optional is also the pair `can_free_run() -> bool` and `free_run(action, periods, ends) -> FreeRun`.
     """
 
     def hello(self) -> dict:
@@ -117,6 +141,9 @@ class Simulator(Protocol):
 
     def render(self, cameras: list[str]) -> list[Image]:
         """Return the images of these cameras, in this order. Only called if the task declares cameras."""
+
+    def motion(self) -> Recording:
+        """Return the motion since the last reset, which had `scenario.record_s`. The episode may have ended."""
 
     def close(self) -> None:
         """End the episode."""
@@ -141,6 +168,8 @@ class Server:
         self._sights = 0 if step is None else round(self._period / step)
         self._frees = hasattr(self._simulator, "free_run")
         self._episode: int | None = None
+        # The episode whose motion is recorded.
+        self._recorded: int | None = None
         self._tick = 0
         # Whether a policy of this server proposes the actions of the episode.
         self._proposes = False
@@ -189,8 +218,10 @@ class Server:
         requested = self._requested(request)
         nominal = {name: spec["nominal"] for name, spec in self._parameters.items() if "nominal" in spec}
         index, seed, policy = _u64(request, "index"), _u64(request, "seed"), self._policy(request)
-        scenario = Scenario(index, seed, requested, self._cell(request), nominal | requested, policy)
+        record_s = _record_s(request) if self._hello["records_motion"] else None
+        scenario = Scenario(index, seed, requested, self._cell(request), nominal | requested, policy, record_s)
         self._over()
+        self._recorded = None
         answer = self._simulator.reset(scenario)
         fields = {"observation": shape.observation(shape.entry(answer, "observation", "reset"), self._task, 0.0)}
         if self._hello["scores_itself"]:
@@ -202,6 +233,7 @@ class Server:
         if policy is not None:
             fields["proposed"] = shape.proposed(shape.entry(answer, "proposed", "reset"), self._task, "reset")
         self._episode, self._tick, self._proposes, self._waiting = episode, 0, policy is not None, None
+        self._recorded = None if record_s is None else episode
         return fields, []
 
     def _do_step(self, request, episode):
@@ -401,6 +433,17 @@ class Server:
         self._running(episode)
         return {"tick": self._tick, "state_hash": shape.integer(self._simulator.state_hash(), "state_hash")}, []
 
+    def _do_motion(self, request, episode):
+        # An episode that has ended is still the recorded one.
+        if self._recorded is None or episode != self._recorded:
+            raise Problem("bad_request", f"the motion of episode {episode} is not recorded")
+        recording = self._simulator.motion()
+        frames = [array.tobytes() for array in (recording.motion, recording.triangles, recording.contacts)]
+        size = sum(map(len, frames))
+        if size + codec.MAX_HEADER > codec.MAX_MESSAGE:
+            raise Problem("unsupported", f"the motion has {size} bytes. Expected at most {codec.MAX_MESSAGE - codec.MAX_HEADER}")
+        return {"bodies": recording.bodies, "solids": recording.solids, "frames": recording.frames}, frames
+
     def _do_close(self, request, episode):
         self._running(episode)
         self._over()
@@ -412,6 +455,7 @@ class Server:
         "step": _do_step,
         "render": _do_render,
         "hash": _do_hash,
+        "motion": _do_motion,
         "close": _do_close,
     }
 
@@ -498,6 +542,15 @@ def _u64(request, key):
 
 def _optional_u64(request, key):
     return 0 if request.get(key) is None else _u64(request, key)
+
+
+def _record_s(request):
+    value = request.get("record_s")
+    if value is None:
+        return None
+    if type(value) not in (float, int) or not value > 0:
+        raise Problem("bad_request", "record_s must be a number above 0")
+    return float(value)
 
 
 def _announce(address: str) -> None:

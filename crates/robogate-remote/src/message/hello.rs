@@ -35,6 +35,9 @@ pub struct Hello {
     pub scores_itself: bool,
     /// Whether the same reset and actions give the same state hashes.
     pub deterministic: bool,
+    /// Whether the server records the motion of all bodies.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub records_motion: bool,
 }
 
 /// A policy that runs in the server and proposes the actions of an episode.
@@ -102,6 +105,7 @@ impl Hello {
             image_origin: ORDER.1.to_owned(),
             scores_itself: true,
             deterministic: true,
+            records_motion: false,
         }
     }
 

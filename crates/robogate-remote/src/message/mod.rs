@@ -2,6 +2,7 @@
 
 mod error;
 mod hello;
+mod motion;
 mod observation;
 mod parameters;
 mod render;
@@ -12,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 pub use error::{ErrorKind, ErrorReply};
 pub use hello::{Engine, Hello, HostedPolicy, Program, Robot};
+pub use motion::{MotionReply, ShapeMessage, SolidMessage};
 pub use observation::ObservationMessage;
 pub use parameters::ParameterValue;
 pub(crate) use parameters::{from_wire, to_wire};

@@ -22,6 +22,9 @@ pub struct ResetRequest<C> {
     /// Declared policy that proposes the actions of the episode.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub policy: Option<String>,
+    /// Record the motion of all bodies: at most one frame in this time, in seconds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub record_s: Option<f64>,
 }
 
 /// Reply to `reset`.

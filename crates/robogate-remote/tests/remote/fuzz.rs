@@ -23,6 +23,7 @@ fn every_request_gets_a_reply() {
         parameters: [("mass_kg".to_owned(), ParameterValue::Float(1.0))].into(),
         cell: None,
         policy: None,
+        record_s: Some(0.1),
     };
     let steps = StepRequest {
         tick: 0,
@@ -68,7 +69,8 @@ fn decoded_replies_are_finite() {
     let (began, time) = (Instant::now(), support::fuzz_time());
     let mut random = support::Random(8);
     let mut toy = Server::new(EnvironmentHost::new(hello(), Box::new(Toy::default())));
-    let reset = ResetRequest::<Empty> { index: 1, seed: 2, parameters: [].into(), cell: None, policy: None };
+    let reset =
+        ResetRequest::<Empty> { index: 1, seed: 2, parameters: [].into(), cell: None, policy: None, record_s: None };
     let steps = StepRequest {
         tick: 0,
         action_space: ActionKind::JointPosition,

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from robogate_bridge import FreeRun, Image, Problem
+from robogate_bridge import FreeRun, Image, Problem, Recording
 
 from . import mujoco_knobs
 from .disturbances import Disturbances
 from .environment import Camera, DeclarationError, Environment, task_name
 from .knobs import Knob, differs, parameter_name
 from .model import Model, NoModel
+from .motion import Recorder
 from .rendering import Pictures
 from .spaces import Actions, Observations
 from .trajectory import Trajectory
@@ -95,6 +96,7 @@ class Adapter:
             "policies": [{"name": name, "meaning": policy.meaning, "version": policy.version} for name, policy in self._environment.policies.items()],
             "scores_itself": True,
             "deterministic": self.deterministic,
+            "records_motion": self._model is not None,
         }
 
     def _declaration(self) -> dict:
@@ -257,6 +259,9 @@ class Adapter:
             if self._model is not None:
                 self._model.advanced()
         self._trajectory = Trajectory(self._env, self._period, observations=[observation])
+        self._recorder = None
+        if scenario.record_s is not None and self._model is not None:
+            self._recorder = Recorder(self._env, self._model, scenario.record_s)
         self._policy = None
         if scenario.policy is not None:
             self._policy = self._environment.policies[scenario.policy].make(self._env)
@@ -363,6 +368,8 @@ class Adapter:
         trajectory.over = over = bool(terminated or truncated or len(trajectory.actions) >= self._limit)
         if self._model is not None:
             self._check(self._model)
+        if self._recorder is not None:
+            self._recorder.advance(trajectory.time_s)
         ending, measures = self._ending(trajectory, info), {}
         if ending is not None or over:
             # A policy is not asked for an action that nobody runs.
@@ -396,6 +403,9 @@ class Adapter:
             if found is not None and differs(wanted, found):
                 time_s = self._trajectory.time_s
                 raise Problem("not_applied", f"requested {knob.parameter} = {wanted:g}, but {found:g} acted at {time_s:.3f} s")
+
+    def motion(self) -> Recording:
+        return self._recorder.recording(self._trajectory.time_s)
 
     def state_hash(self) -> int:
         return self._hash
