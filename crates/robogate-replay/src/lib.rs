@@ -8,6 +8,7 @@
 
 mod clip;
 mod mcap;
+mod mesh;
 mod pack;
 mod recording;
 mod reel;

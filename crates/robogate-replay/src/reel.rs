@@ -1,14 +1,17 @@
 //! Several clips as one document for a page.
 
-use std::collections::BTreeMap;
+use std::collections::hash_map::DefaultHasher;
+use std::collections::{BTreeMap, HashMap};
+use std::hash::{Hash, Hasher};
 
 use robogate_core::{Solid, SolidShape};
 use serde_json::{Value, json};
 
 use crate::clip::Clip;
+use crate::mesh::{DETAILS, IndexedMesh};
 use crate::pack::packed;
 
-/// The budget of all meshes of a reel, in bytes before compression. A mesh beyond it is shown as its bounding box.
+/// The budget of all meshes of a reel, in bytes before compression. Meshes get fewer triangles until they are within it.
 pub const MESH_BUDGET_BYTES: usize = 900_000;
 
 /// Clips as one JSON document.
@@ -22,37 +25,70 @@ pub struct Reel {
 
 /// Packs clips for the viewer of a page. Solids that several clips share are stored once.
 pub fn reel(clips: &[Clip]) -> Reel {
-    let mut pool: Vec<Value> = Vec::new();
-    let mut known: BTreeMap<String, usize> = BTreeMap::new();
-    let mut meshes = Meshes { used: 0, simplified: 0 };
+    let mut pool: Vec<&Solid> = Vec::new();
+    let mut known: HashMap<u64, Vec<usize>> = HashMap::new();
     let mut documents = Vec::with_capacity(clips.len());
     for clip in clips {
         let mut document = clip.document();
         for solid in clip.recording.trajectory.iter().flat_map(|trajectory| &trajectory.solids) {
-            let key = format!("{solid:?}");
-            let at = known.get(&key).copied().unwrap_or_else(|| {
-                pool.push(meshes.solid(solid));
-                known.insert(key, pool.len() - 1);
+            let same = known.entry(key(solid)).or_default();
+            let at = same.iter().copied().find(|at| pool[*at] == solid).unwrap_or_else(|| {
+                pool.push(solid);
+                same.push(pool.len() - 1);
                 pool.len() - 1
             });
             document.solids.push(at);
         }
         documents.push(document);
     }
+    let mut meshes = Meshes::of(&pool);
+    let solids: Vec<Value> = pool.iter().enumerate().map(|(at, solid)| meshes.solid(at, solid)).collect();
     // Values, strings and finite numbers always serialise.
-    let solids = serde_json::to_vec(&pool).unwrap_or_default();
+    let solids = serde_json::to_vec(&solids).unwrap_or_default();
     let whole = json!({ "version": 1, "solids": packed(&solids), "clips": documents });
-    Reel { json: whole.to_string().replace('<', "\\u003c"), simplified: meshes.simplified }
+    Reel { json: whole.to_string().replace('<', "\\u003c"), simplified: meshes.boxes }
 }
 
-/// The meshes of a reel so far.
+/// A number that equal solids have in common.
+fn key(solid: &Solid) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    solid.body.hash(&mut hasher);
+    solid.pose.to_array().map(f64::to_bits).hash(&mut hasher);
+    if let SolidShape::Mesh { triangles } = &solid.shape {
+        triangles.iter().flatten().flatten().for_each(|x| x.to_bits().hash(&mut hasher));
+    }
+    hasher.finish()
+}
+
+/// The meshes of a reel, by the place of their solid.
 struct Meshes {
+    detailed: BTreeMap<usize, IndexedMesh>,
+    /// Bytes of the meshes so far.
     used: usize,
-    simplified: usize,
+    /// Meshes that became boxes.
+    boxes: usize,
 }
 
 impl Meshes {
-    fn solid(&mut self, solid: &Solid) -> Value {
+    /// The meshes of these solids, all with the finest detail that is within the budget.
+    fn of(solids: &[&Solid]) -> Self {
+        let mut full: BTreeMap<usize, IndexedMesh> = BTreeMap::new();
+        for (at, solid) in solids.iter().enumerate() {
+            if let SolidShape::Mesh { triangles } = &solid.shape {
+                full.insert(at, IndexedMesh::of(triangles));
+            }
+        }
+        let mut detailed = full.clone();
+        for cells in DETAILS {
+            if detailed.values().map(IndexedMesh::bytes).sum::<usize>() <= MESH_BUDGET_BYTES {
+                break;
+            }
+            detailed = full.iter().map(|(at, mesh)| (*at, mesh.with_detail(cells))).collect();
+        }
+        Self { detailed, used: 0, boxes: 0 }
+    }
+
+    fn solid(&mut self, at: usize, solid: &Solid) -> Value {
         let [x, y, z] = solid.pose.position.map(rounded);
         let [w, i, j, k] = solid.pose.orientation.map(rounded);
         let mut place = [x, y, z, w, i, j, k];
@@ -61,7 +97,7 @@ impl Meshes {
             SolidShape::Sphere { radius } => json!({ "sphere": radius }),
             SolidShape::Capsule { radius, half_height } => json!({ "capsule": [radius, half_height] }),
             SolidShape::Cylinder { radius, half_height } => json!({ "cylinder": [radius, half_height] }),
-            SolidShape::Mesh { triangles } => self.mesh(triangles, &mut place),
+            SolidShape::Mesh { .. } => self.mesh(at, &mut place),
         };
         let mut value = json!({ "body": solid.body, "at": place, "color": solid.color, "shape": shape });
         if solid.opacity < 1.0 {
@@ -71,29 +107,14 @@ impl Meshes {
     }
 
     /// An indexed mesh in units of 0.1 mm, or the bounding box of a mesh beyond the budget.
-    fn mesh(&mut self, triangles: &[[[f32; 3]; 3]], place: &mut [f64; 7]) -> Value {
-        let mut corners: Vec<[i32; 3]> = Vec::new();
-        let mut known: BTreeMap<[i32; 3], usize> = BTreeMap::new();
-        let mut faces: Vec<usize> = Vec::with_capacity(3 * triangles.len());
-        for corner in triangles.iter().flatten() {
-            let corner = corner.map(|x| (x * 1e4).round() as i32);
-            let at = *known.entry(corner).or_insert_with(|| {
-                corners.push(corner);
-                corners.len() - 1
-            });
-            faces.push(at);
+    fn mesh(&mut self, at: usize, place: &mut [f64; 7]) -> Value {
+        let mesh = self.detailed.remove(&at).unwrap_or_default();
+        if self.used + mesh.bytes() <= MESH_BUDGET_BYTES {
+            self.used += mesh.bytes();
+            return json!({ "mesh": { "corners": mesh.corners.concat(), "faces": mesh.faces.concat() } });
         }
-        let bytes = 12 * corners.len() + 4 * faces.len();
-        if self.used + bytes <= MESH_BUDGET_BYTES {
-            self.used += bytes;
-            return json!({ "mesh": { "corners": corners.concat(), "faces": faces } });
-        }
-        self.simplified += 1;
-        let range = |axis: usize| {
-            let values = || corners.iter().map(|corner| corner[axis]);
-            [values().min().unwrap_or_default(), values().max().unwrap_or_default()].map(|x| f64::from(x) * 1e-4)
-        };
-        let ranges = [range(0), range(1), range(2)];
+        self.boxes += 1;
+        let ranges = mesh.bounds().map(|range| range.map(|x| f64::from(x) * 1e-4));
         let centre = ranges.map(|[low, high]| 0.5 * (low + high));
         let moved = rotate([place[3], place[4], place[5], place[6]], centre);
         for (to, by) in place.iter_mut().zip(moved) {

@@ -74,16 +74,30 @@ fn markup_is_escaped() {
     assert_eq!(document["clips"][0]["title"], "</script><script>alert(1)");
 }
 
-#[test]
-fn meshes_beyond_the_budget_become_boxes() {
+/// A mesh of triangles side by side, the first of them at a height.
+fn strip(triangles: usize, height: f32) -> Solid {
     let triangle = |i: usize| {
         let x = 0.001 * i as f32;
-        [[x, 0.0, 0.0], [x, 0.1, 0.0], [x, 0.0, 0.2]]
+        [[x, 0.0, height], [x, 0.1, height], [x, 0.0, height + 0.2]]
     };
-    let mesh = |triangles: usize| solid(SolidShape::Mesh { triangles: (0..triangles).map(triangle).collect() });
-    let small = reel(&[clip("small", vec![mesh(100)])]);
-    assert_eq!(small.simplified, 0);
-    let large = reel(&[clip("large", vec![mesh(MESH_BUDGET_BYTES / 40)])]);
-    assert_eq!(large.simplified, 1);
-    assert!(large.json.len() < small.json.len() + 200, "a box is small");
+    solid(SolidShape::Mesh { triangles: (0..triangles).map(triangle).collect() })
+}
+
+#[test]
+fn meshes_beyond_the_budget_have_fewer_triangles() {
+    let small = reel(&[clip("small", vec![strip(100, 0.0)])]);
+    let large = reel(&[clip("large", vec![strip(MESH_BUDGET_BYTES / 40, 0.0)])]);
+    assert_eq!((small.simplified, large.simplified), (0, 0));
+    assert!(large.json.len() < MESH_BUDGET_BYTES, "{} bytes", large.json.len());
+    assert_ne!(large, reel(&[clip("large", vec![strip(MESH_BUDGET_BYTES / 40 + 4000, 0.0)])]));
+}
+
+#[test]
+fn too_many_meshes_become_boxes() {
+    let mut meshes: Vec<Solid> = (0..20_000_u16).map(|i| strip(1, 0.01 * f32::from(i))).collect();
+    let made = reel(&[clip("many", meshes.clone())]);
+    assert!((1..20_000).contains(&made.simplified), "{}", made.simplified);
+    // Equal solids are stored once.
+    meshes.extend(meshes.clone());
+    assert_eq!(reel(&[clip("many", meshes)]).simplified, made.simplified);
 }

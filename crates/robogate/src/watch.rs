@@ -282,10 +282,12 @@ impl<'a> Recorder<'a> {
         }
         let reel = (!clips.is_empty()).then(|| reel(&clips));
         if let Some(reel) = reel.as_ref().filter(|reel| reel.simplified > 0) {
-            self.remarks.push(format!(
-                "{} of the robot are shown as boxes, because the page has a budget for meshes.",
-                counted(reel.simplified as u64, "mesh")
-            ));
+            let meshes = if reel.simplified == 1 {
+                "1 mesh is shown as a box".to_owned()
+            } else {
+                format!("{} meshes are shown as boxes", reel.simplified)
+            };
+            self.remarks.push(format!("{meshes}, because the page has a budget for meshes."));
         }
         Watch { items, reel, remarks: self.remarks }
     }
