@@ -103,7 +103,7 @@ impl Environment for RemoteEnvironment {
     }
 
     fn record_trajectory(&mut self, period_s: Option<f64>) {
-        self.episodes.session.record_s = period_s;
+        self.episodes.session.record(period_s);
     }
 
     fn take_trajectory(&mut self) -> Option<Trajectory> {

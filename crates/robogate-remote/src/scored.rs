@@ -28,7 +28,7 @@ pub struct ScoredSession {
     /// Whether each action is sent on its own, because it may differ from the one that the policy proposed.
     pub(crate) in_step: bool,
     /// The time between two recorded frames, in seconds. `None`: no motion is recorded.
-    pub(crate) record_s: Option<f64>,
+    record_s: Option<f64>,
     /// The recorded motion of the last episode.
     pub(crate) motion: Option<Trajectory>,
     /// Control periods that the server has already run, each with its action.
@@ -131,6 +131,10 @@ impl Session for ScoredSession {
             }
         }
         read_step(connection, period, observation)
+    }
+
+    fn record(&mut self, period_s: Option<f64>) {
+        self.record_s = period_s;
     }
 
     fn ended(&mut self, connection: &mut Connection) {

@@ -27,6 +27,9 @@ pub trait Session {
     /// Run one control period.
     fn step(&mut self, connection: &mut Connection, action: &Action) -> Result<Step, RequestError>;
 
+    /// Record the motion of all bodies in later episodes, if the server can: at most one frame in this time, in seconds.
+    fn record(&mut self, _period_s: Option<f64>) {}
+
     /// Called when the episode has ended, while the server is still held.
     fn ended(&mut self, _connection: &mut Connection) {}
 

@@ -52,7 +52,7 @@ fn expect_rejected<T>(what: &str, reply: Result<T, RequestError>, kinds: &[Error
 
 impl<'a> Checker<'a> {
     /// All checks, in the order in which they run.
-    pub(super) const CHECKS: [Check<'a>; 14] = [
+    pub(super) const CHECKS: [Check<'a>; 15] = [
         ("handshake", "hello has the same content each time and for each connection", Self::handshake),
         ("applied", "parameters are read back as requested", Self::applied),
         ("unknown_parameter", "an unknown parameter is rejected with not_applied", Self::unknown_parameter),
@@ -83,6 +83,7 @@ impl<'a> Checker<'a> {
             Self::disconnected_client,
         ),
         ("render", "images have the size given in hello, and rendering has no side effects", Self::render),
+        ("motion", "the recorded motion of all bodies begins and ends with the episode", Self::motion),
     ];
 
     fn scenario(&self, i: usize) -> Result<&Scenario, String> {
@@ -365,6 +366,30 @@ impl<'a> Checker<'a> {
             return Err("the state hash differs after rendering".to_owned());
         }
         Ok(())
+    }
+
+    fn motion(&mut self) -> Outcome {
+        if !self.connection.hello().records_motion {
+            return Ok(());
+        }
+        let period_s = self.connection.hello().task.control_period_s;
+        self.session.record(Some(period_s));
+        let start = self.reset(0);
+        self.session.record(None);
+        let start = start?;
+        for k in 0..3 {
+            let action = self.action(&start, k);
+            self.step(&action).map_err(describe)?;
+        }
+        let frames = self.connection.motion().map_err(describe)?.frames;
+        let expected = [0.0, 3.0 * period_s];
+        let times = [frames.first(), frames.last()].map(|frame| frame.map_or(f64::NAN, |frame| frame.time_s));
+        // Times are 32-bit floats.
+        if frames.len() == 4 && times.iter().zip(expected).all(|(time_s, due_s)| (time_s - due_s).abs() < 1e-5) {
+            return Ok(());
+        }
+        let count = frames.len();
+        Err(format!("{count} frames from {times:?} s after three control periods; expected 4 from {expected:?} s"))
     }
 
     pub(super) fn latencies(&mut self) -> Result<Vec<Latency>, String> {

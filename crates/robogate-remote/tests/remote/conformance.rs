@@ -32,7 +32,7 @@ fn a_conforming_server_passes() {
 
 #[test]
 fn planted_violations_are_found() {
-    let cases: [(&[&str], Tamper); 7] = [
+    let cases: [(&[&str], Tamper); 8] = [
         (&["applied"], |_, request, mut reply| {
             if op(request) == "reset"
                 && let Ok(mut body) = decode::<ResetReply<Empty, Empty>>(&reply[0])
@@ -73,6 +73,12 @@ fn planted_violations_are_found() {
         (&["render"], |n, request, mut reply| {
             if op(request) == "render" && reply.len() > 1 {
                 reply[1][0] ^= n as u8;
+            }
+            Some(reply)
+        }),
+        (&["motion"], |_, request, mut reply| {
+            if op(request) == "motion" && reply.len() > 1 {
+                reply[1].truncate(4 * 15);
             }
             Some(reply)
         }),

@@ -5,7 +5,8 @@ use std::time::Instant;
 use robogate_remote::header::{check, decode, encode};
 use robogate_remote::limits::VERSION;
 use robogate_remote::message::{
-    ActionKind, Empty, Envelope, Hello, ParameterValue, Request, ResetReply, ResetRequest, StepReply, StepRequest,
+    ActionKind, Empty, Envelope, Hello, MotionReply, ParameterValue, Request, ResetReply, ResetRequest, StepReply,
+    StepRequest,
 };
 use robogate_remote::{EnvironmentHost, Server};
 
@@ -39,6 +40,7 @@ fn every_request_gets_a_reply() {
         request("hello", Empty {}),
         request("render", Empty {}),
         request("hash", Empty {}),
+        request("motion", Empty {}),
         request("close", Empty {}),
     ];
     let accepted = |server: &mut Server<EnvironmentHost>, frames: &[Vec<u8>]| {
@@ -69,8 +71,14 @@ fn decoded_replies_are_finite() {
     let (began, time) = (Instant::now(), support::fuzz_time());
     let mut random = support::Random(8);
     let mut toy = Server::new(EnvironmentHost::new(hello(), Box::new(Toy::default())));
-    let reset =
-        ResetRequest::<Empty> { index: 1, seed: 2, parameters: [].into(), cell: None, policy: None, record_s: None };
+    let reset = ResetRequest::<Empty> {
+        index: 1,
+        seed: 2,
+        parameters: [].into(),
+        cell: None,
+        policy: None,
+        record_s: Some(0.1),
+    };
     let steps = StepRequest {
         tick: 0,
         action_space: ActionKind::JointPosition,
@@ -80,6 +88,7 @@ fn decoded_replies_are_finite() {
     };
     let requests = [request("hello", Empty {}), request("reset", reset), request("step", steps)];
     let replies = requests.map(|request| toy.answer(&[request]).swap_remove(0));
+    let motion = toy.answer(&[request("motion", Empty {})]);
     assert!(replies.iter().all(|reply| decode::<Envelope>(reply).unwrap().ok));
     let (mut runs, mut read) = (0_u64, 0_u64);
     while began.elapsed() < time {
@@ -94,6 +103,20 @@ fn decoded_replies_are_finite() {
         }
         if let Ok(reply) = decode::<StepReply<Empty>>(&bytes) {
             assert!(reply.steps.iter().all(|step| step.observation.time_s.is_finite()));
+            read += 1;
+        }
+        let mut frames = motion.clone();
+        random.mutate(&mut frames[runs as usize % 4]);
+        if let Ok(motion) =
+            decode::<MotionReply>(&frames[0]).map_err(drop).and_then(|header| header.unpack(&frames[1..]).map_err(drop))
+        {
+            assert!(
+                motion
+                    .frames
+                    .iter()
+                    .flat_map(|frame| &frame.poses)
+                    .all(|pose| pose.to_array().iter().all(|x| x.is_finite()))
+            );
             read += 1;
         }
         runs += 1;

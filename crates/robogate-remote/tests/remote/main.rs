@@ -5,6 +5,7 @@
 
 mod conformance;
 mod fuzz;
+mod motion;
 mod physics;
 mod pool;
 mod server;

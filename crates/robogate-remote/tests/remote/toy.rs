@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use robogate_core::{
-    Action, ActionSpace, ActionSpec, Allowed, Assignment, Better, CameraSpec, Command, Contact, Ending, Environment,
-    FailureMode, FailureModeSpec, Fault, FaultKind, GripperKind, Image, MeasureSpec, Measures, Observation,
-    ObservationSpec, ParameterSpec, Policy, Pose, Scenario, Seed, Severity, Start, Step, TaskInstance, TaskSpec, Value,
-    VectorSpec, Word, vectors,
+    Action, ActionSpace, ActionSpec, Allowed, Assignment, Better, CameraSpec, Command, Contact, ContactBetween,
+    ContactPoint, Ending, Environment, FailureMode, FailureModeSpec, Fault, FaultKind, Frame, GripperKind, Image,
+    MeasureSpec, Measures, Observation, ObservationSpec, ParameterSpec, Policy, Pose, Scenario, Seed, Severity, Solid,
+    SolidShape, Start, Step, TaskInstance, TaskSpec, Trajectory, Value, VectorSpec, Word, vectors,
 };
 use robogate_remote::message::{Engine, Hello, Program};
 
@@ -26,11 +26,20 @@ pub(crate) struct Toy {
     scenario: Option<Scenario>,
     joints: Vec<f64>,
     tick: u32,
+    recording: bool,
+    motion: Trajectory,
 }
 
 impl Default for Toy {
     fn default() -> Self {
-        Self { task: Arc::new(task()), scenario: None, joints: vec![0.0; 3], tick: 0 }
+        Self {
+            task: Arc::new(task()),
+            scenario: None,
+            joints: vec![0.0; 3],
+            tick: 0,
+            recording: false,
+            motion: Trajectory::default(),
+        }
     }
 }
 
@@ -45,6 +54,24 @@ impl Toy {
             ],
             images: Vec::new(),
         }
+    }
+
+    /// Adds a frame: a hand at the first joint, and a box that it touches.
+    fn note(&mut self) {
+        if !self.recording {
+            return;
+        }
+        let x = self.joints[0];
+        let contact = ContactPoint {
+            position: [x, 0.25, 0.5],
+            force_n: [0.0, 0.0, 1.5],
+            between: ContactBetween::RobotAndObject,
+        };
+        self.motion.frames.push(Frame {
+            time_s: f64::from(self.tick) * PERIOD,
+            poses: vec![Pose::upright([x, 0.0, 1.0], x), Pose::IDENTITY],
+            contacts: if self.tick == 2 { vec![contact] } else { Vec::new() },
+        });
     }
 
     fn hash(&self) -> u64 {
@@ -65,6 +92,11 @@ impl Environment for Toy {
         self.joints = vec![stream.uniform(), stream.uniform(), 0.0];
         self.tick = 0;
         self.scenario = Some(scenario.clone());
+        if self.recording {
+            self.motion =
+                Trajectory { bodies: vec!["hand".into(), "box".into()], solids: solids(), frames: Vec::new() };
+        }
+        self.note();
         let details = serde_json::json!({"pose": [0.5, 0.0, 0.025]});
         let instance = TaskInstance { instruction: format!("wait for {}", scenario.index), details };
         Ok(Start { instance, observation: self.observation(), applied: scenario.requested.clone() })
@@ -77,6 +109,7 @@ impl Environment for Toy {
             Command::Vector(_) => return Err(Fault::new(FaultKind::BadAction, "expected no vector")),
         }
         self.tick += 1;
+        self.note();
         let over = self.tick >= LENGTH && action.gripper == Some(Action::CLOSE);
         let failure = (self.scenario.as_ref().unwrap().seed.stream("end").below(2) == 1).then_some(SPILLED);
         let contact =
@@ -90,10 +123,39 @@ impl Environment for Toy {
         })
     }
 
+    fn record_trajectory(&mut self, period_s: Option<f64>) {
+        self.recording = period_s.is_some();
+    }
+
+    fn take_trajectory(&mut self) -> Option<Trajectory> {
+        Some(std::mem::take(&mut self.motion)).filter(|motion| !motion.frames.is_empty())
+    }
+
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
         let rgb = vec![self.tick as u8; 3 * 8 * 6];
         Ok(vec![Image { camera: "front".to_owned(), width: 8, height: 6, rgb }])
     }
+}
+
+/// A solid of each shape.
+fn solids() -> Vec<Solid> {
+    let triangles = vec![[[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 0.5, 0.25]]; 2];
+    let shapes = [
+        SolidShape::Box { half: [0.1, 0.2, 0.3] },
+        SolidShape::Sphere { radius: 0.05 },
+        SolidShape::Capsule { radius: 0.01, half_height: 0.02 },
+        SolidShape::Cylinder { radius: 0.03, half_height: 0.04 },
+        SolidShape::Mesh { triangles: triangles.clone() },
+        SolidShape::Mesh { triangles },
+    ];
+    let solid = |(at, shape)| Solid {
+        body: at % 2,
+        shape,
+        pose: Pose::upright([0.0, 0.0, 0.1 * at as f64], 0.3),
+        color: [10, 20, at as u8],
+        opacity: 0.5,
+    };
+    shapes.into_iter().enumerate().map(solid).collect()
 }
 
 pub(crate) fn task() -> TaskSpec {
