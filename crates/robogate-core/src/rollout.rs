@@ -87,6 +87,13 @@ pub trait Environment {
         Err(Fault::new(FaultKind::Setup, "this environment has no cameras"))
     }
 
+    /// Renders these cameras only. A remote environment renders nothing else, which may save much time.
+    fn render_only(&mut self, cameras: &[&str]) -> Result<Vec<Image>, Fault> {
+        let mut images = self.render()?;
+        images.retain(|image| cameras.contains(&image.camera.as_str()));
+        Ok(images)
+    }
+
     /// Records the motion of all bodies in every later episode: one frame per `period_s` seconds of simulated time, at
     /// the start and at the end. `None` stops recording. Recording does not change the episode.
     fn record_trajectory(&mut self, _period_s: Option<f64>) {}

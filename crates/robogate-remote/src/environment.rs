@@ -60,6 +60,23 @@ impl RemoteEnvironment {
         self
     }
 
+    /// Render these cameras, or all.
+    fn render_cameras(&mut self, cameras: Option<&[String]>) -> Result<Vec<Image>, Fault> {
+        if self.episodes.session.periods_ahead() > 0 {
+            let detail = "no images of an episode whose actions come from a policy in the server: it runs ahead";
+            return Err(Fault::new(FaultKind::Setup, detail));
+        }
+        let mut lease = self.episodes.lease.take().ok_or_else(no_episode)?;
+        match lease.connection.as_mut().ok_or_else(no_episode)?.render_some(cameras) {
+            Ok(images) => {
+                self.episodes.session.rendered = true;
+                self.episodes.lease = Some(lease);
+                Ok(images)
+            }
+            Err(why) => Err(lease.end_with(&why)),
+        }
+    }
+
     /// The servers' reply to `hello`.
     pub fn hello(&self) -> &Hello {
         self.episodes.pool.hello()
@@ -88,18 +105,13 @@ impl Environment for RemoteEnvironment {
     }
 
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
-        if self.episodes.session.periods_ahead() > 0 {
-            let detail = "no images of an episode whose actions come from a policy in the server: it runs ahead";
-            return Err(Fault::new(FaultKind::Setup, detail));
-        }
-        let mut lease = self.episodes.lease.take().ok_or_else(no_episode)?;
-        match lease.connection.as_mut().ok_or_else(no_episode)?.render_some(self.cameras.as_deref()) {
-            Ok(images) => {
-                self.episodes.lease = Some(lease);
-                Ok(images)
-            }
-            Err(why) => Err(lease.end_with(&why)),
-        }
+        let cameras = self.cameras.clone();
+        self.render_cameras(cameras.as_deref())
+    }
+
+    fn render_only(&mut self, cameras: &[&str]) -> Result<Vec<Image>, Fault> {
+        let cameras: Vec<String> = cameras.iter().map(|camera| (*camera).to_owned()).collect();
+        self.render_cameras(Some(&cameras))
     }
 
     fn record_trajectory(&mut self, period_s: Option<f64>) {
@@ -108,7 +120,9 @@ impl Environment for RemoteEnvironment {
 
     fn take_trajectory(&mut self) -> Option<Trajectory> {
         // A policy that gave up ended the episode before its server did.
-        if let Some(connection) = self.episodes.lease.as_mut().and_then(|lease| lease.connection.as_mut()) {
+        if self.episodes.session.motion.is_none()
+            && let Some(connection) = self.episodes.lease.as_mut().and_then(|lease| lease.connection.as_mut())
+        {
             self.episodes.session.ended(connection);
         }
         self.episodes.session.motion.take()
@@ -218,7 +232,7 @@ impl<S: Session> Episodes<S> {
             Err(why) => return Err(lease.end_with(&why)),
         };
         // Another worker may be waiting for the server.
-        if over {
+        if over && !self.session.keeps_server() {
             lease.release(true);
         } else {
             self.lease = Some(lease);

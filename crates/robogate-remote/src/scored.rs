@@ -27,6 +27,8 @@ pub struct ScoredSession {
     pub(crate) draws: Measures,
     /// Whether each action is sent on its own, because it may differ from the one that the policy proposed.
     pub(crate) in_step: bool,
+    /// Whether the episode was rendered. Other states of it may be rendered too, so the server must not run ahead.
+    pub(crate) rendered: bool,
     /// The time between two recorded frames, in seconds. `None`: no motion is recorded.
     record_s: Option<f64>,
     /// The recorded motion of the last episode.
@@ -60,7 +62,7 @@ impl ScoredSession {
             }
             return Ok(period);
         }
-        let runs_ahead = self.proposals.is_some() && !self.in_step;
+        let runs_ahead = self.proposals.is_some() && !self.in_step && !self.rendered;
         let ahead = if runs_ahead { periods_ahead(&connection.hello().task) } else { 0 };
         let (first, others) = connection.run_ahead::<Empty>(kind, numbers, ahead)?;
         let mut proposed = first.proposed.clone();
@@ -97,7 +99,7 @@ impl Session for ScoredSession {
         check_parameters(&connection.hello().task, scenario).map_err(RequestError::Local)?;
         self.ran.clear();
         let mut request = reset_request::<Empty>(scenario, &scenario.requested, None)?;
-        self.motion = None;
+        (self.motion, self.rendered) = (None, false);
         request.record_s = self.record_s.filter(|_| connection.hello().records_motion);
         request.policy = self.proposals.as_ref().map(|proposals| proposals.policy().to_owned());
         let reply: ResetReply<Empty, Empty> = connection.begin(request)?;
@@ -135,6 +137,10 @@ impl Session for ScoredSession {
 
     fn record(&mut self, period_s: Option<f64>) {
         self.record_s = period_s;
+    }
+
+    fn keeps_server(&self) -> bool {
+        self.rendered
     }
 
     fn ended(&mut self, connection: &mut Connection) {

@@ -114,6 +114,8 @@ pub struct Server<H> {
     running: Option<Running>,
     /// The episode whose motion is recorded.
     recorded: Option<u64>,
+    /// The episode that has ended, and the control periods that it ran. Its final state may be rendered.
+    ended: Option<(u64, u64)>,
 }
 
 /// The running episode.
@@ -134,7 +136,7 @@ fn reject<T>(kind: ErrorKind, detail: impl Into<String>) -> Result<T, ErrorReply
 impl<H: Host> Server<H> {
     /// Create a server for this host.
     pub fn new(host: H) -> Self {
-        Self { host, running: None, recorded: None }
+        Self { host, running: None, recorded: None, ended: None }
     }
 
     /// Identity and capabilities of the host.
@@ -175,10 +177,7 @@ impl<H: Host> Server<H> {
                 self.running(*episode)?;
                 self.step(&request, *episode)
             }
-            "render" => {
-                self.running(*episode)?;
-                self.render(&read(header)?, *episode)
-            }
+            "render" => self.render(&read(header)?, *episode),
             "hash" => {
                 let running = self.running(*episode)?;
                 reply(*episode, HashReply { tick: running.tick, state_hash: running.state_hash })
@@ -186,7 +185,7 @@ impl<H: Host> Server<H> {
             "motion" => self.motion(*episode),
             "close" => {
                 self.running(*episode)?;
-                self.running = None;
+                (self.running, self.ended) = (None, None);
                 reply(*episode, Empty {})
             }
             other => {
@@ -228,7 +227,7 @@ impl<H: Host> Server<H> {
         if request.record_s.is_some_and(|period_s| period_s <= 0.0) {
             return reject(ErrorKind::BadRequest, "record_s must be above 0");
         }
-        self.running = None;
+        (self.running, self.ended) = (None, None);
         self.recorded = request.record_s.map(|_| episode).filter(|_| hello.records_motion);
         self.host.record(request.record_s);
         let requested = from_wire(&request.parameters, &Assignment::default());
@@ -266,6 +265,7 @@ impl<H: Host> Server<H> {
             steps.push(step);
             self.running = Some(running).filter(|_| !ended);
             if ended {
+                self.ended = Some((episode, running.tick));
                 break;
             }
         }
@@ -273,6 +273,10 @@ impl<H: Host> Server<H> {
     }
 
     fn render(&mut self, request: &RenderRequest, episode: u64) -> Frames {
+        let tick = match self.ended {
+            Some((ended, tick)) if ended == episode => tick,
+            _ => self.running(episode)?.tick,
+        };
         let cameras = &self.host.hello().task.observation.cameras;
         if cameras.is_empty() {
             return reject(ErrorKind::Unsupported, "this simulator has no cameras");
@@ -283,7 +287,6 @@ impl<H: Host> Server<H> {
             return reject(ErrorKind::BadRequest, format!("unknown camera `{name}`"));
         }
         let requested = |image: &Image| request.cameras.as_ref().is_none_or(|names| names.contains(&image.camera));
-        let tick = self.running(episode)?.tick;
         let rendered = self.host.render().map_err(|fault| ErrorReply::from(&fault))?;
         let (mut images, mut frames) = (Vec::new(), vec![Vec::new()]);
         for Image { camera, width, height, rgb } in rendered.into_iter().filter(requested) {

@@ -30,6 +30,11 @@ pub trait Session {
     /// Record the motion of all bodies in later episodes, if the server can: at most one frame in this time, in seconds.
     fn record(&mut self, _period_s: Option<f64>) {}
 
+    /// Whether the final state of an episode may still be rendered, so that the server is held until the next episode.
+    fn keeps_server(&self) -> bool {
+        false
+    }
+
     /// Called when the episode has ended, while the server is still held.
     fn ended(&mut self, _connection: &mut Connection) {}
 

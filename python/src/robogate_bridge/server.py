@@ -168,6 +168,8 @@ class Server:
         self._sights = 0 if step is None else round(self._period / step)
         self._frees = hasattr(self._simulator, "free_run")
         self._episode: int | None = None
+        # The last episode, whose final state may be rendered.
+        self._last: int | None = None
         # The episode whose motion is recorded.
         self._recorded: int | None = None
         self._tick = 0
@@ -221,7 +223,7 @@ class Server:
         record_s = _record_s(request) if self._hello["records_motion"] else None
         scenario = Scenario(index, seed, requested, self._cell(request), nominal | requested, policy, record_s)
         self._over()
-        self._recorded = None
+        self._last = self._recorded = None
         answer = self._simulator.reset(scenario)
         fields = {"observation": shape.observation(shape.entry(answer, "observation", "reset"), self._task, 0.0)}
         if self._hello["scores_itself"]:
@@ -234,6 +236,7 @@ class Server:
             fields["proposed"] = shape.proposed(shape.entry(answer, "proposed", "reset"), self._task, "reset")
         self._episode, self._tick, self._proposes, self._waiting = episode, 0, policy is not None, None
         self._recorded = None if record_s is None else episode
+        self._last = episode
         return fields, []
 
     def _do_step(self, request, episode):
@@ -410,7 +413,9 @@ class Server:
         return answers, None
 
     def _do_render(self, request, episode):
-        self._running(episode)
+        # After its end, a simulator that is not told about it still has the final state.
+        if self._episode is not None or episode != self._last or hasattr(self._simulator, "close"):
+            self._running(episode)
         known = {camera["name"]: camera for camera in self._task["observation"]["cameras"]}
         if not known:
             raise Problem("unsupported", "this simulator has no cameras")
@@ -446,6 +451,7 @@ class Server:
 
     def _do_close(self, request, episode):
         self._running(episode)
+        self._last = None
         self._over()
         return {}, []
 

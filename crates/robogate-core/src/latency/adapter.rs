@@ -114,6 +114,10 @@ impl Environment for LatencyEnvironment {
         self.environment.render()
     }
 
+    fn render_only(&mut self, cameras: &[&str]) -> Result<Vec<Image>, Fault> {
+        self.environment.render_only(cameras)
+    }
+
     fn record_trajectory(&mut self, period_s: Option<f64>) {
         self.environment.record_trajectory(period_s);
     }

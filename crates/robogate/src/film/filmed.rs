@@ -6,6 +6,7 @@ use robogate_core::{
     Action, Assignment, Ending, Environment, Fault, Foresight, Image, Infeasibility, Measures, Scenario, Start, Step,
     TaskSpec, Trajectory,
 };
+use robogate_replay::FRAME_PERIOD_S;
 
 /// An image with its time.
 #[derive(Debug, Clone)]
@@ -23,15 +24,31 @@ pub(crate) enum Cameras {
     First,
     /// The one with this name.
     Named(String),
-    /// All of them.
+    /// All of them, or the first [`MOST`] of more.
     All,
 }
 
-/// An environment that renders cameras after each control period, or at given times. The episode does not change.
+/// The largest number of cameras that are filmed at a time.
+const MOST: usize = 4;
+
+impl Cameras {
+    /// The names of the cameras of an environment that are filmed.
+    fn of(&self, environment: &dyn Environment) -> Vec<String> {
+        let names = environment.task().observation.cameras.iter().map(|camera| camera.name.clone());
+        match self {
+            Self::First => names.take(1).collect(),
+            Self::Named(camera) => vec![camera.clone()],
+            Self::All => names.take(MOST).collect(),
+        }
+    }
+}
+
+/// An environment that renders cameras up to 30 times per second, or at given times. The episode does not change.
 pub(crate) struct Filmed<'a> {
     inner: &'a mut dyn Environment,
-    cameras: Cameras,
-    /// The times of the images that are still missing, the latest first. `None` films after each control period.
+    /// The names of the cameras that are filmed.
+    wanted: Vec<String>,
+    /// The times of the images that are still missing, the latest first. `None` films up to 30 times per second.
     due: Option<Vec<f64>>,
     /// The images so far, in order of time.
     pub(crate) shots: Vec<Shot>,
@@ -40,15 +57,15 @@ pub(crate) struct Filmed<'a> {
 }
 
 impl<'a> Filmed<'a> {
-    /// Films after each control period.
+    /// Films up to 30 times per second, and the last state.
     pub(crate) fn new(inner: &'a mut dyn Environment, cameras: Cameras) -> Self {
-        Self { inner, cameras, due: None, shots: Vec::new(), trouble: None }
+        Self { wanted: cameras.of(inner), inner, due: None, shots: Vec::new(), trouble: None }
     }
 
     /// Films at the ends of the control periods that contain these times, ascending and in seconds.
     pub(crate) fn at(inner: &'a mut dyn Environment, cameras: Cameras, times: &[f64]) -> Self {
         let due = times.iter().rev().copied().collect();
-        Self { inner, cameras, due: Some(due), shots: Vec::new(), trouble: None }
+        Self { wanted: cameras.of(inner), inner, due: Some(due), shots: Vec::new(), trouble: None }
     }
 
     /// The images of one camera: the named one, or the first.
@@ -58,7 +75,8 @@ impl<'a> Filmed<'a> {
         self.shots.iter().filter(|shot| shot.image.camera == camera).collect()
     }
 
-    fn expose(&mut self, time_s: f64) {
+    /// Films the state at a time, if an image of it is due.
+    fn expose(&mut self, time_s: f64, ended: bool) {
         if self.trouble.is_some() {
             return;
         }
@@ -67,19 +85,12 @@ impl<'a> Filmed<'a> {
                 return;
             }
             while due.pop_if(|next| *next <= time_s + 1e-9).is_some() {}
+        } else if !ended && self.shots.last().is_some_and(|last| time_s < last.time_s + FRAME_PERIOD_S - 1e-9) {
+            return;
         }
-        match self.inner.render() {
-            Ok(images) => {
-                let mut images = images.into_iter();
-                match &self.cameras {
-                    Cameras::First => self.shots.extend(images.next().map(|image| Shot { time_s, image })),
-                    Cameras::Named(camera) => {
-                        let image = images.find(|image| image.camera == *camera);
-                        self.shots.extend(image.map(|image| Shot { time_s, image }));
-                    }
-                    Cameras::All => self.shots.extend(images.map(|image| Shot { time_s, image })),
-                }
-            }
+        let wanted: Vec<&str> = self.wanted.iter().map(String::as_str).collect();
+        match self.inner.render_only(&wanted) {
+            Ok(images) => self.shots.extend(images.into_iter().map(|image| Shot { time_s, image })),
             Err(fault) => self.trouble = Some(fault),
         }
     }
@@ -101,13 +112,17 @@ impl Environment for Filmed<'_> {
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
         let start = self.inner.reset(scenario)?;
         self.shots.clear();
-        self.expose(0.0);
+        self.expose(0.0, false);
         Ok(start)
     }
 
     fn step(&mut self, action: &Action) -> Result<Step, Fault> {
         let step = self.inner.step(action)?;
-        self.expose(step.observation.time_s);
+        self.expose(step.observation.time_s, step.ending.is_some());
+        // A server need not render the final state.
+        if step.ending.is_some() && !self.shots.is_empty() {
+            self.trouble = None;
+        }
         Ok(step)
     }
 
@@ -121,6 +136,10 @@ impl Environment for Filmed<'_> {
 
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
         self.inner.render()
+    }
+
+    fn render_only(&mut self, cameras: &[&str]) -> Result<Vec<Image>, Fault> {
+        self.inner.render_only(cameras)
     }
 
     fn record_trajectory(&mut self, period_s: Option<f64>) {
