@@ -3,7 +3,7 @@
 import { PCFShadowMap, PerspectiveCamera, Vector3, WebGLRenderer } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { Chart, constant, figure, readable, title } from "./chart.js";
-import { motionOf, solidsOf } from "./unpack.js";
+import { locate, motionOf, solidsOf } from "./unpack.js";
 import { World } from "./world.js";
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
@@ -57,8 +57,9 @@ export class Viewer {
   build(parent) {
     const button = (label, text, act) => element("button", { type: "button", "aria-label": label, title: label, onclick: act }, text);
     this.canvas = element("canvas", { tabindex: 0, "aria-label": "3-D view. Drag to orbit, scroll to zoom." });
+    this.films = element("div", { class: "view-films" });
     this.labels = element("div", { class: "view-labels", "aria-live": "off" });
-    this.stage = element("div", { class: "view-stage" }, this.canvas, this.labels);
+    this.stage = element("div", { class: "view-stage" }, this.canvas, this.films, this.labels);
     this.play = button("Play", "▶", () => this.toggle());
     this.play.className = "view-play";
     this.slider = element("input", {
@@ -162,8 +163,12 @@ export class Viewer {
     this.worlds.forEach((world) => world.dispose());
     const theme = style();
     const shown = this.sides.some(({ clip }) => clip.frames > 0) && this.renderer;
+    const filmed = !shown && this.sides.some(({ clip }) => clip.film?.length);
     const touched = this.sides.some(({ motion }) => motion.contacts.some((points) => points.length > 0));
-    this.stage.hidden = this.views.hidden = !shown;
+    this.stage.hidden = !shown && !filmed;
+    this.canvas.hidden = this.views.hidden = !shown;
+    this.films.hidden = !filmed;
+    this.films.replaceChildren(...(filmed ? this.sides.map(({ clip }) => element("img", { alt: `Camera images of ${clip.title}` })) : []));
     this.legend.hidden = this.contactBox.hidden = !shown || !touched;
     this.worlds = shown ? this.sides.map(({ clip, motion }) => new World(clip, motion, this.solids, theme)) : [];
     this.worlds.forEach((world) => { world.showContacts = this.contacts; });
@@ -259,6 +264,12 @@ export class Viewer {
   pose() {
     const t = this.now;
     this.worlds.forEach((world) => world.show(t));
+    [...this.films.children].forEach((image, i) => {
+      const film = this.sides[i].clip.film ?? [];
+      const [at] = locate(film.map(([time]) => time), t);
+      const source = film[at] ? `data:image/jpeg;base64,${film[at][1]}` : "";
+      if (source && image.src !== source) image.src = source;
+    });
     this.slider.value = t;
     this.slider.setAttribute("aria-valuetext", `${t.toFixed(2)} seconds`);
     this.clock.textContent = `${t.toFixed(2)} / ${this.end.toFixed(2)} s`;

@@ -3,7 +3,7 @@
 use robogate_core::{ContactBetween, Frame, Pose, Trajectory};
 use serde::Serialize;
 
-use crate::pack::{Packer, quantised};
+use crate::pack::{Packer, base64, quantised};
 use crate::{Clock, Mark, Recording, Signal};
 
 /// The unit of positions, in metres.
@@ -34,6 +34,17 @@ pub struct Clip {
     pub command: String,
     /// The recorded episode.
     pub recording: Recording,
+    /// Images, in order of time, of an episode without the motion of its bodies.
+    pub film: Vec<FilmFrame>,
+}
+
+/// An image of an episode.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FilmFrame {
+    /// Simulated time, in milliseconds.
+    pub time_ms: u32,
+    /// The image as JPEG.
+    pub jpeg: Vec<u8>,
 }
 
 /// A clip in the document of a reel.
@@ -51,6 +62,9 @@ pub(crate) struct ClipDocument<'a> {
     phases: Vec<MarkDocument<'a>>,
     events: Vec<MarkDocument<'a>>,
     signals: Vec<SignalDocument<'a>>,
+    /// Images as times and base64.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    film: Vec<(f64, String)>,
     /// Indices of the solids in the reel.
     pub(crate) solids: Vec<usize>,
     bodies: usize,
@@ -99,6 +113,7 @@ impl Clip {
             phases: recording.phases.iter().map(mark).collect(),
             events: recording.events.iter().map(mark).collect(),
             signals: recording.signals.iter().map(signal_document).collect(),
+            film: self.film.iter().map(|frame| (f64::from(frame.time_ms) / 1e3, base64(&frame.jpeg))).collect(),
             solids: Vec::new(),
             bodies: trajectory.bodies.len(),
             frames: trajectory.frames.len(),

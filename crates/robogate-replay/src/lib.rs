@@ -14,7 +14,7 @@ mod recording;
 mod reel;
 mod signals;
 
-pub use clip::Clip;
+pub use clip::{Clip, FilmFrame};
 pub use mcap::{EncodedImage, Export, Sample, mcap};
 pub use pack::{packed_floats, packed_integers};
 pub use recording::{FRAME_PERIOD_S, Mark, Recording, record, record_with};

@@ -4,7 +4,7 @@ use robogate_core::{
     Assignment, ContactBetween, ContactPoint, Episode, Frame, Measures, Outcome, Pose, Scenario, Seed, Solid,
     SolidShape, Trajectory,
 };
-use robogate_replay::{Clip, Clock, MESH_BUDGET_BYTES, Mark, Recording, Signal, reel};
+use robogate_replay::{Clip, Clock, FilmFrame, MESH_BUDGET_BYTES, Mark, Recording, Signal, reel};
 use serde_json::Value;
 
 fn solid(shape: SolidShape) -> Solid {
@@ -52,6 +52,7 @@ fn clip(title: &str, solids: Vec<Solid>) -> Clip {
             phases: vec![Mark { time_s: 0.0, what: "LIFT".to_owned() }],
             events: vec![Mark { time_s: 0.5, what: "object held".to_owned() }],
         },
+        film: Vec::new(),
     }
 }
 
@@ -64,6 +65,14 @@ fn clips_share_solids() {
     assert_eq!(document["clips"][0]["frames"], 30);
     assert_eq!(document["clips"][0]["events"][0]["what"], "object held");
     assert_eq!(made, reel(&[clip("one", vec![sphere()]), clip("two", vec![sphere()])]), "equal clips, equal bytes");
+}
+
+#[test]
+fn films_are_part_of_the_document() {
+    let mut filmed = clip("filmed", Vec::new());
+    filmed.film = vec![FilmFrame { time_ms: 1250, jpeg: vec![0xff, 0xd8, 0xff] }];
+    let document: Value = serde_json::from_str(&reel(&[filmed]).json).unwrap();
+    assert_eq!(document["clips"][0]["film"], serde_json::json!([[1.25, "/9j/"]]));
 }
 
 #[test]

@@ -7,11 +7,11 @@ use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
 use robogate_analysis::{Analysis, Comparison, HERE, ReplayEpisode, Source, shell_word, worth_watching};
 use robogate_campaign::{WorkerFactory, recorded};
 use robogate_core::{Episode, Outcome, Value};
-use robogate_replay::{Clip, Recording, record, reel};
+use robogate_replay::{Clip, FilmFrame, Recording, record, reel};
 use robogate_report::{Strip, Watch, WatchItem};
 use robogate_stats::format::{counted, number};
 
-use crate::film::{self, Cameras, Filmed, Shot};
+use crate::film::{self, Cameras, FILM_FRAMES, Filmed, Shot};
 use crate::picture;
 use crate::policy_source::PolicySource;
 use crate::remote::Simulators;
@@ -231,10 +231,11 @@ impl<'a> Recorder<'a> {
         }
         let mut strip = None;
         let before = recorded(folder, chosen.index).map_err(anyhow::Error::from);
-        let recording = before.and_then(|before| again(subject, &before.episode, self.frames.is_some()));
-        let clip = match recording {
-            Ok(Some((recording, shots))) => {
-                match self.frames.map(|frames| write_strip(frames, &recording, chosen.index, &shots)) {
+        let again = before.and_then(|before| Again::of(subject, &before.episode, self.frames.is_some()));
+        let clip = match again {
+            Ok(Some(again)) => {
+                let shots = &again.shots;
+                match self.frames.map(|frames| write_strip(frames, &again.recording, chosen.index, shots)) {
                     Some(Ok(written)) => strip = written,
                     Some(Err(why)) => {
                         self.remarks.push(format!("Episode {} has no frames: {why:#}.", chosen.index));
@@ -247,7 +248,7 @@ impl<'a> Recorder<'a> {
                     format!("{name}, episode {}", chosen.index)
                 };
                 let folder = if self.place == Place::Beside { Path::new(HERE) } else { folder };
-                self.clips.push(labelled(recording, title, command(folder, chosen.index)));
+                self.clips.push(again.labelled(title, command(folder, chosen.index)));
                 Some(self.clips.len() - 1)
             }
             Ok(None) => {
@@ -275,10 +276,13 @@ impl<'a> Recorder<'a> {
         }
         let clips = self.clips;
         if !clips.is_empty() && clips.iter().all(|clip| clip.recording.trajectory.is_none()) {
-            self.remarks.push(
-                "This environment offers no geometry, so the viewer shows signals and events without a 3-D view."
-                    .to_owned(),
-            );
+            let what = if clips.iter().any(|clip| !clip.film.is_empty()) {
+                "images of its first camera"
+            } else {
+                "signals and events"
+            };
+            self.remarks
+                .push(format!("This environment offers no geometry, so the viewer shows {what} without a 3-D view."));
         }
         let reel = (!clips.is_empty()).then(|| reel(&clips));
         if let Some(reel) = reel.as_ref().filter(|reel| reel.simplified > 0) {
@@ -304,22 +308,62 @@ fn behind_server(subject: &Subject) -> bool {
     subject.policy_source().and_then(PolicySource::profile).is_some_and(|profile| !profile.dialect.is_file())
 }
 
-/// Records an episode again, with images at equal distances in time on request. `None` if it differs from the record.
-pub(crate) fn again(
-    subject: &Subject,
-    before: &Episode,
-    images: bool,
-) -> anyhow::Result<Option<(Recording, Vec<Shot>)>> {
+/// An episode that was recorded again.
+pub(crate) struct Again {
+    recording: Recording,
+    /// Images at equal distances in time, for a strip of frames.
+    shots: Vec<Shot>,
+    /// Images of an episode without the motion of its bodies.
+    film: Vec<FilmFrame>,
+}
+
+impl Again {
+    /// Records an episode again, with frames for a strip on request. An environment without geometry is filmed by its first
+    /// camera. `None` if the episode differs from the record.
+    pub(crate) fn of(subject: &Subject, before: &Episode, strip: bool) -> anyhow::Result<Option<Self>> {
+        let (recording, shots) = filmed(subject, before, if strip { FRAMES } else { 0 })?;
+        if recording.episode != *before {
+            return Ok(None);
+        }
+        let mut film = Vec::new();
+        if recording.trajectory.is_none() && !subject.task().observation.cameras.is_empty() {
+            film = film::film(&filmed(subject, before, FILM_FRAMES)?.1)?;
+        }
+        Ok(Some(Self { recording, shots, film }))
+    }
+
+    /// The recording with its labels on a page.
+    pub(crate) fn labelled(self, title: String, command: String) -> Clip {
+        let Self { recording, film, .. } = self;
+        let show = |value: &Value| match value {
+            Value::Number(x) => number(*x),
+            other => other.to_string(),
+        };
+        let parameters = recording.episode.scenario.requested.iter();
+        Clip {
+            title,
+            outcome: mode_label(recording.episode.outcome.as_str()),
+            success: recording.episode.outcome == Outcome::Success,
+            parameters: parameters
+                .map(|(name, value)| (parameter_label(name), value_with_unit(&show(value), name)))
+                .collect(),
+            command,
+            recording,
+            film,
+        }
+    }
+}
+
+/// Records an episode again, with so many images at equal distances in time.
+fn filmed(subject: &Subject, before: &Episode, images: u32) -> anyhow::Result<(Recording, Vec<Shot>)> {
     let mut worker = subject.worker().map_err(|fault| anyhow::anyhow!("{fault}"))?;
     // The last observation. A policy that gives up ends an episode before the time of its ending.
     let end_s = f64::from(before.ticks) * worker.environment.task().control_period_s;
-    let part = end_s / f64::from(FRAMES - 1);
-    let times: Vec<f64> = if images { (0..FRAMES).map(|i| f64::from(i) * part).collect() } else { Vec::new() };
+    let times: Vec<f64> = (0..images).map(|i| end_s * f64::from(i) / f64::from(images - 1)).collect();
     let mut filmed = Filmed::at(&mut *worker.environment, Cameras::First, &times);
     let recording = record(&mut filmed, &mut *worker.policy, &before.scenario);
     // An environment that cannot render has no images.
-    let shots = std::mem::take(&mut filmed.shots);
-    Ok((recording.episode == *before).then_some((recording, shots)))
+    Ok((recording, std::mem::take(&mut filmed.shots)))
 }
 
 /// Writes frames of an episode. `None` without frames.
@@ -339,23 +383,4 @@ fn write_strip(frames: &Frames, recording: &Recording, index: u64, shots: &[Shot
         last.time_s
     );
     Ok(Some(Strip { file: format!("{}/{name}", frames.link), alt }))
-}
-
-/// A recording with its labels on a page.
-pub(crate) fn labelled(recording: Recording, title: String, command: String) -> Clip {
-    let show = |value: &Value| match value {
-        Value::Number(x) => number(*x),
-        other => other.to_string(),
-    };
-    let parameters = recording.episode.scenario.requested.iter();
-    Clip {
-        title,
-        outcome: mode_label(recording.episode.outcome.as_str()),
-        success: recording.episode.outcome == Outcome::Success,
-        parameters: parameters
-            .map(|(name, value)| (parameter_label(name), value_with_unit(&show(value), name)))
-            .collect(),
-        command,
-        recording,
-    }
 }

@@ -2,6 +2,7 @@
 
 mod filmed;
 mod gif;
+mod jpeg;
 mod mp4;
 
 use std::path::Path;
@@ -10,6 +11,7 @@ use anyhow::{Context, bail};
 use robogate_core::Image;
 
 pub(crate) use filmed::{Cameras, Filmed, Shot};
+pub(crate) use jpeg::{FILM_FRAMES, film};
 pub(crate) use mp4::check as check_mp4;
 
 use crate::picture;

@@ -8,7 +8,7 @@ use robogate_replay::Clip;
 
 use crate::remote::Simulators;
 use crate::subject::Subject;
-use crate::watch;
+use crate::watch::{self, Again};
 
 /// Records episodes of the runs again.
 pub(super) struct Clips {
@@ -44,7 +44,7 @@ impl Clips {
             Some(Err(because)) => return Err(because.clone()),
             None => return Err("the run is not known".to_owned()),
         };
-        let (recording, _) = watch::again(subject, &entry.episode, false).map_err(|error| format!("{error:#}"))?.ok_or(
+        let again = Again::of(subject, &entry.episode, false).map_err(|error| format!("{error:#}"))?.ok_or(
             "The replay differs from the record: the tool, the engine, the platform or the policy is another one, or the \
              policy is not deterministic.",
         )?;
@@ -53,6 +53,6 @@ impl Clips {
         } else {
             format!("Episode {}", entry.index())
         };
-        Ok(watch::labelled(recording, title, watch::command(&origin.path, entry.index())))
+        Ok(again.labelled(title, watch::command(&origin.path, entry.index())))
     }
 }
