@@ -31,7 +31,7 @@ fi
 
 # A small ACT without the variational encoder, because one expert has one way to solve a scene. It sees the wrist camera: in 32 pixels the
 # front camera does not show the object. The state is not normalised: the hand points down in all demonstrations, so two elements of its
-# quaternion have a standard deviation of 0.0005, and division by that turns a tilt of 0.01 into 20. The learning rate decays to the
+# quaternion have a standard deviation of 0.0005 and 0.0007, and division by that amplifies small tilts. The learning rate decays to the
 # end of the training, which LeRobot's preset for ACT does not do.
 checkpoint=$out/act/checkpoints/${CHECKPOINT:-002000}/pretrained_model
 if [ ! -d "$checkpoint" ]; then
