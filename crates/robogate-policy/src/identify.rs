@@ -45,7 +45,8 @@ fn probe(address: &str) -> Option<(&'static str, &'static [&'static str])> {
         return Some(if get("/healthz").contains(" 200 ") {
             ("a WebSocket server with openpi's /healthz listens there", &["openpi"])
         } else {
-            ("a WebSocket server without /healthz listens there", &["roboarena"])
+            // A server of the user with openpi's dialect has no /healthz either.
+            ("a WebSocket server without /healthz listens there", &["roboarena", "openpi"])
         });
     }
     if health.contains("\"status\"") {

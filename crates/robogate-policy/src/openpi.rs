@@ -31,7 +31,7 @@ impl Openpi {
         let socket = Socket::connect(url, access.header("Api-Key"), access, deadline)?;
         let metadata = match socket.receive("the metadata of the server", deadline) {
             Ok(Reply::Bytes(bytes)) => metadata(&bytes)?,
-            Ok(Reply::Text(text)) => return Err(PolicyError::reported(&text)),
+            Ok(Reply::Text(text)) => return Err(text_error("metadata of the server", &text)),
             // An openpi server sends its metadata immediately, unless it loads the model after accepting connections.
             Err(PolicyError::Timeout { limit_s, .. }) => {
                 return Err(match identify::describe(url, &Dialect::Openpi {}) {
@@ -67,11 +67,7 @@ impl Connection for Openpi {
     fn infer(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, PolicyError> {
         match self.socket.request(&request(query), "infer", deadline)? {
             Reply::Bytes(bytes) => decode(&bytes),
-            Reply::Text(json) if json.starts_with(['{', '[']) => Err(PolicyError::invalid_reply(
-                "reply to infer",
-                "the server sent JSON in a text message. Expected a binary message with msgpack",
-            )),
-            Reply::Text(traceback) => Err(PolicyError::reported(&traceback)),
+            Reply::Text(text) => Err(text_error("reply to infer", &text)),
         }
     }
 
@@ -94,6 +90,15 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<Chunk, PolicyError> {
     let actions = msgpack::get(&reply, "actions")
         .ok_or_else(|| PolicyError::invalid_reply(WHAT, format!("`actions` is missing. The reply {}", keys(&reply))))?;
     Chunk::of_array(&msgpack::read_array(WHAT, actions)?)
+}
+
+/// The error for a text message: a Python traceback, or JSON of a server that does not use msgpack.
+fn text_error(what: &'static str, text: &str) -> PolicyError {
+    if text.starts_with(['{', '[']) {
+        let why = "the server sent JSON in a text message. Expected a binary message with msgpack";
+        return PolicyError::invalid_reply(what, why);
+    }
+    PolicyError::reported(text)
 }
 
 /// Describe the keys of a reply, for an error.

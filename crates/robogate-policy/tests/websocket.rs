@@ -226,6 +226,10 @@ fn other_dialects_are_identified() {
     let fastapi = serve_bytes(&[], "HTTP/1.1 404 Not Found\r\nContent-Length: 22\r\n\r\n{\"detail\":\"Not Found\"}");
     let rest = serve_bytes(&[], "HTTP/1.1 200 OK\r\nContent-Length: 20\r\n\r\n{\"status\":\"healthy\"}");
     let grpc = serve_bytes(&[0, 0, 0, 4, 0, 0, 0, 0, 0], "");
+    // A server of the user may have openpi's dialect without openpi's /healthz.
+    let plain = serve_bytes(&[], "HTTP/1.1 426 Upgrade Required\r\nContent-Length: 0\r\n\r\n");
+    let error = ExternalPolicy::connect(&plain, Arc::new(profile("connect_s = 2"))).unwrap_err().to_string();
+    assert_eq!(error, "invalid reply: WebSocket handshake: HTTP 426 Upgrade Required");
     for (url, name) in [(zmq, "ZeroMQ"), (fastapi, "openvla"), (rest, "dialect rest"), (grpc, "dialect lerobot")] {
         let error = ExternalPolicy::connect(&url, Arc::new(profile("connect_s = 2"))).unwrap_err().to_string();
         assert!(error.starts_with("wrong dialect: the profile expects openpi, but"), "{error}");
