@@ -66,6 +66,26 @@ impl Dtype {
         Self::ALL.iter().find(|(_, known, _)| *known == name).map(|(dtype, ..)| *dtype)
     }
 
+    /// Find a type by its NumPy name, or by the word for it, such as `float32`.
+    pub(crate) fn read(name: &str) -> Result<Self, String> {
+        let digits = name.trim_start_matches(|c: char| !c.is_ascii_digit());
+        let kind = match name.strip_suffix(digits) {
+            Some("float") => Some('f'),
+            Some("int") => Some('i'),
+            Some("uint") => Some('u'),
+            _ => None,
+        };
+        let bytes = digits.parse::<usize>().map_or(0, |bits| bits / 8);
+        let by_word = |(_, known, size): &&(Self, &str, usize)| {
+            *size == bytes && kind.is_some_and(|kind| known.get(1..).is_some_and(|rest| rest.starts_with(kind)))
+        };
+        let found = Self::by_name(name).or_else(|| Self::ALL.iter().find(by_word).map(|(dtype, ..)| *dtype));
+        found.ok_or_else(|| {
+            let known: Vec<&str> = Self::ALL.iter().map(|(_, known, _)| *known).collect();
+            format!("unsupported array type `{name}`. Expected one of: {}", known.join(", "))
+        })
+    }
+
     /// The NumPy name.
     pub fn name(self) -> &'static str {
         Self::ALL.iter().find(|(dtype, ..)| *dtype == self).map_or("", |(_, name, _)| name)
@@ -194,6 +214,19 @@ fn half(bits: u16) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn types_are_read_from_names_and_words() {
+        for (name, dtype) in
+            [("<f4", Dtype::F32), ("float16", Dtype::F16), ("float64", Dtype::F64), ("uint8", Dtype::U8)]
+        {
+            assert_eq!(Dtype::read(name), Ok(dtype));
+        }
+        for name in [">f8", "bfloat16", "float", "float128", "torch.float32", "|O8", ""] {
+            let error = Dtype::read(name).unwrap_err();
+            assert!(error.contains(&format!("`{name}`. Expected one of: |b1, |u1")), "{error}");
+        }
+    }
 
     #[test]
     fn half_precision_follows_ieee_754() {

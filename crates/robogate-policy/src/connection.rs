@@ -29,19 +29,27 @@ pub(crate) trait Connection: Send {
 }
 
 /// Connect with the dialect of the profile, and check the policy's metadata against the profile.
-pub(crate) fn connect(url: &str, profile: &Profile, access: &Access) -> Result<Box<dyn Connection>, PolicyError> {
-    connect_with(url, profile, Some(profile), access)
+///
+/// `limit_s` is the time limit.
+pub(crate) fn connect(
+    url: &str,
+    profile: &Profile,
+    access: &Access,
+    limit_s: f64,
+) -> Result<Box<dyn Connection>, PolicyError> {
+    connect_with(url, profile, Some(profile), access, limit_s)
 }
 
-/// Connect with the dialect of the profile. The policy's metadata are checked against `expected`, if it is given.
+/// Connect like [`connect`]. The policy's metadata are checked against `expected`, if it is given.
 pub(crate) fn connect_with(
     url: &str,
     profile: &Profile,
     expected: Option<&Profile>,
     access: &Access,
+    limit_s: f64,
 ) -> Result<Box<dyn Connection>, PolicyError> {
     check_address(url, profile)?;
-    let deadline = Deadline::within(profile.server.connect_s);
+    let deadline = Deadline::within(limit_s);
     let dialect = &profile.dialect;
     let rest = |api| RestServer::connect(url, api, access, deadline).map(boxed);
     let gr00t = |version, names| Gr00tServer::connect(url, version, names, expected, access, deadline).map(boxed);

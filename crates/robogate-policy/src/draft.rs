@@ -31,7 +31,7 @@ impl Draft {
 /// # Errors
 /// If the server cannot be reached, or does not declare its modalities: only GR00T and RoboArena servers do.
 pub fn draft(url: &str, base: &Profile) -> Result<Draft, PolicyError> {
-    let connection = connection::connect_with(url, base, None, &Access::from_environment())?;
+    let connection = connection::connect_with(url, base, None, &Access::from_environment(), base.server.connect_s)?;
     from_metadata(connection.declared(), base)
 }
 

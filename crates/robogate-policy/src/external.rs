@@ -75,12 +75,14 @@ impl ExternalPolicy {
         waiting: &mut dyn FnMut(&PolicyError),
     ) -> Result<Self, PolicyError> {
         let until = Instant::now() + access.wait();
+        let mut limit_s = profile.server.connect_s;
         let connection = loop {
-            match connection::connect(url, &profile, &access) {
+            match connection::connect(url, &profile, &access, limit_s) {
                 Ok(connection) => break connection,
                 Err(error) if error.is_transient() && Instant::now() < until => {
                     waiting(&error);
                     std::thread::sleep(WAITING_PAUSE.min(until.saturating_duration_since(Instant::now())));
+                    limit_s = longer(limit_s, &profile, until);
                 }
                 Err(error) => return Err(error),
             }
@@ -134,16 +136,23 @@ impl ExternalPolicy {
         self.step = 0;
         self.instruction = self.profile.instruction.clone().unwrap_or_else(|| instruction.to_owned());
         let mut attempt = 0;
+        let mut limit_s = self.profile.server.connect_s;
         let until = Instant::now() + self.access.wait();
         loop {
-            match self.try_to_begin() {
+            let reused = self.connection.is_some();
+            match self.try_to_begin(limit_s) {
                 Ok(()) => break,
+                // The server has closed the connection since the last episode: nothing is lost.
+                Err(PolicyError::Closed { .. }) if reused => self.connection = None,
                 Err(error) => {
                     self.connection = None;
                     attempt += 1;
                     let waits = Instant::now() < until;
                     if !error.is_transient() || (attempt >= self.profile.server.attempts && !waits) {
                         return Err(self.access.without_key(error));
+                    }
+                    if waits {
+                        limit_s = longer(limit_s, &self.profile, until);
                     }
                     let pause = Duration::from_secs(1 << (attempt - 1).min(16));
                     std::thread::sleep(if waits { pause.min(WAITING_PAUSE) } else { pause });
@@ -154,12 +163,14 @@ impl ExternalPolicy {
         Ok(())
     }
 
-    fn try_to_begin(&mut self) -> Result<(), PolicyError> {
+    /// Connect within this time if necessary, and announce the episode.
+    fn try_to_begin(&mut self, limit_s: f64) -> Result<(), PolicyError> {
         if self.connection.is_none() {
-            let connection = connection::connect(&self.url, &self.profile, &self.access)?;
+            let connection = connection::connect(&self.url, &self.profile, &self.access, limit_s)?;
             if *connection.declared() != self.declared {
                 return Err(PolicyError::Mismatch(format!(
-                    "the policy's metadata changed after a reconnect: now {}, before {}",
+                    "the policy's metadata changed after a reconnect: now {}, before {}. Hint: if it is still the same \
+                     policy, leave out of its metadata what differs between connections, such as a session or a time",
                     connection.declared(),
                     self.declared
                 )));
@@ -204,6 +215,13 @@ impl ExternalPolicy {
         let timeouts = &self.profile.server;
         Deadline::within(if self.warm { timeouts.answer_s } else { timeouts.first_answer_s })
     }
+}
+
+/// Time limit of the next attempt to connect, in seconds: twice the last one, because a server may load its model anew for
+/// each connection, but not past the end of the waiting time.
+fn longer(limit_s: f64, profile: &Profile, until: Instant) -> f64 {
+    let left_s = until.saturating_duration_since(Instant::now()).as_secs_f64();
+    (2.0 * limit_s).min(left_s).max(profile.server.connect_s)
 }
 
 impl Policy for ExternalPolicy {

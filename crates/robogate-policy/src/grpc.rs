@@ -108,7 +108,7 @@ async fn call(
     if head.status != StatusCode::OK {
         return Err(PolicyError::invalid_reply("gRPC reply", format!("HTTP {}", head.status)));
     }
-    status(&head.headers)?;
+    status(&head.headers, method)?;
     let mut bytes = Vec::new();
     while let Some(part) = body.data().await {
         let part = part.map_err(gone)?;
@@ -120,15 +120,20 @@ async fn call(
         let _ = body.flow_control().release_capacity(part.len());
     }
     if let Some(trailers) = body.trailers().await.map_err(gone)? {
-        status(&trailers)?;
+        status(&trailers, method)?;
     }
     message(&bytes).map(<[u8]>::to_vec)
 }
 
 /// Check that the gRPC status is zero.
-fn status(headers: &HeaderMap) -> Result<(), PolicyError> {
+fn status(headers: &HeaderMap, method: &str) -> Result<(), PolicyError> {
     let text = |name: &str| headers.get(name).map(|value| String::from_utf8_lossy(value.as_bytes()).into_owned());
     match text("grpc-status") {
+        // Unimplemented.
+        Some(code) if code == "12" => {
+            let found = format!("the gRPC server has no method {method}");
+            Err(PolicyError::WrongDialect { expected: "lerobot", found })
+        }
         Some(code) if code != "0" => {
             let message = text("grpc-message").unwrap_or_default().replace("%20", " ").replace("%0A", "\n");
             Err(PolicyError::reported(&format!("gRPC status {code}: {message}")))
@@ -203,6 +208,16 @@ fn varint(message: &mut &[u8]) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn servers_without_the_method_have_another_dialect() {
+        let headers =
+            |code: &'static str| HeaderMap::from_iter([("grpc-status".parse().unwrap(), code.parse().unwrap())]);
+        let error = status(&headers("12"), "/transport.AsyncInference/Ready").unwrap_err().to_string();
+        assert!(error.ends_with("the gRPC server has no method /transport.AsyncInference/Ready"), "{error}");
+        assert!(matches!(status(&headers("13"), "/"), Err(PolicyError::Reported { .. })));
+        assert_eq!(status(&headers("0"), "/"), Ok(()));
+    }
 
     fn number(mut number: u64) -> Vec<u8> {
         let mut bytes = Vec::new();

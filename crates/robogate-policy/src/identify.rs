@@ -16,6 +16,10 @@ pub(crate) fn describe(url: &str, expected: &Dialect) -> Option<String> {
     }
     let address = rest.split('/').next()?;
     let (found, dialects) = probe(address)?;
+    // An HTTP server of the user: the error itself says what it lacks.
+    if dialects.is_empty() && expected.scheme() == "http://" {
+        return None;
+    }
     (!dialects.contains(&expected.name())).then(|| match dialects {
         [] => found.to_owned(),
         _ => format!("{found} (dialect {})", dialects.join(" or ")),
@@ -41,17 +45,21 @@ fn probe(address: &str) -> Option<(&'static str, &'static [&'static str])> {
         return Some(if get("/healthz").contains(" 200 ") {
             ("a WebSocket server with openpi's /healthz listens there", &["openpi"])
         } else {
-            ("a WebSocket server without /healthz listens there", &["roboarena"])
+            // A server of the user with openpi's dialect has no /healthz either.
+            ("a WebSocket server without /healthz listens there", &["roboarena", "openpi"])
         });
     }
     if health.contains("\"status\"") {
-        return Some(if health.contains("\"GR00T\"") {
-            ("a GR00T N1.5 server over HTTP listens there", &["gr00t-n1.5-http"])
-        } else if health.contains("healthy") {
-            ("an HTTP server with /act, /reset and /health listens there", &["rest"])
-        } else {
-            ("a vla-eval server listens there", &["vla-eval"])
-        });
+        if health.contains("\"GR00T\"") {
+            return Some(("a GR00T N1.5 server over HTTP listens there", &["gr00t-n1.5-http"]));
+        }
+        if health.contains("healthy") {
+            return Some(("an HTTP server with /act, /reset and /health listens there", &["rest"]));
+        }
+        // Other HTTP servers have a /health with a status too.
+        if get("/").contains(" 426 ") {
+            return Some(("a vla-eval server listens there", &["vla-eval"]));
+        }
     }
     if health.contains("{\"detail\":\"Not Found\"}") {
         return Some(("an HTTP server such as OpenVLA's listens there", &["openvla", "openvla-oft", "rest"]));

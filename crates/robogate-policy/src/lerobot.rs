@@ -41,7 +41,15 @@ impl LeRobotServer {
         deadline: Deadline,
     ) -> Result<Self, PolicyError> {
         let mut channel = Channel::connect(url, deadline)?;
-        channel.call("/transport.AsyncInference/Ready", &[Vec::new()], deadline)?;
+        let ready = channel.call("/transport.AsyncInference/Ready", &[Vec::new()], deadline);
+        ready.map_err(|error| match error {
+            // A server with TLS closes a connection without it.
+            PolicyError::Closed { when, reason } => {
+                let hint = "Hint: if the server uses TLS, which is not supported for gRPC, use a tunnel";
+                PolicyError::Closed { when, reason: format!("{reason}. {hint}") }
+            }
+            other => other,
+        })?;
         Ok(Self { channel, settings: settings.clone(), chunk, configured: false, sent: 0 })
     }
 }

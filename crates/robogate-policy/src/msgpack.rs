@@ -158,8 +158,7 @@ fn read_marked(what: &'static str, value: &ValueRef<'_>, marker: &str, type_key:
     let Some(ValueRef::Boolean(true)) = get(value, marker) else { return Err(missing(marker)) };
     let Some(ValueRef::Binary(data)) = get(value, "data") else { return Err(missing("data")) };
     let dtype = get(value, type_key).and_then(name).ok_or_else(|| missing(type_key))?;
-    let dtype = Dtype::by_name(dtype)
-        .ok_or_else(|| PolicyError::invalid_reply(what, format!("unsupported array type `{dtype}`")))?;
+    let dtype = Dtype::read(dtype).map_err(|why| PolicyError::invalid_reply(what, why))?;
     let Some(ValueRef::Array(shape)) = get(value, "shape") else { return Err(missing("shape")) };
     let shape = shape.iter().map(|n| usize::try_from(n.as_u64()?).ok()).collect::<Option<Vec<_>>>();
     Array::new(dtype, shape.ok_or_else(|| missing("shape"))?, data.to_vec())

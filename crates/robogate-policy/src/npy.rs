@@ -38,7 +38,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Array, String> {
         let start: String = header.chars().take(120).collect();
         format!("invalid .npy header: {start}")
     })?;
-    let dtype = Dtype::by_name(dtype).ok_or_else(|| format!("unsupported array type `{dtype}`"))?;
+    let dtype = Dtype::read(dtype)?;
     if fortran && shape.iter().filter(|n| **n > 1).count() > 1 {
         return Err("unsupported array in Fortran order".to_owned());
     }

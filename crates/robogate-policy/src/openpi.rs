@@ -13,8 +13,9 @@ use super::access::Access;
 use super::connection::Connection;
 use super::deadline::Deadline;
 use super::error::PolicyError;
+use super::identify;
 use super::msgpack::{self, Keys};
-use super::profile::{Chunking, Profile};
+use super::profile::{Chunking, Dialect, Profile};
 use super::websocket::{Reply, Socket};
 use super::{chunk::Chunk, query::Query};
 
@@ -30,13 +31,19 @@ impl Openpi {
         let socket = Socket::connect(url, access.header("Api-Key"), access, deadline)?;
         let metadata = match socket.receive("the metadata of the server", deadline) {
             Ok(Reply::Bytes(bytes)) => metadata(&bytes)?,
-            Ok(Reply::Text(text)) => return Err(PolicyError::reported(&text)),
-            // An openpi server sends its metadata immediately.
-            Err(PolicyError::Timeout { .. }) => {
-                return Err(PolicyError::WrongDialect {
-                    expected: "openpi",
-                    found: "the WebSocket server sends no metadata, which is typical of vla-eval (dialect vla-eval)"
-                        .to_owned(),
+            Ok(Reply::Text(text)) => return Err(text_error("metadata of the server", &text)),
+            // An openpi server sends its metadata immediately, unless it loads the model after accepting connections.
+            Err(PolicyError::Timeout { limit_s, .. }) => {
+                return Err(match identify::describe(url, &Dialect::Openpi {}) {
+                    Some(found) => PolicyError::WrongDialect { expected: "openpi", found },
+                    None => PolicyError::NotReady {
+                        url: url.to_owned(),
+                        why: format!(
+                            "the server accepted the connection, but sent no metadata within {limit_s} s. Hint: if it is \
+                             still loading, use --wait; a server of vla-eval sends none and needs a profile with the \
+                             dialect vla-eval"
+                        ),
+                    },
                 });
             }
             Err(e) => return Err(e),
@@ -53,13 +60,14 @@ impl Openpi {
 
 impl Connection for Openpi {
     fn begin(&mut self, _: &str, _: u64, _: Deadline) -> Result<(), PolicyError> {
-        Ok(())
+        // A server may close connections that are idle, or after a number of requests.
+        self.socket.check_idle()
     }
 
     fn infer(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, PolicyError> {
         match self.socket.request(&request(query), "infer", deadline)? {
             Reply::Bytes(bytes) => decode(&bytes),
-            Reply::Text(traceback) => Err(PolicyError::reported(&traceback)),
+            Reply::Text(text) => Err(text_error("reply to infer", &text)),
         }
     }
 
@@ -80,8 +88,27 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<Chunk, PolicyError> {
     const WHAT: &str = "reply to infer";
     let reply = msgpack::decode(WHAT, bytes)?;
     let actions = msgpack::get(&reply, "actions")
-        .ok_or_else(|| PolicyError::invalid_reply(WHAT, "`actions` is missing".to_owned()))?;
+        .ok_or_else(|| PolicyError::invalid_reply(WHAT, format!("`actions` is missing. The reply {}", keys(&reply))))?;
     Chunk::of_array(&msgpack::read_array(WHAT, actions)?)
+}
+
+/// The error for a text message: a Python traceback, or JSON of a server that does not use msgpack.
+fn text_error(what: &'static str, text: &str) -> PolicyError {
+    if text.starts_with(['{', '[']) {
+        let why = "the server sent JSON in a text message. Expected a binary message with msgpack";
+        return PolicyError::invalid_reply(what, why);
+    }
+    PolicyError::reported(text)
+}
+
+/// Describe the keys of a reply, for an error.
+fn keys(reply: &ValueRef<'_>) -> String {
+    let names = msgpack::entries(reply).map(|entries| entries.iter().filter_map(|(key, _)| msgpack::name(key)));
+    match names.map(|names| names.take(8).collect::<Vec<_>>()) {
+        None => "is not a map".to_owned(),
+        Some(names) if names.is_empty() => "is an empty map".to_owned(),
+        Some(names) => format!("has the keys {}", names.join(", ")),
+    }
 }
 
 /// The profile with the number of actions that the server declares in its metadata, as `action_horizon`: the name of the
@@ -137,6 +164,13 @@ mod tests {
         assert_eq!(libero.rows()[0][..3], [0.0, 0.01, 0.02]);
         let droid = decode(&Capture::read(FOLDER, "s2c_03_action_droid_10x8.bin").bytes).unwrap();
         assert_eq!((droid.rows().len(), droid.rows()[0].len()), (10, 8));
+    }
+
+    #[test]
+    fn replies_without_actions_are_described() {
+        let reply = msgpack::encode(&msgpack::map([("action", 1.into()), ("time", 2.into())]));
+        let error = decode(&reply).unwrap_err().to_string();
+        assert!(error.ends_with("`actions` is missing. The reply has the keys action, time"), "{error}");
     }
 
     #[test]

@@ -57,7 +57,11 @@ impl RestServer {
                     return Err(PolicyError::NotReady { url: url.to_owned(), why });
                 }
                 if reply.status != 200 || health.get("status").and_then(Json::as_str) != Some("healthy") {
-                    return Err(PolicyError::invalid_reply("reply to /health", format!("HTTP {}", reply.status)));
+                    let (status, body) = (reply.status, json_numpy::excerpt(&reply.body));
+                    return Err(PolicyError::invalid_reply(
+                        "reply to /health",
+                        format!("HTTP {status} with {body}. Expected HTTP 200 with {{\"status\": \"healthy\"}}"),
+                    ));
                 }
                 health
             }
@@ -70,9 +74,10 @@ impl RestServer {
                         serde_json::json!({"paths": paths.keys().collect::<Vec<_>>()})
                     }
                     _ => {
+                        let status = reply.status;
                         return Err(PolicyError::invalid_reply(
                             "reply to /openapi.json",
-                            format!("HTTP {}", reply.status),
+                            format!("HTTP {status}. Expected the description of a FastAPI server with the path /act"),
                         ));
                     }
                 }
@@ -178,7 +183,10 @@ fn decode(reply: &Reply, api: &Api) -> Result<Chunk, PolicyError> {
         (Json::String(text), _) if text == "error" => {
             Err(PolicyError::reported("the server reported an error without details. See the log of the server"))
         }
-        (Json::String(_), _) => Err(PolicyError::invalid_reply(WHAT, "expected actions, got a string".to_owned())),
+        (Json::String(_), _) => Err(PolicyError::invalid_reply(
+            WHAT,
+            format!("expected actions, got the text {}", json_numpy::excerpt(&reply.body)),
+        )),
         (Json::Array(items), _) if items.iter().all(Json::is_object) => {
             let rows = items.iter().map(|item| Ok(json_numpy::read(WHAT, item)?.numbers()));
             Chunk::of_rows(rows.collect::<Result<_, PolicyError>>()?)
@@ -195,8 +203,15 @@ fn decode(reply: &Reply, api: &Api) -> Result<Chunk, PolicyError> {
         }
         (Json::Object(map), _) if !map.contains_key("__numpy__") => {
             let actions = ["actions", "action"].iter().find_map(|key| map.get(*key));
-            let actions = actions.ok_or_else(|| {
-                PolicyError::invalid_reply(WHAT, "expected a list of numbers, a NumPy array, or a map with `actions`")
+            let actions = actions.ok_or_else(|| match map.get("error").and_then(Json::as_str) {
+                Some(error) => PolicyError::reported(error),
+                None => PolicyError::invalid_reply(
+                    WHAT,
+                    format!(
+                        "expected a list of numbers, a NumPy array, or a map with `actions` or `action`, got {}",
+                        json_numpy::excerpt(&reply.body)
+                    ),
+                ),
             })?;
             Chunk::of_array(&json_numpy::read(WHAT, actions)?)
         }

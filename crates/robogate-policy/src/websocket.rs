@@ -139,6 +139,13 @@ impl Socket {
         self.shared.lock().exchange(Some(request), operation, deadline)
     }
 
+    /// Check that the server has neither closed the connection nor sent anything since the last reply.
+    pub(crate) fn check_idle(&self) -> Result<(), PolicyError> {
+        let mut stream = self.shared.lock();
+        stream.poll();
+        stream.usable()
+    }
+
     /// Send a message that gets no reply.
     pub(crate) fn send(&self, message: &ValueRef<'_>, operation: &str, deadline: Deadline) -> Result<(), PolicyError> {
         self.shared.lock().send(message, operation, deadline)

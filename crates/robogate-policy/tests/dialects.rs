@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 
 use direct::direct;
-use robogate_core::{Action, Command, Policy};
+use robogate_core::{Action, Command, FaultKind, Policy};
 use robogate_policy::{ExternalPolicy, Profile};
 use robogate_zmtp::{Limits, Replier};
 use support::{begin, observation};
@@ -132,6 +132,52 @@ fn octo_servers_are_reset_each_episode() {
     }
     let paths = paths.lock().unwrap();
     assert_eq!(*paths, ["/health", "/reset", "/act", "/act", "/reset", "/act", "/act"]);
+}
+
+#[test]
+fn other_http_replies_are_explained() {
+    let refused = |reply: &'static str| {
+        let (url, _) = http(move |path| match path {
+            "/act" => (200, reply.as_bytes().to_vec()),
+            _ => (200, br#"{"status":"healthy"}"#.to_vec()),
+        });
+        let mut policy = policy(&url, "octo-small", unchanged);
+        begin(&mut policy, "pick up the box").unwrap();
+        policy.act(&observation(256)).unwrap_err()
+    };
+    for (reply, part) in [
+        (
+            r#"{"action_chunk": [[0]], "ms": 3}"#,
+            "a map with `actions` or `action`, got `{\"action_chunk\": [[0]], \"ms\": 3}`",
+        ),
+        (r#"{"error": "KeyError: 'image'"}"#, "policy error: KeyError: 'image'"),
+        (r#""[[0, 1]]""#, "expected actions, got the text `\"[[0, 1]]\"`"),
+        (r#"{"actions": "k05VTVBZ"}"#, "expected a list of numbers, or a map with `__numpy__`"),
+        ("<html>It works</html>", "not valid JSON: expected value at line 1 column 1, in `<html>It works</html>`"),
+        (
+            r#"{"__numpy__": "AAA=", "dtype": ">f2", "shape": [1]}"#,
+            "unsupported array type `>f2`. Expected one of: |b1",
+        ),
+    ] {
+        let fault = refused(reply);
+        assert!(fault.detail.contains(part), "{}", fault.detail);
+    }
+    for reply in ["[0, 0, NaN, 0, 0, 0, 1]", "[0, 0, null, 0, 0, 0, 1]"] {
+        let fault = refused(reply);
+        assert_eq!(fault.detail, "not finite: number 2 of action 0 is NaN");
+        assert_eq!(fault.kind, FaultKind::BadAction);
+    }
+}
+
+#[test]
+fn other_health_replies_are_explained() {
+    for (status, body, shown) in [(200, "{\"status\":\"ok\"}", "`{\"status\":\"ok\"}`"), (404, "", "an empty reply")] {
+        let (url, _) = http(move |path| (if path == "/health" { status } else { 404 }, body.as_bytes().to_vec()));
+        let profile = Profile::from_toml(Profile::built_in("octo-small").unwrap()).unwrap();
+        let error = ExternalPolicy::connect(&url, Arc::new(profile)).unwrap_err().to_string();
+        let expected = "Expected HTTP 200 with {\"status\": \"healthy\"}";
+        assert!(error.contains(&format!("HTTP {status} with {shown}. {expected}")), "{error}");
+    }
 }
 
 #[test]

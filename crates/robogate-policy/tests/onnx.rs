@@ -120,6 +120,30 @@ fn mismatches_with_the_profile_are_errors() {
 }
 
 #[test]
+fn states_have_the_type_of_the_input() {
+    let parts = "parts = [\"joint_positions\", \"gripper_opening\"]";
+    let zeros = format!("parts = [{}]", ["\"zero\""; 8].join(", "));
+    let integers = SMALL.replace(parts, &zeros);
+    assert_ne!(integers, SMALL);
+    for dtype in [DataType::FLOAT16, DataType::DOUBLE, DataType::INT64, DataType::INT32] {
+        let cast = with_integer(node("Cast", &["state"], "c"), "to", 1);
+        let nodes = vec![cast, with_integer(node("Concat", &["c", "c"], "y"), "axis", 0)];
+        let scratch = Scratch::new(&format!("typed-{dtype}"), &network_with(dtype, Vec::new(), nodes));
+        let mut policy = load(&scratch.0, &integers).unwrap();
+        policy.begin("pick up the box").unwrap();
+        assert_eq!(policy.infer(&observation(96)).unwrap().rows(), vec![vec![0.0; 8]; 2]);
+        if matches!(dtype, DataType::INT64 | DataType::INT32) {
+            let why = error_of(&scratch.0, SMALL);
+            assert!(why.contains("Expected integers of at most 32 bits"), "{why}");
+        } else {
+            policy = load(&scratch.0, SMALL).unwrap();
+            policy.begin("pick up the box").unwrap();
+            assert_ne!(policy.infer(&observation(96)).unwrap().rows(), vec![vec![0.0; 8]; 2]);
+        }
+    }
+}
+
+#[test]
 fn an_open_batch_size_becomes_one() {
     agrees_with_onnx_runtime(&file("batch.onnx"), SMALL, "small");
 }
@@ -127,7 +151,7 @@ fn an_open_batch_size_becomes_one() {
 #[test]
 fn other_open_sizes_are_errors() {
     let why = error_of(&file("open.onnx"), SMALL);
-    assert!(why.contains("the input `state` has no fixed size"), "{why}");
+    assert!(why.contains("the input `state` has no fixed size: axis 1 is open"), "{why}");
 }
 
 #[test]
@@ -285,6 +309,11 @@ fn node(op: &str, inputs: &[&str], output: &str) -> NodeProto {
     }
 }
 
+fn with_integer(mut node: NodeProto, name: &str, i: i64) -> NodeProto {
+    node.attribute.push(AttributeProto { name: Some(name.to_owned()), i: Some(i), ..Default::default() });
+    node
+}
+
 fn with_integers(mut node: NodeProto, name: &str, ints: &[i64]) -> NodeProto {
     let attribute = AttributeProto { name: Some(name.to_owned()), ints: ints.to_vec(), ..Default::default() };
     node.attribute.push(attribute);
@@ -293,6 +322,11 @@ fn with_integers(mut node: NodeProto, name: &str, ints: &[i64]) -> NodeProto {
 
 /// A file with the inputs of [`SMALL`], of which the node `y` computes the output.
 fn network(constants: Vec<TensorProto>, nodes: Vec<NodeProto>) -> Vec<u8> {
+    network_with(DataType::FLOAT, constants, nodes)
+}
+
+/// A file like those of [`network`], with this type of the input `state`.
+fn network_with(state: DataType, constants: Vec<TensorProto>, nodes: Vec<NodeProto>) -> Vec<u8> {
     let input = |name: &str, elem_type, sizes: &[i64]| {
         let axis = |size: &i64| Dimension { dim_value: Some(*size), dim_param: None };
         let shape = Some(TensorShapeProto { dim: sizes.iter().map(axis).collect() });
@@ -302,7 +336,7 @@ fn network(constants: Vec<TensorProto>, nodes: Vec<NodeProto>) -> Vec<u8> {
     let graph = GraphProto {
         node: nodes,
         initializer: constants,
-        input: vec![input("front", DataType::UINT8, &[1, 8, 8, 3]), input("state", DataType::FLOAT, &[1, 8])],
+        input: vec![input("front", DataType::UINT8, &[1, 8, 8, 3]), input("state", state, &[1, 8])],
         output: vec![ValueInfoProto { name: Some("y".to_owned()), r#type: None }],
         value_info: Vec::new(),
     };

@@ -92,6 +92,7 @@ fn errors_are_distinct_faults() {
         Message::binary(actions(10, 7, |_, _| 0.0))
     });
     let dead = server(|_, socket| drop(socket.read()));
+    let json = answering(|_| Message::text("{\"actions\": [[0.0]]}"));
     let (bad, away) = (FaultKind::BadAction, FaultKind::Unavailable);
     for (url, kind, start) in [
         (text, away, "policy error: Traceback"),
@@ -99,6 +100,7 @@ fn errors_are_distinct_faults() {
         (six, bad, "wrong shape: an action has 6 numbers, but action.size of the profile is 7"),
         (short, bad, "wrong shape: the reply has 9 actions, but chunk.length of the profile is 10"),
         (garbage, away, "invalid reply: reply to infer: not valid msgpack"),
+        (json, away, "invalid reply: reply to infer: the server sent JSON in a text message. Expected"),
         (slow, away, "timeout: infer took longer than 0.5 s"),
         (dead, away, "connection closed: the server closed the connection during infer"),
     ] {
@@ -153,6 +155,38 @@ fn faults_open_a_new_connection() {
 }
 
 #[test]
+fn connections_closed_between_episodes_lose_nothing() {
+    let (closed, until_closed) = std::sync::mpsc::channel();
+    let url = server(move |_, socket| {
+        if matches!(socket.read(), Ok(message) if message.is_binary()) {
+            socket.send(Message::binary(actions(10, 7, |_, _| 0.0))).unwrap();
+            drop(socket.close(None).and_then(|()| socket.flush()));
+            closed.send(()).unwrap();
+        }
+    });
+    let mut policy = ExternalPolicy::connect(&url, Arc::new(profile("attempts = 1"))).unwrap();
+    for _ in 0..3 {
+        begin(&mut policy, "pick up the box").unwrap();
+        policy.act(&observation(256)).unwrap();
+        until_closed.recv().unwrap();
+    }
+}
+
+#[test]
+fn servers_without_metadata_are_not_ready() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("ws://{}", listener.local_addr().unwrap());
+    thread::spawn(move || {
+        let mut silent = accept(listener.accept().unwrap().0).unwrap();
+        drop(silent.read());
+        drop(listener);
+    });
+    let error = ExternalPolicy::connect(&url, Arc::new(profile("connect_s = 0.2"))).unwrap_err().to_string();
+    assert!(error.starts_with("not ready: ws://") && error.contains("no metadata within 0.2 s"), "{error}");
+    assert!(error.contains("use --wait") && error.contains("dialect vla-eval"), "{error}");
+}
+
+#[test]
 fn pings_are_answered_between_requests() {
     let url = server(|_, socket| {
         socket.send(Message::Ping(b"still there?".to_vec().into())).unwrap();
@@ -192,6 +226,10 @@ fn other_dialects_are_identified() {
     let fastapi = serve_bytes(&[], "HTTP/1.1 404 Not Found\r\nContent-Length: 22\r\n\r\n{\"detail\":\"Not Found\"}");
     let rest = serve_bytes(&[], "HTTP/1.1 200 OK\r\nContent-Length: 20\r\n\r\n{\"status\":\"healthy\"}");
     let grpc = serve_bytes(&[0, 0, 0, 4, 0, 0, 0, 0, 0], "");
+    // A server of the user may have openpi's dialect without openpi's /healthz.
+    let plain = serve_bytes(&[], "HTTP/1.1 426 Upgrade Required\r\nContent-Length: 0\r\n\r\n");
+    let error = ExternalPolicy::connect(&plain, Arc::new(profile("connect_s = 2"))).unwrap_err().to_string();
+    assert_eq!(error, "invalid reply: WebSocket handshake: HTTP 426 Upgrade Required");
     for (url, name) in [(zmq, "ZeroMQ"), (fastapi, "openvla"), (rest, "dialect rest"), (grpc, "dialect lerobot")] {
         let error = ExternalPolicy::connect(&url, Arc::new(profile("connect_s = 2"))).unwrap_err().to_string();
         assert!(error.starts_with("wrong dialect: the profile expects openpi, but"), "{error}");

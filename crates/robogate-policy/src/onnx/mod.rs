@@ -167,20 +167,34 @@ impl Input {
         }
         let is_picture = array.dtype() == Dtype::U8;
         let mismatch = |e: &dyn std::fmt::Display| PolicyError::Mismatch(e.to_string());
-        match self.dtype {
-            DataType::UINT8 if is_picture => {
+        let whole = |n: &f64| (n.fract() == 0.0 && n.abs() <= f64::from(i32::MAX)).then_some(*n as i32);
+        match sizes::computed(self.dtype) {
+            Some(DataType::UINT8) if is_picture => {
                 Value::from_shape(&self.shape, array.data().to_vec()).map_err(|e| mismatch(&e))
             }
-            DataType::FLOAT => {
+            Some(DataType::INT32) if !is_picture && self.dtype != DataType::BOOL => {
+                let numbers = array.numbers();
+                let integers: Option<Vec<i32>> = numbers.iter().map(whole).collect();
+                let integers = integers.ok_or_else(|| {
+                    let (key, dtype) = (&self.name, name(self.dtype));
+                    PolicyError::Mismatch(format!(
+                        "the input `{key}` has the type {dtype}, but the profile sends {numbers:?}. Expected integers of \
+                         at most 32 bits"
+                    ))
+                })?;
+                Value::from_shape(&self.shape, integers).map_err(|e| mismatch(&e))
+            }
+            Some(DataType::FLOAT) => {
                 let scale = if is_picture { 1.0 / 255.0 } else { 1.0 };
                 let numbers: Vec<f32> = array.numbers().iter().map(|n| (n * scale) as f32).collect();
                 Value::from_shape(&self.shape, numbers).map_err(|e| mismatch(&e))
             }
-            other => {
+            _ => {
                 let (key, sent) = (&self.name, array.dtype().name());
-                let other = name(other);
+                let other = name(self.dtype);
                 Err(PolicyError::Mismatch(format!(
-                    "the input `{key}` has the type {other}, but the profile sends {sent}. Supported: F32, and U8 for images"
+                    "the input `{key}` has the type {other}, but the profile sends {sent}. Supported: F16, F32 and F64; U8 \
+                     for images; I32 and I64 for states"
                 )))
             }
         }
@@ -318,8 +332,10 @@ fn fix_inputs(model: &mut ModelProto, profile: &Profile) -> Result<Vec<Input>, S
         let dtype = *tensor.elem_type.get_or_insert(DataType::FLOAT);
         let axes = tensor.shape.as_ref().map_or(&[][..], |shape| &shape.dim);
         let axes: Vec<_> = axes.iter().map(|axis| axis.dim_value.and_then(|size| usize::try_from(size).ok())).collect();
-        let shape = fixed_shape(&axes, sent_shape(profile, &name))
-            .ok_or_else(|| format!("the input `{name}` has no fixed size. Export the model with fixed sizes"))?;
+        let shape = fixed_shape(&axes, sent_shape(profile, &name)).ok_or_else(|| {
+            let open = axes.iter().rposition(Option::is_none).unwrap_or_default();
+            format!("the input `{name}` has no fixed size: axis {open} is open. Export the model with fixed sizes")
+        })?;
         let fixed = shape.iter().map(|size| Dimension { dim_value: i64::try_from(*size).ok(), dim_param: None });
         tensor.shape.get_or_insert_default().dim = fixed.collect();
         Ok(Input { name, dtype, shape })

@@ -165,9 +165,12 @@ impl Check {
             match self.infer(&profile, &bound, &mut policy, &mut *environment, &mut found) {
                 Ok(()) => {}
                 // These errors are results of the check.
-                Err(error @ (PolicyError::Shape(_) | PolicyError::NotFinite { .. } | PolicyError::Reported { .. })) => {
-                    found.problems.push(error.to_string());
-                }
+                Err(
+                    error @ (PolicyError::Shape(_)
+                    | PolicyError::NotFinite { .. }
+                    | PolicyError::InvalidReply { .. }
+                    | PolicyError::Reported { .. }),
+                ) => found.problems.push(error.to_string()),
                 Err(error) => return Err(policy_error(error)),
             }
             if is_cell(&task) {
