@@ -13,12 +13,13 @@ import numpy as np
 from robogate_bridge import FreeRun, Image, Problem
 
 from . import mujoco_knobs
+from .default_space import default_space
 from .disturbances import Disturbances
 from .environment import Camera, DeclarationError, Environment, task_name
 from .knobs import Knob, differs, parameter_name
 from .model import Model, NoModel
 from .rendering import Pictures
-from .spaces import Actions, Observations
+from .spaces import Actions, Observations, same
 from .trajectory import Trajectory
 
 # The protocol allows 256 parameters.
@@ -59,6 +60,7 @@ class Adapter:
         if not isinstance(first, tuple) or len(first) != 2:
             raise DeclarationError(f"reset returned {_values(first)}. Expected observation and info, as in Gymnasium")
         self._observations.check(first[0])
+        self._observe = self._find_observe(first[0])
         try:
             self._model: Model | None = Model(env)
         except (NoModel, ImportError):
@@ -74,6 +76,7 @@ class Adapter:
         self._hash = 0
         try:
             self.deterministic = self._is_deterministic(doing)
+            self._require_success(doing)
         except Problem as problem:
             # The first episode of any environment shows what its declaration lacks.
             if problem.kind in ("setup", "not_applied"):
@@ -124,17 +127,27 @@ class Adapter:
     def _space(self) -> dict | None:
         """The space that is sampled by default."""
         parameters = []
-        for name, domain in self._environment.space.items():
+        for name, domain in (self._environment.space or self._default_space()).items():
             knob = self._by_parameter.get(parameter_name(name))
             if knob is None:
                 reason = dict(self.dropped).get(name, "the environment has no such knob")
                 raise DeclarationError(f"the space of {self._task.name} contains {name}: {reason}")
+            if knob.choices:
+                parameters.append({"name": knob.parameter, "kind": "categorical", "choices": list(domain)})
+                continue
             low, high, *scale = domain
             parameter = {"name": knob.parameter, "kind": "integer" if knob.integer else "continuous", "low": low, "high": high}
             if scale:
                 parameter["scale"] = scale[0]
             parameters.append(parameter)
         return {"name": self._task.name, "parameter": parameters} if parameters else None
+
+    def _default_space(self) -> dict[str, tuple]:
+        """What is sampled if the environment does not say it."""
+        wanted = self._environment.knobs
+        own = {knob.name for knob in wanted if isinstance(knob, Knob)}
+        named = {knob for knob in wanted if isinstance(knob, str)}
+        return default_space(self.knobs, own, named, self._model, self._period)
 
     def _control_period(self) -> float:
         base = self._env.unwrapped
@@ -159,9 +172,7 @@ class Adapter:
 
     def _unknown(self, what: str, field: str) -> str:
         """The error for something that neither the environment nor its task says."""
-        name, made = self._task.name, type(self._env.unwrapped).__name__
-        example = f'environment = Environment(make={made}, task=Task(name="{name.rpartition(".")[2].lower()}", {field}))'
-        return f"the {what} of {name} is unknown. Declare it in a Task:\n    from robogate_eval import Environment, Task\n    {example}"
+        return f"the {what} of {self._task.name} is unknown. Declare it in a Task:\n{_example(self._env, self._task.name, field)}"
 
     def _engine(self) -> tuple[str, str]:
         if self._environment.engine is not None:
@@ -180,32 +191,45 @@ class Adapter:
         names = {knob for knob in wanted if isinstance(knob, str)}
         offered = self._disturbances.knobs(self._period)
         if self._model is not None:
-            found = mujoco_knobs.catalogue(self._model, self._can_observe(), names | set(self._environment.space), bool(self._observations.images))
+            found = mujoco_knobs.catalogue(self._model, self._observe is not None, names | set(self._environment.space), bool(self._observations.images))
             if "*" not in names:
                 found = [knob for knob in found if knob.name in names]
             kept, self.dropped = mujoco_knobs.self_test(self._model, found, self._env)
             offered += kept
+            if "*" in names:
+                self.dropped += mujoco_knobs.unnamed(self._model, names)
+                if self._observe is None and mujoco_knobs.has_free_body(self._model):
+                    why = "`_get_obs()` does not return the observation of the reset. Declare `observe` in the Environment"
+                    self.dropped.append(("shift_x, shift_y and turn of the free bodies", why))
         known = {knob.name for knob in offered} | dict(self.dropped).keys()
         unknown = sorted(names - known - {"*"})
         if unknown:
             raise DeclarationError(f"{self._task.name}: no knob is named {', '.join(unknown)}")
-        taken, unique = set(), []
+        taken: dict[str, str] = {}
+        unique = []
         # Knobs that are sampled by default come first, so that they are within the limit.
         order = [*own, *sorted(offered, key=lambda knob: knob.name not in self._environment.space and knob.name not in names)]
         for knob in order:
-            if knob.parameter not in taken:
-                taken.add(knob.parameter)
+            first = taken.get(knob.parameter)
+            if first is None:
+                taken[knob.parameter] = knob.name
                 unique.append(knob)
+            elif first != knob.name:
+                self.dropped.append((knob.name, f"its parameter {knob.parameter} is that of {first}"))
         self.dropped += [(knob.name, f"the task has more than {MAX_KNOBS} parameters") for knob in unique[MAX_KNOBS:]]
         return unique[:MAX_KNOBS]
 
-    def _can_observe(self) -> bool:
-        return self._environment.observe is not None or hasattr(self._env.unwrapped, "_get_obs")
-
-    def _observe(self) -> Any:
+    def _find_observe(self, first: Any) -> Callable[[Any], Any] | None:
+        """How an observation is taken again after a change: as declared, or with `_get_obs()` if it returns the observation of the
+        last reset. With observation wrappers, or with arguments, it does not."""
         if self._environment.observe is not None:
-            return self._environment.observe(self._env)
-        return self._env.unwrapped._get_obs()
+            return self._environment.observe
+        if not callable(getattr(self._env.unwrapped, "_get_obs", None)):
+            return None
+        try:
+            return _get_obs if same(_get_obs(self._env), first) else None
+        except Exception:  # any function may have this name
+            return None
 
     def _is_deterministic(self, doing: Callable[[str], None]) -> bool:
         """Run one scenario twice, with another one in between, and compare all states."""
@@ -226,6 +250,19 @@ class Adapter:
                 break
             states.append(self.state_hash())
         return states
+
+    def _require_success(self, doing: Callable[[str], None]) -> None:
+        """Raise if the environment does not report success. Many do so at the end of an episode only, so one is run to its end."""
+        if self._task.success is not None or _reported(self._trajectory) is not None:
+            return
+        from robogate_bridge import Action, Scenario
+
+        doing("reset")
+        self.reset(Scenario(index=3, seed=0, parameters={}))
+        random, ending = np.random.default_rng(3), None
+        while ending is None:
+            doing("step")
+            ending = self.step(Action("vector", random.uniform(self._actions.low, self._actions.high).tolist()))["ending"]
 
     # Episodes
 
@@ -248,7 +285,7 @@ class Adapter:
         if self._model is not None and requested:
             self._model.finish()
         if any(knob.moves for knob, _ in requested):
-            observation = self._observe()
+            observation = self._observe(self._env)
         applied = {knob.parameter: self._read(knob) for knob, _ in requested}
         # Friction is read again in every step: the engine decides it contact by contact.
         self._watched = [(knob, value) for knob, value in requested if knob.watch is not None]
@@ -375,7 +412,7 @@ class Adapter:
         if self._task.success is None:
             # Most environments report it in this way.
             reported = info.get("success", info)
-            done = reported if type(reported) is bool else bool(reported) if type(reported) is float else _succeeded(trajectory)
+            done = reported if type(reported) is bool else bool(reported) if type(reported) is float else self._succeeded(trajectory)
         else:
             done = self._task.success(trajectory)
         if done:
@@ -384,6 +421,17 @@ class Adapter:
         if failure is None and trajectory.over:
             failure = "terminated" if trajectory.terminated else "timeout"
         return None if failure is None else {"failure": failure}
+
+    def _succeeded(self, trajectory: Trajectory) -> bool:
+        reported = _reported(trajectory)
+        if reported is None and trajectory.over:
+            example = _example(trajectory.env, self._task.name, "success=lambda t: t.rewards[-1] > 0.9")
+            raise Problem(
+                "setup",
+                "the environment reports no success: until the end of an episode, info had neither `success` nor `is_success`, and there "
+                f"is no check_success(). Say in a file what success is, and name the file with --env. If it is a reward above 0.9:\n{example}",
+            )
+        return bool(reported)
 
     def _check(self, model: Model) -> None:
         """Raise if the physics diverged, or if a parameter does not act any more."""
@@ -450,6 +498,10 @@ class Adapter:
             raise Problem("setup", f"MuJoCo cannot render the camera {name}: {why}. Set MUJOCO_GL to egl, osmesa or glfw") from why
 
 
+def _get_obs(env: Any) -> Any:
+    return env.unwrapped._get_obs()
+
+
 def _values(result: Any) -> str:
     return f"{len(result)} values" if isinstance(result, tuple) else f"a {type(result).__name__}"
 
@@ -460,19 +512,31 @@ def _seed(scenario: Any) -> int:
     return int.from_bytes(digest, "little") >> 1
 
 
-def _succeeded(trajectory: Trajectory) -> bool:
-    """Success as most environments report it."""
-    info = trajectory.info
-    for key in ("success", "is_success"):
-        if key in info:
-            value = info[key]
-            # `np.all` of one number takes ten times as long.
-            return bool(np.all(value)) if isinstance(value, (np.ndarray, list, tuple)) else bool(value)
+def _reported(trajectory: Trajectory) -> bool | None:
+    """Success as most environments report it. None if this one has not reported anything yet."""
+    for info in reversed(trajectory.infos):
+        for key in ("success", "is_success"):
+            if key in info:
+                # Reported earlier and not now: this step is no success.
+                return info is trajectory.infos[-1] and _truth(info[key])
     check = getattr(trajectory.env.unwrapped, "check_success", None) or getattr(trajectory.env.unwrapped, "_check_success", None)
-    if check is None:
-        raise Problem(
-            "setup",
-            "the environment reports no success: info has neither `success` nor `is_success`, and there is no check_success(). "
-            "Set `success` in its Task",
-        )
-    return bool(check())
+    return None if check is None else _truth(check())
+
+
+def _truth(value: Any) -> bool:
+    # `np.all` of one number takes ten times as long.
+    return bool(np.all(value)) if isinstance(value, (np.ndarray, list, tuple)) else bool(value)
+
+
+def _example(env: Any, name: str, field: str) -> str:
+    """A file that declares a Task with this field."""
+    specification = getattr(env, "spec", None)
+    identifier = getattr(specification, "id", None)
+    first, make = "", type(env.unwrapped).__name__
+    if identifier:
+        entry = getattr(specification, "entry_point", None)
+        module = entry.partition(":")[0].partition(".")[0] if isinstance(entry, str) else ""
+        registered = identifier if module in ("", "gymnasium") else f"{module}:{identifier}"
+        first, make = "    import gymnasium\n", f'lambda: gymnasium.make("{registered}")'
+    task = f'Task(name="{name.rpartition(".")[2].lower()}", {field})'
+    return f"{first}    from robogate_eval import Environment, Task\n    environment = Environment(make={make}, task={task})"

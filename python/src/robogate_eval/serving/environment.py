@@ -109,7 +109,8 @@ class Environment:
     # What can be varied: `Knob` objects, and names of MuJoCo knobs such as "mass:obj" (see `robogate_eval.serving.mujoco`).
     # "*" stands for all that the model offers.
     knobs: Sequence[str | Knob] = ("*",)
-    # The space that is sampled by default: (low, high) or (low, high, "log") for the name of a knob.
+    # The space that is sampled by default: (low, high) or (low, high, "log") for the name of a knob, or its choices. Without any:
+    # `Knob` objects over their ranges, and moderate ranges of knobs that are named or are usual (`default_space.py`).
     space: Mapping[str, tuple] = field(default_factory=dict)
     # By name.
     policies: Mapping[str, Policy] = field(default_factory=dict)

@@ -84,6 +84,15 @@ class Observations:
         return observation
 
 
+def same(one: Any, other: Any) -> bool:
+    """Whether two observations have the same structure and, up to single precision, the same numbers."""
+    if isinstance(one, dict) or isinstance(other, dict):
+        both = isinstance(one, dict) and isinstance(other, dict) and one.keys() == other.keys()
+        return both and all(same(one[key], other[key]) for key in one)
+    one, other = np.asarray(one), np.asarray(other)
+    return one.shape == other.shape and np.allclose(one, other, rtol=1e-5, atol=1e-6, equal_nan=True)
+
+
 def _at(observation: Any, path: Sequence[str]) -> Any:
     for key in path:
         observation = observation[key]
