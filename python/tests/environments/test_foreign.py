@@ -8,7 +8,7 @@ import unittest
 import gymnasium
 import mujoco
 import numpy as np
-from robogate_bridge import Action, Scenario, declaration
+from robogate_bridge import Action, Problem, Scenario, declaration
 from robogate_eval.environments import UnknownEnvironment, find
 from robogate_eval.serving import Knob, Task
 from robogate_eval.serving.adapter import Adapter
@@ -168,6 +168,77 @@ class Success(unittest.TestCase):
     def test_without_any_report_a_file_is_shown(self):
         with self.assertRaisesRegex(DeclarationError, r'gymnasium.make\("CartPole-v1".*\n?.*success=lambda'):
             adapter(lambda: _Continuous(gymnasium.make("CartPole-v1")))
+
+
+class Time(unittest.TestCase):
+    def test_control_period_is_that_of_the_physics(self):
+        class Wrong(SlidingBox):
+            dt = 0.005
+
+        class Silent(SlidingBox):
+            dt = None
+
+        # Ten steps of 5 ms.
+        self.assertEqual([adapter(make).hello()["task"]["control_period_s"] for make in (SlidingBox, Wrong, Silent)], [0.05] * 3)
+
+    def test_two_control_periods_without_physics_are_refused(self):
+        with self.assertRaisesRegex(DeclarationError, "`dt` says 0.05 s, and .*render_fps.* 0.0333333 s.*is unknown"):
+            adapter(lambda: gymnasium.make("Pendulum-v1"))
+
+
+class History(unittest.TestCase):
+    def test_resets_that_keep_the_memory_of_the_solver_repeat(self):
+        class Keeps(SlidingBox):
+            def reset(self, seed=None, options=None):
+                super(SlidingBox, self).reset(seed=seed)
+                self.data.qpos[:], self.data.qvel[:], self.data.time = self.model.qpos0, 0.0, 0.0
+                self.data.qpos[1] = self.np_random.uniform(-0.02, 0.02)
+                # The positions settle, from the forces of the last episode.
+                mujoco.mj_step(self.model, self.data, 10)
+                self.start = float(self.data.qpos[1])
+                return self._get_obs(), {}
+
+        self.assertTrue(adapter(Keeps).deterministic)
+
+    def test_chance_of_its_own_does_not_repeat(self):
+        class Chance(SlidingBox):
+            def reset(self, seed=None, options=None):
+                return super().reset(seed=None)
+
+        self.assertFalse(adapter(Chance).deterministic)
+
+
+class Delay(unittest.TestCase):
+    def delayed(self, low):
+        class Bounded(SlidingBox):
+            action_space = gymnasium.spaces.Box(low, 0.4, (1,))
+
+        found = adapter(Bounded)
+        found.reset(Scenario(0, 1, {"action_delay": 2}))
+        for action in (0.1, 0.2, 0.3, 0.4):
+            found.step(Action("vector", [action]))
+        return [round(float(action[0]), 3) for action in found._trajectory.actions]
+
+    def test_first_action_is_held_where_zeros_are_no_rest(self):
+        self.assertEqual(self.delayed(-0.2), [0.0, 0.0, 0.1, 0.2])
+        self.assertEqual(self.delayed(0.0), [0.1, 0.1, 0.1, 0.2])
+
+
+class Divergence(unittest.TestCase):
+    def test_physics_error_is_no_fault_of_the_server(self):
+        class PhysicsError(RuntimeError):
+            pass
+
+        class Explodes(SlidingBox):
+            def step(self, action):
+                if action[0] > 0.399:
+                    raise PhysicsError("Physics state is invalid.")
+                return super().step(action)
+
+        found = adapter(Explodes)
+        found.reset(Scenario(0, 1, {}))
+        with self.assertRaisesRegex(Problem, "diverged: Physics state is invalid"):
+            found.step(Action("vector", [0.4]))
 
 
 class _Continuous(gymnasium.ActionWrapper):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import time
 from collections.abc import Callable
 from functools import partial
@@ -50,11 +51,12 @@ class Adapter:
         self._env = env = environment.make()
         self._observations = Observations(env.observation_space)
         self._actions = Actions(env.action_space, self._task.action_names)
-        self._period = self._control_period()
-        self._limit = self._step_limit()
         rest = np.zeros(len(self._actions.low)) if self._task.rest_action is None else np.asarray(self._task.rest_action)
+        # Where zeros are at a bound or outside, they are no rest.
+        known = self._task.rest_action is not None or bool((self._actions.low < 0.0).all() and (self._actions.high > 0.0).all())
         lengths = {name: length for name, (_, length) in self._observations.vectors.items()}
-        self._disturbances = Disturbances(lengths, self._actions.decode(rest))
+        rest = self._actions.decode(rest)
+        self._disturbances = Disturbances(lengths, rest if known else None)
         doing("reset")
         first = env.reset(seed=0)
         if not isinstance(first, tuple) or len(first) != 2:
@@ -65,6 +67,8 @@ class Adapter:
             self._model: Model | None = Model(env)
         except (NoModel, ImportError):
             self._model = None
+        self._period = self._control_period(rest, doing)
+        self._limit = self._step_limit()
         doing("knobs")
         # Knobs that do not act, with the reason.
         self.dropped: list[tuple[str, str]] = []
@@ -149,17 +153,34 @@ class Adapter:
         named = {knob for knob in wanted if isinstance(knob, str)}
         return default_space(self.knobs, own, named, self._model, self._period)
 
-    def _control_period(self) -> float:
-        base = self._env.unwrapped
+    def _control_period(self, rest: np.ndarray, doing: Callable[[str], None]) -> float:
         if self._task.control_period_s is not None:
             return float(self._task.control_period_s)
-        period = getattr(base, "dt", None)
-        if isinstance(period, (int, float)) and period > 0:
-            return float(period)
-        rate = (getattr(base, "metadata", None) or {}).get("render_fps")
+        base = self._env.unwrapped
+        period, rate = getattr(base, "dt", None), (getattr(base, "metadata", None) or {}).get("render_fps")
+        stated = [float(period)] if isinstance(period, (int, float)) and period > 0 else []
         if rate:
-            return 1.0 / float(rate)
-        raise DeclarationError(self._unknown("control period", "control_period_s=0.05"))
+            stated.append(1.0 / float(rate))
+        if self._model is not None and (simulated := self._simulated_period(self._model, rest, doing)) > 0.0:
+            return next((one for one in stated if math.isclose(one, simulated, rel_tol=0.01)), round(simulated, 9))
+        example = "control_period_s=0.05"
+        if not stated:
+            raise DeclarationError(self._unknown("control period", example))
+        if not math.isclose(stated[0], stated[-1], rel_tol=0.01):
+            what = f'control period (`dt` says {stated[0]:g} s, and `metadata["render_fps"]` {stated[-1]:g} s)'
+            raise DeclarationError(self._unknown(what, example))
+        return stated[0]
+
+    def _simulated_period(self, model: Model, rest: np.ndarray, doing: Callable[[str], None]) -> float:
+        """How far a step moves the time of the physics."""
+        before = float(model.data.time)
+        doing("step")
+        self._env.step(rest)
+        after = float(model.data.time)
+        doing("reset")
+        self._env.reset(seed=0)
+        model.bind(self._env)
+        return after - before
 
     def _step_limit(self) -> int:
         if self._task.time_limit_s is not None:
@@ -233,9 +254,18 @@ class Adapter:
 
     def _is_deterministic(self, doing: Callable[[str], None]) -> bool:
         """Run one scenario twice, with another one in between, and compare all states."""
-        first = self._states(1, 25, doing)
-        self._states(2, 10, doing)
-        return first == self._states(1, 25, doing)
+
+        def repeats() -> bool:
+            first = self._states(1, 25, doing)
+            self._states(2, 10, doing)
+            return first == self._states(1, 25, doing)
+
+        if repeats():
+            return True
+        if self._model is None:
+            return False
+        self._model.keep_state()
+        return repeats()
 
     def _states(self, index: int, steps: int, doing: Callable[[str], None]) -> list[int]:
         from robogate_bridge import Action, Scenario
@@ -271,7 +301,7 @@ class Adapter:
         # The order of the declaration: a mass is set before the inertia that scales with it.
         requested.sort(key=lambda pair: self._order[pair[0].parameter])
         if self._model is not None:
-            self._model.restore()
+            self._model.before_reset()
         self._disturbances.begin(scenario.seed, scenario.index)
         for knob, value in requested:
             if knob.before_reset:
@@ -386,7 +416,13 @@ class Adapter:
         executed = self._actions.decode(numbers)
         if self._disturbances.delays:
             executed = self._disturbances.delayed(executed)
-        result = self._env.step(executed)
+        try:
+            result = self._env.step(executed)
+        except Exception as error:
+            # dm_control's, by its name: the package may be missing.
+            if type(error).__name__ == "PhysicsError":
+                raise Problem("diverged", str(error)) from error
+            raise
         try:
             observation, reward, terminated, truncated, info = result
         except (TypeError, ValueError):
@@ -426,10 +462,12 @@ class Adapter:
         reported = _reported(trajectory)
         if reported is None and trajectory.over:
             example = _example(trajectory.env, self._task.name, "success=lambda t: t.rewards[-1] > 0.9")
+            has = ", ".join(map(str, trajectory.info)) or "nothing"
             raise Problem(
                 "setup",
-                "the environment reports no success: until the end of an episode, info had neither `success` nor `is_success`, and there "
-                f"is no check_success(). Say in a file what success is, and name the file with --env. If it is a reward above 0.9:\n{example}",
+                "the environment reports no success: until the end of an episode, info had neither `success` nor `is_success` (it has "
+                f"{has}), and there is no check_success(). Say in a file what success is, and name the file with --env. If it is a reward "
+                f"above 0.9:\n{example}",
             )
         return bool(reported)
 

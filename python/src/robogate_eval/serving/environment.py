@@ -73,7 +73,7 @@ class Task:
     version: int = 1
     # Default: the environment's own (`max_episode_steps` or `max_path_length`).
     time_limit_s: float | None = None
-    # Default: the environment's own (`dt` or `metadata["render_fps"]`).
+    # Default: the time that a step takes in MuJoCo; otherwise the environment's own (`dt`, `metadata["render_fps"]`).
     control_period_s: float | None = None
     # Called after each step. Default: `info["success"]`, `info["is_success"]` or `env.check_success()`.
     success: Callable[[Trajectory], bool] | None = None
@@ -92,7 +92,8 @@ class Task:
     cameras: Sequence[Camera] = ()
     # Names of the numbers of an action. Default: action_0, action_1, ...
     action_names: Sequence[str] = ()
-    # What the environment runs while a delayed action is under way. Default: zeros, clipped to the bounds.
+    # What the environment runs until the first delayed action takes effect. Default: zeros, or the first action if a bound excludes
+    # them. State it if the numbers are absolute positions.
     rest_action: Sequence[float] | None = None
 
 

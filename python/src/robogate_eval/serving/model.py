@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 from typing import Any
 
+import numpy as np
+
 
 class NoModel(LookupError):
     """The environment has no MuJoCo model that can be found."""
@@ -66,6 +68,8 @@ class Model:
     def __init__(self, env: Any):
         self._edits: list[tuple[Any, Any, Any]] = []
         self._derived = False
+        # A model and a state of it, from which each reset starts.
+        self._kept: tuple[Any, Any] | None = None
         # Friction that was requested in this episode, by geom.
         self.friction: dict[int, float] = {}
         self.model: Any = None
@@ -88,6 +92,23 @@ class Model:
         # Positions after the reset.
         self.start = data.qpos.copy()
         self._time = float(data.time)
+
+    def keep_state(self) -> None:
+        """Let each reset start from the present state. Some environments reset positions and velocities only, and what the solver
+        remembers of the last episode then acts in the next one."""
+        import mujoco
+
+        state = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))
+        mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self._kept = (self.model, state)
+
+    def before_reset(self) -> None:
+        """Undo all edits, and return to the state that was kept."""
+        self.restore()
+        if self._kept is not None and self._kept[0] is self.model:
+            import mujoco
+
+            mujoco.mj_setState(self.model, self.data, self._kept[1], mujoco.mjtState.mjSTATE_INTEGRATION)
 
     def edit(self, array: Any, index: Any, value: Any) -> None:
         """Write to an array of the model, and remember what was there."""
