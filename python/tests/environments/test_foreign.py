@@ -14,7 +14,7 @@ from robogate_eval.serving import Knob, Task
 from robogate_eval.serving.adapter import Adapter
 from robogate_eval.serving.environment import DeclarationError, Environment
 from robogate_eval.serving.knobs import parameter_name
-from sliding_box import SlidingBox
+from sliding_box import XML, SlidingBox
 
 
 def adapter(make, **options):
@@ -170,6 +170,59 @@ class Success(unittest.TestCase):
             adapter(lambda: _Continuous(gymnasium.make("CartPole-v1")))
 
 
+    def test_text_is_no_report(self):
+        class Text(SlidingBox):
+            def step(self, action):
+                return (*super().step(action)[:4], {"success": "false"})
+
+        with self.assertRaisesRegex(DeclarationError, "the text 'false'. Expected True or False"):
+            adapter(Text)
+
+
+class Spaces(unittest.TestCase):
+    def test_tuples_and_numbers_are_vectors(self):
+        class Mixed(SlidingBox):
+            observation_space = gymnasium.spaces.Tuple([SlidingBox.observation_space, gymnasium.spaces.MultiDiscrete([3, 3])])
+
+            def _get_obs(self):
+                return super()._get_obs(), np.array([1, 2])
+
+        found = adapter(Mixed)
+        vectors = found.reset(Scenario(0, 1, {"noise_0_box": 0.1, "shift_x_box": 0.1}))["observation"]["vectors"]
+        self.assertEqual({name: len(numbers) for name, numbers in vectors.items()}, {"0.box": 3, "0.pusher.x": 1, "1": 2})
+        self.assertEqual(vectors["1"], [1.0, 2.0])
+
+    def test_observations_of_another_size_are_refused(self):
+        class Grows(SlidingBox):
+            def step(self, action):
+                observation, *others = super().step(action)
+                return {**observation, "box": np.zeros(4)}, *others
+
+        with self.assertRaisesRegex(DeclarationError, "returned box with 4 numbers, and its observation_space declares 3"):
+            adapter(Grows)
+
+    def test_many_worlds_at_once_are_refused(self):
+        with self.assertRaisesRegex(DeclarationError, "steps 3 worlds at once"):
+            adapter(lambda: gymnasium.make_vec("Pendulum-v1", num_envs=3, vectorization_mode="sync"))
+
+    def test_reset_without_a_seed_is_refused(self):
+        class Old(SlidingBox):
+            def reset(self):
+                return super().reset()[0]
+
+        with self.assertRaisesRegex(DeclarationError, "reset takes no seed"):
+            adapter(Old)
+
+    def test_missing_rewards_are_refused(self):
+        class NoReward(SlidingBox):
+            def step(self, action):
+                observation, _, *others = super().step(action)
+                return observation, None, *others
+
+        with self.assertRaisesRegex(DeclarationError, "step returned the reward None. Expected a number"):
+            adapter(NoReward)
+
+
 class Time(unittest.TestCase):
     def test_control_period_is_that_of_the_physics(self):
         class Wrong(SlidingBox):
@@ -206,6 +259,23 @@ class History(unittest.TestCase):
                 return super().reset(seed=None)
 
         self.assertFalse(adapter(Chance).deterministic)
+
+
+class ChangingModels(unittest.TestCase):
+    def test_knobs_of_bodies_are_not_offered(self):
+        class Changes(SlidingBox):
+            count = 0
+
+            def _build(self):
+                self.count += 1
+                extra = f'<body name="more" pos="0 {self.count} 1"><freejoint/><geom size="0.05"/></body>' * (self.count % 2)
+                self.model = mujoco.MjModel.from_xml_string(XML.replace("</worldbody>", f"{extra}</worldbody>"))
+                self.data = mujoco.MjData(self.model)
+
+        found = adapter(lambda: Changes(rebuild=True))
+        self.assertEqual({knob.name for knob in found.knobs}, {"action_delay", "noise:box", "noise:pusher.x", "gravity", "gain", "light"})
+        self.assertIn(("mass:box", "each reset builds a model with other bodies or joints"), found.dropped)
+        self.assertEqual(set(sampled(found)), {"action_delay", "gain"})
 
 
 class Delay(unittest.TestCase):

@@ -150,6 +150,12 @@ def _space(world: World) -> dict[str, tuple]:
     model = Model(world)
     m = model.model
     space: dict[str, tuple] = {}
+    for seed in range(3):
+        world.reset(seed)
+        model.bind(world)
+        if model.differs:
+            # Which bricks are fixed changes from one episode to the next.
+            return {"gain": (0.3, 2.0, "log"), "action_delay": (0, 8)}
     for body, name in enumerate(model.names("body")):
         if not m.body_jntnum[body] or m.jnt_type[m.body_jntadr[body]] != 0 or name.startswith(ARM):
             continue

@@ -49,6 +49,8 @@ class Adapter:
         self._task = environment.task
         doing("make")
         self._env = env = environment.make()
+        if (worlds := getattr(env, "num_envs", 1)) != 1:
+            raise DeclarationError(f"the environment steps {worlds} worlds at once (num_envs). Expected one: RoboGate starts a process for each")
         self._observations = Observations(env.observation_space)
         self._actions = Actions(env.action_space, self._task.action_names)
         rest = np.zeros(len(self._actions.low)) if self._task.rest_action is None else np.asarray(self._task.rest_action)
@@ -58,7 +60,7 @@ class Adapter:
         rest = self._actions.decode(rest)
         self._disturbances = Disturbances(lengths, rest if known else None)
         doing("reset")
-        first = env.reset(seed=0)
+        first = self._first_reset()
         if not isinstance(first, tuple) or len(first) != 2:
             raise DeclarationError(f"reset returned {_values(first)}. Expected observation and info, as in Gymnasium")
         self._observations.check(first[0])
@@ -72,20 +74,44 @@ class Adapter:
         doing("knobs")
         # Knobs that do not act, with the reason.
         self.dropped: list[tuple[str, str]] = []
-        self.knobs = self._knobs()
-        self._by_parameter = {knob.parameter: knob for knob in self.knobs}
-        self._order = {knob.parameter: position for position, knob in enumerate(self.knobs)}
+        # Whether a reset of the check below built another model.
+        self._changes = False
+        self._offer(self._knobs())
         self._cameras = self._find_cameras()
         self._pictures = Pictures()
         self._hash = 0
         try:
             self.deterministic = self._is_deterministic(doing)
             self._require_success(doing)
+            if self._model is not None and self._changes:
+                self.dropped += [(knob.name, "each reset builds a model with other bodies or joints") for knob in self.knobs if self._is_bound(knob)]
+                self._offer([knob for knob in self.knobs if not self._is_bound(knob)])
         except Problem as problem:
             # The first episode of any environment shows what its declaration lacks.
             if problem.kind in ("setup", "not_applied"):
                 raise DeclarationError(problem.detail) from None
             raise
+
+    def _offer(self, knobs: list[Knob]) -> None:
+        self.knobs = knobs
+        self._by_parameter = {knob.parameter: knob for knob in knobs}
+        self._order = {knob.parameter: position for position, knob in enumerate(knobs)}
+
+    def _is_bound(self, knob: Knob) -> bool:
+        """Whether a knob changes a body, joint or camera by its number in the first model."""
+        own = any(knob is one for one in self._environment.knobs)
+        return not own and ":" in knob.name and not knob.name.startswith(("gain:", "noise:"))
+
+    def _first_reset(self) -> Any:
+        try:
+            return self._env.reset(seed=0)
+        except TypeError as error:
+            if "seed" not in str(error):
+                raise
+            raise DeclarationError(
+                "reset takes no seed. Expected Gymnasium's reset(seed=..., options=...), from which all randomness of an episode follows. "
+                "The package shimmy translates environments of the older gym"
+            ) from None
 
     # Declaration
 
@@ -272,6 +298,7 @@ class Adapter:
 
         doing("reset")
         self.reset(Scenario(index=index, seed=0, parameters={}))
+        self._changes = self._changes or (self._model is not None and self._model.differs)
         random, states = np.random.default_rng(index), [self.state_hash()]
         for _ in range(min(steps, self._limit)):
             numbers = random.uniform(self._actions.low, self._actions.high).tolist()
@@ -309,6 +336,8 @@ class Adapter:
         observation, _ = self._env.reset(seed=_seed(scenario))
         if self._model is not None:
             self._model.bind(self._env)
+            if self._model.differs and (bound := [knob.name for knob, _ in requested if self._is_bound(knob)]):
+                raise Problem("not_applied", f"the reset built a model with other bodies or joints, so {bound[0]} has no meaning")
         for knob, value in requested:
             if not knob.before_reset:
                 knob.set(self._env, value)
@@ -430,7 +459,10 @@ class Adapter:
         trajectory = self._trajectory
         trajectory.observations.append(observation)
         trajectory.actions.append(executed)
-        trajectory.rewards.append(float(reward))
+        try:
+            trajectory.rewards.append(float(reward))
+        except (TypeError, ValueError):
+            raise Problem("setup", f"step returned the reward {reward!r:.80}. Expected a number") from None
         trajectory.infos.append(info)
         trajectory.terminated = bool(terminated)
         trajectory.over = over = bool(terminated or truncated or len(trajectory.actions) >= self._limit)
@@ -562,6 +594,8 @@ def _reported(trajectory: Trajectory) -> bool | None:
 
 
 def _truth(value: Any) -> bool:
+    if isinstance(value, str):
+        raise Problem("setup", f"info reports success as the text {value!r:.40}. Expected True or False")
     # `np.all` of one number takes ten times as long.
     return bool(np.all(value)) if isinstance(value, (np.ndarray, list, tuple)) else bool(value)
 

@@ -62,6 +62,12 @@ def rigid(model: Any, body: int) -> list[int]:
     return bodies
 
 
+def _layout(model: Any) -> tuple:
+    """What the numbers of bodies, joints and geoms of a model mean."""
+    arrays = (model.body_parentid, model.body_weldid, model.jnt_type, model.jnt_bodyid, model.jnt_qposadr, model.geom_bodyid, model.geom_type)
+    return (model.names, model.nu, *(array.tobytes() for array in arrays))
+
+
 class Model:
     """The model and data of an environment. Edits are undone before the next reset."""
 
@@ -74,6 +80,9 @@ class Model:
         self.friction: dict[int, float] = {}
         self.model: Any = None
         self.data: Any = None
+        # Whether a reset built a model with other bodies, joints or geoms than the first one.
+        self.differs = False
+        self._layout: tuple | None = None
         self.bind(env)
 
     def bind(self, env: Any) -> None:
@@ -84,6 +93,9 @@ class Model:
 
             # For computations that must not change the episode.
             self.scratch = mujoco.MjData(model)
+            layout = _layout(model)
+            self._layout = self._layout or layout
+            self.differs = layout != self._layout
         self.model, self.data = model, data
         # Views of the memory of the engine.
         self._state = (data.qpos, data.qvel, data.act, data.mocap_pos, data.mocap_quat, data.qacc_warmstart)
