@@ -129,7 +129,8 @@ def as_environment(value: Any, name: str) -> Environment:
     if isinstance(value, Environment):
         return value
     if not callable(value):
-        raise DeclarationError(f"{name}: expected an Environment or a function that makes one, not {type(value).__name__}")
+        hint = ". Hint: `lambda: ...` around what makes it" if hasattr(value, "reset") else ""
+        raise DeclarationError(f"{name}: expected an Environment or a function that makes one, not {type(value).__name__}{hint}")
     # A class, or a function that is annotated with something else, makes a Gymnasium environment.
     if not isinstance(value, type):
         made = value()

@@ -66,7 +66,7 @@ def unnamed(model: Model, named: set[str]) -> list[tuple[str, str]]:
         found = [str(index) for index in found if str(index) not in of]
         if found:
             what = f"{kind} {found[0]}" if len(found) == 1 else f"{len(found)} {'bodies' if kind == 'body' else 'joints'}"
-            which = "" if len(found) == 1 else f" (numbers {', '.join(found)})"
+            which = "" if len(found) == 1 else f" (numbers {', '.join(found[:8])}{', ...' if len(found) > 8 else ''})"
             out.append((what, f'no name{which}. To vary one, name it in the model, or use its number: knobs=["*", "{knob}:{found[0]}"]'))
     return out
 
