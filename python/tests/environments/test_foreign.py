@@ -1,9 +1,14 @@
 """Environments that were not written for RoboGate. They need gymnasium, mujoco, pyzmq and msgpack."""
 
 import contextlib
+import os
+import select
+import subprocess
 import sys
+import tempfile
 import types
 import unittest
+from pathlib import Path
 
 import gymnasium
 import mujoco
@@ -309,6 +314,30 @@ class Divergence(unittest.TestCase):
         found.reset(Scenario(0, 1, {}))
         with self.assertRaisesRegex(Problem, "diverged: Physics state is invalid"):
             found.step(Action("vector", [0.4]))
+
+
+class Processes(unittest.TestCase):
+    def test_processes_of_an_environment_end_with_its_server(self):
+        forking = "import os, time\nfrom sliding_box import SlidingBox\nclass Forks(SlidingBox):\n    def __init__(self):\n        super().__init__()\n"
+        forking += "        if os.fork() == 0:\n            time.sleep(3600)\n"
+        ours, theirs = os.pipe()
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "forks.py"
+            file.write_text(forking)
+            paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+            server = subprocess.Popen(
+                [sys.executable, "-m", "robogate_eval.environments", "serve", "--child", f"{file}:Forks"], stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, pass_fds=[theirs], env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+            )  # fmt: skip
+            os.close(theirs)
+            with server:
+                while b"listening" not in (line := server.stdout.readline()):
+                    self.assertTrue(line, "the server ended")
+                # Both processes hold the other end of the pipe.
+                server.stdin.close()
+                self.assertTrue(select.select([ours], [], [], 60)[0], "a process is left")
+                self.assertEqual(os.read(ours, 1), b"")
+        os.close(ours)
 
 
 class _Continuous(gymnasium.ActionWrapper):
