@@ -73,6 +73,11 @@ impl Simulators {
         note(format_args!("starting {environment} in {}", interpreter.path().display()));
         let (servers, address) = Servers::start(environment.to_owned(), interpreter, self.timeouts())?;
         let pool = Pool::connect(&[address], self.timeouts(), listener()).map_err(pool_error)?;
+        if !pool.hello().deterministic {
+            note(format_args!(
+                "note: {environment} does not repeat an episode of the same seed and actions, so `robogate replay` differs from the record"
+            ));
+        }
         let starter = Arc::clone(&servers);
         let pool = pool.with_restart(Box::new(move |position| starter.restart(position)));
         Ok((Arc::new(pool), servers))

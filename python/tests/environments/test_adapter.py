@@ -190,8 +190,8 @@ class Declaring(unittest.TestCase):
             def _get_obs(self):
                 return {"box": np.zeros(3)}
 
-        class Tuple(SlidingBox):
-            observation_space = gymnasium.spaces.Tuple([gymnasium.spaces.Box(-1.0, 1.0, (2,))])
+        class Text(SlidingBox):
+            observation_space = gymnasium.spaces.Text(10)
 
         class Numbered(SlidingBox):
             action_space = gymnasium.spaces.Discrete(3)
@@ -211,7 +211,7 @@ class Declaring(unittest.TestCase):
         for make, part in (
             (Other, "declares box with 3 numbers, but reset returned 2 numbers"),
             (Missing, "declares pusher.x with 1 numbers, but reset returned a dict with the keys box"),
-            (Tuple, "the observation is a Tuple"),
+            (Text, "the observation is a Text"),
             (Numbered, "the action space is a Discrete.*ActionWrapper"),
             (Old, "step returned 4 values"),
             (OldReset, "reset returned a dict"),

@@ -132,6 +132,11 @@ impl Replay {
                 line(bold("DIFFERS from the recorded episode"));
                 line(format_args!("  recorded {}", describe(&before)));
                 line(format_args!("  replayed {}", describe(&again)));
+                if !subject.is_deterministic() {
+                    line(
+                        "  the environment is not deterministic: it does not repeat an episode of the same seed (see `robogate env inspect`)",
+                    );
+                }
                 let now = subject.provenance(settings.provenance.space.clone())?.as_known_in(&settings.provenance);
                 let was = &settings.provenance;
                 if (&now.tool, &now.build, &now.engine, &now.robot, &now.platform)

@@ -42,6 +42,7 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/scripted/skills.py"),
     embedded!("robogate_eval/serving/__init__.py"),
     embedded!("robogate_eval/serving/adapter.py"),
+    embedded!("robogate_eval/serving/default_space.py"),
     embedded!("robogate_eval/serving/disturbances.py"),
     embedded!("robogate_eval/serving/environment.py"),
     embedded!("robogate_eval/serving/friction.py"),

@@ -95,11 +95,16 @@ impl Interpreter {
     pub(crate) fn ask<T: DeserializeOwned>(&self, verb: &str, arguments: &[&str]) -> Result<T, Exit> {
         let child = self.command(verb).args(arguments).spawn().map_err(|why| self.unusable(&why)).or_usage()?;
         let mut process = Process::new(child);
-        let answer = process.answer(arguments.first().unwrap_or(&verb), &Timeouts::default());
-        let line = answer.map_err(|why| {
-            let late = why.late.as_ref().map(|late| format!("{late}\n")).unwrap_or_default();
-            let message = format!("{late}{}", readable(&why.output));
-            why.exit(if message.is_empty() { "it printed nothing".to_owned() } else { message })
+        let what = arguments.first().unwrap_or(&verb);
+        let line = process.answer(what, &Timeouts::default()).map_err(|why| {
+            let how = match (&why.late, why.status) {
+                (Some(late), _) => late.clone(),
+                (None, Some(status)) => status.to_string(),
+                (None, None) => "no answer".to_owned(),
+            };
+            let output = readable(&why.output);
+            let output = if output.is_empty() { "It printed nothing.".to_owned() } else { output };
+            why.exit(format!("{what} fails in {}: {how}\n{output}", self.python.display()))
         })?;
         let parsed = serde_json::from_str(&line);
         parsed.with_context(|| format!("{}: cannot read the answer to `{verb}`", self.python.display())).or_broken()

@@ -123,6 +123,14 @@ impl EnvironmentSource {
         })
     }
 
+    /// Whether the same scenario and actions give the same episode.
+    pub(crate) fn is_deterministic(&self) -> bool {
+        match self {
+            Self::Cell(_) | Self::Arm(_) | Self::SelfContained(_) => true,
+            Self::Remote(source) => source.pool.hello().deterministic,
+        }
+    }
+
     /// Creates an environment.
     pub(crate) fn environment(&self) -> anyhow::Result<Box<dyn Environment>> {
         Ok(match self {

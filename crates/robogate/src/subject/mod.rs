@@ -208,6 +208,11 @@ impl Subject {
         self.policy.as_ref().map_or("scripted", PolicySource::name)
     }
 
+    /// Whether the environment repeats an episode with the same actions.
+    pub(crate) fn is_deterministic(&self) -> bool {
+        self.environment.is_deterministic()
+    }
+
     /// The source of the policy, unless it is the environment's own controller.
     pub(crate) fn policy_source(&self) -> Option<&PolicySource> {
         self.policy.as_ref()

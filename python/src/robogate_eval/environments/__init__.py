@@ -25,12 +25,13 @@ import dataclasses
 import difflib
 import hashlib
 import importlib
+import importlib.metadata
 import importlib.util
 import sys
 from pathlib import Path
 
 from ..serving.environment import Environment, as_environment
-from .family import Family, UnknownEnvironment
+from .family import Family, UnknownEnvironment, installed
 
 __all__ = ["Family", "UnknownEnvironment", "families", "find"]
 
@@ -47,8 +48,8 @@ def families() -> dict[str, Family]:
 def find(name: str) -> Environment:
     """Find an environment by its name.
 
-    A name is `FAMILY:NAME` of a bundled family, `gymnasium:ID` for a registered Gymnasium environment, or `FILE.py:ATTRIBUTE` or
-    `MODULE:ATTRIBUTE` for your own. The attribute is an `Environment`, or a function that returns one or a `gymnasium.Env`.
+    A name is `FAMILY:NAME` of a bundled family, `gymnasium:ID` for a registered Gymnasium environment (`gymnasium:MODULE:ID` if the
+    import of a module registers it), or `FILE.py:ATTRIBUTE` or `MODULE:ATTRIBUTE` for your own. The attribute is an `Environment`, or a function that returns one or a `gymnasium.Env`.
 
     Raises:
         UnknownEnvironment: There is no such environment.
@@ -83,13 +84,29 @@ def find(name: str) -> Environment:
 
 
 def _registered(identifier: str) -> Environment:
+    """An environment that is registered with Gymnasium: `ID`, or `MODULE:ID` if the import of a module registers it."""
     import gymnasium
 
+    module, _, own = identifier.rpartition(":")
+    if module:
+        importlib.import_module(module)
     try:
-        gymnasium.spec(identifier)
+        specification = gymnasium.spec(own)
     except gymnasium.error.Error as error:
-        raise UnknownEnvironment(f"gymnasium:{identifier}: {error}") from None
-    return as_environment(lambda: gymnasium.make(identifier), identifier)
+        hint = "" if module else "\n  hint: if another package registers it, gymnasium:MODULE:ID, for example gymnasium:gymnasium_robotics:HandReach-v3"
+        raise UnknownEnvironment(f"gymnasium:{identifier}: {error}{hint}") from None
+    return dataclasses.replace(as_environment(lambda: gymnasium.make(own), own), source=_package(specification.entry_point))
+
+
+def _package(entry_point: object) -> str:
+    """Name and version of the package that has this entry point, or nothing if no installed package has it."""
+    module = entry_point if isinstance(entry_point, str) else getattr(entry_point, "__module__", None) or ""
+    top = module.partition(":")[0].partition(".")[0]
+    try:
+        return installed(top) if top else ""
+    except importlib.metadata.PackageNotFoundError:
+        packages = importlib.metadata.packages_distributions().get(top, [])
+        return installed(packages[0]) if packages else ""
 
 
 def _load(file: Path):

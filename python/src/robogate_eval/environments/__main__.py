@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+import os
 import sys
+import traceback
+from pathlib import Path
 
 from ..serving.environment import DeclarationError
 from . import UnknownEnvironment, families, find
@@ -35,6 +38,21 @@ def main() -> None:
         _refuse(_missing(arguments, error))
     except DeclarationError as error:
         _refuse(f"{arguments.name}: {error}")
+    except Exception as error:
+        _report(error)
+
+
+def _report(error: Exception) -> None:
+    """End with the traceback of an error in the environment, without the frames of this package that called it."""
+    own = str(Path(__file__).parents[1])
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None and trace.tb_frame.f_code.co_filename.startswith(own):
+        trace = trace.tb_next
+    text = "".join(traceback.format_exception(type(error), error, trace))
+    print(text, end="", file=sys.stderr)
+    if not os.environ.get("MUJOCO_GL") and any(word in text for word in ("OpenGL", "GLFW", "gladLoadGL")):
+        print("  hint: without a display, MuJoCo renders with MUJOCO_GL=egl", file=sys.stderr)
+    sys.exit(1)
 
 
 def _refuse(message: str) -> None:
@@ -93,7 +111,7 @@ def _missing(arguments: argparse.Namespace, error: ModuleNotFoundError) -> str:
     if family in families():
         hint = f"`robogate env setup {family}` creates a Python environment with all that it needs"
     elif error.name in basis:
-        hint = f"{sys.executable} -m pip install {' '.join(basis.values())}"
+        hint = f"{sys.executable} -m pip install {' '.join(basis.values())}, or choose another interpreter with --python"
     else:
         hint = f"{sys.executable} -m pip install {error.name}, if the package has this name, or choose another interpreter with --python"
     return f"the Python package {error.name} is missing in {sys.executable}\n  hint: {hint}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import time
 from collections.abc import Callable
 from functools import partial
@@ -13,13 +14,14 @@ import numpy as np
 from robogate_bridge import FreeRun, Image, Problem, Recording
 
 from . import mujoco_knobs
+from .default_space import default_space
 from .disturbances import Disturbances
 from .environment import Camera, DeclarationError, Environment, task_name
 from .knobs import Knob, differs, parameter_name
 from .model import Model, NoModel
 from .motion import Recorder
 from .rendering import Pictures
-from .spaces import Actions, Observations
+from .spaces import Actions, Observations, same
 from .trajectory import Trajectory
 
 # The protocol allows 256 parameters.
@@ -48,38 +50,69 @@ class Adapter:
         self._task = environment.task
         doing("make")
         self._env = env = environment.make()
+        if (worlds := getattr(env, "num_envs", 1)) != 1:
+            raise DeclarationError(f"the environment steps {worlds} worlds at once (num_envs). Expected one: RoboGate starts a process for each")
         self._observations = Observations(env.observation_space)
         self._actions = Actions(env.action_space, self._task.action_names)
-        self._period = self._control_period()
-        self._limit = self._step_limit()
         rest = np.zeros(len(self._actions.low)) if self._task.rest_action is None else np.asarray(self._task.rest_action)
+        # Where zeros are at a bound or outside, they are no rest.
+        known = self._task.rest_action is not None or bool((self._actions.low < 0.0).all() and (self._actions.high > 0.0).all())
         lengths = {name: length for name, (_, length) in self._observations.vectors.items()}
-        self._disturbances = Disturbances(lengths, self._actions.decode(rest))
+        rest = self._actions.decode(rest)
+        self._disturbances = Disturbances(lengths, rest if known else None)
         doing("reset")
-        first = env.reset(seed=0)
+        first = self._first_reset()
         if not isinstance(first, tuple) or len(first) != 2:
             raise DeclarationError(f"reset returned {_values(first)}. Expected observation and info, as in Gymnasium")
         self._observations.check(first[0])
+        self._observe = self._find_observe(first[0])
         try:
             self._model: Model | None = Model(env)
         except (NoModel, ImportError):
             self._model = None
+        self._period = self._control_period(rest, doing)
+        self._limit = self._step_limit()
         doing("knobs")
         # Knobs that do not act, with the reason.
         self.dropped: list[tuple[str, str]] = []
-        self.knobs = self._knobs()
-        self._by_parameter = {knob.parameter: knob for knob in self.knobs}
-        self._order = {knob.parameter: position for position, knob in enumerate(self.knobs)}
+        # Whether a reset of the check below built another model.
+        self._changes = False
+        self._offer(self._knobs())
         self._cameras = self._find_cameras()
         self._pictures = Pictures()
         self._hash = 0
         try:
             self.deterministic = self._is_deterministic(doing)
+            self._require_success(doing)
+            if self._model is not None and self._changes:
+                self.dropped += [(knob.name, "each reset builds a model with other bodies or joints") for knob in self.knobs if self._is_bound(knob)]
+                self._offer([knob for knob in self.knobs if not self._is_bound(knob)])
         except Problem as problem:
             # The first episode of any environment shows what its declaration lacks.
             if problem.kind in ("setup", "not_applied"):
                 raise DeclarationError(problem.detail) from None
             raise
+
+    def _offer(self, knobs: list[Knob]) -> None:
+        self.knobs = knobs
+        self._by_parameter = {knob.parameter: knob for knob in knobs}
+        self._order = {knob.parameter: position for position, knob in enumerate(knobs)}
+
+    def _is_bound(self, knob: Knob) -> bool:
+        """Whether a knob changes a body, joint or camera by its number in the first model."""
+        own = any(knob is one for one in self._environment.knobs)
+        return not own and ":" in knob.name and not knob.name.startswith(("gain:", "noise:"))
+
+    def _first_reset(self) -> Any:
+        try:
+            return self._env.reset(seed=0)
+        except TypeError as error:
+            if "seed" not in str(error):
+                raise
+            raise DeclarationError(
+                "reset takes no seed. Expected Gymnasium's reset(seed=..., options=...), from which all randomness of an episode follows. "
+                "The package shimmy translates environments of the older gym"
+            ) from None
 
     # Declaration
 
@@ -126,11 +159,14 @@ class Adapter:
     def _space(self) -> dict | None:
         """The space that is sampled by default."""
         parameters = []
-        for name, domain in self._environment.space.items():
+        for name, domain in (self._environment.space or self._default_space()).items():
             knob = self._by_parameter.get(parameter_name(name))
             if knob is None:
                 reason = dict(self.dropped).get(name, "the environment has no such knob")
                 raise DeclarationError(f"the space of {self._task.name} contains {name}: {reason}")
+            if knob.choices:
+                parameters.append({"name": knob.parameter, "kind": "categorical", "choices": list(domain)})
+                continue
             low, high, *scale = domain
             parameter = {"name": knob.parameter, "kind": "integer" if knob.integer else "continuous", "low": low, "high": high}
             if scale:
@@ -138,17 +174,41 @@ class Adapter:
             parameters.append(parameter)
         return {"name": self._task.name, "parameter": parameters} if parameters else None
 
-    def _control_period(self) -> float:
-        base = self._env.unwrapped
+    def _default_space(self) -> dict[str, tuple]:
+        """What is sampled if the environment does not say it."""
+        wanted = self._environment.knobs
+        own = {knob.name for knob in wanted if isinstance(knob, Knob)}
+        named = {knob for knob in wanted if isinstance(knob, str)}
+        return default_space(self.knobs, own, named, self._model, self._period)
+
+    def _control_period(self, rest: np.ndarray, doing: Callable[[str], None]) -> float:
         if self._task.control_period_s is not None:
             return float(self._task.control_period_s)
-        period = getattr(base, "dt", None)
-        if isinstance(period, (int, float)) and period > 0:
-            return float(period)
-        rate = (getattr(base, "metadata", None) or {}).get("render_fps")
+        base = self._env.unwrapped
+        period, rate = getattr(base, "dt", None), (getattr(base, "metadata", None) or {}).get("render_fps")
+        stated = [float(period)] if isinstance(period, (int, float)) and period > 0 else []
         if rate:
-            return 1.0 / float(rate)
-        raise DeclarationError(self._unknown("control period", "control_period_s=0.05"))
+            stated.append(1.0 / float(rate))
+        if self._model is not None and (simulated := self._simulated_period(self._model, rest, doing)) > 0.0:
+            return next((one for one in stated if math.isclose(one, simulated, rel_tol=0.01)), round(simulated, 9))
+        example = "control_period_s=0.05"
+        if not stated:
+            raise DeclarationError(self._unknown("control period", example))
+        if not math.isclose(stated[0], stated[-1], rel_tol=0.01):
+            what = f'control period (`dt` says {stated[0]:g} s, and `metadata["render_fps"]` {stated[-1]:g} s)'
+            raise DeclarationError(self._unknown(what, example))
+        return stated[0]
+
+    def _simulated_period(self, model: Model, rest: np.ndarray, doing: Callable[[str], None]) -> float:
+        """How far a step moves the time of the physics."""
+        before = float(model.data.time)
+        doing("step")
+        self._env.step(rest)
+        after = float(model.data.time)
+        doing("reset")
+        self._env.reset(seed=0)
+        model.bind(self._env)
+        return after - before
 
     def _step_limit(self) -> int:
         if self._task.time_limit_s is not None:
@@ -161,9 +221,7 @@ class Adapter:
 
     def _unknown(self, what: str, field: str) -> str:
         """The error for something that neither the environment nor its task says."""
-        name, made = self._task.name, type(self._env.unwrapped).__name__
-        example = f'environment = Environment(make={made}, task=Task(name="{name.rpartition(".")[2].lower()}", {field}))'
-        return f"the {what} of {name} is unknown. Declare it in a Task:\n    from robogate_eval import Environment, Task\n    {example}"
+        return f"the {what} of {self._task.name} is unknown. Declare it in a Task:\n{_example(self._env, self._task.name, field)}"
 
     def _engine(self) -> tuple[str, str]:
         if self._environment.engine is not None:
@@ -182,44 +240,67 @@ class Adapter:
         names = {knob for knob in wanted if isinstance(knob, str)}
         offered = self._disturbances.knobs(self._period)
         if self._model is not None:
-            found = mujoco_knobs.catalogue(self._model, self._can_observe(), names | set(self._environment.space), bool(self._observations.images))
+            found = mujoco_knobs.catalogue(self._model, self._observe is not None, names | set(self._environment.space), bool(self._observations.images))
             if "*" not in names:
                 found = [knob for knob in found if knob.name in names]
             kept, self.dropped = mujoco_knobs.self_test(self._model, found, self._env)
             offered += kept
+            if "*" in names:
+                self.dropped += mujoco_knobs.unnamed(self._model, names)
+                if self._observe is None and mujoco_knobs.has_free_body(self._model):
+                    why = "`_get_obs()` does not return the observation of the reset. Declare `observe` in the Environment"
+                    self.dropped.append(("shift_x, shift_y and turn of the free bodies", why))
         known = {knob.name for knob in offered} | dict(self.dropped).keys()
         unknown = sorted(names - known - {"*"})
         if unknown:
             raise DeclarationError(f"{self._task.name}: no knob is named {', '.join(unknown)}")
-        taken, unique = set(), []
+        taken: dict[str, str] = {}
+        unique = []
         # Knobs that are sampled by default come first, so that they are within the limit.
         order = [*own, *sorted(offered, key=lambda knob: knob.name not in self._environment.space and knob.name not in names)]
         for knob in order:
-            if knob.parameter not in taken:
-                taken.add(knob.parameter)
+            first = taken.get(knob.parameter)
+            if first is None:
+                taken[knob.parameter] = knob.name
                 unique.append(knob)
+            elif first != knob.name:
+                self.dropped.append((knob.name, f"its parameter {knob.parameter} is that of {first}"))
         self.dropped += [(knob.name, f"the task has more than {MAX_KNOBS} parameters") for knob in unique[MAX_KNOBS:]]
         return unique[:MAX_KNOBS]
 
-    def _can_observe(self) -> bool:
-        return self._environment.observe is not None or hasattr(self._env.unwrapped, "_get_obs")
-
-    def _observe(self) -> Any:
+    def _find_observe(self, first: Any) -> Callable[[Any], Any] | None:
+        """How an observation is taken again after a change: as declared, or with `_get_obs()` if it returns the observation of the
+        last reset. With observation wrappers, or with arguments, it does not."""
         if self._environment.observe is not None:
-            return self._environment.observe(self._env)
-        return self._env.unwrapped._get_obs()
+            return self._environment.observe
+        if not callable(getattr(self._env.unwrapped, "_get_obs", None)):
+            return None
+        try:
+            return _get_obs if same(_get_obs(self._env), first) else None
+        except Exception:  # any function may have this name
+            return None
 
     def _is_deterministic(self, doing: Callable[[str], None]) -> bool:
         """Run one scenario twice, with another one in between, and compare all states."""
-        first = self._states(1, 25, doing)
-        self._states(2, 10, doing)
-        return first == self._states(1, 25, doing)
+
+        def repeats() -> bool:
+            first = self._states(1, 25, doing)
+            self._states(2, 10, doing)
+            return first == self._states(1, 25, doing)
+
+        if repeats():
+            return True
+        if self._model is None:
+            return False
+        self._model.keep_state()
+        return repeats()
 
     def _states(self, index: int, steps: int, doing: Callable[[str], None]) -> list[int]:
         from robogate_bridge import Action, Scenario
 
         doing("reset")
         self.reset(Scenario(index=index, seed=0, parameters={}))
+        self._changes = self._changes or (self._model is not None and self._model.differs)
         random, states = np.random.default_rng(index), [self.state_hash()]
         for _ in range(min(steps, self._limit)):
             numbers = random.uniform(self._actions.low, self._actions.high).tolist()
@@ -229,6 +310,19 @@ class Adapter:
             states.append(self.state_hash())
         return states
 
+    def _require_success(self, doing: Callable[[str], None]) -> None:
+        """Raise if the environment does not report success. Many do so at the end of an episode only, so one is run to its end."""
+        if self._task.success is not None or _reported(self._trajectory) is not None:
+            return
+        from robogate_bridge import Action, Scenario
+
+        doing("reset")
+        self.reset(Scenario(index=3, seed=0, parameters={}))
+        random, ending = np.random.default_rng(3), None
+        while ending is None:
+            doing("step")
+            ending = self.step(Action("vector", random.uniform(self._actions.low, self._actions.high).tolist()))["ending"]
+
     # Episodes
 
     def reset(self, scenario: Any) -> dict:
@@ -236,7 +330,7 @@ class Adapter:
         # The order of the declaration: a mass is set before the inertia that scales with it.
         requested.sort(key=lambda pair: self._order[pair[0].parameter])
         if self._model is not None:
-            self._model.restore()
+            self._model.before_reset()
         self._disturbances.begin(scenario.seed, scenario.index)
         for knob, value in requested:
             if knob.before_reset:
@@ -244,13 +338,15 @@ class Adapter:
         observation, _ = self._env.reset(seed=_seed(scenario))
         if self._model is not None:
             self._model.bind(self._env)
+            if self._model.differs and (bound := [knob.name for knob, _ in requested if self._is_bound(knob)]):
+                raise Problem("not_applied", f"the reset built a model with other bodies or joints, so {bound[0]} has no meaning")
         for knob, value in requested:
             if not knob.before_reset:
                 knob.set(self._env, value)
         if self._model is not None and requested:
             self._model.finish()
         if any(knob.moves for knob, _ in requested):
-            observation = self._observe()
+            observation = self._observe(self._env)
         applied = {knob.parameter: self._read(knob) for knob, _ in requested}
         # Friction is read again in every step: the engine decides it contact by contact.
         self._watched = [(knob, value) for knob, value in requested if knob.watch is not None]
@@ -354,7 +450,13 @@ class Adapter:
         executed = self._actions.decode(numbers)
         if self._disturbances.delays:
             executed = self._disturbances.delayed(executed)
-        result = self._env.step(executed)
+        try:
+            result = self._env.step(executed)
+        except Exception as error:
+            # dm_control's, by its name: the package may be missing.
+            if type(error).__name__ == "PhysicsError":
+                raise Problem("diverged", str(error)) from error
+            raise
         try:
             observation, reward, terminated, truncated, info = result
         except (TypeError, ValueError):
@@ -362,7 +464,10 @@ class Adapter:
         trajectory = self._trajectory
         trajectory.observations.append(observation)
         trajectory.actions.append(executed)
-        trajectory.rewards.append(float(reward))
+        try:
+            trajectory.rewards.append(float(reward))
+        except (TypeError, ValueError):
+            raise Problem("setup", f"step returned the reward {reward!r:.80}. Expected a number") from None
         trajectory.infos.append(info)
         trajectory.terminated = bool(terminated)
         trajectory.over = over = bool(terminated or truncated or len(trajectory.actions) >= self._limit)
@@ -382,7 +487,7 @@ class Adapter:
         if self._task.success is None:
             # Most environments report it in this way.
             reported = info.get("success", info)
-            done = reported if type(reported) is bool else bool(reported) if type(reported) is float else _succeeded(trajectory)
+            done = reported if type(reported) is bool else bool(reported) if type(reported) is float else self._succeeded(trajectory)
         else:
             done = self._task.success(trajectory)
         if done:
@@ -391,6 +496,19 @@ class Adapter:
         if failure is None and trajectory.over:
             failure = "terminated" if trajectory.terminated else "timeout"
         return None if failure is None else {"failure": failure}
+
+    def _succeeded(self, trajectory: Trajectory) -> bool:
+        reported = _reported(trajectory)
+        if reported is None and trajectory.over:
+            example = _example(trajectory.env, self._task.name, "success=lambda t: t.rewards[-1] > 0.9")
+            has = ", ".join(map(str, trajectory.info)) or "nothing"
+            raise Problem(
+                "setup",
+                "the environment reports no success: until the end of an episode, info had neither `success` nor `is_success` (it has "
+                f"{has}), and there is no check_success(). Say in a file what success is, and name the file with --env. If it is a reward "
+                f"above 0.9:\n{example}",
+            )
+        return bool(reported)
 
     def _check(self, model: Model) -> None:
         """Raise if the physics diverged, or if a parameter does not act any more."""
@@ -460,6 +578,10 @@ class Adapter:
             raise Problem("setup", f"MuJoCo cannot render the camera {name}: {why}. Set MUJOCO_GL to egl, osmesa or glfw") from why
 
 
+def _get_obs(env: Any) -> Any:
+    return env.unwrapped._get_obs()
+
+
 def _values(result: Any) -> str:
     return f"{len(result)} values" if isinstance(result, tuple) else f"a {type(result).__name__}"
 
@@ -470,19 +592,33 @@ def _seed(scenario: Any) -> int:
     return int.from_bytes(digest, "little") >> 1
 
 
-def _succeeded(trajectory: Trajectory) -> bool:
-    """Success as most environments report it."""
-    info = trajectory.info
-    for key in ("success", "is_success"):
-        if key in info:
-            value = info[key]
-            # `np.all` of one number takes ten times as long.
-            return bool(np.all(value)) if isinstance(value, (np.ndarray, list, tuple)) else bool(value)
+def _reported(trajectory: Trajectory) -> bool | None:
+    """Success as most environments report it. None if this one has not reported anything yet."""
+    for info in reversed(trajectory.infos):
+        for key in ("success", "is_success"):
+            if key in info:
+                # Reported earlier and not now: this step is no success.
+                return info is trajectory.infos[-1] and _truth(info[key])
     check = getattr(trajectory.env.unwrapped, "check_success", None) or getattr(trajectory.env.unwrapped, "_check_success", None)
-    if check is None:
-        raise Problem(
-            "setup",
-            "the environment reports no success: info has neither `success` nor `is_success`, and there is no check_success(). "
-            "Set `success` in its Task",
-        )
-    return bool(check())
+    return None if check is None else _truth(check())
+
+
+def _truth(value: Any) -> bool:
+    if isinstance(value, str):
+        raise Problem("setup", f"info reports success as the text {value!r:.40}. Expected True or False")
+    # `np.all` of one number takes ten times as long.
+    return bool(np.all(value)) if isinstance(value, (np.ndarray, list, tuple)) else bool(value)
+
+
+def _example(env: Any, name: str, field: str) -> str:
+    """A file that declares a Task with this field."""
+    specification = getattr(env, "spec", None)
+    identifier = getattr(specification, "id", None)
+    first, make = "", type(env.unwrapped).__name__
+    if identifier:
+        entry = getattr(specification, "entry_point", None)
+        module = entry.partition(":")[0].partition(".")[0] if isinstance(entry, str) else ""
+        registered = identifier if module in ("", "gymnasium") else f"{module}:{identifier}"
+        first, make = "    import gymnasium\n", f'lambda: gymnasium.make("{registered}")'
+    task = f'Task(name="{name.rpartition(".")[2].lower()}", {field})'
+    return f"{first}    from robogate_eval import Environment, Task\n    environment = Environment(make={make}, task={task})"

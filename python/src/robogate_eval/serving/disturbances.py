@@ -17,7 +17,8 @@ MAX_DELAY = 20
 class Disturbances:
     """The action delay and the observation noise of an episode."""
 
-    def __init__(self, vectors: dict[str, int], rest: np.ndarray):
+    def __init__(self, vectors: dict[str, int], rest: np.ndarray | None):
+        """`rest`: what the environment runs until the first action takes effect. Without it: the first action itself."""
         self._vectors = vectors
         self._rest = rest
         self.begin(0, 0)
@@ -33,6 +34,8 @@ class Disturbances:
 
     def delayed(self, action: np.ndarray) -> np.ndarray:
         """The action that the environment runs when the policy returns this one."""
+        if self._queue[0] is None:
+            self._queue = deque(action.copy() for _ in self._queue)
         self._queue.append(action)
         return self._queue.popleft()
 
@@ -44,7 +47,7 @@ class Disturbances:
         """The knobs of delay and noise."""
 
         def delay(env: Any, value: int) -> None:
-            self._queue = deque(self._rest.copy() for _ in range(int(value)))
+            self._queue = deque(None if self._rest is None else self._rest.copy() for _ in range(int(value)))
             self.delays = bool(self._queue)
 
         knobs = [

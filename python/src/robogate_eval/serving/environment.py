@@ -73,7 +73,7 @@ class Task:
     version: int = 1
     # Default: the environment's own (`max_episode_steps` or `max_path_length`).
     time_limit_s: float | None = None
-    # Default: the environment's own (`dt` or `metadata["render_fps"]`).
+    # Default: the time that a step takes in MuJoCo; otherwise the environment's own (`dt`, `metadata["render_fps"]`).
     control_period_s: float | None = None
     # Called after each step. Default: `info["success"]`, `info["is_success"]` or `env.check_success()`.
     success: Callable[[Trajectory], bool] | None = None
@@ -92,7 +92,8 @@ class Task:
     cameras: Sequence[Camera] = ()
     # Names of the numbers of an action. Default: action_0, action_1, ...
     action_names: Sequence[str] = ()
-    # What the environment runs while a delayed action is under way. Default: zeros, clipped to the bounds.
+    # What the environment runs until the first delayed action takes effect. Default: zeros, or the first action if a bound excludes
+    # them. State it if the numbers are absolute positions.
     rest_action: Sequence[float] | None = None
 
 
@@ -109,7 +110,8 @@ class Environment:
     # What can be varied: `Knob` objects, and names of MuJoCo knobs such as "mass:obj" (see `robogate_eval.serving.mujoco`).
     # "*" stands for all that the model offers.
     knobs: Sequence[str | Knob] = ("*",)
-    # The space that is sampled by default: (low, high) or (low, high, "log") for the name of a knob.
+    # The space that is sampled by default: (low, high) or (low, high, "log") for the name of a knob, or its choices. Without any:
+    # `Knob` objects over their ranges, and moderate ranges of knobs that are named or are usual (`default_space.py`).
     space: Mapping[str, tuple] = field(default_factory=dict)
     # By name.
     policies: Mapping[str, Policy] = field(default_factory=dict)
@@ -127,7 +129,8 @@ def as_environment(value: Any, name: str) -> Environment:
     if isinstance(value, Environment):
         return value
     if not callable(value):
-        raise DeclarationError(f"{name}: expected an Environment or a function that makes one, not {type(value).__name__}")
+        hint = ". Hint: `lambda: ...` around what makes it" if hasattr(value, "reset") else ""
+        raise DeclarationError(f"{name}: expected an Environment or a function that makes one, not {type(value).__name__}{hint}")
     # A class, or a function that is annotated with something else, makes a Gymnasium environment.
     if not isinstance(value, type):
         made = value()

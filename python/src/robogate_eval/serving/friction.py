@@ -5,7 +5,7 @@ written to the geoms of a body therefore has no effect where the other geom has 
 model. So the priority of the body's geoms is raised, and friction is read from contacts that the engine made.
 
 A contact takes its stiffness from the geom of higher priority too. So with this knob the contacts of the body have the `solref`,
-`solimp` and `condim` of the body's own geoms.
+`solimp` and `condim` of the body's own geoms. A `<pair>` of the model keeps what it declares, apart from the friction.
 """
 
 from __future__ import annotations
@@ -20,7 +20,13 @@ from .model import Model
 
 def geoms(model: Any, bodies: list[int]) -> list[int]:
     """The geoms of these bodies that can collide."""
-    return [g for g in _all_geoms(model, bodies) if model.geom_contype[g] or model.geom_conaffinity[g]]
+    paired = _paired(model)
+    return [g for g in _all_geoms(model, bodies) if model.geom_contype[g] or model.geom_conaffinity[g] or any(g in pair for pair in paired)]
+
+
+def _paired(model: Any) -> list[tuple[int, int]]:
+    """The pairs of geoms that the model declares. They collide in any case."""
+    return list(zip(model.pair_geom1.tolist(), model.pair_geom2.tolist()))
 
 
 def _all_geoms(model: Any, bodies: list[int]) -> list[int]:
@@ -36,6 +42,10 @@ def write(model: Model, bodies: list[int], value: float, raise_priority: bool = 
     raised = max(m.geom_priority[geom] for geom in range(m.ngeom) if geom not in model.friction) + 1
     model.edit(m.geom_friction, (mine, 0), value)
     model.friction.update(dict.fromkeys(mine, value))
+    for number, pair in enumerate(_paired(m)):
+        # A declared pair has its own friction, in two directions.
+        if any(geom in mine for geom in pair):
+            model.edit(m.pair_friction, (number, slice(0, 2)), max(model.friction.get(geom, 0.0) for geom in pair))
     if raise_priority:
         model.edit(m.geom_priority, mine, raised)
 
@@ -123,10 +133,11 @@ def _probe(model: Model, bodies: list[int]) -> list[tuple[float, int]]:
 def _partners(m: Any, body: int, geom: int) -> list[int]:
     """Up to eight geoms that this geom can touch: movable ones first, since these are what a policy brings to it."""
     out = []
+    paired = {other for pair in _paired(m) if geom in pair for other in pair}
     for other in range(m.ngeom):
         its = int(m.geom_bodyid[other])
         if m.body_weldid[its] == m.body_weldid[body]:
             continue
-        if (m.geom_contype[geom] & m.geom_conaffinity[other]) or (m.geom_contype[other] & m.geom_conaffinity[geom]):
+        if other in paired or (m.geom_contype[geom] & m.geom_conaffinity[other]) or (m.geom_contype[other] & m.geom_conaffinity[geom]):
             out.append((m.body_weldid[its] == 0, -other, other))
     return [other for _, _, other in sorted(out)][:8]

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
+import unicodedata
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+# Longest name of a parameter.
+MAX_NAME = 120
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,15 @@ class Knob:
 
 def parameter_name(knob: str) -> str:
     """The name of the parameter that a knob becomes."""
-    return re.sub(r"[^A-Za-z0-9]+", "_", knob).strip("_")
+    if not knob.isascii():
+        # An accent is left out, and any other character becomes its code point, so that names stay different.
+        plain = "".join(c for c in unicodedata.normalize("NFKD", knob) if not unicodedata.combining(c))
+        knob = "".join(c if c.isascii() else f"_u{ord(c):x}_" for c in plain)
+    name = re.sub(r"[^A-Za-z0-9]+", "_", knob).strip("_")
+    if len(name) <= MAX_NAME:
+        return name
+    # Names that differ only after the limit stay different.
+    return f"{name[: MAX_NAME - 9]}_{hashlib.blake2b(name.encode(), digest_size=4).hexdigest()}"
 
 
 def differs(wanted: Any, found: Any) -> bool:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 from typing import Any
 
+import numpy as np
+
 
 class NoModel(LookupError):
     """The environment has no MuJoCo model that can be found."""
@@ -60,16 +62,27 @@ def rigid(model: Any, body: int) -> list[int]:
     return bodies
 
 
+def _layout(model: Any) -> tuple:
+    """What the numbers of bodies, joints and geoms of a model mean."""
+    arrays = (model.body_parentid, model.body_weldid, model.jnt_type, model.jnt_bodyid, model.jnt_qposadr, model.geom_bodyid, model.geom_type)
+    return (model.names, model.nu, *(array.tobytes() for array in arrays))
+
+
 class Model:
     """The model and data of an environment. Edits are undone before the next reset."""
 
     def __init__(self, env: Any):
         self._edits: list[tuple[Any, Any, Any]] = []
         self._derived = False
+        # A model and a state of it, from which each reset starts.
+        self._kept: tuple[Any, Any] | None = None
         # Friction that was requested in this episode, by geom.
         self.friction: dict[int, float] = {}
         self.model: Any = None
         self.data: Any = None
+        # Whether a reset built a model with other bodies, joints or geoms than the first one.
+        self.differs = False
+        self._layout: tuple | None = None
         self.bind(env)
 
     def bind(self, env: Any) -> None:
@@ -80,6 +93,9 @@ class Model:
 
             # For computations that must not change the episode.
             self.scratch = mujoco.MjData(model)
+            layout = _layout(model)
+            self._layout = self._layout or layout
+            self.differs = layout != self._layout
         self.model, self.data = model, data
         # Views of the memory of the engine.
         self._state = (data.qpos, data.qvel, data.act, data.mocap_pos, data.mocap_quat, data.qacc_warmstart)
@@ -88,6 +104,23 @@ class Model:
         # Positions after the reset.
         self.start = data.qpos.copy()
         self._time = float(data.time)
+
+    def keep_state(self) -> None:
+        """Let each reset start from the present state. Some environments reset positions and velocities only, and what the solver
+        remembers of the last episode then acts in the next one."""
+        import mujoco
+
+        state = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))
+        mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self._kept = (self.model, state)
+
+    def before_reset(self) -> None:
+        """Undo all edits, and return to the state that was kept."""
+        self.restore()
+        if self._kept is not None and self._kept[0] is self.model:
+            import mujoco
+
+            mujoco.mj_setState(self.model, self.data, self._kept[1], mujoco.mjtState.mjSTATE_INTEGRATION)
 
     def edit(self, array: Any, index: Any, value: Any) -> None:
         """Write to an array of the model, and remember what was there."""

@@ -15,7 +15,7 @@
 | `camera_x:CAMERA`, `camera_y:CAMERA`, `camera_z:CAMERA` | translation of a camera, in the frame of the body that holds it | m |
 | `camera_turn:CAMERA` | rotation of a camera about the z axis of that body | rad |
 
-A body that moves includes the bodies that are fixed to it. Every value is read from the model that the environment steps, friction from contacts (`friction.py`). A knob whose effect cannot be
+A body or joint without a name has its number in the model, if the environment names a knob of it. A body that moves includes the bodies that are fixed to it. Every value is read from the model that the environment steps, friction from contacts (`friction.py`). A knob whose effect cannot be
 read is not in the catalogue.
 """
 
@@ -38,19 +38,42 @@ def catalogue(model: Model, can_observe: bool, named: set[str], images: bool = F
     """The knobs of a model, in its nominal state after a reset. `can_observe`: the observation can be taken again after a change.
     `images`: the observation contains images.
 
-    No two of them change the same quantity, unless `named` contains them: a part of a body, or a single actuator.
+    No two of them change the same quantity, unless `named` contains them: a part of a body, or a single actuator. What has no name
+    has its number, if `named` contains a knob of it.
     """
     knobs = _gravity(model) + _gains(model, named)
     if can_observe or not images:
         knobs += view_knobs.catalogue(model, moves=images)
+    of = {knob.partition(":")[2] for knob in named}
     for body, name in enumerate(model.names("body")):
         part = model.model.body_weldid[body] not in (0, body)
-        if name and body and (not part or any(knob.endswith(f":{name}") for knob in named)):
-            knobs += _body(model, body, name, can_observe)
+        own = name or str(body)
+        if body and ((name and not part) or own in of):
+            knobs += _body(model, body, own, can_observe)
     for joint, name in enumerate(model.names("joint")):
-        if name:
-            knobs += _joint(model, joint, name)
+        own = name or str(joint)
+        if name or own in of:
+            knobs += _joint(model, joint, own)
     return knobs
+
+
+def unnamed(model: Model, named: set[str]) -> list[tuple[str, str]]:
+    """The bodies and joints that could be varied if they had a name, with what to do."""
+    m, of, out = model.model, {knob.partition(":")[2] for knob in named}, []
+    bodies = [body for body, name in enumerate(model.names("body")) if body and not name and m.body_weldid[body] == body]
+    joints = [joint for joint, name in enumerate(model.names("joint")) if not name and m.jnt_type[joint] in (2, 3)]
+    for kind, knob, found in (("body", "mass", bodies), ("joint", "damping", joints)):
+        found = [str(index) for index in found if str(index) not in of]
+        if found:
+            what = f"{kind} {found[0]}" if len(found) == 1 else f"{len(found)} {'bodies' if kind == 'body' else 'joints'}"
+            which = "" if len(found) == 1 else f" (numbers {', '.join(found[:8])}{', ...' if len(found) > 8 else ''})"
+            out.append((what, f'no name{which}. To vary one, name it in the model, or use its number: knobs=["*", "{knob}:{found[0]}"]'))
+    return out
+
+
+def has_free_body(model: Model) -> bool:
+    """Whether a body of the model moves freely."""
+    return bool((model.model.jnt_type == 0).any())
 
 
 def _gravity(model: Model) -> list[Knob]:
@@ -283,4 +306,4 @@ def self_test(model: Model, knobs: list[Knob], env: Any) -> tuple[list[Knob], li
     return kept, dropped
 
 
-__all__ = ["catalogue", "self_test"]
+__all__ = ["catalogue", "has_free_body", "self_test", "unnamed"]

@@ -59,7 +59,7 @@ class Child:
 
     Its answer is one line on standard output, after lines that say what it is about to do, so that the parent knows what hangs.
     Everything else that is printed goes to standard error. The process ends when its standard input is closed, or when its parent
-    ends.
+    ends; then the processes that the environment started end too.
     """
 
     def __init__(self) -> None:
@@ -68,6 +68,8 @@ class Child:
             ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
             if os.getppid() != parent:
                 os._exit(0)
+        # A group of its own, with the processes that the environment starts.
+        os.setpgrp()
         # Packages print to standard output when they are imported.
         self._output = os.fdopen(os.dup(1), "w")
         os.dup2(2, 1)
@@ -88,7 +90,8 @@ class Child:
         while os.read(0, 4096):
             pass
         self._tell_where()
-        os._exit(0)
+        # With the processes that the environment started: they would outlive this one.
+        os.killpg(0, signal.SIGKILL)
 
     def _tell_where(self) -> None:
         """Print what the main thread does, if it works for the parent: it may hang."""

@@ -18,10 +18,10 @@ def renderer(model: Any, height: int, width: int) -> Any:
 
     shown = any(os.environ.get(name) for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"))
     if sys.platform == "linux" and not shown:
-        from mujoco import gl_context
         from mujoco.egl import GLContext
 
-        gl_context.GLContext = GLContext
+        # The module from which the renderer takes it has another place in MuJoCo 4.
+        sys.modules[mujoco.Renderer.__module__].gl_context.GLContext = GLContext
     return mujoco.Renderer(model, height, width)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from robogate_bridge import Problem
 
 from .environment import DeclarationError, task_name
 
@@ -15,34 +16,39 @@ from .environment import DeclarationError, task_name
 class Observations:
     """The observation space of an environment.
 
-    A Box of numbers becomes a vector: `observation`, or the key of a Dict (keys of nested Dicts are joined by `.`). A Box of bytes of
-    the shape height x width x 3 becomes a camera. Discrete and MultiBinary become vectors too.
+    A Box of numbers becomes a vector: `observation`, the key of a Dict, or the position in a Tuple (those of nested spaces are joined
+    by `.`). A Box of bytes of the shape height x width x 3 becomes a camera. Discrete, MultiDiscrete and MultiBinary become vectors
+    too.
     """
 
     def __init__(self, space: spaces.Space):
         # name -> (path in the observation, length)
-        self.vectors: dict[str, tuple[tuple[str, ...], int]] = {}
+        self.vectors: dict[str, tuple[tuple[str | int, ...], int]] = {}
         # name -> (path, height, width)
-        self.images: dict[str, tuple[tuple[str, ...], int, int]] = {}
+        self.images: dict[str, tuple[tuple[str | int, ...], int, int]] = {}
         self._add(space, ())
         # The whole observation is one vector.
         self.single = list(self.vectors.values()) == [((), self.vectors["observation"][1])] if "observation" in self.vectors else False
+        self._plain = (self.vectors["observation"][1],) if self.single else None
 
-    def _add(self, space: spaces.Space, path: tuple[str, ...]) -> None:
-        name = task_name(".".join(path)) if path else "observation"
+    def _add(self, space: spaces.Space, path: tuple[str | int, ...]) -> None:
+        name = task_name(".".join(map(str, path))) if path else "observation"
         if isinstance(space, spaces.Dict):
             for key, inner in space.spaces.items():
-                self._add(inner, (*path, str(key)))
+                self._add(inner, (*path, key))
+        elif isinstance(space, spaces.Tuple):
+            for position, inner in enumerate(space.spaces):
+                self._add(inner, (*path, position))
         elif isinstance(space, spaces.Box) and space.dtype == np.uint8 and len(space.shape) == 3 and space.shape[2] == 3:
             self.images[name] = (path, space.shape[0], space.shape[1])
-        elif isinstance(space, (spaces.Box, spaces.MultiBinary, spaces.Discrete)):
+        elif isinstance(space, (spaces.Box, spaces.MultiBinary, spaces.MultiDiscrete, spaces.Discrete)):
             length = int(np.prod(space.shape)) if space.shape else 1
             if length > 4096:
                 raise DeclarationError(f"the observation {name} has {length} numbers. Expected at most 4096, or an image as bytes")
             self.vectors[name] = (path, length)
         else:
             which = f"observation {name}" if path else "observation"
-            raise DeclarationError(f"the {which} is a {type(space).__name__}. Expected a Box, or a Dict of Boxes")
+            raise DeclarationError(f"the {which} is a {type(space).__name__}. Expected a Box, or a Dict or Tuple of Boxes")
 
     def declaration(self) -> list[dict]:
         """The vectors in the form of the bridge protocol."""
@@ -66,11 +72,18 @@ class Observations:
         """The vectors of an observation."""
         if self.is_plain(observation):
             return {"observation": observation.tolist()}
-        return {name: np.asarray(_at(observation, path), dtype=float).ravel().tolist() for name, (path, _) in self.vectors.items()}
+        return {name: self._numbers(observation, name) for name in self.vectors}
+
+    def _numbers(self, observation: Any, name: str) -> list[float]:
+        path, length = self.vectors[name]
+        numbers = np.asarray(_at(observation, path), dtype=float).ravel().tolist()
+        if len(numbers) != length:
+            raise Problem("setup", f"the environment returned {name} with {len(numbers)} numbers, and its observation_space declares {length}")
+        return numbers
 
     def is_plain(self, observation: Any) -> bool:
         """Whether an observation is one array of double precision, as most are."""
-        return bool(self.single) and type(observation) is np.ndarray and observation.ndim == 1 and observation.dtype == np.float64
+        return type(observation) is np.ndarray and observation.shape == self._plain and observation.dtype == np.float64
 
     def image(self, observation: Any, name: str) -> np.ndarray:
         """The image of a camera in an observation."""
@@ -84,17 +97,31 @@ class Observations:
         return observation
 
 
-def _at(observation: Any, path: Sequence[str]) -> Any:
+def same(one: Any, other: Any) -> bool:
+    """Whether two observations have the same structure and, up to single precision, the same numbers."""
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        return len(one) == len(other) and all(map(same, one, other))
+    if isinstance(one, dict) or isinstance(other, dict):
+        both = isinstance(one, dict) and isinstance(other, dict) and one.keys() == other.keys()
+        return both and all(same(one[key], other[key]) for key in one)
+    one, other = np.asarray(one), np.asarray(other)
+    return one.shape == other.shape and np.allclose(one, other, rtol=1e-5, atol=1e-6, equal_nan=True)
+
+
+def _at(observation: Any, path: Sequence[str | int]) -> Any:
     for key in path:
         observation = observation[key]
     return observation
 
 
-def _added(observation: Any, path: Sequence[str], numbers: np.ndarray) -> Any:
+def _added(observation: Any, path: Sequence[str | int], numbers: np.ndarray) -> Any:
     if not path:
         values = np.asarray(observation, dtype=float)
         return values + numbers.reshape(values.shape)
-    return {**observation, path[0]: _added(observation[path[0]], path[1:], numbers)}
+    inner = _added(observation[path[0]], path[1:], numbers)
+    if isinstance(observation, tuple):
+        return (*observation[: path[0]], inner, *observation[path[0] + 1 :])
+    return {**observation, path[0]: inner}
 
 
 class Actions:
@@ -108,7 +135,10 @@ class Actions:
             )
         low, high = (np.asarray(bound, dtype=float).ravel() for bound in (space.low, space.high))
         if not (np.isfinite(low).all() and np.isfinite(high).all()):
-            raise DeclarationError("the action space has no finite bounds. Wrap the environment in gymnasium.wrappers.RescaleAction")
+            raise DeclarationError(
+                "the action space has no finite bounds. Choose bounds that the policy needs, for example with gymnasium.wrappers."
+                f"TransformAction(env, lambda action: action, gymnasium.spaces.Box(-1.0, 1.0, {space.shape}))"
+            )
         self.low, self.high, self.shape, self.dtype = low, high, space.shape, space.dtype
         self.names = list(names) or [f"action_{i}" for i in range(len(low))]
         if len(self.names) != len(low):

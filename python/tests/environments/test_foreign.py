@@ -1,0 +1,378 @@
+"""Environments that were not written for RoboGate. They need gymnasium, mujoco, pyzmq and msgpack."""
+
+import contextlib
+import os
+import select
+import subprocess
+import sys
+import tempfile
+import types
+import unittest
+from pathlib import Path
+
+import gymnasium
+import mujoco
+import numpy as np
+from robogate_bridge import Action, Problem, Scenario, declaration
+from robogate_eval.environments import UnknownEnvironment, find
+from robogate_eval.serving import Knob, Task
+from robogate_eval.serving.adapter import Adapter
+from robogate_eval.serving.environment import DeclarationError, Environment
+from robogate_eval.serving.knobs import parameter_name
+from sliding_box import XML, SlidingBox
+
+
+def adapter(make, **options):
+    return Adapter(Environment(make=make, task=options.pop("task", Task(name="foreign")), **options))
+
+
+def model_of(xml):
+    """A class of environments with this model."""
+
+    class Made(SlidingBox):
+        observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (1,))
+
+        def _build(self):
+            self.model = mujoco.MjModel.from_xml_string(f"<mujoco>{xml}</mujoco>")
+            self.data = mujoco.MjData(self.model)
+
+        def _get_obs(self):
+            return self.data.qpos[:1].copy()
+
+    return Made
+
+
+def body(name, place, joint="<freejoint/>"):
+    return f'<body {name} pos="{place} 0 0.1">{joint}<geom size="0.05"/></body>'
+
+
+def sampled(found):
+    """The default space: the low and high value of each parameter."""
+    return {entry["name"]: (entry["low"], entry["high"]) for entry in declaration.hello(found.hello())["space"]["parameter"]}
+
+
+ARM = '<body name="arm" pos="0 1 0.1"><joint name="slide" type="slide" axis="1 0 0" damping="1"/><geom size="0.05"/></body>'
+MOTOR = '<actuator><motor joint="slide" ctrlrange="-0.2 0.4"/></actuator>'
+FLOOR = '<geom type="plane" size="2 2 0.1"/>'
+
+
+class DefaultSpace(unittest.TestCase):
+    def test_things_that_the_robot_handles_are_sampled(self):
+        found = sampled(adapter(SlidingBox))
+        self.assertEqual(set(found), {"action_delay", "gain", "mass_box", "friction_box"})
+        # Moderate ranges, not the limits of the knobs.
+        self.assertEqual((found["mass_box"], found["action_delay"]), ((0.25, 1.0), (0, 2)))
+
+    def test_passive_joints_belong_to_what_is_handled(self):
+        door = '<body name="door" pos="1 0 0.1"><joint name="hinge" damping="0.4"/><geom size="0.05"/></body>'
+        found = sampled(adapter(model_of(f"<worldbody>{FLOOR}{ARM}{door}</worldbody>{MOTOR}")))
+        self.assertEqual(set(found), {"action_delay", "gain", "mass_door", "friction_door", "damping_hinge"})
+
+    def test_an_arm_that_a_mocap_body_moves_is_not_handled(self):
+        weld = '<equality><weld body1="hand" body2="moved"/></equality>'
+        bodies = '<body name="moved" mocap="true"/>' + body('name="hand"', 0) + body('name="box"', 1)
+        found = sampled(adapter(model_of(f"<worldbody>{FLOOR}{ARM}{bodies}</worldbody>{weld}{MOTOR}")))
+        self.assertEqual(set(found), {"action_delay", "gain", "mass_box", "friction_box"})
+
+    def test_own_knobs_are_sampled_over_their_ranges(self):
+        drag = Knob("drag", lambda env, value: None, lambda env: 0.0, 0.0, 4.0)
+        surface = Knob("surface", lambda env, value: None, lambda env: "wet", choices=("wet", "dry"))
+        space = adapter(SlidingBox, knobs=[drag, surface, "gravity"]).hello()["space"]["parameter"]
+        self.assertEqual([entry["name"] for entry in space], ["drag", "surface", "gravity"])
+        self.assertEqual((space[0]["high"], space[1]["choices"]), (4.0, ["wet", "dry"]))
+        self.assertAlmostEqual(space[2]["low"], 0.9 * 9.81)
+
+
+class Friction(unittest.TestCase):
+    def test_declared_pairs_have_the_requested_friction(self):
+        pair = '<contact><pair geom1="floor" geom2="ball" friction="1.3 1.3"/></contact>'
+        ball = '<body name="ball" pos="0 0 0.04"><freejoint/><geom name="ball" size="0.05" contype="0" conaffinity="0"/><geom size="0.01"/></body>'
+        floor = '<geom name="floor" type="plane" size="2 2 0.1"/>'
+        found = adapter(model_of(f"<worldbody>{floor}{ARM}{ball}</worldbody>{pair}{MOTOR}"))
+        for wanted in (0.2, 2.5):
+            self.assertEqual(found.reset(Scenario(0, 1, {"friction_ball": wanted}))["applied"], {"friction_ball": wanted})
+            found.step(Action("vector", [0.0]))
+        found.reset(Scenario(0, 1, {}))
+        np.testing.assert_allclose(found._model.model.pair_friction[0, :2], 1.3)
+
+
+class Names(unittest.TestCase):
+    def test_names_in_any_script_stay_different(self):
+        names = [parameter_name(f"mass:{name}") for name in ("größe", "机器人", "物体", "été", "x" * 200 + "a", "x" * 200 + "b")]
+        self.assertEqual(len(set(names)), len(names))
+        self.assertEqual((names[0], names[3]), ("mass_gro_udf_e", "mass_ete"))
+        self.assertTrue(all(name.isascii() and len(name) <= 120 for name in names))
+
+    def test_bodies_with_one_parameter_are_reported(self):
+        both = body('name="a/box"', 0) + body('name="a_box"', 1)
+        found = adapter(model_of(f"<worldbody>{FLOOR}{ARM}{both}</worldbody>{MOTOR}"))
+        self.assertIn(("mass:a_box", "its parameter mass_a_box is that of mass:a/box"), found.dropped)
+
+    def test_bodies_without_a_name_have_a_number(self):
+        two = body("", 0) + body("", 1)
+        xml = f"<worldbody>{FLOOR}{ARM}{two}</worldbody>{MOTOR}"
+        found = adapter(model_of(xml))
+        self.assertEqual(found.dropped[0][0], "2 bodies")
+        self.assertIn('(numbers 2, 3). To vary one, name it in the model, or use its number: knobs=["*", "mass:2"]', found.dropped[0][1])
+        named = adapter(model_of(xml), knobs=["*", "mass:3"])
+        self.assertEqual(named.reset(Scenario(0, 1, {"mass_3": 0.2}))["applied"], {"mass_3": 0.2})
+
+
+class Observing(unittest.TestCase):
+    def test_get_obs_must_return_the_observation_of_the_reset(self):
+        class Needs(SlidingBox):
+            def _get_obs(self, point=None):
+                if point is None:
+                    raise TypeError("_get_obs() missing 1 required positional argument: 'point'")
+                return super()._get_obs()
+
+            def reset(self, seed=None, options=None):
+                super(SlidingBox, self).reset(seed=seed)
+                mujoco.mj_resetData(self.model, self.data)
+                mujoco.mj_forward(self.model, self.data)
+                self.start = float(self.data.qpos[1])
+                return self._get_obs(1), {}
+
+            def step(self, action):
+                mujoco.mj_step(self.model, self.data)
+                return self._get_obs(1), 0.0, False, False, {"success": False}
+
+        def wrapped():
+            return gymnasium.wrappers.FlattenObservation(SlidingBox())
+
+        task = Task(name="foreign", time_limit_s=1.0)
+        for make in (Needs, wrapped):
+            found = adapter(make, task=task)
+            names = {knob.name for knob in found.knobs}
+            self.assertFalse({"shift_x:box", "turn:box"} & names)
+            self.assertIn("mass:box", names)
+            self.assertIn("Declare `observe`", dict(found.dropped)["shift_x, shift_y and turn of the free bodies"])
+
+
+class Success(unittest.TestCase):
+    def test_report_at_the_end_of_an_episode_is_enough(self):
+        class Late(SlidingBox):
+            """The slider moves the box far enough in more than one step, and the report is an array."""
+
+            count = 0
+
+            def reset(self, seed=None, options=None):
+                self.count = 0
+                return super().reset(seed)
+
+            def step(self, action):
+                *others, info = super().step(action)
+                self.count += 1
+                return *others, {"is_success": np.array([info["success"]])} if self.count == self.max_path_length else {}
+
+        found = adapter(Late)
+        found.reset(Scenario(0, 1, {}))
+        endings = [found.step(Action("vector", [0.4]))["ending"] for _ in range(Late.max_path_length)]
+        self.assertEqual(endings, [None] * (Late.max_path_length - 1) + [{"failure": None}])
+
+    def test_without_any_report_a_file_is_shown(self):
+        with self.assertRaisesRegex(DeclarationError, r'gymnasium.make\("CartPole-v1".*\n?.*success=lambda'):
+            adapter(lambda: _Continuous(gymnasium.make("CartPole-v1")))
+
+
+    def test_text_is_no_report(self):
+        class Text(SlidingBox):
+            def step(self, action):
+                return (*super().step(action)[:4], {"success": "false"})
+
+        with self.assertRaisesRegex(DeclarationError, "the text 'false'. Expected True or False"):
+            adapter(Text)
+
+
+class Spaces(unittest.TestCase):
+    def test_tuples_and_numbers_are_vectors(self):
+        class Mixed(SlidingBox):
+            observation_space = gymnasium.spaces.Tuple([SlidingBox.observation_space, gymnasium.spaces.MultiDiscrete([3, 3])])
+
+            def _get_obs(self):
+                return super()._get_obs(), np.array([1, 2])
+
+        found = adapter(Mixed)
+        vectors = found.reset(Scenario(0, 1, {"noise_0_box": 0.1, "shift_x_box": 0.1}))["observation"]["vectors"]
+        self.assertEqual({name: len(numbers) for name, numbers in vectors.items()}, {"0.box": 3, "0.pusher.x": 1, "1": 2})
+        self.assertEqual(vectors["1"], [1.0, 2.0])
+
+    def test_observations_of_another_size_are_refused(self):
+        class Grows(SlidingBox):
+            def step(self, action):
+                observation, *others = super().step(action)
+                return {**observation, "box": np.zeros(4)}, *others
+
+        with self.assertRaisesRegex(DeclarationError, "returned box with 4 numbers, and its observation_space declares 3"):
+            adapter(Grows)
+
+    def test_many_worlds_at_once_are_refused(self):
+        with self.assertRaisesRegex(DeclarationError, "steps 3 worlds at once"):
+            adapter(lambda: gymnasium.make_vec("Pendulum-v1", num_envs=3, vectorization_mode="sync"))
+
+    def test_reset_without_a_seed_is_refused(self):
+        class Old(SlidingBox):
+            def reset(self):
+                return super().reset()[0]
+
+        with self.assertRaisesRegex(DeclarationError, "reset takes no seed"):
+            adapter(Old)
+
+    def test_missing_rewards_are_refused(self):
+        class NoReward(SlidingBox):
+            def step(self, action):
+                observation, _, *others = super().step(action)
+                return observation, None, *others
+
+        with self.assertRaisesRegex(DeclarationError, "step returned the reward None. Expected a number"):
+            adapter(NoReward)
+
+
+class Time(unittest.TestCase):
+    def test_control_period_is_that_of_the_physics(self):
+        class Wrong(SlidingBox):
+            dt = 0.005
+
+        class Silent(SlidingBox):
+            dt = None
+
+        # Ten steps of 5 ms.
+        self.assertEqual([adapter(make).hello()["task"]["control_period_s"] for make in (SlidingBox, Wrong, Silent)], [0.05] * 3)
+
+    def test_two_control_periods_without_physics_are_refused(self):
+        with self.assertRaisesRegex(DeclarationError, "`dt` says 0.05 s, and .*render_fps.* 0.0333333 s.*is unknown"):
+            adapter(lambda: gymnasium.make("Pendulum-v1"))
+
+
+class History(unittest.TestCase):
+    def test_resets_that_keep_the_memory_of_the_solver_repeat(self):
+        class Keeps(SlidingBox):
+            def reset(self, seed=None, options=None):
+                super(SlidingBox, self).reset(seed=seed)
+                self.data.qpos[:], self.data.qvel[:], self.data.time = self.model.qpos0, 0.0, 0.0
+                self.data.qpos[1] = self.np_random.uniform(-0.02, 0.02)
+                # The positions settle, from the forces of the last episode.
+                mujoco.mj_step(self.model, self.data, 10)
+                self.start = float(self.data.qpos[1])
+                return self._get_obs(), {}
+
+        self.assertTrue(adapter(Keeps).deterministic)
+
+    def test_chance_of_its_own_does_not_repeat(self):
+        class Chance(SlidingBox):
+            def reset(self, seed=None, options=None):
+                return super().reset(seed=None)
+
+        self.assertFalse(adapter(Chance).deterministic)
+
+
+class ChangingModels(unittest.TestCase):
+    def test_knobs_of_bodies_are_not_offered(self):
+        class Changes(SlidingBox):
+            count = 0
+
+            def _build(self):
+                self.count += 1
+                extra = f'<body name="more" pos="0 {self.count} 1"><freejoint/><geom size="0.05"/></body>' * (self.count % 2)
+                self.model = mujoco.MjModel.from_xml_string(XML.replace("</worldbody>", f"{extra}</worldbody>"))
+                self.data = mujoco.MjData(self.model)
+
+        found = adapter(lambda: Changes(rebuild=True))
+        self.assertEqual({knob.name for knob in found.knobs}, {"action_delay", "noise:box", "noise:pusher.x", "gravity", "gain", "light"})
+        self.assertIn(("mass:box", "each reset builds a model with other bodies or joints"), found.dropped)
+        self.assertEqual(set(sampled(found)), {"action_delay", "gain"})
+
+
+class Delay(unittest.TestCase):
+    def delayed(self, low):
+        class Bounded(SlidingBox):
+            action_space = gymnasium.spaces.Box(low, 0.4, (1,))
+
+        found = adapter(Bounded)
+        found.reset(Scenario(0, 1, {"action_delay": 2}))
+        for action in (0.1, 0.2, 0.3, 0.4):
+            found.step(Action("vector", [action]))
+        return [round(float(action[0]), 3) for action in found._trajectory.actions]
+
+    def test_first_action_is_held_where_zeros_are_no_rest(self):
+        self.assertEqual(self.delayed(-0.2), [0.0, 0.0, 0.1, 0.2])
+        self.assertEqual(self.delayed(0.0), [0.1, 0.1, 0.1, 0.2])
+
+
+class Divergence(unittest.TestCase):
+    def test_physics_error_is_no_fault_of_the_server(self):
+        class PhysicsError(RuntimeError):
+            pass
+
+        class Explodes(SlidingBox):
+            def step(self, action):
+                if action[0] > 0.399:
+                    raise PhysicsError("Physics state is invalid.")
+                return super().step(action)
+
+        found = adapter(Explodes)
+        found.reset(Scenario(0, 1, {}))
+        with self.assertRaisesRegex(Problem, "diverged: Physics state is invalid"):
+            found.step(Action("vector", [0.4]))
+
+
+class Processes(unittest.TestCase):
+    def test_processes_of_an_environment_end_with_its_server(self):
+        forking = "import os, time\nfrom sliding_box import SlidingBox\nclass Forks(SlidingBox):\n    def __init__(self):\n        super().__init__()\n"
+        forking += "        if os.fork() == 0:\n            time.sleep(3600)\n"
+        ours, theirs = os.pipe()
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "forks.py"
+            file.write_text(forking)
+            paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+            server = subprocess.Popen(
+                [sys.executable, "-m", "robogate_eval.environments", "serve", "--child", f"{file}:Forks"], stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, pass_fds=[theirs], env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+            )  # fmt: skip
+            os.close(theirs)
+            with server:
+                while b"listening" not in (line := server.stdout.readline()):
+                    self.assertTrue(line, "the server ended")
+                # Both processes hold the other end of the pipe.
+                server.stdin.close()
+                self.assertTrue(select.select([ours], [], [], 60)[0], "a process is left")
+                self.assertEqual(os.read(ours, 1), b"")
+        os.close(ours)
+
+
+class _Continuous(gymnasium.ActionWrapper):
+    action_space = gymnasium.spaces.Box(0.0, 1.0, (1,))
+
+    def action(self, action):
+        return int(action[0] > 0.5)
+
+
+class Registered(unittest.TestCase):
+    @contextlib.contextmanager
+    def module(self):
+        """A module whose import registers an environment."""
+        module = types.ModuleType("foreign_package")
+        module.__spec__ = None
+        sys.modules["foreign_package"] = module
+        gymnasium.register("Foreign-v0", entry_point=SlidingBox, max_episode_steps=40)
+        try:
+            yield
+        finally:
+            del sys.modules["foreign_package"], gymnasium.registry["Foreign-v0"]
+
+    def test_module_is_imported(self):
+        with self.module():
+            self.assertEqual(find("gymnasium:foreign_package:Foreign-v0").task.name, "Foreign-v0")
+        with self.assertRaises(ModuleNotFoundError):
+            find("gymnasium:no_such_package:Foreign-v0")
+
+    def test_package_is_recorded(self):
+        self.assertEqual(find("gymnasium:CartPole-v1").source, f"gymnasium {gymnasium.__version__}")
+
+    def test_unknown_name_has_a_hint(self):
+        with self.assertRaisesRegex(UnknownEnvironment, "hint: if another package registers it, gymnasium:MODULE:ID"):
+            find("gymnasium:Foreign-v0")
+
+
+if __name__ == "__main__":
+    unittest.main()
