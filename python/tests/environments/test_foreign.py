@@ -347,6 +347,59 @@ class _Continuous(gymnasium.ActionWrapper):
         return int(action[0] > 0.5)
 
 
+class Plane(gymnasium.Env):
+    """A point on a plane, which it draws if it was made for images."""
+
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 10}
+    observation_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float64)
+    action_space = gymnasium.spaces.Box(-0.1, 0.1, (2,), np.float64)
+    max_path_length = 20
+
+    def __init__(self, render_mode=None):
+        self.render_mode = render_mode
+
+    def reset(self, seed=None, options=None):
+        super().reset(seed=seed)
+        self.at = np.zeros(2)
+        return self.at.copy(), {}
+
+    def step(self, action):
+        self.at = np.clip(self.at + action, -1.0, 1.0)
+        return self.at.copy(), 0.0, False, False, {"success": bool(self.at[0] > 0.9)}
+
+    def render(self):
+        pixels = np.zeros((30, 40, 4), dtype=np.uint8)
+        pixels[:, : int(20 * (1.0 + self.at[0]))] = 200
+        return pixels
+
+
+class Pictures(unittest.TestCase):
+    def test_an_environment_made_for_images_has_a_camera(self):
+        task = Task(name="plane", control_period_s=0.1)
+        found = adapter(lambda: Plane("rgb_array"), task=task)
+        self.assertEqual(found.hello()["task"]["observation"]["cameras"], [{"name": "render", "width": 40, "height": 30}])
+        found.reset(Scenario(0, 1, {}))
+        before = np.frombuffer(found.render(["render"])[0].rgb, np.uint8).reshape(30, 40, 3)
+        found.step(Action("vector", [0.1, 0.0]))
+        after = np.frombuffer(found.render(["render"])[0].rgb, np.uint8).reshape(30, 40, 3)
+        self.assertEqual([int((pixels[0, :, 0] > 0).sum()) for pixels in (before, after)], [20, 22])
+        # Without a mode, and if a package for rendering is missing, there is none.
+        self.assertEqual(adapter(Plane, task=task).hello()["task"]["observation"]["cameras"], [])
+
+        class Broken(Plane):
+            def render(self):
+                raise ImportError("no such package")
+
+        self.assertEqual(adapter(lambda: Broken("rgb_array"), task=task).hello()["task"]["observation"]["cameras"], [])
+
+    def test_registered_environments_are_made_for_images(self):
+        gymnasium.register("Plane-v0", entry_point=Plane, max_episode_steps=20)
+        try:
+            self.assertEqual(find("gymnasium:Plane-v0").make().render_mode, "rgb_array")
+        finally:
+            del gymnasium.registry["Plane-v0"]
+
+
 class Registered(unittest.TestCase):
     @contextlib.contextmanager
     def module(self):

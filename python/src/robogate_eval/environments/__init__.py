@@ -31,6 +31,8 @@ import sys
 from pathlib import Path
 
 from ..serving.environment import Environment, as_environment
+from ..serving.model import NoModel
+from ..serving.model import find as find_model
 from .family import Family, UnknownEnvironment, installed
 
 __all__ = ["Family", "UnknownEnvironment", "families", "find"]
@@ -95,7 +97,22 @@ def _registered(identifier: str) -> Environment:
     except gymnasium.error.Error as error:
         hint = "" if module else "\n  hint: if another package registers it, gymnasium:MODULE:ID, for example gymnasium:gymnasium_robotics:HandReach-v3"
         raise UnknownEnvironment(f"gymnasium:{identifier}: {error}{hint}") from None
-    return dataclasses.replace(as_environment(lambda: gymnasium.make(own), own), source=_package(specification.entry_point))
+    return dataclasses.replace(as_environment(lambda: _make(own), own), source=_package(specification.entry_point))
+
+
+def _make(identifier: str):
+    """The environment of this identifier. One without a MuJoCo model is made for images, if it can render them."""
+    import gymnasium
+
+    env = gymnasium.make(identifier)
+    if env.render_mode is not None or "rgb_array" not in env.metadata.get("render_modes", []):
+        return env
+    try:
+        find_model(env)
+        return env
+    except (NoModel, ImportError):
+        env.close()
+        return gymnasium.make(identifier, render_mode="rgb_array")
 
 
 def _package(entry_point: object) -> str:

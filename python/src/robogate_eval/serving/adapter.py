@@ -29,6 +29,8 @@ MAX_KNOBS = 250
 # Width and height of the images of the model's own cameras, in pixels, and how many of them are offered.
 PICTURE_PX = 256
 MAX_CAMERAS = 16
+# The protocol allows images of this width and height.
+MAX_PIXELS = 4096
 
 
 def _mujoco_sha256() -> str | None:
@@ -543,14 +545,29 @@ class Adapter:
     def _find_cameras(self) -> list[Camera]:
         seen = [Camera(name, width, height) for name, (_, height, width) in self._observations.images.items()]
         declared = [*seen, *self._task.cameras]
-        if declared or self._model is None:
+        if declared:
             return declared
+        if self._model is None:
+            return self._own_picture()
         # Without a choice of the environment: the cameras of its model. Only those that a policy uses are rendered.
         names = {task_name(name): name for name in self._model.names("camera") if name}
         own = [Camera(task, PICTURE_PX, PICTURE_PX, partial(self._pixels, name)) for task, name in names.items()]
         # The same views in a quality that takes a fraction of the time without a GPU.
         plain = [Camera(f"{task[:58]}.plain", PICTURE_PX, PICTURE_PX, partial(self._pixels, name, plain=True)) for task, name in names.items()]
         return [*own, *plain][:MAX_CAMERAS]
+
+    def _own_picture(self) -> list[Camera]:
+        """What the environment itself renders, if it was made for images."""
+        if getattr(self._env, "render_mode", None) != "rgb_array":
+            return []
+        try:
+            pixels = _rgb(self._env)
+        except Exception:  # a package for rendering is missing, or a display
+            return []
+        if pixels.ndim != 3 or pixels.shape[2] != 3 or not 1 <= min(pixels.shape) <= max(pixels.shape) <= MAX_PIXELS:
+            return []
+        height, width, _ = pixels.shape
+        return [Camera("render", width, height, _rgb)]
 
     def render(self, cameras: list[str]) -> list[Image]:
         by_name = {camera.name: camera for camera in self._cameras}
@@ -580,6 +597,11 @@ class Adapter:
 
 def _get_obs(env: Any) -> Any:
     return env.unwrapped._get_obs()
+
+
+def _rgb(env: Any) -> np.ndarray:
+    """The image that an environment renders, without transparency."""
+    return np.asarray(env.render(), dtype=np.uint8)[..., :3]
 
 
 def _values(result: Any) -> str:
