@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -23,12 +24,7 @@ def find(env: Any) -> tuple[Any, Any]:
     """
     import mujoco
 
-    waiting, seen = [env], []
-    while waiting:
-        here = waiting.pop(0)
-        if here is None or any(here is other for other in seen):
-            continue
-        seen.append(here)
+    for here in layers(env):
         simulation, physics = _get(here, "sim"), _get(here, "physics")
         candidates = [
             (_get(here, "model"), _get(here, "data")),
@@ -40,8 +36,18 @@ def find(env: Any) -> tuple[Any, Any]:
         for model, data in candidates:
             if isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData):
                 return model, data
-        waiting += [_get(here, "env"), _get(here, "unwrapped"), _get(here, "_env")]
     raise NoModel(f"no MuJoCo model in {type(env).__name__}")
+
+
+def layers(env: Any) -> Iterator[Any]:
+    """An environment, and those that it wraps."""
+    waiting, seen = [env], []
+    while waiting:
+        here = waiting.pop(0)
+        if here is not None and not any(here is other for other in seen):
+            seen.append(here)
+            yield here
+            waiting += [_get(here, "env"), _get(here, "unwrapped"), _get(here, "_env")]
 
 
 def _get(value: Any, name: str) -> Any:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from robogate_bridge import Recording
 
-from .model import Model
+from .model import Model, layers
 
 # Geoms and sites of these groups are visible by default, as in MuJoCo's own viewer.
 VISIBLE_GROUPS = (0, 1, 2)
@@ -127,9 +127,8 @@ def sides(model: Any) -> list[str]:
 
 def _visible_groups(env: Any) -> tuple[int, ...]:
     # robosuite has the geoms of collisions in group 0 and those of pictures in group 1.
-    if getattr(env.unwrapped, "render_collision_mesh", None) is False:
-        return VISIBLE_GROUPS[1:]
-    return VISIBLE_GROUPS
+    hidden = any(getattr(layer, "render_collision_mesh", None) is False for layer in layers(env))
+    return VISIBLE_GROUPS[1:] if hidden else VISIBLE_GROUPS
 
 
 def _show_targets(env: Any, model: Model) -> None:
