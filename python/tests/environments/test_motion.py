@@ -118,6 +118,27 @@ class Recordings(unittest.TestCase):
         for name, row in zip(recording.bodies, recording.motion[-1, 1:].reshape(-1, 7)):
             np.testing.assert_allclose(row, [*data.body(name).xpos, *data.body(name).xquat], atol=1e-6)
 
+    def test_the_last_body_is_the_object_that_moved(self):
+        # The box stays on the floor, so the path is that of the hand's parts.
+        self.assertIn(press(-1.0, record_s=0.1)[0].motion().bodies[-1], ("hand", "finger"))
+        adapter, _ = press(0.0, steps=1)
+        adapter._env.reset = lambda seed=None: self.dropped(adapter._env)
+        adapter.reset(Scenario(0, 1, {}, record_s=0.1))
+        for _ in range(40):
+            adapter.step(Action("vector", [0.0]))
+        recording = adapter.motion()
+        self.assertEqual(recording.bodies[-1], "box")
+        red = next(solid for solid in recording.solids if solid["color"] == [255, 0, 0])
+        self.assertEqual(recording.bodies[red["body"]], "box")
+
+    @staticmethod
+    def dropped(env):
+        """A reset with the box 0.5 m above the floor, beside the hand."""
+        mujoco.mj_resetData(env.model, env.data)
+        env.data.qpos[:3] = [0.5, 0.5, 0.6]
+        mujoco.mj_forward(env.model, env.data)
+        return env._get_obs(), {}
+
     def test_recording_changes_nothing(self):
         self.assertEqual(press(10.0)[1], press(10.0, record_s=0.03)[1])
 

@@ -213,12 +213,24 @@ fn pages_are_short() {
         let environment = ["--env", "metaworld:drawer-open-v3", "-n", "6", "--seed", "5", "--out", "remote"];
         robogate(dir.path(), &[&["run"], &environment[..], &["--python", python]].concat());
         robogate(dir.path(), &["report", "remote", "--python", python]);
-        assert!(fs::read_to_string(dir.path().join("remote/report.html")).unwrap().contains("id=\"reel\""));
         pages.push("remote/report.html".to_owned());
+        // Its own policy acts, and the final state is filmed too.
+        let film = ["replay", "remote", "0", "--gif", "remote.gif", "--camera", "corner2.plain"];
+        assert_eq!(robogate(dir.path(), &[&film[..], &["--python", python]].concat()), 0);
+        assert!(fs::metadata(dir.path().join("remote.gif")).unwrap().len() > 10_000);
     }
     let mut browser = Browser::start(&chromium);
     for page in pages {
-        assert_fits(&mut browser, &dir.path().join(page));
+        assert_fits(&mut browser, &dir.path().join(&page));
+        if page.starts_with("remote") {
+            // Its bodies are shown in 3-D, and the drawer moves.
+            browser.wait(
+                "!!document.querySelector('[data-ready]') && !document.querySelector('.view-stage canvas').hidden",
+            );
+            browser.evaluate("document.querySelector('.view-stage canvas').focus()");
+            browser.press("End");
+            browser.wait("document.querySelector('.view-phase').textContent.includes('ended')");
+        }
     }
     browser.assert_no_trouble();
 }

@@ -19,6 +19,8 @@ PLANE_M = 0.001
 MAX_FIELD = 64
 # The largest number of contacts of a frame, those with the largest forces.
 MAX_CONTACTS = 8
+# A body that moved less than this is at rest, in m.
+LEAST_WAY_M = 0.005
 # The sum of the numbers of all frames: at most 40 MB.
 MAX_NUMBERS = 10_000_000
 
@@ -47,14 +49,29 @@ class Recorder:
         if time_s > self._last:
             self._take(time_s)
         scene = self._scene
+        rows = np.asarray(self._rows, dtype="<f4")
+        poses = rows[:, 1:].reshape(len(rows), -1, 7)
+        order = self._order(poses)
+        solids = [{**solid, "body": order.index(solid["body"])} for solid in scene.solids]
         return Recording(
-            bodies=scene.names,
-            solids=scene.solids,
-            frames=len(self._rows),
-            motion=np.asarray(self._rows, dtype="<f4"),
+            bodies=[scene.names[body] for body in order],
+            solids=solids,
+            frames=len(rows),
+            motion=np.hstack([rows[:, :1], poses[:, order].reshape(len(rows), -1)]),
             triangles=scene.triangles(),
             contacts=np.asarray(self._contacts, dtype="<f4"),
         )
+
+    def _order(self, poses: np.ndarray) -> list[int]:
+        """The bodies, and as the last one that whose path a viewer draws: the object that moved most, otherwise any body that did."""
+        order = list(range(poses.shape[1]))
+        objects = [body for body in order if self._sides[self._scene.bodies[body]] == "object"]
+        ways = np.linalg.norm(np.diff(poses[:, :, :3].astype(float), axis=0), axis=2).sum(axis=0)
+        if len(objects) == 0 or max(ways[objects]) < LEAST_WAY_M:
+            objects = order
+        if objects:
+            order.append(order.pop(max(objects, key=lambda body: ways[body])))
+        return order
 
     def _take(self, time_s: float) -> None:
         data, bodies = self._model.data, self._scene.bodies
