@@ -11,7 +11,7 @@ pub(super) const VIEWER: &str = include_str!("viewer.js");
 /// The list, and the place of the viewer.
 pub(super) fn watch(watch: &Watch) -> Markup {
     html! {
-        div.watch {
+        div.watch.watch-alone[watch.reel.is_none()] {
             ol.watch-list { @for one in &watch.items { li { (item(one)) } } }
             @if watch.is_recorded() {
                 div.watch-view data-viewer {

@@ -31,8 +31,6 @@ import sys
 from pathlib import Path
 
 from ..serving.environment import Environment, as_environment
-from ..serving.model import NoModel
-from ..serving.model import find as find_model
 from .family import Family, UnknownEnvironment, installed
 
 __all__ = ["Family", "UnknownEnvironment", "families", "find"]
@@ -103,6 +101,9 @@ def _registered(identifier: str) -> Environment:
 def _make(identifier: str):
     """The environment of this identifier. One without a MuJoCo model is made for images, if it can render them."""
     import gymnasium
+
+    from ..serving.model import NoModel
+    from ..serving.model import find as find_model
 
     env = gymnasium.make(identifier)
     if env.render_mode is not None or "rgb_array" not in env.metadata.get("render_modes", []):
