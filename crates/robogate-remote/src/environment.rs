@@ -120,9 +120,7 @@ impl Environment for RemoteEnvironment {
 
     fn take_trajectory(&mut self) -> Option<Trajectory> {
         // A policy that gave up ended the episode before its server did.
-        if self.episodes.session.motion.is_none()
-            && let Some(connection) = self.episodes.lease.as_mut().and_then(|lease| lease.connection.as_mut())
-        {
+        if let Some(connection) = self.episodes.lease.as_mut().and_then(|lease| lease.connection.as_mut()) {
             self.episodes.session.ended(connection);
         }
         self.episodes.session.motion.take()

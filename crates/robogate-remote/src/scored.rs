@@ -31,6 +31,8 @@ pub struct ScoredSession {
     pub(crate) rendered: bool,
     /// The time between two recorded frames, in seconds. `None`: no motion is recorded.
     record_s: Option<f64>,
+    /// Whether the motion of the episode is recorded and was not asked for yet.
+    motion_due: bool,
     /// The recorded motion of the last episode.
     pub(crate) motion: Option<Trajectory>,
     /// Control periods that the server has already run, each with its action.
@@ -101,6 +103,7 @@ impl Session for ScoredSession {
         let mut request = reset_request::<Empty>(scenario, &scenario.requested, None)?;
         (self.motion, self.rendered) = (None, false);
         request.record_s = self.record_s.filter(|_| connection.hello().records_motion);
+        self.motion_due = request.record_s.is_some();
         request.policy = self.proposals.as_ref().map(|proposals| proposals.policy().to_owned());
         let reply: ResetReply<Empty, Empty> = connection.begin(request)?;
         self.draws = read_draws(connection, reply.draws.unwrap_or_default());
@@ -144,7 +147,7 @@ impl Session for ScoredSession {
     }
 
     fn ended(&mut self, connection: &mut Connection) {
-        if self.record_s.is_none() || !connection.hello().records_motion {
+        if !std::mem::take(&mut self.motion_due) {
             return;
         }
         match connection.motion() {

@@ -75,7 +75,7 @@ fn one(tokens: &[&str], at: &mut usize, allowed: &[&str]) -> bool {
 }
 
 /// The licences that deny.toml allows for this crate only.
-fn exceptions<'a>(deny: &'a toml::Value, name: &str) -> Vec<&'a str> {
+fn exceptions<'a>(deny: &'a toml::Table, name: &str) -> Vec<&'a str> {
     let exceptions = deny["licenses"]["exceptions"].as_array().unwrap().iter();
     let of = exceptions.filter(|one| one["crate"].as_str() == Some(name));
     of.flat_map(|one| one["allow"].as_array().unwrap()).map(|licence| licence.as_str().unwrap()).collect()
