@@ -124,7 +124,7 @@ impl Campaign {
     pub(crate) fn merge_quietly(mut self, out: &Path, events: &mut dyn FnMut(&Event)) -> Result<(), Exit> {
         self.choose_as_recorded()?;
         self.in_rounds(|shards, after_round| shards.merge(out, events, after_round))?;
-        write_report(out);
+        write_report(out, None, None);
         Ok(())
     }
 
@@ -138,9 +138,9 @@ impl Campaign {
                 if !out.join(Asked::FILE).exists() {
                     write_question(out, asked);
                 }
-                finish(out, asked, other.as_ref(), None, completion, json)
+                finish(out, asked, other.as_ref(), None, completion, None, json)
             }
-            None => conclude(out, &completion, json),
+            None => conclude(out, &completion, None, json),
         }
     }
 }

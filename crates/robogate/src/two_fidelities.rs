@@ -129,14 +129,14 @@ impl CoarseArm {
                 ))
                 .or_broken();
             }
-            return run::conclude(dir, &interrupted, how.json);
+            return run::conclude(dir, &interrupted, None, how.json);
         }
         note("comparing risk models with and without the coarse episodes");
         match estimate(dir, subject) {
             Ok(found) => write(dir, &found)?,
             Err(exit) => note(format_args!("note: {exit}")),
         }
-        run::conclude(dir, &fine, how.json)
+        run::conclude(dir, &fine, Some(subject), how.json)
     }
 
     /// Runs or resumes the coarse episodes.

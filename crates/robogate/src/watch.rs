@@ -22,11 +22,15 @@ const MAX_CLIPS: usize = 12;
 /// Maximum number of pairs of episodes of a comparison.
 const MAX_PAIRS: usize = 6;
 
+/// The largest number of control periods that are recorded at the end of a run in an environment of another process.
+const END_PERIODS: u64 = 1_500;
+
 /// When the episodes are recorded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Moment {
-    /// At the end of a run. Policies behind servers are left out, because their episodes may take minutes.
-    EndOfRun,
+#[derive(Clone, Copy)]
+pub(crate) enum Moment<'a> {
+    /// At the end of a run, with its subject if that is at hand: the processes of its environment still run. Policies
+    /// behind servers are left out, because their episodes may take minutes.
+    EndOfRun(Option<&'a Subject>),
     /// On request.
     OnRequest,
 }
@@ -54,15 +58,35 @@ struct Recorder<'a> {
     /// Number of episodes whose replay differs from the record.
     differing: u64,
     remarks: Vec<String>,
-    moment: Moment,
+    moment: Moment<'a>,
+    /// Control periods that were recorded in a running environment, and the number of episodes that were left out.
+    periods: u64,
+    left: u64,
 }
 
 /// A run whose episodes can be recorded again.
 struct Run<'a> {
     folder: &'a Path,
-    subject: Subject,
+    subject: Held<'a>,
     /// The episodes so far.
     done: Vec<Done>,
+}
+
+/// The subject of a run.
+enum Held<'a> {
+    /// Made again from the record.
+    Again(Box<Subject>),
+    /// That of a run which has just ended.
+    Running(&'a Subject),
+}
+
+impl Held<'_> {
+    fn get(&self) -> &Subject {
+        match self {
+            Self::Again(subject) => subject,
+            Self::Running(subject) => subject,
+        }
+    }
 }
 
 /// An episode that was recorded again.
@@ -81,7 +105,7 @@ pub(crate) fn watch(
     source: &Source,
     analysis: &Analysis,
     simulators: &Simulators,
-    moment: Moment,
+    moment: Moment<'_>,
     frames: Option<&Frames>,
 ) -> anyhow::Result<Watch> {
     let chosen = worth_watching(source, analysis, MAX_CLIPS)?;
@@ -178,8 +202,18 @@ pub(crate) fn command(folder: &Path, index: u64) -> String {
 }
 
 impl<'a> Recorder<'a> {
-    fn new(moment: Moment, place: Place) -> Self {
-        Self { place, frames: None, runs: Vec::new(), clips: Vec::new(), differing: 0, remarks: Vec::new(), moment }
+    fn new(moment: Moment<'a>, place: Place) -> Self {
+        Self {
+            place,
+            frames: None,
+            runs: Vec::new(),
+            clips: Vec::new(),
+            differing: 0,
+            remarks: Vec::new(),
+            moment,
+            periods: 0,
+            left: 0,
+        }
     }
 
     /// Prepares a run, and returns its place. `None` with a remark if its episodes cannot be recorded again.
@@ -192,21 +226,30 @@ impl<'a> Recorder<'a> {
         if let Some(at) = self.runs.iter().position(|run| run.folder == folder) {
             return Some(at);
         }
-        if self.moment == Moment::EndOfRun && starts_processes(provenance) {
-            self.remarks.push(at_request("The environment runs in a process of its own", folder));
-            return None;
-        }
-        match Subject::recorded(provenance, simulators) {
-            Ok(subject) if self.moment == Moment::EndOfRun && behind_server(&subject) => {
-                self.remarks.push(at_request("The policy is behind a server", folder));
+        let page = if self.place == Place::Beside { Path::new(HERE) } else { folder };
+        let subject = match self.moment {
+            Moment::EndOfRun(Some(running)) if starts_processes(provenance) => Ok(Held::Running(running)),
+            Moment::EndOfRun(None) if starts_processes(provenance) => {
+                self.remarks.push(at_request("The environment runs in a process of its own", page));
+                return None;
+            }
+            _ => Subject::recorded(provenance, simulators).map(|subject| Held::Again(Box::new(subject))),
+        };
+        match subject {
+            Ok(subject) if matches!(self.moment, Moment::EndOfRun(_)) && behind_server(subject.get()) => {
+                self.remarks.push(at_request("The policy is behind a server", page));
                 None
             }
-            Ok(subject) => {
+            Ok(Held::Running(subject)) => {
+                self.runs.push(Run { folder, subject: Held::Running(subject), done: Vec::new() });
+                Some(self.runs.len() - 1)
+            }
+            Ok(Held::Again(subject)) => {
                 // The size of images would change what a policy that sees them receives.
                 let seeing = subject.policy_source().and_then(PolicySource::profile).is_some();
                 let smaller = self.frames.is_some() && !seeing;
-                let subject = if smaller { subject.with_pictures_of(FRAME_PX) } else { subject };
-                self.runs.push(Run { folder, subject, done: Vec::new() });
+                let subject = if smaller { Box::new(subject.with_pictures_of(FRAME_PX)) } else { subject };
+                self.runs.push(Run { folder, subject: Held::Again(subject), done: Vec::new() });
                 Some(self.runs.len() - 1)
             }
             Err(why) => {
@@ -231,6 +274,16 @@ impl<'a> Recorder<'a> {
         }
         let mut strip = None;
         let before = recorded(folder, chosen.index).map_err(anyhow::Error::from);
+        if let (Held::Running(_), Ok(before)) = (&*subject, &before) {
+            let periods = self.periods + u64::from(before.episode.ticks);
+            if periods > END_PERIODS {
+                self.left += 1;
+                done.push(Done { index: chosen.index, clip: None, strip: None });
+                return None;
+            }
+            self.periods = periods;
+        }
+        let subject = subject.get();
         let again = before.and_then(|before| Again::of(subject, &before.episode, self.frames.is_some()));
         let clip = match again {
             Ok(Some(again)) => {
@@ -274,6 +327,13 @@ impl<'a> Recorder<'a> {
                 counted(self.differing, "episode")
             ));
         }
+        if self.left > 0 {
+            self.remarks.push(format!(
+                "{} not recorded at the end of the run, which records {END_PERIODS} control periods. `robogate report {HERE}` records \
+                 them all.",
+                counted_are(self.left, "episode")
+            ));
+        }
         let clips = self.clips;
         if !clips.is_empty() && clips.iter().all(|clip| clip.recording.trajectory.is_none()) {
             let what = if clips.iter().any(|clip| !clip.film.is_empty()) {
@@ -295,6 +355,11 @@ impl<'a> Recorder<'a> {
         }
         Watch { items, reel, remarks: self.remarks }
     }
+}
+
+/// So many things, with the verb.
+fn counted_are(n: u64, thing: &str) -> String {
+    format!("{} {}", counted(n, thing), if n == 1 { "is" } else { "are" })
 }
 
 /// Why nothing is recorded at the end of a run, and how to record it.

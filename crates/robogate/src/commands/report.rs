@@ -14,6 +14,7 @@ use crate::commands::gate;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::remote::Simulators;
 use crate::source::open_source;
+use crate::subject::Subject;
 use crate::terminal::{line, note};
 use crate::twins::{self, NominalArguments};
 use crate::two_fidelities;
@@ -122,8 +123,13 @@ fn frames_beside(page: &Path) -> Frames {
 }
 
 /// Analyzes a finished run and writes its page into its folder, unless it exists. With `frames`, images of the episodes
-/// worth watching are written too. The second result is empty if the page exists.
-pub(crate) fn page(dir: &Path, frames: Option<&Frames>) -> Result<(Analysis, Option<Watch>), Exit> {
+/// worth watching are written too. `subject` is that of the run, if it has just ended. The second result is empty if the
+/// page exists.
+pub(crate) fn page(
+    dir: &Path,
+    frames: Option<&Frames>,
+    subject: Option<&Subject>,
+) -> Result<(Analysis, Option<Watch>), Exit> {
     let out = dir.join(PAGE);
     let source = Source::open(dir).or_broken()?;
     let analysis = analyse(&source, dir, &AnalysisOptions::default())?;
@@ -131,7 +137,7 @@ pub(crate) fn page(dir: &Path, frames: Option<&Frames>) -> Result<(Analysis, Opt
         return Ok((analysis, None));
     }
     let evaluation = gate_of(dir, &source);
-    let watch = watch::watch(&source, &analysis, &Simulators::none(), Moment::EndOfRun, frames).or_broken()?;
+    let watch = watch::watch(&source, &analysis, &Simulators::none(), Moment::EndOfRun(subject), frames).or_broken()?;
     let pairs = pair_counts(&source, &analysis).or_broken()?;
     let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
     let twins = twins::of_folder(dir, &source, sampling)?;

@@ -463,7 +463,7 @@ impl How {
         subject: &Subject,
         work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
     ) -> Result<u8, Exit> {
-        conclude(dir, &self.carry(subject, work)?, self.json)
+        conclude(dir, &self.carry(subject, work)?, Some(subject), self.json)
     }
 }
 
@@ -482,7 +482,7 @@ fn seeking(stage: Option<ActiveStage>, mode: &str, task: &TaskSpec) -> anyhow::R
 }
 
 /// Writes the report of a finished campaign, and prints its summary.
-pub(crate) fn conclude(dir: &Path, completion: &Completion, json: bool) -> Result<u8, Exit> {
+pub(crate) fn conclude(dir: &Path, completion: &Completion, subject: Option<&Subject>, json: bool) -> Result<u8, Exit> {
     match completion {
         Completion::Finished { summary, boundary } => {
             let twins = twins::of_run(dir, Sampling::Fixed)?;
@@ -490,7 +490,7 @@ pub(crate) fn conclude(dir: &Path, completion: &Completion, json: bool) -> Resul
                 twins::write(dir, twins)?;
             }
             let fidelities = two_fidelities::of_run(dir);
-            let analysis = write_report(dir);
+            let analysis = write_report(dir, None, subject).map(|(analysis, _)| analysis);
             if json {
                 summary::json(dir, summary, boundary.as_deref(), twins.as_ref(), fidelities.as_ref()).or_broken()?;
             } else {
@@ -520,15 +520,15 @@ pub(crate) fn interrupted(dir: &Path, done: u64, episodes: u64) -> u8 {
     INTERRUPTED
 }
 
-/// Writes the page of a finished campaign and returns its analysis. An error is a warning, because the dictionary is
-/// complete without the page.
-pub(crate) fn write_report(dir: &Path) -> Option<Analysis> {
-    write_report_with(dir, None).map(|(analysis, _)| analysis)
-}
-
-/// Writes the page of a finished campaign as [`write_report`] does, and images of its episodes worth watching.
-pub(crate) fn write_report_with(dir: &Path, frames: Option<&Frames>) -> Option<(Analysis, Option<Watch>)> {
-    match super::report::page(dir, frames) {
+/// Writes the page of a finished campaign, with `frames` also images of its episodes worth watching, and returns its
+/// analysis. `subject` is that of the run, if it has just ended. An error is a warning, because the dictionary is complete
+/// without the page.
+pub(crate) fn write_report(
+    dir: &Path,
+    frames: Option<&Frames>,
+    subject: Option<&Subject>,
+) -> Option<(Analysis, Option<Watch>)> {
+    match super::report::page(dir, frames, subject) {
         Ok(written) => Some(written),
         Err(exit) => {
             warning(format_args!("no report: {exit}"));

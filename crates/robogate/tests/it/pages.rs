@@ -207,11 +207,14 @@ fn pages_are_short() {
     robogate(dir.path(), &["import", "rows.csv", "rows.parquet"]);
     robogate(dir.path(), &["report", "rows.parquet", "--out", "imported.html"]);
     pages.push("imported.html".to_owned());
-    // An environment in a process of its own: `report` records its episodes.
+    // An environment in a process of its own. The end of the run and `report` record its episodes.
     if let Some(python) = robogate_testing::path("ROBOGATE_METAWORLD_PYTHON", "a Python with Meta-World") {
         let python = python.to_str().unwrap();
         let environment = ["--env", "metaworld:drawer-open-v3", "-n", "6", "--seed", "5", "--out", "remote"];
         robogate(dir.path(), &[&["run"], &environment[..], &["--python", python]].concat());
+        let page = dir.path().join("remote/report.html");
+        assert!(fs::read_to_string(&page).unwrap().contains("id=\"reel\""), "recorded while its process still runs");
+        fs::remove_file(&page).unwrap();
         robogate(dir.path(), &["report", "remote", "--python", python]);
         pages.push("remote/report.html".to_owned());
         // Its own policy acts, and the final state is filmed too.

@@ -72,14 +72,14 @@ impl Rounds<'_> {
     }
 
     /// Writes and prints the verdict.
-    pub(super) fn end(mut self, completion: Completion, json: bool) -> Result<u8, Exit> {
+    pub(super) fn end(mut self, completion: Completion, subject: &Subject, json: bool) -> Result<u8, Exit> {
         if let Some(error) = self.broken {
             return Err(error);
         }
         if let (Some((rival, margin)), Completion::Finished { .. }) = (self.rival, &completion) {
             self.other = Some(finish_rival(rival, self.dir, &mut self.asked, margin)?);
         }
-        finish(self.dir, &self.asked, self.other.as_ref(), self.trouble, completion, json)
+        finish(self.dir, &self.asked, self.other.as_ref(), self.trouble, completion, Some(subject), json)
     }
 }
 
@@ -126,5 +126,5 @@ pub(crate) fn resume(
         let completion = robogate_campaign::resume_in_rounds(dir, &provenance, executor, events, &mut after)?;
         arms.after(completion, executor, events)
     })?;
-    rounds.end(completion, how.json)
+    rounds.end(completion, subject, how.json)
 }

@@ -300,7 +300,7 @@ impl Gate {
                 robogate_campaign::start_in_rounds(&dir, &plan, provenance, executor, &mut with_question, &mut after)?;
             arms.after(completion, executor, events)
         })?;
-        rounds.end(completion, self.how.json)
+        rounds.end(completion, &subject, self.how.json)
     }
 }
 

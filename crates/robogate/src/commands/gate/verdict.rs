@@ -13,8 +13,9 @@ use robogate_report::{Watch, evaluation_markdown_with, junit, reqif};
 use super::question::{question, refused};
 use crate::answer;
 use crate::benchmark;
-use crate::commands::run::{interrupted, write_report_with};
+use crate::commands::run::{interrupted, write_report};
 use crate::exit::{Exit, OrExit};
+use crate::subject::Subject;
 use crate::summary::influential;
 use crate::terminal::{grouped, line, note};
 use crate::twins;
@@ -33,6 +34,7 @@ pub(crate) fn finish(
     other: Option<&Record>,
     trouble: Option<GateError>,
     completion: Completion,
+    subject: Option<&Subject>,
     json: bool,
 ) -> Result<u8, Exit> {
     if let Completion::Interrupted { done, episodes } = completion {
@@ -42,7 +44,7 @@ pub(crate) fn finish(
         return Err(refused(error));
     }
     let frames = Frames { folder: dir.join(FRAMES), link: FRAMES.to_owned() };
-    let (analysis, watch) = write_report_with(dir, Some(&frames)).unzip();
+    let (analysis, watch) = write_report(dir, Some(&frames), subject).unzip();
     // The evaluation uses the rows on disk, and not those that were seen during the run.
     let source = Source::open(dir).or_broken()?;
     let mut record = Record::of(source.dictionary()).map_err(refused)?;
