@@ -3,6 +3,7 @@
 
     cargo build && python3 scripts/pictures.py
     python3 scripts/pictures.py --only verdict twin
+    python3 scripts/pictures.py --only environment --python PYTHON_WITH_META_WORLD
 
 A fresh gate with weak grippers fails, and a fresh run of the default campaign follows. All episodes have fixed seeds, so new pictures
 differ only where RoboGate does. This needs chromium, ffmpeg and tmux.
@@ -25,6 +26,8 @@ IMAGES = REPOSITORY / "docs" / "images"
 # A grip force of 14 N per pad loses the heavy and the slippery parts of the suite.
 GATE = ["gate", "--grip-force", "14", "--seed", "1", "--out", "gate"]
 # Without its progress, whose rates are those of the machine.
+# The expert of Meta-World fails in some of these episodes.
+ENVIRONMENT = ["run", "--env", "metaworld:push-v3", "-n", "40", "--seed", "5", "--out", "environment", "--python"]
 RUN, RUN_FOLDER = "robogate run --quiet", "runs/franka-quick-2026"
 # Lines of the terminal: the rates, where it fails, what to do, and the most influential parameters.
 RUN_LINES = 49
@@ -161,26 +164,45 @@ def explorer(browser, folder, file):
     browser.shot(file, (0, 0, 1280, bottom + 12), format="jpeg", quality=78)
 
 
+def environment(browser, folder, file):
+    browser.open(folder / "environment" / "report.html", 1140, 1.25, "!!document.querySelector('[data-ready]')")
+    browser.wait("document.querySelectorAll('.view-label').length === 2")
+    slider = "document.querySelector('.view-bar input[type=range]')"
+    browser.evaluate(f"{slider}.value = 0.45 * {slider}.max; {slider}.dispatchEvent(new Event('input'))")
+    browser.settle()
+    box = browser.evaluate("(() => { const b = document.querySelector('.watch').getBoundingClientRect(); return [b.left - 8, b.top - 8, b.width + 16, 560] })()")
+    browser.shot(file, box, format="jpeg", quality=80)
+
+
+PICTURES = {"run": "run.png", "verdict": "verdict.png", "twin": "twin.gif", "explorer": "explorer.jpg", "environment": "environment.jpg"}
+README = ["run", "verdict", "twin", "explorer"]
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robogate", type=pathlib.Path, default=REPOSITORY / "target" / "debug", help="folder of the command (default: target/debug)")
-    parser.add_argument("--only", nargs="+", choices=["run", "verdict", "twin", "explorer"], default=["run", "verdict", "twin", "explorer"], help="draw these only")
+    parser.add_argument("--only", nargs="+", choices=list(PICTURES), default=README, help="draw these only")
+    parser.add_argument("--python", help="an interpreter with Meta-World, for the picture of an environment")
     arguments = parser.parse_args()
     robogate, only = arguments.robogate.resolve(), arguments.only
     with tempfile.TemporaryDirectory() as name, Browser(name) as browser:
         folder = pathlib.Path(name)
         if "verdict" in only or "twin" in only:
             run(robogate, folder, GATE, 1)
+        if "environment" in only:
+            if arguments.python is None:
+                parser.error("--only environment needs --python, an interpreter with Meta-World")
+            run(robogate, folder, [*ENVIRONMENT, arguments.python], 0)
         if "run" in only or "explorer" in only:
             lines = terminal_image.screen(RUN, 120, folder, f"{robogate}:{os.environ['PATH']}")
             run(robogate, folder, ["view", RUN_FOLDER, "--export", "explorer.html", "--clips", "4"], 0)
         if "run" in only:
             terminal_image.draw(IMAGES / "run.png", lines, 120, RUN_LINES)
             few_colours(IMAGES / "run.png")
-        for picture, file in ((verdict, "verdict.png"), (twin, "twin.gif"), (explorer, "explorer.jpg")):
+        for picture in (verdict, twin, explorer, environment):
             if picture.__name__ in only:
-                picture(browser, folder, IMAGES / file)
-    for file in sorted(IMAGES / name for name in ("run.png", "verdict.png", "twin.gif", "explorer.jpg")):
+                picture(browser, folder, IMAGES / PICTURES[picture.__name__])
+    for file in sorted(IMAGES / PICTURES[name] for name in only):
         print(f"{file.relative_to(REPOSITORY)}: {file.stat().st_size:,} bytes")
         if file.stat().st_size > MOST_BYTES:
             raise SystemExit(f"error: {file.name} has more than {MOST_BYTES:,} bytes. Hint: draw fewer frames or lines")

@@ -275,10 +275,10 @@ export class Viewer {
     this.clock.textContent = `${t.toFixed(2)} / ${this.end.toFixed(2)} s`;
     this.sides.forEach(({ clip, motion }, i) => {
       const phase = clip.phases.filter((p) => p.t <= t + 1e-9).pop();
-      const over = t >= motion.end - 1e-6 ? ` · ended at ${figure(clip.time_s)} s` : "";
+      const over = t >= motion.end - 1e-6 ? `ended at ${figure(clip.time_s)} s` : "";
       const name = phase ? phase.what.toLowerCase().replace(/_/g, " ") : "";
       const label = this.labels.children[i]?.querySelector(".view-phase");
-      if (label) label.textContent = `${name}${over}`;
+      if (label) label.textContent = [name, over].filter(Boolean).join(" · ");
     });
     this.chart?.show(t);
     this.draw();
