@@ -31,7 +31,7 @@ pub struct ScoredSession {
     pub(crate) rendered: bool,
     /// The time between two recorded frames, in seconds. `None`: no motion is recorded.
     record_s: Option<f64>,
-    /// Whether the motion of the episode is recorded and was not asked for yet.
+    /// Whether the motion of the episode is recorded and was not requested yet.
     motion_due: bool,
     /// The recorded motion of the last episode.
     pub(crate) motion: Option<Trajectory>,

@@ -149,7 +149,7 @@ impl MotionReply {
         for (at, solid) in self.solids.iter().enumerate() {
             let wrong = |what: &str| Err(format!("solids[{at}]: {what}"));
             if solid.body >= self.bodies.len() {
-                return wrong("there is no such body");
+                return wrong("the body does not exist");
             }
             if !is_pose(&solid.pose.to_array()) {
                 return wrong("its orientation is not a unit quaternion");

@@ -83,7 +83,7 @@ fn contradictory_motion_is_rejected() {
         (unpacked(|header, _| header.frames = usize::MAX), "the motion has 8 numbers"),
         (unpacked(|_, frames| frames[0][1] = f32::NAN), "number 1 of the motion is not finite"),
         (unpacked(|_, frames| frames[0][4] = 2.0), "not a unit quaternion"),
-        (unpacked(|header, _| header.solids[0].body = 1), "solids[0]: there is no such body"),
+        (unpacked(|header, _| header.solids[0].body = 1), "solids[0]: the body does not exist"),
         (unpacked(|header, _| header.solids[0].pose.orientation[0] = 0.0), "solids[0]: its orientation"),
         (unpacked(|header, _| mesh(header, 1, 1)), "solids[0]: it has triangles that were not sent"),
         (unpacked(|header, _| mesh(header, usize::MAX, 2)), "solids[0]: it has triangles that were not sent"),

@@ -57,7 +57,7 @@ class Adapter:
         self._observations = Observations(env.observation_space)
         self._actions = Actions(env.action_space, self._task.action_names)
         rest = np.zeros(len(self._actions.low)) if self._task.rest_action is None else np.asarray(self._task.rest_action)
-        # Where zeros are at a bound or outside, they are no rest.
+        # Zeros at a bound or outside the bounds are not a rest position.
         known = self._task.rest_action is not None or bool((self._actions.low < 0.0).all() and (self._actions.high > 0.0).all())
         lengths = {name: length for name, (_, length) in self._observations.vectors.items()}
         rest = self._actions.decode(rest)
