@@ -87,7 +87,8 @@ pub trait Environment {
         Err(Fault::new(FaultKind::Setup, "this environment has no cameras"))
     }
 
-    /// Renders these cameras only. A remote environment renders nothing else, which may save much time.
+    /// Renders these cameras only, for a film of the episode: the final state may be rendered too. A remote environment
+    /// renders nothing else, which may save much time.
     fn render_only(&mut self, cameras: &[&str]) -> Result<Vec<Image>, Fault> {
         let mut images = self.render()?;
         images.retain(|image| cameras.contains(&image.camera.as_str()));

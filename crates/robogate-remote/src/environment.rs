@@ -69,7 +69,6 @@ impl RemoteEnvironment {
         let mut lease = self.episodes.lease.take().ok_or_else(no_episode)?;
         match lease.connection.as_mut().ok_or_else(no_episode)?.render_some(cameras) {
             Ok(images) => {
-                self.episodes.session.rendered = true;
                 self.episodes.lease = Some(lease);
                 Ok(images)
             }
@@ -111,7 +110,9 @@ impl Environment for RemoteEnvironment {
 
     fn render_only(&mut self, cameras: &[&str]) -> Result<Vec<Image>, Fault> {
         let cameras: Vec<String> = cameras.iter().map(|camera| (*camera).to_owned()).collect();
-        self.render_cameras(Some(&cameras))
+        let images = self.render_cameras(Some(&cameras))?;
+        self.episodes.session.filmed = true;
+        Ok(images)
     }
 
     fn record_trajectory(&mut self, period_s: Option<f64>) {
@@ -180,6 +181,8 @@ struct Episodes<S> {
     pool: Arc<Pool>,
     session: S,
     lease: Option<Lease>,
+    /// Whether the episode of the held server ran to its end.
+    completed: bool,
     task: Arc<TaskSpec>,
     /// Number of control periods until the time limit.
     limit: u64,
@@ -190,12 +193,13 @@ impl<S: Session> Episodes<S> {
         session.accepts(pool.hello()).map_err(IncompatibleServer)?;
         let task = session.task(pool.hello());
         let limit = task.limit_ticks().map_err(|why| IncompatibleServer(why.to_string()))?;
-        Ok(Self { pool, session, lease: None, task, limit: u64::from(limit) })
+        Ok(Self { pool, session, lease: None, completed: false, task, limit: u64::from(limit) })
     }
 
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
+        let completed = std::mem::take(&mut self.completed);
         if let Some(mut lease) = self.lease.take() {
-            lease.release(false);
+            lease.release(completed);
         }
         let mut attempts = 1 + self.pool.len();
         loop {
@@ -233,6 +237,7 @@ impl<S: Session> Episodes<S> {
         if over && !self.session.keeps_server() {
             lease.release(true);
         } else {
+            self.completed = over;
             self.lease = Some(lease);
         }
         Ok(step)

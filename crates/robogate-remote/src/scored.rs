@@ -27,8 +27,9 @@ pub struct ScoredSession {
     pub(crate) draws: Measures,
     /// Whether each action is sent on its own, because it may differ from the one that the policy proposed.
     pub(crate) in_step: bool,
-    /// Whether the episode was rendered. Other states of it may be rendered too, so the server must not run ahead.
-    pub(crate) rendered: bool,
+    /// Whether the episode is filmed. Other states of it, also the final one, will be rendered too, so the server must not run
+    /// ahead.
+    pub(crate) filmed: bool,
     /// The time between two recorded frames, in seconds. `None`: no motion is recorded.
     record_s: Option<f64>,
     /// Whether the motion of the episode is recorded and was not requested yet.
@@ -64,7 +65,7 @@ impl ScoredSession {
             }
             return Ok(period);
         }
-        let runs_ahead = self.proposals.is_some() && !self.in_step && !self.rendered;
+        let runs_ahead = self.proposals.is_some() && !self.in_step && !self.filmed;
         let ahead = if runs_ahead { periods_ahead(&connection.hello().task) } else { 0 };
         let (first, others) = connection.run_ahead::<Empty>(kind, numbers, ahead)?;
         let mut proposed = first.proposed.clone();
@@ -101,7 +102,7 @@ impl Session for ScoredSession {
         check_parameters(&connection.hello().task, scenario).map_err(RequestError::Local)?;
         self.ran.clear();
         let mut request = reset_request::<Empty>(scenario, &scenario.requested, None)?;
-        (self.motion, self.rendered) = (None, false);
+        (self.motion, self.filmed) = (None, false);
         request.record_s = self.record_s.filter(|_| connection.hello().records_motion);
         self.motion_due = request.record_s.is_some();
         request.policy = self.proposals.as_ref().map(|proposals| proposals.policy().to_owned());
@@ -143,7 +144,7 @@ impl Session for ScoredSession {
     }
 
     fn keeps_server(&self) -> bool {
-        self.rendered
+        self.filmed
     }
 
     fn ended(&mut self, connection: &mut Connection) {
