@@ -25,11 +25,8 @@ pub(crate) fn film(shots: &[Shot]) -> anyhow::Result<Vec<FilmFrame>> {
     let mut frames = shots.iter().map(frame).collect::<anyhow::Result<Vec<FilmFrame>>>()?;
     while frames.len() > 2 && frames.iter().map(|frame| frame.jpeg.len()).sum::<usize>() > BUDGET_BYTES {
         let last = frames.len() - 1;
-        let mut at = 0;
-        frames.retain(|_| {
-            at += 1;
-            (at - 1) % 2 == 0 || at - 1 == last
-        });
+        let kept = frames.into_iter().enumerate().filter(|(at, _)| at % 2 == 0 || *at == last);
+        frames = kept.map(|(_, frame)| frame).collect();
     }
     Ok(frames)
 }

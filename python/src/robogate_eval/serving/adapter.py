@@ -619,7 +619,7 @@ def _reported(trajectory: Trajectory) -> bool | None:
     for info in reversed(trajectory.infos):
         for key in ("success", "is_success"):
             if key in info:
-                # Reported earlier and not now: this step is no success.
+                # Reported earlier and not now: this step is not a success.
                 return info is trajectory.infos[-1] and _truth(info[key])
     check = getattr(trajectory.env.unwrapped, "check_success", None) or getattr(trajectory.env.unwrapped, "_check_success", None)
     return None if check is None else _truth(check())

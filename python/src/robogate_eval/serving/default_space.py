@@ -3,7 +3,7 @@
 Knobs that the environment declares as functions are sampled over their ranges. Of the knobs of a MuJoCo model, a moderate range
 around the nominal value is sampled: of those that the environment names, and otherwise of the things that the robot handles, the
 force of the actuators, and the delay. The limits of a knob say what can be set, for example no gravity at all. A policy need not
-work there, so they are no default.
+work there, so they are not sampled by default.
 """
 
 from __future__ import annotations
