@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 /// The platform: operating system, architecture, C library and CPU features.
 ///
 /// The C library computes `exp`, `log` and `sin` and chooses a variant of each by the CPU. Two versions, or two
-/// variants, can differ in the last bit, after which trajectories diverge.
+/// variants, can differ in the last bit, after which trajectories diverge. The same holds for the library that runs networks in
+/// this process, which has wider vectors where the CPU has AVX-512.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Platform {
     /// Operating system (`linux`).
@@ -16,7 +17,8 @@ pub struct Platform {
     /// C library with its version (`glibc 2.36`). Absent if it is unknown, as in files of version 0.2.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub libc: Option<String>,
-    /// The CPU features by which the C library chooses its variants (`avx2`, `fma`), sorted. Absent if they are unknown.
+    /// The CPU features by which the C library chooses its variants (`avx2`, `fma`), sorted, and `avx512` if a network ran in this
+    /// process with it. Absent if they are unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cpu: Option<Vec<String>>,
 }
@@ -30,6 +32,16 @@ impl Platform {
             libc: libc_version(),
             cpu: cpu_features(),
         }
+    }
+
+    /// The platform of a process that runs networks itself.
+    #[must_use]
+    pub fn with_networks(mut self) -> Self {
+        if let Some(cpu) = self.cpu.as_mut().filter(|_| has_avx512()) {
+            cpu.push("avx512".to_owned());
+            cpu.sort();
+        }
+        self
     }
 
     /// The properties that are known, as names and values.
@@ -70,6 +82,20 @@ fn cpu_features() -> Option<Vec<String>> {
     Some(known.into_iter().filter(|(_, present)| *present).map(|(name, _)| name.to_owned()).collect())
 }
 
+/// Whether the library of networks (rten-simd) uses AVX-512 here: it asks for these four extensions.
+#[cfg(target_arch = "x86_64")]
+fn has_avx512() -> bool {
+    std::arch::is_x86_feature_detected!("avx512f")
+        && std::arch::is_x86_feature_detected!("avx512vl")
+        && std::arch::is_x86_feature_detected!("avx512bw")
+        && std::arch::is_x86_feature_detected!("avx512dq")
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn has_avx512() -> bool {
+    false
+}
+
 /// Other architectures have one variant of each function.
 #[cfg(not(target_arch = "x86_64"))]
 fn cpu_features() -> Option<Vec<String>> {
@@ -85,6 +111,16 @@ mod tests {
         let old: Platform = serde_json::from_str(r#"{"os":"linux","arch":"x86_64"}"#).unwrap();
         assert_eq!(old.properties(), [("platform", "linux x86_64".to_owned())]);
         assert_eq!(serde_json::to_string(&old).unwrap(), r#"{"os":"linux","arch":"x86_64"}"#);
+    }
+
+    #[test]
+    fn wider_vectors_are_part_of_the_platform_of_networks() {
+        let (plain, networks) = (Platform::here(), Platform::here().with_networks());
+        let cpu = |platform: &Platform| platform.cpu.clone().unwrap();
+        assert!(!cpu(&plain).contains(&"avx512".to_owned()));
+        assert_eq!(cpu(&networks).contains(&"avx512".to_owned()), has_avx512());
+        assert!(cpu(&networks).is_sorted());
+        assert_eq!(plain == networks, !has_avx512());
     }
 
     #[cfg(all(target_os = "linux", target_env = "gnu"))]

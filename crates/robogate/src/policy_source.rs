@@ -87,6 +87,11 @@ impl PolicySource {
         }
     }
 
+    /// Whether it is a network that this process runs.
+    pub(crate) fn is_network(&self) -> bool {
+        self.profile().is_some_and(|profile| profile.dialect.is_file())
+    }
+
     /// The map between the environment and the profile, if there is one.
     pub(crate) fn map(&self) -> Option<&Arc<TaskMap>> {
         match self {

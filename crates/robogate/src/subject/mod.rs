@@ -292,6 +292,8 @@ impl Subject {
         if let (Value::Object(world), Some(controls)) = (&mut world, &self.controls) {
             world.insert(Controls::KEY.to_owned(), controls.clone());
         }
+        let runs_network = self.policy.as_ref().is_some_and(PolicySource::is_network);
+        let platform = if runs_network { Platform::here().with_networks() } else { Platform::here() };
         Ok(Provenance {
             tool: Tool::robogate(),
             schema_version: SCHEMA_VERSION,
@@ -306,7 +308,7 @@ impl Subject {
             fidelity: robogate_dictionary::Fidelity::Fine,
             seed: 0,
             question_sha256: None,
-            platform: Some(Platform::here()),
+            platform: Some(platform),
             source: None,
         })
     }
