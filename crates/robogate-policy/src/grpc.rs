@@ -207,7 +207,10 @@ fn varint(message: &mut &[u8]) -> Option<u64> {
 
 #[cfg(test)]
 mod tests {
+    use robogate_testing::fuzz::{self, Draw, Target};
+
     use super::*;
+    use crate::tests::MESSAGES;
 
     #[test]
     fn servers_without_the_method_have_another_dialect() {
@@ -230,16 +233,17 @@ mod tests {
     }
 
     /// A message whose fields fit together mostly: fields of all kinds, nested ones, and sometimes a false length.
-    fn generated(draw: &mut dyn FnMut(usize) -> usize, depth: usize) -> Vec<u8> {
+    fn generated(draw: &mut Draw, depth: usize) -> Vec<u8> {
         let mut bytes = Vec::new();
-        for _ in 0..draw(6) {
-            let field = 1 + draw(4) as u64;
-            match draw(8) {
-                0 => bytes.extend([number(field << 3), number(u64::MAX >> draw(64))].concat()),
-                1 => bytes.extend([number(field << 3 | [1, 3, 4, 5, 6, 7][draw(6)]), vec![0; draw(9)]].concat()),
-                2 => bytes.extend([number(field << 3 | 2), number(u64::MAX >> draw(64))].concat()),
+        for _ in 0..draw.below(6) {
+            let field = 1 + draw.below(4) as u64;
+            match draw.below(8) {
+                0 => bytes.extend([number(field << 3), number(u64::MAX >> draw.below(64))].concat()),
+                1 => bytes
+                    .extend([number(field << 3 | [1, 3, 4, 5, 6, 7][draw.below(6)]), vec![0; draw.below(9)]].concat()),
+                2 => bytes.extend([number(field << 3 | 2), number(u64::MAX >> draw.below(64))].concat()),
                 _ => {
-                    let content = if depth < 4 { generated(draw, depth + 1) } else { vec![7; draw(40)] };
+                    let content = if depth < 4 { generated(draw, depth + 1) } else { vec![7; draw.below(40)] };
                     bytes.extend([number(field << 3 | 2), number(content.len() as u64), content].concat());
                 }
             }
@@ -248,24 +252,28 @@ mod tests {
     }
 
     #[test]
-    fn generated_messages_are_read_or_rejected() {
+    fn fuzzed_messages_are_read_or_refused() {
         let corpus = crate::tests::corpus("protobuf");
         assert!(corpus.len() >= 5);
         for bytes in &corpus {
             let (_, peak) = robogate_testing::peak_memory(|| drop(read_bytes_field(bytes, 1)));
             assert!(peak < 10_000, "{peak}");
         }
-        let (mut read, mut tried) = (0, 0);
-        crate::tests::cases(|draw| {
-            let message = generated(draw, 0);
-            let (found, peak) = robogate_testing::peak_memory(|| read_bytes_field(&message, 1).is_ok());
-            assert!(peak < 10_000, "{peak}");
-            read += u32::from(found);
-            tried += 1;
-            let body = [&[0][..], &(message.len() as u32).to_be_bytes(), &message].concat();
-            assert_eq!(super::message(&body).unwrap(), message);
-        });
-        assert!(read > 0 && read < tried, "{read} of {tried}");
-        crate::tests::fuzz(&corpus, |bytes| drop(read_bytes_field(bytes, 1)));
+        let counts = fuzz::run(
+            "protobuf parts",
+            MESSAGES,
+            |draw| generated(draw, 0),
+            |message| {
+                let (found, peak) = robogate_testing::peak_memory(|| read_bytes_field(message, 1).is_ok());
+                assert!(peak < 10_000, "{peak}");
+                let body = [&[0][..], &(message.len() as u32).to_be_bytes(), message].concat();
+                assert_eq!(super::message(&body).unwrap(), message);
+                found
+            },
+        );
+        assert!(counts.read > 0 && counts.refused > 0, "{counts:?}");
+        let valid = [super::bytes_field(1, &[7; 300])];
+        Target { name: "protobuf", valid: &valid, kept: &corpus, words: &[], inputs: MESSAGES }
+            .run(|bytes| read_bytes_field(bytes, 1).is_ok());
     }
 }

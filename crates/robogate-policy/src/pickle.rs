@@ -448,7 +448,10 @@ impl Writer {
 
 #[cfg(test)]
 mod tests {
+    use robogate_testing::fuzz::{self, Draw, Target};
+
     use super::*;
+    use crate::tests::MESSAGES;
 
     #[test]
     fn hostile_pickles_are_not_executed() {
@@ -518,37 +521,37 @@ mod tests {
     }
 
     /// A program of valid instructions with random operands, so that the machine gets further than with random bytes.
-    fn program(draw: &mut dyn FnMut(usize) -> usize) -> Vec<u8> {
+    fn program(draw: &mut Draw) -> Vec<u8> {
         let mut bytes = vec![0x80, 4];
         let mut memo = 0_usize;
-        for _ in 0..draw(200) {
-            match draw(16) {
-                0 => bytes.extend([b'K', draw(256) as u8]),
+        for _ in 0..draw.below(200) {
+            match draw.below(16) {
+                0 => bytes.extend([b'K', draw.below(256) as u8]),
                 1 => {
-                    let length = draw(40);
+                    let length = draw.below(40);
                     bytes.extend([0x8c, length as u8]);
                     bytes.extend(vec![b'a'; length]);
                 }
                 2 => {
-                    let length = draw(2_000);
-                    bytes.push(if draw(2) == 0 { b'X' } else { b'B' });
+                    let length = draw.below(2_000);
+                    bytes.push(if draw.below(2) == 0 { b'X' } else { b'B' });
                     bytes.extend((length as u32).to_le_bytes());
                     bytes.extend(vec![b'b'; length]);
                 }
-                3 => bytes.push([b']', b'}', b')'][draw(3)]),
+                3 => bytes.push([b']', b'}', b')'][draw.below(3)]),
                 4 => bytes.push(b'('),
-                5 => bytes.push([b't', b'e', b'u'][draw(3)]),
-                6 => bytes.push([b'a', b's', b'b', b'R', 0x81, b'Q'][draw(6)]),
-                7 => bytes.push(0x85 + draw(3) as u8),
+                5 => bytes.push([b't', b'e', b'u'][draw.below(3)]),
+                6 => bytes.push([b'a', b's', b'b', b'R', 0x81, b'Q'][draw.below(6)]),
+                7 => bytes.push(0x85 + draw.below(3) as u8),
                 8 => bytes.push(0x93),
                 9 => bytes.extend(b"cmodule\nname\n"),
                 10 | 11 => {
                     bytes.push(0x94);
                     memo += 1;
                 }
-                12 | 13 => bytes.extend([b'h', draw(memo + 1) as u8]),
-                14 => bytes.push([b'N', 0x88, 0x89][draw(3)]),
-                _ => bytes.extend([0x8a, 2, draw(256) as u8, draw(256) as u8]),
+                12 | 13 => bytes.extend([b'h', draw.below(memo + 1) as u8]),
+                14 => bytes.push([b'N', 0x88, 0x89][draw.below(3)]),
+                _ => bytes.extend([0x8a, 2, draw.below(256) as u8, draw.below(256) as u8]),
             }
         }
         bytes.push(b'.');
@@ -556,16 +559,14 @@ mod tests {
     }
 
     #[test]
-    fn random_programs_are_read_or_rejected() {
+    fn fuzzed_programs_are_read_or_refused() {
         let corpus = crate::tests::corpus("pickle");
         assert!(corpus.len() >= 7);
         corpus.iter().for_each(|bytes| drop(read(bytes)));
-        let (mut accepted, mut tried) = (0, 0);
-        crate::tests::cases(|draw| {
-            accepted += u32::from(read(&program(draw)).is_ok());
-            tried += 1;
-        });
-        assert!(accepted > 0 && accepted < tried, "{accepted} of {tried}");
-        crate::tests::fuzz(&corpus, |bytes| drop(read(bytes)));
+        let counts = fuzz::run("pickle parts", MESSAGES, program, |bytes| read(bytes).is_ok());
+        assert!(counts.read > 0 && counts.refused > 0, "{counts:?}");
+        let valid = [b"\x80\x04](K\x01K\x02e.".to_vec()];
+        Target { name: "pickle", valid: &valid, kept: &corpus, words: &[], inputs: MESSAGES }
+            .run(|bytes| read(bytes).is_ok());
     }
 }

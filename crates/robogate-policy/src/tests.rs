@@ -1,9 +1,9 @@
 //! Test helpers for dialects: captured bytes, and mutations of them.
 
 use std::path::Path;
-use std::time::{Duration, Instant};
 
 use rmpv::ValueRef;
+use robogate_testing::fuzz;
 
 use super::array::Array;
 use super::msgpack;
@@ -40,58 +40,21 @@ pub(crate) fn query(request: &ValueRef<'_>, instruction: &str) -> Query {
     Query { images, states, instruction: instruction.to_owned(), step: 0, time_s: 0.0 }
 }
 
-/// The kept inputs of a fuzz target: messages that once found a defect, or that a rule of a decoder forbids.
+/// The kept inputs of a fuzz target.
 pub(crate) fn corpus(target: &str) -> Vec<Vec<u8>> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus").join(target);
-    let mut paths: Vec<_> = std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()).collect();
-    paths.sort();
-    paths.iter().map(|path| std::fs::read(path).unwrap()).collect()
+    fuzz::corpus(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus").join(target))
 }
 
-/// Messages that a fuzz test tries. More for `ROBOGATE_FUZZ_SECONDS` seconds.
-const CASES: u64 = 12_000;
+/// Messages that a fuzz test tries.
+pub(crate) const MESSAGES: u64 = 12_000;
 
-/// Calls `try_one` with a generator of numbers below a limit: [`CASES`] times, or for `ROBOGATE_FUZZ_SECONDS`.
-pub(crate) fn cases(mut try_one: impl FnMut(&mut dyn FnMut(usize) -> usize)) {
-    let seconds = std::env::var("ROBOGATE_FUZZ_SECONDS").ok().and_then(|text| text.parse().ok());
-    let end = seconds.map(|seconds| Instant::now() + Duration::from_secs_f64(seconds));
-    let mut state = 0x9e37_79b9_7f4a_7c15_u64;
-    let mut draw = move |below: usize| {
-        // xorshift64*: Marsaglia 2003, Vigna 2016.
-        state ^= state >> 12;
-        state ^= state << 25;
-        state ^= state >> 27;
-        (state.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 33) as usize % below.max(1)
-    };
-    let mut tried = 0_u64;
-    while end.map_or(tried < CASES, |end| Instant::now() < end) {
-        try_one(&mut draw);
-        tried += 1;
-    }
-    println!("{tried} messages");
+/// Tries a decoder with mutations of the messages of a server that it accepts.
+pub(crate) fn fuzz(name: &str, valid: &[Vec<u8>], decode: impl Fn(&[u8]) -> bool) {
+    fuzz::Target { name, valid, kept: &[], words: WORDS, inputs: MESSAGES }.run(decode);
 }
 
-/// Feed mutated messages to a decoder. A panic fails the test.
-pub(crate) fn fuzz(seeds: &[Vec<u8>], decode: impl Fn(&[u8])) {
-    seeds.iter().for_each(|seed| decode(seed));
-    cases(|draw| {
-        let seed = &seeds[draw(seeds.len())];
-        let mut bytes = seed.clone();
-        for _ in 0..=draw(4) {
-            let at = draw(bytes.len());
-            match draw(6) {
-                0 => bytes.truncate(at),
-                1 => bytes.extend_from_slice(&seed[draw(seed.len())..]),
-                2 => bytes.insert(at, draw(256) as u8),
-                // Lengths near the limits of their integer types.
-                3 => bytes.splice(at..at, [0xff, 0xff, 0xff, 0x7f]).for_each(drop),
-                _ => {
-                    if let Some(byte) = bytes.get_mut(at) {
-                        *byte = draw(256) as u8;
-                    }
-                }
-            }
-        }
-        decode(&bytes);
-    });
-}
+/// Words with a meaning for JSON and for the servers.
+const WORDS: &[&str] = &[
+    "{", "}", "[", "]", "null", "NaN", "Infinity", "1e999", "-1", "\"\"", "\\ud800", "[[[[[[[[", "actions", "dtype",
+    "shape", "<f4", "|O", "error",
+];

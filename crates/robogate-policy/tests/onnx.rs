@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use robogate_core::{Action, Command, Policy};
 use robogate_policy::{ExternalPolicy, PolicyError, Profile};
+use robogate_testing::fuzz::{self, Draw};
 use rten_onnx::onnx::{AttributeProto, DataType, Dimension, GraphProto, ModelProto, NodeProto, OperatorSetIdProto};
 use rten_onnx::onnx::{
     StringStringEntryProto, TensorProto, TensorShapeProto, TypeProto, TypeProtoTensor, ValueInfoProto,
@@ -232,21 +233,21 @@ fn every_load_and_thread_gives_the_same_bits() {
 
 /// Loads and runs files, and returns how many are refused. None may panic.
 fn refused(name: &str, files: impl Iterator<Item = Vec<u8>>) -> usize {
-    errors(name, files).inspect(|why| assert!(!why.contains("panicked"), "{why}")).count()
+    let path = Scratch::new(name, &[]);
+    files.filter_map(|bytes| error(&path, &bytes)).inspect(|why| assert!(!why.contains("panicked"), "{why}")).count()
 }
 
-/// Loads and runs files, and returns the errors.
-fn errors(name: &str, files: impl Iterator<Item = Vec<u8>>) -> impl Iterator<Item = String> {
-    let path = Scratch::new(name, &[]);
-    let errors = files.filter_map(move |bytes| {
-        path.write(&bytes);
-        let mut policy = match load(&path.0, SMALL) {
-            Err(error) => return Some(error.to_string()),
-            Ok(policy) => policy,
-        };
-        policy.begin("pick up the box").and_then(|()| policy.infer(&observation(96))).err().map(|e| e.to_string())
+/// Loads and runs a file, and returns the error.
+fn error(path: &Scratch, bytes: &[u8]) -> Option<String> {
+    path.write(bytes);
+    let loaded = load(&path.0, SMALL);
+    let result = loaded.and_then(|mut policy| {
+        policy.begin("pick up the box")?;
+        policy.infer(&observation(96))
     });
-    errors.inspect(|why| assert!(!why.contains("its thread has ended"), "{why}"))
+    let why = result.err()?.to_string();
+    assert!(!why.contains("its thread has ended"), "{why}");
+    Some(why)
 }
 
 fn good() -> Vec<u8> {
@@ -552,7 +553,7 @@ fn deep_networks_load() {
 }
 
 /// A network whose nodes read what earlier ones compute, with plausible and extreme sizes.
-fn generated(draw: &mut dyn FnMut(usize) -> usize) -> Vec<u8> {
+fn generated(draw: &mut Draw) -> Vec<u8> {
     const UNARY: [&str; 12] = [
         "Neg",
         "Relu",
@@ -571,19 +572,19 @@ fn generated(draw: &mut dyn FnMut(usize) -> usize) -> Vec<u8> {
         "Add", "Mul", "MatMul", "Gemm", "Reshape", "Expand", "Tile", "Concat", "Gather", "Pad", "Slice", "Conv",
         "Resize", "Range",
     ];
-    let size = |draw: &mut dyn FnMut(usize) -> usize| -> i64 {
-        match draw(14) {
-            0 => [-1, 0, i64::MAX, i64::MIN, 1 << 31, 1 << 20][draw(6)],
-            1 => 1 << draw(24),
+    let size = |draw: &mut Draw| -> i64 {
+        match draw.below(14) {
+            0 => [-1, 0, i64::MAX, i64::MIN, 1 << 31, 1 << 20][draw.below(6)],
+            1 => 1 << draw.below(24),
             n => (n % 9) as i64,
         }
     };
     let mut names = vec!["state".to_owned(), "front".to_owned()];
     let mut constants = Vec::new();
-    for i in 0..draw(4) {
-        let numbers: Vec<i64> = (0..draw(5)).map(|_| size(draw)).collect();
+    for i in 0..draw.below(4) {
+        let numbers: Vec<i64> = (0..draw.below(5)).map(|_| size(draw)).collect();
         let mut constant = integers(&format!("k{i}"), &numbers);
-        match draw(16) {
+        match draw.below(16) {
             0 => constant.dims = vec![size(draw), size(draw)],
             1..=3 => constant = tensor(&format!("k{i}"), &[numbers.len() as i64], &vec![0.5; numbers.len()]),
             4..=8 => constant = tensor(&format!("k{i}"), &[8, 2], &[0.5; 16]),
@@ -592,27 +593,27 @@ fn generated(draw: &mut dyn FnMut(usize) -> usize) -> Vec<u8> {
         names.push(constant.name.clone().expect("it has one"));
         constants.push(constant);
     }
-    let count = 1 + draw(6);
+    let count = 1 + draw.below(6);
     let nodes = (0..count).map(|i| {
-        let input = |draw: &mut dyn FnMut(usize) -> usize| {
-            if draw(60) == 0 { "unknown".to_owned() } else { names[draw(names.len())].clone() }
+        let input = |draw: &mut Draw| {
+            if draw.below(60) == 0 { "unknown".to_owned() } else { names[draw.below(names.len())].clone() }
         };
-        let (op, inputs) = if draw(2) == 0 {
-            (UNARY[draw(UNARY.len())], vec![input(draw)])
+        let (op, inputs) = if draw.below(2) == 0 {
+            (UNARY[draw.below(UNARY.len())], vec![input(draw)])
         } else {
-            (BINARY[draw(BINARY.len())], vec![input(draw), input(draw)])
+            (BINARY[draw.below(BINARY.len())], vec![input(draw), input(draw)])
         };
         let inputs: Vec<&str> = inputs.iter().map(String::as_str).collect();
         let output = if i + 1 == count { "y".to_owned() } else { format!("v{i}") };
         let mut node = node(op, &inputs, &output);
         let attributes = ["axis", "axes", "perm", "pads", "to", "kernel_shape", "keepdims", "strides", "group"];
         // Most attributes do not belong to the operator.
-        for _ in 0..draw(8).saturating_sub(5) {
-            let name = attributes[draw(attributes.len())];
-            let ints: Vec<i64> = (0..draw(5)).map(|_| size(draw)).collect();
+        for _ in 0..draw.below(8).saturating_sub(5) {
+            let name = attributes[draw.below(attributes.len())];
+            let ints: Vec<i64> = (0..draw.below(5)).map(|_| size(draw)).collect();
             node = with_integers(node, name, &ints);
             if let Some(attribute) = node.attribute.last_mut()
-                && draw(2) == 0
+                && draw.below(2) == 0
             {
                 attribute.i = Some(size(draw));
                 attribute.ints.clear();
@@ -625,42 +626,23 @@ fn generated(draw: &mut dyn FnMut(usize) -> usize) -> Vec<u8> {
     network(constants, nodes)
 }
 
-/// Networks built part by part, so that they get through the first checks. More for `ROBOGATE_FUZZ_SECONDS` seconds. The corpus
-/// has those that once found a defect, and one for each limit.
+/// Networks built part by part, so that they get through the first checks. The corpus has those that once found a defect, and one for each limit.
 #[test]
-fn generated_networks_are_loaded_or_refused() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus/onnx");
-    let kept: Vec<Vec<u8>> = std::fs::read_dir(folder)
-        .expect("it is there")
-        .map(|entry| std::fs::read(entry.expect("readable").path()).expect("readable"))
-        .collect();
+fn fuzzed_networks_are_loaded_or_refused() {
+    let kept = fuzz::corpus(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus/onnx"));
     assert!(kept.len() >= 4);
     assert_eq!(refused("kept", kept.iter().cloned()), kept.len());
-    let seconds = std::env::var("ROBOGATE_FUZZ_SECONDS").ok().and_then(|text| text.parse::<f64>().ok());
-    let (begun, mut state) = (std::time::Instant::now(), 0x2545_f491_4f6c_dd1d_u64);
-    let tried = std::cell::Cell::new(0_usize);
-    let files = std::iter::from_fn(|| {
-        if seconds.map_or(tried.get() >= 500, |seconds| begun.elapsed().as_secs_f64() >= seconds) {
-            return None;
-        }
-        tried.set(tried.get() + 1);
-        let mut draw = |below: usize| {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (state >> 33) as usize % below.max(1)
-        };
-        Some(generated(&mut draw))
-    });
     // A panic of the library is an error about the file.
-    let (mut refused, mut panicked, mut answers) = (0, 0, 0);
-    for why in errors("generated", files) {
-        refused += 1;
-        panicked += usize::from(why.contains("the ONNX library panicked"));
-        answers += usize::from(why.contains("wrong shape"));
-    }
-    answers += tried.get() - refused;
-    println!(
-        "{} networks, {refused} refused, {panicked} of them by a panic of the library; {answers} answered",
-        tried.get()
-    );
-    assert!(refused > 0 && answers > tried.get() / 50, "{refused} refused and {answers} answers of {}", tried.get());
+    let path = Scratch::new("generated", &[]);
+    let (mut panicked, mut wrong_shape) = (0, 0);
+    let counts = fuzz::run("onnx", 500, generated, |bytes| {
+        let why = error(&path, bytes);
+        let says = |words: &str| u64::from(why.as_ref().is_some_and(|why| why.contains(words)));
+        panicked += says("the ONNX library panicked");
+        wrong_shape += says("wrong shape");
+        why.is_none()
+    });
+    let answers = counts.read + wrong_shape;
+    println!("{counts:?}, {panicked} refused by a panic of the library, {answers} answered");
+    assert!(counts.refused > 0 && answers > (counts.read + counts.refused) / 50, "{counts:?} {answers}");
 }

@@ -1,4 +1,4 @@
-//! External tools and data that some tests need and that a machine may lack.
+//! What the tests of several crates share: fuzzing, an allocator that counts, and external tools and data that a machine may lack.
 //!
 //! Cargo counts a test that returns early as passed. A test without its tool therefore calls a function of this crate,
 //! which writes a line `skipped: TEST: REASON` to stderr and appends it to the file named by `ROBOGATE_SKIPPED_FILE`.
@@ -11,6 +11,7 @@
 //! # }
 //! ```
 
+pub mod fuzz;
 mod memory;
 
 use std::env;

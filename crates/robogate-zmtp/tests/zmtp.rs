@@ -7,6 +7,7 @@ use std::net::TcpListener;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use robogate_testing::fuzz::{self, Draw};
 use robogate_zmtp::{Address, Decoder, Item, Limits, Replier, Requester, ZmtpError};
 
 mod support;
@@ -217,18 +218,15 @@ fn late_reply_is_dropped() {
 }
 
 #[test]
-fn decoder_enforces_its_limits() {
-    let mut random = support::Random(6);
-    let (began, time) = (Instant::now(), support::fuzz_time());
+fn fuzzed_streams_keep_the_limits() {
     let limits = Limits { frames: 3, frame_bytes: 4096, message_bytes: 8192 };
-    let mut runs = 0_u64;
-    while began.elapsed() < time {
-        let mut stream = [REQ, REP][random.below(2)].to_vec();
-        random.mutate(&mut stream);
+    let valid = [REQ, REP].map(<[u8]>::to_vec);
+    fuzz::Target { name: "zmtp", valid: &valid, kept: &[], words: &[], inputs: 20_000 }.run(|stream| {
+        let mut draw = Draw::new("pieces", stream.len() as u64);
         let mut decoder = Decoder::new(limits);
-        let mut rest = &stream[..];
-        'stream: while !rest.is_empty() {
-            let (piece, left) = rest.split_at(1 + random.below(rest.len()));
+        let mut rest = stream;
+        while !rest.is_empty() {
+            let (piece, left) = rest.split_at(1 + draw.below(rest.len()));
             decoder.feed(piece);
             rest = left;
             loop {
@@ -238,11 +236,10 @@ fn decoder_enforces_its_limits() {
                     }
                     Ok(Some(_)) => {}
                     Ok(None) => break,
-                    Err(_) => break 'stream,
+                    Err(_) => return false,
                 }
             }
         }
-        runs += 1;
-    }
-    eprintln!("{runs} streams");
+        true
+    });
 }

@@ -1,23 +1,12 @@
-//! Mutation fuzzing of all file readers: the importers, the Parquet reader, the journal.
-//!
-//! A damaged file must be rejected or read in bounded time and without a panic. A normal test run tries each reader a
-//! few hundred times. For a longer run:
-//!
-//! ```text
-//! ROBOGATE_FUZZ_SECONDS=600 cargo test --release -p robogate-dictionary --test it fuzz -- --nocapture
-//! ```
-//!
-//! `ROBOGATE_FUZZ_SEED` sets the first round. A finding is printed with its round, which reproduces the file. The file
-//! is also kept in the run's folder.
+//! Fuzzing of all file readers: the importers, the Parquet reader, the journal. A damaged file must be refused or read in
+//! bounded time and memory, and without a panic.
 
 use std::fs;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
-use std::time::{Duration, Instant};
 
-use robogate_core::{Seed, Stream};
 use robogate_dictionary::results::{Format, Mapping, import};
 use robogate_dictionary::{Dictionary, Journal, export, published, write_parquet};
+use robogate_testing::fuzz;
 
 use crate::common::{Folder, PLAN, entry, provenance};
 use crate::raw_parquet::random;
@@ -26,7 +15,9 @@ use crate::raw_parquet::random;
 struct Target {
     name: &'static str,
     /// Valid files.
-    corpus: Vec<Vec<u8>>,
+    valid: Vec<Vec<u8>>,
+    /// Files that the reader refuses.
+    refused: Vec<Vec<u8>>,
     /// Words with a meaning for the reader.
     words: &'static [&'static str],
     read: fn(&Path) -> bool,
@@ -109,7 +100,7 @@ fn targets(folder: &Folder) -> Vec<Target> {
     const TABLE: &[&str] = &[
         "\"", "\"\"", ",", ";", "\t", "\r", "\n", "nan", "inf", "1e400", "-1", "success", "error", "\u{feff}", "\u{0}",
     ];
-    let target = |name, corpus, words, read| Target { name, corpus, words, read };
+    let target = |name, valid, words, read| Target { name, valid, refused: Vec::new(), words, read };
     vec![
         target("parquet", vec![fs::read(&parquet).unwrap()], &["PAR1", "robogate.provenance"][..], read_dictionary),
         target("journal", vec![fs::read(&path).unwrap()], &[][..], read_journal),
@@ -134,18 +125,21 @@ fn targets(folder: &Folder) -> Vec<Target> {
         target("foreign_parquet", vec![fixture("table.parquet")], &["PAR1"][..], |path| {
             import_as(path, Some(Format::Parquet))
         }),
-        target(
-            "recognised",
-            vec![
-                fixture("lerobot_tasks.json"),
-                fixture("vla_eval.json"),
-                fixture("table.jsonl"),
-                fixture("table.csv"),
-                fixture("table.parquet"),
-            ],
-            JSON,
-            |path| import_as(path, None),
-        ),
+        Target {
+            // Its columns need a mapping.
+            refused: vec![fixture("table.csv")],
+            ..target(
+                "recognised",
+                vec![
+                    fixture("lerobot_tasks.json"),
+                    fixture("vla_eval.json"),
+                    fixture("table.jsonl"),
+                    fixture("table.parquet"),
+                ],
+                JSON,
+                |path| import_as(path, None),
+            )
+        },
         target(
             "mapping",
             vec![fixture("table.toml")],
@@ -157,149 +151,74 @@ fn targets(folder: &Folder) -> Vec<Target> {
     ]
 }
 
-/// Applies one to four mutations to a valid file.
-fn mutate(target: &Target, stream: &mut Stream) -> Vec<u8> {
-    let mut bytes = target.corpus[stream.below(target.corpus.len())].clone();
-    for _ in 0..=stream.below(4) {
-        if bytes.is_empty() {
-            break;
-        }
-        let at = stream.below(bytes.len());
-        // Half of the mutations are near the end, where Parquet stores its metadata.
-        let at = if stream.below(2) == 0 { at } else { bytes.len() - 1 - at / 4 };
-        match stream.below(9) {
-            0 => bytes[at] ^= 1 << stream.below(8),
-            1 => bytes[at] = [0, 1, 0x7f, 0x80, 0xff, b'0', b'"'][stream.below(7)],
-            2 => bytes.truncate(at),
-            3 => {
-                let end = (at + stream.below(32)).min(bytes.len());
-                bytes.drain(at..end);
-            }
-            4 => {
-                let random: Vec<u8> = (0..stream.below(16)).map(|_| stream.bits() as u8).collect();
-                bytes.splice(at..at, random);
-            }
-            5 if !target.words.is_empty() => {
-                let word = target.words[stream.below(target.words.len())].as_bytes();
-                let end = if stream.below(2) == 0 { at } else { (at + word.len()).min(bytes.len()) };
-                bytes.splice(at..end, word.iter().copied());
-            }
-            6 => {
-                // Repeats a piece of the file, once or many times.
-                let piece = bytes[at..(at + 1 + stream.below(64)).min(bytes.len())].to_vec();
-                let again = piece.repeat(1 << stream.below(10));
-                let to = stream.below(bytes.len());
-                bytes.splice(to..to, again);
-            }
-            7 => {
-                let other = &target.corpus[stream.below(target.corpus.len())];
-                let from = stream.below(other.len());
-                let piece = &other[from..(from + stream.below(200)).min(other.len())];
-                bytes.splice(at..at, piece.iter().copied());
-            }
-            _ => {
-                let n = stream.below(9);
-                for byte in bytes.iter_mut().skip(at).take(n) {
-                    *byte = stream.bits() as u8;
-                }
+/// One test for each target, so that each can run for as long as the others.
+macro_rules! fuzzed {
+    ($($name:ident),* $(,)?) => {
+        mod fuzzed {
+            $(#[test]
+            fn $name() {
+                super::fuzzed(stringify!($name));
+            })*
+
+            #[test]
+            fn all_targets_have_a_test() {
+                let folder = crate::common::Folder::new("fuzz-all");
+                let targets: Vec<&str> = super::targets(&folder).iter().map(|target| target.name).collect();
+                assert_eq!(targets, [$(stringify!($name)),*]);
             }
         }
-    }
-    bytes
+    };
 }
 
-fn number(name: &str) -> Option<u64> {
-    let text = std::env::var(name).ok()?;
-    Some(text.parse().unwrap_or_else(|_| panic!("{name} is `{text}`, not an integer of at least 0")))
-}
+fuzzed!(
+    parquet,
+    journal,
+    published,
+    lerobot,
+    vla_eval,
+    csv,
+    json_lines,
+    exported_csv,
+    exported_json,
+    foreign_parquet,
+    recognised,
+    mapping,
+);
 
-#[test]
-fn fuzzed_files_never_panic_or_hang() {
-    let budget = number("ROBOGATE_FUZZ_SECONDS").map(Duration::from_secs);
-    let first = number("ROBOGATE_FUZZ_SEED").unwrap_or(0);
-    let folder = Folder::new("fuzz");
-    let targets = targets(&folder);
-    for target in &targets {
-        for (i, whole) in target.corpus.iter().enumerate() {
-            let path = folder.join("sound");
-            fs::write(&path, whole).unwrap();
-            let needs_mapping = whole.starts_with(b"trial;ok");
-            assert!((target.read)(&path) != needs_mapping, "{} file {i} is valid", target.name);
-        }
-    }
-    let start = Instant::now();
-    let mut counts = vec![(0_u64, 0_u64); targets.len()];
-    let mut slowest = (Duration::ZERO, "", 0);
-    let mut finds = Vec::new();
-    let mut round = first;
+fn fuzzed(name: &str) {
+    let folder = Folder::new(&format!("fuzz-{name}"));
+    let Target { valid, refused, words, read, .. } =
+        targets(&folder).into_iter().find(|target| target.name == name).expect("it is in the list");
     let path = folder.join("fuzzed");
-    while budget.map_or(round < first + 300, |budget| start.elapsed() < budget) {
-        for (target, (read, refused)) in targets.iter().zip(&mut counts) {
-            let bytes = mutate(target, &mut Seed::campaign(round).stream(target.name));
-            fs::write(&path, &bytes).unwrap();
-            let began = Instant::now();
-            match catch_unwind(AssertUnwindSafe(|| (target.read)(&path))) {
-                Ok(true) => *read += 1,
-                Ok(false) => *refused += 1,
-                Err(_) => {
-                    let kept = std::env::temp_dir().join(format!("robogate-fuzz-{}-{round}", target.name));
-                    fs::write(&kept, &bytes).unwrap();
-                    finds.push(format!("{} in round {round}: {}", target.name, kept.display()));
-                }
-            }
-            let mut took = began.elapsed();
-            if took > Duration::from_secs(5) {
-                // The cause may be the file or a busy machine. A second run decides.
-                let began = Instant::now();
-                let _ = catch_unwind(AssertUnwindSafe(|| (target.read)(&path)));
-                took = took.min(began.elapsed());
-            }
-            slowest = slowest.max((took, target.name, round));
-        }
-        round += 1;
-    }
-    for (target, (read, refused)) in targets.iter().zip(&counts) {
-        println!("{}: {} files, {refused} refused, {read} read", target.name, read + refused);
-    }
-    println!("rounds {first} to {round} in {:.0?}; slowest {slowest:?}", start.elapsed());
-    assert!(finds.is_empty(), "{finds:#?}");
-    assert!(slowest.0 < Duration::from_secs(20), "{slowest:?}");
-    // If every file were rejected at the first check, the fuzzing would test only that check.
-    let enough = round - first >= 300;
-    for (target, (read, refused)) in targets.iter().zip(&counts) {
-        assert!(!enough || (*refused > 0 && *read > 0), "{}", target.name);
-    }
+    fuzz::Target { name, valid: &valid, kept: &refused, words, inputs: 300 }.run(|bytes| {
+        fs::write(&path, bytes).unwrap();
+        read(&path)
+    });
 }
 
-/// Files that are built part by part, so that a reader gets far into them. Their number is [`ROUNDS`], or what
-/// `ROBOGATE_FUZZ_SECONDS` allows.
+/// Files that are built part by part, so that a reader gets far into them.
 #[test]
-fn generated_parquet_files_never_panic() {
-    const ROUNDS: u64 = 4_000;
-    let budget = number("ROBOGATE_FUZZ_SECONDS").map(Duration::from_secs);
-    let first = number("ROBOGATE_FUZZ_SEED").unwrap_or(0);
+fn fuzzed_parts_of_parquet_never_panic() {
     let folder = Folder::new("fuzz-parquet");
     let path = folder.join("generated");
     for kind in ["parquet", "dictionary"] {
-        let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus").join(kind);
-        for file in fs::read_dir(corpus).unwrap() {
-            let file = file.unwrap().path();
-            fs::copy(&file, &path).unwrap();
-            assert!(!import_as(&path, Some(Format::Parquet)) && !read_dictionary(&path), "{}", file.display());
+        for bytes in fuzz::corpus(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus").join(kind)) {
+            fs::write(&path, bytes).unwrap();
+            assert!(!import_as(&path, Some(Format::Parquet)) && !read_dictionary(&path));
         }
     }
-    let start = Instant::now();
-    let (mut round, mut read) = (first, 0_u64);
-    let mut most = (0, 0);
-    while budget.map_or(round < first + ROUNDS, |budget| start.elapsed() < budget) {
-        let bytes = random(&mut Seed::campaign(round).stream("parquet")).to_bytes();
-        fs::write(&path, &bytes).unwrap();
-        let (accepted, peak) = robogate_testing::peak_memory(|| import_as(&path, Some(Format::Parquet)));
-        read += u64::from(accepted);
-        most = most.max((peak, round));
-        round += 1;
-    }
-    println!("{} files, {read} read, most memory {most:?} in {:.0?}", round - first, start.elapsed());
-    assert!(read > 0, "no generated file is valid");
-    assert!(most.0 < 256 << 20, "{most:?}");
+    let mut most = 0;
+    let counts = fuzz::run(
+        "parquet parts",
+        4_000,
+        |draw| random(draw).to_bytes(),
+        |bytes| {
+            fs::write(&path, bytes).unwrap();
+            let (accepted, peak) = robogate_testing::peak_memory(|| import_as(&path, Some(Format::Parquet)));
+            most = most.max(peak);
+            accepted
+        },
+    );
+    println!("most memory: {most} bytes");
+    assert!(counts.read > 0 && most < 256 << 20, "{counts:?} {most}");
 }

@@ -3,7 +3,7 @@
 //! Field numbers: <https://github.com/apache/parquet-format/blob/master/src/main/thrift/parquet.thrift>. The encoding is
 //! Thrift's compact protocol.
 
-use robogate_core::Stream;
+use robogate_testing::fuzz::Draw;
 
 pub(crate) const BOOLEAN: i64 = 0;
 pub(crate) const INT64: i64 = 2;
@@ -289,22 +289,22 @@ pub(crate) fn delta(values: u64, rest: &[u8]) -> Vec<u8> {
 }
 
 /// A number that a header may state: often a plausible one, sometimes an extreme one.
-fn stated(stream: &mut Stream, plausible: i64) -> i64 {
-    match stream.below(12) {
-        0 => [0, -1, 1, 127, i64::from(i32::MAX), i64::from(i32::MIN), 1 << 20][stream.below(7)],
-        1 => plausible + stream.below(9) as i64 - 4,
-        2 => plausible.saturating_mul(stream.below(1_000) as i64),
+fn stated(draw: &mut Draw, plausible: i64) -> i64 {
+    match draw.below(12) {
+        0 => [0, -1, 1, 127, i64::from(i32::MAX), i64::from(i32::MIN), 1 << 20][draw.below(7)],
+        1 => plausible + draw.below(9) as i64 - 4,
+        2 => plausible.saturating_mul(draw.below(1_000) as i64),
         _ => plausible,
     }
 }
 
-fn random_body(stream: &mut Stream, values: i64, physical: i64, encoding: i64, optional: bool) -> Vec<u8> {
+fn random_body(draw: &mut Draw, values: i64, physical: i64, encoding: i64, optional: bool) -> Vec<u8> {
     let values = values.clamp(0, 2_000) as u64;
     let mut body = if optional { present(values) } else { Vec::new() };
     match encoding {
         RLE_DICTIONARY => {
-            body.push([0, 1, 1, 1, 32, 33][stream.below(6)]);
-            body.extend(run(values + stream.below(2) as u64));
+            body.push([0, 1, 1, 1, 32, 33][draw.below(6)]);
+            body.extend(run(values + draw.below(2) as u64));
         }
         RLE => {
             let run = run(values);
@@ -312,65 +312,65 @@ fn random_body(stream: &mut Stream, values: i64, physical: i64, encoding: i64, o
             body.extend(run);
         }
         DELTA_BINARY_PACKED | DELTA_LENGTH_BYTE_ARRAY | DELTA_BYTE_ARRAY => {
-            let claimed = [values, values + 1, 1 << 40, 0][stream.below(4)];
-            let rest: Vec<u8> = (0..stream.below(80)).map(|_| [0, 1, 8, 0xff][stream.below(4)]).collect();
+            let claimed = [values, values + 1, 1 << 40, 0][draw.below(4)];
+            let rest: Vec<u8> = (0..draw.below(80)).map(|_| [0, 1, 8, 0xff][draw.below(4)]).collect();
             body.extend(delta(claimed, &rest));
         }
         _ if physical == TEXT => {
             for _ in 0..values {
-                let length = [1, 3, 5, 7][stream.below(4)];
-                body.extend(u32::to_le_bytes(if stream.below(400) == 0 { u32::MAX } else { length }));
-                body.extend(vec![b'a' + stream.below(3) as u8; length as usize]);
+                let length = [1, 3, 5, 7][draw.below(4)];
+                body.extend(u32::to_le_bytes(if draw.below(400) == 0 { u32::MAX } else { length }));
+                body.extend(vec![b'a' + draw.below(3) as u8; length as usize]);
             }
         }
         _ => {
             let bytes = if physical == BOOLEAN { values.div_ceil(8) } else { 8 * values };
-            body.extend((0..bytes).map(|_| [0, 1, 0x3f, stream.below(256) as u8][stream.below(4)]));
+            body.extend((0..bytes).map(|_| [0, 1, 0x3f, draw.below(256) as u8][draw.below(4)]));
         }
     }
     body
 }
 
 /// A file whose parts fit together mostly, so that a reader gets far into it.
-pub(crate) fn random(stream: &mut Stream) -> File {
+pub(crate) fn random(draw: &mut Draw) -> File {
     let names = ["success", "mass", "count", "failure_mode", "note", "success"];
     let kinds = [BOOLEAN, DOUBLE, INT64, TEXT, TEXT, INT64];
-    let columns: Vec<Column> = (0..1 + stream.below(names.len()))
-        .map(|i| Column { name: names[i].to_owned(), physical: kinds[i], optional: stream.below(3) == 0 })
+    let columns: Vec<Column> = (0..1 + draw.below(names.len()))
+        .map(|i| Column { name: names[i].to_owned(), physical: kinds[i], optional: draw.below(3) == 0 })
         .collect();
-    let groups = (0..1 + stream.below(3)).map(|_| {
-        let rows = 1 + stream.below(300) as i64;
+    let groups = (0..1 + draw.below(3)).map(|_| {
+        let rows = 1 + draw.below(300) as i64;
         let chunks = columns.iter().enumerate().map(|(i, column)| {
-            let codec = [UNCOMPRESSED, UNCOMPRESSED, SNAPPY, ZSTD, 2][stream.below(5)];
+            let codec = [UNCOMPRESSED, UNCOMPRESSED, SNAPPY, ZSTD, 2][draw.below(5)];
             let encodings: &[i64] = match column.physical {
                 BOOLEAN => &[PLAIN, PLAIN, RLE],
                 TEXT => &[PLAIN, PLAIN, RLE_DICTIONARY, DELTA_LENGTH_BYTE_ARRAY, DELTA_BYTE_ARRAY],
                 _ => &[PLAIN, PLAIN, RLE_DICTIONARY, DELTA_BINARY_PACKED, BYTE_STREAM_SPLIT],
             };
-            let encoding = encodings[stream.below(encodings.len())];
+            let encoding = encodings[draw.below(encodings.len())];
             let mut pages = Vec::new();
             if encoding == RLE_DICTIONARY {
-                let body = random_body(stream, 4, column.physical, PLAIN, false);
-                pages.push(Page::dictionary(stated(stream, 4), body));
+                let body = random_body(draw, 4, column.physical, PLAIN, false);
+                pages.push(Page::dictionary(stated(draw, 4), body));
             }
-            let body = random_body(stream, rows, column.physical, encoding, column.optional);
-            let kind = [0, 0, 0, 3][stream.below(4)];
-            let levels = if kind == 3 { stated(stream, 0) } else { 0 };
-            pages.push(Page { kind, levels, ..Page::data(stated(stream, rows), encoding, body) });
+            let body = random_body(draw, rows, column.physical, encoding, column.optional);
+            let kind = [0, 0, 0, 3][draw.below(4)];
+            let levels = if kind == 3 { stated(draw, 0) } else { 0 };
+            pages.push(Page { kind, levels, ..Page::data(stated(draw, rows), encoding, body) });
             for page in &mut pages {
-                page.unpacked = stated(stream, page.body.len() as i64);
-                page.body = match (codec, stream.below(8)) {
-                    (SNAPPY, 0) => snappy(stated(stream, 500).unsigned_abs(), 8),
+                page.unpacked = stated(draw, page.body.len() as i64);
+                page.body = match (codec, draw.below(8)) {
+                    (SNAPPY, 0) => snappy(stated(draw, 500).unsigned_abs(), 8),
                     (SNAPPY, _) => snap::raw::Encoder::new().compress_vec(&page.body).unwrap(),
-                    (ZSTD, _) => zstd_zeros(1 + stream.below(4) as u32),
+                    (ZSTD, _) => zstd_zeros(1 + draw.below(4) as u32),
                     _ => std::mem::take(&mut page.body),
                 };
             }
-            let same_as = (i > 0 && stream.below(20) == 0).then(|| stream.below(i));
+            let same_as = (i > 0 && draw.below(20) == 0).then(|| draw.below(i));
             Chunk { codec, pages, same_as }
         });
         let chunks = chunks.collect();
-        Group { rows: stated(stream, rows), chunks, repeated: if stream.below(20) == 0 { 50 } else { 1 } }
+        Group { rows: stated(draw, rows), chunks, repeated: if draw.below(20) == 0 { 50 } else { 1 } }
     });
     File { groups: groups.collect(), columns: columns.clone(), pairs: Vec::new() }
 }

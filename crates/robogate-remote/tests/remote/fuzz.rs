@@ -1,6 +1,6 @@
 //! Fuzz tests with mutated requests and replies.
 
-use std::time::Instant;
+use std::cell::Cell;
 
 use robogate_remote::header::{check, decode, encode};
 use robogate_remote::limits::VERSION;
@@ -9,14 +9,12 @@ use robogate_remote::message::{
     StepRequest,
 };
 use robogate_remote::{EnvironmentHost, Server};
+use robogate_testing::fuzz::{self, Draw, mutate};
 
-use crate::support;
 use crate::toy::{Toy, hello};
 
 #[test]
-fn every_request_gets_a_reply() {
-    let (began, time) = (Instant::now(), support::fuzz_time());
-    let mut random = support::Random(7);
+fn fuzzed_requests_get_a_reply() {
     let mut server = Server::new(EnvironmentHost::new(hello(), Box::new(Toy::default())));
     let reset = ResetRequest::<Empty> {
         index: 1,
@@ -51,25 +49,25 @@ fn every_request_gets_a_reply() {
     for request in [&requests[0], &requests[1]] {
         assert!(accepted(&mut server, std::slice::from_ref(request)));
     }
-    let (mut runs, mut carried_out) = (0_u64, 0_u64);
-    while began.elapsed() < time {
-        let mut bytes = requests[random.below(requests.len())].clone();
-        random.mutate(&mut bytes);
-        let frames = if random.below(50) == 0 { vec![bytes.clone(), bytes] } else { vec![bytes] };
-        carried_out += u64::from(accepted(&mut server, &frames));
-        if random.below(8) == 0 {
-            accepted(&mut server, std::slice::from_ref(&reset));
-        }
-        runs += 1;
-    }
-    eprintln!("{runs} requests, {carried_out} of them carried out");
-    assert!(carried_out > 0);
+    let mut draw = Draw::new("order of the requests", 0);
+    let counts = fuzz::run(
+        "requests",
+        20_000,
+        |draw| mutate(&requests, &[], draw),
+        |bytes| {
+            let twice = draw.below(50) == 0;
+            let carried_out = accepted(&mut server, &vec![bytes.to_vec(); 1 + usize::from(twice)]);
+            if draw.below(8) == 0 {
+                accepted(&mut server, std::slice::from_ref(&reset));
+            }
+            carried_out
+        },
+    );
+    assert!(counts.read > 0 && counts.refused > 0, "{counts:?}");
 }
 
 #[test]
-fn decoded_replies_are_finite() {
-    let (began, time) = (Instant::now(), support::fuzz_time());
-    let mut random = support::Random(8);
+fn fuzzed_replies_are_finite_or_refused() {
     let mut toy = Server::new(EnvironmentHost::new(hello(), Box::new(Toy::default())));
     let reset = ResetRequest::<Empty> {
         index: 1,
@@ -90,39 +88,41 @@ fn decoded_replies_are_finite() {
     let replies = requests.map(|request| toy.answer(&[request]).swap_remove(0));
     let motion = toy.answer(&[request("motion", Empty {})]);
     assert!(replies.iter().all(|reply| decode::<Envelope>(reply).unwrap().ok));
-    let (mut runs, mut read) = (0_u64, 0_u64);
-    while began.elapsed() < time {
-        let mut bytes = replies[random.below(replies.len())].clone();
-        random.mutate(&mut bytes);
-        if let Ok(hello) = decode::<Hello>(&bytes) {
-            read += u64::from(hello.check().is_ok());
-        }
-        if let Ok(reply) = decode::<ResetReply<Empty, Empty>>(&bytes) {
-            assert!(reply.observation.vectors.values().flatten().all(|q| q.is_finite()));
-            read += 1;
-        }
-        if let Ok(reply) = decode::<StepReply<Empty>>(&bytes) {
-            assert!(reply.steps.iter().all(|step| step.observation.time_s.is_finite()));
-            read += 1;
-        }
+    let counts = fuzz::run(
+        "replies",
+        20_000,
+        |draw| mutate(&replies, &[], draw),
+        |bytes| {
+            let hello = decode::<Hello>(bytes).is_ok_and(|hello| hello.check().is_ok());
+            let reset = decode::<ResetReply<Empty, Empty>>(bytes);
+            let step = decode::<StepReply<Empty>>(bytes);
+            for reply in reset.iter() {
+                assert!(reply.observation.vectors.values().flatten().all(|q| q.is_finite()));
+            }
+            for reply in step.iter() {
+                assert!(reply.steps.iter().all(|step| step.observation.time_s.is_finite()));
+            }
+            hello || reset.is_ok() || step.is_ok()
+        },
+    );
+    assert!(counts.read > 0 && counts.refused > 0, "{counts:?}");
+    // A recorded motion has four frames: one of them is changed.
+    let changed = Cell::new(0);
+    let change = |draw: &mut Draw| {
+        let at = draw.below(motion.len());
+        changed.set(at);
+        mutate(&motion[at..=at], &[], draw)
+    };
+    let counts = fuzz::run("motions", 20_000, change, |bytes| {
         let mut frames = motion.clone();
-        random.mutate(&mut frames[runs as usize % 4]);
-        if let Ok(motion) =
-            decode::<MotionReply>(&frames[0]).map_err(drop).and_then(|header| header.unpack(&frames[1..]).map_err(drop))
-        {
-            assert!(
-                motion
-                    .frames
-                    .iter()
-                    .flat_map(|frame| &frame.poses)
-                    .all(|pose| pose.to_array().iter().all(|x| x.is_finite()))
-            );
-            read += 1;
-        }
-        runs += 1;
-    }
-    eprintln!("{runs} replies, {read} of them read");
-    assert!(read > 0);
+        frames[changed.get()] = bytes.to_vec();
+        let Ok(header) = decode::<MotionReply>(&frames[0]) else { return false };
+        let Ok(motion) = header.unpack(&frames[1..]) else { return false };
+        let mut poses = motion.frames.iter().flat_map(|frame| &frame.poses);
+        assert!(poses.all(|pose| pose.to_array().iter().all(|x| x.is_finite())));
+        true
+    });
+    assert!(counts.read > 0 && counts.refused > 0, "{counts:?}");
 }
 
 fn request(op: &str, body: impl serde::Serialize) -> Vec<u8> {

@@ -17,6 +17,7 @@ mod demos;
 mod dependencies;
 mod environments;
 mod fleet;
+mod fuzz;
 mod gate;
 mod generated;
 mod harness;
