@@ -12,6 +12,7 @@
 mod atomic;
 mod codec;
 mod columns;
+mod delta;
 mod entry;
 mod error;
 pub mod export;

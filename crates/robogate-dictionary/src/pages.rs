@@ -18,6 +18,8 @@ use ::parquet::file::reader::ChunkReader;
 use ::parquet::file::serialized_reader::SerializedPageReader;
 use ruzstd::decoding::StreamingDecoder;
 
+use crate::delta;
+
 /// Largest footer, in bytes. The footer of 30 million episodes with 60 columns has about this size.
 const MOST_FOOTER: u64 = 16 << 20;
 
@@ -76,7 +78,7 @@ impl Allowance {
     }
 }
 
-fn general(what: String) -> ParquetError {
+pub(crate) fn general(what: String) -> ParquetError {
     ParquetError::General(what)
 }
 
@@ -202,8 +204,11 @@ impl<R: ChunkReader> Pages<R> {
                 | Encoding::RLE_DICTIONARY
                 | Encoding::RLE
                 | Encoding::BYTE_STREAM_SPLIT => {}
-                Encoding::DELTA_BINARY_PACKED | Encoding::DELTA_LENGTH_BYTE_ARRAY => self.check_delta(page, values)?,
-                // DELTA_BYTE_ARRAY repeats the start of the previous value: n bytes can become n values of n bytes.
+                Encoding::DELTA_BINARY_PACKED | Encoding::DELTA_LENGTH_BYTE_ARRAY => {
+                    check_count(self.encoded(page)?, values)?;
+                }
+                // It repeats the start of the previous value: n bytes can become n values of n bytes.
+                Encoding::DELTA_BYTE_ARRAY => self.allowance.charge(size_of_texts(self.encoded(page)?, values)?)?,
                 _ => return Err(general(format!("the encoding {encoding} is not supported"))),
             }
         }
@@ -217,39 +222,42 @@ impl<R: ChunkReader> Pages<R> {
         Ok(())
     }
 
-    /// Checks the number of values in the header of a delta encoding: block size, blocks, values.
-    fn check_delta(&self, page: &Page, values: usize) -> Result<()> {
-        let short = || general("a page ends inside its header".to_owned());
-        let mut bytes: &[u8] = page.buffer();
-        bytes = match page {
+    /// The encoded values of a data page, without its levels.
+    fn encoded<'a>(&self, page: &'a Page) -> Result<&'a [u8]> {
+        let bytes: &[u8] = page.buffer();
+        match page {
             Page::DataPageV2 { def_levels_byte_len, rep_levels_byte_len, .. } => {
-                split_levels(bytes, *def_levels_byte_len, *rep_levels_byte_len)?.1
+                Ok(split_levels(bytes, *def_levels_byte_len, *rep_levels_byte_len)?.1)
             }
             // The levels of version 1 start with their length.
             _ if self.optional => {
-                let (length, rest) = bytes.split_first_chunk::<4>().ok_or_else(short)?;
-                rest.get(u32::from_le_bytes(*length) as usize..).ok_or_else(short)?
+                let (length, rest) = bytes.split_first_chunk::<4>().ok_or_else(delta::short)?;
+                rest.get(u32::from_le_bytes(*length) as usize..).ok_or_else(delta::short)
             }
-            _ => bytes,
-        };
-        if bytes.is_empty() {
-            return Ok(());
+            _ => Ok(bytes),
         }
-        let mut numbers = [0_u64; 3];
-        for number in &mut numbers {
-            for shift in (0..64).step_by(7) {
-                let (byte, rest) = bytes.split_first().ok_or_else(short)?;
-                bytes = rest;
-                *number |= u64::from(byte & 0x7f) << shift;
-                if byte & 0x80 == 0 {
-                    break;
-                }
-            }
-        }
-        if numbers[2] > values as u64 {
-            return Err(general(format!("a page of {values} values declares {} encoded values", numbers[2])));
-        }
-        Ok(())
+    }
+}
+
+/// Checks the number of values in the header of a delta encoding.
+fn check_count(encoded: &[u8], values: usize) -> Result<()> {
+    match encoded {
+        [] => Ok(()),
+        _ => delta::Header::read(encoded, values).map(drop),
+    }
+}
+
+/// The bytes of all texts of a page in the encoding `DELTA_BYTE_ARRAY`: the lengths of the repeated starts, then the lengths of the
+/// rests, then the rests.
+fn size_of_texts(encoded: &[u8], values: usize) -> Result<u64> {
+    if encoded.is_empty() {
+        return Ok(0);
+    }
+    let (repeated, rest) = delta::sum(encoded, values)?;
+    let (own, _) = delta::sum(rest, values)?;
+    match repeated.checked_add(own) {
+        Some(size) if size <= MOST_PAGE => Ok(size),
+        _ => Err(general(format!("the texts of a page have more than {MOST_PAGE} bytes"))),
     }
 }
 

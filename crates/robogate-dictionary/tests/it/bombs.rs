@@ -70,8 +70,8 @@ fn parquet_bombs_are_rejected_on_import() {
     let text = |length: usize| [&(length as u32).to_le_bytes()[..], &vec![b'a'; length]].concat();
     let indices = |rows: u64| [vec![1], run(rows)].concat();
     let claims = |unpacked: i64, page: Page| Page { unpacked, ..page };
-    // Each value would repeat the one before it.
-    let prefixes = delta(4096, &[0; 64]);
+    // Each value would repeat 64 KiB of the one before it.
+    let prefixes = [delta(4096, 1 << 16, &[0; 160]), delta(4096, 0, &[0; 160])].concat();
     let repeated = Page::data(1 << 20, RLE_DICTIONARY, indices(1 << 20));
     let long = vec![Page::dictionary(1, text(1 << 16)), repeated.clone()];
     let many = vec![Page::dictionary(1, vec![0; 8]), repeated];
@@ -98,13 +98,13 @@ fn parquet_bombs_are_rejected_on_import() {
         ("zstd-pages", one(BOOLEAN, ZSTD, 300, zstd_pages), "unpack to more than 1024 times"),
         (
             "delta-length-values",
-            one(TEXT, UNCOMPRESSED, 10, vec![Page::data(10, DELTA_LENGTH_BYTE_ARRAY, delta(1 << 40, &[0; 32]))]),
+            one(TEXT, UNCOMPRESSED, 10, vec![Page::data(10, DELTA_LENGTH_BYTE_ARRAY, delta(1 << 40, 0, &[0; 32]))]),
             "declares 1099511627776 encoded values",
         ),
         (
             "delta-prefixes",
             one(TEXT, UNCOMPRESSED, 4096, vec![Page::data(4096, DELTA_BYTE_ARRAY, prefixes)]),
-            "DELTA_BYTE_ARRAY is not supported",
+            "the texts of a page have more than 67108864 bytes",
         ),
         ("repeated-text", one(TEXT, UNCOMPRESSED, 1 << 20, long), "texts have more than"),
         ("many-rows", one(DOUBLE, UNCOMPRESSED, 1 << 40, vec![billions]), "may have"),

@@ -281,9 +281,9 @@ pub(crate) fn present(count: u64) -> Vec<u8> {
 }
 
 /// The header of a delta encoding: 128 values in 4 blocks, `values` in all, then anything.
-pub(crate) fn delta(values: u64, rest: &[u8]) -> Vec<u8> {
+pub(crate) fn delta(values: u64, first: u64, rest: &[u8]) -> Vec<u8> {
     let mut header = Thrift::default();
-    header.varint(128).varint(4).varint(values).varint(0);
+    header.varint(128).varint(4).varint(values).varint(2 * first);
     header.bytes.extend(rest);
     header.bytes
 }
@@ -314,7 +314,7 @@ fn random_body(draw: &mut Draw, values: i64, physical: i64, encoding: i64, optio
         DELTA_BINARY_PACKED | DELTA_LENGTH_BYTE_ARRAY | DELTA_BYTE_ARRAY => {
             let claimed = [values, values + 1, 1 << 40, 0][draw.below(4)];
             let rest: Vec<u8> = (0..draw.below(80)).map(|_| [0, 1, 8, 0xff][draw.below(4)]).collect();
-            body.extend(delta(claimed, &rest));
+            body.extend(delta(claimed, 0, &rest));
         }
         _ if physical == TEXT => {
             for _ in 0..values {

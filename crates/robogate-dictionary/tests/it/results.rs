@@ -404,6 +404,16 @@ fn dictionary_is_not_imported() {
     assert!(error.contains("it is already a dictionary"), "{error}");
 }
 
+#[test]
+fn texts_that_repeat_their_starts_are_read() {
+    for name in ["delta_texts.parquet", "delta_texts_v2.parquet"] {
+        let (_, entries) = imported(&fixture(name), None, &Mapping::default());
+        let shapes: Vec<_> = entries.iter().map(|entry| entry.episode.scenario.requested.category("shape")).collect();
+        let expected: Vec<String> = (0..300).map(|i| format!("box with {} holes", i % 7)).collect();
+        assert_eq!(shapes, expected.iter().map(|shape| Some(shape.as_str())).collect::<Vec<_>>(), "{name}");
+    }
+}
+
 /// The roles of the columns, as `column: role`.
 fn roles(provenance: &Provenance) -> Vec<String> {
     source(provenance).columns.iter().map(|column| format!("{}: {}", column.column, column.role)).collect()

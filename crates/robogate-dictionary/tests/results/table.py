@@ -1,5 +1,5 @@
 """Writes table.parquet, a typical lab table with pandas' missing values, a nested column and snappy compression, and a table
-with missing parameters and results in zstd pages of both versions.
+with missing parameters and results in zstd pages of both versions, and a table with texts that repeat their starts (DELTA_BYTE_ARRAY), in pages of both versions.
 
 Usage: python table.py   (packages: ../requirements.txt)
 """
@@ -32,3 +32,15 @@ gaps = pa.table(
 )
 pyarrow.parquet.write_table(gaps, "zstd.parquet", compression="zstd")
 pyarrow.parquet.write_table(gaps, "zstd_v2.parquet", compression="zstd", data_page_version="2.0")
+
+texts = pa.table(
+    {
+        "success": pa.array([i % 3 != 0 for i in range(300)]),
+        "mass_kg": pa.array([0.25 + 0.01 * i for i in range(300)]),
+        "shape": pa.array([f"box with {i % 7} holes" for i in range(300)]),
+    }
+)
+for name, version in [("delta_texts.parquet", "1.0"), ("delta_texts_v2.parquet", "2.0")]:
+    pyarrow.parquet.write_table(
+        texts, name, use_dictionary=False, column_encoding={"shape": "DELTA_BYTE_ARRAY"}, data_page_version=version
+    )
