@@ -224,11 +224,22 @@ impl ArmDraft {
                     && model.actuator_trnid()[*actuator][0] == *joint as i32
             })
         };
+        // A motor: force = gain * ctrl.
+        let motor = |joint: &usize| {
+            let actuator = drive(joint).filter(|actuator| {
+                model.actuator_biastype()[*actuator] == MjtBias::mjBIAS_NONE
+                    && model.actuator_gaintype()[*actuator] == MjtGain::mjGAIN_FIXED
+                    && model.actuator_ctrllimited()[*actuator]
+            })?;
+            let gain = model.actuator_gear()[actuator][0] * model.actuator_gainprm()[actuator][0];
+            Some((gain * model.actuator_ctrlrange()[actuator][1]).abs())
+        };
         let torque = |joint: &usize| {
             let limited = model.jnt_actfrclimited()[*joint].then(|| model.jnt_actfrcrange()[*joint][1]);
             let driven = drive(joint).filter(|actuator| model.actuator_forcelimited()[*actuator]);
             limited
                 .or_else(|| driven.map(|actuator| model.actuator_forcerange()[actuator][1]))
+                .or_else(|| motor(joint))
                 .filter(|limit| *limit > 0.0)
         };
         // A position servo: force = kp (ctrl - q) - kv dq.
@@ -398,8 +409,13 @@ impl Tool {
             None => {
                 let drives: Vec<toml::Value> =
                     jaw.drives.iter().filter_map(|d| toml::Value::try_from(d).ok()).collect();
-                let names: Vec<&str> = jaw.drives.iter().map(|drive| drive.moves.as_str()).collect();
-                self.guesses.push(format!("{} drives the fingers between the ends of its range", names.join(" and ")));
+                self.guesses.push(match &jaw.drives[..] {
+                    [drive] => format!("{} drives the fingers between the ends of its range", drive.moves),
+                    drives => {
+                        let names: Vec<&str> = drives.iter().map(|drive| drive.moves.as_str()).collect();
+                        format!("{} drive the fingers between the ends of their ranges", names.join(" and "))
+                    }
+                });
                 self.gripper.insert("drive".to_owned(), drives.into());
             }
         }
@@ -511,7 +527,7 @@ fn document(name: &str, file: &str, arm: &ArmDraft, tool: &Tool, home: &[f64], r
 /// The kinematics of the robot with these settings.
 fn kinematics(settings: &RobotSettings, folder: &Path) -> Option<Chain> {
     let robot = Robot { settings: settings.clone(), source: RobotSource::Folder(folder.to_owned()) };
-    robot_model::build(&robot, MujocoEngine::TIME_STEP_S).ok().map(|(_, chain, _)| chain)
+    robot_model::build(&robot, MujocoEngine::TIME_STEP_S).ok().map(|built| built.chain)
 }
 
 /// Whether the tool points down, in front of the base.

@@ -9,8 +9,9 @@ use serde::Serialize;
 
 use crate::grasp::{self, Grasp};
 use crate::{
-    Chain, Engine, Fixture, GRAVITY, GripperUnit, JointTargets, MassProperties, MujocoEngine, Object, Part, Primitive,
-    Problem, Robot, RobotError, RobotSettings, Scene, Visual, WORKSPACE_CENTRE, built_in_robot, is_folder,
+    Chain, Engine, Fixture, GRAVITY, GripperUnit, JointTargets, MassProperties, MujocoEngine, Object, ParallelJaw,
+    Part, Primitive, Problem, Robot, RobotError, RobotSettings, Scene, Visual, WORKSPACE_CENTRE, built_in_robot,
+    is_folder,
 };
 
 /// Number of random postures from which the reach is measured.
@@ -297,6 +298,7 @@ fn trial(engine: &mut MujocoEngine, settings: &RobotSettings, problems: &mut Vec
     if let Some(jaw) = settings.gripper.jaw() {
         let reached = |engine: &MujocoEngine| engine.opening().unwrap_or(f64::NAN);
         let opened = reached(engine);
+        let loose = engine.farthest_off(jaw.opening_m);
         if let Some(gap) = engine.pad_gap().filter(|gap| jaw.drives.is_empty() && (gap - opened).abs() > FINGERS_M) {
             problems.push(Problem::new(
                 format!(
@@ -313,20 +315,40 @@ fn trial(engine: &mut MujocoEngine, settings: &RobotSettings, problems: &mut Vec
             engine.advance(&targets);
         }
         let closed = [engine.narrowest_m(), reached(engine)];
-        for (command, [wanted, reached]) in [("open", [jaw.opening_m, opened]), ("close", closed)] {
+        let ends =
+            [("open", [jaw.opening_m, opened], loose), ("close", closed, engine.farthest_off(engine.narrowest_m()))];
+        for (command, [wanted, reached], loose) in ends {
             if (reached - wanted).abs() > FINGERS_M || reached.is_nan() {
-                problems.push(Problem::new(
-                    format!(
-                        "after the command to {command}, the fingers are {:.1} mm apart. Expected {:.1} mm",
-                        1e3 * reached,
-                        1e3 * wanted
-                    ),
-                    "check the coupling of the fingers (equality, tendon), their friction, and gripper.stiffness_n_m and damping_ns_m; with gripper.finger_joints, 0 must be closed and opening_m the sum of their ranges",
-                ));
+                problems.push(not_reached(jaw, command, [wanted, reached], loose));
             }
         }
     }
     Some(worst.into_iter().fold(0.0, f64::max))
+}
+
+/// The problem of fingers that are not at an end after a command. `loose` is the joint that is farthest off its position there.
+fn not_reached(
+    jaw: &ParallelJaw,
+    command: &str,
+    [wanted, reached]: [f64; 2],
+    loose: Option<(String, [f64; 2])>,
+) -> Problem {
+    let apart = format!(
+        "after the command to {command}, the fingers are {:.1} mm apart. Expected {:.1} mm",
+        1e3 * reached,
+        1e3 * wanted
+    );
+    let driven = |name: &String| jaw.drives.iter().any(|drive| drive.moves == *name);
+    match loose.filter(|(name, _)| !driven(name)) {
+        Some((name, [at, rest])) => Problem::new(
+            format!("{apart}: joint `{name}` is at {at:.3} instead of {rest:.3}"),
+            "if nothing holds this joint but a weak spring, couple it to the drive in the model (<equality> with <joint> or <connect>), or remove the joint",
+        ),
+        None => Problem::new(
+            apart,
+            "check the coupling of the fingers (equality, tendon), their friction, and gripper.stiffness_n_m and damping_ns_m; with gripper.finger_joints, 0 must be closed and opening_m the sum of their ranges",
+        ),
+    }
 }
 
 /// Checks that the robot at home touches neither the scene nor itself.

@@ -17,6 +17,7 @@ mod friction;
 #[cfg(feature = "mujoco")]
 mod grasp;
 mod gripper_command;
+mod includes;
 #[cfg(feature = "mujoco")]
 mod inspect;
 mod kinematics;

@@ -476,7 +476,7 @@ pub struct Problem {
 
 impl Problem {
     /// Creates a problem with its hint.
-    pub(crate) fn new(what: impl Into<String>, hint: impl Into<String>) -> Self {
+    pub fn new(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self { what: what.into(), hint: hint.into() }
     }
 }

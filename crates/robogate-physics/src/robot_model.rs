@@ -7,7 +7,7 @@ use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::MjsBody;
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
-use crate::mujoco::{PREFIX, ROBOT, links, sweep, wxyz};
+use crate::mujoco::{PREFIX, ROBOT, damping, links, sweep, wxyz};
 use crate::robot::{BELLOWS_JOINT, RobotSource};
 use crate::scene::isometry;
 use crate::{
@@ -28,8 +28,19 @@ pub(crate) fn path(robot: &Robot) -> PathBuf {
     }
 }
 
-/// The robot alone, ready for a scene, its kinematics, and the motion of fingers with drives.
-pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain, Option<FingerMotion>), Vec<Problem>> {
+/// A robot's model without a scene.
+pub(crate) struct Built {
+    /// The model, ready for a scene.
+    pub(crate) spec: MjSpec,
+    pub(crate) chain: Chain,
+    /// The motion of fingers with drives.
+    pub(crate) fingers: Option<FingerMotion>,
+    /// Which joints of the arm are strongly damped ([`damping`]).
+    pub(crate) strong: Vec<bool>,
+}
+
+/// Builds the model of a robot.
+pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<Built, Vec<Problem>> {
     let parsed = match &robot.source {
         RobotSource::BuiltIn { model, .. } => MjSpec::from_xml_string(model).map_err(|error| error.to_string()),
         RobotSource::Folder(_) => read(&path(robot)),
@@ -87,8 +98,9 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain, Opt
         Some(jaw) => Some(finger_motion(&mut spec, settings, jaw)?),
         None => None,
     };
+    let strong = damping::couple(&mut spec, &model, settings, time_step);
     links::let_links_collide(&mut spec, model, settings, fingers.as_ref());
-    Ok((spec, chain, fingers))
+    Ok(Built { spec, chain, fingers, strong })
 }
 
 /// Measures how the drives move the fingers, and gives them their limits.

@@ -99,6 +99,48 @@ fn friction_does_not_weaken_the_grasp() {
     assert!(grasp.held && (grasp.force_n.unwrap() - 30.0).abs() < 4.0 && grasp.slip_m < 1e-3, "{grasp:?}");
 }
 
+/// The linkage on an arm whose joints have no inertia of motors.
+fn light() -> String {
+    changed(&[("armature=\"0.1\" damping=\"1\"", "damping=\"1\"")])
+}
+
+#[test]
+fn light_arm_holds_a_part() {
+    // The drafted damping of the last servo stops thousands of times the inertia that it moves in a time step. If the contacts
+    // did not know of that damping, the part would slip.
+    let (folder, text) = drafted("light", &light(), |text| text);
+    let grasp = grasp(&folder, &text);
+    assert!(grasp.held && (grasp.force_n.unwrap() - 30.0).abs() < 3.0 && grasp.slip_m < 1e-3, "{grasp:?}");
+}
+
+#[test]
+fn motors_give_torque_limits() {
+    let motor = "<motor joint=\"elbow\" gear=\"2\" ctrllimited=\"true\" ctrlrange=\"-75 75\"/></actuator>";
+    let (_, text) = drafted("motor", &changed(&[("</actuator>", motor)]), |text| text);
+    assert!(text.contains("torque_limit_nm = [100.0, 100.0, 150.0, 100.0, 100.0, 100.0]"), "{text}");
+    assert!(
+        text.contains("torque_limit_nm = 100 for shoulder_pan, shoulder_lift, wrist_1, wrist_2, wrist_3"),
+        "{text}"
+    );
+}
+
+#[test]
+fn loose_joints_are_named() {
+    // Only a weak spring holds the left finger on its crank, so it swings when the arm moves.
+    let model = changed(&[
+        ("<connect body1=\"left_finger\" body2=\"left_inner\" anchor=\"0 -0.015 0.015\" solref=\"0.005 1\"/>", ""),
+        (
+            "<joint name=\"left_finger\" axis=\"1 0 0\" range=\"-1 1\"/>",
+            "<joint name=\"left_finger\" axis=\"1 0 0\" range=\"-1 1\" stiffness=\"0.001\"/>",
+        ),
+    ]);
+    let (folder, text) = drafted("loose", &model, |text| text);
+    let problems = inspect(folder.to_str().unwrap(), &[]).problems;
+    let named = |what: &str| what.contains("joint `left_finger` is at") || what.contains("joint `left_inner` is at");
+    let found = problems.iter().find(|problem| named(&problem.what));
+    assert!(found.is_some_and(|problem| problem.hint.contains("couple it to the drive")), "{problems:#?}\n{text}");
+}
+
 #[test]
 fn actuator_gives_a_missing_range() {
     let model = changed(&[("range=\"0 0.88\" armature", "armature")]);

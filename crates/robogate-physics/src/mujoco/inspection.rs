@@ -1,5 +1,7 @@
 //! Measurements of a robot without a scene, for its inspection.
 
+use mujoco_rs::prelude::*;
+
 use super::links::Links;
 use super::{Kind, MujocoEngine, load_mujoco};
 use crate::{Engine, Problem, Robot, RobotError, robot_model};
@@ -22,6 +24,19 @@ impl MujocoEngine {
             .map(|body| (self.robot_body(body), model.body_mass()[body]))
             .filter(|(_, mass)| *mass > 0.0)
             .collect()
+    }
+
+    /// The joint of a gripper with drives that is farthest off its measured position at this opening (m): its name, its
+    /// position and the measured one, in radians or metres. `None` without drives.
+    pub(crate) fn farthest_off(&self, opening_m: f64) -> Option<(String, [f64; 2])> {
+        let (loaded, fingers) = (self.loaded.as_ref()?, self.fingers.as_ref()?);
+        let off = |(name, wanted): (&String, f64)| {
+            let joint = loaded.data.model().name_to_id(MjtObjBase::mjOBJ_JOINT, name)?;
+            let at = loaded.data.qpos()[loaded.data.model().jnt_qposadr()[joint] as usize];
+            Some((name.clone(), [at, wanted]))
+        };
+        let joints = fingers.joints.iter().zip(fingers.joints_at(opening_m)).filter_map(off);
+        joints.max_by(|(_, [a, at_a]), (_, [b, at_b])| (a - at_a).abs().total_cmp(&(b - at_b).abs()))
     }
 
     /// Pairs of the loaded robot's bodies that penetrate each other deeper than `deep` (m), with the depth. Neighbours in

@@ -6,6 +6,7 @@
 //! stiff as the default time step allows.
 
 mod contacts;
+pub(crate) mod damping;
 mod inspection;
 pub(crate) mod links;
 mod scene;
@@ -22,6 +23,7 @@ use robogate_core::{ContactPoint, Fault, FaultKind};
 use self::sweep::DriveAt;
 use crate::finger_motion::DriveReading;
 use crate::friction::Friction;
+use crate::robot_model::Built;
 use crate::{
     BELLOWS_JOINT, Chain, Engine, EngineBuild, FingerMotion, FixtureRead, FreeBodyRead, Hit, JointTargets, Motion,
     Primitive, Readback, Robot, RobotError, Scene, Touches, Wrench, isometry, robot_model,
@@ -46,6 +48,8 @@ pub struct MujocoEngine {
     chain: Chain,
     /// Motion of fingers with drives.
     fingers: Option<FingerMotion>,
+    /// Which joints of the arm are strongly damped ([`damping`]).
+    strong: Vec<bool>,
     time_step: f64,
     loaded: Option<Loaded>,
 }
@@ -135,9 +139,9 @@ impl MujocoEngine {
     /// all problems.
     pub fn new(robot: Robot, time_step: f64) -> Result<Self, RobotError> {
         load_mujoco().map_err(|error| RobotError::Engine { why: error.to_string() })?;
-        let (base, chain, fingers) = robot_model::build(&robot, time_step)
+        let Built { spec, chain, fingers, strong } = robot_model::build(&robot, time_step)
             .map_err(|problems| RobotError::Invalid { path: robot_model::path(&robot), problems })?;
-        Ok(Self { robot, base, chain, fingers, time_step, loaded: None })
+        Ok(Self { robot, base: spec, chain, fingers, strong, time_step, loaded: None })
     }
 
     /// The motion of a robot's fingers, measured in its model.
@@ -430,6 +434,11 @@ impl Engine for MujocoEngine {
         }
         let (slides, drives) = (arm.joints.len(), arm.joints.len() + loaded.fingers.len());
         ctrl[slides..drives].fill(targets.finger);
+        for i in (0..arm.joints.len()).filter(|i| self.strong[*i]) {
+            let speed = loaded.data.qvel()[loaded.arm[i].1];
+            let lag = speed * arm.damping_nms_rad[i] / arm.stiffness_nm_rad[i];
+            loaded.data.ctrl_mut()[first + i] -= lag / softness;
+        }
         if let (Some(jaw), Some(fingers)) = (self.robot.settings.gripper.jaw(), &self.fingers) {
             for i in 0..loaded.drives.len() {
                 let [position, _] = loaded.drives[i].state(&loaded.data);

@@ -89,6 +89,13 @@ impl MujocoEngine {
 impl MujocoEngine {
     /// Multiplies the stiffness of the arm's servos, at a constant damping ratio.
     fn set_stiffness(&self, spec: &mut MjSpec, scale: f64) {
+        let arm = &self.robot.settings.arm;
+        for i in (0..arm.joints.len()).filter(|i| self.strong[*i]) {
+            if let Some(joint) = spec.joint_mut(&arm.joints[i]) {
+                let added = self.time_step * arm.damping_nms_rad[i] * (scale.sqrt() - 1.0);
+                joint.set_armature(joint.armature() + added);
+            }
+        }
         for actuator in spec.actuator_iter_mut() {
             let arm = &self.robot.settings.arm.joints;
             if actuator.name().strip_prefix(PREFIX).is_some_and(|name| arm.iter().any(|joint| joint == name)) {

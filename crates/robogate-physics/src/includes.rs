@@ -1,0 +1,102 @@
+//! Replaces the includes of an MJCF by the elements of the included files, as MuJoCo does. The name of a file's root element
+//! does not matter, and names of files are relative to the folder of the model.
+
+use std::fs;
+use std::path::Path;
+
+/// The text of a model in this folder with its includes replaced. An include without a readable file stays, so that the
+/// reader of the model reports it.
+///
+/// # Errors
+/// If a file is included twice, which MuJoCo rejects too, or has no root element.
+pub(crate) fn replaced(text: &str, folder: &Path) -> Result<String, String> {
+    replaced_once(text, folder, &mut Vec::new())
+}
+
+/// As [`replaced`]. `seen` are the files that were included before.
+fn replaced_once(text: &str, folder: &Path, seen: &mut Vec<String>) -> Result<String, String> {
+    let (mut out, mut rest) = (String::with_capacity(text.len()), text);
+    while let Some(start) = rest.find('<') {
+        out.push_str(&rest[..start]);
+        rest = &rest[start..];
+        let end = if rest.starts_with("<!--") {
+            rest.find("-->").map_or(rest.len(), |end| end + 3)
+        } else {
+            rest.find('>').map_or(rest.len(), |end| end + 1)
+        };
+        let (tag, after) = rest.split_at(end);
+        rest = after;
+        match included(tag).and_then(|file| Some((file, fs::read_to_string(folder.join(file)).ok()?))) {
+            Some((file, _)) if seen.iter().any(|known| known == file) => {
+                return Err(format!("{file} is included twice. Include each file once"));
+            }
+            Some((file, content)) => {
+                let elements =
+                    elements(&content).ok_or_else(|| format!("{file}: not an XML file with a root element"))?;
+                seen.push(file.to_owned());
+                out.push_str(&replaced_once(elements, folder, seen)?);
+                if !tag.ends_with("/>") {
+                    rest = rest.trim_start().strip_prefix("</include>").unwrap_or(rest);
+                }
+            }
+            None => out.push_str(tag),
+        }
+    }
+    out.push_str(rest);
+    Ok(out)
+}
+
+/// The file that a tag includes.
+fn included(tag: &str) -> Option<&str> {
+    let attributes = tag.strip_prefix("<include").filter(|rest| rest.starts_with(|c: char| c.is_ascii_whitespace()))?;
+    let value = attributes.split("file").nth(1)?.trim_start().strip_prefix('=')?.trim_start();
+    let quote = value.chars().next().filter(|quote| "\"'".contains(*quote))?;
+    value[1..].split(quote).next()
+}
+
+/// The text between the tags of the root element.
+fn elements(text: &str) -> Option<&str> {
+    let mut rest = text;
+    loop {
+        rest = &rest[rest.find('<')?..];
+        let end = match rest {
+            _ if rest.starts_with("<!--") => rest.find("-->")? + 3,
+            _ if rest.starts_with("<?") => rest.find("?>")? + 2,
+            _ => break,
+        };
+        rest = &rest[end..];
+    }
+    let open = rest.find('>')?;
+    if rest[..open].ends_with('/') {
+        return Some("");
+    }
+    let close = rest.rfind("</")?;
+    rest.get(open + 1..close)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn includes_are_replaced() {
+        let folder = std::env::temp_dir().join(format!("robogate-includes-{}", std::process::id()));
+        fs::create_dir_all(folder.join("parts")).unwrap();
+        fs::write(
+            folder.join("parts/a.xml"),
+            "<?xml version='1.0'?>\n<mujocoinclude><b/><include file='c.xml'/></mujocoinclude>",
+        )
+        .unwrap();
+        fs::write(folder.join("c.xml"), "<!-- <x> --><mujoco model=\"c\"><c/></mujoco>").unwrap();
+        fs::write(folder.join("round.xml"), "<mujoco><include file=\"round.xml\"/></mujoco>").unwrap();
+        let of = |text: &str| replaced(text, &folder);
+        let found = of("<mujoco><!-- <include file=\"c.xml\"/> --><include file=\"parts/a.xml\"/></mujoco>");
+        assert_eq!(found.unwrap(), "<mujoco><!-- <include file=\"c.xml\"/> --><b/><c/></mujoco>");
+        assert_eq!(of("<m><include file=\"c.xml\"></include></m>").unwrap(), "<m><c/></m>");
+        for same in ["<m><include file=\"missing.xml\"/></m>", "<m><includes file=\"c.xml\"/>", "no model", "<m a='"] {
+            assert_eq!(of(same).unwrap(), same);
+        }
+        assert!(of("<include file=\"round.xml\"/>").unwrap_err().contains("twice"));
+        fs::remove_dir_all(&folder).unwrap();
+    }
+}
