@@ -56,6 +56,8 @@ fn succeeds(folder: &Path, name: &str, settings: &str) {
     fs::write(folder.join("robot.toml"), settings).unwrap();
     let inspection = inspect(folder.to_str().unwrap());
     assert!(inspection.problems.is_empty(), "{:#?}", inspection.problems);
+    let episode = inspection.measured.unwrap().episode.unwrap();
+    assert!(episode.failure.is_none() && (episode.part_m - 0.05).abs() < 1e-9, "{episode:?}");
     let robot = Robot::from_folder(folder).unwrap();
     let counts = outcomes(&robot, &nominal(4));
     assert_eq!(counts, BTreeMap::from([("success".to_owned(), 4)]), "{name}");
@@ -76,4 +78,14 @@ fn drafted_robot_picks_and_places() {
     let folder = folder("drafted", include_str!("../../robogate-physics/tests/robots/linkage.xml"));
     let text = draft(&folder.join("model.xml"), "drafted").unwrap().text;
     succeeds(&folder, "drafted", &text);
+}
+
+#[test]
+fn light_arm_picks_and_places() {
+    // The joints have no inertia of motors, and the drafted servos are strongly damped.
+    let light =
+        include_str!("../../robogate-physics/tests/robots/linkage.xml").replace("armature=\"0.1\" damping", "damping");
+    let folder = folder("light", &light);
+    let text = draft(&folder.join("model.xml"), "light").unwrap().text;
+    succeeds(&folder, "light", &text);
 }

@@ -1,7 +1,7 @@
 //! The result of a robot check, in the terminal and as JSON.
 
 use robogate_physics::{Grasp, RobotSettings};
-use robogate_tasks::pick_place::{Inspection, Measured, inspect};
+use robogate_tasks::pick_place::{Inspection, Measured, TrialEpisode, inspect};
 use serde_json::json;
 
 use crate::commands::robots::{facts, in_words};
@@ -37,7 +37,7 @@ pub(crate) fn show(robot: &str, json: bool) -> u8 {
     if problems.is_empty() { DONE } else { USAGE }
 }
 
-fn summary(settings: &RobotSettings, Measured { robot: measured, reaches_target }: &Measured) {
+fn summary(settings: &RobotSettings, Measured { robot: measured, reaches_target, episode }: &Measured) {
     let RobotSettings { arm, gripper, .. } = settings;
     let total: f64 = measured.masses_kg.iter().map(|(_, mass)| mass).sum();
     let masses: Vec<String> = measured.masses_kg.iter().map(|(body, mass)| format!("{body} {mass:.3}")).collect();
@@ -65,6 +65,17 @@ fn summary(settings: &RobotSettings, Measured { robot: measured, reaches_target 
         None => {
             line("grasp      not tested: see the problems above, or the arm cannot lift a part from its home posture")
         }
+    }
+    match episode {
+        Some(TrialEpisode { part_m, mass_kg, failure, time_s }) => {
+            let ending = failure.as_ref().map_or("success", |failure| failure.as_str());
+            line(format_args!(
+                "episode    pick and place with a part of {:.0} mm and {mass_kg:.2} kg: {ending} after {time_s:.1} s",
+                1e3 * part_m
+            ));
+        }
+        None if !reaches_target => line("episode    not tried: the target is out of reach"),
+        None => line("episode    not tried: see the problems above"),
     }
 }
 

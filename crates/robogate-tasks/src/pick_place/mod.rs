@@ -36,7 +36,7 @@ pub use cell::{CONTROL_PERIOD_S, ResolvedCell, TIME_LIMIT_S};
 pub use disturbance::Disturbance;
 pub use foresight::PickPlaceForesight;
 #[cfg(feature = "mujoco")]
-pub use inspect::{Inspection, Measured, inspect};
+pub use inspect::{Inspection, Measured, TrialEpisode, inspect};
 pub use object::Shape;
 pub use parameters::{ActsOn, ParameterError, ParameterRow, SceneParameters, parameters};
 pub use placement::Placement;

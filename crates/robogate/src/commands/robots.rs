@@ -27,13 +27,14 @@ pub(crate) struct Robots {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Check a robot: report every problem, what it can reach, and how it grasps a test part
+    /// Check a robot: report every problem, its reach, its grasp of a part, and a trial episode
     Check(Check),
     /// Draft robot.toml for a model, and mark what is guessed
     Init(Init),
 }
 
-/// Loads the robot, measures it, holds it still and moves it a little. Exit code 2 if there is a problem.
+/// Loads the robot, measures it, holds it still, moves it a little, lifts a test part and runs an episode of pick and place.
+/// Exit code 2 if there is a problem.
 #[derive(Debug, Args)]
 struct Check {
     /// Folder of the robot (robot.toml and its model), or the name of a built-in one
