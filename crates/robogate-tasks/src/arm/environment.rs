@@ -6,11 +6,11 @@ use nalgebra::Isometry3;
 use robogate_camera::Cameras;
 use robogate_core::{
     Action, Assignment, CameraSpec, Contact, Ending, Environment, FailureMode, Fault, FaultKind, Image, Measures,
-    Observation, Scenario, Start, Step, TaskInstance, TaskSpec, Trajectory, Word,
+    Observation, Policy, Scenario, Start, Step, TaskInstance, TaskSpec, Trajectory, Word,
 };
 use robogate_physics::{
-    ArmState, Collision, Engine, GripperCommand, Plant, Readback, Robot, Scene, Steering, StepView, SuctionLaw, Visual,
-    pose,
+    ArmState, Chain, Collision, Engine, GripperCommand, Plant, Readback, Robot, Scene, Steering, StepView, SuctionLaw,
+    Visual, pose,
 };
 
 use super::{Film, camera_specs, observation, posture, render};
@@ -18,13 +18,26 @@ use super::{Film, camera_specs, observation, posture, render};
 /// Distance to the part within which a suction cup takes hold, in metres.
 const GRIP_THRESHOLD_M: f64 = 0.01;
 
-/// The rules of a task: what [`ArmEnvironment`] needs in addition to engine, drives and cameras.
+/// Time between two actions, in seconds.
+pub(crate) const CONTROL_PERIOD_S: f64 = 0.05;
+
+/// The rules of a task: what [`ArmEnvironment`] needs in addition to engine, drives and cameras. They make it an
+/// [`super::ArmTask`].
 pub(crate) trait Rules {
     /// The referee of an episode.
-    type Trial: Trial;
+    type Trial: Trial + 'static;
 
-    /// Time between two actions, in seconds.
-    const CONTROL_PERIOD_S: f64;
+    /// The name on the command line, as in the declaration.
+    const NAME: &'static str;
+    /// A short description.
+    const SUMMARY: &'static str;
+    /// The parameter space for all grippers, as TOML.
+    const SPACE: &'static str;
+    /// The name of the built-in suite.
+    const SUITE: &'static str;
+
+    /// The scripted controller for a robot with these kinematics.
+    fn scripted(robot: Robot, chain: Chain) -> Box<dyn Policy>;
 
     /// The task specification for this robot with these cameras.
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec;
@@ -65,11 +78,32 @@ pub(crate) trait Trial {
     /// The measures so far.
     fn measures(&self) -> Measures;
 
-    /// Takes the events since the last call.
-    fn take_events(&mut self) -> Vec<String>;
+    /// What it has decided and reported so far.
+    fn record(&mut self) -> &mut Record;
+}
 
-    /// The decisive event, if it has happened.
-    fn ruling(&self) -> Option<Ruling>;
+/// What a referee has decided and reported so far.
+#[derive(Debug, Default)]
+pub(crate) struct Record {
+    ruling: Option<Ruling>,
+    events: Vec<String>,
+}
+
+impl Record {
+    /// Reports an event.
+    pub(crate) fn note(&mut self, event: impl Into<String>) {
+        self.events.push(event.into());
+    }
+
+    /// Ends the episode, unless an earlier event has ended it. `failure` is `None` for success.
+    pub(crate) fn end(&mut self, failure: Option<FailureMode>, time_s: f64, collision: Option<Collision>) {
+        self.ruling.get_or_insert(Ruling { failure, time_s, collision });
+    }
+
+    /// Whether the decisive event has happened.
+    pub(crate) fn is_over(&self) -> bool {
+        self.ruling.is_some()
+    }
 }
 
 /// The state that a referee gets after one time step.
@@ -86,13 +120,13 @@ pub(crate) struct Sight<'a> {
 
 /// The decisive event of an episode.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Ruling {
+struct Ruling {
     /// The failure mode; `None` for success.
-    pub(crate) failure: Option<FailureMode>,
+    failure: Option<FailureMode>,
     /// Simulated time, in seconds.
-    pub(crate) time_s: f64,
+    time_s: f64,
     /// The contact that decided it, if it was a collision.
-    pub(crate) collision: Option<Collision>,
+    collision: Option<Collision>,
 }
 
 /// A task for an arm as an environment.
@@ -132,7 +166,7 @@ impl<R: Rules> ArmEnvironment<R> {
         suction: SuctionLaw,
         picture_px: usize,
     ) -> Result<Self, String> {
-        let plant = Plant::new(engine, R::CONTROL_PERIOD_S, grip_force_n)?.with_suction(suction);
+        let plant = Plant::new(engine, CONTROL_PERIOD_S, grip_force_n)?.with_suction(suction);
         let cameras = Cameras::new(plant.engine.robot()).map(|cameras| cameras.with_size(picture_px, picture_px));
         let task = Arc::new(rules.spec(plant.engine.robot(), camera_specs(&cameras)));
         Ok(Self { rules, task, plant, cameras, film: None, running: None })
@@ -172,7 +206,7 @@ impl<R: Rules> Environment for ArmEnvironment<R> {
             measured: Vec::new(),
             ticks: 0,
         };
-        let observation = running.observation(R::CONTROL_PERIOD_S, plant);
+        let observation = running.observation(plant);
         self.running = Some(running);
         Ok(Start { instance, observation, applied })
     }
@@ -189,7 +223,7 @@ impl<R: Rules> Environment for ArmEnvironment<R> {
         plant.select(running.trial.select(command, &plant.engine.tcp(), &bodies));
         let begun = running.ticks as f64;
         plant.run(&targets, command, &mut |engine, view| {
-            let time = (begun + view.fraction) * R::CONTROL_PERIOD_S;
+            let time = (begun + view.fraction) * CONTROL_PERIOD_S;
             running.trial.observe(&Sight { time, command, view, engine });
             if let Some(film) = film {
                 film.observe(engine, view);
@@ -199,7 +233,7 @@ impl<R: Rules> Environment for ArmEnvironment<R> {
             film.end_period(&plant.engine);
         }
         running.ticks += 1;
-        let ending = running.trial.ruling().map(|ruling| {
+        let ending = running.trial.record().ruling.map(|ruling| {
             let body = |body: usize| plant.engine.robot_body(body);
             let fixture = |index: usize| running.fixtures.get(index).cloned().unwrap_or_default();
             let contact = ruling.collision.map(|collision| Contact {
@@ -210,8 +244,8 @@ impl<R: Rules> Environment for ArmEnvironment<R> {
             Ending { failure: ruling.failure, time_s: ruling.time_s, contact }
         });
         let step = Step {
-            observation: running.observation(R::CONTROL_PERIOD_S, plant),
-            events: running.trial.take_events(),
+            observation: running.observation(plant),
+            events: std::mem::take(&mut running.trial.record().events),
             measures: running.trial.measures(),
             state_hash: plant.state_hash(),
             ending,
@@ -228,7 +262,7 @@ impl<R: Rules> Environment for ArmEnvironment<R> {
     }
 
     fn record_trajectory(&mut self, period_s: Option<f64>) {
-        self.film = period_s.map(|period_s| Film::new(period_s, R::CONTROL_PERIOD_S));
+        self.film = period_s.map(|period_s| Film::new(period_s, CONTROL_PERIOD_S));
     }
 
     fn take_trajectory(&mut self) -> Option<Trajectory> {
@@ -238,12 +272,12 @@ impl<R: Rules> Environment for ArmEnvironment<R> {
 
 impl<T: Trial> Running<T> {
     /// The observation of the arm, with the encoders' bias, and what the task senses.
-    fn observation(&mut self, control_period_s: f64, plant: &Plant<Box<dyn Engine>>) -> Observation {
+    fn observation(&mut self, plant: &Plant<Box<dyn Engine>>) -> Observation {
         let state = plant.arm_state();
         self.measured = state.joint_positions.iter().zip(&self.bias).map(|(q, bias)| q + bias).collect();
         let tool = pose(&plant.engine.chain().tcp_at(&self.measured));
         let measured = ArmState { joint_positions: self.measured.clone(), ..state };
-        let mut observation = observation(self.ticks as f64 * control_period_s, measured, tool);
+        let mut observation = observation(self.ticks as f64 * CONTROL_PERIOD_S, measured, tool);
         observation.vectors.extend(self.trial.sensed());
         observation
     }

@@ -1,7 +1,7 @@
 //! What the tasks of an arm's cell share: environment, observations and actions, parameter rows, the gripper's state,
 //! scripted motion, camera images and recordings.
 //!
-//! A task adds its scene, its rules for an outcome, its parameters and its plan. It implements [`ArmTask`].
+//! A task adds its scene, its rules for an outcome, its parameters and its plan. Its rules make it an [`ArmTask`].
 
 mod cameras;
 mod environment;
@@ -15,13 +15,14 @@ mod task;
 mod words;
 
 pub(crate) use cameras::{camera_specs, posture, render};
-pub(crate) use environment::{ArmEnvironment, Resolved, Rules, Ruling, Sight, Trial, encoder_bias};
+pub(crate) use environment::{ArmEnvironment, CONTROL_PERIOD_S, Record, Resolved, Rules, Sight, Trial, encoder_bias};
 pub(crate) use film::Film;
 pub(crate) use grip::{Grip, GripChange, touching};
 pub use interface::TOOL_DELTA;
 pub(crate) use interface::{action_spec, observation, observed_vectors};
 pub(crate) use layout::{disc_point, within_reach};
 pub(crate) use script::{FREE, Planner, Script, Stage, grasp_height, nearest, tool_down};
-pub(crate) use table::{Access, Acting, Row, applied, decode, specs};
+pub(crate) use table::{Access, Acting, InSurroundings, Row, Surroundings, applied, decode, scale, specs};
 pub use task::ArmTask;
-pub(crate) use words::{measure, mode};
+pub(crate) use task::drives_task;
+pub(crate) use words::{base_spec, briefing, instance, measure, mode, not_a_briefing};

@@ -43,6 +43,62 @@ pub(crate) struct Acting<'a, S> {
     pub(crate) bias: &'a [f64],
 }
 
+/// Parameters of the arm and the light, which every task has.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Surroundings {
+    /// Largest encoder bias, in radians.
+    pub(crate) encoder_bias_rad: f64,
+    /// Illuminance on the table.
+    pub(crate) lighting_lux: f64,
+    /// For each joint, a number from -1 to 1: the fraction of the encoder bias.
+    pub(crate) encoders: Vec<f64>,
+}
+
+/// The settings of a task, which contain those of arm and light.
+pub(crate) trait InSurroundings {
+    fn around(&self) -> &Surroundings;
+    fn around_mut(&mut self) -> &mut Surroundings;
+}
+
+impl<S: InSurroundings> Row<S> {
+    /// The bias of the encoders.
+    pub(crate) const fn encoder_bias() -> Self {
+        Self::number(
+            "encoder_bias_rad",
+            "rad",
+            "Largest encoder bias: each joint's encoder has a constant bias, drawn uniformly between minus and plus this value.",
+            "the biases of the encoders",
+            ([0.0, 0.1], 0.0),
+            |s, x| s.around_mut().encoder_bias_rad = x,
+            |a| scale(&a.settings.around().encoders, a.bias),
+        )
+        .in_family("encoders")
+    }
+
+    /// The illuminance on the table.
+    pub(crate) const fn lighting() -> Self {
+        Self::number(
+            "lighting_lux",
+            "lux",
+            "Illuminance on the table.",
+            "the cameras",
+            ([1.0, 1e5], 500.0),
+            |s, x| s.around_mut().lighting_lux = x,
+            |a| a.visual.lighting_lux,
+        )
+        .in_family("light")
+    }
+}
+
+/// The scale of draws that gives these displacements: the component along the largest draw. `NaN` if another
+/// displacement disagrees by more than a micrometre or microradian.
+pub(crate) fn scale(draws: &[f64], displacements: &[f64]) -> f64 {
+    let largest = (0..draws.len()).max_by(|a, b| draws[*a].abs().total_cmp(&draws[*b].abs())).unwrap_or_default();
+    let scale = displacements[largest] / draws[largest];
+    let agrees = draws.iter().zip(displacements).all(|(draw, found)| (draw * scale - found).abs() < 1e-6);
+    if agrees { scale } else { f64::NAN }
+}
+
 /// The parameters as a task declares them.
 pub(crate) fn specs<S>(rows: &[Row<S>]) -> Vec<ParameterSpec> {
     rows.iter().map(Row::spec).collect()

@@ -1,6 +1,51 @@
-//! Failure modes and measures as a task declares them.
+//! The declaration of a task for an arm, and its briefings.
 
-use robogate_core::{Better, FailureMode, FailureModeSpec, MeasureSpec, Severity, Word};
+use robogate_core::{
+    Better, CameraSpec, FailureMode, FailureModeSpec, Fault, FaultKind, MeasureSpec, ObservationSpec, Severity,
+    TaskInstance, TaskSpec, Word,
+};
+use robogate_physics::Robot;
+use serde::{Deserialize, Serialize};
+
+use super::{CONTROL_PERIOD_S, action_spec, observed_vectors};
+
+/// The specification that every task on this robot with these cameras extends.
+pub(crate) fn base_spec(name: &'static str, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
+    TaskSpec {
+        name: Word::constant(name),
+        version: 1,
+        instruction: String::new(),
+        control_period_s: CONTROL_PERIOD_S,
+        time_limit_s: 0.0,
+        failure_modes: Vec::new(),
+        draws: Vec::new(),
+        measures: Vec::new(),
+        phases: Vec::new(),
+        parameters: Vec::new(),
+        observation: ObservationSpec { vectors: observed_vectors(robot), cameras },
+        action: action_spec(robot),
+        details: serde_json::Value::Null,
+    }
+}
+
+/// An episode whose details are a briefing.
+pub(crate) fn instance(instruction: String, briefing: &impl Serialize) -> TaskInstance {
+    // Strings and finite numbers cannot fail to serialise.
+    TaskInstance { instruction, details: serde_json::to_value(briefing).unwrap_or_default() }
+}
+
+/// Reads the briefing of the task `name` from the details of an episode.
+///
+/// # Errors
+/// A setup fault if the details are not a briefing of this task.
+pub(crate) fn briefing<'a, B: Deserialize<'a>>(name: &str, instance: &'a TaskInstance) -> Result<B, Fault> {
+    B::deserialize(&instance.details).map_err(|why| not_a_briefing(name, &why.to_string()))
+}
+
+/// The fault of an episode whose details are not a briefing of the task `name`.
+pub(crate) fn not_a_briefing(name: &str, why: &str) -> Fault {
+    Fault::new(FaultKind::Setup, format!("the episode details are not a briefing of {name}: {why}"))
+}
 
 /// A failure mode that published exports name by its own word.
 pub(crate) fn mode(name: FailureMode, severity: Severity, meaning: &str) -> FailureModeSpec {

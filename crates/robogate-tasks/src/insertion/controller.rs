@@ -21,9 +21,10 @@ use robogate_core::{Action, Command, Fault, Observation, Policy, Seed, TaskInsta
 use robogate_physics::trajectory::ToolLimit;
 use robogate_physics::{Bellows, Chain, Gripper, GripperCommand, Robot, Unreachable};
 
+use super::Insertion;
 use super::parts::{DEPTH_M, HEAD_HEIGHT_M, SHAFT_M};
-use super::spec::{Briefing, CONTROL_PERIOD_S, phases};
-use crate::arm::{FREE, Planner, Script, tool_down};
+use super::spec::{Briefing, phases};
+use crate::arm::{CONTROL_PERIOD_S, FREE, Planner, Rules, Script, drives_task, tool_down};
 
 /// Height of the peg's tip above the block before the search, in metres.
 const ABOVE_M: f64 = 0.006;
@@ -330,14 +331,7 @@ impl Feel {
 
 impl Policy for Scripted {
     fn check(&self, task: &TaskSpec) -> Result<(), String> {
-        if task.name != super::NAME || task.action.joints() != Some(&*self.robot.settings.arm.joints) {
-            return Err(format!(
-                "the scripted controller drives insertion on {}, not {}",
-                self.robot.name(),
-                task.name
-            ));
-        }
-        Ok(())
+        drives_task(Insertion::NAME, &self.robot, task)
     }
 
     fn reset(&mut self, _: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {

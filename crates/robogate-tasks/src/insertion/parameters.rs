@@ -4,7 +4,7 @@ use nalgebra::Isometry3;
 use robogate_physics::{FixtureKind, Primitive, Readback};
 
 use super::parts;
-use crate::arm::{Acting, Row};
+use crate::arm::{Acting, InSurroundings, Row, Surroundings};
 
 /// The decoded parameters of a scenario, and its draws.
 #[derive(Debug, Clone, Default)]
@@ -18,16 +18,23 @@ pub(super) struct Settings {
     pub(super) hole_jitter_m: f64,
     pub(super) hole_tilt_rad: f64,
     pub(super) peg_jitter_m: f64,
-    pub(super) encoder_bias_rad: f64,
-    pub(super) lighting_lux: f64,
+    pub(super) around: Surroundings,
     /// Nominal position (x, y) of the peg and of the hole, in metres.
     pub(super) places: [[f64; 2]; 2],
     /// Points of the unit disc: direction and fraction of the deviations of peg and hole.
     pub(super) shift: [[f64; 2]; 2],
     /// Direction of the axis about which the hole tilts, in radians, and fraction of the tilt.
     pub(super) tilt: [f64; 2],
-    /// For each joint, a number from -1 to 1: the fraction of the encoder bias.
-    pub(super) encoders: Vec<f64>,
+}
+
+impl InSurroundings for Settings {
+    fn around(&self) -> &Surroundings {
+        &self.around
+    }
+
+    fn around_mut(&mut self) -> &mut Surroundings {
+        &mut self.around
+    }
 }
 
 /// The walls of the hole in the engine: shape and pose, in the order of the sides.
@@ -87,12 +94,6 @@ fn scale(draw: [f64; 2], found: [f64; 2]) -> f64 {
 fn peg_jitter(acting: &Acting<'_, Settings>) -> f64 {
     let (at, [x, y]) = (acting.engine.object.translation, acting.settings.places[0]);
     scale(acting.settings.shift[0], [at.x - x, at.y - y])
-}
-
-fn encoder_bias(acting: &Acting<'_, Settings>) -> f64 {
-    let draws = &acting.settings.encoders;
-    let largest = (0..draws.len()).max_by(|a, b| draws[*a].abs().total_cmp(&draws[*b].abs())).unwrap_or_default();
-    acting.bias[largest] / draws[largest]
 }
 
 /// Every parameter of the task.
@@ -187,24 +188,6 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         peg_jitter,
     )
     .in_family("peg"),
-    Row::<Settings>::number(
-        "encoder_bias_rad",
-        "rad",
-        "Largest encoder bias: each joint's encoder has a constant bias, drawn uniformly between minus and plus this value.",
-        "the biases of the encoders",
-        ([0.0, 0.1], 0.0),
-        |s, x| s.encoder_bias_rad = x,
-        encoder_bias,
-    )
-    .in_family("encoders"),
-    Row::<Settings>::number(
-        "lighting_lux",
-        "lux",
-        "Illuminance on the table.",
-        "the cameras",
-        ([1.0, 1e5], 500.0),
-        |s, x| s.lighting_lux = x,
-        |a| a.visual.lighting_lux,
-    )
-    .in_family("light"),
+    Row::encoder_bias(),
+    Row::lighting(),
 ];

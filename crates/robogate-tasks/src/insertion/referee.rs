@@ -15,13 +15,13 @@
 
 use nalgebra::{Isometry3, Point3};
 use robogate_core::{Assignment, FailureMode, Measures, Word};
-use robogate_physics::{Collision, GRAVITY, GripperCommand, Readback, Visual};
+use robogate_physics::{GRAVITY, GripperCommand, Readback, Visual};
 
 use super::parameters::{ROWS, Settings};
 use super::parts::DEPTH_M;
 use super::spec::{COLLISION, DEPTH, DROPPED, DURATION, JAM, LATERAL, MISSED, PRESS, WEDGE};
 use super::whitney;
-use crate::arm::{Acting, Grip, GripChange, Ruling, Sight, Trial, applied, touching};
+use crate::arm::{Acting, Grip, GripChange, Record, Sight, Trial, applied, touching};
 
 /// The tip is seated within this distance of the full depth, in metres ...
 const SEAT_M: f64 = 0.002;
@@ -59,8 +59,7 @@ pub(crate) struct Referee {
     crushed_s: f64,
     /// Time of the first contact of the held peg with the block, in seconds.
     touched_at: Option<f64>,
-    ruling: Option<Ruling>,
-    events: Vec<String>,
+    record: Record,
     depth_m: Option<f64>,
     press_n: Option<f64>,
     lateral_n: Option<f64>,
@@ -81,17 +80,12 @@ impl Referee {
             progress: (0.0, 0.0),
             crushed_s: 0.0,
             touched_at: None,
-            ruling: None,
-            events: Vec::new(),
+            record: Record::default(),
             depth_m: None,
             press_n: None,
             lateral_n: None,
             duration_s: None,
         }
-    }
-
-    fn end(&mut self, failure: Option<FailureMode>, time_s: f64, collision: Option<Collision>) {
-        self.ruling.get_or_insert(Ruling { failure, time_s, collision });
     }
 
     /// Depth of the tip in the hole, in metres; `None` if the tip is not over the hole.
@@ -111,8 +105,8 @@ impl Referee {
         let elapsed = time - self.before;
         self.crushed_s = if press > CRUSH_N { self.crushed_s + elapsed } else { 0.0 };
         if self.crushed_s >= CRUSH_S {
-            self.events.push(format!("peg pressed with {press:.0} N"));
-            self.end(Some(JAM), time, None);
+            self.record.note(format!("peg pressed with {press:.0} N"));
+            self.record.end(Some(JAM), time, None);
             return;
         }
         let Some(depth) = depth.filter(|depth| *depth > PROGRESS_M) else { return };
@@ -121,8 +115,8 @@ impl Referee {
         } else if press >= STUCK_N {
             self.progress.1 += elapsed;
             if self.progress.1 >= STUCK_S {
-                self.events.push(format!("peg stuck {:.1} mm deep", 1e3 * depth));
-                self.end(Some(self.stuck(depth)), time, None);
+                self.record.note(format!("peg stuck {:.1} mm deep", 1e3 * depth));
+                self.record.end(Some(self.stuck(depth)), time, None);
             }
         }
     }
@@ -141,12 +135,12 @@ impl Referee {
         }
         match depth.filter(|depth| *depth > 0.0) {
             Some(depth) => {
-                self.events.push(format!("released peg at rest {:.1} mm deep", 1e3 * depth));
-                self.end(Some(self.stuck(depth)), sight.time, None);
+                self.record.note(format!("released peg at rest {:.1} mm deep", 1e3 * depth));
+                self.record.end(Some(self.stuck(depth)), sight.time, None);
             }
             None => {
-                self.events.push("released peg at rest outside the hole".to_owned());
-                self.end(Some(MISSED), sight.time, None);
+                self.record.note("released peg at rest outside the hole");
+                self.record.end(Some(MISSED), sight.time, None);
             }
         }
     }
@@ -162,30 +156,30 @@ impl Trial for Referee {
     }
 
     fn observe(&mut self, sight: &Sight<'_>) {
-        if self.ruling.is_some() {
+        if self.record.is_over() {
             return;
         }
         if let Some(collision) = sight.view.touches.collision {
-            self.end(Some(COLLISION), sight.time, Some(collision));
+            self.record.end(Some(COLLISION), sight.time, Some(collision));
             return;
         }
         match self.grip.observe(sight.command, sight.time, sight.view) {
-            Some(GripChange::Closes) => self.events.push("gripper closes at the peg".to_owned()),
+            Some(GripChange::Closes) => self.record.note("gripper closes at the peg"),
             Some(GripChange::Held) => {
                 self.was_held = true;
-                self.events.push("peg held".to_owned());
+                self.record.note("peg held");
             }
             Some(GripChange::Missed) => {
-                self.events.push("the gripper closed without the peg".to_owned());
-                self.end(Some(MISSED), sight.time, None);
+                self.record.note("the gripper closed without the peg");
+                self.record.end(Some(MISSED), sight.time, None);
                 return;
             }
             Some(GripChange::Lost) => {
-                self.events.push("peg lost".to_owned());
-                self.end(Some(DROPPED), sight.time, None);
+                self.record.note("peg lost");
+                self.record.end(Some(DROPPED), sight.time, None);
                 return;
             }
-            Some(GripChange::Released) => self.events.push("gripper opens".to_owned()),
+            Some(GripChange::Released) => self.record.note("gripper opens"),
             None => {}
         }
         if self.was_held {
@@ -204,12 +198,8 @@ impl Trial for Referee {
             .collect()
     }
 
-    fn take_events(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.events)
-    }
-
-    fn ruling(&self) -> Option<Ruling> {
-        self.ruling
+    fn record(&mut self) -> &mut Record {
+        &mut self.record
     }
 }
 
@@ -231,21 +221,21 @@ impl Referee {
             self.lateral_n = Some(self.lateral_n.unwrap_or(0.0).max(force.xy().norm()));
             if held && self.touched_at.is_none() {
                 self.touched_at = Some(sight.time);
-                self.events.push("peg touches the block".to_owned());
+                self.record.note("peg touches the block");
             }
         }
         if depth.is_some_and(|depth| depth >= DEPTH_M - SEAT_M) {
             let since = *self.seated_since.get_or_insert(sight.time);
             if sight.time - since >= SEAT_S {
                 self.duration_s = self.touched_at.map(|touched| sight.time - touched);
-                self.events.push("peg seated".to_owned());
-                self.end(None, sight.time, None);
+                self.record.note("peg seated");
+                self.record.end(None, sight.time, None);
             }
             return;
         }
         self.seated_since = None;
         self.watch_pressing(depth, press, sight.time);
-        if self.ruling.is_none() && self.grip.is_free() {
+        if !self.record.is_over() && self.grip.is_free() {
             self.watch_released(sight, depth);
         }
     }

@@ -1,14 +1,16 @@
 //! Resolves a scenario: a peg that stands on the table, and a block with a hole.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::{CameraSpec, Fault, Pose, Scenario, TaskSpec};
-use robogate_physics::{Fixture, GRAVITY, GripperUnit, Robot, Scene, Visual};
+use robogate_core::{CameraSpec, Fault, Policy, Pose, Scenario, TaskSpec};
+use robogate_physics::{Chain, Fixture, GRAVITY, GripperUnit, Robot, Scene, Visual};
 
+use super::Insertion;
+use super::controller::Scripted;
 use super::parameters::{ROWS, Settings};
 use super::parts::{self, DEPTH_M};
 use super::referee::Referee;
-use super::spec::{self, Briefing, CONTROL_PERIOD_S};
-use crate::arm::{Resolved, Rules, decode, disc_point, encoder_bias, within_reach};
+use super::spec::{self, Briefing};
+use crate::arm::{Resolved, Rules, decode, disc_point, encoder_bias, instance, within_reach};
 
 /// Nominal positions (x, y) of peg and hole, in metres.
 const PLACES: [[f64; 2]; 2] = [[0.42, -0.14], [0.48, 0.14]];
@@ -16,13 +18,17 @@ const PLACES: [[f64; 2]; 2] = [[0.42, -0.14], [0.48, 0.14]];
 /// Friction coefficient of the peg against the gripper: rubber pads or a rubber lip.
 const GRIP_FRICTION: f64 = 0.8;
 
-/// The rules of insertion.
-pub(super) struct InsertionRules;
-
-impl Rules for InsertionRules {
+impl Rules for Insertion {
     type Trial = Referee;
 
-    const CONTROL_PERIOD_S: f64 = CONTROL_PERIOD_S;
+    const NAME: &'static str = "insertion";
+    const SUMMARY: &'static str = "insert a peg into a hole with a small clearance with a robot arm";
+    const SPACE: &'static str = include_str!("space.toml");
+    const SUITE: &'static str = "insertion-40";
+
+    fn scripted(robot: Robot, chain: Chain) -> Box<dyn Policy> {
+        Box::new(Scripted::new(robot, chain))
+    }
 
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         spec::spec(robot, cameras)
@@ -36,7 +42,7 @@ impl Rules for InsertionRules {
             *shift = disc_point(&mut stream);
         }
         settings.tilt = [stream.between(0.0, std::f64::consts::TAU), stream.uniform()];
-        settings.encoders = encoder_bias(scenario, robot, 1.0);
+        settings.around.encoders = encoder_bias(scenario, robot, 1.0);
         let [[px, py], [hx, hy]] = settings.places;
         let briefing = Briefing {
             peg: Pose::upright([px, py, 0.0], 0.0),
@@ -47,8 +53,8 @@ impl Rules for InsertionRules {
         };
         Ok(Resolved {
             scene: settings.scene(),
-            bias: encoder_bias(scenario, robot, settings.encoder_bias_rad),
-            instance: briefing.instance("pick up the peg and insert it into the hole".to_owned()),
+            bias: encoder_bias(scenario, robot, settings.around.encoder_bias_rad),
+            instance: instance("pick up the peg and insert it into the hole".to_owned(), &briefing),
             trial: Referee::new(settings, grip_force_n),
         })
     }
@@ -82,7 +88,7 @@ impl Settings {
             fixtures,
             gravity: GRAVITY,
             marker: None,
-            visual: Visual { lighting_lux: self.lighting_lux, ..Visual::default() },
+            visual: Visual { lighting_lux: self.around.lighting_lux, ..Visual::default() },
         }
     }
 }

@@ -1,16 +1,13 @@
 //! The declaration of insertion as data.
 
-use robogate_core::{
-    Better, CameraSpec, FailureMode, Fault, FaultKind, ObservationSpec, Pose, Severity, TaskInstance, TaskSpec, Word,
-};
+use robogate_core::{Better, CameraSpec, FailureMode, Fault, Pose, Severity, TaskInstance, TaskSpec, Word};
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
+use super::Insertion;
 use super::parameters::ROWS;
-use crate::arm::{action_spec, measure, mode, observed_vectors, specs};
+use crate::arm::{Rules, base_spec, briefing, measure, mode, specs};
 
-/// Time between two actions, in seconds.
-pub(super) const CONTROL_PERIOD_S: f64 = 0.05;
 /// The time limit of an episode, in seconds.
 const TIME_LIMIT_S: f64 = 40.0;
 
@@ -51,10 +48,7 @@ pub(super) mod phases {
 /// The task specification for this robot with these cameras.
 pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
     TaskSpec {
-        name: Word::constant(super::NAME),
-        version: 1,
         instruction: "pick up the peg and insert it into the hole".to_owned(),
-        control_period_s: CONTROL_PERIOD_S,
         time_limit_s: TIME_LIMIT_S,
         failure_modes: vec![
             mode(JAM, Severity::Major, "The peg was pressed in the hole or on the block and did not move."),
@@ -68,7 +62,6 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
             mode(COLLISION, Severity::Critical, "A link or finger of the robot touched the table or the block."),
             mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the peg was seated."),
         ],
-        draws: Vec::new(),
         measures: vec![
             measure(DEPTH, "m", Better::Higher, "Largest depth of the peg's tip in the hole."),
             measure(PRESS, "N", Better::Lower, "Largest force of block and table on the peg along the hole's axis."),
@@ -77,9 +70,7 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         ],
         phases: phases::ALL.to_vec(),
         parameters: specs(&ROWS),
-        observation: ObservationSpec { vectors: observed_vectors(robot), cameras },
-        action: action_spec(robot),
-        details: serde_json::Value::Null,
+        ..base_spec(Insertion::NAME, robot, cameras)
     }
 }
 
@@ -99,19 +90,11 @@ pub(super) struct Briefing {
 }
 
 impl Briefing {
-    /// The briefing as the details of an episode.
-    pub(super) fn instance(&self, instruction: String) -> TaskInstance {
-        // Strings and finite numbers cannot fail to serialise.
-        TaskInstance { instruction, details: serde_json::to_value(self).unwrap_or_default() }
-    }
-
     /// Reads the briefing from the details of an episode.
     ///
     /// # Errors
     /// A setup fault if the details are not those of insertion.
     pub(super) fn of(instance: &TaskInstance) -> Result<Self, Fault> {
-        Self::deserialize(&instance.details).map_err(|why| {
-            Fault::new(FaultKind::Setup, format!("the episode details are not a briefing of insertion: {why}"))
-        })
+        briefing(Insertion::NAME, instance)
     }
 }

@@ -4,8 +4,9 @@ use robogate_core::{Action, Fault, Observation, Policy, Seed, TaskInstance, Task
 use robogate_physics::trajectory::ToolLimit;
 use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
-use super::spec::{Briefing, CONTROL_PERIOD_S, phases};
-use crate::arm::{FREE, Planner, Script, tool_down};
+use super::Stacking;
+use super::spec::{Briefing, phases};
+use crate::arm::{CONTROL_PERIOD_S, FREE, Planner, Rules, Script, drives_task, tool_down};
 
 /// Height of the tool above the table on transit paths, in metres: a carried part passes over a stack of two.
 const TRANSIT_HEIGHT_M: f64 = 0.25;
@@ -75,10 +76,7 @@ impl Scripted {
 
 impl Policy for Scripted {
     fn check(&self, task: &TaskSpec) -> Result<(), String> {
-        if task.name != super::NAME || task.action.joints() != Some(&*self.robot.settings.arm.joints) {
-            return Err(format!("the scripted controller drives stacking on {}, not {}", self.robot.name(), task.name));
-        }
-        Ok(())
+        drives_task(Stacking::NAME, &self.robot, task)
     }
 
     fn reset(&mut self, _: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {

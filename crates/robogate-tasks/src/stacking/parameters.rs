@@ -2,7 +2,7 @@
 
 use robogate_physics::{GRAVITY, Readback};
 
-use crate::arm::{Access, Acting, Row};
+use crate::arm::{Access, Acting, InSurroundings, Row, Surroundings, scale};
 
 /// The orders in which the parts can be stacked, from the bottom up.
 pub(super) const ORDERS: [&str; 6] = ["abc", "acb", "bac", "bca", "cab", "cba"];
@@ -21,8 +21,7 @@ pub(super) struct Settings {
     pub(super) gravity_scale: f64,
     pub(super) position_jitter_m: f64,
     pub(super) yaw_jitter_rad: f64,
-    pub(super) encoder_bias_rad: f64,
-    pub(super) lighting_lux: f64,
+    pub(super) around: Surroundings,
     /// Indices of the parts from the bottom up.
     pub(super) order: [usize; 3],
     /// Nominal position (x, y) of each part, in metres.
@@ -31,8 +30,16 @@ pub(super) struct Settings {
     pub(super) shift: [[f64; 2]; 3],
     /// For each part, a number from -1 to 1: the fraction of the yaw jitter.
     pub(super) turn: [f64; 3],
-    /// For each joint, a number from -1 to 1: the fraction of the encoder bias.
-    pub(super) encoders: Vec<f64>,
+}
+
+impl InSurroundings for Settings {
+    fn around(&self) -> &Surroundings {
+        &self.around
+    }
+
+    fn around_mut(&mut self) -> &mut Surroundings {
+        &mut self.around
+    }
 }
 
 /// Mass (kg), position (x, y, yaw in m and rad) and size (m) of a part in the engine.
@@ -55,15 +62,6 @@ fn found(engine: &Readback, part: usize) -> Found {
 /// The common value of three readings. `NaN` if they differ by more than `bound`.
 fn common(values: [f64; 3], bound: f64) -> f64 {
     if values.iter().all(|value| (value - values[0]).abs() <= bound) { values[0] } else { f64::NAN }
-}
-
-/// The scale of draws that gives these displacements: the component along the largest draw. `NaN` if another
-/// displacement disagrees by more than a micrometre or microradian.
-fn scale(draws: &[f64], displacements: &[f64]) -> f64 {
-    let largest = (0..draws.len()).max_by(|a, b| draws[*a].abs().total_cmp(&draws[*b].abs())).unwrap_or_default();
-    let scale = displacements[largest] / draws[largest];
-    let agrees = draws.iter().zip(displacements).all(|(draw, found)| (draw * scale - found).abs() < 1e-6);
-    if agrees { scale } else { f64::NAN }
 }
 
 fn size(acting: &Acting<'_, Settings>) -> f64 {
@@ -204,24 +202,6 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         yaw_jitter,
     )
     .in_family("layout"),
-    Row::<Settings>::number(
-        "encoder_bias_rad",
-        "rad",
-        "Largest encoder bias: each joint's encoder has a constant bias, drawn uniformly between minus and plus this value.",
-        "the biases of the encoders",
-        ([0.0, 0.1], 0.0),
-        |s, x| s.encoder_bias_rad = x,
-        |a| scale(&a.settings.encoders, a.bias),
-    )
-    .in_family("encoders"),
-    Row::<Settings>::number(
-        "lighting_lux",
-        "lux",
-        "Illuminance on the table.",
-        "the cameras",
-        ([1.0, 1e5], 500.0),
-        |s, x| s.lighting_lux = x,
-        |a| a.visual.lighting_lux,
-    )
-    .in_family("light"),
+    Row::encoder_bias(),
+    Row::lighting(),
 ];

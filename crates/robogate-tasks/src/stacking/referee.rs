@@ -14,13 +14,13 @@
 //! The rollout reports a timeout if none of these events happens within the time limit.
 
 use nalgebra::{Isometry3, Vector3};
-use robogate_core::{Assignment, FailureMode, Measures, Word};
-use robogate_physics::{Collision, Engine, GripperCommand, Readback, Visual};
+use robogate_core::{Assignment, Measures, Word};
+use robogate_physics::{Engine, GripperCommand, Readback, Visual};
 
 use super::parameters::{PARTS, ROWS, Settings};
 use super::spec::{COLLISION, DROPPED, MARGIN, MISPLACED, MISSED, OFFSET, PEAK_FORCE, SLIP, TOLERANCE_M, TOPPLED};
 use super::statics::{self, Level};
-use crate::arm::{Acting, Grip, GripChange, Ruling, Sight, Trial, applied, touching};
+use crate::arm::{Acting, Grip, GripChange, Record, Sight, Trial, applied, touching};
 
 /// A part is dropped if it is released more than this above its resting height, in metres.
 const DROP_M: f64 = 0.03;
@@ -44,8 +44,7 @@ pub(crate) struct Referee {
     /// Number of levels that are complete. The bottom one is complete from the start.
     complete: usize,
     released: Option<Released>,
-    ruling: Option<Ruling>,
-    events: Vec<String>,
+    record: Record,
     offset_m: Option<f64>,
     margin_m: Option<f64>,
     peak_force_n: Option<f64>,
@@ -71,17 +70,12 @@ impl Referee {
             grip: Grip::new(grip_force_n),
             complete: 1,
             released: None,
-            ruling: None,
-            events: Vec::new(),
+            record: Record::default(),
             offset_m: None,
             margin_m: None,
             peak_force_n: None,
             slip_m: None,
         }
-    }
-
-    fn end(&mut self, failure: Option<FailureMode>, time_s: f64, collision: Option<Collision>) {
-        self.ruling.get_or_insert(Ruling { failure, time_s, collision });
     }
 
     /// The part at a level of the stack.
@@ -122,8 +116,8 @@ impl Referee {
         let fell = part.translation.z < self.level_height(self.complete) - 0.5 * self.settings.size_m
             || tilt(&part) > 2.0 * TILT_RAD;
         if expected && released.over_stack && released.height <= DROP_M && fell {
-            self.events.push(format!("part {} falls off the stack", PARTS[self.selected]));
-            self.end(Some(TOPPLED), sight.time, None);
+            self.record.note(format!("part {} falls off the stack", PARTS[self.selected]));
+            self.record.end(Some(TOPPLED), sight.time, None);
             return;
         }
         let touched = sight.view.touches.body_on_object || touching(sight.view);
@@ -139,21 +133,21 @@ impl Referee {
         let off = self.off_place(&part, &below);
         let name = PARTS[self.selected];
         let failure = if released.height > DROP_M {
-            self.events.push(format!("part {name} was released in the air"));
+            self.record.note(format!("part {name} was released in the air"));
             Some(DROPPED)
         } else if !expected {
-            self.events.push(format!("part {name} is out of order"));
+            self.record.note(format!("part {name} is out of order"));
             Some(MISPLACED)
         } else if !self.stands(&part, self.complete) {
-            self.events.push(format!("part {name} is not on the stack"));
+            self.record.note(format!("part {name} is not on the stack"));
             Some(if released.over_stack { TOPPLED } else { MISPLACED })
         } else {
-            self.events.push(format!("part {name} at rest, {:.1} mm from its place", 1e3 * off));
+            self.record.note(format!("part {name} at rest, {:.1} mm from its place", 1e3 * off));
             self.offset_m = Some(self.offset_m.unwrap_or(0.0).max(off));
             (off > TOLERANCE_M).then_some(MISPLACED)
         };
         if failure.is_some() {
-            self.end(failure, sight.time, None);
+            self.record.end(failure, sight.time, None);
             return;
         }
         self.released = None;
@@ -161,8 +155,8 @@ impl Referee {
         let margin = statics::margin(&self.levels(sight.engine), self.settings.size_m);
         self.margin_m = Some(margin);
         if self.complete == PARTS.len() {
-            self.events.push(format!("the stack is complete, {:.1} mm from tipping", 1e3 * margin));
-            self.end(None, sight.time, None);
+            self.record.note(format!("the stack is complete, {:.1} mm from tipping", 1e3 * margin));
+            self.record.end(None, sight.time, None);
         }
     }
 
@@ -209,27 +203,27 @@ impl Trial for Referee {
 
     fn observe(&mut self, sight: &Sight<'_>) {
         self.measure(sight);
-        if self.ruling.is_some() {
+        if self.record.is_over() {
             return;
         }
         if let Some(collision) = sight.view.touches.collision {
-            self.end(Some(COLLISION), sight.time, Some(collision));
+            self.record.end(Some(COLLISION), sight.time, Some(collision));
             return;
         }
         let name = PARTS[self.selected];
         match self.grip.observe(sight.command, sight.time, sight.view) {
             Some(GripChange::Closes) => {
                 self.released = None;
-                self.events.push(format!("gripper closes at part {name}"));
+                self.record.note(format!("gripper closes at part {name}"));
             }
-            Some(GripChange::Held) => self.events.push(format!("part {name} held")),
+            Some(GripChange::Held) => self.record.note(format!("part {name} held")),
             Some(GripChange::Missed) => {
-                self.events.push("the gripper closed without a part".to_owned());
-                self.end(Some(MISSED), sight.time, None);
+                self.record.note("the gripper closed without a part");
+                self.record.end(Some(MISSED), sight.time, None);
             }
             Some(GripChange::Lost) => {
-                self.events.push(format!("part {name} lost"));
-                self.end(Some(DROPPED), sight.time, None);
+                self.record.note(format!("part {name} lost"));
+                self.record.end(Some(DROPPED), sight.time, None);
             }
             Some(GripChange::Released) => {
                 let (part, below) = (sight.view.object, self.part_at(self.complete - 1, sight.engine));
@@ -237,7 +231,7 @@ impl Trial for Referee {
                 let over_stack = self.off_place(&part, &below) <= self.settings.size_m;
                 // A part beside the stack rests on the table.
                 let height = if over_stack { height } else { part.translation.z - self.level_height(0) };
-                self.events.push(format!("gripper opens, part {name} {:.0} mm above its rest", 1e3 * height));
+                self.record.note(format!("gripper opens, part {name} {:.0} mm above its rest", 1e3 * height));
                 self.released = Some(Released { height, over_stack, calm_since: None });
             }
             None => {}
@@ -245,8 +239,8 @@ impl Trial for Referee {
         for level in 0..self.complete {
             let held = self.grip.in_hand().is_some() && self.settings.order[level] == self.selected;
             if !held && !self.stands(&self.part_at(level, sight.engine), level) {
-                self.events.push(format!("part {} of the stack tips over", PARTS[self.settings.order[level]]));
-                self.end(Some(TOPPLED), sight.time, None);
+                self.record.note(format!("part {} of the stack tips over", PARTS[self.settings.order[level]]));
+                self.record.end(Some(TOPPLED), sight.time, None);
                 return;
             }
         }
@@ -263,11 +257,7 @@ impl Trial for Referee {
             .collect()
     }
 
-    fn take_events(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.events)
-    }
-
-    fn ruling(&self) -> Option<Ruling> {
-        self.ruling
+    fn record(&mut self) -> &mut Record {
+        &mut self.record
     }
 }

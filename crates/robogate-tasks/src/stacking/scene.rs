@@ -1,14 +1,17 @@
 //! Resolves a scenario: the parts on the table, the order and the offset of the stack.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::{CameraSpec, Fault, Pose, Scenario, TaskSpec};
+use robogate_core::{CameraSpec, Fault, Policy, Pose, Scenario, TaskSpec};
 use robogate_physics::{
-    Color, Fixture, FreeBody, GRAVITY, GripperUnit, MassProperties, Object, Part, Primitive, Robot, Scene, Visual,
+    Chain, Color, Fixture, FreeBody, GRAVITY, GripperUnit, MassProperties, Object, Part, Primitive, Robot, Scene,
+    Visual,
 };
 
+use super::Stacking;
+use super::controller::Scripted;
 use super::parameters::{PARTS, ROWS, Settings};
 use super::referee::Referee;
-use super::spec::{self, Briefing, CONTROL_PERIOD_S, TOLERANCE_M};
+use super::spec::{self, Briefing, TOLERANCE_M};
 use crate::arm::{Resolved, Rules, decode, disc_point, encoder_bias, within_reach};
 
 /// Nominal positions (x, y) of the parts, in metres. A hand that grasps one of them has room beside the others.
@@ -17,13 +20,18 @@ const PLACES: [[f64; 2]; 3] = [[0.42, -0.16], [0.56, 0.0], [0.42, 0.16]];
 /// Colours of the parts.
 const COLORS: [Color; 3] = [Color([200, 60, 40]), Color([58, 110, 165]), Color([222, 170, 60])];
 
-/// The rules of stacking.
-pub(super) struct StackRules;
-
-impl Rules for StackRules {
+impl Rules for Stacking {
     type Trial = Referee;
 
-    const CONTROL_PERIOD_S: f64 = CONTROL_PERIOD_S;
+    const NAME: &'static str = "stacking";
+    const SUMMARY: &'static str =
+        "stack two parts on a third one with a robot arm, in a given order and with a given offset";
+    const SPACE: &'static str = include_str!("space.toml");
+    const SUITE: &'static str = "stacking-40";
+
+    fn scripted(robot: Robot, chain: Chain) -> Box<dyn Policy> {
+        Box::new(Scripted::new(robot, chain))
+    }
 
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         spec::spec(robot, cameras)
@@ -43,7 +51,7 @@ impl Rules for StackRules {
         };
         Ok(Resolved {
             scene: scene(&settings),
-            bias: encoder_bias(scenario, robot, settings.encoder_bias_rad),
+            bias: encoder_bias(scenario, robot, settings.around.encoder_bias_rad),
             instance: briefing.instance(),
             trial: Referee::new(settings, grip_force_n),
         })
@@ -57,7 +65,7 @@ fn drawn(mut settings: Settings, scenario: &Scenario, robot: &Robot) -> Settings
         settings.shift[part] = disc_point(&mut stream);
         settings.turn[part] = stream.between(-1.0, 1.0);
     }
-    settings.encoders = encoder_bias(scenario, robot, 1.0);
+    settings.around.encoders = encoder_bias(scenario, robot, 1.0);
     settings
 }
 
@@ -93,6 +101,6 @@ pub(super) fn scene(settings: &Settings) -> Scene {
         fixtures: vec![Fixture::table()],
         gravity: GRAVITY * settings.gravity_scale,
         marker: None,
-        visual: Visual { lighting_lux: settings.lighting_lux, object_color: color, ..Visual::default() },
+        visual: Visual { lighting_lux: settings.around.lighting_lux, object_color: color, ..Visual::default() },
     }
 }

@@ -1,16 +1,13 @@
 //! The declaration of stacking as data.
 
-use robogate_core::{
-    Better, CameraSpec, FailureMode, Fault, FaultKind, ObservationSpec, Pose, Severity, TaskInstance, TaskSpec, Word,
-};
+use robogate_core::{Better, CameraSpec, FailureMode, Fault, Pose, Severity, TaskInstance, TaskSpec, Word};
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
+use super::Stacking;
 use super::parameters::ROWS;
-use crate::arm::{action_spec, measure, mode, observed_vectors, specs};
+use crate::arm::{Rules, base_spec, briefing, instance, measure, mode, not_a_briefing, specs};
 
-/// Time between two actions, in seconds.
-pub(super) const CONTROL_PERIOD_S: f64 = 0.05;
 /// The time limit of an episode, in seconds.
 const TIME_LIMIT_S: f64 = 30.0;
 /// A part is in its place within this horizontal distance of its offset from the part below, in metres.
@@ -49,10 +46,7 @@ pub(super) mod phases {
 /// The task specification for this robot with these cameras.
 pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
     TaskSpec {
-        name: Word::constant(super::NAME),
-        version: 1,
         instruction: "stack the parts in the given order".to_owned(),
-        control_period_s: CONTROL_PERIOD_S,
         time_limit_s: TIME_LIMIT_S,
         failure_modes: vec![
             mode(TOPPLED, Severity::Critical, "A part that stood on another one fell off it or tipped over."),
@@ -62,7 +56,6 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
             mode(COLLISION, Severity::Critical, "A link or finger of the robot touched the table."),
             mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the stack was complete."),
         ],
-        draws: Vec::new(),
         measures: vec![
             measure(OFFSET, "m", Better::Lower, "Largest horizontal distance of a placed part from its place."),
             measure(
@@ -76,9 +69,7 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         ],
         phases: vec![phases::APPROACH, phases::GRASP, phases::CARRY, phases::RELEASE],
         parameters: specs(&ROWS),
-        observation: ObservationSpec { vectors: observed_vectors(robot), cameras },
-        action: action_spec(robot),
-        details: serde_json::Value::Null,
+        ..base_spec(Stacking::NAME, robot, cameras)
     }
 }
 
@@ -101,11 +92,7 @@ impl Briefing {
     /// The briefing as the details of an episode.
     pub(super) fn instance(&self) -> TaskInstance {
         let [first, second, third] = self.order.map(|part| ["a", "b", "c"][part]);
-        TaskInstance {
-            instruction: format!("put part {second} on part {first} and part {third} on part {second}"),
-            // Strings and finite numbers cannot fail to serialise.
-            details: serde_json::to_value(self).unwrap_or_default(),
-        }
+        instance(format!("put part {second} on part {first} and part {third} on part {second}"), self)
     }
 
     /// Reads the briefing from the details of an episode.
@@ -113,12 +100,9 @@ impl Briefing {
     /// # Errors
     /// A setup fault if the details are not those of stacking.
     pub(super) fn of(instance: &TaskInstance) -> Result<Self, Fault> {
-        let wrong = |why: String| {
-            Fault::new(FaultKind::Setup, format!("the episode details are not a briefing of stacking: {why}"))
-        };
-        let briefing = Self::deserialize(&instance.details).map_err(|why| wrong(why.to_string()))?;
+        let briefing: Self = briefing(Stacking::NAME, instance)?;
         match briefing.order.iter().find(|part| **part > 2) {
-            Some(part) => Err(wrong(format!("there is no part {part}"))),
+            Some(part) => Err(not_a_briefing(Stacking::NAME, &format!("there is no part {part}"))),
             None => Ok(briefing),
         }
     }
