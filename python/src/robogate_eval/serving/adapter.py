@@ -3,42 +3,25 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import time
 from collections.abc import Callable
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from robogate_bridge import FreeRun, Image, Problem, Recording
 
-from . import mujoco_knobs
-from .default_space import default_space
+from . import declaration
+from .cameras import Cameras
 from .disturbances import Disturbances
-from .environment import Camera, DeclarationError, Environment, task_name
-from .knobs import Knob, differs, parameter_name
+from .environment import DeclarationError, Environment
+from .knobs import Knob, differs
 from .model import Model, NoModel
 from .motion import Recorder
-from .rendering import Pictures
+from .offer import is_bound, offered
+from .scoring import Scoring
 from .spaces import Actions, Observations, same
+from .timing import control_period, step_limit
 from .trajectory import Trajectory
-
-# The protocol allows 256 parameters.
-MAX_KNOBS = 250
-# Width and height of the images of the model's own cameras, in pixels, and how many of them are offered.
-PICTURE_PX = 256
-MAX_CAMERAS = 16
-# The protocol allows images of this width and height.
-MAX_PIXELS = 4096
-
-
-def _mujoco_sha256() -> str | None:
-    """The hash of MuJoCo's library, or None if the package contains none."""
-    import mujoco
-
-    libraries = sorted(Path(mujoco.__file__).parent.glob("libmujoco*"))
-    return hashlib.sha256(libraries[0].read_bytes()).hexdigest() if libraries else None
 
 
 class Adapter:
@@ -72,23 +55,24 @@ class Adapter:
             self._model: Model | None = Model(env)
         except (NoModel, ImportError):
             self._model = None
-        self._period = self._control_period(rest, doing)
-        self._limit = self._step_limit()
+        self._period = control_period(env, self._task, self._model, rest, doing)
+        self._limit = step_limit(env, self._task, self._period)
         doing("knobs")
-        # Knobs that do not act, with the reason.
-        self.dropped: list[tuple[str, str]] = []
+        # `dropped`: knobs that do not act, with the reason.
+        knobs, self.dropped = offered(environment, env, self._model, self._observations, self._disturbances, self._observe, self._period)
+        self._offer(knobs)
         # Whether a reset of the check below built another model.
         self._changes = False
-        self._offer(self._knobs())
-        self._cameras = self._find_cameras()
-        self._pictures = Pictures()
+        self._cameras = Cameras(env, self._model, self._observations, self._task)
+        self._scoring = Scoring(self._task)
         self._hash = 0
         try:
             self.deterministic = self._is_deterministic(doing)
             self._require_success(doing)
             if self._model is not None and self._changes:
-                self.dropped += [(knob.name, "each reset builds a model with other bodies or joints") for knob in self.knobs if self._is_bound(knob)]
-                self._offer([knob for knob in self.knobs if not self._is_bound(knob)])
+                why = "each reset builds a model with other bodies or joints"
+                self.dropped += [(knob.name, why) for knob in self.knobs if is_bound(knob, environment)]
+                self._offer([knob for knob in self.knobs if not is_bound(knob, environment)])
         except Problem as problem:
             # The first episode of any environment shows what its declaration lacks.
             if problem.kind in ("setup", "not_applied"):
@@ -99,11 +83,6 @@ class Adapter:
         self.knobs = knobs
         self._by_parameter = {knob.parameter: knob for knob in knobs}
         self._order = {knob.parameter: position for position, knob in enumerate(knobs)}
-
-    def _is_bound(self, knob: Knob) -> bool:
-        """Whether a knob changes a body, joint or camera by its number in the first model."""
-        own = any(knob is one for one in self._environment.knobs)
-        return not own and ":" in knob.name and not knob.name.startswith(("gain:", "noise:"))
 
     def _first_reset(self) -> Any:
         try:
@@ -116,159 +95,27 @@ class Adapter:
                 "The package shimmy translates environments of the older gym"
             ) from None
 
-    # Declaration
-
     def hello(self) -> dict:
-        name, version = self._engine()
-        engine = {"name": name, "version": version, "solver": self._environment.source or None}
-        if self._model is not None:
-            engine["sha256"] = _mujoco_sha256()
+        environment, model = self._environment, self._model
+        name, version = declaration.engine_of(environment, model)
+        engine = {"name": name, "version": version, "solver": environment.source or None}
+        if model is not None:
+            engine["sha256"] = declaration.mujoco_sha256()
+        task = declaration.task_declaration(
+            self._task, self._period, self._limit, self.knobs, self._observations, self._cameras, self._actions
+        )
         return {
             "server": {"name": "robogate-eval", "version": "1"},
             "engine": engine,
-            "task": self._declaration(),
-            "space": self._space(),
-            "policies": [{"name": name, "meaning": policy.meaning, "version": policy.version} for name, policy in self._environment.policies.items()],
+            "task": task,
+            "space": declaration.space_declaration(environment, self.knobs, self.dropped, model, self._period),
+            "policies": [{"name": name, "meaning": policy.meaning, "version": policy.version} for name, policy in environment.policies.items()],
             "scores_itself": True,
             "deterministic": self.deterministic,
-            "records_motion": self._model is not None,
+            "records_motion": model is not None,
         }
 
-    def _declaration(self) -> dict:
-        task = self._task
-        modes = [{"name": mode.name, "meaning": mode.meaning, "severity": mode.severity} for mode in task.failure_modes]
-        if all(mode.name != "terminated" for mode in task.failure_modes):
-            modes.append({"name": "terminated", "meaning": "The environment ended the episode without success."})
-        return {
-            "name": task.name,
-            "version": task.version,
-            "instruction": task.instruction or task.name,
-            "control_period_s": self._period,
-            "time_limit_s": self._limit * self._period,
-            "failure_modes": modes,
-            "measures": [
-                {"name": measure.name, "unit": measure.unit, "meaning": measure.meaning, "better": measure.better}
-                for measure in task.measures
-            ],
-            "parameters": [knob.declaration() for knob in self.knobs],
-            "observation": {
-                "vectors": self._observations.declaration(),
-                "cameras": [{"name": c.name, "width": c.width, "height": c.height} for c in self._cameras],
-            },
-            "action": {"spaces": [self._actions.declaration()]},
-        }
-
-    def _space(self) -> dict | None:
-        """The space that is sampled by default."""
-        parameters = []
-        for name, domain in (self._environment.space or self._default_space()).items():
-            knob = self._by_parameter.get(parameter_name(name))
-            if knob is None:
-                reason = dict(self.dropped).get(name, "the environment has no such knob")
-                raise DeclarationError(f"the space of {self._task.name} contains {name}: {reason}")
-            if knob.choices:
-                parameters.append({"name": knob.parameter, "kind": "categorical", "choices": list(domain)})
-                continue
-            low, high, *scale = domain
-            parameter = {"name": knob.parameter, "kind": "integer" if knob.integer else "continuous", "low": low, "high": high}
-            if scale:
-                parameter["scale"] = scale[0]
-            parameters.append(parameter)
-        return {"name": self._task.name, "parameter": parameters} if parameters else None
-
-    def _default_space(self) -> dict[str, tuple]:
-        """What is sampled if the environment does not say it."""
-        wanted = self._environment.knobs
-        own = {knob.name for knob in wanted if isinstance(knob, Knob)}
-        named = {knob for knob in wanted if isinstance(knob, str)}
-        return default_space(self.knobs, own, named, self._model, self._period)
-
-    def _control_period(self, rest: np.ndarray, doing: Callable[[str], None]) -> float:
-        if self._task.control_period_s is not None:
-            return float(self._task.control_period_s)
-        base = self._env.unwrapped
-        period, rate = getattr(base, "dt", None), (getattr(base, "metadata", None) or {}).get("render_fps")
-        stated = [float(period)] if isinstance(period, (int, float)) and period > 0 else []
-        if rate:
-            stated.append(1.0 / float(rate))
-        if self._model is not None and (simulated := self._simulated_period(self._model, rest, doing)) > 0.0:
-            return next((one for one in stated if math.isclose(one, simulated, rel_tol=0.01)), round(simulated, 9))
-        example = "control_period_s=0.05"
-        if not stated:
-            raise DeclarationError(self._unknown("control period", example))
-        if not math.isclose(stated[0], stated[-1], rel_tol=0.01):
-            what = f'control period (`dt` says {stated[0]:g} s, and `metadata["render_fps"]` {stated[-1]:g} s)'
-            raise DeclarationError(self._unknown(what, example))
-        return stated[0]
-
-    def _simulated_period(self, model: Model, rest: np.ndarray, doing: Callable[[str], None]) -> float:
-        """How far a step moves the time of the physics."""
-        before = float(model.data.time)
-        doing("step")
-        self._env.step(rest)
-        after = float(model.data.time)
-        doing("reset")
-        self._env.reset(seed=0)
-        model.bind(self._env)
-        return after - before
-
-    def _step_limit(self) -> int:
-        if self._task.time_limit_s is not None:
-            return max(1, round(self._task.time_limit_s / self._period))
-        specification = getattr(self._env, "spec", None)
-        for limit in (getattr(specification, "max_episode_steps", None), getattr(self._env.unwrapped, "max_path_length", None)):
-            if limit:
-                return int(limit)
-        raise DeclarationError(self._unknown("time limit", "time_limit_s=10.0"))
-
-    def _unknown(self, what: str, field: str) -> str:
-        """The error for something that neither the environment nor its task says."""
-        return f"the {what} of {self._task.name} is unknown. Declare it in a Task:\n{_example(self._env, self._task.name, field)}"
-
-    def _engine(self) -> tuple[str, str]:
-        if self._environment.engine is not None:
-            return self._environment.engine
-        if self._model is not None:
-            import mujoco
-
-            return "mujoco", mujoco.__version__
-        import gymnasium
-
-        return "gymnasium", gymnasium.__version__
-
-    def _knobs(self) -> list[Knob]:
-        wanted = self._environment.knobs
-        own = [knob for knob in wanted if isinstance(knob, Knob)]
-        names = {knob for knob in wanted if isinstance(knob, str)}
-        offered = self._disturbances.knobs(self._period)
-        if self._model is not None:
-            found = mujoco_knobs.catalogue(self._model, self._observe is not None, names | set(self._environment.space), bool(self._observations.images))
-            if "*" not in names:
-                found = [knob for knob in found if knob.name in names]
-            kept, self.dropped = mujoco_knobs.self_test(self._model, found, self._env)
-            offered += kept
-            if "*" in names:
-                self.dropped += mujoco_knobs.unnamed(self._model, names)
-                if self._observe is None and mujoco_knobs.has_free_body(self._model):
-                    why = "`_get_obs()` does not return the observation of the reset. Declare `observe` in the Environment"
-                    self.dropped.append(("shift_x, shift_y and turn of the free bodies", why))
-        known = {knob.name for knob in offered} | dict(self.dropped).keys()
-        unknown = sorted(names - known - {"*"})
-        if unknown:
-            raise DeclarationError(f"{self._task.name}: no knob is named {', '.join(unknown)}")
-        taken: dict[str, str] = {}
-        unique = []
-        # Knobs that are sampled by default come first, so that they are within the limit.
-        order = [*own, *sorted(offered, key=lambda knob: knob.name not in self._environment.space and knob.name not in names)]
-        for knob in order:
-            first = taken.get(knob.parameter)
-            if first is None:
-                taken[knob.parameter] = knob.name
-                unique.append(knob)
-            elif first != knob.name:
-                self.dropped.append((knob.name, f"its parameter {knob.parameter} is that of {first}"))
-        self.dropped += [(knob.name, f"the task has more than {MAX_KNOBS} parameters") for knob in unique[MAX_KNOBS:]]
-        return unique[:MAX_KNOBS]
+    # The check before the first episode
 
     def _find_observe(self, first: Any) -> Callable[[Any], Any] | None:
         """How an observation is taken again after a change: as declared, or with `_get_obs()` if it returns the observation of the
@@ -314,7 +161,7 @@ class Adapter:
 
     def _require_success(self, doing: Callable[[str], None]) -> None:
         """Raise if the environment does not report success. Many do so at the end of an episode only, so one is run to its end."""
-        if self._task.success is not None or _reported(self._trajectory) is not None:
+        if self._scoring.is_known(self._trajectory):
             return
         from robogate_bridge import Action, Scenario
 
@@ -340,7 +187,7 @@ class Adapter:
         observation, _ = self._env.reset(seed=_seed(scenario))
         if self._model is not None:
             self._model.bind(self._env)
-            if self._model.differs and (bound := [knob.name for knob, _ in requested if self._is_bound(knob)]):
+            if self._model.differs and (bound := [knob.name for knob, _ in requested if is_bound(knob, self._environment)]):
                 raise Problem("not_applied", f"the reset built a model with other bodies or joints, so {bound[0]} has no meaning")
         for knob, value in requested:
             if not knob.before_reset:
@@ -477,40 +324,13 @@ class Adapter:
             self._check(self._model)
         if self._recorder is not None:
             self._recorder.advance(trajectory.time_s)
-        ending, measures = self._ending(trajectory, info), {}
+        ending, measures = self._scoring.ending(trajectory, info), {}
         if ending is not None or over:
             # A policy is not asked for an action that nobody runs.
             self._policy = None
             if self._task.measure is not None:
                 measures = dict(self._task.measure(trajectory))
         return observation, ending, measures
-
-    def _ending(self, trajectory: Trajectory, info: dict) -> dict | None:
-        if self._task.success is None:
-            # Most environments report it in this way.
-            reported = info.get("success", info)
-            done = reported if type(reported) is bool else bool(reported) if type(reported) is float else self._succeeded(trajectory)
-        else:
-            done = self._task.success(trajectory)
-        if done:
-            return {"failure": None}
-        failure = None if self._task.failure is None else self._task.failure(trajectory)
-        if failure is None and trajectory.over:
-            failure = "terminated" if trajectory.terminated else "timeout"
-        return None if failure is None else {"failure": failure}
-
-    def _succeeded(self, trajectory: Trajectory) -> bool:
-        reported = _reported(trajectory)
-        if reported is None and trajectory.over:
-            example = _example(trajectory.env, self._task.name, "success=lambda t: t.rewards[-1] > 0.9")
-            has = ", ".join(map(str, trajectory.info)) or "nothing"
-            raise Problem(
-                "setup",
-                "the environment reports no success: until the end of an episode, info had neither `success` nor `is_success` (it has "
-                f"{has}), and there is no check_success(). Say in a file what success is, and name the file with --env. If it is a reward "
-                f"above 0.9:\n{example}",
-            )
-        return bool(reported)
 
     def _check(self, model: Model) -> None:
         """Raise if the physics diverged, or if a parameter does not act any more."""
@@ -540,68 +360,12 @@ class Adapter:
         digest.update(np.asarray(self._trajectory.rewards[-1:]).tobytes())
         return int.from_bytes(digest.digest(), "little")
 
-    # Cameras
-
-    def _find_cameras(self) -> list[Camera]:
-        seen = [Camera(name, width, height) for name, (_, height, width) in self._observations.images.items()]
-        declared = [*seen, *self._task.cameras]
-        if declared:
-            return declared
-        if self._model is None:
-            return self._own_picture()
-        # Without a choice of the environment: the cameras of its model. Only those that a policy uses are rendered.
-        names = {task_name(name): name for name in self._model.names("camera") if name}
-        own = [Camera(task, PICTURE_PX, PICTURE_PX, partial(self._pixels, name)) for task, name in names.items()]
-        # The same views in a quality that takes a fraction of the time without a GPU.
-        plain = [Camera(f"{task[:58]}.plain", PICTURE_PX, PICTURE_PX, partial(self._pixels, name, plain=True)) for task, name in names.items()]
-        return [*own, *plain][:MAX_CAMERAS]
-
-    def _own_picture(self) -> list[Camera]:
-        """What the environment itself renders, if it was made for images."""
-        if getattr(self._env, "render_mode", None) != "rgb_array":
-            return []
-        try:
-            pixels = _rgb(self._env)
-        except Exception:  # a package for rendering is missing, or a display
-            return []
-        if pixels.ndim != 3 or pixels.shape[2] != 3 or not 1 <= min(pixels.shape) <= max(pixels.shape) <= MAX_PIXELS:
-            return []
-        height, width, _ = pixels.shape
-        return [Camera("render", width, height, _rgb)]
-
     def render(self, cameras: list[str]) -> list[Image]:
-        by_name = {camera.name: camera for camera in self._cameras}
-        return [self._image(by_name[name]) for name in cameras]
-
-    def _image(self, camera: Camera) -> Image:
-        if camera.name in self._observations.images:
-            pixels = self._observations.image(self._seen, camera.name)
-        elif camera.render is not None:
-            pixels = np.ascontiguousarray(camera.render(self._env), dtype=np.uint8)
-        else:
-            pixels = self._rendered(camera)
-        return Image(camera.name, camera.width, camera.height, pixels.tobytes())
-
-    def _rendered(self, camera: Camera) -> np.ndarray:
-        if self._model is None:
-            raise Problem("unsupported", f"the camera {camera.name} has no render function, and there is no MuJoCo model")
-        return self._pixels(camera.name, self._env, camera.width, camera.height)
-
-    def _pixels(self, name: str, env: Any, width: int = PICTURE_PX, height: int = PICTURE_PX, plain: bool = False) -> np.ndarray:
-        """The image of a camera of the model."""
-        try:
-            return self._pictures.picture(self._model.model, self._model.data, name, height, width, plain)
-        except Exception as why:
-            raise Problem("setup", f"MuJoCo cannot render the camera {name}: {why}. Set MUJOCO_GL to egl, osmesa or glfw") from why
+        return self._cameras.render(cameras, self._seen)
 
 
 def _get_obs(env: Any) -> Any:
     return env.unwrapped._get_obs()
-
-
-def _rgb(env: Any) -> np.ndarray:
-    """The image that an environment renders, without transparency."""
-    return np.asarray(env.render(), dtype=np.uint8)[..., :3]
 
 
 def _values(result: Any) -> str:
@@ -612,35 +376,3 @@ def _seed(scenario: Any) -> int:
     """The seed of an episode, from the seed of the campaign and the index of the episode; below 2^31."""
     digest = hashlib.blake2b(f"{scenario.seed}/{scenario.index}".encode(), digest_size=4).digest()
     return int.from_bytes(digest, "little") >> 1
-
-
-def _reported(trajectory: Trajectory) -> bool | None:
-    """Success as most environments report it. None if this one has not reported anything yet."""
-    for info in reversed(trajectory.infos):
-        for key in ("success", "is_success"):
-            if key in info:
-                # Reported earlier and not now: this step is not a success.
-                return info is trajectory.infos[-1] and _truth(info[key])
-    check = getattr(trajectory.env.unwrapped, "check_success", None) or getattr(trajectory.env.unwrapped, "_check_success", None)
-    return None if check is None else _truth(check())
-
-
-def _truth(value: Any) -> bool:
-    if isinstance(value, str):
-        raise Problem("setup", f"info reports success as the text {value!r:.40}. Expected True or False")
-    # `np.all` of one number takes ten times as long.
-    return bool(np.all(value)) if isinstance(value, (np.ndarray, list, tuple)) else bool(value)
-
-
-def _example(env: Any, name: str, field: str) -> str:
-    """A file that declares a Task with this field."""
-    specification = getattr(env, "spec", None)
-    identifier = getattr(specification, "id", None)
-    first, make = "", type(env.unwrapped).__name__
-    if identifier:
-        entry = getattr(specification, "entry_point", None)
-        module = entry.partition(":")[0].partition(".")[0] if isinstance(entry, str) else ""
-        registered = identifier if module in ("", "gymnasium") else f"{module}:{identifier}"
-        first, make = "    import gymnasium\n", f'lambda: gymnasium.make("{registered}")'
-    task = f'Task(name="{name.rpartition(".")[2].lower()}", {field})'
-    return f"{first}    from robogate_eval import Environment, Task\n    environment = Environment(make={make}, task={task})"

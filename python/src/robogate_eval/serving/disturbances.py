@@ -29,8 +29,9 @@ class Disturbances:
         self._scale = dict.fromkeys(self._vectors, 0.0)
         # Whether the episode has noise, and whether it has a delay.
         self.noisy = self.delays = False
-        digest = hashlib.blake2b(f"{seed}/{index}/noise".encode(), digest_size=8).digest()
-        self._random = np.random.default_rng(int.from_bytes(digest, "little"))
+        self._episode = f"{seed}/{index}"
+        # Made with the first noise: most episodes have none.
+        self._random: np.random.Generator | None = None
 
     def delayed(self, action: np.ndarray) -> np.ndarray:
         """The action that the environment runs when the policy returns this one."""
@@ -41,6 +42,9 @@ class Disturbances:
 
     def noise(self) -> dict[str, np.ndarray]:
         """The noise of the next observation: Gaussian, independent for each number."""
+        if self._random is None:
+            digest = hashlib.blake2b(f"{self._episode}/noise".encode(), digest_size=8).digest()
+            self._random = np.random.default_rng(int.from_bytes(digest, "little"))
         return {name: self._random.normal(0.0, scale, self._vectors[name]) for name, scale in self._scale.items() if scale > 0.0}
 
     def knobs(self, period_s: float) -> list[Knob]:

@@ -1,0 +1,24 @@
+"""What a user can write to complete the declaration of an environment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def example_file(env: Any, name: str, field: str) -> str:
+    """The text of a file that declares a Task with this field."""
+    specification = getattr(env, "spec", None)
+    identifier = getattr(specification, "id", None)
+    first, make = "", type(env.unwrapped).__name__
+    if identifier:
+        entry = getattr(specification, "entry_point", None)
+        module = entry.partition(":")[0].partition(".")[0] if isinstance(entry, str) else ""
+        registered = identifier if module in ("", "gymnasium") else f"{module}:{identifier}"
+        first, make = "    import gymnasium\n", f'lambda: gymnasium.make("{registered}")'
+    task = f'Task(name="{name.rpartition(".")[2].lower()}", {field})'
+    return f"{first}    from robogate_eval import Environment, Task\n    environment = Environment(make={make}, task={task})"
+
+
+def unknown(env: Any, name: str, what: str, field: str) -> str:
+    """The error for something that neither the environment nor its task says."""
+    return f"the {what} of {name} is unknown. Declare it in a Task:\n{example_file(env, name, field)}"
