@@ -193,8 +193,8 @@ class Declaring(unittest.TestCase):
         class Text(SlidingBox):
             observation_space = gymnasium.spaces.Text(10)
 
-        class Numbered(SlidingBox):
-            action_space = gymnasium.spaces.Discrete(3)
+        class Nested(SlidingBox):
+            action_space = gymnasium.spaces.Dict({"arm": SlidingBox.action_space})
 
         class Old(SlidingBox):
             def step(self, action):
@@ -208,12 +208,21 @@ class Declaring(unittest.TestCase):
         class Endless(SlidingBox):
             max_path_length = None
 
+        class NoInfo(SlidingBox):
+            def step(self, action):
+                return (*super().step(action)[:4], None)
+
+        class Large(SlidingBox):
+            observation_space = gymnasium.spaces.Box(-1.0, 1.0, (100, 100))
+
         for make, part in (
             (Other, "declares box with 3 numbers, but reset returned 2 numbers"),
             (Missing, "declares pusher.x with 1 numbers, but reset returned a dict with the keys box"),
             (Text, "the observation is a Text"),
-            (Numbered, "the action space is a Discrete.*ActionWrapper"),
-            (Old, "step returned 4 values"),
+            (Nested, "the action space is a Dict.*ActionWrapper"),
+            (Old, "step returned 4 values.*shimmy translates"),
+            (NoInfo, "step returned the info None. Expected a dict"),
+            (Large, r"the observation has 10000 numbers \(shape \(100, 100\)\)"),
             (OldReset, "reset returned a dict"),
             (Endless, "Task\\(name=.*time_limit_s=10.0"),
         ):

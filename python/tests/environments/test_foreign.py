@@ -15,10 +15,11 @@ import mujoco
 import numpy as np
 from robogate_bridge import Action, Problem, Scenario, declaration
 from robogate_eval.environments import UnknownEnvironment, find
-from robogate_eval.serving import Knob, Task
+from robogate_eval.serving import Knob, Policy, Task
 from robogate_eval.serving.adapter import Adapter
 from robogate_eval.serving.environment import DeclarationError, Environment
 from robogate_eval.serving.knobs import parameter_name
+from robogate_eval.serving.spaces import actions_of
 from sliding_box import XML, SlidingBox
 
 
@@ -197,6 +198,24 @@ class Spaces(unittest.TestCase):
         self.assertEqual({name: len(numbers) for name, numbers in vectors.items()}, {"0.box": 3, "0.pusher.x": 1, "1": 2})
         self.assertEqual(vectors["1"], [1.0, 2.0])
 
+    def test_parts_with_one_name_are_refused(self):
+        class Twice(SlidingBox):
+            observation_space = gymnasium.spaces.Dict({"a b": gymnasium.spaces.Discrete(2), "a-b": gymnasium.spaces.Discrete(2)})
+
+        with self.assertRaisesRegex(DeclarationError, "two parts of the observation have the name a-b"):
+            adapter(Twice)
+
+    def test_images_alone_identify_a_state(self):
+        found = adapter(_Pictures, task=Task(name="pictures", time_limit_s=1.0, control_period_s=0.1))
+        self.assertTrue(found.deterministic)
+        declared = declaration.hello(found.hello())["task"]["observation"]
+        self.assertEqual((declared["vectors"], [camera["name"] for camera in declared["cameras"]]), ([], ["observation"]))
+        states = set()
+        for seed in range(3):
+            found.reset(Scenario(seed, 1, {}))
+            states.add(found.state_hash())
+        self.assertEqual(len(states), 3, "another image is another state")
+
     def test_observations_of_another_size_are_refused(self):
         class Grows(SlidingBox):
             def step(self, action):
@@ -205,6 +224,19 @@ class Spaces(unittest.TestCase):
 
         with self.assertRaisesRegex(DeclarationError, "returned box with 4 numbers, and its observation_space declares 3"):
             adapter(Grows)
+
+    def test_an_object_with_the_methods_is_enough(self):
+        class Bare:
+            """It is no gymnasium.Env, so it has no `unwrapped`."""
+
+            observation_space, action_space = _Pictures.observation_space, _Pictures.action_space
+            dt, max_path_length = 0.1, 5
+
+            def __init__(self):
+                inner = _Pictures()
+                self.reset, self.step = inner.reset, inner.step
+
+        self.assertEqual(adapter(Bare).hello()["task"]["time_limit_s"], 0.5)
 
     def test_many_worlds_at_once_are_refused(self):
         with self.assertRaisesRegex(DeclarationError, "steps 3 worlds at once"):
@@ -226,6 +258,81 @@ class Spaces(unittest.TestCase):
 
         with self.assertRaisesRegex(DeclarationError, "step returned the reward None. Expected a number"):
             adapter(NoReward)
+
+
+class DiscreteActions(unittest.TestCase):
+    def bounds(self, space):
+        actions = actions_of(space, ())
+        return actions, actions.low.tolist(), actions.high.tolist()
+
+    def test_levels_are_as_wide_as_each_other(self):
+        spaces = gymnasium.spaces
+        for space, low, high in [
+            (spaces.Discrete(3), [-0.5], [2.5]),
+            (spaces.Discrete(2, start=-1), [-1.5], [0.5]),
+            (spaces.MultiDiscrete([3, 1]), [-0.5, -0.5], [2.5, 0.5]),
+            (spaces.MultiBinary(2), [-0.5, -0.5], [1.5, 1.5]),
+            (spaces.Box(0, 255, (1,), np.uint8), [-0.5], [255.5]),
+        ]:
+            actions, *bounds = self.bounds(space)
+            self.assertEqual(bounds, [low, high], space)
+            random = np.random.default_rng(0)
+            for _ in range(50):
+                self.assertIn(actions.decode(random.uniform(low, high).tolist()), space)
+            for end in (low, high):
+                self.assertIn(actions.decode(end), space)
+
+    def test_actions_of_a_policy_are_unchanged(self):
+        for space in (gymnasium.spaces.Discrete(4), gymnasium.spaces.MultiDiscrete([[2, 3], [4, 5]]), gymnasium.spaces.MultiBinary(3)):
+            actions = actions_of(space, ())
+            space.seed(1)
+            for _ in range(20):
+                action = space.sample()
+                np.testing.assert_array_equal(actions.decode(actions.encode(action)), action)
+
+    def test_other_numbers_of_a_policy_are_refused(self):
+        actions = actions_of(gymnasium.spaces.Discrete(2), ())
+        for wrong in (2, -1, 0.5):
+            with self.assertRaisesRegex(Problem, "Expected integers: 0 to 1"):
+                actions.encode(wrong)
+        self.assertTrue(np.isnan(actions.encode(np.nan)[0]))
+
+    def test_cart_pole_runs_with_its_own_actions(self):
+        def make():
+            return gymnasium.make("CartPole-v1")
+
+        def lean(env):
+            return lambda observation: int(observation[2] + observation[3] > 0.0)
+
+        task = Task(name="balance", success=lambda t: t.steps >= 100)
+        found = adapter(make, task=task, policies={"lean": Policy(lean)})
+        self.assertTrue(found.deterministic)
+        reply = found.reset(Scenario(0, 1, {"action_delay": 1}, policy="lean"))
+        ending, actions = None, []
+        while ending is None:
+            actions.append(reply["proposed"]["action"])
+            reply = found.step(Action("vector", actions[-1]))
+            ending = reply["ending"]
+        executed = [int(action) for action in found._trajectory.actions]
+        # There is no rest among discrete actions: the first one runs until a delayed one takes effect.
+        self.assertEqual(executed, [int(action[0]) for action in [actions[0], *actions[:-1]]])
+        self.assertEqual({action[0] for action in actions}, {0.0, 1.0})
+
+
+class _Pictures(gymnasium.Env):
+    """An environment that shows a picture and nothing else."""
+
+    observation_space = gymnasium.spaces.Box(0, 255, (8, 8, 3), np.uint8)
+    action_space = gymnasium.spaces.MultiBinary(2)
+
+    def reset(self, seed=None, options=None):
+        super().reset(seed=seed)
+        self.picture = self.np_random.integers(0, 255, (8, 8, 3)).astype(np.uint8)
+        return self.picture, {}
+
+    def step(self, action):
+        self.picture = np.roll(self.picture, 1 + int(action[0]), axis=0)
+        return self.picture, 0.0, False, False, {"is_success": np.bool_(False)}
 
 
 class Time(unittest.TestCase):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,13 +13,13 @@ from robogate_bridge import FreeRun, Image, Problem, Recording
 from . import declaration
 from .cameras import Cameras
 from .disturbances import Disturbances
-from .environment import DeclarationError, Environment
+from .environment import DeclarationError, Environment, innermost
 from .knobs import Knob, differs
 from .model import Model, NoModel
 from .motion import Recorder
 from .offer import is_bound, offered
 from .scoring import Scoring
-from .spaces import Actions, Observations, same
+from .spaces import Observations, actions_of, same
 from .timing import control_period, step_limit
 from .trajectory import Trajectory
 
@@ -38,10 +38,11 @@ class Adapter:
         if (worlds := getattr(env, "num_envs", 1)) != 1:
             raise DeclarationError(f"the environment steps {worlds} worlds at once (num_envs). Expected one: RoboGate starts a process for each")
         self._observations = Observations(env.observation_space)
-        self._actions = Actions(env.action_space, self._task.action_names)
+        self._actions = actions_of(env.action_space, self._task.action_names)
         rest = np.zeros(len(self._actions.low)) if self._task.rest_action is None else np.asarray(self._task.rest_action)
         # Zeros at a bound or outside the bounds are not a rest position.
-        known = self._task.rest_action is not None or bool((self._actions.low < 0.0).all() and (self._actions.high > 0.0).all())
+        inside = self._actions.zeros_rest and bool((self._actions.low < 0.0).all() and (self._actions.high > 0.0).all())
+        known = self._task.rest_action is not None or inside
         lengths = {name: length for name, (_, length) in self._observations.vectors.items()}
         rest = self._actions.decode(rest)
         self._disturbances = Disturbances(lengths, rest if known else None)
@@ -122,7 +123,7 @@ class Adapter:
         last reset. With observation wrappers, or with arguments, it does not."""
         if self._environment.observe is not None:
             return self._environment.observe
-        if not callable(getattr(self._env.unwrapped, "_get_obs", None)):
+        if not callable(getattr(innermost(self._env), "_get_obs", None)):
             return None
         try:
             return _get_obs if same(_get_obs(self._env), first) else None
@@ -309,7 +310,8 @@ class Adapter:
         try:
             observation, reward, terminated, truncated, info = result
         except (TypeError, ValueError):
-            raise Problem("setup", f"step returned {_values(result)}. Expected observation, reward, terminated, truncated, info") from None
+            hint = ". The package shimmy translates environments of the older gym" if isinstance(result, tuple) and len(result) == 4 else ""
+            raise Problem("setup", f"step returned {_values(result)}. Expected observation, reward, terminated, truncated, info{hint}") from None
         trajectory = self._trajectory
         trajectory.observations.append(observation)
         trajectory.actions.append(executed)
@@ -317,6 +319,8 @@ class Adapter:
             trajectory.rewards.append(float(reward))
         except (TypeError, ValueError):
             raise Problem("setup", f"step returned the reward {reward!r:.80}. Expected a number") from None
+        if type(info) is not dict and not isinstance(info, Mapping):
+            raise Problem("setup", f"step returned the info {info!r:.80}. Expected a dict")
         trajectory.infos.append(info)
         trajectory.terminated = bool(terminated)
         trajectory.over = over = bool(terminated or truncated or len(trajectory.actions) >= self._limit)
@@ -357,6 +361,9 @@ class Adapter:
         observation = self._trajectory.observations[-1]
         for name in self._observations.vectors:
             digest.update(np.asarray(self._observations.encode(observation)[name]).tobytes())
+        if not self._observations.vectors:
+            for name in self._observations.images:
+                digest.update(self._observations.image(observation, name).tobytes())
         digest.update(np.asarray(self._trajectory.rewards[-1:]).tobytes())
         return int.from_bytes(digest.digest(), "little")
 
@@ -365,7 +372,7 @@ class Adapter:
 
 
 def _get_obs(env: Any) -> Any:
-    return env.unwrapped._get_obs()
+    return innermost(env)._get_obs()
 
 
 def _values(result: Any) -> str:

@@ -141,6 +141,11 @@ def as_environment(value: Any, name: str) -> Environment:
     return Environment(make=value, task=Task(name=task_name(name)))
 
 
+def innermost(env: Any) -> Any:
+    """The environment without its wrappers. An object that only has Gymnasium's methods is its own."""
+    return getattr(env, "unwrapped", env)
+
+
 def task_name(text: str) -> str:
     """This text as the name of a task."""
     return re.sub(r"[^A-Za-z0-9_.-]", "-", text).strip("-")[:64] or "environment"

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from .environment import innermost
+
 
 def example_file(env: Any, name: str, field: str) -> str:
     """The text of a file that declares a Task with this field."""
     specification = getattr(env, "spec", None)
     identifier = getattr(specification, "id", None)
-    first, make = "", type(env.unwrapped).__name__
+    first, make = "", type(innermost(env)).__name__
     if identifier:
         entry = getattr(specification, "entry_point", None)
         module = entry.partition(":")[0].partition(".")[0] if isinstance(entry, str) else ""

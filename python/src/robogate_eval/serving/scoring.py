@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from robogate_bridge import Problem
 
-from .environment import Task
+from .environment import Task, innermost
 from .hints import example_file
 from .trajectory import Trajectory
 
@@ -58,7 +58,8 @@ def _reported(trajectory: Trajectory) -> bool | None:
             if key in info:
                 # Reported earlier and not now: this step is not a success.
                 return info is trajectory.infos[-1] and _truth(info[key])
-    check = getattr(trajectory.env.unwrapped, "check_success", None) or getattr(trajectory.env.unwrapped, "_check_success", None)
+    env = innermost(trajectory.env)
+    check = getattr(env, "check_success", None) or getattr(env, "_check_success", None)
     return None if check is None else _truth(check())
 
 

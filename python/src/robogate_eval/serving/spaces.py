@@ -33,6 +33,9 @@ class Observations:
 
     def _add(self, space: spaces.Space, path: tuple[str | int, ...]) -> None:
         name = task_name(".".join(map(str, path))) if path else "observation"
+        which = f"observation {name}" if path else "observation"
+        if name in self.vectors or name in self.images:
+            raise DeclarationError(f"two parts of the observation have the name {name}. Rename a key, for example with a gymnasium.ObservationWrapper")
         if isinstance(space, spaces.Dict):
             for key, inner in space.spaces.items():
                 self._add(inner, (*path, key))
@@ -44,11 +47,16 @@ class Observations:
         elif isinstance(space, (spaces.Box, spaces.MultiBinary, spaces.MultiDiscrete, spaces.Discrete)):
             length = int(np.prod(space.shape)) if space.shape else 1
             if length > 4096:
-                raise DeclarationError(f"the observation {name} has {length} numbers. Expected at most 4096, or an image as bytes")
+                raise DeclarationError(
+                    f"the {which} has {length} numbers (shape {space.shape}). Expected at most 4096, or an image: bytes of the shape height x "
+                    "width x 3. Hint: a gymnasium.ObservationWrapper can change it"
+                )
             self.vectors[name] = (path, length)
         else:
-            which = f"observation {name}" if path else "observation"
-            raise DeclarationError(f"the {which} is a {type(space).__name__}. Expected a Box, or a Dict or Tuple of Boxes")
+            raise DeclarationError(
+                f"the {which} is a {type(space).__name__}. Expected a Box, Discrete, MultiDiscrete or MultiBinary, or a Dict or Tuple of these"
+            )
+
 
     def declaration(self) -> list[dict]:
         """The vectors in the form of the bridge protocol."""
@@ -124,22 +132,39 @@ def _added(observation: Any, path: Sequence[str | int], numbers: np.ndarray) -> 
     return {**observation, path[0]: inner}
 
 
-class Actions:
-    """The action space of an environment: a Box with finite bounds."""
+def actions_of(space: spaces.Space, names: Sequence[str]) -> Actions:
+    """The actions of an environment."""
+    if isinstance(space, spaces.Discrete):
+        return Levels([space.start], [space.n], (), np.int64, names)
+    if isinstance(space, spaces.MultiDiscrete):
+        return Levels(np.broadcast_to(getattr(space, "start", 0), space.nvec.shape), space.nvec, space.shape, space.dtype, names)
+    if isinstance(space, spaces.MultiBinary):
+        return Levels(np.zeros(space.shape), np.full(space.shape, 2), space.shape, space.dtype, names)
+    if not isinstance(space, spaces.Box):
+        raise DeclarationError(
+            f"the action space is a {type(space).__name__}. Expected a Box with finite bounds, Discrete, MultiDiscrete or MultiBinary. Hint: "
+            "a gymnasium.ActionWrapper can translate the numbers of one Box"
+        )
+    if not (np.isfinite(space.low).all() and np.isfinite(space.high).all()):
+        raise DeclarationError(
+            "the action space has no finite bounds. Choose bounds that the policy needs, for example with gymnasium.wrappers."
+            f"TransformAction(env, lambda action: action, gymnasium.spaces.Box(-1.0, 1.0, {space.shape}))"
+        )
+    if np.issubdtype(space.dtype, np.integer):
+        low, high = (np.asarray(bound, dtype=float) for bound in (space.low, space.high))
+        return Levels(low, high - low + 1.0, space.shape, space.dtype, names)
+    return Actions(space.low, space.high, space.shape, space.dtype, names)
 
-    def __init__(self, space: spaces.Space, names: Sequence[str]):
-        if not isinstance(space, spaces.Box):
-            raise DeclarationError(
-                f"the action space is a {type(space).__name__}. Expected a Box with finite bounds. Hint: a gymnasium.ActionWrapper can "
-                "translate the numbers of a Box"
-            )
-        low, high = (np.asarray(bound, dtype=float).ravel() for bound in (space.low, space.high))
-        if not (np.isfinite(low).all() and np.isfinite(high).all()):
-            raise DeclarationError(
-                "the action space has no finite bounds. Choose bounds that the policy needs, for example with gymnasium.wrappers."
-                f"TransformAction(env, lambda action: action, gymnasium.spaces.Box(-1.0, 1.0, {space.shape}))"
-            )
-        self.low, self.high, self.shape, self.dtype = low, high, space.shape, space.dtype
+
+class Actions:
+    """The action space of an environment: numbers with finite bounds."""
+
+    # Whether zeros are a rest position, if they lie inside the bounds.
+    zeros_rest = True
+
+    def __init__(self, low: Any, high: Any, shape: tuple[int, ...], dtype: Any, names: Sequence[str]):
+        low, high = (np.asarray(bound, dtype=float).ravel() for bound in (low, high))
+        self.low, self.high, self.shape, self.dtype = low, high, shape, dtype
         self.names = list(names) or [f"action_{i}" for i in range(len(low))]
         if len(self.names) != len(low):
             raise DeclarationError(f"the task names {len(self.names)} numbers of an action, but the environment has {len(low)}")
@@ -181,3 +206,33 @@ class Actions:
     def _clipped(self, numbers: np.ndarray) -> np.ndarray:
         # The same as `np.clip`, three times as fast for a few numbers.
         return np.minimum(np.maximum(numbers, self.low), self.high)
+
+
+class Levels(Actions):
+    """Actions that are integers: Discrete, MultiDiscrete, MultiBinary, or a Box of integers.
+
+    The numbers of an action are rounded to the next level. Their bounds lie half a level below the first level and above the last,
+    so that random numbers between the bounds choose each level equally often.
+    """
+
+    # The level 0 is an action like any other.
+    zeros_rest = False
+
+    def __init__(self, first: Any, counts: Any, shape: tuple[int, ...], dtype: Any, names: Sequence[str]):
+        first, counts = (np.asarray(numbers, dtype=float).ravel() for numbers in (first, counts))
+        self.first, self.last = first, first + counts - 1.0
+        super().__init__(self.first - 0.5, self.last + 0.5, shape, dtype, names)
+
+    def decode(self, numbers: "Sequence[float] | np.ndarray") -> Any:
+        """The levels that the environment takes; for Discrete one NumPy integer."""
+        levels = np.clip(np.floor(np.asarray(numbers, dtype=float) + 0.5), self.first, self.last).astype(self.dtype)
+        return levels.reshape(self.shape) if self.shape else levels[0]
+
+    def bounded(self, action: Any) -> np.ndarray:
+        """The numbers of an action of a policy, which must be levels. A NaN stays one, so it is reported."""
+        numbers = np.asarray(action, dtype=float).ravel()
+        if len(numbers) == len(self.low) and ((numbers < self.first) | (numbers > self.last) | (numbers != np.floor(numbers))).any():
+            if np.isfinite(numbers).all():
+                levels = ", ".join(f"{first:.0f} to {last:.0f}" for first, last in zip(self.first, self.last))
+                raise Problem("bad_action", f"the policy returned the action {action!r:.80}. Expected integers: {levels}")
+        return super().bounded(numbers)

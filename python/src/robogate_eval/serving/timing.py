@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from .environment import DeclarationError, Task
+from .environment import DeclarationError, Task, innermost
 from .hints import unknown
 from .model import Model
 
@@ -15,7 +15,7 @@ def control_period(env: Any, task: Task, model: Model | None, rest: Any, doing: 
     """The time between two actions, in seconds: as declared, as MuJoCo simulates it, or as the environment states it."""
     if task.control_period_s is not None:
         return float(task.control_period_s)
-    base = env.unwrapped
+    base = innermost(env)
     period, rate = getattr(base, "dt", None), (getattr(base, "metadata", None) or {}).get("render_fps")
     stated = [float(period)] if isinstance(period, (int, float)) and period > 0 else []
     if rate:
@@ -48,7 +48,7 @@ def step_limit(env: Any, task: Task, period_s: float) -> int:
     if task.time_limit_s is not None:
         return max(1, round(task.time_limit_s / period_s))
     specification = getattr(env, "spec", None)
-    for limit in (getattr(specification, "max_episode_steps", None), getattr(env.unwrapped, "max_path_length", None)):
+    for limit in (getattr(specification, "max_episode_steps", None), getattr(innermost(env), "max_path_length", None)):
         if limit:
             return int(limit)
     raise DeclarationError(unknown(env, task.name, "time limit", "time_limit_s=10.0"))
