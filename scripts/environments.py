@@ -123,7 +123,8 @@ def main():
     overhead = out / "overhead.txt"
     if overhead.is_file():
         print("\n## Overhead\n")
-        print("Time of an episode through RoboGate and in the plain Python loop, which runs the same episodes in turns with it (`scripts/environments_overhead.py`):\n")
+        print("Time of an episode through RoboGate and in the plain Python loop (`scripts/environments_overhead.py`). Both run the same episodes, in short blocks in turns. A ratio is the median of those")
+        print("of the pairs of blocks, with its 95 % confidence interval:\n")
         print(f"```\n{overhead.read_text(encoding='utf-8').strip()}\n```")
         note = out / "overhead-note.txt"
         if note.is_file():

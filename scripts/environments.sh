@@ -46,7 +46,7 @@ fi
 # Times need an idle machine: QUIET=1 says that it is one.
 if [ "${QUIET:-0}" = 1 ]; then
     python=${METAWORLD_PYTHON:-${XDG_CACHE_HOME:-$HOME/.cache}/robogate/environments/metaworld/bin/python}
-    "$python" scripts/environments_overhead.py "$robogate" "$python" > "$out/overhead.txt"
+    python3 scripts/environments_overhead.py "$robogate" "$python" 60 --workers > "$out/overhead.txt"
 fi
 
 python3 scripts/environments.py "$robogate" "$out" "${tasks[@]}" > docs/results/environments.md

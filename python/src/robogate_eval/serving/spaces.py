@@ -171,6 +171,7 @@ class Actions:
         # The last action that was encoded, as numbers and as an array: most often it is the next that is decoded.
         self._last: tuple[list[float], np.ndarray] = ([], np.empty(0))
         self._ones = np.ones(len(low))
+        self._is_flat = len(shape) == 1
 
     def declaration(self) -> dict:
         """The action space in the form of the bridge protocol."""
@@ -179,7 +180,8 @@ class Actions:
     def decode(self, numbers: "Sequence[float] | np.ndarray") -> np.ndarray:
         """The action that the environment takes. An array is one of `bounded`."""
         if type(numbers) is np.ndarray:
-            return numbers.astype(self.dtype).reshape(self.shape)
+            action = numbers.astype(self.dtype)
+            return action if self._is_flat else action.reshape(self.shape)
         last, array = self._last
         if numbers is last:
             return array.astype(self.dtype).reshape(self.shape)
