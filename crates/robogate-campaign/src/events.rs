@@ -107,12 +107,24 @@ impl Event {
 pub enum Warning {
     /// All episodes so far are invalid.
     #[error(
-        "all {episodes} episodes so far are invalid, the first because of {first}\nhint: stop the run and fix the cause; the run continues until then"
+        "all {episodes} episodes so far are invalid, the first because of {first}\nhint: the run continues. Stop it with Ctrl-C, fix the cause and start a new run"
     )]
     AllInvalid {
         /// The number of episodes so far.
         episodes: u64,
         /// The fault of the first one.
+        first: String,
+    },
+    /// More than half of the episodes so far are invalid.
+    #[error(
+        "{invalid} of {episodes} episodes so far are invalid, the first because of {first}\nhint: the run continues. Stop it with Ctrl-C, fix the cause and start a new run"
+    )]
+    MostlyInvalid {
+        /// The number of episodes so far.
+        episodes: u64,
+        /// The number of invalid episodes among them.
+        invalid: u64,
+        /// The fault of the first of these.
         first: String,
     },
     /// The first stage has no valid episodes.

@@ -1,44 +1,47 @@
-//! The warning that no episode was valid so far.
+//! The warning that most episodes so far are invalid.
 
 use robogate_core::Outcome;
 
 use crate::Warning;
 
-/// Number of invalid episodes from the start after which a warning is issued.
-const FROM_START: u64 = 50;
+/// Smallest number of episodes after which a running campaign warns.
+const FEWEST: u64 = 20;
 
-/// Counts the invalid episodes of this process until the first valid one.
-#[derive(Debug)]
-pub(crate) struct AllInvalid {
-    /// The number of episodes and the fault of the first one. `None` after a valid episode or a warning.
-    so_far: Option<(u64, String)>,
+/// Counts the episodes of this process until a warning was issued.
+#[derive(Debug, Default)]
+pub(crate) struct MostlyInvalid {
+    episodes: u64,
+    invalid: u64,
+    /// The fault of the first invalid episode.
+    first: String,
+    warned: bool,
 }
 
-impl Default for AllInvalid {
-    fn default() -> Self {
-        Self { so_far: Some((0, String::new())) }
-    }
-}
-
-impl AllInvalid {
-    /// Counts one more episode. Returns the warning once enough episodes are invalid.
+impl MostlyInvalid {
+    /// Counts one more episode. Returns the warning once more than half of a sufficient number are invalid.
     pub(crate) fn add(&mut self, outcome: &Outcome) -> Option<Warning> {
-        let (Outcome::Invalid(fault), Some((episodes, first))) = (outcome, &mut self.so_far) else {
-            self.so_far = None;
-            return None;
-        };
-        if *episodes == 0 {
-            *first = fault.to_string();
+        self.episodes += 1;
+        if let Outcome::Invalid(fault) = outcome {
+            if self.invalid == 0 {
+                self.first = fault.to_string();
+            }
+            self.invalid += 1;
         }
-        *episodes += 1;
-        if *episodes == FROM_START { self.warning() } else { None }
+        if self.episodes >= FEWEST { self.warning() } else { None }
     }
 
-    /// The warning, if at least one episode ran and none was valid. It is issued at most once.
+    /// The warning, if more than half of the episodes so far are invalid. It is issued at most once.
     pub(crate) fn warning(&mut self) -> Option<Warning> {
-        match self.so_far.take()? {
-            (0, _) => None,
-            (episodes, first) => Some(Warning::AllInvalid { episodes, first }),
+        let Self { episodes, invalid, .. } = *self;
+        if self.warned || 2 * invalid <= episodes {
+            return None;
         }
+        self.warned = true;
+        let first = std::mem::take(&mut self.first);
+        Some(if invalid == episodes {
+            Warning::AllInvalid { episodes, first }
+        } else {
+            Warning::MostlyInvalid { episodes, invalid, first }
+        })
     }
 }

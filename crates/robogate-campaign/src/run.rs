@@ -31,7 +31,7 @@ use serde_json::Value;
 
 use crate::active::{Chooser, Opened};
 use crate::folder::{self, ACTIVE, BOUNDARY, DICTIONARY, Folder, JOURNAL, LAYOUT, LOST, PLAN, PRIOR, SUMMARY};
-use crate::invalid::AllInvalid;
+use crate::invalid::MostlyInvalid;
 use crate::summary::Summing;
 use crate::{
     ActiveReport, ActiveStage, Bins, BoundaryReport, Event, ExecuteError, Executor, OutcomeCounts, Plan, PlanError,
@@ -373,7 +373,7 @@ pub(crate) struct Run<'a> {
     executor: &'a dyn Executor,
     events: &'a mut dyn FnMut(&Event),
     after_round: &'a mut AfterRound<'a>,
-    invalid_so_far: AllInvalid,
+    invalid_so_far: MostlyInvalid,
     /// The rounds of the active stage that other processes have chosen already.
     chosen: Vec<Opened>,
 }
@@ -413,7 +413,7 @@ impl<'a> Run<'a> {
         if recovery.without_plan {
             events(&Event::warning(Warning::JournalWithoutPlan));
         }
-        let invalid_so_far = AllInvalid::default();
+        let invalid_so_far = MostlyInvalid::default();
         let chosen = Vec::new();
         Ok(Self { folder, settings, space, journal, bins, executor, events, after_round, invalid_so_far, chosen })
     }
@@ -603,9 +603,7 @@ impl<'a> Run<'a> {
 
     fn stage_finished(&mut self, stage: Stage, outcomes: OutcomeCounts) -> Result<(), RunError> {
         self.journal.sync()?;
-        if outcomes.valid() == 0
-            && let Some(warning) = self.invalid_so_far.warning()
-        {
+        if let Some(warning) = self.invalid_so_far.warning() {
             (self.events)(&Event::warning(warning));
         }
         (self.events)(&Event::StageFinished { stage, outcomes });

@@ -130,8 +130,36 @@ impl Against<'_> {
             let twins = imported_twins(self.record, record)?;
             return self.conclude(&twins, &[twins.len()], record.sampling(sampling), None);
         }
+        let (twins, looks) = self.twins(record)?;
+        self.conclude(&twins, &looks, self.record.sampling(sampling), planned_rounds(record))
+    }
+
+    /// The comparison after all planned rounds of a suite, once if all pairs that are not invalid speak for this policy, and once if the
+    /// rounds so far repeat themselves. `None` without a plan.
+    pub(crate) fn extremes(&self, record: &Record) -> Result<Option<[Comparison; 2]>, GateError> {
+        let Some(planned) = planned_rounds(record).filter(|_| !record.imported && !self.record.imported) else {
+            return Ok(None);
+        };
+        let (twins, looks) = self.twins(record)?;
+        let rounds: Vec<&[Twin]> =
+            looks.iter().scan(0, |from, end| twins.get(std::mem::replace(from, *end)..*end)).collect();
+        let all = |with: &dyn Fn(Twin, bool) -> Twin| {
+            let most = usize::try_from(planned).unwrap_or(usize::MAX);
+            let (mut twins, mut looks) = (Vec::new(), Vec::new());
+            for (at, round) in rounds.iter().cycle().take(most).enumerate() {
+                twins.extend(round.iter().map(|twin| with(*twin, at < rounds.len())));
+                looks.push(twins.len());
+            }
+            self.conclude(&twins, &looks, Sampling::Sequential, Some(planned))
+        };
+        let best = all(&|twin, happened| if happened { twin.and(Some((false, true))) } else { Some((false, true)) })?;
+        Ok(Some([best, all(&|twin, _| twin)?]))
+    }
+
+    /// The pairs of complete rounds, and their number after each round.
+    fn twins(&self, record: &Record) -> Result<(Vec<Twin>, Vec<usize>), GateError> {
         let others: BTreeMap<u64, &Trial> = self.record.trials.iter().map(|trial| (trial.index, trial)).collect();
-        let rounds = Rounds::of(&record.trials, population)?;
+        let rounds = Rounds::of(&record.trials, &record.population)?;
         let mut twins: Vec<Twin> = Vec::new();
         let mut looks = Vec::new();
         for round in &rounds.rounds {
@@ -147,11 +175,7 @@ impl Against<'_> {
             }
             looks.push(twins.len());
         }
-        let rounds = match population {
-            Population::Suite { cases, .. } => record.planned.map(|planned| planned / (*cases).max(1)),
-            Population::Drawn { .. } | Population::Imported { .. } => None,
-        };
-        self.conclude(&twins, &looks, self.record.sampling(sampling), rounds)
+        Ok((twins, looks))
     }
 
     /// `rounds` is the largest number of looks, if it was fixed before the first episode.
@@ -218,6 +242,14 @@ impl Against<'_> {
             p_violated,
             status: if none { Status::NoEvidence } else { Status::Undecided },
         })
+    }
+}
+
+/// The planned number of rounds of a suite. `None` if it was not fixed before the first episode.
+fn planned_rounds(record: &Record) -> Option<u64> {
+    match &record.population {
+        Population::Suite { cases, .. } => record.planned.map(|planned| planned / (*cases).max(1)),
+        Population::Drawn { .. } | Population::Imported { .. } => None,
     }
 }
 

@@ -18,6 +18,7 @@ use crate::comparison::{Against, Comparison};
 use crate::figure::{Extremes, figure};
 use crate::requirement_test::{How, test};
 use crate::rounds::Rounds;
+use crate::ruled_out::RuledOut;
 use crate::scope::{Scope, expand};
 use crate::{
     Baseline, Bound, ConfidenceScore, Controls, Ending, Family, GateError, Metric, Mode, Population, RealEvidence,
@@ -199,6 +200,9 @@ pub struct Evaluation {
     /// The controls of the gate. `None` if it ran none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub controls: Option<Controls>,
+    /// The invalid episodes that rule out a pass. `None` if a pass is still possible, or if all planned episodes ran.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ruled_out: Option<RuledOut>,
     /// How often the policy saw states outside of the published range of its checkpoint. The verdict does not depend on it.
     /// `None` if the range is unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -306,15 +310,15 @@ impl Question<'_> {
         };
         let comparison = self.against.as_ref().map(|against| against.compare(record, sampling)).transpose()?;
         let (kept, dropped) = self.evaluable()?;
-        let mut results = Vec::new();
+        let mut asked = Vec::new();
         for requirement in &kept {
             for one in expand(requirement, rounds.trials().map(|trial| &trial.label))? {
-                results.push(one);
+                asked.push(one);
             }
         }
         let alpha = requirements.alpha();
         // A comparison counts as one more requirement.
-        let family = results.len() + usize::from(comparison.is_some());
+        let family = asked.len() + usize::from(comparison.is_some());
         let how = How {
             sampling,
             alpha,
@@ -322,21 +326,31 @@ impl Question<'_> {
             suite: rounds.suite,
             steps: counts.rounds.unwrap_or(episodes),
         };
-        let mut results = results
-            .into_iter()
+        let mut results = asked
+            .iter()
             .map(|requirement| match requirement.metric {
-                Metric::RealSuccess => self.real_result(requirement, record, how),
-                _ => self.result(requirement, &record.task, &rounds, counts, how),
+                Metric::RealSuccess => self.real_result(requirement.clone(), record, how),
+                _ => self.result(requirement.clone(), &record.task, &rounds, counts, how),
             })
             .collect::<Result<Vec<RequirementResult>, GateError>>()?;
         let mut comparison = comparison;
         self.decide(&mut results, comparison.as_mut(), alpha);
         let control = record.controls.as_ref().and_then(Controls::failure);
-        let (verdict, because) = match control {
-            Some(because) => (Verdict::Invalid, because),
+        let (verdict, mut because) = match &control {
+            Some(because) => (Verdict::Invalid, because.clone()),
             None => conclude(counts, &results, comparison.as_ref()),
         };
-        let decided_at_episodes = when(verdict, &results);
+        let ruled_out = match verdict {
+            Verdict::Inconclusive | Verdict::Invalid if control.is_none() => {
+                self.ruled_out(record, &rounds, &asked, how)?
+            }
+            _ => None,
+        };
+        let mut decided_at_episodes = when(verdict, &results);
+        if let Some(ruled_out) = &ruled_out {
+            because = ruled_out.because(counts, comparison.as_ref());
+            decided_at_episodes = None;
+        }
         Ok(Evaluation {
             format: Evaluation::FORMAT,
             verdict,
@@ -360,6 +374,7 @@ impl Question<'_> {
             score: ConfidenceScore::of(&requirements.score, self.baseline, rounds.rounds.iter().flatten().copied()),
             decided_at_episodes,
             controls: record.controls.clone(),
+            ruled_out,
             outside_range: outside_range(record, &rounds),
             twins: None,
         })
@@ -389,7 +404,7 @@ impl Question<'_> {
         }
     }
 
-    fn result(
+    pub(crate) fn result(
         &self,
         requirement: Requirement,
         task: &TaskSpec,

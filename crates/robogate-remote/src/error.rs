@@ -45,9 +45,11 @@ impl RequestError {
         self.kind() == FaultKind::Unavailable
     }
 
-    /// The fault that an episode gets from this error.
+    /// The fault that an episode gets from this error. It names the server only if the server failed: any other fault follows from
+    /// the scenario, and a record must not depend on which server ran it.
     pub fn fault(&self, address: &Address) -> Fault {
-        Fault::new(self.kind(), format!("{address}: {self}"))
+        let detail = if self.is_server_failure() { format!("{address}: {self}") } else { self.to_string() };
+        Fault::new(self.kind(), detail)
     }
 
     fn kind(&self) -> FaultKind {

@@ -4,13 +4,19 @@ use robogate_gate::{Evaluation, GatePlan, Metric, Mode, PairPlan, Population, Sa
 use robogate_report::{RequirementRow, feasible_part, how_judged, sign, what_next};
 use robogate_stats::format::number;
 
-use crate::terminal::{Styled, bold, dim, grouped, line, longest_line, percent, styled};
+use crate::terminal::{Styled, bold, dim, foreign, grouped, line, longest_line, percent, styled};
 use crate::twins;
 
 /// Prints the evaluation.
 pub(crate) fn print(evaluation: &Evaluation) {
     line("");
     line(format_args!("  {}  {}", banner(evaluation.verdict), evaluation.because));
+    let next = what_next(evaluation);
+    let stopped = evaluation.ruled_out.is_some();
+    if stopped {
+        // It quotes the environment.
+        line(bold(format_args!("  {}", foreign(&next))));
+    }
     line(dim(format_args!("  {} on {}, {}", evaluation.policy, evaluation.robot, evaluation.population)));
     line("");
     let rows = RequirementRow::all(evaluation);
@@ -36,8 +42,7 @@ pub(crate) fn print(evaluation: &Evaluation) {
     }
     line("");
     counts(evaluation);
-    let next = what_next(evaluation);
-    if !next.is_empty() {
+    if !next.is_empty() && !stopped {
         line(bold(format_args!("  {next}")));
     }
     if let Some(outside) = evaluation.outside_range.as_ref().filter(|outside| outside.episodes > 0) {

@@ -177,7 +177,10 @@ impl Executor for RunsLostAgain<'_> {
         let Some((_, fault)) = lost.first().filter(|_| flow.is_continue()) else {
             return Ok(());
         };
-        note(format_args!("{} episodes were lost and run again, the first because of {fault}", lost.len()));
+        match lost.len() {
+            1 => note(format_args!("1 episode was lost and runs again: {fault}")),
+            n => note(format_args!("{n} episodes were lost and run again, the first because of {fault}")),
+        }
         self.continues();
         let mut again: Vec<Scenario> = lost.into_iter().map(|(episode, _)| episode.scenario).collect();
         loop {

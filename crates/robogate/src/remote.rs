@@ -48,7 +48,7 @@ impl Simulators {
 }
 
 /// Parse a timeout.
-fn seconds(text: &str) -> Result<f64, String> {
+pub(crate) fn seconds(text: &str) -> Result<f64, String> {
     let seconds: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
     if (1e-3..=86_400.0).contains(&seconds) { Ok(seconds) } else { Err("expected 0.001 to 86400 seconds".to_owned()) }
 }

@@ -4,12 +4,12 @@ use std::path::Path;
 use std::sync::Arc;
 
 use robogate_campaign::shards::{Assignment, OpenRound, ShardError, ShardStatus, Shards};
-use robogate_campaign::{AfterRound, Event, Round};
+use robogate_campaign::{AfterRound, Completion, Event, Round};
 use robogate_core::Foresight;
 use robogate_dictionary::Provenance;
 use robogate_gate::{Asked, GateError, Record};
 
-use crate::commands::gate::{Look, compared_with, finish, refused, write_question};
+use crate::commands::gate::{Look, compared_with, finish, refused, ruled_out, write_question};
 use crate::commands::run::{conclude, write_report};
 use crate::commands::shard::exit;
 use crate::exit::Exit;
@@ -132,7 +132,13 @@ impl Campaign {
     pub(crate) fn merge(mut self, out: &Path, events: &mut dyn FnMut(&Event), json: bool) -> Result<u8, Exit> {
         self.choose_as_recorded()?;
         let completion = self.in_rounds(|shards, after_round| shards.merge(out, events, after_round))?;
-        twins::merge(&self.shards, out, &completion)?;
+        let stopped = match (&self.gate, &completion) {
+            (Some(Gate { asked, other, .. }), Completion::Finished { .. }) => ruled_out(out, asked, other.as_ref())?,
+            _ => false,
+        };
+        if !stopped {
+            twins::merge(&self.shards, out, &completion)?;
+        }
         match &self.gate {
             Some(Gate { asked, other, .. }) => {
                 if !out.join(Asked::FILE).exists() {

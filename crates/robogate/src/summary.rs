@@ -9,7 +9,7 @@ use robogate_campaign::{
 };
 use robogate_gate::Twins;
 use robogate_report::{ActiveModel, Headline, low_side};
-use robogate_stats::format::{p_value, percent_or_dash};
+use robogate_stats::format::{counted, p_value, percent_or_dash};
 use serde_json::json;
 
 use crate::active_model;
@@ -127,8 +127,9 @@ fn rate(stage: &StageSummary, sampler: &str) {
     if stage.invalid > 0 {
         let kinds: Vec<String> = stage.faults.iter().map(|f| format!("{} {}", f.episodes, f.fault)).collect();
         line(format_args!(
-            "                 {} invalid episodes are excluded: {}",
-            grouped(stage.invalid),
+            "                 {} {} excluded: {}",
+            counted(stage.invalid, "invalid episode"),
+            if stage.invalid == 1 { "is" } else { "are" },
             kinds.join(", ")
         ));
     }

@@ -200,6 +200,21 @@ impl Arms {
         Ok(Self(arms))
     }
 
+    /// Whether the campaign has no arms.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// No arms, with a note.
+    pub(crate) fn left_out(self) -> Self {
+        let names: Vec<&str> = self.0.iter().map(|arm| arm.kind.as_str()).collect();
+        note(format_args!(
+            "the {} does not run, because the invalid episodes rule out a pass",
+            names.join(" and the ")
+        ));
+        Self(Vec::new())
+    }
+
     /// Runs or resumes the arms after their campaign. A campaign that was stopped has no arms yet.
     pub(crate) fn after(
         self,

@@ -6,7 +6,7 @@ use robogate_dictionary::frame::encode_frame;
 
 use super::file::{self, Hash, Header};
 use super::{OpenRound, Shard, ShardError, ShardRound, Shards, Stored, shard_name};
-use crate::invalid::AllInvalid;
+use crate::invalid::MostlyInvalid;
 use crate::run::AfterRound;
 use crate::{Event, Executor, OutcomeCounts, Points, RunError};
 
@@ -129,7 +129,7 @@ impl ShardTask {
         events(&Event::StageStarted { stage, episodes, already_done: outcomes.clone() });
         let scenario = |i: usize| self.points.scenario(*self.indices.get(i)?);
         let mut frames: Vec<(u64, Vec<u8>)> = Vec::with_capacity(self.indices.len());
-        let mut all_invalid = AllInvalid::default();
+        let mut invalid = MostlyInvalid::default();
         let mut problem = None;
         executor.execute(&scenario, &mut |episode| {
             let index = episode.scenario.index;
@@ -148,7 +148,7 @@ impl ShardTask {
             frames.push((index, frame));
             outcomes.add(&entry.episode.outcome);
             events(&Event::episode(stage, &entry.episode));
-            if let Some(warning) = all_invalid.add(&entry.episode.outcome) {
+            if let Some(warning) = invalid.add(&entry.episode.outcome) {
                 events(&Event::warning(warning));
             }
             ControlFlow::Continue(())
@@ -162,7 +162,7 @@ impl ShardTask {
             events(&Event::Interrupted { done, episodes });
             return Ok(ShardEnd::Interrupted { done, episodes });
         }
-        if let Some(warning) = all_invalid.warning() {
+        if let Some(warning) = invalid.warning() {
             events(&Event::warning(warning));
         }
         events(&Event::StageFinished { stage, outcomes: outcomes.clone() });

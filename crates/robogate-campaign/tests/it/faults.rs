@@ -81,7 +81,7 @@ fn all_invalid_campaign_warns_and_continues() {
     })
     .unwrap();
     let first = "setup: episode 0 cannot be set up".to_owned();
-    assert_eq!(warnings, [Warning::AllInvalid { episodes: 50, first }, Warning::NoEvidence]);
+    assert_eq!(warnings, [Warning::AllInvalid { episodes: 20, first }, Warning::NoEvidence]);
     let summary = summary(&done);
     assert_eq!((summary.estimate.success_rate, summary.estimate.interval_95), (None, [0.0, 1.0]));
     assert_eq!((summary.stages[0].invalid, summary.stages[0].faults[0].fault.as_str()), (120, "setup"));
@@ -99,6 +99,26 @@ fn small_all_invalid_campaign_warns() {
     with_pool(&factory, 2, &mut watch, |pool, events| start_run(base.path(), &plan(5, 0), provenance(), pool, events))
         .unwrap();
     assert_eq!(warnings, 1);
+}
+
+fn every_third_valid(index: u64) -> Trouble {
+    if index.is_multiple_of(3) { Trouble::None } else { Trouble::Invalid }
+}
+
+#[test]
+fn mostly_invalid_campaign_warns_once() {
+    let base = tempfile::tempdir().unwrap();
+    let factory = Synthetic { trouble: every_third_valid, ..Synthetic::default() };
+    let mut warnings = Vec::new();
+    let mut watch = |event: &Event, _: &_| {
+        if let Event::Warning { warning, .. } = event {
+            warnings.push(warning.clone());
+        }
+    };
+    with_pool(&factory, 1, &mut watch, |pool, events| start_run(base.path(), &plan(60, 0), provenance(), pool, events))
+        .unwrap();
+    let first = "setup: episode 1 cannot be set up".to_owned();
+    assert_eq!(warnings, [Warning::MostlyInvalid { episodes: 20, invalid: 13, first }]);
 }
 
 #[test]

@@ -11,6 +11,7 @@ mod evidence;
 mod leaderboard;
 mod planning;
 mod real;
+mod ruled_out;
 mod score;
 mod simulated;
 mod table;

@@ -56,7 +56,7 @@ pub fn evaluation_markdown_with(evaluation: &Evaluation, watch: Option<&Watch>) 
     }
     let next = what_next(evaluation);
     if !next.is_empty() {
-        let _ = writeln!(out, "\n{next}");
+        let _ = writeln!(out, "\n{}", escape_markdown(&next));
     }
     let counts = evaluation.counts;
     let rounds = counts.rounds.map_or_else(String::new, |rounds| format!(" in {}", counted(rounds, "round")));

@@ -123,8 +123,16 @@ fn how_many(at: u64, evaluation: &Evaluation) -> String {
     }
 }
 
-/// A sentence on the episodes that an inconclusive gate needs. Empty if it is conclusive.
+/// What an inconclusive gate needs: more episodes, or a repair of what makes episodes invalid. Empty if it is conclusive.
 pub fn what_next(evaluation: &Evaluation) -> String {
+    if let Some(of) = &evaluation.ruled_out {
+        let cause = of.fault.lines().next().unwrap_or_default().trim_end_matches('.');
+        return format!(
+            "Most frequent cause, in {} episodes, the first of which is number {}: {cause}. Fix the cause, and start a new gate.",
+            count(of.with_fault),
+            of.first
+        );
+    }
     evaluation.decided_at_episodes.map_or_else(String::new, |at| match evaluation.sampling {
         Sampling::Sequential => {
             let more = at.saturating_sub(evaluation.counts.episodes).max(1);

@@ -153,6 +153,7 @@ fn next_step(evaluation: &Evaluation) -> String {
         format!(" A new gate takes at most {}.", counted(most, "episode"))
     });
     match evaluation.verdict {
+        _ if evaluation.ruled_out.is_some() => what_next(evaluation),
         Verdict::Pass => {
             "Write the evidence with `robogate evidence`, and the reference for the monitor with `robogate \
                           monitor reference`. Neither runs more episodes."

@@ -4,10 +4,12 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
 use clap::{Args, Subcommand};
 use robogate_core::{Allowed, Domain, Parameter, ParameterSpec, Scale};
+use robogate_remote::Timeouts;
 use robogate_remote::message::Hello;
 use robogate_stats::format::number;
 use serde::{Deserialize, Serialize};
@@ -16,6 +18,7 @@ use serde_json::json;
 use crate::environments::{Interpreter, installed, installed_marker};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, OrExit};
 use crate::interface;
+use crate::remote::seconds;
 use crate::terminal::{bold, dim, line, note};
 
 /// List, install and inspect environments that run in Python (docs/environments.md).
@@ -61,6 +64,9 @@ struct Inspect {
     /// Use this Python interpreter; default: that of `robogate env setup`, otherwise the active python3
     #[arg(long, value_name = "PATH")]
     python: Option<PathBuf>,
+    /// Set the timeout for a step of the check, in seconds (0.001 to 86400); a reset may take four times as long
+    #[arg(long = "simulator-timeout", value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
+    timeout_s: f64,
     /// Write a parameter space with all knobs to this TOML file: those of the default space, and the others as comments
     #[arg(long, value_name = "FILE")]
     space: Option<PathBuf>,
@@ -208,7 +214,8 @@ fn visibly(command: &mut Command) -> anyhow::Result<()> {
 impl Inspect {
     fn execute(&self) -> Result<u8, Exit> {
         let interpreter = Interpreter::choose(self.python.as_deref(), &self.name).or_usage()?;
-        let description: Description = interpreter.ask("describe", &[&self.name])?;
+        let timeouts = Timeouts::from_step(Duration::from_secs_f64(self.timeout_s));
+        let description: Description = interpreter.ask_within("describe", &[&self.name], &timeouts)?;
         description.hello.check().map_err(|why| anyhow!(why)).or_broken()?;
         if let Some(file) = &self.space {
             write_new(file, &space_file(&description.hello)).or_usage()?;
@@ -266,8 +273,9 @@ fn print(description: &Description) {
         "  measures        {}",
         names(task.measures.iter().map(|measure| measure.name.as_str()).collect())
     ));
+    let wide = task.parameters.iter().map(|spec| spec.name.len()).max().unwrap_or(0).max(32);
     line(bold(format_args!(
-        "{:<32} {:>10}  {:<22} {:<10} {}",
+        "{:<wide$} {:>10}  {:<22} {:<10} {}",
         "parameter", "nominal", "allowed", "unit", "sampled by default"
     )));
     let space = hello.space.as_ref();
@@ -276,7 +284,7 @@ fn print(description: &Description) {
         let sampled = space.and_then(|space| space.parameters().iter().find(|parameter| *parameter.name == *spec.name));
         let sampled = sampled.map_or_else(String::new, |parameter| domain(&parameter.domain));
         line(format_args!(
-            "{:<32} {nominal:>10}  {:<22} {:<10} {sampled}",
+            "{:<wide$} {nominal:>10}  {:<22} {:<10} {sampled}",
             spec.name,
             allowed(&spec.allowed),
             spec.unit

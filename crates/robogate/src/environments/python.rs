@@ -91,12 +91,22 @@ impl Interpreter {
         command
     }
 
-    /// Runs a verb that prints one JSON document. An environment that hangs is ended.
+    /// Runs a verb that prints one JSON document.
     pub(crate) fn ask<T: DeserializeOwned>(&self, verb: &str, arguments: &[&str]) -> Result<T, Exit> {
+        self.ask_within(verb, arguments, &Timeouts::default())
+    }
+
+    /// The same with these timeouts. An environment that hangs is ended.
+    pub(crate) fn ask_within<T: DeserializeOwned>(
+        &self,
+        verb: &str,
+        arguments: &[&str],
+        timeouts: &Timeouts,
+    ) -> Result<T, Exit> {
         let child = self.command(verb).args(arguments).spawn().map_err(|why| self.unusable(&why)).or_usage()?;
         let mut process = Process::new(child);
         let what = arguments.first().unwrap_or(&verb);
-        let line = process.answer(what, &Timeouts::default()).map_err(|why| {
+        let line = process.answer(what, timeouts).map_err(|why| {
             let how = match (&why.late, why.status) {
                 (Some(late), _) => late.clone(),
                 (None, Some(status)) => status.to_string(),

@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 use tungstenite::Message;
 
+use crate::harness::run_all_shards;
 use crate::openpi;
 
 /// A Python with Meta-World, and a folder for the test.
@@ -68,7 +69,6 @@ impl Bench {
     }
 }
 
-/// The example of the documentation passes through all verbs.
 #[test]
 fn setup_asks_first_for_what_pip_cannot_install() {
     let Some(bench) = Bench::new() else { return };
@@ -80,6 +80,7 @@ fn setup_asks_first_for_what_pip_cannot_install() {
     assert!(!bench.at("cache/environments").exists(), "nothing is created");
 }
 
+/// The example of the documentation passes through all verbs.
 #[test]
 fn own_environment_runs_from_one_file() {
     let Some(bench) = Bench::new() else { return };
@@ -138,6 +139,63 @@ fn faults_are_shown_and_survived() {
     bench.robogate("run --env breaks.py -n 30", 5, &["does not start", "ZeroDivisionError"]);
 }
 
+/// Most scenarios break the environment. The gate stops as soon as no result of the other rounds could pass.
+#[test]
+fn mostly_invalid_gate_stops_early() {
+    let Some(bench) = Bench::new() else { return };
+    let act = "        self.speed += 0.05 * (4.0 * action - self.drag * self.speed)\n";
+    let breaks = |unless: &str| format!("{act}        if not {unless}:\n            self.place[:] = np.nan\n");
+    let only_drag = ("\"drag\": (0.0, 4.0), \"action_delay\": (0, 12)", "\"drag\": (0.0, 4.0)");
+    bench.example("mostly.py", &[(act, &breaks("0.7 < self.drag < 1.3")), only_drag]);
+    let parts = [
+        "INCONCLUSIVE  ",
+        "episodes are invalid: no result of the other",
+        "Most frequent cause, in ",
+        "Fix the cause, and start a new gate",
+        "of 20 episodes so far are invalid",
+    ];
+    let gate = "gate --env mostly.py --seed 4";
+    let text = bench.robogate(&format!("{gate} --threads 2 --out two"), 3, &parts);
+    let [verdict, cause, table] =
+        ["INCONCLUSIVE", "Most frequent cause", "requirement "].map(|part| text.find(part).unwrap());
+    assert!(verdict < cause && cause < table, "the reason is not in the first lines: {text}");
+    bench.robogate(&format!("{gate} --threads 1 --out one"), 3, &parts);
+    assert!(bench.rows("two") == bench.rows("one"), "rows depend on the number of servers");
+    let read = |run: &str| -> serde_json::Value {
+        serde_json::from_slice(&fs::read(bench.at(run).join("gate.json")).unwrap()).unwrap()
+    };
+    let found = read("two");
+    let episodes = found["counts"]["episodes"].as_u64().unwrap();
+    assert!((64..=256).contains(&episodes) && episodes.is_multiple_of(64), "{episodes}");
+    assert_eq!(found["ruled_out"]["requirement"], "success");
+    bench.robogate("resume two", 3, &["no result of the other"]);
+    bench.robogate("gate --run two", 3, &["no result of the other"]);
+
+    let text = bench.robogate(&format!("{gate} --twins --out twins"), 3, &["the control arm does not run"]);
+    assert!(!bench.at("twins/nominal").exists(), "{text}");
+    assert!(bench.rows("twins") == bench.rows("two"));
+    bench.robogate("resume twins", 3, &["no result of the other"]);
+    assert!(!bench.at("twins/nominal").exists());
+
+    bench.robogate(&format!("{gate} --fixed --out fixed"), 3, &parts);
+    assert!(read("fixed")["counts"]["episodes"].as_u64().unwrap() <= 256);
+    bench.robogate(&format!("{gate} --against random --out against"), 3, &["no result of the other"]);
+
+    bench.robogate(&format!("{gate} --divide 2 --out shards"), 0, &[]);
+    run_all_shards(bench.dir.path(), "shards");
+    let output = Command::new(env!("CARGO_BIN_EXE_robogate"))
+        .args(["merge", "shards"])
+        .current_dir(&bench.dir)
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(3));
+    assert!(bench.rows("shards") == bench.rows("two"), "shards give other rows");
+
+    bench.example("never.py", &[(act, &breaks("self.drag == 1.0")), only_drag]);
+    let parts = ["INVALID  ", "all 64 episodes are invalid; the other", "planned episodes did not run"];
+    bench.robogate("gate --env never.py --seed 4 --out never", 4, &parts);
+}
+
 /// An environment that hangs before its first episode is ended after the timeout of the call, and the call is named.
 #[test]
 fn hanging_starts_are_ended() {
@@ -156,6 +214,12 @@ fn hanging_starts_are_ended() {
     };
     hang("hangs_in_step", "    def step(self, action):\n", "`step`", "1");
     hang("hangs_in_reset", "        super().reset(seed=seed)\n", "`reset`", "0.5");
+    // The hint names an argument that `env inspect` has as well.
+    bench.robogate(
+        "env inspect hangs_in_reset.py --simulator-timeout 0.5",
+        5,
+        &["did not end within 2 s", "--simulator-timeout"],
+    );
 }
 
 /// A profile of a policy that knows nothing of the environment: a state of six numbers in another order and unit, an

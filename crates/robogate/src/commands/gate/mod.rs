@@ -26,7 +26,7 @@ pub(crate) use question::{
     built_in_baseline, compared_with, open_requirements, real_evidence, refused, write_question,
 };
 pub(crate) use rounds::{Look, resume};
-pub(crate) use verdict::{finish, write_answer};
+pub(crate) use verdict::{finish, ruled_out, write_answer};
 
 /// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run.
 ///

@@ -7,7 +7,7 @@ use robogate_campaign::{Completion, Round, Settings};
 use robogate_gate::{Asked, AskedAgainst, GateError, Record, Sampling, Trial, Verdict};
 
 use super::question::{compared_with, question, refused, write_question};
-use super::verdict::finish;
+use super::verdict::{finish, ruled_out};
 use crate::commands::rival::Rival;
 use crate::commands::run::How;
 use crate::exit::Exit;
@@ -31,10 +31,15 @@ impl Look<'_> {
             self.record.trials.clear();
         }
         self.record.trials.extend(round.entries.iter().map(Trial::from));
-        if self.asked.sampling == Sampling::Fixed {
+        let fixed = self.asked.sampling == Sampling::Fixed;
+        if fixed && self.record.trials.iter().all(|trial| trial.ending.is_valid()) {
             return ControlFlow::Continue(());
         }
         match question(self.asked, self.other).evaluate(self.record) {
+            // More rounds cannot give a pass.
+            Ok(evaluation) if evaluation.ruled_out.is_some() => ControlFlow::Break(()),
+            // A number of episodes that was fixed is tested once. The test at the end reports an error too.
+            _ if fixed => ControlFlow::Continue(()),
             Ok(evaluation) if matches!(evaluation.verdict, Verdict::Pass | Verdict::Fail) => ControlFlow::Break(()),
             Ok(_) => ControlFlow::Continue(()),
             Err(error) => {
@@ -69,6 +74,16 @@ impl Rounds<'_> {
         }
         let other = self.rival.as_ref().map(|(rival, _)| rival.record()).or(self.other.as_ref());
         Look { asked: &self.asked, other, record: &mut self.record, trouble: &mut self.trouble }.after(round)
+    }
+
+    /// The arms that run after this gate: none if its invalid episodes rule out a pass.
+    pub(super) fn worthwhile(&self, arms: Arms, completion: &Completion) -> Arms {
+        if arms.is_empty() || self.broken.is_some() || !matches!(completion, Completion::Finished { .. }) {
+            return arms;
+        }
+        let other = self.rival.as_ref().map(|(rival, _)| rival.record()).or(self.other.as_ref());
+        // The end of the gate reports an error.
+        if ruled_out(self.dir, &self.asked, other).unwrap_or(false) { arms.left_out() } else { arms }
     }
 
     /// Writes and prints the verdict.
@@ -124,7 +139,7 @@ pub(crate) fn resume(
     let completion = how.carry(subject, |executor, events| {
         let mut after = |round: &Round<'_>| rounds.after(round);
         let completion = robogate_campaign::resume_in_rounds(dir, &provenance, executor, events, &mut after)?;
-        arms.after(completion, executor, events)
+        rounds.worthwhile(arms, &completion).after(completion, executor, events)
     })?;
     rounds.end(completion, subject, how.json)
 }

@@ -298,7 +298,7 @@ impl Gate {
             let mut after = |round: &Round<'_>| rounds.after(round);
             let completion =
                 robogate_campaign::start_in_rounds(&dir, &plan, provenance, executor, &mut with_question, &mut after)?;
-            arms.after(completion, executor, events)
+            rounds.worthwhile(arms, &completion).after(completion, executor, events)
         })?;
         rounds.end(completion, &subject, self.how.json)
     }

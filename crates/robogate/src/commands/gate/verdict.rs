@@ -62,6 +62,13 @@ pub(crate) fn finish(
     Ok(code)
 }
 
+/// Whether the finished gate in `dir` stopped because its invalid episodes rule out a pass. Control arms of it would say nothing.
+pub(crate) fn ruled_out(dir: &Path, asked: &Asked, other: Option<&Record>) -> Result<bool, Exit> {
+    let source = Source::open(dir).or_broken()?;
+    let record = Record::of(source.dictionary()).map_err(refused)?;
+    Ok(question(asked, other).evaluate(&record).map_err(refused)?.ruled_out.is_some())
+}
+
 /// Writes the files of the evaluation into the folder of a run.
 pub(crate) fn write_answer(dir: &Path, evaluation: &Evaluation, watch: Option<&Watch>) -> Result<(), Exit> {
     let texts =
