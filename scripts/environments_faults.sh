@@ -10,7 +10,7 @@ python=${PYTHON:-python3}
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 plan=$folder/plan.toml
-printf '[uniform]\nepisodes = 60\n[boundary]\nepisodes = 0\n' > "$plan"
+printf '[uniform]\nepisodes = 120\n[boundary]\nepisodes = 0\n' > "$plan"
 
 # Runs with a fault: shown NAME ARGUMENTS...
 shown() {

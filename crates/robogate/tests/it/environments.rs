@@ -13,7 +13,6 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 use tungstenite::Message;
 
-use crate::harness::run_all_shards;
 use crate::openpi;
 
 /// A Python with Meta-World, and a folder for the test.
@@ -182,13 +181,28 @@ fn mostly_invalid_gate_stops_early() {
     bench.robogate(&format!("{gate} --against random --out against"), 3, &["no result of the other"]);
 
     bench.robogate(&format!("{gate} --divide 2 --out shards"), 0, &[]);
-    run_all_shards(bench.dir.path(), "shards");
-    let output = Command::new(env!("CARGO_BIN_EXE_robogate"))
-        .args(["merge", "shards"])
-        .current_dir(&bench.dir)
-        .output()
-        .unwrap();
-    assert_eq!(output.status.code(), Some(3));
+    let verb = |arguments: &[&str], code: i32| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_robogate"));
+        let output = command.args(arguments).current_dir(&bench.dir).output().unwrap();
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert_eq!(
+            output.status.code(),
+            Some(code),
+            "{arguments:?}: {text}{}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+        text
+    };
+    loop {
+        let next = verb(&["plan", "shards", "--next"], 0);
+        if next.is_empty() {
+            break;
+        }
+        for command in next.lines() {
+            bench.robogate(command.strip_prefix("robogate ").unwrap(), 0, &[]);
+        }
+    }
+    verb(&["merge", "shards"], 3);
     assert!(bench.rows("shards") == bench.rows("two"), "shards give other rows");
 
     bench.example("never.py", &[(act, &breaks("self.drag == 1.0")), only_drag]);
