@@ -10,7 +10,7 @@ use robogate_dictionary::Label;
 use robogate_stats::Trials;
 use robogate_stats::bounded_mean::BoundedMean;
 use robogate_stats::compare::at_least;
-use robogate_stats::operating::{RateTest, Schedule, characteristic};
+use robogate_stats::operating::{RateTest, Schedule, characteristics};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -190,18 +190,15 @@ fn demand(
     let allowed = if let Metric::FailureCount(_) = metric { bound.limit / n as f64 } else { 1.0 - good };
     // If no event is allowed, the multiples are those of one event in n.
     let unit = if allowed > 0.0 { allowed } else { 1.0 / n as f64 };
-    for bad in MULTIPLES.into_iter().map(|m| m * unit).filter(|bad| *bad <= 1.0) {
-        let p = 1.0 - bad;
-        let (met, violated, open, episodes) = match mode {
-            Mode::Confidence => {
-                let c = characteristic(test, schedule, p);
-                (c.met, c.violated, c.open, c.trials)
-            }
-            Mode::Point => {
-                let met = point(allowed, n, p);
-                (met, 1.0 - met, 0.0, n as f64)
-            }
-        };
+    let bads: Vec<f64> = MULTIPLES.into_iter().map(|m| m * unit).filter(|bad| *bad <= 1.0).collect();
+    let goods: Vec<f64> = bads.iter().map(|bad| 1.0 - bad).collect();
+    let figures: Vec<(f64, f64, f64, f64)> = match mode {
+        Mode::Confidence => {
+            characteristics(test, schedule, &goods).into_iter().map(|c| (c.met, c.violated, c.open, c.trials)).collect()
+        }
+        Mode::Point => goods.iter().map(|p| point(allowed, n, *p)).map(|met| (met, 1.0 - met, 0.0, n as f64)).collect(),
+    };
+    for ((bad, p), (met, violated, open, episodes)) in bads.into_iter().zip(goods).zip(figures) {
         let rate = if metric.quantile().is_none() && bound.sense == Sense::AtLeast { p } else { bad };
         plan.at.push(Operating { rate, met, violated, open, episodes });
     }

@@ -112,17 +112,52 @@ pub struct Characteristic {
 
 /// Computes the characteristic of the test under `schedule` if the true rate is `p`.
 pub fn characteristic(test: RateTest, schedule: Schedule, p: f64) -> Characteristic {
+    of_rate(&mut Answers::new(test, schedule), p)
+}
+
+/// [`characteristic`] for several true rates. The answers of the test, which cost most, are computed once for all rates.
+pub fn characteristics(test: RateTest, schedule: Schedule, rates: &[f64]) -> Vec<Characteristic> {
+    let mut answers = Answers::new(test, schedule);
+    rates.iter().map(|p| of_rate(&mut answers, *p)).collect()
+}
+
+/// The answers of a test after each round. They depend on the counts alone, not on the true rate.
+struct Answers {
+    test: RateTest,
+    fixed: bool,
+    per_round: u64,
+    /// For each round and number of successes.
+    known: Vec<Vec<Option<Answer>>>,
+}
+
+impl Answers {
+    fn new(test: RateTest, schedule: Schedule) -> Self {
+        let (per_round, rounds, fixed) = match schedule {
+            Schedule::Fixed { n } => (n, 1, true),
+            Schedule::Rounds { per_round, rounds } => (per_round, rounds, false),
+        };
+        let known = (1..=rounds).map(|round| vec![None; (round * per_round) as usize + 1]).collect();
+        Self { test, fixed, per_round, known }
+    }
+
+    /// The answer with `k` successes after the round with the index `round`.
+    fn get(&mut self, round: usize, k: usize) -> Answer {
+        let (test, fixed, n) = (self.test, self.fixed, (round as u64 + 1) * self.per_round);
+        *self.known[round][k].get_or_insert_with(|| {
+            let trials = Trials::new(k as u64, n).unwrap_or(Trials::NONE);
+            if fixed { test.fixed(trials) } else { test.look(trials) }
+        })
+    }
+}
+
+fn of_rate(answers: &mut Answers, p: f64) -> Characteristic {
     let p = p.clamp(0.0, 1.0);
-    let (per_round, rounds, fixed) = match schedule {
-        Schedule::Fixed { n } => (n, 1, true),
-        Schedule::Rounds { per_round, rounds } => (per_round, rounds, false),
-    };
+    let per_round = answers.per_round;
     let step: Vec<f64> = (0..=per_round).map(|k| mass(k, per_round, p)).collect();
     let mut going = vec![1.0];
     let mut out = Characteristic { met: 0.0, violated: 0.0, open: 1.0, trials: 0.0 };
-    for round in 1..=rounds {
+    for round in 0..answers.known.len() {
         out.trials += out.open * per_round as f64;
-        let n = round * per_round;
         let mut next = vec![0.0; going.len() + per_round as usize];
         for (k, probability) in going.iter().enumerate().filter(|(_, m)| **m > 0.0) {
             for (j, s) in step.iter().enumerate() {
@@ -131,8 +166,7 @@ pub fn characteristic(test: RateTest, schedule: Schedule, p: f64) -> Characteris
         }
         out.open = 0.0;
         for (k, probability) in next.iter_mut().enumerate() {
-            let trials = Trials::new(k as u64, n).unwrap_or(Trials::NONE);
-            match if fixed { test.fixed(trials) } else { test.look(trials) } {
+            match answers.get(round, k) {
                 Answer::Met => out.met += std::mem::take(probability),
                 Answer::Violated => out.violated += std::mem::take(probability),
                 Answer::Open => out.open += *probability,
@@ -185,6 +219,15 @@ mod tests {
         let looking = GATE.fewest(ROUNDS, 10_000).unwrap();
         assert!((37..=68).contains(&looking), "{looking}");
         assert_eq!(characteristic(GATE, ROUNDS, 1.0).trials, 68.0);
+    }
+
+    #[test]
+    fn shared_answers_change_no_figure() {
+        for schedule in [Schedule::Rounds { per_round: 17, rounds: 6 }, Schedule::Fixed { n: 90 }] {
+            let rates = [1.0, 0.98, 0.92, 0.8, 0.0];
+            let each = rates.map(|p| characteristic(GATE, schedule, p));
+            assert_eq!(characteristics(GATE, schedule, &rates), each);
+        }
     }
 
     #[test]
