@@ -1,5 +1,6 @@
 //! Simulators whose episodes run in the servers of a pool.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use robogate_core::{
@@ -202,17 +203,25 @@ impl<S: Session> Episodes<S> {
             lease.release(completed);
         }
         let mut attempts = 1 + self.pool.len();
+        // The other servers may be in use while the one that fails is free again and again.
+        let mut failed = BTreeSet::new();
         loop {
             let mut lease = self.pool.lease()?;
             let Some(connection) = &mut lease.connection else { continue };
             let reply = self.session.reset(connection, scenario);
-            attempts -= 1;
+            attempts = attempts.saturating_sub(1);
             match reply {
                 Ok(start) => {
                     self.lease = Some(lease);
                     return Ok(start);
                 }
-                Err(why) if why.is_server_failure() && attempts > 0 => lease.fail(&why),
+                Err(why) if why.is_server_failure() => {
+                    failed.insert(lease.slot);
+                    if attempts == 0 && !self.pool.has_others(&failed) {
+                        return Err(lease.end_with(&why));
+                    }
+                    lease.fail(&why);
+                }
                 Err(why) => return Err(lease.end_with(&why)),
             }
         }

@@ -183,6 +183,12 @@ impl Pool {
         self.slots.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Whether there is a usable server besides these.
+    pub(crate) fn has_others(&self, than: &BTreeSet<usize>) -> bool {
+        let slots = self.slots();
+        (0..slots.len()).any(|i| !than.contains(&i) && !matches!(slots[i].state, State::Disabled(_)))
+    }
+
     /// Wait for a free server and connect to it.
     pub(crate) fn lease(self: &Arc<Self>) -> Result<Lease, Fault> {
         let began = Instant::now();
@@ -260,7 +266,8 @@ fn difference(a: &Hello, b: &Hello) -> Option<String> {
 /// The use of a server for one episode.
 pub(crate) struct Lease {
     pool: Arc<Pool>,
-    slot: usize,
+    /// Its position in the pool.
+    pub(crate) slot: usize,
     pub(crate) address: Address,
     /// `None` after the server was released.
     pub(crate) connection: Option<Connection>,

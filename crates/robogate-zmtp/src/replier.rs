@@ -71,6 +71,8 @@ impl Replier {
                 }
             });
             answer_all(stop, &pending, answer);
+            // A request that arrived after the last answer is dropped with the channel. Its peer would wait for the reply for ever.
+            drop(pending);
         });
     }
 }

@@ -72,7 +72,7 @@ fn libzmq_answers_requests() {
     let mut requester = Requester::new(peer.first_line.parse().unwrap(), LIMITS);
     let big = vec![7; 300_000];
     for frames in [vec![&b"one"[..]], vec![b"", &big[..255], &big[..256]], vec![&big, b"end"]] {
-        let answer = requester.request(&frames, 10 * SECOND).unwrap();
+        let answer = requester.request(&frames, 60 * SECOND).unwrap();
         assert_eq!(answer, frames.iter().rev().map(|frame| frame.to_vec()).collect::<Vec<_>>());
         // libzmq sends heartbeats in the meantime.
         std::thread::sleep(Duration::from_millis(120));
@@ -116,11 +116,30 @@ fn parallel_requests_are_answered() {
                 scope.spawn(move || {
                     let mut requester = Requester::new(address.clone(), LIMITS);
                     for j in 0..50_u8 {
-                        let answer = requester.request(&[vec![i], vec![j]], 10 * SECOND).unwrap();
+                        let answer = requester.request(&[vec![i], vec![j]], 60 * SECOND).unwrap();
                         assert_eq!(answer, [vec![j], vec![i]]);
                     }
                 });
             }
+        });
+    });
+}
+
+/// A request that waits while the server stops gets no answer, and the server ends.
+#[test]
+fn stopped_servers_end_with_requests_left() {
+    let replier = Replier::bind(&"tcp://127.0.0.1:*".parse().unwrap(), LIMITS).unwrap();
+    let (address, stop) = (replier.address().clone(), AtomicBool::new(false));
+    std::thread::scope(|scope| {
+        for _ in 0..3 {
+            let mut requester = Requester::new(address.clone(), LIMITS);
+            scope.spawn(move || requester.request(&[b"x"], 60 * SECOND));
+        }
+        replier.serve(&stop, &mut |frames| {
+            // The other requests arrive meanwhile.
+            std::thread::sleep(SECOND / 5);
+            stop.store(true, Ordering::Relaxed);
+            frames
         });
     });
 }
@@ -130,13 +149,13 @@ fn oversized_messages_close_one_connection() {
     with_replier(|address| {
         let mut greedy = Requester::new(address.clone(), LIMITS);
         let mut modest = Requester::new(address.clone(), LIMITS);
-        assert!(modest.request(&[b"x"], 10 * SECOND).is_ok());
+        assert!(modest.request(&[b"x"], 60 * SECOND).is_ok());
         for message in [vec![vec![0_u8; (1 << 20) + 1]], vec![vec![0; 1 << 20]; 3], vec![Vec::new(); 18]] {
-            let refused = greedy.request(&message, 10 * SECOND).unwrap_err();
+            let refused = greedy.request(&message, 60 * SECOND).unwrap_err();
             assert!(matches!(refused, ZmtpError::Closed | ZmtpError::Io(_)), "{refused}");
-            assert!(modest.request(&[b"x"], 10 * SECOND).is_ok());
+            assert!(modest.request(&[b"x"], 60 * SECOND).is_ok());
         }
-        assert!(greedy.request(&[b"x"], 10 * SECOND).is_ok());
+        assert!(greedy.request(&[b"x"], 60 * SECOND).is_ok());
     });
 }
 
@@ -161,15 +180,18 @@ fn greeted(then: &[u8]) -> Vec<u8> {
 
 #[test]
 fn protocol_errors_are_reported_in_time() {
-    let ask = |bytes: Vec<u8>| {
+    let ask_within = |bytes: Vec<u8>, timeout: Duration| {
         let began = Instant::now();
         let mut requester = Requester::new(peer_that_sends(bytes), LIMITS);
-        let why = requester.request(&[b"?"], SECOND / 2).unwrap_err();
-        assert!(began.elapsed() < 2 * SECOND, "{why}");
+        let why = requester.request(&[b"?"], timeout).unwrap_err();
+        assert!(began.elapsed() < 20 * SECOND, "{why}");
         why.to_string()
     };
-    assert!(ask(Vec::new()).contains("no answer within 0.5 s"));
-    assert!(ask(greeted(b"")).contains("no answer within 0.5 s"));
+    for silent in [Vec::new(), greeted(b"")] {
+        assert!(ask_within(silent, SECOND / 2).contains("no answer within 0.5 s"));
+    }
+    // All other errors come before the timeout.
+    let ask = |bytes: Vec<u8>| ask_within(bytes, 60 * SECOND);
     assert!(ask(b"HTTP/1.1 400 Bad Request\r\n\r\n".to_vec()).contains("sent no ZMTP greeting"));
     let mut curve = greeted(b"");
     curve[12..17].copy_from_slice(b"CURVE");
@@ -214,7 +236,7 @@ fn late_reply_is_dropped() {
     let mut requester = Requester::new(address, LIMITS);
     assert!(matches!(requester.request(&[b"?"], SECOND / 5), Err(ZmtpError::TimedOut(_))));
     std::thread::sleep(SECOND / 2);
-    assert_eq!(requester.request(&[b"?"], SECOND).unwrap(), [b"good"]);
+    assert_eq!(requester.request(&[b"?"], 60 * SECOND).unwrap(), [b"good"]);
 }
 
 #[test]

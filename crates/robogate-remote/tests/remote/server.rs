@@ -65,8 +65,9 @@ impl Drop for Running {
     }
 }
 
+/// Timeouts that no answer of a sound server reaches, even on a busy machine.
 pub(crate) fn timeouts() -> Timeouts {
-    Timeouts::from_step(Duration::from_millis(400))
+    Timeouts::from_step(Duration::from_secs(30))
 }
 
 /// Name of the operation of a request.
