@@ -14,7 +14,7 @@ if ldd "$binary" | grep -v -E 'linux-vdso|ld-linux|libc\.|libm\.|libgcc_s\.|libp
 fi
 out=$(mktemp -d)
 trap 'rm -rf "$out"' EXIT
-"$binary" run -n 6 --seed 1 --out "$out/run"
+"$binary" run -n 30 --seed 1 --out "$out/run"
 # Unsupported requests are usage errors that name the missing feature.
 code=0
 "$binary" robots check franka 2> "$out/refused" || code=$?
