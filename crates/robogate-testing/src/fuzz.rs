@@ -107,6 +107,7 @@ impl Target<'_> {
 ///
 /// # Panics
 /// If the reader panics, or takes too long.
+#[expect(clippy::print_stdout, reason = "the number of inputs is a result of a longer run")]
 pub fn run(
     name: &str,
     inputs: u64,

@@ -37,7 +37,7 @@ fn ruled_out_gates_cannot_pass() {
         for sampling in [Sampling::Fixed, Sampling::Sequential] {
             for every in [2, 3, 5, 7] {
                 for n in [1, 2, 4, 8, 19] {
-                    let ending = |i: u64| if i % every == 0 { invalid() } else { Ending::Success };
+                    let ending = |i: u64| if i.is_multiple_of(every) { invalid() } else { Ending::Success };
                     let so_far = rounds(n, ending);
                     let now = judge(&requirements, &so_far, sampling);
                     let rest = |i: u64| if i < n * CASES { ending(i) } else { Ending::Success };
@@ -90,7 +90,7 @@ fn few_invalid_episodes_change_nothing() {
 /// A fail holds for every outcome of the invalid episodes, so a gate that approaches it continues.
 #[test]
 fn expected_violation_is_awaited() {
-    let ending = |i: u64| if i % 2 == 0 { invalid() } else { miss() };
+    let ending = |i: u64| if i.is_multiple_of(2) { invalid() } else { miss() };
     let so_far = judge(&gate(), &rounds(8, ending), Sampling::Sequential);
     assert!(so_far.ruled_out.is_none(), "{}", so_far.because);
     assert_eq!(judge(&gate(), &rounds(20, ending), Sampling::Sequential).verdict, Verdict::Fail);
