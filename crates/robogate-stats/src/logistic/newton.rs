@@ -4,7 +4,7 @@ use super::data::{BLOCK, Standardized, add_weighted_gram, mirror};
 use robogate_maths::dense::{Cholesky, dot};
 
 /// Smallest pivot of the information, as a fraction of its diagonal. Below it a direction has almost no curvature.
-pub(super) const PIVOT: f64 = 1e-12;
+const PIVOT: f64 = 1e-12;
 /// Maximum number of steps.
 const MOST_STEPS: usize = 50;
 /// Number of steps after which large steps indicate separation.

@@ -7,15 +7,11 @@
 //! maximise Σ aᵢ·d  subject to  aᵢ·d ≥ 0,  -1 ≤ dⱼ ≤ 1,
 //!
 //! solved with constraint generation: rows that the solution violates are added until there are none, so the result
-//! holds for all rows. The program is long for many rows that almost separate, so overlap is tried first: by Stiemke's lemma
-//! (1915) no such d exists if and only if some weights w > 0 have Σ wᵢ aᵢ = 0. Limit: margins below 1e-8 of a standardized unit count as zero. Sources: Albert and Anderson
+//! holds for all rows. Limit: margins below 1e-8 of a standardized unit count as zero. Sources: Albert and Anderson
 //! (1984), Biometrika 71(1); Konis (2007), DPhil thesis, Oxford; the dictionary form of the simplex method as in
 //! Chvátal (1983), with Bland's rule (1977) after a run of steps without progress.
 
-use robogate_maths::dense::{Cholesky, dot};
-
-use super::data::{BLOCK, Standardized, add_weighted_gram, mirror};
-use super::newton::{PIVOT, logistic_and_log};
+use super::data::{BLOCK, Standardized};
 
 /// The kind of separation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,15 +37,9 @@ pub struct Separation {
 
 const MARGIN: f64 = 1e-8;
 const ROUNDS: usize = 200;
-/// Largest sum of the weighted rows in a proof of overlap, in parts of the smallest weight. A direction in the box -1 ≤ dⱼ ≤ 1 that
-/// separates any row by more than this part of its range would contradict the proof.
-const ROUNDING: f64 = 1e-3;
 
 /// Searches for separation, starting from the rows with the smallest margin under `beta`.
 pub(super) fn find(x: &Standardized<'_>, beta: &[f64]) -> Option<Separation> {
-    if overlap(x, beta) {
-        return None;
-    }
     let q = x.parameters();
     let batch = 4 * q;
     let mut total = vec![0.0; q];
@@ -87,53 +77,6 @@ pub(super) fn find(x: &Standardized<'_>, beta: &[f64]) -> Option<Separation> {
         rows: if complete { x.rows } else { found.positive },
         signs: involved.iter().map(|&j| if direction[j] > 0.0 { 1 } else { -1 }).collect(),
     })
-}
-
-/// Whether weights near those of the likelihood's gradient prove that the rows overlap. `false` proves nothing.
-///
-/// The gradient at `beta` is Σ wᵢ aᵢ, where wᵢ is the probability of the other outcome. With the solution h of (Σ wᵢ aᵢ aᵢᵀ) h = Σ wᵢ aᵢ,
-/// the weights wᵢ (1 - aᵢ·h) have the sum 0. They are positive if aᵢ·h < 1 in each row, as near a finite estimate.
-fn overlap(x: &Standardized<'_>, beta: &[f64]) -> bool {
-    let q = x.parameters();
-    let (mut sum, mut gram) = (vec![0.0; q], vec![0.0; q * q]);
-    let (mut eta, mut signed, mut weight) = ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
-    x.for_each_block(|block| {
-        block.predictor(beta, &mut eta);
-        for i in 0..BLOCK {
-            weight[i] = block.weight[i] * logistic_and_log(-block.sign[i] * eta[i]).0;
-            signed[i] = block.sign[i] * weight[i];
-        }
-        for (j, s) in sum.iter_mut().enumerate() {
-            *s += dot(&signed, block.column(j));
-        }
-        add_weighted_gram(&mut gram, q, block, &weight);
-    });
-    mirror(&mut gram, q);
-    let Ok(factor) = Cholesky::new(&gram, q, PIVOT) else { return false };
-    let mut h = sum;
-    factor.solve(&mut h);
-
-    let mut left = vec![0.0; q];
-    let mut smallest = f64::INFINITY;
-    x.for_each_block(|block| {
-        block.predictor(beta, &mut eta);
-        for i in 0..BLOCK {
-            weight[i] = block.weight[i] * logistic_and_log(-block.sign[i] * eta[i]).0;
-        }
-        block.predictor(&h, &mut eta);
-        for i in 0..block.rows {
-            let factor = 1.0 - block.sign[i] * eta[i];
-            if block.weight[i] > 0.0 {
-                smallest = smallest.min(weight[i] * factor);
-            }
-            signed[i] = block.sign[i] * weight[i] * factor;
-        }
-        signed[block.rows..].fill(0.0);
-        for (j, l) in left.iter_mut().enumerate() {
-            *l += dot(&signed, block.column(j));
-        }
-    });
-    smallest > 0.0 && left.iter().map(|l| l.abs()).sum::<f64>() <= ROUNDING * smallest
 }
 
 /// Solves the program for all rows, starting from the given constraints. Violated rows are added until there are none.
@@ -283,7 +226,6 @@ fn maximise(c: &[f64], constraints: &[Vec<f64>]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Data;
     use super::*;
 
     #[test]
@@ -297,24 +239,5 @@ mod tests {
     fn opposed_constraints_give_origin() {
         let d = maximise(&[1.0, 0.5], &[vec![1.0, 0.0], vec![-1.0, 0.0], vec![0.0, 1.0], vec![1.0, -1.0]]);
         assert!(d.iter().all(|v| v.abs() < 1e-12));
-    }
-
-    /// Outcomes along one column, and the answer of the proof at several slopes.
-    fn proofs(outcomes: &[bool]) -> Vec<bool> {
-        let column: Vec<f64> = (0..outcomes.len()).map(|i| i as f64).collect();
-        let columns = [column.as_slice()];
-        let x = super::super::prepare(Data::new(&columns, outcomes, None).unwrap()).unwrap();
-        [0.0, 0.5, 2.0, 8.0].iter().map(|slope| overlap(&x, &[0.0, *slope])).collect()
-    }
-
-    #[test]
-    fn overlap_is_proven_near_the_estimate_only() {
-        let mixed: Vec<bool> = (0..40).map(|i| (i * 7) % 10 > 10 - i / 4).collect();
-        assert!(proofs(&mixed).contains(&true));
-        let complete: Vec<bool> = (0..40).map(|i| i > 25).collect();
-        let quasi: Vec<bool> = (0..40).map(|i| i == 39).collect();
-        for separated in [complete, quasi] {
-            assert_eq!(proofs(&separated), [false; 4]);
-        }
     }
 }
