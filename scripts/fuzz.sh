@@ -7,7 +7,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/common.sh
 
-seconds=$1 part=${2:-}
+seconds=$1 part=${2:-.}
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
 code=0
