@@ -2,7 +2,7 @@
 # Fuzzes every reader of foreign data, and prints how many inputs each was tried with: scripts/fuzz.sh SECONDS [PART_OF_A_NAME]
 #
 # Each target gets SECONDS (some tests have two targets); as many tests run at a time as there are processors. ROBOGATE_FUZZ_SEED is the number of the
-# first input: another one continues an earlier run. A finding is kept as a file, whose name the message has. docs/untrusted-input.md has results.
+# first input: another one continues an earlier run. A finding is kept as a file, whose name the message has.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/common.sh

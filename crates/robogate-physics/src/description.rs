@@ -8,7 +8,7 @@ use mjcf_rs::equality::Equality;
 use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, Unit, UnitQuaternion, Vector3};
 
 use crate::robot::{BELLOWS_JOINT, RobotSource};
-use crate::{Bellows, Chain, ChainJoint, Problem, Robot, RobotError, includes};
+use crate::{Bellows, Chain, ChainJoint, Problem, Robot, RobotError, includes, robot_folder};
 
 /// A tree of rigid bodies. A body without a joint is part of its parent link.
 #[derive(Debug, Clone)]
@@ -156,6 +156,8 @@ impl Description {
         let hint = "Rapier and the cameras read a subset of MJCF without MuJoCo. Try --engine mujoco";
         let invalid = |why: String| RobotError::Invalid { path: path.clone(), problems: vec![Problem::new(why, hint)] };
         let text = includes::replaced(&text, &folder).map_err(invalid)?;
+        // Files within the limits can exceed them together.
+        robot_folder::check_model(text.as_bytes()).map_err(invalid)?;
         let model = mjcf_rs::Model::from_str(&text, &folder).map_err(|e| invalid(e.to_string()))?;
         Reader { model: &model, folder: &folder }.read(robot).map_err(invalid)
     }

@@ -1,14 +1,19 @@
 //! Replaces the includes of an MJCF by the elements of the included files, as MuJoCo does. The name of a file's root element
 //! does not matter, and names of files are relative to the folder of the model.
 
-use std::fs;
 use std::path::Path;
 
-/// The text of a model in this folder with its includes replaced. An include without a readable file stays, so that the
+use crate::robot_folder;
+
+/// Most includes of a model, and longest text with all of them, in bytes. Models of robots have a handful of files.
+const MOST_INCLUDES: usize = 1_000;
+const LONGEST: usize = 64 << 20;
+
+/// The text of a model in this folder with its includes replaced. An include without a readable text file stays, so that the
 /// reader of the model reports it.
 ///
 /// # Errors
-/// If a file is included twice, which MuJoCo rejects too, or has no root element.
+/// If a file is included twice, which MuJoCo rejects too, or has no root element; if there are too many includes, or too much text.
 pub(crate) fn replaced(text: &str, folder: &Path) -> Result<String, String> {
     replaced_once(text, folder, &mut Vec::new())
 }
@@ -26,10 +31,11 @@ fn replaced_once(text: &str, folder: &Path, seen: &mut Vec<String>) -> Result<St
         };
         let (tag, after) = rest.split_at(end);
         rest = after;
-        match included(tag).and_then(|file| Some((file, fs::read_to_string(folder.join(file)).ok()?))) {
+        match included(tag).and_then(|file| Some((file, robot_folder::text(&folder.join(file)).ok()?))) {
             Some((file, _)) if seen.iter().any(|known| known == file) => {
                 return Err(format!("{file} is included twice. Include each file once"));
             }
+            Some(_) if seen.len() == MOST_INCLUDES => return Err(format!("it has more than {MOST_INCLUDES} includes")),
             Some((file, content)) => {
                 let elements =
                     elements(&content).ok_or_else(|| format!("{file}: not an XML file with a root element"))?;
@@ -37,6 +43,9 @@ fn replaced_once(text: &str, folder: &Path, seen: &mut Vec<String>) -> Result<St
                 out.push_str(&replaced_once(elements, folder, seen)?);
                 if !tag.ends_with("/>") {
                     rest = rest.trim_start().strip_prefix("</include>").unwrap_or(rest);
+                }
+                if out.len() > LONGEST {
+                    return Err(format!("it has more than {} MiB with its includes", LONGEST >> 20));
                 }
             }
             None => out.push_str(tag),
@@ -76,6 +85,8 @@ fn elements(text: &str) -> Option<&str> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     #[test]
@@ -97,6 +108,14 @@ mod tests {
             assert_eq!(of(same).unwrap(), same);
         }
         assert!(of("<include file=\"round.xml\"/>").unwrap_err().contains("twice"));
+        // Other spellings of a name are other files, and a device is no text file.
+        let spellings =
+            |n: usize| (1..=n).map(|i| format!("<include file=\"{}c.xml\"/>", "./".repeat(i))).collect::<String>();
+        assert_eq!(of(&spellings(3)).unwrap(), "<c/><c/><c/>");
+        assert!(of(&spellings(1_001)).unwrap_err().contains("more than 1000 includes"));
+        fs::write(folder.join("long.xml"), format!("<m>{}</m>", " ".repeat(9 << 20))).unwrap();
+        assert!(of(&spellings(8).replace("c.xml", "long.xml")).unwrap_err().contains("more than 64 MiB"));
+        assert_eq!(of("<include file=\"/dev/zero\"/>").unwrap(), "<include file=\"/dev/zero\"/>");
         fs::remove_dir_all(&folder).unwrap();
     }
 }

@@ -351,7 +351,7 @@ impl Robot {
     /// Reads a robot together with all problems of its settings.
     pub(crate) fn read(folder: &Path) -> Result<(Self, Vec<Problem>), RobotError> {
         let file = folder.join("robot.toml");
-        let text = robot_folder::settings(&file)?;
+        let text = robot_folder::text(&file)?;
         let settings = RobotSettings::parse(&text, &file)?;
         robot_folder::check(folder)?;
         let mut problems = settings.problems();

@@ -30,8 +30,8 @@ pub(crate) fn files(folder: &Path) -> Result<Vec<RobotFile>, RobotError> {
     Ok(files)
 }
 
-/// Reads the settings of a robot: a regular text file.
-pub(crate) fn settings(path: &Path) -> Result<String, RobotError> {
+/// Reads a regular text file of a robot: its settings, or a part of its model.
+pub(crate) fn text(path: &Path) -> Result<String, RobotError> {
     const LONGEST: u64 = 16 << 20;
     let error = |why: String| RobotError::Read { path: path.to_owned(), why };
     let metadata = fs::metadata(path).map_err(|e| error(e.to_string()))?;

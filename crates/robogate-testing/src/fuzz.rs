@@ -1,13 +1,8 @@
 //! Fuzzing: a reader of foreign bytes is tried with damaged and generated inputs.
 //!
-//! An ordinary test run tries a fixed number of inputs, the same in every run. For a longer run, with its time in seconds for each target:
-//!
-//! ```text
-//! ROBOGATE_FUZZ_SECONDS=600 cargo nextest run -p robogate-dictionary -E 'test(fuzz)' --no-capture
-//! ```
-//!
-//! [`FIRST`] sets the first input, so that runs can continue each other. A finding is reported with its number, which reproduces it, and its input is kept
-//! in the folder for temporary files.
+//! An ordinary test run tries a fixed number of inputs, the same in every run; `scripts/fuzz.sh` tries more. [`FIRST`] sets
+//! the first input, so that runs can continue each other. A finding is reported with its number, which reproduces it, and
+//! its input is kept in the folder for temporary files.
 
 use std::cell::RefCell;
 use std::env;
@@ -85,10 +80,12 @@ pub struct Counts {
 }
 
 impl Target<'_> {
-    /// Tries the reader with these inputs and with mutations of them. `read` returns whether the reader accepted the input.
+    /// Tries the reader with these inputs and with mutations of them. `read` returns whether the reader accepted the
+    /// input.
     ///
     /// # Panics
-    /// If the reader refuses a valid input, panics, or takes too long; and if it accepts or refuses all inputs, which would mean that only one of its checks was tested.
+    /// If the reader refuses a valid input, panics, or takes too long; and if it accepts or refuses all inputs, because then only
+    /// one of its checks was tested.
     pub fn run(&self, mut read: impl FnMut(&[u8]) -> bool) {
         for (i, bytes) in self.valid.iter().enumerate() {
             assert!(read(bytes), "{}: valid input {i} is refused", self.name);
@@ -103,7 +100,8 @@ impl Target<'_> {
     }
 }
 
-/// Tries a reader with the inputs of a generator: `inputs` of them, or what [`SECONDS`] allows. `read` returns whether the reader accepted the input.
+/// Tries a reader with the inputs of a generator: `inputs` of them, or what [`SECONDS`] allows. `read` returns whether the
+/// reader accepted the input.
 ///
 /// # Panics
 /// If the reader panics, or takes too long.

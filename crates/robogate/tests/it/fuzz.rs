@@ -95,6 +95,7 @@ const XML: &[&str] = &[
     "<freejoint/>",
     "mass=\"0\"",
     "<compiler angle=\"degree\"/>",
+    "<include file=\"model.xml\"/>",
     "<!--",
     "-->",
     "<?xml",
@@ -176,10 +177,8 @@ fn fuzzed_statistics_are_read_or_refused() {
 fn fuzzed_trials_are_read_or_refused() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("trials.csv");
-    let space = ParameterSpace::from_toml(
-        &String::from_utf8(fs::read(repository("assets/spaces/franka.toml")).unwrap()).unwrap(),
-    )
-    .unwrap();
+    let space = fs::read_to_string(repository("assets/spaces/franka.toml")).unwrap();
+    let space = ParameterSpace::from_toml(&space).unwrap();
     let valid = b"success,mass_kg,friction,operator\n1,0.5,0.4,anna\n0,1.5,0.2,ben\n".to_vec();
     texts(
         "trials",
@@ -197,10 +196,8 @@ fn fuzzed_cycles_are_read_or_refused() {
     let line = br#"{"id": "a-1", "recipe": "bin", "robot": "r1", "time_s": 12.5, "success": false, "failure_mode": "slip", "cycle_time_s": 3.5, "parameters": {"mass_kg": 0.4}}"#;
     let valid = [line.to_vec(), [&line[..], b"\n\n", line, b"\n"].concat()];
     texts("cycles", &valid, JSON, |text| {
-        // The batch counts its malformed lines: nothing is readable if there are no others.
-        let lines = text.lines().filter(|line| !line.trim().is_empty()).count();
-        Batch::parse(text.as_bytes())
-            .is_ok_and(|batch| format!("{batch:?}").matches("cycle_time_s").count() > 0 && lines > 0)
+        // A batch with malformed lines only is accepted too, but none of its cycles was read.
+        Batch::parse(text.as_bytes()).is_ok_and(|batch| format!("{batch:?}").contains("cycle_time_s"))
     });
 }
 
@@ -237,7 +234,7 @@ fn fuzzed_robot_models_are_read_or_refused() {
 
 /// Runs these commands in a folder of which one file is damaged, the next input another one. They end with a documented code, and
 /// none of them panics.
-fn damaged(name: &str, folder: &Path, names: &[&str], commands: &[&str]) {
+fn damaged(name: &str, folder: &Path, names: &[String], commands: &[&str]) {
     let whole: Vec<(PathBuf, Vec<u8>)> =
         names.iter().map(|name| (folder.join(name), fs::read(folder.join(name)).unwrap())).collect();
     let which = Cell::new(0);
@@ -264,11 +261,20 @@ fn damaged(name: &str, folder: &Path, names: &[&str], commands: &[&str]) {
     assert!(counts.refused > 0, "{counts:?}");
 }
 
+/// The files of a folder in `dir`, relative to `dir`, in order.
+fn names_in(dir: &Path, folder: &str) -> Vec<String> {
+    let files = fs::read_dir(dir.join(folder)).unwrap();
+    let mut names: Vec<String> =
+        files.map(|file| format!("{folder}/{}", file.unwrap().file_name().to_string_lossy())).collect();
+    names.sort();
+    names
+}
+
 #[test]
 fn fuzzed_runs_are_read_or_refused() {
     let dir = tempfile::tempdir().unwrap();
     verb(dir.path(), "run --task pendulum -n 40 --out run", 0, &[]);
-    let names = ["run/plan.json", "run/summary.json", "run/dictionary.parquet"];
+    let names = ["run/plan.json", "run/summary.json", "run/dictionary.parquet"].map(str::to_owned);
     damaged(
         "run",
         dir.path(),
@@ -283,13 +289,8 @@ fn fuzzed_shards_are_read_or_refused() {
     for shard in 0..2 {
         verb(dir.path(), &format!("run --task pendulum --design uniform -n 20 --shard {shard}/2 --out run"), 0, &[]);
     }
-    let mut names: Vec<String> = fs::read_dir(dir.path().join("run/shards"))
-        .unwrap()
-        .map(|file| format!("run/shards/{}", file.unwrap().file_name().to_string_lossy()))
-        .collect();
-    names.sort();
+    let mut names = names_in(dir.path(), "run/shards");
     names.push("run/plan.json".to_owned());
-    let names: Vec<&str> = names.iter().map(String::as_str).collect();
     damaged("shards", dir.path(), &names, &["status run", "plan run --next", "merge run --out merged"]);
 }
 
@@ -298,13 +299,7 @@ fn fuzzed_evidence_is_verified_or_refused() {
     let dir = tempfile::tempdir().unwrap();
     verb(dir.path(), "gate --task pendulum --out gate", 1, &[]);
     verb(dir.path(), "evidence gate evidence", 1, &[]);
-    let mut names: Vec<String> = fs::read_dir(dir.path().join("evidence"))
-        .unwrap()
-        .map(|file| format!("evidence/{}", file.unwrap().file_name().to_string_lossy()))
-        .collect();
-    names.sort();
-    let names: Vec<&str> = names.iter().map(String::as_str).collect();
-    damaged("evidence", dir.path(), &names, &["verify evidence"]);
+    damaged("evidence", dir.path(), &names_in(dir.path(), "evidence"), &["verify evidence"]);
 }
 
 /// Models of arms with grippers that people draft a robot from.
