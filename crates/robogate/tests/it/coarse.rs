@@ -50,7 +50,8 @@ fn coarse_rows_estimate_and_stay_apart() {
     assert!(success.interval_95[0] <= success.rate && success.rate <= success.interval_95[1], "{found:?}");
 
     // Killed in the coarse episodes, then resumed.
-    kill_after(at, &format!("{RUN} --threads 1 --out cut"), |line| line == "24 coarse episodes");
+    let cut = format!("{RUN} --threads 1 --out cut");
+    kill_after(at, &cut, ["cut", "fidelity.json"], |line| line == "24 coarse episodes");
     verb(at, "resume cut", 0, &["Fine and coarse episodes"]);
     for file in FILES {
         let [a, b] = ["a", "cut"].map(|name| fs::read(at.join(name).join(file)).unwrap());

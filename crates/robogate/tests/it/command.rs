@@ -10,7 +10,7 @@ use std::time::Duration;
 use robogate_core::Seed;
 use tempfile::TempDir;
 
-use crate::harness::{TWO_SCENARIOS, assert_done, assert_exit, path, robogate, text};
+use crate::harness::{TWO_SCENARIOS, assert_done, assert_exit, path, robogate, runs_until, text};
 
 /// Asserts exit code 2 and that the message contains each of `parts`.
 #[track_caller]
@@ -41,32 +41,43 @@ fn spawn(arguments: &[&str]) -> std::process::Child {
         .unwrap()
 }
 
+/// Bytes of the journal of a run that has not ended.
+fn recorded(dir: &str) -> u64 {
+    fs::metadata(Path::new(dir).join("journal.rgj")).map_or(0, |file| file.len())
+}
+
+/// Killed again and again, each time after at least one more episode and at a random moment.
 #[test]
 fn killed_runs_resume_identically() {
     let dir = TempDir::new().unwrap();
     let (one, two, killed) = (path(&dir, "one"), path(&dir, "two"), path(&dir, "killed"));
-    run(&one, "120", "1");
-    run(&two, "120", "2");
+    run(&one, "24", "1");
+    run(&two, "24", "2");
     assert!(files(&one) == files(&two), "1 and 2 threads differ");
     let mut delays = Seed::campaign(5).stream("kills");
-    let begin = ["run", "-n", "120", "--threads", "2", "--out", &killed];
-    let mut child = spawn(&begin);
     let mut kills = 0;
-    while kills < 20 {
-        std::thread::sleep(Duration::from_secs_f64(delays.between(0.05, 0.35)));
-        if child.try_wait().unwrap().is_some() {
+    for attempt in 0..20 {
+        let before = recorded(&killed);
+        let begun = Path::new(&killed).join("plan.json").exists();
+        let mut child = if begun {
+            spawn(&["resume", "--threads", "1", &killed])
+        } else {
+            spawn(&["run", "-n", "24", "--threads", "2", "--out", &killed])
+        };
+        // The first kill may come before the plan is written.
+        let grown = attempt == 0 || runs_until(&mut child, || recorded(&killed) > before);
+        std::thread::sleep(Duration::from_secs_f64(delays.between(0.0, 0.05)));
+        kills += usize::from(child.try_wait().unwrap().is_none());
+        child.kill().unwrap();
+        assert!(grown || child.wait().unwrap().success(), "the run failed");
+        child.wait().unwrap();
+        if !grown || Path::new(&killed).join("dictionary.parquet").exists() {
             break;
         }
-        child.kill().unwrap();
-        child.wait().unwrap();
-        kills += 1;
-        let begun = Path::new(&killed).join("plan.json").exists();
-        child = if begun { spawn(&["resume", "--threads", "1", &killed]) } else { spawn(&begin) };
     }
-    assert!(child.wait().unwrap().success());
     println!("killed {kills} times");
-    // A fast machine may finish before the twentieth kill.
     assert!(kills >= 5, "killed {kills} times only");
+    assert_done(&robogate(&["resume", &killed]));
     assert!(files(&one) == files(&killed), "a killed and resumed run differs");
 }
 
@@ -80,11 +91,9 @@ fn interrupt_exits_130_and_resumes() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    // The header says that the campaign is under way.
-    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
-    lines.next().unwrap().unwrap();
-    std::thread::sleep(Duration::from_secs(1));
+    assert!(runs_until(&mut child, || recorded(&out) > 8_000), "no episode is recorded");
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let lines = BufReader::new(child.stderr.take().unwrap()).lines();
     let stderr: Vec<String> = lines.map(Result::unwrap).collect();
     assert_eq!(child.wait().unwrap().code(), Some(130), "{stderr:?}");
     assert!(stderr.iter().any(|line| line.contains("robogate resume")), "{stderr:?}");
@@ -175,9 +184,9 @@ fn wrong_arguments_are_usage_errors() {
 fn finished_and_damaged_runs_are_rejected() {
     let dir = TempDir::new().unwrap();
     let out = path(&dir, "run");
-    run(&out, "45", "2");
+    run(&out, "12", "2");
     let before = files(&out);
-    assert_usage(&["run", "-n", "45", "--out", &out], &["finished run"]);
+    assert_usage(&["run", "-n", "12", "--out", &out], &["finished run"]);
     assert!(files(&out) == before);
     let dictionary = Path::new(&out).join("dictionary.parquet");
     let bytes = fs::read(&dictionary).unwrap();

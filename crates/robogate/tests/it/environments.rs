@@ -227,9 +227,15 @@ fn hanging_starts_are_ended() {
         let began = Instant::now();
         bench.robogate(&format!("run --env {name}.py -n 30 --simulator-timeout {timeout}"), 5, &parts);
         assert!(began.elapsed() < Duration::from_secs(60), "{:?}", began.elapsed());
-        let processes = fs::read_dir("/proc").unwrap();
-        let mut commands = processes.filter_map(|entry| fs::read(entry.ok()?.path().join("cmdline")).ok());
-        assert!(!commands.any(|command| String::from_utf8_lossy(&command).contains(name)), "a process is left");
+        let left = || {
+            let processes = fs::read_dir("/proc").unwrap();
+            let mut commands = processes.filter_map(|entry| fs::read(entry.ok()?.path().join("cmdline")).ok());
+            commands.any(|command| String::from_utf8_lossy(&command).contains(name))
+        };
+        while left() {
+            assert!(began.elapsed() < Duration::from_secs(90), "a process is left");
+            sleep(Duration::from_millis(20));
+        }
     };
     hang("hangs_in_step", "    def step(self, action):\n", "`step`", "1");
     hang("hangs_in_reset", "        super().reset(seed=seed)\n", "`reset`", "0.5");
@@ -515,7 +521,7 @@ fn networks_with_cameras_drive_meta_world() {
                 return dataclasses.replace(drawer, task=dataclasses.replace(drawer.task, time_limit_s=0.5))\n";
     fs::write(bench.at("short.py"), task).unwrap();
     bench.robogate("env inspect short.py", 0, &["corner2.plain"]);
-    fs::write(bench.at("plan.toml"), "[uniform]\nepisodes = 4\n[boundary]\nepisodes = 0\n").unwrap();
+    fs::write(bench.at("plan.toml"), "[uniform]\nepisodes = 3\n[boundary]\nepisodes = 0\n").unwrap();
     let run = "run --env short.py --policy small.onnx --profile profile.toml --map map.toml --plan plan.toml --seed 3";
     let text = bench.robogate(&format!("{run} --threads 2 --out two"), 0, &["looking policy"]);
     assert!(!text.contains("invalid"), "{text}");
@@ -539,7 +545,7 @@ fn servers_end_with_the_command() {
     child.wait().unwrap();
     let began = Instant::now();
     while servers.iter().any(|server| running(*server)) {
-        assert!(began.elapsed() < Duration::from_secs(20), "a server is left");
+        assert!(began.elapsed() < Duration::from_secs(60), "a server is left");
         sleep(Duration::from_millis(20));
     }
 }

@@ -110,7 +110,9 @@ fn interrupted_fleet_resumes_identically() {
     let dir = folder();
     let at = dir.path();
     verb(at, &format!("{FLEET} --out whole"), 0, &[]);
-    kill_after(at, &format!("{FLEET} --out cut"), |line| line.starts_with("unit 2 of 12"));
+    kill_after(at, &format!("{FLEET} --out cut"), ["cut", "fleet-result.json"], |line| {
+        line.starts_with("unit 2 of 12")
+    });
     verb(at, "resume cut", 0, &[]);
     for file in ["fleet-result.json", "unit-003/dictionary.parquet", "unit-012/gate.json"] {
         assert!(

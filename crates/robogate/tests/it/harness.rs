@@ -1,10 +1,15 @@
 //! Runs the command and checks its answer.
 
+use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
+
+/// The longest wait for a condition. A test that fails there would wait for ever; the time is no claim about speed.
+const PATIENCE: Duration = Duration::from_secs(120);
 
 /// A suite with two scenarios.
 pub(crate) const TWO_SCENARIOS: &str = r#"
@@ -89,19 +94,58 @@ pub(crate) fn verb(dir: &Path, line: &str, code: i32, parts: &[&str]) -> String 
     stdout(&output)
 }
 
-/// Starts a line of arguments, separated by spaces, in `dir`, and kills it after the first line on stderr that is `awaited`.
+/// Waits until a process fulfils a condition. Returns `false` if it ends before that.
 #[track_caller]
-pub(crate) fn kill_after(dir: &Path, line: &str, awaited: impl Fn(&str) -> bool) {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
-        .args(line.split(' '))
-        .current_dir(dir)
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
-    assert!(lines.any(|line| awaited(&line.unwrap())), "{line} ended before the awaited line");
-    child.kill().unwrap();
-    child.wait().unwrap();
+pub(crate) fn runs_until(child: &mut Child, mut condition: impl FnMut() -> bool) -> bool {
+    let begun = Instant::now();
+    while !condition() {
+        if child.try_wait().unwrap().is_some() {
+            return false;
+        }
+        assert!(begun.elapsed() < PATIENCE, "the condition was not fulfilled in {PATIENCE:?}");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    true
+}
+
+/// Starts a line of arguments, separated by spaces, in `dir`, and kills it when it fulfils a condition. It must not have written
+/// the file `end` of its folder `out` by then: if a busy machine lets it, the folder is removed and the line is started again.
+#[track_caller]
+fn kill_when(dir: &Path, line: &str, [out, end]: [&str; 2], mut condition: impl FnMut(&mut Child) -> bool) {
+    for _ in 0..10 {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+            .args(line.split(' '))
+            .current_dir(dir)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let fulfilled = condition(&mut child);
+        child.kill().unwrap();
+        let status = child.wait().unwrap();
+        if fulfilled && status.code().is_none() && !dir.join(out).join(end).exists() {
+            return;
+        }
+        fs::remove_dir_all(dir.join(out)).unwrap();
+    }
+    panic!("{line} ended each time before it was killed");
+}
+
+/// Kills a line of arguments after the first line on stderr that is `awaited`, and before it writes the file `end` of its folder
+/// `out`.
+#[track_caller]
+pub(crate) fn kill_after(dir: &Path, line: &str, [out, end]: [&str; 2], awaited: impl Fn(&str) -> bool) {
+    kill_when(dir, line, [out, end], |child| {
+        BufReader::new(child.stderr.as_mut().unwrap()).lines().any(|line| awaited(&line.unwrap()))
+    });
+}
+
+/// Kills a line of arguments when `file` in its folder `out` has more than `bytes` bytes, and before it writes the file `end`.
+#[track_caller]
+pub(crate) fn kill_at_size(dir: &Path, line: &str, [out, end]: [&str; 2], file: &str, bytes: u64) {
+    let file = dir.join(out).join(file);
+    let grown = || fs::metadata(&file).is_ok_and(|file| file.len() > bytes);
+    kill_when(dir, line, [out, end], |child| runs_until(child, &grown));
 }
 
 /// Runs the commands that `robogate plan` prints for a campaign in shards until it prints none. Returns how many there were.

@@ -7,7 +7,7 @@ use std::process::Command;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::harness::robogate_in;
+use crate::harness::{TWO_SCENARIOS, robogate_in};
 
 /// Runs the command, which must succeed.
 fn done(folder: &Path, arguments: &[&str]) -> String {
@@ -117,9 +117,14 @@ fn images(text: &str) -> Vec<(&str, &str)> {
 
 #[test]
 fn markdown_shows_frames() {
-    let dir = run_of("24");
+    let dir = run_of("12");
     done(dir.path(), &["report", "run", "--format", "md", "--out", "the page.md"]);
-    done(dir.path(), &["gate", "--requirements", "paper", "--rounds", "1", "--out", "gate", "--quiet"]);
+    fs::write(dir.path().join("two.toml"), TWO_SCENARIOS).unwrap();
+    let requirements = "name = \"half\"\nmode = \"point\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.5\n";
+    fs::write(dir.path().join("half.toml"), requirements).unwrap();
+    let gate = "gate --suite two.toml --requirements half.toml --rounds 2 --out gate --quiet";
+    let judged = robogate_in(dir.path(), &gate.split(' ').collect::<Vec<_>>());
+    assert!([Some(0), Some(1)].contains(&judged.status.code()), "{}", String::from_utf8_lossy(&judged.stderr));
     for page in ["the page.md", "gate/gate.md"] {
         let path = dir.path().join(page);
         let text = fs::read_to_string(&path).unwrap();

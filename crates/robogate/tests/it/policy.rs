@@ -172,14 +172,14 @@ fn a_run_is_resumed_after_a_server_stopped() {
     // The first episode takes seven requests.
     go_down(listener, 10);
     let run = dir.path().join("run").to_str().unwrap().to_owned();
-    let start = two_stages(&url, &profile, &run, "-n 24 --threads 1");
+    let start = two_stages(&url, &profile, &run, "-n 18 --threads 1");
     assert_exit(&start, 5, &["10 episodes in a row were lost", "robogate resume"]);
     assert_exit(&["resume", &run], 5, &["unreachable", &url]);
     go_down(TcpListener::bind(address).unwrap(), usize::MAX);
     assert_exit(&["resume", &run, "--threads", "1"], 0, &[]);
     // The ten lost episodes ran again, and the record says so.
     let outcomes = outcomes(&run);
-    assert_eq!(outcomes.len(), 24);
+    assert_eq!(outcomes.len(), 18);
     assert!(!outcomes.iter().any(|outcome| outcome == "invalid"), "{outcomes:?}");
     let summary = fs::read_to_string(Path::new(&run).join("summary.json")).unwrap();
     assert!(summary.contains("\"lost_attempts\": 10") && summary.contains("\"episodes\": 10"), "{summary}");

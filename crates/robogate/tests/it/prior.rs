@@ -2,12 +2,11 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
 
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::{run_all_shards, verb};
+use crate::harness::{kill_at_size, run_all_shards, verb};
 
 /// The campaign whose model is the prior.
 const OLD: &str = "run --task pendulum -n 160 --seed 3 --out old";
@@ -22,27 +21,6 @@ fn same_files(dir: &Path, a: &str, b: &str) {
         let [a, b] = [a, b].map(|name| fs::read(dir.join(name).join(file)).unwrap());
         assert!(a == b, "{file} differs");
     }
-}
-
-/// Starts `line` and kills it as soon as the journal of `folder` has more than `bytes` bytes.
-fn kill_after(dir: &Path, line: &str, folder: &str, bytes: u64) {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
-        .args(line.split(' '))
-        .current_dir(dir)
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let journal = dir.join(folder).join("journal.rgj");
-    for _ in 0..5_000 {
-        if fs::metadata(&journal).is_ok_and(|file| file.len() > bytes) {
-            break;
-        }
-        std::thread::sleep(std::time::Duration::from_millis(2));
-    }
-    child.kill().unwrap();
-    child.wait().unwrap();
-    assert!(journal.exists(), "the campaign was not interrupted");
 }
 
 /// A copy of the files of a folder.
@@ -69,7 +47,8 @@ fn prior_gives_the_same_bytes_for_any_execution() {
     assert!(with != without);
 
     // Killed, and resumed without the folder of the earlier run.
-    kill_after(at, &format!("{NEW} --threads 1 --out cut"), "cut", 6_000);
+    kill_at_size(at, &format!("{NEW} --threads 1 --out cut"), ["cut", "dictionary.parquet"], "journal.rgj", 6_000);
+    assert!(at.join("cut/journal.rgj").exists(), "the campaign was not interrupted");
     copy(at, "cut", "changed");
     verb(at, &format!("{NEW} --divide 2 --out run"), 0, &[]);
     fs::rename(at.join("old"), at.join("gone")).unwrap();

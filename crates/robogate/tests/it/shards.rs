@@ -11,7 +11,7 @@ use std::time::Instant;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::{TWO_SCENARIOS, run_all_shards, verb};
+use crate::harness::{TWO_SCENARIOS, run_all_shards, runs_until, verb};
 
 /// The files of a folder, without its subfolders.
 fn files(dir: &Path) -> BTreeMap<String, Vec<u8>> {
@@ -197,7 +197,7 @@ fn active_shards_equal_single_run() {
 #[test]
 fn killed_merge_can_be_repeated() {
     let (one, many) = (TempDir::new().unwrap(), TempDir::new().unwrap());
-    let run = "run --task pendulum -n 600 --seed 5 --out run";
+    let run = "run --task pendulum -n 120 --seed 5 --out run";
     verb(one.path(), run, 0, &[]);
     verb(many.path(), &format!("{run} --divide 2"), 0, &[]);
     run_all_shards(many.path(), "run");
@@ -221,7 +221,7 @@ fn killed_merge_can_be_repeated() {
     assert!(files(&many.path().join("run")) == files(&one.path().join("run")));
 }
 
-#[cfg(unix)]
+#[cfg(target_os = "linux")]
 #[test]
 fn interrupted_shard_is_not_committed() {
     let dir = TempDir::new().unwrap();
@@ -232,13 +232,18 @@ fn interrupted_shard_is_not_committed() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
-    assert!(lines.any(|line| line.unwrap().starts_with("shard 0/1")), "the shard did not start");
-    // The handler of signals is installed after that line.
-    thread::sleep(std::time::Duration::from_millis(300));
+    // SIGINT, number 2, has a handler.
+    let status = format!("/proc/{}/status", child.id());
+    let handled = || {
+        let status = fs::read_to_string(&status).unwrap_or_default();
+        let mask = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+        mask.is_some_and(|mask| u64::from_str_radix(mask.trim(), 16).unwrap() & 0b10 != 0)
+    };
+    assert!(runs_until(&mut child, handled), "the shard ended");
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
-    let rest: Vec<String> = lines.map(Result::unwrap).collect();
-    assert_eq!(child.wait().unwrap().code(), Some(130), "{rest:?}");
-    assert!(rest.iter().any(|line| line.contains("not committed")), "{rest:?}");
+    let printed: Vec<String> = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap).collect();
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{printed:?}");
+    assert!(printed.iter().any(|line| line.starts_with("shard 0/1")), "{printed:?}");
+    assert!(printed.iter().any(|line| line.contains("not committed")), "{printed:?}");
     assert_eq!(files(&at.join("run/shards")).keys().collect::<Vec<_>>(), ["layout.json"]);
 }

@@ -3,13 +3,12 @@
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
-use std::time::Duration;
 
 use tempfile::TempDir;
 
-use crate::harness::{path, robogate};
+use crate::harness::{path, robogate, runs_until};
 
-const SMALL: [&str; 8] = ["study", "--budget", "12", "--repeats", "2", "--test", "24", "--out"];
+const SMALL: [&str; 8] = ["study", "--budget", "6", "--repeats", "2", "--test", "12", "--out"];
 
 fn study(out: &str, more: &[&str]) -> Output {
     robogate(&[&SMALL[..], &[out], more].concat())
@@ -17,6 +16,13 @@ fn study(out: &str, more: &[&str]) -> Output {
 
 fn results(out: &str) -> [Vec<u8>; 2] {
     ["result.json", "boundary-focusing.md"].map(|name| fs::read(Path::new(out).join(name)).unwrap())
+}
+
+/// The bytes of all files below a folder. A file that is renamed meanwhile may be missing.
+fn bytes_of(dir: &Path) -> u64 {
+    let Ok(entries) = fs::read_dir(dir) else { return 0 };
+    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    paths.map(|path| if path.is_dir() { bytes_of(&path) } else { path.metadata().map_or(0, |file| file.len()) }).sum()
 }
 
 #[test]
@@ -27,9 +33,10 @@ fn killed_studies_resume_identically() {
     let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success(), "{stderr}");
     let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!((&document["version"], &document["budget"], &document["repeats"]), (&2.into(), &12.into(), &2.into()));
-    let mut kills = 0;
-    for delay in [300, 500, 700, 900, 1100] {
+    assert_eq!((&document["version"], &document["budget"], &document["repeats"]), (&2.into(), &6.into(), &2.into()));
+    let recorded = || bytes_of(Path::new(&killed));
+    for _ in 0..4 {
+        let before = recorded();
         let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
             .args(SMALL)
             .arg(&killed)
@@ -37,23 +44,19 @@ fn killed_studies_resume_identically() {
             .stderr(Stdio::null())
             .spawn()
             .unwrap();
-        std::thread::sleep(Duration::from_millis(delay));
-        if child.try_wait().unwrap().is_some() {
-            break;
-        }
+        assert!(runs_until(&mut child, || recorded() > before), "the study finished before its kill");
         child.kill().unwrap();
         child.wait().unwrap();
-        kills += 1;
     }
-    assert!(kills > 0, "the study finished before the first kill");
+    assert!(!Path::new(&killed).join("result.json").exists(), "the study was not interrupted");
     let output = study(&killed, &[]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert!(String::from_utf8_lossy(&output.stdout).contains("Is boundary focusing worth it?"));
     assert!(results(&whole) == results(&killed), "a killed study differs");
 
-    let other = robogate(&["study", "--budget", "14", "--repeats", "2", "--test", "24", "--out", &whole]);
+    let other = robogate(&["study", "--budget", "8", "--repeats", "2", "--test", "12", "--out", &whole]);
     let stderr = String::from_utf8_lossy(&other.stderr).into_owned();
-    assert!(other.status.code() == Some(2) && stderr.contains("budget (12, not 14)"), "{stderr}");
+    assert!(other.status.code() == Some(2) && stderr.contains("budget (6, not 8)"), "{stderr}");
 }
 
 #[test]

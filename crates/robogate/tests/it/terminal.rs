@@ -74,7 +74,7 @@ fn fits(folder: &Path, name: &str, line: impl Fn(usize) -> String, code: i32, pa
             }
             live += usize::from(is_live(&lines));
             assert!(begun.elapsed() < PATIENCE, "{name}, {columns} columns: {lines:#?}");
-            std::thread::sleep(Duration::from_millis(100));
+            std::thread::sleep(Duration::from_millis(50));
         };
         assert!(last.contains(&format!("exit {code}")), "{name}, {columns} columns: {last:#?}");
         assert!(!is_live(&last), "{name}, {columns} columns: {last:#?}");
@@ -102,15 +102,15 @@ fn trials(folder: &Path) {
 fn live_views_fit_the_terminal() {
     let Some(_) = robogate_testing::program("tmux") else { return };
     let dir = TempDir::new().unwrap();
-    let run = |columns| format!("run --task pendulum --design uniform -n 600 --seed 3 --threads 1 --out run-{columns}");
+    let run = |columns| format!("run --task pendulum --design uniform -n 300 --seed 3 --threads 1 --out run-{columns}");
     let live = fits(dir.path(), "run", run, 0, &["uniform", "episodes in ", "success", "report"]);
     assert!(live > 0, "the run showed no progress");
     for k in 0..2 {
-        let shard = format!("run --task pendulum --design uniform -n 600 --seed 3 --shard {k}/2 --out shards");
+        let shard = format!("run --task pendulum --design uniform -n 300 --seed 3 --shard {k}/2 --out shards");
         assert_done(&robogate_in(dir.path(), &shard.split(' ').collect::<Vec<_>>()));
     }
     let merge = |columns| format!("merge shards --out merged-{columns}");
-    fits(dir.path(), "merge", merge, 0, &["600 episodes in 2 shards", "success", "report"]);
+    fits(dir.path(), "merge", merge, 0, &["300 episodes in 2 shards", "success", "report"]);
     let gate = |columns| format!("gate --task pendulum --out gate-{columns}");
     let live = fits(dir.path(), "gate", gate, 1, &["FAIL", "success rate at least 92.0 %"]);
     assert!(live > 0, "the gate showed no progress");
@@ -125,7 +125,7 @@ fn live_views_fit_the_terminal() {
 fn quiet_verbs_print_results_only() {
     let dir = TempDir::new().unwrap();
     for k in 0..2 {
-        let shard = format!("run --task pendulum --design uniform -n 300 --seed 3 --shard {k}/2 --out shards");
+        let shard = format!("run --task pendulum --design uniform -n 120 --seed 3 --shard {k}/2 --out shards");
         assert_done(&robogate_in(dir.path(), &shard.split(' ').collect::<Vec<_>>()));
     }
     trials(dir.path());

@@ -2,12 +2,11 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
 
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::{kill_after, run_all_shards, verb};
+use crate::harness::{kill_after, kill_at_size, run_all_shards, verb};
 
 fn json(path: &Path) -> Value {
     serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
@@ -58,7 +57,7 @@ fn twins_do_not_depend_on_threads_shards_or_interruptions() {
 
     // Killed in each arm, then resumed.
     for (cut, arm) in [("cut-nominal", "control arm: "), ("cut-families", "arm of one family each: ")] {
-        kill_after(at, &format!("{RUN} --threads 1 --out {cut}"), |line| line.contains(arm));
+        kill_after(at, &format!("{RUN} --threads 1 --out {cut}"), [cut, "twins.json"], |line| line.contains(arm));
         assert!(!at.join(cut).join("twins.json").exists(), "the arm was not interrupted");
         verb(at, &format!("resume {cut}"), 0, &["Control arm"]);
         same_files(at, "a", cut);
@@ -207,23 +206,9 @@ fn interrupted_comparison_resumes_identically() {
     };
     let output = |out: &str| verb(at, &gate(out), 1, &["not worse than random"]);
     output("whole");
-    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
-        .args(gate("cut").split(' '))
-        .current_dir(at)
-        .stderr(Stdio::null())
-        .stdout(Stdio::null())
-        .spawn()
-        .unwrap();
     // Both policies have episodes.
+    kill_at_size(at, &gate("cut"), ["cut", "against.parquet"], "against.rgj", 2_000);
     let journal = at.join("cut/against.rgj");
-    for _ in 0..2_000 {
-        if fs::metadata(&journal).is_ok_and(|file| file.len() > 2_000) {
-            break;
-        }
-        std::thread::sleep(std::time::Duration::from_millis(5));
-    }
-    child.kill().unwrap();
-    child.wait().unwrap();
     assert!(journal.exists() && !at.join("cut/against.parquet").exists(), "the gate was not interrupted");
     verb(at, "resume cut", 1, &["not worse than random"]);
     assert!(!journal.exists() && !at.join("cut/against.json").exists());

@@ -163,7 +163,7 @@ fn paired_runs_can_be_replayed() {
             "--design",
             "two-stage",
             "-n",
-            "45",
+            "24",
             "--grip-force",
             force,
             "--threads",
@@ -177,7 +177,7 @@ fn paired_runs_can_be_replayed() {
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     let document: Value = serde_json::from_slice(&output.stdout).unwrap();
     let pair = &document["paired"][0];
-    assert_eq!(pair["scenarios"], 30);
+    assert_eq!(pair["scenarios"], 16);
     assert_eq!(document["reach"][0]["reach_m"], 0.855);
     assert!(pair["first_only"].as_u64().unwrap() > 0, "a gripper of 2 N loses nothing that one of 30 N holds");
     let command = pair["flips"][0]["replay"][0].as_str().unwrap();
@@ -186,7 +186,7 @@ fn paired_runs_can_be_replayed() {
     assert!(Path::new(words[2]).is_dir());
     assert_eq!(robogate(&words[1..]).status.code(), Some(0));
     let other = path(&dir, "other");
-    robogate(&["run", "--design", "two-stage", "-n", "45", "--seed", "9", "--threads", "1", "--out", &other]);
+    robogate(&["run", "--design", "two-stage", "-n", "24", "--seed", "9", "--threads", "1", "--out", &other]);
     assert_refused(&["compare", &strong, &other, "--paired"], &["row 0", "seed"]);
 }
 

@@ -261,19 +261,19 @@ impl Page {
 #[test]
 fn full_tables_show_a_sample() {
     let dir = TempDir::new().unwrap();
-    robogate(dir.path(), "run --task pendulum --design uniform -n 2000 --seed 3 --out a");
-    let server = Server::start(dir.path(), &["a", "--rows", "700"]);
+    robogate(dir.path(), "run --task pendulum --design uniform -n 1000 --seed 3 --out a");
+    let server = Server::start(dir.path(), &["a", "--rows", "350"]);
     let state = server.json("/v1/state");
     let rows = state["rows"].as_u64().unwrap();
-    assert!((350..=700).contains(&rows) && state["halvings"] == json!(2), "{state}");
+    assert!((175..=350).contains(&rows) && state["halvings"] == json!(2), "{state}");
     let counts = &state["runs"][0]["counts"];
-    assert_eq!((&counts["n"], &state["runs"][0]["rows"]), (&json!(2000), &json!(2000)));
+    assert_eq!((&counts["n"], &state["runs"][0]["rows"]), (&json!(1000), &json!(1000)));
     let report = analysis(dir.path(), "a");
     assert_eq!(counts["k"], report["success"]["rate"]["successes"]);
     let Some(chromium) = robogate_testing::program("chromium") else { return };
     let mut page = Page::open(&chromium, &server);
     assert_eq!(page.rows(), rows);
-    page.0.wait("document.querySelector('.x-what')?.textContent.includes('of 2,000 episodes succeeded')");
+    page.0.wait("document.querySelector('.x-what')?.textContent.includes('of 1,000 episodes succeeded')");
     page.0.wait("document.querySelector('.x-status').textContent.includes('random sample of')");
     page.0.evaluate("robogateExplorer.explorer.brush(robogateExplorer.explorer.axes[0], [0.2, 0.6])");
     page.0.wait("document.querySelector('.x-more')?.textContent.includes('Counted in the random sample')");
@@ -444,8 +444,8 @@ fn exported_page_is_operated() {
     let Some(chromium) = robogate_testing::program("chromium") else { return };
     let axe = robogate_testing::path("ROBOGATE_TEST_AXE", "the file axe.min.js of axe-core");
     let dir = TempDir::new().unwrap();
-    robogate(dir.path(), "run -n 150 --seed 7 --out a");
-    robogate(dir.path(), "run -n 40 --seed 8 --policy random --out b");
+    robogate(dir.path(), "run -n 72 --seed 7 --out a");
+    robogate(dir.path(), "run -n 12 --seed 8 --policy random --out b");
     let text = robogate(dir.path(), "view a b --export explorer.html --clips 4");
     assert!(text.contains("4 recorded episodes"), "{text}");
     let mut browser = Browser::start(&chromium);
@@ -482,7 +482,7 @@ fn rates_equal_the_report() {
     let dir = TempDir::new().unwrap();
     let designs = ["active", "two-stage", "uniform"];
     for design in designs {
-        robogate(dir.path(), &format!("run --task pendulum --design {design} -n 300 --seed 3 --out {design}"));
+        robogate(dir.path(), &format!("run --task pendulum --design {design} -n 240 --seed 3 --out {design}"));
     }
     robogate(dir.path(), &format!("view {} --export page.html --clips 0", designs.join(" ")));
     let mut browser = Browser::start(&chromium);
@@ -564,7 +564,7 @@ fn brushed(browser: &mut Browser) -> (f64, Value) {
         (seconds, browser.evaluate("robogateExplorer.explorer.work.frames").as_f64().unwrap())
     };
     let before = spent(browser);
-    let measured = browser.evaluate("robogateExplorer.measure(60)");
+    let measured = browser.evaluate("robogateExplorer.measure(30)");
     let after = spent(browser);
     (1e3 * (after.0 - before.0) / (after.1 - before.1), measured)
 }

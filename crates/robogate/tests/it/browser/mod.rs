@@ -56,6 +56,8 @@ impl Browser {
             .args(["--headless", "--no-sandbox", "--no-first-run", "--disable-background-networking", "--disable-sync"])
             .args(["--disable-component-update", "--hide-scrollbars", "--window-size=1280,1000"])
             .args(["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-port=0"])
+            // WebGL is emulated on the processor. What is around it is painted in less time without that emulation.
+            .arg("--disable-gpu-compositing")
             .arg(format!("--user-data-dir={}", profile.path().display()))
             .arg("about:blank")
             .stderr(Stdio::piped())
@@ -151,8 +153,14 @@ impl Browser {
         let begun = Instant::now();
         while self.evaluate(condition) != json!(true) {
             assert!(begun.elapsed() < PATIENCE, "{condition} did not become true; troubles: {:?}", self.troubles);
-            std::thread::sleep(Duration::from_millis(100));
+            std::thread::sleep(Duration::from_millis(40));
         }
+    }
+
+    /// Sets the size of the window, and how many pixels of the screen are one pixel of the page in each direction.
+    pub fn resize(&mut self, width: u64, height: u64, scale: f64) {
+        let window = json!({ "width": width, "height": height, "deviceScaleFactor": scale, "mobile": false });
+        self.call("Emulation.setDeviceMetricsOverride", window);
     }
 
     /// Presses a key on the focused element.
