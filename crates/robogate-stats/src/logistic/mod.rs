@@ -18,6 +18,7 @@
 //! Sources: McCullagh and Nelder (1989), chapter 4; Albert and Anderson (1984); Firth (1993), Biometrika 80(1); Heinze
 //! and Schemper (2002), Statistics in Medicine 21; White (1982) for the sandwich; Peduzzi et al. (1996) for ten events.
 
+mod cone;
 mod data;
 mod newton;
 mod separation;

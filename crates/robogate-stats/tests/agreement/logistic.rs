@@ -142,24 +142,75 @@ fn quasi_separation_uses_firth() {
     }
 }
 
+/// Asserts the number of separated rows, and returns the kind that follows from it.
+fn separates(columns: &[&[f64]], outcomes: &[bool], rows: u64, case: &str) -> &'static str {
+    let data = Data::new(columns, outcomes, None).unwrap();
+    let found = separation(data).unwrap();
+    assert_eq!(found.as_ref().map_or(0, |found| found.rows as u64), rows, "{case}");
+    assert!(fit(data, Options::default()).is_ok(), "{case}");
+    match found.map(|found| found.kind) {
+        None => "none",
+        Some(SeparationKind::Quasi) => "quasi",
+        Some(SeparationKind::Complete) => {
+            assert_eq!(rows as usize, outcomes.len(), "{case}");
+            "complete"
+        }
+    }
+}
+
 #[test]
 fn separation_matches_scipy() {
     let mut kinds = std::collections::BTreeMap::new();
-    for case in list(&reference()["separation"]) {
+    let reference: Value = serde_json::from_str(include_str!("../reference/separation.json")).unwrap();
+    for case in list(&reference["small"]) {
         let owned = columns(&case["columns"]);
-        let columns = borrowed(&owned);
         let outcomes: Vec<bool> = list(&case["outcomes"]).iter().map(|o| count(o) > 0).collect();
-        let data = Data::new(&columns, &outcomes, None).unwrap();
-        let kind = match separation(data).unwrap() {
-            None => "none",
-            Some(found) if found.kind == SeparationKind::Quasi => "quasi",
-            Some(_) => "complete",
-        };
-        assert_eq!(kind, case["kind"].as_str().unwrap(), "{case}");
-        assert!(fit(data, Options::default()).is_ok(), "{case}");
+        let kind = separates(&borrowed(&owned), &outcomes, count(&case["rows"]), &case.to_string());
         *kinds.entry(kind).or_insert(0) += 1;
     }
     assert!(kinds.len() == 3 && kinds.values().all(|n| *n >= 10), "{kinds:?}");
+}
+
+/// Rare outcomes, rare categories and up to 33 columns, from the integers of `tests/reference/separation.py`.
+#[test]
+fn separation_of_many_columns_matches_scipy() {
+    fn unit(row: u64, column: u64, case: u64) -> f64 {
+        let mut x = (row * 2_654_435_761 + column * 40_503 + case * 97 + 12_345) % (1 << 32);
+        for (shift, factor) in [(15, 2_246_822_519), (13, 3_266_489_917), (16, 1)] {
+            x = ((x ^ (x >> shift)) * factor) % (1 << 32);
+        }
+        x as f64 / (1_u64 << 32) as f64
+    }
+    let value = |row, column, case| {
+        let u = unit(row, column, case);
+        match column % 3 {
+            0 => (100.0 * u).floor() / 100.0,
+            1 => f64::from(u < 0.03),
+            _ => (3.0 * u).floor(),
+        }
+    };
+    let reference: Value = serde_json::from_str(include_str!("../reference/separation.json")).unwrap();
+    for (case, expected) in (0..).zip(list(&reference["large"])) {
+        let rows = count(&expected["rows"]);
+        let owned: Vec<Vec<f64>> = (0..count(&expected["columns"]))
+            .map(|column| (0..rows).map(|row| value(row, column, case)).collect())
+            .collect();
+        let outcomes: Vec<bool> = (0..rows)
+            .zip(owned[0].iter().zip(&owned[1]).zip(&owned[2]))
+            .map(|(row, ((x, special), level))| {
+                let rare = unit(row, 99, case) < 0.02 + 0.01 * (case % 3) as f64;
+                match case % 4 {
+                    0 => rare,
+                    1 => rare && *special < 0.5,
+                    2 => x + level / 3.0 > 0.8,
+                    _ if *special > 0.5 => *x > 0.5,
+                    _ => rare,
+                }
+            })
+            .collect();
+        let text = format!("case {case}: {expected}");
+        separates(&borrowed(&owned), &outcomes, count(&expected["separated"]), &text);
+    }
 }
 
 #[test]

@@ -1,8 +1,7 @@
 //! Compares every estimator with SciPy, statsmodels, scikit-learn, LightGBM or an independent implementation in Python.
 //!
-//! `tests/reference/generate.py`, `gate.py`, `ridge.py`, `boosting.py`, `claims.py` and `transfer.py` compute the
-//! reference values. Their `requirements.txt` pins the
-//! versions.
+//! `tests/reference/generate.py`, `gate.py`, `ridge.py`, `separation.py`, `boosting.py`, `claims.py` and
+//! `transfer.py` compute the reference values. Their `requirements.txt` pins the versions.
 
 #![expect(clippy::unwrap_used, reason = "test helpers fail by panicking")]
 

@@ -376,24 +376,6 @@ values = np.round(rng.normal(size=37), 3)
 OUT["percentile"] = {"values": lst(values), "ends": lst(np.percentile(values, [5, 95])), "sd": float(values.std(ddof=1))}
 
 
-# ---------------------------------------------------------------- separation: reference by linear programs of SciPy
-sep_rng = np.random.default_rng(5)
-OUT["separation"] = []
-while len(OUT["separation"]) < 90:
-    rows, q = int(sep_rng.integers(4, 40)), int(sep_rng.integers(1, 5))
-    xs_ = [sep_rng.integers(0, 3, rows) if sep_rng.random() < 0.6 else np.round(sep_rng.normal(size=rows), 1) for _ in range(q)]
-    eta = np.column_stack(xs_) @ (sep_rng.normal(size=q) * sep_rng.choice([0.5, 3, 10]))
-    ys_ = sep_rng.random(rows) < sp.expit(eta - np.median(eta))
-    design = np.column_stack([np.ones(rows), *xs_])
-    if ys_.all() or not ys_.any() or np.linalg.matrix_rank(design) < q + 1:
-        continue
-    signed = design * np.where(ys_, 1, -1)[:, None]
-    some = so.linprog(-signed.sum(0), A_ub=-signed, b_ub=np.zeros(rows), bounds=[(-1, 1)] * (q + 1))
-    every = so.linprog(np.r_[np.zeros(q + 1), -1], A_ub=np.column_stack([-signed, np.ones(rows)]), b_ub=np.zeros(rows), bounds=[(-1, 1)] * (q + 1) + [(None, 1)])
-    kind = "complete" if -every.fun > 1e-7 else "quasi" if -some.fun > 1e-7 else "none"
-    OUT["separation"].append({"columns": [[float(c) for c in col] for col in xs_], "outcomes": [int(o) for o in ys_], "kind": kind})
-
-
 # ---------------------------------------------------------------- anytime-valid test of a rate, by quadrature
 import scipy.integrate as si
 
