@@ -10,7 +10,6 @@ With `--workers` as the last argument: also how much faster two workers are than
 PYTHON is an interpreter with Meta-World.
 """
 
-import contextlib
 import csv
 import math
 import os
@@ -67,14 +66,9 @@ class Side:
         self._connection.sendall(b"e")
 
     def _cpu_s(self):
-        """The time that the threads of its processes have run."""
-        nanoseconds = 0
-        for process in self._processes:
-            for file in Path(f"/proc/{process}/task").glob("*/schedstat"):
-                # A thread may end meanwhile.
-                with contextlib.suppress(OSError):
-                    nanoseconds += int(file.read_text(encoding="ascii").split()[0])
-        return 1e-9 * nanoseconds
+        """The time that its processes have run."""
+        # The number that clock_getcpuclockid(3) returns on Linux. /proc has the time of a running process with a delay.
+        return sum(time.clock_gettime((~process << 3) | 2) for process in self._processes)
 
 
 def arguments_of(folder, episodes):
@@ -125,9 +119,12 @@ def pairs_of(robogate, python, task, pairs, folder):
                         raise SystemExit(f"error: {task}, {name}: {process.communicate()[1]}") from None
                 continue
             connection.settimeout(600.0)
-            with connection.makefile("r", encoding="utf-8", newline="\n", buffering=1) as file:
-                name, *processes = file.readline().split()
-            sides[name] = Side(connection, processes)
+            # Byte by byte: what follows the line says that the side waits for its first block.
+            greeting = b""
+            while not greeting.endswith(b"\n."):
+                greeting += connection.recv(1) or exit(f"error: {task}: a side ended early")
+            name, *processes = greeting[:-2].decode("utf-8").split()
+            sides[name] = Side(connection, [int(process) for process in processes])
         found = []
         for number in range(WARM_UP + pairs):
             order = ("gated", "plain") if number % 2 else ("plain", "gated")
@@ -136,8 +133,10 @@ def pairs_of(robogate, python, task, pairs, folder):
         for side in sides.values():
             side.end()
         output = {name: process.communicate()[0] for name, process in started.items()}
-    steps = int(output["plain"].split()[-1])
-    assert steps_of(robogate, run) == steps, f"{task}: the episodes differ"
+    steps, gated = int(output["plain"].split()[-1]), steps_of(robogate, run)
+    # An episode that ends at the threshold of success may take a step more: MuJoCo's solver starts from the last forces, and RoboGate
+    # evaluates the model once more after a reset.
+    assert abs(gated - steps) <= 0.001 * steps, f"{task}: the episodes differ: {gated} and {steps} steps"
     return found[WARM_UP:], steps / episodes
 
 
