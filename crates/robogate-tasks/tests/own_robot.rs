@@ -206,3 +206,22 @@ fn every_arm_reaches_its_target() {
         assert!(inspection.measured.unwrap().reaches_target, "{name}");
     }
 }
+
+/// Models, servos and grasps that are sound do not make a robot that can do the task.
+#[test]
+fn failed_trials_are_problems() {
+    let limit = "velocity_limit_rad_s = [2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61]";
+    for (name, from, to, mode, hint) in [
+        ("slow", limit, "velocity_limit_rad_s = [0.2, 0.2, 0.2, 0.2, 0.2, 0.2, 0.2]", "timeout", "--time-limit"),
+        ("high", "tip_m = 0.008", "tip_m = 0.06", "grasp_miss", "gripper.tip_m"),
+    ] {
+        let settings = change(SETTINGS, from, to);
+        let robot = folder(name, &[("robot.toml", &settings), ("franka.xml", MODEL)]);
+        let inspection = look(&robot);
+        let [problem] = &inspection.problems[..] else { panic!("{name}: {:#?}", inspection.problems) };
+        assert!(problem.what.contains(&format!("fails with `{mode}`")), "{}", problem.what);
+        assert!(problem.hint.contains(hint) && problem.hint.contains("-n 1"), "{}", problem.hint);
+        let episode = inspection.measured.unwrap().episode.unwrap();
+        assert_eq!(episode.failure.unwrap().as_str(), mode);
+    }
+}

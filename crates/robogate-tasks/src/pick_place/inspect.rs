@@ -112,6 +112,11 @@ impl TrialEpisode {
     /// The problem of a robot that fails in the trial.
     fn problem(&self, robot: &str) -> Option<Problem> {
         let failure = self.failure.as_ref()?;
+        let check = if *failure == FailureMode::TIMEOUT {
+            "Check arm.velocity_limit_rad_s, acceleration_limit_rad_s2 and gripper.finger_speed_m_s, and give a slow arm more time: --time-limit"
+        } else {
+            "Check gripper.tip_m, palm_m and force_n, the servos of the arm, and arm.home_rad"
+        };
         Some(Problem::new(
             format!(
                 "the trial episode of pick and place fails with `{}` after {:.1} s. The part is a cube of {:.0} mm and {:.2} kg",
@@ -121,7 +126,7 @@ impl TrialEpisode {
                 self.mass_kg
             ),
             format!(
-                "see what happens: robogate run --robot {robot} -n 1 --out RUN, then robogate replay RUN 0. Check gripper.tip_m, palm_m and force_n, the servos of the arm, and arm.home_rad"
+                "see what happens: robogate run --robot {robot} -n 1 --out RUN, then robogate replay RUN 0. {check}"
             ),
         ))
     }
