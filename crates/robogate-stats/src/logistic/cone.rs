@@ -12,6 +12,9 @@ const SHORT: f64 = 1e-6;
 /// The smallest cosine of the angle between a vector and its projection that is not a rounding error.
 const ROUNDING: f64 = 1e-13;
 
+/// The smallest part of a row outside of the span of the others with which it may enter the set, relative to its length.
+const INDEPENDENT: f64 = 1e-10;
+
 /// Steps of one projection for each dimension. A few are typical.
 const STEPS: usize = 50;
 
@@ -48,7 +51,7 @@ fn residual(target: &[f64], rows: &[Vec<f64>], allowed: f64) -> Vec<f64> {
         let violated = free.map(|i| (i, dot(&rows[i], &here))).filter(|(_, margin)| *margin < limit);
         let angles = violated.map(|(i, margin)| (i, margin / norm(&rows[i])));
         let Some((entering, _)) = angles.min_by(|a, b| a.1.total_cmp(&b.1)) else { break };
-        if !set.push(entering) {
+        if !set.push(entering, INDEPENDENT) {
             refused.push(entering);
             continue;
         }
@@ -98,8 +101,8 @@ struct Active<'a> {
 }
 
 impl Active<'_> {
-    /// Adds a row, unless the others span it.
-    fn push(&mut self, index: usize) -> bool {
+    /// Adds a row, unless the others span all but the fraction `least` of it.
+    fn push(&mut self, index: usize, least: f64) -> bool {
         let row = &self.rows[index];
         let mut rest = row.clone();
         let mut parts = vec![0.0; self.basis.len()];
@@ -112,7 +115,7 @@ impl Active<'_> {
             }
         }
         let length = norm(&rest);
-        if length <= 1e-10 * norm(row) {
+        if length <= least * norm(row) {
             return false;
         }
         rest.iter_mut().for_each(|v| *v /= length);
@@ -129,7 +132,8 @@ impl Active<'_> {
         self.basis.truncate(position);
         self.triangle.truncate(position);
         for index in later {
-            self.push(index);
+            // It was independent of more rows than these, so it is not refused here.
+            self.push(index, 0.0);
         }
     }
 
