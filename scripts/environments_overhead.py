@@ -134,9 +134,7 @@ def pairs_of(robogate, python, task, pairs, folder):
             side.end()
         output = {name: process.communicate()[0] for name, process in started.items()}
     steps, gated = int(output["plain"].split()[-1]), steps_of(robogate, run)
-    # An episode that ends at the threshold of success may take a step more: MuJoCo's solver starts from the last forces, and RoboGate
-    # evaluates the model once more after a reset.
-    assert abs(gated - steps) <= 0.001 * steps, f"{task}: the episodes differ: {gated} and {steps} steps"
+    assert gated == steps, f"{task}: the episodes differ: {gated} and {steps} steps"
     return found[WARM_UP:], steps / episodes
 
 

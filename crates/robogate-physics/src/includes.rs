@@ -108,7 +108,7 @@ mod tests {
             assert_eq!(of(same).unwrap(), same);
         }
         assert!(of("<include file=\"round.xml\"/>").unwrap_err().contains("twice"));
-        // Other spellings of a name are other files, and a device is no text file.
+        // A file that is included under another spelling of its name counts as another file. A device is not read.
         let spellings =
             |n: usize| (1..=n).map(|i| format!("<include file=\"{}c.xml\"/>", "./".repeat(i))).collect::<String>();
         assert_eq!(of(&spellings(3)).unwrap(), "<c/><c/><c/>");

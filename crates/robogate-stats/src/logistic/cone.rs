@@ -6,6 +6,8 @@
 //! shortens the residual. The cone has its tip at the origin, where every constraint is active: a simplex method makes thousands of
 //! steps without progress there and loses all digits, while this one has at most as many rows in its set as there are dimensions.
 
+use robogate_maths::dense::dot;
+
 /// A residual that is shorter than its vector by this factor is projected again.
 const SHORT: f64 = 1e-6;
 
@@ -46,7 +48,7 @@ fn residual(target: &[f64], rows: &[Vec<f64>], allowed: f64) -> Vec<f64> {
     // Rows that rounding keeps out of the set, until another one enters.
     let mut refused: Vec<usize> = Vec::new();
     for _ in 0..STEPS * target.len() {
-        let limit = -allowed * here.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+        let limit = -allowed * largest(&here);
         let free = (0..rows.len()).filter(|i| !refused.contains(i) && !set.indices.contains(i));
         let violated = free.map(|i| (i, dot(&rows[i], &here))).filter(|(_, margin)| *margin < limit);
         let angles = violated.map(|(i, margin)| (i, margin / norm(&rows[i])));
@@ -172,10 +174,6 @@ impl Active<'_> {
     }
 }
 
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
 fn norm(a: &[f64]) -> f64 {
     dot(a, a).sqrt()
 }
@@ -184,9 +182,13 @@ fn subtract(from: &mut [f64], factor: f64, vector: &[f64]) {
     from.iter_mut().zip(vector).for_each(|(f, v)| *f -= factor * v);
 }
 
+fn largest(vector: &[f64]) -> f64 {
+    vector.iter().fold(0.0, |m: f64, v| m.max(v.abs()))
+}
+
 /// A vector with a largest entry of 1. `None` for the zero vector.
 fn scaled(vector: &[f64]) -> Option<Vec<f64>> {
-    let largest = vector.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+    let largest = largest(vector);
     (largest > 0.0).then(|| vector.iter().map(|v| v / largest).collect())
 }
 

@@ -67,7 +67,7 @@ fn seek(x: &Standardized<'_>, earlier: &[Vec<f64>], beta: &[f64]) -> Option<(Vec
     let mut total = vec![0.0; q];
     let mut eta = [0.0; BLOCK];
     x.for_each_block(|block| {
-        let left = left(block, earlier, &mut eta);
+        let left = on_boundary(block, earlier, &mut eta);
         for (j, t) in total.iter_mut().enumerate() {
             for (i, v) in block.column(j).iter().enumerate() {
                 if left[i] {
@@ -89,7 +89,7 @@ fn seek(x: &Standardized<'_>, earlier: &[Vec<f64>], beta: &[f64]) -> Option<(Vec
 }
 
 /// The rows of a block that have a weight and lie on the boundary of all directions.
-fn left(block: &Block, directions: &[Vec<f64>], eta: &mut [f64; BLOCK]) -> [bool; BLOCK] {
+fn on_boundary(block: &Block, directions: &[Vec<f64>], eta: &mut [f64; BLOCK]) -> [bool; BLOCK] {
     let mut left = [false; BLOCK];
     left.iter_mut().zip(&block.weight).for_each(|(left, weight)| *left = *weight > 0.0);
     for direction in directions {
@@ -115,7 +115,7 @@ fn scan(x: &Standardized<'_>, earlier: &[Vec<f64>], direction: &[f64], below: f6
     let mut positive = 0;
     let mut eta = [0.0; BLOCK];
     x.for_each_block(|block| {
-        let left = left(block, earlier, &mut eta);
+        let left = on_boundary(block, earlier, &mut eta);
         block.predictor(direction, &mut eta);
         for (i, e) in eta.iter().enumerate().filter(|(i, _)| left[*i]) {
             let margin = block.sign[i] * e;

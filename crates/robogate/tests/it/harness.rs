@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
 
-/// The longest wait for a condition. A test that fails there would wait for ever; the time is no claim about speed.
+/// The longest wait for a condition. It is far above any expected time, and only ends a test that would wait for ever.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 /// A suite with two scenarios.
