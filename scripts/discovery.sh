@@ -2,13 +2,13 @@
 # Compares the uniform, two-stage and active design with real physics: runs the campaigns, and scores each learner on one test set. Points
 # of the test set run a second time with other draws, which measures the noise floor and the excess error.
 #
-#   scripts/discovery.sh OUT [ROBOT] [TEST] [REPEATS] [SIZES] [PAIRS]
+#   scripts/discovery.sh OUT [ROBOT] [TEST] [REPEATS] [SIZES] [PAIRS] [TASK]
 #
-# OUT gets the runs, ROBOT.md and ROBOT-collisions.md. Defaults: franka, 12000 test episodes, 10 repeats, sizes "250 500 1000 2000", 4000 pairs. An episode costs 0.04
-# to 0.15 s of one core: the defaults run about 130,000 episodes, 1.6 to 5.4 CPU hours. Campaigns that exist in OUT are resumed or kept, so the script
-# can be interrupted and repeated.
+# OUT gets the runs of one task, ROBOT.md and, for pick and place, ROBOT-collisions.md. Defaults: franka, 12000 test episodes, 10 repeats,
+# sizes "250 500 1000 2000", 4000 pairs, pick_place. An episode costs 0.04 to 0.15 s of one core: the defaults run about 130,000 episodes, 1.6 to
+# 5.4 CPU hours. Campaigns that exist in OUT are resumed or kept, so the script can be interrupted and repeated.
 set -euo pipefail
-out=$1 robot=${2:-franka} test=${3:-12000} repeats=${4:-10} sizes=${5:-250 500 1000 2000} pairs=${6:-4000}
+out=$1 robot=${2:-franka} test=${3:-12000} repeats=${4:-10} sizes=${5:-250 500 1000 2000} pairs=${6:-4000} task=${7:-pick_place}
 cd "$(dirname "$0")/.."
 # BUILT: a folder with robogate and examples/discovery, in place of a release build.
 if [ -z "${BUILT:-}" ]; then
@@ -23,7 +23,7 @@ campaign() {
     local dir="$out/$robot-$1"
     shift
     [ -f "$dir/summary.json" ] && return
-    if [ -f "$dir/plan.json" ]; then "$robogate" resume "$dir" >/dev/null; else "$robogate" run --robot "$robot" --out "$dir" "$@" >/dev/null; fi
+    if [ -f "$dir/plan.json" ]; then "$robogate" resume "$dir" >/dev/null; else "$robogate" run --task "$task" --robot "$robot" --out "$dir" "$@" >/dev/null; fi
 }
 
 # A plan with one uniform stage and independent points.
@@ -47,6 +47,7 @@ for ((repeat = 1; repeat <= repeats; repeat++)); do
 done
 "$example" score "$out/$robot-test" "$out/$robot-partners" "${runs[@]}" | tee "$out/$robot.md"
 
+[ "$task" = pick_place ] || exit 0
 # Collisions without obstacles: a rare failure. Episodes until ten of them, for uniform points and for points that seek them.
 space=$out/$robot-free.toml
 awk 'BEGIN { RS = ""; ORS = "\n\n" } !/name = "obstacles"/' "assets/spaces/$robot.toml" | sed "0,/^name = /s/^name = .*/name = \"$robot-free\"/" >"$space"

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use nalgebra::Isometry3;
 use robogate_camera::Cameras;
 use robogate_core::{
-    Action, Assignment, CameraSpec, Contact, Ending, Environment, FailureMode, Fault, FaultKind, Image, Measures,
-    Observation, Policy, Scenario, Start, Step, TaskInstance, TaskSpec, Trajectory, Word,
+    Action, Assignment, CameraSpec, Contact, Ending, Environment, FailureMode, Fault, FaultKind, Foresight, Image,
+    Measures, Observation, Policy, Scenario, Start, Step, TaskInstance, TaskSpec, Trajectory, Word,
 };
 use robogate_physics::{
     ArmState, Chain, Collision, Engine, GripperCommand, Plant, Readback, Robot, Scene, Steering, StepView, SuctionLaw,
@@ -16,7 +16,7 @@ use robogate_physics::{
 use super::{Film, camera_specs, observation, posture, render};
 
 /// Distance to the part within which a suction cup takes hold, in metres.
-const GRIP_THRESHOLD_M: f64 = 0.01;
+pub(crate) const GRIP_THRESHOLD_M: f64 = 0.01;
 
 /// Time between two actions, in seconds.
 pub(crate) const CONTROL_PERIOD_S: f64 = 0.05;
@@ -47,6 +47,9 @@ pub(crate) trait Rules {
     /// # Errors
     /// A setup fault if the scenario cannot be set up.
     fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved<Self::Trial>, Fault>;
+
+    /// The draws and features of episodes on this robot, whose gripper holds with `grip_force_n` newtons.
+    fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Arc<dyn Foresight>;
 }
 
 /// Everything about an episode that is fixed before it starts.
@@ -134,6 +137,7 @@ pub(crate) struct ArmEnvironment<R: Rules> {
     rules: R,
     task: Arc<TaskSpec>,
     plant: Plant<Box<dyn Engine>>,
+    foresight: Arc<dyn Foresight>,
     /// The cameras, or the reason why the robot cannot be rendered.
     cameras: Result<Cameras, String>,
     /// The recorder of trajectories, if they are recorded.
@@ -169,13 +173,24 @@ impl<R: Rules> ArmEnvironment<R> {
         let plant = Plant::new(engine, CONTROL_PERIOD_S, grip_force_n)?.with_suction(suction);
         let cameras = Cameras::new(plant.engine.robot()).map(|cameras| cameras.with_size(picture_px, picture_px));
         let task = Arc::new(rules.spec(plant.engine.robot(), camera_specs(&cameras)));
-        Ok(Self { rules, task, plant, cameras, film: None, running: None })
+        let foresight = rules.foresight(plant.engine.robot(), plant.engine.chain(), plant.grip_force_n());
+        Ok(Self { rules, task, plant, foresight, cameras, film: None, running: None })
+    }
+
+    /// The engine.
+    #[cfg(test)]
+    pub(crate) fn engine(&self) -> &dyn Engine {
+        &*self.plant.engine
     }
 }
 
 impl<R: Rules> Environment for ArmEnvironment<R> {
     fn task(&self) -> &Arc<TaskSpec> {
         &self.task
+    }
+
+    fn foresight(&self) -> Option<Arc<dyn Foresight>> {
+        Some(Arc::clone(&self.foresight))
     }
 
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {

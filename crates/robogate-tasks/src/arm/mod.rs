@@ -6,6 +6,9 @@
 mod cameras;
 mod environment;
 mod film;
+mod foresight;
+#[cfg(all(test, feature = "mujoco"))]
+mod foresight_tests;
 mod grip;
 mod interface;
 mod layout;
@@ -15,8 +18,14 @@ mod task;
 mod words;
 
 pub(crate) use cameras::{camera_specs, posture, render};
-pub(crate) use environment::{ArmEnvironment, CONTROL_PERIOD_S, Record, Resolved, Rules, Sight, Trial, encoder_bias};
+pub(crate) use environment::{
+    ArmEnvironment, CONTROL_PERIOD_S, GRIP_THRESHOLD_M, Record, Resolved, Rules, Sight, Trial, encoder_bias,
+};
 pub(crate) use film::Film;
+pub(crate) use foresight::{
+    Memo, Posture, bias_draws, compliance, components, draw, drawn, feature, in_hand, log_ratio, tool_draws,
+    within_quarter,
+};
 pub(crate) use grip::{Grip, GripChange, touching};
 pub use interface::TOOL_DELTA;
 pub(crate) use interface::{action_spec, observation, observed_vectors};

@@ -24,14 +24,14 @@ use robogate_physics::{Bellows, Chain, Gripper, GripperCommand, Robot, Unreachab
 use super::Insertion;
 use super::parts::{DEPTH_M, HEAD_HEIGHT_M, SHAFT_M};
 use super::spec::{Briefing, phases};
-use crate::arm::{CONTROL_PERIOD_S, FREE, Planner, Rules, Script, drives_task, tool_down};
+use crate::arm::{CONTROL_PERIOD_S, FREE, Planner, Posture, Rules, Script, compliance, drives_task, tool_down};
 
 /// Height of the peg's tip above the block before the search, in metres.
 const ABOVE_M: f64 = 0.006;
 /// Height of the tool above the table on transit paths, in metres.
 const TRANSIT_HEIGHT_M: f64 = 0.24;
 /// Limits of motion with the peg in the hand.
-const CARRY: ToolLimit = ToolLimit { speed: 0.4, acceleration: 1.0 };
+pub(super) const CARRY: ToolLimit = ToolLimit { speed: 0.4, acceleration: 1.0 };
 /// Gap between a cup and the head in the grasp, in metres.
 const CUP_ROOM_M: f64 = 0.002;
 /// Speed of the way down to the block, in m/s.
@@ -43,9 +43,9 @@ const CONTACT_N: f64 = 3.0;
 const SMALLEST_LAG_M: f64 = 2e-4;
 /// Forces of search and insertion, in newtons.
 const SEARCH_N: f64 = 5.0;
-const INSERT_N: f64 = 14.0;
+pub(super) const INSERT_N: f64 = 14.0;
 /// The controller uses this part of the moment that a cup holds.
-const MOMENT_SHARE: f64 = 0.5;
+pub(super) const MOMENT_SHARE: f64 = 0.5;
 /// A step of the spiral is at most this part of the way after which the tool counts as held back.
 const LEAD_SHARE: f64 = 0.5;
 /// Pitch of the spiral as a fraction of the capture range.
@@ -147,26 +147,27 @@ impl Scripted {
         Self { robot, chain, script, feel: None }
     }
 
-    /// Height of the tool above the peg's tip in the grasp, in metres.
-    fn tool_height(&self) -> f64 {
-        match self.robot.settings.gripper {
-            Gripper::ParallelJaw(_) => SHAFT_M + 0.5 * HEAD_HEIGHT_M,
-            Gripper::Suction(_) => SHAFT_M + HEAD_HEIGHT_M + CUP_ROOM_M,
-        }
+    /// The postures in which the arm grasps the peg and arrives over the hole. `None` if one is out of reach.
+    pub(super) fn postures(&self, briefing: &Briefing) -> Option<[Posture; 2]> {
+        let mut planner = Planner::new(&self.robot, &self.chain, CONTROL_PERIOD_S);
+        self.pick(&mut planner, briefing).ok()?;
+        Posture::of_plan(&self.chain, &planner.finish()).try_into().ok()
     }
 
     /// Largest lateral force at the tip of the peg, in newtons: a cup holds a moment up to its force times the radius of its lip
     /// ([`robogate_physics::suction`]). Fingers hold more than the search can apply.
     fn lateral_limit(&self) -> f64 {
         let cup = self.robot.settings.gripper.cup();
-        cup.map_or(f64::INFINITY, |cup| MOMENT_SHARE * cup.force_n() * 0.5 * cup.cup_diameter_m / self.tool_height())
+        cup.map_or(f64::INFINITY, |cup| {
+            MOMENT_SHARE * cup.force_n() * 0.5 * cup.cup_diameter_m / tool_height(&self.robot.settings.gripper)
+        })
     }
 
     /// Appends the motions that bring the peg over the hole. Returns the orientation of the tool there.
     fn pick(&self, planner: &mut Planner<'_>, briefing: &Briefing) -> Result<UnitQuaternion<f64>, Unreachable> {
         use GripperCommand::{Close, Open};
         let ([x, y, _], [hx, hy, hz]) = (briefing.peg.position, briefing.hole.position);
-        let tool = self.tool_height();
+        let tool = tool_height(&self.robot.settings.gripper);
         let quarter = |first: f64, k: u8| first + f64::from(k) * std::f64::consts::FRAC_PI_2;
         // The peg is square, so the tool may be rotated by quarters.
         let first = match self.robot.settings.gripper {
@@ -195,19 +196,37 @@ impl Scripted {
     }
 }
 
+/// Height of the tool above the peg's tip in the grasp, in metres.
+pub(super) fn tool_height(gripper: &Gripper) -> f64 {
+    match gripper {
+        Gripper::ParallelJaw(_) => SHAFT_M + 0.5 * HEAD_HEIGHT_M,
+        Gripper::Suction(_) => SHAFT_M + HEAD_HEIGHT_M + CUP_ROOM_M,
+    }
+}
+
+/// The hole catches a peg within this range, in metres.
+fn capture(clearance_m: f64, chamfer_m: f64) -> f64 {
+    clearance_m + 2.0 * chamfer_m
+}
+
+/// Speed on the spiral for a peg that the hole catches within this range (m), in m/s.
+fn spiral_speed(capture_m: f64) -> f64 {
+    (SPIRAL_SHARE * capture_m / CONTROL_PERIOD_S).clamp(SPIRAL_SPEED[0], SPIRAL_SPEED[1])
+}
+
+/// Time until the spiral has found a hole at this distance (m), in seconds: the length of a spiral with the pitch p to the radius r is
+/// nearly pi r^2 / p.
+pub(super) fn search_time(clearance_m: f64, chamfer_m: f64, distance_m: f64) -> f64 {
+    let capture = capture(clearance_m, chamfer_m);
+    let radius = (distance_m - 0.5 * capture).max(0.0);
+    std::f64::consts::PI * radius * radius / (PITCH_SHARE * capture) / spiral_speed(capture)
+}
+
 impl Feel {
     /// The compliance of the arm at the tool along the axes of the base frame, in m/N. The coupling of the axes counts for a cup
     /// only: between fingers the head turns, and the tip does not follow it.
     fn compliance(&self, robot: &Robot, chain: &Chain, joints: &[f64]) -> Matrix3<f64> {
-        const STEP_RAD: f64 = 1e-5;
-        let at = chain.tcp_at(joints).translation.vector;
-        let of_joint = |j: usize| {
-            let mut moved = joints.to_vec();
-            moved[j] += STEP_RAD;
-            let lever = (chain.tcp_at(&moved).translation.vector - at) / STEP_RAD;
-            lever * lever.transpose() / (robot.settings.arm.stiffness_nm_rad[j] * self.stiffness)
-        };
-        let compliance: Matrix3<f64> = (0..joints.len()).map(of_joint).sum();
+        let compliance = compliance(robot, chain, joints, self.stiffness);
         if self.lateral_n.is_finite() { compliance } else { Matrix3::from_diagonal(&compliance.diagonal()) }
     }
 
@@ -244,7 +263,7 @@ impl Feel {
         let touched = self.free_lag_m.and(self.bellows);
         let height = measured.z + touched.map_or(0.0, |bellows| bellows.travel_m(lag / per_newton));
         let tip = height - self.tool_m;
-        let capture = self.clearance_m + 2.0 * self.chamfer_m;
+        let capture = capture(self.clearance_m, self.chamfer_m);
         let step = |speed: f64| speed * CONTROL_PERIOD_S;
         // Presses with a force, but moves no faster than `speed`.
         let press = |at: &mut Vector3<f64>, force: f64, speed: f64| {
@@ -271,9 +290,8 @@ impl Feel {
             Stage::Search { top } => {
                 press(&mut at, SEARCH_N, TOUCH_SPEED);
                 let pitch = PITCH_SHARE * capture;
-                let speed = (SPIRAL_SHARE * capture / CONTROL_PERIOD_S).clamp(SPIRAL_SPEED[0], SPIRAL_SPEED[1]);
                 // Before a tool that is held back is noticed, the force grows by that of one step.
-                let speed = speed.min(LEAD_SHARE * lead.min() / CONTROL_PERIOD_S);
+                let speed = spiral_speed(capture).min(LEAD_SHARE * lead.min() / CONTROL_PERIOD_S);
                 let held_back = aside.x.abs() > lead.x || aside.y.abs() > lead.y;
                 let radius = pitch * self.angle / TAU;
                 let turned = self.angle + step(speed) / radius.max(0.5 * pitch);
@@ -349,7 +367,7 @@ impl Policy for Scripted {
             chamfer_m: briefing.chamfer_m,
             stiffness: briefing.arm_stiffness,
             hole: Vector3::new(x, y, z),
-            tool_m: self.tool_height(),
+            tool_m: tool_height(&self.robot.settings.gripper),
             down,
             bellows: self.robot.settings.gripper.cup().and_then(|cup| cup.bellows),
             lateral_n: self.lateral_limit(),

@@ -3,6 +3,7 @@
 //! [`whitney`] has the limits of wedging and jamming that the physics is verified against, [`parts`] the geometry.
 
 mod controller;
+mod foresight;
 mod parameters;
 pub mod parts;
 mod referee;

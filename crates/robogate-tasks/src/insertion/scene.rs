@@ -1,11 +1,14 @@
 //! Resolves a scenario: a peg that stands on the table, and a block with a hole.
 
+use std::sync::Arc;
+
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::{CameraSpec, Fault, Policy, Pose, Scenario, TaskSpec};
+use robogate_core::{CameraSpec, Fault, Foresight, Policy, Pose, Scenario, TaskSpec};
 use robogate_physics::{Chain, Fixture, GRAVITY, GripperUnit, Robot, Scene, Visual};
 
 use super::Insertion;
 use super::controller::Scripted;
+use super::foresight::InsertionForesight;
 use super::parameters::{ROWS, Settings};
 use super::parts::{self, DEPTH_M};
 use super::referee::Referee;
@@ -16,7 +19,7 @@ use crate::arm::{Resolved, Rules, decode, disc_point, encoder_bias, instance, wi
 const PLACES: [[f64; 2]; 2] = [[0.42, -0.14], [0.48, 0.14]];
 
 /// Friction coefficient of the peg against the gripper: rubber pads or a rubber lip.
-const GRIP_FRICTION: f64 = 0.8;
+pub(super) const GRIP_FRICTION: f64 = 0.8;
 
 impl Rules for Insertion {
     type Trial = Referee;
@@ -30,23 +33,20 @@ impl Rules for Insertion {
         Box::new(Scripted::new(robot, chain))
     }
 
+    fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Arc<dyn Foresight> {
+        Arc::new(InsertionForesight::new(robot, chain, grip_force_n))
+    }
+
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         spec::spec(robot, cameras)
     }
 
     fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved<Referee>, Fault> {
-        let mut settings: Settings = decode(&ROWS, &scenario.requested)?;
-        settings.places = within_reach(robot, PLACES);
-        let mut stream = scenario.seed.stream("part-jitter");
-        for shift in &mut settings.shift {
-            *shift = disc_point(&mut stream);
-        }
-        settings.tilt = [stream.between(0.0, std::f64::consts::TAU), stream.uniform()];
-        settings.around.encoders = encoder_bias(scenario, robot, 1.0);
-        let [[px, py], [hx, hy]] = settings.places;
+        let settings = settings(scenario, robot)?;
+        let [peg, hole] = nominal_poses(robot);
         let briefing = Briefing {
-            peg: Pose::upright([px, py, 0.0], 0.0),
-            hole: Pose::upright([hx, hy, DEPTH_M], 0.0),
+            peg,
+            hole,
             clearance_m: settings.clearance_m,
             chamfer_m: settings.chamfer_m,
             arm_stiffness: settings.arm_stiffness,
@@ -60,26 +60,57 @@ impl Rules for Insertion {
     }
 }
 
+/// The settings of a scenario with all random draws.
+///
+/// # Errors
+/// A setup fault if the scenario cannot be set up.
+pub(super) fn settings(scenario: &Scenario, robot: &Robot) -> Result<Settings, Fault> {
+    let mut settings: Settings = decode(&ROWS, &scenario.requested)?;
+    settings.places = within_reach(robot, PLACES);
+    let mut stream = scenario.seed.stream("part-jitter");
+    for shift in &mut settings.shift {
+        *shift = disc_point(&mut stream);
+    }
+    settings.tilt = [stream.between(0.0, std::f64::consts::TAU), stream.uniform()];
+    settings.around.encoders = encoder_bias(scenario, robot, 1.0);
+    Ok(settings)
+}
+
+/// Nominal poses of peg and hole for this robot.
+pub(super) fn nominal_poses(robot: &Robot) -> [Pose; 2] {
+    let [[px, py], [hx, hy]] = within_reach(robot, PLACES);
+    [Pose::upright([px, py, 0.0], 0.0), Pose::upright([hx, hy, DEPTH_M], 0.0)]
+}
+
 impl Settings {
     /// The frame of the hole in the base frame.
     pub(super) fn mouth(&self) -> Isometry3<f64> {
         let ([x, y], [dx, dy]) = (self.places[1], self.shift[1]);
-        let [heading, fraction] = self.tilt;
-        let axis = Vector3::new(heading.cos(), heading.sin(), 0.0) * (fraction * self.hole_tilt_rad);
         Isometry3::from_parts(
             Translation3::new(x + self.hole_jitter_m * dx, y + self.hole_jitter_m * dy, DEPTH_M),
-            UnitQuaternion::from_scaled_axis(axis),
+            UnitQuaternion::from_scaled_axis(self.hole_turn()),
         )
+    }
+
+    /// The tilt of the hole, as a rotation vector in radians.
+    pub(super) fn hole_turn(&self) -> Vector3<f64> {
+        let [heading, fraction] = self.tilt;
+        Vector3::new(heading.cos(), heading.sin(), 0.0) * (fraction * self.hole_tilt_rad)
+    }
+
+    /// The pose of the peg at the start.
+    pub(super) fn peg_pose(&self) -> Isometry3<f64> {
+        let ([x, y], [dx, dy]) = (self.places[0], self.shift[0]);
+        Isometry3::translation(x + self.peg_jitter_m * dx, y + self.peg_jitter_m * dy, 0.0)
     }
 
     /// The scene.
     fn scene(&self) -> Scene {
-        let ([x, y], [dx, dy]) = (self.places[0], self.shift[0]);
         let mut fixtures = vec![Fixture::table()];
         fixtures.extend(parts::block(&self.mouth(), self.width_m + self.clearance_m, self.chamfer_m));
         Scene {
             object: parts::peg(self.width_m, self.mass_kg, 0.0),
-            object_pose: Isometry3::translation(x + self.peg_jitter_m * dx, y + self.peg_jitter_m * dy, 0.0),
+            object_pose: self.peg_pose(),
             others: Vec::new(),
             friction: GRIP_FRICTION,
             table_friction: Some(self.friction),

@@ -4,8 +4,8 @@ use robogate_core::{Better, CameraSpec, FailureMode, Fault, Pose, Severity, Task
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
-use super::Insertion;
 use super::parameters::ROWS;
+use super::{Insertion, foresight};
 use crate::arm::{Rules, base_spec, briefing, measure, mode, specs};
 
 /// The time limit of an episode, in seconds.
@@ -62,6 +62,7 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
             mode(COLLISION, Severity::Critical, "A link or finger of the robot touched the table or the block."),
             mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the peg was seated."),
         ],
+        draws: foresight::draw_specs(robot.settings.arm.joints.len()),
         measures: vec![
             measure(DEPTH, "m", Better::Higher, "Largest depth of the peg's tip in the hole."),
             measure(PRESS, "N", Better::Lower, "Largest force of block and table on the peg along the hole's axis."),

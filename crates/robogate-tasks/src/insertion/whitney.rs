@@ -11,9 +11,14 @@
 //!
 //! The analysis is planar and quasi-static, the parts are rigid, and the tilt is small.
 
+/// Depth (m) down to which a peg of this width (m) can wedge.
+pub fn wedging_depth(width_m: f64, friction: f64) -> f64 {
+    friction * width_m
+}
+
 /// Whether a peg of this width (m) can wedge at this depth (m).
 pub fn can_wedge(depth_m: f64, width_m: f64, friction: f64) -> bool {
-    depth_m <= friction * width_m
+    depth_m <= wedging_depth(width_m, friction)
 }
 
 /// Whether an axial load at this distance (m) from the peg's axis jams a peg in two-point contact at this depth (m).

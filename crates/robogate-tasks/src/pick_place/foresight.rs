@@ -1,28 +1,19 @@
 //! The hidden draws of an episode and its physical margins, from the scenario alone.
 //!
-//! The draws come from [`ResolvedCell`], as in the episode itself. The encoder biases move the tool: the servo closes its
-//! loop on the encoders, so the true joint positions at the planned grasp are q - b for the planned q. The displacement
-//! is the difference of both tool poses in the tool's frame at the planned grasp: x across the fingers, y along their
-//! closing direction, z out of the tool (down). The planned grasp is that of the scripted controller, whose inverse
-//! kinematics is solved for the object's size rounded to 5 mm. This changes the displacement by less than 0.1 mm.
-
-use std::collections::BTreeMap;
-use std::sync::{Mutex, PoisonError};
+//! The draws come from [`ResolvedCell`], as in the episode itself. The planned grasp is that of the scripted controller, whose inverse
+//! kinematics is solved for the object's size rounded to 5 mm. This changes the displacement of the tool by less than 0.1 mm.
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use robogate_core::{Better, DrawSpec, Fault, FeatureSpec, Foresight, Measures, Scenario, Word};
+use robogate_core::{Better, DrawSpec, Fault, FeatureSpec, Foresight, Measures, Scenario};
 use robogate_physics::{Chain, FixtureKind, GRAVITY, Gripper, Robot, isometry};
 
 use super::cell::ResolvedCell;
-
 use super::scripted::{CARRY_ACCELERATION_M_S2, Scripted, grasp_height};
 use super::{Rules, Shape, parameters};
+use crate::arm::{Memo, Posture, bias_draws, components, draw, drawn, feature, log_ratio, tool_draws};
 
 /// Sizes are rounded to this step for the planned grasp, in metres.
 const SIZE_STEP_M: f64 = 0.005;
-
-/// Maximum number of planned grasps that are kept.
-const MOST_GRASPS: usize = 4096;
 
 /// Distance of obstacles that do not matter, in metres.
 const FAR_M: f64 = 0.5;
@@ -30,38 +21,10 @@ const FAR_M: f64 = 0.5;
 /// Effective radius of the friction torque of a pad, in metres: two thirds of a patch of 5 mm.
 const PAD_RADIUS_M: f64 = 0.005 * 2.0 / 3.0;
 
-/// Names of the displacement of the tool: position, then rotation vector.
-const TOOL: [(&str, &str, &str); 6] = [
-    ("tool_offset_x_m", "m", "across the fingers"),
-    ("tool_offset_y_m", "m", "along the closing direction of the fingers"),
-    ("tool_offset_z_m", "m", "out of the tool, which is down"),
-    ("tool_tilt_x_rad", "rad", "about the direction across the fingers"),
-    ("tool_tilt_y_rad", "rad", "about the closing direction of the fingers"),
-    ("tool_tilt_z_rad", "rad", "about the tool's axis"),
-];
-
 /// The declared draws for an arm with this number of joints.
 pub(super) fn draw_specs(joints: usize) -> Vec<DrawSpec> {
-    let spec = |name: String, unit: &str, meaning: String| {
-        // The names are short and have only letters, digits and underscores.
-        Word::new(&name).ok().map(|name| DrawSpec { name, unit: unit.to_owned(), meaning })
-    };
-    let biases = (1..=joints).map(|joint| {
-        (
-            format!("encoder_bias_{joint}_rad"),
-            "rad",
-            format!("Encoder bias of joint {joint}: measured minus true position."),
-        )
-    });
-    let tool = TOOL.into_iter().map(|(name, unit, direction)| {
-        (
-            name.to_owned(),
-            unit,
-            format!("Displacement of the tool by the encoder biases at the planned grasp, {direction}."),
-        )
-    });
-    let jitter = ["x", "y"].into_iter().map(|axis| {
-        (format!("jitter_{axis}_m"), "m", format!("Offset of the object along {axis} by the position jitter."))
+    let jitter = ["x", "y"].into_iter().filter_map(|axis| {
+        draw(&format!("jitter_{axis}_m"), "m", format!("Offset of the object along {axis} by the position jitter."))
     });
     let nearest = [
         (
@@ -71,27 +34,19 @@ pub(super) fn draw_specs(joints: usize) -> Vec<DrawSpec> {
         ("obstacle_height_m", "Height of the nearest obstacle."),
     ]
     .into_iter()
-    .map(|(name, meaning)| (name.to_owned(), "m", meaning.to_owned()));
+    .filter_map(|(name, meaning)| draw(name, "m", meaning));
     let positions = (1..=parameters::most_obstacles()).flat_map(|obstacle| {
-        ["x", "y"].into_iter().map(move |axis| {
-            (
-                format!("obstacle_{obstacle}_{axis}_m"),
-                "m",
-                format!("Position of the centre of obstacle {obstacle} along {axis}."),
-            )
+        ["x", "y"].into_iter().filter_map(move |axis| {
+            let meaning = format!("Position of the centre of obstacle {obstacle} along {axis}.");
+            draw(&format!("obstacle_{obstacle}_{axis}_m"), "m", meaning)
         })
     });
-    biases
-        .chain(tool)
+    bias_draws(joints)
+        .chain(tool_draws("tool", "the planned grasp"))
         .chain(jitter)
         .chain(nearest)
         .chain(positions)
-        .filter_map(|(name, unit, meaning)| spec(name, unit, meaning))
         .collect()
-}
-
-const fn feature(name: &'static str, unit: &'static str, better: Better, meaning: &'static str) -> FeatureSpec {
-    FeatureSpec { name, unit, meaning, better }
 }
 
 /// The features for fingers.
@@ -192,22 +147,10 @@ pub struct PickPlaceForesight {
     chain: Chain,
     grip_force_n: f64,
     planner: Scripted,
-    names: Names,
-    /// Planned grasps: joint positions and tool pose. `None` where the grasp is out of reach.
-    grasps: Mutex<BTreeMap<Key, Option<Grasp>>>,
+    draws: Vec<DrawSpec>,
+    /// Planned grasps. `None` where the grasp is out of reach.
+    grasps: Memo<Key, Option<Posture>>,
 }
-
-/// The names of the draws.
-struct Names {
-    biases: Vec<Word>,
-    tool: Vec<Word>,
-    jitter: [Word; 2],
-    nearest: [Word; 2],
-    obstacles: Vec<Word>,
-}
-
-/// Joint positions and tool pose of a planned grasp.
-type Grasp = (Vec<f64>, Isometry3<f64>);
 
 /// Shape, rounded size, position and yaw of the object, as bits.
 type Key = (&'static str, u64, [u64; 3]);
@@ -229,39 +172,31 @@ struct Outlook {
 
 impl PickPlaceForesight {
     pub(super) fn new(robot: &Robot, chain: &Chain, grip_force_n: f64, rules: &Rules) -> Self {
-        let specs = draw_specs(chain.joints.len());
-        let mut names = specs.iter().map(|spec| spec.name);
-        let joints = chain.joints.len();
-        let biases = names.by_ref().take(joints).collect();
-        let tool = names.by_ref().take(TOOL.len()).collect();
-        let mut pair = || [names.next(), names.next()].map(|name| name.unwrap_or(Word::constant("unnamed")));
-        let (jitter, nearest) = (pair(), pair());
-        let obstacles = names.collect();
         Self {
             robot: robot.clone(),
             rules: *rules,
             chain: chain.clone(),
             grip_force_n,
             planner: Scripted::new(robot.clone(), chain.clone()),
-            names: Names { biases, tool, jitter, nearest, obstacles },
-            grasps: Mutex::new(BTreeMap::new()),
+            draws: draw_specs(chain.joints.len()),
+            grasps: Memo::new(),
         }
     }
 
     fn outlook(&self, scenario: &Scenario) -> Result<Outlook, Fault> {
         let cell = ResolvedCell::new(scenario, &self.robot, &self.rules)?;
-        let grasp = self.grasp(&cell).map(|(joints, mut planned)| {
-            let truly: Vec<f64> = joints.iter().zip(&cell.bias).map(|(q, bias)| q - bias).collect();
-            let off = planned.inverse() * self.chain.tcp_at(&truly);
+        let grasp = self.grasp(&cell).map(|posture| {
+            let off = posture.displacement(&self.chain, &cell.bias);
             // The height follows the true size.
+            let mut planned = posture.tool;
             planned.translation.z = grasp_height(&self.robot, &[cell.parameters.size_m; 3]);
             (planned, off)
         });
         Ok(Outlook { cell, grasp })
     }
 
-    /// Joint positions and tool pose of the planned grasp. `None` if it is out of reach.
-    fn grasp(&self, cell: &ResolvedCell) -> Option<Grasp> {
+    /// The planned grasp. `None` if it is out of reach.
+    fn grasp(&self, cell: &ResolvedCell) -> Option<Posture> {
         let mut briefing = cell.briefing();
         let rounded = (cell.parameters.size_m / SIZE_STEP_M).round().max(1.0) * SIZE_STEP_M;
         let pose = &briefing.object_pose;
@@ -271,20 +206,10 @@ impl PickPlaceForesight {
             rounded.to_bits(),
             [pose.position[0], pose.position[1], z.atan2(w)].map(f64::to_bits),
         );
-        let lock = || self.grasps.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = lock().get(&key).cloned();
-        known.unwrap_or_else(|| {
+        self.grasps.get(key, || {
             briefing.object_extent_m = [rounded; 3];
-            let joints = self.planner.planned_grasp(&briefing).ok();
-            let found = joints.map(|joints| {
-                let pose = self.chain.tcp_at(&joints);
-                (joints, pose)
-            });
-            let mut grasps = lock();
-            if grasps.len() < MOST_GRASPS {
-                grasps.insert(key, found.clone());
-            }
-            found
+            let joints = self.planner.planned_grasp(&briefing).ok()?;
+            Some(Posture::new(&self.chain, joints))
         })
     }
 
@@ -336,7 +261,6 @@ impl PickPlaceForesight {
         let reach_margin = self.robot.settings.arm.reach_m - x.hypot(y);
         let nearest = self.nearest(outlook);
         let clearance = nearest.as_ref().map_or(FAR_M, |near| near.distance_m.min(FAR_M));
-        let log_ratio = |a: f64, b: f64| (a.max(1e-9) / b.max(1e-9)).ln().clamp(-6.0, 8.0);
         match &self.robot.settings.gripper {
             Gripper::ParallelJaw(jaw) => {
                 let force = 2.0 * p.pad_friction() * self.grip_force_n * p.gripper.force_scale;
@@ -388,28 +312,18 @@ impl PickPlaceForesight {
 impl Foresight for PickPlaceForesight {
     fn draws(&self, scenario: &Scenario) -> Result<Measures, Fault> {
         let outlook = self.outlook(scenario)?;
-        let names = &self.names;
-        let mut draws: Vec<(Word, Option<f64>)> =
-            names.biases.iter().copied().zip(outlook.cell.bias.iter().copied().map(Some)).collect();
-        if let Some((_, off)) = &outlook.grasp {
-            let tilt = off.rotation.scaled_axis();
-            let values = off.translation.vector.iter().chain(tilt.iter()).copied();
-            draws.extend(names.tool.iter().copied().zip(values.map(Some)));
-        }
-        // Adding 0 turns a negative zero into zero.
+        let bias = outlook.cell.bias.iter().copied().map(Some);
+        let tool = components(outlook.grasp.as_ref().map(|(_, off)| off));
         let jitter =
-            outlook.cell.draws.jitter.map(|fraction| Some(fraction * outlook.cell.parameters.position_jitter_m + 0.0));
-        draws.extend(names.jitter.into_iter().zip(jitter));
-        if let Some(near) = self.nearest(&outlook) {
-            draws.extend(names.nearest.into_iter().zip([Some(near.distance_m), Some(near.height_m)]));
-        }
+            outlook.cell.draws.jitter.map(|fraction| Some(fraction * outlook.cell.parameters.position_jitter_m));
+        let near = self.nearest(&outlook);
+        let nearest = [near.as_ref().map(|near| near.distance_m), near.as_ref().map(|near| near.height_m)];
         let obstacles = outlook.cell.scene.fixtures.iter().filter(|fixture| fixture.kind == FixtureKind::Obstacle);
         let places = obstacles.flat_map(|fixture| {
             let at = fixture.part.pose.translation;
             [Some(at.x), Some(at.y)]
         });
-        draws.extend(names.obstacles.iter().copied().zip(places));
-        Ok(draws.into_iter().collect())
+        Ok(drawn(&self.draws, bias.chain(tool).chain(jitter).chain(nearest).chain(places)))
     }
 
     fn feature_specs(&self) -> &[FeatureSpec] {

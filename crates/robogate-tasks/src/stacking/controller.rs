@@ -6,14 +6,14 @@ use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
 use super::Stacking;
 use super::spec::{Briefing, phases};
-use crate::arm::{CONTROL_PERIOD_S, FREE, Planner, Rules, Script, drives_task, tool_down};
+use crate::arm::{CONTROL_PERIOD_S, FREE, Planner, Posture, Rules, Script, drives_task, tool_down};
 
 /// Height of the tool above the table on transit paths, in metres: a carried part passes over a stack of two.
 const TRANSIT_HEIGHT_M: f64 = 0.25;
 /// Height of a part above the part below it at its release, in metres.
-const RELEASE_ROOM_M: f64 = 0.003;
+pub(super) const RELEASE_ROOM_M: f64 = 0.003;
 /// Limits of motion with a part in the hand, low enough that it does not slip.
-const CARRY: ToolLimit = ToolLimit { speed: 0.5, acceleration: 1.2 };
+pub(super) const CARRY: ToolLimit = ToolLimit { speed: 0.5, acceleration: 1.2 };
 /// Limits of the last part of the way down onto the stack.
 const LOWER: ToolLimit = ToolLimit { speed: 0.2, acceleration: 0.8 };
 
@@ -29,6 +29,15 @@ impl Scripted {
     pub(super) fn new(robot: Robot, chain: Chain) -> Self {
         let script = Script::new(chain.clone(), Vec::new());
         Self { robot, chain, script }
+    }
+
+    /// The postures in which the arm grasps and releases each part, from the bottom up. `None` if one is out of reach.
+    pub(super) fn postures(&self, briefing: &Briefing) -> Option<[[Posture; 2]; 2]> {
+        let mut planner = Planner::new(&self.robot, &self.chain, CONTROL_PERIOD_S);
+        (1..briefing.order.len()).try_for_each(|level| self.stack(&mut planner, briefing, level)).ok()?;
+        // The last posture is that after the last release.
+        let [a, b, c, d, _]: [Posture; 5] = Posture::of_plan(&self.chain, &planner.finish()).try_into().ok()?;
+        Some([[a, b], [c, d]])
     }
 
     /// Appends the motions that put the part of a level on the stack.

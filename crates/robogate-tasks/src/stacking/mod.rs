@@ -4,6 +4,7 @@
 //! it. [`statics`] has the limits of overhang that the physics is verified against.
 
 mod controller;
+mod foresight;
 mod parameters;
 mod referee;
 mod scene;

@@ -1,7 +1,9 @@
 //! Resolves a scenario: the parts on the table, the order and the offset of the stack.
 
+use std::sync::Arc;
+
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::{CameraSpec, Fault, Policy, Pose, Scenario, TaskSpec};
+use robogate_core::{CameraSpec, Fault, Foresight, Policy, Pose, Scenario, TaskSpec};
 use robogate_physics::{
     Chain, Color, Fixture, FreeBody, GRAVITY, GripperUnit, MassProperties, Object, Part, Primitive, Robot, Scene,
     Visual,
@@ -9,6 +11,7 @@ use robogate_physics::{
 
 use super::Stacking;
 use super::controller::Scripted;
+use super::foresight::StackingForesight;
 use super::parameters::{PARTS, ROWS, Settings};
 use super::referee::Referee;
 use super::spec::{self, Briefing, TOLERANCE_M};
@@ -33,40 +36,63 @@ impl Rules for Stacking {
         Box::new(Scripted::new(robot, chain))
     }
 
+    fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Arc<dyn Foresight> {
+        Arc::new(StackingForesight::new(robot, chain, grip_force_n))
+    }
+
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         spec::spec(robot, cameras)
     }
 
     fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved<Referee>, Fault> {
-        let settings = Settings {
-            places: within_reach(robot, PLACES),
-            ..drawn(decode(&ROWS, &scenario.requested)?, scenario, robot)
-        };
-        let briefing = Briefing {
-            size_m: settings.size_m,
-            parts: settings.places.map(|[x, y]| Pose::upright([x, y, 0.5 * settings.size_m], 0.0)),
-            order: settings.order,
-            offset_m: [settings.overhang * settings.size_m, 0.0],
-            tolerance_m: TOLERANCE_M,
-        };
+        let settings = settings(scenario, robot)?;
         Ok(Resolved {
             scene: scene(&settings),
             bias: encoder_bias(scenario, robot, settings.around.encoder_bias_rad),
-            instance: briefing.instance(),
+            instance: briefing(&settings).instance(),
             trial: Referee::new(settings, grip_force_n),
         })
     }
 }
 
-/// The settings with the episode's random draws.
-fn drawn(mut settings: Settings, scenario: &Scenario, robot: &Robot) -> Settings {
+/// The briefing of an episode with these settings.
+pub(super) fn briefing(settings: &Settings) -> Briefing {
+    Briefing {
+        size_m: settings.size_m,
+        parts: settings.places.map(|[x, y]| Pose::upright([x, y, 0.5 * settings.size_m], 0.0)),
+        order: settings.order,
+        offset_m: [settings.overhang * settings.size_m, 0.0],
+        tolerance_m: TOLERANCE_M,
+    }
+}
+
+/// The settings of a scenario with all random draws.
+///
+/// # Errors
+/// A setup fault if the scenario cannot be set up.
+pub(super) fn settings(scenario: &Scenario, robot: &Robot) -> Result<Settings, Fault> {
+    let mut settings: Settings = decode(&ROWS, &scenario.requested)?;
+    settings.places = within_reach(robot, PLACES);
     let mut stream = scenario.seed.stream("part-jitter");
     for part in 0..PARTS.len() {
         settings.shift[part] = disc_point(&mut stream);
         settings.turn[part] = stream.between(-1.0, 1.0);
     }
     settings.around.encoders = encoder_bias(scenario, robot, 1.0);
-    settings
+    Ok(settings)
+}
+
+impl Settings {
+    /// The pose of a part at the start.
+    pub(super) fn pose(&self, part: usize) -> Isometry3<f64> {
+        let ([x, y], [dx, dy]) = (self.places[part], self.shift[part]);
+        let jitter = self.position_jitter_m;
+        let yaw = self.turn[part] * self.yaw_jitter_rad;
+        Isometry3::from_parts(
+            Translation3::new(x + jitter * dx, y + jitter * dy, 0.5 * self.size_m),
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw),
+        )
+    }
 }
 
 /// The scene of these settings.
@@ -76,16 +102,10 @@ pub(super) fn scene(settings: &Settings) -> Scene {
     let body = |part: usize| {
         let level = settings.order.iter().position(|at| *at == part).unwrap_or_default();
         let mass_kg = settings.mass_kg * settings.mass_step.powi(level as i32);
-        let ([x, y], [dx, dy]) = (settings.places[part], settings.shift[part]);
-        let jitter = settings.position_jitter_m;
-        let yaw = settings.turn[part] * settings.yaw_jitter_rad;
         FreeBody {
             name: format!("part_{}", PARTS[part]),
             object: Object { mass: MassProperties::homogeneous(&parts, mass_kg), parts: parts.clone() },
-            pose: Isometry3::from_parts(
-                Translation3::new(x + jitter * dx, y + jitter * dy, half),
-                UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw),
-            ),
+            pose: settings.pose(part),
             color: COLORS[part],
         }
     };

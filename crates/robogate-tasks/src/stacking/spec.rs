@@ -4,8 +4,8 @@ use robogate_core::{Better, CameraSpec, FailureMode, Fault, Pose, Severity, Task
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
-use super::Stacking;
 use super::parameters::ROWS;
+use super::{Stacking, foresight};
 use crate::arm::{Rules, base_spec, briefing, instance, measure, mode, not_a_briefing, specs};
 
 /// The time limit of an episode, in seconds.
@@ -56,6 +56,7 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
             mode(COLLISION, Severity::Critical, "A link or finger of the robot touched the table."),
             mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the stack was complete."),
         ],
+        draws: foresight::draw_specs(robot.settings.arm.joints.len()),
         measures: vec![
             measure(OFFSET, "m", Better::Lower, "Largest horizontal distance of a placed part from its place."),
             measure(
