@@ -9,7 +9,7 @@ use robogate_campaign::{
 };
 use robogate_gate::Twins;
 use robogate_report::{ActiveModel, Headline, low_side};
-use robogate_stats::format::{counted, p_value, percent_or_dash};
+use robogate_stats::format::{counted, fixed, p_value, percent_or_dash};
 use serde_json::json;
 
 use crate::active_model;
@@ -287,9 +287,17 @@ const MAX_CELLS: usize = 16;
 fn marginal_effect(effect: &MarginalEffect) {
     line("");
     line(bold(format_args!("Success by {}", effect.parameter)));
-    for cell in effect.cells.iter().take(MAX_CELLS) {
+    let cells = || effect.cells.iter().take(MAX_CELLS);
+    let ranges: Vec<[f64; 2]> = cells().filter_map(|cell| cell.range).collect();
+    let decimals = ranges.iter().map(|[low, high]| decimals_of(high - low)).max().unwrap_or_default();
+    let written: Vec<String> = ranges.as_flattened().iter().map(|x| fixed(*x, decimals)).collect();
+    let wide = widest(written.iter().map(String::as_str), 6);
+    for cell in cells() {
         let label = match cell.range {
-            Some([low, high]) => format!("{low:>6.3} to {high:>6.3}"),
+            Some(range) => {
+                let [low, high] = range.map(|x| fixed(x, decimals));
+                format!("{low:>wide$} to {high:>wide$}")
+            }
             None => format!("{:>16}", cell.label.chars().take(16).collect::<String>()),
         };
         match cell.rate.rate {
@@ -355,6 +363,11 @@ fn found(report: &BoundaryReport) {
 /// Formats a share that may be very small, with two significant digits.
 fn small_percent(share: f64) -> String {
     if share >= 0.1 { percent(share) } else { format!("{:.1$} %", 100.0 * share, 1 + digits_before(100.0 * share)) }
+}
+
+/// Decimals that show two digits of a difference.
+fn decimals_of(difference: f64) -> usize {
+    if difference > 0.0 { (1.0 - difference.log10().floor()).clamp(0.0, 12.0) as usize } else { 3 }
 }
 
 /// The number of zeros between the decimal point and the first digit of a number below 10.

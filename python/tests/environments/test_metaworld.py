@@ -46,6 +46,21 @@ class MetaWorld(unittest.TestCase):
         self.assertEqual(first(1), first(1))
         self.assertNotEqual(first(1), first(2))
 
+    def test_nominal_values_change_nothing(self):
+        # The same bits as the environment alone, although the knobs evaluate its model once more after the reset.
+        adapter = Adapter(find("metaworld:push-v3"))
+        nominal = {knob["name"]: knob["nominal"] for knob in adapter.hello()["task"]["parameters"] if knob["name"] in ("mass_obj", "action_delay")}
+        self.assertEqual(len(nominal), 2)
+
+        def states(**parameters):
+            step, states = adapter.reset(Scenario(2, 1, parameters, policy="expert")), []
+            while step.get("ending") is None:
+                step = adapter.step(Action("vector", step["proposed"]["action"]))
+                states.append(step["state_hash"])
+            return states
+
+        self.assertEqual(states(**nominal), states())
+
     def test_low_friction_makes_the_expert_fail(self):
         # The coefficient in the contacts is the requested one, although the table has more friction.
         adapter = Adapter(find("metaworld:push-v3"))

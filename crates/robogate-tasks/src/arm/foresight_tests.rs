@@ -4,9 +4,7 @@
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use robogate_core::{
-    Assignment, Environment, Foresight, Measures, Outcome, Policy, Pose, Scenario, Seed, Step, Value, rollout,
-};
+use robogate_core::{Assignment, Environment, Measures, Outcome, Pose, Scenario, Seed, Step, Value, rollout};
 use robogate_physics::{Engine, MujocoEngine, Robot, SuctionLaw, built_in_robot, isometry};
 
 use super::{ArmEnvironment, Rules};

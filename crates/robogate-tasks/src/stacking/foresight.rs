@@ -107,8 +107,8 @@ static CUP: [FeatureSpec; 9] = [
     feature("press_margin_m", "m", Better::Higher, "Smallest gap between the lip and a part."),
 ];
 
-/// Grasp and release of each part that is moved, from the bottom up.
-type Postures = [[Posture; 2]; 2];
+/// One for grasp and one for release of each part that is moved, from the bottom up.
+type Moves<T> = [[T; 2]; 2];
 
 /// Order of the parts, and size and overhang in steps of [`STEP_M`].
 type Key = ([usize; 3], u64, u64);
@@ -121,15 +121,25 @@ pub(super) struct StackingForesight {
     planner: Scripted,
     draws: Vec<DrawSpec>,
     /// `None` where a posture is out of reach.
-    postures: Memo<Key, Option<Postures>>,
+    postures: Memo<Key, Option<Moves<Posture>>>,
 }
 
 /// An episode before it runs.
 struct Outlook {
     settings: Settings,
     bias: Vec<f64>,
-    /// The postures, each with the displacement of its tool.
-    moves: Option<[[(Posture, Isometry3<f64>); 2]; 2]>,
+    moves: Option<Moves<Displaced>>,
+}
+
+/// A posture, and the displacement of its tool.
+type Displaced = (Posture, Isometry3<f64>);
+
+/// The tool in a grasp.
+struct Grasp {
+    /// Its place from the middle of the part, in the frame of the planned tool.
+    off: Vector3<f64>,
+    /// Rotation of the part about the vertical, in radians.
+    yaw: f64,
 }
 
 impl StackingForesight {
@@ -169,7 +179,6 @@ impl StackingForesight {
         let base = settings.pose(settings.order[0]);
         let mut placed = vec![base];
         let (mut tilt, mut room) = (0.0_f64, RELEASE_ROOM_M);
-        // Of the tool in each grasp: its place in the planned tool frame, from the middle of the part, and rotation of the part.
         let mut grasps = Vec::new();
         for (level, [(grasp, off), (place, off_there)]) in (1..).zip(outlook.moves.iter().flatten()) {
             let part = settings.order[level];
@@ -186,7 +195,7 @@ impl StackingForesight {
             placed.push(Isometry3::from_parts((goal + moved).into(), turned));
             let middle = grasp.tool.rotation.inverse() * (truly.translation.vector - from.translation.vector);
             let yaw = within_quarter(truly.rotation.euler_angles().2 - from.rotation.euler_angles().2);
-            grasps.push((off.translation.vector - middle, yaw));
+            grasps.push(Grasp { off: off.translation.vector - middle, yaw });
         }
         let pairs = || placed.windows(2);
         let apart = |two: &[Isometry3<f64>]| {
@@ -202,7 +211,7 @@ impl StackingForesight {
             .enumerate()
             .map(|(level, at)| Level { at: [at.translation.x, at.translation.y], mass_kg: mass(level) })
             .collect();
-        let least = |of: &dyn Fn(&(Vector3<f64>, f64)) -> f64| grasps.iter().map(of).fold(size, f64::min);
+        let least = |of: &dyn Fn(&Grasp) -> f64| grasps.iter().map(of).fold(size, f64::min);
         let holding_n = match gripper {
             Gripper::ParallelJaw(_) => 2.0 * settings.friction * self.grip_force_n,
             Gripper::Suction(cup) => cup.force_n(),
@@ -219,16 +228,16 @@ impl StackingForesight {
         let height = crate::arm::grasp_height(gripper, size);
         match gripper {
             Gripper::ParallelJaw(jaw) => row.extend([
-                least(&|(off, yaw)| 0.5 * (jaw.opening_m - size * (yaw.cos() + yaw.sin().abs())) - off.y.abs()),
-                least(&|(off, _)| 0.5 * size - off.x.abs()),
-                least(&|(off, _)| height - off.z - jaw.tip_m),
+                least(&|Grasp { off, yaw }| 0.5 * (jaw.opening_m - size * (yaw.cos() + yaw.sin().abs())) - off.y.abs()),
+                least(&|Grasp { off, .. }| 0.5 * size - off.x.abs()),
+                least(&|Grasp { off, .. }| height - off.z - jaw.tip_m),
             ]),
             Gripper::Suction(cup) => {
                 let gap = |off: &Vector3<f64>| height - size - off.z;
                 row.extend([
-                    least(&|(off, _)| 0.5 * (size - cup.cup_diameter_m) - off.xy().norm()),
-                    least(&|(off, _)| GRIP_THRESHOLD_M - gap(off)),
-                    least(&|(off, _)| gap(off)),
+                    least(&|Grasp { off, .. }| 0.5 * (size - cup.cup_diameter_m) - off.xy().norm()),
+                    least(&|Grasp { off, .. }| GRIP_THRESHOLD_M - gap(off)),
+                    least(&|Grasp { off, .. }| gap(off)),
                 ]);
             }
         }

@@ -141,7 +141,10 @@ class Model:
             # Constants that MuJoCo derives from masses and sizes, such as the inverse weights of constraints.
             mujoco.mj_setConst(self.model, self.scratch)
             self._derived = True
+        # What the solver starts from is kept, so that nominal values give the episode of the environment alone.
+        warm_start = self.data.qacc_warmstart.copy()
         mujoco.mj_forward(self.model, self.data)
+        self.data.qacc_warmstart[:] = warm_start
 
     def restore(self) -> None:
         """Undo all edits."""
