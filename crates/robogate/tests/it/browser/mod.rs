@@ -89,6 +89,11 @@ impl Browser {
 
     /// Calls a method and returns its result. Errors on the page are collected meanwhile.
     pub fn call(&mut self, method: &str, parameters: Value) -> Value {
+        self.try_call(method, parameters).unwrap_or_else(|error| panic!("{method}: {error}"))
+    }
+
+    /// Calls a method and returns its result or error.
+    fn try_call(&mut self, method: &str, parameters: Value) -> Result<Value, Value> {
         self.last += 1;
         let id = self.last;
         let mut request = json!({ "id": id, "method": method, "params": parameters });
@@ -100,8 +105,8 @@ impl Browser {
             let Message::Text(text) = self.socket.read().unwrap() else { continue };
             let message: Value = serde_json::from_str(&text).unwrap();
             if message["id"] == json!(id) {
-                assert!(message["error"].is_null(), "{method}: {}", message["error"]);
-                return message["result"].clone();
+                let error = &message["error"];
+                return if error.is_null() { Ok(message["result"].clone()) } else { Err(error.clone()) };
             }
             self.note(&message);
         }
@@ -142,16 +147,26 @@ impl Browser {
 
     /// Evaluates an expression on the page. A promise is awaited.
     pub fn evaluate(&mut self, expression: &str) -> Value {
-        let parameters = json!({ "expression": expression, "awaitPromise": true, "returnByValue": true });
-        let result = self.call("Runtime.evaluate", parameters);
-        assert!(result["exceptionDetails"].is_null(), "{expression}: {}", result["exceptionDetails"]);
-        result["result"]["value"].clone()
+        self.try_evaluate(expression).unwrap_or_else(|error| panic!("{expression}: {error}"))
     }
 
-    /// Waits until an expression is true.
+    /// Evaluates an expression. An error is that of the browser, for example of a page that it has just left.
+    fn try_evaluate(&mut self, expression: &str) -> Result<Value, Value> {
+        let parameters = json!({ "expression": expression, "awaitPromise": true, "returnByValue": true });
+        let result = self.try_call("Runtime.evaluate", parameters)?;
+        assert!(result["exceptionDetails"].is_null(), "{expression}: {}", result["exceptionDetails"]);
+        Ok(result["result"]["value"].clone())
+    }
+
+    /// Waits until an expression is true. It has no value while the browser moves to another page.
     pub fn wait(&mut self, condition: &str) {
         let begun = Instant::now();
-        while self.evaluate(condition) != json!(true) {
+        loop {
+            match self.try_evaluate(condition) {
+                Ok(Value::Bool(true)) => return,
+                Err(error) if !error.to_string().contains("navigated") => panic!("{condition}: {error}"),
+                _ => {}
+            }
             assert!(begun.elapsed() < PATIENCE, "{condition} did not become true; troubles: {:?}", self.troubles);
             std::thread::sleep(Duration::from_millis(40));
         }
