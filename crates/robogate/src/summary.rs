@@ -385,3 +385,16 @@ fn files(dir: &Path, summary: &Summary) {
     line(format_args!("  robogate replay {} 0        replay one episode", dir.display()));
     line(format_args!("  robogate export {} out.csv  export the rows for a spreadsheet", dir.display()));
 }
+
+#[cfg(test)]
+mod tests {
+    use super::decimals_of;
+
+    /// The ends of a narrow range differ in the digits that are shown.
+    #[test]
+    fn two_digits_of_a_difference_are_shown() {
+        for (difference, decimals) in [(0.000_28, 5), (0.04, 3), (0.5, 2), (1.0, 1), (80.0, 0), (20_000.0, 0)] {
+            assert_eq!(decimals_of(difference), decimals, "{difference}");
+        }
+    }
+}
