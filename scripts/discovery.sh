@@ -4,7 +4,7 @@
 #
 #   scripts/discovery.sh OUT [ROBOT] [TEST] [REPEATS] [SIZES] [PAIRS] [TASK]
 #
-# OUT gets the runs of one task, ROBOT.md and, for pick and place, ROBOT-collisions.md. Defaults: franka, 12000 test episodes, 10 repeats,
+# OUT gets the runs of one task, ROBOT.md and, for pick and place with the Franka, franka-collisions.md. Defaults: franka, 12000 test episodes, 10 repeats,
 # sizes "250 500 1000 2000", 4000 pairs, pick_place. An episode costs 0.04 to 0.15 s of one core: the defaults run about 130,000 episodes, 1.6 to
 # 5.4 CPU hours. Campaigns that exist in OUT are resumed or kept, so the script can be interrupted and repeated.
 set -euo pipefail
@@ -47,8 +47,8 @@ for ((repeat = 1; repeat <= repeats; repeat++)); do
 done
 "$example" score "$out/$robot-test" "$out/$robot-partners" "${runs[@]}" | tee "$out/$robot.md"
 
-[ "$task" = pick_place ] || exit 0
-# Collisions without obstacles: a rare failure. Episodes until ten of them, for uniform points and for points that seek them.
+[ "$task-$robot" = pick_place-franka ] || exit 0
+# Collisions of the Franka without obstacles: a rare failure. Episodes until ten of them, for uniform points and for points that seek them.
 space=$out/$robot-free.toml
 awk 'BEGIN { RS = ""; ORS = "\n\n" } !/name = "obstacles"/' "assets/spaces/$robot.toml" | sed "0,/^name = /s/^name = .*/name = \"$robot-free\"/" >"$space"
 campaign free --plan "$(uniform 1500)" --design uniform --space "$space" --seed 400000

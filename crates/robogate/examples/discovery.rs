@@ -39,7 +39,7 @@ use robogate_tasks::stacking::Stacking;
 /// Size of camera images, which nothing reads here.
 const PICTURE_PX: usize = 16;
 /// Fresh draws over which a model is averaged.
-const DRAWS: u64 = 12;
+const DRAWS: u64 = 96;
 /// The name of a learner, and the learner.
 const LEARNERS: [(&str, Fitted); 5] = [
     ("both, told draws", Fitted::Risk { told: true, learner: Learner::Chosen }),

@@ -14,7 +14,7 @@ use super::{ActiveRound, ActiveStage, Certificate, ModelScore, Prior, PriorRound
 use crate::{Plan, RunError};
 
 /// Fresh draws over which the model is averaged where its error is measured.
-const DRAWS: u64 = 32;
+const DRAWS: u64 = 96;
 /// Probability that any of the bounds of a campaign fails.
 const ALPHA: f64 = 0.05;
 /// Fewest failures of the mode that a plan seeks for a model.
