@@ -362,17 +362,12 @@ fn found(report: &BoundaryReport) {
 
 /// Formats a share that may be very small, with two significant digits.
 fn small_percent(share: f64) -> String {
-    if share >= 0.1 { percent(share) } else { format!("{:.1$} %", 100.0 * share, 1 + digits_before(100.0 * share)) }
+    if share >= 0.1 { percent(share) } else { format!("{:.1$} %", 100.0 * share, decimals_of(100.0 * share)) }
 }
 
-/// Decimals that show two digits of a difference.
-fn decimals_of(difference: f64) -> usize {
-    if difference > 0.0 { (1.0 - difference.log10().floor()).clamp(0.0, 12.0) as usize } else { 3 }
-}
-
-/// The number of zeros between the decimal point and the first digit of a number below 10.
-fn digits_before(x: f64) -> usize {
-    if x > 0.0 { (-x.log10()).ceil().clamp(0.0, 12.0) as usize } else { 0 }
+/// Decimals that show two digits of a number.
+fn decimals_of(x: f64) -> usize {
+    if x > 0.0 { (1.0 - x.log10().floor()).clamp(0.0, 13.0) as usize } else { 1 }
 }
 
 fn files(dir: &Path, summary: &Summary) {

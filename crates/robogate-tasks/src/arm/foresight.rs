@@ -9,7 +9,7 @@ use std::sync::{Mutex, PoisonError};
 
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Better, DrawSpec, FeatureSpec, Measures, Word};
-use robogate_physics::{Chain, Robot};
+use robogate_physics::{Chain, Gripper, Robot};
 
 use super::Stage;
 
@@ -49,12 +49,12 @@ impl Posture {
     /// Pose of the displaced tool in the frame of the planned one, with encoders of these biases (rad).
     pub(crate) fn displacement(&self, chain: &Chain, bias: &[f64]) -> Isometry3<f64> {
         let truly: Vec<f64> = self.joints.iter().zip(bias).map(|(q, bias)| q - bias).collect();
-        chain.tcp_at(&self.joints).inverse() * chain.tcp_at(&truly)
+        self.tool.inverse() * chain.tcp_at(&truly)
     }
 
-    /// Compliance of the arm at the tool, in m/N.
-    pub(crate) fn compliance(&self, robot: &Robot, chain: &Chain, stiffness: f64) -> Matrix3<f64> {
-        compliance(robot, chain, &self.joints, stiffness)
+    /// Compliance of the arm with its own servos at the tool, in m/N.
+    pub(crate) fn compliance(&self, robot: &Robot, chain: &Chain) -> Matrix3<f64> {
+        compliance(robot, chain, &self.joints, 1.0)
     }
 }
 
@@ -81,10 +81,10 @@ pub(crate) fn in_hand(
     tool: &Isometry3<f64>,
     off: &Isometry3<f64>,
     part: &Isometry3<f64>,
-    fingers: bool,
+    gripper: &Gripper,
 ) -> Isometry3<f64> {
     let kept = off.inverse() * tool.inverse() * part * tool;
-    if !fingers {
+    if matches!(gripper, Gripper::Suction(_)) {
         return kept;
     }
     let [x, _, z] = kept.translation.vector.into();
@@ -98,7 +98,7 @@ pub(crate) fn within_quarter(yaw: f64) -> f64 {
     yaw - QUARTER * (yaw / QUARTER).round()
 }
 
-/// A draw. `None` if the name is no word.
+/// A draw. `None` if the name is not a valid word.
 pub(crate) fn draw(name: &str, unit: &str, meaning: impl Into<String>) -> Option<DrawSpec> {
     Word::new(name).ok().map(|name| DrawSpec { name, unit: unit.to_owned(), meaning: meaning.into() })
 }
@@ -111,7 +111,7 @@ pub(crate) fn bias_draws(joints: usize) -> impl Iterator<Item = DrawSpec> {
     })
 }
 
-/// The components of a displacement of the tool, in the order of [`components`]. `place` completes "at ...".
+/// The components of a displacement of the tool, in the order of [`components`]. `place` says where the tool is: "the planned grasp".
 pub(crate) fn tool_draws(prefix: &str, place: &str) -> Vec<DrawSpec> {
     let one = |(name, unit, direction): &(&str, &str, &str)| {
         let meaning = format!("Displacement of the tool by the encoder biases at {place}, {direction}.");
@@ -120,7 +120,7 @@ pub(crate) fn tool_draws(prefix: &str, place: &str) -> Vec<DrawSpec> {
     TOOL.iter().filter_map(one).collect()
 }
 
-/// Position (m) and rotation vector (rad) of a displacement. Nothing if there is none.
+/// Position (m) and rotation vector (rad) of a displacement. Six times `None` without a displacement.
 pub(crate) fn components(displacement: Option<&Isometry3<f64>>) -> [Option<f64>; 6] {
     let mut six = [None; 6];
     if let Some(off) = displacement {
@@ -144,6 +144,15 @@ pub(crate) const fn feature(
     meaning: &'static str,
 ) -> FeatureSpec {
     FeatureSpec { name, unit, meaning, better }
+}
+
+/// The largest force with which a gripper holds a part against its weight, in newtons: the friction of two pads with this coefficient,
+/// or the suction of a cup.
+pub(crate) fn holding_n(gripper: &Gripper, friction: f64, grip_force_n: f64) -> f64 {
+    match gripper {
+        Gripper::ParallelJaw(_) => 2.0 * friction * grip_force_n,
+        Gripper::Suction(cup) => cup.force_n(),
+    }
 }
 
 /// The logarithm of a ratio of positive numbers, within bounds.
@@ -179,9 +188,11 @@ impl<K: Ord, V: Clone> Memo<K, V> {
 }
 
 #[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 mod tests {
     use super::*;
     use crate::arm::tool_down;
+    use robogate_physics::built_in_robot;
     use std::f64::consts::FRAC_PI_2;
 
     /// A part that lies beside its nominal place is centred along the closing direction (base y at yaw 0) only.
@@ -190,6 +201,8 @@ mod tests {
         let tool = tool_down([0.4, 0.1, 0.2], 0.0);
         let part = Isometry3::translation(0.003, 0.002, 0.0);
         let none = Isometry3::identity();
+        let gripper = |robot: &str| built_in_robot(robot).unwrap().settings.gripper;
+        let (fingers, cup) = (gripper("franka"), gripper("ur5e"));
         let at = |held: Isometry3<f64>| {
             let moved = tool * held * tool.inverse();
             let off = moved * nalgebra::Point3::from(tool.translation.vector)
@@ -197,11 +210,11 @@ mod tests {
             [off.x, off.y]
         };
         let close = |a: [f64; 2], b: [f64; 2]| assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 1e-12, "{a:?} {b:?}");
-        close(at(in_hand(&tool, &none, &part, false)), [0.003, 0.002]);
-        close(at(in_hand(&tool, &none, &part, true)), [0.003, 0.0]);
+        close(at(in_hand(&tool, &none, &part, &cup)), [0.003, 0.002]);
+        close(at(in_hand(&tool, &none, &part, &fingers)), [0.003, 0.0]);
         // A tool that is displaced with the part holds it as planned.
         let off = tool.inverse() * part * tool;
-        close(at(in_hand(&tool, &off, &part, false)), [0.0, 0.0]);
+        close(at(in_hand(&tool, &off, &part, &cup)), [0.0, 0.0]);
     }
 
     #[test]

@@ -23,7 +23,7 @@ pub(crate) use environment::{
 };
 pub(crate) use film::Film;
 pub(crate) use foresight::{
-    Memo, Posture, bias_draws, compliance, components, draw, drawn, feature, in_hand, log_ratio, tool_draws,
+    Memo, Posture, bias_draws, compliance, components, draw, drawn, feature, holding_n, in_hand, log_ratio, tool_draws,
     within_quarter,
 };
 pub(crate) use grip::{Grip, GripChange, touching};

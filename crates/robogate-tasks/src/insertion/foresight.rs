@@ -14,8 +14,8 @@ use super::scene::{GRIP_FRICTION, nominal_poses, settings};
 use super::spec::Briefing;
 use super::whitney;
 use crate::arm::{
-    GRIP_THRESHOLD_M, Posture, bias_draws, components, draw, drawn, encoder_bias, feature, in_hand, log_ratio,
-    tool_draws, within_quarter,
+    GRIP_THRESHOLD_M, Posture, bias_draws, components, draw, drawn, encoder_bias, feature, holding_n, in_hand,
+    log_ratio, tool_draws, within_quarter,
 };
 
 /// Longest time of a search, in seconds: longer than an episode.
@@ -130,6 +130,8 @@ pub(super) struct InsertionForesight {
     nominal: [Isometry3<f64>; 2],
     /// The postures of grasp and arrival. `None` if they are out of reach.
     postures: Option<[Posture; 2]>,
+    /// Compliance of the arm with its own servos across the peg on arrival, in m/N. 1 without an arrival.
+    compliance: f64,
 }
 
 /// An episode before it runs.
@@ -146,13 +148,19 @@ impl InsertionForesight {
         let at = |pose: &Pose| isometry(&pose.position, &pose.orientation);
         let nominal = [at(&peg), at(&hole)];
         let briefing = Briefing { peg, hole, clearance_m: 0.0, chamfer_m: 0.0, arm_stiffness: 1.0 };
+        let postures = Scripted::new(robot.clone(), chain.clone()).postures(&briefing);
+        let compliance = postures.as_ref().map_or(1.0, |[_, arrival]| {
+            let compliance = arrival.compliance(robot, chain);
+            0.5 * (compliance[(0, 0)] + compliance[(1, 1)])
+        });
         Self {
             robot: robot.clone(),
             chain: chain.clone(),
             grip_force_n,
             draws: draw_specs(chain.joints.len()),
             nominal,
-            postures: Scripted::new(robot.clone(), chain.clone()).postures(&briefing),
+            postures,
+            compliance,
         }
     }
 
@@ -163,22 +171,20 @@ impl InsertionForesight {
         Ok(Outlook { settings, bias, off })
     }
 
-    /// The pose of the peg in the frame of the true hole on arrival, and the compliance of the arm across the peg there in m/N.
-    fn arrival(&self, outlook: &Outlook) -> (Isometry3<f64>, f64) {
+    /// The pose of the peg in the frame of the true hole on arrival.
+    fn arrival(&self, outlook: &Outlook) -> Isometry3<f64> {
         let settings = &outlook.settings;
         let [peg, hole] = &self.nominal;
         let shift = settings.peg_pose() * peg.inverse();
         let (Some([grasp, arrival]), Some([off, off_there])) = (&self.postures, &outlook.off) else {
-            return (settings.mouth().inverse() * hole, 1.0);
+            return settings.mouth().inverse() * hole;
         };
-        let fingers = matches!(self.robot.settings.gripper, Gripper::ParallelJaw(_));
-        let held = in_hand(&grasp.tool, off, &shift, fingers);
+        let held = in_hand(&grasp.tool, off, &shift, &self.robot.settings.gripper);
         // The arm arrives above the hole. This is where the peg would be in its mouth.
         let mut over = arrival.tool;
         over.translation.z = hole.translation.z + self.tool_height();
         let at = over * off_there * held * grasp.tool.inverse() * peg;
-        let compliance = arrival.compliance(&self.robot, &self.chain, settings.arm_stiffness);
-        (settings.mouth().inverse() * at, 0.5 * (compliance[(0, 0)] + compliance[(1, 1)]))
+        settings.mouth().inverse() * at
     }
 
     fn tool_height(&self) -> f64 {
@@ -187,20 +193,17 @@ impl InsertionForesight {
 
     fn fill(&self, outlook: &Outlook) -> Vec<f64> {
         let settings = &outlook.settings;
-        let (at, compliance) = self.arrival(outlook);
+        let at = self.arrival(outlook);
         let [x, y, _] = at.translation.vector.into();
         let axis = at.rotation * Vector3::z();
         let tilt = axis.x.hypot(axis.y);
         let yaw = within_quarter(at.rotation.euler_angles().2).abs();
         let fit = settings.clearance_m - DEPTH_M * tilt - settings.width_m * yaw;
         // The walls bend the arm by what does not fit.
-        let straighten_n = (-fit).max(0.0) / compliance;
+        let straighten_n = (-fit).max(0.0) * settings.arm_stiffness / self.compliance;
         let weight_n = settings.mass_kg * (GRAVITY + CARRY.acceleration);
         let gripper = &self.robot.settings.gripper;
-        let holding_n = match gripper {
-            Gripper::ParallelJaw(_) => 2.0 * GRIP_FRICTION * self.grip_force_n,
-            Gripper::Suction(cup) => cup.force_n(),
-        };
+        let holding_n = holding_n(gripper, GRIP_FRICTION, self.grip_force_n);
         let search_s = controller::search_time(settings.clearance_m, settings.chamfer_m, x.hypot(y));
         let mut row = vec![
             x.hypot(y),

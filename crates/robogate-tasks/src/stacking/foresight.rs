@@ -13,8 +13,8 @@ use super::scene::{briefing, settings};
 use super::spec::TOLERANCE_M;
 use super::statics::{self, Level};
 use crate::arm::{
-    GRIP_THRESHOLD_M, Memo, Posture, bias_draws, components, draw, drawn, encoder_bias, feature, in_hand, log_ratio,
-    tool_draws, within_quarter,
+    GRIP_THRESHOLD_M, Memo, Posture, bias_draws, components, draw, drawn, encoder_bias, feature, grasp_height,
+    holding_n, in_hand, log_ratio, tool_draws, within_quarter,
 };
 
 /// Sizes and overhangs are rounded to this step for the planned postures, in metres. It changes a displacement by less than 0.1 mm.
@@ -173,7 +173,6 @@ impl StackingForesight {
         let settings = &outlook.settings;
         let size = settings.size_m;
         let gripper = &self.robot.settings.gripper;
-        let fingers = matches!(gripper, Gripper::ParallelJaw(_));
         let nominal = briefing(settings);
         let at = |pose: &Pose| isometry(&pose.position, &pose.orientation);
         let base = settings.pose(settings.order[0]);
@@ -183,7 +182,7 @@ impl StackingForesight {
         for (level, [(grasp, off), (place, off_there)]) in (1..).zip(outlook.moves.iter().flatten()) {
             let part = settings.order[level];
             let (from, truly) = (at(&nominal.parts[part]), settings.pose(part));
-            let held = in_hand(&grasp.tool, off, &(truly * from.inverse()), fingers);
+            let held = in_hand(&grasp.tool, off, &(truly * from.inverse()), gripper);
             // The postures belong to a rounded size and overhang: only the displacements are used.
             let goal = at(&nominal.parts[settings.order[0]]).translation.vector
                 + level as f64 * Vector3::new(nominal.offset_m[0], nominal.offset_m[1], size);
@@ -205,18 +204,15 @@ impl StackingForesight {
         let turn = |two: &[Isometry3<f64>]| {
             within_quarter(two[1].rotation.euler_angles().2 - two[0].rotation.euler_angles().2).abs()
         };
-        let mass = |level: usize| settings.mass_kg * settings.mass_step.powi(level as i32);
         let levels: Vec<Level> = placed
             .iter()
             .enumerate()
-            .map(|(level, at)| Level { at: [at.translation.x, at.translation.y], mass_kg: mass(level) })
+            .map(|(level, at)| Level { at: [at.translation.x, at.translation.y], mass_kg: settings.mass(level) })
             .collect();
         let least = |of: &dyn Fn(&Grasp) -> f64| grasps.iter().map(of).fold(size, f64::min);
-        let holding_n = match gripper {
-            Gripper::ParallelJaw(_) => 2.0 * settings.friction * self.grip_force_n,
-            Gripper::Suction(cup) => cup.force_n(),
-        };
-        let carried_n = mass(1).max(mass(2)) * (GRAVITY * settings.gravity_scale + CARRY.acceleration);
+        let holding_n = holding_n(gripper, settings.friction, self.grip_force_n);
+        let carried_n =
+            settings.mass(1).max(settings.mass(2)) * (GRAVITY * settings.gravity_scale + CARRY.acceleration);
         let mut row = vec![
             TOLERANCE_M - pairs().map(apart).fold(0.0, f64::max),
             statics::margin(&levels, size).clamp(-size, size),
@@ -225,7 +221,7 @@ impl StackingForesight {
             room,
             log_ratio(holding_n, carried_n),
         ];
-        let height = crate::arm::grasp_height(gripper, size);
+        let height = grasp_height(gripper, size);
         match gripper {
             Gripper::ParallelJaw(jaw) => row.extend([
                 least(&|Grasp { off, yaw }| 0.5 * (jaw.opening_m - size * (yaw.cos() + yaw.sin().abs())) - off.y.abs()),

@@ -83,6 +83,11 @@ pub(super) fn settings(scenario: &Scenario, robot: &Robot) -> Result<Settings, F
 }
 
 impl Settings {
+    /// Mass of the part at a level of the stack, in kilograms.
+    pub(super) fn mass(&self, level: usize) -> f64 {
+        self.mass_kg * self.mass_step.powi(level as i32)
+    }
+
     /// The pose of a part at the start.
     pub(super) fn pose(&self, part: usize) -> Isometry3<f64> {
         let ([x, y], [dx, dy]) = (self.places[part], self.shift[part]);
@@ -101,10 +106,9 @@ pub(super) fn scene(settings: &Settings) -> Scene {
     let parts = vec![Part { primitive: Primitive::Box { half: [half; 3] }, pose: Isometry3::identity() }];
     let body = |part: usize| {
         let level = settings.order.iter().position(|at| *at == part).unwrap_or_default();
-        let mass_kg = settings.mass_kg * settings.mass_step.powi(level as i32);
         FreeBody {
             name: format!("part_{}", PARTS[part]),
-            object: Object { mass: MassProperties::homogeneous(&parts, mass_kg), parts: parts.clone() },
+            object: Object { mass: MassProperties::homogeneous(&parts, settings.mass(level)), parts: parts.clone() },
             pose: settings.pose(part),
             color: COLORS[part],
         }
