@@ -8,6 +8,7 @@ import contextlib
 import os
 import random
 import resource
+import secrets
 import signal
 import socket
 import subprocess
@@ -22,6 +23,8 @@ from robogate_eval.cluster import shards
 
 # As in robogate_eval.ray.
 os.environ.setdefault("RAY_AUTH_MODE", "token")
+# The token of the clusters of these checks. Without it Ray expects one in the user's home folder.
+os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 
 # The files of a run that do not name their folder.
 FILES = ("active.json", "dictionary.parquet", "plan.json", "summary.json")

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use robogate_core::Foresight;
 use robogate_dictionary::{DictionaryError, Entry, Provenance};
+use robogate_risk::all_processors;
 
 use crate::active::Chooser;
 use crate::{Bins, BoundaryReport, Plan, Points, RunError, Stage};
@@ -74,7 +75,7 @@ where
     if plan.active.as_ref().is_some_and(|stage| stage.prior.is_some()) {
         return Err(RowsError::Prior);
     }
-    let mut chooser = Chooser::new(&plan, &space, foresight, None)?;
+    let mut chooser = Chooser::new(&plan, &space, foresight, None, all_processors())?;
     let mut rounds = 0;
     let mut found = 0;
     for row in rows {

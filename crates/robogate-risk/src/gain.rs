@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use robogate_core::Seed;
 
-use crate::{Inputs, Learner, RiskError, RiskModel, Sample};
+use crate::{Fitting, Inputs, RiskError, RiskModel, Sample};
 
 /// Number of parts of the cross-validation.
 const FOLDS: usize = 5;
@@ -34,12 +34,11 @@ pub fn prior_gain(
     prior: &Arc<RiskModel>,
     inputs: &Arc<Inputs>,
     samples: &[Sample],
-    learner: Learner,
-    least: usize,
+    how: Fitting,
 ) -> Result<PriorGain, RiskError> {
     if samples.len() < FOLDS {
         let successes = samples.iter().filter(|sample| sample.success).count();
-        return Err(RiskError::TooFew { successes, failures: samples.len() - successes, least });
+        return Err(RiskError::TooFew { successes, failures: samples.len() - successes, least: how.least });
     }
     let mut order: Vec<usize> = (0..samples.len()).collect();
     Seed::campaign(0).stream("prior gain folds").shuffle(&mut order);
@@ -49,8 +48,8 @@ pub fn prior_gain(
     for fold in 0..FOLDS {
         let (train, test): (Vec<_>, Vec<_>) = order.iter().enumerate().partition(|(at, _)| at % FOLDS != fold);
         let train: Vec<Sample> = train.into_iter().map(|(_, row)| samples[*row].clone()).collect();
-        let with = RiskModel::fit_after(prior, Arc::clone(inputs), &train, learner, least)?;
-        let without = RiskModel::fit(Arc::clone(inputs), &train, learner, least).ok();
+        let with = RiskModel::fit_after(prior, Arc::clone(inputs), &train, how)?;
+        let without = RiskModel::fit(Arc::clone(inputs), &train, how).ok();
         let successes = train.iter().filter(|sample| sample.success).count() as f64;
         let rate = (successes + 0.5) / (train.len() as f64 + 1.0);
         for (_, row) in test {

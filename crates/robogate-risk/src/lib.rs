@@ -9,13 +9,15 @@
 //!   for the real robot, where the draws are unknown.
 //!
 //! Two learners are fitted: ridge logistic regression on splines and products, and monotone gradient boosting.
-//! Cross-validation finds the mean of both that predicts best, and calibrates it. Everything runs in the order of the
-//! episodes, so the result does not depend on the number of threads.
+//! Cross-validation finds the mean of both that predicts best, and calibrates it. Each fit runs in the order of the
+//! episodes, so the result does not depend on the number of threads that share the fits.
 
 mod gain;
 mod inputs;
 mod model;
+mod parallel;
 
 pub use gain::{PriorGain, prior_gain};
 pub use inputs::Inputs;
-pub use model::{Choice, Learner, RiskError, RiskModel, Sample};
+pub use model::{Choice, Fitting, Learner, RiskError, RiskModel, Sample};
+pub use parallel::{all_processors, in_parallel};

@@ -1,5 +1,6 @@
 //! The risk model: two learners, their mean chosen by cross-validation, and its calibration.
 
+use std::num::NonZeroUsize;
 use std::sync::Arc;
 
 use robogate_core::{Assignment, Fault, Scenario, Seed};
@@ -8,7 +9,7 @@ use robogate_stats::logistic::{Data, RegressionError};
 use robogate_stats::ridge;
 use robogate_stats::spline_logistic::SplineLogistic;
 
-use crate::Inputs;
+use crate::{Inputs, in_parallel};
 
 /// Number of parts of the cross-validation.
 const FOLDS: usize = 5;
@@ -38,6 +39,23 @@ pub enum Learner {
     Boosting,
     /// Ridge logistic regression on splines and products alone.
     Splines,
+}
+
+/// How a model is fitted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Fitting {
+    /// The learner.
+    pub learner: Learner,
+    /// Smallest number of episodes of each outcome.
+    pub least: usize,
+    /// Largest number of threads. The model does not depend on it.
+    pub threads: NonZeroUsize,
+}
+
+impl Default for Fitting {
+    fn default() -> Self {
+        Self { learner: Learner::default(), least: RiskModel::LEAST, threads: NonZeroUsize::MIN }
+    }
 }
 
 /// What cross-validation chose.
@@ -100,15 +118,15 @@ impl RiskModel {
     /// The usual smallest number of episodes of each outcome for a fit.
     pub const LEAST: usize = 10;
 
-    /// Fits a model to these episodes, if each outcome has at least `least` of them.
+    /// Fits a model to these episodes.
     ///
     /// # Errors
     /// Too few episodes of one outcome, or a scenario that the task cannot set up.
-    pub fn fit(inputs: Arc<Inputs>, samples: &[Sample], learner: Learner, least: usize) -> Result<Self, RiskError> {
-        enough(samples, least)?;
+    pub fn fit(inputs: Arc<Inputs>, samples: &[Sample], how: Fitting) -> Result<Self, RiskError> {
+        enough(samples, how.least)?;
         let rows = rows(&inputs, samples)?;
         let outcomes: Vec<bool> = samples.iter().map(|sample| sample.success).collect();
-        Self::fit_rows(inputs, &rows, &outcomes, learner, None)
+        Self::fit_rows(inputs, &rows, &outcomes, how, None)
     }
 
     /// Fits a model that starts from the one of an earlier policy, engine or robot.
@@ -124,8 +142,7 @@ impl RiskModel {
         prior: &Arc<Self>,
         inputs: Arc<Inputs>,
         samples: &[Sample],
-        learner: Learner,
-        least: usize,
+        how: Fitting,
     ) -> Result<Self, RiskError> {
         let known = samples
             .iter()
@@ -135,10 +152,10 @@ impl RiskModel {
             .collect::<Result<Vec<_>, _>>()?;
         let outcomes: Vec<bool> = samples.iter().map(|sample| sample.success).collect();
         let (corrected, least_loss) = corrected(&known, &outcomes)?;
-        let own = match enough(samples, least) {
+        let own = match enough(samples, how.least) {
             Ok(()) => {
                 let rows = rows(&inputs, samples)?;
-                Some(Self::fit_rows(Arc::clone(&inputs), &rows, &outcomes, learner, Some(&known))?)
+                Some(Self::fit_rows(Arc::clone(&inputs), &rows, &outcomes, how, Some(&known))?)
             }
             Err(_) => None,
         };
@@ -153,25 +170,26 @@ impl RiskModel {
         inputs: Arc<Inputs>,
         rows: &[Vec<f64>],
         outcomes: &[bool],
-        learner: Learner,
+        how: Fitting,
         known: Option<&[f64]>,
     ) -> Result<Self, RiskError> {
         let mut order: Vec<usize> = (0..rows.len()).collect();
         Seed::campaign(0).stream("risk model folds").shuffle(&mut order);
         // Each outcome is spread evenly over the parts.
         order.sort_by_key(|row| outcomes[*row]);
-        let mut held_out = vec![[0.0; 2]; rows.len()];
-        for fold in 0..FOLDS {
-            let (train, test): (Vec<_>, Vec<_>) = order.iter().enumerate().partition(|(at, _)| at % FOLDS != fold);
-            let mut train: Vec<usize> = train.into_iter().map(|(_, row)| *row).collect();
-            train.sort_unstable();
-            let pair = Pair::fit(&inputs, rows, outcomes, &train, learner)?;
-            for (_, row) in test {
-                held_out[*row] = pair.log_odds(&rows[*row]);
-            }
-        }
+        // The part of each row in the cross-validation.
+        let mut part = vec![0; rows.len()];
+        order.iter().enumerate().for_each(|(at, row)| part[*row] = at % FOLDS);
+        // One fit without each part, and the last one to all rows.
+        let mut fits = in_parallel(how.threads, FOLDS + 1, |left_out| {
+            let train: Vec<usize> = (0..rows.len()).filter(|row| part[*row] != left_out).collect();
+            Pair::fit(&inputs, rows, outcomes, &train, how.learner)
+        })
+        .into_iter()
+        .collect::<Result<Vec<Pair>, _>>()?;
+        let held_out: Vec<[f64; 2]> = rows.iter().zip(&part).map(|(row, part)| fits[*part].log_odds(row)).collect();
         let mut best: Option<Choice> = None;
-        for share in learner.shares() {
+        for share in how.learner.shares() {
             let mixed: Vec<f64> = held_out.iter().map(|both| mix(*both, *share)).collect();
             for known in std::iter::once(None).chain(known.map(Some)) {
                 let choice = calibrated(&mixed, known, outcomes, *share)?;
@@ -180,9 +198,9 @@ impl RiskModel {
                 }
             }
         }
-        let all: Vec<usize> = (0..rows.len()).collect();
-        let Pair { boosting, splines } = Pair::fit(&inputs, rows, outcomes, &all, learner)?;
-        let choice = best.ok_or(RiskError::TooFew { successes: 0, failures: 0, least: 1 })?;
+        let (Some(Pair { boosting, splines }), Some(choice)) = (fits.pop(), best) else {
+            return Err(RiskError::TooFew { successes: 0, failures: 0, least: 1 });
+        };
         Ok(Self { inputs, boosting, splines, choice, prior: None })
     }
 
@@ -492,8 +510,7 @@ mod tests {
         let all = samples(800);
         let (train, test) = all.split_at(300);
         let fit = |foresight: Option<Arc<dyn Foresight>>| {
-            RiskModel::fit(Arc::new(Inputs::new(&space(), foresight)), train, Learner::Chosen, RiskModel::LEAST)
-                .unwrap()
+            RiskModel::fit(Arc::new(Inputs::new(&space(), foresight)), train, Fitting::default()).unwrap()
         };
         let (told, blind) = (fit(Some(Arc::new(Hidden))), fit(None));
         let [with, without] = [&told, &blind].map(|model| brier(|s| model.told(s).unwrap(), test));
@@ -521,16 +538,14 @@ mod tests {
     #[test]
     fn prior_helps_with_few_episodes() {
         let all = samples(1500);
-        let prior = RiskModel::fit(inputs(), &easier(&all[..800]), Learner::Chosen, 10).unwrap();
+        let prior = RiskModel::fit(inputs(), &easier(&all[..800]), Fitting::default()).unwrap();
         let prior = Arc::new(prior);
         let test = &all[1200..];
         let score = |model: &RiskModel| brier(|s| model.told(s).unwrap(), test);
-        let after = |n: usize| {
-            RiskModel::fit_after(&prior, inputs(), &all[800..800 + n], Learner::Chosen, RiskModel::LEAST).unwrap()
-        };
+        let after = |n: usize| RiskModel::fit_after(&prior, inputs(), &all[800..800 + n], Fitting::default()).unwrap();
         // Without episodes it is the prior.
         assert!((score(&after(0)) - score(&prior)).abs() < 1e-12);
-        let alone = RiskModel::fit(inputs(), &all[800..840], Learner::Chosen, RiskModel::LEAST).unwrap();
+        let alone = RiskModel::fit(inputs(), &all[800..840], Fitting::default()).unwrap();
         let few = after(40);
         assert!(few.choice().prior_slope > 0.0);
         let [with, before, without] = [score(&few), score(&prior), score(&alone)];
@@ -544,13 +559,13 @@ mod tests {
         let all = samples(1500);
         let random =
             all[..800].iter().map(|s| Sample { success: s.scenario.index % 7 < 3, scenario: s.scenario.clone() });
-        let prior = RiskModel::fit(inputs(), &random.collect::<Vec<_>>(), Learner::Chosen, 10).unwrap();
+        let prior = RiskModel::fit(inputs(), &random.collect::<Vec<_>>(), Fitting::default()).unwrap();
         let prior = Arc::new(prior);
         let score = |model: &RiskModel| brier(|s| model.told(s).unwrap(), &all[1200..]);
         for n in [60, 400] {
             let train = &all[800..800 + n];
-            let after = RiskModel::fit_after(&prior, inputs(), train, Learner::Chosen, 10).unwrap();
-            let alone = RiskModel::fit(inputs(), train, Learner::Chosen, 10).unwrap();
+            let after = RiskModel::fit_after(&prior, inputs(), train, Fitting::default()).unwrap();
+            let alone = RiskModel::fit(inputs(), train, Fitting::default()).unwrap();
             let [with, without] = [score(&after), score(&alone)];
             assert!(with < without + 0.005, "{n}: {with} {without}");
         }
@@ -565,9 +580,7 @@ mod tests {
             .iter()
             .map(|s| Sample { success: s.scenario.index % 7 < 3, scenario: s.scenario.clone() })
             .collect();
-        let fit = |samples: &[Sample]| {
-            Arc::new(RiskModel::fit(inputs(), samples, Learner::Chosen, RiskModel::LEAST).unwrap())
-        };
+        let fit = |samples: &[Sample]| Arc::new(RiskModel::fit(inputs(), samples, Fitting::default()).unwrap());
         let [similar, random] = [fit(&easier(&all[..800])), fit(&random)];
         let test = &all[4000..];
         let score = |model: &RiskModel| brier(|s| model.told(s).unwrap(), test);
@@ -576,10 +589,9 @@ mod tests {
             for set in 0..5 {
                 let train = &all[800 + 320 * set..800 + 320 * set + n];
                 let rate = train.iter().filter(|s| s.success).count() as f64 / n as f64;
-                let alone = RiskModel::fit(inputs(), train, Learner::Chosen, RiskModel::LEAST);
-                let after = |prior: &Arc<RiskModel>| {
-                    RiskModel::fit_after(prior, inputs(), train, Learner::Chosen, RiskModel::LEAST).unwrap()
-                };
+                let alone = RiskModel::fit(inputs(), train, Fitting::default());
+                let after =
+                    |prior: &Arc<RiskModel>| RiskModel::fit_after(prior, inputs(), train, Fitting::default()).unwrap();
                 // A model that cannot be fitted predicts the rate.
                 sums[0] += alone.map_or_else(|_| brier(|_| rate, test), |model| score(&model));
                 sums[1] += score(&after(&similar));
@@ -597,13 +609,13 @@ mod tests {
     #[test]
     fn gain_of_a_prior_is_found() {
         let all = samples(800);
-        let fit = |samples: &[Sample]| Arc::new(RiskModel::fit(inputs(), samples, Learner::Splines, 10).unwrap());
-        let gain =
-            |prior: &[Sample]| crate::prior_gain(&fit(prior), &inputs(), &all[..24], Learner::Splines, 10).unwrap();
+        let splines = Fitting { learner: Learner::Splines, ..Fitting::default() };
+        let fit = |samples: &[Sample]| Arc::new(RiskModel::fit(inputs(), samples, splines).unwrap());
+        let gain = |prior: &[Sample]| crate::prior_gain(&fit(prior), &inputs(), &all[..24], splines).unwrap();
         let good = gain(&easier(&all[300..]));
         // 19 episodes are too few for a model of their own.
         assert!(good.episodes == 24 && good.with < good.without && good.se > 0.0, "{good:?}");
-        assert!(crate::prior_gain(&fit(&all[300..]), &inputs(), &all[..4], Learner::Splines, 10).is_err());
+        assert!(crate::prior_gain(&fit(&all[300..]), &inputs(), &all[..4], splines).is_err());
     }
 
     /// A prior of the parameters alone serves a model that is told the draws.
@@ -611,8 +623,8 @@ mod tests {
     fn prior_may_know_less() {
         let all = samples(700);
         let blind = Arc::new(Inputs::new(&space(), None));
-        let prior = Arc::new(RiskModel::fit(blind, &easier(&all[..500]), Learner::Chosen, 10).unwrap());
-        let after = RiskModel::fit_after(&prior, inputs(), &all[500..520], Learner::Chosen, 10).unwrap();
+        let prior = Arc::new(RiskModel::fit(blind, &easier(&all[..500]), Fitting::default()).unwrap());
+        let after = RiskModel::fit_after(&prior, inputs(), &all[500..520], Fitting::default()).unwrap();
         let p = after.averaged(&all[0].scenario.requested, 8).unwrap();
         assert!((0.0..=1.0).contains(&p));
     }
@@ -621,7 +633,9 @@ mod tests {
     fn learners_can_be_fixed() {
         let all = samples(200);
         for (learner, share) in [(Learner::Boosting, 1.0), (Learner::Splines, 0.0)] {
-            let model = RiskModel::fit(Arc::new(Inputs::new(&space(), None)), &all, learner, RiskModel::LEAST).unwrap();
+            let model =
+                RiskModel::fit(Arc::new(Inputs::new(&space(), None)), &all, Fitting { learner, ..Fitting::default() })
+                    .unwrap();
             assert!((model.choice().boosting_share - share).abs() < 1e-12);
             assert!(model.choice().brier < 0.25, "{:?}", model.choice());
         }
@@ -631,7 +645,7 @@ mod tests {
     fn one_outcome_is_rejected() {
         let successes: Vec<Sample> = samples(100).into_iter().filter(|s| s.success).collect();
         let n = successes.len();
-        let error = RiskModel::fit(Arc::new(Inputs::new(&space(), None)), &successes, Learner::Chosen, 10).unwrap_err();
+        let error = RiskModel::fit(Arc::new(Inputs::new(&space(), None)), &successes, Fitting::default()).unwrap_err();
         assert_eq!(error, RiskError::TooFew { successes: n, failures: 0, least: 10 });
     }
 }

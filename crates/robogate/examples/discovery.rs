@@ -28,7 +28,7 @@ use robogate_campaign::folder::DICTIONARY;
 use robogate_core::{Environment, Fault, FeatureSpec, Foresight, Measures, Outcome, Scenario, Seed, Value};
 use robogate_dictionary::Dictionary;
 use robogate_physics::{MujocoEngine, SuctionLaw, built_in_robot};
-use robogate_risk::{Inputs, Learner, RiskModel, Sample};
+use robogate_risk::{Fitting, Inputs, Learner, RiskModel, Sample};
 use robogate_stats::crossed::crossed_mean;
 use robogate_stats::{Confidence, Interval, Trials, wilson};
 use robogate_tasks::ArmTask;
@@ -156,8 +156,8 @@ fn score(test: &str, partners: &str, runs: &[&str]) -> anyhow::Result<()> {
                     Fitted::Risk { told, learner } => {
                         let known = told.then(|| Arc::clone(&foresight) as Arc<dyn Foresight>);
                         let inputs = Arc::new(Inputs::new(&dictionary.provenance().space, known));
-                        let model = RiskModel::fit(inputs, &train, learner, RiskModel::LEAST)
-                            .with_context(|| format!("{run}: {name}"))?;
+                        let how = Fitting { learner, ..Fitting::default() };
+                        let model = RiskModel::fit(inputs, &train, how).with_context(|| format!("{run}: {name}"))?;
                         let chance = |sample: &Sample| model.averaged(&sample.scenario.requested, DRAWS);
                         let map: Result<Vec<f64>, Fault> = test.points.iter().map(|(point, _)| chance(point)).collect();
                         test.losses(&map.map_err(|fault| anyhow!("{fault}"))?)

@@ -10,7 +10,7 @@ use robogate_campaign::{COARSE, Completion, Event, Executor, Plan, RunError, Thr
 use robogate_core::Outcome;
 use robogate_dictionary::{Dictionary, Provenance};
 use robogate_report::fidelity_lines;
-use robogate_risk::{Inputs, Learner, RiskModel, Sample, prior_gain};
+use robogate_risk::{Fitting, Inputs, RiskModel, Sample, all_processors, prior_gain};
 use robogate_stats::Confidence;
 use robogate_stats::format::counted;
 use robogate_stats::two_fidelities::FEWEST;
@@ -174,11 +174,11 @@ fn risk(fine: &Dictionary, coarse: &Dictionary, subject: &Subject) -> Result<Opt
     let step = others.len().div_ceil(MOST_TRAINED).max(1);
     others = others.into_iter().step_by(step).collect();
     let inputs = Arc::new(Inputs::new(&fine.provenance().space, subject.foresight()?));
-    let (learner, least) = (Learner::default(), RiskModel::LEAST);
-    let Ok(prior) = RiskModel::fit(Arc::clone(&inputs), &others, learner, least) else { return Ok(None) };
+    let how = Fitting { threads: all_processors(), ..Fitting::default() };
+    let Ok(prior) = RiskModel::fit(Arc::clone(&inputs), &others, how) else { return Ok(None) };
     let prior = Arc::new(prior);
-    let Ok(gain) = prior_gain(&prior, &inputs, &own, learner, least) else { return Ok(None) };
-    let Ok(model) = RiskModel::fit_after(&prior, inputs, &own, learner, least) else { return Ok(None) };
+    let Ok(gain) = prior_gain(&prior, &inputs, &own, how) else { return Ok(None) };
+    let Ok(model) = RiskModel::fit_after(&prior, inputs, &own, how) else { return Ok(None) };
     let (mean, half) = (gain.without - gain.with, Confidence::P95.z() * gain.se);
     Ok(Some(FidelityRisk {
         coarse_episodes: others.len() as u64,

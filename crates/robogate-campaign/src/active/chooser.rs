@@ -1,12 +1,13 @@
 //! Chooses the points of the active stage.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::num::NonZeroUsize;
 use std::ops::Range;
 use std::sync::Arc;
 
 use robogate_core::{Assignment, FailureMode, Foresight, Outcome, ParameterSpace, Sampler, Scenario, Seed, samplers};
 use robogate_dictionary::Entry;
-use robogate_risk::{Inputs, Learner, RiskError, RiskModel, Sample};
+use robogate_risk::{Fitting, Inputs, RiskError, RiskModel, Sample, in_parallel};
 use robogate_stats::model_error::{Pair, model_error};
 use serde::{Deserialize, Serialize};
 
@@ -65,6 +66,8 @@ pub(crate) struct Chooser {
     space: Arc<ParameterSpace>,
     inputs: Arc<Inputs>,
     seed: Seed,
+    /// The largest number of threads for a model.
+    threads: NonZeroUsize,
     /// The failure mode that the plan seeks.
     seek: Option<FailureMode>,
     /// The model of the earlier campaign, if the plan has one.
@@ -85,6 +88,7 @@ impl Chooser {
         space: &Arc<ParameterSpace>,
         foresight: Option<Arc<dyn Foresight>>,
         prior: Option<&Prior>,
+        threads: NonZeroUsize,
     ) -> Result<Option<Self>, RunError> {
         let Some(stage) = plan.active.clone() else { return Ok(None) };
         let seek = stage.seek.as_deref().map(FailureMode::from_foreign);
@@ -93,7 +97,8 @@ impl Chooser {
                 let foresight = foresight.clone().filter(|_| *told_draws);
                 let inputs = Arc::new(Inputs::new(prior.space(), foresight));
                 let samples = prior.samples(*told_draws, seek);
-                let model = RiskModel::fit(inputs, &samples, Learner::Chosen, FEWEST_SOUGHT);
+                let model =
+                    RiskModel::fit(inputs, &samples, Fitting { least: FEWEST_SOUGHT, threads, ..Fitting::default() });
                 Some(Arc::new(model.map_err(|source| RunError::Prior { source })?))
             }
             _ => None,
@@ -107,6 +112,7 @@ impl Chooser {
             space: Arc::clone(space),
             inputs: Arc::new(Inputs::new(space, foresight)),
             seed: Seed::campaign(plan.seed),
+            threads,
             samples: Vec::new(),
             pairs: BTreeMap::new(),
         }))
@@ -170,10 +176,11 @@ impl Chooser {
     fn fit(&self, samples: &[Sample], prior: Option<&Arc<RiskModel>>) -> Result<Option<RiskModel>, RiskError> {
         // Failures of a rare mode are few. The rounds would be uniform for too long with the usual number.
         let least = if self.seek.is_some() { FEWEST_SOUGHT } else { RiskModel::LEAST };
+        let how = Fitting { least, threads: self.threads, ..Fitting::default() };
         let inputs = Arc::clone(&self.inputs);
         let model = match prior {
-            Some(prior) => RiskModel::fit_after(prior, inputs, samples, Learner::Chosen, least),
-            None => RiskModel::fit(inputs, samples, Learner::Chosen, least),
+            Some(prior) => RiskModel::fit_after(prior, inputs, samples, how),
+            None => RiskModel::fit(inputs, samples, how),
         };
         match model {
             Ok(model) => Ok(Some(model)),
@@ -244,11 +251,9 @@ impl Chooser {
     fn choose(&self, round: &Range<u64>, model: Option<&RiskModel>) -> Result<Vec<Chosen>, RunError> {
         let paired = round.start + self.stage.pairs(round);
         let mut points: Vec<Chosen> = Vec::new();
-        for index in round.clone() {
+        for index in round.start..paired {
             let seed = self.seed.episode(index);
-            let point = if index >= paired {
-                self.one(index, model)?
-            } else if (index - round.start).is_multiple_of(2) {
+            let point = if (index - round.start).is_multiple_of(2) {
                 let requested = self.candidates(seed, 1, "active-uniform")?.pop().unwrap_or_default();
                 Chosen { requested, weight: 1.0, choice: Choice::Pair }
             } else {
@@ -256,6 +261,10 @@ impl Chooser {
                 points.last().cloned().unwrap_or_else(point)
             };
             points.push(point);
+        }
+        let single: Vec<u64> = (paired..round.end).collect();
+        for point in in_parallel(self.threads, single.len(), |at| self.one(single[at], model)) {
+            points.push(point?);
         }
         Ok(points)
     }

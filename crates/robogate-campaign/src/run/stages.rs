@@ -1,5 +1,6 @@
 //! The stages of a running campaign.
 
+use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
@@ -135,7 +136,9 @@ impl<'a> Run<'a> {
         // The points that other processes have chosen need no model.
         let (foresight, prior) =
             if self.chosen.is_empty() { (self.executor.foresight()?, self.prior()?) } else { (None, None) };
-        let Some(mut chooser) = Chooser::new(&self.settings.plan, &self.space, foresight, prior.as_ref())? else {
+        let threads = NonZeroUsize::new(self.executor.parallelism()).unwrap_or(NonZeroUsize::MIN);
+        let chooser = Chooser::new(&self.settings.plan, &self.space, foresight, prior.as_ref(), threads)?;
+        let Some(mut chooser) = chooser else {
             return Ok(Progress::Complete);
         };
         let mut rounds = Vec::new();

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use robogate_core::Foresight;
 use robogate_dictionary::Entry;
+use robogate_risk::all_processors;
 
 use super::{ShardError, ShardRound, Shards, get, store};
 use crate::active::{Chooser, Opened};
@@ -40,7 +41,9 @@ impl Shards {
     pub fn choose(&self, round: ShardRound, foresight: Option<Arc<dyn Foresight>>) -> Result<(), ShardError> {
         let ShardRound::Active(number) = round else { return Ok(()) };
         let prior = self.prior()?;
-        let Some(mut chooser) = Chooser::new(self.plan(), &self.space, foresight, prior.as_ref())? else {
+        // No shard can run meanwhile, so all processors are free.
+        let threads = all_processors();
+        let Some(mut chooser) = Chooser::new(self.plan(), &self.space, foresight, prior.as_ref(), threads)? else {
             return Ok(());
         };
         for before in std::iter::once(ShardRound::Uniform).chain((0..number).map(ShardRound::Active)) {

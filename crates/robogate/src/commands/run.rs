@@ -19,6 +19,7 @@ use robogate_dictionary::Provenance;
 use robogate_gate::Sampling;
 use robogate_physics::SuctionLaw;
 use robogate_report::Watch;
+use robogate_risk::all_processors;
 use robogate_stats::format::counted;
 
 use crate::commands::{shard, suites};
@@ -395,7 +396,7 @@ impl Run {
 impl How {
     /// The number of threads for a second policy, if the environment does not limit it.
     pub(crate) fn threads_for_rival(&self) -> NonZeroUsize {
-        self.threads.or_else(|| std::thread::available_parallelism().ok()).unwrap_or(NonZeroUsize::MIN)
+        self.threads.unwrap_or_else(all_processors)
     }
 
     /// Runs `work` on a thread pool that Ctrl-C stops.
@@ -404,7 +405,7 @@ impl How {
         subject: &Subject,
         work: impl FnOnce(&ThreadPool<'_>) -> Result<T, Exit>,
     ) -> Result<T, Exit> {
-        let cores = std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
+        let cores = all_processors();
         let wanted = self.threads.or_else(|| subject.servers()).unwrap_or_else(|| subject.threads_on(cores));
         let threads = subject.at_most().map_or(wanted, |limit| limit.min(wanted));
         if self.threads.is_some() && threads < wanted {

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use robogate_core::{Outcome, Value as Parameter};
 use robogate_dictionary::Dictionary;
-use robogate_risk::{Inputs, Learner, RiskModel, Sample};
+use robogate_risk::{Fitting, Inputs, Learner, RiskModel, Sample};
 use robogate_stats::{Confidence, Trials, clopper_pearson, wilson};
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -409,7 +409,8 @@ fn compare_predictions(browser: &mut Browser, dictionary: &Path) {
         .map(|episode| Sample { success: episode.outcome == Outcome::Success, scenario: episode.scenario })
         .collect();
     let inputs = Inputs::new(&dictionary.provenance().space, None);
-    let model = RiskModel::fit(std::sync::Arc::new(inputs), &samples, Learner::Splines, RiskModel::LEAST).unwrap();
+    let how = Fitting { learner: Learner::Splines, ..Fitting::default() };
+    let model = RiskModel::fit(std::sync::Arc::new(inputs), &samples, how).unwrap();
     let mut largest = 0.0_f64;
     let indices: Vec<u64> = samples.iter().map(|sample| sample.scenario.index).collect();
     let predicted = browser.evaluate(&format!("{indices:?}.map((index) => robogateExplorer.predict(0, index))"));

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use robogate_analysis::{ExplorerTable, Role, ValueKind};
 use robogate_core::{Domain, Scale, Scenario, Seed, Value};
 use robogate_dictionary::Provenance;
-use robogate_risk::{Inputs, Learner, RiskModel, Sample};
+use robogate_risk::{Fitting, Inputs, Learner, RiskModel, Sample, all_processors};
 use robogate_stats::spline_logistic::SplineTerm;
 use serde_json::{Value as Json, json};
 
@@ -87,8 +87,8 @@ pub(super) fn training(table: &ExplorerTable, run: usize, provenance: &Arc<Prove
 /// Too few episodes of one outcome, in words.
 pub(super) fn fit(training: &Training) -> Result<Json, String> {
     let inputs = Arc::new(Inputs::new(&training.provenance.space, None));
-    let model = RiskModel::fit(inputs, &training.samples, Learner::Splines, RiskModel::LEAST)
-        .map_err(|error| error.to_string())?;
+    let how = Fitting { learner: Learner::Splines, threads: all_processors(), ..Fitting::default() };
+    let model = RiskModel::fit(inputs, &training.samples, how).map_err(|error| error.to_string())?;
     let splines = model.splines().ok_or("the model has no splines")?;
     let parts = splines.parts();
     let mut columns = Vec::new();
