@@ -166,7 +166,8 @@ pub fn serve(
             replays,
             peers: Mutex::new(Peers::default()),
             held: AtomicUsize::new(0),
-            health: Mutex::new(None),
+            // The store was opened for this server.
+            health: Mutex::new((Instant::now(), Ok(()))),
             fleet: tokio::sync::Mutex::new(None),
         });
         let (closing, closed) = watch::channel(false);
@@ -190,8 +191,8 @@ struct Server {
     peers: Mutex<Peers>,
     /// Total size of the bodies in memory, in bytes.
     held: AtomicUsize,
-    /// The last known health.
-    health: Mutex<Option<(Instant, Answer<()>)>>,
+    /// The last known health, and its time.
+    health: Mutex<(Instant, Answer<()>)>,
     /// The last comparison of the robots.
     fleet: tokio::sync::Mutex<Option<(Instant, Bytes)>>,
 }
@@ -422,8 +423,8 @@ async fn ask<T>(server: &Server, job: impl FnOnce(oneshot::Sender<Answer<T>>) ->
     }
 }
 
-/// Whether cycles can be written. A large batch that is being written does not delay the reply: it then reports the last
-/// known health.
+/// Whether cycles can be written. A large batch that is being written, or a busy machine, does not delay the reply: it then reports the
+/// last known health, which each written batch renews.
 async fn healthy(server: &Server) -> Reply {
     let answer = async { server.engine.ask(|reply| Job::Healthy { reply }).ok()?.await.ok() };
     let now = tokio::time::timeout(HEALTH_WAIT, answer).await.ok().flatten();
@@ -431,12 +432,12 @@ async fn healthy(server: &Server) -> Reply {
         return refusal(StatusCode::INTERNAL_SERVER_ERROR, "the last health is not readable");
     };
     if let Some(answer) = now {
-        *last = Some((Instant::now(), answer));
+        *last = (Instant::now(), answer);
     }
-    match last.as_ref().filter(|(since, _)| since.elapsed() < HEALTH_HOLDS) {
-        Some((_, Ok(()))) => document(StatusCode::OK, &json!({ "healthy": true })),
-        Some((_, Err(problem))) => refusal(status_of(problem), &problem.because),
-        None => later(StatusCode::SERVICE_UNAVAILABLE, Busy),
+    match &*last {
+        (since, _) if since.elapsed() >= HEALTH_HOLDS => later(StatusCode::SERVICE_UNAVAILABLE, Busy),
+        (_, Ok(())) => document(StatusCode::OK, &json!({ "healthy": true })),
+        (_, Err(problem)) => refusal(status_of(problem), &problem.because),
     }
 }
 
@@ -460,7 +461,12 @@ async fn cycles(server: &Server, request: Request<Incoming>) -> Reply {
         Err(error) => return refusal(StatusCode::INTERNAL_SERVER_ERROR, error),
     };
     match ask(server, |reply| Job::Cycles { batch, reply }).await {
-        Ok(taken) => answer_of(&taken),
+        Ok(taken) => {
+            if let Ok(mut last) = server.health.lock() {
+                *last = (Instant::now(), Ok(()));
+            }
+            answer_of(&taken)
+        }
         Err(refused) => refused,
     }
 }
