@@ -188,7 +188,6 @@ impl<K: Ord, V: Clone> Memo<K, V> {
 }
 
 #[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 mod tests {
     use super::*;
     use crate::arm::tool_down;
