@@ -1,8 +1,12 @@
 //! Fuzzing: a reader of foreign bytes is tried with damaged and generated inputs.
 //!
-//! An ordinary test run tries a fixed number of inputs, the same in every run; `scripts/fuzz.sh` tries more. [`FIRST`] sets
-//! the first input, so that runs can continue each other. A finding is reported with its number, which reproduces it, and
-//! its input is kept in the folder for temporary files.
+//! An ordinary test run tries a fixed number of inputs, the same in every run. `scripts/fuzz.sh` tries more, and builds the readers
+//! so that each input tells which code it reached: inputs that reach new code are kept, and later ones are derived from them.
+//! [`FIRST`] sets the first input, and [`CORPUS`] the folder of the kept ones, so that runs can continue each other. The input of a
+//! finding is stored in the folder for temporary files.
+
+mod coverage;
+mod source;
 
 use std::cell::RefCell;
 use std::env;
@@ -11,35 +15,52 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+pub use source::mutate;
+use source::{Generated, Mutations, Source};
+
 /// Environment variable: seconds for each target, in place of the fixed number of inputs.
 pub const SECONDS: &str = "ROBOGATE_FUZZ_SECONDS";
 /// Environment variable: the number of the first input.
 pub const FIRST: &str = "ROBOGATE_FUZZ_SEED";
+/// Environment variable: the folder with a folder for each target, which contains the inputs that reached new code.
+pub const CORPUS: &str = "ROBOGATE_FUZZ_CORPUS";
 
 /// The longest processor time that one input may take.
 const LONGEST: Duration = Duration::from_secs(20);
 
-/// Random numbers: SplitMix64 (Steele et al. 2014).
+/// Random numbers: SplitMix64 (Steele et al. 2014), after numbers to repeat if there are any.
 #[derive(Debug, Clone)]
-pub struct Draw(u64);
+pub struct Draw {
+    state: u64,
+    /// The numbers to repeat first, in reverse order.
+    repeated: Vec<u64>,
+    /// All numbers so far, if the code that inputs reach is counted.
+    drawn: Vec<u64>,
+}
 
 impl Draw {
     /// The numbers of input `number` of a target.
     #[must_use]
     pub fn new(target: &str, number: u64) -> Self {
-        // FNV-1a, so that targets differ.
-        let name = target
-            .bytes()
-            .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
-        let mut draw = Self(name ^ number.wrapping_mul(0x2545_f491_4f6c_dd1d));
-        draw.bits();
+        // Targets differ.
+        let state = hash(target.as_bytes()) ^ number.wrapping_mul(0x2545_f491_4f6c_dd1d);
+        let mut draw = Self { state, repeated: Vec::new(), drawn: Vec::new() };
+        draw.fresh();
         draw
     }
 
     /// 64 random bits.
     pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let bits = self.repeated.pop().unwrap_or_else(|| self.fresh());
+        if coverage::IS_COUNTED {
+            self.drawn.push(bits);
+        }
+        bits
+    }
+
+    fn fresh(&mut self) -> u64 {
+        self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = (self.state ^ (self.state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         z ^ (z >> 31)
     }
@@ -93,8 +114,8 @@ impl Target<'_> {
         for bytes in self.kept {
             read(bytes);
         }
-        let corpus = [self.valid, self.kept].concat();
-        let counts = run(self.name, self.inputs, |draw| mutate(&corpus, self.words, draw), read);
+        let mut mutations = Mutations::new([self.valid, self.kept].concat(), self.words);
+        let counts = try_all(self.name, self.inputs, &mut mutations, &mut read);
         let enough = counts.read + counts.refused >= self.inputs;
         assert!(!enough || (counts.read > 0 && counts.refused > 0), "{}: {counts:?}", self.name);
     }
@@ -105,39 +126,79 @@ impl Target<'_> {
 ///
 /// # Panics
 /// If the reader panics, or takes too long.
-#[expect(clippy::print_stdout, reason = "the number of inputs is a result of a longer run")]
 pub fn run(
     name: &str,
     inputs: u64,
-    mut generate: impl FnMut(&mut Draw) -> Vec<u8>,
+    generate: impl FnMut(&mut Draw) -> Vec<u8>,
     mut read: impl FnMut(&[u8]) -> bool,
 ) -> Counts {
+    try_all(name, inputs, &mut Generated::new(generate), &mut read)
+}
+
+/// What a run has found so far.
+struct Trial<'a> {
+    name: &'a str,
+    read: &'a mut dyn FnMut(&[u8]) -> bool,
+    counts: Counts,
+    slowest: (Duration, u64),
+    findings: Vec<String>,
+}
+
+impl Trial<'_> {
+    /// Tries one input. Returns whether it reached code that no earlier one did.
+    fn attempt(&mut self, number: u64, bytes: &[u8]) -> bool {
+        let before = processor_time();
+        match catch_unwind(AssertUnwindSafe(|| (self.read)(bytes))) {
+            Ok(true) => self.counts.read += 1,
+            Ok(false) => self.counts.refused += 1,
+            Err(_) => self.findings.push(finding(self.name, number, bytes)),
+        }
+        let took = processor_time().saturating_sub(before);
+        if took > self.slowest.0 {
+            self.slowest = (took, number);
+            if took > LONGEST {
+                self.findings.push(format!("{took:.1?}: {}", finding(self.name, number, bytes)));
+            }
+        }
+        assert!(self.findings.len() < 20, "{:#?}", self.findings);
+        coverage::grew()
+    }
+}
+
+#[expect(clippy::print_stdout, reason = "the number of inputs is a result of a longer run")]
+fn try_all(name: &str, inputs: u64, source: &mut dyn Source, read: &mut dyn FnMut(&[u8]) -> bool) -> Counts {
     let budget = number(SECONDS).map(Duration::from_secs);
     let first = number(FIRST).unwrap_or(0);
-    let mut counts = Counts { read: 0, refused: 0 };
-    let mut slowest = (Duration::ZERO, 0);
-    let mut findings = Vec::new();
+    let corpus = env::var_os(CORPUS).map(|folder| Path::new(&folder).join(name.replace(['/', ' '], "-")));
+    let counts = Counts { read: 0, refused: 0 };
+    let mut trial = Trial { name, read, counts, slowest: (Duration::ZERO, 0), findings: Vec::new() };
+    let mut kept = 0;
+    if let Some(folder) = &corpus {
+        fs::create_dir_all(folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display()));
+        for stored in self::corpus(folder) {
+            let bytes = source.restored(&stored);
+            if trial.attempt(first, &bytes) {
+                source.keep(&bytes);
+                kept += 1;
+            }
+        }
+    }
     let (began, mut next) = (Instant::now(), first);
     while budget.map_or(next - first < inputs, |budget| began.elapsed() < budget) {
-        let bytes = generate(&mut Draw::new(name, next));
-        let before = processor_time();
-        match catch_unwind(AssertUnwindSafe(|| read(&bytes))) {
-            Ok(true) => counts.read += 1,
-            Ok(false) => counts.refused += 1,
-            Err(_) => findings.push(finding(name, next, &bytes)),
-        }
-        let took = processor_time() - before;
-        if took > slowest.0 {
-            slowest = (took, next);
-            if took > LONGEST {
-                findings.push(format!("{took:.1?}: {}", finding(name, next, &bytes)));
+        let bytes = source.input(Draw::new(name, next));
+        if trial.attempt(next, &bytes)
+            && let Some(stored) = source.keep(&bytes)
+        {
+            kept += 1;
+            if let Some(folder) = &corpus {
+                store(folder, &stored);
             }
         }
         next += 1;
-        assert!(findings.len() < 20, "{findings:#?}");
     }
+    let Trial { counts, slowest, findings, .. } = trial;
     println!(
-        "{name}: {} inputs from {first}, {} read, slowest {:.1?} ({}), {:.0?}",
+        "{name}: {} inputs from {first}, {} read, {kept} reached new code, slowest {:.1?} ({}), {:.0?}",
         next - first,
         counts.read,
         slowest.0,
@@ -148,59 +209,15 @@ pub fn run(
     counts
 }
 
-/// Applies one to four mutations to one of these inputs.
-///
-/// # Panics
-/// If there are none.
-pub fn mutate(corpus: &[Vec<u8>], words: &[&str], draw: &mut Draw) -> Vec<u8> {
-    /// Bytes with a meaning for binary formats: tags, lengths near the limits of their types.
-    const BYTES: [u8; 16] = [0, 1, 2, 4, 6, 0x7f, 0x80, 0x81, 0x91, 0xc0, 0xca, 0xcb, 0xdd, 0xff, b'0', b'"'];
-    const LENGTHS: [&[u8]; 4] = [&[0xff; 4], &[0xff, 0xff, 0xff, 0x7f], &[0xff; 8], &[0x80; 9]];
-    let mut bytes = draw.of(corpus).clone();
-    for _ in 0..=draw.below(4) {
-        if bytes.is_empty() {
-            break;
-        }
-        let at = draw.below(bytes.len());
-        // Half of the mutations are near the end, where some formats store their index.
-        let at = if draw.below(2) == 0 { at } else { bytes.len() - 1 - at / 4 };
-        match draw.below(11) {
-            0 => bytes[at] ^= 1 << draw.below(8),
-            1 => bytes[at] = *draw.of(&BYTES),
-            2 => bytes[at] = draw.bits() as u8,
-            3 => bytes.truncate(at),
-            4 => {
-                let end = (at + 1 + draw.below(32)).min(bytes.len());
-                bytes.drain(at..end);
-            }
-            5 => {
-                let more: Vec<u8> = (0..1 + draw.below(16)).map(|_| draw.bits() as u8).collect();
-                bytes.splice(at..at, more);
-            }
-            6 => {
-                bytes.splice(at..at, draw.of(&LENGTHS).iter().copied());
-            }
-            7 | 8 if !words.is_empty() => {
-                let word = draw.of(words).as_bytes();
-                let end = if draw.below(2) == 0 { at } else { (at + word.len()).min(bytes.len()) };
-                bytes.splice(at..end, word.iter().copied());
-            }
-            9 => {
-                // Repeats a piece of the input, once or many times.
-                let piece = bytes[at..(at + 1 + draw.below(64)).min(bytes.len())].to_vec();
-                let again = piece.repeat(1 << draw.below(10));
-                let to = draw.below(bytes.len());
-                bytes.splice(to..to, again);
-            }
-            _ => {
-                let other = draw.of(corpus);
-                let from = draw.below(other.len());
-                let piece = &other[from..(from + draw.below(200)).min(other.len())];
-                bytes.splice(at..at, piece.iter().copied());
-            }
-        }
-    }
-    bytes
+/// Stores an input under a name that depends on its content.
+fn store(folder: &Path, bytes: &[u8]) {
+    let path = folder.join(format!("{:016x}", hash(bytes)));
+    fs::write(&path, bytes).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+}
+
+/// FNV-1a.
+fn hash(bytes: &[u8]) -> u64 {
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
 /// The kept inputs of a folder, in order of their names: inputs that once found a defect, or that a rule of a reader forbids.
