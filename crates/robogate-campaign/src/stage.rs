@@ -3,7 +3,7 @@
 use std::fmt;
 use std::sync::Arc;
 
-use robogate_core::{Assignment, Design, Episode, ParameterSpace, Sampler, Scenario, Seed};
+use robogate_core::{Assignment, Design, Episode, ParameterSpace, Scenario, Seed};
 use robogate_dictionary::{Entry, Fidelity, Label};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -44,6 +44,29 @@ impl fmt::Display for Stage {
     }
 }
 
+/// A design that a stage needs.
+#[derive(Debug)]
+pub(crate) struct Wanted<'a> {
+    /// Its name, which is that of its random stream.
+    pub(crate) name: &'a str,
+    /// The space of its points.
+    pub(crate) space: &'a Arc<ParameterSpace>,
+    /// The number of its points.
+    pub(crate) points: u64,
+}
+
+impl Wanted<'_> {
+    /// Draws the design with the sampler and the seed of a plan.
+    pub(crate) fn draw(&self, plan: &Plan) -> Result<Design, RunError> {
+        // The limits of a plan are far below the range of usize.
+        let (points, stream) = (self.points as usize, Seed::campaign(plan.seed).stream(self.name));
+        Ok(plan.sampler()?.design(self.space, points, stream)?)
+    }
+}
+
+/// Provides a design.
+pub(crate) type Draw<'a, E> = &'a dyn Fn(&Wanted<'_>) -> Result<Design, E>;
+
 /// The points of one stage, with their indices in the campaign and their weights.
 ///
 /// The points of a suite are its scenarios, round after round. Each design uses a separate random stream. Its points do
@@ -76,36 +99,55 @@ enum Source {
 impl Points {
     /// Draws the points of the first stage.
     pub fn uniform(plan: &Plan, space: &Arc<ParameterSpace>) -> Result<Self, RunError> {
-        let sampler = plan.sampler()?;
-        let seed = Seed::campaign(plan.seed);
-        let designs = vec![draw(&*sampler, space, plan.uniform.episodes, seed, "design-uniform")?];
-        let source = Source::Drawn { designs, weights: None };
-        let fidelity = plan.fidelity;
-        Ok(Self { stage: Stage::Uniform, seed, sampler: sampler.name(), fidelity, first_index: 0, source })
+        Self::uniform_by(plan, space, &|wanted| wanted.draw(plan))
+    }
+
+    /// The points of the first stage. `design` draws its design.
+    pub(crate) fn uniform_by<E: From<RunError>>(
+        plan: &Plan,
+        space: &Arc<ParameterSpace>,
+        design: Draw<'_, E>,
+    ) -> Result<Self, E> {
+        let designs = vec![design(&Wanted { name: "design-uniform", space, points: plan.uniform.episodes })?];
+        Ok(Self::drawn(plan, Stage::Uniform, 0, designs, None)?)
     }
 
     /// Draws the points of the second stage from the boundary report. `space` is the operating space.
     pub fn boundary(plan: &Plan, space: &Arc<ParameterSpace>, report: &BoundaryReport) -> Result<Self, RunError> {
-        let sampler = plan.sampler()?;
-        let seed = Seed::campaign(plan.seed);
+        Self::boundary_by(plan, space, report, &|wanted| wanted.draw(plan))
+    }
+
+    /// The points of the second stage. `design` draws its designs.
+    pub(crate) fn boundary_by<E: From<RunError>>(
+        plan: &Plan,
+        space: &Arc<ParameterSpace>,
+        report: &BoundaryReport,
+        design: Draw<'_, E>,
+    ) -> Result<Self, E> {
         let focus = report.focus(space)?;
         let emphasised = report.emphasis.as_ref().map_or(0, |found| found.region.episodes);
         let mut designs = Vec::new();
         if let (Some(emphasis), 1..) = (&focus.emphasis, emphasised) {
-            designs.push(draw(&*sampler, &Arc::new(emphasis.clone()), emphasised, seed, "design-emphasis")?);
+            let space = &Arc::new(emphasis.clone());
+            designs.push(design(&Wanted { name: "design-emphasis", space, points: emphasised })?);
         }
         if report.volume.episodes > 0 {
-            let volume = Arc::new(focus.volume.clone());
-            designs.push(draw(&*sampler, &volume, report.volume.episodes, seed, "design-boundary")?);
+            let space = &Arc::new(focus.volume.clone());
+            designs.push(design(&Wanted { name: "design-boundary", space, points: report.volume.episodes })?);
         }
-        Ok(Self {
-            stage: Stage::Boundary,
-            seed,
-            sampler: sampler.name(),
-            fidelity: plan.fidelity,
-            first_index: plan.uniform.episodes,
-            source: Source::Drawn { designs, weights: Some(Weights::new(report, focus)) },
-        })
+        let weights = Weights::new(report, focus);
+        Ok(Self::drawn(plan, Stage::Boundary, plan.uniform.episodes, designs, Some(weights))?)
+    }
+
+    fn drawn(
+        plan: &Plan,
+        stage: Stage,
+        first_index: u64,
+        designs: Vec<Design>,
+        weights: Option<Weights>,
+    ) -> Result<Self, RunError> {
+        let (seed, sampler, fidelity) = (Seed::campaign(plan.seed), plan.sampler()?.name(), plan.fidelity);
+        Ok(Self { stage, seed, sampler, fidelity, first_index, source: Source::Drawn { designs, weights } })
     }
 
     /// The points of a round of the active stage, from this index on.
@@ -227,15 +269,4 @@ impl Points {
         }
         None
     }
-}
-
-fn draw(
-    sampler: &dyn Sampler,
-    space: &Arc<ParameterSpace>,
-    n: u64,
-    seed: Seed,
-    purpose: &str,
-) -> Result<Design, RunError> {
-    // The limits of a plan are far below the range of usize.
-    Ok(sampler.design(space, n as usize, seed.stream(purpose))?)
 }

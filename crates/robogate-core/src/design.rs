@@ -26,6 +26,15 @@ impl Design {
         Self { space, coded: unit }
     }
 
+    /// Builds a design from coded numbers, row by row, as [`Self::coded`] returns them. `None` if a row is incomplete, or a number
+    /// is no code of its parameter.
+    pub fn from_coded(space: Arc<ParameterSpace>, coded: Vec<f64>) -> Option<Self> {
+        let d = space.len();
+        let belongs =
+            |point: &[f64]| space.parameters().iter().zip(point).all(|(one, code)| one.domain.has_code(*code));
+        (d > 0 && coded.len().is_multiple_of(d) && coded.chunks_exact(d).all(belongs)).then_some(Self { space, coded })
+    }
+
     /// The space of the points.
     pub fn space(&self) -> &ParameterSpace {
         &self.space

@@ -188,6 +188,15 @@ impl Domain {
         }
     }
 
+    /// Whether `coded` is the code of a value of this domain.
+    pub fn has_code(&self, coded: f64) -> bool {
+        match self {
+            Self::Continuous { low, high, .. } => (*low..=*high).contains(&coded),
+            Self::Integer { low, high } => coded.fract() == 0.0 && (*low as f64..=*high as f64).contains(&coded),
+            Self::Categorical { choices } => coded.fract() == 0.0 && (0.0..choices.len() as f64).contains(&coded),
+        }
+    }
+
     /// Converts a code to its value.
     pub fn decode(&self, coded: f64) -> Value {
         match self {

@@ -15,7 +15,7 @@ const MAGIC: [u8; 8] = *b"RGSHARD\n";
 pub(super) const VERSION: u32 = 1;
 const HEADER: usize = 72;
 /// The size of a SHA-256 in bytes.
-const HASH: usize = 32;
+pub(super) const HASH: usize = 32;
 
 /// A SHA-256.
 pub(super) type Hash = [u8; HASH];

@@ -5,6 +5,7 @@
 //! DIR/plan.json                     everything the campaign depends on
 //! DIR/prior.json                    the episodes from which the risk model starts, if the plan has a prior
 //! DIR/shards/layout.json            the number of shards
+//! DIR/shards/design-uniform.points  the points of the uniform stage
 //! DIR/shards/uniform-3-of-16.rgs    the episodes of one shard
 //! DIR/boundary.json                 the boundary found by the uniform stage
 //! DIR/shards/active-2.json          the points of a round of the active stage
@@ -20,6 +21,7 @@
 
 mod active;
 mod arrivals;
+mod design;
 mod division;
 mod error;
 mod file;
@@ -327,13 +329,16 @@ impl Shards {
     /// The points of a round whose previous rounds are complete.
     fn points(&self, round: ShardRound) -> Result<Points, ShardError> {
         Ok(match (round, &self.plan().suite) {
-            (ShardRound::Boundary, _) => Points::boundary(self.plan(), &self.space, &self.boundary()?)?,
+            (ShardRound::Boundary, _) => {
+                let report = self.boundary()?;
+                Points::boundary_by(self.plan(), &self.space, &report, &|wanted| self.design(wanted))?
+            }
             (ShardRound::Suite(_), Some(suite)) => Points::suite(suite, self.plan().seed),
             (ShardRound::Active(number), _) => {
                 let chosen = self.chosen(number)?.ok_or(ShardError::NotChosen { dir: self.dir(), round })?;
                 Points::active(self.plan(), round.indices(self.plan()).start, chosen.points)
             }
-            _ => Points::uniform(self.plan(), &self.space)?,
+            _ => Points::uniform_by(self.plan(), &self.space, &|wanted| self.design(wanted))?,
         })
     }
 

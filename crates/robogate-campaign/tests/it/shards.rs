@@ -134,6 +134,43 @@ fn merged_files_equal_single_run() {
     }
 }
 
+/// The designs of both stages are drawn by one process and read by the others.
+#[test]
+fn designs_are_drawn_once() {
+    let base = tempfile::tempdir().unwrap();
+    let dir = base.path().join("stages");
+    let campaign = begin(&dir, 2, &plan(200, 100), provenance()).unwrap();
+    let designs = || fs::read_dir(dir.join("shards")).unwrap().map(|file| file.unwrap().path());
+    let designs = || designs().filter(|path| path.extension().is_some_and(|end| end == "points")).collect::<Vec<_>>();
+    assert!(designs().is_empty());
+    run(&campaign, 0);
+    let [uniform] = &designs()[..] else { panic!("{:?}", designs()) };
+    let whole = fs::read(uniform).unwrap();
+    let same = result(&open(&dir), 1, &Synthetic::default());
+    // Every byte is checked.
+    for (i, byte) in (0..whole.len()).step_by(97).chain([whole.len() - 1]).map(|i| (i, whole[i])) {
+        let mut changed = whole.clone();
+        changed[i] = !byte;
+        fs::write(uniform, &changed).unwrap();
+        let error = open(&dir).assign(1, None).unwrap_err();
+        assert!(matches!(&error, ShardError::Damaged { path, .. } if path == uniform), "{error}");
+    }
+    fs::write(uniform, &whole[..whole.len() - 8]).unwrap();
+    assert!(matches!(open(&dir).assign(1, None).unwrap_err(), ShardError::Damaged { .. }));
+    // A design with other points has a correct hash, and the wrong number of them.
+    let fewer = &whole[..32];
+    fs::write(uniform, [fewer, &Sha256::digest(fewer)].concat()).unwrap();
+    assert!(matches!(open(&dir).assign(1, None).unwrap_err(), ShardError::Damaged { .. }));
+    // Without the file, the same points are drawn again.
+    fs::remove_file(uniform).unwrap();
+    let again = result(&open(&dir), 1, &Synthetic::default());
+    assert_eq!(fs::read(uniform).unwrap(), whole);
+    assert_eq!(campaign.commit(&same).unwrap(), Commit::First);
+    assert_eq!(campaign.commit(&again).unwrap(), Commit::Duplicate);
+    run(&campaign, 0);
+    assert!(designs().len() > 1, "{:?}", designs());
+}
+
 #[test]
 fn invalid_episodes_merge_as_well() {
     let base = tempfile::tempdir().unwrap();
