@@ -16,10 +16,13 @@ const PAGE_BUDGET: u64 = 2_500_000;
 /// The largest height of a page before a section is opened, in pixels.
 const MOST_PX: u64 = 4_000;
 
+/// Pixels of the screen for a pixel of the page. The 3-D view is drawn on the processor: a coarse screen shows the same.
+const COARSE: f64 = 0.5;
+
 /// Asserts that a page is short before a section is opened, and that no part of it is wider than a wide or a narrow window.
 fn assert_fits(browser: &mut Browser, page: &Path) {
     for width in [400, 1280] {
-        browser.resize(width, 1000, 1.0);
+        browser.resize(width, 1000, COARSE);
         browser.open(page);
         browser.wait("!document.querySelector('#reel') || !!document.querySelector('[data-ready]')");
         let size = |of: &str| format!("document.documentElement.{of}");
@@ -42,8 +45,6 @@ fn robogate(folder: &Path, arguments: &[&str]) -> i32 {
 fn operate(browser: &mut Browser, axe: Option<&PathBuf>, page: &Path) {
     assert_fits(browser, page);
     browser.wait("!!document.querySelector('[data-ready]')");
-    // The 3-D view is drawn on the processor: a coarse screen shows the same.
-    browser.resize(1280, 1000, 0.5);
     let episodes = browser.evaluate("document.querySelectorAll('button[data-first]').length").as_u64().unwrap();
     assert!(episodes > 0, "no episode to watch");
     // Play, and let the time pass.
@@ -98,7 +99,6 @@ fn operate(browser: &mut Browser, axe: Option<&PathBuf>, page: &Path) {
         browser.wait("document.querySelector('.pairs-reading').textContent.includes('interval') || document.querySelector('.pairs-reading').textContent.includes('no episode')");
     }
     browser.assert_no_trouble();
-    browser.resize(1280, 1000, 1.0);
     if let Some(axe) = axe {
         browser.assert_accessible(axe);
     }
