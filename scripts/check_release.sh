@@ -23,7 +23,7 @@ library=$(sed -n 's/^pub const LIBRARY: &str = "\(.*\)";$/\1/p' crates/mujoco-lo
 glibc=$(sed -n 's/^glibc=//p' scripts/release.sh)
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
-# The campaign that all installations run: both stages, all failure modes.
+# The campaign that all installations run: uniform and active stage, all failure modes.
 campaign=(run -n 100 --seed 1)
 
 reference=${1:-}
@@ -94,7 +94,7 @@ wheel() {
 # Compares a campaign with that of the reference: same NAME FOLDER
 same() {
     local file
-    for file in dictionary.parquet boundary.json; do
+    for file in dictionary.parquet active.json; do
         cmp "$work/reference/$file" "$2/$file" || return 1
     done
     echo "$1: same bytes as the build by cargo: $(sha256sum < "$work/reference/dictionary.parquet" | cut -c 1-16)... dictionary.parquet"

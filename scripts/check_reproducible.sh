@@ -16,6 +16,7 @@ mkdir -p "$target"
 work=$(mktemp -d "$(cd "$target" && pwd)/reproducible-XXXXXX")
 trap 'rm -rf "$work"' EXIT
 
+commit=$(git rev-parse HEAD)
 copies=(one another/folder)
 if [ "${1:-}" = --against ]; then
     cp -r "$2" "$work/files-one"
@@ -25,6 +26,7 @@ fi
 for copy in "${copies[@]}"; do
     mkdir -p "$work/$copy"
     git clone --quiet . "$work/$copy/source"
+    git -C "$work/$copy/source" checkout --quiet "$commit"
     # The tools are pinned, and are not part of what is compared.
     mkdir "$work/$copy/target"
     if [ -d "$target/release-tools" ]; then
@@ -38,7 +40,7 @@ for copy in "${copies[@]}"; do
     rm -rf "${work:?}/$copy"
 done
 
-git log -1 --format='commit %H'
+echo "commit $commit"
 # The other release may have more architectures, which were not built here.
 names=$(cut -d ' ' -f 3 "$work/files-another/SHA256SUMS")
 if diff <(grep --fixed-strings "$names" "$work/files-one/SHA256SUMS") "$work/files-another/SHA256SUMS"; then

@@ -124,7 +124,7 @@ impl Points {
         report: &BoundaryReport,
         design: Draw<'_, E>,
     ) -> Result<Self, E> {
-        let focus = report.focus(space)?;
+        let focus = report.focus(space).map_err(RunError::from)?;
         let emphasised = report.emphasis.as_ref().map_or(0, |found| found.region.episodes);
         let mut designs = Vec::new();
         if let (Some(emphasis), 1..) = (&focus.emphasis, emphasised) {

@@ -7,6 +7,7 @@ pub(super) const IS_COUNTED: bool = cfg!(robogate_coverage);
 /// Whether code was reached since the last call that no earlier call knew, or code in a loop much more often. Counting starts again.
 #[cfg(robogate_coverage)]
 pub(super) fn grew() -> bool {
+    #[expect(unsafe_code, reason = "the compiler cannot see the function: scripts/fuzz/coverage.c")]
     unsafe extern "C" {
         safe fn robogate_coverage_grew() -> i32;
     }
