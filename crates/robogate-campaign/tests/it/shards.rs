@@ -532,7 +532,7 @@ fn interrupted_merge_can_be_repeated() {
 }
 
 #[test]
-fn interrupted_shard_leaves_nothing() {
+fn interrupted_shard_leaves_no_episodes() {
     let base = tempfile::tempdir().unwrap();
     let campaign = begin(base.path(), 2, &plan(60, 0), provenance()).unwrap();
     let Assignment::Run(task) = campaign.assign(0, None).unwrap() else { panic!() };
@@ -542,7 +542,7 @@ fn interrupted_shard_leaves_nothing() {
     let broken = Synthetic { most_workers: 0, ..Synthetic::default() };
     let error = with_pool(&broken, 1, &mut |_, _| {}, |pool, events| task.run(pool, events)).unwrap_err();
     assert!(matches!(error, RunError::Execute(ExecuteError::Worker(_))), "{error}");
-    assert_eq!(files(&base.path().join("shards")).keys().collect::<Vec<_>>(), ["layout.json"]);
+    assert_eq!(files(&base.path().join("shards")).keys().collect::<Vec<_>>(), ["design-uniform.points", "layout.json"]);
     assert_eq!(campaign.open_round(None).unwrap().unwrap().missing, [0, 1]);
 }
 

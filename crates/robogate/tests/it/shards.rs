@@ -245,5 +245,5 @@ fn interrupted_shard_is_not_committed() {
     assert_eq!(child.wait().unwrap().code(), Some(130), "{printed:?}");
     assert!(printed.iter().any(|line| line.starts_with("shard 0/1")), "{printed:?}");
     assert!(printed.iter().any(|line| line.contains("not committed")), "{printed:?}");
-    assert_eq!(files(&at.join("run/shards")).keys().collect::<Vec<_>>(), ["layout.json"]);
+    assert_eq!(files(&at.join("run/shards")).keys().collect::<Vec<_>>(), ["design-uniform.points", "layout.json"]);
 }
