@@ -24,7 +24,7 @@ def alive(process: int) -> bool:
     return stat.rpartition(")")[2].split()[0] != "Z"
 
 
-def wait_for(condition: "object", seconds: float = 20.0) -> bool:
+def wait_for(condition: "object", seconds: float = 90.0) -> bool:
     """Wait until `condition()` holds."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
@@ -81,7 +81,7 @@ class Leash(unittest.TestCase):
         process = leash.start(["sh", "-c", self.FAMILY], None, None)
         family = self.family()
         process.terminate()
-        self.assertEqual(process.wait(20), 128 + signal.SIGTERM)
+        self.assertEqual(process.wait(90), 128 + signal.SIGTERM)
         self.assertFalse(any(map(alive, family)))
 
     def test_killed_leash_kills_its_command(self) -> None:

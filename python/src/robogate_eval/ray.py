@@ -169,7 +169,8 @@ class Campaign:
 
     def run(self) -> None:
         """Run all rounds."""
-        while (round := shards.next_round(self.folder)).name is not None:
+        round = shards.next_round(self.folder)
+        while round.name is not None:
             progress = Progress(shards.open_status(self.folder))
             if progress.committed:
                 note(f"{grouped(progress.committed)} of {grouped(progress.shards)} shards are committed already")
@@ -177,13 +178,15 @@ class Campaign:
                 self.run_round(round.items, progress)
             finally:
                 progress.end()
-            left = set(round.items) & set(shards.next_round(self.folder).items)
+            after = shards.next_round(self.folder)
+            left = set(round.items) & set(after.items)
             if left:
                 raise CampaignError(
                     INFRASTRUCTURE,
                     f"{len(left)} shards were committed on another node, but {self.folder} does not contain them here\n"
                     "hint: DIR must be the same folder on all nodes, on a shared file system or in an object store",
                 )
+            round = after
 
 
 def arguments() -> argparse.ArgumentParser:
