@@ -29,23 +29,8 @@ if [ ! -f "$out/demos/meta/info.json" ]; then
     "$bin/python" scripts/check_dataset.py "$out/demos"
 fi
 
-# A small ACT without the variational encoder, because one expert has one way to solve a scene. It sees the wrist camera: in 32 pixels the
-# front camera does not show the object. The state is not normalised: the hand points down in all demonstrations, so two elements of its
-# quaternion have a standard deviation of 0.0005 and 0.0007, and division by that amplifies small tilts. The learning rate decays to the
-# end of the training, which LeRobot's preset for ACT does not do.
 checkpoint=$out/act/checkpoints/${CHECKPOINT:-002000}/pretrained_model
-if [ ! -d "$checkpoint" ]; then
-    "$bin/lerobot-train" --dataset.repo_id=local/demos --dataset.root="$out/demos" --output_dir="$out/act" \
-        --policy.type=act --policy.device=cpu --policy.push_to_hub=false --policy.pretrained_backbone_weights=null \
-        --policy.input_features='{"observation.state": {"type": "STATE", "shape": [15]}, "observation.images.wrist": {"type": "VISUAL", "shape": [3, 32, 32]}}' \
-        --policy.chunk_size=10 --policy.n_action_steps=10 --policy.use_vae=false --policy.dim_model=128 --policy.n_heads=4 \
-        --policy.dim_feedforward=256 --policy.n_encoder_layers=2 --policy.dropout=0 \
-        --policy.normalization_mapping='{"VISUAL": "MEAN_STD", "STATE": "'"${STATE:-IDENTITY}"'", "ACTION": "MEAN_STD"}' \
-        --use_policy_training_preset=false --optimizer.type=adamw --optimizer.lr=5e-4 --optimizer.weight_decay=1e-4 \
-        --scheduler.type=cosine_decay_with_warmup --scheduler.peak_lr=5e-4 --scheduler.decay_lr=1e-5 \
-        --scheduler.num_warmup_steps=200 --scheduler.num_decay_steps="$steps" \
-        --batch_size=32 --steps="$steps" --save_freq=2000 --num_workers=0
-fi
+[ -d "$checkpoint" ] || "$here/train.sh" "$out/venv" "$out/demos" "$out/act" "$steps" 2000
 
 sed "s|CHECKPOINT|$checkpoint|" "$here/profile.toml" > "$out/act.toml"
 (cd "$out" && exec "$bin/python" -m lerobot.async_inference.policy_server --host=127.0.0.1 --port="$port" --fps=20 --inference_latency=0 > server.log 2>&1) &
