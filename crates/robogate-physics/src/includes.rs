@@ -3,17 +3,18 @@
 
 use std::path::Path;
 
-use crate::robot_folder;
+use crate::{RobotError, robot_folder};
 
 /// Most includes of a model, and longest text with all of them, in bytes. Models of robots have a handful of files.
 const MOST_INCLUDES: usize = 1_000;
 const LONGEST: usize = 64 << 20;
 
-/// The text of a model in this folder with its includes replaced. An include without a readable text file stays, so that the
+/// The text of a model in this folder with its includes replaced. An include without a readable file stays, so that the
 /// reader of the model reports it.
 ///
 /// # Errors
-/// If a file is included twice, which MuJoCo rejects too, or has no root element; if there are too many includes, or too much text.
+/// If a file is included twice, which MuJoCo rejects too, has no root element, or is not UTF-8; if there are too many includes, or too
+/// much text.
 pub(crate) fn replaced(text: &str, folder: &Path) -> Result<String, String> {
     replaced_once(text, folder, &mut Vec::new())
 }
@@ -31,7 +32,12 @@ fn replaced_once(text: &str, folder: &Path, seen: &mut Vec<String>) -> Result<St
         };
         let (tag, after) = rest.split_at(end);
         rest = after;
-        match included(tag).and_then(|file| Some((file, robot_folder::text(&folder.join(file)).ok()?))) {
+        let found = match included(tag).map(|file| (file, robot_folder::text(&folder.join(file)))) {
+            Some((file, Ok(content))) => Some((file, content)),
+            Some((_, Err(error @ RobotError::Encoding { .. }))) => return Err(error.to_string()),
+            _ => None,
+        };
+        match found {
             Some((file, _)) if seen.iter().any(|known| known == file) => {
                 return Err(format!("{file} is included twice. Include each file once"));
             }
@@ -116,6 +122,8 @@ mod tests {
         fs::write(folder.join("long.xml"), format!("<m>{}</m>", " ".repeat(9 << 20))).unwrap();
         assert!(of(&spellings(8).replace("c.xml", "long.xml")).unwrap_err().contains("more than 64 MiB"));
         assert_eq!(of("<include file=\"/dev/zero\"/>").unwrap(), "<include file=\"/dev/zero\"/>");
+        fs::write(folder.join("latin.xml"), b"<m><body name=\"\xe4\"/></m>").unwrap();
+        assert!(of("<include file=\"latin.xml\"/>").unwrap_err().contains("latin.xml: not UTF-8"));
         fs::remove_dir_all(&folder).unwrap();
     }
 }

@@ -512,6 +512,12 @@ pub enum RobotError {
         /// The reason.
         why: String,
     },
+    /// A text file has another encoding.
+    #[error("{}: not UTF-8 text\nhint: convert the file, for example with `iconv -t utf-8`", path.display())]
+    Encoding {
+        /// The file.
+        path: PathBuf,
+    },
     /// A file has invalid content.
     #[error("{}: {}", path.display(), problems.iter().map(Problem::to_string).collect::<Vec<_>>().join("\n"))]
     Invalid {

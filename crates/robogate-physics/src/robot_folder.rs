@@ -5,7 +5,7 @@
 
 use std::borrow::Cow;
 use std::fs;
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::path::Path;
 
 use crate::robot::{RobotError, RobotFile};
@@ -38,7 +38,10 @@ pub(crate) fn text(path: &Path) -> Result<String, RobotError> {
     if !metadata.is_file() || metadata.len() > LONGEST {
         return Err(error("not a text file of at most 16 MiB".to_owned()));
     }
-    fs::read_to_string(path).map_err(|e| error(e.to_string()))
+    fs::read_to_string(path).map_err(|e| match e.kind() {
+        ErrorKind::InvalidData => RobotError::Encoding { path: path.to_owned() },
+        _ => error(e.to_string()),
+    })
 }
 
 /// Checks the models of a folder: the files whose names end with `.xml`, `.urdf` or `.mjcf`.

@@ -12,7 +12,7 @@ use crate::robot::{BELLOWS_JOINT, RobotSource};
 use crate::scene::isometry;
 use crate::{
     Bellows, Chain, ChainJoint, FingerMotion, Gripper, ParallelJaw, Problem, Robot, RobotSettings, Site, SuctionCup,
-    contact, mesh_files,
+    contact, includes, mesh_files, robot_folder,
 };
 
 /// Group of the model's own actuators, which is disabled: `robot.toml` defines the drives.
@@ -143,8 +143,10 @@ fn finger_motion(spec: &mut MjSpec, settings: &RobotSettings, jaw: &ParallelJaw)
 pub(crate) fn read(path: &Path) -> Result<MjSpec, String> {
     let is_urdf = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("urdf"));
     let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let text = if is_urdf { std::fs::read_to_string(path).ok() } else { None };
-    match text.and_then(|text| mesh_files::with_full_paths(&text, folder)) {
+    // The names of a model are texts, so a file in another encoding has none that can be used.
+    let text = robot_folder::text(path).map_err(|error| error.to_string())?;
+    includes::replaced(&text, folder)?;
+    match is_urdf.then(|| mesh_files::with_full_paths(&text, folder)).flatten() {
         Some(text) => MjSpec::from_xml_string(&text),
         None => MjSpec::from_xml(path),
     }

@@ -375,7 +375,7 @@ mod tests {
         let actions = Capture::read(FOLDER, "actions.pickle").bytes;
         let field = grpc::bytes_field(1, &actions);
         let seeds = [actions, field];
-        fuzz("lerobot", &seeds, |bytes| {
+        fuzz("lerobot replies", &seeds, |bytes| {
             let _ = grpc::message(bytes);
             decode(bytes).is_ok() || grpc::read_bytes_field(bytes, 1).is_ok_and(|actions| decode(actions).is_ok())
         });

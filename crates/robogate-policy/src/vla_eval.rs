@@ -328,7 +328,7 @@ mod tests {
     fn fuzzed_replies_are_read_or_refused() {
         let profile = Profile::from_toml(Profile::built_in("smolvla-vla-eval").unwrap()).unwrap();
         let seeds = ["s2c_00_hello_reply.bin", "s2c_01_action0.bin"].map(|n| Capture::read(FOLDER, n).bytes);
-        fuzz("vla_eval", &seeds, |bytes| {
+        fuzz("vla_eval replies", &seeds, |bytes| {
             let hello = decode(bytes, 1, "hello", |payload| Ok(msgpack::to_json(payload)));
             let declared = hello.is_ok_and(|declared| {
                 let _ = declared.map(|declared| compare(&declared, &profile));

@@ -116,8 +116,9 @@ impl Target<'_> {
         }
         let mut mutations = Mutations::new([self.valid, self.kept].concat(), self.words);
         let counts = try_all(self.name, self.inputs, &mut mutations, &mut read);
-        let enough = counts.read + counts.refused >= self.inputs;
-        assert!(!enough || (counts.read > 0 && counts.refused > 0), "{}: {counts:?}", self.name);
+        // A longer run may derive most inputs from those that get far and are refused.
+        let is_ordinary = number(SECONDS).is_none();
+        assert!(!is_ordinary || (counts.read > 0 && counts.refused > 0), "{}: {counts:?}", self.name);
     }
 }
 

@@ -19,7 +19,9 @@ pub(super) trait Source {
 
 /// Mutations of a corpus.
 pub(super) struct Mutations<'a> {
+    /// The given inputs, and then those that reached new code.
     corpus: Vec<Vec<u8>>,
+    given: usize,
     words: &'a [&'a str],
     /// The most bytes of an input that is kept. Mutations of long inputs take long, and most of them change nothing.
     most: usize,
@@ -28,13 +30,16 @@ pub(super) struct Mutations<'a> {
 impl<'a> Mutations<'a> {
     pub(super) fn new(corpus: Vec<Vec<u8>>, words: &'a [&'a str]) -> Self {
         let longest = corpus.iter().map(Vec::len).max().unwrap_or(0);
-        Self { corpus, words, most: (2 * longest).max(4096) }
+        Self { given: corpus.len(), corpus, words, most: (2 * longest).max(4096) }
     }
 }
 
 impl Source for Mutations<'_> {
     fn input(&mut self, mut draw: Draw) -> Vec<u8> {
-        mutate(&self.corpus, self.words, &mut draw)
+        // Most inputs that were kept are damaged, so one in four is derived from a given one.
+        let has_more = self.corpus.len() > self.given;
+        let from = if has_more && draw.below(4) == 0 { &self.corpus[..self.given] } else { &self.corpus };
+        mutate(from, self.words, &mut draw)
     }
 
     fn keep(&mut self, input: &[u8]) -> Option<Vec<u8>> {

@@ -309,7 +309,8 @@ fn fuzzed_models_are_drafted_or_refused() {
     let dir = tempfile::tempdir().unwrap();
     let valid = files("crates/robogate-physics/tests/robots", ".xml");
     let path = dir.path().join("model.xml");
-    Target { name: "draft", valid: &valid, kept: &[], words: XML, inputs: 30 }.run(|bytes| {
+    let kept = fuzz::corpus(&repository("crates/robogate/tests/corpus/draft"));
+    Target { name: "draft", valid: &valid, kept: &kept, words: XML, inputs: 30 }.run(|bytes| {
         fs::write(&path, bytes).unwrap();
         robogate_physics::draft(&path, "arm").is_ok()
     });
