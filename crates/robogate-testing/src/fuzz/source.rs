@@ -67,7 +67,7 @@ impl<G: FnMut(&mut Draw) -> Vec<u8>> Generated<G> {
     }
 
     /// The input of these draws, followed by fresh ones.
-    fn from_draws(&mut self, mut sequence: Vec<u64>, fresh: &Draw) -> Vec<u8> {
+    fn repeated(&mut self, mut sequence: Vec<u64>, fresh: &Draw) -> Vec<u8> {
         sequence.reverse();
         let mut draw = Draw { state: fresh.state, repeated: sequence, drawn: Vec::new() };
         let input = (self.generate)(&mut draw);
@@ -85,7 +85,7 @@ impl<G: FnMut(&mut Draw) -> Vec<u8>> Source for Generated<G> {
             let sequence = draw.of(&self.sequences).clone();
             changed(sequence, &mut draw)
         };
-        self.from_draws(sequence, &draw)
+        self.repeated(sequence, &draw)
     }
 
     fn keep(&mut self, _input: &[u8]) -> Option<Vec<u8>> {
@@ -97,7 +97,7 @@ impl<G: FnMut(&mut Draw) -> Vec<u8>> Source for Generated<G> {
 
     fn restored(&mut self, stored: &[u8]) -> Vec<u8> {
         let draws = stored.chunks_exact(8).map(|draw| u64::from_le_bytes(draw.try_into().expect("eight bytes")));
-        self.from_draws(draws.collect(), &Draw::new("restored", 0))
+        self.repeated(draws.collect(), &Draw::new("restored", 0))
     }
 }
 
@@ -188,7 +188,7 @@ mod tests {
     fn kept_draws_restore_their_input() {
         let mut source = Generated::new(listed);
         let sequence: Vec<u64> = (0..8).map(|i| i << 60).collect();
-        let input = source.from_draws(sequence.clone(), &Draw::new("target", 1));
+        let input = source.repeated(sequence.clone(), &Draw::new("target", 1));
         assert_eq!(input, [0, 6, 12, 18, 25, 31, 37, 43]);
         // What `keep` would store where the reached code is counted.
         let stored: Vec<u8> = sequence.iter().flat_map(|draw| draw.to_le_bytes()).collect();
