@@ -487,6 +487,9 @@ impl fmt::Display for Problem {
     }
 }
 
+/// What is wrong with a text file in another encoding.
+pub(crate) const NOT_UTF_8: &str = "not UTF-8 text. Convert it, for example with `iconv -t utf-8`";
+
 /// The reason why a robot cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RobotError {
@@ -513,7 +516,7 @@ pub enum RobotError {
         why: String,
     },
     /// A text file has another encoding.
-    #[error("{}: not UTF-8 text\nhint: convert the file, for example with `iconv -t utf-8`", path.display())]
+    #[error("{}: {NOT_UTF_8}", path.display())]
     Encoding {
         /// The file.
         path: PathBuf,

@@ -8,11 +8,11 @@ use mujoco_rs::wrappers::mj_editing::MjsBody;
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use crate::mujoco::{PREFIX, ROBOT, damping, links, sweep, wxyz};
-use crate::robot::{BELLOWS_JOINT, RobotSource};
+use crate::robot::{BELLOWS_JOINT, NOT_UTF_8, RobotSource};
 use crate::scene::isometry;
 use crate::{
-    Bellows, Chain, ChainJoint, FingerMotion, Gripper, ParallelJaw, Problem, Robot, RobotSettings, Site, SuctionCup,
-    contact, includes, mesh_files, robot_folder,
+    Bellows, Chain, ChainJoint, FingerMotion, Gripper, ParallelJaw, Problem, Robot, RobotError, RobotSettings, Site,
+    SuctionCup, contact, includes, mesh_files, robot_folder,
 };
 
 /// Group of the model's own actuators, which is disabled: `robot.toml` defines the drives.
@@ -144,7 +144,12 @@ pub(crate) fn read(path: &Path) -> Result<MjSpec, String> {
     let is_urdf = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("urdf"));
     let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // The names of a model are texts, so a file in another encoding has none that can be used.
-    let text = robot_folder::text(path).map_err(|error| error.to_string())?;
+    let text = robot_folder::text(path).map_err(|error| match error {
+        // The caller names the file.
+        RobotError::Encoding { .. } => NOT_UTF_8.to_owned(),
+        RobotError::Read { why, .. } => why,
+        other => other.to_string(),
+    })?;
     includes::replaced(&text, folder)?;
     match is_urdf.then(|| mesh_files::with_full_paths(&text, folder)).flatten() {
         Some(text) => MjSpec::from_xml_string(&text),
