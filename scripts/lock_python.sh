@@ -22,6 +22,7 @@ locks=(
     "scripts/cluster/requirements.lock scripts/cluster/requirements.txt"
     "scripts/release/requirements.lock scripts/release/requirements.txt"
     "scripts/learned/requirements.lock scripts/learned/requirements.txt"
+    "scripts/learned/lerobot/requirements.lock scripts/learned/lerobot/requirements.txt"
     "scripts/locks/metaworld.lock metaworld"
     "scripts/locks/fetch.lock fetch"
     "scripts/locks/dm_control.lock dm_control"

@@ -17,7 +17,7 @@ export HF_HUB_OFFLINE=1 HF_HOME=$out/cache OMP_NUM_THREADS=${THREADS:-1}
 bin=$out/venv/bin
 if [ ! -x "$bin/lerobot-train" ]; then
     python3 -m venv "$out/venv"
-    "$bin/pip" install --quiet --requirement "$here/requirements.txt"
+    "$bin/pip" install --quiet --require-hashes --requirement "$here/requirements.lock"
 fi
 if [ -z "${ROBOGATE:-}" ]; then
     cargo build --release --locked -p robogate --features full
