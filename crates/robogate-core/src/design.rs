@@ -26,8 +26,8 @@ impl Design {
         Self { space, coded: unit }
     }
 
-    /// Builds a design from coded numbers, row by row, as [`Self::coded`] returns them. `None` if a row is incomplete, or a number
-    /// is no code of its parameter.
+    /// Builds a design from the coded numbers of its points, row by row, as [`Self::coded`] returns them. `None` if the last row is
+    /// incomplete, or if a number does not stand for a value of its parameter.
     pub fn from_coded(space: Arc<ParameterSpace>, coded: Vec<f64>) -> Option<Self> {
         let d = space.len();
         let belongs =

@@ -188,7 +188,7 @@ impl Domain {
         }
     }
 
-    /// Whether `coded` is the code of a value of this domain.
+    /// Whether `coded` stands for a value of this domain.
     pub fn has_code(&self, coded: f64) -> bool {
         match self {
             Self::Continuous { low, high, .. } => (*low..=*high).contains(&coded),

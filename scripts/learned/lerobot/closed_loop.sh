@@ -9,19 +9,10 @@
 set -euo pipefail
 cd "$(dirname "$0")/../../.."
 
-here=scripts/learned/lerobot
 mkdir -p "$1"
 out=$(realpath "$1") count=${2:-150} steps=${3:-2000} port=${PORT:-8096}
-export HF_HUB_OFFLINE=1 HF_HOME=$out/cache HF_LEROBOT_HOME=$out OMP_NUM_THREADS=${THREADS:-1}
-bin=$out/venv/bin
-if [ ! -x "$bin/lerobot-train" ]; then
-    python3 -m venv "$out/venv"
-    "$bin/pip" install --quiet --require-hashes --requirement "$here/requirements.lock"
-fi
-if [ -z "${ROBOGATE:-}" ]; then
-    cargo build --release --locked -p robogate --features full
-    ROBOGATE=${CARGO_TARGET_DIR:-target}/release/robogate
-fi
+. scripts/learned/lerobot/common.sh
+export HF_LEROBOT_HOME=$out
 
 # demonstrations NAME ARGUMENT...: records a dataset, unless it exists. LeRobot looks for datasets in `local`.
 mkdir -p "$out/local"
@@ -32,11 +23,10 @@ demonstrations() {
 
 # campaign NAME CHECKPOINT ARGUMENT...: runs, resumes or keeps a campaign of a checkpoint behind LeRobot's policy server.
 campaign() {
-    local name=$1 served=(--policy "grpc://127.0.0.1:$port" --profile "$out/$1.toml") server
+    local name=$1 served=(--policy "grpc://127.0.0.1:$port" --profile "$out/$1.toml")
     [ ! -f "$out/$name/summary.json" ] || return 0
     sed "s|CHECKPOINT|$2|" "$here/profile.toml" > "$out/$name.toml"
-    (cd "$out" && exec "$bin/python" -m lerobot.async_inference.policy_server --host=127.0.0.1 --port="$port" --fps=20 --inference_latency=0 > "$name.log" 2>&1) &
-    server=$!
+    serve "$name.log"
     "$ROBOGATE" policy check "${served[1]}" --profile "$out/$name.toml" --wait 3m
     if [ -f "$out/$name/plan.json" ]; then "$ROBOGATE" resume "$out/$name"; else "$ROBOGATE" run "${served[@]}" --out "$out/$name" "${@:3}"; fi
     kill "$server"

@@ -6,23 +6,12 @@
 set -euo pipefail
 cd "$(dirname "$0")/../../.."
 
-here=scripts/learned/lerobot
 mkdir -p "${1:-runs/lerobot}"
 # The server runs in another folder.
 out=$(realpath "${1:-runs/lerobot}")
 steps=${STEPS:-6000}
 port=${PORT:-8095}
-# Nothing is downloaded: no pretrained weights, no dataset.
-export HF_HUB_OFFLINE=1 HF_HOME=$out/cache OMP_NUM_THREADS=${THREADS:-1}
-bin=$out/venv/bin
-if [ ! -x "$bin/lerobot-train" ]; then
-    python3 -m venv "$out/venv"
-    "$bin/pip" install --quiet --require-hashes --requirement "$here/requirements.lock"
-fi
-if [ -z "${ROBOGATE:-}" ]; then
-    cargo build --release --locked -p robogate --features full
-    ROBOGATE=${CARGO_TARGET_DIR:-target}/release/robogate
-fi
+. scripts/learned/lerobot/common.sh
 
 if [ ! -f "$out/demos/meta/info.json" ]; then
     "$ROBOGATE" demos --out "$out/demos" --space "$here/space.toml" -n 400 --push 0.012 --size 32
@@ -33,8 +22,7 @@ checkpoint=$out/act/checkpoints/${CHECKPOINT:-002000}/pretrained_model
 [ -d "$checkpoint" ] || "$here/train.sh" "$out/venv" "$out/demos" "$out/act" "$steps" 2000
 
 sed "s|CHECKPOINT|$checkpoint|" "$here/profile.toml" > "$out/act.toml"
-(cd "$out" && exec "$bin/python" -m lerobot.async_inference.policy_server --host=127.0.0.1 --port="$port" --fps=20 --inference_latency=0 > server.log 2>&1) &
-trap "kill $!" EXIT
+serve server.log
 served=(--policy "grpc://127.0.0.1:$port" --profile "$out/act.toml")
 "$ROBOGATE" policy check "grpc://127.0.0.1:$port" --profile "$out/act.toml" --wait 3m
 

@@ -1,8 +1,8 @@
 //! The designs of a campaign in shards, drawn once.
 //!
-//! A Latin hypercube of a few thousand points takes as long as ten episodes, because its points keep their distance from each other.
-//! The first process that needs a design draws and stores it. All shards then use the same points, also on machines whose C library
-//! rounds differently. Larger designs, which a shard reads more slowly than it draws them, are not stored.
+//! A Latin hypercube of a few thousand points takes as long as several episodes, because its points keep their distance from each
+//! other. The first process that needs a design draws and stores it. All shards then use the same points, also on machines whose C
+//! library rounds differently. Large designs are not stored, because every shard would read all of their bytes.
 //!
 //! The file is the coded numbers of all points, row by row and little-endian, and the SHA-256 of these bytes.
 
@@ -36,6 +36,7 @@ impl Shards {
         }
     }
 
+    /// The stored design. `None` if no process has stored it.
     fn stored(&self, wanted: &Wanted<'_>, name: &str) -> Result<Option<Design>, ShardError> {
         let Some(bytes) = get(&*self.store, name)? else { return Ok(None) };
         let design = decode(wanted, &bytes).ok_or_else(|| {

@@ -99,7 +99,6 @@ pub(super) fn catch_panics<T>(work: impl FnOnce() -> Result<T, String>) -> Resul
 
 #[cfg(test)]
 mod tests {
-    use std::sync::mpsc::{Receiver, Sender, channel};
     use std::time::Duration;
 
     use super::*;
