@@ -8,10 +8,11 @@ import sys
 import tempfile
 import time
 import unittest
+from collections import deque
 from pathlib import Path
 from unittest import mock
 
-from robogate_eval.cluster import leash, shards
+from robogate_eval.cluster import batches, leash, shards
 from robogate_eval.cluster.progress import Progress, duration
 
 
@@ -117,6 +118,45 @@ class ProgressLine(unittest.TestCase):
         self.assertEqual([duration(40), duration(720), duration(9000)], ["40 s", "12 min", "2.5 h"])
 
 
+def item(index: int, of: int, episodes: int = 10, folder: str = "d") -> shards.Item:
+    name = f"{index}/{of}"
+    return shards.Item(name, "uniform", folder, episodes, ("run", "--shard", name, "--out", folder))
+
+
+class Batches(unittest.TestCase):
+    def taken(self, items: "list[shards.Item]", slots: int, alone: "tuple[shards.Item, ...]" = ()) -> "list[int]":
+        """The sizes of the batches until nothing is left."""
+        waiting, sizes, order = deque(items), [], []
+        while waiting:
+            batch = batches.take(waiting, slots, alone)
+            sizes.append(len(batch.items))
+            order += batch.items
+        self.assertEqual(order, items)
+        return sizes
+
+    def test_batches_become_smaller(self) -> None:
+        self.assertEqual(self.taken([item(k, 32, 1) for k in range(32)], 2), [8, 6, 5, 4, 3, 2, 1, 1, 1, 1])
+        self.assertEqual(self.taken([item(k, 4) for k in range(4)], 8), [1, 1, 1, 1])
+
+    def test_batches_have_few_episodes(self) -> None:
+        self.assertEqual(self.taken([item(k, 20, 40) for k in range(20)], 1)[:3], [2, 2, 2])
+        self.assertEqual(self.taken([item(k, 3, 5000) for k in range(3)], 1), [1, 1, 1])
+
+    def test_failed_shards_run_alone(self) -> None:
+        items = [item(k, 16, 1) for k in range(16)]
+        self.assertEqual(self.taken(items, 1, (items[2],)), [2, 1, 7, 3, 2, 1])
+
+    def test_a_batch_has_one_folder(self) -> None:
+        self.assertEqual(self.taken([item(k, 4, 1, folder) for folder in "ab" for k in range(4)], 1), [4, 2, 1, 1])
+
+    def test_arguments_name_all_shards(self) -> None:
+        batch = batches.Batch(tuple(item(k, 16) for k in (0, 1, 2, 7)))
+        self.assertEqual(batch.arguments, ["run", "--shard", "0-2,7/16", "--out", "d"])
+        self.assertEqual(batch.name, "shards 0-2,7/16 of round uniform in d")
+        one = batches.Batch((item(3, 16),))
+        self.assertEqual((one.arguments, one.name), (["run", "--shard", "3/16", "--out", "d"], "shard 3/16 of round uniform in d"))
+
+
 class Command(unittest.TestCase):
     def setUp(self) -> None:
         work = tempfile.TemporaryDirectory()
@@ -137,6 +177,11 @@ class Command(unittest.TestCase):
         found = shards.next_round("d")
         self.assertEqual((found.name, found.shards), ("uniform", 2))
         self.assertEqual(found.items, [shards.Item("1/2", "uniform", "d", 5, ("run", "--shard", "1/2"))])
+
+    def test_documents_are_lines(self) -> None:
+        self.answer("""echo '{"shard": "0/2"}'; echo 'a note'; echo '{"shard": "1/2"}'; exit 5""")
+        result = shards.call([])
+        self.assertEqual((result.code, result.documents), (5, [{"shard": "0/2"}, {"shard": "1/2"}]))
 
     def test_status_of_a_sweep_is_a_sum(self) -> None:
         entry = '{"round": "uniform", "state": "open", "episodes": 5, "done": 2, "committed": 1, "missing": [1], "outcomes": {"success": 2}}'

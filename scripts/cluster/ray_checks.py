@@ -123,14 +123,14 @@ def kills(work: Path, count: int, episodes: int, seed: int) -> None:
             if process.poll() is not None:
                 raise SystemExit(f"the campaign ended after {killed}: use more episodes\n{process.stderr.read().decode()}")
             table = processes()
-            leashes = [pid for pid, (_, command) in table.items() if "leash.py" in command and str(out) in command and "--shard" in command]
+            leashes = [pid for pid, (_, command) in table.items() if "leash_program.py" in command and str(out) in command and "--shard" in command]
             if not leashes:
                 continue
             leash = chance.choice(leashes)
             kind = chance.choice(["worker", "worker", "driver", "shard", "leash"])
             if kind == "driver":
                 process.kill()
-                repeated += sum("runs again" in line for line in process.communicate()[1].decode().splitlines())
+                repeated += sum(" again (" in line for line in process.communicate()[1].decode().splitlines())
                 # A new driver starts at once, while the shards of the old one may still run.
                 process = driver(out, options, f"127.0.0.1:{PORT}")
                 drivers += 1
@@ -143,8 +143,8 @@ def kills(work: Path, count: int, episodes: int, seed: int) -> None:
                     continue
             killed[kind] = killed.get(kind, 0) + 1
         lines = finish(process)
-        repeated += sum("runs again" in line for line in lines)
-        say(f"  {sum(killed.values())} SIGKILL: {killed}; {drivers} drivers, {repeated} shards repeated by them")
+        repeated += sum(" again (" in line for line in lines)
+        say(f"  {sum(killed.values())} SIGKILL: {killed}; {drivers} drivers, {repeated} repeats by them")
         say(f"  {lines[-2]}")
         left = orphans(str(out))
         if left:
@@ -185,7 +185,7 @@ def nodes(work: Path, episodes: int) -> None:
             with cluster(1, work / "ray", prefix=b, ip=addresses[1], head=head):
                 lines = finish(process)
                 for line in lines:
-                    if "runs again" in line or " on 10." in line:
+                    if " again (" in line or " on 10." in line:
                         say(f"  {line}")
                 left = orphans(str(out))
                 if left:
@@ -220,7 +220,7 @@ def servers(work: Path, episodes: int) -> None:
                 os.kill(random.choice(found), signal.SIGKILL)
                 killed += 1
         lines = finish(process)
-        say(f"  {killed} servers killed, {sum('runs again' in line for line in lines)} shards repeated; {lines[-2]}")
+        say(f"  {killed} servers killed, {sum(' again (' in line for line in lines)} repeats; {lines[-2]}")
     left = orphans("serve --task pendulum")
     if left:
         raise SystemExit("\n".join(["orphaned processes:", *left]))

@@ -2,7 +2,7 @@
 
     robogate-ray run --preset paper --address auto --out DIR
 
-Each shard is a Ray task that runs `robogate run --shard` in a process of its own, which dies with its worker. A shard is committed
+Each Ray task runs `robogate run --shard` for a few shards, in a process that dies with its worker. A shard is committed
 at once or not at all, so any worker, node or driver may be killed at any time: the same command continues, and the merged files
 have the bytes of a run on one machine.
 """
@@ -17,7 +17,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from robogate_eval import CommandNotFoundError
-from robogate_eval.cluster import shards
+from robogate_eval.cluster import batches, shards
+from robogate_eval.cluster.batches import Batch
 from robogate_eval.cluster.progress import Progress, grouped
 from robogate_eval.cluster.shards import DONE, INFRASTRUCTURE, INTERRUPTED, USAGE, CommandError, Item
 
@@ -102,70 +103,86 @@ class Campaign:
         """Run shards until all of them are committed. Each may fail `retries` times."""
         waiting = deque(items)
         failures: "Counter[Item]" = Counter()
-        running: "dict[Any, tuple[Item, Lane | None]]" = {}
+        running: "dict[Any, tuple[Batch, Lane | None]]" = {}
         looked = -NODES_S
         try:
             while waiting or running:
                 if self.lanes.needed and time.monotonic() - looked > NODES_S:
                     self.lanes.update()
                     looked = time.monotonic()
-                self._start(waiting, running)
+                self._start(waiting, running, failures)
                 if self.lanes.needed and not running:
                     self._wait_for_lane()
                 done, _ = ray.wait(list(running), num_returns=1, timeout=NODES_S)
                 for reference in done:
-                    item, lane = running.pop(reference)
+                    batch, lane = running.pop(reference)
                     if lane is not None:
                         lane.busy = False
-                    problem = self._finished(reference, progress)
-                    if problem is not None:
-                        failures[item] += 1
-                        self._failed(item, problem, failures[item], progress)
-                        waiting.append(item)
+                    left, problem = self._finished(batch, reference, progress)
+                    if left:
+                        failures.update(left)
+                        self._failed(Batch(left), problem, failures, progress)
+                        waiting.extend(left)
         finally:
             for reference in running:
                 ray.cancel(reference, force=True)
 
-    def _start(self, waiting: "deque[Item]", running: "dict[Any, tuple[Item, Lane | None]]") -> None:
+    def slots(self) -> int:
+        """How many tasks can run at once."""
+        return len(self.lanes) or max(1, int(ray.cluster_resources().get("CPU", 1) / max(self.resources.cpus, 0.01)))
+
+    def _start(self, waiting: "deque[Item]", running: "dict[Any, tuple[Batch, Lane | None]]", failures: "Counter[Item]") -> None:
+        slots = self.slots() if waiting else 0
         while waiting and len(running) < MOST_TASKS:
             lane = self.lanes.free() if self.lanes.needed else None
             if self.lanes.needed and lane is None:
                 return
             if lane is not None:
                 lane.busy = True
-            item = waiting.popleft()
-            arguments = [*item.arguments, "--json", "--threads", str(self.threads)]
-            running[self._submit(arguments, lane)] = (item, lane)
+            # A shard that has failed runs alone, so that it is known which one fails.
+            batch = batches.take(waiting, slots, failures)
+            arguments = [*batch.arguments, "--json", "--threads", str(self.threads)]
+            running[self._submit(arguments, lane)] = (batch, lane)
 
-    def _finished(self, reference: Any, progress: Progress) -> "str | None":
-        """Count a task that has ended. Returns the problem if its shard must run again."""
+    def _finished(self, batch: Batch, reference: Any, progress: Progress) -> "tuple[tuple[Item, ...], str]":
+        """Count the shards of a task that has ended. Returns those that must run again, and the problem."""
         try:
             attempt: Attempt = ray.get(reference)
         except ray.exceptions.RayTaskError as error:
             # An error of this package or of a server's start. Another node may be set up correctly.
-            return str(error.cause if error.cause is not None else error)
+            return batch.items, str(error.cause if error.cause is not None else error)
         except ray.exceptions.RayError as error:
-            return str(error).strip().splitlines()[0]
+            return self._lost(batch, progress), str(error).strip().splitlines()[0]
+        problem = f"on node {attempt.node}: {attempt.reason}"
         if attempt.code == USAGE:
-            raise CampaignError(USAGE, f"on node {attempt.node}: {attempt.reason}")
-        document = attempt.document or {}
-        if document.get("state") == "conflict":
-            raise CampaignError(INFRASTRUCTURE, f"on node {attempt.node}: {attempt.reason}")
-        if attempt.code != DONE:
-            return f"on node {attempt.node}: {attempt.reason}"
-        self.nodes[attempt.node] += 1
-        progress.add(document)
-        return None
+            raise CampaignError(USAGE, problem)
+        if any(document.get("state") == "conflict" for document in attempt.documents):
+            raise CampaignError(INFRASTRUCTURE, problem)
+        for document in attempt.documents:
+            self.nodes[attempt.node] += 1
+            progress.add(document)
+        committed = {document.get("shard") for document in attempt.documents}
+        return tuple(item for item in batch.items if item.shard not in committed), problem
 
-    def _failed(self, item: Item, problem: str, failures: int, progress: Progress) -> None:
-        if failures > self.retries:
+    def _lost(self, batch: Batch, progress: Progress) -> "tuple[Item, ...]":
+        """The shards of a killed task that it has not committed. The others are counted."""
+        missing = set(shards.next_round(self.folder).items)
+        for item in batch.items:
+            if item not in missing:
+                progress.add_unseen(item.episodes)
+        return tuple(item for item in batch.items if item in missing)
+
+    def _failed(self, left: Batch, problem: str, failures: "Counter[Item]", progress: Progress) -> None:
+        most = max(failures[item] for item in left.items)
+        if most > self.retries:
             raise CampaignError(
                 INFRASTRUCTURE,
-                f"{item.name} failed {failures} times, the last time because: {problem}\n"
+                f"{left.name} failed {most} times, the last time because: {problem}\n"
                 "hint: committed shards are kept; the same command continues the campaign",
             )
-        self.repeated += 1
-        progress.note(f"{item.name} runs again ({failures} of at most {self.retries} times): {problem}")
+        self.repeated += len(left.items)
+        again = "runs again" if len(left.items) == 1 else "run again"
+        progress.note(f"{left.name} {again} ({most} of at most {self.retries} times): {problem}")
 
     def run(self) -> None:
         """Run all rounds."""
@@ -289,12 +306,12 @@ def _divide(campaign: Campaign, given: argparse.Namespace, options: "list[str]")
         if given.shards not in (None, existing):
             raise CampaignError(USAGE, f"{campaign.folder} is divided into {existing} shards, and --shards is {given.shards}")
         return
-    slots = len(campaign.lanes) or max(1, int(ray.cluster_resources().get("CPU", 1) / max(campaign.resources.cpus, 0.01)))
+    slots = campaign.slots()
     count = given.shards or existing or SHARDS_PER_SLOT * slots
     attempt = campaign.once([given.verb, "--divide", str(count), "--out", campaign.folder, "--json", *options], campaign.lanes.needed)
     if attempt.code != DONE:
         raise CampaignError(attempt.code, attempt.reason)
-    document = attempt.document or {}
+    document = attempt.documents[0]
     note(f"{grouped(document.get('episodes', 0))} episodes in {count} shards on {slots} slots, into {campaign.folder}")
 
 

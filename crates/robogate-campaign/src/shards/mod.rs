@@ -43,7 +43,7 @@ use serde::{Deserialize, Serialize};
 
 pub use error::ShardError;
 pub use round::ShardRound;
-pub use shard::{MOST_SHARDS, Shard, ShardNameError};
+pub use shard::{MOST_SHARDS, Shard, ShardNameError, ShardSet};
 pub use status::{RoundState, RoundStatus, ShardStatus};
 pub use store::{DirectoryStore, ShardStore, Stored};
 pub use task::{Assignment, Commit, ShardEnd, ShardResult, ShardTask};

@@ -10,7 +10,7 @@ use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, FromArgMatches, Id};
 use robogate_analysis::Analysis;
 use robogate_campaign::folder::PLAN;
-use robogate_campaign::shards::Shard;
+use robogate_campaign::shards::ShardSet;
 use robogate_campaign::{
     ActiveStage, Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, Prior, RunError, Settings, ThreadPool,
 };
@@ -117,10 +117,10 @@ pub(crate) struct Run {
     /// Write the run to this folder; default: a new one under runs/
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Run only shard K of N, counted from 0, of the open round of the campaign in --out (docs/cluster.md). If that
-    /// folder has a plan, its options need not be repeated
+    /// Run only shard K of N, counted from 0, of the open round of the campaign in --out (docs/cluster.md), or several, one
+    /// after the other, such as 0-3,7/16. If that folder has a plan, its options need not be repeated
     #[arg(long, value_name = "K/N", requires = "out")]
-    shard: Option<Shard>,
+    shard: Option<ShardSet>,
     /// Write the plan of a campaign in N shards to --out, and run nothing: `robogate plan DIR --next` prints the commands
     /// that run the shards
     #[arg(long, value_name = "N", requires = "out", conflicts_with = "shard")]
@@ -180,7 +180,7 @@ pub(crate) struct How {
 
 impl Run {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        if let (Some(shard), Some(dir)) = (self.shard, &self.out)
+        if let (Some(shards), Some(dir)) = (&self.shard, &self.out)
             && !self.given.describe_a_plan()
             && (place::is_remote(dir) || dir.join(PLAN).is_file())
         {
@@ -192,7 +192,7 @@ impl Run {
             let subject = Subject::recorded_at(&provenance, &self.environment.simulators, &self.location)?;
             let question_sha256 = provenance.question_sha256;
             let provenance = Provenance { question_sha256, ..subject.provenance(provenance.space)? };
-            return shard::run(dir, shard, &subject, &plan, provenance, None, &self.how);
+            return shard::run(dir, shards, &subject, &plan, provenance, None, &self.how);
         }
         // The surface gripper, four failure modes and one workspace for all robots belong to the paper preset. All other
         // runs use the physical vacuum law and every mode.
@@ -214,8 +214,8 @@ impl Run {
             ))
             .or_usage();
         }
-        if let (Some(shard), Some(dir)) = (self.shard, &self.out) {
-            return shard::run(dir, shard, &subject, &plan, provenance, prior.as_ref(), &self.how);
+        if let (Some(shards), Some(dir)) = (&self.shard, &self.out) {
+            return shard::run(dir, shards, &subject, &plan, provenance, prior.as_ref(), &self.how);
         }
         if let (Some(shards), Some(dir)) = (self.divide, &self.out) {
             let documents = shard::documents(prior.as_ref())?;
@@ -432,13 +432,7 @@ impl How {
         episodes: u64,
         work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<T, RunError>,
     ) -> Result<(T, Option<Outage>), Exit> {
-        self.with_pool(subject, |pool| {
-            let mut progress = Progress::new();
-            let mut show = |event: &Event| progress.hear(event);
-            let executor = RunsLostAgain::new(pool, episodes);
-            let done = work(&executor, &mut show).map_err(exit)?;
-            Ok((done, executor.outage()))
-        })
+        self.with_pool(subject, |pool| guarded(pool, episodes, work))
     }
 
     /// Runs a campaign with `work` and shows its progress.
@@ -466,6 +460,19 @@ impl How {
     ) -> Result<u8, Exit> {
         conclude(dir, &self.carry(subject, work)?, Some(subject), self.json)
     }
+}
+
+/// Like [`How::guarded`], on threads that exist.
+pub(crate) fn guarded<T>(
+    pool: &dyn Executor,
+    episodes: u64,
+    work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<T, RunError>,
+) -> Result<(T, Option<Outage>), Exit> {
+    let mut progress = Progress::new();
+    let mut show = |event: &Event| progress.hear(event);
+    let executor = RunsLostAgain::new(pool, episodes);
+    let done = work(&executor, &mut show).map_err(exit)?;
+    Ok((done, executor.outage()))
 }
 
 /// The active stage that seeks a failure mode of the task.

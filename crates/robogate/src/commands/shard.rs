@@ -1,25 +1,28 @@
-//! `robogate run --shard`: runs one shard of a campaign.
+//! `robogate run --shard`: runs shards of a campaign.
 
 use std::path::Path;
 
 use anyhow::anyhow;
 use robogate_campaign::folder::PRIOR;
-use robogate_campaign::shards::{Assignment, Commit, Shard, ShardEnd, ShardError, ShardResult, ShardTask, Shards};
-use robogate_campaign::{OutcomeCounts, Plan, Prior};
+use robogate_campaign::shards::{
+    Assignment, Commit, Shard, ShardEnd, ShardError, ShardResult, ShardRound, ShardSet, ShardTask, Shards,
+};
+use robogate_campaign::{Executor, OutcomeCounts, Plan, Prior};
 use robogate_dictionary::Provenance;
 use serde_json::json;
 
-use crate::commands::run::{self, How, introduce};
+use crate::commands::run::{self, How, guarded, introduce};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, OrExit, USAGE};
 use crate::place;
 use crate::sharded::Campaign;
 use crate::subject::Subject;
 use crate::terminal::{grouped, line, note};
 
-/// Runs shard `shard` of the open round of the campaign in `dir`, and commits it. The first process stores the prior.
+/// Runs `shards` of the open round of the campaign in `dir`, and commits each at its end. The first process stores the
+/// prior.
 pub(crate) fn run(
     dir: &Path,
-    shard: Shard,
+    shards: &ShardSet,
     subject: &Subject,
     plan: &Plan,
     provenance: Provenance,
@@ -29,56 +32,113 @@ pub(crate) fn run(
     introduce(&provenance, plan.seed);
     let documents = documents(prior)?;
     let documents: Vec<(&str, &[u8])> = documents.iter().map(|(name, text)| (*name, &**text)).collect();
-    let mut campaign = Campaign::of(begin(dir, shard.of(), plan, provenance, &documents)?)?;
-    let foresight = || subject.foresight();
-    campaign.choose(&foresight)?;
-    let report = |state: &str, round: Option<String>, outcomes: Option<&OutcomeCounts>| {
-        if how.json {
-            let (dir, shard) = (dir, shard.to_string());
+    let campaign = Campaign::of(begin(dir, shards.of(), plan, provenance, &documents)?)?;
+    let mut worker = Worker { dir, campaign, shards: shards.iter(), round: None, subject, json: how.json };
+    worker.choose()?;
+    // Servers start only if an episode has to run.
+    let Some(first) = worker.next()? else {
+        return Ok(DONE);
+    };
+    how.with_pool(subject, |pool| {
+        let mut next = Some(first);
+        while let Some((shard, task)) = next {
+            let Some(result) = finish(&task, pool)? else {
+                return Ok(INTERRUPTED);
+            };
+            worker.commit(shard, &result)?;
+            next = worker.next()?;
+        }
+        Ok(DONE)
+    })
+}
+
+/// Works on the shards of one command, one after the other.
+struct Worker<'a, I> {
+    dir: &'a Path,
+    campaign: Campaign,
+    /// The shards that are left.
+    shards: I,
+    /// The round of these shards: the one that is open when the command starts.
+    round: Option<ShardRound>,
+    subject: &'a Subject,
+    json: bool,
+}
+
+impl<I: Iterator<Item = Shard>> Worker<'_, I> {
+    /// Chooses the points of the next round, if it can be chosen now.
+    fn choose(&self) -> Result<(), Exit> {
+        self.campaign.choose(&|| self.subject.foresight())
+    }
+
+    /// The next shard whose episodes have to run.
+    fn next(&mut self) -> Result<Option<(Shard, Box<ShardTask>)>, Exit> {
+        while let Some(shard) = self.shards.next() {
+            let assignment = self.campaign.assign(shard.index())?;
+            let open = match &assignment {
+                Assignment::Run(task) => Some(task.round()),
+                Assignment::Committed { round } | Assignment::Choose { round } => Some(*round),
+                Assignment::Complete => None,
+            };
+            // A shard of another round than that of the first one is not run: its own round is complete.
+            if let (Some(round), true) = (self.round, self.round != open) {
+                self.committed_already(shard, round);
+                continue;
+            }
+            self.round = open;
+            match assignment {
+                Assignment::Choose { round } => {
+                    return Err(exit(ShardError::NotChosen { dir: self.dir.to_owned(), round }));
+                }
+                Assignment::Complete => {
+                    note("nothing to do: all rounds are complete");
+                    note(format_args!("next: robogate merge {}", quoted(self.dir)));
+                    self.report(shard, "complete", None, None);
+                }
+                Assignment::Committed { round } => self.committed_already(shard, round),
+                Assignment::Run(task) => {
+                    let (episodes, dir) = (grouped(task.episodes()), self.dir.display());
+                    note(format_args!("shard {shard} of round {}: {episodes} episodes, into {dir}", task.round()));
+                    return Ok(Some((shard, task)));
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    fn committed_already(&self, shard: Shard, round: ShardRound) {
+        note(format_args!("nothing to do: shard {shard} of round {round} is committed already"));
+        self.report(shard, "already_committed", Some(round), None);
+    }
+
+    /// Commits a shard.
+    fn commit(&self, shard: Shard, result: &ShardResult) -> Result<(), Exit> {
+        let state = match self.campaign.shards().commit(result) {
+            Ok(Commit::First) => "committed",
+            Ok(Commit::Duplicate) => {
+                note("another process has committed the same episodes already");
+                "duplicate"
+            }
+            Err(error) => {
+                if let ShardError::Conflict { .. } = error {
+                    // A scheduler must not run the shard again: it would find the committed one, and be content.
+                    self.report(shard, "conflict", Some(result.round()), Some(result.outcomes()));
+                }
+                return Err(exit(error));
+            }
+        };
+        // The last shard of a round chooses the points of the next one, so that the others need not wait for it.
+        self.choose()?;
+        self.report(shard, state, Some(result.round()), Some(result.outcomes()));
+        Ok(())
+    }
+
+    /// Prints the document of a shard.
+    fn report(&self, shard: Shard, state: &str, round: Option<ShardRound>, outcomes: Option<&OutcomeCounts>) {
+        if self.json {
+            let (dir, shard) = (self.dir, shard.to_string());
             line(
                 json!({ "version": 1, "dir": dir, "shard": shard, "round": round, "state": state, "outcomes": outcomes }),
             );
-        }
-        Ok(DONE)
-    };
-    match campaign.assign(shard.index())? {
-        Assignment::Choose { round } => Err(exit(ShardError::NotChosen { dir: dir.to_owned(), round })),
-        Assignment::Complete => {
-            note("nothing to do: all rounds are complete");
-            note(format_args!("next: robogate merge {}", quoted(dir)));
-            report("complete", None, None)
-        }
-        Assignment::Committed { round } => {
-            note(format_args!("nothing to do: shard {shard} of round {round} is committed already"));
-            report("already_committed", Some(round.to_string()), None)
-        }
-        Assignment::Run(task) => {
-            note(format_args!(
-                "shard {shard} of round {}: {} episodes, into {}",
-                task.round(),
-                grouped(task.episodes()),
-                dir.display()
-            ));
-            let Some(result) = finish(&task, subject, how)? else {
-                return Ok(INTERRUPTED);
-            };
-            let state = match campaign.shards().commit(&result) {
-                Ok(Commit::First) => "committed",
-                Ok(Commit::Duplicate) => {
-                    note("another process has committed the same episodes already");
-                    "duplicate"
-                }
-                Err(error) => {
-                    if let ShardError::Conflict { .. } = error {
-                        // A scheduler must not run the shard again: it would find the committed one, and be content.
-                        report("conflict", Some(result.round().to_string()), Some(result.outcomes()))?;
-                    }
-                    return Err(exit(error));
-                }
-            };
-            // The last shard of a round chooses the points of the next one, so that the others need not wait for it.
-            campaign.choose(&foresight)?;
-            report(state, Some(result.round().to_string()), Some(result.outcomes()))
         }
     }
 }
@@ -120,9 +180,9 @@ fn begin(
 }
 
 /// Runs the episodes of a shard. `None` if the user stopped it.
-fn finish(task: &ShardTask, subject: &Subject, how: &How) -> Result<Option<ShardResult>, Exit> {
+fn finish(task: &ShardTask, pool: &dyn Executor) -> Result<Option<ShardResult>, Exit> {
     // A shard with few episodes is lost if the server was unavailable in all of them.
-    let (end, outage) = how.guarded(subject, task.episodes(), |executor, events| task.run(executor, events))?;
+    let (end, outage) = guarded(pool, task.episodes(), |executor, events| task.run(executor, events))?;
     let hint = "hint: the shard is not committed; run it again once the server is available";
     match (end, outage) {
         (_, Some(outage)) => Err(anyhow!("stopped: {outage}\n  {hint}")).or_broken(),

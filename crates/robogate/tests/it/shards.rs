@@ -97,6 +97,32 @@ fn merged_shards_equal_single_run() {
 }
 
 #[test]
+fn one_process_runs_several_shards() {
+    let dirs = [TempDir::new().unwrap(), TempDir::new().unwrap()];
+    let [one, many] = dirs.each_ref().map(TempDir::path);
+    verb(one, PENDULUM, 0, &[]);
+    // The shards whose documents a command prints, and their states.
+    let run = |shards: &str| -> Vec<String> {
+        let text = verb(many, &format!("run --shard {shards} --out run --json"), 0, &[]);
+        let documents = text.lines().filter(|line| line.starts_with('{')).map(|line| line.parse::<Value>().unwrap());
+        documents.map(|one| format!("{} {} {}", one["shard"], one["round"], one["state"]).replace('"', "")).collect()
+    };
+    verb(many, &format!("{PENDULUM} --divide 4"), 0, &[]);
+    assert_eq!(run("1/4"), ["1/4 uniform committed"]);
+    let states = ["0/4 uniform committed", "1/4 uniform already_committed", "3/4 uniform committed"];
+    assert_eq!(run("3,0-1/4"), states);
+    verb(many, "run --shard 0-4/4 --out run", 2, &["shard 4 of 4 does not exist"]);
+    verb(many, "run --shard 2-1/4 --out run", 2, &["Expected K/N", "0-3,7/16"]);
+    // The round ends in the middle. Shards of the next one are not run.
+    let states = ["0/4 uniform already_committed", "2/4 uniform committed", "3/4 uniform already_committed"];
+    assert_eq!(run("0,2-3/4"), states);
+    assert_eq!(run("0-3/4"), [0, 1, 2, 3].map(|k| format!("{k}/4 boundary committed")));
+    assert_eq!(run("0-1/4"), [0, 1].map(|k| format!("{k}/4 null complete")));
+    verb(many, "merge run", 0, &[]);
+    assert!(files(&many.join("run")) == files(&one.join("run")));
+}
+
+#[test]
 fn suite_shards_equal_single_run() {
     let dirs = [TempDir::new().unwrap(), TempDir::new().unwrap()];
     let [one, many] = dirs.each_ref().map(|dir| {

@@ -1,119 +1,15 @@
-"""Runs a command that never outlives its parent, however the parent ends.
+"""Runs a command that never outlives this process, however this process ends."""
 
-Usage: python -I -S leash.py PARENT COMMAND [ARGUMENTS...]
-
-PARENT is the process id of the parent. When the parent dies, also by SIGKILL, the command and all its descendants are killed. Their
-orphans become children of this process (PR_SET_CHILD_SUBREAPER), so that descendants in other process groups are found too. If this
-process itself is killed, the kernel kills the command. Needs Linux.
-"""
-
-import ctypes
 import os
-import signal
 import subprocess
 import sys
-from pathlib import Path
 from typing import IO
 
-# <linux/prctl.h>
-PR_SET_PDEATHSIG = 1
-PR_SET_CHILD_SUBREAPER = 36
-
-# How often the leash checks that its parent is alive, in seconds. The signal of the kernel arrives at once; the check finds a parent
-# that died before the signal was requested.
-CHECK_S = 1.0
-
-
-def _prctl(option: int, value: int) -> None:
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.prctl(option, ctypes.c_ulong(value), 0, 0, 0) != 0:
-        raise OSError(ctypes.get_errno(), "prctl")
-
-
-def _die_with_parent() -> None:
-    _prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
-def _children() -> "list[int]":
-    """The children of this process."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                # The name of the command is in parentheses and may contain any character.
-                fields = (entry / "stat").read_text(errors="replace").rpartition(")")[2].split()
-            except OSError:
-                continue
-            if int(fields[1]) == os.getpid():
-                found.append(int(entry.name))
-    return found
-
-
-def _kill_descendants() -> None:
-    """Kills all descendants. The children of a killed process become children of this process."""
-    while children := _children():
-        for child in children:
-            try:
-                os.kill(child, signal.SIGKILL)
-            except ProcessLookupError:
-                pass
-        for child in children:
-            try:
-                os.waitpid(child, 0)
-            except ChildProcessError:
-                pass
-
-
-def run(parent: int, command: "list[str]") -> int:
-    """Run a command until it ends or the parent dies. Returns its exit code, or 128 plus the number of its signal."""
-    ended = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGCHLD}
-    # Blocked signals wait until sigtimedwait takes them.
-    signal.pthread_sigmask(signal.SIG_BLOCK, ended)
-    _prctl(PR_SET_CHILD_SUBREAPER, 1)
-    _prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != parent:
-        return 128 + signal.SIGTERM
-
-    def prepare() -> None:
-        _die_with_parent()
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, ended)
-
-    try:
-        # This process has one thread, so code may run between fork and exec.
-        child = subprocess.Popen(command, preexec_fn=prepare)  # noqa: PLW1509
-    except OSError as error:
-        sys.stderr.write(f"error: cannot start {command[0]}: {error.strerror}\n")
-        return 127
-    while True:
-        info = signal.sigtimedwait(ended, CHECK_S)
-        code = _reap(child.pid)
-        if code is not None:
-            _kill_descendants()
-            return code
-        if os.getppid() != parent or (info and info.si_signo != signal.SIGCHLD):
-            _kill_descendants()
-            return 128 + signal.SIGTERM
-
-
-def _reap(child: int) -> "int | None":
-    """Takes the exit status of all processes that have ended. Returns the exit code of `child` if it is among them."""
-    code = None
-    while True:
-        try:
-            process, status = os.waitpid(-1, os.WNOHANG)
-        except ChildProcessError:
-            return code
-        if process == 0:
-            return code
-        if process == child:
-            code = os.WEXITSTATUS(status) if os.WIFEXITED(status) else 128 + os.WTERMSIG(status)
+# The program between this process and the command.
+_PROGRAM = os.path.join(os.path.dirname(os.path.abspath(__file__)), "leash_program.py")
 
 
 def start(command: "list[str]", output: "int | IO[bytes]", errors: "int | IO[bytes]") -> "subprocess.Popen[bytes]":
     """Start a command on a leash that this process holds. Terminating the leash kills the command and its descendants."""
-    leash = [sys.executable, "-I", "-S", os.path.abspath(__file__), str(os.getpid()), *command]
+    leash = [sys.executable, "-I", "-S", _PROGRAM, str(os.getpid()), *command]
     return subprocess.Popen(leash, stdin=subprocess.DEVNULL, stdout=output, stderr=errors)
-
-
-if __name__ == "__main__":
-    sys.exit(run(int(sys.argv[1]), sys.argv[2:]))

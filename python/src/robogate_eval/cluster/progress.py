@@ -34,13 +34,17 @@ class Progress:
         self._drawn = False
 
     def add(self, document: "dict[str, Any]") -> None:
-        """Count a committed shard: the document of `robogate run --shard --json`."""
+        """Count a committed shard: the document that `robogate run --shard --json` prints for it."""
         outcomes: "dict[str, int]" = document.get("outcomes") or {}
-        before = self.done
-        self.committed += 1
-        self.done += sum(outcomes.values())
         for name, count in outcomes.items():
             self.outcomes[name] = self.outcomes.get(name, 0) + count
+        self.add_unseen(sum(outcomes.values()))
+
+    def add_unseen(self, episodes: int) -> None:
+        """Count a committed shard whose outcomes are unknown."""
+        before = self.done
+        self.committed += 1
+        self.done += episodes
         tenth = max(self.episodes, 1) / 10
         if self._stream.isatty():
             self.draw()

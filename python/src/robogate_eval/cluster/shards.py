@@ -29,13 +29,17 @@ class Result:
     errors: str
 
     @property
-    def document(self) -> "dict[str, Any] | None":
-        """The JSON document on stdout, if there is one."""
-        try:
-            document = json.loads(self.output)
-        except ValueError:
-            return None
-        return document if isinstance(document, dict) else None
+    def documents(self) -> "list[dict[str, Any]]":
+        """The JSON documents on stdout, one on each line."""
+        documents = []
+        for line in self.output.splitlines():
+            try:
+                document = json.loads(line)
+            except ValueError:
+                continue
+            if isinstance(document, dict):
+                documents.append(document)
+        return documents
 
     @property
     def reason(self) -> str:
@@ -60,9 +64,10 @@ def call(arguments: "list[str]") -> Result:
 
 def _document(arguments: "list[str]") -> "dict[str, Any]":
     result = call(arguments)
-    if result.code != DONE or result.document is None:
+    documents = result.documents
+    if result.code != DONE or len(documents) != 1:
         raise CommandError(result.code, result.reason)
-    return result.document
+    return documents[0]
 
 
 @dataclass(frozen=True)
@@ -76,11 +81,6 @@ class Item:
     episodes: int
     # The arguments of `robogate`.
     arguments: "tuple[str, ...]"
-
-    @property
-    def name(self) -> str:
-        """The name in messages."""
-        return f"shard {self.shard} of round {self.round} in {self.folder}"
 
 
 @dataclass(frozen=True)

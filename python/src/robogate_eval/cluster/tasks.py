@@ -111,7 +111,8 @@ class Attempt:
     node: str
     code: int
     reason: str
-    document: "dict[str, Any] | None" = field(default=None)
+    # The JSON documents of the command, in order.
+    documents: "list[dict[str, Any]]" = field(default_factory=list)
 
 
 @ray.remote(max_retries=0)
@@ -119,4 +120,4 @@ def run(arguments: "list[str]", servers: Servers) -> Attempt:
     """Run `robogate` with these arguments and servers. The driver decides whether to retry."""
     node = ray.util.get_node_ip_address()
     result = shards.call([*arguments, *servers.arguments()])
-    return Attempt(node, result.code, result.reason, result.document)
+    return Attempt(node, result.code, result.reason, result.documents)
