@@ -182,6 +182,14 @@ class Command(unittest.TestCase):
         self.answer("""echo '{"shard": "0/2"}'; echo 'a note'; echo '{"shard": "1/2"}'; exit 5""")
         result = shards.call([])
         self.assertEqual((result.code, result.documents), (5, [{"shard": "0/2"}, {"shard": "1/2"}]))
+        self.answer("""printf '{\\n  "rounds": []\\n}\\n'""")
+        self.assertEqual(shards.call([]).documents, [{"rounds": []}])
+
+    def test_a_command_without_a_document_is_an_error(self) -> None:
+        self.answer("echo nothing")
+        with self.assertRaises(shards.CommandError) as raised:
+            shards.next_round("d")
+        self.assertEqual(raised.exception.code, shards.INFRASTRUCTURE)
 
     def test_status_of_a_sweep_is_a_sum(self) -> None:
         entry = '{"round": "uniform", "state": "open", "episodes": 5, "done": 2, "committed": 1, "missing": [1], "outcomes": {"success": 2}}'

@@ -30,16 +30,12 @@ class Result:
 
     @property
     def documents(self) -> "list[dict[str, Any]]":
-        """The JSON documents on stdout, one on each line."""
-        documents = []
-        for line in self.output.splitlines():
-            try:
-                document = json.loads(line)
-            except ValueError:
-                continue
-            if isinstance(document, dict):
-                documents.append(document)
-        return documents
+        """The JSON documents on stdout: one on each line, or a single one on several lines."""
+        try:
+            found = [json.loads(self.output)]
+        except ValueError:
+            found = [value for value in map(_value, self.output.splitlines()) if value is not None]
+        return [document for document in found if isinstance(document, dict)]
 
     @property
     def reason(self) -> str:
@@ -48,6 +44,13 @@ class Result:
         starts = [i for i, line in enumerate(lines) if line.startswith("error:")]
         text = lines[starts[-1] :] if starts else lines[-1:]
         return "\n".join(text).removeprefix("error: ") or f"exit code {self.code}"
+
+
+def _value(line: str) -> Any:
+    try:
+        return json.loads(line)
+    except ValueError:
+        return None
 
 
 def call(arguments: "list[str]") -> Result:
@@ -65,8 +68,10 @@ def call(arguments: "list[str]") -> Result:
 def _document(arguments: "list[str]") -> "dict[str, Any]":
     result = call(arguments)
     documents = result.documents
-    if result.code != DONE or len(documents) != 1:
+    if result.code != DONE:
         raise CommandError(result.code, result.reason)
+    if len(documents) != 1:
+        raise CommandError(INFRASTRUCTURE, f"`robogate {' '.join(arguments)}` printed no JSON document")
     return documents[0]
 
 
