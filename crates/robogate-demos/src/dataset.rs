@@ -1,7 +1,7 @@
 //! Writes a LeRobotDataset 3.0 to disk.
 
 use std::collections::BTreeMap;
-use std::fs;
+use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -48,6 +48,9 @@ pub enum DatasetError {
     /// The target folder exists.
     #[error("{}: the folder exists. Expected a new folder", .0.display())]
     Exists(PathBuf),
+    /// Another process writes a dataset with this name.
+    #[error("{}: another process writes this dataset. Expected a new folder", .0.display())]
+    Locked(PathBuf),
     /// A table cannot be written.
     #[error("cannot write {}: {source}", .path.display())]
     Table {
@@ -73,6 +76,8 @@ pub enum DatasetError {
 pub struct Dataset {
     path: PathBuf,
     partial: PathBuf,
+    /// The lock of the temporary folder. The operating system releases it when the process ends for any reason.
+    _lock: Option<File>,
     fps: u32,
     robot: String,
     form: Option<Form>,
@@ -112,10 +117,13 @@ impl Dataset {
         name.push(path.file_name().unwrap_or_default());
         name.push(".part");
         let partial = path.with_file_name(name);
-        // Remains of a killed process.
-        if partial.exists() {
-            fs::remove_dir_all(&partial).map_err(io_error(&partial, "clear"))?;
+        fs::create_dir_all(&partial).map_err(io_error(&partial, "create"))?;
+        let lock = lock(&partial).ok_or_else(|| DatasetError::Locked(path.to_owned()))?;
+        // Another process may have completed the dataset in between.
+        if path.exists() {
+            return Err(DatasetError::Exists(path.to_owned()));
         }
+        clear(&partial).map_err(io_error(&partial, "clear"))?;
         for folder in ["data/chunk-000", "meta/episodes/chunk-000"] {
             let folder = partial.join(folder);
             fs::create_dir_all(&folder).map_err(io_error(&folder, "create"))?;
@@ -123,6 +131,7 @@ impl Dataset {
         Ok(Self {
             path: path.to_owned(),
             partial,
+            _lock: lock,
             fps,
             robot: robot.to_owned(),
             form: None,
@@ -402,6 +411,25 @@ fn pandas_metadata() -> Vec<KeyValue> {
         "pandas_version": "2.2.3",
     });
     vec![KeyValue::new("pandas".to_owned(), pandas.to_string())]
+}
+
+/// Locks a folder. `None` if another process holds it, `Some(None)` if folders cannot be locked (Windows, some network file
+/// systems).
+fn lock(folder: &Path) -> Option<Option<File>> {
+    match File::open(folder).map(|opened| opened.try_lock().map(|()| opened)) {
+        Ok(Ok(locked)) => Some(Some(locked)),
+        Ok(Err(TryLockError::WouldBlock)) => None,
+        Ok(Err(TryLockError::Error(_))) | Err(_) => Some(None),
+    }
+}
+
+/// Deletes the remains of a killed process. The folder itself stays, because it is locked.
+fn clear(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() { fs::remove_dir_all(entry.path())? } else { fs::remove_file(entry.path())? }
+    }
+    Ok(())
 }
 
 fn io_error(path: &Path, what: &'static str) -> impl FnOnce(io::Error) -> DatasetError {

@@ -141,10 +141,17 @@ fn existing_folder_is_not_overwritten() {
     let path = folder.path().join("demos");
     let mut dataset = Dataset::create(&path, 20, "franka").unwrap();
     dataset.push(&demonstration(1, 0.0).0).unwrap();
+    // Another process would lose these episodes.
+    assert!(matches!(Dataset::create(&path, 20, "franka"), Err(DatasetError::Locked(_))));
     let mut other = demonstration(1, 0.0).0;
     other.frames[0].pictures.pop();
     assert!(matches!(dataset.push(&other), Err(DatasetError::Episode { episode: 1, .. })));
     drop(dataset);
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+    // Remains of a killed process.
+    fs::create_dir_all(folder.path().join(".demos.part/data/old")).unwrap();
+    fs::write(folder.path().join(".demos.part/file"), "old").unwrap();
+    drop(Dataset::create(&path, 20, "franka").unwrap());
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
     assert!(matches!(Dataset::create(&path, 20, "franka").unwrap().finish(), Err(DatasetError::Empty)));
 }
