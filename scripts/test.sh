@@ -20,11 +20,11 @@ if [ -z "${ROBOGATE_SKIPPED_FILE:-}" ]; then
 fi
 export ROBOGATE_SKIPPED_FILE
 
-# Records a suite that cannot run: skipped SUITE REASON.
+# Records one of the other suites that cannot run: skipped SUITE REASON.
 skipped() {
     echo "skipped: $1: $2" | tee -a "$ROBOGATE_SKIPPED_FILE" >&2
     if strict; then
-        failed+=("$1 (skipped: $2)")
+        echo "$1 (skipped: $2)" >> "$suites/failed"
     fi
 }
 
@@ -98,32 +98,67 @@ rust() {
     fi
 }
 
-# Suites that follow the Rust tests use one processor each, so as many run at a time as there are processors. Each is a step, whose output
-# is shown when all have ended: suite NAME COMMAND...
+# Runs one of the suites beside the Rust tests, and keeps its output: suite NAME COMMAND...
 suite() {
-    while [ "$(jobs -pr | wc -l)" -ge "$(nproc)" ]; do
-        wait -n || true
-    done
     local log=$suites/${1//[\/ ]/-}
-    {
-        failed=()
-        step "$@"
-        printf '%s\n' "${failed[@]:+${failed[@]}}" > "$log.failed"
-    } > "$log.log" 2>&1 &
+    failed=()
+    step "$@" > "$log.log" 2>&1
+    printf '%s\n' "${failed[@]}" >> "$suites/failed"
 }
 
-# Shows the output of the suites.
-await_suites() {
-    wait
-    local log name
-    for log in "$suites"/*.log; do
-        cat "$log"
-        # A suite that ended without this list was killed.
-        [ -f "${log%.log}.failed" ] || failed+=("$(basename "$log" .log)")
+# Runs a suite of a bridge in an environment of its own, whose set-up the process PROCESS has begun:
+# bridge NAME PROCESS LOCK VARIABLE
+bridge() {
+    local venv=$target/$1-venv
+    tail --pid="$2" --follow /dev/null
+    # Repeats the set-up if it has failed.
+    if bridges/common/setup.sh "$venv" "$3"; then
+        suite "bridges/$1" env "$4=$venv" "bridges/$1/test.sh"
+    else
+        skipped "bridges/$1" "no Python environment"
+    fi
+}
+
+# All suites but the Rust tests, one after the other.
+other_suites() {
+    # The longest first. Newton compiles its kernels once and caches them in its environment.
+    bridge newton "$newton" bridges/newton/requirements.lock ROBOGATE_NEWTON_VENV
+    bridge isaac_sim "$isaac" bridges/isaac_sim/tests/requirements.lock ROBOGATE_ISAAC_TEST_VENV
+    suite "python" env PYTHONPATH="$PWD/python/src" python3 scripts/run_unittests.py python/tests
+    if [ -n "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
+        suite "bridges/common" env PYTHONPATH=bridges/common "$ROBOGATE_BRIDGE_PYTHON" scripts/run_unittests.py bridges/common/tests
+    else
+        skipped bridges/common "no Python with pyzmq and msgpack"
+    fi
+    local tests variable crate
+    for tests in METAWORLD:test_adapter METAWORLD:test_foreign METAWORLD:test_metaworld METAWORLD:test_motion METAWORLD:test_libero_files METAWORLD:test_scripted FETCH:test_fetch DM_CONTROL:test_dm_control; do
+        variable=ROBOGATE_${tests%%:*}_PYTHON
+        if [ -n "${!variable:-}" ]; then
+            suite "environments ${tests#*:}" env PYTHONPATH="$PWD/python/src:$PWD/bridges/common" "${!variable}" scripts/run_unittests.py \
+                python/tests/environments --pattern "${tests#*:}.py"
+        else
+            skipped "environments ${tests#*:}" "no Python for ${tests%%:*}"
+        fi
     done
+    # A crate without an example is left out: its documentation alone takes seconds. `robogate` has the features.
+    local undocumented=()
+    for crate in crates/*; do
+        if [ "$crate" != crates/robogate ] && ! grep -rqE '^ *//[/!] *```|doc *= *include_str' "$crate/src"; then
+            undocumented+=(--exclude "$(basename "$crate")")
+        fi
+    done
+    suite "documentation examples" cargo test --doc --no-fail-fast --workspace "${undocumented[@]}" "${full[@]}" --locked
+}
+
+# Waits for the other suites, and shows their output.
+await_other_suites() {
+    local name
+    # A process that was killed leaves no list.
+    wait "$others" && [ -f "$suites/failed" ] || failed+=("other suites")
+    cat "$suites"/*.log
     while read -r name; do
         [ -z "$name" ] || failed+=("$name")
-    done < <(cat "$suites"/*.failed)
+    done < "$suites/failed"
     rm -rf "$suites"
 }
 
@@ -132,7 +167,7 @@ if [ $# -eq 0 ]; then
     bridges/common/setup.sh "$target/newton-venv" bridges/newton/requirements.lock &
     newton=$!
     # Fakes replace the classes of Isaac Sim.
-    bridges/common/setup.sh "$target/isaac-venv" bridges/isaac_sim/tests/requirements.lock &
+    bridges/common/setup.sh "$target/isaac_sim-venv" bridges/isaac_sim/tests/requirements.lock &
     isaac=$!
 fi
 
@@ -150,46 +185,15 @@ if [ -z "${ROBOGATE_TEST_AXE:-}" ] && ./scripts/web.sh --install; then
 fi
 await_pythons
 
+# Many of the Rust tests wait for a browser or another process, so the other suites run beside them.
+if [ $# -eq 0 ]; then
+    suites=$(mktemp --directory)
+    other_suites &
+    others=$!
+fi
 step "Rust tests" rust "$@"
 if [ $# -eq 0 ]; then
-    wait "$newton" || newton=
-    wait "$isaac" || isaac=
-    suites=$(mktemp --directory)
-    # A crate without an example is left out: its documentation alone takes seconds. `robogate` has the features.
-    undocumented=()
-    for crate in crates/*; do
-        if [ "$crate" != crates/robogate ] && ! grep -rqE '^ *//[/!] *```|doc *= *include_str' "$crate/src"; then
-            undocumented+=(--exclude "$(basename "$crate")")
-        fi
-    done
-    # The longest first. Newton compiles its kernels once and caches them in its environment.
-    if [ -n "$newton" ]; then
-        suite "bridges/newton" env ROBOGATE_NEWTON_VENV="$target/newton-venv" bridges/newton/test.sh
-    else
-        skipped bridges/newton "no Python with Newton"
-    fi
-    suite "documentation examples" cargo test --doc --no-fail-fast --workspace "${undocumented[@]}" "${full[@]}" --locked
-    suite "python" env PYTHONPATH="$PWD/python/src" python3 scripts/run_unittests.py python/tests
-    if [ -n "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
-        suite "bridges/common" env PYTHONPATH=bridges/common "$ROBOGATE_BRIDGE_PYTHON" scripts/run_unittests.py bridges/common/tests
-    else
-        skipped bridges/common "no Python with pyzmq and msgpack"
-    fi
-    for tests in METAWORLD:test_adapter METAWORLD:test_foreign METAWORLD:test_metaworld METAWORLD:test_motion METAWORLD:test_libero_files METAWORLD:test_scripted FETCH:test_fetch DM_CONTROL:test_dm_control; do
-        variable=ROBOGATE_${tests%%:*}_PYTHON
-        if [ -n "${!variable:-}" ]; then
-            suite "environments ${tests#*:}" env PYTHONPATH="$PWD/python/src:$PWD/bridges/common" "${!variable}" scripts/run_unittests.py \
-                python/tests/environments --pattern "${tests#*:}.py"
-        else
-            skipped "environments ${tests#*:}" "no Python for ${tests%%:*}"
-        fi
-    done
-    if [ -n "$isaac" ]; then
-        suite "bridges/isaac_sim" env ROBOGATE_ISAAC_TEST_VENV="$target/isaac-venv" bridges/isaac_sim/test.sh
-    else
-        skipped bridges/isaac_sim "no Python with USD"
-    fi
-    await_suites
+    await_other_suites
 fi
 
 if [ -s "$ROBOGATE_SKIPPED_FILE" ]; then
