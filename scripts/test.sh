@@ -91,8 +91,8 @@ rust() {
         *) set -- --workspace "${full[@]}" "$@" ;;
     esac
     if command -v cargo-nextest > /dev/null; then
-        # One more than the processors, because many tests wait for a browser or another process.
-        cargo nextest run --no-fail-fast --locked --test-threads $(($(nproc) + 1)) "$@"
+        # Two more than the processors, because many tests wait for a browser or another process.
+        cargo nextest run --no-fail-fast --locked --test-threads $(($(nproc) + 2)) "$@"
     else
         cargo test --no-fail-fast --locked --lib --bins --tests --examples "$@"
     fi
