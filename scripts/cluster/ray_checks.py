@@ -53,6 +53,11 @@ def finish(process: "subprocess.Popen[bytes]") -> "list[str]":
     return lines
 
 
+def counted(lines: "list[str]") -> str:
+    """The line of the driver that counts its shards. The lines of the merge follow it."""
+    return next(line for line in lines if " repeated, " in line)
+
+
 @contextlib.contextmanager
 def cluster(cpus: int, temporary: Path, *, prefix: "tuple[str, ...]" = (), ip: str = "127.0.0.1", head: str = ""):
     """A Ray node in a process group of its own. `head` is the address of the head node; without it, this is the head."""
@@ -145,7 +150,7 @@ def kills(work: Path, count: int, episodes: int, seed: int) -> None:
         lines = finish(process)
         repeated += sum(" again (" in line for line in lines)
         say(f"  {sum(killed.values())} SIGKILL: {killed}; {drivers} drivers, {repeated} repeats by them")
-        say(f"  {lines[-2]}")
+        say(f"  {counted(lines)}")
         left = orphans(str(out))
         if left:
             raise SystemExit("\n".join(["orphaned processes:", *left]))
@@ -176,11 +181,11 @@ def nodes(work: Path, episodes: int) -> None:
         with cluster(1, work / "ray", prefix=a, ip=addresses[0]):
             with cluster(1, work / "ray", prefix=b, ip=addresses[1], head=head) as second:
                 process = driver(out, options, head, a)
-                while len(list(out.glob("shards/*.rgs"))) < 6:
+                while len(list(out.glob("shards/*.rgs"))) < 8:
                     time.sleep(0.1)
                 # The whole node: raylet, workers and shards.
                 os.killpg(second.pid, signal.SIGKILL)
-                say(f"  node {addresses[1]} killed after {len(list(out.glob('shards/*.rgs')))} of 32 shards")
+                say(f"  node {addresses[1]} killed after {len(list(out.glob('shards/*.rgs')))} shards")
             time.sleep(3)
             with cluster(1, work / "ray", prefix=b, ip=addresses[1], head=head):
                 lines = finish(process)
@@ -190,7 +195,7 @@ def nodes(work: Path, episodes: int) -> None:
                 left = orphans(str(out))
                 if left:
                     raise SystemExit("\n".join(["orphaned processes:", *left]))
-        if not all(address in lines[-2] for address in addresses):
+        if not all(address in counted(lines) for address in addresses):
             raise SystemExit("not all nodes ran shards")
     finally:
         for name in names:
@@ -220,7 +225,7 @@ def servers(work: Path, episodes: int) -> None:
                 os.kill(random.choice(found), signal.SIGKILL)
                 killed += 1
         lines = finish(process)
-        say(f"  {killed} servers killed, {sum(' again (' in line for line in lines)} repeats; {lines[-2]}")
+        say(f"  {killed} servers killed, {sum(' again (' in line for line in lines)} repeats; {counted(lines)}")
     left = orphans("serve --task pendulum")
     if left:
         raise SystemExit("\n".join(["orphaned processes:", *left]))
@@ -241,7 +246,7 @@ def speed(work: Path, episodes: int, repeats: int) -> None:
             end = time.monotonic()
             walls["threads"].append(middle - begin)
             walls["ray"].append(end - middle)
-            say(f"  {episodes} episodes: threads {middle - begin:.1f} s, Ray {end - middle:.1f} s ({lines[-2]}); load {os.getloadavg()[0]:.1f}")
+            say(f"  {episodes} episodes: threads {middle - begin:.1f} s, Ray {end - middle:.1f} s ({counted(lines)}); load {os.getloadavg()[0]:.1f}")
     medians = {name: sorted(times)[len(times) // 2] for name, times in walls.items()}
     say(f"  median: threads {medians['threads']:.1f} s, Ray {medians['ray']:.1f} s, ratio of speeds {medians['threads'] / medians['ray']:.2f}")
 
