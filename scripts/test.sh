@@ -100,9 +100,8 @@ rust() {
 
 # Runs one of the suites beside the Rust tests, and keeps its output: suite NAME COMMAND...
 suite() {
-    local log=$suites/${1//[\/ ]/-}
     failed=()
-    step "$@" > "$log.log" 2>&1
+    step "$@" >> "$suites/output" 2>&1
     printf '%s\n' "${failed[@]}" >> "$suites/failed"
 }
 
@@ -153,9 +152,9 @@ other_suites() {
 # Waits for the other suites, and shows their output.
 await_other_suites() {
     local name
-    # A process that was killed leaves no list.
-    wait "$others" && [ -f "$suites/failed" ] || failed+=("other suites")
-    cat "$suites"/*.log
+    # Fails if the process was killed.
+    wait "$others" || failed+=("other suites")
+    cat "$suites/output"
     while read -r name; do
         [ -z "$name" ] || failed+=("$name")
     done < "$suites/failed"
@@ -188,6 +187,7 @@ await_pythons
 # Many of the Rust tests wait for a browser or another process, so the other suites run beside them.
 if [ $# -eq 0 ]; then
     suites=$(mktemp --directory)
+    touch "$suites/output" "$suites/failed"
     other_suites &
     others=$!
 fi

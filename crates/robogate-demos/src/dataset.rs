@@ -118,9 +118,14 @@ impl Dataset {
         name.push(".part");
         let partial = path.with_file_name(name);
         fs::create_dir_all(&partial).map_err(io_error(&partial, "create"))?;
-        let lock = lock(&partial).ok_or_else(|| DatasetError::Locked(path.to_owned()))?;
+        let lock = match lock(&partial) {
+            Ok(lock) => lock,
+            Err(Held) => return Err(DatasetError::Locked(path.to_owned())),
+        };
         // Another process may have completed the dataset in between.
         if path.exists() {
+            // Created above. It is empty, so nothing is lost if it stays.
+            let _ = fs::remove_dir(&partial);
             return Err(DatasetError::Exists(path.to_owned()));
         }
         clear(&partial).map_err(io_error(&partial, "clear"))?;
@@ -413,13 +418,18 @@ fn pandas_metadata() -> Vec<KeyValue> {
     vec![KeyValue::new("pandas".to_owned(), pandas.to_string())]
 }
 
-/// Locks a folder. `None` if another process holds it, `Some(None)` if folders cannot be locked (Windows, some network file
-/// systems).
-fn lock(folder: &Path) -> Option<Option<File>> {
-    match File::open(folder).map(|opened| opened.try_lock().map(|()| opened)) {
-        Ok(Ok(locked)) => Some(Some(locked)),
-        Ok(Err(TryLockError::WouldBlock)) => None,
-        Ok(Err(TryLockError::Error(_))) | Err(_) => Some(None),
+/// Another process holds the lock of a folder.
+struct Held;
+
+/// Locks a folder. `None` if folders cannot be opened or locked (Windows, some network file systems).
+fn lock(folder: &Path) -> Result<Option<File>, Held> {
+    let Ok(opened) = File::open(folder) else {
+        return Ok(None);
+    };
+    match opened.try_lock() {
+        Ok(()) => Ok(Some(opened)),
+        Err(TryLockError::WouldBlock) => Err(Held),
+        Err(TryLockError::Error(_)) => Ok(None),
     }
 }
 

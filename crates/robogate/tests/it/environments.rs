@@ -151,7 +151,7 @@ fn mostly_invalid_gate_stops_early() {
         "episodes are invalid: no result of the other",
         "Most frequent cause, in ",
         "Fix the cause, and start a new gate",
-        // "all 20", or a part of them: which episodes end first depends on the threads.
+        // "all 20", or "13 of 20": which episodes end first depends on the threads.
         "20 episodes so far are invalid",
     ];
     let gate = "gate --env mostly.py --seed 4";
@@ -159,7 +159,8 @@ fn mostly_invalid_gate_stops_early() {
     let [verdict, cause, table] =
         ["INCONCLUSIVE", "Most frequent cause", "requirement "].map(|part| text.find(part).unwrap());
     assert!(verdict < cause && cause < table, "the reason is not in the first lines: {text}");
-    bench.robogate(&format!("{gate} --threads 1 --out one"), 3, &parts);
+    let text = bench.robogate(&format!("{gate} --threads 1 --out one"), 3, &parts);
+    assert!(text.contains("of 20 episodes so far are invalid"), "{text}");
     assert!(bench.rows("two") == bench.rows("one"), "rows depend on the number of servers");
     let read = |run: &str| -> serde_json::Value {
         serde_json::from_slice(&fs::read(bench.at(run).join("gate.json")).unwrap()).unwrap()

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 from robogate_eval.cluster.shards import Item
 
-# Shards with this many episodes together are not started in one process: the start costs little beside them, and their results would
-# come late.
-MANY_EPISODES = 100
-# A process gets at most this share of the shards that are left for its slot, so that no slot waits long for the others at the end.
-SHARE = 2
+# The most episodes of several shards in one process: beside more, its start costs little, and their results would come late.
+MOST_EPISODES = 100
+# A process gets at most one in PARTS of the shards that are left for its slot, so that no slot waits long for the others at the end.
+PARTS = 2
 
 
 def ranges(numbers: "list[int]") -> str:
@@ -52,13 +51,13 @@ class Batch:
 
 def take(waiting: "deque[Item]", slots: int, alone: "Container[Item]") -> Batch:
     """Remove the next shards from `waiting`, which is not empty. Shards in `alone` get a process of their own."""
-    most = max(1, -(-len(waiting) // (SHARE * max(slots, 1))))
+    most = max(1, -(-len(waiting) // (PARTS * max(slots, 1))))
     items = [waiting.popleft()]
     episodes = items[0].episodes
     while waiting and len(items) < most and items[0] not in alone:
         item = waiting[0]
         episodes += item.episodes
-        if (item.folder, item.round) != (items[0].folder, items[0].round) or item in alone or episodes > MANY_EPISODES:
+        if (item.folder, item.round) != (items[0].folder, items[0].round) or item in alone or episodes > MOST_EPISODES:
             break
         items.append(waiting.popleft())
     return Batch(tuple(items))

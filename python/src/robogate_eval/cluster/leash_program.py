@@ -6,8 +6,8 @@ PARENT is the process id of the parent. When the parent dies, also by SIGKILL, t
 orphans become children of this process (PR_SET_CHILD_SUBREAPER), so that descendants in other process groups are found too. If this
 process itself is killed, the kernel kills the command. Needs Linux.
 
-Every shard starts this program, so it imports as little as possible: `subprocess`, `pathlib` and `typing` would cost four times the
-processor time of the rest.
+Every process with shards starts this program, so it imports as little as possible: with `subprocess`, `pathlib` and `typing` it took
+45 ms of processor time instead of 16 ms.
 """
 
 import ctypes
