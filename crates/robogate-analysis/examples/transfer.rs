@@ -177,6 +177,7 @@ fn surrogate(out: &mut impl Write, simulation: &Source, reality: &str) -> Result
         trials: pool,
         outside: Vec::new(),
         groupings: Vec::new(),
+        constant: Vec::new(),
         missing: Vec::new(),
         incomplete: 0,
         ignored: Vec::new(),

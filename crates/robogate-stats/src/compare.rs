@@ -6,6 +6,7 @@
 //! - [`newcombe_paired`]: the interval for runs of the same scenarios, with the correlation φ of the pairs (his
 //!   method 10 for paired data, φ corrected for continuity).
 //! - [`mcnemar_exact`]: exact test for the same scenarios: given b + c discordant pairs, b is binomial(b + c, ½).
+//! - [`fisher_exact`]: exact test of equal rates, given the successes of both samples together.
 //! - [`at_most`], [`at_least`]: exact one-sided binomial tests against a fixed rate (for example a danger zone of 30
 //!   %).
 //!
@@ -14,7 +15,8 @@
 //! (1947).
 
 use crate::interval::{Confidence, Interval, Trials, wilson};
-use robogate_maths::{beta::ln_beta_cdf, normal::ln_two_sided};
+use robogate_maths::beta::{ln_beta_cdf, ln_binomial_pmf};
+use robogate_maths::normal::ln_two_sided;
 
 /// The result of a test with a normal statistic.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -145,6 +147,28 @@ pub(crate) fn sign_test(b: u64, c: u64) -> f64 {
     (at_most(trials, 0.5) + std::f64::consts::LN_2).min(0.0)
 }
 
+/// The two-sided exact test of equal rates (Fisher), given the successes of both samples together: the probability of all
+/// tables that are at most as likely as this one. 1 if a sample is empty.
+pub fn fisher_exact(first: Trials, second: Trials) -> f64 {
+    let (n, m) = (first.n(), second.n());
+    let successes = first.successes() + second.successes();
+    let (least, most) = (successes.saturating_sub(m), successes.min(n));
+    if n == 0 || m == 0 || least == most {
+        return 1.0;
+    }
+    // The hypergeometric distribution is that of two binomial counts of any equal rate, given their sum.
+    let rate = successes as f64 / (n + m) as f64;
+    let ln = |k: u64| {
+        ln_binomial_pmf(k as f64, n as f64, rate) + ln_binomial_pmf((successes - k) as f64, m as f64, rate)
+    };
+    let observed = ln(first.successes());
+    let all: Vec<f64> = (least..=most).map(ln).collect();
+    let top = all.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let sum = |of: &dyn Fn(f64) -> bool| all.iter().filter(|ln| of(**ln)).map(|ln| (ln - top).exp()).sum::<f64>();
+    // Tables of equal probability may differ by rounding.
+    (sum(&|ln| ln <= observed + 1e-9) / sum(&|_| true)).min(1.0)
+}
+
 /// ln P(at most this many successes | rate `p0`). Small if the true rate is below `p0`. 0 (p = 1) without trials.
 ///
 /// `p0` is clamped to [0, 1]. A NaN gives 0 (p = 1).
@@ -185,6 +209,24 @@ mod tests {
         assert_eq!(newcombe_paired(Pairs::default(), Confidence::P95).estimate, None);
         assert_eq!(mcnemar_exact(Pairs::default()), 0.0);
         assert_eq!((at_most(Trials::NONE, 0.3), at_least(Trials::NONE, 0.3)), (0.0, 0.0));
+    }
+
+    #[test]
+    fn exact_test_sums_tables() {
+        // Sums of binomial coefficients as exact fractions.
+        for (first, second, p) in [
+            (t(8, 10), t(1, 6), 0.034_965_034_965_034_97),
+            (t(3, 20), t(420, 1500), 0.313_450_038_444_203),
+            (t(0, 30), t(61, 1200), 0.396_321_019_565_571_36),
+            (t(19, 40), t(283, 1000), 0.012_267_090_860_423_237),
+            (t(5, 5), t(0, 7), 0.001_262_626_262_626_262_7),
+            (t(30, 30), t(700, 1200), 1.421_039_632_565_08e-7),
+        ] {
+            assert!((fisher_exact(first, second) / p - 1.0).abs() < 1e-9, "{first:?} {second:?}");
+            assert!((fisher_exact(second, first) / p - 1.0).abs() < 1e-9, "{first:?} {second:?}");
+        }
+        assert_eq!(fisher_exact(t(3, 5), Trials::NONE), 1.0);
+        assert_eq!(fisher_exact(t(5, 5), t(9, 9)), 1.0);
     }
 
     #[test]

@@ -7,19 +7,22 @@
 //!
 //! [`rate`] differs from both papers in three ways, because their normal intervals cover 70 to 90 % at 20 to 50 trials
 //! and rates near 1:
-//! - λ of a trial comes from the other trials (cross-fitting), is between 0 and [`LARGEST_TUNING`], and shrinks with its
-//!   own uncertainty.
+//! - λ of a trial comes from the other trials (cross-fitting), and is between 0 and [`LARGEST_TUNING`].
 //! - The interval is Wilson's at the number of trials alone that would have the same variance, n / r, with
 //!   r = var(z) / var(y). It has Wilson's coverage where predictions do not help.
-//! - r has a margin for its own uncertainty, `MARGIN` (1 - r) / n.
+//! - r has a margin for its own uncertainty, `MARGIN` (1 - r) / n. If r is more than 4 % above that of the trials alone, these
+//!   give the answer, so an unsuitable model makes the interval at most about 2 % wider.
 //!
 //! Groups of trials (operator, day, repeated setting) share effects. Their variance is that of the sums by group, with
-//! Student's quantile; of several groupings the one with the largest variance counts.
+//! Student's quantile; of several groupings the one with the largest variance counts. Equal outcomes of all trials do not
+//! show how much a group shares: each group then counts as one trial.
 //!
 //! Limits: trials are a random sample of the population, or groups are. The model must not depend on the trials. The
 //! coverage is approximate; [`crate::exact_strata`] is exact. Sources: Angelopoulos, Bates, Fannjiang, Jordan and Zrnic
 //! (2023), Science 382; Angelopoulos, Duchi and Zrnic (2023), PPI++, arXiv 2311.01453; Badithela et al. (2025),
 //! arXiv 2510.04354, for robots.
+
+use std::collections::BTreeMap;
 
 use robogate_maths::beta::student_quantile;
 
@@ -31,6 +34,8 @@ pub const LARGEST_TUNING: f64 = 2.0;
 const MARGIN: f64 = 8.0;
 /// Smallest variance ratio that is believed.
 const SMALLEST_RATIO: f64 = 0.02;
+/// Largest variance ratio of an answer with predictions, relative to the trials alone.
+const WIDEST: f64 = 1.04;
 /// Fewest trials. Below, λ cannot be estimated.
 pub const FEWEST: usize = 5;
 
@@ -76,7 +81,7 @@ pub struct PoweredRate {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum PoweredError {
     /// Too few trials.
-    #[error("{0} trials are too few. Expected at least {FEWEST}")]
+    #[error("{0} {noun} too few. Expected at least {FEWEST}", noun = if *.0 == 1 { "trial is" } else { "trials are" })]
     Few(usize),
     /// Columns of different lengths, or a prediction that is not a probability.
     #[error("the predictions or groups do not match the trials")]
@@ -116,19 +121,24 @@ pub fn rate(
     let of_population = mean_tuning * mean_tuning * population.variance / population.points;
     let trials = Trials::count(outcomes.iter().copied());
     let p = trials.rate().unwrap_or(0.5);
-    let binomial = p * (1.0 - p) / (n as f64 - 1.0);
-    let alone_ratio = ratio(&y, binomial, 0.0, groupings, confidence).max(1.0);
-    let alone = at(p, n as f64 / alone_ratio, confidence);
-    let half = 0.5 / n as f64;
-    let estimate = (z.iter().sum::<f64>() / n as f64).clamp(half, 1.0 - half);
+    let binomial = binomial(p, n);
+    let alone_ratio = design_effect(outcomes, groupings, confidence);
+    let alone = if groupings.is_empty() { wilson(trials, confidence) } else { at(p, n as f64 / alone_ratio, confidence) };
     let correlation = correlation(&y, predictions);
+    let of_trials =
+        PoweredRate { rate: p, interval: alone, tuning: 0.0, correlation, worth: n as f64 / alone_ratio, alone };
     if binomial <= 0.0 {
         // Without both outcomes the data cannot show that predictions help.
-        let interval = if groupings.is_empty() { wilson(trials, confidence) } else { alone };
-        return Ok(PoweredRate { rate: p, interval, tuning: 0.0, correlation, worth: n as f64, alone });
+        return Ok(of_trials);
     }
-    let found = ratio(&z, binomial, of_population, groupings, confidence).max(SMALLEST_RATIO);
+    let found = variance(&z, groupings, confidence) + of_population;
+    let found = (found / binomial).max(SMALLEST_RATIO);
     let found = found * (1.0 + MARGIN / n as f64 * (1.0 - found).max(0.0));
+    if found > WIDEST * alone_ratio {
+        return Ok(of_trials);
+    }
+    let half = 0.5 / n as f64;
+    let estimate = (z.iter().sum::<f64>() / n as f64).clamp(half, 1.0 - half);
     let worth = n as f64 / found;
     Ok(PoweredRate {
         rate: estimate,
@@ -138,6 +148,24 @@ pub fn rate(
         worth,
         alone,
     })
+}
+
+/// How many times the variance of the success rate of these trials exceeds that of independent ones, including Student's
+/// quantile for the number of groups. At least 1.
+pub fn design_effect(outcomes: &[bool], groupings: &[Vec<usize>], confidence: Confidence) -> f64 {
+    let n = outcomes.len();
+    let trials = Trials::count(outcomes.iter().copied());
+    let binomial = binomial(trials.rate().unwrap_or(0.5), n);
+    if binomial > 0.0 {
+        let y: Vec<f64> = outcomes.iter().map(|y| f64::from(u8::from(*y))).collect();
+        return (variance(&y, groupings, confidence) / binomial).max(1.0);
+    }
+    groupings.iter().map(|groups| n as f64 / sums(&vec![0.0; n], groups).len().max(1) as f64).fold(1.0, f64::max)
+}
+
+/// The variance of the success rate of `n` independent trials.
+fn binomial(rate: f64, n: usize) -> f64 {
+    rate * (1.0 - rate) / (n as f64 - 1.0)
 }
 
 /// Wilson's interval at a rate and a number of trials that need not be an integer.
@@ -167,24 +195,29 @@ fn cross_fitted(y: &[f64], f: &[f64], groupings: &[Vec<usize>]) -> Vec<f64> {
         .collect()
 }
 
-/// The variance of the mean of `z` relative to `binomial`: the largest over independent trials and all groupings.
-fn ratio(z: &[f64], binomial: f64, more: f64, groupings: &[Vec<usize>], confidence: Confidence) -> f64 {
+/// The variance of the mean of `z`: the largest over independent trials and all groupings.
+fn variance(z: &[f64], groupings: &[Vec<usize>], confidence: Confidence) -> f64 {
     let n = z.len() as f64;
     let mean = z.iter().sum::<f64>() / n;
-    let independent = z.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / (n * (n - 1.0));
+    let apart: Vec<f64> = z.iter().map(|z| z - mean).collect();
+    let independent = apart.iter().map(|z| z * z).sum::<f64>() / (n * (n - 1.0));
     let grouped = groupings.iter().map(|groups| {
-        let size = groups.iter().max().map_or(0, |most| most + 1);
-        let mut sums = vec![(0.0, false); size];
-        for (z, group) in z.iter().zip(groups) {
-            sums[*group] = (sums[*group].0 + z - mean, true);
-        }
-        let count = sums.iter().filter(|(_, used)| *used).count() as f64;
-        let variance = sums.iter().map(|(sum, _)| sum * sum).sum::<f64>() / (n * n) * count / (count - 1.0);
+        let sums = sums(&apart, groups);
+        let count = sums.len() as f64;
+        let variance = sums.iter().map(|sum| sum * sum).sum::<f64>() / (n * n) * count / (count - 1.0);
         let student = student_quantile(count - 1.0, confidence.level()) / confidence.z();
         variance * student * student
     });
-    let variance = grouped.fold(independent, f64::max) + more;
-    if binomial > 0.0 { variance / binomial } else { 1.0 }
+    grouped.fold(independent, f64::max)
+}
+
+/// The sum of each group that occurs.
+fn sums(values: &[f64], groups: &[usize]) -> Vec<f64> {
+    let mut sums = BTreeMap::new();
+    for (value, group) in values.iter().zip(groups) {
+        *sums.entry(*group).or_insert(0.0) += value;
+    }
+    sums.into_values().collect()
 }
 
 /// Pearson's correlation. `None` if a column is constant.
@@ -288,10 +321,40 @@ mod tests {
     }
 
     #[test]
+    fn equal_outcomes_of_groups_count_each_group_once() {
+        let population = Predicted { mean: 0.8, variance: 0.1, points: 1000.0 };
+        let f: Vec<f64> = (0..30).map(|i| f64::from(i) / 30.0).collect();
+        let groups = [(0..30).map(|i| i / 10).collect::<Vec<usize>>()];
+        let found = rate(&[true; 30], &f, population, &groups, Confidence::P95).unwrap();
+        let three = wilson(Trials::new(3, 3).unwrap(), Confidence::P95);
+        assert!((found.interval.low - three.low).abs() < 1e-12 && (found.worth - 3.0).abs() < 1e-12, "{found:?}");
+        assert!((design_effect(&[false; 30], &groups, Confidence::P95) - 10.0).abs() < 1e-12);
+        assert!((design_effect(&[false; 30], &[], Confidence::P95) - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn misleading_predictions_do_not_widen_the_interval() {
+        // The one failure with a high prediction turns the sign of every other trial's λ.
+        let population = Predicted { mean: 0.24, variance: 0.09, points: f64::INFINITY };
+        let y = [false, false, true, true, true, false];
+        let found = rate(&y, &[0.1, 0.1, 0.1, 0.12, 0.12, 0.9], population, &[], Confidence::P95).unwrap();
+        assert_eq!((found.rate, found.interval, found.tuning), (0.5, found.alone, 0.0));
+        let random = &mut ChaCha8Rng::seed_from_u64(7);
+        for _ in 0..2_000 {
+            let n = 5 + (unit(random) * 20.0) as usize;
+            let y: Vec<bool> = (0..n).map(|_| unit(random) < 0.5).collect();
+            let f: Vec<f64> = (0..n).map(|_| unit(random)).collect();
+            let found = rate(&y, &f, population, &[], Confidence::P95).unwrap();
+            assert!(found.worth >= n as f64 / WIDEST - 1e-9, "{y:?} {f:?} {found:?}");
+        }
+    }
+
+    #[test]
     fn unusable_trials_are_rejected() {
         let population = Predicted::of(&[0.5, 0.6]);
         let of = |y: &[bool], f: &[f64], g: &[Vec<usize>]| rate(y, f, population, g, Confidence::P95);
         assert_eq!(of(&[true; 4], &[0.5; 4], &[]), Err(PoweredError::Few(4)));
+        assert_eq!(PoweredError::Few(1).to_string(), "1 trial is too few. Expected at least 5");
         assert_eq!(of(&[true; 6], &[0.5; 5], &[]), Err(PoweredError::Mismatch));
         assert_eq!(of(&[true; 6], &[f64::NAN; 6], &[]), Err(PoweredError::Mismatch));
         assert_eq!(of(&[true; 6], &[0.5; 6], &[vec![0; 6]]), Err(PoweredError::OneGroup));

@@ -2,13 +2,16 @@
 //!
 //! P(success of a trial) = logistic(a + b η), with the model's log-odds η. a = 0 and b = 1 means that the model is right.
 //! The posterior of (a, b) is computed on a grid, with the priors a ~ N(0, 2²) and b ~ N(1, 1): it exists for any
-//! outcomes, also if all trials succeed, and needs no approximation.
+//! outcomes, also if all trials succeed. A posterior that is narrow for the grid is computed again on a finer one around it.
 //!
 //! [`effects`] tests whether columns (parameters) explain outcomes beyond a + b η: score statistics, whose joint
 //! distribution under the corrected model is simulated. p-values are adjusted for the largest statistic of all columns
 //! (Westfall and Young 1993, single step), so the probability of naming any column without effect is at most α.
 //!
-//! Limits: trials are independent given the model. The simulation keeps (a, b) at their estimate; the columns are made
+//! Trials that share effects count less: a design effect d (the variance of their success rate relative to independent
+//! trials) divides the log-likelihood and the squared score statistics (Rao and Scott 1992, Biometrics 48).
+//!
+//! Limits: trials are independent given the model, but for d. The simulation keeps (a, b) at their estimate; the columns are made
 //! orthogonal to both, so the error is of second order. Sources: Cox (1958), Biometrika 45 (recalibration); Rao (1948).
 
 use rand_chacha::ChaCha8Rng;
@@ -18,10 +21,17 @@ use crate::Interval;
 
 /// Largest |η| of a model. Beyond it, a model claims more certainty than episodes can show.
 pub const LARGEST_LOG_ODDS: f64 = 6.0;
-/// Ends and number of grid values of a.
-const SHIFTS: (f64, f64, usize) = (-7.0, 7.0, 141);
-/// Ends and number of grid values of b.
-const SLOPES: (f64, f64, usize) = (-1.5, 4.5, 97);
+/// The lowest value of a grid, the highest one, and their number.
+type Grid = (f64, f64, usize);
+
+/// The first grid of a.
+const SHIFTS: Grid = (-7.0, 7.0, 141);
+/// The first grid of b.
+const SLOPES: Grid = (-1.5, 4.5, 97);
+/// Fewest steps of the grid in a standard deviation of the posterior.
+const STEPS: f64 = 2.0;
+/// Half the width of a finer grid, in standard deviations of the posterior on the coarse one.
+const REACH: f64 = 7.0;
 /// Standard deviations of the priors.
 const PRIOR: (f64, f64) = (2.0, 1.0);
 /// Simulated sets of outcomes.
@@ -48,6 +58,26 @@ fn logistic(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
 }
 
+/// The posterior on a grid. Points without weight only cost time, and are left out.
+fn on_grid(shifts: Grid, slopes: Grid, log_likelihood: impl Fn(f64, f64) -> f64) -> Vec<(f64, f64, f64)> {
+    let value = |(low, high, n): Grid, i: usize| low + (high - low) * i as f64 / (n - 1) as f64;
+    let mut points = Vec::with_capacity(shifts.2 * slopes.2);
+    for i in 0..shifts.2 {
+        let a = value(shifts, i);
+        for j in 0..slopes.2 {
+            let b = value(slopes, j);
+            let prior = -0.5 * ((a / PRIOR.0).powi(2) + ((b - 1.0) / PRIOR.1).powi(2));
+            points.push((a, b, prior + log_likelihood(a, b)));
+        }
+    }
+    let top = points.iter().map(|p| p.2).fold(f64::NEG_INFINITY, f64::max);
+    points.iter_mut().for_each(|p| p.2 = (p.2 - top).exp());
+    let total: f64 = points.iter().map(|p| p.2).sum();
+    points.iter_mut().for_each(|p| p.2 /= total);
+    points.retain(|p| p.2 > 1e-12);
+    points
+}
+
 /// The log-odds of a probability, limited to [`LARGEST_LOG_ODDS`].
 pub fn log_odds(p: f64) -> f64 {
     let p = p.clamp(1e-12, 1.0 - 1e-12);
@@ -55,33 +85,40 @@ pub fn log_odds(p: f64) -> f64 {
 }
 
 impl Recalibration {
-    /// The posterior after trials with these log-odds and outcomes. `level` is that of the intervals.
-    pub fn of(eta: &[f64], outcomes: &[bool], level: f64) -> Self {
-        let grid = |(low, high, n): (f64, f64, usize), i: usize| low + (high - low) * i as f64 / (n - 1) as f64;
-        let mut points = Vec::with_capacity(SHIFTS.2 * SLOPES.2);
-        for i in 0..SHIFTS.2 {
-            let a = grid(SHIFTS, i);
-            for j in 0..SLOPES.2 {
-                let b = grid(SLOPES, j);
-                let prior = -0.5 * ((a / PRIOR.0).powi(2) + ((b - 1.0) / PRIOR.1).powi(2));
-                let likelihood: f64 = eta
-                    .iter()
-                    .zip(outcomes)
-                    .map(|(eta, y)| {
-                        let x = a + b * eta;
-                        -(if *y { -x } else { x }).exp().ln_1p()
-                    })
-                    .sum();
-                points.push((a, b, prior + likelihood));
+    /// The posterior after trials with these log-odds and outcomes, whose log-likelihood is divided by `design_effect`.
+    /// `level` is that of the intervals.
+    pub fn of(eta: &[f64], outcomes: &[bool], design_effect: f64, level: f64) -> Self {
+        let log_likelihood = |a: f64, b: f64| {
+            let of_trial = |(eta, y): (&f64, &bool)| {
+                let x = a + b * eta;
+                -(if *y { -x } else { x }).exp().ln_1p()
+            };
+            eta.iter().zip(outcomes).map(of_trial).sum::<f64>() / design_effect
+        };
+        let (mut shifts, mut slopes) = (SHIFTS, SLOPES);
+        let mut found = Self { points: on_grid(shifts, slopes, log_likelihood), level };
+        // Each grid has a tenth of the step of the last one, or resolves the posterior.
+        for _ in 0..4 {
+            let finer = (found.finer(shifts, |a, _| a), found.finer(slopes, |_, b| b));
+            if finer == (None, None) {
+                break;
             }
+            (shifts, slopes) = (finer.0.unwrap_or(shifts), finer.1.unwrap_or(slopes));
+            found.points = on_grid(shifts, slopes, log_likelihood);
         }
-        let top = points.iter().map(|p| p.2).fold(f64::NEG_INFINITY, f64::max);
-        points.iter_mut().for_each(|p| p.2 = (p.2 - top).exp());
-        let total: f64 = points.iter().map(|p| p.2).sum();
-        points.iter_mut().for_each(|p| p.2 /= total);
-        // Points without weight only cost time.
-        points.retain(|p| p.2 > 1e-12);
-        Self { points, level }
+        found
+    }
+
+    /// A finer grid around the posterior of a coordinate, if it is narrow for `grid`.
+    fn finer(&self, grid: Grid, coordinate: impl Fn(f64, f64) -> f64) -> Option<Grid> {
+        let (low, high, n) = grid;
+        let moment = |of: &dyn Fn(f64) -> f64| self.points.iter().map(|(a, b, w)| w * of(coordinate(*a, *b))).sum::<f64>();
+        let mean = moment(&|x| x);
+        let step = (high - low) / (n - 1) as f64;
+        // The step itself, because the variance on a coarse grid may be 0.
+        let deviation = moment(&|x| (x - mean).powi(2)).sqrt();
+        let reach = REACH * deviation.max(step);
+        (deviation < STEPS * step).then(|| ((mean - reach).max(low), (mean + reach).min(high), n))
     }
 
     /// The posterior of a function of (a, b).
@@ -137,12 +174,13 @@ pub struct Effect {
 }
 
 /// Tests which columns explain `outcomes` beyond the corrected model. `None` for a column that does not vary beyond the
-/// model's log-odds.
+/// model's log-odds. The squared statistics are divided by `design_effect`.
 pub fn effects(
     eta: &[f64],
     outcomes: &[bool],
     columns: &[Vec<f64>],
     model: &Recalibration,
+    design_effect: f64,
     seed: u64,
 ) -> Vec<Option<Effect>> {
     let (a, b) = (model.shift().mean, model.slope().mean);
@@ -156,7 +194,8 @@ pub fn effects(
         .iter()
         .map(|ready| {
             let (x, information) = ready.as_ref()?;
-            Some(z(x, *information, &mut |i| f64::from(u8::from(outcomes[i]))))
+            let z = z(x, *information, &mut |i| f64::from(u8::from(outcomes[i])));
+            Some(z / design_effect.sqrt())
         })
         .collect();
     let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -178,7 +217,7 @@ pub fn effects(
         .map(|(found, ready)| {
             let (z, (_, information)) = ((*found)?, ready.as_ref()?);
             let above = largest.iter().filter(|most| **most >= z.abs() - 1e-12).count();
-            let se = 1.0 / information.sqrt();
+            let se = (design_effect / information).sqrt();
             Some(Effect { z, adjusted_p: (above + 1) as f64 / (SIMULATIONS + 1) as f64, slope: z * se, se })
         })
         .collect()
@@ -229,7 +268,7 @@ mod tests {
         let (mut shift, mut slope, mut boundary) = (0, 0, 0);
         for seed in 0..100 {
             let (eta, _, y) = data(seed, 40, |eta, _| 0.7 * eta - 0.8);
-            let found = Recalibration::of(&eta, &y, 0.95);
+            let found = Recalibration::of(&eta, &y, 1.0, 0.95);
             shift += usize::from(found.shift().interval.contains(-0.8));
             slope += usize::from(found.slope().interval.contains(0.7));
             boundary += usize::from(found.boundary(0.5).is_none_or(|b| b.interval.contains(logistic(0.8 / 0.7))));
@@ -238,8 +277,29 @@ mod tests {
     }
 
     #[test]
+    fn many_trials_have_a_narrow_posterior() {
+        // Two log-odds, with the success rates of a right model: the posterior is normal around 0 and 1.
+        let of = |n: usize, design_effect: f64| {
+            let eta: Vec<f64> = (0..n).map(|i| if i % 2 == 0 { 1.0 } else { -1.0 }).collect();
+            let share = logistic(1.0);
+            let y: Vec<bool> = (0..n).map(|i| ((i / 2) as f64 + 0.5) / (n / 2) as f64 < if i % 2 == 0 { share } else { 1.0 - share }).collect();
+            Recalibration::of(&eta, &y, design_effect, 0.95)
+        };
+        for n in [400, 40_000] {
+            let (shift, slope) = (of(n, 1.0).shift(), of(n, 1.0).slope());
+            let half = 1.96 / (n as f64 * logistic(1.0) * logistic(-1.0)).sqrt();
+            for (found, mean) in [(shift, 0.0), (slope, 1.0)] {
+                assert!((found.mean - mean).abs() < 0.1 * half, "{n} {found:?}");
+                assert!((found.interval.width() / (2.0 * half) - 1.0).abs() < 0.1, "{n} {half} {found:?}");
+            }
+        }
+        let wider = of(400, 4.0).slope().interval.width() / of(400, 1.0).slope().interval.width();
+        assert!((wider - 2.0).abs() < 0.15, "{wider}");
+    }
+
+    #[test]
     fn equal_outcomes_have_a_posterior() {
-        let found = Recalibration::of(&[0.0; 20], &[true; 20], 0.95);
+        let found = Recalibration::of(&[0.0; 20], &[true; 20], 1.0, 0.95);
         assert!(found.shift().interval.low > 0.0 && found.success(0.0).interval.high < 1.0);
         assert_eq!(found.boundary(0.5), None);
     }
@@ -250,14 +310,14 @@ mod tests {
         for seed in 0..100 {
             let (eta, x, y) = data(seed, 40, |eta, _| eta - 0.5);
             let noise: Vec<Vec<f64>> = (0..5).map(|k| data(1_000 + 10 * seed + k, 40, |_, _| 0.0).1).collect();
-            let model = Recalibration::of(&eta, &y, 0.95);
+            let model = Recalibration::of(&eta, &y, 1.0, 0.95);
             let columns: Vec<Vec<f64>> = noise.iter().cloned().chain([x]).collect();
-            let found = effects(&eta, &y, &columns, &model, seed);
+            let found = effects(&eta, &y, &columns, &model, 1.0, seed);
             named += usize::from(found.iter().flatten().any(|effect| effect.adjusted_p <= 0.05));
             let (eta, x, y) = data(seed, 60, |eta, x| eta - 6.0 * x + 3.0);
-            let model = Recalibration::of(&eta, &y, 0.95);
+            let model = Recalibration::of(&eta, &y, 1.0, 0.95);
             let columns: Vec<Vec<f64>> = noise.iter().map(|n| [&n[..], &n[..20]].concat()).chain([x]).collect();
-            let found = effects(&eta, &y, &columns, &model, seed);
+            let found = effects(&eta, &y, &columns, &model, 1.0, seed);
             planted += usize::from(found[5].is_some_and(|effect| effect.adjusted_p <= 0.05 && effect.slope < 0.0));
         }
         assert!(named <= 11 && planted >= 55, "{named} {planted}");

@@ -1,14 +1,15 @@
 //! Differences between simulation and reality that pass a test, and checks of the trials' settings.
 
 use robogate_core::{Domain, ParameterSpace, Seed};
-use robogate_stats::compare::{at_least, at_most};
+use robogate_stats::compare::fisher_exact;
 use robogate_stats::multiplicity::holm;
+use robogate_stats::prediction_powered::design_effect;
 use robogate_stats::recalibration::{Recalibration, effects, log_odds};
 use robogate_stats::{Confidence, Trials, clopper_pearson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::trials::RealTrials;
+use super::trials::{RealTrial, RealTrials};
 use crate::rate::ends;
 use crate::table::{Ending, EpisodeTable, Sample};
 
@@ -27,11 +28,12 @@ pub struct EndingDifference {
     pub trials: u64,
     /// Their share.
     pub real: f64,
-    /// Exact 95 % interval of that rate.
+    /// Exact 95 % interval of that rate, for independent trials.
     pub real_95: [f64; 2],
     /// The rate in the simulated operating space.
     pub simulated: f64,
-    /// p-value of equal rates, adjusted for all endings (Holm).
+    /// p-value of equal rates (Fisher's exact test), adjusted for all endings (Holm). Trials that share effects count as the
+    /// number of independent ones with the same variance.
     pub adjusted_p: f64,
 }
 
@@ -61,16 +63,13 @@ pub struct SettingsCheck {
     pub adjusted_p: f64,
 }
 
-/// Compares the rates of all endings. Modes are compared only if the trials name them.
+/// Compares the rates of all endings. Modes are compared only if each failed trial names its mode.
 pub(super) fn endings(table: &EpisodeTable, simulated: &Sample, trials: &RealTrials) -> Vec<EndingDifference> {
-    let n = trials.trials.len() as u64;
-    let total = simulated.len() as f64;
-    let share = |ending: Ending| {
-        simulated.rows.iter().filter(|row| table.outcome[**row as usize] == ending).count() as f64 / total
+    let count = |ending: Ending| {
+        simulated.rows.iter().filter(|row| table.outcome[**row as usize] == ending).count() as u64
     };
-    let successes = trials.trials.iter().filter(|trial| trial.success).count() as u64;
-    let mut all = vec![("success".to_owned(), successes, share(Ending::Success))];
-    if trials.has_modes {
+    let mut all = vec![("success".to_owned(), count(Ending::Success))];
+    if trials.names_modes() {
         let mut names: Vec<String> = table.modes.iter().map(|mode| mode.as_str().to_owned()).collect();
         let unknown = |mode: &String| !names.contains(mode);
         let mut others: Vec<String> = trials.trials.iter().filter_map(|t| t.mode.clone()).filter(unknown).collect();
@@ -78,46 +77,65 @@ pub(super) fn endings(table: &EpisodeTable, simulated: &Sample, trials: &RealTri
         others.dedup();
         let known = names.len();
         names.extend(others);
-        for (i, name) in names.into_iter().enumerate() {
-            let count = trials.trials.iter().filter(|t| t.mode.as_ref() == Some(&name)).count() as u64;
-            let rate = if i < known { share(Ending::Failure(i as u16)) } else { 0.0 };
-            if count > 0 || rate > 0.0 {
-                all.push((name, count, rate));
-            }
-        }
+        all.extend(names.into_iter().enumerate().map(|(i, name)| {
+            let simulated = if i < known { count(Ending::Failure(i as u16)) } else { 0 };
+            (name, simulated)
+        }));
     }
-    let p: Vec<f64> = all
-        .iter()
-        .map(|(_, count, rate)| {
-            let trials = Trials::new(*count, n).unwrap_or(Trials::NONE);
-            // A mode that the simulation never shows may still have a small rate there.
-            let rate = rate.max(0.5 / (total + 1.0));
-            (2.0 * at_least(trials, rate).min(at_most(trials, rate)).exp()).min(1.0)
+    let ended = |trial: &RealTrial, ending: &str| match &trial.mode {
+        _ if ending == "success" => trial.success,
+        mode => mode.as_deref() == Some(ending),
+    };
+    let groups = trials.groups();
+    let compared: Vec<(EndingDifference, f64)> = all
+        .into_iter()
+        .filter_map(|(ending, count)| {
+            let outcomes: Vec<bool> = trials.trials.iter().map(|trial| ended(trial, &ending)).collect();
+            let (real, simulated) = (Trials::count(outcomes.iter().copied()), Trials::new(count, simulated.len() as u64).ok()?);
+            if ending != "success" && real.successes() + simulated.successes() == 0 {
+                return None;
+            }
+            let p = fisher_exact(independent(real, design_effect(&outcomes, &groups, Confidence::P95), simulated), simulated);
+            let found = EndingDifference {
+                ending,
+                trials: real.successes(),
+                real: real.rate().unwrap_or(0.0),
+                real_95: ends(clopper_pearson(real, Confidence::P95)),
+                simulated: simulated.rate().unwrap_or(0.0),
+                adjusted_p: 1.0,
+            };
+            Some((found, p))
         })
         .collect();
+    let p: Vec<f64> = compared.iter().map(|(_, p)| *p).collect();
     let adjusted = holm(&p).unwrap_or_else(|_| vec![1.0; p.len()]);
-    all.into_iter()
+    compared
+        .into_iter()
         .zip(adjusted)
-        .map(|((ending, count, simulated), adjusted_p)| {
-            let trials = Trials::new(count, n).unwrap_or(Trials::NONE);
-            EndingDifference {
-                ending,
-                trials: count,
-                real: trials.rate().unwrap_or(0.0),
-                real_95: ends(clopper_pearson(trials, Confidence::P95)),
-                simulated,
-                adjusted_p,
-            }
-        })
+        .map(|((found, _), adjusted_p)| EndingDifference { adjusted_p, ..found })
         .collect()
 }
 
-/// Tests every parameter for an effect beyond the corrected simulation. A missing value has the mean of the others.
+/// The number of independent trials with the variance of these, and their successes. Both are rounded so that the
+/// difference from `other` does not grow.
+fn independent(trials: Trials, design_effect: f64, other: Trials) -> Trials {
+    let (Some(rate), Some(limit)) = (trials.rate(), other.rate()) else { return trials };
+    if design_effect <= 1.0 {
+        return trials;
+    }
+    let n = (trials.n() as f64 / design_effect).floor();
+    let successes = if rate > limit { (rate * n).floor() } else { (rate * n).ceil() };
+    Trials::new(successes as u64, n as u64).unwrap_or(Trials::NONE)
+}
+
+/// Tests every parameter for an effect beyond the corrected simulation. A missing value has the mean of the others. The
+/// design effect is that of the trials' success rate.
 pub(super) fn parameters(
     space: &ParameterSpace,
     trials: &RealTrials,
     predicted: &[f64],
     model: &Recalibration,
+    design_effect: f64,
 ) -> Vec<ParameterDifference> {
     let (mut names, mut columns) = (Vec::new(), Vec::new());
     for (at, parameter) in space.parameters().iter().enumerate() {
@@ -141,7 +159,7 @@ pub(super) fn parameters(
     }
     let eta: Vec<f64> = predicted.iter().map(|p| log_odds(*p)).collect();
     let z = Confidence::P95.z();
-    effects(&eta, &trials.outcomes(), &columns, model, 1)
+    effects(&eta, &trials.outcomes(), &columns, model, design_effect, 1)
         .into_iter()
         .zip(names)
         .filter_map(|(effect, (parameter, level))| {

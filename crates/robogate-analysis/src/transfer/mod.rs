@@ -13,10 +13,10 @@ mod trials;
 
 use std::path::{Path, PathBuf};
 
-use robogate_core::ParameterSpace;
+use robogate_core::{Domain, Parameter, ParameterSpace};
 use robogate_dictionary::TaskIdentity;
 use robogate_stats::exact_strata::{self, Stratum};
-use robogate_stats::format::list;
+use robogate_stats::format::{counted, list};
 use robogate_stats::prediction_powered::{self, Predicted};
 use robogate_stats::recalibration::{Posterior, Recalibration, log_odds};
 use robogate_stats::{Confidence, Trials};
@@ -35,7 +35,7 @@ use crate::effects::Effects;
 use crate::labels::parameter_label;
 use crate::rate::ends;
 use crate::table::EpisodeTable;
-use crate::{AnalysisError, Finding, Rate, Source, Subject};
+use crate::{AnalysisError, Finding, Population, Rate, Source, Subject};
 
 /// Shares of the population that a stratum may have.
 const STRATUM: [f64; 2] = [0.15, 0.85];
@@ -73,8 +73,11 @@ pub struct Transfer {
     /// The corrected model over the two most influential parameters.
     #[serde(default = "unknown_map")]
     pub map: Finding<CorrectedMap>,
-    /// Endings of trials and simulation.
+    /// Endings of trials and simulation. Empty if they cannot be compared.
     pub endings: Vec<EndingDifference>,
+    /// Which endings are not compared, and why, in one sentence.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub not_compared: Option<String>,
     /// Effects of parameters that the simulation does not explain, the most significant first.
     pub parameters: Vec<ParameterDifference>,
     /// Whether the trials' settings look like a sample of the population.
@@ -101,6 +104,9 @@ pub struct RealData {
     pub outside: Vec<u64>,
     /// The groupings of the trials, with the number of groups.
     pub groupings: Vec<(String, u64)>,
+    /// What would group the trials, but has the same entry for all of them: the name and the entry.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub constant: Vec<(String, String)>,
     /// Parameters without any value. The prediction is averaged over them.
     pub missing: Vec<String>,
     /// Trials with other missing values.
@@ -227,14 +233,34 @@ fn no(reason: impl Into<String>) -> AnalysisError {
     AnalysisError::NoTransfer { reason: reason.into() }
 }
 
+/// Imported rows may lack values. The model would take them as a level of their own, which trials cannot have.
+fn check_numbers(table: &EpisodeTable, space: &ParameterSpace) -> Result<(), AnalysisError> {
+    let incomplete = |parameter: &&Parameter| {
+        let column = table.parameters.iter().find(|column| *column.name == *parameter.name);
+        !matches!(parameter.domain, Domain::Categorical { .. }) && column.is_some_and(|column| !column.is_numeric())
+    };
+    match space.parameters().iter().find(incomplete) {
+        Some(parameter) => Err(no(format!("its column `{}` has empty cells", parameter.name))),
+        None => Ok(()),
+    }
+}
+
 impl<'a> Simulation<'a> {
     /// Reads a simulation, and the population of the real rate.
     ///
     /// # Errors
-    /// A dictionary that cannot be read or was not sampled from a space, or a problem in the file of settings.
+    /// A dictionary that cannot be read, without episodes sampled from a space or with missing values, or a problem in the
+    /// file of settings.
     pub fn open(source: &'a Source, population: Option<&Path>) -> Result<Self, AnalysisError> {
         let provenance = source.dictionary().provenance();
         let table = EpisodeTable::read(source.dictionary())?;
+        check_numbers(&table, &provenance.space)?;
+        if population.is_none() && populations(&table).2 == Population::Suite {
+            return Err(no(
+                "its episodes are those of a suite, not a sample of an operating space. Expected a run of `robogate run`, or \
+                 the settings that the real robot meets (--population)",
+            ));
+        }
         let points = match population {
             Some(path) => trials::settings(path, &provenance.space)?,
             None => predictor::points(&provenance.space).map_err(no)?,
@@ -284,22 +310,26 @@ impl<'a> Simulation<'a> {
     }
 }
 
-/// The strata of the population with the largest predicted difference, as counts of trials.
+/// The strata of the population with the largest predicted difference, as counts of trials. The choice depends on the
+/// settings of the trials, not on their outcomes: each stratum has at least one trial, because an empty one would leave its
+/// rate unknown.
 pub fn strata(predictions: &Predictions, outcomes: &[bool]) -> Option<(f64, [Stratum; 2])> {
     let mut sorted = predictions.population.clone();
     sorted.sort_by(f64::total_cmp);
     let n = sorted.len() as f64;
     let total: f64 = sorted.iter().sum();
+    let tried = predictions.trials.iter().copied();
+    let (least, most) = (tried.clone().reduce(f64::min)?, tried.reduce(f64::max)?);
     let (mut below, mut best) = (0.0, None);
     for (i, pair) in sorted.windows(2).enumerate() {
         below += pair[0];
-        let count = (i + 1) as f64;
+        let (count, cut) = ((i + 1) as f64, 0.5 * (pair[0] + pair[1]));
         let share = count / n;
-        if pair[0] < pair[1] && (STRATUM[0]..=STRATUM[1]).contains(&share) {
+        if pair[0] < pair[1] && (STRATUM[0]..=STRATUM[1]).contains(&share) && least < cut && cut <= most {
             let gap = (total - below) / (n - count) - below / count;
             let between = share * (1.0 - share) * gap * gap;
             if best.is_none_or(|(_, _, most)| between > most) {
-                best = Some((0.5 * (pair[0] + pair[1]), share, between));
+                best = Some((cut, share, between));
             }
         }
     }
@@ -393,18 +423,21 @@ fn assemble(
         points: if options.population.is_some() { population.points } else { f64::INFINITY },
         ..population
     };
-    let sample = |of: &dyn Fn() -> Finding<RealRate>| {
-        if unlike.is_empty() {
-            return of();
-        }
-        Finding::not(format!(
+    let no_sample = if !unlike.is_empty() {
+        Some(format!(
             "the trials are not a random sample of the population: their values of {} differ from it (p < 0.05). Choose \
              settings at random, or pass the settings that the real robot meets with --population",
             list(&unlike)
         ))
+    } else if trials.is_one_setting() {
+        Some("all trials have the same setting, and say nothing about other settings".to_owned())
+    } else {
+        None
     };
-    let rate = sample(&|| {
-        prediction_powered::rate(&outcomes, &predictions.trials, population, &trials.groups(), Confidence::P95)
+    let groups = trials.groups();
+    let rate = match &no_sample {
+        Some(because) => Finding::not(because.clone()),
+        None => prediction_powered::rate(&outcomes, &predictions.trials, population, &groups, Confidence::P95)
             .map(|found| RealRate {
                 rate: found.rate,
                 interval_95: ends(found.interval),
@@ -413,10 +446,10 @@ fn assemble(
                 tuning: found.tuning,
                 worth_trials: found.worth,
             })
-            .into()
-    });
-    let exact = if let Some(because) = rate.because() {
-        Finding::not(because.to_owned())
+            .into(),
+    };
+    let exact = if let Some(because) = &no_sample {
+        Finding::not(because.clone())
     } else if !trials.missing.is_empty() || trials.incomplete > 0 {
         // The shares of the strata are those of complete settings.
         Finding::not("trials have missing parameters, so their stratum is not known exactly")
@@ -433,14 +466,15 @@ fn assemble(
                     successes: s.trials.successes(),
                 }),
             }),
-            None => Finding::not("the simulation predicts the same success everywhere"),
+            None => Finding::not("the simulation predicts about the same success for all trials, or everywhere"),
         }
     };
     let eta: Vec<f64> = predictions.trials.iter().map(|p| log_odds(*p)).collect();
-    let model = Recalibration::of(&eta, &outcomes, Confidence::P95.level());
+    let design_effect = prediction_powered::design_effect(&outcomes, &groups, Confidence::P95);
+    let model = Recalibration::of(&eta, &outcomes, design_effect, Confidence::P95.level());
     let curve = [0.1, 0.3, 0.5, 0.7, 0.9]
         .map(|simulated| CorrectedRate { simulated, real: model.success(log_odds(simulated)).into() });
-    let mut parameters = differences::parameters(space, trials, &predictions.trials, &model);
+    let mut parameters = differences::parameters(space, trials, &predictions.trials, &model, design_effect);
     parameters.sort_by(|a, b| a.adjusted_p.total_cmp(&b.adjusted_p).then(b.effect.abs().total_cmp(&a.effect.abs())));
     let next = rate.estimated().map(|found| {
         let half_width = 0.5 * (found.interval_95[1] - found.interval_95[0]);
@@ -448,6 +482,21 @@ fn assemble(
         let n = outcomes.len() as f64;
         next::next(space, &simulation.points, &predictions.population, corrected, half_width, [n, found.worth_trials])
     });
+    let (endings, not_compared) = if no_sample.is_some() {
+        let because = "Rates of success and failure modes are not compared, because the trials are not a random sample of the \
+                       operating space.";
+        (Vec::new(), Some(because.to_owned()))
+    } else if options.population.is_some() {
+        let because = "Rates of success and failure modes are not compared, because those of the simulation are rates over its \
+                       operating space.";
+        (Vec::new(), Some(because.to_owned()))
+    } else {
+        let missing = Some(trials.without_mode()).filter(|count| trials.has_modes && *count > 0);
+        let because = missing.map(|count| {
+            format!("Failure modes are not compared, because {} not name theirs.", counted(count, "failed trial") + if count == 1 { " does" } else { " do" })
+        });
+        (differences::endings(&simulation.table, &simulated, trials), because)
+    };
     Transfer {
         version: Transfer::VERSION,
         simulation: Subject::of(simulation.source, path),
@@ -464,6 +513,7 @@ fn assemble(
                 .iter()
                 .map(|(name, groups)| (name.clone(), groups.iter().max().map_or(0, |most| *most as u64 + 1)))
                 .collect(),
+            constant: trials.constant.clone(),
             missing: trials.missing.clone(),
             incomplete: trials.incomplete,
             ignored: trials.ignored.clone(),
@@ -488,7 +538,8 @@ fn assemble(
             }
             Finding::CannotBeEstimated { because } => Finding::CannotBeEstimated { because },
         },
-        endings: differences::endings(&simulation.table, &simulated, trials),
+        endings,
+        not_compared,
         parameters,
         settings,
         next,

@@ -1,6 +1,8 @@
 //! The trials to run next.
 
-use robogate_core::{Domain, ParameterSpace, Seed};
+use std::collections::BTreeMap;
+
+use robogate_core::{Domain, Parameter, ParameterSpace, Seed, Value};
 use robogate_stats::format::significant;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -28,6 +30,9 @@ pub struct NextTrials {
 pub struct NextTrial {
     /// The setting in words.
     pub setting: String,
+    /// The value of each parameter. Absent in documents from earlier versions.
+    #[serde(default)]
+    pub values: BTreeMap<String, Value>,
     /// P(success) by the simulation.
     pub simulated: f64,
     /// P(success) by the corrected simulation.
@@ -36,7 +41,7 @@ pub struct NextTrial {
 
 /// A setting in words: "friction 0.31, mass 0.42 kg, shape box".
 fn in_words(space: &ParameterSpace, point: &[f64]) -> String {
-    let word = |(parameter, value): (&robogate_core::Parameter, &f64)| {
+    let word = |(parameter, value): (&Parameter, &f64)| {
         let text = match &parameter.domain {
             Domain::Continuous { .. } => significant(*value, 2),
             Domain::Integer { .. } => format!("{value:.0}"),
@@ -47,7 +52,8 @@ fn in_words(space: &ParameterSpace, point: &[f64]) -> String {
     space.parameters().iter().zip(point).map(word).collect::<Vec<_>>().join(", ")
 }
 
-/// Chooses one random point from each tenth of the population by prediction. They stay a random sample of the
+/// Chooses one random point from each tenth of the population by prediction; in a population of fewer than ten points, some
+/// occur several times. They stay a random sample of the
 /// population, so the interval remains valid, and they cover easy and hard settings. `n` trials are worth `worth`.
 pub(super) fn next(
     space: &ParameterSpace,
@@ -61,12 +67,20 @@ pub(super) fn next(
     order.sort_by(|a, b| predicted[*a].total_cmp(&predicted[*b]).then(a.cmp(b)));
     // The seed depends on the number of trials, so that the next request proposes other points.
     let mut random = Seed::campaign(n as u64).stream("next trials");
-    let settings = (0..TRIALS.min(order.len()))
+    let settings = (0..TRIALS)
         .filter_map(|part| {
             let (from, to) = (part * order.len() / TRIALS, (part + 1) * order.len() / TRIALS);
             let at = *order.get(from + random.below((to - from).max(1)))?;
             let simulated = predicted[at];
-            Some(NextTrial { setting: in_words(space, &points[at]), simulated, expected: corrected(simulated) })
+            let value = |(parameter, coded): (&Parameter, &f64)| {
+                (parameter.name.to_string(), parameter.domain.decode(*coded))
+            };
+            Some(NextTrial {
+                setting: in_words(space, &points[at]),
+                values: space.parameters().iter().zip(&points[at]).map(value).collect(),
+                simulated,
+                expected: corrected(simulated),
+            })
         })
         .collect();
     let more = TRIALS as f64;

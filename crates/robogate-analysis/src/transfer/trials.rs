@@ -1,10 +1,11 @@
 //! Trials of the real robot, from a CSV file.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::ErrorKind;
 use std::path::Path;
 
 use robogate_core::{Domain, ParameterSpace, Value};
-use robogate_dictionary::hex;
+use robogate_dictionary::{hex, read_text};
 use sha2::{Digest, Sha256};
 
 use crate::AnalysisError;
@@ -13,6 +14,10 @@ use crate::AnalysisError;
 const GROUPS: [&str; 2] = ["operator", "day"];
 /// The grouping of trials with equal settings.
 const REPEATED: &str = "repeated setting";
+/// Most trials. Their cost grows with the square of their number, and so many need no simulation.
+const MOST_TRIALS: usize = 20_000;
+/// Most columns of a file.
+const MOST_COLUMNS: usize = 1_000;
 /// Cells without a value.
 const MISSING: [&str; 5] = ["", "na", "nan", "null", "none"];
 
@@ -25,8 +30,10 @@ pub struct RealTrials {
     pub trials: Vec<RealTrial>,
     /// Lines of trials outside the space, which are left out.
     pub outside: Vec<u64>,
-    /// Groupings of the trials: the name, and a group number for each trial.
+    /// Groupings of the trials: the name, and a group number for each trial. Each has at least two groups.
     pub groupings: Vec<(String, Vec<usize>)>,
+    /// What would group the trials, but has the same entry for all of them: the name and the entry.
+    pub constant: Vec<(String, String)>,
     /// Parameters of the space without any value in the file.
     pub missing: Vec<String>,
     /// Trials with at least one missing value, beyond those of `missing`.
@@ -63,10 +70,16 @@ struct Rows {
 }
 
 fn read(path: &Path) -> Result<Rows, AnalysisError> {
-    let bytes = std::fs::read(path).map_err(AnalysisError::io(path, "read"))?;
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(&*bytes);
+    let file = read_text(path).map_err(|error| match error.kind() {
+        ErrorKind::InvalidData | ErrorKind::FileTooLarge => wrong(path, 1, error.to_string()),
+        _ => AnalysisError::io(path, "read")(error),
+    })?;
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(file.as_bytes());
     let text = |record: &csv::StringRecord| record.iter().map(str::to_owned).collect::<Vec<String>>();
     let header = text(reader.headers().map_err(|error| wrong(path, 1, error.to_string()))?);
+    if header.len() > MOST_COLUMNS {
+        return Err(wrong(path, 1, format!("{} columns, at most {MOST_COLUMNS}", header.len())));
+    }
     let mut rows = Vec::new();
     for record in reader.records() {
         let record = record.map_err(|error| {
@@ -76,26 +89,35 @@ fn read(path: &Path) -> Result<Rows, AnalysisError> {
         let line = record.position().map_or(0, csv::Position::line);
         rows.push((line, text(&record)));
     }
-    if let Some(twice) = header.iter().enumerate().find(|(i, name)| header[..*i].contains(name)) {
-        return Err(wrong(path, 1, format!("the column `{}` occurs twice", twice.1)));
+    // Spreadsheets add columns without a name.
+    let twice = |(i, name): &(usize, &String)| !name.is_empty() && header[..*i].contains(name);
+    if let Some((_, name)) = header.iter().enumerate().find(twice) {
+        return Err(wrong(path, 1, format!("the column `{name}` occurs twice")));
     }
-    Ok(Rows { sha256: hex(&Sha256::digest(&bytes)), header, rows })
+    Ok(Rows { sha256: hex(&Sha256::digest(file.as_bytes())), header, rows })
 }
 
 /// The coded value of a cell. `None` if it is missing.
 fn value(domain: &Domain, cell: &str) -> Result<Option<f64>, String> {
+    // A level may have the name `none`.
+    if let Some(level) = domain.encode(&Value::Category(cell.into())) {
+        return Ok(Some(level));
+    }
     if MISSING.contains(&cell.to_ascii_lowercase().as_str()) {
         return Ok(None);
     }
     let found = match domain {
-        Domain::Categorical { choices } => domain.encode(&Value::Category(cell.into())).ok_or_else(|| {
+        Domain::Categorical { choices } => {
             let known: Vec<&str> = choices.iter().map(|choice| &**choice).collect();
-            format!("`{cell}` is not a level. Expected one of {}, or no value", known.join(", "))
-        })?,
+            return Err(format!("`{cell}` is not a level. Expected one of {}, or no value", known.join(", ")));
+        }
         Domain::Continuous { .. } | Domain::Integer { .. } => {
             let number: f64 = cell.parse().map_err(|_| format!("`{cell}` is not a number"))?;
             if !number.is_finite() {
                 return Err(format!("`{cell}` is not a finite number"));
+            }
+            if matches!(domain, Domain::Integer { .. }) && number.fract() != 0.0 {
+                return Err(format!("`{cell}` is not an integer"));
             }
             number
         }
@@ -119,7 +141,8 @@ fn inside(domain: &Domain, value: f64) -> bool {
 impl RealTrials {
     /// Reads trials. The columns are `success` (true or false, yes or no, 1 or 0), optionally `failure_mode`, the
     /// parameters of `space` by name, and groups. `groups` names the columns of trials that may share effects; without
-    /// them `operator` and `day` are used if they exist. Trials with equal parameters form groups too.
+    /// them `operator` and `day` are used if they exist. Trials with equal parameters form groups too, if one of these is a
+    /// continuous one: the others may be equal by chance.
     ///
     /// # Errors
     /// The first problem in the file, with its line.
@@ -133,10 +156,13 @@ impl RealTrials {
         let mode = place("failure_mode");
         let names: Vec<String> = match groups {
             [] => GROUPS.iter().filter(|name| place(name).is_some()).map(|name| (*name).to_owned()).collect(),
-            given => given.to_vec(),
+            given => given.iter().map(|name| name.trim().to_owned()).filter(|name| !name.is_empty()).collect(),
         };
         if let Some(unknown) = names.iter().find(|name| place(name).is_none()) {
             return Err(wrong(path, 1, format!("no column `{unknown}`, which should group the trials")));
+        }
+        if rows.len() > MOST_TRIALS {
+            return Err(wrong(path, rows[MOST_TRIALS].0, format!("{} trials, at most {MOST_TRIALS}", rows.len())));
         }
         let columns: Vec<Option<usize>> = space.parameters().iter().map(|p| place(&p.name)).collect();
         if columns.iter().all(Option::is_none) {
@@ -144,7 +170,7 @@ impl RealTrials {
             return Err(wrong(path, 1, format!("no column is a parameter. Expected some of {}", known.join(", "))));
         }
         let used =
-            |i: usize| i == success || Some(i) == mode || columns.contains(&Some(i)) || names.contains(&header[i]);
+            |i: usize| i == success || Some(i) == mode || columns.contains(&Some(i)) || names.contains(&header[i]) || header[i].is_empty();
         let ignored = (0..header.len()).filter(|i| !used(*i)).map(|i| header[i].clone()).collect();
         let (mut trials, mut outside, mut labels) = (Vec::new(), Vec::new(), vec![Vec::new(); names.len()]);
         for (line, row) in &rows {
@@ -172,13 +198,26 @@ impl RealTrials {
             let mode = mode.map(|at| row[at].clone()).filter(|m| !outcome && !MISSING.contains(&&*m.to_lowercase()));
             trials.push(RealTrial { line: *line, success: outcome, mode, values });
         }
-        let mut groupings: Vec<(String, Vec<usize>)> =
-            names.into_iter().zip(labels).map(|(name, labels)| (name, numbered(&labels))).collect();
+        let (mut groupings, mut constant) = (Vec::new(), Vec::new());
+        for (name, labels) in names.into_iter().zip(labels) {
+            match labels.first() {
+                Some(first) if labels.iter().all(|label| label == first) => constant.push((name, first.clone())),
+                _ => groupings.push((name, numbered(&labels))),
+            }
+        }
         let settings: Vec<String> = trials.iter().map(|trial| format!("{:?}", trial.values)).collect();
+        let continuous = |trial: &RealTrial| {
+            let mut known = space.parameters().iter().zip(&trial.values).filter(|(_, value)| value.is_some());
+            known.any(|(parameter, _)| matches!(parameter.domain, Domain::Continuous { .. }))
+        };
         let repeated = numbered(&settings);
-        let complete = trials.iter().all(|trial| trial.values.iter().any(Option::is_some));
-        if complete && repeated.iter().max().is_some_and(|most| most + 1 < trials.len()) {
-            groupings.push((REPEATED.to_owned(), repeated));
+        let count = repeated.iter().max().map_or(0, |most| most + 1);
+        if count < trials.len() && trials.iter().all(continuous) {
+            if count == 1 {
+                constant.push((REPEATED.to_owned(), String::new()));
+            } else {
+                groupings.push((REPEATED.to_owned(), repeated));
+            }
         }
         let absent = |i: usize| trials.iter().all(|trial| trial.values[i].is_none());
         let lost: Vec<bool> = (0..space.len()).map(absent).collect();
@@ -196,6 +235,7 @@ impl RealTrials {
             trials,
             outside,
             groupings,
+            constant,
             ignored,
             has_modes: mode.is_some(),
         })
@@ -203,9 +243,29 @@ impl RealTrials {
 
     /// The first trial of each setting.
     pub(super) fn once(&self) -> Vec<&RealTrial> {
-        let repeated = self.groupings.iter().find(|(name, _)| name == REPEATED);
-        let first = |i: usize| repeated.is_none_or(|(_, groups)| !groups[..i].contains(&groups[i]));
-        self.trials.iter().enumerate().filter(|(i, _)| first(*i)).map(|(_, trial)| trial).collect()
+        if self.is_one_setting() {
+            return self.trials.iter().take(1).collect();
+        }
+        let Some((_, groups)) = self.groupings.iter().find(|(name, _)| name == REPEATED) else {
+            return self.trials.iter().collect();
+        };
+        let mut seen = BTreeSet::new();
+        self.trials.iter().zip(groups).filter(|(_, group)| seen.insert(**group)).map(|(trial, _)| trial).collect()
+    }
+
+    /// Whether all trials have the same setting.
+    pub(super) fn is_one_setting(&self) -> bool {
+        self.constant.iter().any(|(name, _)| name == REPEATED)
+    }
+
+    /// The number of failed trials that name no failure mode.
+    pub(super) fn without_mode(&self) -> u64 {
+        self.trials.iter().filter(|trial| !trial.success && trial.mode.is_none()).count() as u64
+    }
+
+    /// Whether each failed trial names its mode.
+    pub(super) fn names_modes(&self) -> bool {
+        self.has_modes && self.without_mode() == 0
     }
 
     /// The outcomes.

@@ -41,12 +41,27 @@ fn trials(n: u64, leave_out: &str, header: &str, more: impl Fn(u64) -> String) -
 }
 
 fn transfer(simulation: &Path, text: &str, groups: &[&str]) -> Result<Transfer, AnalysisError> {
+    over(simulation, text, groups, None)
+}
+
+/// As `transfer`, over the settings `population`.
+fn over(
+    simulation: &Path,
+    text: &str,
+    groups: &[&str],
+    population: Option<&str>,
+) -> Result<Transfer, AnalysisError> {
     let folder = TempDir::new().unwrap();
-    let file = folder.path().join("trials.csv");
-    std::fs::write(&file, text).unwrap();
+    let write = |name: &str, text: &str| {
+        let file = folder.path().join(name);
+        std::fs::write(&file, text).unwrap();
+        file
+    };
+    let file = write("trials.csv", text);
     let source = Source::open(simulation)?;
     let groups = groups.iter().map(|group| (*group).to_owned()).collect();
-    Transfer::of(&source, simulation, &file, &TransferOptions { groups, population: None })
+    let population = population.map(|text| write("population.csv", text));
+    Transfer::of(&source, simulation, &file, &TransferOptions { groups, population })
 }
 
 #[test]
@@ -68,6 +83,7 @@ fn good_simulation_saves_trials() {
     assert_eq!(next.settings.len(), 10);
     assert!(next.settings[0].simulated < next.settings[9].simulated);
     assert!(next.settings[0].setting.contains("mass") && next.expected_half_width < next.half_width);
+    assert!(next.settings.iter().all(|trial| matches!(trial.values["mass_kg"], Value::Number(_))));
 }
 
 #[test]
@@ -141,6 +157,85 @@ fn repeated_settings_are_groups() {
 }
 
 #[test]
+fn one_operator_is_no_group() {
+    let folder = TempDir::new().unwrap();
+    let found = transfer(&simulation(&folder), &trials(30, "", ",operator", |_| ",ann".to_owned()), &[]).unwrap();
+    assert_eq!(found.real.constant, [("operator".to_owned(), "ann".to_owned())]);
+    assert!(found.real.groupings.is_empty() && found.rate.estimated().is_some() && found.exact.estimated().is_some());
+    // Two columns of groups, one of them constant.
+    let day = |i: u64| format!(",ann,{}", i % 6);
+    let found = transfer(&simulation(&folder), &trials(30, "", ",operator,day", day), &["operator ", " day"]).unwrap();
+    assert_eq!((found.real.groupings.len(), found.real.constant.len()), (1, 1));
+}
+
+#[test]
+fn one_setting_says_nothing_about_others() {
+    let folder = TempDir::new().unwrap();
+    let one = trials(1, "", "", |_| String::new());
+    let (header, row) = one.split_once('\n').unwrap();
+    let found = transfer(&simulation(&folder), &format!("{header}\n{}", row.repeat(20)), &[]).unwrap();
+    for because in [found.rate.because(), found.exact.because()] {
+        assert!(because.unwrap().contains("same setting"), "{because:?}");
+    }
+    assert!(found.endings.is_empty() && found.not_compared.is_some());
+}
+
+#[test]
+fn equal_levels_are_no_repeated_setting() {
+    let folder = TempDir::new().unwrap();
+    let rows: String = (0..40).map(|i| format!("{},{}\n", i % 3 == 0, ["box", "sphere"][i % 2])).collect();
+    let found = transfer(&simulation(&folder), &format!("success,shape\n{rows}"), &[]).unwrap();
+    assert!(found.real.groupings.is_empty() && found.real.constant.is_empty(), "{:?}", found.real);
+    assert!(found.rate.estimated().is_some() && !found.settings.is_empty());
+}
+
+#[test]
+fn endings_are_compared_where_they_can_be() {
+    let folder = TempDir::new().unwrap();
+    let simulation = simulation(&folder);
+    // Failures without a mode.
+    let unnamed = trials(60, "", ",failure_mode", |_| ",".to_owned());
+    let found = transfer(&simulation, &unnamed, &[]).unwrap();
+    assert_eq!(found.endings.iter().map(|ending| &*ending.ending).collect::<Vec<_>>(), ["success"]);
+    assert!(found.not_compared.unwrap().starts_with("Failure modes are not compared"));
+    assert_eq!(transfer(&simulation, &trials(60, "", "", |_| String::new()), &[]).unwrap().not_compared, None);
+    // Light parts only, as the population says: the simulation is right, and nothing differs.
+    let all = trials(300, "", "", |_| String::new());
+    let (header, rows) = all.split_once('\n').unwrap();
+    let light: Vec<&str> = rows.lines().filter(|row| row.split(',').nth(2).unwrap().parse::<f64>().unwrap() < 0.4).collect();
+    let light = format!("{header}\n{}\n", light.join("\n"));
+    let found = over(&simulation, &light, &[], Some(&light)).unwrap();
+    assert!(found.rate.estimated().is_some() && found.endings.is_empty(), "{:?}", found.rate);
+    assert!(found.not_compared.unwrap().contains("operating space"));
+}
+
+#[test]
+fn a_population_may_have_few_settings() {
+    let folder = TempDir::new().unwrap();
+    let all = trials(3, "", "", |_| String::new());
+    let (header, rows) = all.split_once('\n').unwrap();
+    let text = format!("{header}\n{}", rows.repeat(10));
+    let found = over(&simulation(&folder), &text, &[], Some(&all)).unwrap();
+    let mut proposed: Vec<&str> = found.next.as_ref().unwrap().settings.iter().map(|trial| &*trial.setting).collect();
+    assert_eq!(proposed.len(), 10);
+    proposed.dedup();
+    assert_eq!(proposed.len(), 3, "{proposed:?}");
+}
+
+#[test]
+fn a_simulation_without_failures_adds_nothing() {
+    let folder = TempDir::new().unwrap();
+    let space = space(&["box", "sphere"]);
+    let path = folder.path().join("perfect.parquet");
+    let mut entries = law(&space, 400);
+    entries.iter_mut().for_each(|entry| entry.episode.outcome = Outcome::Success);
+    write_rows(&path, &space, entries);
+    let found = transfer(&path, &trials(40, "", "", |_| String::new()), &[]).unwrap();
+    let rate = found.rate.estimated().unwrap();
+    assert_eq!((rate.tuning, rate.interval_95), (0.0, rate.alone_95));
+}
+
+#[test]
 fn groups_exclude_the_exact_test() {
     let folder = TempDir::new().unwrap();
     let day = |i: u64| format!(",{}", i % 6);
@@ -176,4 +271,9 @@ fn problems_name_their_line() {
     assert!(error("success,mass_kg\n1,1,2\n", &[]).contains(":2:"));
     assert!(error("success,mass_kg\n1,1\n", &["robot"]).contains("no column `robot`"));
     assert!(error("success,mass_kg\n1,7\n", &[]).contains("no trial inside"));
+    assert!(error("success,mass_kg,mass_kg\n1,1,1\n", &[]).contains("`mass_kg` occurs twice"));
+    let many = "success,mass_kg\n".to_owned() + &"1,1\n".repeat(20_001);
+    assert!(error(&many, &[]).contains(":20002: 20001 trials, at most 20000"));
+    // Spreadsheets add columns without a name.
+    assert!(transfer(&simulation, "success,mass_kg,,\n1,1,,\n", &[]).unwrap().real.ignored.is_empty());
 }

@@ -121,7 +121,12 @@ fn differs(of: &Transfer) -> Vec<String> {
         format!("{}: reality is {which} than the simulation predicts.", sentence(&name))
     }));
     if lines.is_empty() {
-        lines.push("No ending and no parameter differs significantly between simulation and reality.".to_owned());
+        let what = match (of.endings.is_empty(), &of.not_compared) {
+            (true, _) => "No parameter differs",
+            (false, Some(_)) => "Neither the success rate nor a parameter differs",
+            (false, None) => "No ending and no parameter differs",
+        };
+        lines.push(format!("{what} significantly between simulation and reality."));
     }
     lines
 }
@@ -158,6 +163,11 @@ fn limits(of: &Transfer) -> Vec<String> {
             counted(*groups, "group")
         ));
     }
+    for (name, entry) in &real.constant {
+        let entry = if entry.is_empty() { String::new() } else { format!(", `{entry}`") };
+        lines.push(format!("All trials have the same {name}{entry}: the rate may differ for others."));
+    }
+    lines.extend(of.not_compared.clone());
     if !real.ignored.is_empty() {
         lines.push(format!("Ignored columns: {}.", list(&real.ignored)));
     }
