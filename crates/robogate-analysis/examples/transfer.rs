@@ -44,6 +44,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut out = std::io::stdout().lock();
     if folders.is_empty() {
         synthetic(&mut out)?;
+        grouped(&mut out)?;
     }
     if let Some((simulation, realities)) = folders.split_first() {
         let source = Source::open(Path::new(simulation))?;
@@ -90,6 +91,52 @@ fn synthetic(out: &mut impl Write) -> Result<(), Box<dyn Error>> {
                     worth / CAMPAIGNS as f64
                 )?;
             }
+        }
+    }
+    writeln!(out)?;
+    Ok(())
+}
+
+/// Trials that share effects: those of a day, and those of a setting.
+fn grouped(out: &mut impl Write) -> Result<(), Box<dyn Error>> {
+    writeln!(out, "| trials | groups | shared effect | RoboGate | trials alone | as if independent | width to trials alone |")?;
+    let logistic = |x: f64| 1.0 / (1.0 + (-x).exp());
+    let population = Population::of(0.8, 0.5).ok_or("no such population")?;
+    let predicted = Predicted::of(&population.f);
+    // Quantiles of the effect of a day, which is uniform.
+    let quantile = |k: usize, spread: f64| spread * ((k as f64 + 0.5) / 50.0 - 0.5);
+    for (n, groups) in [(30, 6), (30, 10), (60, 6), (60, 20), (100, 20)] {
+        for (effect, spread) in [("none", Some(0.0)), ("day, log-odds ±1", Some(2.0)), ("day, log-odds ±2", Some(4.0)), ("setting", None)] {
+            let of_day = |p: &f64, k: usize| logistic((p / (1.0 - p)).ln() + quantile(k, spread.unwrap_or_default()));
+            let days = (0..50).map(|k| population.p.iter().map(|p| of_day(p, k)).sum::<f64>());
+            let truth = days.sum::<f64>() / (50 * Population::POINTS) as f64;
+            let [mut ours, mut alone, mut naive] = [0; 3].map(|_| Score::default());
+            for campaign in 0..CAMPAIGNS {
+                let mut stream = Seed::campaign(campaign).stream("grouped trials");
+                let days: Vec<usize> = (0..groups).map(|_| stream.below(50)).collect();
+                let settings: Vec<usize> = (0..groups).map(|_| stream.below(Population::POINTS)).collect();
+                let group: Vec<usize> = (0..n).map(|i| i % groups).collect();
+                let at: Vec<usize> = group
+                    .iter()
+                    .map(|group| if spread.is_some() { stream.below(Population::POINTS) } else { settings[*group] })
+                    .collect();
+                let y: Vec<bool> =
+                    at.iter().zip(&group).map(|(at, group)| stream.uniform() < of_day(&population.p[*at], days[*group])).collect();
+                let f: Vec<f64> = at.iter().map(|at| population.f[*at]).collect();
+                let found = rate(&y, &f, predicted, &[group], Confidence::P95)?;
+                ours.add([found.interval.low, found.interval.high], truth);
+                alone.add([found.alone.low, found.alone.high], truth);
+                let plain = wilson(Trials::count(y.iter().copied()), Confidence::P95);
+                naive.add([plain.low, plain.high], truth);
+            }
+            writeln!(
+                out,
+                "| {n} | {groups} | {effect} | {:.1} % | {:.1} % | {:.1} % | {:.2} |",
+                ours.coverage(),
+                alone.coverage(),
+                naive.coverage(),
+                ours.width / alone.width
+            )?;
         }
     }
     writeln!(out)?;
@@ -197,53 +244,80 @@ fn surrogate(out: &mut impl Write, simulation: &Source, reality: &str) -> Result
         100.0 * population.mean,
         100.0 * own.mean
     )?;
-    writeln!(
-        out,
-        "| trials | coverage | trials alone | exact | exact alone | width to trials alone | trials saved (median, 10 to 90 %) | saved none |"
-    )?;
-    for n in [20, 30, 50, 100] {
-        let [mut ours, mut plain, mut exact, mut pearson] = [0; 4].map(|_| Score::default());
-        let mut saved = Vec::new();
-        for campaign in 0..CAMPAIGNS {
-            let mut stream = Seed::campaign(campaign).stream("surrogate trials");
-            let chosen: Vec<usize> = (0..n).map(|_| stream.below(outcomes.len())).collect();
-            let y: Vec<bool> = chosen.iter().map(|i| outcomes[*i]).collect();
-            let f: Vec<f64> = chosen.iter().map(|i| all.trials[*i]).collect();
-            let found = rate(&y, &f, own, &[], Confidence::P95)?;
-            ours.add([found.interval.low, found.interval.high], truth);
-            let counts = Trials::count(y.iter().copied());
-            let alone = wilson(counts, Confidence::P95);
-            plain.add([alone.low, alone.high], truth);
-            let alone = clopper_pearson(counts, Confidence::P95);
-            pearson.add([alone.low, alone.high], truth);
-            saved.push(found.worth - n as f64);
-            let predictions = Predictions { trials: f, population: all.trials.clone(), map: Vec::new() };
-            if let Some((_, strata)) = strata(&predictions, &y) {
-                exact.covered += u64::from(p_above(strata, truth) > 0.025 && p_below(strata, truth) > 0.025);
-                // The exact interval takes long, so its width comes from a part of the campaigns.
-                if campaign % EVERY == 0 {
-                    exact.width += EVERY as f64 * bounds(strata, 0.025).width();
-                }
-            }
-        }
-        saved.sort_by(f64::total_cmp);
-        let quantile = |q: f64| saved[(q * (saved.len() - 1) as f64) as usize];
-        let none = saved.iter().filter(|saved| **saved < 0.5).count() as f64 / saved.len() as f64;
+    let reality = Reality { outcomes, truth, own };
+    reality.table(out, &all.trials, true)?;
+    for hidden in space.parameters().iter().take(2) {
+        let mut unstated = trials.clone();
+        let at = space.position(&hidden.name).ok_or("no such parameter")?;
+        unstated.trials.iter_mut().for_each(|trial| trial.values[at] = None);
+        writeln!(out, "without {}, which the trials do not state:", hidden.name)?;
+        reality.table(out, &model.predictions(&unstated)?.trials, false)?;
+    }
+    Ok(())
+}
+
+/// A surrogate reality: the outcomes of its episodes, their rate, and the predictions for them.
+struct Reality {
+    outcomes: Vec<bool>,
+    truth: f64,
+    own: Predicted,
+}
+
+impl Reality {
+    /// Writes coverage and savings. The exact interval needs complete settings.
+    fn table(&self, out: &mut impl Write, predicted: &[f64], complete: bool) -> Result<(), Box<dyn Error>> {
+        let Self { outcomes, truth, own } = self;
         writeln!(
             out,
-            "| {n} | {:.1} % | {:.1} % | {:.1} % | {:.1} % | {:.2} (exact {:.2}) | {:.0} ({:.0} to {:.0}) | {:.1} % |",
-            ours.coverage(),
-            plain.coverage(),
-            exact.coverage(),
-            pearson.coverage(),
-            ours.width / plain.width,
-            exact.width / pearson.width,
-            quantile(0.5),
-            quantile(0.1),
-            quantile(0.9),
-            100.0 * none
+            "| trials | coverage | trials alone | exact | exact alone | width to trials alone | trials saved (median, 10 to 90 %) | saved none |"
         )?;
+        for n in [20, 30, 50, 100] {
+            let [mut ours, mut plain, mut exact, mut pearson] = [0; 4].map(|_| Score::default());
+            let mut saved = Vec::new();
+            for campaign in 0..CAMPAIGNS {
+                let mut stream = Seed::campaign(campaign).stream("surrogate trials");
+                let chosen: Vec<usize> = (0..n).map(|_| stream.below(outcomes.len())).collect();
+                let y: Vec<bool> = chosen.iter().map(|i| outcomes[*i]).collect();
+                let f: Vec<f64> = chosen.iter().map(|i| predicted[*i]).collect();
+                let found = rate(&y, &f, *own, &[], Confidence::P95)?;
+                ours.add([found.interval.low, found.interval.high], *truth);
+                let counts = Trials::count(y.iter().copied());
+                let alone = wilson(counts, Confidence::P95);
+                plain.add([alone.low, alone.high], *truth);
+                let alone = clopper_pearson(counts, Confidence::P95);
+                pearson.add([alone.low, alone.high], *truth);
+                saved.push(found.worth - n as f64);
+                let predictions = Predictions { trials: f, population: predicted.to_vec(), map: Vec::new() };
+                if let Some((_, strata)) = strata(&predictions, &y).filter(|_| complete) {
+                    exact.covered += u64::from(p_above(strata, *truth) > 0.025 && p_below(strata, *truth) > 0.025);
+                    // The exact interval takes long, so its width comes from a part of the campaigns.
+                    if campaign % EVERY == 0 {
+                        exact.width += EVERY as f64 * bounds(strata, 0.025).width();
+                    }
+                }
+            }
+            saved.sort_by(f64::total_cmp);
+            let quantile = |q: f64| saved[(q * (saved.len() - 1) as f64) as usize];
+            let none = saved.iter().filter(|saved| **saved < 0.5).count() as f64 / saved.len() as f64;
+            let [covered, width] = if complete {
+                [format!("{:.1} %", exact.coverage()), format!(" (exact {:.2})", exact.width / pearson.width)]
+            } else {
+                ["–".to_owned(), String::new()]
+            };
+            writeln!(
+                out,
+                "| {n} | {:.1} % | {:.1} % | {covered} | {:.1} % | {:.2}{width} | {:.0} ({:.0} to {:.0}) | {:.1} % |",
+                ours.coverage(),
+                plain.coverage(),
+                pearson.coverage(),
+                ours.width / plain.width,
+                quantile(0.5),
+                quantile(0.1),
+                quantile(0.9),
+                100.0 * none
+            )?;
+        }
+        writeln!(out)?;
+        Ok(())
     }
-    writeln!(out)?;
-    Ok(())
 }

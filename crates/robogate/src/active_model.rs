@@ -28,7 +28,7 @@ fn score(last: &ActiveRound) -> String {
             grouped(last.trained_on)
         ),
         (None, Some(problem)) => format!("none: {problem}"),
-        (None, None) => "none: fewer than ten failures or ten successes".to_owned(),
+        (None, None) => "none: too few failures, or too few successes".to_owned(),
     }
 }
 

@@ -95,7 +95,7 @@ pub(super) fn endings(table: &EpisodeTable, simulated: &Sample, trials: &RealTri
             if ending != "success" && real.successes() + simulated.successes() == 0 {
                 return None;
             }
-            let p = fisher_exact(independent(real, design_effect(&outcomes, &groups, Confidence::P95), simulated), simulated);
+            let p = equal_rates(&outcomes, &groups, simulated);
             let found = EndingDifference {
                 ending,
                 trials: real.successes(),
@@ -114,6 +114,12 @@ pub(super) fn endings(table: &EpisodeTable, simulated: &Sample, trials: &RealTri
         .zip(adjusted)
         .map(|((found, _), adjusted_p)| EndingDifference { adjusted_p, ..found })
         .collect()
+}
+
+/// p-value of the hypothesis that trials and simulated episodes end so at the same rate.
+fn equal_rates(outcomes: &[bool], groups: &[Vec<usize>], simulated: Trials) -> f64 {
+    let trials = Trials::count(outcomes.iter().copied());
+    fisher_exact(independent(trials, design_effect(outcomes, groups, Confidence::P95), simulated), simulated)
 }
 
 /// The number of independent trials with the variance of these, and their successes. Both are rounded so that the
@@ -239,4 +245,36 @@ fn kolmogorov(sample: &[f64], known: &[f64]) -> f64 {
             (below - i as f64 / n).abs().max((up_to - (i + 1) as f64 / n).abs())
         })
         .fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// How often the test rejects equal rates at 5 %, for trials whose rate differs by `spread` between groups.
+    fn rejected(trials: usize, groups: usize, spread: f64, simulated: u64, shift: f64) -> f64 {
+        let sets = 1_000;
+        let rejected = (0..sets).filter(|set| {
+            let mut stream = Seed::campaign(*set).stream("endings");
+            let rates: Vec<f64> = (0..groups).map(|_| 0.6 + shift + spread * (stream.uniform() - 0.5)).collect();
+            let group: Vec<usize> = (0..trials).map(|i| i % groups).collect();
+            let outcomes: Vec<bool> = group.iter().map(|group| stream.uniform() < rates[*group]).collect();
+            let successes = (0..simulated).filter(|_| stream.uniform() < 0.6).count() as u64;
+            let groupings = if groups < trials { vec![group] } else { Vec::new() };
+            equal_rates(&outcomes, &groupings, Trials::new(successes, simulated).unwrap()) <= 0.05
+        });
+        rejected.count() as f64 / sets as f64
+    }
+
+    #[test]
+    fn endings_have_the_stated_error() {
+        for simulated in [100, 620, 2_000] {
+            for (trials, groups, spread) in [(100, 100, 0.0), (30, 30, 0.0), (60, 6, 0.6), (60, 12, 0.8), (40, 10, 0.0)] {
+                let error = rejected(trials, groups, spread, simulated, 0.0);
+                assert!(error <= 0.065, "{trials} {groups} {spread} {simulated}: {error}");
+            }
+        }
+        assert!(rejected(100, 100, 0.0, 2_000, -0.2) > 0.9);
+        assert!(rejected(60, 12, 0.4, 2_000, -0.4) > 0.8);
+    }
 }

@@ -88,6 +88,9 @@ impl Plan {
             if uniform.episodes == 0 {
                 return Err(PlanError::ActiveAlone);
             }
+            if active.seek.is_some() && active.until_rms.is_some() {
+                return Err(PlanError::SeekUntilRms);
+            }
             if let Some((key, found, expected)) = active.problem() {
                 return Err(PlanError::Setting { key, found, expected });
             }

@@ -43,6 +43,11 @@ pub enum PlanError {
         "`uniform.episodes` is 0, but `active` needs a uniform stage\nhint: give it about a quarter of the episodes"
     )]
     ActiveAlone,
+    /// An active stage that seeks a failure mode and measures the error of a model of success.
+    #[error(
+        "`active.seek` and `active.until_rms` cannot be combined\nhint: the bound is that of a model of success; remove one of them"
+    )]
+    SeekUntilRms,
     /// Coarse episodes in a plan with more than a uniform stage.
     #[error(
         "`coarse` cannot be combined with `suite`, `active`, `boundary.episodes` or `twins`\nhint: coarse episodes estimate rates over \

@@ -206,6 +206,8 @@ fn contradicting_plans_are_rejected() {
     assert!(matches!(both.check(&world::space()), Err(PlanError::ActiveAndBoundary)));
     let alone = Plan { uniform: robogate_campaign::UniformStage { episodes: 0 }, ..active(100, |_| {}) };
     assert!(matches!(alone.check(&world::space()), Err(PlanError::ActiveAlone)));
+    let both = active(100, |stage| (stage.seek, stage.until_rms) = (Some("collision".to_owned()), Some(0.2)));
+    assert!(matches!(both.check(&world::space()), Err(PlanError::SeekUntilRms)));
     let bad = active(100, |stage| stage.growth = 0.0);
     assert!(bad.check(&world::space()).unwrap_err().to_string().contains("active.growth"));
 }

@@ -365,7 +365,15 @@ impl Run {
             None => {}
         }
         if let Some(mode) = &self.seek {
-            plan.active = Some(seeking(plan.active.take(), mode, subject.task()).or_usage()?);
+            let stage = plan.active.take();
+            let stage = stage.ok_or_else(|| anyhow!("--seek applies to the active design\n  hint: leave out --design")).or_usage()?;
+            // A file states its own number of candidates and uniform share.
+            let in_file = self.plan.is_some();
+            plan.active =
+                Some(if in_file { ActiveStage { seek: Some(mode.clone()), ..stage } } else { stage.seeking(mode) });
+        }
+        if let Some(mode) = plan.active.as_ref().and_then(|stage| stage.seek.as_deref()) {
+            check_mode(mode, subject.task()).or_usage()?;
         }
         match (&mut plan.active, self.until_rms) {
             (Some(active), Some(_)) => active.until_rms = self.until_rms,
@@ -475,18 +483,17 @@ pub(crate) fn guarded<T>(
     Ok((done, executor.outage()))
 }
 
-/// The active stage that seeks a failure mode of the task.
-fn seeking(stage: Option<ActiveStage>, mode: &str, task: &TaskSpec) -> anyhow::Result<ActiveStage> {
-    let stage = stage.ok_or_else(|| anyhow!("--seek applies to the active design\n  hint: leave out --design"))?;
+/// Rejects a sought failure mode that the task does not have. No episode would ever end in it.
+fn check_mode(mode: &str, task: &TaskSpec) -> anyhow::Result<()> {
     if !task.modes().any(|declared: FailureMode| declared.as_str() == mode) {
         let modes: Vec<&str> = task.modes().map(FailureMode::as_str).collect();
         anyhow::bail!(
-            "--seek {mode}: the task {} has no such failure mode. Expected one of: {}",
+            "seek {mode}: the task {} has no such failure mode. Expected one of: {}",
             task.name,
             modes.join(", ")
         );
     }
-    Ok(stage.seeking(mode))
+    Ok(())
 }
 
 /// Writes the report of a finished campaign, and prints its summary.

@@ -111,6 +111,10 @@ fn designs_of_the_pendulum() {
     verb(&format!("{run} --seek fell --out sought"), 0, &["fell", "of 200 episodes failed in this way"]);
     verb(&format!("{run} --seek flew --out x"), 2, &["no such failure mode", "fell", "overspeed"]);
     verb(&format!("{run} --seek fell --design uniform --out x"), 2, &["active design"]);
+    // The mode of a plan is checked too.
+    let plan = "seed = 3\n[uniform]\nepisodes = 50\n[active]\nepisodes = 150\nseek = \"flew\"\n";
+    fs::write(at.join("seeks.toml"), plan).unwrap();
+    verb("run --task pendulum --plan seeks.toml --out x", 2, &["no such failure mode", "fell"]);
 }
 
 #[test]
