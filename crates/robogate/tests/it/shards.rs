@@ -40,6 +40,9 @@ fn merged_shards_equal_single_run() {
     verb(&format!("{PENDULUM} --policy-at ws://127.0.0.1:1 --shard 2/3"), 2, &["neither a server nor a file"]);
     verb(&format!("{PENDULUM} --shard 2/3"), 0, &["shard 2/3 of round uniform: 20 episodes"]);
     verb("run --shard 2/3 --out run", 0, &["nothing to do", "committed already"]);
+    // Options of this process, which are no part of the plan.
+    verb("-q run --shard 2/3 --out run", 0, &[]);
+    verb("run --shard 2/3 --out run -q --policy-key key.txt --policy-ca ca.pem", 0, &[]);
     verb(&format!("{PENDULUM} --shard 2/3"), 0, &["nothing to do"]);
 
     // Everything that differs from the first shard is named.
