@@ -74,7 +74,7 @@ impl Shards {
         fs::create_dir_all(out).map_err(RunError::io(out, "create"))?;
         let folder = Folder::lock(out)?;
         if put(&store, PLAN, &self.plan_text)? == Stored::Exists
-            && super::get(&store, PLAN)?.unwrap_or_default() != self.plan_text
+            && super::existing(&store, PLAN)? != self.plan_text
         {
             return Err(ShardError::OtherRun { dir: out.to_owned() });
         }

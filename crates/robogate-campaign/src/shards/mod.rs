@@ -133,7 +133,7 @@ impl Shards {
         }
         let text = folder::document_bytes(&present).map_err(unreadable)?;
         if put(&*store, PLAN, &text)? == Stored::Exists {
-            let text = get(&*store, PLAN)?.unwrap_or_default();
+            let text = existing(&*store, PLAN)?;
             Settings::parse(&path, &text)?.same(&present)?;
         }
         for (name, content) in documents {
@@ -378,7 +378,7 @@ impl Shards {
 fn put_equal(store: &dyn ShardStore, name: &str, bytes: &[u8]) -> Result<Stored, ShardError> {
     let stored = put(store, name, bytes)?;
     if stored == Stored::Exists {
-        let there = get(store, name)?.unwrap_or_default();
+        let there = existing(store, name)?;
         if there != bytes {
             let [committed, computed] = [&there, bytes].map(|bytes| hex(&sha256(bytes)));
             return Err(ShardError::Conflict { path: store.place(name), committed, computed });
@@ -394,6 +394,11 @@ fn shard_name(round: ShardRound, shard: Shard) -> String {
 
 fn get(store: &dyn ShardStore, name: &str) -> Result<Option<Vec<u8>>, ShardError> {
     store.get(name).map_err(failed(store, name, "read"))
+}
+
+/// Reads a file that [`put`] has found.
+fn existing(store: &dyn ShardStore, name: &str) -> Result<Vec<u8>, ShardError> {
+    get(store, name)?.ok_or_else(|| failed(store, name, "read")(std::io::ErrorKind::NotFound.into()))
 }
 
 fn put(store: &dyn ShardStore, name: &str, bytes: &[u8]) -> Result<Stored, ShardError> {
