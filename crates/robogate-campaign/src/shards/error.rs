@@ -126,6 +126,21 @@ pub enum ShardError {
         /// The SHA-256 of the content of this process.
         computed: String,
     },
+    /// A committed shard for which another process computed a different result.
+    #[error(
+        "{} is contradicted: its SHA-256 is {committed}, and another process computed {computed} for the same shard\nhint: the same shard must give the same bytes on every machine; find out why policy or simulator are not deterministic. Then delete {} to keep the committed shard",
+        path.display(), marker.display()
+    )]
+    Contradicted {
+        /// The committed shard.
+        path: PathBuf,
+        /// The file that records the other result.
+        marker: PathBuf,
+        /// The SHA-256 of the committed shard.
+        committed: String,
+        /// The SHA-256 of the other result.
+        computed: String,
+    },
     /// Shards are missing.
     #[error(
         "{} of {shards} shards of round {round} are missing: {}\nhint: `robogate plan {} --next` prints the commands that run them",

@@ -9,6 +9,7 @@
 //! DIR/shards/uniform-3-of-16.rgs    the episodes of one shard
 //! DIR/boundary.json                 the boundary found by the uniform stage
 //! DIR/shards/active-2.json          the points of a round of the active stage
+//! DIR/shards/uniform-3-of-16.rgs.conflict  the SHA-256 of two different results of this shard, if there were two
 //! ```
 //!
 //! A campaign has rounds ([`ShardRound`]): the uniform stage and then the boundary stage or the rounds of the active stage, or the
@@ -21,6 +22,7 @@
 
 mod active;
 mod arrivals;
+mod conflict;
 mod design;
 mod division;
 mod error;
@@ -198,7 +200,10 @@ impl Shards {
     /// `after_round` decides after each complete round of a suite whether another one follows, as in
     /// [`crate::start_in_rounds`]. Each call passes the rounds in order, from the first on. Without it, all rounds of the
     /// plan follow.
+    ///
+    /// A shard for which two processes computed different results is an error.
     pub fn open_round(&self, after_round: Option<&mut AfterRound<'_>>) -> Result<Option<OpenRound>, ShardError> {
+        self.check_conflicts()?;
         Ok(self.rounds(after_round)?.1)
     }
 
