@@ -16,6 +16,7 @@ use robogate_dictionary::{Dictionary, Fidelity};
 use serde_json::json;
 
 use crate::cell::Cell;
+use crate::place;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::subject::{EnvironmentArguments, named_space};
 use crate::terminal::{grouped, line, note, warning};
@@ -27,7 +28,7 @@ const FPS: u32 = 20;
 #[derive(Debug, Args)]
 pub(crate) struct Demos {
     /// Folder of the dataset; it must not exist
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = place::local())]
     out: PathBuf,
     /// Set the number of episodes to try
     #[arg(short, long, value_name = "N", default_value_t = 100)]

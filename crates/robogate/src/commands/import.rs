@@ -9,6 +9,7 @@ use robogate_dictionary::results::{Format, Mapping, import};
 use robogate_dictionary::{RowSampling, Stopping, read_text};
 
 use crate::commands::export::require_absent;
+use crate::place;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::terminal::{foreign, grouped, note};
 
@@ -26,6 +27,7 @@ pub(crate) struct Import {
     /// File with the results
     results: PathBuf,
     /// Dictionary to write (Parquet)
+    #[arg(value_parser = place::local())]
     out: PathBuf,
     /// Set the format of the results; default: detected from their content
     #[arg(long)]

@@ -11,6 +11,7 @@ use robogate_report::{Additions, Watch, analysis_json_with, html_with, markdown_
 use crate::active_model;
 use crate::commands::analyze::{analyse, options};
 use crate::commands::gate;
+use crate::place;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::remote::Simulators;
 use crate::source::open_source;
@@ -30,7 +31,7 @@ pub(crate) struct Report {
     format: Form,
     /// Write to this file, - for stdout; default: report.html, .md or .json in the run's folder, or in the current
     /// folder for a file
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = place::local())]
     out: Option<PathBuf>,
     /// Map two more parameters; the first is on the vertical axis
     #[arg(long, num_args = 2, value_names = ["A", "B"])]

@@ -237,14 +237,10 @@ impl Run {
             return shard::divide(dir, shards, &plan, provenance, &documents, self.how.json);
         }
         let dir = match &self.out {
-            Some(dir) if place::is_remote(dir) => {
-                return Err(anyhow!(
-                    "--out {}: an object store needs --divide or --shard (docs/cluster.md)",
-                    dir.display()
-                ))
-                .or_usage();
+            Some(dir) => {
+                place::check_local(dir)?;
+                dir.clone()
             }
-            Some(dir) => dir.clone(),
             None => {
                 let plan_name = match &plan.suite {
                     Some(stage) => Some(stage.suite.name().into()),

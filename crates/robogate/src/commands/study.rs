@@ -17,6 +17,7 @@ use robogate_report::{study_answer, study_json, study_markdown};
 use serde::{Deserialize, Serialize};
 
 use crate::commands::run::{How, exit};
+use crate::place;
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
 use crate::progress::Progress;
 use crate::subject::{EnvironmentArguments, Subject};
@@ -56,7 +57,7 @@ pub(crate) struct Study {
     #[command(flatten)]
     how: How,
     /// Write the study to this folder
-    #[arg(short, long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR", value_parser = place::local())]
     out: PathBuf,
 }
 

@@ -217,7 +217,7 @@ fn sweep_survives_killed_run_and_ends_on_signal() {
         name = "long"
         [[task]]
         name = "pendulum"
-        episodes = 1000000
+        episodes = 30000
         [[policy]]
         name = "scripted"
         [[policy]]

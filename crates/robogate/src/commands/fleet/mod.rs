@@ -24,6 +24,7 @@ use robogate_physics::SuctionLaw;
 use crate::commands::gate::{built_in_baseline, open_requirements, refused};
 use crate::commands::run::{How, free_folder, introduce};
 use crate::commands::suites;
+use crate::place;
 use crate::exit::{Exit, OrExit};
 use crate::latency::LatencyArguments;
 use crate::policy_source::{PolicyAccess, PolicyArguments, PolicyLocation};
@@ -87,7 +88,7 @@ pub(crate) struct FleetOf {
     #[command(flatten)]
     how: How,
     /// Write the fleet to this folder; default: a new one under runs/
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = place::local())]
     out: Option<PathBuf>,
 }
 

@@ -21,6 +21,7 @@ use robogate_core::budget::Budget;
 use robogate_dictionary::read_text;
 
 use crate::commands::run::free_folder;
+use crate::place;
 use crate::exit::{Exit, OrExit};
 use crate::terminal::{grouped, line, note};
 use sweep::{Sweep, SweepPlan, VERSION};
@@ -40,7 +41,7 @@ pub(crate) struct Matrix {
     /// File of the sweep (docs/sweeps.md)
     sweep: PathBuf,
     /// Write the runs to this folder; default: runs/NAME
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = place::local())]
     out: Option<PathBuf>,
     /// Set the number of threads of each run; default: one for each core
     #[arg(long, value_name = "T")]
