@@ -156,6 +156,14 @@ pub enum ShardError {
         /// The missing shards of this round.
         missing: Vec<u32>,
     },
+    /// The result of an earlier merge has changed.
+    #[error("{source}\nhint: if the shards are still there, delete {} and merge them again", path.display())]
+    DamagedResult {
+        /// The dictionary.
+        path: PathBuf,
+        /// The problem.
+        source: DictionaryError,
+    },
     /// The output folder contains another run.
     #[error("{} contains another run\nhint: choose an empty or new folder with --out", dir.display())]
     OtherRun {
@@ -186,6 +194,7 @@ fn io_hint(source: &io::Error) -> &'static str {
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
             "\nhint: choose a folder with write permission"
         }
+        // A folder without hard links, see `DirectoryStore`.
         io::ErrorKind::Unsupported => "\nhint: shards need a file system with hard links, such as ext4, XFS or NFS",
         _ => "",
     }

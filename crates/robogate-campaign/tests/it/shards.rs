@@ -531,6 +531,23 @@ fn merge_needs_same_version_and_free_folder() {
 }
 
 #[test]
+fn damaged_result_is_not_merged_already() {
+    let base = tempfile::tempdir().unwrap();
+    let campaign = run_all(base.path(), 2, &plan(40, 20), &provenance());
+    let out = base.path().join("out");
+    merge(&campaign, &out).unwrap();
+    let dictionary = out.join("dictionary.parquet");
+    let whole = fs::read(&dictionary).unwrap();
+    fs::write(&dictionary, &whole[..whole.len() - 100]).unwrap();
+    let error = merge(&campaign, &out).unwrap_err();
+    assert!(matches!(error, ShardError::DamagedResult { .. }), "{error}");
+    assert!(error.to_string().contains("merge them again"), "{error}");
+    fs::remove_file(&dictionary).unwrap();
+    merge(&campaign, &out).unwrap();
+    assert!(fs::read(&dictionary).unwrap() == whole);
+}
+
+#[test]
 fn interrupted_merge_can_be_repeated() {
     let base = tempfile::tempdir().unwrap();
     let plan = plan(60, 30);

@@ -222,6 +222,7 @@ pub(crate) fn exit(error: ShardError) -> Exit {
         | ShardError::OtherRun { .. } => USAGE,
         ShardError::Store { .. }
         | ShardError::Damaged { .. }
+        | ShardError::DamagedResult { .. }
         | ShardError::Conflict { .. }
         | ShardError::Contradicted { .. }
         | ShardError::NotChosen { .. }

@@ -88,6 +88,10 @@ fn merged_shards_equal_single_run() {
     elsewhere.insert("report.html".to_owned(), expected["report.html"].clone());
     assert!(elsewhere == expected, "the run that was merged into another folder differs");
     verb("merge run", 0, &["merged already"]);
+    let dictionary = at.join("elsewhere/dictionary.parquet");
+    let whole = fs::read(&dictionary).unwrap();
+    fs::write(&dictionary, &whole[..whole.len() - 100]).unwrap();
+    verb("merge run --out elsewhere", 5, &["elsewhere/dictionary.parquet", "merge them again"]);
     verb("replay run 70", 0, &["identical to the recorded episode"]);
 
     // One changed byte of a shard.
