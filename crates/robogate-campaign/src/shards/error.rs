@@ -194,7 +194,6 @@ fn io_hint(source: &io::Error) -> &'static str {
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
             "\nhint: choose a folder with write permission"
         }
-        // A folder without hard links, see `DirectoryStore`.
         io::ErrorKind::Unsupported => "\nhint: shards need a file system with hard links, such as ext4, XFS or NFS",
         _ => "",
     }
