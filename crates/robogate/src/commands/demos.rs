@@ -11,7 +11,7 @@ use robogate_campaign::DEFAULT_SEED;
 use robogate_campaign::folder::DICTIONARY;
 use robogate_core::samplers::Uniform;
 use robogate_core::{Assignment, Outcome, Sampler, Scenario, Seed, rollout};
-use robogate_demos::{Dataset, Demonstration};
+use robogate_demos::{Dataset, DatasetError, Demonstration};
 use robogate_dictionary::{Dictionary, Fidelity};
 use serde_json::json;
 
@@ -77,7 +77,7 @@ impl Demos {
             Some(run) => failures(run)?.into_iter().cycle().take(self.n as usize).collect(),
             None => self.points(&cell, seed)?,
         };
-        let mut dataset = Dataset::create(&self.out, FPS, cell.robot_name()).or_usage()?;
+        let mut dataset = Dataset::create(&self.out, FPS, cell.robot_name()).map_err(exit)?;
         let wanted = cell.servers().or(self.threads).or_else(|| thread::available_parallelism().ok());
         let threads = wanted.map_or(1, NonZeroUsize::get);
         let (mut kept, mut failed, mut invalid) = (0_u64, 0_u64, 0_u64);
@@ -100,7 +100,7 @@ impl Demos {
                     }
                 }
                 if self.all || outcome == Outcome::Success {
-                    dataset.push(&demonstration).or_broken()?;
+                    dataset.push(&demonstration).map_err(exit)?;
                     kept += 1;
                 }
             }
@@ -113,7 +113,7 @@ impl Demos {
             let what = if invalid > 0 { "was valid" } else { "succeeded" };
             return Err(Exit { code: INVALID, error: anyhow!("no episode {what}: no dataset was written") });
         }
-        let written = dataset.finish().or_broken()?;
+        let written = dataset.finish().map_err(exit)?;
         self.report(&written, failed, invalid);
         Ok(DONE)
     }
@@ -173,6 +173,18 @@ impl Demos {
         }
         Ok(all)
     }
+}
+
+/// Gives an error of a dataset its exit code: usage if another folder helps, infrastructure otherwise.
+fn exit(error: DatasetError) -> Exit {
+    let code = match error {
+        DatasetError::Exists(_) | DatasetError::Locked(_) => USAGE,
+        DatasetError::Io { .. }
+        | DatasetError::Table { .. }
+        | DatasetError::Episode { .. }
+        | DatasetError::Empty => INFRASTRUCTURE,
+    };
+    Exit { code, error: error.into() }
 }
 
 /// The requested parameters of the failed episodes of this run, in their order.

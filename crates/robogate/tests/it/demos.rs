@@ -45,3 +45,14 @@ fn bytes_do_not_depend_on_threads() {
         assert!(*bytes == two[path], "{} differs", path.display());
     }
 }
+
+#[test]
+fn folder_that_cannot_be_created_is_no_wrong_usage() {
+    let dir = TempDir::new().unwrap();
+    std::fs::write(dir.path().join("file"), "").unwrap();
+    let demos = |out: &str, code: i32, part: &str| {
+        crate::harness::assert_exit_in(dir.path(), &["demos", "-n", "1", "--size", "16", "--out", out], code, &[part]);
+    };
+    demos("file/demos", 5, "cannot create");
+    demos("file", 2, "the folder exists");
+}
