@@ -7,6 +7,8 @@ use std::process::Command;
 
 use tempfile::TempDir;
 
+use crate::harness::assert_exit_in;
+
 /// All files below a folder, by their relative path.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
@@ -49,9 +51,9 @@ fn bytes_do_not_depend_on_threads() {
 #[test]
 fn folder_that_cannot_be_created_is_no_wrong_usage() {
     let dir = TempDir::new().unwrap();
-    std::fs::write(dir.path().join("file"), "").unwrap();
+    fs::write(dir.path().join("file"), "").unwrap();
     let demos = |out: &str, code: i32, part: &str| {
-        crate::harness::assert_exit_in(dir.path(), &["demos", "-n", "1", "--size", "16", "--out", out], code, &[part]);
+        assert_exit_in(dir.path(), &["demos", "-n", "1", "--size", "16", "--out", out], code, &[part]);
     };
     demos("file/demos", 5, "cannot create");
     demos("file", 2, "the folder exists");
