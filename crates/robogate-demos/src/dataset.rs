@@ -447,8 +447,9 @@ fn create_locked(folder: &Path) -> io::Result<Option<Lock>> {
 fn is_at(opened: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
 
-    let identity = |metadata: fs::Metadata| (metadata.dev(), metadata.ino());
-    matches!((opened.metadata(), fs::metadata(path)), (Ok(a), Ok(b)) if identity(a) == identity(b))
+    let identity = |metadata: io::Result<fs::Metadata>| metadata.ok().map(|metadata| (metadata.dev(), metadata.ino()));
+    let locked = identity(opened.metadata());
+    locked.is_some() && locked == identity(fs::metadata(path))
 }
 
 /// An opened folder cannot be deleted or renamed.

@@ -218,7 +218,8 @@ mod tests {
 
     #[test]
     fn only_variables_of_the_services_are_settings() {
-        let variables = [("AWS_REGION", "r"), ("TIMEOUT", "soon"), ("TOKEN", "t"), ("GOOGLE_BUCKET", "b"), ("XAWS_A", "")];
+        let variables =
+            [("AWS_REGION", "r"), ("TIMEOUT", "soon"), ("TOKEN", "t"), ("GOOGLE_BUCKET", "b"), ("XAWS_A", "")];
         let variables = variables.map(|(name, value)| (OsString::from(name), OsString::from(value)));
         let expected = [("aws_region", "r"), ("google_bucket", "b")].map(|(a, b)| (a.to_owned(), b.to_owned()));
         assert_eq!(settings(variables.into_iter()).unwrap(), expected);

@@ -51,8 +51,7 @@ pub(crate) fn create(dir: &Path) -> Result<Box<dyn ShardStore>, Exit> {
     let names = store.list("").or_broken()?;
     match names.first() {
         Some(name) if !names.iter().any(|name| name == PLAN) => {
-            Err(anyhow!("{} is not empty (it contains `{name}`) and is not a robogate run", dir.display()))
-                .or_usage()
+            Err(anyhow!("{} is not empty (it contains `{name}`) and is not a robogate run", dir.display())).or_usage()
         }
         _ => Ok(store),
     }

@@ -162,7 +162,7 @@ pub enum ShardError {
         /// The dictionary.
         path: PathBuf,
         /// The problem.
-        source: DictionaryError,
+        source: Box<DictionaryError>,
     },
     /// The output folder contains another run.
     #[error("{} contains another run\nhint: choose an empty or new folder with --out", dir.display())]

@@ -77,9 +77,7 @@ impl Shards {
         store.check_free()?;
         fs::create_dir_all(out).map_err(RunError::io(out, "create"))?;
         let folder = Folder::lock(out)?;
-        if put(&store, PLAN, &self.plan_text)? == Stored::Exists
-            && super::existing(&store, PLAN)? != self.plan_text
-        {
+        if put(&store, PLAN, &self.plan_text)? == Stored::Exists && super::existing(&store, PLAN)? != self.plan_text {
             return Err(ShardError::OtherRun { dir: out.to_owned() });
         }
         if let Some(prior) = self.document(PRIOR)? {
@@ -130,11 +128,11 @@ impl Shards {
 
 /// Reads the dictionary of a finished merge, which has the hash of its rows.
 fn check_rows(path: &Path) -> Result<(), ShardError> {
-    let read = Dictionary::open(path)
-        .and_then(|dictionary| dictionary.entries().try_for_each(|entry| entry.map(|_| ())));
+    let read =
+        Dictionary::open(path).and_then(|dictionary| dictionary.entries().try_for_each(|entry| entry.map(|_| ())));
     read.map_err(|source| match source {
         DictionaryError::NotADictionary { .. } | DictionaryError::Damaged { .. } => {
-            ShardError::DamagedResult { path: path.to_owned(), source }
+            ShardError::DamagedResult { path: path.to_owned(), source: Box::new(source) }
         }
         other => other.into(),
     })

@@ -207,7 +207,8 @@ mod tests {
     #[test]
     fn missing_hard_links_are_named() {
         let denied = || io::Error::from(io::ErrorKind::PermissionDenied);
-        let message = |source| crate::shards::ShardError::Store { place: "x".into(), action: "write", source }.to_string();
+        let message =
+            |source| crate::shards::ShardError::Store { place: "x".into(), action: "write", source }.to_string();
         assert!(message(link_error(denied())).contains("file system with hard links"));
         assert!(message(denied()).contains("write permission"));
     }

@@ -16,8 +16,8 @@ use robogate_dictionary::{Dictionary, Fidelity};
 use serde_json::json;
 
 use crate::cell::Cell;
-use crate::place;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::place;
 use crate::subject::{EnvironmentArguments, named_space};
 use crate::terminal::{grouped, line, note, warning};
 
@@ -179,10 +179,9 @@ impl Demos {
 fn exit(error: DatasetError) -> Exit {
     let code = match error {
         DatasetError::Exists(_) | DatasetError::Locked(_) => USAGE,
-        DatasetError::Io { .. }
-        | DatasetError::Table { .. }
-        | DatasetError::Episode { .. }
-        | DatasetError::Empty => INFRASTRUCTURE,
+        DatasetError::Io { .. } | DatasetError::Table { .. } | DatasetError::Episode { .. } | DatasetError::Empty => {
+            INFRASTRUCTURE
+        }
     };
     Exit { code, error: error.into() }
 }

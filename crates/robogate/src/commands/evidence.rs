@@ -15,8 +15,8 @@ use robogate_gate::{Asked, GateError, Record, Sampling};
 
 use crate::commands::gate::{built_in_baseline, open_requirements, real_evidence, refused};
 use crate::compliance;
-use crate::place;
 use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::place;
 use crate::source::open_source;
 use crate::subject::recorded_robot;
 use crate::terminal::{foreign, line, note};

@@ -10,8 +10,8 @@ use robogate_core::{Foresight, TaskSpec};
 use robogate_dictionary::export::{Format, write_file, write_to};
 use robogate_dictionary::{Dictionary, DictionaryError, Entry, Provenance, write_parquet};
 
-use crate::place;
 use crate::exit::{DONE, Exit, OrExit};
+use crate::place;
 use crate::remote::Simulators;
 use crate::subject::{Subject, starts_processes};
 use crate::terminal::{grouped, note};

@@ -9,8 +9,8 @@ use robogate_dictionary::results::{Format, Mapping, import};
 use robogate_dictionary::{RowSampling, Stopping, read_text};
 
 use crate::commands::export::require_absent;
-use crate::place;
 use crate::exit::{DONE, Exit, OrExit};
+use crate::place;
 use crate::terminal::{foreign, grouped, note};
 
 /// Import the results of another tool as a dictionary (Parquet).

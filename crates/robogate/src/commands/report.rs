@@ -11,8 +11,8 @@ use robogate_report::{Additions, Watch, analysis_json_with, html_with, markdown_
 use crate::active_model;
 use crate::commands::analyze::{analyse, options};
 use crate::commands::gate;
-use crate::place;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::place;
 use crate::remote::Simulators;
 use crate::source::open_source;
 use crate::subject::Subject;

@@ -17,8 +17,8 @@ use robogate_report::{study_answer, study_json, study_markdown};
 use serde::{Deserialize, Serialize};
 
 use crate::commands::run::{How, exit};
-use crate::place;
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
+use crate::place;
 use crate::progress::Progress;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{bold, dim, grouped, line, note, percent, warning, wrapped};

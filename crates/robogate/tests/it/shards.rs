@@ -250,7 +250,8 @@ fn sweep_survives_killed_run_and_ends_on_signal() {
     let printed: Vec<String> = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap).collect();
     let printed = printed.join("\n");
     assert_eq!(child.wait().unwrap().code(), Some(130), "{printed}");
-    for part in ["failed (signal: 9", "the sweep continues", "stopping after the episodes in flight", "next: the same"] {
+    for part in ["failed (signal: 9", "the sweep continues", "stopping after the episodes in flight", "next: the same"]
+    {
         assert!(printed.contains(part), "expected {part:?} in {printed}");
     }
     // No campaign has been left in its folder.

@@ -21,8 +21,8 @@ use robogate_core::budget::Budget;
 use robogate_dictionary::read_text;
 
 use crate::commands::run::free_folder;
-use crate::place;
 use crate::exit::{Exit, OrExit};
+use crate::place;
 use crate::terminal::{grouped, line, note};
 use sweep::{Sweep, SweepPlan, VERSION};
 
