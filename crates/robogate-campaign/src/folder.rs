@@ -89,20 +89,7 @@ impl Folder {
 
     /// Writes a file atomically, as [`Self::write`] does.
     pub(crate) fn write_bytes(&self, name: &str, bytes: &[u8]) -> Result<(), RunError> {
-        let path = self.path(name);
-        let part = self.path(&partial(name));
-        let write = || {
-            let mut file = File::create(&part)?;
-            file.write_all(bytes)?;
-            file.sync_all()?;
-            fs::rename(&part, &path)?;
-            sync(&self.dir)
-        };
-        write().map_err(|error: io::Error| {
-            // The next attempt overwrites the remains.
-            let _ = fs::remove_file(&part);
-            RunError::io(&path, "write")(error)
-        })
+        write_atomically(&self.dir, name, bytes).map_err(RunError::io(&self.path(name), "write"))
     }
 
     /// Appends one line per document to a file of JSON lines.
@@ -143,8 +130,25 @@ pub(crate) fn sync(dir: &Path) -> io::Result<()> {
     }
 }
 
-fn partial(name: &str) -> String {
+/// The name of a file while it is written. A killed process leaves it, and the next attempt overwrites it.
+pub fn partial(name: &str) -> String {
     format!(".{name}.part")
+}
+
+/// Writes the file `name` in the folder `dir` atomically: complete or not at all, even after a power failure. One process may
+/// write it at a time.
+pub fn write_atomically(dir: &Path, name: &str, bytes: &[u8]) -> io::Result<()> {
+    let part = dir.join(partial(name));
+    let write = || {
+        let mut file = File::create(&part)?;
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        fs::rename(&part, dir.join(name))?;
+        sync(dir)
+    };
+    write().inspect_err(|_| {
+        let _ = fs::remove_file(&part);
+    })
 }
 
 /// The bytes of a JSON document as this crate writes it.

@@ -117,10 +117,8 @@ impl Dataset {
         name.push(path.file_name().unwrap_or_default());
         name.push(".part");
         let partial = path.with_file_name(name);
-        fs::create_dir_all(&partial).map_err(io_error(&partial, "create"))?;
-        let lock = match lock(&partial) {
-            Ok(lock) => lock,
-            Err(Held) => return Err(DatasetError::Locked(path.to_owned())),
+        let Some(lock) = create_locked(&partial).map_err(io_error(&partial, "create"))? else {
+            return Err(DatasetError::Locked(path.to_owned()));
         };
         // Another process may have completed the dataset in between.
         if path.exists() {
@@ -136,7 +134,7 @@ impl Dataset {
         Ok(Self {
             path: path.to_owned(),
             partial,
-            _lock: lock,
+            _lock: lock.0,
             fps,
             robot: robot.to_owned(),
             form: None,
@@ -418,19 +416,46 @@ fn pandas_metadata() -> Vec<KeyValue> {
     vec![KeyValue::new("pandas".to_owned(), pandas.to_string())]
 }
 
-/// Another process holds the lock of a folder.
-struct Held;
+/// The lock of a folder. `None` if folders cannot be opened or locked (Windows, some network file systems).
+struct Lock(Option<File>);
 
-/// Locks a folder. `None` if folders cannot be opened or locked (Windows, some network file systems).
-fn lock(folder: &Path) -> Result<Option<File>, Held> {
-    let Ok(opened) = File::open(folder) else {
-        return Ok(None);
-    };
-    match opened.try_lock() {
-        Ok(()) => Ok(Some(opened)),
-        Err(TryLockError::WouldBlock) => Err(Held),
-        Err(TryLockError::Error(_)) => Ok(None),
+/// How often a folder is created that other processes delete or rename meanwhile.
+const ATTEMPTS: u32 = 100;
+
+/// Creates a folder, unless it exists, and locks it. `None` if another process uses it.
+fn create_locked(folder: &Path) -> io::Result<Option<Lock>> {
+    for _ in 0..ATTEMPTS {
+        fs::create_dir_all(folder)?;
+        let opened = match File::open(folder) {
+            Ok(opened) => opened,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
+            Err(_) => return Ok(Some(Lock(None))),
+        };
+        match opened.try_lock() {
+            Ok(()) if is_at(&opened, folder) => return Ok(Some(Lock(Some(opened)))),
+            // Another process has deleted or renamed the folder after it was opened, so this lock protects nothing.
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Ok(None),
+            Err(TryLockError::Error(_)) => return Ok(Some(Lock(None))),
+        }
     }
+    Ok(None)
+}
+
+/// Whether an opened folder is the one with this path now.
+#[cfg(unix)]
+fn is_at(opened: &File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+
+    let identity = |metadata: io::Result<fs::Metadata>| metadata.ok().map(|metadata| (metadata.dev(), metadata.ino()));
+    let locked = identity(opened.metadata());
+    locked.is_some() && locked == identity(fs::metadata(path))
+}
+
+/// An opened folder cannot be deleted or renamed.
+#[cfg(not(unix))]
+fn is_at(_: &File, _: &Path) -> bool {
+    true
 }
 
 /// Deletes the remains of a killed process. The folder itself stays, because it is locked.
@@ -445,4 +470,22 @@ fn clear(folder: &Path) -> io::Result<()> {
 fn io_error(path: &Path, what: &'static str) -> impl FnOnce(io::Error) -> DatasetError {
     let path = path.to_owned();
     move |source| DatasetError::Io { path, what, source }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn replaced_folder_is_noticed() {
+        let base = tempfile::tempdir().unwrap();
+        let folder = base.path().join("demos");
+        fs::create_dir(&folder).unwrap();
+        let opened = File::open(&folder).unwrap();
+        assert!(is_at(&opened, &folder));
+        fs::rename(&folder, base.path().join("other")).unwrap();
+        assert!(!is_at(&opened, &folder));
+        fs::create_dir(&folder).unwrap();
+        assert!(!is_at(&opened, &folder));
+    }
 }

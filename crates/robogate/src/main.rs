@@ -132,6 +132,7 @@ enum Verb {
 
 fn main() -> ExitCode {
     std::panic::set_hook(Box::new(panicked));
+    commands::matrix::end_with_parent();
     let arguments = Arguments::parse();
     if arguments.quiet {
         terminal::be_quiet();

@@ -1,7 +1,9 @@
 //! Where a campaign in shards is kept: a folder, or a prefix of an object store.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use anyhow::anyhow;
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use robogate_campaign::folder::PLAN;
 use robogate_campaign::shards::{DirectoryStore, ShardStore};
 
@@ -11,6 +13,26 @@ use crate::exit::{Exit, OrExit};
 /// Whether `dir` is the address of an object store, such as `s3://bucket/campaign`.
 pub(crate) fn is_remote(dir: &Path) -> bool {
     dir.to_str().is_some_and(|text| text.contains("://"))
+}
+
+/// Parses the path of a folder or file on this machine. An address would become a folder with its name.
+pub(crate) fn local() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().try_map(|path| {
+        if is_remote(&path) {
+            Err("expected a path on this machine. Only a campaign in shards can be in an object store (docs/cluster.md)")
+        } else {
+            Ok(path)
+        }
+    })
+}
+
+/// Rejects an address as the `--out` of a campaign that is not divided into shards.
+pub(crate) fn check_local(out: &Path) -> Result<(), Exit> {
+    if is_remote(out) {
+        return Err(anyhow!("--out {}: an object store needs --divide or --shard (docs/cluster.md)", out.display()))
+            .or_usage();
+    }
+    Ok(())
 }
 
 /// Opens the store of an existing campaign.
@@ -29,8 +51,7 @@ pub(crate) fn create(dir: &Path) -> Result<Box<dyn ShardStore>, Exit> {
     let names = store.list("").or_broken()?;
     match names.first() {
         Some(name) if !names.iter().any(|name| name == PLAN) => {
-            Err(anyhow::anyhow!("{} is not empty (it contains `{name}`) and is not a robogate run", dir.display()))
-                .or_usage()
+            Err(anyhow!("{} is not empty (it contains `{name}`) and is not a robogate run", dir.display())).or_usage()
         }
         _ => Ok(store),
     }
@@ -44,7 +65,7 @@ fn remote(dir: &Path) -> Result<Box<dyn ShardStore>, Exit> {
 
 #[cfg(not(feature = "object-store"))]
 fn remote(dir: &Path) -> Result<Box<dyn ShardStore>, Exit> {
-    Err(anyhow::anyhow!(
+    Err(anyhow!(
         "{}: this build of robogate has no object stores\n  hint: use a folder, the Python package robogate-eval, or a build with \
          --features object-store",
         dir.display()

@@ -263,7 +263,7 @@ pub fn recorded(dir: &Path, index: u64) -> Result<Entry, RunError> {
 }
 
 /// The journal is deleted last. A summary without a journal means that all files are complete.
-fn is_finished(folder: &Folder) -> bool {
+pub(crate) fn is_finished(folder: &Folder) -> bool {
     folder.has(SUMMARY) && folder.has(DICTIONARY) && !folder.has(JOURNAL)
 }
 
@@ -275,6 +275,8 @@ pub(crate) fn finished(folder: &Folder, events: &mut dyn FnMut(&Event)) -> Resul
     let path = folder.path(SUMMARY);
     let summary: Summary = folder::read(&path)?;
     known_version(&path, summary.version, Summary::VERSION)?;
+    // A truncated file is not a result.
+    Dictionary::open(&folder.path(DICTIONARY))?;
     let boundary = if folder.has(BOUNDARY) { Some(folder::read(&folder.path(BOUNDARY))?) } else { None };
     events(&Event::Finished { already: true, summary: Box::new(summary.clone()) });
     Ok(Some(Completion::Finished { summary: Box::new(summary), boundary }))

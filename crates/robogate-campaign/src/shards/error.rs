@@ -126,6 +126,21 @@ pub enum ShardError {
         /// The SHA-256 of the content of this process.
         computed: String,
     },
+    /// A committed shard for which another process computed a different result.
+    #[error(
+        "{} is contradicted: its SHA-256 is {committed}, and another process computed {computed} for the same shard\nhint: the same shard must give the same bytes on every machine; find out why policy or simulator are not deterministic. Then delete {} to keep the committed shard",
+        path.display(), marker.display()
+    )]
+    Contradicted {
+        /// The committed shard.
+        path: PathBuf,
+        /// The file that records the other result.
+        marker: PathBuf,
+        /// The SHA-256 of the committed shard.
+        committed: String,
+        /// The SHA-256 of the other result.
+        computed: String,
+    },
     /// Shards are missing.
     #[error(
         "{} of {shards} shards of round {round} are missing: {}\nhint: `robogate plan {} --next` prints the commands that run them",
@@ -140,6 +155,14 @@ pub enum ShardError {
         shards: u32,
         /// The missing shards of this round.
         missing: Vec<u32>,
+    },
+    /// The result of an earlier merge has changed.
+    #[error("{source}\nhint: if the shards are still there, delete {} and merge them again", path.display())]
+    DamagedResult {
+        /// The dictionary.
+        path: PathBuf,
+        /// The problem.
+        source: Box<DictionaryError>,
     },
     /// The output folder contains another run.
     #[error("{} contains another run\nhint: choose an empty or new folder with --out", dir.display())]

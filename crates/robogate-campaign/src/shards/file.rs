@@ -55,6 +55,19 @@ pub(super) fn parse_name(file: &str) -> Option<(ShardRound, Shard)> {
     (name(parsed.0, parsed.1) == file).then_some(parsed)
 }
 
+/// The ending of the record of another result for a shard, after the name of its file.
+const CONFLICT: &str = ".conflict";
+
+/// The name of the record of another result for a shard. `shard` is the name of its file.
+pub(super) fn conflict_name(shard: &str) -> String {
+    format!("{shard}{CONFLICT}")
+}
+
+/// The file name of the shard to which the record `file` belongs. `None` if it is another file.
+pub(super) fn contradicted(file: &str) -> Option<&str> {
+    file.strip_suffix(CONFLICT).filter(|shard| parse_name(shard).is_some())
+}
+
 /// The bytes of a shard file. `frames` are those of its episodes in order.
 pub(super) fn encode<'a>(header: &Header, frames: impl Iterator<Item = &'a [u8]>) -> Vec<u8> {
     let (kind, number) = header.round.code();
@@ -179,6 +192,15 @@ mod tests {
         assert_eq!(name(ShardRound::Suite(1), shard), "suite-1-3-of-16.rgs");
         for file in ["uniform-03-of-16.rgs", "uniform-3-of-16", "uniform-16-of-16.rgs", "3-of-16.rgs", "layout.json"] {
             assert_eq!(parse_name(file), None, "{file}");
+        }
+    }
+
+    #[test]
+    fn records_of_other_results_name_their_shard() {
+        let shard = name(ShardRound::Uniform, Shard::new(3, 16).unwrap());
+        assert_eq!(contradicted(&conflict_name(&shard)), Some("uniform-3-of-16.rgs"));
+        for file in ["uniform-3-of-16.rgs", "uniform-3-of-16.conflict", "notes.conflict"] {
+            assert_eq!(contradicted(file), None, "{file}");
         }
     }
 }

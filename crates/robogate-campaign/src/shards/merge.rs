@@ -5,16 +5,16 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use robogate_core::{Episode, Fault, FaultKind, Scenario};
-use robogate_dictionary::{Entry, Journal, Platform, Provenance, SCHEMA_VERSION, Tool};
+use robogate_dictionary::{Dictionary, DictionaryError, Entry, Journal, Platform, Provenance, SCHEMA_VERSION, Tool};
 
 use super::{DirectoryStore, OpenRound, ShardError, ShardRound, ShardStore, Shards, Stored, put, put_equal};
-use crate::folder::{Folder, JOURNAL, PLAN, PRIOR};
-use crate::run::{AfterRound, Run, finished, same_origin};
+use crate::folder::{DICTIONARY, Folder, JOURNAL, PLAN, PRIOR};
+use crate::run::{AfterRound, Run, finished, is_finished, same_origin};
 use crate::{Bins, Completion, Event, ExecuteError, Executor, OutcomeCounts, Round, RunError};
 
 impl Shards {
     /// Merges all shards into the folder `out`, which may be the campaign's own folder. The files are byte-identical to
-    /// those of a run on one machine. A finished merge does not change.
+    /// those of a run on one machine. A finished merge does not change. If its dictionary is damaged, this is an error.
     ///
     /// All entries are appended to a journal, and the code that finishes any run does the rest. An interrupted merge
     /// can be repeated.
@@ -28,12 +28,16 @@ impl Shards {
         mut after_round: Option<&mut AfterRound<'_>>,
     ) -> Result<Completion, ShardError> {
         self.same_tool()?;
+        self.check_conflicts()?;
         let (rounds, open) = self.rounds(after_round.as_deref_mut())?;
         if let Some(OpenRound { round, missing }) = open {
             return Err(ShardError::Missing { dir: self.dir(), round, shards: self.shards(), missing });
         }
         let chosen = self.all_chosen()?;
         let folder = self.folder(out)?;
+        if is_finished(&folder) {
+            check_rows(&folder.path(DICTIONARY))?;
+        }
         if let Some(finished) = finished(&folder, events)? {
             return Ok(finished);
         }
@@ -73,9 +77,7 @@ impl Shards {
         store.check_free()?;
         fs::create_dir_all(out).map_err(RunError::io(out, "create"))?;
         let folder = Folder::lock(out)?;
-        if put(&store, PLAN, &self.plan_text)? == Stored::Exists
-            && super::get(&store, PLAN)?.unwrap_or_default() != self.plan_text
-        {
+        if put(&store, PLAN, &self.plan_text)? == Stored::Exists && super::existing(&store, PLAN)? != self.plan_text {
             return Err(ShardError::OtherRun { dir: out.to_owned() });
         }
         if let Some(prior) = self.document(PRIOR)? {
@@ -122,6 +124,18 @@ impl Shards {
         }
         Ok(())
     }
+}
+
+/// Reads the dictionary of a finished merge, which has the hash of its rows.
+fn check_rows(path: &Path) -> Result<(), ShardError> {
+    let read =
+        Dictionary::open(path).and_then(|dictionary| dictionary.entries().try_for_each(|entry| entry.map(|_| ())));
+    read.map_err(|source| match source {
+        DictionaryError::NotADictionary { .. } | DictionaryError::Damaged { .. } => {
+            ShardError::DamagedResult { path: path.to_owned(), source: Box::new(source) }
+        }
+        other => other.into(),
+    })
 }
 
 /// An executor for a run whose episodes are all recorded.

@@ -9,6 +9,7 @@
 //! DIR/shards/uniform-3-of-16.rgs    the episodes of one shard
 //! DIR/boundary.json                 the boundary found by the uniform stage
 //! DIR/shards/active-2.json          the points of a round of the active stage
+//! DIR/shards/uniform-3-of-16.rgs.conflict  the SHA-256 of two different results of this shard, if there were two
 //! ```
 //!
 //! A campaign has rounds ([`ShardRound`]): the uniform stage and then the boundary stage or the rounds of the active stage, or the
@@ -21,6 +22,7 @@
 
 mod active;
 mod arrivals;
+mod conflict;
 mod design;
 mod division;
 mod error;
@@ -133,7 +135,7 @@ impl Shards {
         }
         let text = folder::document_bytes(&present).map_err(unreadable)?;
         if put(&*store, PLAN, &text)? == Stored::Exists {
-            let text = get(&*store, PLAN)?.unwrap_or_default();
+            let text = existing(&*store, PLAN)?;
             Settings::parse(&path, &text)?.same(&present)?;
         }
         for (name, content) in documents {
@@ -198,7 +200,10 @@ impl Shards {
     /// `after_round` decides after each complete round of a suite whether another one follows, as in
     /// [`crate::start_in_rounds`]. Each call passes the rounds in order, from the first on. Without it, all rounds of the
     /// plan follow.
+    ///
+    /// A shard for which two processes computed different results is an error.
     pub fn open_round(&self, after_round: Option<&mut AfterRound<'_>>) -> Result<Option<OpenRound>, ShardError> {
+        self.check_conflicts()?;
         Ok(self.rounds(after_round)?.1)
     }
 
@@ -378,7 +383,7 @@ impl Shards {
 fn put_equal(store: &dyn ShardStore, name: &str, bytes: &[u8]) -> Result<Stored, ShardError> {
     let stored = put(store, name, bytes)?;
     if stored == Stored::Exists {
-        let there = get(store, name)?.unwrap_or_default();
+        let there = existing(store, name)?;
         if there != bytes {
             let [committed, computed] = [&there, bytes].map(|bytes| hex(&sha256(bytes)));
             return Err(ShardError::Conflict { path: store.place(name), committed, computed });
@@ -394,6 +399,11 @@ fn shard_name(round: ShardRound, shard: Shard) -> String {
 
 fn get(store: &dyn ShardStore, name: &str) -> Result<Option<Vec<u8>>, ShardError> {
     store.get(name).map_err(failed(store, name, "read"))
+}
+
+/// Reads a file that [`put`] has found.
+fn existing(store: &dyn ShardStore, name: &str) -> Result<Vec<u8>, ShardError> {
+    get(store, name)?.ok_or_else(|| failed(store, name, "read")(std::io::ErrorKind::NotFound.into()))
 }
 
 fn put(store: &dyn ShardStore, name: &str, bytes: &[u8]) -> Result<Stored, ShardError> {

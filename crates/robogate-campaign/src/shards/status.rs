@@ -63,8 +63,10 @@ pub enum RoundState {
 impl Shards {
     /// Reads all committed shards and counts their outcomes.
     ///
-    /// `after_round` is that of [`Self::open_round`]. Rounds after the one on which it breaks are left out.
+    /// `after_round` is that of [`Self::open_round`]. Rounds after the one on which it breaks are left out. As there, two
+    /// different results for a shard are an error.
     pub fn status(&self, mut after_round: Option<&mut AfterRound<'_>>) -> Result<ShardStatus, ShardError> {
+        self.check_conflicts()?;
         let committed = self.committed()?;
         let mut rounds: Vec<RoundStatus> = Vec::new();
         for round in ShardRound::all(self.plan()) {

@@ -90,6 +90,15 @@ impl DirectoryStore {
     }
 }
 
+/// The error of a link to a file that this process has just written to the same folder. FAT and exFAT have no hard links, and report
+/// missing permission.
+fn link_error(error: io::Error) -> io::Error {
+    match error.kind() {
+        io::ErrorKind::PermissionDenied => io::Error::new(io::ErrorKind::Unsupported, error),
+        _ => error,
+    }
+}
+
 /// Whether a file is unfinished, or the remains of a killed process.
 fn is_part(name: &str) -> bool {
     name.starts_with('.') && name.ends_with(PART)
@@ -124,7 +133,7 @@ impl ShardStore for DirectoryStore {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(Stored::Exists),
             // A merge removes unfinished files, which it does only if the shards are complete.
             Err(error) if error.kind() == io::ErrorKind::NotFound && path.exists() => Ok(Stored::Exists),
-            Err(error) => Err(error),
+            Err(error) => Err(link_error(error)),
         }
     }
 
@@ -193,6 +202,15 @@ mod tests {
             assert_eq!(store.get(&name).unwrap().unwrap(), vec![winner as u8; 10_000]);
         }
         assert_eq!(fs::read_dir(dir.path().join("shards")).unwrap().count(), 20, "no unfinished file is left");
+    }
+
+    #[test]
+    fn missing_hard_links_are_named() {
+        let denied = || io::Error::from(io::ErrorKind::PermissionDenied);
+        let message =
+            |source| crate::shards::ShardError::Store { place: "x".into(), action: "write", source }.to_string();
+        assert!(message(link_error(denied())).contains("file system with hard links"));
+        assert!(message(denied()).contains("write permission"));
     }
 
     #[test]

@@ -77,13 +77,15 @@ impl Shards {
     /// `after_round` is that of [`Self::open_round`].
     pub fn assign(&self, index: u32, after_round: Option<&mut AfterRound<'_>>) -> Result<Assignment, ShardError> {
         let shard = Shard::new(index, self.shards())?;
-        let Some(OpenRound { round, missing }) = self.open_round(after_round)? else {
+        // Other shards may run while one of them has two results. A merge rejects these.
+        let Some(OpenRound { round, missing }) = self.rounds(after_round)?.1 else {
             return Ok(Assignment::Complete);
         };
         let indices = self.division(round).of(shard);
         if missing.binary_search(&index).is_err() {
             // A damaged file is reported as early as possible.
             self.read(round, shard, &indices)?;
+            self.check_conflict(round, shard)?;
             return Ok(Assignment::Committed { round });
         }
         if let (ShardRound::Active(number), true) = (round, self.plan().active.is_some())
@@ -96,12 +98,20 @@ impl Shards {
     }
 
     /// Stores the result of a shard. If another process has stored the same bytes, nothing changes. Other bytes are an
-    /// error, because a shard must not depend on the machine that runs it.
+    /// error, because a shard must not depend on the machine that runs it. They are recorded beside the shard.
     pub fn commit(&self, result: &ShardResult) -> Result<Commit, ShardError> {
-        Ok(match self.put_equal(&shard_name(result.round, result.shard), &result.bytes)? {
-            Stored::New => Commit::First,
-            Stored::Exists => Commit::Duplicate,
-        })
+        let name = shard_name(result.round, result.shard);
+        match self.put_equal(&name, &result.bytes) {
+            Ok(Stored::New) => Ok(Commit::First),
+            Ok(Stored::Exists) => Ok(Commit::Duplicate),
+            Err(error) => {
+                if let ShardError::Conflict { committed, computed, .. } = &error {
+                    // The conflict is the more important error of both.
+                    let _ = self.record_conflict(&name, committed, computed);
+                }
+                Err(error)
+            }
+        }
     }
 }
 

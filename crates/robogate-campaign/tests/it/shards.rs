@@ -283,6 +283,39 @@ fn equal_duplicate_is_accepted_other_is_not() {
     assert_eq!(fs::read(&path).unwrap(), before);
 }
 
+#[test]
+fn contradicted_shard_is_never_merged() {
+    let base = tempfile::tempdir().unwrap();
+    let campaign = begin(base.path(), 2, &plan(40, 0), provenance()).unwrap();
+    let trouble = |index| if index % 5 == 0 { Trouble::Invalid } else { Trouble::None };
+    let other = result(&campaign, 0, &Synthetic { trouble, ..Synthetic::default() });
+    assert_eq!(run(&campaign, 0), Commit::First);
+    let conflict = campaign.commit(&other).unwrap_err();
+    let ShardError::Conflict { committed, computed, .. } = &conflict else { panic!("{conflict}") };
+
+    // The second attempt of a scheduler, which finds the committed shard.
+    let again = campaign.assign(0, None).unwrap_err();
+    let expected = |error: &ShardError| matches!(error, ShardError::Contradicted { .. });
+    assert!(expected(&again), "{again}");
+    // The other shard runs.
+    assert_eq!(run(&campaign, 1), Commit::First);
+    let out = base.path().join("merged");
+    let errors = [
+        campaign.open_round(None).unwrap_err(),
+        campaign.status(None).unwrap_err(),
+        merge(&campaign, &out).unwrap_err(),
+    ];
+    for error in errors {
+        assert!(expected(&error), "{error}");
+        for part in [committed.as_str(), computed.as_str(), "uniform-0-of-2.rgs.conflict"] {
+            assert!(error.to_string().contains(part), "{error}");
+        }
+    }
+    assert!(!out.exists());
+    fs::remove_file(base.path().join("shards/uniform-0-of-2.rgs.conflict")).unwrap();
+    merge(&campaign, &out).unwrap();
+}
+
 /// A store in memory, as object stores will be.
 #[derive(Clone, Default)]
 struct MemoryStore(Arc<Mutex<BTreeMap<String, Vec<u8>>>>);
@@ -495,6 +528,23 @@ fn merge_needs_same_version_and_free_folder() {
     fs::write(foreign.join("thesis.tex"), "mine").unwrap();
     let error = merge(&campaign, &foreign).unwrap_err();
     assert!(matches!(error, ShardError::Run(RunError::NotEmpty { .. })), "{error}");
+}
+
+#[test]
+fn damaged_result_is_not_merged_already() {
+    let base = tempfile::tempdir().unwrap();
+    let campaign = run_all(base.path(), 2, &plan(40, 20), &provenance());
+    let out = base.path().join("out");
+    merge(&campaign, &out).unwrap();
+    let dictionary = out.join("dictionary.parquet");
+    let whole = fs::read(&dictionary).unwrap();
+    fs::write(&dictionary, &whole[..whole.len() - 100]).unwrap();
+    let error = merge(&campaign, &out).unwrap_err();
+    assert!(matches!(error, ShardError::DamagedResult { .. }), "{error}");
+    assert!(error.to_string().contains("merge them again"), "{error}");
+    fs::remove_file(&dictionary).unwrap();
+    merge(&campaign, &out).unwrap();
+    assert!(fs::read(&dictionary).unwrap() == whole);
 }
 
 #[test]

@@ -11,12 +11,13 @@ use robogate_campaign::DEFAULT_SEED;
 use robogate_campaign::folder::DICTIONARY;
 use robogate_core::samplers::Uniform;
 use robogate_core::{Assignment, Outcome, Sampler, Scenario, Seed, rollout};
-use robogate_demos::{Dataset, Demonstration};
+use robogate_demos::{Dataset, DatasetError, Demonstration};
 use robogate_dictionary::{Dictionary, Fidelity};
 use serde_json::json;
 
 use crate::cell::Cell;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::place;
 use crate::subject::{EnvironmentArguments, named_space};
 use crate::terminal::{grouped, line, note, warning};
 
@@ -27,7 +28,7 @@ const FPS: u32 = 20;
 #[derive(Debug, Args)]
 pub(crate) struct Demos {
     /// Folder of the dataset; it must not exist
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = place::local())]
     out: PathBuf,
     /// Set the number of episodes to try
     #[arg(short, long, value_name = "N", default_value_t = 100)]
@@ -76,7 +77,7 @@ impl Demos {
             Some(run) => failures(run)?.into_iter().cycle().take(self.n as usize).collect(),
             None => self.points(&cell, seed)?,
         };
-        let mut dataset = Dataset::create(&self.out, FPS, cell.robot_name()).or_usage()?;
+        let mut dataset = Dataset::create(&self.out, FPS, cell.robot_name()).map_err(exit)?;
         let wanted = cell.servers().or(self.threads).or_else(|| thread::available_parallelism().ok());
         let threads = wanted.map_or(1, NonZeroUsize::get);
         let (mut kept, mut failed, mut invalid) = (0_u64, 0_u64, 0_u64);
@@ -99,7 +100,7 @@ impl Demos {
                     }
                 }
                 if self.all || outcome == Outcome::Success {
-                    dataset.push(&demonstration).or_broken()?;
+                    dataset.push(&demonstration).map_err(exit)?;
                     kept += 1;
                 }
             }
@@ -112,7 +113,7 @@ impl Demos {
             let what = if invalid > 0 { "was valid" } else { "succeeded" };
             return Err(Exit { code: INVALID, error: anyhow!("no episode {what}: no dataset was written") });
         }
-        let written = dataset.finish().or_broken()?;
+        let written = dataset.finish().map_err(exit)?;
         self.report(&written, failed, invalid);
         Ok(DONE)
     }
@@ -172,6 +173,17 @@ impl Demos {
         }
         Ok(all)
     }
+}
+
+/// Gives an error of a dataset its exit code: usage if another folder helps, infrastructure otherwise.
+fn exit(error: DatasetError) -> Exit {
+    let code = match error {
+        DatasetError::Exists(_) | DatasetError::Locked(_) => USAGE,
+        DatasetError::Io { .. } | DatasetError::Table { .. } | DatasetError::Episode { .. } | DatasetError::Empty => {
+            INFRASTRUCTURE
+        }
+    };
+    Exit { code, error: error.into() }
 }
 
 /// The requested parameters of the failed episodes of this run, in their order.

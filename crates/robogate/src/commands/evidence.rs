@@ -16,6 +16,7 @@ use robogate_gate::{Asked, GateError, Record, Sampling};
 use crate::commands::gate::{built_in_baseline, open_requirements, real_evidence, refused};
 use crate::compliance;
 use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::place;
 use crate::source::open_source;
 use crate::subject::recorded_robot;
 use crate::terminal::{foreign, line, note};
@@ -28,6 +29,7 @@ pub(crate) struct Evidence {
     /// Folder of a run, or a dictionary (Parquet)
     run: PathBuf,
     /// Folder to write
+    #[arg(value_parser = place::local())]
     out: PathBuf,
     /// Choose the requirements: default, paper or a TOML file; default: those of the run's gate
     #[arg(long, value_name = "NAME|FILE")]

@@ -11,6 +11,7 @@ use robogate_dictionary::export::{Format, write_file, write_to};
 use robogate_dictionary::{Dictionary, DictionaryError, Entry, Provenance, write_parquet};
 
 use crate::exit::{DONE, Exit, OrExit};
+use crate::place;
 use crate::remote::Simulators;
 use crate::subject::{Subject, starts_processes};
 use crate::terminal::{grouped, note};
@@ -22,6 +23,7 @@ pub(crate) struct Export {
     dictionary: PathBuf,
     /// File to write; its extension selects the format unless --format is given. `-` writes to standard output (CSV by
     /// default)
+    #[arg(value_parser = place::local())]
     out: PathBuf,
     /// Choose the format
     #[arg(long)]

@@ -10,6 +10,7 @@ use robogate_dictionary::{RowSampling, Stopping, read_text};
 
 use crate::commands::export::require_absent;
 use crate::exit::{DONE, Exit, OrExit};
+use crate::place;
 use crate::terminal::{foreign, grouped, note};
 
 /// Import the results of another tool as a dictionary (Parquet).
@@ -26,6 +27,7 @@ pub(crate) struct Import {
     /// File with the results
     results: PathBuf,
     /// Dictionary to write (Parquet)
+    #[arg(value_parser = place::local())]
     out: PathBuf,
     /// Set the format of the results; default: detected from their content
     #[arg(long)]

@@ -21,7 +21,7 @@ pub(crate) struct Merge {
     /// Folder of the campaign or the sweep
     dir: PathBuf,
     /// Write the files to this folder; default: the same folder
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(long, value_name = "FOLDER", value_parser = place::local())]
     out: Option<PathBuf>,
     /// Print the result as one JSON document
     #[arg(long)]

@@ -12,6 +12,7 @@ use crate::active_model;
 use crate::commands::analyze::{analyse, options};
 use crate::commands::gate;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::place;
 use crate::remote::Simulators;
 use crate::source::open_source;
 use crate::subject::Subject;
@@ -30,7 +31,7 @@ pub(crate) struct Report {
     format: Form,
     /// Write to this file, - for stdout; default: report.html, .md or .json in the run's folder, or in the current
     /// folder for a file
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = place::local())]
     out: Option<PathBuf>,
     /// Map two more parameters; the first is on the vertical axis
     #[arg(long, num_args = 2, value_names = ["A", "B"])]

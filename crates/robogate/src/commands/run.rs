@@ -132,9 +132,23 @@ pub(crate) struct Run {
 struct Given(Vec<String>);
 
 impl Given {
-    /// The arguments of `run` that do not affect the results of a campaign.
-    const WITHOUT_EFFECT: [&str; 12] =
-        ["out", "shard", "divide", "threads", "json", "addresses", "timeout_s", "python", "at", "wait", "key", "ca"];
+    /// The arguments of `run` that do not affect the results of a campaign. clap reports the arguments of the whole command as
+    /// well.
+    const WITHOUT_EFFECT: [&str; 13] = [
+        "out",
+        "shard",
+        "divide",
+        "threads",
+        "json",
+        "quiet",
+        "addresses",
+        "timeout_s",
+        "python",
+        "at",
+        "wait",
+        "policy_key",
+        "policy_ca",
+    ];
 
     /// Whether an argument affects the results.
     fn describe_a_plan(&self) -> bool {
@@ -223,14 +237,10 @@ impl Run {
             return shard::divide(dir, shards, &plan, provenance, &documents, self.how.json);
         }
         let dir = match &self.out {
-            Some(dir) if place::is_remote(dir) => {
-                return Err(anyhow!(
-                    "--out {}: an object store needs --divide or --shard (docs/cluster.md)",
-                    dir.display()
-                ))
-                .or_usage();
+            Some(dir) => {
+                place::check_local(dir)?;
+                dir.clone()
             }
-            Some(dir) => dir.clone(),
             None => {
                 let plan_name = match &plan.suite {
                     Some(stage) => Some(stage.suite.name().into()),
@@ -597,4 +607,62 @@ pub(crate) fn free_folder(name: &str) -> PathBuf {
         return plain;
     }
     (2_u32..).map(|i| runs.join(format!("{name}-{i}"))).find(|dir| !dir.exists()).unwrap_or(plain)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use clap::CommandFactory;
+
+    use super::*;
+
+    /// The arguments of `run` that affect the results of a campaign.
+    const WITH_EFFECT: [&str; 34] = [
+        "preset",
+        "plan",
+        "space",
+        "suite",
+        "rounds",
+        "n",
+        "design",
+        "seek",
+        "prior",
+        "until_rms",
+        "seed",
+        "twins",
+        "family",
+        "coarse",
+        "coarse_step",
+        "task",
+        "env",
+        "robot",
+        "engine",
+        "time_step",
+        "grip_force",
+        "suction",
+        "time_limit",
+        "jam_force",
+        "jam_duration",
+        "orientation_tolerance",
+        "renderer",
+        "policy",
+        "profile",
+        "map",
+        "statistics",
+        "statistics_group",
+        "latency",
+        "execution",
+    ];
+
+    #[test]
+    fn every_argument_is_classified() {
+        let command = crate::Arguments::command();
+        let run = command.find_subcommand("run").unwrap();
+        let known = command.get_arguments().chain(run.get_arguments()).map(|argument| argument.get_id().as_str());
+        let known: BTreeSet<&str> = known.collect();
+        let classified: BTreeSet<&str> = Given::WITHOUT_EFFECT.into_iter().chain(WITH_EFFECT).collect();
+        assert_eq!(known, classified);
+        assert_eq!(classified.len(), Given::WITHOUT_EFFECT.len() + WITH_EFFECT.len(), "an argument is in both lists");
+    }
 }

@@ -73,7 +73,11 @@ impl<I: Iterator<Item = Shard>> Worker<'_, I> {
     /// The next shard whose episodes have to run.
     fn next(&mut self) -> Result<Option<(Shard, Box<ShardTask>)>, Exit> {
         while let Some(shard) = self.shards.next() {
-            let assignment = self.campaign.assign(shard.index())?;
+            let assignment = self.campaign.assign(shard.index()).inspect_err(|exit| {
+                if let Some(ShardError::Contradicted { .. }) = exit.error.downcast_ref() {
+                    self.report(shard, "conflict", self.round, None);
+                }
+            })?;
             let open = match &assignment {
                 Assignment::Run(task) => Some(task.round()),
                 Assignment::Committed { round } | Assignment::Choose { round } => Some(*round),
@@ -120,16 +124,15 @@ impl<I: Iterator<Item = Shard>> Worker<'_, I> {
             }
             Err(error) => {
                 if let ShardError::Conflict { .. } = error {
-                    // A scheduler must not run the shard again: it would find the committed one, and be content.
+                    // A scheduler must not run the shard again: it would find the committed one.
                     self.report(shard, "conflict", Some(result.round()), Some(result.outcomes()));
                 }
                 return Err(exit(error));
             }
         };
-        // The last shard of a round chooses the points of the next one, so that the others need not wait for it.
-        self.choose()?;
         self.report(shard, state, Some(result.round()), Some(result.outcomes()));
-        Ok(())
+        // The last shard of a round chooses the points of the next one, so that the others need not wait for it.
+        self.choose()
     }
 
     /// Prints the document of a shard.
@@ -219,7 +222,9 @@ pub(crate) fn exit(error: ShardError) -> Exit {
         | ShardError::OtherRun { .. } => USAGE,
         ShardError::Store { .. }
         | ShardError::Damaged { .. }
+        | ShardError::DamagedResult { .. }
         | ShardError::Conflict { .. }
+        | ShardError::Contradicted { .. }
         | ShardError::NotChosen { .. }
         | ShardError::Missing { .. } => INFRASTRUCTURE,
     };

@@ -14,6 +14,7 @@ use serde_json::json;
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::picture;
+use crate::place;
 use crate::subject::{EnvironmentArguments, Subject, assignment};
 use crate::terminal::{foreign, line, note};
 
@@ -61,7 +62,7 @@ pub(crate) struct Snapshot {
     #[command(flatten)]
     environment: EnvironmentArguments,
     /// Write to this path: a folder, or the file of a sheet; default: snapshots, or SUITE.png
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, value_name = "PATH", value_parser = place::local())]
     out: Option<PathBuf>,
     /// Print the list of written files as one JSON document
     #[arg(long)]

@@ -18,6 +18,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::commands::run::{How, exit};
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
+use crate::place;
 use crate::progress::Progress;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{bold, dim, grouped, line, note, percent, warning, wrapped};
@@ -56,7 +57,7 @@ pub(crate) struct Study {
     #[command(flatten)]
     how: How,
     /// Write the study to this folder
-    #[arg(short, long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR", value_parser = place::local())]
     out: PathBuf,
 }
 

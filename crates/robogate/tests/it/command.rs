@@ -176,7 +176,13 @@ fn wrong_arguments_are_usage_errors() {
     assert_usage(&["resume", &out], &["no plan.json"]);
     assert_usage(&["export", &plan, &path(&dir, "x.csv")], &["plan.toml"]);
     assert_usage(&["import", &plan, &path(&dir, "x.parquet")], &["plan.toml"]);
-    assert!(!Path::new(&out).exists(), "a run was started");
+    // An address is no folder. Without a check, a folder `s3:` would be created.
+    for line in ["run -n 1 --out", "merge r --out", "matrix s.toml --out", "demos --out", "report r --out", "export r"]
+    {
+        let arguments: Vec<&str> = line.split(' ').chain(["s3://bucket/x"]).collect();
+        assert_usage(&arguments, &["s3://bucket/x", "docs/cluster.md"]);
+    }
+    assert!(!Path::new(&out).exists() && !Path::new("s3:").exists(), "a run was started");
     assert!(!dir.path().join("x.csv").exists() && !dir.path().join("x.parquet").exists());
 }
 

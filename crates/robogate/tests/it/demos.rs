@@ -7,6 +7,8 @@ use std::process::Command;
 
 use tempfile::TempDir;
 
+use crate::harness::assert_exit_in;
+
 /// All files below a folder, by their relative path.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
@@ -44,4 +46,15 @@ fn bytes_do_not_depend_on_threads() {
     for (path, bytes) in &one {
         assert!(*bytes == two[path], "{} differs", path.display());
     }
+}
+
+#[test]
+fn folder_that_cannot_be_created_is_no_wrong_usage() {
+    let dir = TempDir::new().unwrap();
+    fs::write(dir.path().join("file"), "").unwrap();
+    let demos = |out: &str, code: i32, part: &str| {
+        assert_exit_in(dir.path(), &["demos", "-n", "1", "--size", "16", "--out", out], code, &[part]);
+    };
+    demos("file/demos", 5, "cannot create");
+    demos("file", 2, "the folder exists");
 }

@@ -40,6 +40,9 @@ fn merged_shards_equal_single_run() {
     verb(&format!("{PENDULUM} --policy-at ws://127.0.0.1:1 --shard 2/3"), 2, &["neither a server nor a file"]);
     verb(&format!("{PENDULUM} --shard 2/3"), 0, &["shard 2/3 of round uniform: 20 episodes"]);
     verb("run --shard 2/3 --out run", 0, &["nothing to do", "committed already"]);
+    // Options of this process, which are no part of the plan.
+    verb("-q run --shard 2/3 --out run", 0, &[]);
+    verb("run --shard 2/3 --out run -q --policy-key key.txt --policy-ca ca.pem", 0, &[]);
     verb(&format!("{PENDULUM} --shard 2/3"), 0, &["nothing to do"]);
 
     // Everything that differs from the first shard is named.
@@ -85,6 +88,10 @@ fn merged_shards_equal_single_run() {
     elsewhere.insert("report.html".to_owned(), expected["report.html"].clone());
     assert!(elsewhere == expected, "the run that was merged into another folder differs");
     verb("merge run", 0, &["merged already"]);
+    let dictionary = at.join("elsewhere/dictionary.parquet");
+    let whole = fs::read(&dictionary).unwrap();
+    fs::write(&dictionary, &whole[..whole.len() - 100]).unwrap();
+    verb("merge run --out elsewhere", 5, &["elsewhere/dictionary.parquet", "merge them again"]);
     verb("replay run 70", 0, &["identical to the recorded episode"]);
 
     // One changed byte of a shard.
@@ -177,7 +184,11 @@ fn sweep_ranks_policies_on_any_executor() {
         dir.path()
     });
     verb(threads, "matrix sweep.toml --list", 0, &["--task pendulum --design uniform -n 60 --policy random --seed 3"]);
+    // A process that was killed while it wrote the plan.
+    fs::create_dir(threads.join("run")).unwrap();
+    fs::write(threads.join("run/.sweep.json.part"), "half").unwrap();
     verb(threads, "matrix sweep.toml --out run", 0, &["scripted, pendulum", "page: run/leaderboard.html"]);
+    assert!(!threads.join("run/.sweep.json.part").exists());
     verb(threads, "matrix sweep.toml --out run", 0, &["finished already"]);
     fs::write(threads.join("other.toml"), sweep.replace("60", "61")).unwrap();
     verb(threads, "matrix other.toml --out run", 2, &["another sweep"]);
@@ -198,6 +209,55 @@ fn sweep_ranks_policies_on_any_executor() {
     let parts = ["failed with exit code", "1 of 2 runs are missing: random actions, pendulum", "page:"];
     verb(threads, "matrix broken.toml --out broken", 5, &parts);
     assert!(threads.join("broken/leaderboard.html").exists());
+}
+
+/// A campaign that is killed does not end its sweep, and SIGTERM ends the sweep after the episodes in flight.
+#[cfg(target_os = "linux")]
+#[test]
+fn sweep_survives_killed_run_and_ends_on_signal() {
+    let dir = TempDir::new().unwrap();
+    let sweep = r#"
+        version = 1
+        name = "long"
+        [[task]]
+        name = "pendulum"
+        episodes = 30000
+        [[policy]]
+        name = "scripted"
+        [[policy]]
+        name = "random actions"
+        policy = "random"
+    "#;
+    fs::write(dir.path().join("sweep.toml"), sweep).unwrap();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+        .args("matrix sweep.toml --threads 1 --out run".split(' '))
+        .current_dir(dir.path())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let id = child.id().to_string();
+    let kill = |signal: &str, id: &str| Command::new("kill").args([signal, id]).status().unwrap().success();
+    // The folders with a journal, in which a campaign has recorded episodes.
+    let begun = || -> Vec<PathBuf> {
+        let folders = fs::read_dir(dir.path().join("run")).into_iter().flatten().map(|entry| entry.unwrap().path());
+        folders.filter(|folder| fs::metadata(folder.join("journal.rgj")).is_ok_and(|file| file.len() > 1000)).collect()
+    };
+    assert!(runs_until(&mut child, || begun().len() == 1), "the sweep ended");
+    let campaign = fs::read_to_string(format!("/proc/{id}/task/{id}/children")).unwrap();
+    assert!(kill("-KILL", campaign.trim()));
+    assert!(runs_until(&mut child, || begun().len() == 2), "the sweep ended with its first run");
+    assert!(kill("-TERM", &id));
+    let printed: Vec<String> = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap).collect();
+    let printed = printed.join("\n");
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{printed}");
+    for part in ["failed (signal: 9", "the sweep continues", "stopping after the episodes in flight", "next: the same"]
+    {
+        assert!(printed.contains(part), "expected {part:?} in {printed}");
+    }
+    // No campaign has been left in its folder.
+    for folder in begun() {
+        fs::File::open(folder).unwrap().try_lock().unwrap();
+    }
 }
 
 /// The default design: workers choose the points of each round, and every scheduler runs it with the same loop.

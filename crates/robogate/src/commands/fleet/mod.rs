@@ -26,6 +26,7 @@ use crate::commands::run::{How, free_folder, introduce};
 use crate::commands::suites;
 use crate::exit::{Exit, OrExit};
 use crate::latency::LatencyArguments;
+use crate::place;
 use crate::policy_source::{PolicyAccess, PolicyArguments, PolicyLocation};
 use crate::remote::Simulators;
 use crate::subject::{EnvironmentArguments, Subject, named_space};
@@ -87,7 +88,7 @@ pub(crate) struct FleetOf {
     #[command(flatten)]
     how: How,
     /// Write the fleet to this folder; default: a new one under runs/
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = place::local())]
     out: Option<PathBuf>,
 }
 

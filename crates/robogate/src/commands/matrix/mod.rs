@@ -16,16 +16,18 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
+use robogate_campaign::folder::{partial, write_atomically};
 use robogate_core::budget::Budget;
 use robogate_dictionary::read_text;
 
 use crate::commands::run::free_folder;
 use crate::exit::{Exit, OrExit};
+use crate::place;
 use crate::terminal::{grouped, line, note};
 use sweep::{Sweep, SweepPlan, VERSION};
 
 pub(crate) use board::merge;
-pub(crate) use run::{next, status};
+pub(crate) use run::{end_with_parent, next, status};
 
 /// The plan of a sweep in its folder.
 const PLAN: &str = "sweep.json";
@@ -39,7 +41,7 @@ pub(crate) struct Matrix {
     /// File of the sweep (docs/sweeps.md)
     sweep: PathBuf,
     /// Write the runs to this folder; default: runs/NAME
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = place::local())]
     out: Option<PathBuf>,
     /// Set the number of threads of each run; default: one for each core
     #[arg(long, value_name = "T")]
@@ -104,19 +106,20 @@ fn begin(dir: &Path, plan: &SweepPlan) -> Result<(), Exit> {
         ))
         .or_usage(),
         None => {
-            if let Some(name) = fs::read_dir(dir).ok().and_then(|mut entries| entries.next()?.ok()) {
+            // A process that was killed while it wrote the plan has left it under this name.
+            let own = partial(PLAN);
+            let entries = fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok);
+            if let Some(name) = entries.map(|entry| entry.file_name()).find(|name| *name != *own) {
                 return Err(anyhow!(
                     "{} is not empty (it contains `{}`) and is not a sweep\n  hint: choose an empty or new folder",
                     dir.display(),
-                    name.file_name().display()
+                    name.display()
                 ))
                 .or_usage();
             }
             let text = serde_json::to_string_pretty(plan).or_broken()? + "\n";
             fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
-            let part = dir.join(format!(".{PLAN}.part"));
-            fs::write(&part, text)
-                .and_then(|()| fs::rename(&part, dir.join(PLAN)))
+            write_atomically(dir, PLAN, text.as_bytes())
                 .with_context(|| format!("cannot write {}", dir.join(PLAN).display()))
                 .or_broken()
         }

@@ -2,7 +2,8 @@
 
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Context, anyhow};
 use robogate_campaign::folder::{JOURNAL, PLAN, SUMMARY};
@@ -12,7 +13,7 @@ use serde_json::{Value, json};
 use super::sweep::{SweepPlan, SweepRun};
 use crate::commands::plan::{NextShard, next_shards};
 use crate::commands::shard;
-use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
+use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit};
 use crate::terminal::{bold, grouped, line, note};
 
 impl SweepRun {
@@ -34,19 +35,138 @@ impl SweepRun {
     }
 }
 
-/// Runs `robogate` with these arguments. stderr stays on the terminal. Returns the exit code.
-fn robogate(arguments: &[String]) -> Result<u8, Exit> {
-    let program = std::env::current_exe().context("cannot find this program").or_broken()?;
-    let status = Command::new(&program)
-        .args(arguments)
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .status()
-        .with_context(|| format!("cannot start {}", program.display()))
-        .or_broken()?;
-    // A process that a signal ended has no code.
-    Ok(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(INTERRUPTED))
+/// The environment variable that makes a campaign end with the process of its sweep.
+const CHILD: &str = "ROBOGATE_CHILD_OF_SWEEP";
+
+/// Lets the system interrupt this process when the process of its sweep ends in any way, if it belongs to a sweep.
+pub(crate) fn end_with_parent() {
+    #[cfg(target_os = "linux")]
+    if std::env::var_os(CHILD).is_some() {
+        // Without it, a sweep that was killed leaves a campaign, which runs to its end.
+        let _ = nix::sys::prctl::set_pdeathsig(nix::sys::signal::Signal::SIGTERM);
+    }
 }
+
+/// `robogate` with these arguments. stderr stays on the terminal.
+fn robogate(arguments: &[String]) -> Result<Command, Exit> {
+    let program = std::env::current_exe().context("cannot find this program").or_broken()?;
+    let mut command = Command::new(program);
+    command.args(arguments).env(CHILD, "1").stdin(Stdio::null()).stdout(Stdio::null());
+    Ok(command)
+}
+
+/// The error of a command that cannot start.
+fn cannot_start(command: &Command) -> String {
+    format!("cannot start {}", command.get_program().display())
+}
+
+/// The exit code of a campaign. `None` if it crashed or the system killed it.
+fn code(status: ExitStatus) -> Option<u8> {
+    match status.code() {
+        _ if is_interrupted(status) => Some(INTERRUPTED),
+        code => code.and_then(|code| u8::try_from(code).ok()),
+    }
+}
+
+/// Whether a signal interrupted a process that did not handle it.
+#[cfg(unix)]
+fn is_interrupted(status: ExitStatus) -> bool {
+    use std::os::unix::process::ExitStatusExt;
+
+    use nix::sys::signal::Signal;
+
+    [Signal::SIGINT, Signal::SIGTERM].iter().any(|signal| status.signal() == Some(*signal as i32))
+}
+
+/// Whether Ctrl-C ended a process that did not handle it.
+#[cfg(not(unix))]
+fn is_interrupted(status: ExitStatus) -> bool {
+    /// STATUS_CONTROL_C_EXIT.
+    const CONTROL_C: i32 = -1_073_741_510;
+    status.code() == Some(CONTROL_C)
+}
+
+/// Passes signals to this process on to the campaign that runs.
+#[derive(Debug, Clone, Default)]
+struct Signals(Arc<Mutex<Running>>);
+
+/// What a signal has to know.
+#[derive(Debug, Default)]
+struct Running {
+    /// Whether there was a signal.
+    stopped: bool,
+    /// The process of the campaign that runs.
+    campaign: Option<u32>,
+}
+
+impl Signals {
+    /// Handles Ctrl-C and SIGTERM from now on.
+    fn handle() -> Result<Self, Exit> {
+        let signals = Self::default();
+        let handler = signals.clone();
+        ctrlc::set_handler(move || {
+            let mut running = handler.running();
+            running.stopped = true;
+            running.campaign.into_iter().for_each(interrupt);
+        })
+        .or_broken()?;
+        Ok(signals)
+    }
+
+    fn running(&self) -> MutexGuard<'_, Running> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn stopped(&self) -> bool {
+        self.running().stopped
+    }
+
+    /// Runs a campaign to its end. `None` if there was a signal before it started.
+    fn run(&self, command: &mut Command) -> Result<Option<ExitStatus>, Exit> {
+        let mut child = {
+            let mut running = self.running();
+            if running.stopped {
+                return Ok(None);
+            }
+            let child = alone(command).spawn().with_context(|| cannot_start(command)).or_broken()?;
+            running.campaign = Some(child.id());
+            child
+        };
+        let status = child.wait();
+        self.running().campaign = None;
+        status.context("cannot wait for a campaign").or_broken().map(Some)
+    }
+}
+
+/// Lets a campaign get the signals of this process only, because a second signal would end it at once.
+#[cfg(unix)]
+fn alone(command: &mut Command) -> &mut Command {
+    use std::os::unix::process::CommandExt;
+
+    command.process_group(0)
+}
+
+/// Ctrl-C goes to all processes of the console.
+#[cfg(not(unix))]
+fn alone(command: &mut Command) -> &mut Command {
+    command
+}
+
+/// Interrupts the process of a campaign: it stops after its current episodes, and at once after a second signal.
+#[cfg(unix)]
+fn interrupt(process: u32) {
+    use nix::sys::signal::{Signal, kill};
+    use nix::unistd::Pid;
+
+    if let Ok(process) = i32::try_from(process) {
+        // It may have ended.
+        let _ = kill(Pid::from_raw(process), Signal::SIGTERM);
+    }
+}
+
+/// Ctrl-C goes to all processes of the console.
+#[cfg(not(unix))]
+fn interrupt(_: u32) {}
 
 /// Runs all campaigns that are not finished. Returns the names of those that failed, or the exit code of an interrupted
 /// one, after which none is started.
@@ -55,8 +175,11 @@ pub(super) fn all(
     plan: &SweepPlan,
     threads: Option<NonZeroUsize>,
 ) -> Result<Result<Vec<String>, u8>, Exit> {
-    // Ctrl-C goes to all processes of the terminal. The campaign stops after its current episodes, and then this process.
-    ctrlc::set_handler(|| {}).or_broken()?;
+    let signals = Signals::handle()?;
+    let interrupted = || {
+        note(format_args!("next: the same command continues the sweep in {}", dir.display()));
+        Ok(Err(INTERRUPTED))
+    };
     let mut failed = Vec::new();
     for (i, run) in plan.runs.iter().enumerate() {
         let folder = run.dir(dir);
@@ -79,15 +202,15 @@ pub(super) fn all(
         if let Some(threads) = threads {
             arguments.extend(["--threads".to_owned(), threads.to_string()]);
         }
-        match robogate(&arguments)? {
+        let Some(status) = signals.run(&mut robogate(&arguments)?)? else { return interrupted() };
+        match code(status) {
             // Without a valid episode, the page says so.
-            DONE | INVALID => {}
-            INTERRUPTED => {
-                note(format_args!("next: the same command continues the sweep in {}", dir.display()));
-                return Ok(Err(INTERRUPTED));
-            }
+            Some(DONE | INVALID) => {}
+            Some(INTERRUPTED) => return interrupted(),
+            _ if signals.stopped() => return interrupted(),
             code => {
-                note(format_args!("{} failed with exit code {code}; the sweep continues", run.name));
+                let how = code.map_or_else(|| format!("({status})"), |code| format!("with exit code {code}"));
+                note(format_args!("{} failed {how}; the sweep continues", run.name));
                 failed.push(run.name.clone());
             }
         }
@@ -102,7 +225,9 @@ pub(super) fn divide(dir: &Path, plan: &SweepPlan, as_json: bool) -> Result<u8, 
         let mut arguments = vec!["run".to_owned(), "--divide".to_owned(), shards.to_string()];
         arguments.extend(run.arguments());
         arguments.extend(["--out".to_owned(), run.dir(dir).display().to_string()]);
-        let code = robogate(&arguments)?;
+        let mut command = robogate(&arguments)?;
+        let status = command.status().with_context(|| cannot_start(&command)).or_broken()?;
+        let code = code(status).unwrap_or(INFRASTRUCTURE);
         if code != DONE {
             return Err(Exit { code, error: anyhow!("{}: the run cannot be divided into shards", run.name) });
         }
@@ -168,4 +293,20 @@ pub(crate) fn status(dir: &Path, plan: &SweepPlan, as_json: bool) -> Result<u8, 
 
 fn shards_of<'a>(dir: &Path, plan: &'a SweepPlan) -> Result<Vec<(&'a SweepRun, ShardStatus)>, Exit> {
     plan.runs.iter().map(|run| Ok((run, shard::open(&run.dir(dir))?.status()?))).collect()
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::os::unix::process::ExitStatusExt;
+
+    use super::*;
+
+    #[test]
+    fn only_interrupts_end_a_sweep() {
+        // SIGINT, SIGTERM, SIGKILL and SIGSEGV.
+        let signalled = [2, 15, 9, 11].map(|signal| code(ExitStatus::from_raw(signal)));
+        assert_eq!(signalled, [Some(INTERRUPTED), Some(INTERRUPTED), None, None]);
+        // A wait status has the exit code in its second byte.
+        assert_eq!([0, 5, 130].map(|number| code(ExitStatus::from_raw(number << 8))), [Some(0), Some(5), Some(130)]);
+    }
 }
