@@ -43,8 +43,8 @@ pub struct Provenance {
     pub plan: serde_json::Value,
     /// The campaign's seed.
     pub seed: u64,
-    /// SHA-256 (hex) of the question of the gate that started the run: its requirements, baseline, margin and sampling.
-    /// Absent if no gate started it.
+    /// SHA-256 (hex) of the question of the gate that started the run: its requirements, baseline, margin, sampling and
+    /// trials of the real robot. Absent if no gate started it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub question_sha256: Option<String>,
     /// The platform. Absent if unknown, as in an imported dictionary.

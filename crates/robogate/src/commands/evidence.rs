@@ -47,8 +47,8 @@ pub(crate) struct Evidence {
     /// State how the number of episodes was chosen; default: as in the run's gate, otherwise fixed
     #[arg(long, value_name = "HOW")]
     sampling: Option<Count>,
-    /// Judge other requirements, baseline or margin than those of the run's gate. `robogate verify` reports it in its first
-    /// line
+    /// Judge other requirements, baseline, margin or real trials than those of the run's gate. `robogate verify` reports
+    /// it in its first line
     #[arg(long)]
     reasked: bool,
     /// Add the folder `compliance` with the verdict as PDF, ReqIF and JUnit, and a CycloneDX list of components (SBOM)
