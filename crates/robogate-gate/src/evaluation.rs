@@ -294,7 +294,7 @@ impl Question<'_> {
             baseline.check(&record.population)?;
         }
         if let Some(real) = &record.real {
-            real.applies_to(&record.task, &record.robot, &record.policy)?;
+            real.check_subject(record)?;
         }
         let sampling = record.sampling(self.sampling);
         let rounds = Rounds::of(&record.trials, &record.population)?;

@@ -9,7 +9,7 @@ use robogate_gate::{Asked, Evaluation, Question, RealEvidence, Record, Requireme
 use robogate_stats::format::counted;
 
 use super::Gate;
-use super::question::{MARGIN, Other, compared_with, open_requirements, question, real_evidence, refused};
+use super::question::{MARGIN, Other, compared_with, open_requirements, question, real_evidence_for, refused};
 use super::verdict::{show, write_answer};
 use crate::exit::{Exit, OrExit};
 use crate::source::open_source;
@@ -37,7 +37,7 @@ impl Gate {
         let asked_margin = asked.as_ref().and_then(|asked| Some(asked.against.as_ref()?.margin));
         let margin = self.margin.or(asked_margin).unwrap_or(MARGIN);
         record.real = match &self.real {
-            Some(file) => Some(real_evidence(file)?),
+            Some(file) => Some(real_evidence_for(file, source.dictionary().provenance())?),
             None => asked.as_ref().and_then(|asked| asked.real.clone()),
         };
         if let Some(asked) = &asked {
