@@ -41,7 +41,8 @@ impl Gate {
         let text = String::from_utf8_lossy(&text);
         let asked = Asked::from_json(&path, &text).map_err(refused)?;
         let other = compared_with(&asked)?.map(|(_, record)| record);
-        let record = Record::begun(&shards.settings().provenance).map_err(refused)?;
+        let mut record = Record::begun(&shards.settings().provenance).map_err(refused)?;
+        record.real.clone_from(&asked.real);
         Ok(Some(Self { asked, other, record }))
     }
 }

@@ -9,7 +9,7 @@ use robogate_gate::{Asked, Evaluation, Question, RealEvidence, Record, Requireme
 use robogate_stats::format::counted;
 
 use super::Gate;
-use super::question::{MARGIN, Other, compared_with, open_requirements, question, real_evidence_for, refused};
+use super::question::{MARGIN, Other, compared_with, judged, open_requirements, question, real_evidence_for, refused};
 use super::verdict::{show, write_answer};
 use crate::exit::{Exit, OrExit};
 use crate::source::open_source;
@@ -113,8 +113,7 @@ fn described(real: Option<&RealEvidence>) -> String {
 /// The evaluation of the gate that a run's folder belongs to. `None` for a run without a gate.
 pub(crate) fn evaluation_of(folder: &Path, source: &Source) -> Result<Option<Evaluation>, Exit> {
     let Some(asked) = Asked::of(folder).map_err(refused)? else { return Ok(None) };
-    let mut record = Record::of(source.dictionary()).map_err(refused)?;
-    record.real.clone_from(&asked.real);
+    let record = judged(source, &asked)?;
     let other = compared_with(&asked)?.map(|(_, record)| record);
     let mut evaluation = question(&asked, other.as_ref()).evaluate(&record).map_err(refused)?;
     evaluation.twins = twins::of_folder(folder, source, asked.sampling)?;

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
-use robogate_analysis::Finding;
+use robogate_analysis::{Finding, Source};
 use robogate_analysis::transfer::Transfer;
 use robogate_core::TaskSpec;
 use robogate_core::budget::Budget;
@@ -134,6 +134,13 @@ pub(crate) fn real_evidence_for(path: &Path, provenance: &Provenance) -> Result<
         ));
     }
     Ok(real)
+}
+
+/// The episodes of a run, with the trials of the real robot that its gate was asked about.
+pub(super) fn judged(source: &Source, asked: &Asked) -> Result<Record, Exit> {
+    let mut record = Record::of(source.dictionary()).map_err(refused)?;
+    record.real.clone_from(&asked.real);
+    Ok(record)
 }
 
 /// The question of a run, with the record of the run that it compares with.
