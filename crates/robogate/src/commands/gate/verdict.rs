@@ -61,7 +61,7 @@ pub(crate) fn finish(
     Ok(code)
 }
 
-/// Whether the finished gate in `dir` stopped because its invalid episodes rule out a pass. Control arms of it would say nothing.
+/// Whether the finished gate in `dir` stopped because a pass is ruled out. Its control arms do not run.
 pub(crate) fn ruled_out(dir: &Path, asked: &Asked, other: Option<&Record>) -> Result<bool, Exit> {
     let source = Source::open(dir).or_broken()?;
     let record = judged(&source, asked)?;
