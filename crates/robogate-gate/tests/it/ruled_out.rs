@@ -125,7 +125,7 @@ fn undecided_trials_rule_out_a_pass() {
     };
     let judge = |rounds: Record, limit: f64, successes: Option<u64>, sampling| {
         let record = Record { real: successes.map(|n| real(&rounds, n)), ..rounds };
-        super::common::judge(&with(limit), &record, sampling)
+        crate::common::judge(&with(limit), &record, sampling)
     };
     for sampling in [Sampling::Fixed, Sampling::Sequential] {
         let found = judge(rounds(1, |_| Ending::Success), 0.5, Some(19), sampling);

@@ -153,7 +153,16 @@ fn gate_in_shards_equals_single_gate() {
     verb(many, "status run", 0, &["next: robogate merge run"]);
     assert_eq!(verb(many, "merge run", 1, &["FAIL"]), verdict);
     assert!(files(&many.join("run")) == files(&one.join("run")));
+    // A gate whose question is missing or another one must not become a run without a verdict.
+    let question = many.join("run/gate-question.json");
+    let asked = fs::read_to_string(&question).unwrap();
+    fs::write(&question, asked.replacen("0.92", "0.52", 1)).unwrap();
+    verb(many, "merge run --out elsewhere", 2, &["not the question of the plan", "hint: "]);
+    fs::remove_file(&question).unwrap();
+    verb(many, "plan run --next", 2, &["gate-question.json: missing", "hint: "]);
+    verb(many, &format!("{gate} --divide 3"), 0, &[]);
     verb(many, "merge run --out elsewhere", 1, &["FAIL"]);
+    verb(many, &format!("{gate} --divide 3 --against scripted"), 2, &["cannot be used with", "--against"]);
 }
 
 #[test]
