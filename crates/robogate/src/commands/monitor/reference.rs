@@ -172,8 +172,8 @@ impl ReferenceOf {
         analysis.failure_modes.modes.iter().any(|share| share.failures > 0)
     }
 
-    /// The counts of the run, with the successes of the real trials in place of its own. Empty for a focused design, because
-    /// its rate does not estimate that of the operating space.
+    /// The counts of the run, with the successes of the real trials in place of its own. A focused design has none, because its
+    /// rate does not estimate that of the operating space.
     fn baseline(&self, analysis: &Analysis, real: Option<&RealEvidence>) -> Baseline {
         let full = baseline(analysis);
         let success = match real {
