@@ -122,7 +122,8 @@ impl RealEvidence {
             ("SHA-256 of the robot's files", &self.robot_sha256, &record.robot_sha256),
             ("SHA-256 of the policy", &self.policy_sha256, &record.policy_sha256),
         ];
-        let hashes = hashes.into_iter().filter_map(|(what, real, judged)| Some((what, real.as_deref()?, judged.as_deref()?)));
+        let hashes =
+            hashes.into_iter().filter_map(|(what, real, judged)| Some((what, real.as_deref()?, judged.as_deref()?)));
         let differences: Vec<String> = names
             .into_iter()
             .chain(hashes)

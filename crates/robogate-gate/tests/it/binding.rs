@@ -321,7 +321,8 @@ fn other_real_trials_need_consent() {
     consent(&run);
     // A gate with weak trials, which are exchanged for stronger ones or left out.
     let path = run.path(Asked::FILE);
-    let weak = Asked { real: Some(real_trials(12)), ..Asked::from_json(&path, &fs::read_to_string(&path).unwrap()).unwrap() };
+    let weak =
+        Asked { real: Some(real_trials(12)), ..Asked::from_json(&path, &fs::read_to_string(&path).unwrap()).unwrap() };
     fs::write(&path, weak.to_json()).unwrap();
     assert!(run.refused().to_string().contains("not the question that the gate was asked"));
     run.provenance.question_sha256 = Some(weak.sha256());

@@ -131,7 +131,10 @@ fn undecided_trials_rule_out_a_pass() {
         let found = judge(rounds(1, |_| Ending::Success), 0.5, Some(19), sampling);
         assert!(found.because.contains("do not show `real:success`: no result of the other 304"), "{}", found.because);
         let out = found.ruled_out.unwrap();
-        assert_eq!((found.verdict, out.requirement.as_deref(), out.fault), (Verdict::Inconclusive, Some("real:success"), None));
+        assert_eq!(
+            (found.verdict, out.requirement.as_deref(), out.fault),
+            (Verdict::Inconclusive, Some("real:success"), None)
+        );
         assert_eq!(judge(rounds(1, |_| Ending::Success), 0.5, Some(25), sampling).verdict, Verdict::Pass);
         let violated = judge(rounds(1, |_| Ending::Success), 0.5, Some(3), sampling);
         assert!(violated.verdict == Verdict::Fail && violated.is_violated_by_trials());

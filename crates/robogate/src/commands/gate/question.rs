@@ -4,8 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
-use robogate_analysis::{Finding, Source};
 use robogate_analysis::transfer::Transfer;
+use robogate_analysis::{Finding, Source};
 use robogate_core::TaskSpec;
 use robogate_core::budget::Budget;
 use robogate_dictionary::{Provenance, read_text};

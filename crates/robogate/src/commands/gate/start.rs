@@ -8,7 +8,9 @@ use anyhow::Context;
 use robogate_campaign::{DEFAULT_SEED, Event, Plan, Round};
 use robogate_core::Suite;
 use robogate_dictionary::{Label, Provenance};
-use robogate_gate::{Asked, AskedAgainst, Controls, GatePlan, Mode, PairPlan, Planned, Question, Record, Requirements, Sampling};
+use robogate_gate::{
+    Asked, AskedAgainst, Controls, GatePlan, Mode, PairPlan, Planned, Question, Record, Requirements, Sampling,
+};
 use robogate_physics::SuctionLaw;
 use robogate_stats::format::counted;
 

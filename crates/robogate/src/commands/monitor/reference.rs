@@ -163,7 +163,10 @@ impl ReferenceOf {
             }
         };
         let whole = |r: &&robogate_gate::Requirement| {
-            matches!(r.metric, Metric::Success | Metric::RealSuccess) && r.category.is_none() && r.group.is_none() && r.each.is_none()
+            matches!(r.metric, Metric::Success | Metric::RealSuccess)
+                && r.category.is_none()
+                && r.group.is_none()
+                && r.each.is_none()
         };
         Ok(requirements.requirement.iter().filter(whole).filter_map(|r| r.at_least).reduce(f64::max))
     }
@@ -180,11 +183,7 @@ impl ReferenceOf {
             Some(real) => Some(Count { count: real.successes(), of: real.trials() }),
             None => full.success.filter(|_| !self.learn_baseline),
         };
-        Baseline {
-            success,
-            failure_modes: full.failure_modes.filter(|_| !is_simulated(analysis)),
-            ..full
-        }
+        Baseline { success, failure_modes: full.failure_modes.filter(|_| !is_simulated(analysis)), ..full }
     }
 }
 
