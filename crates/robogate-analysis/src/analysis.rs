@@ -89,8 +89,14 @@ pub struct Subject {
     pub task: String,
     /// The robot.
     pub robot: String,
+    /// SHA-256 (hex) over the files of the robot. Absent if it is unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot_sha256: Option<String>,
     /// The policy.
     pub policy: String,
+    /// SHA-256 (hex) of the policy. Absent if it is unknown, and for a policy that is built into RoboGate.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub policy_sha256: Option<String>,
     /// The engine, with its version.
     pub engine: String,
     /// Episodes of all stages, invalid ones included.
@@ -108,7 +114,9 @@ impl Subject {
             replayable: source.folder().is_some() && provenance.source.is_none(),
             task: provenance.task.name.as_str().to_owned(),
             robot: provenance.robot.name.clone(),
+            robot_sha256: provenance.robot.sha256.clone(),
             policy: provenance.policy.clone(),
+            policy_sha256: provenance.policy_sha256(),
             engine: match &provenance.engine.version {
                 Some(version) => format!("{} {version}", provenance.engine.name),
                 None => provenance.engine.name.clone(),

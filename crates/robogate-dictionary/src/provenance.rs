@@ -43,8 +43,8 @@ pub struct Provenance {
     pub plan: serde_json::Value,
     /// The campaign's seed.
     pub seed: u64,
-    /// SHA-256 (hex) of the question of the gate that started the run: its requirements, baseline, margin and sampling.
-    /// Absent if no gate started it.
+    /// SHA-256 (hex) of the question of the gate that started the run: its requirements, baseline, margin, sampling and
+    /// trials of the real robot. Absent if no gate started it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub question_sha256: Option<String>,
     /// The platform. Absent if unknown, as in an imported dictionary.
@@ -67,6 +67,21 @@ impl Provenance {
             platform.cpu = platform.cpu.take().filter(|_| recorded.cpu.is_some());
         }
         self
+    }
+
+    /// SHA-256 (hex) of the policy's file, or of what its server or its environment declared to run. `None` if it is
+    /// unknown, and for a policy that is built into RoboGate.
+    pub fn policy_sha256(&self) -> Option<String> {
+        if self.source.is_some() {
+            return None;
+        }
+        let policy = self.world.get("policy")?;
+        let declared = policy.get("declared").and_then(|declared| declared.get("sha256")).and_then(|it| it.as_str());
+        // A policy that the environment runs declares a version, which may be the hash of its files.
+        let text = declared.or_else(|| policy.get("version")?.as_str())?;
+        let digits = text.strip_prefix("sha256:").unwrap_or(text);
+        let valid = digits.len() == 64 && digits.chars().all(|c| c.is_ascii_hexdigit());
+        valid.then(|| digits.to_ascii_lowercase())
     }
 
     /// The canonical JSON. The same provenance gives the same bytes.

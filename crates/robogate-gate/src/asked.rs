@@ -78,16 +78,20 @@ impl Asked {
         Ok(asked)
     }
 
-    /// SHA-256 (hex) of what is asked: requirements, baseline, margin and sampling. The path and the rows of the other
-    /// policy, which may run at the same time, have no effect.
+    /// SHA-256 (hex) of what is asked: requirements, baseline, margin, sampling and trials of the real robot. The path and
+    /// the rows of the other policy, which may run at the same time, have no effect.
     pub fn sha256(&self) -> String {
         let margin = self.against.as_ref().map(|against| against.margin);
-        let asked = serde_json::json!({
+        let mut asked = serde_json::json!({
             "requirements": self.requirements,
             "baseline": self.baseline,
             "margin": margin,
             "sampling": self.sampling,
         });
+        // A question without trials keeps the hash that earlier versions gave it.
+        if let (Some(real), Some(parts)) = (&self.real, asked.as_object_mut()) {
+            parts.insert("real".to_owned(), serde_json::json!(real));
+        }
         hex(&Sha256::digest(asked.to_string()))
     }
 

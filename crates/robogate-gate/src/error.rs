@@ -15,6 +15,15 @@ pub enum GateError {
         /// The mismatch.
         reason: String,
     },
+    /// A requirement on the real robot, without trials of it.
+    #[error(
+        "requirement `{id}` needs trials of the real robot, but none were given: no number of simulated episodes can show \
+         it\nhint: create the trials' file with `robogate transfer --sim RUN --real FILE --out FILE`, and pass it with --real"
+    )]
+    NoRealTrials {
+        /// The requirement.
+        id: String,
+    },
     /// Episodes of the coarse simulator.
     #[error(
         "the episodes are coarse: they ran with a larger time step than their run, so no verdict can rest on them\nhint: judge the run that \

@@ -200,7 +200,7 @@ pub struct Evaluation {
     /// The controls of the gate. `None` if it ran none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub controls: Option<Controls>,
-    /// The invalid episodes that rule out a pass. `None` if a pass is still possible, or if all planned episodes ran.
+    /// Why no further episode can give a pass. `None` if a pass is still possible, or if all planned episodes ran.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ruled_out: Option<RuledOut>,
     /// How often the policy saw states outside of the published range of its checkpoint. The verdict does not depend on it.
@@ -273,6 +273,12 @@ impl Evaluation {
     /// The version of the format.
     pub const FORMAT: u32 = 2;
 
+    /// Whether the trials of the real robot violate a requirement. No further episode changes that.
+    pub fn is_violated_by_trials(&self) -> bool {
+        let real = |result: &&RequirementResult| result.requirement.metric == Metric::RealSuccess;
+        self.results.iter().filter(real).any(|result| result.status == Status::Violated)
+    }
+
     /// Serialises the evaluation. Equal evaluations give equal bytes.
     pub fn to_json(&self) -> String {
         // Every number is finite, so serialisation cannot fail.
@@ -294,7 +300,7 @@ impl Question<'_> {
             baseline.check(&record.population)?;
         }
         if let Some(real) = &record.real {
-            real.applies_to(&record.task, &record.robot, &record.policy)?;
+            real.check_subject(record)?;
         }
         let sampling = record.sampling(self.sampling);
         let rounds = Rounds::of(&record.trials, &record.population)?;
@@ -342,7 +348,7 @@ impl Question<'_> {
         };
         let ruled_out = match verdict {
             Verdict::Inconclusive | Verdict::Invalid if control.is_none() => {
-                self.ruled_out(record, &rounds, &asked, how)?
+                self.ruled_out(record, &rounds, &results, how)?
             }
             _ => None,
         };

@@ -6,16 +6,20 @@
 
 use std::path::Path;
 
-use robogate_core::TaskSpec;
 use robogate_core::budget::Budget;
 use robogate_stats::Trials;
 use robogate_stats::exact_strata::{Stratum, bounds, estimate, p_above, p_below};
+use robogate_stats::format::count;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::figure::Extremes;
 use crate::requirement_test::Tested;
-use crate::{Bound, GateError, Sense};
+use crate::{Bound, GateError, Record, Sense};
+
+/// Number of trials that the exact test accepts. Its time grows with this number, and evidence of others must not take
+/// long to verify.
+const MOST_TRIALS: u64 = 20_000;
 
 /// Trials of the real robot, and the simulation that divides them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -27,8 +31,14 @@ pub struct RealEvidence {
     pub task: String,
     /// The robot.
     pub robot: String,
+    /// SHA-256 (hex) over the files of the simulated robot. Absent if it is unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot_sha256: Option<String>,
     /// The policy.
     pub policy: String,
+    /// SHA-256 (hex) of the policy. Absent if it is unknown, and for a policy that is built into RoboGate.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub policy_sha256: Option<String>,
     /// The population of the trials, in one sentence.
     pub population: String,
     /// SHA-256 (hex) of the file of trials.
@@ -86,28 +96,44 @@ impl RealEvidence {
         if !(share(a) && share(b)) || (a.share + b.share - 1.0).abs() > 1e-9 {
             return Err("the shares of the strata are not positive, or do not add up to 1".to_owned());
         }
-        if self.strata.iter().any(|s| s.successes > s.trials || s.trials > 1_000_000) {
-            return Err("a stratum has more successes than trials, or more than 1,000,000 trials".to_owned());
+        if self.strata.iter().any(|s| s.successes > s.trials) {
+            return Err("a stratum has more successes than trials".to_owned());
+        }
+        if self.strata.iter().any(|s| s.trials > MOST_TRIALS) || self.trials() > MOST_TRIALS {
+            return Err(format!("it has more than {} trials", count(MOST_TRIALS)));
         }
         Ok(())
     }
 
-    /// Returns an error if the trials are not about this task, robot and policy.
-    pub(crate) fn applies_to(&self, task: &TaskSpec, robot: &str, policy: &str) -> Result<(), GateError> {
+    /// Checks that the trials are about the task, robot and policy of these episodes. Hashes of robot and policy count
+    /// where both are known: a built-in policy has none, a server may declare none, and files of earlier versions have
+    /// none.
+    ///
+    /// # Errors
+    /// If the trials are invalid or about something else. The error names all differences.
+    pub fn check_subject(&self, record: &Record) -> Result<(), GateError> {
         self.check().map_err(|reason| GateError::Real { reason })?;
-        let pairs = [
-            ("task", &*self.task, task.name.as_str()),
-            ("robot", &*self.robot, robot),
-            ("policy", &*self.policy, policy),
+        let names = [
+            ("task", &*self.task, record.task.name.as_str()),
+            ("robot", &*self.robot, &*record.robot),
+            ("policy", &*self.policy, &*record.policy),
         ];
-        match pairs.into_iter().find(|(_, real, judged)| real != judged) {
-            Some((what, real, judged)) => Err(GateError::Real {
-                reason: format!(
-                    "the real trials are about the {what} `{real}`, and the judged episodes about `{judged}`"
-                ),
-            }),
-            None => Ok(()),
+        let hashes = [
+            ("SHA-256 of the robot's files", &self.robot_sha256, &record.robot_sha256),
+            ("SHA-256 of the policy", &self.policy_sha256, &record.policy_sha256),
+        ];
+        let hashes =
+            hashes.into_iter().filter_map(|(what, real, judged)| Some((what, real.as_deref()?, judged.as_deref()?)));
+        let differences: Vec<String> = names
+            .into_iter()
+            .chain(hashes)
+            .filter(|(_, real, judged)| real != judged)
+            .map(|(what, real, judged)| format!("the {what} is `{real}`, and that of the episodes `{judged}`"))
+            .collect();
+        if differences.is_empty() {
+            return Ok(());
         }
+        Err(GateError::Real { reason: format!("the real trials are about something else: {}", differences.join("; ")) })
     }
 
     fn counts(&self) -> [Stratum; 2] {
@@ -118,6 +144,11 @@ impl RealEvidence {
     /// Number of trials.
     pub fn trials(&self) -> u64 {
         self.strata.iter().map(|s| s.trials).sum()
+    }
+
+    /// Number of successes.
+    pub fn successes(&self) -> u64 {
+        self.strata.iter().map(|s| s.successes).sum()
     }
 
     /// The estimated success rate. It has no bounds for invalid episodes, because trials are successes or failures.

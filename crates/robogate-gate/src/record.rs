@@ -109,8 +109,12 @@ pub struct Record {
     pub task: Arc<TaskSpec>,
     /// The robot.
     pub robot: String,
+    /// SHA-256 (hex) over the files of the robot. `None` if it is unknown.
+    pub robot_sha256: Option<String>,
     /// The policy.
     pub policy: String,
+    /// SHA-256 (hex) of the policy. `None` if it is unknown, and for a policy that is built into RoboGate.
+    pub policy_sha256: Option<String>,
     /// The dictionary's data set hash (SHA-256, hex).
     pub dataset_sha256: String,
     /// The episodes, in order of their index.
@@ -152,7 +156,9 @@ impl Record {
             population,
             task: Arc::clone(&provenance.task),
             robot: provenance.robot.name.clone(),
+            robot_sha256: provenance.robot.sha256.clone(),
             policy: provenance.policy.clone(),
+            policy_sha256: provenance.policy_sha256(),
             dataset_sha256: String::new(),
             trials: Vec::new(),
             focused: 0,
@@ -223,7 +229,9 @@ impl Record {
             real: None,
             task: Arc::clone(&provenance.task),
             robot: provenance.robot.name.clone(),
+            robot_sha256: provenance.robot.sha256.clone(),
             policy: provenance.policy.clone(),
+            policy_sha256: provenance.policy_sha256(),
             dataset_sha256: dataset_sha256.to_owned(),
             focused: (all - trials.len()) as u64,
             controls: Controls::of(provenance),

@@ -9,7 +9,7 @@ use robogate_dictionary::read_text;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{GateError, Metric, Record, Requirement, ScoreTerm, Scoring, score};
+use crate::{GateError, Metric, RealEvidence, Record, Requirement, ScoreTerm, Scoring, score};
 
 /// Upper limit of the number of rounds. Larger values are probably typing errors.
 const MOST_ROUNDS: u32 = 10_000;
@@ -234,6 +234,18 @@ impl Requirements {
             }
         }
         score::check(&self.score)
+    }
+
+    /// Checks that a gate which runs episodes has the trials of the real robot that a requirement needs.
+    ///
+    /// # Errors
+    /// If a requirement is on the real robot and there are no trials.
+    pub fn check_real(&self, real: Option<&RealEvidence>) -> Result<(), GateError> {
+        let needs = self.requirement.iter().find(|requirement| requirement.metric == Metric::RealSuccess);
+        match needs.filter(|_| real.is_none_or(|real| real.trials() == 0)) {
+            Some(requirement) => Err(GateError::NoRealTrials { id: requirement.id() }),
+            None => Ok(()),
+        }
     }
 
     /// The error probability of a pass, and of a fail.

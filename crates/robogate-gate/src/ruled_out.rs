@@ -1,7 +1,8 @@
-//! Whether the invalid episodes of a gate alone rule out a pass.
+//! Whether the invalid episodes of a gate, or its trials of the real robot, rule out a pass.
 //!
-//! A pass must hold for the worst outcome of each invalid episode, so enough of them make it impossible. Then the remaining rounds
-//! cannot give a pass, and a gate stops unless they are expected to show a violation:
+//! A pass must hold for the worst outcome of each invalid episode, so enough of them make it impossible. Trials of the real robot
+//! that do not show their requirement to be met make it impossible too, because no simulated episode changes them. Then the
+//! remaining rounds cannot give a pass, and a gate stops unless they are expected to show a violation:
 //!
 //! - A requirement is ruled out if it is not shown to be met although all other episodes, those of the past included, are as good
 //!   as possible and all planned rounds run.
@@ -25,7 +26,7 @@ use crate::{
 /// Number of episodes without a valid one that stop a gate.
 const ALL_INVALID: u64 = 10;
 
-/// The invalid episodes that rule out a pass.
+/// Why no further episode can give a pass: invalid episodes, or the trials of the real robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RuledOut {
     /// Number of episodes in the plan.
@@ -33,14 +34,26 @@ pub struct RuledOut {
     /// The first requirement that cannot be met any more. `None` if no episode is valid.
     pub requirement: Option<String>,
     /// The most frequent fault, as its first episode reports it. The episodes of a policy that may be replaced count as well.
-    pub fault: String,
+    /// Absent if the trials of the real robot rule out a pass.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fault: Option<String>,
     /// Number of invalid episodes with a fault of this kind.
-    pub with_fault: u64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub with_fault: Option<u64>,
     /// The index of the first of them.
-    pub first: u64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub first: Option<u64>,
 }
 
 impl RuledOut {
+    fn by_fault(planned: u64, requirement: Option<String>, (fault, with_fault, first): (String, u64, u64)) -> Self {
+        Self { planned, requirement, fault: Some(fault), with_fault: Some(with_fault), first: Some(first) }
+    }
+
+    fn by_trials(planned: u64, requirement: String) -> Self {
+        Self { planned, requirement: Some(requirement), fault: None, with_fault: None, first: None }
+    }
+
     /// The reason for the verdict, in one sentence.
     pub(crate) fn because(&self, counts: Counts, comparison: Option<&Comparison>) -> String {
         let Counts { episodes, mut invalid, .. } = counts;
@@ -48,6 +61,11 @@ impl RuledOut {
         let Some(id) = &self.requirement else {
             return format!("all {episodes} episodes are invalid; the other {rest} planned episodes did not run");
         };
+        if self.fault.is_none() {
+            return format!(
+                "the trials of the real robot do not show `{id}`: no result of the other {rest} planned episodes could change that"
+            );
+        }
         let mut what = "episodes";
         if let Some(comparison) = comparison.filter(|_| id == Comparison::ID) {
             (invalid, what) = (comparison.invalid, "pairs of episodes");
@@ -60,12 +78,13 @@ impl RuledOut {
 }
 
 impl Question<'_> {
-    /// Whether the invalid episodes rule out a pass in the planned rounds of a suite, and no violation is expected.
+    /// Whether invalid episodes or the trials of the real robot rule out a pass in the planned rounds of a suite, and no
+    /// violation is expected. `results` are those of the requirements on the rounds so far.
     pub(crate) fn ruled_out(
         &self,
         record: &Record,
         rounds: &Rounds<'_>,
-        requirements: &[Requirement],
+        results: &[RequirementResult],
         how: How,
     ) -> Result<Option<RuledOut>, GateError> {
         let (Population::Suite { cases, .. }, Some(planned)) = (&record.population, record.planned) else {
@@ -73,43 +92,47 @@ impl Question<'_> {
         };
         let episodes = rounds.trials().count() as u64;
         let others = self.against.iter().flat_map(|against| &against.record.trials);
-        let Some((fault, with_fault, first)) = most_frequent_fault(rounds.trials().chain(others)) else {
-            return Ok(None);
-        };
-        if episodes >= planned || rounds.left_over > 0 {
+        let fault = most_frequent_fault(rounds.trials().chain(others));
+        let unmet = results.iter().find(|result| self.is_unmet_by_trials(result, how)).map(|result| result.id.clone());
+        if (fault.is_none() && unmet.is_none()) || episodes == 0 || episodes >= planned || rounds.left_over > 0 {
             return Ok(None);
         }
-        let ruled_out = |requirement| RuledOut { planned, requirement, fault, with_fault, first };
         if episodes >= ALL_INVALID && rounds.trials().all(|trial| !trial.ending.is_valid()) {
-            return Ok(Some(ruled_out(None)));
+            return Ok(fault.map(|fault| RuledOut::by_fault(planned, None, fault)));
         }
         let suite = Whole { question: self, task: &record.task, rounds, planned: planned / (*cases).max(1), how };
-        let mut first = None;
-        for requirement in requirements {
-            if !suite.can_be_met(requirement)? {
-                first = Some(requirement.id());
-                break;
-            }
-        }
         let pairs = match &self.against {
             Some(against) => against.extremes(record)?,
             None => None,
         };
-        if let Some([best, same]) = &pairs {
-            let none = episodes >= ALL_INVALID && same.status == Status::NoEvidence;
-            if none || best.p_met > how.alpha {
-                first.get_or_insert_with(|| Comparison::ID.to_owned());
+        let ruled_out = match (unmet, fault) {
+            (Some(id), _) => Some(RuledOut::by_trials(planned, id)),
+            (None, Some(fault)) => {
+                let lost = suite.first_lost(results, pairs.as_ref(), episodes)?;
+                lost.map(|id| RuledOut::by_fault(planned, Some(id), fault))
             }
-        }
-        if first.is_none() || pairs.is_some_and(|[_, same]| same.p_violated <= how.alpha) {
+            (None, None) => None,
+        };
+        if ruled_out.is_none() || pairs.is_some_and(|[_, same]| same.p_violated <= how.alpha) {
             return Ok(None);
         }
-        for requirement in requirements {
-            if suite.is_violated_soon(requirement)? {
+        for result in results {
+            if suite.is_violated_soon(&result.requirement)? {
                 return Ok(None);
             }
         }
-        Ok(Some(ruled_out(first)))
+        Ok(ruled_out)
+    }
+
+    /// Whether the trials of the real robot leave a requirement undecided or violate it. The number of simulated episodes has
+    /// no effect on that. Without trials there is no evidence, which is stated as such.
+    fn is_unmet_by_trials(&self, result: &RequirementResult, how: How) -> bool {
+        let met = match self.requirements.mode {
+            Mode::Point => result.status == Status::Met,
+            // With Holm's procedure, the status of one requirement also depends on the others.
+            Mode::Confidence => result.p_met.is_some_and(|p| p <= how.alpha),
+        };
+        result.requirement.metric == Metric::RealSuccess && result.status != Status::NoEvidence && !met
     }
 }
 
@@ -124,6 +147,23 @@ struct Whole<'a> {
 }
 
 impl Whole<'_> {
+    /// The first requirement or comparison that the invalid episodes rule out.
+    fn first_lost(
+        &self,
+        results: &[RequirementResult],
+        pairs: Option<&[Comparison; 2]>,
+        episodes: u64,
+    ) -> Result<Option<String>, GateError> {
+        for result in results {
+            if !self.can_be_met(&result.requirement)? {
+                return Ok(Some(result.id.clone()));
+            }
+        }
+        let Some([best, same]) = pairs else { return Ok(None) };
+        let none = episodes >= ALL_INVALID && same.status == Status::NoEvidence;
+        Ok((none || best.p_met > self.how.alpha).then(|| Comparison::ID.to_owned()))
+    }
+
     /// Whether the requirement is met if all episodes that are not invalid are as good as possible.
     fn can_be_met(&self, requirement: &Requirement) -> Result<bool, GateError> {
         let bound = requirement.bound(self.question.requirements.mode, self.question.baseline)?;
@@ -137,6 +177,10 @@ impl Whole<'_> {
 
     /// Whether the requirement is violated if the rounds so far repeat themselves.
     fn is_violated_soon(&self, requirement: &Requirement) -> Result<bool, GateError> {
+        // Episodes do not decide it.
+        if requirement.metric == Metric::RealSuccess {
+            return Ok(false);
+        }
         let trials = self.all(|trial, _| trial.clone());
         Ok(self.results(requirement, &trials)?.iter().any(|result| match self.question.requirements.mode {
             Mode::Point => result.status == Status::Violated,

@@ -23,6 +23,10 @@ pub struct Reference {
     pub population: String,
     /// The content hash of the rows.
     pub dataset_sha256: String,
+    /// SHA-256 (hex) of the file of real trials that the success rate of the baseline comes from. Absent if it comes from the
+    /// run, or if there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub real_trials_sha256: Option<String>,
     /// The folder of the run, from the folder of this file. The monitor's page replays its episodes if they are still there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub run: Option<String>,
@@ -34,7 +38,8 @@ pub struct Reference {
     /// Whether the run was made in a simulator. Its mix of failure modes then differs from that of the robot.
     #[serde(default)]
     pub simulated: bool,
-    /// The smallest success rate that the run's gate accepts. Absent in files of version 0.2 and older.
+    /// The smallest success rate that the run's gate accepts, in simulation and on the real robot. Absent in files of version
+    /// 0.2 and older.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub required_success: Option<f64>,
 }
@@ -137,6 +142,7 @@ mod tests {
             policy: "p".to_owned(),
             population: "x".to_owned(),
             dataset_sha256: String::new(),
+            real_trials_sha256: None,
             run: None,
             baseline: Baseline { success: Some(Count { count, of: 100 }), ..Baseline::default() },
             domain: Domain::default(),

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use anyhow::anyhow;
 use robogate_campaign::shards::{Assignment, OpenRound, ShardError, ShardStatus, Shards};
 use robogate_campaign::{AfterRound, Completion, Event, Round};
 use robogate_core::Foresight;
@@ -12,7 +13,7 @@ use robogate_gate::{Asked, GateError, Record};
 use crate::commands::gate::{Look, compared_with, finish, refused, ruled_out, write_question};
 use crate::commands::run::{conclude, write_report};
 use crate::commands::shard::exit;
-use crate::exit::Exit;
+use crate::exit::{Exit, USAGE};
 use crate::remote::Simulators;
 use crate::subject::{Subject, starts_processes};
 use crate::twins;
@@ -34,16 +35,30 @@ struct Gate {
 
 impl Gate {
     fn of(shards: &Shards) -> Result<Option<Self>, Exit> {
-        let Some(text) = shards.document(Asked::FILE).map_err(exit)? else {
-            return Ok(None);
-        };
         let path = shards.dir().join(Asked::FILE);
+        let planned = shards.settings().provenance.question_sha256.as_deref();
+        let Some(text) = shards.document(Asked::FILE).map_err(exit)? else {
+            return match planned {
+                None => Ok(None),
+                Some(_) => Err(not_planned(&path, "missing, but the plan is that of a gate with a question")),
+            };
+        };
         let text = String::from_utf8_lossy(&text);
         let asked = Asked::from_json(&path, &text).map_err(refused)?;
+        if planned.is_some_and(|planned| planned != asked.sha256()) {
+            return Err(not_planned(&path, "not the question of the plan, which has another SHA-256"));
+        }
         let other = compared_with(&asked)?.map(|(_, record)| record);
-        let record = Record::begun(&shards.settings().provenance).map_err(refused)?;
+        let mut record = Record::begun(&shards.settings().provenance).map_err(refused)?;
+        record.real.clone_from(&asked.real);
         Ok(Some(Self { asked, other, record }))
     }
+}
+
+/// The error of a question that the plan does not name.
+fn not_planned(path: &Path, reason: &str) -> Exit {
+    let hint = "run the `robogate gate --divide` that wrote the plan again, which writes a missing question, or restore the file";
+    Exit { code: USAGE, error: anyhow!("{}: {reason}\n  hint: {hint}", path.display()) }
 }
 
 /// What the task knows about episodes before they run. `None` if it knows nothing.

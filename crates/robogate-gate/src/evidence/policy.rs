@@ -43,10 +43,9 @@ impl PolicyBinding {
             Some(policy) => policy,
         };
         let text = |key: &str| policy.get(key).and_then(Value::as_str).unwrap_or_default();
-        let declared = policy.get("declared").and_then(|declared| declared.get("sha256")).and_then(Value::as_str);
-        // A policy that the environment runs declares a version, which may be the hash of its files.
-        match declared.or_else(|| policy.get("version")?.as_str()).and_then(digest) {
-            Some(sha256) if declared.is_some() && !text("server").contains("://") => Self::File { sha256 },
+        let declared = policy.get("declared").and_then(|declared| declared.get("sha256")).is_some_and(Value::is_string);
+        match provenance.policy_sha256() {
+            Some(sha256) if declared && !text("server").contains("://") => Self::File { sha256 },
             Some(sha256) => Self::Declared { sha256 },
             None => Self::Unbound { because: "as declared by the server".to_owned() },
         }
@@ -70,12 +69,6 @@ impl fmt::Display for PolicyBinding {
             Self::Unbound { because } => write!(f, "not bound: {because}"),
         }
     }
-}
-
-/// A SHA-256 in hexadecimal digits, with or without the prefix `sha256:`.
-fn digest(text: &str) -> Option<String> {
-    let digits = text.strip_prefix("sha256:").unwrap_or(text);
-    (digits.len() == 64 && digits.chars().all(|c| c.is_ascii_hexdigit())).then(|| digits.to_ascii_lowercase())
 }
 
 /// Files of the policy that are not those of the run.

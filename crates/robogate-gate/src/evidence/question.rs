@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{BASELINE, EvidenceError, FileRecord, Problem, REQUIREMENTS};
-use crate::{Asked, Baseline, Requirements, Sampling};
+use crate::{Asked, Baseline, RealEvidence, Requirements, Sampling};
 
 /// How the judged question relates to the one that the gate was asked.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -18,7 +18,7 @@ pub enum QuestionBinding {
     AsAsked,
     /// Another question than that of the gate.
     Reasked {
-        /// The parts that differ: `requirements`, `baseline`, `margin`, `sampling`.
+        /// The parts that differ: `requirements`, `baseline`, `margin`, `real trials`, `sampling`.
         changed: Vec<String>,
     },
     /// The rows name no question: no gate started the run, or one of version 0.2. The question may have been chosen after
@@ -75,10 +75,18 @@ pub(super) fn binding(
     } else {
         None
     };
+    let path = folder.join(RealEvidence::FILE);
+    let real = if files.iter().any(|file| file.path == RealEvidence::FILE) {
+        let text = read_regular_text(&path).map_err(EvidenceError::io(&path, "read"))?;
+        Some(RealEvidence::from_json(&path, &text)?)
+    } else {
+        None
+    };
     let changed: Vec<String> = [
         ("requirements", requirements != asked.requirements),
         ("baseline", baseline != asked.baseline),
         ("margin", margin != asked.against.as_ref().map(|against| against.margin)),
+        ("real trials", real != asked.real),
         // A stricter test than the one asked for changes nothing in favour of the policy.
         ("sampling", asked.sampling == Sampling::Sequential && sampling == Sampling::Fixed),
     ]

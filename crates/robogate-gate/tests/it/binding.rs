@@ -12,7 +12,7 @@ use robogate_gate::evidence::{
     Content, EvidenceError, Ingredients, PolicyBinding, PrivateKey, Problem, QuestionBinding, REGISTRATION,
     REGISTRATION_KEY, Registration, Role, Signed, list_of, random_positions, register, verify, write,
 };
-use robogate_gate::{Asked, Requirements, Sampling};
+use robogate_gate::{Asked, RealEvidence, RealStratum, Requirements, Sampling};
 use serde_json::json;
 use sha2::{Digest, Sha256};
 
@@ -289,6 +289,49 @@ fn other_baselines_and_margins_need_consent() {
     run.ingredients.against = Some((run.path("d.parquet"), 0.2));
     let error = run.refused();
     assert!(matches!(&error, EvidenceError::Reasked { changed } if *changed == ["margin"]), "{error}");
+}
+
+/// Trials of the real robot about the run of a test, `successes` of 20 in each stratum.
+fn real_trials(successes: u64) -> RealEvidence {
+    let stratum = RealStratum { share: 0.5, trials: 20, successes };
+    RealEvidence {
+        format: RealEvidence::FORMAT,
+        task: crate::common::task().name.as_str().to_owned(),
+        robot: "franka".to_owned(),
+        robot_sha256: None,
+        policy: "judged".to_owned(),
+        policy_sha256: None,
+        population: "the operating space".to_owned(),
+        trials_sha256: format!("{successes:064}"),
+        simulation_sha256: "c".repeat(64),
+        strata: [stratum; 2],
+    }
+}
+
+#[test]
+fn other_real_trials_need_consent() {
+    let with = |real: &RealEvidence| Some(Content::Bytes(real.to_json().into_bytes()));
+    let consent = |run: &Run| {
+        let error = run.refused();
+        assert!(matches!(&error, EvidenceError::Reasked { changed } if *changed == ["real trials"]), "{error}");
+    };
+    // A gate without trials, which are added afterwards.
+    let mut run = Run::of_network();
+    run.ingredients.real = with(&real_trials(20));
+    consent(&run);
+    // A gate with weak trials, which are exchanged for stronger ones or left out.
+    let path = run.path(Asked::FILE);
+    let weak =
+        Asked { real: Some(real_trials(12)), ..Asked::from_json(&path, &fs::read_to_string(&path).unwrap()).unwrap() };
+    fs::write(&path, weak.to_json()).unwrap();
+    assert!(run.refused().to_string().contains("not the question that the gate was asked"));
+    run.provenance.question_sha256 = Some(weak.sha256());
+    run.write_rows();
+    consent(&run);
+    run.ingredients.real = None;
+    consent(&run);
+    run.ingredients.real = with(&real_trials(12));
+    assert_eq!(verify(&run.written("e"), None).unwrap().question, QuestionBinding::AsAsked);
 }
 
 #[test]

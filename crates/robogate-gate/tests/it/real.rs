@@ -15,7 +15,9 @@ fn evidence(successes: [u64; 2], trials: [u64; 2]) -> RealEvidence {
         format: RealEvidence::FORMAT,
         task: sampled([]).task.name.as_str().to_owned(),
         robot: "franka".to_owned(),
+        robot_sha256: None,
         policy: "scripted".to_owned(),
+        policy_sha256: None,
         population: "the operating space".to_owned(),
         trials_sha256: "b".repeat(64),
         simulation_sha256: "c".repeat(64),
@@ -55,6 +57,37 @@ fn foreign_trials_are_rejected() {
     let error = judged(Some(other)).unwrap_err().to_string();
     assert!(error.contains("`another`"), "{error}");
     assert!(judged(Some(evidence([26, 25], [25, 25]))).is_err());
+}
+
+/// Two policies of one profile have one name. A hash that is unknown on one side decides nothing.
+#[test]
+fn trials_of_other_files_are_rejected() {
+    let trials = |robot: Option<&str>, policy: Option<&str>| RealEvidence {
+        robot_sha256: robot.map(str::to_owned),
+        policy_sha256: policy.map(str::to_owned),
+        ..evidence([24, 25], [25, 25])
+    };
+    let mut record = sampled([]);
+    record.policy_sha256 = Some("p1".to_owned());
+    assert!(trials(Some("r1"), Some("p1")).check_subject(&record).is_ok());
+    assert!(trials(None, None).check_subject(&record).is_ok());
+    let error = trials(Some("r1"), Some("p2")).check_subject(&record).unwrap_err().to_string();
+    assert!(error.contains("SHA-256 of the policy is `p2`") && !error.contains("robot's files"), "{error}");
+    record.robot_sha256 = Some("r2".to_owned());
+    let error = trials(Some("r1"), Some("p2")).check_subject(&record).unwrap_err().to_string();
+    assert!(error.contains("SHA-256 of the robot's files is `r1`") && error.contains("`p2`"), "{error}");
+}
+
+/// The exact test of a million trials takes minutes, and evidence of others is verified.
+#[test]
+fn too_many_trials_are_rejected() {
+    let path = std::path::Path::new("real.json");
+    let read = |trials| RealEvidence::from_json(path, &evidence([1, 1], [trials, 1]).to_json());
+    assert!(read(19_999).is_ok());
+    for trials in [20_000, u64::MAX] {
+        let error = read(trials).unwrap_err().to_string();
+        assert!(error.contains("more than 20,000 trials"), "{error}");
+    }
 }
 
 #[test]

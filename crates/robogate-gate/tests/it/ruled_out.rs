@@ -1,7 +1,9 @@
-//! When invalid episodes alone rule out a pass.
+//! When invalid episodes or the trials of the real robot rule out a pass.
 
 use robogate_core::FailureMode;
-use robogate_gate::{Against, Ending, Evaluation, Question, Record, Requirements, Sampling, Verdict};
+use robogate_gate::{
+    Against, Ending, Evaluation, Question, RealEvidence, RealStratum, Record, Requirements, Sampling, Verdict,
+};
 
 use crate::common::{failed, invalid, judge, requirements, suite};
 
@@ -64,8 +66,8 @@ fn most_episodes_invalid_stops_early() {
         assert_eq!((found.verdict, found.decided_at_episodes), (Verdict::Inconclusive, None));
         assert!(found.because.contains("no result of the other"), "{}", found.because);
         let out = found.ruled_out.unwrap();
-        assert_eq!((out.requirement.as_deref(), out.fault.as_str(), out.first), (Some("success"), "diverged: test", 0));
-        assert_eq!((out.planned, out.with_fault), (PLANNED, found.counts.invalid));
+        assert_eq!((out.requirement.as_deref(), out.fault.as_deref()), (Some("success"), Some("diverged: test")));
+        assert_eq!((out.planned, out.with_fault, out.first), (PLANNED, Some(found.counts.invalid), Some(0)));
         // Once it is ruled out, it stays so.
         assert!((first..20).all(|n| evaluate(n).ruled_out.is_some()));
     }
@@ -96,6 +98,57 @@ fn expected_violation_is_awaited() {
     assert_eq!(judge(&gate(), &rounds(20, ending), Sampling::Sequential).verdict, Verdict::Fail);
 }
 
+/// Trials of the real robot, `successes` of 25 in each stratum.
+fn real(record: &Record, successes: u64) -> RealEvidence {
+    RealEvidence {
+        format: RealEvidence::FORMAT,
+        task: record.task.name.as_str().to_owned(),
+        robot: record.robot.clone(),
+        robot_sha256: None,
+        policy: record.policy.clone(),
+        policy_sha256: None,
+        population: "the operating space".to_owned(),
+        trials_sha256: "b".repeat(64),
+        simulation_sha256: "c".repeat(64),
+        strata: [RealStratum { share: 0.5, trials: 25, successes }; 2],
+    }
+}
+
+/// No simulated episode changes what the trials of the real robot show.
+#[test]
+fn undecided_trials_rule_out_a_pass() {
+    let with = |limit: f64| {
+        requirements(&format!(
+            "name = \"r\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = {limit}\n\
+             [[requirement]]\nmetric = \"real:success\"\nat_least = 0.7\n"
+        ))
+    };
+    let judge = |rounds: Record, limit: f64, successes: Option<u64>, sampling| {
+        let record = Record { real: successes.map(|n| real(&rounds, n)), ..rounds };
+        crate::common::judge(&with(limit), &record, sampling)
+    };
+    for sampling in [Sampling::Fixed, Sampling::Sequential] {
+        let found = judge(rounds(1, |_| Ending::Success), 0.5, Some(19), sampling);
+        assert!(found.because.contains("do not show `real:success`: no result of the other 304"), "{}", found.because);
+        let out = found.ruled_out.unwrap();
+        assert_eq!(
+            (found.verdict, out.requirement.as_deref(), out.fault),
+            (Verdict::Inconclusive, Some("real:success"), None)
+        );
+        assert_eq!(judge(rounds(1, |_| Ending::Success), 0.5, Some(25), sampling).verdict, Verdict::Pass);
+        let violated = judge(rounds(1, |_| Ending::Success), 0.5, Some(3), sampling);
+        assert!(violated.verdict == Verdict::Fail && violated.is_violated_by_trials());
+        // Without trials there is no evidence, and nothing to rule out.
+        let without = judge(rounds(1, |_| Ending::Success), 0.5, None, sampling);
+        assert!(without.ruled_out.is_none() && without.because.starts_with("no evidence"), "{}", without.because);
+        // All planned episodes ran.
+        assert!(judge(rounds(20, |_| Ending::Success), 0.5, Some(19), sampling).ruled_out.is_none());
+        // The simulation alone is about to fail.
+        let failing = judge(rounds(1, |i| if i < 6 { miss() } else { Ending::Success }), 0.9, Some(19), sampling);
+        assert!(failing.ruled_out.is_none(), "{}", failing.because);
+    }
+}
+
 fn compared(this: &Record, other: &Record) -> Evaluation {
     let easy =
         requirements("name = \"e\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.05\n");
@@ -113,7 +166,7 @@ fn invalid_pairs_rule_out_a_replacement() {
         let found = compared(this, other);
         let out = found.ruled_out.unwrap();
         assert_eq!(out.requirement.as_deref(), Some("not worse than the other policy"));
-        assert_eq!((found.verdict, out.with_fault), (Verdict::Inconclusive, 173));
+        assert_eq!((found.verdict, out.with_fault), (Verdict::Inconclusive, Some(173)));
         assert!(found.because.starts_with("173 of 192 pairs of episodes are invalid"), "{}", found.because);
     }
 }

@@ -8,12 +8,13 @@ use clap::{Args, ValueEnum};
 use robogate_analysis::Source;
 use robogate_campaign::folder::LOST;
 use robogate_core::TaskSpec;
+use robogate_dictionary::Provenance;
 use robogate_gate::evidence::{
     Content, Documents, EvidenceError, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write,
 };
 use robogate_gate::{Asked, GateError, Record, Sampling};
 
-use crate::commands::gate::{built_in_baseline, open_requirements, real_evidence, refused};
+use crate::commands::gate::{built_in_baseline, open_requirements, real_evidence_for, refused};
 use crate::compliance;
 use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::place;
@@ -49,8 +50,8 @@ pub(crate) struct Evidence {
     /// State how the number of episodes was chosen; default: as in the run's gate, otherwise fixed
     #[arg(long, value_name = "HOW")]
     sampling: Option<Count>,
-    /// Judge other requirements, baseline or margin than those of the run's gate. `robogate verify` reports it in its first
-    /// line
+    /// Judge other requirements, baseline, margin or real trials than those of the run's gate. `robogate verify` reports
+    /// it in its first line
     #[arg(long)]
     reasked: bool,
     /// Add the folder `compliance` with the verdict as PDF, ReqIF and JUnit, and a CycloneDX list of components (SBOM)
@@ -112,7 +113,7 @@ impl Evidence {
             dictionary: dictionary(&self.run),
             requirements: self.requirements(&provenance.task, asked.as_ref())?,
             baseline: self.baseline(asked.as_ref(), &source)?,
-            real: self.real(asked.as_ref())?,
+            real: self.real(asked.as_ref(), provenance)?,
             against: self.against(asked.as_ref())?,
             sampling: self.sampling(asked.as_ref()).or_usage()?,
             reasked: self.reasked,
@@ -153,9 +154,9 @@ impl Evidence {
         Ok(baseline.map(|baseline| Content::Bytes(baseline.to_json().into_bytes())))
     }
 
-    fn real(&self, asked: Option<&Asked>) -> Result<Option<Content>, Exit> {
+    fn real(&self, asked: Option<&Asked>, provenance: &Provenance) -> Result<Option<Content>, Exit> {
         let real = match (&self.real, asked) {
-            (Some(file), _) => Some(real_evidence(file)?),
+            (Some(file), _) => Some(real_evidence_for(file, provenance)?),
             (None, asked) => asked.and_then(|asked| asked.real.clone()),
         };
         Ok(real.map(|real| Content::Bytes(real.to_json().into_bytes())))

@@ -158,6 +158,11 @@ fn impossible_action_spaces_are_invalid() {
     let output = gate(&url, &file, &out, &["--controls", "1"]);
     assert_eq!(output.status.code(), Some(4), "{}", text(&output));
     assert!(text(&output).contains("through the profile in 0 of 1"), "{}", text(&output));
+    // Shards would run all rounds for this verdict.
+    let shards = dir.path().join("shards");
+    let output = gate(&url, &file, &shards, &["--controls", "1", "--divide", "2"]);
+    assert_eq!(output.status.code(), Some(4), "{}", text(&output));
+    assert!(!shards.join("plan.json").exists());
 }
 
 #[test]

@@ -6,6 +6,7 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
 /// The longest wait for a condition. It is far above any expected time, and only ends a test that would wait for ever.
@@ -92,6 +93,17 @@ pub(crate) fn verb(dir: &Path, line: &str, code: i32, parts: &[&str]) -> String 
         assert!(printed.contains(part), "{line} does not say {part:?}: {printed}");
     }
     stdout(&output)
+}
+
+/// Writes the file of a transfer from the simulation `run` in `dir`, with the trials in `trials.csv`. Its strata are replaced by
+/// two with 25 trials each, of which `successes` succeeded.
+#[track_caller]
+pub(crate) fn real_trials(dir: &Path, run: &str, file: &str, successes: u64) {
+    verb(dir, &format!("transfer --sim {run} --real trials.csv --out {file}"), 0, &[]);
+    let mut document: Value = serde_json::from_slice(&fs::read(dir.join(file)).unwrap()).unwrap();
+    let stratum = json!({ "share": 0.5, "trials": 25, "successes": successes });
+    document["exact"] = json!({ "estimated": { "interval_95": [0.0, 1.0], "cut": 0.5, "strata": [stratum, stratum] } });
+    fs::write(dir.join(file), document.to_string()).unwrap();
 }
 
 /// Waits until a process fulfils a condition. Returns `false` if it ends before that.

@@ -8,7 +8,7 @@ use robogate_monitor::{Cycle, Reference};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::harness::{path, robogate};
+use crate::harness::{path, real_trials, robogate, verb};
 
 fn text(bytes: &[u8]) -> String {
     String::from_utf8(bytes.to_vec()).unwrap()
@@ -94,6 +94,34 @@ fn simulated_modes_are_left_out() {
     fs::write(&feed, format!("{}\n", cycle(0, 1.0, true))).unwrap();
     let refused = robogate(&["monitor", "serve", &feed, "--reference", &file]);
     assert_eq!(refused.status.code(), Some(2), "{}", text(&refused.stderr));
+}
+
+/// The baseline is the count of the real trials, and the limit is the larger one of simulation and real robot.
+#[test]
+fn real_trials_are_a_baseline() {
+    let dir = tempfile::tempdir().unwrap();
+    reference(&dir);
+    let rows: String = (0..40).map(|i| format!("{},{},{}\n", i % 3 > 0, row(i).0, row(i).1)).collect();
+    fs::write(path(&dir, "trials.csv"), format!("success,friction,mass_kg\n{rows}")).unwrap();
+    real_trials(dir.path(), "run.json", "real.json", 22);
+    let requirement = |metric: &str, limit: f64| format!("[[requirement]]\nmetric = '{metric}'\nat_least = {limit}\n");
+    for (name, limit) in [("low.toml", 0.5), ("high.toml", 0.95)] {
+        let both = requirement("success", 0.2) + &requirement("real:success", limit);
+        fs::write(path(&dir, name), format!("name = 'real'\nmode = 'confidence'\n{both}")).unwrap();
+    }
+    let write = "monitor reference run.json --out with.json --real real.json --requirements";
+    verb(dir.path(), &format!("{write} high.toml"), 2, &["88.0 %", "95.0 %"]);
+    verb(dir.path(), &format!("{write} low.toml --learn-baseline"), 2, &["cannot be used with"]);
+    verb(dir.path(), &format!("{write} low.toml"), 0, &["44 of 50 trials of the real robot", "operating space"]);
+    let with: Reference = serde_json::from_slice(&fs::read(path(&dir, "with.json")).unwrap()).unwrap();
+    let success = with.baseline.success.unwrap();
+    assert_eq!((success.count, success.of, with.required_success), (44, 50, Some(0.5)));
+    let trials: Value = serde_json::from_slice(&fs::read(path(&dir, "real.json")).unwrap()).unwrap();
+    assert_eq!(with.real_trials_sha256.as_deref(), trials["real"]["sha256"].as_str());
+    // Trials about another policy.
+    let other = trials.to_string().replace("\"policy\":\"", "\"policy\":\"other ");
+    fs::write(path(&dir, "real.json"), other).unwrap();
+    verb(dir.path(), &format!("{write} low.toml"), 2, &["the policy is `other "]);
 }
 
 #[test]

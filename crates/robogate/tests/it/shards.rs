@@ -11,7 +11,7 @@ use std::time::Instant;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::{TWO_SCENARIOS, run_all_shards, runs_until, verb};
+use crate::harness::{TWO_SCENARIOS, real_trials, run_all_shards, runs_until, verb};
 
 /// The files of a folder, without its subfolders.
 fn files(dir: &Path) -> BTreeMap<String, Vec<u8>> {
@@ -160,7 +160,52 @@ fn gate_in_shards_equals_single_gate() {
     verb(many, "status run", 0, &["next: robogate merge run"]);
     assert_eq!(verb(many, "merge run", 1, &["FAIL"]), verdict);
     assert!(files(&many.join("run")) == files(&one.join("run")));
+    // A gate whose question is missing or another one must not become a run without a verdict.
+    let question = many.join("run/gate-question.json");
+    let asked = fs::read_to_string(&question).unwrap();
+    fs::write(&question, asked.replacen("0.92", "0.52", 1)).unwrap();
+    verb(many, "merge run --out elsewhere", 2, &["not the question of the plan", "hint: "]);
+    fs::remove_file(&question).unwrap();
+    verb(many, "plan run --next", 2, &["gate-question.json: missing", "hint: "]);
+    verb(many, &format!("{gate} --divide 3"), 0, &[]);
     verb(many, "merge run --out elsewhere", 1, &["FAIL"]);
+    verb(many, &format!("{gate} --divide 3 --against scripted"), 2, &["cannot be used with", "--against"]);
+}
+
+/// Trials of the real robot decide a gate in shards as they decide that of one process, and stop it where they cannot.
+#[test]
+fn real_trials_decide_gates_on_any_executor() {
+    let dirs = [TempDir::new().unwrap(), TempDir::new().unwrap()];
+    let [one, many] = dirs.each_ref().map(TempDir::path);
+    let requirement = |metric: &str, limit: f64| format!("[[requirement]]\nmetric = '{metric}'\nat_least = {limit}\n");
+    let both = requirement("success", 0.05) + &requirement("real:success", 0.7);
+    fs::write(one.join("real.toml"), format!("name = 'real'\nmode = 'confidence'\n{both}")).unwrap();
+    let rows: String = (0..40).map(|i| format!("{},{}\n", i % 3 > 0, 0.2 + 0.1 * f64::from(i % 7) / 6.0)).collect();
+    fs::write(one.join("trials.csv"), format!("success,mass_kg\n{rows}")).unwrap();
+    verb(one, "run --task pendulum --design uniform -n 300 --seed 3 --out sim", 0, &[]);
+    real_trials(one, "sim", "strong.json", 25);
+    real_trials(one, "sim", "weak.json", 19);
+
+    let at = one.display();
+    let gate = format!("gate --task pendulum --requirements {at}/real.toml --rounds 9 --seed 3");
+    verb(one, &format!("{gate} --out none"), 2, &["`real:success` needs trials", "robogate transfer", "--real"]);
+    verb(one, &format!("{gate} --policy random --real {at}/strong.json --out none"), 2, &["`scripted`", "`random`"]);
+    assert!(!one.join("none").exists(), "an episode ran");
+    let strong = format!("{gate} --real {at}/strong.json --out run");
+    let verdict = verb(one, &strong, 0, &["PASS"]);
+    verb(many, &format!("{strong} --divide 3"), 0, &[]);
+    run_all_shards(many, "run");
+    assert_eq!(verb(many, "merge run", 0, &["PASS"]), verdict);
+    assert!(files(&many.join("run")) == files(&one.join("run")));
+
+    for (out, more) in [("weak", ""), ("fixed", " --fixed")] {
+        let weak = format!("{gate}{more} --real {at}/weak.json --out {out}");
+        verb(one, &weak, 3, &["do not show `real:success`: no result of the other 512", "Run more trials"]);
+        let found: Value = serde_json::from_slice(&fs::read(one.join(out).join("gate.json")).unwrap()).unwrap();
+        assert_eq!(found["ruled_out"], serde_json::json!({ "planned": 576, "requirement": "real:success" }));
+    }
+    verb(one, "gate --run weak --real strong.json", 0, &["note: the run's gate used 50 real trials", "PASS"]);
+    verb(one, "evidence weak evidence --real strong.json", 2, &["the real trials differ", "--reasked"]);
 }
 
 #[test]

@@ -5,10 +5,11 @@ use std::path::Path;
 
 use anyhow::Context;
 use robogate_analysis::Source;
-use robogate_gate::{Asked, Evaluation, Question, Record, Requirements, Sampling};
+use robogate_gate::{Asked, Evaluation, Question, RealEvidence, Record, Requirements, Sampling};
+use robogate_stats::format::counted;
 
 use super::Gate;
-use super::question::{MARGIN, Other, compared_with, open_requirements, question, real_evidence, refused};
+use super::question::{MARGIN, Other, compared_with, judged, open_requirements, question, real_evidence_for, refused};
 use super::verdict::{show, write_answer};
 use crate::exit::{Exit, OrExit};
 use crate::source::open_source;
@@ -35,13 +36,13 @@ impl Gate {
         };
         let asked_margin = asked.as_ref().and_then(|asked| Some(asked.against.as_ref()?.margin));
         let margin = self.margin.or(asked_margin).unwrap_or(MARGIN);
-        if let Some(asked) = &asked {
-            self.note_changes(asked, &requirements, asked_margin);
-        }
         record.real = match &self.real {
-            Some(file) => Some(real_evidence(file)?),
+            Some(file) => Some(real_evidence_for(file, source.dictionary().provenance())?),
             None => asked.as_ref().and_then(|asked| asked.real.clone()),
         };
+        if let Some(asked) = &asked {
+            self.note_changes(asked, &requirements, asked_margin, record.real.as_ref());
+        }
         let question = Question {
             requirements: &requirements,
             baseline: other.baseline.as_ref(),
@@ -58,7 +59,13 @@ impl Gate {
     }
 
     /// Prints one line for each part of the question that differs from the question of the run's gate.
-    fn note_changes(&self, asked: &Asked, requirements: &Requirements, margin: Option<f64>) {
+    fn note_changes(
+        &self,
+        asked: &Asked,
+        requirements: &Requirements,
+        margin: Option<f64>,
+        real: Option<&RealEvidence>,
+    ) {
         if *requirements != asked.requirements {
             let (was, is) = (&asked.requirements.name, &requirements.name);
             note(format_args!(
@@ -81,14 +88,32 @@ impl Gate {
         {
             note(format_args!("note: the run's gate used the margin {was}; this evaluation uses {is}"));
         }
+        if real != asked.real.as_ref() {
+            note(format_args!(
+                "note: the run's gate used {}; this evaluation uses {}",
+                described(asked.real.as_ref()),
+                described(real)
+            ));
+        }
     }
+}
+
+/// The trials of the real robot in a few words, with the first digits of the hashes of both data sets.
+fn described(real: Option<&RealEvidence>) -> String {
+    let short = |sha256: &str| sha256.get(..12).unwrap_or(sha256).to_owned();
+    real.map_or_else(
+        || "no real trials".to_owned(),
+        |real| {
+            let (trials, simulation) = (short(&real.trials_sha256), short(&real.simulation_sha256));
+            format!("{} ({trials}, simulation {simulation})", counted(real.trials(), "real trial"))
+        },
+    )
 }
 
 /// The evaluation of the gate that a run's folder belongs to. `None` for a run without a gate.
 pub(crate) fn evaluation_of(folder: &Path, source: &Source) -> Result<Option<Evaluation>, Exit> {
     let Some(asked) = Asked::of(folder).map_err(refused)? else { return Ok(None) };
-    let mut record = Record::of(source.dictionary()).map_err(refused)?;
-    record.real.clone_from(&asked.real);
+    let record = judged(source, &asked)?;
     let other = compared_with(&asked)?.map(|(_, record)| record);
     let mut evaluation = question(&asked, other.as_ref()).evaluate(&record).map_err(refused)?;
     evaluation.twins = twins::of_folder(folder, source, asked.sampling)?;

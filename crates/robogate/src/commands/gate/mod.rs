@@ -23,7 +23,7 @@ use crate::twins::NominalArguments;
 
 pub(crate) use judge::evaluation_of;
 pub(crate) use question::{
-    built_in_baseline, compared_with, open_requirements, real_evidence, refused, write_question,
+    built_in_baseline, compared_with, open_requirements, real_evidence_for, refused, write_question,
 };
 pub(crate) use rounds::{Look, resume};
 pub(crate) use verdict::{finish, ruled_out, write_answer};
@@ -106,7 +106,7 @@ pub(crate) struct Gate {
     how: How,
     /// Write the plan of the gate in N shards to --out, and run nothing: `robogate plan DIR --next` prints the commands
     /// that run the next round, and `robogate merge DIR` returns the verdict (docs/cluster.md)
-    #[arg(long, value_name = "N", requires = "out", conflicts_with_all = ["run", "plan"])]
+    #[arg(long, value_name = "N", requires = "out", conflicts_with_all = ["run", "plan", "against"])]
     divide: Option<u32>,
     /// Register the run before its first episode: sign its plan, seed, question and policy with this private key, and
     /// number the registration in PRIVATE.registrations (docs/signatures.md)

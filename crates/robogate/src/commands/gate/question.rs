@@ -4,11 +4,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
-use robogate_analysis::Finding;
 use robogate_analysis::transfer::Transfer;
+use robogate_analysis::{Finding, Source};
 use robogate_core::TaskSpec;
 use robogate_core::budget::Budget;
-use robogate_dictionary::read_text;
+use robogate_dictionary::{Provenance, read_text};
+use robogate_gate::evidence::PolicyBinding;
 use robogate_gate::{Against, Asked, Baseline, GateError, Question, RealEvidence, RealStratum, Record, Requirements};
 
 use super::Gate;
@@ -87,7 +88,7 @@ pub(crate) fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, 
 }
 
 /// Reads the trials of the real robot from the file of `robogate transfer --out`.
-pub(crate) fn real_evidence(path: &Path) -> Result<RealEvidence, Exit> {
+fn real_evidence(path: &Path) -> Result<RealEvidence, Exit> {
     let text = read_text(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
     let transfer: Transfer = Budget::FILE
         .json(text.as_bytes())
@@ -109,12 +110,37 @@ pub(crate) fn real_evidence(path: &Path) -> Result<RealEvidence, Exit> {
         format: RealEvidence::FORMAT,
         task: transfer.task.name.clone(),
         robot: transfer.simulation.robot.clone(),
+        robot_sha256: transfer.simulation.robot_sha256.clone(),
         policy: transfer.simulation.policy.clone(),
+        policy_sha256: transfer.simulation.policy_sha256.clone(),
         population: transfer.population.clone(),
         trials_sha256: transfer.real.sha256.clone(),
         simulation_sha256: transfer.simulation.dataset_hash.clone(),
         strata,
     })
+}
+
+/// Reads the trials of the real robot for a run with this provenance. They must be about its task, robot and policy.
+pub(crate) fn real_evidence_for(path: &Path, provenance: &Provenance) -> Result<RealEvidence, Exit> {
+    let real = real_evidence(path)?;
+    real.check_subject(&Record::begun(provenance).map_err(refused)?).map_err(refused)?;
+    let both = real.policy_sha256.is_some() && provenance.policy_sha256().is_some();
+    if !both && PolicyBinding::of(provenance) != PolicyBinding::BuiltIn {
+        note(format_args!(
+            "note: {}: only the name `{}` shows that trials and episodes are about the same policy, because no SHA-256 of it is \
+             known for both",
+            path.display(),
+            real.policy
+        ));
+    }
+    Ok(real)
+}
+
+/// The episodes of a run, with the trials of the real robot that its gate was asked about.
+pub(super) fn judged(source: &Source, asked: &Asked) -> Result<Record, Exit> {
+    let mut record = Record::of(source.dictionary()).map_err(refused)?;
+    record.real.clone_from(&asked.real);
+    Ok(record)
 }
 
 /// The question of a run, with the record of the run that it compares with.

@@ -32,12 +32,16 @@ impl Look<'_> {
         }
         self.record.trials.extend(round.entries.iter().map(Trial::from));
         let fixed = self.asked.sampling == Sampling::Fixed;
-        if fixed && self.record.trials.iter().all(|trial| trial.ending.is_valid()) {
+        // Only invalid episodes and trials of the real robot end a gate with a fixed number of episodes.
+        let valid = self.record.trials.iter().all(|trial| trial.ending.is_valid());
+        if fixed && valid && self.record.real.is_none() {
             return ControlFlow::Continue(());
         }
         match question(self.asked, self.other).evaluate(self.record) {
             // More rounds cannot give a pass.
-            Ok(evaluation) if evaluation.ruled_out.is_some() => ControlFlow::Break(()),
+            Ok(evaluation) if evaluation.ruled_out.is_some() || evaluation.is_violated_by_trials() => {
+                ControlFlow::Break(())
+            }
             // A number of episodes that was fixed is tested once. The test at the end reports an error too.
             _ if fixed => ControlFlow::Continue(()),
             Ok(evaluation) if matches!(evaluation.verdict, Verdict::Pass | Verdict::Fail) => ControlFlow::Break(()),
@@ -76,7 +80,7 @@ impl Rounds<'_> {
         Look { asked: &self.asked, other, record: &mut self.record, trouble: &mut self.trouble }.after(round)
     }
 
-    /// The arms that run after this gate: none if its invalid episodes rule out a pass.
+    /// The arms that run after this gate: none if a pass is ruled out.
     pub(super) fn worthwhile(&self, arms: Arms, completion: &Completion) -> Arms {
         if arms.is_empty() || self.broken.is_some() || !matches!(completion, Completion::Finished { .. }) {
             return arms;

@@ -4,16 +4,18 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Context, anyhow};
+use anyhow::Context;
 use robogate_campaign::{DEFAULT_SEED, Event, Plan, Round};
 use robogate_core::Suite;
 use robogate_dictionary::{Label, Provenance};
-use robogate_gate::{Asked, AskedAgainst, GatePlan, Mode, PairPlan, Planned, Question, Record, Requirements, Sampling};
+use robogate_gate::{
+    Asked, AskedAgainst, Controls, GatePlan, Mode, PairPlan, Planned, Question, Record, Requirements, Sampling,
+};
 use robogate_physics::SuctionLaw;
 use robogate_stats::format::counted;
 
 use super::Gate;
-use super::question::{MARGIN, Other, open_requirements, real_evidence, refused, write_question};
+use super::question::{MARGIN, Other, open_requirements, real_evidence_for, refused, write_question};
 use super::rounds::Rounds;
 use super::verdict::{show, write_answer};
 use crate::answer;
@@ -23,6 +25,7 @@ use crate::commands::run::{free_folder, introduce};
 use crate::commands::{controls, shard, suites};
 use crate::exit::{DONE, Exit, OrExit};
 use crate::families;
+use crate::place;
 use crate::policy_source::PolicyArguments;
 use crate::subject::Subject;
 use crate::terminal::{line, note};
@@ -61,14 +64,10 @@ impl Gate {
         if self.plan {
             return self.print_expected(&prepared);
         }
-        let rival = self.rival(&prepared)?;
-        let asked = prepared.asked(rival.is_some() && self.divide.is_none());
+        let asked = prepared.asked(self.against.is_some());
         let provenance = Provenance { question_sha256: Some(asked.sha256()), ..prepared.provenance.clone() };
         // Read before anything is written, so that an unusable key is reported early.
         let registrar = self.register.as_deref().map(Registrar::new).transpose()?;
-        if let (Some(shards), Some(dir)) = (self.divide, &self.out) {
-            return self.divide(dir, shards, &prepared.plan, provenance, &asked, registrar.as_ref());
-        }
         let dir = match &self.out {
             Some(dir) => dir.clone(),
             None => free_folder(&format!("gate-{}-{}", prepared.subject.label(), prepared.plan.seed)),
@@ -76,11 +75,16 @@ impl Gate {
         if prepared.control_failed {
             return self.refuse(&dir, &prepared, &asked);
         }
+        if let Some(shards) = self.divide {
+            return self.divide(&dir, shards, &prepared.plan, provenance, &asked, registrar.as_ref());
+        }
+        let rival = self.rival(&prepared)?;
         self.introduce(&dir, &prepared, &provenance);
         self.run_suite(dir, prepared, asked, provenance, rival, registrar.as_ref())
     }
 
-    /// Finds everything that the gate depends on. Questions that cannot be decided are reported before anything runs.
+    /// Finds everything that the gate depends on. Questions that cannot be decided are reported before anything runs, the
+    /// controls included.
     fn prepare(&self) -> Result<Prepared, Exit> {
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         let environment = self.environment.environment_of(suite.as_ref(), SuctionLaw::Vacuum)?;
@@ -112,21 +116,16 @@ impl Gate {
             (Some(seed), _) | (None, Some(seed)) => seed,
             (None, None) => DEFAULT_SEED,
         };
-        let controls = if self.plan { None } else { controls::run(&subject, &suite, self.controls, seed)? };
-        let subject = match &controls {
-            Some(controls) => subject.with_controls(controls),
-            None => subject,
-        };
-        let mut plan = Plan::of_suite(suite, u64::from(rounds), seed);
+        let mut plan = Plan::of_suite(suite.clone(), u64::from(rounds), seed);
         plan.twins |= self.twins;
-        let space = plan.suite.as_ref().map(|stage| stage.suite.space().clone());
-        let space = space.ok_or_else(|| anyhow!("the plan has no suite")).or_broken()?;
-        let provenance = subject.provenance(space)?;
-        plan.check(&provenance.space).or_usage()?;
-        let planned =
-            Provenance { plan: serde_json::to_value(&plan).or_broken()?, seed: plan.seed, ..provenance.clone() };
+        plan.check(suite.space()).or_usage()?;
+        let planned = with_plan(&subject.provenance(suite.space().clone())?, &plan)?;
         let mut record = Record::begun(&planned).map_err(refused)?;
-        record.real = self.real.as_deref().map(real_evidence).transpose()?;
+        record.real = self.real.as_deref().map(|file| real_evidence_for(file, &planned)).transpose()?;
+        // A plan runs nothing, and may precede the trials.
+        if !self.plan {
+            requirements.check_real(record.real.as_ref()).map_err(refused)?;
+        }
         let other = self.other(&record)?;
         let expected = GatePlan::of(&requirements, other.baseline.as_ref(), &labels, sampling, u64::from(rounds))
             .map_err(refused)?;
@@ -135,6 +134,14 @@ impl Gate {
             let planned = Planned { seed: plan.seed, rounds: u64::from(rounds), sampling, alpha: requirements.alpha() };
             robogate_gate::check_pairing(a, &record, planned, margin).map_err(refused)?;
         }
+        let controls = if self.plan { None } else { controls::run(&subject, &suite, self.controls, seed)? };
+        let subject = match &controls {
+            Some(controls) => subject.with_controls(controls),
+            None => subject,
+        };
+        let provenance = subject.provenance(suite.space().clone())?;
+        let planned = with_plan(&provenance, &plan)?;
+        record.controls = Controls::of(&planned);
         Ok(Prepared {
             subject,
             plan,
@@ -228,9 +235,13 @@ impl Gate {
             sampling: asked.sampling,
         };
         let evaluation = question.evaluate(&prepared.record).map_err(refused)?;
-        fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
-        write_answer(dir, &evaluation, None)?;
-        show(Some(dir), &evaluation, &prepared.planned, self.how.json)
+        // The store of a campaign in shards has no place for an answer without one.
+        let dir = Some(dir).filter(|dir| !place::is_remote(dir));
+        if let Some(dir) = dir {
+            fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
+            write_answer(dir, &evaluation, None)?;
+        }
+        show(dir, &evaluation, &prepared.planned, self.how.json)
     }
 
     /// Prints what will run.
@@ -302,6 +313,11 @@ impl Gate {
         })?;
         rounds.end(completion, &subject, self.how.json)
     }
+}
+
+/// The provenance as the run records it.
+fn with_plan(provenance: &Provenance, plan: &Plan) -> Result<Provenance, Exit> {
+    Ok(Provenance { plan: serde_json::to_value(plan).or_broken()?, seed: plan.seed, ..provenance.clone() })
 }
 
 impl Prepared {

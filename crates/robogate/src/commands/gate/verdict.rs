@@ -10,7 +10,7 @@ use robogate_dictionary::Provenance;
 use robogate_gate::{Asked, Evaluation, GateError, Record, Verdict};
 use robogate_report::{Watch, evaluation_markdown_with, junit, reqif};
 
-use super::question::{question, refused};
+use super::question::{judged, question, refused};
 use crate::answer;
 use crate::benchmark;
 use crate::commands::run::{interrupted, write_report};
@@ -47,8 +47,7 @@ pub(crate) fn finish(
     let (analysis, watch) = write_report(dir, Some(&frames), subject).unzip();
     // The evaluation uses the rows on disk, and not those that were seen during the run.
     let source = Source::open(dir).or_broken()?;
-    let mut record = Record::of(source.dictionary()).map_err(refused)?;
-    record.real.clone_from(&asked.real);
+    let record = judged(&source, asked)?;
     let mut evaluation = question(asked, other).evaluate(&record).map_err(refused)?;
     evaluation.twins = twins::of_folder(dir, &source, asked.sampling)?;
     if let Some(twins) = &evaluation.twins {
@@ -62,10 +61,10 @@ pub(crate) fn finish(
     Ok(code)
 }
 
-/// Whether the finished gate in `dir` stopped because its invalid episodes rule out a pass. Control arms of it would say nothing.
+/// Whether the finished gate in `dir` stopped because a pass is ruled out. Its control arms do not run.
 pub(crate) fn ruled_out(dir: &Path, asked: &Asked, other: Option<&Record>) -> Result<bool, Exit> {
     let source = Source::open(dir).or_broken()?;
-    let record = Record::of(source.dictionary()).map_err(refused)?;
+    let record = judged(&source, asked)?;
     Ok(question(asked, other).evaluate(&record).map_err(refused)?.ruled_out.is_some())
 }
 

@@ -8,12 +8,12 @@ use clap::Args;
 use robogate_analysis::{Analysis, AnalysisOptions, Finding, Population, RiskModel, Source};
 use robogate_core::{Domain, Parameter};
 use robogate_dictionary::{Column, Dictionary, DictionaryError};
-use robogate_gate::{Asked, Metric};
+use robogate_gate::{Asked, Metric, RealEvidence};
 use robogate_monitor::domain::{self, Risk, RiskTerm, Validated};
 use robogate_monitor::{Baseline, Count, ModeCounts, Reference};
 
 use crate::commands::analyze::analyse;
-use crate::commands::gate::{open_requirements, refused};
+use crate::commands::gate::{open_requirements, real_evidence_for, refused};
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::source::open_source;
 use crate::terminal::{grouped, line, note};
@@ -28,7 +28,8 @@ const NEAR: f64 = 0.02;
 /// validated if an episode came within 2 % of the range to it.
 ///
 /// A run whose success rate is below the limit of its gate is rejected, because a monitor with this baseline would
-/// accept what the gate rejects: use the run of a gate that passed, or --learn-baseline.
+/// accept what the gate rejects: use the run of a gate that passed, or --learn-baseline. The limit is the largest one on the
+/// success rate in simulation and on the real robot.
 #[derive(Debug, Args)]
 pub(super) struct ReferenceOf {
     /// Folder of a run, or a dictionary
@@ -36,6 +37,10 @@ pub(super) struct ReferenceOf {
     /// Leave the success rate out. The monitor learns it from the first cycles of the robot
     #[arg(long)]
     learn_baseline: bool,
+    /// Take the success rate from these trials of the real robot instead of from the run: the file of `robogate transfer
+    /// --out`
+    #[arg(long, value_name = "FILE", conflicts_with = "learn_baseline")]
+    real: Option<PathBuf>,
     /// Take the smallest accepted success rate from these requirements; default: those of the run's gate, otherwise
     /// `default`
     #[arg(long, value_name = "NAME|FILE")]
@@ -55,14 +60,21 @@ impl ReferenceOf {
             let error = anyhow::anyhow!("the run has no valid episode, so nothing was validated");
             return Err(Exit { code: INVALID, error });
         }
+        let provenance = source.dictionary().provenance();
+        let real = self.real.as_deref().map(|file| real_evidence_for(file, provenance)).transpose()?;
+        let population = match &real {
+            Some(real) => real.population.clone(),
+            None => analysis.population.describe().to_owned(),
+        };
         let reference = Reference {
             version: Reference::VERSION,
             robot: analysis.subject.robot.clone(),
             policy: analysis.subject.policy.clone(),
-            population: analysis.population.describe().to_owned(),
+            population,
             dataset_sha256: analysis.subject.dataset_hash.clone(),
+            real_trials_sha256: real.as_ref().map(|real| real.trials_sha256.clone()),
             run: source.folder().and_then(|folder| self.place_of(folder)),
-            baseline: self.baseline(&analysis),
+            baseline: self.baseline(&analysis, real.as_ref()),
             domain: domain::Domain { envelope, risk: analysis.risk.estimated().map(risk) },
             simulated: is_simulated(&analysis),
             required_success: self.required_success(&source)?,
@@ -103,12 +115,18 @@ impl ReferenceOf {
             );
         }
         match reference.baseline.success {
-            Some(Count { count, of }) => note(format_args!(
-                "  baseline: {} of {} episodes succeeded; {}",
-                grouped(count),
-                grouped(of),
-                reference.population
-            )),
+            Some(Count { count, of }) => {
+                let what = match &reference.real_trials_sha256 {
+                    Some(sha256) => format!("trials of the real robot (SHA-256 {sha256})"),
+                    None => "episodes".to_owned(),
+                };
+                note(format_args!(
+                    "  baseline: {} of {} {what} succeeded; {}",
+                    grouped(count),
+                    grouped(of),
+                    reference.population
+                ));
+            }
             None if self.learn_baseline => {
                 note("  no baseline: the monitor learns the success rate from the first cycles")
             }
@@ -134,7 +152,8 @@ fn is_simulated(analysis: &Analysis) -> bool {
 }
 
 impl ReferenceOf {
-    /// The smallest success rate that the gate of this run accepts. `None` if its requirements have no such limit.
+    /// The smallest success rate that the gate of this run accepts, in simulation and on the real robot. `None` if its
+    /// requirements have no such limit.
     fn required_success(&self, source: &Source) -> Result<Option<f64>, Exit> {
         let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
         let requirements = match (&self.requirements, asked) {
@@ -144,7 +163,10 @@ impl ReferenceOf {
             }
         };
         let whole = |r: &&robogate_gate::Requirement| {
-            r.metric == Metric::Success && r.category.is_none() && r.group.is_none() && r.each.is_none()
+            matches!(r.metric, Metric::Success | Metric::RealSuccess)
+                && r.category.is_none()
+                && r.group.is_none()
+                && r.each.is_none()
         };
         Ok(requirements.requirement.iter().filter(whole).filter_map(|r| r.at_least).reduce(f64::max))
     }
@@ -153,15 +175,15 @@ impl ReferenceOf {
         analysis.failure_modes.modes.iter().any(|share| share.failures > 0)
     }
 
-    /// The counts of the run. Empty for a focused design, because its rate does not estimate that of the operating
-    /// space.
-    fn baseline(&self, analysis: &Analysis) -> Baseline {
+    /// The counts of the run, with the successes of the real trials in place of its own. A focused design has none, because its
+    /// rate does not estimate that of the operating space.
+    fn baseline(&self, analysis: &Analysis, real: Option<&RealEvidence>) -> Baseline {
         let full = baseline(analysis);
-        Baseline {
-            success: full.success.filter(|_| !self.learn_baseline),
-            failure_modes: full.failure_modes.filter(|_| !is_simulated(analysis)),
-            ..full
-        }
+        let success = match real {
+            Some(real) => Some(Count { count: real.successes(), of: real.trials() }),
+            None => full.success.filter(|_| !self.learn_baseline),
+        };
+        Baseline { success, failure_modes: full.failure_modes.filter(|_| !is_simulated(analysis)), ..full }
     }
 }
 
