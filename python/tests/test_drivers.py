@@ -11,6 +11,7 @@ import tempfile
 import types
 import unittest
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 SLURM = Path(__file__).resolve().parents[2] / "deploy" / "slurm" / "robogate.sh"
@@ -81,49 +82,57 @@ class RayTaskError(RayError):
         self.cause = cause
 
 
+class Reference:
+    """The result of a remote function."""
+
+    def __init__(self, result: Any) -> None:
+        self.result = result
+
+
 class Remote:
     """A remote function, which runs at once in a folder of its own, like a worker."""
 
-    def __init__(self, function: "object", worker: Path) -> None:
+    def __init__(self, function: Any, worker: Path) -> None:
         self._function = function
         self._worker = worker
 
-    def options(self, **_: object) -> "Remote":
+    def options(self, **_: Any) -> "Remote":
         return self
 
-    def remote(self, *arguments: object) -> "object":
-        driver = os.getcwd()
+    def remote(self, *arguments: Any) -> Reference:
+        driver = os.open(".", os.O_RDONLY)
         os.chdir(self._worker)
         try:
-            result = self._function(*arguments)  # type: ignore[operator]
+            return Reference(self._function(*arguments))
         except Exception as error:
-            result = RayTaskError(error)
+            return Reference(RayTaskError(error))
         finally:
-            os.chdir(driver)
-        return types.SimpleNamespace(result=result)
+            os.fchdir(driver)
+            os.close(driver)
 
 
-def ray_of_one_process(worker: Path) -> "dict[str, types.ModuleType]":
+def get(reference: Reference) -> Any:
+    if isinstance(reference.result, RayError):
+        raise reference.result
+    return reference.result
+
+
+def ray_of_one_process(worker: Path) -> "dict[str, Any]":
     """The modules of a Ray with one CPU that runs each task when it is submitted."""
-
-    def get(reference: "object") -> "object":
-        if isinstance(reference.result, RayError):  # type: ignore[attr-defined]
-            raise reference.result  # type: ignore[attr-defined]
-        return reference.result  # type: ignore[attr-defined]
-
-    ray = types.ModuleType("ray")
-    ray.remote = lambda **_: lambda what: Remote(what, worker)  # type: ignore[attr-defined]
-    ray.get = get  # type: ignore[attr-defined]
-    ray.wait = lambda running, **_: (running[:1], running[1:])  # type: ignore[attr-defined]
-    ray.init = ray.shutdown = ray.cancel = lambda *_, **__: None  # type: ignore[attr-defined]
-    ray.nodes = list  # type: ignore[attr-defined]
-    ray.cluster_resources = lambda: {"CPU": 1}  # type: ignore[attr-defined]
-    ray.exceptions = types.SimpleNamespace(RayError=RayError, RayTaskError=RayTaskError)  # type: ignore[attr-defined]
-    ray.util = types.ModuleType("ray.util")  # type: ignore[attr-defined]
-    ray.util.get_node_ip_address = lambda: "node"  # type: ignore[attr-defined]
-    strategies = types.ModuleType("ray.util.scheduling_strategies")
-    strategies.NodeAffinitySchedulingStrategy = object  # type: ignore[attr-defined]
-    return {"ray": ray, "ray.util": ray.util, "ray.util.scheduling_strategies": strategies}  # type: ignore[attr-defined]
+    ray = types.SimpleNamespace(
+        remote=lambda **_: lambda what: Remote(what, worker),
+        get=get,
+        wait=lambda running, **_: (running[:1], running[1:]),
+        init=lambda **_: None,
+        shutdown=lambda: None,
+        cancel=lambda *_, **__: None,
+        nodes=list,
+        cluster_resources=lambda: {"CPU": 1},
+        exceptions=types.SimpleNamespace(RayError=RayError, RayTaskError=RayTaskError),
+        util=types.SimpleNamespace(get_node_ip_address=lambda: "node"),
+    )
+    strategies = types.SimpleNamespace(NodeAffinitySchedulingStrategy=object)
+    return {"ray": ray, "ray.util": ray.util, "ray.util.scheduling_strategies": strategies}
 
 
 class Driver(unittest.TestCase):
@@ -200,7 +209,7 @@ class OnRay(Driver):
         self.assertTrue(errors.startswith("error: no command on this node\nhint: "), errors)
 
     @staticmethod
-    def missing(*_: object) -> None:
+    def missing(*_: Any) -> None:
         raise FileNotFoundError("no command on this node")
 
     def test_errors_of_the_address_have_codes(self) -> None:
