@@ -1,4 +1,4 @@
-"""The drivers of campaigns in shards, with a false `robogate`, and without Ray or Slurm: robogate_eval.ray and deploy/slurm/robogate.sh."""
+"""The drivers of campaigns in shards, with a false `robogate`: robogate_eval.ray without Ray, and the scripts for Slurm and Kubernetes."""
 
 import contextlib
 import importlib
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-SLURM = Path(__file__).resolve().parents[2] / "deploy" / "slurm" / "robogate.sh"
+DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 
 # A gate with one shard and nominal twins, whose verdict is inconclusive (exit code 3). It is divided with --divide, and --policy must be
 # a file.
@@ -251,7 +251,7 @@ echo "$number;cluster"
 
     def submit(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
         path = f"{self.work}:{os.environ['PATH']}"
-        return subprocess.run([SLURM, *arguments], env={**os.environ, "PATH": path}, capture_output=True, text=True, check=False)
+        return subprocess.run([DEPLOY / "slurm" / "robogate.sh", *arguments], env={**os.environ, "PATH": path}, capture_output=True, text=True, check=False)
 
     def test_nominal_twins_run_before_the_last_merge(self) -> None:
         done = self.submit("d", "1", "--seed", "1")
@@ -270,6 +270,39 @@ echo "$number;cluster"
             self.assertEqual(done.returncode, 2)
             self.assertIn(message, done.stderr)
         self.assertEqual(sorted(path.name for path in self.work.iterdir()), ["robogate", "sbatch"])
+
+
+class OnKubernetes(Driver):
+    # All Jobs complete at once, but that of FAILS. The third Job of a round finds nothing to do.
+    KUBECTL = r"""#!/bin/sh
+echo "$*" >> "$CALLS"
+case $1 in
+    create)
+        number=$(grep -c "^create.*round" "$CALLS")
+        case $2 in *round*) echo "job.batch/round-$number" ;; *) echo job.batch/merge ;; esac
+        ;;
+    get) case $2 in $FAILS) echo FailureTarget Failed ;; *) echo SuccessCriteriaMet Complete ;; esac ;;
+    logs) case $2 in *round-3) echo "nothing to do: all rounds are complete" ;; *) echo "the log of $2" ;; esac ;;
+esac
+"""
+
+    def rounds(self, fails: str) -> "subprocess.CompletedProcess[str]":
+        self.program("kubectl", self.KUBECTL)
+        environment = {**os.environ, "PATH": f"{self.work}:{os.environ['PATH']}", "FAILS": fails}
+        return subprocess.run([DEPLOY / "kubernetes" / "run.sh"], env=environment, capture_output=True, text=True, check=False)
+
+    def test_rounds_end_with_the_campaign(self) -> None:
+        done = self.rounds("none")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        created = [line.split()[1] for line in self.calls.read_text().splitlines() if line.startswith("create")]
+        self.assertEqual(created, ["--filename=round.yaml"] * 3 + ["--filename=merge.yaml"])
+        self.assertTrue(done.stdout.endswith("the log of job.batch/merge\n"), done.stdout)
+
+    def test_failed_jobs_end_the_campaign(self) -> None:
+        done = self.rounds("job.batch/round-2")
+        self.assertEqual(done.returncode, 5)
+        self.assertIn("the log of job.batch/round-2\nerror: job.batch/round-2 has failed", done.stderr)
+        self.assertEqual(self.called("create"), 2)
 
 
 if __name__ == "__main__":
