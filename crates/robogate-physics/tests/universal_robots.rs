@@ -1,5 +1,4 @@
 //! Compares the UR3e, UR5e and UR10e with the manufacturer's tables.
-#![expect(clippy::disallowed_methods, reason = "tests measure times")]
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::f64::consts::{FRAC_PI_2, PI};
