@@ -3,7 +3,7 @@
 Usage: run_unittests.py FOLDER [ARGUMENTS OF UNITTEST DISCOVERY...]
 
 Each skipped test is appended to the file that ROBOGATE_SKIPPED_FILE names. With ROBOGATE_TESTS_STRICT=1 a skipped test is an
-error.
+error. It is always an error if no test was found.
 """
 
 import os
@@ -21,4 +21,8 @@ if path := os.environ.get("ROBOGATE_SKIPPED_FILE"):
 strict = bool(lines) and os.environ.get("ROBOGATE_TESTS_STRICT") == "1"
 if strict:
     sys.stderr.write("error: ROBOGATE_TESTS_STRICT=1 forbids skipped tests:\n" + "".join(lines))
-sys.exit(0 if result.wasSuccessful() and not strict else 1)
+# A class whose setup was skipped counts no test.
+found = result.testsRun > 0 or bool(result.skipped)
+if not found:
+    sys.stderr.write(f"error: {' '.join([folder, *arguments])}: no tests were found\n")
+sys.exit(0 if result.wasSuccessful() and found and not strict else 1)

@@ -14,11 +14,23 @@ cd "$(dirname "$0")/.."
 target=${CARGO_TARGET_DIR:-target}
 mkdir -p "$target"
 target=$(cd "$target" && pwd)
-if [ -z "${ROBOGATE_SKIPPED_FILE:-}" ]; then
-    ROBOGATE_SKIPPED_FILE=$(mktemp)
-    trap 'rm -f "$ROBOGATE_SKIPPED_FILE"' EXIT
-fi
-export ROBOGATE_SKIPPED_FILE
+work=$(mktemp --directory)
+export ROBOGATE_SKIPPED_FILE=${ROBOGATE_SKIPPED_FILE:-$work/skipped}
+touch "$ROBOGATE_SKIPPED_FILE"
+
+# Processes beside this one, and the process group of the other suites.
+beside=() others=
+# Ctrl-C does not reach these processes, and the other suites would keep cargo's lock.
+end() {
+    if [ -n "$others" ]; then
+        kill -- "-$others" 2> /dev/null || true
+    fi
+    kill "${beside[@]}" 2> /dev/null || true
+    rm -rf "$work"
+}
+trap end EXIT
+trap 'exit 130' INT
+trap 'exit 143' TERM
 
 # Records one of the other suites that cannot run: skipped SUITE REASON.
 skipped() {
@@ -154,11 +166,11 @@ await_other_suites() {
     local name
     # Fails if the process was killed.
     wait "$others" || failed+=("other suites")
+    others= beside=()
     cat "$suites/output"
     while read -r name; do
         [ -z "$name" ] || failed+=("$name")
     done < "$suites/failed"
-    rm -rf "$suites"
 }
 
 # The environments of the bridges are needed last, so they are created beside all that follows.
@@ -168,6 +180,7 @@ if [ $# -eq 0 ]; then
     # Fakes replace the classes of Isaac Sim.
     bridges/common/setup.sh "$target/isaac_sim-venv" bridges/isaac_sim/tests/requirements.lock &
     isaac=$!
+    beside=("$newton" "$isaac")
 fi
 
 programs
@@ -186,10 +199,14 @@ await_pythons
 
 # Many of the Rust tests wait for a browser or another process, so the other suites run beside them.
 if [ $# -eq 0 ]; then
-    suites=$(mktemp --directory)
+    suites=$work/suites
+    mkdir "$suites"
     touch "$suites/output" "$suites/failed"
-    other_suites &
+    # With job control, they have a process group of their own.
+    set -m
+    other_suites < /dev/null &
     others=$!
+    set +m
 fi
 step "Rust tests" rust "$@"
 if [ $# -eq 0 ]; then

@@ -5,8 +5,8 @@
 #   robogate.sh DIR          # a campaign, gate or sweep that exists
 #
 # This submits a small job that submits an array with the missing shards, and then itself again after the array. When no shard is
-# missing, it merges them. Nothing stays on the login node. The same command continues a campaign that was stopped. DIR must be visible
-# on all nodes under this path.
+# missing, it merges them. Nothing stays on the login node. The same command continues a campaign that was stopped. DIR must be a folder
+# that is visible on all nodes under this path.
 #
 # Environment: ROBOGATE_COMMAND (default: robogate), ROBOGATE_CPUS (CPUs and threads of each shard, default: 1), and the variables of
 # sbatch such as SBATCH_PARTITION, SBATCH_ACCOUNT and SBATCH_TIMELIMIT.
@@ -20,16 +20,18 @@ attempts=3
 # Slurm's default MaxArraySize is 1001. More shards follow in the next array.
 most=1000
 
-# Submits a call of this script: submit SBATCH_OPTIONS... -- ARGUMENTS...
+# Submits a call of this script, and prints the number of its job: submit SBATCH_OPTIONS... -- ARGUMENTS...
 submit() {
-    local options=()
+    local options=() job
     while [ "$1" != -- ]; do
         options+=("$1")
         shift
     done
     shift
     # Slurm runs a copy of the script, which does not know the path of the original.
-    sbatch --parsable --job-name=robogate --export=ALL,ROBOGATE_SLURM="$self" "${options[@]}" "$self" "$@"
+    job=$(sbatch --parsable --job-name=robogate --export=ALL,ROBOGATE_SLURM="$self" "${options[@]}" "$self" "$@") || return
+    # With SBATCH_CLUSTERS, the name of the cluster follows.
+    echo "${job%%;*}"
 }
 
 # Runs the shard of this array task, which is a line of the list: shard LIST
@@ -45,16 +47,39 @@ shard() {
     exit "$code"
 }
 
+# Prints the commands of the missing shards: those of the campaign, and those of its nominal twins, whose plans its merge writes:
+# missing DIR
+missing() {
+    local arm
+    "$robogate" plan "$1" --next
+    # The folders of a sweep are runs.
+    if [ ! -f "$1/sweep.json" ]; then
+        for arm in "$1/nominal" "$1/families"; do
+            if [ -f "$arm/shards/layout.json" ]; then
+                "$robogate" plan "$arm" --next
+            fi
+        done
+    fi
+}
+
 # Submits the missing shards, or merges if there are none: next DIR ATTEMPT LAST_LIST
 next() {
-    local dir=$1 attempt=$2 last=$3 list=$1/slurm/next-$SLURM_JOB_ID.txt count job
-    "$robogate" plan "$dir" --next > "$list.part"
+    local dir=$1 attempt=$2 last=$3 list=$1/slurm/next-$SLURM_JOB_ID.txt count job code=0
+    missing "$dir" > "$list.part"
+    if [ ! -s "$list.part" ]; then
+        "$robogate" merge "$dir" || code=$?
+        # 1, 3 and 4 are verdicts: the nominal twins of a gate follow all the same.
+        case $code in
+            0 | 1 | 3 | 4) ;;
+            *) exit "$code" ;;
+        esac
+        missing "$dir" > "$list.part"
+    fi
     head -n "$most" "$list.part" > "$list"
     rm "$list.part"
     count=$(wc -l < "$list")
     if [ "$count" -eq 0 ]; then
-        "$robogate" merge "$dir"
-        return
+        exit "$code"
     fi
     cmp -s "$list" "$last" || attempt=0
     if [ "$attempt" -ge "$attempts" ]; then
@@ -76,9 +101,18 @@ case ${1:-} in
             echo "usage: $0 DIR [SHARDS [OPTIONS OF robogate run...]]" >&2
             exit 2
         fi
+        case $1 in
+            *://*)
+                echo "error: $1: expected a folder on a file system that all nodes share. Hint: deploy/kubernetes and robogate-ray use object stores" >&2
+                exit 2
+                ;;
+        esac
         dir=$(realpath -m "$1")
         if [ $# -gt 1 ]; then
             "$robogate" run --divide "$2" --out "$dir" "${@:3}"
+        elif [ ! -f "$dir/plan.json" ] && [ ! -f "$dir/sweep.json" ]; then
+            echo "error: $dir contains no campaign. Hint: add the number of shards and the options of \`robogate run\`" >&2
+            exit 2
         fi
         mkdir -p "$dir/slurm"
         job=$(submit --output="$dir/slurm/next-%j.log" -- next "$dir" 0 "")

@@ -25,6 +25,11 @@ def alive(process: int) -> bool:
     return stat.rpartition(")")[2].split()[0] != "Z"
 
 
+def parent(process: int) -> int:
+    """The parent of a process."""
+    return int(Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[1])
+
+
 def wait_for(condition: "object", seconds: float = 90.0) -> bool:
     """Wait until `condition()` holds."""
     deadline = time.monotonic() + seconds
@@ -85,15 +90,23 @@ class Leash(unittest.TestCase):
         self.assertEqual(process.wait(90), 128 + signal.SIGTERM)
         self.assertFalse(any(map(alive, family)))
 
-    def test_killed_leash_kills_its_command(self) -> None:
+    def test_killed_leash_leaves_no_process(self) -> None:
+        """Each of the two processes of a leash kills the family after the death of the other one."""
         os.chdir(self.work)
         self.addCleanup(os.chdir, "/")
-        process = leash.start(["sh", "-c", "echo $$ > shell; exec sleep 300"], None, None)
-        shell = self.work / "shell"
-        self.assertTrue(wait_for(lambda: shell.exists() and shell.read_text().strip()))
-        process.kill()
-        process.wait()
-        self.assertTrue(wait_for(lambda: not alive(int(shell.read_text()))))
+        for inner in (False, True):
+            for file in self.work.iterdir():
+                file.unlink()
+            process = leash.start(["sh", "-c", self.FAMILY], None, None)
+            family = self.family()
+            os.kill(parent(family[0]) if inner else process.pid, signal.SIGKILL)
+            process.wait(90)
+            self.assertTrue(wait_for(lambda: not any(map(alive, family))), "processes are left")
+
+    def test_ignored_signals_of_children_are_no_problem(self) -> None:
+        program = [sys.executable, "-I", "-S", leash._PROGRAM, str(os.getpid()), "sh", "-c", "exit 7"]
+        done = subprocess.run(["sh", "-c", "trap '' CHLD; exec \"$@\"", "sh", *program], timeout=90, check=False)
+        self.assertEqual(done.returncode, 7)
 
 
 class ProgressLine(unittest.TestCase):

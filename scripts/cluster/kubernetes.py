@@ -3,6 +3,7 @@
 Usage: kubernetes.py [VERSION...]; needs the packages kubernetes-validate and PyYAML.
 """
 
+import re
 import sys
 from pathlib import Path
 
@@ -10,14 +11,18 @@ import kubernetes_validate
 import yaml
 
 FOLDER = Path(__file__).resolve().parents[2] / "deploy" / "kubernetes"
+# The user of the image, who must be able to write to the volume.
+USER = int(re.search(r"^USER (\d+):\1$", (FOLDER.parent / "Containerfile").read_text(), re.MULTILINE)[1])
 # backoffLimitPerIndex is in the API since 1.28, and stable since 1.33.
 VERSIONS = sys.argv[1:] or ["1.29", "1.33"]
 
 
 def rules(job: dict) -> None:
-    """Rules of Indexed Jobs in the API reference that are not part of the schema."""
+    """Rules of the image, and of Jobs in the API reference, that are not part of the schema."""
     spec = job["spec"]
     pod = spec["template"]["spec"]
+    for field in ("runAsUser", "runAsGroup", "fsGroup"):
+        assert pod["securityContext"][field] == USER, f"{field} must be the user of the image, {USER}"
     if "backoffLimitPerIndex" in spec:
         assert spec["completionMode"] == "Indexed", "backoffLimitPerIndex needs completionMode Indexed"
         assert spec["maxFailedIndexes"] <= spec["completions"], "maxFailedIndexes must not exceed completions"

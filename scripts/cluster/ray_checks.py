@@ -129,9 +129,12 @@ def kills(work: Path, count: int, episodes: int, seed: int) -> None:
                 raise SystemExit(f"the campaign ended after {killed}: use more episodes\n{process.stderr.read().decode()}")
             table = processes()
             leashes = [pid for pid, (_, command) in table.items() if "leash_program.py" in command and str(out) in command and "--shard" in command]
-            if not leashes:
+            # A leash is two processes, of which the inner one starts the shard.
+            inner = [pid for pid in leashes if table[pid][0] in leashes]
+            if not inner:
                 continue
-            leash = chance.choice(leashes)
+            inside = chance.choice(inner)
+            leash = table[inside][0]
             kind = chance.choice(["worker", "worker", "driver", "shard", "leash"])
             if kind == "driver":
                 process.kill()
@@ -140,8 +143,8 @@ def kills(work: Path, count: int, episodes: int, seed: int) -> None:
                 process = driver(out, options, f"127.0.0.1:{PORT}")
                 drivers += 1
             else:
-                shard = [pid for pid, (parent, _) in table.items() if parent == leash]
-                victim = {"worker": table[leash][0], "shard": (shard or [leash])[0], "leash": leash}[kind]
+                shard = [pid for pid, (parent, _) in table.items() if parent == inside]
+                victim = {"worker": table[leash][0], "shard": (shard or [inside])[0], "leash": chance.choice([leash, inside])}[kind]
                 try:
                     os.kill(victim, signal.SIGKILL)
                 except ProcessLookupError:

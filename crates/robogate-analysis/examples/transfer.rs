@@ -99,14 +99,19 @@ fn synthetic(out: &mut impl Write) -> Result<(), Box<dyn Error>> {
 
 /// Trials that share effects: those of a day, and those of a setting.
 fn grouped(out: &mut impl Write) -> Result<(), Box<dyn Error>> {
-    writeln!(out, "| trials | groups | shared effect | RoboGate | trials alone | as if independent | width to trials alone |")?;
+    writeln!(
+        out,
+        "| trials | groups | shared effect | RoboGate | trials alone | as if independent | width to trials alone |"
+    )?;
     let logistic = |x: f64| 1.0 / (1.0 + (-x).exp());
     let population = Population::of(0.8, 0.5).ok_or("no such population")?;
     let predicted = Predicted::of(&population.f);
     // Quantiles of the effect of a day, which is uniform.
     let quantile = |k: usize, spread: f64| spread * ((k as f64 + 0.5) / 50.0 - 0.5);
     for (n, groups) in [(30, 6), (30, 10), (60, 6), (60, 20), (100, 20)] {
-        for (effect, spread) in [("none", Some(0.0)), ("day, log-odds ±1", Some(2.0)), ("day, log-odds ±2", Some(4.0)), ("setting", None)] {
+        for (effect, spread) in
+            [("none", Some(0.0)), ("day, log-odds ±1", Some(2.0)), ("day, log-odds ±2", Some(4.0)), ("setting", None)]
+        {
             let of_day = |p: &f64, k: usize| logistic((p / (1.0 - p)).ln() + quantile(k, spread.unwrap_or_default()));
             let days = (0..50).map(|k| population.p.iter().map(|p| of_day(p, k)).sum::<f64>());
             let truth = days.sum::<f64>() / (50 * Population::POINTS) as f64;
@@ -120,8 +125,11 @@ fn grouped(out: &mut impl Write) -> Result<(), Box<dyn Error>> {
                     .iter()
                     .map(|group| if spread.is_some() { stream.below(Population::POINTS) } else { settings[*group] })
                     .collect();
-                let y: Vec<bool> =
-                    at.iter().zip(&group).map(|(at, group)| stream.uniform() < of_day(&population.p[*at], days[*group])).collect();
+                let y: Vec<bool> = at
+                    .iter()
+                    .zip(&group)
+                    .map(|(at, group)| stream.uniform() < of_day(&population.p[*at], days[*group]))
+                    .collect();
                 let f: Vec<f64> = at.iter().map(|at| population.f[*at]).collect();
                 let found = rate(&y, &f, predicted, &[group], Confidence::P95)?;
                 ours.add([found.interval.low, found.interval.high], truth);

@@ -1,5 +1,4 @@
 //! Compares the UR3e, UR5e and UR10e with the manufacturer's tables.
-#![expect(clippy::disallowed_methods, reason = "tests measure times")]
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -278,20 +277,14 @@ fn postures_are_continuous() {
 }
 
 #[test]
-fn out_of_reach_fails_fast() {
+fn out_of_reach_is_an_error() {
     for table in &TABLES {
         let chain = chain(table);
-        let mut times = Vec::new();
         for step in 0..50 {
-            let begun = std::time::Instant::now();
             let at = Vector3::new(1.35 + 0.05 * f64::from(step), 0.1, 0.3);
             let unreachable = chain.reach(&down(&chain, &at, 0.0), &HOME).unwrap_err();
             assert!(unreachable.position_error_m > 0.02 || unreachable.angle_error_rad > 0.02, "{unreachable}");
-            times.push(begun.elapsed());
         }
-        // Far above the typical time, and far below a duration that would delay an episode. The machine may do other work.
-        times.sort_unstable();
-        assert!(times[25].as_millis() < 20, "{}: {:?} for each", table.name, times[25]);
     }
 }
 

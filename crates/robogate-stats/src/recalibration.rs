@@ -282,7 +282,8 @@ mod tests {
         let of = |n: usize, design_effect: f64| {
             let eta: Vec<f64> = (0..n).map(|i| if i % 2 == 0 { 1.0 } else { -1.0 }).collect();
             let share = logistic(1.0);
-            let y: Vec<bool> = (0..n).map(|i| ((i / 2) as f64 + 0.5) / (n / 2) as f64 < if i % 2 == 0 { share } else { 1.0 - share }).collect();
+            let limit = |i: usize| if i % 2 == 0 { share } else { 1.0 - share };
+            let y: Vec<bool> = (0..n).map(|i| limit(i) > ((i / 2) as f64 + 0.5) / (n / 2) as f64).collect();
             Recalibration::of(&eta, &y, design_effect, 0.95)
         };
         for n in [400, 40_000] {

@@ -10,6 +10,7 @@ have the bytes of a run on one machine.
 import argparse
 import json
 import os
+import signal
 import sys
 import time
 from collections import Counter, deque
@@ -20,7 +21,7 @@ from robogate_eval import CommandNotFoundError
 from robogate_eval.cluster import batches, shards
 from robogate_eval.cluster.batches import Batch
 from robogate_eval.cluster.progress import Progress, grouped
-from robogate_eval.cluster.shards import DONE, INFRASTRUCTURE, INTERRUPTED, USAGE, CommandError, Item
+from robogate_eval.cluster.shards import DONE, FAIL, INCONCLUSIVE, INFRASTRUCTURE, INTERRUPTED, INVALID, USAGE, CommandError, Item
 
 # `ray start` turns token authentication on. A driver sends the token to a cluster that is named by its address only if it is told to,
 # before Ray is imported. A cluster without authentication ignores it.
@@ -33,7 +34,9 @@ try:
     from robogate_eval.cluster.lanes import Lane, Lanes, Resources, ServerPlan, beside
     from robogate_eval.cluster.tasks import Attempt, Servers, run
 except ImportError as error:
-    raise SystemExit(f"error: {error}\nhint: pip install 'robogate-eval[ray]'") from error
+    # An exit with a message would have code 1, which means that a gate has failed.
+    sys.stderr.write(f"error: {error}\nhint: pip install 'robogate-eval[ray]'\n")
+    raise SystemExit(USAGE) from error
 
 # How many shards each slot of the cluster gets in a round. More shards balance the load better, and each takes less time to repeat.
 SHARDS_PER_SLOT = 16
@@ -55,6 +58,13 @@ def note(text: str) -> None:
 VERBS = {"run": "Run a campaign", "gate": "Run a gate", "matrix": "Run a sweep"}
 
 
+def reason(error: Exception) -> str:
+    """What went wrong in a task or in Ray, without tracebacks."""
+    if isinstance(error, ray.exceptions.RayTaskError) and error.cause is not None:
+        return str(error.cause) or type(error.cause).__name__
+    return next(iter(str(error).strip().splitlines()), type(error).__name__)
+
+
 class CampaignError(Exception):
     """The campaign cannot continue. `code` is the exit code."""
 
@@ -65,9 +75,8 @@ class CampaignError(Exception):
 
 @dataclass
 class Campaign:
-    """A campaign in shards, and the way its shards run."""
+    """The way the shards of a campaign run, and what they have done."""
 
-    folder: str
     resources: "Resources"
     threads: int
     retries: int
@@ -75,6 +84,13 @@ class Campaign:
     # How many shards each node has committed.
     nodes: "Counter[str]" = field(default_factory=Counter)
     repeated: int = 0
+    _begin: float = field(default_factory=time.monotonic)
+
+    def count(self) -> str:
+        """The number of shards, in one line."""
+        parts = [f"{count} on {node}" for node, count in sorted(self.nodes.items())]
+        seconds = time.monotonic() - self._begin
+        return f"{self.nodes.total()} shards ({', '.join(parts) or 'none'}), {self.repeated} repeated, {seconds:.1f} s"
 
     def once(self, arguments: "list[str]", beside_servers: bool) -> "Attempt":
         """Run `robogate` once."""
@@ -97,7 +113,7 @@ class Campaign:
         if lane is not None:
             options["scheduling_strategy"] = beside(lane.node)
         servers = lane.servers if lane is not None else Servers()
-        return run.options(**options).remote(arguments, servers)
+        return run.options(**options).remote(arguments, servers, os.getcwd())
 
     def run_round(self, items: "list[Item]", progress: Progress) -> None:
         """Run shards until all of them are committed. Each may fail `retries` times."""
@@ -150,9 +166,9 @@ class Campaign:
             attempt: Attempt = ray.get(reference)
         except ray.exceptions.RayTaskError as error:
             # An error of this package or of a server's start. Another node may be set up correctly.
-            return batch.items, str(error.cause if error.cause is not None else error)
+            return batch.items, reason(error)
         except ray.exceptions.RayError as error:
-            return self._lost(batch, progress), str(error).strip().splitlines()[0]
+            return self._lost(batch, progress), reason(error)
         problem = f"on node {attempt.node}: {attempt.reason}"
         if attempt.code == USAGE:
             raise CampaignError(USAGE, problem)
@@ -166,11 +182,12 @@ class Campaign:
 
     def _lost(self, batch: Batch, progress: Progress) -> "tuple[Item, ...]":
         """The shards of a killed task that it has not committed. The others are counted."""
-        missing = set(shards.next_round(self.folder).items)
+        missing = {(item.round, item.shard) for item in shards.next_round(batch.items[0].folder).items}
+        left = tuple(item for item in batch.items if (item.round, item.shard) in missing)
         for item in batch.items:
-            if item not in missing:
+            if item not in left:
                 progress.add_unseen(item.episodes)
-        return tuple(item for item in batch.items if item in missing)
+        return left
 
     def _failed(self, left: Batch, problem: str, failures: "Counter[Item]", progress: Progress) -> None:
         most = max(failures[item] for item in left.items)
@@ -184,23 +201,23 @@ class Campaign:
         again = "runs again" if len(left.items) == 1 else "run again"
         progress.note(f"{left.name} {again} ({most} of at most {self.retries} times): {problem}")
 
-    def run(self) -> None:
-        """Run all rounds."""
-        round = shards.next_round(self.folder)
+    def run(self, folder: str) -> None:
+        """Run all rounds of the campaign in `folder`."""
+        round = shards.next_round(folder)
         while round.name is not None:
-            progress = Progress(shards.open_status(self.folder))
+            progress = Progress(shards.open_status(folder))
             if progress.committed:
                 note(f"{grouped(progress.committed)} of {grouped(progress.shards)} shards are committed already")
             try:
                 self.run_round(round.items, progress)
             finally:
                 progress.end()
-            after = shards.next_round(self.folder)
+            after = shards.next_round(folder)
             left = set(round.items) & set(after.items)
             if left:
                 raise CampaignError(
                     INFRASTRUCTURE,
-                    f"{len(left)} shards were committed on another node, but {self.folder} does not contain them here\n"
+                    f"{len(left)} shards were committed on another node, but {folder} does not contain them here\n"
                     "hint: DIR must be the same folder on all nodes, on a shared file system or in an object store",
                 )
             round = after
@@ -263,7 +280,11 @@ def _plan(given: argparse.Namespace, policy: str) -> "Lanes":
 
     policies = servers("policy", given.policies_per_node)
     if policies is not None and "://" not in policy:
-        raise CampaignError(USAGE, "--policy-server needs --policy with the address that the plan records, such as ws://127.0.0.1:8000")
+        # The plan in a folder is read here; that in an object store is not.
+        hint = "\nhint: repeat all options of a campaign in an object store" if "://" in given.out else ""
+        raise CampaignError(
+            USAGE, f"--policy-server needs --policy with the address that the plan records, such as ws://127.0.0.1:8000{hint}"
+        )
     return Lanes(servers("simulator", given.simulators_per_node), policies, policy, given.shards_per_policy)
 
 
@@ -293,26 +314,33 @@ def _connect(address: str) -> None:
         raise CampaignError(
             INFRASTRUCTURE, f"no Ray cluster at {address}: {error}\nhint: start one with `ray start --head`, or use --address local"
         ) from error
+    except ValueError as error:
+        raise CampaignError(USAGE, f"--address {address}: {error}") from error
+    except Exception as error:
+        # Ray has no common class for these errors, such as timeouts and wrong tokens.
+        raise CampaignError(INFRASTRUCTURE, f"--address {address}: Ray does not start: {reason(error)}") from error
 
 
-def _divide(campaign: Campaign, given: argparse.Namespace, options: "list[str]") -> None:
+def _divide(campaign: Campaign, folder: str, given: argparse.Namespace, options: "list[str]") -> None:
     """Write the plan, or check that the options describe the plan that exists."""
     try:
-        existing = shards.next_round(campaign.folder).shards
-    except CommandError:
-        # There is no campaign yet. Otherwise the command below reports the problem.
+        existing = shards.next_round(folder).shards
+    except CommandError as error:
+        # There is no campaign yet, or the command below reports what is wrong with the folder.
+        if error.code != USAGE:
+            raise
         existing = None
     if existing is not None and not options:
         if given.shards not in (None, existing):
-            raise CampaignError(USAGE, f"{campaign.folder} is divided into {existing} shards, and --shards is {given.shards}")
+            raise CampaignError(USAGE, f"{folder} is divided into {existing} shards, and --shards is {given.shards}")
         return
     slots = campaign.slots()
     count = given.shards or existing or SHARDS_PER_SLOT * slots
-    attempt = campaign.once([given.verb, "--divide", str(count), "--out", campaign.folder, "--json", *options], campaign.lanes.needed)
+    attempt = campaign.once([given.verb, "--divide", str(count), "--out", folder, "--json", *options], campaign.lanes.needed)
     if attempt.code != DONE:
         raise CampaignError(attempt.code, attempt.reason)
     document = attempt.documents[0]
-    note(f"{grouped(document.get('episodes', 0))} episodes in {count} shards on {slots} slots, into {campaign.folder}")
+    note(f"{grouped(document.get('episodes', 0))} episodes in {count} shards on {slots} slots, into {folder}")
 
 
 def execute(given: argparse.Namespace, options: "list[str]") -> int:
@@ -323,28 +351,45 @@ def execute(given: argparse.Namespace, options: "list[str]") -> int:
     policy = _value(options, "--policy") or _recorded_policy(folder)
     lanes = _plan(given, policy)
     cpus = given.threads if given.cpus_per_shard is None else given.cpus_per_shard
-    begin = time.monotonic()
+    campaign = Campaign(Resources(cpus, given.gpus_per_shard), given.threads, given.retries, lanes)
     _connect(given.address)
-    campaign = Campaign(folder, Resources(cpus, given.gpus_per_shard), given.threads, given.retries, lanes)
     lanes.update()
-    _divide(campaign, given, options)
-    campaign.run()
-    parts = [f"{count} on {node}" for node, count in sorted(campaign.nodes.items())]
-    note(f"{campaign.nodes.total()} shards ({', '.join(parts) or 'none'}), {campaign.repeated} repeated, {time.monotonic() - begin:.1f} s")
-    return shards.merge(folder, given.merged, given.json)
+    _divide(campaign, folder, given, options)
+    campaign.run(folder)
+    note(campaign.count())
+    code, document = shards.merge(folder, given.merged, given.json)
+    # The merge ends without a result in all other cases.
+    arms = shards.open_arms(folder) if code in (DONE, FAIL, INCONCLUSIVE, INVALID) else []
+    for arm in arms:
+        note(f"nominal twins: the campaign in {arm}")
+        campaign.run(arm)
+    if arms:
+        note(campaign.count())
+        code, document = shards.merge(folder, given.merged, given.json)
+    sys.stdout.write(document)
+    return code
 
 
 def main() -> None:
     """The console script `robogate-ray`."""
+    # Where the caller ignores this signal, Python sees no exit code of its processes.
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     given, options = arguments().parse_known_args()
     try:
         code = execute(given, options)
+    except ray.exceptions.RayError as error:
+        # First, because the error of a task is also an instance of its cause's class.
+        note(f"error: {reason(error)}\nhint: committed shards are kept; the same command continues the campaign")
+        code = INFRASTRUCTURE
     except (CampaignError, CommandError) as error:
         note(f"error: {error}")
         code = error.code
     except CommandNotFoundError as error:
         note(f"error: {error}")
         code = USAGE
+    except OSError as error:
+        note(f"error: {error}")
+        code = INFRASTRUCTURE
     except KeyboardInterrupt:
         note("\ninterrupted. Committed shards are kept; the same command continues the campaign.")
         code = INTERRUPTED

@@ -65,9 +65,8 @@ pub struct SettingsCheck {
 
 /// Compares the rates of all endings. Modes are compared only if each failed trial names its mode.
 pub(super) fn endings(table: &EpisodeTable, simulated: &Sample, trials: &RealTrials) -> Vec<EndingDifference> {
-    let count = |ending: Ending| {
-        simulated.rows.iter().filter(|row| table.outcome[**row as usize] == ending).count() as u64
-    };
+    let count =
+        |ending: Ending| simulated.rows.iter().filter(|row| table.outcome[**row as usize] == ending).count() as u64;
     let mut all = vec![("success".to_owned(), count(Ending::Success))];
     if trials.names_modes() {
         let mut names: Vec<String> = table.modes.iter().map(|mode| mode.as_str().to_owned()).collect();
@@ -91,7 +90,8 @@ pub(super) fn endings(table: &EpisodeTable, simulated: &Sample, trials: &RealTri
         .into_iter()
         .filter_map(|(ending, count)| {
             let outcomes: Vec<bool> = trials.trials.iter().map(|trial| ended(trial, &ending)).collect();
-            let (real, simulated) = (Trials::count(outcomes.iter().copied()), Trials::new(count, simulated.len() as u64).ok()?);
+            let (real, simulated) =
+                (Trials::count(outcomes.iter().copied()), Trials::new(count, simulated.len() as u64).ok()?);
             if ending != "success" && real.successes() + simulated.successes() == 0 {
                 return None;
             }
@@ -269,7 +269,8 @@ mod tests {
     #[test]
     fn endings_have_the_stated_error() {
         for simulated in [100, 620, 2_000] {
-            for (trials, groups, spread) in [(100, 100, 0.0), (30, 30, 0.0), (60, 6, 0.6), (60, 12, 0.8), (40, 10, 0.0)] {
+            for (trials, groups, spread) in [(100, 100, 0.0), (30, 30, 0.0), (60, 6, 0.6), (60, 12, 0.8), (40, 10, 0.0)]
+            {
                 let error = rejected(trials, groups, spread, simulated, 0.0);
                 assert!(error <= 0.065, "{trials} {groups} {spread} {simulated}: {error}");
             }

@@ -493,7 +493,10 @@ fn assemble(
     } else {
         let missing = Some(trials.without_mode()).filter(|count| trials.has_modes && *count > 0);
         let because = missing.map(|count| {
-            format!("Failure modes are not compared, because {} not name theirs.", counted(count, "failed trial") + if count == 1 { " does" } else { " do" })
+            format!(
+                "Failure modes are not compared, because {} not name theirs.",
+                counted(count, "failed trial") + if count == 1 { " does" } else { " do" }
+            )
         });
         (differences::endings(&simulation.table, &simulated, trials), because)
     };

@@ -72,9 +72,8 @@ pub(super) fn next(
             let (from, to) = (part * order.len() / TRIALS, (part + 1) * order.len() / TRIALS);
             let at = *order.get(from + random.below((to - from).max(1)))?;
             let simulated = predicted[at];
-            let value = |(parameter, coded): (&Parameter, &f64)| {
-                (parameter.name.to_string(), parameter.domain.decode(*coded))
-            };
+            let value =
+                |(parameter, coded): (&Parameter, &f64)| (parameter.name.to_string(), parameter.domain.decode(*coded));
             Some(NextTrial {
                 setting: in_words(space, &points[at]),
                 values: space.parameters().iter().zip(&points[at]).map(value).collect(),

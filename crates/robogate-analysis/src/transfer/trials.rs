@@ -169,8 +169,13 @@ impl RealTrials {
             let known: Vec<&str> = space.parameters().iter().map(|p| &*p.name).collect();
             return Err(wrong(path, 1, format!("no column is a parameter. Expected some of {}", known.join(", "))));
         }
-        let used =
-            |i: usize| i == success || Some(i) == mode || columns.contains(&Some(i)) || names.contains(&header[i]) || header[i].is_empty();
+        let used = |i: usize| {
+            i == success
+                || Some(i) == mode
+                || columns.contains(&Some(i))
+                || names.contains(&header[i])
+                || header[i].is_empty()
+        };
         let ignored = (0..header.len()).filter(|i| !used(*i)).map(|i| header[i].clone()).collect();
         let (mut trials, mut outside, mut labels) = (Vec::new(), Vec::new(), vec![Vec::new(); names.len()]);
         for (line, row) in &rows {

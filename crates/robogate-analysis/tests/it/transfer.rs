@@ -45,12 +45,7 @@ fn transfer(simulation: &Path, text: &str, groups: &[&str]) -> Result<Transfer, 
 }
 
 /// As `transfer`, over the settings `population`.
-fn over(
-    simulation: &Path,
-    text: &str,
-    groups: &[&str],
-    population: Option<&str>,
-) -> Result<Transfer, AnalysisError> {
+fn over(simulation: &Path, text: &str, groups: &[&str], population: Option<&str>) -> Result<Transfer, AnalysisError> {
     let folder = TempDir::new().unwrap();
     let write = |name: &str, text: &str| {
         let file = folder.path().join(name);
@@ -202,7 +197,8 @@ fn endings_are_compared_where_they_can_be() {
     // Light parts only, as the population says: the simulation is right, and nothing differs.
     let all = trials(300, "", "", |_| String::new());
     let (header, rows) = all.split_once('\n').unwrap();
-    let light: Vec<&str> = rows.lines().filter(|row| row.split(',').nth(2).unwrap().parse::<f64>().unwrap() < 0.4).collect();
+    let light: Vec<&str> =
+        rows.lines().filter(|row| row.split(',').nth(2).unwrap().parse::<f64>().unwrap() < 0.4).collect();
     let light = format!("{header}\n{}\n", light.join("\n"));
     let found = over(&simulation, &light, &[], Some(&light)).unwrap();
     assert!(found.rate.estimated().is_some() && found.endings.is_empty(), "{:?}", found.rate);

@@ -376,7 +376,9 @@ impl Run {
         }
         if let Some(mode) = &self.seek {
             let stage = plan.active.take();
-            let stage = stage.ok_or_else(|| anyhow!("--seek applies to the active design\n  hint: leave out --design")).or_usage()?;
+            let stage = stage
+                .ok_or_else(|| anyhow!("--seek applies to the active design\n  hint: leave out --design"))
+                .or_usage()?;
             // A file states its own number of candidates and uniform share.
             let in_file = self.plan.is_some();
             plan.active =

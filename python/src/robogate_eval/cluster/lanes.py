@@ -1,5 +1,6 @@
 """Where shards run: anywhere in the cluster, or beside the servers of a node."""
 
+import os
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -39,7 +40,7 @@ class ServerPlan:
     def start(self, node: str) -> Any:
         """Create the actor of one server on a node. Ray starts its process later."""
         options = {**self.resources.options(), "scheduling_strategy": beside(node)}
-        return Server.options(**options).remote(self.command)
+        return Server.options(**options).remote(self.command, os.getcwd())
 
 
 @dataclass(eq=False)

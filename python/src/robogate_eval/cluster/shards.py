@@ -125,13 +125,35 @@ def open_status(folder: str) -> "dict[str, Any]":
     return total
 
 
-def merge(folder: str, merged: "str | None", as_json: bool) -> int:
-    """Merge all shards into `merged`, or into their own folder. The output goes to the terminal. Returns the exit code."""
+# The folders of the arms of a campaign with nominal twins, below its own.
+ARMS = ("nominal", "families")
+
+
+def open_arms(folder: str) -> "list[str]":
+    """The arms with missing shards. The merge of their campaign writes their plans."""
+    found = []
+    for arm in (f"{folder}/{name}" for name in ARMS):
+        try:
+            if next_round(arm).name is not None:
+                found.append(arm)
+        except CommandError as error:
+            # There is no such arm.
+            if error.code != USAGE:
+                raise
+    return found
+
+
+def merge(folder: str, merged: "str | None", as_json: bool) -> "tuple[int, str]":
+    """Merge all shards into `merged`, or into their own folder. Returns the exit code, and the document if `as_json` is set.
+
+    Other output goes to the terminal.
+    """
     arguments = ["merge", folder, *(["--out", merged] if merged else []), *(["--json"] if as_json else [])]
-    process = leash.start([str(robogate_eval.command()), *arguments], None, None)
+    process = leash.start([str(robogate_eval.command()), *arguments], subprocess.PIPE if as_json else None, None)
     try:
-        return process.wait()
+        output, _ = process.communicate()
     except BaseException:
         process.terminate()
         process.wait()
         raise
+    return process.returncode, (output or b"").decode(errors="replace")

@@ -30,6 +30,18 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+def enter(folder: str) -> str:
+    """Change to the folder of the driver, so that relative paths mean the same on all nodes. Returns a hint if that is not possible."""
+    try:
+        os.chdir(folder)
+    except OSError as error:
+        return (
+            f"\nhint: this node cannot use {folder}, the folder in which robogate-ray was started ({error.strerror}). "
+            "Relative paths need it: share the folder with all nodes, or use absolute paths"
+        )
+    return ""
+
+
 def _accepts(port: int) -> bool:
     try:
         with socket.create_connection(("127.0.0.1", port), timeout=1.0):
@@ -42,9 +54,10 @@ def _accepts(port: int) -> bool:
 class Server:
     """A server of environments or policies in a process that dies with this actor."""
 
-    def __init__(self, command: str) -> None:
-        """`command` contains `{port}`: the port on 127.0.0.1 where the server must listen."""
+    def __init__(self, command: str, folder: str) -> None:
+        """`command` contains `{port}`: the port on 127.0.0.1 where the server must listen. `folder` is that of the driver."""
         self._command = command
+        self._hint = enter(folder)
         self._process: "subprocess.Popen[bytes] | None" = None
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as the actor lives
         self._port = 0
@@ -68,10 +81,14 @@ class Server:
         self._output.truncate()
         self._process = leash.start(words, self._output, self._output)
         deadline = time.monotonic() + START_S
-        while not _accepts(self._port):
+        while True:
+            accepted = _accepts(self._port)
             code = self._process.poll()
+            # Another server may have taken the port. The own one then ends.
             if code is not None:
-                raise ServerError(f"`{shlex.join(words)}` ended with exit code {code}: {self._tail()}")
+                raise ServerError(f"`{shlex.join(words)}` ended with exit code {code}: {self._tail()}{self._hint}")
+            if accepted:
+                return
             if time.monotonic() > deadline:
                 self._process.terminate()
                 raise ServerError(f"`{shlex.join(words)}` accepts no connections after {START_S:.0f} s: {self._tail()}")
@@ -116,8 +133,11 @@ class Attempt:
 
 
 @ray.remote(max_retries=0)
-def run(arguments: "list[str]", servers: Servers) -> Attempt:
-    """Run `robogate` with these arguments and servers. The driver decides whether to retry."""
+def run(arguments: "list[str]", servers: Servers, folder: str) -> Attempt:
+    """Run `robogate` with these arguments and servers in the folder of the driver. The driver decides whether to retry."""
     node = ray.util.get_node_ip_address()
+    hint = enter(folder)
     result = shards.call([*arguments, *servers.arguments()])
-    return Attempt(node, result.code, result.reason, result.documents)
+    # A file that is not found is an error of usage.
+    reason = result.reason + (hint if result.code == shards.USAGE else "")
+    return Attempt(node, result.code, reason, result.documents)
