@@ -158,9 +158,8 @@ pub fn fisher_exact(first: Trials, second: Trials) -> f64 {
     }
     // The hypergeometric distribution is that of two binomial counts of any equal rate, given their sum.
     let rate = successes as f64 / (n + m) as f64;
-    let ln = |k: u64| {
-        ln_binomial_pmf(k as f64, n as f64, rate) + ln_binomial_pmf((successes - k) as f64, m as f64, rate)
-    };
+    let ln =
+        |k: u64| ln_binomial_pmf(k as f64, n as f64, rate) + ln_binomial_pmf((successes - k) as f64, m as f64, rate);
     let observed = ln(first.successes());
     let all: Vec<f64> = (least..=most).map(ln).collect();
     let top = all.iter().copied().fold(f64::NEG_INFINITY, f64::max);

@@ -123,7 +123,8 @@ pub fn rate(
     let p = trials.rate().unwrap_or(0.5);
     let binomial = binomial(p, n);
     let alone_ratio = design_effect(outcomes, groupings, confidence);
-    let alone = if groupings.is_empty() { wilson(trials, confidence) } else { at(p, n as f64 / alone_ratio, confidence) };
+    let alone =
+        if groupings.is_empty() { wilson(trials, confidence) } else { at(p, n as f64 / alone_ratio, confidence) };
     let correlation = correlation(&y, predictions);
     let of_trials =
         PoweredRate { rate: p, interval: alone, tuning: 0.0, correlation, worth: n as f64 / alone_ratio, alone };

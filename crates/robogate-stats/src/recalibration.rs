@@ -112,7 +112,8 @@ impl Recalibration {
     /// A finer grid around the posterior of a coordinate, if it is narrow for `grid`.
     fn finer(&self, grid: Grid, coordinate: impl Fn(f64, f64) -> f64) -> Option<Grid> {
         let (low, high, n) = grid;
-        let moment = |of: &dyn Fn(f64) -> f64| self.points.iter().map(|(a, b, w)| w * of(coordinate(*a, *b))).sum::<f64>();
+        let moment =
+            |of: &dyn Fn(f64) -> f64| self.points.iter().map(|(a, b, w)| w * of(coordinate(*a, *b))).sum::<f64>();
         let mean = moment(&|x| x);
         let step = (high - low) / (n - 1) as f64;
         // The step itself, because the variance on a coarse grid may be 0.
@@ -280,9 +281,9 @@ mod tests {
     fn many_trials_have_a_narrow_posterior() {
         // Two log-odds, with the success rates of a right model: the posterior is normal around 0 and 1.
         let of = |n: usize, design_effect: f64| {
-            let eta: Vec<f64> = (0..n).map(|i| if i % 2 == 0 { 1.0 } else { -1.0 }).collect();
+            let eta: Vec<f64> = (0..n).map(|i: usize| if i.is_multiple_of(2) { 1.0 } else { -1.0 }).collect();
             let share = logistic(1.0);
-            let limit = |i: usize| if i % 2 == 0 { share } else { 1.0 - share };
+            let limit = |i: usize| if i.is_multiple_of(2) { share } else { 1.0 - share };
             let y: Vec<bool> = (0..n).map(|i| limit(i) > ((i / 2) as f64 + 0.5) / (n / 2) as f64).collect();
             Recalibration::of(&eta, &y, design_effect, 0.95)
         };

@@ -177,8 +177,15 @@ fn wrong_arguments_are_usage_errors() {
     assert_usage(&["export", &plan, &path(&dir, "x.csv")], &["plan.toml"]);
     assert_usage(&["import", &plan, &path(&dir, "x.parquet")], &["plan.toml"]);
     // An address is no folder. Without a check, a folder `s3:` would be created.
-    for line in ["run -n 1 --out", "merge r --out", "matrix s.toml --out", "demos --out", "report r --out", "export r"]
-    {
+    for line in [
+        "run -n 1 --out",
+        "gate --out",
+        "merge r --out",
+        "matrix s.toml --out",
+        "demos --out",
+        "report r --out",
+        "export r",
+    ] {
         let arguments: Vec<&str> = line.split(' ').chain(["s3://bucket/x"]).collect();
         assert_usage(&arguments, &["s3://bucket/x", "docs/cluster.md"]);
     }

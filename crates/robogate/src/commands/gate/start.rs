@@ -60,6 +60,9 @@ impl Gate {
     /// Runs a suite until the verdict is certain.
     pub(super) fn start(&self) -> Result<u8, Exit> {
         self.nominal.unused()?;
+        if let Some(out) = self.out.as_ref().filter(|_| self.divide.is_none()) {
+            place::check_local(out)?;
+        }
         let prepared = self.prepare()?;
         if self.plan {
             return self.print_expected(&prepared);
