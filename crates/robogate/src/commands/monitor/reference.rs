@@ -152,8 +152,8 @@ fn is_simulated(analysis: &Analysis) -> bool {
 }
 
 impl ReferenceOf {
-    /// The smallest success rate that the gate of this run accepts, in simulation and on the real robot. `None` if its
-    /// requirements have no such limit.
+    /// The smallest success rate that the gate of this run accepts: with trials of the real robot the limit on its rate, if
+    /// there is one, and otherwise the larger limit of simulation and real robot. `None` if its requirements have no limit.
     fn required_success(&self, source: &Source) -> Result<Option<f64>, Exit> {
         let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
         let requirements = match (&self.requirements, asked) {
@@ -162,13 +162,18 @@ impl ReferenceOf {
                 open_requirements(name.as_deref().unwrap_or("default"), &source.dictionary().provenance().task)?
             }
         };
-        let whole = |r: &&robogate_gate::Requirement| {
-            matches!(r.metric, Metric::Success | Metric::RealSuccess)
-                && r.category.is_none()
-                && r.group.is_none()
-                && r.each.is_none()
+        let limit = |metric: Metric| {
+            let whole = requirements
+                .requirement
+                .iter()
+                .filter(|r| r.metric == metric && r.category.is_none() && r.group.is_none() && r.each.is_none());
+            whole.filter_map(|r| r.at_least).reduce(f64::max)
         };
-        Ok(requirements.requirement.iter().filter(whole).filter_map(|r| r.at_least).reduce(f64::max))
+        let (simulated, real) = (limit(Metric::Success), limit(Metric::RealSuccess));
+        Ok(match (&self.real, real) {
+            (Some(_), Some(_)) => real,
+            _ => simulated.into_iter().chain(real).reduce(f64::max),
+        })
     }
 
     fn mixes_modes(&self, analysis: &Analysis) -> bool {
