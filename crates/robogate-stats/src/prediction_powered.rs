@@ -10,8 +10,9 @@
 //! - λ of a trial comes from the other trials (cross-fitting), and is between 0 and [`LARGEST_TUNING`].
 //! - The interval is Wilson's at the number of trials alone that would have the same variance, n / r, with
 //!   r = var(z) / var(y). It has Wilson's coverage where predictions do not help.
-//! - r has a margin for its own uncertainty, `MARGIN` (1 - r) / n. If r is more than 4 % above that of the trials alone, these
-//!   give the answer, so an unsuitable model makes the interval at most about 2 % wider.
+//! - r has a margin for its own uncertainty, `MARGIN` (1 - r) / n, and `PSEUDO` trials are added that predictions do not
+//!   explain: among few trials, predictions may happen to explain all. If r is more than 10 % above that of the trials alone,
+//!   these give the answer, so an unsuitable model makes the interval at most 5 % wider.
 //!
 //! Groups of trials (operator, day, repeated setting) share effects. Their variance is that of the sums by group, with
 //! Student's quantile; of several groupings the one with the largest variance counts. Equal outcomes of all trials do not
@@ -32,12 +33,12 @@ use crate::interval::{Confidence, Interval, Trials, wilson, wilson_real};
 pub const LARGEST_TUNING: f64 = 2.0;
 /// The relative margin of the variance ratio, times the number of trials.
 const MARGIN: f64 = 8.0;
-/// Smallest variance ratio that is believed.
-const SMALLEST_RATIO: f64 = 0.02;
+/// Trials that predictions do not explain, in addition to those that were made.
+const PSEUDO: f64 = 2.0;
 /// Largest variance ratio of an answer with predictions, relative to the trials alone.
-const WIDEST: f64 = 1.04;
-/// Fewest trials. Below, λ cannot be estimated.
-pub const FEWEST: usize = 5;
+const WIDEST: f64 = 1.1;
+/// Fewest trials. Below, the interval covers too rarely if the predictions are good: 80 % at ten trials.
+pub const FEWEST: usize = 20;
 
 /// A model's predictions over the population.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -133,14 +134,13 @@ pub fn rate(
         return Ok(of_trials);
     }
     let found = variance(&z, groupings, confidence) + of_population;
-    let found = (found / binomial).max(SMALLEST_RATIO);
-    let found = found * (1.0 + MARGIN / n as f64 * (1.0 - found).max(0.0));
-    if found > WIDEST * alone_ratio {
+    let ratio = cautious(found / binomial / alone_ratio, n as f64);
+    if ratio > WIDEST {
         return Ok(of_trials);
     }
     let half = 0.5 / n as f64;
     let estimate = (z.iter().sum::<f64>() / n as f64).clamp(half, 1.0 - half);
-    let worth = n as f64 / found;
+    let worth = n as f64 / (ratio * alone_ratio);
     Ok(PoweredRate {
         rate: estimate,
         interval: at(estimate, worth, confidence),
@@ -149,6 +149,12 @@ pub fn rate(
         worth,
         alone,
     })
+}
+
+/// The variance ratio of `n` trials with the margin for its own uncertainty.
+fn cautious(ratio: f64, n: f64) -> f64 {
+    let ratio = ratio * (1.0 + MARGIN / n * (1.0 - ratio).max(0.0));
+    if ratio < 1.0 { (n * ratio + PSEUDO) / (n + PSEUDO) } else { ratio }
 }
 
 /// How many times the variance of the success rate of these trials exceeds that of independent ones, including Student's
@@ -292,10 +298,11 @@ mod tests {
 
     #[test]
     fn coverage_holds_for_few_trials() {
-        for n in [20, 30, 50, 100] {
-            for (p, a) in [(0.5, 0.0), (0.7, 0.0), (0.7, 0.25), (0.5, 0.45), (0.6, 0.35)] {
-                let (covered, ratio) = simulated(n, p, a, 600);
-                assert!(covered >= 0.925, "{n} {p} {a}: {covered}");
+        // With 0.55 and 0.4 or 0.44, a few trials may all end as predicted. The lowest coverage is 92.3 %, at 20 trials.
+        for (n, least) in [(20, 0.915), (30, 0.93), (50, 0.93), (100, 0.93)] {
+            for (p, a) in [(0.5, 0.0), (0.7, 0.0), (0.7, 0.25), (0.5, 0.45), (0.6, 0.35), (0.55, 0.4), (0.55, 0.44)] {
+                let (covered, ratio) = simulated(n, p, a, 2_000);
+                assert!(covered >= least, "{n} {p} {a}: {covered}");
                 assert!(ratio <= 1.03, "{n} {p} {a}: {ratio}");
             }
         }
@@ -335,14 +342,15 @@ mod tests {
 
     #[test]
     fn misleading_predictions_do_not_widen_the_interval() {
-        // The one failure with a high prediction turns the sign of every other trial's λ.
+        // One failure with a high prediction turns the sign of λ of every other trial.
         let population = Predicted { mean: 0.24, variance: 0.09, points: f64::INFINITY };
-        let y = [false, false, true, true, true, false];
-        let found = rate(&y, &[0.1, 0.1, 0.1, 0.12, 0.12, 0.9], population, &[], Confidence::P95).unwrap();
-        assert_eq!((found.rate, found.interval, found.tuning), (0.5, found.alone, 0.0));
+        let y: Vec<bool> = (0..20).map(|i| i >= 9).chain([false]).collect();
+        let f: Vec<f64> = y.iter().map(|y| if *y { 0.12 } else { 0.1 }).take(20).chain([0.9]).collect();
+        let found = rate(&y, &f, population, &[], Confidence::P95).unwrap();
+        assert_eq!((found.rate, found.interval, found.tuning), (11.0 / 21.0, found.alone, 0.0));
         let random = &mut ChaCha8Rng::seed_from_u64(7);
         for _ in 0..2_000 {
-            let n = 5 + (unit(random) * 20.0) as usize;
+            let n = FEWEST + (unit(random) * 20.0) as usize;
             let y: Vec<bool> = (0..n).map(|_| unit(random) < 0.5).collect();
             let f: Vec<f64> = (0..n).map(|_| unit(random)).collect();
             let found = rate(&y, &f, population, &[], Confidence::P95).unwrap();
@@ -354,10 +362,10 @@ mod tests {
     fn unusable_trials_are_rejected() {
         let population = Predicted::of(&[0.5, 0.6]);
         let of = |y: &[bool], f: &[f64], g: &[Vec<usize>]| rate(y, f, population, g, Confidence::P95);
-        assert_eq!(of(&[true; 4], &[0.5; 4], &[]), Err(PoweredError::Few(4)));
-        assert_eq!(PoweredError::Few(1).to_string(), "1 trial is too few. Expected at least 5");
-        assert_eq!(of(&[true; 6], &[0.5; 5], &[]), Err(PoweredError::Mismatch));
-        assert_eq!(of(&[true; 6], &[f64::NAN; 6], &[]), Err(PoweredError::Mismatch));
-        assert_eq!(of(&[true; 6], &[0.5; 6], &[vec![0; 6]]), Err(PoweredError::OneGroup));
+        assert_eq!(of(&[true; 19], &[0.5; 19], &[]), Err(PoweredError::Few(19)));
+        assert_eq!(PoweredError::Few(1).to_string(), "1 trial is too few. Expected at least 20");
+        assert_eq!(of(&[true; 20], &[0.5; 19], &[]), Err(PoweredError::Mismatch));
+        assert_eq!(of(&[true; 20], &[f64::NAN; 20], &[]), Err(PoweredError::Mismatch));
+        assert_eq!(of(&[true; 20], &[0.5; 20], &[vec![0; 20]]), Err(PoweredError::OneGroup));
     }
 }

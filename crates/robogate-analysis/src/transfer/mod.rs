@@ -435,6 +435,7 @@ fn assemble(
         None
     };
     let groups = trials.groups();
+    let alone = Rate::of(Trials::count(outcomes.iter().copied()));
     let rate = match &no_sample {
         Some(because) => Finding::not(because.clone()),
         None => prediction_powered::rate(&outcomes, &predictions.trials, population, &groups, Confidence::P95)
@@ -476,11 +477,15 @@ fn assemble(
         .map(|simulated| CorrectedRate { simulated, real: model.success(log_odds(simulated)).into() });
     let mut parameters = differences::parameters(space, trials, &predictions.trials, &model, design_effect);
     parameters.sort_by(|a, b| a.adjusted_p.total_cmp(&b.adjusted_p).then(b.effect.abs().total_cmp(&a.effect.abs())));
-    let next = rate.estimated().map(|found| {
-        let half_width = 0.5 * (found.interval_95[1] - found.interval_95[0]);
-        let corrected = |p: f64| model.success(log_odds(p)).mean;
+    let next = no_sample.is_none().then(|| {
         let n = outcomes.len() as f64;
-        next::next(space, &simulation.points, &predictions.population, corrected, half_width, [n, found.worth_trials])
+        // Too few trials have no rate with the simulation yet.
+        let ([low, high], worth) = match rate.estimated() {
+            Some(found) => (found.interval_95, found.worth_trials),
+            None => (alone.wilson_95, n),
+        };
+        let corrected = |p: f64| model.success(log_odds(p)).mean;
+        next::next(space, &simulation.points, &predictions.population, corrected, 0.5 * (high - low), [n, worth])
     });
     let (endings, not_compared) = if no_sample.is_some() {
         let because = "Rates of success and failure modes are not compared, because the trials are not a random sample of the \
@@ -526,7 +531,7 @@ fn assemble(
             None => format!("the operating space `{}` of the simulation", space.name()),
         },
         rate,
-        alone: Rate::of(Trials::count(outcomes.iter().copied())),
+        alone,
         exact,
         effects,
         correction: Correction {

@@ -228,7 +228,21 @@ fn a_simulation_without_failures_adds_nothing() {
     write_rows(&path, &space, entries);
     let found = transfer(&path, &trials(40, "", "", |_| String::new()), &[]).unwrap();
     let rate = found.rate.estimated().unwrap();
-    assert_eq!((rate.tuning, rate.interval_95), (0.0, rate.alone_95));
+    assert!(
+        (0..2).all(|end| (rate.interval_95[end] - rate.alone_95[end]).abs() < 1e-12) && rate.tuning < 1e-12,
+        "{rate:?}"
+    );
+}
+
+#[test]
+fn few_trials_have_an_exact_interval() {
+    let folder = TempDir::new().unwrap();
+    let found = transfer(&simulation(&folder), &trials(12, "", "", |_| String::new()), &[]).unwrap();
+    assert_eq!(found.rate.because(), Some("12 trials are too few. Expected at least 20"));
+    let exact = found.exact.estimated().unwrap();
+    assert!(exact.strata.iter().all(|stratum| stratum.trials > 0), "{exact:?}");
+    // They still say which trials to run next.
+    assert_eq!(found.next.unwrap().settings.len(), 10);
 }
 
 #[test]
