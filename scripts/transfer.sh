@@ -22,7 +22,7 @@ campaign() { # name, seed, episodes, further arguments of `robogate run`
 campaign simulation 11 2000
 campaign altered 12 1000 --space docs/results/transfer-altered.toml
 campaign rapier 13 1000 --engine rapier
-campaign delayed 14 1000 --latency fixed:60ms
+campaign delayed 14 1000 --latency fixed:10ms
 example() { cargo run --release --locked -p robogate-analysis --example transfer -- "$@"; }
 example | tee "$out/synthetic.md"
 example "$out"/{simulation,altered,rapier,delayed} | tee "$out/surrogate.md"
