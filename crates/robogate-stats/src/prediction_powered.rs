@@ -37,7 +37,7 @@ const MARGIN: f64 = 8.0;
 const PSEUDO: f64 = 3.0;
 /// Largest variance ratio of an answer with predictions, relative to the trials alone.
 const WIDEST: f64 = 1.1;
-/// Fewest trials. Below, the interval covers too rarely if the predictions are good: 80 % at ten trials.
+/// Fewest trials. Below, the interval covers too rarely if the predictions are good: 88 % at ten trials.
 pub const FEWEST: usize = 20;
 
 /// A model's predictions over the population.
