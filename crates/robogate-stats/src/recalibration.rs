@@ -14,6 +14,8 @@
 //! Limits: trials are independent given the model, but for d. The simulation keeps (a, b) at their estimate; the columns are made
 //! orthogonal to both, so the error is of second order. Sources: Cox (1958), Biometrika 45 (recalibration); Rao (1948).
 
+use std::collections::BTreeMap;
+
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
 
@@ -32,6 +34,8 @@ const SLOPES: Grid = (-1.5, 4.5, 97);
 const STEPS: f64 = 2.0;
 /// Half the width of a finer grid, in standard deviations of the posterior on the coarse one.
 const REACH: f64 = 7.0;
+/// Most trials whose log-odds are used as they are.
+const MOST_SINGLE: usize = 1_000;
 /// Standard deviations of the priors.
 const PRIOR: (f64, f64) = (2.0, 1.0);
 /// Simulated sets of outcomes.
@@ -56,6 +60,22 @@ pub struct Recalibration {
 
 fn logistic(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
+}
+
+/// Log-odds with the numbers of successes and failures. Many trials are counted together where their log-odds are equal to
+/// 0.01, which is far less than their posterior can tell.
+fn counted(eta: &[f64], outcomes: &[bool]) -> Vec<[f64; 3]> {
+    let one = |(eta, y): (&f64, &bool)| [*eta, f64::from(u8::from(*y)), f64::from(u8::from(!*y))];
+    let trials: Vec<[f64; 3]> = eta.iter().zip(outcomes).map(one).collect();
+    if trials.len() <= MOST_SINGLE {
+        return trials;
+    }
+    let mut together = BTreeMap::new();
+    for [eta, successes, failures] in trials {
+        let of = together.entry((100.0 * eta).round() as i64).or_insert([0.0; 2]);
+        *of = [of[0] + successes, of[1] + failures];
+    }
+    together.into_iter().map(|(eta, [successes, failures])| [eta as f64 / 100.0, successes, failures]).collect()
 }
 
 /// The posterior on a grid. Points without weight only cost time, and are left out.
@@ -88,12 +108,14 @@ impl Recalibration {
     /// The posterior after trials with these log-odds and outcomes, whose log-likelihood is divided by `design_effect`.
     /// `level` is that of the intervals.
     pub fn of(eta: &[f64], outcomes: &[bool], design_effect: f64, level: f64) -> Self {
+        let trials = counted(eta, outcomes);
         let log_likelihood = |a: f64, b: f64| {
-            let of_trial = |(eta, y): (&f64, &bool)| {
+            let of_outcome = |x: f64, count: f64| if count > 0.0 { -count * x.exp().ln_1p() } else { 0.0 };
+            let of_trial = |[eta, successes, failures]: &[f64; 3]| {
                 let x = a + b * eta;
-                -(if *y { -x } else { x }).exp().ln_1p()
+                of_outcome(-x, *successes) + of_outcome(x, *failures)
             };
-            eta.iter().zip(outcomes).map(of_trial).sum::<f64>() / design_effect
+            trials.iter().map(of_trial).sum::<f64>() / design_effect
         };
         let (mut shifts, mut slopes) = (SHIFTS, SLOPES);
         let mut found = Self { points: on_grid(shifts, slopes, log_likelihood), level };
