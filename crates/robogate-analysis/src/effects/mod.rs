@@ -31,6 +31,8 @@ const SINGLE: f64 = 0.84;
 const TEST_CELLS: usize = 100;
 /// Cells of a numeric parameter in the estimate of its influence.
 const INFLUENCE_CELLS: usize = 20;
+/// Fewest combinations of parameters in imported results that are taken for repeated scenarios.
+const FEWEST_SCENARIOS: usize = 20;
 /// Rows that determine the edges of the cells. All rows are counted.
 const EDGE_ROWS: usize = 20_000;
 
@@ -80,7 +82,8 @@ impl Effects {
     }
 
     pub(crate) fn of(base: &Sample, population: Population) -> Self {
-        let units = (population == Population::Suite).then(|| Units::of(base)).filter(|units| units.repeats());
+        let units = may_repeat(base, population).then(|| Units::of(base));
+        let units = units.filter(|units| units.repeats() && (population == Population::Suite || units.are_scenarios()));
         let (mut names, mut found) = (Vec::new(), Vec::new());
         // Enough replicates for the smallest p-value that Holm's first step can need.
         let replicates = (base.parameters.len() * 500).clamp(4_000, 20_000);
@@ -209,6 +212,17 @@ fn edges(parameter: &ParameterColumn, cells: usize) -> Option<Edges> {
     Edges::new(edges).ok()
 }
 
+/// Whether rows with the same parameters may be repeats of one scenario: in suites, and in imported results with a continuous
+/// parameter, whose values are not equal by chance. A sample from a space has no repeats.
+fn may_repeat(base: &Sample, population: Population) -> bool {
+    let continuous = |p: &ParameterColumn| matches!(p.kind, ParameterKind::Continuous { .. });
+    match population {
+        Population::Suite => true,
+        Population::AsImported => base.parameters.iter().any(continuous),
+        _ => false,
+    }
+}
+
 /// Rows with the same parameter values: the repeats of one scenario.
 struct Units {
     trials: Vec<Trials>,
@@ -234,6 +248,11 @@ impl Units {
 
     fn repeats(&self) -> bool {
         self.trials.iter().any(|unit| unit.n() > 1)
+    }
+
+    /// Whether these are scenarios with few or many repeats. Fewer combinations are taken for a grid of settings.
+    fn are_scenarios(&self) -> bool {
+        self.trials.len() >= FEWEST_SCENARIOS
     }
 
     fn cells(&self, parameter: &ParameterColumn, cells: &TestCells) -> Vec<usize> {
