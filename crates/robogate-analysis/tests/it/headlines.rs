@@ -1,8 +1,45 @@
 //! Headlines name what is there, and nothing else.
 
-use robogate_analysis::ShapeKind;
+use std::path::Path;
+use std::sync::Arc;
 
-use crate::noise::{named, planted, simulated};
+use robogate_analysis::{Analysis, AnalysisOptions, ShapeKind, Source};
+use robogate_core::{FailureMode, Outcome};
+
+use crate::noise::{named, planted, simulated, ten};
+use crate::synthetic::{entry, unit, write};
+
+/// The analysis of imported results: `repeats` episodes of each of `scenes` scenes, whose success rates do not depend on any
+/// parameter.
+fn imported(seed: u64, scenes: u64, repeats: u64) -> Analysis {
+    let space = ten();
+    let episode = |i: u64| {
+        let scene = (seed + 1) * 1_000_003 + i / repeats;
+        let value = |(at, p): (usize, &robogate_core::Parameter)| {
+            (Arc::clone(&p.name), p.domain.decode(p.domain.from_unit(unit(scene, at as u64 + 1))))
+        };
+        let requested = space.parameters().iter().enumerate().map(value).collect();
+        let success = unit((seed + 1) * 7_000_003 + i, 99) < 0.2 + 0.7 * unit(scene, 50);
+        let outcome = if success { Outcome::Success } else { Outcome::Failure(FailureMode::constant("grasp_miss")) };
+        let mut row = entry(i, requested, outcome);
+        row.stage = "imported".to_owned();
+        row
+    };
+    let options = AnalysisOptions { models: false, ..AnalysisOptions::default() };
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("dictionary.parquet");
+    write(&path, &space, (0..scenes * repeats).map(episode).collect());
+    Analysis::with(&Source::open(&path).unwrap(), Path::new("test.parquet"), &options).unwrap()
+}
+
+#[test]
+fn imported_repeats_name_nothing() {
+    let analyses: Vec<Analysis> = (0..12).map(|seed| imported(seed, 50, 20)).collect();
+    assert!(analyses.iter().all(|analysis| analysis.effects.by_scenario));
+    // 2.5 % of 12 is 0.3. As independent rows, nearly each set named three parameters.
+    let names = analyses.iter().filter(|analysis| analysis.effects.significant().next().is_some()).count();
+    assert!(names <= 2, "{names} of 12 imports name a parameter");
+}
 
 #[test]
 fn noise_names_nothing() {
