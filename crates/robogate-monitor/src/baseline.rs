@@ -17,6 +17,8 @@ use crate::settings::Settings;
 
 /// Number of bins of the cycle time.
 const BINS: usize = 20;
+/// The error at which the margin of a distribution of cycle times, √(ln(2/α) / 2n), is zero.
+const NO_MARGIN: f64 = 2.0;
 const LEARNING: &str = "its baseline is still being learnt";
 const ROOM: &str = "the baseline has too few cycles, or too many failures, to detect a change";
 
@@ -197,6 +199,29 @@ impl Baseline {
         factors::shares(&bounds).ok_or(ROOM)
     }
 
+    /// The factors with the estimated rates of the baseline in place of their bounds, to find the start of a change.
+    ///
+    /// They do not bound false alarms. `None` for a metric whose rate is not estimated from the baseline.
+    pub(crate) fn estimated_factors(&self, metric: Metric, modes: &ModeList, settings: &Settings) -> Option<Factors> {
+        let failures = || self.success?.trials().map(|trials| estimate(trials.failures(), trials.n()));
+        match metric {
+            Metric::Success | Metric::Robot => factors::event(failures()?),
+            Metric::Event(_) => {
+                let Count { count, of } = *self.events.get(settings.event(metric)?)?;
+                factors::event(estimate(count, of))
+            }
+            Metric::CycleTime => self.binned()?.location(NO_MARGIN),
+            Metric::CycleTimeSpread => self.binned()?.spread(NO_MARGIN),
+            Metric::FailureModes => {
+                let counts = self.failure_modes.as_ref()?;
+                let share = |mode: &str| estimate(counts.of(mode), counts.total());
+                factors::shares(&modes.names().map(share).collect::<Vec<_>>())
+            }
+            Metric::Risk => factors::risk(failures()?),
+            Metric::Outside => None,
+        }
+    }
+
     /// The upper bound of each mode's share of the failures, each at level 1 - α.
     fn mode_bounds(&self, modes: &ModeList, alpha: f64, learnt: bool) -> Option<Vec<f64>> {
         let counts = self.failure_modes.as_ref()?;
@@ -223,6 +248,11 @@ fn unlisted_bound(counts: &ModeCounts, alpha: f64) -> f64 {
     let once = counts.names().filter(|mode| *mode != OTHER_MODE && counts.of(mode) == 1).count() as f64;
     let estimate = (once + counts.of(OTHER_MODE) as f64) / n;
     (estimate + (1.0 + SQRT_2) * ((3.0 / alpha).ln() / n).sqrt()).min(1.0)
+}
+
+/// The estimated rate of k events among n, which lies strictly between 0 and 1.
+fn estimate(k: u64, n: u64) -> f64 {
+    (k as f64 + 0.5) / (n as f64 + 1.0)
 }
 
 /// The exact upper bound, at level 1 - α, of the rate of successes or failures.
