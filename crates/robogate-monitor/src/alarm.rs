@@ -88,7 +88,8 @@ pub struct Since {
     pub cycle: u64,
     /// Its time, in seconds since 1970-01-01 UTC.
     pub time_s: f64,
-    /// 95 % interval of the first cycle.
+    /// 95 % interval of the first cycle. It contains the intervals that take the bound and the estimate of the baseline
+    /// as the rate before.
     pub cycles_95: [u64; 2],
     /// Times at the ends of that interval.
     pub times_95_s: [f64; 2],

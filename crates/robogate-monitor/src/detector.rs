@@ -129,7 +129,22 @@ pub struct ChangePoint {
     pub alternative: usize,
 }
 
+impl ChangePoint {
+    /// Extends the interval over that of another estimate. The most likely start is kept.
+    pub fn extended(self, other: Self) -> Self {
+        Self {
+            latest: self.latest.min(other.latest),
+            earliest: self.earliest.max(other.earliest),
+            or_before: self.or_before || other.or_before,
+            ..self
+        }
+    }
+}
+
 /// Estimates the start of a change from the stored symbols, newest first.
+///
+/// The factors state the rate before the change. An upper bound of that rate dates the change too late: extend the
+/// interval by that of the estimated rate.
 ///
 /// Each start s has the weight Σ_k w_k Π_{i ≥ s} e_k(x_i), its posterior for a uniform prior over the stored symbols.
 /// The interval excludes 2.5 % on each side. `None` without symbols. It allocates, but runs only at an alarm.

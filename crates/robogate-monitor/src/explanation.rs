@@ -6,7 +6,7 @@ use robogate_stats::{Confidence, Trials, wilson};
 
 use crate::alarm::{Alarm, Happening, Level, Rule, Since};
 use crate::cycle::Cycle;
-use crate::detector::{ChangePoint, change_point};
+use crate::detector::{ChangePoint, Factors, change_point};
 use crate::domain::Validated;
 use crate::history::Symbols;
 use crate::metric::Metric;
@@ -79,9 +79,8 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
         .filter(|(_, symbols)| metric != Metric::Robot || Some(symbols.robot) == place)
         .filter_map(|(back, symbols)| Some((state.cycles.saturating_sub(back as u64), symbols, symbols.code(metric)?)))
         .collect();
-    let found = recipe.factors[metric.index()]
-        .as_ref()
-        .and_then(|factors| change_point(factors, kept.iter().map(|(_, _, code)| *code)));
+    let found =
+        recipe.factors[metric.index()].as_ref().and_then(|factors| start(recipe, metric, factors, &kept, settings));
     let since = found.and_then(|found| since(&found, &kept));
     let after = kept.get(..found.map_or(kept.len(), |f| f.likeliest + 1)).unwrap_or(&kept);
     let what = what(recipe, metric, after, &cycle.robot, settings);
@@ -124,6 +123,20 @@ pub(crate) fn cleared(
     let how_sure = "A cleared alarm does not prove that the cause is gone.".to_owned();
     let metric = metric.name(settings).into_owned();
     alarm(recipe, cycle, Happening::Cleared, level, Rule::Detector, metric, what, how_sure, None, vec![])
+}
+
+/// The start of a change. The interval contains those that start from the bound and from the estimate of the baseline.
+fn start(
+    recipe: &Recipe,
+    metric: Metric,
+    factors: &Factors,
+    kept: &[(u64, &Symbols, u8)],
+    settings: &Settings,
+) -> Option<ChangePoint> {
+    let of = |factors: &Factors| change_point(factors, kept.iter().map(|(_, _, code)| *code));
+    let found = of(factors)?;
+    let estimated = recipe.baseline().estimated_factors(metric, &recipe.state().modes, settings);
+    Some(estimated.as_ref().and_then(of).map_or(found, |other| found.extended(other)))
 }
 
 fn since(found: &ChangePoint, kept: &[(u64, &Symbols, u8)]) -> Option<Since> {

@@ -30,6 +30,8 @@ pub struct Recipe {
     pub(crate) factors: Vec<Option<Factors>>,
     pub(crate) binned: Option<Binned>,
     domain: Option<Arc<Domain>>,
+    /// Whether the settings leave the mix of failure modes to be learnt.
+    learns_modes: bool,
     pub(crate) state: RecipeState,
 }
 
@@ -259,7 +261,8 @@ impl Recipe {
         if state.outside.len() != parameters {
             state.outside = vec![OutsideTally::default(); parameters];
         }
-        let mut recipe = Self { factors: vec![None; detectors], binned: None, domain, state };
+        let learns_modes = settings.baseline_of(name).failure_modes.is_none();
+        let mut recipe = Self { factors: vec![None; detectors], binned: None, domain, learns_modes, state };
         for metric in Metric::all(settings) {
             recipe.begin(metric, settings);
         }
@@ -302,7 +305,9 @@ impl Recipe {
         match (metric, &self.domain) {
             (Metric::Outside | Metric::Risk, None) => Err("there is no reference with a validated region"),
             (Metric::Risk, Some(domain)) if domain.risk.is_none() => Err("the reference has no risk model"),
-            (Metric::FailureModes, _) => self.state.baseline.mode_factors(&self.state.modes, settings),
+            (Metric::FailureModes, _) => {
+                self.state.baseline.mode_factors(&self.state.modes, settings, self.learns_modes)
+            }
             _ => {
                 let share = self.state.learning.error_share(metric);
                 self.state.baseline.factors_at(metric, settings, share)
@@ -640,6 +645,7 @@ pub(crate) fn happening_id(
 
 #[cfg(test)]
 mod tests {
+    use robogate_core::Seed;
     use serde_json::{Value, json};
 
     use super::*;
@@ -711,5 +717,20 @@ mod tests {
         let learnt = recipe.baseline().failure_modes.clone().unwrap();
         assert_eq!((learnt.of("jammed"), learnt.of("spilled"), learnt.total()), (3, 1, 4));
         assert_eq!(recipe.state().modes.code("burnt"), recipe.state().modes.code(OTHER_MODE));
+    }
+
+    #[test]
+    fn rare_modes_raise_no_alarm() {
+        let settings = Settings::default();
+        let mut recipe = Recipe::new("x", &settings);
+        let mut stream = Seed::campaign(42).stream("rare modes");
+        let mut alarms = Vec::new();
+        for _ in 0..4_000 {
+            let rare = stream.uniform() < 0.3;
+            let mode = if rare { format!("rare-{}", stream.below(60)) } else { "jammed".to_owned() };
+            recipe.observe(&failed(&mode), &settings, &mut |alarm| alarms.push(alarm));
+        }
+        alarms.retain(|alarm| alarm.metric == "failure_modes" && alarm.level == Level::Critical);
+        assert_eq!(alarms, []);
     }
 }

@@ -123,6 +123,40 @@ fn change_intervals_cover_the_change() {
     assert!(f64::from(inside) >= 0.9 * f64::from(all), "{inside} of {all} intervals contain the change");
 }
 
+/// The bound of a small baseline is far above its rate. With the bound alone, 72 % of the intervals contain the change.
+#[test]
+fn change_intervals_cover_with_small_baseline() {
+    let (mut inside, mut all) = (0, 0);
+    for i in 0..80 {
+        let mut random = Seed::campaign(33).episode(i).stream("small baseline");
+        let count = (0..300).filter(|_| random.uniform() >= 0.02).count() as u64;
+        let baseline = Baseline { success: Some(Count { count, of: 300 }), ..Baseline::default() };
+        let mut monitor = Monitor::new(Settings { baseline, ..Settings::default() }).unwrap();
+        let mut cycle = cycle();
+        cycle.events.clear();
+        cycle.cycle_time_s = None;
+        let mut found = None;
+        for n in 1..=4_000 {
+            cycle.success = random.uniform() >= if n > 700 { 0.07 } else { 0.02 };
+            monitor
+                .observe(&cycle, &mut |alarm| {
+                    let ours = alarm.rule == Rule::Detector && alarm.happening == Happening::Raised;
+                    if ours && alarm.metric == "success" && n > 700 {
+                        found = alarm.since;
+                    }
+                })
+                .unwrap();
+            if let Some(since) = found {
+                all += 1;
+                inside += u32::from((since.or_before || since.cycles_95[0] <= 701) && 701 <= since.cycles_95[1]);
+                break;
+            }
+        }
+    }
+    assert!(all > 60, "{all} of 80 changes detected");
+    assert!(f64::from(inside) >= 0.87 * f64::from(all), "{inside} of {all} intervals contain the change");
+}
+
 /// Cycles from the change to the first warning of the failure rate, with a baseline that the monitor learns itself.
 fn learnt_delay(stream: u64, change_after: u32, to: f64) -> f64 {
     let settings = Settings { history_cycles: 16, ..Settings::default() };
