@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use robogate_core::{TaskSpec, Value};
 use robogate_dictionary::results::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED};
 use robogate_stats::compare::Pairs;
-use robogate_stats::families::{FamilyPairs, paired_effects};
+use robogate_stats::families::{FamilyPairs, SharedTwin, paired_effects};
 use robogate_stats::format::{count, counted, list, percent, percent_range};
 use robogate_stats::{Confidence, Trials, wilson};
 use schemars::JsonSchema;
@@ -19,8 +19,9 @@ use serde::{Deserialize, Serialize};
 use crate::record::{recorded_numbers, recorded_seeds};
 use crate::{Ending, GateError, Population, Record, Sampling, Trial};
 
-/// Looks of a run whose number of episodes was chosen in an unknown way.
-const UNKNOWN_LOOKS: u64 = robogate_stats::group_sequential::MOST_LOOKS;
+/// Looks of a run whose number of episodes was chosen in an unknown way. Up to 10,000 pairs, with a look after each of them,
+/// the error is then at most 5 %.
+const UNKNOWN_LOOKS: u64 = 1_000;
 /// Words without a value in imported files.
 const NO_VALUE: [&str; 6] = ["", "nan", "null", "none", "na", "n/a"];
 /// The family of pairs in which the parameters of several declared families differ.
@@ -58,6 +59,10 @@ pub struct Family {
     pub family: String,
     /// Pairs of valid episodes.
     pub pairs: u64,
+    /// Nominal twins of these pairs, if several pairs share a twin. Each then counts once in the difference and its interval.
+    /// Absent if each pair has its own twin.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub shared_twins: u64,
     /// Pairs with an invalid episode. The interval covers all their possible outcomes.
     pub invalid: u64,
     /// Pairs in which both succeed.
@@ -68,7 +73,8 @@ pub struct Family {
     pub recovered: u64,
     /// Pairs that fail with and without the perturbation.
     pub already_failing: u64,
-    /// Success rate with the perturbation minus the rate without it. `None` without a valid pair.
+    /// Success rate with the perturbation minus the rate without it, as a mean over twins if pairs share them. `None` without a
+    /// valid pair.
     pub difference: Option<f64>,
     /// Its interval. The intervals of all families hold together at 95 %.
     pub interval_95: [f64; 2],
@@ -103,7 +109,14 @@ pub struct Twins {
     pub perturbed_successes: u64,
     /// Successes without the perturbations, in valid pairs.
     pub nominal_successes: u64,
-    /// Wilson's 95 % interval of the success rate without the perturbations. [0, 1] without a valid pair.
+    /// Nominal twins of the valid pairs, if several pairs share a twin. Absent if each pair has its own twin.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub shared_twins: u64,
+    /// Successes of these twins, each counted once.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub shared_twin_successes: u64,
+    /// Wilson's 95 % interval of the success rate without the perturbations, in which each twin counts once. [0, 1] without a
+    /// valid pair.
     pub nominal_interval_95: [f64; 2],
     /// Failures with the perturbations that occur without them too.
     pub already_failing: u64,
@@ -206,7 +219,8 @@ impl Twins {
             }
             of_focused = twins.keys().filter(|index| **index < episodes && !judged.contains(*index)).count();
         }
-        unpaired += (nominal.trials.len() as u64).saturating_sub((pairs.len() + of_focused) as u64);
+        let used: BTreeSet<u64> = pairs.iter().map(|pair| pair.nominal.index).collect();
+        unpaired += (nominal.trials.len() as u64).saturating_sub((used.len() + of_focused) as u64);
         let looks = looks(record, sampling);
         Ok(Self::from_pairs(record, nominal, &pairs, &alone, unpaired, looks))
     }
@@ -297,6 +311,7 @@ impl Twins {
             .map(|((name, of), effect)| Family {
                 family: (*name).to_owned(),
                 pairs: of.valid.n(),
+                shared_twins: of.shared_twins(),
                 invalid: of.invalid,
                 both: of.valid.both,
                 new_failures: of.valid.second_only,
@@ -313,7 +328,9 @@ impl Twins {
             })
             .collect();
         let without = all.both + all.second_only;
-        let interval = wilson(Trials::new(without, all.n()).unwrap_or(Trials::NONE), Confidence::P95);
+        let twins = distinct_twins(pairs);
+        let interval = wilson(twins, Confidence::P95);
+        let shared = if twins.n() < all.n() { twins } else { Trials::NONE };
         let perturbed = pairs.iter().filter(|pair| pair.family.is_some()).count() as u64;
         Self {
             format: Self::FORMAT,
@@ -327,6 +344,8 @@ impl Twins {
             valid: all.n(),
             perturbed_successes: all.both + all.first_only,
             nominal_successes: without,
+            shared_twins: shared.n(),
+            shared_twin_successes: shared.successes(),
             nominal_interval_95: [interval.low, interval.high],
             already_failing: all.neither,
             one_family: alone.len() as u64,
@@ -347,14 +366,30 @@ impl Twins {
             lines.push("No perturbed episode has a valid nominal twin, so no effect can be estimated.".to_owned());
             return lines;
         }
-        let share = |successes: u64| percent(successes as f64 / self.valid as f64);
-        lines.push(format!(
-            "In {}, success is {} with the perturbations and {} without them (95 % interval {}).",
-            counted(self.valid, "pair"),
-            share(self.perturbed_successes),
-            share(self.nominal_successes),
-            percent_range(self.nominal_interval_95)
-        ));
+        let share = |successes: u64, of: u64| percent(successes as f64 / of as f64);
+        let (with, interval) = (share(self.perturbed_successes, self.valid), percent_range(self.nominal_interval_95));
+        lines.push(if self.shared_twins > 0 {
+            format!(
+                "In {} with {}, success is {with} with the perturbations. Without them, {} of the twins succeed (95 % interval \
+                 {interval}).",
+                counted(self.valid, "pair"),
+                counted(self.shared_twins, "distinct nominal twin"),
+                share(self.shared_twin_successes, self.shared_twins),
+            )
+        } else {
+            format!(
+                "In {}, success is {with} with the perturbations and {} without them (95 % interval {interval}).",
+                counted(self.valid, "pair"),
+                share(self.nominal_successes, self.valid),
+            )
+        });
+        if self.families.iter().any(|family| family.shared_twins > 0) {
+            lines.push(
+                "Several pairs of a family share a twin. The difference is then the mean over the twins, and each twin counts \
+                 once in the interval."
+                    .to_owned(),
+            );
+        }
         let failures = self.valid - self.perturbed_successes;
         if failures > 0 {
             lines.push(format!(
@@ -399,16 +434,20 @@ impl Twins {
 fn counted_by_family<'a>(pairs: &'a [Pair<'_>]) -> (Vec<&'a str>, Vec<FamilyPairs>) {
     let mut names: Vec<&str> = Vec::new();
     let mut counts: Vec<FamilyPairs> = Vec::new();
+    let mut twins: Vec<BTreeMap<u64, SharedTwin>> = Vec::new();
     for pair in pairs {
         let Some(family) = &pair.family else { continue };
         let at = names.iter().position(|name| name == family).unwrap_or_else(|| {
             names.push(family);
             counts.push(FamilyPairs::default());
+            twins.push(BTreeMap::new());
             names.len() - 1
         });
         let succeeded = |trial: &Trial| trial.ending.is_valid().then_some(trial.ending == Ending::Success);
+        let (perturbed, nominal) = (succeeded(pair.perturbed), succeeded(pair.nominal));
+        twins[at].entry(pair.nominal.index).or_insert_with(|| SharedTwin::new(nominal)).add(perturbed);
         let of = &mut counts[at];
-        match (succeeded(pair.perturbed), succeeded(pair.nominal)) {
+        match (perturbed, nominal) {
             (Some(true), Some(true)) => of.valid.both += 1,
             (Some(true), Some(false)) => of.valid.first_only += 1,
             (Some(false), Some(true)) => of.valid.second_only += 1,
@@ -416,7 +455,21 @@ fn counted_by_family<'a>(pairs: &'a [Pair<'_>]) -> (Vec<&'a str>, Vec<FamilyPair
             _ => of.invalid += 1,
         }
     }
+    for (of, twins) in counts.iter_mut().zip(twins) {
+        if twins.values().any(|twin| twin.episodes() > 1) {
+            of.shared = twins.into_values().collect();
+        }
+    }
     (names, counts)
+}
+
+/// The twins of valid pairs and their successes. A twin of several pairs counts once.
+fn distinct_twins(pairs: &[Pair<'_>]) -> Trials {
+    let valid =
+        |pair: &&Pair<'_>| pair.family.is_some() && pair.perturbed.ending.is_valid() && pair.nominal.ending.is_valid();
+    let twins: BTreeMap<u64, bool> =
+        pairs.iter().filter(valid).map(|pair| (pair.nominal.index, pair.nominal.ending == Ending::Success)).collect();
+    Trials::count(twins.into_values())
 }
 
 /// How often the run could have been stopped.

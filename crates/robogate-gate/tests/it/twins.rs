@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use robogate_core::{Allowed, FailureMode, ParameterSpec, Value, Word};
 use robogate_gate::{Effect, Ending, GateError, Record, Sampling, Twins};
+use robogate_stats::{Confidence, Trials, wilson};
 
 use crate::common::{failed, invalid, sampled, suite};
 
@@ -169,4 +170,47 @@ fn imported_arms_are_paired_by_task_and_seed() {
         Twins::within(&one, "category", "nothing", Sampling::Fixed),
         Err(GateError::NoNominalRows { .. })
     ));
+}
+
+/// These records as one, with rows numbered anew.
+fn joined(mut records: Vec<Record>) -> Record {
+    let more: Vec<_> = records.drain(1..).flat_map(|record| record.trials).collect();
+    let mut all = records.remove(0);
+    all.trials.extend(more);
+    all.trials.iter_mut().zip(0..).for_each(|(trial, index)| trial.index = index);
+    all
+}
+
+#[test]
+fn each_twin_counts_once() {
+    // 30 of 40 twins succeed. Half of the perturbed episodes of each family fail, on ten seeds without the perturbation too.
+    let nominal = |seeds: std::ops::Range<i64>| imported("none", seeds, |seed| seed % 4 != 0);
+    let perturbed = |category: &str| imported(category, 0..40, |seed| seed % 2 == 1);
+    let interval = wilson(Trials::new(30, 40).unwrap(), Confidence::P95);
+
+    // Five severities of one family share a twin.
+    let severities = joined((0..5).map(|_| perturbed("camera")).collect());
+    let twins = Twins::of(&severities, &nominal(0..44), Sampling::Fixed).unwrap();
+    let family = &twins.families[0];
+    assert_eq!((twins.pairs, twins.shared_twins, twins.shared_twin_successes, twins.unpaired), (200, 40, 30, 4));
+    assert_eq!(twins.nominal_interval_95, [interval.low, interval.high]);
+    assert_eq!((family.pairs, family.shared_twins, family.new_failures), (200, 40, 50));
+    assert_eq!((family.difference, family.effect), (Some(-0.25), Effect::Harmful));
+    // The interval is about as wide as that of one pair for each twin, not of five.
+    let single = Twins::of(&perturbed("camera"), &nominal(0..40), Sampling::Fixed).unwrap();
+    let width = |twins: &Twins| twins.families[0].interval_95[1] - twins.families[0].interval_95[0];
+    assert!((width(&twins) / width(&single) - 1.0).abs() < 0.25, "{} {}", width(&twins), width(&single));
+    assert_eq!((single.shared_twins, single.families[0].shared_twins), (0, 0));
+    assert!(!single.to_json().contains("shared"));
+    let text = twins.lines().join(" ");
+    assert!(text.contains("In 200 pairs with 40 distinct nominal twins, success is "), "{text}");
+    assert!(text.contains("Several pairs of a family share a twin."), "{text}");
+
+    // Two families with one episode for each twin share it in the rate without the perturbations only.
+    let one = joined(vec![nominal(0..40), perturbed("camera"), perturbed("light")]);
+    let twins = Twins::within(&one, "category", "none", Sampling::Fixed).unwrap();
+    assert_eq!((twins.valid, twins.shared_twins), (80, 40));
+    assert_eq!(twins.nominal_interval_95, [interval.low, interval.high]);
+    assert!(twins.families.iter().all(|family| family.shared_twins == 0));
+    assert!(!twins.lines().join(" ").contains("Several pairs of a family"));
 }

@@ -30,10 +30,14 @@ impl TwinRow {
             0 => String::new(),
             n => format!(", {} with an invalid episode", count(n)),
         };
+        let twins = match family.shared_twins {
+            0 => String::new(),
+            n => format!(" of {} twins", count(n)),
+        };
         Self {
             family: family.family.clone(),
             pairs: format!(
-                "{} pairs: {} fail with it only, {} in both, {} without it only{invalid}",
+                "{} pairs{twins}: {} fail with it only, {} in both, {} without it only{invalid}",
                 count(family.pairs),
                 count(family.new_failures),
                 count(family.already_failing),
@@ -48,5 +52,32 @@ impl TwinRow {
     /// The cells in the order of the columns.
     pub fn cells(self) -> [String; 5] {
         [self.family, self.pairs, self.difference, self.interval, self.effect]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use robogate_gate::Effect;
+
+    #[test]
+    fn shared_twins_are_named() {
+        let mut family = TwinFamily {
+            family: "camera".to_owned(),
+            pairs: 200,
+            shared_twins: 40,
+            invalid: 0,
+            both: 100,
+            new_failures: 50,
+            recovered: 0,
+            already_failing: 50,
+            difference: Some(-0.25),
+            interval_95: [-0.39, -0.11],
+            adjusted_p: 0.001,
+            effect: Effect::Harmful,
+        };
+        assert!(TwinRow::of(&family).pairs.starts_with("200 pairs of 40 twins: 50 fail with it only"));
+        family.shared_twins = 0;
+        assert!(TwinRow::of(&family).pairs.starts_with("200 pairs: 50 fail with it only"));
     }
 }
