@@ -227,6 +227,17 @@ fn suite_rows_ignore_thread_count() {
 }
 
 #[test]
+fn documented_suite_is_valid() {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/suites.md");
+    let page = fs::read_to_string(page).unwrap();
+    let example = page.split("```toml\n").nth(1).unwrap().split("```").next().unwrap();
+    let dir = TempDir::new().unwrap();
+    let suite = path(&dir, "bottles.toml");
+    fs::write(&suite, example).unwrap();
+    assert_exit(&["suites", "check", &suite], 0, &["suite of 4 scenarios"]);
+}
+
+#[test]
 fn wrong_suites_are_usage_errors() {
     let dir = TempDir::new().unwrap();
     let suite = path(&dir, "wrong.toml");

@@ -92,6 +92,24 @@ fn other_seeds_are_rejected() {
 }
 
 #[test]
+fn reports_and_evidence_leave_each_other_alone() {
+    let gate = Gate::new();
+    gate.run("run", 0, &[]);
+    let (of, evidence, page) = (gate.path("run"), gate.path("evidence"), gate.path("page.md"));
+    for within in ["run", "run/evidence", "run/a/../b"] {
+        run(&["evidence", &of, &gate.path(within)], 2);
+    }
+    assert!(!Path::new(&gate.path("run/evidence")).exists());
+    run(&["evidence", &of, &evidence], 0);
+    let inside = gate.path("evidence/page.md");
+    assert!(run(&["report", &evidence], 2).contains("--out"));
+    run(&["report", &evidence, "--format", "md", "--no-replay", "--out", &inside], 2);
+    run(&["report", &evidence, "--format", "md", "--no-replay", "--out", &page], 0);
+    run(&["report", &evidence, "--format", "json", "--out", "-"], 0);
+    run(&["verify", &evidence], 0);
+}
+
+#[test]
 fn easier_requirements_are_reported_first() {
     let gate = Gate::new();
     gate.run("run", 1, &[]);
