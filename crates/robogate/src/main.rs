@@ -44,6 +44,8 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use robogate_core::guard::{is_guarded, message};
 
+use crate::exit::OrExit;
+
 /// Deployment gate for robot manipulation policies.
 ///
 /// Exit codes: 0 pass or done, 1 fail, 2 usage or configuration, 3 inconclusive, 4 invalid evidence or nothing
@@ -141,12 +143,20 @@ fn main() -> ExitCode {
     let Ok(result) = catch_unwind(AssertUnwindSafe(|| execute(arguments.verb))) else {
         return ExitCode::from(exit::INFRASTRUCTURE);
     };
-    match result {
+    match result.and_then(written) {
         Ok(code) => ExitCode::from(code),
         Err(exit) => {
             terminal::error(&exit);
             ExitCode::from(exit.code)
         }
+    }
+}
+
+/// The exit code of a verb, unless its output is lost, for example on a full disk: a script must not take it for complete.
+fn written(code: u8) -> Result<u8, exit::Exit> {
+    match terminal::stdout_error() {
+        None => Ok(code),
+        Some(why) => Err(anyhow::anyhow!("cannot write to stdout: {why}")).or_broken(),
     }
 }
 

@@ -308,3 +308,27 @@ fn wrong_snapshots_are_usage_errors() {
     assert_usage(&["snapshot", "--sheet"], &["--suite"]);
     assert_usage(&["snapshot", "--run", "/nowhere", "--index", "3"], &["/nowhere"]);
 }
+
+/// Runs the command with this stdout. Returns its exit code and stderr.
+#[cfg(target_os = "linux")]
+fn ends_with_stdout(arguments: &[&str], stdout: impl Into<Stdio>) -> (Option<i32>, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_robogate"));
+    let output = command.args(arguments).stdout(stdout).stderr(Stdio::piped()).spawn().unwrap().wait_with_output();
+    let output = output.unwrap();
+    (output.status.code(), text(&output))
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn lost_output_is_an_error() {
+    for arguments in [&["list"][..], &["list", "--json"], &["suites", "show", "industrial-68"]] {
+        let full = fs::File::options().write(true).open("/dev/full").unwrap();
+        let (code, printed) = ends_with_stdout(arguments, full);
+        assert_eq!(code, Some(5), "{arguments:?}: {printed}");
+        assert!(printed.starts_with("error: cannot write to stdout: ") && printed.lines().count() == 1, "{printed}");
+        // A reader that has seen enough, such as `head`.
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        assert_eq!(ends_with_stdout(arguments, writer), (Some(0), String::new()), "{arguments:?}");
+    }
+}
