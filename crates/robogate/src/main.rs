@@ -19,6 +19,7 @@ mod inspection;
 mod interface;
 mod latency;
 mod lost_episodes;
+mod number;
 #[cfg(feature = "object-store")]
 mod object_store;
 mod picture;

@@ -12,6 +12,7 @@ use robogate_stats::format::{fixed, percent_range, range};
 
 use crate::commands::analyze::{heading, interval};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, OrExit, USAGE};
+use crate::place;
 use crate::source::open_source;
 use crate::summary::influential;
 use crate::terminal::{bold, dim, grouped, line, note, percent, wrapped};
@@ -49,6 +50,7 @@ pub(crate) struct TransferTo {
 
 impl TransferTo {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        self.check_files()?;
         let source = open_source(&self.sim)?;
         let options = TransferOptions { groups: self.groups.clone(), population: self.population.clone() };
         let mut view = TransferView::new();
@@ -72,6 +74,16 @@ impl TransferTo {
             print(&transfer);
         }
         Ok(DONE)
+    }
+
+    /// Rejects outputs that would replace each other or the trials.
+    fn check_files(&self) -> Result<(), Exit> {
+        let (real, html, out) = (Some(self.real.as_path()), self.html.as_deref(), self.out.as_deref());
+        for (output, file) in [("--html", html), ("--out", out)] {
+            place::check_different(("--real", real), (output, file))?;
+            place::check_different(("--population", self.population.as_deref()), (output, file))?;
+        }
+        place::check_different(("--html", html), ("--out", out))
     }
 }
 

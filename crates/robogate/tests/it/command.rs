@@ -139,7 +139,13 @@ fn wrong_arguments_are_usage_errors() {
         fs::write(&path, content).unwrap();
         path
     };
-    run("-n", "0", &["at least one episode"]);
+    run("-n", "0", &["'0' for '--n <N>'", "at least 1"]);
+    run("--threads", "0", &["'0' for '--threads <T>'", "at least 1"]);
+    assert_usage(&["run", "--out", &out, "-n", "3", "--rounds", "5"], &["--rounds needs --suite"]);
+    assert_usage(
+        &["run", "--out", &out, "--suite", "industrial-68", "--coarse-step", "0.004"],
+        &["--coarse-step needs --coarse"],
+    );
     run("--robot", "r2d2", &["unknown robot `r2d2`", "franka"]);
     run("--engine", "ode", &["no such engine", "mujoco"]);
     assert_usage(&["run", "--out", &out, "--engine", "rapier", "--renderer", "egl"], &["--engine mujoco", "rapier"]);
@@ -303,7 +309,8 @@ fn wrong_snapshots_are_usage_errors() {
     assert_usage(&["snapshot", "--set", "lighting_lux"], &["expected NAME=VALUE"]);
     assert_usage(&["snapshot", "--set", "lighting=500"], &["lighting"]);
     assert_usage(&["snapshot", "--set", "table_material=marble"], &["marble", "wood"]);
-    assert_usage(&["snapshot", "--at=-1"], &["--at -1", "0 s or later"]);
+    assert_usage(&["snapshot", "--at=-1"], &["--at -1", "0 to 1,000,000 s"]);
+    assert_usage(&["snapshot", "--at", "1e9"], &["0 to 1,000,000 s"]);
     assert_usage(&["snapshot", "--size", "0"], &["1 to 4096"]);
     assert_usage(&["snapshot", "--sheet"], &["--suite"]);
     assert_usage(&["snapshot", "--run", "/nowhere", "--index", "3"], &["/nowhere"]);
