@@ -565,7 +565,7 @@ pub(crate) fn stop_at_once() -> ! {
 /// Prints the progress of an interrupted campaign and how to resume it.
 pub(crate) fn interrupted(dir: &Path, done: u64, episodes: u64) -> u8 {
     note(format_args!("{} of {} episodes are recorded.", grouped(done), grouped(episodes)));
-    note(format_args!("next: robogate resume {}", dir.display()));
+    note(format_args!("next: robogate resume {}", shard::quoted(dir)));
     INTERRUPTED
 }
 

@@ -73,6 +73,8 @@ fn registered_runs_are_verified_and_run_again() {
     for part in ["policy: built into robogate", "as number 2 of key", "registrations 1", "rerun: 4 of"] {
         assert!(printed.contains(part), "{part}: {printed}");
     }
+    let printed = run(&["verify", &evidence, "--rerun", "1000"], 0);
+    assert!(printed.contains("rerun: all ") && !printed.contains("chosen at random"), "{printed}");
     // A used folder costs no number.
     assert!(gate.run("second", 2, &["--register", &key]).contains("is not empty"));
     assert_eq!(fs::read_to_string(gate.path("k.registrations")).unwrap().lines().count(), 2);
@@ -107,6 +109,27 @@ fn reports_and_evidence_leave_each_other_alone() {
     run(&["report", &evidence, "--format", "md", "--no-replay", "--out", &page], 0);
     run(&["report", &evidence, "--format", "json", "--out", "-"], 0);
     run(&["verify", &evidence], 0);
+}
+
+#[test]
+fn printed_commands_name_the_run() {
+    let gate = Gate::new();
+    let printed = gate.run("my run", 1, &[]);
+    let (of, rows) = (gate.path("my run"), gate.path("my run/dictionary.parquet"));
+    assert!(printed.contains(&format!("details: robogate report '{of}'")), "{printed}");
+    assert!(run(&["gate", "--run", &of], 1).contains(&format!("details: robogate report '{of}'")));
+    let strict = gate.path("strict.toml");
+    let printed = run(&["gate", "--run", &rows, "--requirements", &strict], 1);
+    assert!(printed.contains(&format!("details: robogate report '{rows}'")), "{printed}");
+}
+
+#[test]
+fn files_that_are_no_keys_are_explained() {
+    let gate = Gate::new();
+    let printed = run(&["keys", "id", &gate.path("suite.toml")], 2);
+    assert!(printed.contains("not SubjectPublicKeyInfo PEM") && printed.contains("hint: expected"), "{printed}");
+    let printed = run(&["verify", &gate.path("nowhere")], 2);
+    assert!(printed.contains("nowhere is not a folder"), "{printed}");
 }
 
 #[test]
