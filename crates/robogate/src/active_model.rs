@@ -7,8 +7,6 @@ use robogate_campaign::{ActiveReport, ActiveRound, Certificate, PriorEffect, Pri
 use robogate_report::{ActiveModel, ActiveModelRound};
 use robogate_stats::format::counted;
 
-use crate::terminal::grouped;
-
 /// The model of the active design in the folder of a run. `None` without one.
 pub(crate) fn of_run(dir: &Path) -> Option<ActiveModel> {
     let text = std::fs::read(dir.join(ACTIVE)).ok()?;
@@ -23,9 +21,9 @@ pub(crate) fn of_run(dir: &Path) -> Option<ActiveModel> {
 fn score(last: &ActiveRound) -> String {
     match (&last.model, &last.problem) {
         (Some(model), _) => format!(
-            "Brier score {:.3} in cross-validation, told the hidden draws, from {} episodes",
+            "Brier score {:.3} in cross-validation, told the hidden draws, from {}",
             model.brier,
-            grouped(last.trained_on)
+            counted(last.trained_on, "episode")
         ),
         (None, Some(problem)) => format!("none: {problem}"),
         (None, None) => "none: too few failures, or too few successes".to_owned(),
@@ -35,9 +33,9 @@ fn score(last: &ActiveRound) -> String {
 fn certificate(found: &Certificate) -> String {
     let reached = if found.reached { "reached" } else { "not reached" };
     format!(
-        "error of the model of the parameters: at most {:.3} (95 % confidence, {} pairs); the requested error is {reached}",
+        "error of the model of the parameters: at most {:.3} (95 % confidence, {}); the requested error is {reached}",
         found.rms_bound,
-        grouped(found.pairs)
+        counted(found.pairs, "pair")
     )
 }
 

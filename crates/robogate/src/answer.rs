@@ -2,7 +2,7 @@
 
 use robogate_gate::{Evaluation, GatePlan, Metric, Mode, PairPlan, Population, Sampling, Sense, Status, Verdict};
 use robogate_report::{RequirementRow, feasible_part, how_judged, sign, what_next};
-use robogate_stats::format::number;
+use robogate_stats::format::{counted, number};
 
 use crate::terminal::{Styled, bold, dim, foreign, grouped, line, longest_line, percent, styled};
 use crate::twins;
@@ -77,7 +77,7 @@ fn counts(evaluation: &Evaluation) {
         0 => "0 invalid".to_owned(),
         n => format!("{} invalid: the verdict holds for every outcome that they could have had", grouped(n)),
     };
-    line(format_args!("  {} episodes{rounds}, {invalid}", grouped(counts.episodes)));
+    line(format_args!("  {}{rounds}, {invalid}", counted(counts.episodes, "episode")));
     if counts.focused > 0 {
         line(format_args!(
             "  {} episodes of a focused design are excluded: they do not estimate the rate of the operating space",
@@ -169,10 +169,10 @@ fn print_joint(plan: &GatePlan) {
 pub(crate) fn print_pair_plan(plan: &PairPlan) {
     line("");
     line(bold(format_args!(
-        "Not worse than the other policy by {:.1} points, up to {} rounds of {} pairs",
+        "Not worse than the other policy by {:.1} points, up to {} of {}",
         100.0 * plan.margin,
-        plan.rounds,
-        plan.per_round
+        counted(plan.rounds, "round"),
+        counted(plan.per_round, "pair")
     )));
     line(dim(format_args!(
         "{} simulated gates per row. Each wrong conclusion has a probability of at most {}.",
@@ -198,14 +198,10 @@ pub(crate) fn print_pair_plan(plan: &PairPlan) {
 
 /// Prints the plan of the gate.
 pub(crate) fn print_plan(plan: &GatePlan) {
+    let (rounds, each) = (counted(plan.rounds, "round"), counted(plan.per_round, "episode"));
     let how = match plan.sampling {
-        Sampling::Fixed => format!("{} rounds of {} episodes, judged once", plan.rounds, plan.per_round),
-        Sampling::Sequential => {
-            format!(
-                "up to {} rounds of {} episodes, stopped as soon as the verdict is certain",
-                plan.rounds, plan.per_round
-            )
-        }
+        Sampling::Fixed => format!("{rounds} of {each}, judged once"),
+        Sampling::Sequential => format!("up to {rounds} of {each}, stopped as soon as the verdict is certain"),
     };
     line(bold(format_args!("Gate `{}`: {how}", plan.requirements.name)));
     if plan.requirements.mode == Mode::Confidence {
@@ -222,15 +218,15 @@ pub(crate) fn print_plan(plan: &GatePlan) {
         let scope = planned.id.find('[').map_or("", |at| &planned.id[at..]);
         line(bold(format_args!("{}{scope} {} {limit}", planned.requirement.metric.title(), planned.bound.sense)));
         if let Some(fewest) = planned.fewest_rounds {
-            let round = if fewest == 1 { "round" } else { "rounds" };
             let without = if matches!(planned.requirement.metric, Metric::CycleTime(_) | Metric::Measure(..)) {
                 "if every episode equals the baseline's mean"
             } else {
                 "if no episode fails"
             };
             line(format_args!(
-                "  met at the earliest after {fewest} {round} ({} episodes), {without}",
-                grouped(fewest * plan.per_round)
+                "  met at the earliest after {} ({}), {without}",
+                counted(fewest, "round"),
+                counted(fewest * plan.per_round, "episode")
             ));
         }
         if planned.at.is_empty() {

@@ -19,6 +19,7 @@ mod inspection;
 mod interface;
 mod latency;
 mod lost_episodes;
+mod number;
 #[cfg(feature = "object-store")]
 mod object_store;
 mod picture;
@@ -43,6 +44,8 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use robogate_core::guard::{is_guarded, message};
+
+use crate::exit::OrExit;
 
 /// Deployment gate for robot manipulation policies.
 ///
@@ -141,12 +144,20 @@ fn main() -> ExitCode {
     let Ok(result) = catch_unwind(AssertUnwindSafe(|| execute(arguments.verb))) else {
         return ExitCode::from(exit::INFRASTRUCTURE);
     };
-    match result {
+    match result.and_then(written) {
         Ok(code) => ExitCode::from(code),
         Err(exit) => {
             terminal::error(&exit);
             ExitCode::from(exit.code)
         }
+    }
+}
+
+/// The exit code of a verb, unless its output is lost, for example on a full disk: a script must not take it for complete.
+fn written(code: u8) -> Result<u8, exit::Exit> {
+    match terminal::stdout_error() {
+        None => Ok(code),
+        Some(why) => Err(anyhow::anyhow!("cannot write to stdout: {why}")).or_broken(),
     }
 }
 

@@ -26,6 +26,25 @@ pub(crate) fn local() -> impl TypedValueParser<Value = PathBuf> {
     })
 }
 
+/// Whether a file or folder, which may not exist yet, is in `folder` or is `folder` itself.
+pub(crate) fn is_within(path: &Path, folder: &Path) -> bool {
+    let Ok(folder) = folder.canonicalize() else { return false };
+    // Links are followed as far as the path exists.
+    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    absolute.ancestors().find_map(|part| part.canonicalize().ok()).is_some_and(|part| part.starts_with(&folder))
+}
+
+/// Rejects two options with the same file: the second one would replace the first.
+pub(crate) fn check_different(one: (&str, Option<&Path>), other: (&str, Option<&Path>)) -> Result<(), Exit> {
+    let ((first, Some(one)), (second, Some(other))) = (one, other) else { return Ok(()) };
+    let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    if absolute(one) == absolute(other) {
+        return Err(anyhow!("{first} and {second} are the same file, {}\n  hint: choose two files", one.display()))
+            .or_usage();
+    }
+    Ok(())
+}
+
 /// Rejects an address as the `--out` of a campaign that is not divided into shards.
 pub(crate) fn check_local(out: &Path) -> Result<(), Exit> {
     if is_remote(out) {

@@ -15,6 +15,7 @@ use serde_json::json;
 use crate::active_model;
 use crate::commands::analyze::by_influence;
 use crate::commands::report::PAGE;
+use crate::commands::shard::quoted;
 use crate::terminal::{bar, bold, dim, foreign, grouped, line, percent, wrapped};
 
 /// A bin with fewer valid episodes than this is shown dimmed, because its rate is imprecise.
@@ -72,9 +73,9 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
     if let Some(again) = &summary.run_again {
         line("");
         line(format_args!(
-            "{} ran again after {} lost attempts, the first because of {}",
-            if again.episodes == 1 { "1 episode".to_owned() } else { format!("{} episodes", grouped(again.episodes)) },
-            grouped(again.lost_attempts),
+            "{} ran again after {}, the first because of {}",
+            counted(again.episodes, "episode"),
+            counted(again.lost_attempts, "lost attempt"),
             foreign(&again.first_fault)
         ));
     }
@@ -374,11 +375,12 @@ fn files(dir: &Path, summary: &Summary) {
     let dictionary = dir.join(DICTIONARY);
     line("");
     line(format_args!("{} {}", bold("Failure dictionary"), dictionary.display()));
-    line(format_args!("  {} episodes, dataset {}", grouped(summary.episodes), &summary.dataset_hash));
+    line(format_args!("  {}, dataset {}", counted(summary.episodes, "episode"), &summary.dataset_hash));
     line(format_args!("{} {}", bold("Report"), dir.join(PAGE).display()));
     line(bold("Next"));
-    line(format_args!("  robogate replay {} 0        replay one episode", dir.display()));
-    line(format_args!("  robogate export {} out.csv  export the rows for a spreadsheet", dir.display()));
+    let run = quoted(dir);
+    line(format_args!("  robogate replay {run} 0        replay one episode"));
+    line(format_args!("  robogate export {run} out.csv  export the rows for a spreadsheet"));
 }
 
 #[cfg(test)]

@@ -23,6 +23,8 @@ const LONGEST_LINE: usize = 100;
 static QUIET: AtomicBool = AtomicBool::new(false);
 /// The live view of this process, once there is one.
 static SCREEN: OnceLock<MultiProgress> = OnceLock::new();
+/// The first error of stdout, if there was one.
+static STDOUT_ERROR: OnceLock<io::Error> = OnceLock::new();
 
 /// Shows warnings, errors and results only.
 pub(crate) fn be_quiet() {
@@ -178,10 +180,19 @@ fn escaped(text: &str, kept: impl Fn(&str) -> Option<usize>) -> Cow<'_, str> {
     Cow::Owned(safe)
 }
 
-/// Writes a line of data or summary to stdout. A closed pipe is not an error.
+/// Writes a line of data or summary to stdout. The first error is kept for [`stdout_error`].
 pub(crate) fn line(text: impl Display) {
-    // The reader of stdout has gone away, so there is nothing to report to.
-    let _ = writeln!(io::stdout(), "{}", fitted(harmless(&text.to_string()), columns()));
+    let written = writeln!(io::stdout(), "{}", fitted(harmless(&text.to_string()), columns()));
+    // The reader of a closed pipe, for example `head`, has seen enough.
+    if let Some(error) = written.err().filter(|error| error.kind() != io::ErrorKind::BrokenPipe) {
+        // Later errors have the same cause.
+        let _ = STDOUT_ERROR.set(error);
+    }
+}
+
+/// The first error of stdout, for example a full disk. A closed pipe is not an error.
+pub(crate) fn stdout_error() -> Option<&'static io::Error> {
+    STDOUT_ERROR.get()
 }
 
 /// Escapes control characters, because the text contains data from files. Line ends, tabs and the styles that this module

@@ -124,7 +124,7 @@ impl Suite {
     }
 
     /// Whether a parameter differs between scenarios or is sampled.
-    fn varies(&self, parameter: &str) -> bool {
+    pub fn varies(&self, parameter: &str) -> bool {
         let spreads = || self.cases.iter().flat_map(|case| &case.parameters).filter(|(name, _)| &**name == parameter);
         let first = spreads().next().map(|(_, spread)| spread);
         spreads().any(|(_, spread)| matches!(spread, Spread::Drawn(_)) || Some(spread) != first)

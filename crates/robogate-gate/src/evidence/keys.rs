@@ -150,8 +150,10 @@ impl PublicKey {
                 "it is a private key\nhint: use the file with the suffix .pub, and do not share this one".to_owned()
             );
         }
-        VerifyingKey::from_public_key_pem(text).map(Self).map_err(|e| {
-            format!("{e}\nhint: expected the PEM file with the suffix .pub that `robogate keys new` wrote")
+        // The library names a byte of its parser, also one that is not in the text.
+        VerifyingKey::from_public_key_pem(text).map(Self).map_err(|_| {
+            "not SubjectPublicKeyInfo PEM of an ed25519 key\nhint: expected the file with the suffix .pub that `robogate keys new` wrote"
+                .to_owned()
         })
     }
 

@@ -9,9 +9,10 @@ use robogate_analysis::{
 };
 use robogate_gate::Sampling;
 use robogate_report::{Headline, analysis_json_with, limits, low_side};
-use robogate_stats::format::{p_value, percent_or_dash};
+use robogate_stats::format::{counted, p_value, percent_or_dash};
 
 use crate::commands::report::evidence;
+use crate::commands::shard::quoted;
 use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
 use crate::source::open_source;
 use crate::terminal::{self, bar, bold, dim, grouped, line, percent, wrapped};
@@ -100,12 +101,12 @@ pub(crate) fn interval([low, high]: [f64; 2]) -> String {
 fn answer(analysis: &Analysis) {
     let subject = &analysis.subject;
     line(format_args!(
-        "{} {}, {} policy, {}: {} episodes",
+        "{} {}, {} policy, {}: {}",
         bold("RoboGate"),
         subject.robot,
         subject.policy,
         subject.engine,
-        grouped(subject.episodes)
+        counted(subject.episodes, "episode")
     ));
     line("");
     let headline = Headline::of(analysis);
@@ -466,6 +467,9 @@ fn replay(analysis: &Analysis) {
         }
     }
     if analysis.subject.replayable && !analysis.replay.is_empty() {
-        line(dim(format_args!("  replay one with: robogate replay {} INDEX", analysis.subject.path)));
+        line(dim(format_args!(
+            "  replay one with: robogate replay {} INDEX",
+            quoted(Path::new(&analysis.subject.path))
+        )));
     }
 }

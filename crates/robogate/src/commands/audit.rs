@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use robogate_dictionary::results::Format;
 use robogate_dictionary::results::audit::{Audit, CheckResult, audit};
+use robogate_stats::format::counted;
 
 use crate::commands::import::{Layout, open_mapping};
 use crate::exit::{DONE, Exit, FAIL, OrExit};
@@ -48,11 +49,11 @@ impl AuditOf {
 
 fn print(audit: &Audit) {
     line(format_args!(
-        "{}: {} rows, {} successes, {} failures",
+        "{}: {}, {} successes, {}",
         audit.format.replace('_', " "),
-        grouped(audit.rows),
+        counted(audit.rows, "row"),
         grouped(audit.successes),
-        grouped(audit.failures)
+        counted(audit.failures, "failure")
     ));
     for checked in &audit.checks {
         let title = checked.check.title();
@@ -68,7 +69,7 @@ fn print(audit: &Audit) {
                     let more = if problem.count > rows.len() as u64 { ", ..." } else { "" };
                     let rows = match problem.count {
                         0 => String::new(),
-                        n => format!(" [{} rows: {}{more}]", grouped(n), rows.join(", ")),
+                        n => format!(" [{}: {}{more}]", counted(n, "row"), rows.join(", ")),
                     };
                     wrapped(&format!("{}.{rows}", foreign(&problem.what)));
                 }

@@ -15,6 +15,7 @@ use robogate_stats::format::{p_value, percent_or_dash, points};
 
 use crate::commands::analyze::{heading, interval};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::place;
 use crate::remote::Simulators;
 use crate::source::open_source;
 use crate::terminal::{bar, bold, dim, grouped, line, note, percent, wrapped};
@@ -75,6 +76,7 @@ fn named_length(text: &str) -> Result<(String, f64), String> {
 impl Compare {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         self.check_twice()?;
+        place::check_different(("--html", self.html.as_deref()), ("--md", self.md.as_deref()))?;
         let open = |path: &PathBuf| open_source(path).map(|source| (source, path.clone()));
         let sources: Vec<(Source, PathBuf)> = self.dictionaries.iter().map(open).collect::<Result<_, _>>()?;
         let options = ComparisonOptions {

@@ -17,6 +17,7 @@ use serde_json::json;
 
 use crate::cell::Cell;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::number::at_least_one;
 use crate::place;
 use crate::subject::{EnvironmentArguments, named_space};
 use crate::terminal::{grouped, line, note, warning};
@@ -53,7 +54,7 @@ pub(crate) struct Demos {
     #[arg(long)]
     all: bool,
     /// Set the number of threads; default: one for each core
-    #[arg(long, value_name = "T")]
+    #[arg(long, value_name = "T", value_parser = at_least_one::<NonZeroUsize>)]
     threads: Option<NonZeroUsize>,
     /// Print the result as one JSON document
     #[arg(long)]

@@ -77,6 +77,13 @@ enum Count {
 impl Evidence {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let source = open_source(&self.run)?;
+        if self.run.is_dir() && place::is_within(&self.out, &self.run) {
+            return Err(anyhow::anyhow!(
+                "{} is in the folder of the run\n  hint: choose a folder outside of it, so that the run keeps its own files only",
+                self.out.display()
+            ))
+            .or_usage();
+        }
         let provenance = source.dictionary().provenance();
         let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
         let mut others = Vec::new();

@@ -9,12 +9,14 @@ use robogate_campaign::WorkerFactory;
 use robogate_core::{Foresight, TaskSpec};
 use robogate_dictionary::export::{Format, write_file, write_to};
 use robogate_dictionary::{Dictionary, DictionaryError, Entry, Provenance, write_parquet};
+use robogate_stats::format::counted;
 
+use crate::commands::shard::quoted;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
 use crate::remote::Simulators;
 use crate::subject::{Subject, starts_processes};
-use crate::terminal::{grouped, note};
+use crate::terminal::note;
 
 /// Write a failure dictionary as CSV, JSON Lines or the published JSON, or as Parquet with its hidden draws.
 #[derive(Debug, Args)]
@@ -79,7 +81,7 @@ impl Export {
             };
         }
         let rows = write_file(&dictionary, format, &self.out).or_broken()?;
-        note(format_args!("{}: {} rows", self.out.display(), grouped(rows)));
+        note(format_args!("{}: {}", self.out.display(), counted(rows, "row")));
         Ok(DONE)
     }
 }
@@ -109,7 +111,7 @@ impl Export {
             Ok(entry)
         };
         let written = write_parquet(&self.out, &provenance, dictionary.entries().map(with_draws)).or_broken()?;
-        note(format_args!("{}: {} rows", self.out.display(), grouped(written.rows)));
+        note(format_args!("{}: {}", self.out.display(), counted(written.rows, "row")));
         Ok(DONE)
     }
 }
@@ -165,7 +167,8 @@ fn by_ending(path: &Path) -> Option<To> {
 fn open(path: &Path) -> Result<Dictionary, Exit> {
     let file = if path.is_dir() { path.join(robogate_campaign::folder::DICTIONARY) } else { path.to_owned() };
     if path.is_dir() && !file.exists() && robogate_campaign::settings(path).is_ok() {
-        let why = anyhow::anyhow!("{}: the run is not finished\nhint: robogate resume {0}", path.display());
+        let why =
+            anyhow::anyhow!("{}: the run is not finished\nhint: robogate resume {}", path.display(), quoted(path));
         return Err(why).or_usage();
     }
     Dictionary::open(&file).or_usage()

@@ -5,13 +5,14 @@ use std::path::PathBuf;
 use anyhow::anyhow;
 use clap::Args;
 use robogate_campaign::Event;
+use robogate_stats::format::counted;
 
 use crate::commands::matrix;
 use crate::commands::shard::open;
 use crate::exit::{Exit, OrExit};
 use crate::place;
 use crate::progress::Progress;
-use crate::terminal::{grouped, note};
+use crate::terminal::note;
 
 /// Merge the shards of a campaign to the files of a run on one machine: dictionary, boundary, summary and report. The
 /// files are byte-identical to those of such a run. For a gate, also evaluate the verdict; its exit codes are those of
@@ -44,7 +45,8 @@ impl Merge {
         }
         let out = self.out.as_ref().unwrap_or(&self.dir);
         let episodes = shards.settings().plan.episodes();
-        note(format_args!("{} episodes in {} shards, into {}", grouped(episodes), shards.shards(), out.display()));
+        let (episodes, shards) = (counted(episodes, "episode"), counted(shards.shards().into(), "shard"));
+        note(format_args!("{episodes} in {shards}, into {}", out.display()));
         let mut progress = Progress::new();
         let mut show = |event: &Event| match event {
             Event::Finished { already: true, .. } => note("the shards are merged already"),

@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use clap::{Args, ValueEnum};
 use robogate_analysis::{Analysis, AnalysisOptions, DEFAULT_TARGET, Source, pair_counts};
+use robogate_gate::evidence::MANIFEST;
 use robogate_gate::{Evaluation, Sampling};
 use robogate_report::{Additions, Watch, analysis_json_with, html_with, markdown_with};
 
@@ -30,7 +31,7 @@ pub(crate) struct Report {
     #[arg(long, value_name = "FORMAT", default_value = "html")]
     format: Form,
     /// Write to this file, - for stdout; default: report.html, .md or .json in the run's folder, or in the current
-    /// folder for a file
+    /// folder for a file. Must be outside of a folder of evidence
     #[arg(long, value_name = "FILE", value_parser = place::local())]
     out: Option<PathBuf>,
     /// Map two more parameters; the first is on the vertical axis
@@ -75,13 +76,9 @@ impl Form {
 impl Report {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let source = open_source(&self.dictionary)?;
+        let out = self.out(&source)?;
         let analysis = analyse(&source, &self.dictionary, &options(&self.pair, self.target))?;
         let evaluation = source.folder().and_then(|folder| gate_of(folder, &source));
-        let out = match &self.out {
-            Some(out) if out.as_os_str() == "-" => None,
-            Some(out) => Some(out.clone()),
-            None => Some(source.folder().unwrap_or(Path::new("")).join(format!("report.{}", self.format.ending()))),
-        };
         // Markdown on stdout has no place for images.
         let frames = out.as_deref().filter(|_| matches!(self.format, Form::Md)).map(frames_beside);
         let watch = match self.format {
@@ -113,6 +110,24 @@ impl Report {
             None => line(text.trim_end()),
         }
         Ok(evidence(&analysis))
+    }
+
+    /// The file of the page, or `None` for stdout. A page in a folder of evidence would make the evidence invalid.
+    fn out(&self, source: &Source) -> Result<Option<PathBuf>, Exit> {
+        let out = match &self.out {
+            Some(out) if out.as_os_str() == "-" => return Ok(None),
+            Some(out) => out.clone(),
+            None => source.folder().unwrap_or(Path::new("")).join(format!("report.{}", self.format.ending())),
+        };
+        let evidence = source.folder().filter(|folder| folder.join(MANIFEST).is_file());
+        match evidence.filter(|folder| place::is_within(&out, folder)) {
+            Some(folder) => Err(anyhow!(
+                "{} contains evidence, and another file in it would make it invalid\n  hint: choose a file outside of it with --out",
+                folder.display()
+            ))
+            .or_usage(),
+            None => Ok(Some(out)),
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! `robogate run`: runs a campaign, or one of its shards, and prints the result.
 
-use std::num::NonZeroUsize;
+use std::num::{NonZeroU64, NonZeroUsize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -27,6 +27,7 @@ use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAG
 use crate::families;
 use crate::latency::{self, LatencyArguments};
 use crate::lost_episodes::{Outage, RunsLostAgain};
+use crate::number::at_least_one;
 use crate::place;
 use crate::policy_source::{PolicyArguments, PolicyLocation};
 use crate::progress::Progress;
@@ -61,8 +62,8 @@ pub(crate) struct Run {
     rounds: u64,
     /// Set the total number of episodes. A quarter of them is uniform before the first round of the active design; with two
     /// stages, two thirds
-    #[arg(short, long, value_name = "N")]
-    n: Option<u64>,
+    #[arg(short, long, value_name = "N", value_parser = at_least_one::<NonZeroU64>)]
+    n: Option<NonZeroU64>,
     /// Choose the design: active (rounds, half of each where a risk model of all earlier episodes is least certain),
     /// two-stage (then a region around the failure boundary) or uniform; default: that of the preset or plan
     #[arg(long, value_name = "DESIGN", value_parser = ["active", "two-stage", "uniform"], conflicts_with = "suite")]
@@ -150,6 +151,11 @@ impl Given {
         "policy_ca",
     ];
 
+    /// Whether this argument is on the command line.
+    fn has(&self, name: &str) -> bool {
+        self.0.iter().any(|given| given == name)
+    }
+
     /// Whether an argument affects the results.
     fn describe_a_plan(&self) -> bool {
         self.0.iter().any(|name| !Self::WITHOUT_EFFECT.contains(&name.as_str()))
@@ -185,7 +191,7 @@ impl Args for Given {
 pub(crate) struct How {
     /// Set the number of threads; default: one for each core, or for each server of --simulator. With a policy server:
     /// four for each core, from 8 to 32, because most of the time is spent waiting. --env starts a server for each thread
-    #[arg(long, value_name = "T")]
+    #[arg(long, value_name = "T", value_parser = at_least_one::<NonZeroUsize>)]
     threads: Option<NonZeroUsize>,
     /// Print the result as one JSON document
     #[arg(long)]
@@ -194,6 +200,7 @@ pub(crate) struct How {
 
 impl Run {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        self.check_required()?;
         if let (Some(shards), Some(dir)) = (&self.shard, &self.out)
             && !self.given.describe_a_plan()
             && (place::is_remote(dir) || dir.join(PLAN).is_file())
@@ -334,6 +341,21 @@ impl Run {
         Ok(Some(prior))
     }
 
+    /// Rejects arguments that need another one. clap does not require an argument that conflicts with a given one: it would
+    /// accept and ignore the rounds in `--rounds 5 -n 100`.
+    fn check_required(&self) -> Result<(), Exit> {
+        let needs = [
+            ("rounds", "--rounds", self.suite.is_some(), "--suite"),
+            ("coarse_step", "--coarse-step", self.coarse.is_some(), "--coarse"),
+        ];
+        match needs.into_iter().find(|(name, _, is_given, _)| self.given.has(name) && !is_given) {
+            Some((_, option, _, needed)) => {
+                Err(anyhow!("{option} needs {needed}\n  hint: give {needed}, or leave out {option}")).or_usage()
+            }
+            None => Ok(()),
+        }
+    }
+
     /// The plan and its parameter space.
     fn plan_and_space(&self, subject: &Subject) -> Result<(Plan, ParameterSpace), Exit> {
         if let Some(name) = &self.suite {
@@ -356,7 +378,7 @@ impl Run {
             }
         };
         if let Some(n) = self.n {
-            plan = plan.with_total(n);
+            plan = plan.with_total(n.get());
         }
         if !self.family.is_empty() {
             let suite = families::suite(&self.family, &space, subject.task(), 1).or_usage()?;
@@ -543,7 +565,7 @@ pub(crate) fn stop_at_once() -> ! {
 /// Prints the progress of an interrupted campaign and how to resume it.
 pub(crate) fn interrupted(dir: &Path, done: u64, episodes: u64) -> u8 {
     note(format_args!("{} of {} episodes are recorded.", grouped(done), grouped(episodes)));
-    note(format_args!("next: robogate resume {}", dir.display()));
+    note(format_args!("next: robogate resume {}", shard::quoted(dir)));
     INTERRUPTED
 }
 

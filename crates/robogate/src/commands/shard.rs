@@ -9,6 +9,7 @@ use robogate_campaign::shards::{
 };
 use robogate_campaign::{Executor, OutcomeCounts, Plan, Prior};
 use robogate_dictionary::Provenance;
+use robogate_stats::format::counted;
 use serde_json::json;
 
 use crate::commands::run::{self, How, guarded, introduce};
@@ -100,8 +101,8 @@ impl<I: Iterator<Item = Shard>> Worker<'_, I> {
                 }
                 Assignment::Committed { round } => self.committed_already(shard, round),
                 Assignment::Run(task) => {
-                    let (episodes, dir) = (grouped(task.episodes()), self.dir.display());
-                    note(format_args!("shard {shard} of round {}: {episodes} episodes, into {dir}", task.round()));
+                    let (episodes, dir) = (counted(task.episodes(), "episode"), self.dir.display());
+                    note(format_args!("shard {shard} of round {}: {episodes}, into {dir}", task.round()));
                     return Ok(Some((shard, task)));
                 }
             }
@@ -158,7 +159,8 @@ pub(crate) fn divide(
     introduce(&provenance, plan.seed);
     let shards = begin(dir, shards, plan, provenance, documents)?;
     let (shards, episodes) = (shards.shards(), shards.settings().plan.episodes());
-    note(format_args!("{} episodes in {shards} shards, into {}", grouped(episodes), dir.display()));
+    let (all, parts) = (counted(episodes, "episode"), counted(shards.into(), "shard"));
+    note(format_args!("{all} in {parts}, into {}", dir.display()));
     note(format_args!("next: robogate plan {} --next", quoted(dir)));
     if json {
         line(json!({ "version": 1, "dir": dir, "shards": shards, "episodes": episodes }));

@@ -77,7 +77,7 @@ impl Snapshot {
         }
         let mut times = self.at.clone();
         if let Some(wrong) = times.iter().find(|t| !(0.0..=1e6).contains(*t)) {
-            return Err(anyhow!("--at {wrong}: expected a time of 0 s or later")).or_usage();
+            return Err(anyhow!("--at {wrong}: expected a time from 0 to 1,000,000 s")).or_usage();
         }
         times.sort_by(f64::total_cmp);
         let subject = match &self.run {

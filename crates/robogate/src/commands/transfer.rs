@@ -8,13 +8,14 @@ use clap::Args;
 use robogate_analysis::AnalysisError;
 use robogate_analysis::transfer::{Transfer, TransferOptions};
 use robogate_report::{TransferHeadline, next_trials, transfer_html, transfer_json};
-use robogate_stats::format::{fixed, percent_range, range};
+use robogate_stats::format::{counted, fixed, percent_range, range};
 
 use crate::commands::analyze::{heading, interval};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, OrExit, USAGE};
+use crate::place;
 use crate::source::open_source;
 use crate::summary::influential;
-use crate::terminal::{bold, dim, grouped, line, note, percent, wrapped};
+use crate::terminal::{bold, dim, line, note, percent, wrapped};
 use crate::transfer_view::TransferView;
 
 /// Estimate the success rate of the real robot from a simulation and a few real trials.
@@ -49,6 +50,7 @@ pub(crate) struct TransferTo {
 
 impl TransferTo {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        self.check_files()?;
         let source = open_source(&self.sim)?;
         let options = TransferOptions { groups: self.groups.clone(), population: self.population.clone() };
         let mut view = TransferView::new();
@@ -73,17 +75,27 @@ impl TransferTo {
         }
         Ok(DONE)
     }
+
+    /// Rejects outputs that would replace each other or the trials.
+    fn check_files(&self) -> Result<(), Exit> {
+        let (real, html, out) = (Some(self.real.as_path()), self.html.as_deref(), self.out.as_deref());
+        for (output, file) in [("--html", html), ("--out", out)] {
+            place::check_different(("--real", real), (output, file))?;
+            place::check_different(("--population", self.population.as_deref()), (output, file))?;
+        }
+        place::check_different(("--html", html), ("--out", out))
+    }
 }
 
 fn print(of: &Transfer) {
     let headline = TransferHeadline::of(of);
     line(format_args!(
-        "{} {}, {} policy: {} real trials, {} episodes in {}",
+        "{} {}, {} policy: {}, {} in {}",
         bold("RoboGate"),
         of.simulation.robot,
         of.simulation.policy,
-        grouped(of.real.trials),
-        grouped(of.simulation.episodes),
+        counted(of.real.trials, "real trial"),
+        counted(of.simulation.episodes, "episode"),
         of.simulation.engine
     ));
     line("");

@@ -6,6 +6,7 @@ use clap::Args;
 use robogate_gate::evidence::{
     Problem, PublicKey, QuestionBinding, REGISTRATION, Registered, Signed, Verified, verify,
 };
+use robogate_stats::format::counted;
 use serde::Serialize;
 
 use crate::commands::rerun::{Rerun, rerun};
@@ -64,7 +65,7 @@ impl Verify {
         let key = self.key.as_deref().map(PublicKey::read).transpose().or_usage()?;
         if !self.evidence.is_dir() {
             let error = anyhow::anyhow!(
-                "{} not a folder. Expected a folder written by `robogate evidence RUN OUT`",
+                "{} is not a folder. Expected a folder written by `robogate evidence RUN OUT`",
                 self.evidence.display()
             );
             return Err(error).or_usage();
@@ -141,10 +142,16 @@ impl Verify {
 }
 
 fn tell_rerun(rerun: &Rerun) {
+    let rows = rerun.rows.len() as u64;
+    if rows == rerun.of {
+        let all = counted(rows, "valid row");
+        line(format_args!("  rerun: all {all} ran again, with the same outcome, measures and trajectory"));
+        return;
+    }
     line(format_args!(
         "  rerun: {} of {} valid rows, chosen at random, have the same outcome, measures and trajectory; {} or more \
          invented rows would have been found with 95 % probability",
-        grouped(rerun.rows.len() as u64),
+        grouped(rows),
         grouped(rerun.of),
         percent(rerun.detects())
     ));
@@ -164,8 +171,8 @@ fn tell(verified: &Verified) {
     line(bold(foreign(headline(verified))));
     line(format_args!("  {}", foreign(because)));
     line(format_args!(
-        "  {} episodes of {} on {}, {} of them invalid; verdict recomputed from the rows",
-        grouped(counts.episodes),
+        "  {} of {} on {}, {} of them invalid; verdict recomputed from the rows",
+        counted(counts.episodes, "episode"),
         foreign(policy),
         foreign(robot),
         grouped(counts.invalid)

@@ -139,7 +139,14 @@ fn wrong_arguments_are_usage_errors() {
         fs::write(&path, content).unwrap();
         path
     };
-    run("-n", "0", &["at least one episode"]);
+    run("-n", "0", &["'0' for '--n <N>'", "at least 1"]);
+    run("--threads", "0", &["'0' for '--threads <T>'", "at least 1"]);
+    assert_usage(&["run", "--out", &out, "-n", "3", "--rounds", "5"], &["--rounds needs --suite"]);
+    assert_usage(&["gate", "--baseline", &out, "--against-profile", "droid"], &["--against-profile", "--baseline"]);
+    assert_usage(
+        &["run", "--out", &out, "--suite", "industrial-68", "--coarse-step", "0.004"],
+        &["--coarse-step needs --coarse"],
+    );
     run("--robot", "r2d2", &["unknown robot `r2d2`", "franka"]);
     run("--engine", "ode", &["no such engine", "mujoco"]);
     assert_usage(&["run", "--out", &out, "--engine", "rapier", "--renderer", "egl"], &["--engine mujoco", "rapier"]);
@@ -227,6 +234,17 @@ fn suite_rows_ignore_thread_count() {
 }
 
 #[test]
+fn documented_suite_is_valid() {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/suites.md");
+    let page = fs::read_to_string(page).unwrap();
+    let example = page.split("```toml\n").nth(1).unwrap().split("```").next().unwrap();
+    let dir = TempDir::new().unwrap();
+    let suite = path(&dir, "bottles.toml");
+    fs::write(&suite, example).unwrap();
+    assert_exit(&["suites", "check", &suite], 0, &["suite of 4 scenarios"]);
+}
+
+#[test]
 fn wrong_suites_are_usage_errors() {
     let dir = TempDir::new().unwrap();
     let suite = path(&dir, "wrong.toml");
@@ -292,8 +310,33 @@ fn wrong_snapshots_are_usage_errors() {
     assert_usage(&["snapshot", "--set", "lighting_lux"], &["expected NAME=VALUE"]);
     assert_usage(&["snapshot", "--set", "lighting=500"], &["lighting"]);
     assert_usage(&["snapshot", "--set", "table_material=marble"], &["marble", "wood"]);
-    assert_usage(&["snapshot", "--at=-1"], &["--at -1", "0 s or later"]);
+    assert_usage(&["snapshot", "--at=-1"], &["--at -1", "0 to 1,000,000 s"]);
+    assert_usage(&["snapshot", "--at", "1e9"], &["0 to 1,000,000 s"]);
     assert_usage(&["snapshot", "--size", "0"], &["1 to 4096"]);
     assert_usage(&["snapshot", "--sheet"], &["--suite"]);
     assert_usage(&["snapshot", "--run", "/nowhere", "--index", "3"], &["/nowhere"]);
+}
+
+/// Runs the command with this stdout. Returns its exit code and stderr.
+#[cfg(target_os = "linux")]
+fn ends_with_stdout(arguments: &[&str], stdout: impl Into<Stdio>) -> (Option<i32>, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_robogate"));
+    let output = command.args(arguments).stdout(stdout).stderr(Stdio::piped()).spawn().unwrap().wait_with_output();
+    let output = output.unwrap();
+    (output.status.code(), text(&output))
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn lost_output_is_an_error() {
+    for arguments in [&["list"][..], &["list", "--json"], &["suites", "show", "industrial-68"]] {
+        let full = fs::File::options().write(true).open("/dev/full").unwrap();
+        let (code, printed) = ends_with_stdout(arguments, full);
+        assert_eq!(code, Some(5), "{arguments:?}: {printed}");
+        assert!(printed.starts_with("error: cannot write to stdout: ") && printed.lines().count() == 1, "{printed}");
+        // A reader that has seen enough, such as `head`.
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        assert_eq!(ends_with_stdout(arguments, writer), (Some(0), String::new()), "{arguments:?}");
+    }
 }

@@ -129,8 +129,27 @@ fn parameter_belongs_to_scenarios_or_unit() {
     let both = SUITE.replace("mass_kg = 0.2, ", "mass_kg = 0.2, angle_bias_rad = { low = 0.0, high = 0.1 }, ");
     fs::write(at.join("both.toml"), both).unwrap();
     let fleet = FLEET.replace("suite.toml", "both.toml");
-    verb(at, &format!("{fleet} --out a"), 2, &["`angle_bias_rad` varies over the scenarios"]);
+    verb(at, &format!("{fleet} --out a"), 2, &["`angle_bias_rad` varies over the scenarios", "hint: leave"]);
     let without = FLEET.replace(" --unit-space units.toml", "");
     verb(at, &format!("{without} --out b"), 2, &["--unit-space FILE"]);
     assert!(!at.join("a").exists() && !at.join("b").exists());
+}
+
+/// The commands of docs/fleet.md. A folder that belongs to something else stops them after all units have been checked.
+#[test]
+fn default_units_fit_default_suite() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    fs::create_dir(at.join("taken")).unwrap();
+    fs::write(at.join("taken/notes.txt"), "").unwrap();
+    let list: Value = serde_json::from_str(&verb(at, "list --json", 0, &[])).unwrap();
+    let robots = list["robots"].as_array().unwrap();
+    assert!(robots.len() >= 4, "{robots:?}");
+    let left_out = "left out of the units, because the scenarios of industrial-68 vary them: camera_roll_rad";
+    for robot in robots {
+        let fleet = format!("fleet --units 20 --robot {} --out taken", robot.as_str().unwrap());
+        verb(at, &fleet, 2, &[left_out, "is not a fleet"]);
+    }
+    // A space that the user chose is not changed.
+    verb(at, "fleet --unit-space franka-units --out taken", 2, &["`camera_roll_rad` varies", "hint: leave"]);
 }

@@ -138,7 +138,7 @@ fn suite_shards_equal_single_run() {
     });
     let run = "run --suite two.toml --rounds 2 --out run";
     verb(one, run, 0, &[]);
-    verb(many, &format!("{run} --shard 0/2"), 0, &["round suite-0: 1 episodes"]);
+    verb(many, &format!("{run} --shard 0/2"), 0, &["round suite-0: 1 episode, into"]);
     assert_eq!(run_all_shards(many, "run"), 3);
     verb(many, "merge run", 0, &[]);
     assert!(files(&many.join("run")) == files(&one.join("run")));

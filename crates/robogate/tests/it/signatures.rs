@@ -68,11 +68,13 @@ fn registered_runs_are_verified_and_run_again() {
     let evidence = gate.path("evidence");
     run(&["evidence", &gate.path("second"), &evidence, "--key", &key], 0);
     let strict = ["verify", &evidence, "--key", &public, "--require-signed", "--require-registered", "--seed", "7"];
-    let printed = run(&[&strict[..], &["--rerun", "4"]].concat(), 0);
+    let printed = run(&[&strict[..], &["--rerun", "3"]].concat(), 0);
     assert!(printed.starts_with("verification passed: verdict pass\n"), "{printed}");
-    for part in ["policy: built into robogate", "as number 2 of key", "registrations 1", "rerun: 4 of"] {
+    for part in ["policy: built into robogate", "as number 2 of key", "registrations 1", "rerun: 3 of 4 valid rows"] {
         assert!(printed.contains(part), "{part}: {printed}");
     }
+    let printed = run(&["verify", &evidence, "--rerun", "1000"], 0);
+    assert!(printed.contains("rerun: all ") && !printed.contains("chosen at random"), "{printed}");
     // A used folder costs no number.
     assert!(gate.run("second", 2, &["--register", &key]).contains("is not empty"));
     assert_eq!(fs::read_to_string(gate.path("k.registrations")).unwrap().lines().count(), 2);
@@ -89,6 +91,45 @@ fn other_seeds_are_rejected() {
     assert!(run(&["verify", &evidence, "--require-registered"], 4).contains("was not registered"));
     let printed = run(&["verify", &evidence, "--seed", "7"], 0);
     assert!(printed.contains("not registered before the run"), "{printed}");
+}
+
+#[test]
+fn reports_and_evidence_leave_each_other_alone() {
+    let gate = Gate::new();
+    gate.run("run", 0, &[]);
+    let (of, evidence, page) = (gate.path("run"), gate.path("evidence"), gate.path("page.md"));
+    for within in ["run", "run/evidence", "run/a/../b"] {
+        run(&["evidence", &of, &gate.path(within)], 2);
+    }
+    assert!(!Path::new(&gate.path("run/evidence")).exists());
+    run(&["evidence", &of, &evidence], 0);
+    let inside = gate.path("evidence/page.md");
+    assert!(run(&["report", &evidence], 2).contains("--out"));
+    run(&["report", &evidence, "--format", "md", "--no-replay", "--out", &inside], 2);
+    run(&["report", &evidence, "--format", "md", "--no-replay", "--out", &page], 0);
+    run(&["report", &evidence, "--format", "json", "--out", "-"], 0);
+    run(&["verify", &evidence], 0);
+}
+
+#[test]
+fn printed_commands_name_the_run() {
+    let gate = Gate::new();
+    let printed = gate.run("my run", 1, &[]);
+    let (of, rows) = (gate.path("my run"), gate.path("my run/dictionary.parquet"));
+    assert!(printed.contains(&format!("details: robogate report '{of}'")), "{printed}");
+    assert!(run(&["gate", "--run", &of], 1).contains(&format!("details: robogate report '{of}'")));
+    let strict = gate.path("strict.toml");
+    let printed = run(&["gate", "--run", &rows, "--requirements", &strict], 1);
+    assert!(printed.contains(&format!("details: robogate report '{rows}'")), "{printed}");
+}
+
+#[test]
+fn files_that_are_no_keys_are_explained() {
+    let gate = Gate::new();
+    let printed = run(&["keys", "id", &gate.path("suite.toml")], 2);
+    assert!(printed.contains("not SubjectPublicKeyInfo PEM") && printed.contains("hint: expected"), "{printed}");
+    let printed = run(&["verify", &gate.path("nowhere")], 2);
+    assert!(printed.contains("nowhere is not a folder"), "{printed}");
 }
 
 #[test]

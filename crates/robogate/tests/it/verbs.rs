@@ -204,6 +204,19 @@ fn transfer_writes_every_format() {
         .collect();
     fs::write(&trials, format!("success,friction,mass_kg,note\n{}\n", rows.join("\n"))).unwrap();
     let (page, file) = (path(&dir, "transfer.html"), path(&dir, "transfer.json"));
+    let same = path(&dir, "./transfer.html");
+    assert_refused(
+        &["transfer", "--sim", &simulation, "--real", &trials, "--html", &page, "--out", &same],
+        &["--html and --out are the same file"],
+    );
+    assert_refused(
+        &["transfer", "--sim", &simulation, "--real", &trials, "--out", &trials],
+        &["--real and --out are the same file"],
+    );
+    assert_refused(
+        &["compare", &simulation, &trials, "--html", &page, "--md", &same],
+        &["--html and --md are the same file"],
+    );
     let arguments = ["transfer", "--sim", &simulation, "--real", &trials, "--html", &page, "--out", &file];
     let output = robogate(&arguments);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));

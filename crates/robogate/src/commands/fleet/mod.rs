@@ -17,7 +17,7 @@ use std::sync::Arc;
 use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate_campaign::DEFAULT_SEED;
-use robogate_core::{ParameterSpace, Suite};
+use robogate_core::{ParameterSpace, Suite, SuiteError};
 use robogate_gate::{Baseline, Mode, Record, Requirements, Sampling};
 use robogate_physics::SuctionLaw;
 
@@ -102,7 +102,11 @@ impl FleetOf {
         let location = PolicyLocation::with_access(&self.access);
         let subject = Subject::new(environment, self.policy.source_at(&location)?)?;
         let subject = subject.with_statistics(&self.policy.statistics)?;
-        let unit_space = self.unit_space(&subject)?;
+        let suite = match (suite, subject.own_suite()) {
+            (None, Some(own)) if self.space.is_none() => Some(suites::find(own)?),
+            (suite, _) => suite,
+        };
+        let unit_space = self.unit_space(&subject, suite.as_ref())?;
         let subject = subject.with_latency(&self.latency.varied_by(&unit_space))?;
         let plan = self.plan(&subject, suite, unit_space)?;
         let dir = match &self.out {
@@ -113,10 +117,16 @@ impl FleetOf {
         units::judge(&dir, &plan, &subject, &self.how)
     }
 
-    fn unit_space(&self, subject: &Subject) -> Result<ParameterSpace, Exit> {
+    fn unit_space(&self, subject: &Subject, suite: Option<&Suite>) -> Result<ParameterSpace, Exit> {
         match (&self.unit_space, subject.own_unit_space()) {
             (Some(name), _) => named_space(name).or_usage(),
-            (None, Some(own)) => named_space(own).or_usage(),
+            (None, Some(own)) => {
+                let space = named_space(own).or_usage()?;
+                match suite {
+                    Some(suite) => without_varied(&space, suite).or_usage(),
+                    None => Ok(space),
+                }
+            }
             (None, None) => Err(anyhow!(
                 "this environment has no distribution of units\n  hint: write one as a parameter space and give it with \
                  --unit-space FILE (docs/fleet.md)"
@@ -127,11 +137,10 @@ impl FleetOf {
 
     fn plan(&self, subject: &Subject, suite: Option<Suite>, unit_space: ParameterSpace) -> Result<FleetPlan, Exit> {
         let requirements = open_requirements(&self.requirements, subject.task())?;
-        let suite = match (suite, &self.space, subject.own_suite()) {
-            (Some(suite), _, _) => suite,
-            (None, None, Some(own)) => suites::find(own)?,
-            (None, space, _) => {
-                let space = scenario_space(subject, space.as_deref(), &unit_space).or_usage()?;
+        let suite = match suite {
+            Some(suite) => suite,
+            None => {
+                let space = scenario_space(subject, self.space.as_deref(), &unit_space).or_usage()?;
                 Suite::sampled(&Arc::new(space), SAMPLED_SCENARIOS, self.seed)
                     .map_err(anyhow::Error::from)
                     .or_usage()?
@@ -159,7 +168,7 @@ impl FleetOf {
         // All units are checked before anything runs.
         for unit in plan.all_units() {
             let unit = unit.or_usage()?;
-            let suite = &unit.suite(&plan).with_context(|| plan.unit_space.name().to_owned()).or_usage()?;
+            let suite = &unit.suite(&plan).map_err(|error| misfit(&plan.unit_space, &error)).or_usage()?;
             subject.check_suite(suite).with_context(|| format!("unit {}", unit.number)).or_usage()?;
         }
         introduce(&plan.provenance, plan.seed);
@@ -185,15 +194,43 @@ impl FleetOf {
 
 /// The space of the scenarios: that of the environment or `wanted`, without the parameters of the units.
 fn scenario_space(subject: &Subject, wanted: Option<&str>, units: &ParameterSpace) -> anyhow::Result<ParameterSpace> {
-    let space = subject.space(wanted)?;
-    let of_unit = |name: &str| units.position(name).is_some();
-    let kept: Vec<_> = space.parameters().iter().filter(|parameter| !of_unit(&parameter.name)).cloned().collect();
+    without(&subject.space(wanted)?, |name| units.position(name).is_some())
+        .context("the parameters of the units are left out of the scenarios")
+}
+
+/// A built-in space of units without the parameters that the suite varies: they belong to its scenarios. The user did not choose
+/// the space, so this is a note and not an error.
+fn without_varied(space: &ParameterSpace, suite: &Suite) -> anyhow::Result<ParameterSpace> {
+    let names = space.parameters().iter().map(|parameter| &*parameter.name);
+    let varied: Vec<&str> = names.filter(|name| suite.varies(name)).collect();
+    if varied.is_empty() {
+        return Ok(space.clone());
+    }
+    note(format_args!(
+        "left out of the units, because the scenarios of {} vary them: {} (--unit-space chooses other parameters)",
+        suite.name(),
+        varied.join(", ")
+    ));
+    without(space, |name| varied.contains(&name)).context("the suite varies parameters of the units")
+}
+
+/// A space without some of its parameters and their correlations.
+fn without(space: &ParameterSpace, left_out: impl Fn(&str) -> bool) -> anyhow::Result<ParameterSpace> {
+    let kept: Vec<_> = space.parameters().iter().filter(|parameter| !left_out(&parameter.name)).cloned().collect();
     let correlations =
-        space.correlations().iter().filter(|c| !c.parameters.iter().any(|name| of_unit(name))).cloned().collect();
+        space.correlations().iter().filter(|c| !c.parameters.iter().any(|name| left_out(name))).cloned().collect();
     ParameterSpace::new(space.name(), kept)
-        .with_context(|| format!("space {} without the parameters of the units", space.name()))?
+        .with_context(|| format!("space {}", space.name()))?
         .with_correlations(correlations)
         .map_err(Into::into)
+}
+
+/// The error for units whose parameters do not suit the scenarios.
+fn misfit(units: &ParameterSpace, error: &SuiteError) -> anyhow::Error {
+    anyhow!(
+        "{}: {error}\n  hint: leave these parameters out of the file of --unit-space, or choose a suite that does not vary them",
+        units.name()
+    )
 }
 
 /// Whether `dir` contains a fleet.

@@ -9,6 +9,7 @@ use robogate_gate::{Fleet, FleetSubject, FleetUnit, Verdict};
 use robogate_report::{fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share};
 
 use super::plan::FleetPlan;
+use crate::commands::shard::quoted;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::terminal::{bold, dim, line, note, wrapped};
 
@@ -60,6 +61,6 @@ fn print(dir: &Path, fleet: &Fleet) {
     let files: Vec<String> = FILES.iter().map(|name| dir.join(name).display().to_string()).collect();
     note(format_args!("files: {}", files.join(", ")));
     if let Some(unit) = fleet.units.iter().find(|unit| unit.verdict == Verdict::Fail) {
-        note(format_args!("details: robogate report {}", dir.join(format!("unit-{:03}", unit.unit)).display()));
+        note(format_args!("details: robogate report {}", quoted(&dir.join(format!("unit-{:03}", unit.unit)))));
     }
 }

@@ -55,7 +55,7 @@ impl Gate {
             fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display())).or_broken()?;
             write_answer(out, &evaluation, None)?;
         }
-        show(self.out.as_deref(), &evaluation, source.dictionary().provenance(), self.how.json)
+        show(run, self.out.as_deref(), &evaluation, source.dictionary().provenance(), self.how.json)
     }
 
     /// Prints one line for each part of the question that differs from the question of the run's gate.

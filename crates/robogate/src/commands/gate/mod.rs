@@ -68,7 +68,7 @@ pub(crate) struct Gate {
     #[arg(long, value_name = "URL|FILE|random|scripted", conflicts_with_all = ["run", "baseline"])]
     against: Option<String>,
     /// Choose the observation and action mapping of the policy of --against
-    #[arg(long, value_name = "NAME|FILE", requires = "against")]
+    #[arg(long, value_name = "NAME|FILE", requires = "against", conflicts_with_all = ["run", "baseline"])]
     against_profile: Option<String>,
     /// Set the maximum number of rounds of the suite; default: the budget of the requirements, or 1 for a published
     /// benchmark

@@ -239,12 +239,12 @@ impl Gate {
         };
         let evaluation = question.evaluate(&prepared.record).map_err(refused)?;
         // The store of a campaign in shards has no place for an answer without one.
-        let dir = Some(dir).filter(|dir| !place::is_remote(dir));
-        if let Some(dir) = dir {
+        let local = Some(dir).filter(|dir| !place::is_remote(dir));
+        if let Some(dir) = local {
             fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
             write_answer(dir, &evaluation, None)?;
         }
-        show(dir, &evaluation, &prepared.planned, self.how.json)
+        show(dir, local, &evaluation, &prepared.planned, self.how.json)
     }
 
     /// Prints what will run.

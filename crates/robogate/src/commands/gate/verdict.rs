@@ -9,15 +9,17 @@ use robogate_campaign::Completion;
 use robogate_dictionary::Provenance;
 use robogate_gate::{Asked, Evaluation, GateError, Record, Verdict};
 use robogate_report::{Watch, evaluation_markdown_with, junit, reqif};
+use robogate_stats::format::counted;
 
 use super::question::{judged, question, refused};
 use crate::answer;
 use crate::benchmark;
 use crate::commands::run::{interrupted, write_report};
+use crate::commands::shard::quoted;
 use crate::exit::{Exit, OrExit};
 use crate::subject::Subject;
 use crate::summary::influential;
-use crate::terminal::{grouped, line, note};
+use crate::terminal::{line, note};
 use crate::twins;
 use crate::watch::Frames;
 
@@ -54,7 +56,7 @@ pub(crate) fn finish(
         twins::write(dir, twins)?;
     }
     write_answer(dir, &evaluation, watch.flatten().as_ref())?;
-    let code = show(Some(dir), &evaluation, source.dictionary().provenance(), json)?;
+    let code = show(dir, Some(dir), &evaluation, source.dictionary().provenance(), json)?;
     if let Some(analysis) = analysis.filter(|_| !json) {
         influential(&analysis.effects, "Most influential parameters");
     }
@@ -79,8 +81,10 @@ pub(crate) fn write_answer(dir: &Path, evaluation: &Evaluation, watch: Option<&W
     Ok(())
 }
 
-/// Prints the verdict. `provenance` is that of the judged run.
+/// Prints the verdict on `run`, a folder or a dictionary, and the files of the answer in `dir`, if it has any. `provenance` is that
+/// of the run.
 pub(super) fn show(
+    run: &Path,
     dir: Option<&Path>,
     evaluation: &Evaluation,
     provenance: &Provenance,
@@ -96,16 +100,11 @@ pub(super) fn show(
             note(format_args!("files: {}", files.join(", ")));
         }
         if evaluation.verdict == Verdict::Fail || evaluation.counts.invalid > 0 {
-            note(format_args!(
-                "details: robogate report {}",
-                dir.map_or_else(|| "RUN".to_owned(), |d| d.display().to_string())
-            ));
+            note(format_args!("details: robogate report {}", quoted(run)));
         }
         if evaluation.counts.left_over > 0 {
-            note(format_args!(
-                "{} episodes after the last complete round are not judged",
-                grouped(evaluation.counts.left_over)
-            ));
+            let left_over = counted(evaluation.counts.left_over, "episode");
+            note(format_args!("not judged: {left_over} after the last complete round"));
         }
     }
     Ok(evaluation.verdict.exit_code())

@@ -177,6 +177,7 @@ impl Task {
         let drawn = self.space.is_some() || self.plan.is_some() || self.episodes.is_some();
         ensure!(!(self.suite.is_some() && drawn), "`suite` cannot be used with `space`, `plan` or `episodes`");
         ensure!(self.rounds.is_none() || self.suite.is_some(), "`rounds` needs `suite`");
+        ensure!(self.episodes != Some(0), "`episodes` must be at least 1");
         let chosen = registry::has_robots(&self.name) || !self.simulators.is_empty();
         let name = &self.name;
         ensure!(chosen || (self.robots.is_empty() && self.engines.is_empty()), "{name} has no robots and engines");
@@ -280,6 +281,7 @@ mod tests {
             ("name = \"pendulum\"", "name = \"pendulum\"\nrobots = [\"franka\"]", "pendulum has no robots"),
             ("episodes = 60", "episodes = 60\nsuite = \"industrial-68\"", "cannot be used with"),
             ("episodes = 60", "rounds = 2", "`rounds` needs `suite`"),
+            ("episodes = 60", "episodes = 0", "`episodes` must be at least 1"),
             ("\"ur5e\"", "\"franka\"", "same folder"),
         ] {
             let text = SWEEP.replace(change, to);

@@ -101,7 +101,7 @@ impl Serve {
         let (settings, referred) = self.watched.settings()?;
         let serves = self.listen.is_some() || self.mqtt_cycles.is_some();
         if self.feed.is_none() && !serves {
-            let hint = "no source of cycles. Hint: give a file (or - for stdin), --listen or --mqtt-cycles";
+            let hint = "no source of cycles\n  hint: give a file (or - for stdin), --listen or --mqtt-cycles";
             return Err(anyhow!(hint)).or_usage();
         }
         let token = self.token_file.as_deref().map(token).transpose()?;
