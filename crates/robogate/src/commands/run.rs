@@ -216,7 +216,9 @@ impl Run {
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         let environment = self.environment.environment_of(suite.as_ref(), suction)?;
         let environment = if papers { environment.like_the_paper() } else { environment };
-        let subject = Subject::new(environment, self.policy.source_at(&self.location)?)?;
+        let policy = self.policy.source_at(&self.location)?;
+        self.location.check_used(policy.as_ref())?;
+        let subject = Subject::new(environment, policy)?;
         let subject = subject.with_statistics(&self.policy.statistics)?.with_latency(&self.latency)?;
         let (mut plan, space) = self.plan_and_space(&subject)?;
         plan.twins |= self.twins;

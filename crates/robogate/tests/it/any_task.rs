@@ -117,6 +117,24 @@ fn designs_of_the_pendulum() {
     verb("run --task pendulum --plan seeks.toml --out x", 2, &["no such failure mode", "fell"]);
 }
 
+/// An option that changes nothing is refused.
+#[test]
+fn options_without_effect_are_refused() {
+    let dir = TempDir::new().unwrap();
+    let options = ["--robot ur5e", "--engine rapier", "--time-step 0.001", "--grip-force 5", "--suction vacuum"];
+    for option in options {
+        let says = format!("{} cannot be used with pendulum", option.split(' ').next().unwrap());
+        verb(dir.path(), &format!("run --task pendulum {option} -n 10 --out x"), 2, &[&says]);
+    }
+    verb(dir.path(), "run --task pendulum --python python3 -n 10 --out x", 2, &["--python applies to --env"]);
+    for option in ["--policy-key", "--policy-ca"] {
+        let says = format!("{option} applies to policy servers");
+        verb(dir.path(), &format!("run --task pendulum {option} none.txt -n 10 --out x"), 2, &[&says]);
+        verb(dir.path(), &format!("gate --task pendulum {option} none.txt --out x"), 2, &[&says]);
+    }
+    assert!(!dir.path().join("x").exists());
+}
+
 #[test]
 fn interrupted_pendulum_resumes_identically() {
     let dir = TempDir::new().unwrap();
