@@ -18,6 +18,7 @@ use crate::policy_source::{PolicyAccess, PolicyLocation, PolicySource};
 use crate::remote::Simulators;
 use crate::subject::Subject;
 use crate::terminal::{bold, dim, foreign, line, note};
+use crate::watch;
 
 /// Replay one episode bit for bit and print its timeline.
 #[derive(Debug, Args)]
@@ -118,6 +119,9 @@ impl Replay {
         } else {
             rollout_with(&mut *worker.environment, &mut *worker.policy, &before.scenario, &mut observe)
         };
+        if let Some(fault) = watch::not_run(&before, &again) {
+            return Err(anyhow!("episode {} cannot run again: {fault}", self.index)).or_broken();
+        }
         let same = again == before;
         if self.json {
             self.print_json(&again, &timeline, same);

@@ -22,6 +22,7 @@ fn pendulum_passes_through_every_verb() {
     assert!(rows("a") == rows("b"), "rows depend on the number of threads");
     verb("resume a", 0, &[]);
     verb("replay a 7", 0, &["identical to the recorded episode", "peak_speed_rad_s"]);
+    without_engine(at);
     verb("analyze a", 0, &["pendulum", "torque limit"]);
     verb("report a --out page.html", 0, &[]);
     let page = fs::read_to_string(at.join("page.html")).unwrap();
@@ -115,6 +116,18 @@ fn designs_of_the_pendulum() {
     let plan = "seed = 3\n[uniform]\nepisodes = 50\n[active]\nepisodes = 150\nseek = \"flew\"\n";
     fs::write(at.join("seeks.toml"), plan).unwrap();
     verb("run --task pendulum --plan seeks.toml --out x", 2, &["no such failure mode", "fell"]);
+}
+
+/// An engine that cannot start says nothing about the record.
+fn without_engine(at: &Path) {
+    for arguments in [&["replay", "a", "7"][..], &["view", "a", "--export", "without.html"]] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_robogate"));
+        let output = command.args(arguments).current_dir(at).env("ROBOGATE_MUJOCO_LIB", "/nonexistent").output().unwrap();
+        let text = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        assert!(text.contains("no such library"), "{text}");
+        assert!(!text.contains("DIFFERS") && !text.contains("replay differs"), "{text}");
+        assert!(arguments[0] == "view" || output.status.code() == Some(5), "{text}");
+    }
 }
 
 /// An option that changes nothing is refused.
