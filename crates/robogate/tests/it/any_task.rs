@@ -38,6 +38,7 @@ fn pendulum_passes_through_every_verb() {
     verb("verify evidence", 0, &["verification passed: verdict fail"]);
     verb("gate --task pendulum --policy random --out other", 1, &["FAIL"]);
     verb("leaderboard gate other", 0, &["gate", "other"]);
+    verb("leaderboard gate other gate/dictionary.parquet", 2, &["have the same rows"]);
     verb("baseline gate --out baseline.json", 0, &["overspeed"]);
     verb("gate --run gate --baseline baseline.json", 1, &[]);
     verb(
