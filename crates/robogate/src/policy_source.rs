@@ -345,6 +345,8 @@ pub(crate) fn without_profile(policy: &str) -> anyhow::Error {
             "--policy {policy}: --profile is missing. It describes the observations and actions of the model\n  hint: \
              `robogate policy profiles` lists the built-in profiles"
         )
+    } else if policy.contains(['/', '.']) {
+        anyhow!("--policy {policy}: no such file. Expected an ONNX file, or the address of a server such as ws://127.0.0.1:8000")
     } else {
         anyhow!(
             "--policy {policy}: not a policy. Expected the address of a server such as ws://127.0.0.1:8000, the path of \

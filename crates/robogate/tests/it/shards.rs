@@ -153,7 +153,11 @@ fn gate_in_shards_equals_single_gate() {
     let verdict = verb(one, gate, 1, &["FAIL"]);
     verb(many, "gate --task pendulum --divide 3", 2, &["--out"]);
     verb(many, &format!("{gate} --divide 3"), 0, &["576 episodes in 3 shards"]);
-    verb(many, &format!("{gate} --divide 3 --margin 0.1"), 0, &[]);
+    verb(many, &format!("{gate} --divide 3 --margin 0.1"), 2, &["--margin applies to a comparison"]);
+    let unmerged = ["plan run --next", "merge run"];
+    verb(many, "gate --run run", 2, &unmerged);
+    verb(many, "analyze run", 2, &unmerged);
+    verb(many, "export run rows.csv", 2, &unmerged);
     verb(many, &format!("{gate} --divide 3 --requirements paper"), 2, &["baseline"]);
     let commands = run_all_shards(many, "run");
     assert!(commands < 27 && commands.is_multiple_of(3), "{commands} shards ran");

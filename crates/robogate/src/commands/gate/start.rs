@@ -60,6 +60,7 @@ impl Gate {
     /// Runs a suite until the verdict is certain.
     pub(super) fn start(&self) -> Result<u8, Exit> {
         self.nominal.unused()?;
+        self.check_margin(self.against.is_some() || self.against_run().is_some())?;
         if let Some(out) = self.out.as_ref().filter(|_| self.divide.is_none()) {
             place::check_local(out)?;
         }
