@@ -434,15 +434,7 @@ impl How {
             note(format_args!("{threads} thread: the policy server keeps one state for all clients"));
         }
         subject.start_servers(threads)?;
-        let stop = Arc::new(AtomicBool::new(false));
-        let asked = Arc::clone(&stop);
-        ctrlc::set_handler(move || {
-            if asked.swap(true, Ordering::Relaxed) {
-                stop_at_once();
-            }
-            note("stopping after the episodes in flight (once more: at once)");
-        })
-        .or_broken()?;
+        let stop = stop_on_signal()?;
         work(&ThreadPool { factory: subject, threads, stop: &stop })
     }
 
@@ -532,6 +524,20 @@ pub(crate) fn conclude(dir: &Path, completion: &Completion, subject: Option<&Sub
         }
         Completion::Interrupted { done, episodes } => Ok(interrupted(dir, *done, *episodes)),
     }
+}
+
+/// Handles SIGINT and SIGTERM: the first one sets the returned flag, the second one ends the process.
+pub(crate) fn stop_on_signal() -> Result<Arc<AtomicBool>, Exit> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let asked = Arc::clone(&stop);
+    ctrlc::set_handler(move || {
+        if asked.swap(true, Ordering::Relaxed) {
+            stop_at_once();
+        }
+        note("stopping after the episodes in flight (once more: at once)");
+    })
+    .or_broken()?;
+    Ok(stop)
 }
 
 /// Ends the process at once, if the user does not wait for a slow simulator or policy. Recorded episodes are kept,

@@ -11,6 +11,8 @@ use std::time::Instant;
 use serde_json::Value;
 use tempfile::TempDir;
 
+#[cfg(target_os = "linux")]
+use crate::harness::handles_interrupts;
 use crate::harness::{TWO_SCENARIOS, real_trials, run_all_shards, runs_until, verb};
 
 /// The files of a folder, without its subfolders.
@@ -367,14 +369,8 @@ fn interrupted_shard_is_not_committed() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    // SIGINT, number 2, has a handler.
-    let status = format!("/proc/{}/status", child.id());
-    let handled = || {
-        let status = fs::read_to_string(&status).unwrap_or_default();
-        let mask = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
-        mask.is_some_and(|mask| u64::from_str_radix(mask.trim(), 16).unwrap() & 0b10 != 0)
-    };
-    assert!(runs_until(&mut child, handled), "the shard ended");
+    let id = child.id();
+    assert!(runs_until(&mut child, || handles_interrupts(id)), "the shard ended");
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
     let printed: Vec<String> = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap).collect();
     assert_eq!(child.wait().unwrap().code(), Some(130), "{printed:?}");
