@@ -171,7 +171,7 @@ impl Replay {
             [(&self.gif, film::write_gif), (&self.mp4, film::write_mp4), (&self.png_strip, film::write_strip)];
         for (file, write) in files {
             if let Some(file) = file {
-                write(file, &shots).or_usage()?;
+                write(file, &shots).or_unwritable()?;
                 note(foreign(file.display()));
             }
         }
@@ -207,7 +207,7 @@ impl Replay {
         let requested = episode.scenario.requested.iter();
         metadata.extend(requested.map(|(name, value)| (format!("parameter.{name}"), value.to_string())));
         let task = filmed.task();
-        film::create(file, &mcap(&Export { task, recording, samples, images: &images, metadata })).or_usage()?;
+        film::create(file, &mcap(&Export { task, recording, samples, images: &images, metadata })).or_unwritable()?;
         note(foreign(file.display()));
         Ok(())
     }

@@ -5,13 +5,12 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
-use robogate_analysis::AnalysisError;
 use robogate_analysis::transfer::{Transfer, TransferOptions};
 use robogate_report::{TransferHeadline, next_trials, transfer_html, transfer_json};
 use robogate_stats::format::{fixed, percent_range, range};
 
 use crate::commands::analyze::{heading, interval};
-use crate::exit::{DONE, Exit, INFRASTRUCTURE, OrExit, USAGE};
+use crate::exit::{DONE, Exit, OrExit};
 use crate::source::open_source;
 use crate::summary::influential;
 use crate::terminal::{bold, dim, grouped, line, note, percent, wrapped};
@@ -53,10 +52,7 @@ impl TransferTo {
         let options = TransferOptions { groups: self.groups.clone(), population: self.population.clone() };
         let mut view = TransferView::new();
         let transfer = Transfer::watched(&source, &self.sim, &self.real, &options, &mut |step| view.hear(step))
-            .map_err(|error| {
-                let code = if matches!(error, AnalysisError::Io { .. }) { INFRASTRUCTURE } else { USAGE };
-                Exit { code, error: error.into() }
-            })?;
+            .or_usage()?;
         view.end();
         for (file, text) in [(&self.html, transfer_html as fn(&Transfer) -> String), (&self.out, transfer_json)] {
             if let Some(file) = file {
