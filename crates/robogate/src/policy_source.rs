@@ -346,7 +346,9 @@ pub(crate) fn without_profile(policy: &str) -> anyhow::Error {
              `robogate policy profiles` lists the built-in profiles"
         )
     } else if policy.contains(['/', '.']) {
-        anyhow!("--policy {policy}: no such file. Expected an ONNX file, or the address of a server such as ws://127.0.0.1:8000")
+        anyhow!(
+            "--policy {policy}: no such file. Expected an ONNX file, or the address of a server such as ws://127.0.0.1:8000"
+        )
     } else {
         anyhow!(
             "--policy {policy}: not a policy. Expected the address of a server such as ws://127.0.0.1:8000, the path of \

@@ -51,8 +51,8 @@ impl TransferTo {
         let source = open_source(&self.sim)?;
         let options = TransferOptions { groups: self.groups.clone(), population: self.population.clone() };
         let mut view = TransferView::new();
-        let transfer = Transfer::watched(&source, &self.sim, &self.real, &options, &mut |step| view.hear(step))
-            .or_usage()?;
+        let transfer =
+            Transfer::watched(&source, &self.sim, &self.real, &options, &mut |step| view.hear(step)).or_usage()?;
         view.end();
         for (file, text) in [(&self.html, transfer_html as fn(&Transfer) -> String), (&self.out, transfer_json)] {
             if let Some(file) = file {

@@ -123,7 +123,8 @@ fn designs_of_the_pendulum() {
 fn without_engine(at: &Path) {
     for arguments in [&["replay", "a", "7"][..], &["view", "a", "--export", "without.html"]] {
         let mut command = Command::new(env!("CARGO_BIN_EXE_robogate"));
-        let output = command.args(arguments).current_dir(at).env("ROBOGATE_MUJOCO_LIB", "/nonexistent").output().unwrap();
+        let output =
+            command.args(arguments).current_dir(at).env("ROBOGATE_MUJOCO_LIB", "/nonexistent").output().unwrap();
         let text = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
         assert!(text.contains("no such library"), "{text}");
         assert!(!text.contains("DIFFERS") && !text.contains("replay differs"), "{text}");

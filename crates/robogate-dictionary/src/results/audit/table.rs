@@ -6,10 +6,10 @@ use std::hash::{Hash, Hasher};
 use std::path::Path;
 
 use super::super::exported;
-use super::super::{Mapping, SOURCE_SEED};
 use super::super::names::{self, Suggested};
 use super::super::outcome::truth;
 use super::super::role::Role;
+use super::super::{Mapping, SOURCE_SEED};
 use crate::DictionaryError;
 use crate::raw::{RawRow, Scalar};
 
