@@ -5,8 +5,11 @@ import tomllib
 import unittest
 import zipfile
 from pathlib import Path
+from unittest import mock
 
 from robogate_eval import judging, policies
+from robogate_eval.serving.environment import DeclarationError
+from robogate_eval.serving.knobs import Knob
 
 
 class Options(unittest.TestCase):
@@ -17,6 +20,41 @@ class Options(unittest.TestCase):
             self.assertEqual((options["profile"], options["seed"]), ("pi0-libero", 7))
             file = options["map"]
         self.assertFalse(file.exists())
+
+
+class Folders(unittest.TestCase):
+    def test_failed_calls_leave_no_empty_folder(self):
+        with tempfile.TemporaryDirectory() as folder, mock.patch.object(tempfile, "tempdir", folder):
+            with self.assertRaises(RuntimeError), judging._folder(None, "run"):
+                raise RuntimeError
+            self.assertEqual(list(Path(folder).iterdir()), [])
+            with self.assertRaises(RuntimeError), judging._folder(None, "run") as out:
+                out.mkdir()
+                raise RuntimeError
+            self.assertTrue(out.is_dir())
+
+
+class Knobs(unittest.TestCase):
+    def test_values_of_wrong_kind_are_named(self):
+        def knob(**values):
+            return Knob("drag", lambda env, value: None, lambda env: 0.0, **values)
+
+        self.assertEqual(knob(low=0, high=4.0, nominal=1).high, 4.0)
+        self.assertEqual(knob(choices=["wet", "dry"], nominal="wet").low, None)
+        wrong = [
+            ("high", {"low": 0.0, "high": "x"}),
+            ("high", {"low": 0.0}),
+            ("low", {"low": True, "high": 1}),
+            ("nominal", {"low": 0.0, "high": 1.0, "nominal": "x"}),
+            ("nominal", {"choices": ["wet"], "nominal": 1}),
+            ("choices", {"choices": "wet"}),
+            ("unit", {"low": 0.0, "high": 1.0, "unit": None}),
+        ]
+        for field, values in wrong:
+            with self.assertRaisesRegex(DeclarationError, f"knob drag: `{field}` is .*Expected"):
+                knob(**values)
+        with self.assertRaisesRegex(DeclarationError, "knob drag: `read` is 0.0"):
+            Knob("drag", lambda env, value: None, 0.0, 0.0, 1.0)
 
 
 class Policies(unittest.TestCase):

@@ -62,7 +62,9 @@ pub enum LoadError {
     #[error("MuJoCo {VERSION}: no folder for downloads\nhint: set {CACHE_VARIABLE} or HOME to an absolute path")]
     NoCache,
     /// A file cannot be read or written.
-    #[error("{}: {message}", path.display())]
+    #[error(
+        "MuJoCo {VERSION}: {}: {message}\nhint: set {CACHE_VARIABLE} to a folder that can be written, or {LIBRARY_VARIABLE} to a {LIBRARY} of this machine", path.display()
+    )]
     Io {
         /// The file.
         path: PathBuf,

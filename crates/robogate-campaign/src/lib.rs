@@ -67,8 +67,8 @@ pub use lost::{LostEpisode, RunAgain};
 pub use plan::{BoundaryStage, DEFAULT_SEED, Emphasis, Plan, PlanError, Preset, Range, UniformStage};
 pub use rows::{RowsError, check_rows};
 pub use run::{
-    AfterRound, Completion, RunError, Settings, recorded, resume, resume_in_rounds, settings, start, start_from,
-    start_in_rounds,
+    AfterRound, Completion, RunError, Settings, not_in_shards, recorded, resume, resume_in_rounds, settings, start,
+    start_from, start_in_rounds,
 };
 pub use stage::{Points, Stage};
 pub use suite::{

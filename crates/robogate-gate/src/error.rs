@@ -92,7 +92,7 @@ pub enum GateError {
     },
     /// A requirement that a perfect policy cannot meet within the budget.
     #[error(
-        "requirement `{id}` can't be met within the budget: without any failure it takes {fewest} episodes, but the budget allows {budget}\nhint: raise `budget.rounds`, or choose a weaker limit"
+        "requirement `{id}` can't be met within the budget: without any failure it takes {fewest} episodes, but the budget allows {budget}\nhint: allow more rounds with `--rounds N`, or choose a weaker limit in a file of your own with --requirements"
     )]
     BudgetTooSmall {
         /// The requirement.
@@ -104,7 +104,7 @@ pub enum GateError {
     },
     /// A relative requirement without a baseline.
     #[error(
-        "{what} refers to a baseline, but none was given\nhint: create one with `robogate baseline RUN -o FILE` and pass it with --baseline"
+        "{what} refers to a baseline, but none was given\nhint: create one with `robogate baseline RUN -o FILE` and pass it with --baseline, or choose requirements that need none with --requirements FILE"
     )]
     NoBaseline {
         /// The requirement or term.

@@ -2,6 +2,7 @@
 
 use std::error::Error;
 use std::fmt;
+use std::io;
 
 use robogate_physics::RobotError;
 
@@ -36,6 +37,8 @@ pub(crate) trait OrExit<T> {
     fn or_usage(self) -> Result<T, Exit>;
     /// Exit code 5: infrastructure.
     fn or_broken(self) -> Result<T, Exit>;
+    /// Exit code 5 if a file cannot be written, otherwise 2.
+    fn or_unwritable(self) -> Result<T, Exit>;
     /// Exit code 5 if the engine's library cannot be loaded, otherwise 2.
     fn or_setup(self) -> Result<T, Exit>;
 }
@@ -47,6 +50,14 @@ impl<T, E: Into<anyhow::Error>> OrExit<T> for Result<T, E> {
 
     fn or_broken(self) -> Result<T, Exit> {
         self.map_err(|e| Exit { code: INFRASTRUCTURE, error: e.into() })
+    }
+
+    fn or_unwritable(self) -> Result<T, Exit> {
+        self.map_err(|e| {
+            let error = e.into();
+            let code = if error.chain().any(|cause| cause.is::<io::Error>()) { INFRASTRUCTURE } else { USAGE };
+            Exit { code, error }
+        })
     }
 
     fn or_setup(self) -> Result<T, Exit> {

@@ -242,6 +242,20 @@ impl PolicyAccess {
         }
         Ok(access)
     }
+
+    /// Rejects a key or certificates if the policy is not behind a server.
+    fn check_used(&self, policy: Option<&PolicySource>) -> Result<(), Exit> {
+        let given = [("--policy-key", &self.policy_key), ("--policy-ca", &self.policy_ca)];
+        let option = given.into_iter().find_map(|(option, file)| file.as_ref().map(|_| option));
+        match option {
+            Some(option) if !matches!(policy, Some(PolicySource::External(_))) => Err(anyhow!(
+                "{option} applies to policy servers, but the policy is not behind one\n  hint: leave it out, or give the address of \
+                 the server with --policy"
+            ))
+            .or_usage(),
+            _ => Ok(()),
+        }
+    }
 }
 
 /// Connects to a policy, and tells the user once if it has to wait for the server.
@@ -264,6 +278,11 @@ impl PolicyLocation {
     /// The same access without another address: that of a second policy, whose address is recorded.
     pub(crate) fn without_address(&self) -> Self {
         Self::with_access(&self.access)
+    }
+
+    /// Rejects a key or certificates if the policy is not behind a server.
+    pub(crate) fn check_used(&self, policy: Option<&PolicySource>) -> Result<(), Exit> {
+        self.access.check_used(policy)
     }
 
     /// Rejects the argument for a policy that is neither a server nor a file.
@@ -325,6 +344,10 @@ pub(crate) fn without_profile(policy: &str) -> anyhow::Error {
         anyhow!(
             "--policy {policy}: --profile is missing. It describes the observations and actions of the model\n  hint: \
              `robogate policy profiles` lists the built-in profiles"
+        )
+    } else if policy.contains(['/', '.']) {
+        anyhow!(
+            "--policy {policy}: no such file. Expected an ONNX file, or the address of a server such as ws://127.0.0.1:8000"
         )
     } else {
         anyhow!(

@@ -162,6 +162,11 @@ pub(crate) fn task(name: &str) -> anyhow::Result<&'static dyn SelfContained> {
     })
 }
 
+/// Names of all parameter spaces. Each task beside [`CELL_TASK`] has one of its own name.
+pub(crate) fn spaces() -> impl Iterator<Item = &'static str> {
+    built_in_spaces().chain(tasks().skip(1).map(|(name, _)| name))
+}
+
 /// All names, by kind, for the terminal.
 pub(crate) fn listing() -> Vec<(&'static str, Vec<String>)> {
     let names = |names: &mut dyn Iterator<Item = &str>| names.map(str::to_owned).collect::<Vec<String>>();
@@ -170,7 +175,7 @@ pub(crate) fn listing() -> Vec<(&'static str, Vec<String>)> {
         ("engines", names(&mut ENGINES.iter().map(|engine| engine.name))),
         ("robots", names(&mut built_in_robots())),
         ("policies", names(&mut POLICIES.into_iter().chain(Profile::built_in_names()))),
-        ("spaces", names(&mut built_in_spaces().chain(tasks().skip(1).map(|(name, _)| name)))),
+        ("spaces", names(&mut spaces())),
         ("suites", names(&mut BUILT_IN_SUITES.iter().map(|(name, _)| *name))),
     ]
 }

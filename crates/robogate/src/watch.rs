@@ -6,7 +6,7 @@ use anyhow::Context;
 use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
 use robogate_analysis::{Analysis, Comparison, HERE, ReplayEpisode, Source, shell_word, worth_watching};
 use robogate_campaign::{WorkerFactory, recorded};
-use robogate_core::{Episode, Outcome, Value};
+use robogate_core::{Episode, Fault, FaultKind, Outcome, Value};
 use robogate_replay::{Clip, FilmFrame, Recording, record, reel};
 use robogate_report::{Strip, Watch, WatchItem};
 use robogate_stats::format::{counted, number};
@@ -387,6 +387,9 @@ impl Again {
     /// camera. `None` if the episode differs from the record.
     pub(crate) fn of(subject: &Subject, before: &Episode, strip: bool) -> anyhow::Result<Option<Self>> {
         let (recording, shots) = filmed(subject, before, if strip { FRAMES } else { 0 })?;
+        if let Some(fault) = not_run(before, &recording.episode) {
+            return Err(fault.clone().into());
+        }
         if recording.episode != *before {
             return Ok(None);
         }
@@ -416,6 +419,17 @@ impl Again {
             recording,
             film,
         }
+    }
+}
+
+/// The fault because of which a valid episode could not run again. Such a replay does not differ from the record: it says
+/// nothing about it.
+pub(crate) fn not_run<'a>(before: &Episode, again: &'a Episode) -> Option<&'a Fault> {
+    match (&before.outcome, &again.outcome) {
+        (Outcome::Success | Outcome::Failure(_), Outcome::Invalid(fault)) => {
+            matches!(fault.kind, FaultKind::Setup | FaultKind::Unavailable).then_some(fault)
+        }
+        _ => None,
     }
 }
 

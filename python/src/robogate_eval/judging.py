@@ -7,7 +7,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -47,9 +47,9 @@ def run(env: Any, policy: Any = None, *, episodes: int | None = None, out: "str 
     Raises:
         CommandError: There is no result.
     """
-    out = _folder(out, "run")
-    _judge("run", env, policy, out, {"n": episodes, **options})
-    return Run(out)
+    with _folder(out, "run") as folder:
+        _judge("run", env, policy, folder, {"n": episodes, **options})
+    return Run(folder)
 
 
 def gate(env: Any, policy: Any = None, *, requirements: "str | Path | None" = None, out: "str | Path | None" = None, **options: Any) -> Verdict:
@@ -58,14 +58,25 @@ def gate(env: Any, policy: Any = None, *, requirements: "str | Path | None" = No
     Raises:
         CommandError: There is no verdict.
     """
-    out = _folder(out, "gate")
-    _judge("gate", env, policy, out, {"requirements": requirements, **options})
-    return Verdict(out)
+    with _folder(out, "gate") as folder:
+        _judge("gate", env, policy, folder, {"requirements": requirements, **options})
+    return Verdict(folder)
 
 
-def _folder(out: "str | Path | None", verb: str) -> Path:
-    """The folder of the result. Without a name, a new one that no other program removes."""
-    return Path(out) if out is not None else Path(tempfile.mkdtemp(prefix=f"robogate-{verb}-")) / verb
+@contextmanager
+def _folder(out: "str | Path | None", verb: str) -> Iterator[Path]:
+    """The folder of the result. Without a name, a new one that no other program removes. It does not stay if nothing was written."""
+    if out is not None:
+        yield Path(out)
+        return
+    parent = Path(tempfile.mkdtemp(prefix=f"robogate-{verb}-"))
+    try:
+        yield parent / verb
+    except BaseException:
+        # A folder with episodes is not empty, and stays.
+        with suppress(OSError):
+            parent.rmdir()
+        raise
 
 
 def _judge(verb: str, env: Any, policy: Any, out: Path, options: dict[str, Any]) -> None:

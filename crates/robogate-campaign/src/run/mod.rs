@@ -283,7 +283,10 @@ pub(crate) fn finished(folder: &Folder, events: &mut dyn FnMut(&Event)) -> Resul
 }
 
 /// Rejects a campaign in shards, which one process alone must not run.
-fn not_in_shards(dir: &Path) -> Result<(), RunError> {
+///
+/// # Errors
+/// If the folder contains one.
+pub fn not_in_shards(dir: &Path) -> Result<(), RunError> {
     if dir.join(LAYOUT).exists() { Err(RunError::InShards { dir: dir.to_owned() }) } else { Ok(()) }
 }
 

@@ -3,8 +3,9 @@
 use std::fs;
 use std::path::Path;
 
-use robogate_dictionary::results::Mapping;
 use robogate_dictionary::results::audit::{Audit, Check, CheckResult, Problem, audit};
+use robogate_dictionary::results::{Mapping, import};
+use robogate_dictionary::{Dictionary, export};
 
 use crate::common::Folder;
 
@@ -95,4 +96,47 @@ fn failure_that_never_ran_is_found() {
     let audit = of_text("never", "success,steps,status\n1,30,done\n0,0,done\n0,12,CUDA out of memory\n0,400,timeout\n");
     let found = problems(&audit, Check::InfrastructureErrors);
     assert_eq!(found.iter().map(|problem| problem.rows.clone()).collect::<Vec<_>>(), [[2], [1]]);
+}
+
+#[test]
+fn file_without_outcomes_is_refused() {
+    let folder = Folder::new("audit-no-outcome");
+    let path = folder.join("t");
+    for text in ["foo,bar\n1,2\n", "success,mass\nmaybe,1\n"] {
+        fs::write(&path, text).unwrap();
+        let error = audit(&path, None, &Mapping::default()).unwrap_err().to_string();
+        assert!(error.contains("no row reports success or failure") && error.contains("--map success="), "{error}");
+    }
+}
+
+/// Export and dictionary have the campaign's seed in each row, and their outcome in `outcome`.
+#[test]
+fn own_files_are_recognised() {
+    let folder = Folder::new("audit-own");
+    let (table, dictionary, exported) = (folder.join("t"), folder.join("d.parquet"), folder.join("e.csv"));
+    fs::write(&table, "success,mass\n1,0.5\n0,0.25\nerror,0.75\n").unwrap();
+    import(&table, &dictionary, None, &Mapping::default()).unwrap();
+    let rows = Dictionary::open(&dictionary).unwrap();
+    export::csv(&rows, &mut fs::File::create(&exported).unwrap()).unwrap();
+    for file in [dictionary, exported] {
+        let audit = audit(&file, None, &Mapping::default()).unwrap();
+        assert_eq!((audit.rows, audit.successes, audit.failures, audit.found()), (3, 1, 1, 0), "{:?}", audit.checks);
+    }
+}
+
+/// Both arms of a paired comparison have the same tasks and seeds.
+#[test]
+fn control_arm_repeats_seeds_on_purpose() {
+    let rows: String = ["none", "light"]
+        .iter()
+        .flat_map(|arm| (0..30).map(move |seed| format!("lift,{seed},{arm},{}\n", u8::from(seed % 3 > 0))))
+        .collect();
+    let folder = Folder::new("audit-arms");
+    let path = folder.join("t");
+    fs::write(&path, format!("task,seed,perturbation,success\n{rows}")).unwrap();
+    let mut mapping = Mapping::default();
+    assert_eq!(audit(&path, None, &mapping).unwrap().found(), 2, "no column names the arm");
+    mapping.add("case=task,seed=seed,category=perturbation", "--map").unwrap();
+    let checked = audit(&path, None, &mapping).unwrap();
+    assert_eq!(checked.found(), 0, "{:?}", checked.checks);
 }

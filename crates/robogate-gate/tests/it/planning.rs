@@ -41,6 +41,7 @@ fn error_rates_hold_at_limit() {
 fn insufficient_budgets_are_rejected() {
     let error = plan(&Requirements::open("default", &task()).unwrap(), Sampling::Sequential, 2).unwrap_err();
     assert!(matches!(error, GateError::BudgetTooSmall { budget: 136, .. }), "{error}");
+    assert!(error.to_string().contains("--rounds"), "{error}");
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
 use anyhow::anyhow;
@@ -16,7 +17,8 @@ use robogate_dictionary::{Dictionary, Fidelity};
 use serde_json::json;
 
 use crate::cell::Cell;
-use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::commands::run::stop_on_signal;
+use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
 use crate::number::at_least_one;
 use crate::place;
 use crate::subject::{EnvironmentArguments, named_space};
@@ -78,6 +80,7 @@ impl Demos {
             Some(run) => failures(run)?.into_iter().cycle().take(self.n as usize).collect(),
             None => self.points(&cell, seed)?,
         };
+        let stop = stop_on_signal()?;
         let mut dataset = Dataset::create(&self.out, FPS, cell.robot_name()).map_err(exit)?;
         let wanted = cell.servers().or(self.threads).or_else(|| thread::available_parallelism().ok());
         let threads = wanted.map_or(1, NonZeroUsize::get);
@@ -90,7 +93,13 @@ impl Demos {
                 .zip(some)
                 .map(|(index, requested)| Scenario { index, seed: seed.episode(index), requested: requested.clone() })
                 .collect();
-            for (outcome, demonstration) in self.record(&cell, &scenarios, threads)? {
+            let recorded = self.record(&cell, &scenarios, threads, &stop)?;
+            if stop.load(Ordering::Relaxed) {
+                // The unfinished dataset removes its folder.
+                note("interrupted: no dataset was written");
+                return Ok(INTERRUPTED);
+            }
+            for (outcome, demonstration) in recorded {
                 match outcome {
                     Outcome::Success => {}
                     Outcome::Failure(_) => failed += 1,
@@ -146,18 +155,21 @@ impl Demos {
         }
     }
 
-    /// Runs the scenarios on this number of threads. The results have the order of the scenarios.
+    /// Runs the scenarios on this number of threads. The results have the order of the scenarios. Episodes that have not
+    /// begun when `stop` is set are left out.
     fn record(
         &self,
         cell: &Cell,
         scenarios: &[Scenario],
         threads: usize,
+        stop: &AtomicBool,
     ) -> Result<Vec<(Outcome, Demonstration)>, Exit> {
         let share = scenarios.len().div_ceil(threads).max(1);
         let work = |mine: &[Scenario]| -> anyhow::Result<Vec<(Outcome, Demonstration)>> {
             let (mut environment, mut recorder) = cell.demonstrator(self.push)?;
             Ok(mine
                 .iter()
+                .take_while(|_| !stop.load(Ordering::Relaxed))
                 .map(|scenario| (rollout(&mut *environment, &mut recorder, scenario).outcome, recorder.take()))
                 .collect())
         };

@@ -167,6 +167,7 @@ fn by_ending(path: &Path) -> Option<To> {
 fn open(path: &Path) -> Result<Dictionary, Exit> {
     let file = if path.is_dir() { path.join(robogate_campaign::folder::DICTIONARY) } else { path.to_owned() };
     if path.is_dir() && !file.exists() && robogate_campaign::settings(path).is_ok() {
+        robogate_campaign::not_in_shards(path).or_usage()?;
         let why =
             anyhow::anyhow!("{}: the run is not finished\nhint: robogate resume {}", path.display(), quoted(path));
         return Err(why).or_usage();

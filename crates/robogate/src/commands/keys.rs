@@ -34,7 +34,7 @@ impl Keys {
         match &self.verb {
             Verb::New { file } => {
                 let key = PrivateKey::generate().or_broken()?;
-                let public = key.write_new(file).or_usage()?;
+                let public = key.write_new(file).or_unwritable()?;
                 note(format_args!("{}: private key. Do not share it", file.display()));
                 note(format_args!("{}: public key. Give it to those who verify evidence", public.display()));
                 line(key.public().id());

@@ -11,7 +11,7 @@ use robogate_report::{leaderboard_html, leaderboard_markdown};
 use crate::commands::gate::{built_in_baseline, open_requirements};
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::source::open_source;
-use crate::terminal::{bar, bold, dim, line, note, percent};
+use crate::terminal::{bar, bold, dim, foreign, line, note, percent};
 
 /// Rank policies that ran the same scenarios, by the paper's confidence score.
 #[derive(Debug, Args)]
@@ -49,11 +49,18 @@ enum Form {
 
 impl Rank {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let mut entries = Vec::new();
+        let mut entries: Vec<(String, Record)> = Vec::new();
         for run in &self.runs {
             let (name, path) = named(run);
             let source = open_source(&path)?;
-            entries.push((name, Record::of(source.dictionary()).or_broken()?));
+            let record = Record::of(source.dictionary()).or_broken()?;
+            if let Some(at) = entries.iter().position(|(_, other)| other.dataset_sha256 == record.dataset_sha256) {
+                let first = foreign(&self.runs[at]);
+                let why =
+                    anyhow::anyhow!("{first} and {} have the same rows\n  hint: remove one of them", foreign(run));
+                return Err(why).or_usage();
+            }
+            entries.push((name, record));
         }
         let first =
             entries.first().ok_or_else(|| anyhow::anyhow!("a leaderboard needs at least one run")).or_usage()?;

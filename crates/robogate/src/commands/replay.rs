@@ -18,6 +18,7 @@ use crate::policy_source::{PolicyAccess, PolicyLocation, PolicySource};
 use crate::remote::Simulators;
 use crate::subject::Subject;
 use crate::terminal::{bold, dim, foreign, line, note};
+use crate::watch;
 
 /// Replay one episode bit for bit and print its timeline.
 #[derive(Debug, Args)]
@@ -118,6 +119,9 @@ impl Replay {
         } else {
             rollout_with(&mut *worker.environment, &mut *worker.policy, &before.scenario, &mut observe)
         };
+        if let Some(fault) = watch::not_run(&before, &again) {
+            return Err(anyhow!("episode {} cannot run again: {fault}", self.index)).or_broken();
+        }
         let same = again == before;
         if self.json {
             self.print_json(&again, &timeline, same);
@@ -167,7 +171,7 @@ impl Replay {
             [(&self.gif, film::write_gif), (&self.mp4, film::write_mp4), (&self.png_strip, film::write_strip)];
         for (file, write) in files {
             if let Some(file) = file {
-                write(file, &shots).or_usage()?;
+                write(file, &shots).or_unwritable()?;
                 note(foreign(file.display()));
             }
         }
@@ -203,7 +207,7 @@ impl Replay {
         let requested = episode.scenario.requested.iter();
         metadata.extend(requested.map(|(name, value)| (format!("parameter.{name}"), value.to_string())));
         let task = filmed.task();
-        film::create(file, &mcap(&Export { task, recording, samples, images: &images, metadata })).or_usage()?;
+        film::create(file, &mcap(&Export { task, recording, samples, images: &images, metadata })).or_unwritable()?;
         note(foreign(file.display()));
         Ok(())
     }

@@ -223,7 +223,9 @@ impl Run {
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         let environment = self.environment.environment_of(suite.as_ref(), suction)?;
         let environment = if papers { environment.like_the_paper() } else { environment };
-        let subject = Subject::new(environment, self.policy.source_at(&self.location)?)?;
+        let policy = self.policy.source_at(&self.location)?;
+        self.location.check_used(policy.as_ref())?;
+        let subject = Subject::new(environment, policy)?;
         let subject = subject.with_statistics(&self.policy.statistics)?.with_latency(&self.latency)?;
         let (mut plan, space) = self.plan_and_space(&subject)?;
         plan.twins |= self.twins;
@@ -454,15 +456,7 @@ impl How {
             note(format_args!("{threads} thread: the policy server keeps one state for all clients"));
         }
         subject.start_servers(threads)?;
-        let stop = Arc::new(AtomicBool::new(false));
-        let asked = Arc::clone(&stop);
-        ctrlc::set_handler(move || {
-            if asked.swap(true, Ordering::Relaxed) {
-                stop_at_once();
-            }
-            note("stopping after the episodes in flight (once more: at once)");
-        })
-        .or_broken()?;
+        let stop = stop_on_signal()?;
         work(&ThreadPool { factory: subject, threads, stop: &stop })
     }
 
@@ -552,6 +546,20 @@ pub(crate) fn conclude(dir: &Path, completion: &Completion, subject: Option<&Sub
         }
         Completion::Interrupted { done, episodes } => Ok(interrupted(dir, *done, *episodes)),
     }
+}
+
+/// Handles SIGINT and SIGTERM: the first one sets the returned flag, the second one ends the process.
+pub(crate) fn stop_on_signal() -> Result<Arc<AtomicBool>, Exit> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let asked = Arc::clone(&stop);
+    ctrlc::set_handler(move || {
+        if asked.swap(true, Ordering::Relaxed) {
+            stop_at_once();
+        }
+        note("stopping after the episodes in flight (once more: at once)");
+    })
+    .or_broken()?;
+    Ok(stop)
 }
 
 /// Ends the process at once, if the user does not wait for a slow simulator or policy. Recorded episodes are kept,

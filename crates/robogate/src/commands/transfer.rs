@@ -5,13 +5,12 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
-use robogate_analysis::AnalysisError;
 use robogate_analysis::transfer::{Transfer, TransferOptions};
 use robogate_report::{TransferHeadline, next_trials, transfer_html, transfer_json};
 use robogate_stats::format::{counted, fixed, percent_range, range};
 
 use crate::commands::analyze::{heading, interval};
-use crate::exit::{DONE, Exit, INFRASTRUCTURE, OrExit, USAGE};
+use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
 use crate::source::open_source;
 use crate::summary::influential;
@@ -54,11 +53,8 @@ impl TransferTo {
         let source = open_source(&self.sim)?;
         let options = TransferOptions { groups: self.groups.clone(), population: self.population.clone() };
         let mut view = TransferView::new();
-        let transfer = Transfer::watched(&source, &self.sim, &self.real, &options, &mut |step| view.hear(step))
-            .map_err(|error| {
-                let code = if matches!(error, AnalysisError::Io { .. }) { INFRASTRUCTURE } else { USAGE };
-                Exit { code, error: error.into() }
-            })?;
+        let transfer =
+            Transfer::watched(&source, &self.sim, &self.real, &options, &mut |step| view.hear(step)).or_usage()?;
         view.end();
         for (file, text) in [(&self.html, transfer_html as fn(&Transfer) -> String), (&self.out, transfer_json)] {
             if let Some(file) = file {

@@ -28,12 +28,12 @@ pub(crate) struct EnvironmentArguments {
     /// FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE
     #[arg(long, value_name = "NAME", conflicts_with_all = ["task", "addresses", "engine", "time_step", "robot", "grip_force", "suction", "time_limit", "jam_force", "jam_duration", "orientation_tolerance"])]
     env: Option<String>,
-    /// Choose the robot: a built-in one (see `robogate robots`), or the folder of your own
-    #[arg(long, value_name = "ROBOT", default_value = "franka")]
-    robot: String,
-    /// Choose the physics engine: mujoco or rapier
-    #[arg(long, value_name = "ENGINE", default_value = ENGINES[0].name, conflicts_with = "addresses")]
-    engine: String,
+    /// Choose the robot: a built-in one (see `robogate robots`), or the folder of your own [default: franka]
+    #[arg(long, value_name = "ROBOT")]
+    robot: Option<String>,
+    /// Choose the physics engine: mujoco or rapier [default: mujoco]
+    #[arg(long, value_name = "ENGINE", conflicts_with = "addresses")]
+    engine: Option<String>,
     /// Set the engine's time step, in seconds; default: the engine's own
     #[arg(long, value_name = "SECONDS", conflicts_with = "addresses")]
     time_step: Option<f64>,
@@ -71,6 +71,9 @@ impl EnvironmentArguments {
         if let Some(name) = &self.env {
             return EnvironmentSource::launched(&from_any_folder(name), &self.simulators);
         }
+        if self.simulators.python.is_some() && self.simulators.addresses.is_empty() {
+            return Err(anyhow!("--python applies to --env only\n  hint: leave it out")).or_usage();
+        }
         let pool = self.simulators.connect()?;
         let scores_itself = pool.as_ref().is_some_and(|pool| pool.hello().scores_itself);
         if let (Some(option), true) = (self.rules_given().first(), scores_itself || self.task != CELL_TASK) {
@@ -80,7 +83,7 @@ impl EnvironmentArguments {
         if let Some(pool) = pool.as_ref().filter(|pool| pool.hello().scores_itself) {
             return Ok(EnvironmentSource::Remote(RemoteSource {
                 pool: Arc::clone(pool),
-                robot: self.robot.clone(),
+                robot: self.robot().to_owned(),
                 launched: None,
             }));
         }
@@ -93,7 +96,9 @@ impl EnvironmentArguments {
                 .or_usage();
         }
         if pool.is_none() && self.task != CELL_TASK {
-            return registry::task(&self.task).map(EnvironmentSource::SelfContained).or_usage();
+            let task = registry::task(&self.task).or_usage()?;
+            self.refuse_cell_options(&self.task)?;
+            return Ok(EnvironmentSource::SelfContained(task));
         }
         Cell::new(self.settings(), suction, pool).map(|cell| EnvironmentSource::Cell(Box::new(cell))).or_setup()
     }
@@ -102,6 +107,7 @@ impl EnvironmentArguments {
     pub(crate) fn environment_of(&self, suite: Option<&Suite>, suction: SuctionLaw) -> Result<EnvironmentSource, Exit> {
         match suite.and_then(Suite::environment) {
             Some(name) if self.env.is_none() && self.simulators.addresses.is_empty() => {
+                self.refuse_cell_options(name)?;
                 EnvironmentSource::launched(name, &self.simulators)
             }
             _ => self.environment(suction),
@@ -126,11 +132,35 @@ impl EnvironmentArguments {
         ArmSettings { task: self.task.clone(), robot, engine, time_step_s, grip_force_n, suction }
     }
 
+    fn robot(&self) -> &str {
+        self.robot.as_deref().unwrap_or("franka")
+    }
+
+    /// Rejects options of the built-in cell for an environment that brings its own robot and physics.
+    fn refuse_cell_options(&self, environment: &str) -> Result<(), Exit> {
+        let given = [
+            ("--robot", self.robot.is_some()),
+            ("--engine", self.engine.is_some()),
+            ("--time-step", self.time_step.is_some()),
+            ("--grip-force", self.grip_force.is_some()),
+            ("--suction", self.suction.is_some()),
+            ("--renderer", self.renderer.record().is_some()),
+        ];
+        match given.into_iter().find(|(_, given)| *given) {
+            Some((option, _)) => Err(anyhow!(
+                "{option} cannot be used with {environment}, which has no robots and engines to choose\n  hint: leave it out"
+            ))
+            .or_usage(),
+            None => Ok(()),
+        }
+    }
+
     fn settings(&self) -> CellSettings {
-        let engine = ENGINES.iter().find(|engine| engine.name == self.engine);
+        let name = self.engine.as_deref().unwrap_or(ENGINES[0].name);
+        let engine = ENGINES.iter().find(|engine| engine.name == name);
         CellSettings {
-            robot: absolute(&self.robot),
-            engine: self.engine.clone(),
+            robot: absolute(self.robot()),
+            engine: name.to_owned(),
             time_step_s: self.time_step.unwrap_or(engine.map_or(0.0, |engine: &EngineEntry| engine.time_step_s)),
             grip_force_n: self.grip_force,
             suction: self.suction,

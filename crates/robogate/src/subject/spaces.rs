@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, anyhow, bail};
 use robogate_core::{Assignment, ParameterSpace, TaskSpec};
 use robogate_dictionary::read_text;
-use robogate_tasks::pick_place::{built_in_space, built_in_spaces};
+use robogate_tasks::pick_place::built_in_space;
 
 use crate::cell::{self};
 use crate::registry::{self};
@@ -22,7 +22,7 @@ pub(crate) fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
     match built_in_space(wanted).or(own).or(arm.transpose()?) {
         Some(text) => ParameterSpace::from_toml(text).with_context(|| wanted.to_owned()),
         None if !Path::new(wanted).exists() && !wanted.contains(['/', '.']) => {
-            let known = built_in_spaces().collect::<Vec<_>>().join(", ");
+            let known = registry::spaces().collect::<Vec<_>>().join(", ");
             bail!("--space {wanted}: unknown parameter space. Expected a file, or one of: {known}")
         }
         None => read_text(Path::new(wanted))

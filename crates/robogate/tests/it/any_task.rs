@@ -22,6 +22,7 @@ fn pendulum_passes_through_every_verb() {
     assert!(rows("a") == rows("b"), "rows depend on the number of threads");
     verb("resume a", 0, &[]);
     verb("replay a 7", 0, &["identical to the recorded episode", "peak_speed_rad_s"]);
+    without_engine(at);
     verb("analyze a", 0, &["pendulum", "torque limit"]);
     verb("report a --out page.html", 0, &[]);
     let page = fs::read_to_string(at.join("page.html")).unwrap();
@@ -37,6 +38,7 @@ fn pendulum_passes_through_every_verb() {
     verb("verify evidence", 0, &["verification passed: verdict fail"]);
     verb("gate --task pendulum --policy random --out other", 1, &["FAIL"]);
     verb("leaderboard gate other", 0, &["gate", "other"]);
+    verb("leaderboard gate other gate/dictionary.parquet", 2, &["have the same rows"]);
     verb("baseline gate --out baseline.json", 0, &["overspeed"]);
     verb("gate --run gate --baseline baseline.json", 1, &[]);
     verb(
@@ -115,6 +117,37 @@ fn designs_of_the_pendulum() {
     let plan = "seed = 3\n[uniform]\nepisodes = 50\n[active]\nepisodes = 150\nseek = \"flew\"\n";
     fs::write(at.join("seeks.toml"), plan).unwrap();
     verb("run --task pendulum --plan seeks.toml --out x", 2, &["no such failure mode", "fell"]);
+}
+
+/// An engine that cannot start says nothing about the record.
+fn without_engine(at: &Path) {
+    for arguments in [&["replay", "a", "7"][..], &["view", "a", "--export", "without.html"]] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_robogate"));
+        let output =
+            command.args(arguments).current_dir(at).env("ROBOGATE_MUJOCO_LIB", "/nonexistent").output().unwrap();
+        let text = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        assert!(text.contains("no such library"), "{text}");
+        assert!(!text.contains("DIFFERS") && !text.contains("replay differs"), "{text}");
+        assert!(arguments[0] == "view" || output.status.code() == Some(5), "{text}");
+    }
+}
+
+/// An option that changes nothing is refused.
+#[test]
+fn options_without_effect_are_refused() {
+    let dir = TempDir::new().unwrap();
+    let options = ["--robot ur5e", "--engine rapier", "--time-step 0.001", "--grip-force 5", "--suction vacuum"];
+    for option in options {
+        let says = format!("{} cannot be used with pendulum", option.split(' ').next().unwrap());
+        verb(dir.path(), &format!("run --task pendulum {option} -n 10 --out x"), 2, &[&says]);
+    }
+    verb(dir.path(), "run --task pendulum --python python3 -n 10 --out x", 2, &["--python applies to --env"]);
+    for option in ["--policy-key", "--policy-ca"] {
+        let says = format!("{option} applies to policy servers");
+        verb(dir.path(), &format!("run --task pendulum {option} none.txt -n 10 --out x"), 2, &[&says]);
+        verb(dir.path(), &format!("gate --task pendulum {option} none.txt --out x"), 2, &[&says]);
+    }
+    assert!(!dir.path().join("x").exists());
 }
 
 #[test]

@@ -160,6 +160,7 @@ fn wrong_arguments_are_usage_errors() {
             format!("[[parameter]]\nname = \"{name}\"\nkind = \"continuous\"\nlow = {low}\nhigh = 0.6\n{rest}");
         format!("name = \"mine\"\n{parameter}")
     };
+    run("--space", "nope", &["unknown parameter space", "franka", "stacking", "insertion"]);
     run("--space", &file("space.toml", &space("friction", 1.2, "")), &["space.toml", "`friction`", "1.2", "0.6"]);
     run("--space", &file("key.toml", &space("friction", 0.1, "scal = \"log\"")), &["key.toml", "scal", "line"]);
     run("--space", &file("name.toml", &space("frictoin", 0.1, "")), &["`frictoin`", "friction"]);

@@ -8,6 +8,8 @@ use std::process::Command;
 use tempfile::TempDir;
 
 use crate::harness::assert_exit_in;
+#[cfg(target_os = "linux")]
+use crate::harness::{handles_interrupts, runs_until};
 
 /// All files below a folder, by their relative path.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
@@ -46,6 +48,26 @@ fn bytes_do_not_depend_on_threads() {
     for (path, bytes) in &one {
         assert!(*bytes == two[path], "{} differs", path.display());
     }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn interrupted_demonstrations_leave_no_folder() {
+    let dir = TempDir::new().unwrap();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+        .args("demos -n 20000 --size 16 --threads 1 --out demos".split(' '))
+        .current_dir(&dir)
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let (id, partial) = (child.id(), dir.path().join(".demos.part"));
+    assert!(runs_until(&mut child, || handles_interrupts(id) && partial.exists()), "the recording ended");
+    assert!(Command::new("kill").args(["-INT", &id.to_string()]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    let printed = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(130), "{printed}");
+    assert!(printed.contains("interrupted: no dataset was written"), "{printed}");
+    assert_eq!(fs::read_dir(&dir).unwrap().count(), 0);
 }
 
 #[test]

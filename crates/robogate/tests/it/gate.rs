@@ -135,7 +135,7 @@ fn files_agree_with_exit_code() {
     let arguments = ["gate", "--suite", &other, "--requirements", &requirements, "--baseline", &pass];
     assert_exit(&[&arguments[..], &["--out", &folder.path("c")]].concat(), 2, &["the baseline is of suite two"]);
     let board = format!("first={pass}");
-    assert_exit(&["leaderboard", &board, &folder.path("b"), "--baseline", &baseline], 0, &["first", "grip"]);
+    assert_exit(&["leaderboard", &board, &folder.path("open"), "--baseline", &baseline], 0, &["first", "grip"]);
     for format in ["md", "html", "json"] {
         assert_exit(&["leaderboard", &board, "--baseline", &baseline, "--format", format], 0, &["first"]);
     }

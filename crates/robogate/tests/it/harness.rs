@@ -176,6 +176,14 @@ pub(crate) fn run_all_shards(dir: &Path, folder: &str) -> usize {
     }
 }
 
+/// Whether the process `id` has a handler for SIGINT, which has the number 2.
+#[cfg(target_os = "linux")]
+pub(crate) fn handles_interrupts(id: u32) -> bool {
+    let status = fs::read_to_string(format!("/proc/{id}/status")).unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+    mask.is_some_and(|mask| u64::from_str_radix(mask.trim(), 16).unwrap() & 0b10 != 0)
+}
+
 /// The path of a file in a temporary folder, as an argument.
 pub(crate) fn path(dir: &TempDir, name: &str) -> String {
     dir.path().join(name).to_str().unwrap().to_owned()

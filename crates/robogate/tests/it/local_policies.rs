@@ -186,9 +186,10 @@ fn outside_ranges_reach_the_evidence() {
 #[test]
 fn wrong_policies_are_explained() {
     let dir = folder_with_network();
-    let bad: [(&[&str], &[&str]); 7] = [
+    let bad: [(&[&str], &[&str]); 8] = [
         (&["--policy", "small.onnx"], &["--profile is missing", "robogate policy profiles"]),
         (&["--policy", "octo"], &["octo: not a policy", "an ONNX file, `random` or `scripted`"]),
+        (&["--policy", "missing.onnx"], &["missing.onnx: no such file"]),
         (&["--policy", "scripted", "--profile", "learned"], &["--profile cannot be used with --policy scripted"]),
         (&["--policy", "small.onnx", "--profile", "octo"], &["--profile octo: unknown profile", "octo-small"]),
         (&["--policy", "random", "--profile", "learned"], &["--profile cannot be used with --policy random"]),

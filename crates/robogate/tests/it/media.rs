@@ -75,6 +75,17 @@ fn mcap_opens_in_another_reader() {
 }
 
 #[test]
+fn files_that_cannot_be_written_are_no_wrong_usage() {
+    let dir = run_of("1");
+    for option in ["--gif", "--mcap"] {
+        let output = robogate_in(dir.path(), &["replay", "run", "0", option, "no/file", "--size", "16"]);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(5), "{option}: {said}");
+        assert!(said.contains("cannot write no/file"), "{option}: {said}");
+    }
+}
+
+#[test]
 fn video_has_every_frame() {
     let Some(ffprobe) = robogate_testing::program("ffprobe") else { return };
     let dir = run_of("3");

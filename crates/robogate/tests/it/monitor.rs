@@ -195,10 +195,12 @@ fn bad_feeds_and_settings_are_errors() {
         "{}",
         text(&former.stderr)
     );
+    let folder = dir.path().to_str().unwrap();
     for arguments in [
         vec!["monitor", "serve"],
         vec!["monitor", "serve", "--listen", "127.0.0.1:0"],
         vec!["monitor", "serve", "nowhere.jsonl"],
+        vec!["monitor", "serve", folder],
         vec!["monitor", "serve", &empty, "--reference", &empty],
     ] {
         assert_eq!(robogate(&arguments).status.code(), Some(2), "{arguments:?}");

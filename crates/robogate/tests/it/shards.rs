@@ -11,6 +11,8 @@ use std::time::Instant;
 use serde_json::Value;
 use tempfile::TempDir;
 
+#[cfg(target_os = "linux")]
+use crate::harness::handles_interrupts;
 use crate::harness::{TWO_SCENARIOS, real_trials, run_all_shards, runs_until, verb};
 
 /// The files of a folder, without its subfolders.
@@ -153,7 +155,11 @@ fn gate_in_shards_equals_single_gate() {
     let verdict = verb(one, gate, 1, &["FAIL"]);
     verb(many, "gate --task pendulum --divide 3", 2, &["--out"]);
     verb(many, &format!("{gate} --divide 3"), 0, &["576 episodes in 3 shards"]);
-    verb(many, &format!("{gate} --divide 3 --margin 0.1"), 0, &[]);
+    verb(many, &format!("{gate} --divide 3 --margin 0.1"), 2, &["--margin applies to a comparison"]);
+    let unmerged = ["plan run --next", "merge run"];
+    verb(many, "gate --run run", 2, &unmerged);
+    verb(many, "analyze run", 2, &unmerged);
+    verb(many, "export run rows.csv", 2, &unmerged);
     verb(many, &format!("{gate} --divide 3 --requirements paper"), 2, &["baseline"]);
     let commands = run_all_shards(many, "run");
     assert!(commands < 27 && commands.is_multiple_of(3), "{commands} shards ran");
@@ -363,14 +369,8 @@ fn interrupted_shard_is_not_committed() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    // SIGINT, number 2, has a handler.
-    let status = format!("/proc/{}/status", child.id());
-    let handled = || {
-        let status = fs::read_to_string(&status).unwrap_or_default();
-        let mask = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
-        mask.is_some_and(|mask| u64::from_str_radix(mask.trim(), 16).unwrap() & 0b10 != 0)
-    };
-    assert!(runs_until(&mut child, handled), "the shard ended");
+    let id = child.id();
+    assert!(runs_until(&mut child, || handles_interrupts(id)), "the shard ended");
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
     let printed: Vec<String> = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap).collect();
     assert_eq!(child.wait().unwrap().code(), Some(130), "{printed:?}");

@@ -62,6 +62,8 @@ fn registered_runs_are_verified_and_run_again() {
     let gate = Gate::new();
     let key = gate.path("k");
     run(&["keys", "new", &key], 0);
+    run(&["keys", "new", &key], 2);
+    run(&["keys", "new", &gate.path("no/folder")], 5);
     let public = gate.path("k.pub");
     assert!(gate.run("first", 0, &["--register", &key]).contains("registered as number 1 of key"));
     gate.run("second", 0, &["--register", &key]);

@@ -238,6 +238,8 @@ fn transfer_writes_every_format() {
     assert_eq!(map["cells"].as_array().unwrap().len(), 9);
     fs::write(&trials, "success,friction\nperhaps,0.5\n").unwrap();
     assert_refused(&["transfer", "--sim", &simulation, "--real", &trials], &["trials.csv:2", "perhaps"]);
+    let folder = dir.path().to_str().unwrap();
+    assert_refused(&["transfer", "--sim", &simulation, "--real", folder], &["cannot read"]);
 }
 
 /// Markup, a colour, and a reversed text in every name that a table can bring along.

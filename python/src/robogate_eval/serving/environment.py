@@ -7,12 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from .knobs import Knob
+from .knobs import DeclarationError, Knob
 from .trajectory import Trajectory
-
-
-class DeclarationError(ValueError):
-    """The declaration of an environment contradicts the environment."""
 
 
 @dataclass(frozen=True)

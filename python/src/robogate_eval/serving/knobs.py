@@ -7,10 +7,15 @@ import re
 import unicodedata
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 # Longest name of a parameter.
 MAX_NAME = 120
+
+
+class DeclarationError(ValueError):
+    """The declaration of an environment is wrong, or contradicts the environment."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,30 @@ class Knob:
     # (env) -> the value that acts now, or None; called after each step. A difference makes the episode invalid.
     watch: Callable[[Any], float | None] | None = None
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise DeclarationError(f"the name of a knob is {self.name!r}. Expected a text")
+        for field in ("unit", "meaning", "read_from", "family"):
+            if not isinstance(getattr(self, field), str):
+                raise self._wrong(field, "a text")
+        for field in ("set", "read"):
+            if not callable(getattr(self, field)):
+                raise self._wrong(field, "a function")
+        if isinstance(self.choices, str) or not all(isinstance(choice, str) for choice in self.choices):
+            raise self._wrong("choices", "a list of texts")
+        if self.choices:
+            if not isinstance(self.nominal, (str, type(None))):
+                raise self._wrong("nominal", "one of the choices")
+            return
+        for field in ("low", "high"):
+            if not _is_number(getattr(self, field)):
+                raise self._wrong(field, "a number (a categorical knob has `choices`)")
+        if self.nominal is not None and not _is_number(self.nominal):
+            raise self._wrong("nominal", "a number")
+
+    def _wrong(self, field: str, expected: str) -> DeclarationError:
+        return DeclarationError(f"knob {self.name}: `{field}` is {getattr(self, field)!r}. Expected {expected}")
+
     @property
     def parameter(self) -> str:
         """The name of the task's parameter."""
@@ -66,6 +95,10 @@ class Knob:
         if self.family:
             out["family"] = self.family
         return out
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def parameter_name(knob: str) -> str:

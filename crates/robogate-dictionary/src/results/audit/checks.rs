@@ -14,6 +14,9 @@ const LISTED: usize = 20;
 type Outcome = Result<(Vec<Problem>, Vec<String>), String>;
 
 pub(super) fn run(check: Check, table: &Table<'_>, metadata: &Map<String, Value>) -> Outcome {
+    if let Some(because) = needless(check, table) {
+        return Err(because.to_owned());
+    }
     match check {
         Check::InfrastructureErrors => infrastructure(table),
         Check::DuplicateInitialStates => initial_states(table),
@@ -22,6 +25,25 @@ pub(super) fn run(check: Check, table: &Table<'_>, metadata: &Map<String, Value>
         Check::DuplicateRows => duplicates(table),
         Check::BatchArtefacts => batches(table),
         Check::RepeatedSeeds => seeds(table),
+    }
+}
+
+/// Why a dictionary or an export of RoboGate does not need a check.
+fn needless(check: Check, table: &Table<'_>) -> Option<&'static str> {
+    if !table.own {
+        return None;
+    }
+    match check {
+        Check::DuplicateInitialStates => Some("episodes of RoboGate with equal parameters differ in their own seeds"),
+        Check::BatchArtefacts => Some("episodes of RoboGate do not depend on the order in which they run"),
+        Check::RepeatedSeeds if table.seed.is_empty() => {
+            Some("RoboGate derives the seed of each episode from `seed` and `index`")
+        }
+        Check::InfrastructureErrors
+        | Check::SuccessAtFirstStep
+        | Check::MissingRows
+        | Check::DuplicateRows
+        | Check::RepeatedSeeds => None,
     }
 }
 
@@ -76,7 +98,7 @@ fn initial_states(table: &Table<'_>) -> Outcome {
     }
     let groups = grouped(table, |row| {
         let state = if by_name { row.state.clone() } else { row.parameters.map(|hash| hash.to_string()) };
-        state.map(|state| (row.case.clone(), state))
+        state.map(|state| (row.place(), state))
     });
     let repeated: Vec<&Vec<usize>> = groups.values().filter(|rows| rows.len() > 1).collect();
     let mut rows: Vec<usize> = repeated.iter().flat_map(|rows| rows.iter().skip(1)).copied().collect();
@@ -118,7 +140,8 @@ fn missing(table: &Table<'_>, metadata: &Map<String, Value>) -> Outcome {
             problems.push(problem(format!("The file says that it is not complete (`{key}`)"), &[]));
         }
     }
-    let silent = where_(table, |row| row.success.is_none());
+    // A row of RoboGate without success or failure is an invalid episode, and says so.
+    let silent = where_(table, |row| row.success.is_none() && !table.own);
     if !silent.is_empty() && silent.len() < table.rows.len() {
         problems.push(problem("The row reports neither success nor failure".to_owned(), &silent));
     }
@@ -175,7 +198,7 @@ fn duplicates(table: &Table<'_>) -> Outcome {
     if !same.is_empty() {
         problems.push(problem("The row is equal to an earlier one in every column".to_owned(), &same));
     }
-    let numbered = extra(grouped(table, |row| Some((row.case.clone(), row.episode?))));
+    let numbered = extra(grouped(table, |row| Some((row.place(), row.episode?))));
     let other: Vec<usize> = numbered.into_iter().filter(|row| !same.contains(row)).collect();
     // With parallel environments, each may number its own episodes.
     if !other.is_empty() && table.environment.is_empty() {
@@ -188,7 +211,7 @@ fn seeds(table: &Table<'_>) -> Outcome {
     if table.seed.is_empty() {
         return Err("no column has the seed".to_owned());
     }
-    let groups = grouped(table, |row| Some((row.case.clone(), row.seed.clone()?)));
+    let groups = grouped(table, |row| Some((row.place(), row.seed.clone()?)));
     let distinct: BTreeSet<&String> = groups.keys().map(|(_, seed)| seed).collect();
     let mut rows: Vec<usize> = groups.values().flat_map(|rows| rows.iter().skip(1)).copied().collect();
     rows.sort_unstable();
@@ -286,7 +309,8 @@ fn dependence(table: &Table<'_>, group: impl Fn(usize, &AuditRow) -> Option<i64>
 
 /// The period with which the seeds repeat, and the repeated rows.
 fn seed_period(table: &Table<'_>) -> Option<(usize, Vec<usize>)> {
-    let seeds: Option<Vec<&String>> = table.rows.iter().map(|row| row.seed.as_ref()).collect();
+    let seeds: Option<Vec<(&String, &String)>> =
+        table.rows.iter().map(|row| Some((&row.arm, row.seed.as_ref()?))).collect();
     let seeds = seeds?;
     let first = *seeds.first()?;
     let period = 1 + seeds.iter().skip(1).position(|seed| *seed == first)?;

@@ -12,7 +12,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Format, Mapping, columns, format, read};
+use super::{Format, Mapping, Role, columns, format, read};
 use crate::DictionaryError;
 use table::Table;
 
@@ -165,7 +165,7 @@ impl Audit {
 /// Audits the results in `path`. If no format is given, it is recognised from the content.
 ///
 /// # Errors
-/// If the file cannot be read, or has no rows.
+/// If the file cannot be read, has no rows, or does not report success and failure.
 pub fn audit(path: &Path, format: Option<Format>, mapping: &Mapping) -> Result<Audit, DictionaryError> {
     let format = match format {
         Some(format) => format,
@@ -175,11 +175,20 @@ pub fn audit(path: &Path, format: Option<Format>, mapping: &Mapping) -> Result<A
         let reason = "the published JSON has one layout, whose import checks every row\nhint: robogate import";
         return Err(DictionaryError::results(path, reason));
     }
-    let mapping = mapping.over(&format.mapping()).found_in(&columns(format, path));
-    let mut table = Table::new(&mapping);
+    let columns = columns(format, path);
+    let mapping = mapping.over(&format.mapping()).found_in(&columns);
+    let mut table = Table::new(&mapping, &columns);
     let frame = read(format, path, &mut |row| table.push(path, row))?;
     if table.rows.is_empty() {
         return Err(DictionaryError::results(path, "it has no episodes. Expected at least one row"));
+    }
+    if !table.has_outcomes {
+        let reason = format!(
+            "no row reports success or failure: column `{}` is missing, or its values are neither true nor false\nhint: name the \
+             column with --map success=COLUMN",
+            mapping.column(Role::Success)
+        );
+        return Err(DictionaryError::results(path, reason));
     }
     let result = |check: Check| {
         let result = match checks::run(check, &table, &frame.metadata) {

@@ -5,10 +5,11 @@ use std::collections::hash_map::DefaultHasher;
 use std::hash::{Hash, Hasher};
 use std::path::Path;
 
-use super::super::Mapping;
+use super::super::exported;
 use super::super::names::{self, Suggested};
 use super::super::outcome::truth;
 use super::super::role::Role;
+use super::super::{Mapping, SOURCE_SEED};
 use crate::DictionaryError;
 use crate::raw::{RawRow, Scalar};
 
@@ -67,6 +68,8 @@ pub(super) struct AuditRow {
     pub(super) seed: Option<String>,
     /// Task and case.
     pub(super) case: String,
+    /// Category and group. The arms of a paired comparison share task and seed on purpose.
+    pub(super) arm: String,
     /// The number of the episode, within its case or in the file.
     pub(super) episode: Option<i64>,
     /// The parallel environment.
@@ -83,6 +86,10 @@ pub(super) struct AuditRow {
 #[derive(Debug)]
 pub(super) struct Table<'a> {
     mapping: &'a Mapping,
+    /// Whether the file is a dictionary or an export of RoboGate.
+    pub(super) own: bool,
+    /// Whether a value of the success column reports an outcome.
+    pub(super) has_outcomes: bool,
     pub(super) rows: Vec<AuditRow>,
     pub(super) length: BTreeSet<String>,
     pub(super) reasons: BTreeSet<String>,
@@ -95,6 +102,18 @@ pub(super) struct Table<'a> {
     pub(super) continuous: bool,
 }
 
+impl AuditRow {
+    /// Task, case and arm: where a seed or the number of an episode is expected once.
+    pub(super) fn place(&self) -> String {
+        format!("{}{}", self.case, self.arm)
+    }
+
+    fn add_arm(&mut self, value: &Scalar) {
+        self.arm.push_str(&value.show());
+        self.arm.push('/');
+    }
+}
+
 fn hashed(values: &[(&str, &Scalar)]) -> u64 {
     let mut hasher = DefaultHasher::new();
     for (name, value) in values {
@@ -105,10 +124,13 @@ fn hashed(values: &[(&str, &Scalar)]) -> u64 {
 }
 
 impl<'a> Table<'a> {
-    pub(super) fn new(mapping: &'a Mapping) -> Self {
+    /// A table without rows, for a file with these columns.
+    pub(super) fn new(mapping: &'a Mapping, columns: &[String]) -> Self {
         let none = BTreeSet::new;
         Self {
             mapping,
+            own: exported::has_marks(columns),
+            has_outcomes: false,
             rows: Vec::new(),
             length: none(),
             reasons: none(),
@@ -134,12 +156,53 @@ impl<'a> Table<'a> {
                 continue;
             }
             whole.push((name, value));
-            self.take(name, value, &mut row, &mut parameters);
+            if self.own {
+                self.take_own(name, value, &mut row);
+            } else {
+                self.take(name, value, &mut row, &mut parameters);
+            }
         }
         row.parameters = (!parameters.is_empty()).then(|| hashed(&parameters));
         row.whole = hashed(&whole);
         self.rows.push(row);
         Ok(())
+    }
+
+    /// Takes a field of a dictionary or an export of RoboGate.
+    fn take_own(&mut self, name: &str, value: &Scalar, row: &mut AuditRow) {
+        let columns = match (name, value) {
+            ("outcome", Scalar::Text(outcome)) => {
+                row.success = (outcome != "invalid").then_some(outcome == "success");
+                self.has_outcomes = true;
+                &mut self.reasons
+            }
+            ("index", Scalar::Integer(index)) => {
+                row.episode = Some(*index);
+                &mut self.episode
+            }
+            // Imported episodes have no ticks. Their number is then 0.
+            ("ticks", Scalar::Integer(ticks)) if *ticks > 0 => {
+                row.length = Some(*ticks as f64);
+                &mut self.length
+            }
+            // The column `seed` has the seed of the campaign.
+            (SOURCE_SEED, value) => {
+                row.seed = Some(value.show());
+                &mut self.seed
+            }
+            ("case", value) => {
+                row.case = value.show();
+                return;
+            }
+            ("category" | "group", value) => {
+                row.add_arm(value);
+                return;
+            }
+            _ => return,
+        };
+        if !columns.contains(name) {
+            columns.insert(name.to_owned());
+        }
     }
 
     fn take<'r>(
@@ -170,10 +233,10 @@ impl<'a> Table<'a> {
         };
         match role {
             Some(Role::Success) => {
-                row.success = match value {
-                    Scalar::Text(word) if ["error", "invalid"].contains(&word.to_ascii_lowercase().as_str()) => None,
-                    value => truth(value),
-                };
+                let reports_error = |word: &String| ["error", "invalid"].contains(&word.to_ascii_lowercase().as_str());
+                let invalid = matches!(value, Scalar::Text(word) if reports_error(word));
+                row.success = if invalid { None } else { truth(value) };
+                self.has_outcomes |= invalid || row.success.is_some();
                 return;
             }
             Some(Role::Error) => {
@@ -188,6 +251,10 @@ impl<'a> Table<'a> {
             Some(Role::Seed) => {
                 add(&mut self.seed);
                 row.seed = Some(value.show());
+                return;
+            }
+            Some(Role::Category | Role::Group) => {
+                row.add_arm(value);
                 return;
             }
             _ => {}

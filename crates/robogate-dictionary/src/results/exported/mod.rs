@@ -84,7 +84,12 @@ impl Table {
 /// the error.
 pub(super) fn is_export(path: &Path, format: Format) -> bool {
     let table = Table::open(path, format).ok().flatten();
-    table.is_some_and(|table| MARKS.iter().all(|mark| table.names().iter().any(|name| name == mark)))
+    table.is_some_and(|table| has_marks(table.names()))
+}
+
+/// Whether these are the columns of an export or a dictionary.
+pub(super) fn has_marks(names: &[String]) -> bool {
+    MARKS.iter().all(|mark| names.iter().any(|name| name == mark))
 }
 
 /// Imports the export `from` as the dictionary `to`.

@@ -100,7 +100,9 @@ impl FleetOf {
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         let environment = self.environment.environment_of(suite.as_ref(), SuctionLaw::Vacuum)?;
         let location = PolicyLocation::with_access(&self.access);
-        let subject = Subject::new(environment, self.policy.source_at(&location)?)?;
+        let policy = self.policy.source_at(&location)?;
+        location.check_used(policy.as_ref())?;
+        let subject = Subject::new(environment, policy)?;
         let subject = subject.with_statistics(&self.policy.statistics)?;
         let suite = match (suite, subject.own_suite()) {
             (None, Some(own)) if self.space.is_none() => Some(suites::find(own)?),

@@ -34,6 +34,7 @@ impl Gate {
             }
             _ => self.other(&record)?,
         };
+        self.check_margin(other.record.is_some())?;
         let asked_margin = asked.as_ref().and_then(|asked| Some(asked.against.as_ref()?.margin));
         let margin = self.margin.or(asked_margin).unwrap_or(MARGIN);
         record.real = match &self.real {

@@ -11,11 +11,12 @@ mod verdict;
 
 use std::path::PathBuf;
 
+use anyhow::anyhow;
 use clap::Args;
 
 use crate::commands::controls;
 use crate::commands::run::How;
-use crate::exit::Exit;
+use crate::exit::{Exit, OrExit};
 use crate::latency::LatencyArguments;
 use crate::policy_source::{PolicyAccess, PolicyArguments, PolicyLocation};
 use crate::subject::EnvironmentArguments;
@@ -123,6 +124,17 @@ impl Gate {
         match &self.run {
             Some(run) => self.judge(run),
             None => self.start(),
+        }
+    }
+
+    /// Rejects a margin if there is no comparison that it applies to.
+    fn check_margin(&self, compared: bool) -> Result<(), Exit> {
+        match self.margin {
+            Some(_) if !compared => Err(anyhow!(
+                "--margin applies to a comparison with another policy\n  hint: give a run with --baseline, or a policy with --against"
+            ))
+            .or_usage(),
+            _ => Ok(()),
         }
     }
 

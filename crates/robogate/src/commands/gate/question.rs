@@ -45,7 +45,7 @@ impl Other {
 
 impl Gate {
     /// The baseline's path, if it is a run. Its episodes can be compared one by one.
-    fn against_run(&self) -> Option<&Path> {
+    pub(super) fn against_run(&self) -> Option<&Path> {
         let path = self.baseline.as_deref()?;
         (path.is_dir() || path.extension().is_some_and(|ending| ending == "parquet")).then_some(path)
     }

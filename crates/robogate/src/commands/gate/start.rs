@@ -60,6 +60,7 @@ impl Gate {
     /// Runs a suite until the verdict is certain.
     pub(super) fn start(&self) -> Result<u8, Exit> {
         self.nominal.unused()?;
+        self.check_margin(self.against.is_some() || self.against_run().is_some())?;
         if let Some(out) = self.out.as_ref().filter(|_| self.divide.is_none()) {
             place::check_local(out)?;
         }
@@ -91,7 +92,12 @@ impl Gate {
     fn prepare(&self) -> Result<Prepared, Exit> {
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         let environment = self.environment.environment_of(suite.as_ref(), SuctionLaw::Vacuum)?;
-        let subject = Subject::new(environment, self.policy.source_at(&self.location())?)?;
+        let policy = self.policy.source_at(&self.location())?;
+        // With --against, the key can be that of the other policy.
+        if self.against.is_none() {
+            self.location().check_used(policy.as_ref())?;
+        }
+        let subject = Subject::new(environment, policy)?;
         let subject = subject.with_statistics(&self.policy.statistics)?.with_latency(&self.latency)?;
         let wanted = self.requirements.as_deref().unwrap_or("default");
         let requirements = open_requirements(wanted, subject.task())?;

@@ -254,7 +254,10 @@ fn broker(place: &str) -> Result<Broker, Exit> {
 fn read(path: &Path, engine: Handle, sender: Sender<End>, wait: bool) -> Result<(), Exit> {
     let path = path.to_owned();
     if path != Path::new("-") {
-        std::fs::metadata(&path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+        let found = std::fs::metadata(&path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+        if found.is_dir() {
+            return Err(anyhow!("{}: a folder. Expected a file or a pipe with cycles", path.display())).or_usage();
+        }
     }
     std::thread::spawn(move || {
         let reader: Result<Box<dyn BufRead>, String> = if path == Path::new("-") {
