@@ -47,25 +47,33 @@ shard() {
     exit "$code"
 }
 
-# Prints the commands of the missing shards: those of the campaign, and those of its nominal twins, whose plans its merge writes:
-# missing DIR
+# Prints the commands of the missing shards: those of the campaign, and those of its nominal twins, whose plans its merge writes. The
+# commands of all rounds are equal; the names of the rounds go to stderr: missing DIR
 missing() {
     local arm
-    "$robogate" plan "$1" --next
+    "$robogate" plan "$1" --next || return
     # The folders of a sweep are runs.
     if [ ! -f "$1/sweep.json" ]; then
         for arm in "$1/nominal" "$1/families"; do
             if [ -f "$arm/shards/layout.json" ]; then
-                "$robogate" plan "$arm" --next
+                "$robogate" plan "$arm" --next || return
             fi
         done
     fi
 }
 
+# Writes the missing shards to LIST.part, and their rounds to LIST.rounds: look DIR LIST
+look() {
+    local code=0
+    missing "$1" > "$2.part" 2> "$2.rounds" || code=$?
+    cat "$2.rounds" >&2
+    return "$code"
+}
+
 # Submits the missing shards, or merges if there are none: next DIR ATTEMPT LAST_LIST
 next() {
     local dir=$1 attempt=$2 last=$3 list=$1/slurm/next-$SLURM_JOB_ID.txt count job code=0
-    missing "$dir" > "$list.part"
+    look "$dir" "$list"
     if [ ! -s "$list.part" ]; then
         "$robogate" merge "$dir" || code=$?
         # 1, 3 and 4 are verdicts: the nominal twins of a gate follow all the same.
@@ -73,7 +81,7 @@ next() {
             0 | 1 | 3 | 4) ;;
             *) exit "$code" ;;
         esac
-        missing "$dir" > "$list.part"
+        look "$dir" "$list"
     fi
     head -n "$most" "$list.part" > "$list"
     rm "$list.part"
@@ -81,7 +89,7 @@ next() {
     if [ "$count" -eq 0 ]; then
         exit "$code"
     fi
-    cmp -s "$list" "$last" || attempt=0
+    cmp -s "$list" "$last" && cmp -s "$list.rounds" "$last.rounds" || attempt=0
     if [ "$attempt" -ge "$attempts" ]; then
         echo "error: the shards in $list failed $attempt times; see the logs in $dir/slurm" >&2
         exit 5
