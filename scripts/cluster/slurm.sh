@@ -64,7 +64,7 @@ scontrol requeue "$victim"
 echo "  scontrol requeue $victim"
 until restarts=$(scontrol show job "$victim" | grep -o 'Restarts=[1-9]*') && [ -n "${restarts#Restarts=}" ]; do sleep 0.2; done
 echo "  job $victim: $restarts"
-until pid=$(pgrep -f "run --shard [0-9]*/8 --out $work/run" | head -n 1) && [ -n "$pid" ] && sleep 0.5 && kill -KILL "$pid"; do sleep 0.1; done
+until pid=$(pgrep -f "run --shard [0-9]*/8 --out $work/run" | head -n 1) && [ -n "$pid" ] && sleep 0.5 && kill -KILL "$pid" 2> /dev/null; do sleep 0.1; done
 echo "  SIGKILL of the process of another shard"
 
 until [ -f "$work/run/report.html" ] || ! squeue --noheader | grep -q .; do sleep 0.5; done
