@@ -233,6 +233,7 @@ fn surrogate(out: &mut impl Write, simulation: &Source, reality: &str) -> Result
         outside: Vec::new(),
         groupings: Vec::new(),
         constant: Vec::new(),
+        one_setting: false,
         missing: Vec::new(),
         incomplete: 0,
         ignored: Vec::new(),

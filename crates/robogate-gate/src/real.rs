@@ -8,7 +8,7 @@ use std::path::Path;
 
 use robogate_core::budget::Budget;
 use robogate_stats::Trials;
-use robogate_stats::exact_strata::{Stratum, bounds, estimate, p_above, p_below};
+use robogate_stats::exact_strata::{MOST_TRIALS, Stratum, bounds, estimate, p_above, p_below};
 use robogate_stats::format::count;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,10 +16,6 @@ use serde::{Deserialize, Serialize};
 use crate::figure::Extremes;
 use crate::requirement_test::Tested;
 use crate::{Bound, GateError, Record, Sense};
-
-/// Number of trials that the exact test accepts. Its time grows with this number, and evidence of others must not take
-/// long to verify.
-const MOST_TRIALS: u64 = 20_000;
 
 /// Trials of the real robot, and the simulation that divides them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

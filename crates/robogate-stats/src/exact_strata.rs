@@ -16,6 +16,8 @@ use robogate_maths::beta::ln_binomial_pmf;
 
 use crate::interval::{Interval, Trials};
 
+/// Most trials. The time of the tests grows with their number, and files of others must not take long.
+pub const MOST_TRIALS: u64 = 20_000;
 /// Number of nuisance values in the first search.
 const GRID: usize = 200;
 

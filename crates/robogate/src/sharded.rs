@@ -10,7 +10,7 @@ use robogate_core::Foresight;
 use robogate_dictionary::Provenance;
 use robogate_gate::{Asked, GateError, Record};
 
-use crate::commands::gate::{Look, compared_with, finish, refused, ruled_out, write_question};
+use crate::commands::gate::{Look, begun, compared_with, finish, refused, ruled_out, write_question};
 use crate::commands::run::{conclude, write_report};
 use crate::commands::shard::exit;
 use crate::exit::{Exit, USAGE};
@@ -49,8 +49,7 @@ impl Gate {
             return Err(not_planned(&path, "not the question of the plan, which has another SHA-256"));
         }
         let other = compared_with(&asked)?.map(|(_, record)| record);
-        let mut record = Record::begun(&shards.settings().provenance).map_err(refused)?;
-        record.real.clone_from(&asked.real);
+        let record = begun(&shards.settings().provenance, &asked)?;
         Ok(Some(Self { asked, other, record }))
     }
 }

@@ -15,8 +15,7 @@ use serde_json::json;
 use crate::active_model;
 use crate::commands::analyze::by_influence;
 use crate::commands::report::PAGE;
-use crate::commands::shard::quoted;
-use crate::terminal::{bar, bold, dim, foreign, grouped, line, percent, wrapped};
+use crate::terminal::{bar, bold, dim, foreign, grouped, line, percent, quoted, wrapped};
 
 /// A bin with fewer valid episodes than this is shown dimmed, because its rate is imprecise.
 const FEW: u64 = 20;

@@ -19,13 +19,13 @@ use robogate_report::TwinRow;
 
 use crate::commands::gate::refused;
 use crate::commands::run;
-use crate::commands::shard::{self, quoted};
+use crate::commands::shard;
 use crate::exit::{Exit, OrExit};
 use crate::place;
 use crate::sharded::Campaign;
 use crate::source::open_source;
 use crate::subject::Subject;
-use crate::terminal::{bold, dim, grouped, line, note, wrapped};
+use crate::terminal::{bold, dim, grouped, line, note, quoted, wrapped};
 
 /// The comparison with the control arm in the folder of a run.
 pub(crate) const TWINS: &str = "twins.json";

@@ -104,7 +104,7 @@ pub struct RealData {
     pub outside: Vec<u64>,
     /// The groupings of the trials, with the number of groups.
     pub groupings: Vec<(String, u64)>,
-    /// What would group the trials, but has the same entry for all of them: the name and the entry.
+    /// Columns that would group the trials, but have the same entry for all of them: the name and the entry.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub constant: Vec<(String, String)>,
     /// Parameters without any value. The prediction is averaged over them.
@@ -429,7 +429,7 @@ fn assemble(
              settings at random, or pass the settings that the real robot meets with --population",
             list(&unlike)
         ))
-    } else if trials.is_one_setting() {
+    } else if trials.one_setting {
         Some("all trials have the same setting, and say nothing about other settings".to_owned())
     } else {
         None

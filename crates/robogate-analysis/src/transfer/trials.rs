@@ -6,6 +6,7 @@ use std::path::Path;
 
 use robogate_core::{Domain, ParameterSpace, Value};
 use robogate_dictionary::{hex, read_text};
+use robogate_stats::exact_strata::MOST_TRIALS;
 use sha2::{Digest, Sha256};
 
 use crate::AnalysisError;
@@ -14,8 +15,6 @@ use crate::AnalysisError;
 const GROUPS: [&str; 2] = ["operator", "day"];
 /// The grouping of trials with equal settings.
 const REPEATED: &str = "repeated setting";
-/// Most trials. Their cost grows with the square of their number, and so many need no simulation.
-const MOST_TRIALS: usize = 20_000;
 /// Most columns of a file.
 const MOST_COLUMNS: usize = 1_000;
 /// Cells without a value.
@@ -32,8 +31,10 @@ pub struct RealTrials {
     pub outside: Vec<u64>,
     /// Groupings of the trials: the name, and a group number for each trial. Each has at least two groups.
     pub groupings: Vec<(String, Vec<usize>)>,
-    /// What would group the trials, but has the same entry for all of them: the name and the entry.
+    /// Columns that would group the trials, but have the same entry for all of them: the name and the entry.
     pub constant: Vec<(String, String)>,
+    /// Whether all trials have the same setting.
+    pub one_setting: bool,
     /// Parameters of the space without any value in the file.
     pub missing: Vec<String>,
     /// Trials with at least one missing value, beyond those of `missing`.
@@ -161,8 +162,8 @@ impl RealTrials {
         if let Some(unknown) = names.iter().find(|name| place(name).is_none()) {
             return Err(wrong(path, 1, format!("no column `{unknown}`, which should group the trials")));
         }
-        if rows.len() > MOST_TRIALS {
-            return Err(wrong(path, rows[MOST_TRIALS].0, format!("{} trials, at most {MOST_TRIALS}", rows.len())));
+        if let Some((line, _)) = rows.get(MOST_TRIALS as usize) {
+            return Err(wrong(path, *line, format!("{} trials, at most {MOST_TRIALS}", rows.len())));
         }
         let columns: Vec<Option<usize>> = space.parameters().iter().map(|p| place(&p.name)).collect();
         if columns.iter().all(Option::is_none) {
@@ -217,12 +218,10 @@ impl RealTrials {
         };
         let repeated = numbered(&settings);
         let count = repeated.iter().max().map_or(0, |most| most + 1);
-        if count < trials.len() && trials.iter().all(continuous) {
-            if count == 1 {
-                constant.push((REPEATED.to_owned(), String::new()));
-            } else {
-                groupings.push((REPEATED.to_owned(), repeated));
-            }
+        let are_repeats = count < trials.len() && trials.iter().all(continuous);
+        let one_setting = are_repeats && count == 1;
+        if are_repeats && !one_setting {
+            groupings.push((REPEATED.to_owned(), repeated));
         }
         let absent = |i: usize| trials.iter().all(|trial| trial.values[i].is_none());
         let lost: Vec<bool> = (0..space.len()).map(absent).collect();
@@ -241,6 +240,7 @@ impl RealTrials {
             outside,
             groupings,
             constant,
+            one_setting,
             ignored,
             has_modes: mode.is_some(),
         })
@@ -248,7 +248,7 @@ impl RealTrials {
 
     /// The first trial of each setting.
     pub(super) fn once(&self) -> Vec<&RealTrial> {
-        if self.is_one_setting() {
+        if self.one_setting {
             return self.trials.iter().take(1).collect();
         }
         let Some((_, groups)) = self.groupings.iter().find(|(name, _)| name == REPEATED) else {
@@ -256,11 +256,6 @@ impl RealTrials {
         };
         let mut seen = BTreeSet::new();
         self.trials.iter().zip(groups).filter(|(_, group)| seen.insert(**group)).map(|(trial, _)| trial).collect()
-    }
-
-    /// Whether all trials have the same setting.
-    pub(super) fn is_one_setting(&self) -> bool {
-        self.constant.iter().any(|(name, _)| name == REPEATED)
     }
 
     /// The number of failed trials that name no failure mode.

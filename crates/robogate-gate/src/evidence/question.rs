@@ -47,14 +47,8 @@ pub(super) fn binding(
     margin: Option<f64>,
 ) -> Result<QuestionBinding, EvidenceError> {
     let wrong = |reason: &str| Err(EvidenceError::Contradicts(Problem::new(Asked::FILE, reason)));
-    let listed = files.iter().any(|file| file.path == Asked::FILE);
-    let path = folder.join(Asked::FILE);
-    let asked = if listed {
-        let text = read_regular_text(&path).map_err(EvidenceError::io(&path, "read"))?;
-        Some(Asked::from_json(Path::new(Asked::FILE), &text)?)
-    } else {
-        None
-    };
+    let asked = listed(folder, files, Asked::FILE)?;
+    let asked = asked.map(|text| Asked::from_json(Path::new(Asked::FILE), &text)).transpose()?;
     let asked = match (&provenance.question_sha256, asked) {
         (None, None) => return Ok(QuestionBinding::Afterwards),
         (Some(_), None) => {
@@ -68,20 +62,9 @@ pub(super) fn binding(
     let path = folder.join(REQUIREMENTS);
     let text = read_regular_text(&path).map_err(EvidenceError::io(&path, "read"))?;
     let requirements = Requirements::from_toml(&text)?;
-    let path = folder.join(BASELINE);
-    let baseline = if files.iter().any(|file| file.path == BASELINE) {
-        let text = read_regular_text(&path).map_err(EvidenceError::io(&path, "read"))?;
-        Some(Baseline::from_json(&text)?)
-    } else {
-        None
-    };
-    let path = folder.join(RealEvidence::FILE);
-    let real = if files.iter().any(|file| file.path == RealEvidence::FILE) {
-        let text = read_regular_text(&path).map_err(EvidenceError::io(&path, "read"))?;
-        Some(RealEvidence::from_json(&path, &text)?)
-    } else {
-        None
-    };
+    let baseline = listed(folder, files, BASELINE)?.map(|text| Baseline::from_json(&text)).transpose()?;
+    let real = listed(folder, files, RealEvidence::FILE)?;
+    let real = real.map(|text| RealEvidence::from_json(Path::new(RealEvidence::FILE), &text)).transpose()?;
     let changed: Vec<String> = [
         ("requirements", requirements != asked.requirements),
         ("baseline", baseline != asked.baseline),
@@ -99,4 +82,13 @@ pub(super) fn binding(
         Some(_) => QuestionBinding::AsAsked,
         None => QuestionBinding::Afterwards,
     })
+}
+
+/// The content of a file that the evidence may leave out. `None` if its list does not contain it.
+fn listed(folder: &Path, files: &[FileRecord], name: &str) -> Result<Option<String>, EvidenceError> {
+    if !files.iter().any(|file| file.path == name) {
+        return Ok(None);
+    }
+    let path = folder.join(name);
+    read_regular_text(&path).map(Some).map_err(EvidenceError::io(&path, "read"))
 }

@@ -12,10 +12,9 @@ use robogate_report::{Headline, analysis_json_with, limits, low_side};
 use robogate_stats::format::{counted, p_value, percent_or_dash};
 
 use crate::commands::report::evidence;
-use crate::commands::shard::quoted;
 use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
 use crate::source::open_source;
-use crate::terminal::{self, bar, bold, dim, grouped, line, percent, wrapped};
+use crate::terminal::{self, bar, bold, dim, grouped, line, percent, quoted, wrapped};
 use crate::twins::{self, NominalArguments};
 use crate::two_fidelities;
 

@@ -11,12 +11,11 @@ use robogate_dictionary::export::{Format, write_file, write_to};
 use robogate_dictionary::{Dictionary, DictionaryError, Entry, Provenance, write_parquet};
 use robogate_stats::format::counted;
 
-use crate::commands::shard::quoted;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
 use crate::remote::Simulators;
 use crate::subject::{Subject, starts_processes};
-use crate::terminal::note;
+use crate::terminal::{note, quoted};
 
 /// Write a failure dictionary as CSV, JSON Lines or the published JSON, or as Parquet with its hidden draws.
 #[derive(Debug, Args)]

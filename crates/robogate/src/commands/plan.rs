@@ -7,9 +7,9 @@ use robogate_campaign::shards::{OpenRound, Shard, ShardRound};
 use serde_json::{Value, json};
 
 use crate::commands::matrix;
-use crate::commands::shard::{exit, open, quoted};
+use crate::commands::shard::{exit, open};
 use crate::exit::{DONE, Exit};
-use crate::terminal::{line, note};
+use crate::terminal::{line, note, quoted};
 
 /// Print the next shards of a campaign that several machines run, as commands: one per line, for the missing shards of
 /// the open round. Prints nothing when all rounds are complete.

@@ -34,7 +34,7 @@ use crate::progress::Progress;
 use crate::source::open_source;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary;
-use crate::terminal::{Screen, grouped, note, percent, warning};
+use crate::terminal::{Screen, grouped, note, percent, quoted, warning};
 use crate::twins::{self, Arms};
 use crate::two_fidelities::{self, CoarseArm};
 use crate::watch::Frames;
@@ -573,7 +573,7 @@ pub(crate) fn stop_at_once() -> ! {
 /// Prints the progress of an interrupted campaign and how to resume it.
 pub(crate) fn interrupted(dir: &Path, done: u64, episodes: u64) -> u8 {
     note(format_args!("{} of {} episodes are recorded.", grouped(done), grouped(episodes)));
-    note(format_args!("next: robogate resume {}", shard::quoted(dir)));
+    note(format_args!("next: robogate resume {}", quoted(dir)));
     INTERRUPTED
 }
 

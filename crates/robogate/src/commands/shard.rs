@@ -17,7 +17,7 @@ use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, OrExit, USAGE};
 use crate::place;
 use crate::sharded::Campaign;
 use crate::subject::Subject;
-use crate::terminal::{grouped, line, note};
+use crate::terminal::{grouped, line, note, quoted};
 
 /// Runs `shards` of the open round of the campaign in `dir`, and commits each at its end. The first process stores the
 /// prior.
@@ -231,24 +231,4 @@ pub(crate) fn exit(error: ShardError) -> Exit {
         | ShardError::Missing { .. } => INFRASTRUCTURE,
     };
     Exit { code, error: error.into() }
-}
-
-/// A path as one word of a shell command.
-pub(crate) fn quoted(path: &Path) -> String {
-    let text = path.display().to_string();
-    let plain = |c: char| c.is_ascii_alphanumeric() || "_-./:,@%+=".contains(c);
-    if !text.is_empty() && text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn paths_become_shell_words() {
-        assert_eq!(quoted(Path::new("/data/run-1")), "/data/run-1");
-        assert_eq!(quoted(Path::new("my run")), "'my run'");
-        assert_eq!(quoted(Path::new("it's")), "'it'\\''s'");
-        assert_eq!(quoted(Path::new("$HOME")), "'$HOME'");
-    }
 }

@@ -6,10 +6,10 @@ use clap::Args;
 use robogate_campaign::shards::{RoundState, RoundStatus, ShardStatus};
 
 use crate::commands::matrix;
-use crate::commands::shard::{open, quoted};
+use crate::commands::shard::open;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::summary::outcomes_in_one_line;
-use crate::terminal::{bold, grouped, line, note};
+use crate::terminal::{bold, grouped, line, note, quoted};
 
 /// Show which shards of a campaign are committed, and their outcomes so far.
 #[derive(Debug, Args)]

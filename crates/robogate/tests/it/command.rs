@@ -184,7 +184,7 @@ fn wrong_arguments_are_usage_errors() {
     assert_usage(&["resume", &out], &["no plan.json"]);
     assert_usage(&["export", &plan, &path(&dir, "x.csv")], &["plan.toml"]);
     assert_usage(&["import", &plan, &path(&dir, "x.parquet")], &["plan.toml"]);
-    // An address is no folder. Without a check, a folder `s3:` would be created.
+    // An address is not a folder. Without a check, a folder `s3:` would be created.
     for line in [
         "run -n 1 --out",
         "gate --out",

@@ -42,7 +42,7 @@ fn merged_shards_equal_single_run() {
     verb(&format!("{PENDULUM} --policy-at ws://127.0.0.1:1 --shard 2/3"), 2, &["neither a server nor a file"]);
     verb(&format!("{PENDULUM} --shard 2/3"), 0, &["shard 2/3 of round uniform: 20 episodes"]);
     verb("run --shard 2/3 --out run", 0, &["nothing to do", "committed already"]);
-    // Options of this process, which are no part of the plan.
+    // Options of this process, which are not part of the plan.
     verb("-q run --shard 2/3 --out run", 0, &[]);
     verb("run --shard 2/3 --out run -q --policy-key key.txt --policy-ca ca.pem", 0, &[]);
     verb(&format!("{PENDULUM} --shard 2/3"), 0, &["nothing to do"]);
@@ -214,24 +214,31 @@ fn real_trials_decide_gates_on_any_executor() {
     verb(one, "evidence weak evidence --real strong.json", 2, &["the real trials differ", "--reasked"]);
 }
 
-#[test]
-fn sweep_ranks_policies_on_any_executor() {
-    let dirs = [TempDir::new().unwrap(), TempDir::new().unwrap()];
-    let sweep = r#"
+/// A sweep of two policies on the pendulum.
+fn sweep_of(name: &str, episodes: u32) -> String {
+    format!(
+        r#"
         version = 1
-        name = "swing-ups"
+        name = "{name}"
         seed = 3
         [[task]]
         name = "pendulum"
-        episodes = 60
+        episodes = {episodes}
         [[policy]]
         name = "scripted"
         [[policy]]
         name = "random actions"
         policy = "random"
-    "#;
+        "#
+    )
+}
+
+#[test]
+fn sweep_ranks_policies_on_any_executor() {
+    let dirs = [TempDir::new().unwrap(), TempDir::new().unwrap()];
+    let sweep = sweep_of("swing-ups", 60);
     let [threads, shards] = dirs.each_ref().map(|dir| {
-        fs::write(dir.path().join("sweep.toml"), sweep).unwrap();
+        fs::write(dir.path().join("sweep.toml"), &sweep).unwrap();
         dir.path()
     });
     verb(threads, "matrix sweep.toml --list", 0, &["--task pendulum --design uniform -n 60 --policy random --seed 3"]);
@@ -267,19 +274,7 @@ fn sweep_ranks_policies_on_any_executor() {
 #[test]
 fn sweep_survives_killed_run_and_ends_on_signal() {
     let dir = TempDir::new().unwrap();
-    let sweep = r#"
-        version = 1
-        name = "long"
-        [[task]]
-        name = "pendulum"
-        episodes = 30000
-        [[policy]]
-        name = "scripted"
-        [[policy]]
-        name = "random actions"
-        policy = "random"
-    "#;
-    fs::write(dir.path().join("sweep.toml"), sweep).unwrap();
+    fs::write(dir.path().join("sweep.toml"), sweep_of("long", 30_000)).unwrap();
     let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
         .args("matrix sweep.toml --threads 1 --out run".split(' '))
         .current_dir(dir.path())

@@ -9,9 +9,8 @@ use robogate_gate::{Fleet, FleetSubject, FleetUnit, Verdict};
 use robogate_report::{fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share};
 
 use super::plan::FleetPlan;
-use crate::commands::shard::quoted;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
-use crate::terminal::{bold, dim, line, note, wrapped};
+use crate::terminal::{bold, dim, line, note, quoted, wrapped};
 
 /// The files of the result.
 const FILES: [&str; 3] = ["fleet-result.json", "fleet.md", "fleet.html"];

@@ -24,7 +24,7 @@ use crate::twins::NominalArguments;
 
 pub(crate) use judge::evaluation_of;
 pub(crate) use question::{
-    built_in_baseline, compared_with, open_requirements, real_evidence_for, refused, write_question,
+    begun, built_in_baseline, compared_with, open_requirements, real_evidence_for, refused, write_question,
 };
 pub(crate) use rounds::{Look, resume};
 pub(crate) use verdict::{finish, ruled_out, write_answer};

@@ -136,11 +136,16 @@ pub(crate) fn real_evidence_for(path: &Path, provenance: &Provenance) -> Result<
     Ok(real)
 }
 
+/// The record of a gate before its first episode, with the trials of the real robot that it was asked about.
+pub(crate) fn begun(provenance: &Provenance, asked: &Asked) -> Result<Record, Exit> {
+    let record = Record::begun(provenance).map_err(refused)?;
+    Ok(Record { real: asked.real.clone(), ..record })
+}
+
 /// The episodes of a run, with the trials of the real robot that its gate was asked about.
 pub(super) fn judged(source: &Source, asked: &Asked) -> Result<Record, Exit> {
-    let mut record = Record::of(source.dictionary()).map_err(refused)?;
-    record.real.clone_from(&asked.real);
-    Ok(record)
+    let record = Record::of(source.dictionary()).map_err(refused)?;
+    Ok(Record { real: asked.real.clone(), ..record })
 }
 
 /// The question of a run, with the record of the run that it compares with.

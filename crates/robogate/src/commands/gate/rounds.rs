@@ -6,7 +6,7 @@ use std::path::Path;
 use robogate_campaign::{Completion, Round, Settings};
 use robogate_gate::{Asked, AskedAgainst, GateError, Record, Sampling, Trial, Verdict};
 
-use super::question::{compared_with, question, refused, write_question};
+use super::question::{begun, compared_with, question, write_question};
 use super::verdict::{finish, ruled_out};
 use crate::commands::rival::Rival;
 use crate::commands::run::How;
@@ -135,8 +135,7 @@ pub(crate) fn resume(
         Some(_) => None,
         None => compared_with(&asked)?.map(|(_, record)| record),
     };
-    let mut record = Record::begun(&settings.provenance).map_err(refused)?;
-    record.real.clone_from(&asked.real);
+    let record = begun(&settings.provenance, &asked)?;
     let arms = Arms::of(dir, &settings.plan, &settings.provenance.space, subject)?;
     let provenance = subject.provenance(settings.provenance.space)?;
     let mut rounds = Rounds { dir, asked, rival, other, record, trouble: None, broken: None };

@@ -15,11 +15,10 @@ use super::question::{judged, question, refused};
 use crate::answer;
 use crate::benchmark;
 use crate::commands::run::{interrupted, write_report};
-use crate::commands::shard::quoted;
 use crate::exit::{Exit, OrExit};
 use crate::subject::Subject;
 use crate::summary::influential;
-use crate::terminal::{line, note};
+use crate::terminal::{line, note, quoted};
 use crate::twins;
 use crate::watch::Frames;
 

@@ -14,7 +14,7 @@ use super::sweep::{SweepPlan, SweepRun};
 use crate::commands::plan::{NextShard, next_shards};
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit};
-use crate::terminal::{bold, grouped, line, note};
+use crate::terminal::{bold, grouped, line, note, quoted};
 
 impl SweepRun {
     /// The arguments of `robogate run`.
@@ -236,7 +236,7 @@ pub(super) fn divide(dir: &Path, plan: &SweepPlan, as_json: bool) -> Result<u8, 
         let episodes = shards_of(dir, plan)?.iter().map(|(_, status)| status.episodes).sum::<u64>();
         line(json!({ "version": 1, "dir": dir, "shards": shards, "episodes": episodes, "runs": plan.runs.len() }));
     }
-    note(format_args!("next: robogate plan {} --next", shard::quoted(dir)));
+    note(format_args!("next: robogate plan {} --next", quoted(dir)));
     Ok(DONE)
 }
 
@@ -257,7 +257,7 @@ pub(crate) fn next(dir: &Path, plan: &SweepPlan, as_json: bool) -> Result<u8, Ex
         items.iter().for_each(|item| line(item.line()));
     }
     match items.len() {
-        0 => note(format_args!("all runs are complete\nnext: robogate merge {}", shard::quoted(dir))),
+        0 => note(format_args!("all runs are complete\nnext: robogate merge {}", quoted(dir))),
         missing => note(format_args!("{missing} shards of the open rounds are missing")),
     }
     Ok(DONE)
