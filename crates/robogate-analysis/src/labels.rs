@@ -37,6 +37,14 @@ pub fn label_and_unit(parameter: &str) -> (String, &'static str) {
     (words.join(" "), unit)
 }
 
+/// The label of a parameter, or of one of its levels: "friction", "shape sphere".
+pub fn parameter_or_level(parameter: &str, level: Option<&str>) -> String {
+    match level {
+        Some(level) => format!("{} {}", parameter_label(parameter), mode_label(level)),
+        None => parameter_label(parameter),
+    }
+}
+
 /// The label of a parameter: "mass" for `mass_kg`.
 pub fn parameter_label(parameter: &str) -> String {
     label_and_unit(parameter).0

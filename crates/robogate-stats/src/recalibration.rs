@@ -8,16 +8,25 @@
 //! distribution under the corrected model is simulated. p-values are adjusted for the largest statistic of all columns
 //! (Westfall and Young 1993, single step), so the probability of naming any column without effect is at most α.
 //!
+//! [`Recalibration::with_effects`] adds single columns to the corrected model: log-odds of success a + b η + Σ g z, with the
+//! prior g ~ N(0, 1) for a standardised column z. Its posterior consists of weighted draws: a Student distribution around the
+//! mode proposes them, and importance weights correct it. An effect that was chosen by a test is on average estimated too
+//! large; the prior draws it towards 0.
+//!
 //! Trials that share effects count less: a design effect d (the variance of their success rate relative to independent
 //! trials) divides the log-likelihood and the squared score statistics (Rao and Scott 1992, Biometrics 48).
 //!
-//! Limits: trials are independent given the model, but for d. The simulation keeps (a, b) at their estimate; the columns are made
-//! orthogonal to both, so the error is of second order. Sources: Cox (1958), Biometrika 45 (recalibration); Rao (1948).
+//! Limits: trials are independent given the model, but for d. The simulation keeps the model at its estimate; the columns are
+//! made orthogonal to it, so the error is of second order. Sources: Cox (1958), Biometrika 45 (recalibration); Rao (1948);
+//! Geweke (1989), Econometrica 57 (importance sampling).
 
 use std::collections::BTreeMap;
 
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
+
+use robogate_maths::dense::{Cholesky, dot};
+use robogate_maths::normal;
 
 use crate::Interval;
 
@@ -38,8 +47,27 @@ const REACH: f64 = 7.0;
 const MOST_SINGLE: usize = 1_000;
 /// Standard deviations of the priors.
 const PRIOR: (f64, f64) = (2.0, 1.0);
+/// Standard deviation of the prior of an effect.
+const PRIOR_EFFECT: f64 = 1.0;
+/// Draws of a posterior with effects.
+const POSTERIOR_DRAWS: usize = 2_000;
+/// Degrees of freedom of the distribution that proposes them.
+const PROPOSAL_DF: usize = 5;
+/// Most Newton steps to the mode of a posterior with effects.
+const STEPS_TO_MODE: usize = 50;
 /// Simulated sets of outcomes.
 const SIMULATIONS: usize = 1_999;
+
+/// Trials with the log-odds that a model predicts for them.
+#[derive(Debug, Clone, Copy)]
+pub struct Observed<'a> {
+    /// The model's log-odds of success η, for each trial.
+    pub eta: &'a [f64],
+    /// Whether each trial succeeded.
+    pub outcomes: &'a [bool],
+    /// The variance of their success rate relative to independent trials, at least 1.
+    pub design_effect: f64,
+}
 
 /// A quantity with the interval of its posterior.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,8 +81,10 @@ pub struct Posterior {
 /// The posterior of the correction.
 #[derive(Debug, Clone)]
 pub struct Recalibration {
-    /// (a, b, probability), in order of the grid.
+    /// (a, b, probability), in order of the grid or of the draws.
     points: Vec<(f64, f64, f64)>,
+    /// The effects at each point, one after the other.
+    effects: Vec<f64>,
     level: f64,
 }
 
@@ -105,20 +135,18 @@ pub fn log_odds(p: f64) -> f64 {
 }
 
 impl Recalibration {
-    /// The posterior after trials with these log-odds and outcomes, whose log-likelihood is divided by `design_effect`.
-    /// `level` is that of the intervals.
-    pub fn of(eta: &[f64], outcomes: &[bool], design_effect: f64, level: f64) -> Self {
-        let trials = counted(eta, outcomes);
+    /// The posterior after these trials. `level` is that of the intervals.
+    pub fn of(observed: Observed<'_>, level: f64) -> Self {
+        let trials = counted(observed.eta, observed.outcomes);
         let log_likelihood = |a: f64, b: f64| {
-            let of_outcome = |x: f64, count: f64| if count > 0.0 { -count * x.exp().ln_1p() } else { 0.0 };
             let of_trial = |[eta, successes, failures]: &[f64; 3]| {
                 let x = a + b * eta;
-                of_outcome(-x, *successes) + of_outcome(x, *failures)
+                ln_odds_part(-x, *successes) + ln_odds_part(x, *failures)
             };
-            trials.iter().map(of_trial).sum::<f64>() / design_effect
+            trials.iter().map(of_trial).sum::<f64>() / observed.design_effect
         };
         let (mut shifts, mut slopes) = (SHIFTS, SLOPES);
-        let mut found = Self { points: on_grid(shifts, slopes, log_likelihood), level };
+        let mut found = Self { points: on_grid(shifts, slopes, log_likelihood), effects: Vec::new(), level };
         // Each grid has a tenth of the step of the last one, or resolves the posterior.
         for _ in 0..4 {
             let finer = (found.finer(shifts, |a, _| a), found.finer(slopes, |_, b| b));
@@ -129,6 +157,38 @@ impl Recalibration {
             found.points = on_grid(shifts, slopes, log_likelihood);
         }
         found
+    }
+
+    /// The posterior with the effects of these standardised columns (one value for each trial). Without a column, that of
+    /// [`Self::of`].
+    pub fn with_effects(observed: Observed<'_>, columns: &[Vec<f64>], level: f64, seed: u64) -> Self {
+        let posterior = WithEffects::of(observed, columns);
+        let proposal = (!columns.is_empty()).then(|| posterior.mode()).flatten();
+        let Some((mode, factor)) = proposal else { return Self::of(observed, level) };
+        let size = mode.len();
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut draws = Vec::with_capacity(POSTERIOR_DRAWS);
+        for _ in 0..POSTERIOR_DRAWS {
+            let mut standard = || normal::quantile(((random.next_u64() >> 11) as f64 + 0.5) / (1_u64 << 53) as f64);
+            let z: Vec<f64> = (0..size).map(|_| standard()).collect();
+            let df = PROPOSAL_DF as f64;
+            let scale = (df / (0..PROPOSAL_DF).map(|_| standard().powi(2)).sum::<f64>()).sqrt();
+            let distance: f64 = z.iter().map(|z| (z * scale).powi(2)).sum();
+            let ln_proposal = -0.5 * (df + size as f64) * (distance / df).ln_1p();
+            // x = L⁻ᵀ z has the covariance A⁻¹ of a precision A = L Lᵀ. A x = L z.
+            let mut step: Vec<f64> = factor.lower().chunks(size).map(|row| dot(row, &z)).collect();
+            factor.solve(&mut step);
+            let draw: Vec<f64> = mode.iter().zip(step).map(|(mode, step)| mode + scale * step).collect();
+            let ln_weight = posterior.ln(&draw) - ln_proposal;
+            draws.push((draw, ln_weight));
+        }
+        let top = draws.iter().map(|(_, ln_weight)| *ln_weight).fold(f64::NEG_INFINITY, f64::max);
+        let total: f64 = draws.iter().map(|(_, ln_weight)| (ln_weight - top).exp()).sum();
+        Self {
+            points: draws.iter().map(|(draw, w)| (draw[0], draw[1], (w - top).exp() / total)).collect(),
+            effects: draws.iter().flat_map(|(draw, _)| draw[2..].iter().copied()).collect(),
+            level,
+        }
     }
 
     /// A finer grid around the posterior of a coordinate, if it is narrow for `grid`.
@@ -144,9 +204,18 @@ impl Recalibration {
         (deviation < STEPS * step).then(|| ((mean - reach).max(low), (mean + reach).min(high), n))
     }
 
-    /// The posterior of a function of (a, b).
-    pub fn of_function(&self, function: impl Fn(f64, f64) -> f64) -> Posterior {
-        let mut values: Vec<(f64, f64)> = self.points.iter().map(|(a, b, w)| (function(*a, *b), *w)).collect();
+    /// The number of effects.
+    fn columns(&self) -> usize {
+        self.effects.len() / self.points.len().max(1)
+    }
+
+    /// The posterior of a function of a, b and the effects.
+    pub fn of_function(&self, function: impl Fn(f64, f64, &[f64]) -> f64) -> Posterior {
+        let columns = self.columns();
+        let value = |(i, (a, b, w)): (usize, &(f64, f64, f64))| {
+            (function(*a, *b, &self.effects[i * columns..(i + 1) * columns]), *w)
+        };
+        let mut values: Vec<(f64, f64)> = self.points.iter().enumerate().map(value).collect();
         values.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mean = values.iter().map(|(x, w)| x * w).sum();
         let quantile = |q: f64| {
@@ -163,23 +232,121 @@ impl Recalibration {
 
     /// a: how much the log-odds of success differ where the model predicts 50 %.
     pub fn shift(&self) -> Posterior {
-        self.of_function(|a, _| a)
+        self.of_function(|a, _, _| a)
     }
 
     /// b: how much of the model's differences between settings is found in the trials.
     pub fn slope(&self) -> Posterior {
-        self.of_function(|_, b| b)
+        self.of_function(|_, b, _| b)
     }
 
-    /// P(success) at log-odds `eta` of the model.
-    pub fn success(&self, eta: f64) -> Posterior {
-        self.of_function(|a, b| logistic(a + b * eta))
+    /// g: the change of the log-odds per unit of each column.
+    pub fn effects(&self) -> Vec<Posterior> {
+        (0..self.columns()).map(|k| self.of_function(|_, _, effects| effects[k])).collect()
     }
 
-    /// The model's probability at which the corrected one is `target`. `None` if the slope may be 0 or negative.
+    /// P(success) at log-odds `eta` of the model and these values of the columns. Missing ones are 0.
+    pub fn success(&self, eta: f64, values: &[f64]) -> Posterior {
+        self.of_function(|a, b, effects| corrected(a, b, effects, eta, values))
+    }
+
+    /// The model's probability at which the corrected one is `target`, where all columns are 0. `None` if the slope may be 0
+    /// or negative.
     pub fn boundary(&self, target: f64) -> Option<Posterior> {
         let wanted = log_odds(target);
-        (self.slope().interval.low > 0.0).then(|| self.of_function(|a, b| logistic((wanted - a) / b.max(1e-3))))
+        (self.slope().interval.low > 0.0).then(|| self.of_function(|a, b, _| logistic((wanted - a) / b.max(1e-3))))
+    }
+}
+
+/// The corrected probability of success at log-odds `eta` of the model and values of the columns.
+pub fn corrected(a: f64, b: f64, effects: &[f64], eta: f64, values: &[f64]) -> f64 {
+    logistic(a + b * eta + effects.iter().zip(values).map(|(effect, value)| effect * value).sum::<f64>())
+}
+
+/// The log-likelihood of `count` outcomes whose opposite has the log-odds `x`.
+fn ln_odds_part(x: f64, count: f64) -> f64 {
+    if count > 0.0 { -count * x.exp().ln_1p() } else { 0.0 }
+}
+
+/// The posterior of (a, b, effects) up to a constant.
+struct WithEffects<'a> {
+    /// (1, η, columns) of each trial.
+    rows: Vec<Vec<f64>>,
+    observed: Observed<'a>,
+}
+
+impl<'a> WithEffects<'a> {
+    fn of(observed: Observed<'a>, columns: &[Vec<f64>]) -> Self {
+        let row = |(i, eta): (usize, &f64)| [1.0, *eta].into_iter().chain(columns.iter().map(|x| x[i])).collect();
+        Self { rows: observed.eta.iter().enumerate().map(row).collect(), observed }
+    }
+
+    /// Mean and standard deviation of the prior of a coordinate.
+    fn prior(coordinate: usize) -> (f64, f64) {
+        match coordinate {
+            0 => (0.0, PRIOR.0),
+            1 => (1.0, PRIOR.1),
+            _ => (0.0, PRIOR_EFFECT),
+        }
+    }
+
+    fn ln(&self, at: &[f64]) -> f64 {
+        let prior = |(k, x): (usize, &f64)| {
+            let (mean, deviation) = Self::prior(k);
+            -0.5 * ((x - mean) / deviation).powi(2)
+        };
+        let of_trial = |(row, success): (&Vec<f64>, &bool)| {
+            let x = dot(row, at);
+            ln_odds_part(if *success { -x } else { x }, 1.0)
+        };
+        let trials: f64 = self.rows.iter().zip(self.observed.outcomes).map(of_trial).sum();
+        trials / self.observed.design_effect + at.iter().enumerate().map(prior).sum::<f64>()
+    }
+
+    /// The mode and the factor of the precision there, by Newton's method. The posterior is log-concave.
+    fn mode(&self) -> Option<(Vec<f64>, Cholesky)> {
+        let size = self.rows.first()?.len();
+        let mut at: Vec<f64> = (0..size).map(|k| Self::prior(k).0).collect();
+        let mut value = self.ln(&at);
+        for _ in 0..STEPS_TO_MODE {
+            let (gradient, factor) = self.derivatives(&at)?;
+            let mut step = gradient;
+            factor.solve(&mut step);
+            // Halved until it improves; at the mode, no part of it does.
+            let moved = |part: f64| at.iter().zip(&step).map(|(at, step)| at + part * step).collect::<Vec<f64>>();
+            let better = (0..20).map(|halvings| moved(0.5_f64.powi(halvings))).find(|to| self.ln(to) > value);
+            let Some(to) = better else { break };
+            let gain = self.ln(&to) - value;
+            at = to;
+            value += gain;
+            if gain < 1e-10 {
+                break;
+            }
+        }
+        let (_, factor) = self.derivatives(&at)?;
+        Some((at, factor))
+    }
+
+    /// The gradient of the logarithm, and the factor of its negative second derivatives.
+    fn derivatives(&self, at: &[f64]) -> Option<(Vec<f64>, Cholesky)> {
+        let size = at.len();
+        let (mut gradient, mut precision) = (vec![0.0; size], vec![0.0; size * size]);
+        for (row, success) in self.rows.iter().zip(self.observed.outcomes) {
+            let p = logistic(dot(row, at));
+            let error = f64::from(u8::from(*success)) - p;
+            for i in 0..size {
+                gradient[i] += error * row[i] / self.observed.design_effect;
+                for j in 0..size {
+                    precision[i * size + j] += p * (1.0 - p) * row[i] * row[j] / self.observed.design_effect;
+                }
+            }
+        }
+        for k in 0..size {
+            let (mean, deviation) = Self::prior(k);
+            gradient[k] -= (at[k] - mean) / deviation.powi(2);
+            precision[k * size + k] += deviation.powi(-2);
+        }
+        Some((gradient, Cholesky::new(&precision, size, 1e-12).ok()?))
     }
 }
 
@@ -196,20 +363,22 @@ pub struct Effect {
     pub se: f64,
 }
 
-/// Tests which columns explain `outcomes` beyond the corrected model. `None` for a column that does not vary beyond the
-/// model's log-odds. The squared statistics are divided by `design_effect`.
+/// Tests which columns explain the outcomes beyond the corrected model, which has the columns `known` already. `None` for a
+/// column that does not vary beyond the model.
 pub fn effects(
-    eta: &[f64],
-    outcomes: &[bool],
+    Observed { eta, outcomes, design_effect }: Observed<'_>,
     columns: &[Vec<f64>],
     model: &Recalibration,
-    design_effect: f64,
+    known: &[Vec<f64>],
     seed: u64,
 ) -> Vec<Option<Effect>> {
     let (a, b) = (model.shift().mean, model.slope().mean);
-    let p: Vec<f64> = eta.iter().map(|eta| logistic(a + b * eta)).collect();
+    let means: Vec<f64> = model.effects().iter().map(|effect| effect.mean).collect();
+    let values = |i: usize| known.iter().map(|column| column[i]).collect::<Vec<f64>>();
+    let p: Vec<f64> = eta.iter().enumerate().map(|(i, eta)| corrected(a, b, &means, *eta, &values(i))).collect();
     let w: Vec<f64> = p.iter().map(|p| p * (1.0 - p)).collect();
-    let ready: Vec<Option<(Vec<f64>, f64)>> = columns.iter().map(|x| orthogonal(x, eta, &w)).collect();
+    let model: Vec<&[f64]> = std::iter::once(eta).chain(known.iter().map(Vec::as_slice)).collect();
+    let ready: Vec<Option<(Vec<f64>, f64)>> = columns.iter().map(|x| orthogonal(x, &model, &w)).collect();
     let z = |x: &[f64], information: f64, y: &mut dyn FnMut(usize) -> f64| -> f64 {
         x.iter().enumerate().map(|(i, x)| x * (y(i) - p[i])).sum::<f64>() / information.sqrt()
     };
@@ -246,27 +415,42 @@ pub fn effects(
         .collect()
 }
 
-/// A standardised column without its weighted regression on 1 and η, and its information.
-fn orthogonal(x: &[f64], eta: &[f64], w: &[f64]) -> Option<(Vec<f64>, f64)> {
+/// A standardised column without its weighted regression on 1 and the columns of the model, and its information.
+fn orthogonal(x: &[f64], model: &[&[f64]], w: &[f64]) -> Option<(Vec<f64>, f64)> {
     let n = x.len() as f64;
     let mean = x.iter().sum::<f64>() / n;
     let deviation = (x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / n).sqrt();
     if deviation.is_nan() || deviation <= 1e-12 {
         return None;
     }
-    let x: Vec<f64> = x.iter().map(|x| (x - mean) / deviation).collect();
     let total: f64 = w.iter().sum();
-    let weighted = |v: &[f64]| v.iter().zip(w).map(|(v, w)| v * w).sum::<f64>() / total;
-    let (mx, me) = (weighted(&x), weighted(eta));
-    let (mut shared, mut spread) = (0.0, 0.0);
-    for ((x, eta), w) in x.iter().zip(eta).zip(w) {
-        shared += w * (x - mx) * (eta - me);
-        spread += w * (eta - me).powi(2);
+    let centred = |v: &[f64]| -> Vec<f64> {
+        let mean = v.iter().zip(w).map(|(v, w)| v * w).sum::<f64>() / total;
+        v.iter().map(|v| v - mean).collect()
+    };
+    let standard: Vec<f64> = x.iter().map(|x| (x - mean) / deviation).collect();
+    let mut rest = centred(&standard);
+    // Gram-Schmidt: `axes` span the model.
+    let mut axes: Vec<Vec<f64>> = Vec::with_capacity(model.len());
+    for column in model {
+        let mut axis = centred(column);
+        axes.iter().for_each(|other| remove(&mut axis, other, w));
+        remove(&mut rest, &axis, w);
+        axes.push(axis);
     }
-    let slope = if spread > 1e-12 { shared / spread } else { 0.0 };
-    let rest: Vec<f64> = x.iter().zip(eta).map(|(x, eta)| x - mx - slope * (eta - me)).collect();
     let information: f64 = rest.iter().zip(w).map(|(x, w)| w * x * x).sum();
     (information > 1e-6 * total).then_some((rest, information))
+}
+
+/// Subtracts the weighted projection on `axis`.
+fn remove(from: &mut [f64], axis: &[f64], w: &[f64]) {
+    let (mut shared, mut spread) = (0.0, 0.0);
+    for ((x, axis), w) in from.iter().zip(axis).zip(w) {
+        shared += w * x * axis;
+        spread += w * axis * axis;
+    }
+    let slope = if spread > 1e-12 { shared / spread } else { 0.0 };
+    from.iter_mut().zip(axis).for_each(|(x, axis)| *x -= slope * axis);
 }
 
 #[cfg(test)]
@@ -286,12 +470,16 @@ mod tests {
         (eta, x, y)
     }
 
+    fn observed<'a>(eta: &'a [f64], outcomes: &'a [bool], design_effect: f64) -> Observed<'a> {
+        Observed { eta, outcomes, design_effect }
+    }
+
     #[test]
     fn intervals_cover_shift_and_slope() {
         let (mut shift, mut slope, mut boundary) = (0, 0, 0);
         for seed in 0..100 {
             let (eta, _, y) = data(seed, 40, |eta, _| 0.7 * eta - 0.8);
-            let found = Recalibration::of(&eta, &y, 1.0, 0.95);
+            let found = Recalibration::of(observed(&eta, &y, 1.0), 0.95);
             shift += usize::from(found.shift().interval.contains(-0.8));
             slope += usize::from(found.slope().interval.contains(0.7));
             boundary += usize::from(found.boundary(0.5).is_none_or(|b| b.interval.contains(logistic(0.8 / 0.7))));
@@ -307,7 +495,7 @@ mod tests {
             let share = logistic(1.0);
             let limit = |i: usize| if i.is_multiple_of(2) { share } else { 1.0 - share };
             let y: Vec<bool> = (0..n).map(|i| limit(i) > ((i / 2) as f64 + 0.5) / (n / 2) as f64).collect();
-            Recalibration::of(&eta, &y, design_effect, 0.95)
+            Recalibration::of(observed(&eta, &y, design_effect), 0.95)
         };
         for n in [400, 40_000] {
             let (shift, slope) = (of(n, 1.0).shift(), of(n, 1.0).slope());
@@ -323,8 +511,8 @@ mod tests {
 
     #[test]
     fn equal_outcomes_have_a_posterior() {
-        let found = Recalibration::of(&[0.0; 20], &[true; 20], 1.0, 0.95);
-        assert!(found.shift().interval.low > 0.0 && found.success(0.0).interval.high < 1.0);
+        let found = Recalibration::of(observed(&[0.0; 20], &[true; 20], 1.0), 0.95);
+        assert!(found.shift().interval.low > 0.0 && found.success(0.0, &[]).interval.high < 1.0);
         assert_eq!(found.boundary(0.5), None);
     }
 
@@ -334,16 +522,60 @@ mod tests {
         for seed in 0..100 {
             let (eta, x, y) = data(seed, 40, |eta, _| eta - 0.5);
             let noise: Vec<Vec<f64>> = (0..5).map(|k| data(1_000 + 10 * seed + k, 40, |_, _| 0.0).1).collect();
-            let model = Recalibration::of(&eta, &y, 1.0, 0.95);
+            let model = Recalibration::of(observed(&eta, &y, 1.0), 0.95);
             let columns: Vec<Vec<f64>> = noise.iter().cloned().chain([x]).collect();
-            let found = effects(&eta, &y, &columns, &model, 1.0, seed);
+            let found = effects(observed(&eta, &y, 1.0), &columns, &model, &[], seed);
             named += usize::from(found.iter().flatten().any(|effect| effect.adjusted_p <= 0.05));
             let (eta, x, y) = data(seed, 60, |eta, x| eta - 6.0 * x + 3.0);
-            let model = Recalibration::of(&eta, &y, 1.0, 0.95);
+            let model = Recalibration::of(observed(&eta, &y, 1.0), 0.95);
             let columns: Vec<Vec<f64>> = noise.iter().map(|n| [&n[..], &n[..20]].concat()).chain([x]).collect();
-            let found = effects(&eta, &y, &columns, &model, 1.0, seed);
+            let found = effects(observed(&eta, &y, 1.0), &columns, &model, &[], seed);
             planted += usize::from(found[5].is_some_and(|effect| effect.adjusted_p <= 0.05 && effect.slope < 0.0));
         }
         assert!(named <= 11 && planted >= 55, "{named} {planted}");
+    }
+
+    #[test]
+    fn effects_join_the_model() {
+        let truth = |eta: f64, z: f64| 0.8 * eta - 0.5 - 0.9 * z;
+        // A standardised uniform column.
+        let of = |x: f64| (x - 0.5) * 12.0_f64.sqrt();
+        let (mut effect, mut shift, mut rates, mut places, mut plain_rates) = (0, 0, 0, 0, 0);
+        for seed in 0..100 {
+            let (eta, x, y) = data(seed, 60, |eta, x| truth(eta, of(x)));
+            let column: Vec<f64> = x.iter().map(|x| of(*x)).collect();
+            let trials = observed(&eta, &y, 1.0);
+            let model = Recalibration::with_effects(trials, std::slice::from_ref(&column), 0.95, seed);
+            let plain = Recalibration::of(trials, 0.95);
+            effect += usize::from(model.effects()[0].interval.contains(-0.9));
+            shift += usize::from(model.shift().interval.contains(-0.5));
+            for (eta, z) in [(-1.5, -1.2), (0.0, 1.2), (1.5, 0.0), (1.5, 1.5)] {
+                let rate = logistic(truth(eta, z));
+                rates += usize::from(model.success(eta, &[z]).interval.contains(rate));
+                plain_rates += usize::from(plain.success(eta, &[]).interval.contains(rate));
+                places += 1;
+            }
+            // The effect is in the model, and explains nothing more.
+            let more = effects(trials, &[column.clone(), eta.clone()], &model, std::slice::from_ref(&column), seed);
+            assert_eq!(more, [None, None]);
+        }
+        assert!(effect >= 90 && shift >= 90, "{effect} {shift}");
+        assert!(rates * 100 >= places * 91 && plain_rates * 100 < places * 75, "{rates} {plain_rates} of {places}");
+    }
+
+    #[test]
+    fn draws_and_grid_have_the_same_posterior() {
+        let (eta, _, y) = data(3, 60, |eta, _| 0.7 * eta - 0.8);
+        let grid = Recalibration::of(observed(&eta, &y, 1.0), 0.95);
+        // A column without information leaves the rest as it is, and its effect has its prior.
+        let draws = Recalibration::with_effects(observed(&eta, &y, 1.0), &[vec![0.0; 60]], 0.95, 1);
+        let near = |a: f64, b: f64| (a - b).abs() < 0.08;
+        for (a, b) in [(grid.shift(), draws.shift()), (grid.slope(), draws.slope())] {
+            let ends = near(a.interval.low, b.interval.low) && near(a.interval.high, b.interval.high);
+            assert!(near(a.mean, b.mean) && ends, "{a:?} {b:?}");
+        }
+        let prior = draws.effects()[0];
+        assert!(prior.mean.abs() < 0.1 && (prior.interval.width() - 3.92).abs() < 0.4, "{prior:?}");
+        assert_eq!(Recalibration::with_effects(observed(&eta, &y, 1.0), &[], 0.95, 1).shift(), grid.shift());
     }
 }

@@ -4,7 +4,6 @@ use robogate_core::{Domain, ParameterSpace, Seed};
 use robogate_stats::compare::fisher_exact;
 use robogate_stats::multiplicity::holm;
 use robogate_stats::prediction_powered::design_effect;
-use robogate_stats::recalibration::{Recalibration, effects, log_odds};
 use robogate_stats::{Confidence, Trials, clopper_pearson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -44,7 +43,8 @@ pub struct ParameterDifference {
     pub parameter: String,
     /// The level, for a categorical parameter.
     pub level: Option<String>,
-    /// The change of the log-odds of success for one standard deviation, beyond the corrected simulation.
+    /// The change of the log-odds of success for one standard deviation of the trials, beyond shift and slope of the
+    /// corrected simulation.
     pub effect: f64,
     /// Its 95 % interval (not adjusted).
     pub interval_95: [f64; 2],
@@ -132,53 +132,6 @@ fn independent(trials: Trials, design_effect: f64, other: Trials) -> Trials {
     let n = (trials.n() as f64 / design_effect).floor();
     let successes = if rate > limit { (rate * n).floor() } else { (rate * n).ceil() };
     Trials::new(successes as u64, n as u64).unwrap_or(Trials::NONE)
-}
-
-/// Tests every parameter for an effect beyond the corrected simulation. A missing value has the mean of the others. The
-/// design effect is that of the trials' success rate.
-pub(super) fn parameters(
-    space: &ParameterSpace,
-    trials: &RealTrials,
-    predicted: &[f64],
-    model: &Recalibration,
-    design_effect: f64,
-) -> Vec<ParameterDifference> {
-    let (mut names, mut columns) = (Vec::new(), Vec::new());
-    for (at, parameter) in space.parameters().iter().enumerate() {
-        let known: Vec<f64> = trials.trials.iter().filter_map(|t| t.values[at]).collect();
-        if known.is_empty() {
-            continue;
-        }
-        let column = |of: &dyn Fn(f64) -> f64| {
-            let mean = known.iter().map(|v| of(*v)).sum::<f64>() / known.len() as f64;
-            trials.trials.iter().map(|t| t.values[at].map_or(mean, of)).collect::<Vec<f64>>()
-        };
-        if let Domain::Categorical { choices } = &parameter.domain {
-            for (level, choice) in choices.iter().enumerate() {
-                names.push((parameter.name.to_string(), Some(choice.to_string())));
-                columns.push(column(&|v| f64::from(u8::from(v as usize == level))));
-            }
-        } else {
-            names.push((parameter.name.to_string(), None));
-            columns.push(column(&|v| parameter.domain.to_unit(v)));
-        }
-    }
-    let eta: Vec<f64> = predicted.iter().map(|p| log_odds(*p)).collect();
-    let z = Confidence::P95.z();
-    effects(&eta, &trials.outcomes(), &columns, model, design_effect, 1)
-        .into_iter()
-        .zip(names)
-        .filter_map(|(effect, (parameter, level))| {
-            let effect = effect?;
-            Some(ParameterDifference {
-                parameter,
-                level,
-                effect: effect.slope,
-                interval_95: [effect.slope - z * effect.se, effect.slope + z * effect.se],
-                adjusted_p: effect.adjusted_p,
-            })
-        })
-        .collect()
 }
 
 /// Tests whether the trials' values are a random sample of the population, parameter by parameter.

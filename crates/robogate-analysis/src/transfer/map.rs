@@ -10,11 +10,12 @@ use std::collections::BTreeMap;
 use robogate_core::ParameterSpace;
 use robogate_stats::Trials;
 use robogate_stats::binning::Edges;
-use robogate_stats::recalibration::{Recalibration, log_odds};
+use robogate_stats::recalibration::{corrected, log_odds};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::RealTrials;
+use super::corrected::CorrectedModel;
 use crate::effects::Effects;
 use crate::marginal::Zone;
 use crate::pairs::{Axis, ModelRate, PairCell, PairMap, ZoneCounts, axis, bins_for};
@@ -124,15 +125,18 @@ impl Places {
         self.places().into_iter().flat_map(at_place).collect()
     }
 
-    /// The map from the predictions for [`Self::settings`] of as many other settings.
+    /// The map from the predictions for [`Self::settings`] of these other settings.
     pub(super) fn map(
         &self,
         predicted: &[f64],
-        others: usize,
+        others: &[&Vec<f64>],
         trials: &RealTrials,
-        model: &Recalibration,
+        model: &CorrectedModel<'_>,
     ) -> CorrectedMap {
-        let rates: Vec<ModelRate> = predicted.chunks(others.max(1)).map(|of| rate(of, model)).collect();
+        let settings = self.settings(others);
+        let each = others.len().max(1);
+        let places = predicted.chunks(each).zip(settings.chunks(each));
+        let rates: Vec<ModelRate> = places.map(|(predicted, settings)| rate(predicted, settings, model)).collect();
         let [nx, ny] = self.cells();
         let mut counts = vec![Trials::NONE; nx * ny];
         let mut outside = 0;
@@ -159,7 +163,7 @@ impl Places {
         let (x, y) = (self.x.axis.clone(), self.y.axis.clone());
         CorrectedMap {
             map: PairMap { x, y, cells, outside, zones, length_scale: None },
-            settings: others as u64,
+            settings: others.len() as u64,
             target: TARGET,
             contour,
             band,
@@ -167,11 +171,11 @@ impl Places {
     }
 
     /// The contour of the target and its band.
-    fn boundary(&self, rates: &[ModelRate], model: &Recalibration) -> (Finding<Lines>, Lines) {
+    fn boundary(&self, rates: &[ModelRate], model: &CorrectedModel<'_>) -> (Finding<Lines>, Lines) {
         if !self.has_contour() {
             return (Finding::not("one of the two parameters has few levels"), Vec::new());
         }
-        if model.boundary(TARGET).is_none() {
+        if model.posterior().boundary(TARGET).is_none() {
             return (Finding::not("the trials do not show that the slope is positive"), Vec::new());
         }
         let nodes: Vec<Node> = self
@@ -200,16 +204,25 @@ pub(super) fn others(points: &[Vec<f64>], sorted: bool) -> Vec<&Vec<f64>> {
     points.iter().step_by(step).take(SETTINGS).collect()
 }
 
-/// The mean of the corrected model over these predictions, with its interval.
-fn rate(predicted: &[f64], model: &Recalibration) -> ModelRate {
-    let mut eta: Vec<f64> = predicted.iter().map(|p| log_odds(*p)).collect();
-    eta.sort_by(f64::total_cmp);
-    let few: Vec<(f64, f64)> = eta
-        .chunks(TOGETHER)
-        .map(|of| (of.iter().sum::<f64>() / of.len() as f64, of.len() as f64 / eta.len() as f64))
+/// The mean of the corrected model over these settings, with its interval.
+fn rate(predicted: &[f64], settings: &[Vec<f64>], model: &CorrectedModel<'_>) -> ModelRate {
+    let mut at: Vec<(f64, Vec<f64>)> =
+        predicted.iter().zip(settings).map(|(p, setting)| (log_odds(*p), model.values(setting))).collect();
+    at.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let n = at.len() as f64;
+    // Neighbours have about the same prediction, but not the same parameters.
+    let together = if at.iter().all(|(_, values)| values.is_empty()) { TOGETHER } else { 1 };
+    let few: Vec<(f64, &[f64], f64)> = at
+        .chunks(together)
+        .map(|of| {
+            let eta = of.iter().map(|(eta, _)| eta).sum::<f64>() / of.len() as f64;
+            (eta, of[0].1.as_slice(), of.len() as f64 / n)
+        })
         .collect();
-    let mean = |a: f64, b: f64| few.iter().map(|(eta, share)| share / (1.0 + (-(a + b * eta)).exp())).sum();
-    let found = model.of_function(mean);
+    let mean = |a: f64, b: f64, effects: &[f64]| {
+        few.iter().map(|(eta, values, share)| share * corrected(a, b, effects, *eta, values)).sum()
+    };
+    let found = model.posterior().of_function(mean);
     ModelRate { rate: found.mean, interval_95: ends(found.interval) }
 }
 

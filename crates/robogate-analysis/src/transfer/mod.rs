@@ -5,6 +5,7 @@
 //! the predictions agree with the trials, the narrower. The exact interval of two strata
 //! ([`robogate_stats::exact_strata`]) is the basis of requirements on the real rate.
 
+mod corrected;
 mod differences;
 mod map;
 mod next;
@@ -18,17 +19,19 @@ use robogate_dictionary::TaskIdentity;
 use robogate_stats::exact_strata::{self, Stratum};
 use robogate_stats::format::{counted, list};
 use robogate_stats::prediction_powered::{self, Predicted};
-use robogate_stats::recalibration::{Posterior, Recalibration, log_odds};
+use robogate_stats::recalibration::{Posterior, log_odds};
 use robogate_stats::{Confidence, Trials};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use corrected::CorrectedParameter;
 pub use differences::{EndingDifference, ParameterDifference, SettingsCheck};
 pub use map::CorrectedMap;
 pub use next::{NextTrial, NextTrials};
 pub use predictor::Predictions;
 pub use trials::{RealTrial, RealTrials};
 
+use self::corrected::CorrectedModel;
 use self::map::Places;
 use crate::analysis::populations;
 use crate::effects::Effects;
@@ -169,13 +172,18 @@ impl From<Posterior> for WithInterval {
     }
 }
 
-/// The corrected model: log-odds of real success = shift + slope x log-odds of simulated success.
+/// The corrected model: log-odds of real success = shift + slope x log-odds of simulated success + the effects of single
+/// parameters, each times the parameter's distance from its mean in standard deviations. Boundary and curve apply where
+/// these parameters have their means.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Correction {
     /// The shift. 0 if the simulation is right.
     pub shift: WithInterval,
     /// The slope. 1 if the simulation is right, 0 if it says nothing about reality.
     pub slope: WithInterval,
+    /// The parameters whose effect the trials show beyond shift and slope, the most significant first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub parameters: Vec<CorrectedParameter>,
     /// The simulated success rate of settings whose real one is 50 %. `None` if the trials do not show that the slope is
     /// positive.
     pub boundary: Option<WithInterval>,
@@ -379,11 +387,7 @@ impl Transfer {
         let on_map = places.estimated().map_or_else(Vec::new, |places| places.settings(&others));
         let mut fitted = |done, all| hear(TransferStep::Fitted { done, all });
         let predictions = simulation.predictions_watched(&trials, on_map, &mut fitted)?;
-        let places = match places {
-            Finding::Estimated(places) => Finding::Estimated((places, others.len())),
-            Finding::CannotBeEstimated { because } => Finding::CannotBeEstimated { because },
-        };
-        Ok(assemble(&simulation, path, real, &trials, &predictions, (effects, places), options))
+        Ok(assemble(&simulation, path, real, &trials, &predictions, (effects, places, &others), options))
     }
 
     /// Settings whose distribution differs significantly from the population.
@@ -408,7 +412,7 @@ fn assemble(
     real: &Path,
     trials: &RealTrials,
     predictions: &Predictions,
-    (effects, places): (Effects, Finding<(Places, usize)>),
+    (effects, places, others): (Effects, Finding<Places>, &[&Vec<f64>]),
     options: &TransferOptions,
 ) -> Transfer {
     let space = simulation.space();
@@ -470,12 +474,12 @@ fn assemble(
             None => Finding::not("the simulation predicts about the same success for all trials, or everywhere"),
         }
     };
-    let eta: Vec<f64> = predictions.trials.iter().map(|p| log_odds(*p)).collect();
     let design_effect = prediction_powered::design_effect(&outcomes, &groups, Confidence::P95);
-    let model = Recalibration::of(&eta, &outcomes, design_effect, Confidence::P95.level());
+    let (model, mut parameters) =
+        CorrectedModel::of(space, trials, &predictions.trials, &simulation.points, design_effect);
+    let posterior = model.posterior();
     let curve = [0.1, 0.3, 0.5, 0.7, 0.9]
-        .map(|simulated| CorrectedRate { simulated, real: model.success(log_odds(simulated)).into() });
-    let mut parameters = differences::parameters(space, trials, &predictions.trials, &model, design_effect);
+        .map(|simulated| CorrectedRate { simulated, real: posterior.success(log_odds(simulated), &[]).into() });
     parameters.sort_by(|a, b| a.adjusted_p.total_cmp(&b.adjusted_p).then(b.effect.abs().total_cmp(&a.effect.abs())));
     let next = no_sample.is_none().then(|| {
         let n = outcomes.len() as f64;
@@ -484,7 +488,7 @@ fn assemble(
             Some(found) => (found.interval_95, found.worth_trials),
             None => (alone.wilson_95, n),
         };
-        let corrected = |p: f64| model.success(log_odds(p)).mean;
+        let corrected = |p: f64, setting: &[f64]| model.success(p, setting).mean;
         next::next(space, &simulation.points, &predictions.population, corrected, 0.5 * (high - low), [n, worth])
     });
     let (endings, not_compared) = if no_sample.is_some() {
@@ -535,15 +539,14 @@ fn assemble(
         exact,
         effects,
         correction: Correction {
-            shift: model.shift().into(),
-            slope: model.slope().into(),
-            boundary: model.boundary(0.5).map(WithInterval::from),
+            shift: posterior.shift().into(),
+            slope: posterior.slope().into(),
+            parameters: model.parameters(),
+            boundary: posterior.boundary(0.5).map(WithInterval::from),
             curve: curve.to_vec(),
         },
         map: match places {
-            Finding::Estimated((places, others)) => {
-                Finding::Estimated(places.map(&predictions.map, others, trials, &model))
-            }
+            Finding::Estimated(places) => Finding::Estimated(places.map(&predictions.map, others, trials, &model)),
             Finding::CannotBeEstimated { because } => Finding::CannotBeEstimated { because },
         },
         endings,

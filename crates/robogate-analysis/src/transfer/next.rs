@@ -59,7 +59,7 @@ pub(super) fn next(
     space: &ParameterSpace,
     points: &[Vec<f64>],
     predicted: &[f64],
-    corrected: impl Fn(f64) -> f64,
+    corrected: impl Fn(f64, &[f64]) -> f64,
     half_width: f64,
     [n, worth]: [f64; 2],
 ) -> NextTrials {
@@ -78,7 +78,7 @@ pub(super) fn next(
                 setting: in_words(space, &points[at]),
                 values: space.parameters().iter().zip(&points[at]).map(value).collect(),
                 simulated,
-                expected: corrected(simulated),
+                expected: corrected(simulated, &points[at]),
             })
         })
         .collect();

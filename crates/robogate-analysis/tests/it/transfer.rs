@@ -116,6 +116,46 @@ fn corrected_model_is_mapped() {
 }
 
 #[test]
+fn parameters_join_the_corrected_model() {
+    let folder = TempDir::new().unwrap();
+    let all = trials(200, "", "", |_| String::new());
+    let plain = transfer(&simulation(&folder), &all, &[]).unwrap();
+    assert!(plain.correction.parameters.is_empty(), "{:?}", plain.correction);
+    // In reality, most spheres roll away.
+    let real = |(i, row): (usize, &str)| {
+        let lost = row.ends_with(",sphere") && i % 5 > 0;
+        if lost { row.replacen("true", "false", 1) } else { row.to_owned() }
+    };
+    let text = all.lines().enumerate().map(real).collect::<Vec<_>>().join("\n");
+    let found = transfer(&simulation(&folder), &text, &[]).unwrap();
+    let [shape] = &found.correction.parameters[..] else { panic!("{:?}", found.correction.parameters) };
+    assert_eq!(shape.parameter, "shape");
+    // Both levels say the same.
+    let sign = if shape.level.as_deref() == Some("sphere") { -1.0 } else { 1.0 };
+    let ends = shape.effect.interval_95.map(|end| sign * end);
+    assert!(sign * shape.effect.mean > 0.5 && ends[0].min(ends[1]) > 0.2, "{shape:?}");
+    // The expected success of a proposed trial depends on its shape, and without the effect only on the simulation.
+    let excess = |of: &Transfer, shape: &str| {
+        let settings = &of.next.as_ref().unwrap().settings;
+        let of_shape: Vec<f64> = settings
+            .iter()
+            .filter(|trial| trial.values["shape"] == Value::Category(shape.into()) && trial.simulated > 0.3)
+            .map(|trial| trial.expected - trial.simulated)
+            .collect();
+        of_shape.iter().sum::<f64>() / of_shape.len() as f64
+    };
+    assert!(excess(&found, "box") - excess(&found, "sphere") > 0.3, "{:?}", found.next);
+    assert!((excess(&plain, "box") - excess(&plain, "sphere")).abs() < 0.2, "{:?}", plain.next);
+    // The map's rates contain the effect too: their mean is near the real rate.
+    let mean = |of: &Transfer| {
+        let cells = &of.map.estimated().unwrap().map.cells;
+        cells.iter().filter_map(|cell| cell.model).map(|model| model.rate).sum::<f64>() / cells.len() as f64
+    };
+    let lost = plain.alone.rate.unwrap() - found.alone.rate.unwrap();
+    assert!((mean(&plain) - mean(&found) - lost).abs() < 0.08, "{} {} {lost}", mean(&plain), mean(&found));
+}
+
+#[test]
 fn unrelated_trials_have_no_contour() {
     let folder = TempDir::new().unwrap();
     let all = trials(60, "", "", |_| String::new());

@@ -1,7 +1,7 @@
 //! The document of a transfer to the real robot.
 
 use robogate_analysis::Finding;
-use robogate_analysis::labels::{mode_label, parameter_label};
+use robogate_analysis::labels::{mode_label, parameter_label, parameter_or_level};
 use robogate_analysis::transfer::{CorrectedMap, Transfer, WithInterval};
 use robogate_stats::format::{count, counted, fixed, percent, percent_range, range, sentence};
 
@@ -122,17 +122,29 @@ fn correction(of: &Transfer) -> Section {
         .as_ref()
         .map_or_else(|| "not shown: the trials do not show that the slope is positive".to_owned(), of_rate);
     let rows = correction.curve.iter().map(|at| vec![percent(at.simulated), of_rate(&at.real)]);
+    let mut facts = vec![
+        ("shift (0: the simulation is right)".to_owned(), number(&correction.shift)),
+        ("slope (1: right, 0: no relation)".to_owned(), number(&correction.slope)),
+    ];
+    facts.extend(correction.parameters.iter().map(|of| {
+        let name = parameter_or_level(&of.parameter, of.level.as_deref());
+        (format!("effect of {name} (for one standard deviation)"), number(&of.effect))
+    }));
+    facts.push(("simulated success where the real one is 50 %".to_owned(), boundary));
     Section {
         id: "correction",
         title: "Corrected risk model".to_owned(),
         population: None,
         blocks: vec![
-            Block::Text("Log-odds of real success = shift + slope x log-odds of simulated success.".to_owned()),
-            Block::Facts(vec![
-                ("shift (0: the simulation is right)".to_owned(), number(&correction.shift)),
-                ("slope (1: right, 0: no relation)".to_owned(), number(&correction.slope)),
-                ("simulated success where the real one is 50 %".to_owned(), boundary),
-            ]),
+            Block::Text(if correction.parameters.is_empty() {
+                "Log-odds of real success = shift + slope x log-odds of simulated success.".to_owned()
+            } else {
+                "Log-odds of real success = shift + slope x log-odds of simulated success + the effects of single parameters, \
+                 which the trials show beyond the simulation. Shift and the rates below apply where these parameters have \
+                 their means."
+                    .to_owned()
+            }),
+            Block::Facts(facts),
             Block::Table(Table::new(
                 "Real success by simulated success",
                 &[("simulated", Number), ("real (95 %)", Number)],
@@ -144,7 +156,7 @@ fn correction(of: &Transfer) -> Section {
 
 fn map(of: &Transfer) -> Section {
     let block = match &of.map {
-        Finding::Estimated(map) => Block::Figure(map_figure(map)),
+        Finding::Estimated(map) => Block::Figure(map_figure(map, !of.correction.parameters.is_empty())),
         Finding::CannotBeEstimated { because } => Block::cannot("The map of the corrected model", because),
     };
     Section {
@@ -155,7 +167,7 @@ fn map(of: &Transfer) -> Section {
     }
 }
 
-fn map_figure(of: &CorrectedMap) -> Figure {
+fn map_figure(of: &CorrectedMap, with_effects: bool) -> Figure {
     let map = &of.map;
     let mut findings = vec![map_zones(map)];
     let target = format!("{:.0} %", 100.0 * of.target);
@@ -169,9 +181,10 @@ fn map_figure(of: &CorrectedMap) -> Figure {
         ),
     });
     findings.push(format!(
-        "Each rate is a mean over the other parameters of {} of the population. Intervals include the uncertainty of shift \
-         and slope, but not that of the model of the simulation.",
-        counted(of.settings, "setting")
+        "Each rate is a mean over the other parameters of {} of the population. Intervals include the uncertainty of {}, \
+         but not that of the model of the simulation.",
+        counted(of.settings, "setting"),
+        if with_effects { "shift, slope and effects" } else { "shift and slope" }
     ));
     if map.outside > 0 {
         findings.push(format!(

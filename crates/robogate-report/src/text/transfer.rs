@@ -1,7 +1,7 @@
 //! The headline of a transfer to the real robot, in sentences.
 
 use robogate_analysis::Finding;
-use robogate_analysis::labels::{mode_label, parameter_label};
+use robogate_analysis::labels::{mode_label, parameter_label, parameter_or_level};
 use robogate_analysis::transfer::{NextTrials, Transfer};
 use robogate_stats::format::{count, counted, fixed, list, percent, percent_or_dash, percent_range, sentence};
 use schemars::JsonSchema;
@@ -114,7 +114,7 @@ fn differs(of: &Transfer) -> Vec<String> {
         .collect();
     lines.extend(of.different_parameters().map(|parameter| {
         let name = match &parameter.level {
-            Some(level) => format!("{} {}", parameter_label(&parameter.parameter), mode_label(level)),
+            Some(_) => parameter_or_level(&parameter.parameter, parameter.level.as_deref()),
             None => format!("larger {}", parameter_label(&parameter.parameter)),
         };
         let which = if parameter.effect > 0.0 { "better" } else { "worse" };

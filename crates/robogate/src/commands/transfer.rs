@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
+use robogate_analysis::labels::parameter_or_level;
 use robogate_analysis::transfer::{Transfer, TransferOptions};
 use robogate_report::{TransferHeadline, next_trials, transfer_html, transfer_json};
 use robogate_stats::format::{counted, fixed, percent_range, range};
@@ -116,6 +117,14 @@ fn print(of: &Transfer) {
         fixed(correction.slope.mean, 2),
         range(correction.slope.interval_95)
     ));
+    for of in &correction.parameters {
+        line(format_args!(
+            "    + {} ({}) for each standard deviation of {}",
+            fixed(of.effect.mean, 2),
+            range(of.effect.interval_95),
+            parameter_or_level(&of.parameter, of.level.as_deref())
+        ));
+    }
     if let Some(boundary) = &correction.boundary {
         line(format_args!(
             "  settings with 50 % real success have {} simulated success ({})",
