@@ -7,6 +7,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 
 use robogate_dictionary::{Dictionary, Entry, write_parquet};
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::harness::{kill_after, verb};
@@ -89,6 +90,12 @@ fn sampled_latencies_are_recorded() {
         let again = Dictionary::open(&at.join(format!("{run}.parquet"))).unwrap();
         assert!(rows(&again) == recorded, "{run}: the draws differ");
         assert_eq!((again.provenance(), again.dataset_hash()), (&provenance, &*hash), "{run}");
+        // A distribution that cannot be sampled is refused.
+        let plan = at.join(run).join("plan.json");
+        let mut settings: Value = serde_json::from_slice(&fs::read(&plan).unwrap()).unwrap();
+        settings["provenance"]["world"]["execution"]["latency"]["sd_s"] = json!(0.0);
+        fs::write(&plan, settings.to_string()).unwrap();
+        verb(at, &format!("replay {run} 1"), 2, &["provenance.world.execution is not valid"]);
     }
 }
 
