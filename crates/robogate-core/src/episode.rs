@@ -39,3 +39,42 @@ pub struct Episode {
     /// Hash over the environment's state at every control period. Equal hashes mean equal trajectories.
     pub trajectory_hash: u64,
 }
+
+impl Episode {
+    /// Whether this episode is the recorded one, bit for bit. Draws that the record lacks are not compared: an earlier
+    /// version may not have declared them.
+    pub fn repeats(&self, recorded: &Self) -> bool {
+        let same_draws = recorded.draws.iter().all(|(name, value)| self.draws.get(name.as_str()) == Some(value));
+        same_draws && *self == Self { draws: self.draws.clone(), ..recorded.clone() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Seed;
+
+    #[test]
+    fn draws_that_a_record_lacks_are_not_compared() {
+        let episode = |draws: &[(Word, f64)]| Episode {
+            scenario: Scenario { index: 0, seed: Seed::campaign(1).episode(0), requested: Assignment::default() },
+            applied: Assignment::default(),
+            outcome: Outcome::Success,
+            time_s: 1.0,
+            phase: None,
+            contact: None,
+            measures: Measures::default(),
+            draws: draws.iter().map(|(name, value)| (*name, Some(*value))).collect(),
+            ticks: 20,
+            trajectory_hash: 5,
+        };
+        let (bias, latency) = (Word::constant("bias"), Word::constant("latency"));
+        let now = episode(&[(bias, 0.5), (latency, 0.1)]);
+        for recorded in [episode(&[]), episode(&[(bias, 0.5)]), now.clone()] {
+            assert!(now.repeats(&recorded), "{recorded:?}");
+        }
+        assert!(!now.repeats(&episode(&[(bias, 0.4)])));
+        assert!(!episode(&[(bias, 0.5)]).repeats(&now));
+        assert!(!now.repeats(&Episode { trajectory_hash: 6, ..now.clone() }));
+    }
+}

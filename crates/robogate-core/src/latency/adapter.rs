@@ -1,15 +1,17 @@
 //! Puts latency between any policy and any environment.
 
+use std::borrow::Cow;
 use std::cell::Cell;
 use std::rc::Rc;
 use std::sync::Arc;
 
+use super::draws::stream;
 use super::queue::Queue;
 use super::{Execution, LATENCY_PARAMETER, Latency, latency_parameter};
 use crate::{
-    Action, ActionSpace, ActionSpec, Assignment, Command, Environment, Fault, FaultKind, FeatureSpec, Foresight, Image,
-    Infeasibility, Measures, Observation, Policy, PredictedStep, Prediction, Scenario, Seed, Start, Step, Stream,
-    TaskInstance, TaskSpec, Trajectory, Value,
+    Action, ActionSpace, ActionSpec, Assignment, Command, Ending, Environment, Fault, FaultKind, FeatureSpec,
+    Foresight, Image, Infeasibility, Measures, Observation, Policy, PredictedStep, Prediction, Scenario, Seed, Start,
+    Step, Stream, TaskInstance, TaskSpec, Trajectory, Value,
 };
 
 /// The latency of the scenario, in seconds. The environment's adapter sets it, and the policy's adapter applies it.
@@ -17,60 +19,85 @@ type Shared = Rc<Cell<f64>>;
 
 /// Puts latency between a policy and an environment.
 ///
-/// The task of the environment gets the parameter [`LATENCY_PARAMETER`], if the latency is [`Latency::Parameter`] and the
-/// task has no parameter of this name.
+/// The task of the environment gets the declarations of [`with_declarations`]. Episodes with a sampled latency record its
+/// hidden draws ([`Latency::draws`]), and the knowledge of the task about them has these draws too.
 pub fn with_latency(
     environment: Box<dyn Environment>,
     policy: Box<dyn Policy>,
     execution: Execution,
 ) -> (Box<dyn Environment>, Box<dyn Policy>) {
     let shared = Shared::default();
-    let environment: Box<dyn Environment> = if execution.latency == Latency::Parameter {
-        let task = with_parameter(environment.task());
-        Box::new(LatencyEnvironment { environment, task, shared: Rc::clone(&shared) })
-    } else {
+    let environment: Box<dyn Environment> = if matches!(execution.latency, Latency::Fixed { .. }) {
         environment
+    } else {
+        let latency = execution.latency.clone();
+        let task = with_declarations(environment.task(), &latency);
+        Box::new(LatencyEnvironment { environment, task, latency, shared: Rc::clone(&shared) })
     };
     (environment, Box::new(Delayed::new(policy, execution, shared)))
 }
 
-/// The task with the declaration of the latency.
-pub fn with_parameter(task: &Arc<TaskSpec>) -> Arc<TaskSpec> {
+/// The task with the declarations of a latency: the parameter [`LATENCY_PARAMETER`] for [`Latency::Parameter`], or the
+/// draws of a sampled latency ([`Latency::draw_specs`]). A name that the task declares already is not declared again.
+pub fn with_declarations(task: &Arc<TaskSpec>, latency: &Latency) -> Arc<TaskSpec> {
     let mut task = (**task).clone();
-    if task.parameter(LATENCY_PARAMETER).is_none() {
+    if *latency == Latency::Parameter && task.parameter(LATENCY_PARAMETER).is_none() {
         task.parameters.push(latency_parameter());
+    }
+    for draw in latency.draw_specs() {
+        if task.draws.iter().all(|declared| declared.name != draw.name) {
+            task.draws.push(draw);
+        }
     }
     Arc::new(task)
 }
 
-/// An environment whose scenarios have the parameter [`LATENCY_PARAMETER`].
+/// An environment whose policy has a latency that is sampled, or that the parameter [`LATENCY_PARAMETER`] sets.
 struct LatencyEnvironment {
     environment: Box<dyn Environment>,
     task: Arc<TaskSpec>,
+    latency: Latency,
     shared: Shared,
 }
 
-/// The knowledge of a task that has no latency.
-struct WithoutLatency(Arc<dyn Foresight>);
+/// The knowledge of a task about episodes with a latency, which the task itself does not know.
+struct LatencyForesight {
+    of_task: Arc<dyn Foresight>,
+    latency: Latency,
+    /// The features of the task, then those of the latency.
+    features: Vec<FeatureSpec>,
+}
 
-impl WithoutLatency {
-    fn known(scenario: &Scenario) -> Scenario {
-        Scenario { requested: without_latency(&scenario.requested), ..scenario.clone() }
+impl LatencyForesight {
+    fn new(of_task: Arc<dyn Foresight>, latency: Latency) -> Self {
+        let features = [of_task.feature_specs(), latency.feature_specs()].concat();
+        Self { of_task, latency, features }
     }
 }
 
-impl Foresight for WithoutLatency {
+impl Foresight for LatencyForesight {
     fn draws(&self, scenario: &Scenario) -> Result<Measures, Fault> {
-        self.0.draws(&Self::known(scenario))
+        let of_task = self.of_task.draws(&without_parameter(&self.latency, scenario))?;
+        Ok(with_draws(of_task, &self.latency, scenario.seed))
     }
 
     fn feature_specs(&self) -> &[FeatureSpec] {
-        self.0.feature_specs()
+        &self.features
     }
 
     fn features(&self, scenario: &Scenario) -> Result<Vec<f64>, Fault> {
-        self.0.features(&Self::known(scenario))
+        let mut features = self.of_task.features(&without_parameter(&self.latency, scenario))?;
+        features.extend(self.latency.features(scenario.seed));
+        Ok(features)
     }
+}
+
+/// These draws and those of the latency in the episode with this seed.
+fn with_draws(mut draws: Measures, latency: &Latency, seed: Seed) -> Measures {
+    for (name, value) in latency.draws(seed).iter() {
+        draws.set(name, Some(value));
+    }
+    draws
 }
 
 impl Environment for LatencyEnvironment {
@@ -79,28 +106,33 @@ impl Environment for LatencyEnvironment {
     }
 
     fn foresight(&self) -> Option<Arc<dyn Foresight>> {
-        self.environment.foresight().map(|foresight| Arc::new(WithoutLatency(foresight)) as Arc<dyn Foresight>)
+        let of_task = self.environment.foresight()?;
+        Some(Arc::new(LatencyForesight::new(of_task, self.latency.clone())))
     }
 
     fn draws(&self, scenario: &Scenario) -> Result<Measures, Fault> {
-        let requested = without_latency(&scenario.requested);
-        self.environment.draws(&Scenario { requested, ..scenario.clone() })
+        let of_task = self.environment.draws(&without_parameter(&self.latency, scenario))?;
+        Ok(with_draws(of_task, &self.latency, scenario.seed))
     }
 
     fn infeasibility(&self, requested: &Assignment) -> Option<Infeasibility> {
-        self.environment.infeasibility(&without_latency(requested))
+        if self.latency == Latency::Parameter {
+            self.environment.infeasibility(&without_latency(requested))
+        } else {
+            self.environment.infeasibility(requested)
+        }
     }
 
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
         self.shared.set(0.0);
-        let Some(wanted) = scenario.requested.number(LATENCY_PARAMETER) else {
+        let set = if self.latency == Latency::Parameter { scenario.requested.number(LATENCY_PARAMETER) } else { None };
+        let Some(wanted) = set else {
             return self.environment.reset(scenario);
         };
         if let Err(why) = latency_parameter().accepts(&Value::Number(wanted)) {
             return Err(Fault::new(FaultKind::Setup, why));
         }
-        let requested = without_latency(&scenario.requested);
-        let mut start = self.environment.reset(&Scenario { requested, ..scenario.clone() })?;
+        let mut start = self.environment.reset(&without_parameter(&self.latency, scenario))?;
         self.shared.set(wanted);
         start.applied.set(LATENCY_PARAMETER, Value::Number(self.shared.get()));
         Ok(start)
@@ -108,6 +140,10 @@ impl Environment for LatencyEnvironment {
 
     fn step(&mut self, action: &Action) -> Result<Step, Fault> {
         self.environment.step(action)
+    }
+
+    fn foregone_ending(&self) -> Option<Ending> {
+        self.environment.foregone_ending()
     }
 
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
@@ -124,6 +160,15 @@ impl Environment for LatencyEnvironment {
 
     fn take_trajectory(&mut self) -> Option<Trajectory> {
         self.environment.take_trajectory()
+    }
+}
+
+/// The scenario of the environment itself, which does not have the parameter of a latency.
+fn without_parameter<'a>(latency: &Latency, scenario: &'a Scenario) -> Cow<'a, Scenario> {
+    if *latency == Latency::Parameter {
+        Cow::Owned(Scenario { requested: without_latency(&scenario.requested), ..scenario.clone() })
+    } else {
+        Cow::Borrowed(scenario)
     }
 }
 
@@ -248,11 +293,6 @@ impl Policy for Delayed {
     }
 }
 
-/// The random stream of the latencies of an episode.
-fn stream(seed: Seed) -> Stream {
-    seed.stream("inference-latency")
-}
-
 /// Commands that hold the robot's position.
 #[derive(Debug, Default)]
 struct Hold {
@@ -300,8 +340,9 @@ const STILL: Command = Command::ToolDelta { translation_m: [0.0; 3], rotation_ra
 #[cfg(test)]
 mod tests {
     use super::super::ExecutionMode;
+    use super::super::draws::REQUESTS;
     use super::*;
-    use crate::{ObservationSpec, Word};
+    use crate::{Better, DrawSpec, Episode, ObservationSpec, Word, rollout_with};
 
     /// Predicts four steps with the number of the request.
     struct Counting {
@@ -398,5 +439,142 @@ mod tests {
         let run = || commands(latency.clone(), ExecutionMode::Hold, 1, 100);
         assert_eq!(run(), run());
         assert!(run().contains(&0.0));
+    }
+
+    /// A world with a draw and a feature of its own, which only the time limit ends.
+    struct World(Arc<TaskSpec>);
+
+    const OWN: Word = Word::constant("own");
+
+    impl World {
+        fn new(period_s: f64) -> Box<Self> {
+            let mut task = task();
+            task.control_period_s = period_s;
+            task.time_limit_s = 4000.0 * period_s;
+            task.draws.push(DrawSpec { name: OWN, unit: String::new(), meaning: String::new() });
+            Box::new(Self(Arc::new(task)))
+        }
+    }
+
+    impl Environment for World {
+        fn task(&self) -> &Arc<TaskSpec> {
+            &self.0
+        }
+
+        fn foresight(&self) -> Option<Arc<dyn Foresight>> {
+            Some(Arc::new(Known))
+        }
+
+        fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
+            let (instance, observation) = (TaskInstance::default(), Observation::default());
+            Ok(Start { instance, observation, applied: scenario.requested.clone() })
+        }
+
+        fn step(&mut self, _: &Action) -> Result<Step, Fault> {
+            Ok(Step {
+                observation: Observation::default(),
+                measures: Measures::default(),
+                ending: None,
+                events: Vec::new(),
+                state_hash: 0,
+            })
+        }
+    }
+
+    struct Known;
+
+    impl Foresight for Known {
+        fn draws(&self, _: &Scenario) -> Result<Measures, Fault> {
+            Ok([(OWN, Some(1.0))].into_iter().collect())
+        }
+
+        fn feature_specs(&self) -> &[FeatureSpec] {
+            &[FeatureSpec { name: "room_m", unit: "m", meaning: "Free space.", better: Better::Higher }]
+        }
+
+        fn features(&self, _: &Scenario) -> Result<Vec<f64>, Fault> {
+            Ok(vec![0.5])
+        }
+    }
+
+    fn scenario(index: u64) -> Scenario {
+        Scenario { index, seed: Seed::campaign(7).episode(index), requested: Assignment::default() }
+    }
+
+    fn delayed(latency: &Latency, period_s: f64) -> (Box<dyn Environment>, Box<dyn Policy>) {
+        let policy = Box::new(Counting { requests: 0.0, periods: 1, present: 0.0 });
+        let execution = Execution { latency: latency.clone(), mode: ExecutionMode::Hold };
+        with_latency(World::new(period_s), policy, execution)
+    }
+
+    /// An episode, and the control periods that the robot waited for the reply to each request.
+    fn waits(latency: &Latency, period_s: f64) -> (Episode, Vec<u32>) {
+        let (mut world, mut policy) = delayed(latency, period_s);
+        let (mut waits, mut present) = (Vec::new(), 0);
+        let episode = rollout_with(&mut *world, &mut *policy, &scenario(3), &mut |tick| {
+            let Command::Vector(numbers) = &tick.action.command else { panic!("{:?}", tick.action) };
+            // A command is the number of its request, and 0 while the robot waits.
+            if numbers[0] <= 0.0 {
+                present += 1;
+            } else if numbers[0] > waits.len() as f64 {
+                waits.push(std::mem::take(&mut present));
+            }
+        });
+        (episode, waits)
+    }
+
+    #[test]
+    fn draws_are_the_applied_latencies() {
+        // Samples of whole control periods show the latencies exactly. Others are rounded up.
+        for (latency, period_s, tolerance_s) in [
+            (Latency::Measured { samples_s: vec![0.1, 0.2, 0.3] }, 1e-3, 1e-9),
+            (Latency::Uniform { low_s: 0.01, high_s: 0.03 }, 1e-4, 1e-4),
+            (Latency::Normal { mean_s: 0.02, sd_s: 0.005 }, 1e-4, 1e-4),
+            (Latency::Gamma { mean_s: 0.02, sd_s: 0.005 }, 1e-4, 1e-4),
+        ] {
+            let (episode, waits) = waits(&latency, period_s);
+            assert!(waits.len() > REQUESTS && waits.iter().any(|wait| *wait != waits[0]), "{latency:?}: {waits:?}");
+            let applied: Vec<f64> = waits[..REQUESTS].iter().map(|wait| f64::from(*wait) * period_s).collect();
+            let mean = applied.iter().sum::<f64>() / REQUESTS as f64;
+            let longest = applied.iter().copied().fold(0.0, f64::max);
+            for (name, applied) in [
+                ("inference_latency_first_s", applied[0]),
+                ("inference_latency_mean_s", mean),
+                ("inference_latency_longest_s", longest),
+            ] {
+                let draw = episode.draws.get(name).unwrap();
+                assert!((-1e-9..=tolerance_s).contains(&(applied - draw)), "{latency:?}: {name} {draw}, {applied}");
+            }
+        }
+    }
+
+    #[test]
+    fn draws_follow_from_the_seed() {
+        let latency = Latency::Gamma { mean_s: 0.1, sd_s: 0.1 };
+        let (world, _) = delayed(&latency, 0.05);
+        let foresight = world.foresight().unwrap();
+        let draws = world.draws(&scenario(3)).unwrap();
+        assert_eq!(foresight.draws(&scenario(3)).unwrap(), draws);
+        assert_ne!(foresight.draws(&scenario(4)).unwrap(), draws);
+        // The draws and features of the task come first and stay.
+        let declared: Vec<Word> = world.task().draws.iter().map(|draw| draw.name).collect();
+        assert_eq!(declared, draws.iter().map(|(name, _)| name).collect::<Vec<_>>());
+        assert_eq!((declared[0], draws.get("own")), (OWN, Some(1.0)));
+        let names: Vec<&str> = foresight.feature_specs().iter().map(|spec| spec.name).collect();
+        assert_eq!(names, ["room_m", "inference_latency_mean_s", "inference_latency_longest_s"]);
+        let of_latency = [1, 2].map(|at: usize| draws.get(names[at]).unwrap());
+        assert_eq!(foresight.features(&scenario(3)).unwrap(), [0.5, of_latency[0], of_latency[1]]);
+        assert_eq!(with_declarations(world.task(), &latency), *world.task());
+    }
+
+    #[test]
+    fn only_sampled_latencies_are_draws() {
+        for latency in [Latency::Fixed { seconds: 0.08 }, Latency::Parameter] {
+            let (world, _) = delayed(&latency, 0.05);
+            let foresight = world.foresight().unwrap();
+            assert_eq!(world.draws(&scenario(3)).unwrap(), [(OWN, Some(1.0))].into_iter().collect(), "{latency:?}");
+            assert_eq!((world.task().draws.len(), foresight.feature_specs().len()), (1, 1), "{latency:?}");
+            assert_eq!(foresight.features(&scenario(3)).unwrap(), [0.5], "{latency:?}");
+        }
     }
 }

@@ -3,10 +3,12 @@
 //! Without this module the world waits for the policy, so a policy that takes one second is as good as one that takes
 //! one millisecond. [`with_latency`] puts a latency between observation and actions, for any policy and any environment. Delays are
 //! control periods of simulated time: a latency of 80 ms in control periods of 50 ms takes two of them. They come from
-//! the seed of the episode and never from a clock, so episodes stay reproducible.
+//! the seed of the episode and never from a clock, so episodes stay reproducible. Sampled latencies are hidden draws of the
+//! episode.
 
 mod adapter;
 mod distribution;
+mod draws;
 mod queue;
 
 use schemars::JsonSchema;
@@ -14,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Allowed, ParameterSpec, Value, Word};
 
-pub use adapter::{with_latency, with_parameter};
+pub use adapter::{with_declarations, with_latency};
 pub use distribution::{Latency, LatencyError};
 
 /// The parameter of a scenario that sets the latency of all requests of the episode, in seconds.

@@ -6,7 +6,8 @@ use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
 use robogate_campaign::WorkerFactory;
-use robogate_core::{Foresight, TaskSpec};
+use robogate_core::latency::{Execution, with_declarations};
+use robogate_core::{DrawSpec, Foresight, Measures, Scenario, TaskSpec};
 use robogate_dictionary::export::{Format, write_file, write_to};
 use robogate_dictionary::{Dictionary, DictionaryError, Entry, Provenance, write_parquet};
 use robogate_stats::format::counted;
@@ -86,32 +87,62 @@ impl Export {
 }
 
 impl Export {
-    /// Writes a dictionary of this version, with the draws of every episode if the task of this build knows them.
+    /// Writes a dictionary of this version, with the draws of every episode as far as this build knows them.
     fn parquet(&self, dictionary: &Dictionary) -> Result<u8, Exit> {
-        let mut provenance = dictionary.provenance().clone();
-        let foresight = match knowledge(&provenance) {
-            Ok((task, foresight)) => {
-                let draws = task.draws.clone();
-                provenance.task = Arc::new(TaskSpec { draws, ..(*provenance.task).clone() });
-                Some(foresight)
-            }
-            Err(why) => {
-                note(format_args!("note: the hidden draws are not computed: {why:#}"));
-                None
-            }
-        };
+        let recorded = dictionary.provenance();
+        let Draws { specs, compute } = Draws::of(recorded);
+        let declared = |spec: &DrawSpec| recorded.task.draws.iter().any(|known| known.name == spec.name);
+        let complete = specs.iter().all(declared);
+        let mut provenance = recorded.clone();
+        provenance.task = Arc::new(TaskSpec { draws: specs, ..(*recorded.task).clone() });
         let with_draws = |entry: Result<Entry, DictionaryError>| {
             let mut entry = entry?;
             let episode = &mut entry.episode;
-            if let (Some(foresight), true) = (&foresight, episode.draws.is_empty()) {
-                // An episode that could not be set up has no draws.
-                episode.draws = foresight.draws(&episode.scenario).unwrap_or_default();
+            if episode.draws.is_empty() || !complete {
+                for (name, value) in compute(&episode.scenario).iter() {
+                    // What the run recorded stays.
+                    if episode.draws.get(name.as_str()).is_none() {
+                        episode.draws.set(name, Some(value));
+                    }
+                }
             }
             Ok(entry)
         };
         let written = write_parquet(&self.out, &provenance, dictionary.entries().map(with_draws)).or_broken()?;
         note(format_args!("{}: {}", self.out.display(), counted(written.rows, "row")));
         Ok(DONE)
+    }
+}
+
+/// The hidden draws of the episodes of a run.
+struct Draws {
+    /// Their declarations: those of this build, or else those that the run recorded.
+    specs: Vec<DrawSpec>,
+    /// Computes the draws of an episode that an older run did not record.
+    compute: Box<dyn Fn(&Scenario) -> Measures>,
+}
+
+impl Draws {
+    /// The draws of a run, with those of its task if the task is built into this version.
+    fn of(provenance: &Provenance) -> Self {
+        let why = match knowledge(provenance) {
+            Ok((task, foresight)) => {
+                // An episode that could not be set up has no draws.
+                let compute = move |scenario: &Scenario| foresight.draws(scenario).unwrap_or_default();
+                return Self { specs: task.draws.clone(), compute: Box::new(compute) };
+            }
+            Err(why) => why,
+        };
+        note(format_args!("note: the hidden draws of the task are not computed: {why:#}"));
+        let execution = provenance.world.get("execution").cloned().map(serde_json::from_value);
+        match execution {
+            // Sampled latencies follow from the seed alone, also in an environment of another process.
+            Some(Ok(Execution { latency, .. })) if latency.check().is_ok() => Self {
+                specs: with_declarations(&provenance.task, &latency).draws.clone(),
+                compute: Box::new(move |scenario: &Scenario| latency.draws(scenario.seed)),
+            },
+            _ => Self { specs: provenance.task.draws.clone(), compute: Box::new(|_: &Scenario| Measures::default()) },
+        }
     }
 }
 

@@ -122,7 +122,7 @@ impl Replay {
         if let Some(fault) = watch::not_run(&before, &again) {
             return Err(anyhow!("episode {} cannot run again: {fault}", self.index)).or_broken();
         }
-        let same = again == before;
+        let same = again.repeats(&before);
         if self.json {
             self.print_json(&again, &timeline, same);
         } else {

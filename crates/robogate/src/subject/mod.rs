@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, anyhow};
 use robogate_campaign::{Worker, WorkerFactory};
-use robogate_core::latency::{Execution, LATENCY_PARAMETER, Latency, with_latency, with_parameter};
+use robogate_core::latency::{Execution, LATENCY_PARAMETER, Latency, with_declarations, with_latency};
 use robogate_core::{
     Environment, Fault, FaultKind, Foresight, InfeasibleShare, ParameterSpace, Policy, SpaceFeasibility, Suite,
     TaskSpec,
@@ -118,8 +118,8 @@ impl Subject {
             ))
             .or_usage();
         }
-        if execution.as_ref().is_some_and(|execution| execution.latency == Latency::Parameter) {
-            self.task = with_parameter(&self.task);
+        if let Some(execution) = &execution {
+            self.task = with_declarations(&self.task, &execution.latency);
         }
         self.execution = execution;
         Ok(self)
@@ -148,7 +148,7 @@ impl Subject {
 
     /// What the task knows about episodes before they run. `None` if it knows nothing.
     pub(crate) fn foresight(&self) -> Result<Option<Arc<dyn Foresight>>, Exit> {
-        // The parameter of a latency belongs to an adapter, which needs a policy.
+        // Parameter and draws of a latency belong to an adapter, which needs a policy.
         if self.execution.is_some() {
             return Ok(self.worker().or_broken()?.environment.foresight());
         }

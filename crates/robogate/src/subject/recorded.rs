@@ -107,6 +107,9 @@ impl Subject {
             .transpose()
             .context("plan.json: provenance.world.execution cannot be read")
             .or_usage()?;
+        if let Some(Execution { latency, .. }) = &execution {
+            latency.check().context("plan.json: provenance.world.execution is not valid").or_usage()?;
+        }
         let policy: Option<PolicySource> = policy
             .map(serde_json::from_value)
             .transpose()

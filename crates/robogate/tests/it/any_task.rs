@@ -4,7 +4,10 @@ use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
 
+use robogate_dictionary::{Dictionary, Entry, write_parquet};
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::harness::{kill_after, verb};
@@ -47,6 +50,53 @@ fn pendulum_passes_through_every_verb() {
         &["below the 92.0 % that the gate requires", "--learn-baseline"],
     );
     verb("monitor reference a --learn-baseline --out reference.json", 0, &["risk model"]);
+}
+
+/// Sampled latencies are hidden draws: of a task without other draws, and of one with them. A dictionary without their columns, as an
+/// earlier version wrote it, replays as before, and `export` computes them again.
+#[test]
+fn sampled_latencies_are_recorded() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    let rows = |dictionary: &Dictionary| dictionary.entries().collect::<Result<Vec<Entry>, _>>().unwrap();
+    let is_latency = |name: &str| name.starts_with("inference_latency_");
+    for (run, options) in [("pendulum", "--task pendulum -n 4"), ("cell", "-n 2")] {
+        let latency = "--latency gamma:80ms,20ms --design uniform";
+        verb(at, &format!("run {options} {latency} --out {run}"), 0, &["inference latency gamma"]);
+        verb(at, &format!("replay {run} 1"), 0, &["identical to the recorded episode"]);
+        let file = at.join(run).join("dictionary.parquet");
+        let new = Dictionary::open(&file).unwrap();
+        let recorded = rows(&new);
+        for Entry { episode, .. } in &recorded {
+            let [first, mean, longest] = ["first", "mean", "longest"]
+                .map(|which| episode.draws.get(&format!("inference_latency_{which}_s")).unwrap());
+            assert!(0.0 < first && first <= longest && 0.04 < mean && mean <= longest, "{first} {mean} {longest}");
+        }
+        let (provenance, hash) = (new.provenance().clone(), new.dataset_hash().to_owned());
+        let mut old = provenance.clone();
+        let mut task = (*old.task).clone();
+        task.draws.retain(|draw| !is_latency(draw.name.as_str()));
+        assert_eq!(task.draws.is_empty(), run == "pendulum");
+        old.task = Arc::new(task);
+        let without = recorded.iter().cloned().map(|mut entry| {
+            let others = entry.episode.draws.iter().filter(|(name, _)| !is_latency(name.as_str()));
+            entry.episode.draws = others.map(|(name, value)| (name, Some(value))).collect();
+            Ok(entry)
+        });
+        fs::remove_file(&file).unwrap();
+        write_parquet(&file, &old, without).unwrap();
+        verb(at, &format!("replay {run} 1"), 0, &["identical to the recorded episode"]);
+        verb(at, &format!("export {run} {run}.parquet"), 0, &[]);
+        let again = Dictionary::open(&at.join(format!("{run}.parquet"))).unwrap();
+        assert!(rows(&again) == recorded, "{run}: the draws differ");
+        assert_eq!((again.provenance(), again.dataset_hash()), (&provenance, &*hash), "{run}");
+        // A distribution that cannot be sampled is refused.
+        let plan = at.join(run).join("plan.json");
+        let mut settings: Value = serde_json::from_slice(&fs::read(&plan).unwrap()).unwrap();
+        settings["provenance"]["world"]["execution"]["latency"]["sd_s"] = json!(0.0);
+        fs::write(&plan, settings.to_string()).unwrap();
+        verb(at, &format!("replay {run} 1"), 2, &["provenance.world.execution is not valid"]);
+    }
 }
 
 /// Runs the verbs on tasks for an arm, whose robot and engine are chosen.
