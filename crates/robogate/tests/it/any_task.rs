@@ -121,15 +121,22 @@ fn designs_of_the_pendulum() {
 
 /// An engine that cannot start says nothing about the record.
 fn without_engine(at: &Path) {
-    for arguments in [&["replay", "a", "7"][..], &["view", "a", "--export", "without.html"]] {
+    for (arguments, code) in [
+        (&["replay", "a", "7"][..], 5),
+        (&["view", "a", "--export", "without.html"][..], 0),
+        (&["view", "a", "--export", "none.html", "--clips", "4"][..], 5),
+    ] {
         let mut command = Command::new(env!("CARGO_BIN_EXE_robogate"));
         let output =
             command.args(arguments).current_dir(at).env("ROBOGATE_MUJOCO_LIB", "/nonexistent").output().unwrap();
         let text = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
         assert!(text.contains("no such library"), "{text}");
         assert!(!text.contains("DIFFERS") && !text.contains("replay differs"), "{text}");
-        assert!(arguments[0] == "view" || output.status.code() == Some(5), "{text}");
+        assert_eq!(output.status.code(), Some(code), "{text}");
+        assert_eq!(text.matches("not in the page").count(), usize::from(code == 0), "{text}");
     }
+    // Only a page whose episodes were requested needs them.
+    assert!(at.join("without.html").is_file() && !at.join("none.html").exists());
 }
 
 /// An option that changes nothing is refused.
