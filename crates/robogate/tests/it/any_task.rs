@@ -47,6 +47,9 @@ fn pendulum_passes_through_every_verb() {
         &["below the 92.0 % that the gate requires", "--learn-baseline"],
     );
     verb("monitor reference a --learn-baseline --out reference.json", 0, &["risk model"]);
+    // A gate without its question must not become a run without a verdict.
+    fs::remove_file(at.join("other/gate-question.json")).unwrap();
+    verb("resume other", 2, &["gate-question.json: missing", "restore the file"]);
 }
 
 /// Runs the verbs on tasks for an arm, whose robot and engine are chosen.
