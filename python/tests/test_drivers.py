@@ -5,6 +5,7 @@ import importlib
 import io
 import json
 import os
+import socket
 import subprocess
 import sys
 import tempfile
@@ -222,6 +223,30 @@ class OnRay(Driver):
                 got, _, errors = self.run_driver("run", "--out", "d", "--address", "here")
             self.assertEqual(got, code)
             self.assertTrue(errors.startswith(message), errors)
+
+    def test_an_address_without_a_server_is_refused(self) -> None:
+        # A bound socket that does not listen refuses all connections.
+        with socket.socket() as closed, mock.patch.object(self.modules["ray"], "init") as init:
+            closed.bind(("127.0.0.1", 0))
+            port = closed.getsockname()[1]
+            for address in (f"127.0.0.1:{port}", f"ray://localhost:{port}", f"[::1]:{port}"):
+                for option, variable in [(address, ""), ("auto", address)]:
+                    with mock.patch.dict(os.environ, {"RAY_ADDRESS": variable}):
+                        code, _, errors = self.run_driver("run", "--out", "d", "--address", option)
+                    self.assertEqual(code, 5, errors)
+                    self.assertTrue(errors.startswith(f"error: no Ray cluster at {address}: "), errors)
+                    self.assertIn("\nhint: start one with `ray start --head`", errors)
+        init.assert_not_called()
+
+    def test_other_addresses_are_left_to_ray(self) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            listening = f"127.0.0.1:{server.getsockname()[1]}"
+            for option, variable in [("auto", ""), ("local", "127.0.0.1:1"), ("here", ""), ("::1:1", ""), (listening, ""), ("auto", listening)]:
+                with mock.patch.dict(os.environ, {"RAY_ADDRESS": variable}):
+                    with mock.patch.object(self.modules["ray"], "init", side_effect=ValueError("of Ray")) as init:
+                        code, _, errors = self.run_driver("run", "--out", "d", "--address", option)
+                self.assertEqual((code, errors), (2, f"error: --address {option}: of Ray\n"))
+                self.assertEqual(init.call_args.kwargs["address"], option)
 
     def test_damaged_shards_are_not_wrong_options(self) -> None:
         (self.work / "d").mkdir()

@@ -61,7 +61,7 @@ pub use real::{RealEvidence, RealStratum};
 pub use record::{Population, Record};
 pub use requirement::{Bound, Each, Requirement, Sense};
 pub use requirements::{Budget, Family, Mode, Requirements};
-pub use ruled_out::RuledOut;
+pub use ruled_out::{FrequentFault, RuledOut};
 pub use score::{ConfidenceScore, ScoreTerm, ScoredTerm, Scoring};
 pub use trial::{Ending, Trial};
 pub use twins::{Effect, Family as TwinFamily, Twins};

@@ -26,34 +26,30 @@ use crate::{
 /// Number of episodes without a valid one that stop a gate.
 const ALL_INVALID: u64 = 10;
 
-/// Why no further episode can give a pass: invalid episodes, or the trials of the real robot.
+/// Why no further episode can give a pass: invalid episodes, or the trials of the real robot. Trials have no fault.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RuledOut {
     /// Number of episodes in the plan.
     pub planned: u64,
     /// The first requirement that cannot be met any more. `None` if no episode is valid.
     pub requirement: Option<String>,
+    /// What makes the episodes invalid. `None` if the trials of the real robot rule out a pass.
+    #[serde(flatten)]
+    pub fault: Option<FrequentFault>,
+}
+
+/// The most frequent kind of fault.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct FrequentFault {
     /// The most frequent fault, as its first episode reports it. The episodes of a policy that may be replaced count as well.
-    /// Absent if the trials of the real robot rule out a pass.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub fault: Option<String>,
+    pub fault: String,
     /// Number of invalid episodes with a fault of this kind.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub with_fault: Option<u64>,
+    pub with_fault: u64,
     /// The index of the first of them.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub first: Option<u64>,
+    pub first: u64,
 }
 
 impl RuledOut {
-    fn by_fault(planned: u64, requirement: Option<String>, (fault, with_fault, first): (String, u64, u64)) -> Self {
-        Self { planned, requirement, fault: Some(fault), with_fault: Some(with_fault), first: Some(first) }
-    }
-
-    fn by_trials(planned: u64, requirement: String) -> Self {
-        Self { planned, requirement: Some(requirement), fault: None, with_fault: None, first: None }
-    }
-
     /// The reason for the verdict, in one sentence.
     pub(crate) fn because(&self, counts: Counts, comparison: Option<&Comparison>) -> String {
         let Counts { episodes, mut invalid, .. } = counts;
@@ -98,7 +94,7 @@ impl Question<'_> {
             return Ok(None);
         }
         if episodes >= ALL_INVALID && rounds.trials().all(|trial| !trial.ending.is_valid()) {
-            return Ok(fault.map(|fault| RuledOut::by_fault(planned, None, fault)));
+            return Ok(fault.map(|fault| RuledOut { planned, requirement: None, fault: Some(fault) }));
         }
         let suite = Whole { question: self, task: &record.task, rounds, planned: planned / (*cases).max(1), how };
         let pairs = match &self.against {
@@ -106,10 +102,10 @@ impl Question<'_> {
             None => None,
         };
         let ruled_out = match (unmet, fault) {
-            (Some(id), _) => Some(RuledOut::by_trials(planned, id)),
+            (Some(id), _) => Some(RuledOut { planned, requirement: Some(id), fault: None }),
             (None, Some(fault)) => {
                 let lost = suite.first_lost(results, pairs.as_ref(), episodes)?;
-                lost.map(|id| RuledOut::by_fault(planned, Some(id), fault))
+                lost.map(|id| RuledOut { planned, requirement: Some(id), fault: Some(fault) })
             }
             (None, None) => None,
         };
@@ -259,8 +255,7 @@ impl Good {
     }
 }
 
-/// The most frequent kind of fault: its first text, the number of its episodes, and the index of the first.
-fn most_frequent_fault<'a>(trials: impl Iterator<Item = &'a Trial>) -> Option<(String, u64, u64)> {
+fn most_frequent_fault<'a>(trials: impl Iterator<Item = &'a Trial>) -> Option<FrequentFault> {
     let mut kinds: Vec<(&Fault, u64, u64)> = Vec::new();
     for trial in trials {
         let Ending::Invalid(fault) = &trial.ending else { continue };
@@ -270,6 +265,6 @@ fn most_frequent_fault<'a>(trials: impl Iterator<Item = &'a Trial>) -> Option<(S
         }
     }
     // The first of several equally frequent ones.
-    let (fault, episodes, first) = kinds.into_iter().rev().max_by_key(|(_, episodes, _)| *episodes)?;
-    Some((fault.to_string(), episodes, first))
+    let (fault, with_fault, first) = kinds.into_iter().rev().max_by_key(|(_, episodes, _)| *episodes)?;
+    Some(FrequentFault { fault: fault.to_string(), with_fault, first })
 }

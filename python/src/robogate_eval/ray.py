@@ -11,11 +11,13 @@ import argparse
 import json
 import os
 import signal
+import socket
 import sys
 import time
 from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import Any
+from urllib.parse import urlsplit
 
 from robogate_eval import CommandNotFoundError
 from robogate_eval.cluster import batches, shards
@@ -44,6 +46,8 @@ SHARDS_PER_SLOT = 16
 MOST_TASKS = 1000
 # How often the driver looks for new nodes, in seconds.
 NODES_S = 5.0
+# How long a cluster may take to accept a connection, in seconds. Ray itself waits for minutes.
+CONNECT_S = 5.0
 # Ray's options that slow it down or print too much for this use.
 QUIET = {"include_dashboard": False, "log_to_driver": False, "logging_level": "error"}
 
@@ -307,13 +311,34 @@ def _recorded_policy(folder: str) -> str:
         return ""
 
 
+def _endpoint(address: str) -> "tuple[str, int] | None":
+    """Host and port of `HOST:PORT` and `ray://HOST:PORT`. Other addresses are left to Ray."""
+    try:
+        parts = urlsplit(address if "://" in address else f"ray://{address}")
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        return None
+    return (host, port) if parts.scheme == "ray" and host and port else None
+
+
+def _no_cluster(address: str, problem: object) -> CampaignError:
+    hint = "start one with `ray start --head`, check the host and port in --address or RAY_ADDRESS, or use --address local"
+    return CampaignError(INFRASTRUCTURE, f"no Ray cluster at {address}: {problem}\nhint: {hint}")
+
+
 def _connect(address: str) -> None:
+    # Ray reads this variable in the same case.
+    named = (os.environ.get("RAY_ADDRESS") if address == "auto" else None) or address
+    endpoint = _endpoint(named)
+    if endpoint is not None:
+        try:
+            socket.create_connection(endpoint, CONNECT_S).close()
+        except OSError as error:
+            raise _no_cluster(named, error.strerror or error) from error
     try:
         ray.init(address=address, **QUIET)
     except ConnectionError as error:
-        raise CampaignError(
-            INFRASTRUCTURE, f"no Ray cluster at {address}: {error}\nhint: start one with `ray start --head`, or use --address local"
-        ) from error
+        raise _no_cluster(named, error) from error
     except ValueError as error:
         raise CampaignError(USAGE, f"--address {address}: {error}") from error
     except Exception as error:

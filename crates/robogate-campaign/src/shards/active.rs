@@ -19,7 +19,7 @@ impl Shards {
     /// the last round stands for the report on the model of all episodes. `None` if nothing can be chosen now.
     pub fn unchosen(&self) -> Result<Option<ShardRound>, ShardError> {
         let Some(stage) = &self.plan().active else { return Ok(None) };
-        let committed = self.committed()?;
+        let committed = self.committed(&self.files()?)?;
         let rounds = stage.rounds(self.plan().uniform.episodes).len() as u64;
         let mut before = ShardRound::Uniform;
         for number in 0..=rounds {

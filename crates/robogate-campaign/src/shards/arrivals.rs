@@ -17,7 +17,7 @@ impl Shards {
         known: &mut BTreeSet<(ShardRound, u32)>,
         sink: &mut dyn FnMut(&Entry),
     ) -> Result<(), ShardError> {
-        for (round, shards) in self.committed()? {
+        for (round, shards) in self.committed(&self.files()?)? {
             let fresh: Vec<u32> = shards.into_iter().filter(|shard| !known.contains(&(round, *shard))).collect();
             if fresh.is_empty() {
                 continue;
@@ -37,7 +37,7 @@ impl Shards {
     /// # Errors
     /// The shard cannot be read.
     pub fn recorded(&self, index: u64) -> Result<Option<Entry>, ShardError> {
-        for (round, shards) in self.committed()? {
+        for (round, shards) in self.committed(&self.files()?)? {
             if !round.indices(self.plan()).contains(&index) {
                 continue;
             }

@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Shard, ShardError, ShardRound, Shards, failed, file, get, put, shard_name, store};
+use super::{Shard, ShardError, ShardRound, Shards, file, get, put, shard_name, store};
 use crate::RunError;
 use crate::folder;
 
@@ -39,9 +39,8 @@ impl Shards {
         self.check_record(&shard_name(round, shard))
     }
 
-    /// Rejects a campaign with a record of another result for any shard.
-    pub(super) fn check_conflicts(&self) -> Result<(), ShardError> {
-        let files = self.store.list(store::SHARDS).map_err(failed(&*self.store, store::SHARDS, "list"))?;
+    /// Rejects a campaign with a record of another result for any shard. `files` is that of [`Self::files`].
+    pub(super) fn check_conflicts(&self, files: &[String]) -> Result<(), ShardError> {
         let mut contradicted = files.iter().filter_map(|file| file::contradicted(file));
         contradicted.try_for_each(|shard| self.check_record(&format!("{}/{shard}", store::SHARDS)))
     }

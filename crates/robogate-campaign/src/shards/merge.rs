@@ -28,8 +28,9 @@ impl Shards {
         mut after_round: Option<&mut AfterRound<'_>>,
     ) -> Result<Completion, ShardError> {
         self.same_tool()?;
-        self.check_conflicts()?;
-        let (rounds, open) = self.rounds(after_round.as_deref_mut())?;
+        let files = self.files()?;
+        self.check_conflicts(&files)?;
+        let (rounds, open) = self.rounds(&files, after_round.as_deref_mut())?;
         if let Some(OpenRound { round, missing }) = open {
             return Err(ShardError::Missing { dir: self.dir(), round, shards: self.shards(), missing });
         }

@@ -203,16 +203,18 @@ impl Shards {
     ///
     /// A shard for which two processes computed different results is an error.
     pub fn open_round(&self, after_round: Option<&mut AfterRound<'_>>) -> Result<Option<OpenRound>, ShardError> {
-        self.check_conflicts()?;
-        Ok(self.rounds(after_round)?.1)
+        let files = self.files()?;
+        self.check_conflicts(&files)?;
+        Ok(self.rounds(&files, after_round)?.1)
     }
 
-    /// The complete rounds in order, and the open one.
+    /// The complete rounds in order, and the open one. `files` is that of [`Self::files`].
     fn rounds(
         &self,
+        files: &[String],
         mut after_round: Option<&mut AfterRound<'_>>,
     ) -> Result<(Vec<ShardRound>, Option<OpenRound>), ShardError> {
-        let committed = self.committed()?;
+        let committed = self.committed(files)?;
         let mut complete = Vec::new();
         for round in ShardRound::all(self.plan()) {
             if self.is_over(round)? {
@@ -244,12 +246,18 @@ impl Shards {
         Ok(after_round(&Round { number, entries: &entries }))
     }
 
-    /// The committed shards by their names. Their content is not read.
-    fn committed(&self) -> Result<Committed, ShardError> {
+    /// The names of the shard files, of the records of other results, and of the files beside them. That is one request to an
+    /// object store.
+    fn files(&self) -> Result<Vec<String>, ShardError> {
+        self.store.list(store::SHARDS).map_err(failed(&*self.store, store::SHARDS, "list"))
+    }
+
+    /// The committed shards among `files`. Their content is not read.
+    fn committed(&self, files: &[String]) -> Result<Committed, ShardError> {
         let mut committed = Committed::new();
         let rounds = ShardRound::all(self.plan());
-        for file in self.store.list(store::SHARDS).map_err(failed(&*self.store, store::SHARDS, "list"))? {
-            match file::parse_name(&file) {
+        for file in files {
+            match file::parse_name(file) {
                 Some((round, shard)) if shard.of() == self.shards && rounds.binary_search(&round).is_ok() => {
                     committed.entry(round).or_default().insert(shard.index());
                 }

@@ -66,8 +66,9 @@ impl Shards {
     /// `after_round` is that of [`Self::open_round`]. Rounds after the one on which it breaks are left out. As there, two
     /// different results for a shard are an error.
     pub fn status(&self, mut after_round: Option<&mut AfterRound<'_>>) -> Result<ShardStatus, ShardError> {
-        self.check_conflicts()?;
-        let committed = self.committed()?;
+        let files = self.files()?;
+        self.check_conflicts(&files)?;
+        let committed = self.committed(&files)?;
         let mut rounds: Vec<RoundStatus> = Vec::new();
         for round in ShardRound::all(self.plan()) {
             if self.is_over(round)? {

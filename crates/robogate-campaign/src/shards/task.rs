@@ -78,7 +78,7 @@ impl Shards {
     pub fn assign(&self, index: u32, after_round: Option<&mut AfterRound<'_>>) -> Result<Assignment, ShardError> {
         let shard = Shard::new(index, self.shards())?;
         // Other shards may run while one of them has two results. A merge rejects these.
-        let Some(OpenRound { round, missing }) = self.rounds(after_round)?.1 else {
+        let Some(OpenRound { round, missing }) = self.rounds(&self.files()?, after_round)?.1 else {
             return Ok(Assignment::Complete);
         };
         let indices = self.division(round).of(shard);

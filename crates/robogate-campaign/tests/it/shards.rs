@@ -7,6 +7,7 @@ use std::io;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::Duration;
@@ -316,9 +317,9 @@ fn contradicted_shard_is_never_merged() {
     merge(&campaign, &out).unwrap();
 }
 
-/// A store in memory, as object stores will be.
+/// A store in memory, as object stores will be. It counts the listings.
 #[derive(Clone, Default)]
-struct MemoryStore(Arc<Mutex<BTreeMap<String, Vec<u8>>>>);
+struct MemoryStore(Arc<Mutex<BTreeMap<String, Vec<u8>>>>, Arc<AtomicUsize>);
 
 impl ShardStore for MemoryStore {
     fn put_if_absent(&self, name: &str, bytes: &[u8]) -> io::Result<Stored> {
@@ -340,6 +341,7 @@ impl ShardStore for MemoryStore {
             let rest = if folder.is_empty() { name } else { name.strip_prefix(folder)?.strip_prefix('/')? };
             (!rest.contains('/')).then(|| rest.to_owned())
         };
+        self.1.fetch_add(1, Ordering::Relaxed);
         Ok(self.0.lock().unwrap().keys().filter_map(within).collect())
     }
 
@@ -350,6 +352,24 @@ impl ShardStore for MemoryStore {
     fn place(&self, name: &str) -> PathBuf {
         Path::new("memory:").join(name)
     }
+}
+
+/// A listing is a request to an object store.
+#[test]
+fn shards_are_listed_once() {
+    let store = MemoryStore::default();
+    let campaign = Shards::begin(Box::new(store.clone()), 3, &plan(9, 0), provenance()).unwrap();
+    let base = tempfile::tempdir().unwrap();
+    let listings = || store.1.swap(0, Ordering::Relaxed);
+    listings();
+    campaign.open_round(None).unwrap();
+    assert_eq!(listings(), 1);
+    campaign.status(None).unwrap();
+    assert_eq!(listings(), 1);
+    (0..3).for_each(|k| assert_eq!(run(&campaign, k), Commit::First));
+    assert_eq!(listings(), 3);
+    merge(&campaign, base.path()).unwrap();
+    assert_eq!(listings(), 1);
 }
 
 #[test]

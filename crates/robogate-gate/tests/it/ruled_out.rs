@@ -2,8 +2,9 @@
 
 use robogate_core::FailureMode;
 use robogate_gate::{
-    Against, Ending, Evaluation, Question, RealEvidence, RealStratum, Record, Requirements, Sampling, Verdict,
+    Against, Ending, Evaluation, Question, RealEvidence, RealStratum, Record, Requirements, RuledOut, Sampling, Verdict,
 };
+use serde_json::json;
 
 use crate::common::{failed, invalid, judge, requirements, suite};
 
@@ -66,8 +67,15 @@ fn most_episodes_invalid_stops_early() {
         assert_eq!((found.verdict, found.decided_at_episodes), (Verdict::Inconclusive, None));
         assert!(found.because.contains("no result of the other"), "{}", found.because);
         let out = found.ruled_out.unwrap();
-        assert_eq!((out.requirement.as_deref(), out.fault.as_deref()), (Some("success"), Some("diverged: test")));
-        assert_eq!((out.planned, out.with_fault, out.first), (PLANNED, Some(found.counts.invalid), Some(0)));
+        let written = json!({
+            "planned": PLANNED,
+            "requirement": "success",
+            "fault": "diverged: test",
+            "with_fault": found.counts.invalid,
+            "first": 0,
+        });
+        assert_eq!(serde_json::to_value(&out).unwrap(), written);
+        assert_eq!(serde_json::from_value::<RuledOut>(written).unwrap(), out);
         // Once it is ruled out, it stays so.
         assert!((first..20).all(|n| evaluate(n).ruled_out.is_some()));
     }
@@ -131,10 +139,10 @@ fn undecided_trials_rule_out_a_pass() {
         let found = judge(rounds(1, |_| Ending::Success), 0.5, Some(19), sampling);
         assert!(found.because.contains("do not show `real:success`: no result of the other 304"), "{}", found.because);
         let out = found.ruled_out.unwrap();
-        assert_eq!(
-            (found.verdict, out.requirement.as_deref(), out.fault),
-            (Verdict::Inconclusive, Some("real:success"), None)
-        );
+        let written = json!({ "planned": PLANNED, "requirement": "real:success" });
+        assert_eq!(found.verdict, Verdict::Inconclusive);
+        assert_eq!(serde_json::to_value(&out).unwrap(), written);
+        assert_eq!(serde_json::from_value::<RuledOut>(written).unwrap(), out);
         assert_eq!(judge(rounds(1, |_| Ending::Success), 0.5, Some(25), sampling).verdict, Verdict::Pass);
         let violated = judge(rounds(1, |_| Ending::Success), 0.5, Some(3), sampling);
         assert!(violated.verdict == Verdict::Fail && violated.is_violated_by_trials());
@@ -166,7 +174,7 @@ fn invalid_pairs_rule_out_a_replacement() {
         let found = compared(this, other);
         let out = found.ruled_out.unwrap();
         assert_eq!(out.requirement.as_deref(), Some("not worse than the other policy"));
-        assert_eq!((found.verdict, out.with_fault), (Verdict::Inconclusive, Some(173)));
+        assert_eq!((found.verdict, out.fault.unwrap().with_fault), (Verdict::Inconclusive, 173));
         assert!(found.because.starts_with("173 of 192 pairs of episodes are invalid"), "{}", found.because);
     }
 }

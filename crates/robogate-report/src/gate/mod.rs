@@ -125,17 +125,17 @@ fn how_many(at: u64, evaluation: &Evaluation) -> String {
 
 /// What an inconclusive gate needs: more episodes, or a repair of what makes episodes invalid. Empty if it is conclusive.
 pub fn what_next(evaluation: &Evaluation) -> String {
-    if let Some(of) = &evaluation.ruled_out {
-        let Some(fault) = &of.fault else {
+    if let Some(ruled_out) = &evaluation.ruled_out {
+        let Some(of) = &ruled_out.fault else {
             return "Run more trials of the real robot: `robogate transfer` proposes settings. Then start a new gate with its \
                     new file."
                 .to_owned();
         };
-        let cause = fault.lines().next().unwrap_or_default().trim_end_matches('.');
+        let cause = of.fault.lines().next().unwrap_or_default().trim_end_matches('.');
         return format!(
             "Most frequent cause, in {} episodes, the first of which is number {}: {cause}. Fix the cause, and start a new gate.",
-            count(of.with_fault.unwrap_or_default()),
-            of.first.unwrap_or_default()
+            count(of.with_fault),
+            of.first
         );
     }
     evaluation.decided_at_episodes.map_or_else(String::new, |at| match evaluation.sampling {

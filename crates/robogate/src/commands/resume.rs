@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use anyhow::anyhow;
 use clap::Args;
 use robogate_gate::Asked;
 
@@ -33,8 +34,18 @@ impl Resume {
             return fleet::resume(&self.dir, &self.simulators, &self.location, &self.how);
         }
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
+        let asked = Asked::of(&self.dir).or_usage()?;
+        if asked.is_none() && settings.provenance.question_sha256.is_some() {
+            let file = self.dir.join(Asked::FILE);
+            return Err(anyhow!(
+                "{}: missing, but the plan is that of a gate with a question\n  hint: restore the file, or start the gate again in \
+                 another folder",
+                file.display()
+            ))
+            .or_usage();
+        }
         let subject = Subject::recorded_at(&settings.provenance, &self.simulators, &self.location)?;
-        if let Some(asked) = Asked::of(&self.dir).or_usage()? {
+        if let Some(asked) = asked {
             return gate::resume(&self.dir, asked, &subject, settings, &self.simulators, &self.location, &self.how);
         }
         if let Some(coarse) = CoarseArm::of(&self.dir, &settings.plan, &settings.provenance, &self.location)? {

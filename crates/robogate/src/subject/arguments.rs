@@ -31,8 +31,7 @@ pub(crate) struct EnvironmentArguments {
     /// Choose the robot: a built-in one (see `robogate robots`), or the folder of your own [default: franka]
     #[arg(long, value_name = "ROBOT")]
     robot: Option<String>,
-    /// Choose the physics engine: mujoco or rapier [default: mujoco]
-    #[arg(long, value_name = "ENGINE", conflicts_with = "addresses")]
+    #[arg(long, help = engine_help(), value_name = "ENGINE", conflicts_with = "addresses")]
     engine: Option<String>,
     /// Set the engine's time step, in seconds; default: the engine's own
     #[arg(long, value_name = "SECONDS", conflicts_with = "addresses")]
@@ -63,6 +62,12 @@ pub(crate) struct EnvironmentArguments {
     renderer: RendererName,
     #[command(flatten)]
     pub(crate) simulators: Simulators,
+}
+
+/// The help of `--engine`, with the engines of this build.
+fn engine_help() -> String {
+    let names: Vec<&str> = ENGINES.iter().map(|engine| engine.name).collect();
+    format!("Choose the physics engine: {} [default: {}]", names.join(" or "), names[0])
 }
 
 impl EnvironmentArguments {

@@ -50,6 +50,9 @@ fn pendulum_passes_through_every_verb() {
         &["below the 92.0 % that the gate requires", "--learn-baseline"],
     );
     verb("monitor reference a --learn-baseline --out reference.json", 0, &["risk model"]);
+    // A gate without its question must not become a run without a verdict.
+    fs::remove_file(at.join("other/gate-question.json")).unwrap();
+    verb("resume other", 2, &["gate-question.json: missing", "restore the file"]);
 }
 
 /// Sampled latencies are hidden draws: of a task without other draws, and of one with them. A dictionary without their columns, as an
@@ -171,15 +174,22 @@ fn designs_of_the_pendulum() {
 
 /// An engine that cannot start says nothing about the record.
 fn without_engine(at: &Path) {
-    for arguments in [&["replay", "a", "7"][..], &["view", "a", "--export", "without.html"]] {
+    for (arguments, code) in [
+        (&["replay", "a", "7"][..], 5),
+        (&["view", "a", "--export", "without.html"][..], 0),
+        (&["view", "a", "--export", "none.html", "--clips", "4"][..], 5),
+    ] {
         let mut command = Command::new(env!("CARGO_BIN_EXE_robogate"));
         let output =
             command.args(arguments).current_dir(at).env("ROBOGATE_MUJOCO_LIB", "/nonexistent").output().unwrap();
         let text = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
         assert!(text.contains("no such library"), "{text}");
         assert!(!text.contains("DIFFERS") && !text.contains("replay differs"), "{text}");
-        assert!(arguments[0] == "view" || output.status.code() == Some(5), "{text}");
+        assert_eq!(output.status.code(), Some(code), "{text}");
+        assert_eq!(text.matches("not in the page").count(), usize::from(code == 0), "{text}");
     }
+    // Only a page whose episodes were requested needs them.
+    assert!(at.join("without.html").is_file() && !at.join("none.html").exists());
 }
 
 /// An option that changes nothing is refused.

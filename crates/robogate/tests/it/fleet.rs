@@ -106,6 +106,17 @@ fn required_share_decides_exit_code() {
 }
 
 #[test]
+fn requirements_on_the_real_robot_are_refused() {
+    let dir = folder();
+    let at = dir.path();
+    let real = format!("{REQUIREMENTS}[[requirement]]\nmetric = \"real:success\"\nat_least = 0.6\n");
+    fs::write(at.join("real.toml"), real).unwrap();
+    let fleet = FLEET.replace("most.toml", "real.toml");
+    verb(at, &format!("{fleet} --out a"), 2, &["--requirements real.toml", "`real:success`", "hint: leave"]);
+    assert!(!at.join("a").exists());
+}
+
+#[test]
 fn interrupted_fleet_resumes_identically() {
     let dir = folder();
     let at = dir.path();

@@ -139,6 +139,14 @@ impl FleetOf {
 
     fn plan(&self, subject: &Subject, suite: Option<Suite>, unit_space: ParameterSpace) -> Result<FleetPlan, Exit> {
         let requirements = open_requirements(&self.requirements, subject.task())?;
+        if requirements.check_real(None).is_err() {
+            return Err(anyhow!(
+                "--requirements {}: no unit can meet a requirement on `real:success`, because a fleet has no trials of the real \
+                 robot\n  hint: leave this requirement out, and judge it with `robogate gate --real FILE`",
+                self.requirements
+            ))
+            .or_usage();
+        }
         let suite = match suite {
             Some(suite) => suite,
             None => {

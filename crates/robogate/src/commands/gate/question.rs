@@ -158,7 +158,7 @@ pub(super) fn question<'a>(asked: &'a Asked, other: Option<&'a Record>) -> Quest
     }
 }
 
-/// Writes the question beside the plan. Without it `resume` would run all rounds; the verdict would be the same.
+/// Writes the question beside the plan. Without it, `resume` refuses to continue the gate.
 pub(crate) fn write_question(dir: &Path, asked: &Asked) {
     if let Err(error) = fs::write(dir.join(Asked::FILE), asked.to_json()) {
         warning(format_args!("cannot write {}: {error}", dir.join(Asked::FILE).display()));

@@ -3,9 +3,11 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use anyhow::anyhow;
 use robogate_dictionary::{Entry, Provenance};
 use robogate_replay::Clip;
 
+use crate::exit::{Exit, INVALID, OrExit};
 use crate::remote::Simulators;
 use crate::subject::Subject;
 use crate::watch::{self, Again};
@@ -14,7 +16,7 @@ use crate::watch::{self, Again};
 pub(super) struct Clips {
     simulators: Simulators,
     /// Environment and policy of each run that an episode was recorded of.
-    subjects: Vec<(usize, Result<Subject, String>)>,
+    subjects: Vec<(usize, Result<Subject, Exit>)>,
 }
 
 /// The run that an episode belongs to.
@@ -33,21 +35,23 @@ impl Clips {
     }
 
     /// Records an episode. The error says in words why it cannot be shown.
-    pub(super) fn clip(&mut self, origin: &Origin, entry: &Entry) -> Result<Clip, String> {
+    pub(super) fn clip(&mut self, origin: &Origin, entry: &Entry) -> Result<Clip, Exit> {
         if !self.subjects.iter().any(|(run, _)| *run == origin.run) {
-            let subject = Subject::recorded(&origin.provenance, &self.simulators);
-            self.subjects.push((origin.run, subject.map_err(|exit| exit.to_string())));
+            self.subjects.push((origin.run, Subject::recorded(&origin.provenance, &self.simulators)));
         }
         let subject = self.subjects.iter().find(|(run, _)| *run == origin.run).map(|(_, subject)| subject);
         let subject = match subject {
             Some(Ok(subject)) => subject,
-            Some(Err(because)) => return Err(because.clone()),
-            None => return Err("the run is not known".to_owned()),
+            Some(Err(exit)) => return Err(Exit { code: exit.code, error: anyhow!("{exit}") }),
+            None => return Err(anyhow!("the run is not known")).or_broken(),
         };
-        let again = Again::of(subject, &entry.episode, false).map_err(|error| format!("{error:#}"))?.ok_or(
-            "The replay differs from the record: the tool, the engine, the platform or the policy is another one, or the \
-             policy is not deterministic.",
-        )?;
+        let again = Again::of(subject, &entry.episode, false).or_broken()?.ok_or_else(|| Exit {
+            code: INVALID,
+            error: anyhow!(
+                "The replay differs from the record: the tool, the engine, the platform or the policy is another one, or \
+                 the policy is not deterministic."
+            ),
+        })?;
         let title = if origin.named {
             format!("{}, episode {}", origin.name, entry.index())
         } else {

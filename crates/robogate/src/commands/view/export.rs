@@ -9,19 +9,21 @@ use robogate_replay::{Clip, packed_floats, reel};
 use robogate_report::explorer_page;
 use serde_json::{Value, json};
 
+use super::CLIPS;
 use super::board::Board;
 use super::clips::{Clips, Origin};
 use super::model;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::remote::Simulators;
-use crate::terminal::{foreign, note};
+use crate::terminal::{foreign, indented, note};
 
-/// Writes the page with at most this number of recorded episodes and of rows.
+/// Writes the page with at most this number of recorded episodes and of rows. If the number of episodes is given and none
+/// can be recorded, that is an error; by default, the page then has none.
 pub(super) fn write(
     file: &Path,
     mut board: Board,
     simulators: &Simulators,
-    most: usize,
+    clips: Option<u16>,
     most_rows: usize,
 ) -> Result<u8, Exit> {
     let models: Vec<Value> = (0..board.runs.len())
@@ -30,6 +32,7 @@ pub(super) fn write(
             model::fit(&training).unwrap_or_else(|because| json!({ "version": 1, "because": because }))
         })
         .collect();
+    let most = usize::from(clips.unwrap_or(CLIPS));
     let mut recorder = Recorder::new(simulators, most);
     for (run, index) in chosen(&board, most) {
         recorder.add(&mut board, run, index)?;
@@ -37,6 +40,15 @@ pub(super) fn write(
             recorder.add(&mut board, run, twin.index)?;
         }
     }
+    if let Some(clips) = clips
+        && recorder.recorded.is_empty()
+        && !recorder.failed.is_empty()
+    {
+        let (_, Exit { code, error }) = recorder.failed.swap_remove(0);
+        let what = format!("--clips {clips}: no episode can be recorded. Leave out --clips for a page without replays");
+        return Err(Exit { code, error: error.context(what) });
+    }
+    recorder.note_failed(&board);
     let episodes: Vec<Value> = recorder.episodes(&board.table).collect();
     let Recorder { recorded, places, .. } = recorder;
     let reel = reel(&recorded);
@@ -92,8 +104,8 @@ struct Recorder {
     recorded: Vec<Clip>,
     /// Run and index of each recorded episode.
     places: Vec<(usize, u64)>,
-    /// Episodes that cannot be recorded.
-    failed: Vec<(usize, u64)>,
+    /// Run and index of each episode that cannot be recorded, and why.
+    failed: Vec<((usize, u64), Exit)>,
 }
 
 impl Recorder {
@@ -105,7 +117,8 @@ impl Recorder {
     /// Records an episode, unless it is there or the page is full.
     fn add(&mut self, board: &mut Board, run: usize, index: u64) -> Result<(), Exit> {
         let place = (run, index);
-        if self.recorded.len() >= self.most || self.places.contains(&place) || self.failed.contains(&place) {
+        let mut known = self.places.iter().chain(self.failed.iter().map(|(failed, _)| failed));
+        if self.recorded.len() >= self.most || known.any(|known| *known == place) {
             return Ok(());
         }
         let of = &board.runs[run];
@@ -121,17 +134,30 @@ impl Recorder {
                 self.places.push(place);
                 self.recorded.push(clip);
             }
-            Some(Err(because)) => {
-                self.failed.push(place);
-                note(format_args!(
-                    "note: episode {index} of {} is not in the page: {}",
-                    foreign(&origin.name),
-                    foreign(because)
-                ));
-            }
+            Some(Err(exit)) => self.failed.push((place, exit)),
             None => {}
         }
         Ok(())
+    }
+
+    /// Prints why episodes are not in the page, once for each run and reason.
+    fn note_failed(&self, board: &Board) {
+        let mut reasons: Vec<(usize, String, Vec<u64>)> = Vec::new();
+        for ((run, index), exit) in &self.failed {
+            let because = exit.to_string();
+            match reasons.iter_mut().find(|(of, known, _)| of == run && *known == because) {
+                Some((.., indices)) => indices.push(*index),
+                None => reasons.push((*run, because, vec![*index])),
+            }
+        }
+        for (run, because, indices) in reasons {
+            let name = foreign(&board.runs[run].name);
+            let which = match indices[..] {
+                [index] => format!("episode {index} of {name} is"),
+                _ => format!("{} episodes of {name} are", indices.len()),
+            };
+            note(format_args!("note: {which} not in the page: {}", indented(because)));
+        }
     }
 
     /// The recorded episodes, each with its nearest passing twin if that is recorded too.

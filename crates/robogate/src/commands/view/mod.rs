@@ -19,6 +19,8 @@ pub(in crate::commands) use player::Player;
 
 /// Largest number of rows of a served page. The server and the browser need 4 bytes for each value of a row.
 const MOST_ROWS: usize = 1_000_000;
+/// Default of the largest number of recorded episodes in an exported page.
+const CLIPS: u16 = 12;
 /// Largest number of rows of an exported page.
 const MOST_ROWS_OF_EXPORT: usize = 250_000;
 
@@ -35,9 +37,9 @@ pub(crate) struct View {
     /// Write one self-contained page to this file instead of serving
     #[arg(long, value_name = "FILE")]
     export: Option<PathBuf>,
-    /// Choose the largest number of recorded episodes in the exported page (0 to 200)
-    #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(0..=200), requires = "export")]
-    clips: u16,
+    /// Choose the largest number of recorded episodes in the exported page (0 to 200); default: 12
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=200), requires = "export")]
+    clips: Option<u16>,
     /// Choose the largest number of rows of the page; of more, it has a random sample and says so. The rates without a
     /// selection always count all episodes. Default: 250,000 in an exported page, 1,000,000 in a served one
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
@@ -57,7 +59,7 @@ impl View {
         match &self.export {
             Some(file) => {
                 let rows = rows.unwrap_or(MOST_ROWS_OF_EXPORT);
-                export::write(file, board, &self.simulators, usize::from(self.clips), rows)
+                export::write(file, board, &self.simulators, self.clips, rows)
             }
             None => {
                 let address = SocketAddr::from((Ipv4Addr::LOCALHOST, self.port));

@@ -82,10 +82,10 @@ impl Player {
         }
         let entry = entry.map_err(|error| NoClip::Failed(format!("{error:#}")))?.ok_or(NoClip::NoEpisode(index))?;
         let mut clips = self.clips.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut recorded = vec![clips.clip(&origin, &entry).map_err(NoClip::Failed)?];
+        let mut recorded = vec![clips.clip(&origin, &entry).map_err(|exit| NoClip::Failed(exit.to_string()))?];
         let twin = twin.map(|(entry, twin)| {
             let clip = match entry {
-                Ok(Some(entry)) => clips.clip(&origin, &entry),
+                Ok(Some(entry)) => clips.clip(&origin, &entry).map_err(|exit| exit.to_string()),
                 Ok(None) => Err("It is not in the run.".to_owned()),
                 Err(error) => Err(format!("{error:#}")),
             };
