@@ -47,9 +47,9 @@ pub enum ShapeKind {
 /// A change of the success rate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RateStep {
-    /// The value at which the rate crosses the mean of the two rates.
+    /// The value that best separates low from high rates. A gradual effect crosses about their mean there.
     pub at: f64,
-    /// Its 95 % interval, by profile likelihood.
+    /// Its 95 % interval, for a jump as well as for a gradual change (exact tests of windows of cells).
     pub interval_95: [f64; 2],
 }
 

@@ -1,7 +1,7 @@
 //! Compares score differences, joint p-values and stratified evidence with `tests/reference/gate.py`.
 
 use robogate_stats::compare::Pairs;
-use robogate_stats::difference::{independent, paired};
+use robogate_stats::difference::{independent_normal, paired};
 use robogate_stats::group_sequential::{boundary_p, joint_p};
 use robogate_stats::stratified::Strata;
 use robogate_stats::{Confidence, Trials};
@@ -17,7 +17,7 @@ fn reference() -> Value {
 fn independent_differences_match_statsmodels() {
     for case in list(&reference()["independent"]) {
         let trials = |x: &str, n: &str| Trials::new(count(&case[x]), count(&case[n])).unwrap();
-        let found = independent(trials("x1", "n1"), trials("x2", "n2"), Confidence::P95);
+        let found = independent_normal(trials("x1", "n1"), trials("x2", "n2"), Confidence::P95);
         assert!((found.interval.low - float(&case["low"])).abs() < 2e-5, "{case} {found:?}");
         assert!((found.interval.high - float(&case["high"])).abs() < 2e-5, "{case} {found:?}");
         assert!((found.ln_p.exp() - float(&case["p"])).abs() < 1e-6, "{case} {found:?}");

@@ -99,7 +99,7 @@ fn effects_tables(analysis: &Analysis) -> Vec<Block> {
     let mut table = Table::new("Influence on success, strongest first", &columns, rows);
     table.remark = Some(format!(
         "Permutation tests of an effect of any shape, adjusted (Holm) for {} and {}. Steps and rates are shown for significant \
-         effects; a step has its profile-likelihood interval.",
+         effects; a step has its 95 % interval.",
         counted(effects.tested, "parameter"),
         counted(effects.pairs_tested, "pair")
     ));

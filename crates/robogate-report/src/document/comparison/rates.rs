@@ -1,6 +1,7 @@
 //! Success rates and their differences.
 
 use robogate_analysis::{Comparison, Finding};
+use robogate_stats::difference::EXACT_TRIALS;
 use robogate_stats::format::{count, p_value, percent, percent_or_dash, percent_range, points, points_range};
 
 use super::{Block, Figure, Section, Table, population};
@@ -89,10 +90,12 @@ fn differences(of: &Comparison) -> Figure {
             "Differences of success rates in percentage points",
         ),
         is_map: false,
-        caption: "Percentage points. Interval and p-value come from one score test and hold for all pairs together (Bonferroni): the \
-                  interval excludes 0 exactly if p is at most 0.05, shown by a filled dot. Datasets with the same scenarios are paired \
-                  (Tango); the others are independent runs (Miettinen and Nurminen)."
-            .to_owned(),
+        caption: format!(
+            "Percentage points. Interval and p-value come from one score test and hold for all pairs together (Bonferroni): the \
+             interval excludes 0 exactly if p is at most 0.05, shown by a filled dot. Datasets with the same scenarios are paired \
+             (Tango); the others are independent runs (Miettinen and Nurminen; exact by Chan and Zhang up to {EXACT_TRIALS} \
+             episodes of the smaller run)."
+        ),
         findings: Vec::new(),
         table: Table::new("Differences", &columns, rows.collect()).at_most(MAX_ROWS),
     }
