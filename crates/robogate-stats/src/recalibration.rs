@@ -16,7 +16,11 @@
 //! Trials that share effects count less: a design effect d (the variance of their success rate relative to independent
 //! trials) divides the log-likelihood and the squared score statistics (Rao and Scott 1992, Biometrics 48).
 //!
-//! Limits: trials are independent given the model, but for d. The simulation keeps the model at its estimate; the columns are
+//! The model itself was estimated from N rows, so its effect of a column is uncertain, too. With n trials from the same
+//! distribution its variance is about b² n/N times that of the trials, so the statistics and the posterior of effects are those
+//! for a design effect of d + b² n/N.
+//!
+//! Limits: trials are independent given the model, but for d. What a model cannot represent counts as an effect. The simulation keeps the model at its estimate; the columns are
 //! made orthogonal to it, so the error is of second order. Sources: Cox (1958), Biometrika 45 (recalibration); Rao (1948);
 //! Geweke (1989), Econometrica 57 (importance sampling).
 
@@ -67,6 +71,15 @@ pub struct Observed<'a> {
     pub outcomes: &'a [bool],
     /// The variance of their success rate relative to independent trials, at least 1.
     pub design_effect: f64,
+    /// The number of rows that the model was estimated from. Infinite for a model without error.
+    pub model_rows: f64,
+}
+
+impl Observed<'_> {
+    /// The variance of an effect beyond the model relative to independent trials and a model without error.
+    fn of_effects(self, slope: f64) -> f64 {
+        self.design_effect + slope * slope * self.eta.len() as f64 / self.model_rows
+    }
 }
 
 /// A quantity with the interval of its posterior.
@@ -162,9 +175,11 @@ impl Recalibration {
     /// The posterior with the effects of these standardised columns (one value for each trial). Without a column, that of
     /// [`Self::of`].
     pub fn with_effects(observed: Observed<'_>, columns: &[Vec<f64>], level: f64, seed: u64) -> Self {
+        let without = Self::of(observed, level);
+        let observed = Observed { design_effect: observed.of_effects(without.slope().mean), ..observed };
         let posterior = WithEffects::of(observed, columns);
         let proposal = (!columns.is_empty()).then(|| posterior.mode()).flatten();
-        let Some((mode, factor)) = proposal else { return Self::of(observed, level) };
+        let Some((mode, factor)) = proposal else { return without };
         let size = mode.len();
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut draws = Vec::with_capacity(POSTERIOR_DRAWS);
@@ -366,13 +381,15 @@ pub struct Effect {
 /// Tests which columns explain the outcomes beyond the corrected model, which has the columns `known` already. `None` for a
 /// column that does not vary beyond the model.
 pub fn effects(
-    Observed { eta, outcomes, design_effect }: Observed<'_>,
+    observed: Observed<'_>,
     columns: &[Vec<f64>],
     model: &Recalibration,
     known: &[Vec<f64>],
     seed: u64,
 ) -> Vec<Option<Effect>> {
+    let Observed { eta, outcomes, .. } = observed;
     let (a, b) = (model.shift().mean, model.slope().mean);
+    let design_effect = observed.of_effects(b);
     let means: Vec<f64> = model.effects().iter().map(|effect| effect.mean).collect();
     let values = |i: usize| known.iter().map(|column| column[i]).collect::<Vec<f64>>();
     let p: Vec<f64> = eta.iter().enumerate().map(|(i, eta)| corrected(a, b, &means, *eta, &values(i))).collect();
@@ -456,6 +473,7 @@ fn remove(from: &mut [f64], axis: &[f64], w: &[f64]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::logistic::{Data, Options, fit};
 
     fn data(seed: u64, n: usize, truth: impl Fn(f64, f64) -> f64) -> (Vec<f64>, Vec<f64>, Vec<bool>) {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -471,7 +489,38 @@ mod tests {
     }
 
     fn observed<'a>(eta: &'a [f64], outcomes: &'a [bool], design_effect: f64) -> Observed<'a> {
-        Observed { eta, outcomes, design_effect }
+        Observed { eta, outcomes, design_effect, model_rows: f64::INFINITY }
+    }
+
+    #[test]
+    fn errors_of_the_model_are_no_effects() {
+        // Four columns with an effect, and a model of it from as many rows as there are trials.
+        let rows = |seed: u64| {
+            let columns: Vec<Vec<f64>> = (0..4).map(|k| data(10 * seed + k, 300, |_, _| 0.0).1).collect();
+            let truth = |i: usize| 2.0 * columns[0][i] - 3.0 * columns[1][i] + columns[2][i] + 0.5;
+            let mut random = ChaCha8Rng::seed_from_u64(1_000_000 + seed);
+            let mut unit = || (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
+            let success: Vec<bool> = (0..300).map(|i| unit() < logistic(truth(i))).collect();
+            (columns, success)
+        };
+        let (mut named, mut named_without) = (0, 0);
+        for seed in 0..200 {
+            let (columns, success) = rows(2 * seed);
+            let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+            let model = fit(Data::new(&slices, &success, None).unwrap(), Options::default()).unwrap();
+            let (columns, success) = rows(2 * seed + 1);
+            let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+            let eta: Vec<f64> = model.probabilities(&slices).unwrap().iter().map(|p| log_odds(*p)).collect();
+            let known = observed(&eta, &success, 1.0);
+            let recalibrated = Recalibration::of(known, 0.95);
+            let names = |trials: Observed<'_>| {
+                let found = effects(trials, &columns, &recalibrated, &[], seed);
+                usize::from(found.iter().flatten().any(|effect| effect.adjusted_p <= 0.05))
+            };
+            named += names(Observed { model_rows: 300.0, ..known });
+            named_without += names(known);
+        }
+        assert!(named <= 18 && named_without >= 25, "{named} {named_without}");
     }
 
     #[test]

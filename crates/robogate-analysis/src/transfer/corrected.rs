@@ -111,16 +111,16 @@ pub(super) struct CorrectedModel<'a> {
 
 impl<'a> CorrectedModel<'a> {
     /// The model of these trials, and the effect of each parameter beyond shift and slope. `predicted` are the simulation's
-    /// predictions for the trials, `points` the population.
+    /// predictions for the trials by a model of so many episodes, `points` the population.
     pub(super) fn of(
         space: &'a ParameterSpace,
         trials: &RealTrials,
-        predicted: &[f64],
+        (predicted, episodes): (&[f64], usize),
         points: &[Vec<f64>],
         design_effect: f64,
     ) -> (Self, Vec<ParameterDifference>) {
         let (eta, outcomes): (Vec<f64>, _) = (predicted.iter().map(|p| log_odds(*p)).collect(), trials.outcomes());
-        let observed = Observed { eta: &eta, outcomes: &outcomes, design_effect };
+        let observed = Observed { eta: &eta, outcomes: &outcomes, design_effect, model_rows: episodes as f64 };
         let level = Confidence::P95.level();
         let (columns, numbers): (Vec<Column<'_>>, Vec<Vec<f64>>) =
             Column::all(space).into_iter().filter_map(|column| Some((column, column.of_trials(trials)?))).unzip();

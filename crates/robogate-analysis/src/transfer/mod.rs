@@ -475,8 +475,9 @@ fn assemble(
         }
     };
     let design_effect = prediction_powered::design_effect(&outcomes, &groups, Confidence::P95);
+    let episodes = predictor::training(&simulation.table).len();
     let (model, mut parameters) =
-        CorrectedModel::of(space, trials, &predictions.trials, &simulation.points, design_effect);
+        CorrectedModel::of(space, trials, (&predictions.trials, episodes), &simulation.points, design_effect);
     let posterior = model.posterior();
     let curve = [0.1, 0.3, 0.5, 0.7, 0.9]
         .map(|simulated| CorrectedRate { simulated, real: posterior.success(log_odds(simulated), &[]).into() });
