@@ -21,8 +21,8 @@ use crate::rounds::Rounds;
 use crate::ruled_out::RuledOut;
 use crate::scope::{Scope, expand};
 use crate::{
-    Baseline, Bound, ConfidenceScore, Controls, Ending, Family, GateError, Metric, Mode, Population, RealEvidence,
-    Record, Requirement, Requirements, Trial, Twins, Verdict,
+    Baseline, Bound, ConfidenceScore, Controls, Ending, Family, GateError, Metric, Mode, NewCases, Population,
+    RealEvidence, Record, Requirement, Requirements, Trial, Twins, Verdict,
 };
 
 /// How the number of episodes was chosen. It determines which test is valid.
@@ -166,7 +166,7 @@ pub struct Evaluation {
     pub dataset_sha256: String,
     /// The population of the figures.
     pub population: Population,
-    /// The estimand, in one sentence.
+    /// The estimand, in a few sentences.
     pub estimand: String,
     /// How the number of episodes was chosen.
     pub sampling: Sampling,
@@ -185,6 +185,9 @@ pub struct Evaluation {
     /// The success rate over the scenarios that some policy may complete. `None` if the task does not check feasibility.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub feasible: Option<FeasibleRate>,
+    /// The success rate over new cases. `None` unless imported episodes repeat cases.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub new_cases: Option<NewCases>,
     /// The result of each requirement.
     #[serde(alias = "findings")]
     pub results: Vec<RequirementResult>,
@@ -330,6 +333,7 @@ impl Question<'_> {
             alpha,
             beta: alpha / family.max(1) as f64,
             suite: rounds.suite,
+            mixed: rounds.suite || record.population.repeated_cases().is_some(),
             steps: counts.rounds.unwrap_or(episodes),
         };
         let mut results = asked
@@ -374,6 +378,7 @@ impl Question<'_> {
             real: record.real.clone(),
             dropped,
             feasible: FeasibleRate::of(rounds.trials()),
+            new_cases: NewCases::of(&record.population, &rounds.trials().collect::<Vec<&Trial>>()),
             results,
             comparison,
             groups: groups(rounds.trials()),

@@ -11,21 +11,27 @@
 //! for each policy, the probability that it is significantly ahead of a better or equal one is at most 0.05/k, and k of
 //! them are added (Bonferroni).
 //!
-//! Limitation: resampling only sees observed outcomes. If all replicates are equal, no interval is given; use the exact
-//! interval of the success rate instead. Source: Efron and Tibshirani (1993), chapters 6 and 13.
+//! The interval of a success rate is exact if the number of episodes was fixed in advance. A gate that stops as soon as its
+//! verdict is certain chooses the number by the results, and the exact interval of such gates covered 89 to 92 % in
+//! simulations. Their interval is a confidence sequence ([`robogate_stats::anytime`]), which covers at least 95 % after any
+//! round.
+//!
+//! Limitation: resampling only sees observed outcomes. If all replicates are equal, no interval is given; use the interval
+//! of the success rate instead. Source: Efron and Tibshirani (1993), chapters 6 and 13.
 
 use std::collections::BTreeMap;
 
 use robogate_core::Seed;
+use robogate_stats::anytime::Bounds;
 use robogate_stats::compare::{Pairs, mcnemar_exact};
 use robogate_stats::resample::percentile_ends;
-use robogate_stats::{Confidence, Trials, clopper_pearson};
+use robogate_stats::{Confidence, Interval, Trials, clopper_pearson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::evaluation::EndingCount;
 use crate::rounds::Rounds;
-use crate::{Baseline, ConfidenceScore, Ending, GateError, Population, Record, ScoreTerm, Trial};
+use crate::{Baseline, ConfidenceScore, Ending, GateError, Population, Record, Sampling, ScoreTerm, Trial};
 
 /// The number of bootstrap replicates.
 const DRAWS: usize = 2_000;
@@ -60,8 +66,11 @@ pub struct Standing {
     pub invalid: u64,
     /// Number of successes.
     pub successes: u64,
-    /// Exact (Clopper-Pearson) 95 % interval of the success rate.
+    /// 95 % interval of the success rate: exact (Clopper-Pearson), or a confidence sequence if `sequential`.
     pub success_95: [f64; 2],
+    /// Whether the number of episodes was not fixed in advance, as in a gate that stops as soon as its verdict is certain.
+    #[serde(default)]
+    pub sequential: bool,
     /// How the other episodes ended, the most frequent first.
     pub endings: Vec<EndingCount>,
 }
@@ -91,23 +100,24 @@ impl Leaderboard {
     /// The version of the format.
     pub const FORMAT: u32 = 1;
 
-    /// Ranks named records by `terms`.
+    /// Ranks named records by `terms`. The sampling of each record is how its number of episodes was chosen. The record
+    /// can override it ([`Record::sampling`]).
     ///
     /// # Errors
     /// If there is nothing to rank, or if the records have different populations.
     pub fn of(
-        entries: &[(String, Record)],
+        entries: &[(String, Record, Sampling)],
         terms: &[ScoreTerm],
         baseline: Option<&Baseline>,
     ) -> Result<Self, GateError> {
-        let Some((_, first)) = entries.first() else { return Err(GateError::NothingToRank) };
+        let Some((_, first, _)) = entries.first() else { return Err(GateError::NothingToRank) };
         if let Some(baseline) = baseline {
             baseline.check(&first.population)?;
         } else if let Some(term) = terms.iter().find(|term| term.scoring.needs_baseline()) {
             return Err(GateError::NoBaseline { what: format!("the score's term `{}`", term.name) });
         }
         let mut judged = Vec::new();
-        for (name, record) in entries {
+        for (name, record, _) in entries {
             if !record.population.is_that_of(&first.population) {
                 return Err(GateError::NotComparable {
                     name: name.clone(),
@@ -121,13 +131,14 @@ impl Leaderboard {
         let strata: Vec<Strata<'_>> = judged.iter().map(|trials| strata(trials)).collect();
         let draws = draw(&strata, terms, baseline);
         let mut standings = Vec::new();
-        for (i, (name, record)) in entries.iter().enumerate() {
+        for (i, (name, record, sampling)) in entries.iter().enumerate() {
             let trials = judged.get(i).map_or(&[][..], Vec::as_slice);
             let scores: Option<Vec<f64>> = draws.iter().map(|d| d.get(i).copied().flatten()).collect();
             let Some(score) = ConfidenceScore::of(terms, baseline, trials.iter().copied()) else {
                 return Err(GateError::Score { reason: "the requirements have no score term to rank by".to_owned() });
             };
-            standings.push(standing(name, record, trials, score, scores));
+            let sampling = record.sampling(*sampling);
+            standings.push(standing(name, record, trials, sampling, score, scores));
         }
         ranks(&mut standings, &draws);
         let leader = (0..standings.len())
@@ -205,12 +216,13 @@ fn standing(
     name: &str,
     record: &Record,
     trials: &[&Trial],
+    sampling: Sampling,
     score: ConfidenceScore,
     scores: Option<Vec<f64>>,
 ) -> Standing {
     let valid = trials.iter().filter(|trial| trial.ending.is_valid()).count() as u64;
     let successes = trials.iter().filter(|trial| trial.ending == Ending::Success).count() as u64;
-    let interval = clopper_pearson(Trials::new(successes, valid).unwrap_or(Trials::NONE), Confidence::P95);
+    let interval = success_interval(Trials::new(successes, valid).unwrap_or(Trials::NONE), sampling);
     let ends = scores.and_then(|mut scores| percentile_ends(&mut scores, Confidence::P95));
     Standing {
         rank: None,
@@ -225,7 +237,20 @@ fn standing(
         invalid: trials.len() as u64 - valid,
         successes,
         success_95: [interval.low, interval.high],
+        sequential: sampling == Sampling::Sequential,
         endings: crate::evaluation::endings(trials),
+    }
+}
+
+/// The 95 % interval of a success rate.
+fn success_interval(trials: Trials, sampling: Sampling) -> Interval {
+    match sampling {
+        Sampling::Fixed => clopper_pearson(trials, Confidence::P95),
+        Sampling::Sequential => {
+            let mut bounds = Bounds::new(Confidence::P95.tail());
+            bounds.look(trials);
+            bounds.interval()
+        }
     }
 }
 
@@ -290,4 +315,40 @@ fn scores_lead(draws: &[Vec<Option<f64>>], i: usize) -> bool {
         };
         draws.iter().filter(behind).count() as f64 <= most
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use robogate_stats::operating::{Answer, RateTest};
+
+    use super::*;
+
+    #[test]
+    fn intervals_of_stopped_gates_cover() {
+        let mut stream = Seed::campaign(5).stream("test");
+        let test = RateTest { at_least: 0.8, alpha: 0.05, beta: 0.05 };
+        for rate in [0.7, 0.8, 0.9] {
+            let (gates, mut covered) = (1_000, 0);
+            for _ in 0..gates {
+                let mut trials = Trials::NONE;
+                for _ in 0..20 {
+                    let new = (0..20).filter(|_| stream.uniform() < rate).count() as u64;
+                    trials = Trials::new(trials.successes() + new, trials.n() + 20).unwrap();
+                    if test.look(trials) != Answer::Open {
+                        break;
+                    }
+                }
+                covered += u32::from(success_interval(trials, Sampling::Sequential).contains(rate));
+            }
+            assert!(covered >= 950, "{rate}: {covered} of {gates}");
+        }
+    }
+
+    #[test]
+    fn fixed_numbers_have_the_exact_interval() {
+        let trials = Trials::new(60, 68).unwrap();
+        let [exact, any] = [Sampling::Fixed, Sampling::Sequential].map(|sampling| success_interval(trials, sampling));
+        assert_eq!(exact, clopper_pearson(trials, Confidence::P95));
+        assert!(any.low < exact.low && exact.high < any.high, "{any:?} {exact:?}");
+    }
 }

@@ -17,6 +17,7 @@
 
 mod asked;
 mod baseline;
+mod cases;
 mod comparison;
 mod controls;
 mod error;
@@ -44,6 +45,7 @@ mod verdict;
 
 pub use asked::{Asked, AskedAgainst};
 pub use baseline::{Baseline, BaselineFigure};
+pub use cases::NewCases;
 pub use comparison::{Against, Comparison, Planned, check_pairing};
 pub use controls::{ControlProblem, ControlResult, Controls};
 pub use error::GateError;

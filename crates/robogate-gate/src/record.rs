@@ -7,10 +7,12 @@ use std::sync::Arc;
 use robogate_core::{FailureMode, Suite, TaskSpec, Value};
 use robogate_dictionary::results::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED};
 use robogate_dictionary::{Dictionary, Entry, Fidelity, Label, Provenance, RowSampling, Stopping, hex, suite_sha256};
+use robogate_stats::format::counted;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::cases::repeated;
 use crate::{Controls, GateError, RealEvidence, Sampling, Trial};
 
 /// The population that a set of episodes represents.
@@ -40,6 +42,10 @@ pub enum Population {
         /// How the scenarios were chosen, as the user stated.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         sampling: Option<RowSampling>,
+        /// Number of cases, if some have several episodes. Every figure then applies to exactly these cases. Absent if each
+        /// episode has its own case, or if the file does not identify cases.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        cases: Option<u64>,
     },
 }
 
@@ -57,7 +63,15 @@ impl Population {
         }
     }
 
-    /// The estimand in one sentence.
+    /// The number of cases of imported episodes, if some have several.
+    pub(crate) fn repeated_cases(&self) -> Option<u64> {
+        match self {
+            Self::Imported { cases, .. } => *cases,
+            Self::Suite { .. } | Self::Drawn { .. } => None,
+        }
+    }
+
+    /// The estimand in a few sentences.
     pub fn estimand(&self) -> String {
         match self {
             Self::Suite { name, cases, .. } => format!(
@@ -68,6 +82,14 @@ impl Population {
             Self::Drawn { space, .. } => {
                 format!(
                     "Each figure estimates that of episodes sampled from {space}. It applies to this distribution only."
+                )
+            }
+            Self::Imported { cases: Some(cases), .. } => {
+                let these = if *cases == 1 { "this case" } else { "exactly these cases, in the same proportions" };
+                format!(
+                    "The imported episodes repeat {}. Each figure applies to new episodes of {these}, and to no other case. For a \
+                     verdict on new cases, import one episode of each.",
+                    counted(*cases, "case")
                 )
             }
             Self::Imported { sampling, .. } => {
@@ -90,9 +112,12 @@ impl fmt::Display for Population {
         let (what, name, sha256) = match self {
             Self::Suite { name, sha256, .. } => ("suite", name, sha256),
             Self::Drawn { space, sha256 } => ("space", space, sha256),
-            Self::Imported { sha256, .. } => {
+            Self::Imported { sha256, cases, .. } => {
                 let short = sha256.get(..12).unwrap_or(sha256);
-                return write!(f, "imported scenarios ({short})");
+                return match cases {
+                    Some(cases) => write!(f, "imported episodes of {} ({short})", counted(*cases, "case")),
+                    None => write!(f, "imported scenarios ({short})"),
+                };
             }
         };
         let short = sha256.get(..12).unwrap_or(sha256);
@@ -328,7 +353,9 @@ fn space_or_cases(provenance: &Provenance, trials: &[Trial]) -> Population {
     };
     let sha256 = hex(&Sha256::digest(text.unwrap_or_default()));
     match &provenance.source {
-        Some(source) => Population::Imported { sha256, sampling: source.sampling },
+        Some(source) => {
+            Population::Imported { sha256, sampling: source.sampling, cases: repeated(&provenance.space, trials) }
+        }
         None => Population::Drawn { space, sha256 },
     }
 }

@@ -6,9 +6,10 @@
 //!
 //! Rates are counted as good events (successes, episodes without a collision), so that every requirement on a rate
 //! reads "at least". With a fixed number of episodes the tests are exact binomial tests. Each scenario of a suite has
-//! its own rate; the binomial distribution at their mean has heavier tails wherever a test at error 0.25 or less
-//! rejects (Hoeffding 1956), except for a single event, where the union bound n p is used instead. Sequential tests are
-//! those of [`robogate_stats::stratified`], in which each scenario of a suite is a stratum, and for durations those of
+//! its own rate, and so does each case of imported episodes that repeat cases. The binomial distribution at their mean
+//! has heavier tails wherever a test at error 0.25 or less rejects (Hoeffding 1956), except for a single event, where the
+//! union bound n p is used instead. Sequential tests are those of [`robogate_stats::stratified`], in which each scenario of a
+//! suite is a stratum, and for durations those of
 //! [`robogate_stats::bounded_mean`].
 
 use std::collections::BTreeMap;
@@ -43,6 +44,8 @@ pub(crate) struct How {
     pub(crate) beta: f64,
     /// Whether the scenarios are those of a suite, each with its own rate.
     pub(crate) suite: bool,
+    /// Whether the episodes have different rates: those of a suite, or imported ones that repeat cases.
+    pub(crate) mixed: bool,
     /// Number of equal steps in which the episodes came: rounds of a suite, otherwise single episodes.
     pub(crate) steps: u64,
 }
@@ -95,7 +98,7 @@ fn rate(metric: Metric, limit: Bound, bound: Bound, rounds: &[Vec<&Trial>], how:
             let level = Confidence::new(1.0 - 2.0 * how.alpha).unwrap_or(Confidence::P95);
             let low = clopper_pearson(last.worst, level).low;
             let high = clopper_pearson(last.best, level).high;
-            (fixed_above(last.worst, p0, how.suite), fixed_below(last.best, p0, how.suite), Interval { low, high })
+            (fixed_above(last.worst, p0, how.mixed), fixed_below(last.best, p0, how.mixed), Interval { low, high })
         }
         Sampling::Sequential => {
             if how.suite {
@@ -168,16 +171,16 @@ fn at_once(look: Look, p0: f64, how: How) -> (f64, f64, Interval) {
     (-above, -below, Interval { low, high })
 }
 
-/// ln P(X >= k | p0), for scenarios with different rates if `suite`.
-fn fixed_above(trials: Trials, p0: f64, suite: bool) -> f64 {
+/// ln P(X >= k | p0), for episodes with different rates if `mixed`.
+fn fixed_above(trials: Trials, p0: f64, mixed: bool) -> f64 {
     let binomial = at_least(trials, p0);
-    if suite && trials.successes() == 1 { binomial.max((trials.n() as f64 * p0).ln()).min(0.0) } else { binomial }
+    if mixed && trials.successes() == 1 { binomial.max((trials.n() as f64 * p0).ln()).min(0.0) } else { binomial }
 }
 
-/// ln P(X <= k | p0), for scenarios with different rates if `suite`.
-fn fixed_below(trials: Trials, p0: f64, suite: bool) -> f64 {
+/// ln P(X <= k | p0), for episodes with different rates if `mixed`.
+fn fixed_below(trials: Trials, p0: f64, mixed: bool) -> f64 {
     let binomial = at_most(trials, p0);
-    if suite && trials.failures() == 1 {
+    if mixed && trials.failures() == 1 {
         binomial.max((trials.n() as f64 * (1.0 - p0)).ln()).min(0.0)
     } else {
         binomial

@@ -31,7 +31,7 @@ pub use document::fidelity_lines;
 pub use gate::{
     RequirementRow, TwinRow, evaluation_markdown, evaluation_markdown_with, feasible_part, fleet_drivers,
     fleet_headline, fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html, leaderboard_markdown,
-    leaderboards_html, leaderboards_markdown, reqif, sign, verdict_pdf, what_next,
+    leaderboards_html, leaderboards_markdown, new_cases, reqif, sign, verdict_pdf, what_next,
 };
 pub use html::{comparison_html, comparison_html_with, explorer_page, html, html_with, replay_page, transfer_html};
 pub use json::{

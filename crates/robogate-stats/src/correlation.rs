@@ -4,13 +4,15 @@
 //!   ([`point_biserial`]). p from Student's t with n - 2 degrees of freedom, interval by Fisher's transform atanh r ±
 //!   z/sqrt(n-3).
 //! - [`spearman`]: Pearson's correlation of midranks, for monotone association with ties. The t approximation is good
-//!   from ten rows.
+//!   from ten rows. Its interval is atanh r ± z sqrt((1 + r²/2)/(n-3)) (Bonett and Wright 2000).
 //! - [`cramers_v`]: association of categories. V = sqrt(χ²/(n (min(r, c) - 1))), |φ| for a 2 × 2 table; also
 //!   bias-corrected.
 //!
 //! Limit: zero correlation does not imply independence (an island of success has r near 0), and with thousands of rows
-//! very small effects are significant. Look at the effect size, not only at p. Sources: Fisher (1915, 1921); Spearman
-//! (1904); Cramer (1946); Bergsma (2013) for the bias correction.
+//! very small effects are significant. Look at the effect size, not only at p. Fisher's interval assumes columns without
+//! heavy tails: of log-normal ones it covered 70 to 90 % in simulations instead of 95 %. Intervals from the fourth moments of
+//! the columns covered even less, so use [`spearman`] there. Sources: Fisher (1915, 1921); Spearman (1904); Cramer (1946);
+//! Bonett and Wright (2000), Psychometrika 65; Bergsma (2013) for the bias correction.
 
 use crate::interval::{Confidence, Interval};
 use robogate_maths::beta::ln_student_two_sided;
@@ -59,13 +61,13 @@ pub struct Correlation {
     pub r: f64,
     /// ln of the two-sided p-value for zero correlation. `None` below three rows, or if |r| = 1.
     pub ln_p: Option<f64>,
-    /// Interval by Fisher's transform. [-1, 1] below four rows.
+    /// Interval by Fisher's transform. [-1, 1] below four rows, or if |r| = 1.
     pub interval: Interval,
     /// The number of rows.
     pub n: usize,
 }
 
-/// Pearson's correlation.
+/// Pearson's correlation. Its interval covers too rarely for heavy-tailed columns, for example log-normal ones.
 ///
 /// # Errors
 /// Unequal lengths, a value that is not finite, fewer than two rows, or a constant side.
@@ -82,18 +84,21 @@ pub fn pearson(x: &[f64], y: &[f64], confidence: Confidence) -> Result<Correlati
     let n = x.len();
     let df = n as f64 - 2.0;
     let rest = (1.0 - r) * (1.0 + r);
-    let interval = if n < 4 || rest <= 0.0 {
-        Interval { low: -1.0, high: 1.0 }
-    } else {
-        let half = confidence.z() / (df - 1.0).sqrt();
-        Interval { low: (r.atanh() - half).tanh(), high: (r.atanh() + half).tanh() }
-    };
     Ok(Correlation {
         r,
         ln_p: (df > 0.0 && rest > 0.0).then(|| ln_student_two_sided(df, r * (df / rest).sqrt())),
-        interval,
+        interval: fisher(r, n, 1.0, confidence),
         n,
     })
+}
+
+/// The interval of a correlation of `n` rows whose Fisher transform has the variance `spread` / (n - 3).
+fn fisher(r: f64, n: usize, spread: f64, confidence: Confidence) -> Interval {
+    if n < 4 || r.abs() >= 1.0 {
+        return Interval { low: -1.0, high: 1.0 };
+    }
+    let half = confidence.z() * spread.sqrt() / (n as f64 - 3.0).sqrt();
+    Interval { low: (r.atanh() - half).tanh(), high: (r.atanh() + half).tanh() }
 }
 
 /// Centres a column and scales it to unit length.
@@ -115,7 +120,8 @@ fn unit(values: &[f64], side: &'static str) -> Result<Vec<f64>, CorrelationError
     Ok(centred)
 }
 
-/// Point-biserial correlation of a parameter with success (1) and failure (0).
+/// Point-biserial correlation of a parameter with success (1) and failure (0). The limit of [`pearson`] applies to its
+/// interval.
 ///
 /// # Errors
 /// As [`pearson`].
@@ -124,7 +130,7 @@ pub fn point_biserial(x: &[f64], outcomes: &[bool], confidence: Confidence) -> R
     pearson(x, &y, confidence)
 }
 
-/// Spearman's rank correlation. Ties share their mean rank.
+/// Spearman's rank correlation. Ties share their mean rank. The interval does not depend on the tails of the columns.
 ///
 /// # Errors
 /// As [`pearson`].
@@ -134,7 +140,9 @@ pub fn spearman(x: &[f64], y: &[f64], confidence: Confidence) -> Result<Correlat
             return Err(CorrelationError::NotFinite { row, value: values[row] });
         }
     }
-    pearson(&midranks(x), &midranks(y), confidence)
+    let found = pearson(&midranks(x), &midranks(y), confidence)?;
+    let spread = 1.0 + 0.5 * found.r * found.r;
+    Ok(Correlation { interval: fisher(found.r, found.n, spread, confidence), ..found })
 }
 
 /// Ranks from 1. Equal values share their mean rank.
@@ -239,6 +247,9 @@ pub fn cramers_v(first: &[usize], second: &[usize]) -> Result<Association, Corre
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::resample::uniform;
+    use rand_chacha::ChaCha8Rng;
+    use rand_core::SeedableRng;
 
     #[test]
     fn constant_input_is_rejected() {
@@ -258,5 +269,25 @@ mod tests {
         let x: Vec<f64> = (1..50).map(f64::from).collect();
         let y: Vec<f64> = x.iter().map(|v| (v * 0.3).exp()).collect();
         assert!((spearman(&x, &y, Confidence::P95).unwrap().r - 1.0).abs() < 1e-14);
+    }
+
+    #[test]
+    fn rank_intervals_cover_heavy_tails() {
+        let mut rng = ChaCha8Rng::seed_from_u64(9);
+        let mut normals = || {
+            let length = (-2.0 * (1.0 - uniform(&mut rng)).ln()).sqrt();
+            let angle = std::f64::consts::TAU * uniform(&mut rng);
+            [length * angle.cos(), length * angle.sin()]
+        };
+        // Log-normal columns whose logarithms have the correlation 0.8.
+        let truth = 6.0 / std::f64::consts::PI * 0.4_f64.asin();
+        let (sets, mut covered) = (1_000, 0);
+        for _ in 0..sets {
+            let (x, y): (Vec<f64>, Vec<f64>) =
+                (0..50).map(|_| normals()).map(|[a, b]| (a.exp(), (0.8 * a + 0.6 * b).exp())).unzip();
+            covered += u32::from(spearman(&x, &y, Confidence::P95).unwrap().interval.contains(truth));
+        }
+        // Without the factor 1 + r²/2, about 930 cover. Pearson's correlation is covered by about 700 of its intervals.
+        assert!(covered >= 940, "{covered} of {sets}");
     }
 }

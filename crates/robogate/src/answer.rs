@@ -1,7 +1,7 @@
 //! The gate's evaluation and its plan in the terminal.
 
 use robogate_gate::{Evaluation, GatePlan, Metric, Mode, PairPlan, Population, Sampling, Sense, Status, Verdict};
-use robogate_report::{RequirementRow, feasible_part, how_judged, sign, what_next};
+use robogate_report::{RequirementRow, feasible_part, how_judged, new_cases, sign, what_next};
 use robogate_stats::format::{counted, number};
 
 use crate::terminal::{Styled, bold, dim, foreign, grouped, line, longest_line, percent, styled};
@@ -53,7 +53,7 @@ pub(crate) fn print(evaluation: &Evaluation) {
     }
     wrapped(&how_judged(evaluation));
     wrapped(&evaluation.estimand);
-    if let Some(text) = feasible_part(evaluation) {
+    for text in new_cases(evaluation).into_iter().chain(feasible_part(evaluation)) {
         wrapped(&text);
     }
     if let Population::Suite { .. } = evaluation.population {

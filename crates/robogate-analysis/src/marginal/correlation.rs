@@ -17,7 +17,7 @@ pub enum Correlation {
     Number {
         /// Point-biserial correlation: above 0, success is more likely at larger values.
         point_biserial: f64,
-        /// 95 % interval by Fisher's transform.
+        /// 95 % interval by Fisher's transform. It covers too rarely for a heavy-tailed (log-normal) parameter.
         interval_95: [f64; 2],
         /// ln of the two-sided p-value. `None` if it is undefined.
         ln_p: Option<f64>,

@@ -1,7 +1,9 @@
-use robogate_core::FailureMode;
-use robogate_gate::{Baseline, Ending, GateError, Question, Record, Requirements, Sampling, Status, Verdict};
+use robogate_core::{FailureMode, Seed, Stream};
+use robogate_gate::{
+    Baseline, Ending, GateError, Population, Question, Record, Requirements, Sampling, Status, Verdict,
+};
 
-use crate::common::{baseline, failed, invalid, judge, requirements, sampled, suite, task, times};
+use crate::common::{baseline, failed, invalid, judge, requirements, sampled, suite, task, times, trial};
 
 const SUCCESS: &str = "name = \"s\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.6\n";
 
@@ -285,4 +287,62 @@ fn imports_use_a_test_for_any_stopping_rule() {
         record.stopping = stopping;
         assert_eq!(record.sampling(Sampling::Fixed), expected);
     }
+}
+
+/// Ten imported episodes of each case, which succeed with the rate of their case.
+fn repeating(stream: &mut Stream, rates: &[f64]) -> Record {
+    let mut record = sampled([]);
+    for (case, rate) in rates.iter().enumerate() {
+        for _ in 0..10 {
+            let ending = if stream.uniform() < *rate { Ending::Success } else { Ending::Failure(None) };
+            let mut episode = trial(record.trials.len() as u64, ending);
+            episode.label.case = Some(format!("case-{case}"));
+            record.trials.push(episode);
+        }
+    }
+    record.imported = true;
+    record.stopping = Some(robogate_dictionary::Stopping::Fixed);
+    record.population =
+        Population::Imported { sha256: "1".repeat(64), sampling: None, cases: Some(rates.len() as u64) };
+    record
+}
+
+#[test]
+fn repeated_cases_are_the_population() {
+    let stream = &mut Seed::campaign(1).stream("test");
+    let found = judge(&requirements(SUCCESS), &repeating(stream, &[1.0; 20]), Sampling::Fixed);
+    assert!(found.estimand.contains("repeat 20 cases") && found.estimand.contains("exactly these cases"));
+    assert!(found.population.to_string().starts_with("imported episodes of 20 cases ("), "{}", found.population);
+    // 200 episodes show a rate of these cases, 20 cases much less about others.
+    assert_eq!(found.verdict, Verdict::Pass);
+    let new = found.new_cases.unwrap();
+    assert_eq!((new.cases, new.rate, new.interval_95[1]), (20, Some(1.0), 1.0));
+    assert!(new.interval_95[0] < 0.85 && found.results[0].interval.unwrap()[0] > 0.98, "{new:?}");
+    let one = judge(&requirements(SUCCESS), &repeating(stream, &[1.0]), Sampling::Fixed);
+    assert!(one.new_cases.is_none() && one.estimand.contains("repeat 1 case. "), "{}", one.estimand);
+    assert!(judge(&requirements(SUCCESS), &sampled(times(40, &Ending::Success)), Sampling::Fixed).new_cases.is_none());
+}
+
+#[test]
+fn interval_over_new_cases_covers() {
+    let stream = &mut Seed::campaign(2).stream("test");
+    let (sets, mut covered) = (200, 0);
+    for _ in 0..sets {
+        // One case in ten always fails. The interval of 400 independent episodes would cover about half of the sets.
+        let rates: Vec<f64> = (0..40).map(|_| f64::from(u8::from(stream.uniform() < 0.9))).collect();
+        let [low, high] =
+            judge(&requirements(SUCCESS), &repeating(stream, &rates), Sampling::Fixed).new_cases.unwrap().interval_95;
+        covered += u32::from((low..=high).contains(&0.9));
+    }
+    assert!(covered >= 190, "{covered} of {sets}");
+}
+
+#[test]
+fn invalid_episodes_widen_the_interval_over_new_cases() {
+    let mut record = repeating(&mut Seed::campaign(3).stream("test"), &[1.0; 20]);
+    let interval = |record: &Record| judge(&requirements(SUCCESS), record, Sampling::Fixed).new_cases.unwrap();
+    let without = interval(&record);
+    record.trials.iter_mut().take(10).for_each(|trial| trial.ending = invalid());
+    let with = interval(&record);
+    assert!(with.rate == Some(1.0) && with.interval_95[0] < without.interval_95[0], "{with:?} {without:?}");
 }

@@ -1,11 +1,11 @@
 use robogate_core::{FailureMode, Seed, Stream};
-use robogate_gate::{Ending, Leaderboard, Metric, ScoreTerm, Scoring};
+use robogate_gate::{Ending, Leaderboard, Metric, Record, Sampling, ScoreTerm, Scoring};
 
 use crate::common::{failed, suite};
 
 const CASES: u64 = 24;
 
-fn board(stream: &mut Stream, rates: &[f64]) -> Leaderboard {
+fn ranked(entries: &[(String, Record, Sampling)]) -> Leaderboard {
     let success = ScoreTerm {
         name: "Success".to_owned(),
         metric: Metric::Success,
@@ -13,6 +13,10 @@ fn board(stream: &mut Stream, rates: &[f64]) -> Leaderboard {
         weight: 1.0,
         scoring: Scoring::Linear { full_at: 1.0 },
     };
+    Leaderboard::of(entries, &[success], None).unwrap()
+}
+
+fn board(stream: &mut Stream, rates: &[f64]) -> Leaderboard {
     let mut entries = Vec::new();
     for (i, rate) in rates.iter().enumerate() {
         let endings: Vec<Ending> = (0..CASES)
@@ -21,9 +25,26 @@ fn board(stream: &mut Stream, rates: &[f64]) -> Leaderboard {
                 false => failed(FailureMode::constant("timeout")),
             })
             .collect();
-        entries.push((format!("policy {i}"), suite(CASES, endings)));
+        entries.push((format!("policy {i}"), suite(CASES, endings), Sampling::Fixed));
     }
-    Leaderboard::of(&entries, &[success], None).unwrap()
+    ranked(&entries)
+}
+
+#[test]
+fn stopped_gates_have_a_wider_interval() {
+    let run = || suite(CASES, vec![Ending::Success; 2 * CASES as usize]);
+    let stopped = Record { planned: Some(5 * CASES), ..run() };
+    let entries = [
+        ("fixed".to_owned(), run(), Sampling::Fixed),
+        ("gate".to_owned(), run(), Sampling::Sequential),
+        ("stopped".to_owned(), stopped, Sampling::Fixed),
+    ];
+    let found = ranked(&entries);
+    let of = |name: &str| found.standings.iter().find(|standing| standing.name == name).unwrap();
+    let [fixed, gate, stopped] = ["fixed", "gate", "stopped"].map(of);
+    assert_eq!([fixed.sequential, gate.sequential, stopped.sequential], [false, true, true]);
+    assert_eq!(gate.success_95, stopped.success_95);
+    assert!(gate.success_95[0] < fixed.success_95[0], "{gate:?} {fixed:?}");
 }
 
 #[test]

@@ -41,7 +41,7 @@ impl Line {
                 .score_95
                 .map_or_else(|| "no interval".to_owned(), |[l, h]| format!("{} to {}", fixed(l, 1), fixed(h, 1))),
             success: format!("{rate} ({} of {})", count(standing.successes), count(standing.valid)),
-            success_interval: percent_range(standing.success_95),
+            success_interval: percent_range(standing.success_95) + if standing.sequential { " *" } else { "" },
             failures: if failures.is_empty() { dash() } else { failures.join(", ") },
             terms: standing
                 .score
@@ -55,7 +55,17 @@ impl Line {
 
 /// The title of the last column.
 const FAILURES: &str = "failures";
-const HEADS: [&str; 6] = ["rank (95 %)", "policy", "score", "95 % (bootstrap)", "success", "exact 95 % interval"];
+
+/// The titles of the other columns.
+fn heads(board: &Leaderboard) -> [&'static str; 6] {
+    let interval = if is_sequential(board) { "95 % interval" } else { "exact 95 % interval" };
+    ["rank (95 %)", "policy", "score", "95 % (bootstrap)", "success", interval]
+}
+
+/// Whether the number of episodes of some policy was not fixed in advance.
+fn is_sequential(board: &Leaderboard) -> bool {
+    board.standings.iter().any(|standing| standing.sequential)
+}
 
 fn terms(board: &Leaderboard) -> Vec<String> {
     board.standings.first().map_or_else(Vec::new, |first| {
@@ -64,11 +74,18 @@ fn terms(board: &Leaderboard) -> Vec<String> {
 }
 
 fn caution(board: &Leaderboard) -> String {
+    let sequential = match is_sequential(board) {
+        true => {
+            " The intervals of success rates are exact. Those with * are confidence sequences, which hold for any number of episodes: it was \
+             not fixed in advance, as in a gate that stops early, and the exact interval would cover too rarely."
+        }
+        false => "",
+    };
     format!(
         "{} The score summarises observed figures. Its interval and that of the rank come from {} bootstrap replicates of the \
          scenarios, within each category and the same for every policy. The best policy is named if its score and its success rate are \
          significantly higher than those of every other one (5 % for all comparisons together). \"no interval\": all replicates are equal, which does not \
-         mean that the score is exact.",
+         mean that the score is exact.{sequential}",
         board.population.estimand(),
         count(board.draws)
     )
@@ -89,7 +106,7 @@ pub fn leaderboards_markdown(title: &str, boards: &[Leaderboard]) -> String {
 }
 
 fn board_markdown(board: &Leaderboard) -> String {
-    let mut heads: Vec<String> = HEADS.iter().map(|head| (*head).to_owned()).collect();
+    let mut heads: Vec<String> = heads(board).iter().map(|head| (*head).to_owned()).collect();
     heads.extend(terms(board));
     heads.push(FAILURES.to_owned());
     let mut out = format!("{}\n\n", escape_markdown(&board.population.to_string()));
@@ -153,7 +170,7 @@ fn sections(board: &Leaderboard) -> Markup {
         section {
             div.scroll {
                 table {
-                    thead { tr { @for head in HEADS.into_iter().chain([FAILURES]) { th scope="col" { (prose(head)) } } } }
+                    thead { tr { @for head in heads(board).into_iter().chain([FAILURES]) { th scope="col" { (prose(head)) } } } }
                     tbody { @for (standing, line) in board.standings.iter().zip(&lines) { (row(standing, line)) } }
                 }
             }

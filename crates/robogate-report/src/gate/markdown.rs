@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use robogate_gate::{ConfidenceScore, Controls, Evaluation, Mode, Twins, Verdict};
 
-use super::{RequirementRow, TwinRow, feasible_part, how_judged, sign, value, what_next};
+use super::{RequirementRow, TwinRow, feasible_part, how_judged, new_cases, sign, value, what_next};
 use crate::markdown::{escape_markdown, watch_item};
 use crate::watch::Watch;
 use robogate_stats::format::{count, counted, fixed, percent, percent_range, sentence};
@@ -76,7 +76,7 @@ pub fn evaluation_markdown_with(evaluation: &Evaluation, watch: Option<&Watch>) 
             let _ = writeln!(out, "- {}", escape_markdown(line));
         });
     }
-    if let Some(text) = feasible_part(evaluation) {
+    for text in new_cases(evaluation).into_iter().chain(feasible_part(evaluation)) {
         let _ = writeln!(out, "\n{text}");
     }
     if let Some(twins) = &evaluation.twins {

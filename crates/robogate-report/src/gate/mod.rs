@@ -20,7 +20,7 @@ pub use reqif::reqif;
 pub use twins::TwinRow;
 pub(crate) use verdict::VerdictBlock;
 
-use robogate_stats::format::{self, count, fixed, number, percent, percent_range};
+use robogate_stats::format::{self, count, counted, fixed, number, percent, percent_range};
 
 /// One requirement as a row of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -167,6 +167,16 @@ pub fn feasible_part(evaluation: &Evaluation) -> Option<String> {
         ),
         None => "No policy can complete any of these episodes.".to_owned(),
     })
+}
+
+/// The success rate over new cases, as a sentence. `None` unless imported episodes repeat cases.
+pub fn new_cases(evaluation: &Evaluation) -> Option<String> {
+    let new = evaluation.new_cases?;
+    Some(format!(
+        "If these {} are a random sample of all cases, the success rate over new cases is {} (95 % interval, each case counts once).",
+        counted(new.cases, "case"),
+        percent_range(new.interval_95)
+    ))
 }
 
 /// How the figures are compared with the limits, and which requirements were left out, in sentences.

@@ -3,7 +3,7 @@
 use robogate_gate::{Controls, Evaluation, Mode, Verdict};
 use robogate_stats::format::{count, counted, percent, percent_range, sentence};
 
-use super::{RequirementRow, TwinRow, feasible_part, how_judged, what_next};
+use super::{RequirementRow, TwinRow, feasible_part, how_judged, new_cases, what_next};
 use crate::pdf::{Pdf, PdfColumn};
 
 /// The evaluation as a PDF. `origin` are names and values that identify what was judged: versions and digests. Equal
@@ -26,7 +26,7 @@ pub fn verdict_pdf(evaluation: &Evaluation, origin: &[(String, String)]) -> Vec<
             pdf.paragraph(&text);
         }
     }
-    feasible_part(evaluation).iter().for_each(|text| pdf.paragraph(text));
+    new_cases(evaluation).iter().chain(&feasible_part(evaluation)).for_each(|text| pdf.paragraph(text));
     evaluation.outside_range.iter().for_each(|outside| pdf.paragraph(&outside.to_string()));
     let controls = evaluation.controls.as_ref().map(Controls::lines).unwrap_or_default();
     if !controls.is_empty() {

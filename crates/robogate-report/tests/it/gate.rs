@@ -54,10 +54,20 @@ fn markdown_states_the_verdict() {
 
 #[test]
 fn leaderboard_names_are_escaped() {
-    let entries = [(EVIL.to_owned(), record())];
+    let entries = [(EVIL.to_owned(), record(), Sampling::Fixed)];
     let board = Leaderboard::of(&entries, &requirements().score, None).unwrap();
     let page = leaderboard_html(&board);
     crate::pages::balanced(&page).unwrap();
     assert!(!page.contains("<img") && page.contains("&lt;img"));
-    assert!(!leaderboard_markdown(&board).contains("<img"));
+    let text = leaderboard_markdown(&board);
+    assert!(!text.contains("<img") && text.contains("exact 95 % interval") && !text.contains("confidence sequences"));
+}
+
+#[test]
+fn leaderboards_mark_gates_that_stop_early() {
+    let entries = [("gate".to_owned(), record(), Sampling::Sequential)];
+    let board = Leaderboard::of(&entries, &requirements().score, None).unwrap();
+    for text in [leaderboard_html(&board), leaderboard_markdown(&board)] {
+        assert!(text.contains("confidence sequences") && !text.contains("exact 95 % interval"), "{text}");
+    }
 }

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use robogate_core::TaskSpec;
-use robogate_gate::{Baseline, Leaderboard, Record, Requirements};
+use robogate_gate::{Asked, Baseline, Leaderboard, Record, Requirements, Sampling};
 use robogate_report::{leaderboard_html, leaderboard_markdown};
 
-use crate::commands::gate::{built_in_baseline, open_requirements};
+use crate::commands::gate::{built_in_baseline, open_requirements, refused};
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::source::open_source;
 use crate::terminal::{bar, bold, dim, foreign, line, note, percent};
@@ -49,25 +49,27 @@ enum Form {
 
 impl Rank {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let mut entries: Vec<(String, Record)> = Vec::new();
+        let mut entries: Vec<(String, Record, Sampling)> = Vec::new();
         for run in &self.runs {
             let (name, path) = named(run);
             let source = open_source(&path)?;
             let record = Record::of(source.dictionary()).or_broken()?;
-            if let Some(at) = entries.iter().position(|(_, other)| other.dataset_sha256 == record.dataset_sha256) {
+            if let Some(at) = entries.iter().position(|(_, other, _)| other.dataset_sha256 == record.dataset_sha256) {
                 let first = foreign(&self.runs[at]);
                 let why =
                     anyhow::anyhow!("{first} and {} have the same rows\n  hint: remove one of them", foreign(run));
                 return Err(why).or_usage();
             }
-            entries.push((name, record));
+            // A gate that tests after each round may have stopped at any of them.
+            let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
+            entries.push((name, record, asked.map_or(Sampling::Fixed, |asked| asked.sampling)));
         }
         let first =
             entries.first().ok_or_else(|| anyhow::anyhow!("a leaderboard needs at least one run")).or_usage()?;
         let requirements = self.requirements_for(&first.1.task)?;
         let baseline = match (&self.baseline, entries.first()) {
             (Some(file), _) => Some(Baseline::open(file).or_usage()?),
-            (None, Some((_, first))) => built_in_baseline(first),
+            (None, Some((_, first, _))) => built_in_baseline(first),
             (None, None) => None,
         };
         let board = Leaderboard::of(&entries, &requirements.score, baseline.as_ref()).or_usage()?;
@@ -126,8 +128,10 @@ pub(crate) fn print(board: &Leaderboard) {
     }
     line("");
     let wide = board.standings.iter().map(|s| s.name.chars().count()).max().unwrap_or(6).max(6);
+    let sequential = board.standings.iter().any(|s| s.sequential);
+    let exact = if sequential { "" } else { "exact " };
     line(dim(format_args!(
-        "  rank (95 %)   {:<wide$}  score  {:<24}  95 % (bootstrap) success (exact 95 % interval)",
+        "  rank (95 %)   {:<wide$}  score  {:<24}  95 % (bootstrap) success ({exact}95 % interval)",
         "policy", ""
     )));
     for s in &board.standings {
@@ -141,12 +145,13 @@ pub(crate) fn print(board: &Leaderboard) {
         let success = if s.valid > 0 {
             let [low, high] = s.success_95;
             format!(
-                "{} of {}, {} ({:.1} to {:.1} %)",
+                "{} of {}, {} ({:.1} to {:.1} %){}",
                 s.successes,
                 s.valid,
                 percent(s.successes as f64 / s.valid as f64),
                 100.0 * low,
-                100.0 * high
+                100.0 * high,
+                if s.sequential { " *" } else { "" }
             )
         } else {
             "no valid episode".to_owned()
@@ -166,4 +171,12 @@ pub(crate) fn print(board: &Leaderboard) {
     line(dim(
         "  for every policy. \"no interval\": all replicates are equal, which does not mean that the score is exact.",
     ));
+    if sequential {
+        line(dim(
+            "  Success: exact intervals. *: the number of episodes was not fixed in advance (as in a gate that stops early), so the",
+        ));
+        line(dim(
+            "  interval is a confidence sequence, which holds for any number. The exact one would cover too rarely.",
+        ));
+    }
 }

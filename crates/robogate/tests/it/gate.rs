@@ -176,3 +176,31 @@ fn copied_episodes_are_rejected() {
     // One seed for all rows does not identify episodes, so copies cannot be detected.
     judge("one", &|_| 0, 0, &["PASS"]);
 }
+
+#[test]
+fn imports_that_repeat_cases_apply_to_these_cases() {
+    let folder = Folder::new();
+    let requirements = folder.write("gate.toml", &gate("at_least = 0.5"));
+    let judge = |name: &str, head: &str, case: &dyn Fn(u64) -> String| {
+        let rows: String = (0..40).map(|i| format!("{},{i},true\n", case(i))).collect();
+        let csv = folder.write(&format!("{name}.csv"), &format!("{head},seed,success\n{rows}"));
+        let rows = folder.path(&format!("{name}.parquet"));
+        assert_exit(&["import", &csv, &rows], 0, &[]);
+        let printed = assert_exit(
+            &["gate", "--run", &rows, "--requirements", &requirements, "--out", &folder.path(name)],
+            0,
+            &[],
+        );
+        (folder.json(&format!("{name}/gate.json")), printed)
+    };
+    let repeated = |(found, printed): (Value, String)| {
+        assert_eq!(found["population"]["cases"], 8, "{found}");
+        assert_eq!(found["new_cases"]["cases"], 8, "{found}");
+        assert!(found["estimand"].as_str().unwrap().contains("exactly these cases"), "{found}");
+        assert!(printed.contains("imported episodes of 8 cases") && printed.contains("random sample"), "{printed}");
+    };
+    repeated(judge("named", "case", &|i| format!("lift-{}", i % 8)));
+    repeated(judge("settings", "friction", &|i| format!("0.{}5", i % 8)));
+    let (found, _) = judge("single", "friction", &|i| format!("0.{}5", 10 + i));
+    assert!(found["population"].get("cases").is_none() && found.get("new_cases").is_none(), "{found}");
+}

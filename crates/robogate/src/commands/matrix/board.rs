@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Context, anyhow};
 use robogate_campaign::Event;
 use robogate_campaign::folder::SUMMARY;
-use robogate_gate::{Baseline, Leaderboard, Metric, Record, ScoreTerm, Scoring};
+use robogate_gate::{Baseline, Leaderboard, Metric, Record, Sampling, ScoreTerm, Scoring};
 use robogate_report::{leaderboards_html, leaderboards_markdown};
 use serde_json::{Value, json};
 
@@ -71,27 +71,28 @@ pub(super) fn write(dir: &Path, plan: &SweepPlan, failed: &[String], as_json: bo
 
 /// One leaderboard for each task and set of scenarios, in the order of the sweep.
 fn boards(dir: &Path, plan: &SweepPlan) -> Result<Vec<Leaderboard>, Exit> {
-    let mut groups: Vec<Vec<(String, Record)>> = Vec::new();
+    let mut groups: Vec<Vec<(String, Record, Sampling)>> = Vec::new();
     for run in plan.runs.iter().filter(|run| run.dir(dir).join(SUMMARY).is_file()) {
         let source = open_source(&run.dir(dir))?;
         let record = Record::of(source.dictionary()).or_broken()?;
-        let comparable = |group: &&mut Vec<(String, Record)>| {
-            group.first().is_some_and(|(_, first)| {
+        let comparable = |group: &&mut Vec<(String, Record, Sampling)>| {
+            group.first().is_some_and(|(_, first, _)| {
                 first.population.is_that_of(&record.population) && first.task.name == record.task.name
             })
         };
         // All runs of one leaderboard have the same task.
         let name = run.name.replacen(&format!(", {}", record.task.name), "", 1);
+        // A sweep runs all its episodes.
         match groups.iter_mut().find(comparable) {
-            Some(group) => group.push((name, record)),
-            None => groups.push(vec![(name, record)]),
+            Some(group) => group.push((name, record, Sampling::Fixed)),
+            None => groups.push(vec![(name, record, Sampling::Fixed)]),
         }
     }
     groups.iter().map(|group| board(group, plan.requirements.as_deref())).collect()
 }
 
-fn board(group: &[(String, Record)], requirements: Option<&str>) -> Result<Leaderboard, Exit> {
-    let Some((_, first)) = group.first() else {
+fn board(group: &[(String, Record, Sampling)], requirements: Option<&str>) -> Result<Leaderboard, Exit> {
+    let Some((_, first, _)) = group.first() else {
         return Err(anyhow!("a leaderboard needs at least one run")).or_broken();
     };
     let Some(name) = requirements else {

@@ -1,0 +1,138 @@
+//! Imported episodes that repeat cases.
+//!
+//! The episodes of one case are not independent evidence about other cases. The requirements are therefore tested for new
+//! episodes of exactly these cases, as for the scenarios of a suite. The rate over new cases is stated beside them: each case is
+//! one observation, its success rate, and the interval of their mean makes no assumption about the distribution of these rates
+//! ([`robogate_stats::bounded_mean`]).
+
+use std::collections::BTreeMap;
+
+use robogate_core::{Domain, ParameterSpace};
+use robogate_dictionary::results::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED};
+use robogate_stats::bounded_mean::BoundedMean;
+use robogate_stats::{Confidence, Interval};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::{Ending, Population, Trial};
+
+/// The success rate over new cases, from imported episodes that repeat cases. The verdict does not depend on it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct NewCases {
+    /// Number of cases.
+    pub cases: u64,
+    /// Mean of the success rates of the cases. `None` without a valid episode.
+    pub rate: Option<f64>,
+    /// 95 % interval of the success rate over new cases, if these are a random sample of them. It holds for any outcome of
+    /// the invalid episodes.
+    pub interval_95: [f64; 2],
+}
+
+impl NewCases {
+    /// `None` unless the episodes repeat at least two cases.
+    pub(crate) fn of(population: &Population, trials: &[&Trial]) -> Option<Self> {
+        let cases = population.repeated_cases().filter(|cases| *cases > 1)?;
+        let (mut rates, mut worst, mut best) = (Vec::new(), Vec::new(), Vec::new());
+        for trials in by_case(trials).values() {
+            let valid = trials.iter().filter(|trial| trial.ending.is_valid()).count();
+            let successes = trials.iter().filter(|trial| trial.ending == Ending::Success).count();
+            let share = |successes: usize, of: usize| successes as f64 / of as f64;
+            if valid > 0 {
+                rates.push(share(successes, valid));
+            }
+            worst.push(share(successes, trials.len()));
+            best.push(share(successes + trials.len() - valid, trials.len()));
+        }
+        let looks = [worst.len()];
+        let interval = |shares: &[f64]| {
+            BoundedMean::new(shares, &looks, 1.0).map_or(Interval::UNIT, |mean| mean.interval(Confidence::P95.tail()))
+        };
+        let rate = (!rates.is_empty()).then(|| rates.iter().sum::<f64>() / rates.len() as f64);
+        Some(Self { cases, rate, interval_95: [interval(&worst).low, interval(&best).high] })
+    }
+}
+
+/// The number of cases of imported episodes, if some have several. Without names of cases, a case is a combination of
+/// parameters, one of them continuous: the values of others may be equal by chance.
+pub(crate) fn repeated(space: &ParameterSpace, trials: &[Trial]) -> Option<u64> {
+    let continuous = space
+        .parameters()
+        .iter()
+        .any(|parameter| matches!(parameter.domain, Domain::Continuous { .. }) && !identifies(&parameter.name));
+    let trials: Vec<&Trial> = trials.iter().collect();
+    if !continuous && !are_named(&trials) {
+        return None;
+    }
+    let cases = by_case(&trials).len();
+    (cases < trials.len()).then_some(cases as u64)
+}
+
+/// The trials of each case.
+fn by_case<'a>(trials: &[&'a Trial]) -> BTreeMap<String, Vec<&'a Trial>> {
+    let named = are_named(trials);
+    let mut cases: BTreeMap<String, Vec<&'a Trial>> = BTreeMap::new();
+    for &trial in trials {
+        let case = match &trial.label.case {
+            Some(case) if named => case.clone(),
+            _ => {
+                let parameters: Vec<_> = trial.requested.iter().filter(|(name, _)| !identifies(name)).collect();
+                format!("{:?} {parameters:?}", trial.label)
+            }
+        };
+        cases.entry(case).or_default().push(trial);
+    }
+    cases
+}
+
+/// Whether the source names the case of each episode.
+fn are_named(trials: &[&Trial]) -> bool {
+    trials.iter().all(|trial| trial.label.case.is_some())
+}
+
+/// Whether a parameter only identifies the episode.
+fn identifies(name: &str) -> bool {
+    [SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED].contains(&name)
+}
+
+#[cfg(test)]
+mod tests {
+    use robogate_core::{Assignment, Measures, Value};
+    use robogate_dictionary::Label;
+
+    use super::*;
+
+    fn trial(index: u64, case: Option<&str>, friction: f64, seed: i64) -> Trial {
+        let mut requested = Assignment::default();
+        requested.set("friction", Value::Number(friction));
+        requested.set(SOURCE_SEED, Value::Integer(seed));
+        Trial {
+            index,
+            seed: 1,
+            label: Label { case: case.map(str::to_owned), ..Label::default() },
+            requested,
+            ending: Ending::Success,
+            time_s: None,
+            measures: Measures::default(),
+            unseen: Vec::new(),
+        }
+    }
+
+    fn space(kind: &str) -> ParameterSpace {
+        ParameterSpace::from_toml(&format!("name = \"s\"\n[[parameter]]\nname = \"friction\"\n{kind}\n")).unwrap()
+    }
+
+    #[test]
+    fn names_or_continuous_values_identify_cases() {
+        let continuous = space("kind = \"continuous\"\nlow = 0.0\nhigh = 10.0");
+        let levels = space("kind = \"integer\"\nlow = 0\nhigh = 10");
+        let settings: Vec<Trial> = (0..12_u8).map(|i| trial(i.into(), None, f64::from(i % 4), i.into())).collect();
+        assert_eq!(repeated(&continuous, &settings), Some(4));
+        assert_eq!(repeated(&levels, &settings), None);
+        let once: Vec<Trial> = (0..4_u8).map(|i| trial(i.into(), None, f64::from(i), 0)).collect();
+        assert_eq!(repeated(&continuous, &once), None);
+        let named: Vec<Trial> =
+            (0..12_u8).map(|i| trial(i.into(), Some(["lift", "push"][usize::from(i % 2)]), f64::from(i), 0)).collect();
+        assert_eq!(repeated(&levels, &named), Some(2));
+        assert_eq!(repeated(&continuous, &[]), None);
+    }
+}
