@@ -17,11 +17,11 @@
 //! trials) divides the log-likelihood and the squared score statistics (Rao and Scott 1992, Biometrics 48).
 //!
 //! The model itself was estimated from N rows, so its effect of a column is uncertain, too. With n trials from the same
-//! distribution its variance is about b² n/N times that of the trials, so the statistics and the posterior of effects are those
-//! for a design effect of d + b² n/N.
+//! distribution its variance is about b² n/N times that of the trials, so the tests have a design effect of d + b² n/N.
 //!
-//! Limits: trials are independent given the model, but for d. What a model cannot represent counts as an effect. The simulation keeps the model at its estimate; the columns are
-//! made orthogonal to it, so the error is of second order. Sources: Cox (1958), Biometrika 45 (recalibration); Rao (1948);
+//! Limits: trials are independent given the model, but for d. What a model cannot represent counts as an effect. The tests
+//! keep the corrected model at its estimate; the columns are made orthogonal to it, so the error is of second order. Posteriors
+//! do not include the uncertainty of the model itself. Sources: Cox (1958), Biometrika 45 (recalibration); Rao (1948);
 //! Geweke (1989), Econometrica 57 (importance sampling).
 
 use std::collections::BTreeMap;
@@ -71,7 +71,7 @@ pub struct Observed<'a> {
     pub outcomes: &'a [bool],
     /// The variance of their success rate relative to independent trials, at least 1.
     pub design_effect: f64,
-    /// The number of rows that the model was estimated from. Infinite for a model without error.
+    /// The number of rows that the model was estimated from, for the tests of effects. Infinite for a model without error.
     pub model_rows: f64,
 }
 
@@ -175,11 +175,9 @@ impl Recalibration {
     /// The posterior with the effects of these standardised columns (one value for each trial). Without a column, that of
     /// [`Self::of`].
     pub fn with_effects(observed: Observed<'_>, columns: &[Vec<f64>], level: f64, seed: u64) -> Self {
-        let without = Self::of(observed, level);
-        let observed = Observed { design_effect: observed.of_effects(without.slope().mean), ..observed };
         let posterior = WithEffects::of(observed, columns);
         let proposal = (!columns.is_empty()).then(|| posterior.mode()).flatten();
-        let Some((mode, factor)) = proposal else { return without };
+        let Some((mode, factor)) = proposal else { return Self::of(observed, level) };
         let size = mode.len();
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut draws = Vec::with_capacity(POSTERIOR_DRAWS);
@@ -504,7 +502,7 @@ mod tests {
             (columns, success)
         };
         let (mut named, mut named_without) = (0, 0);
-        for seed in 0..200 {
+        for seed in 0..100 {
             let (columns, success) = rows(2 * seed);
             let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
             let model = fit(Data::new(&slices, &success, None).unwrap(), Options::default()).unwrap();
@@ -520,7 +518,7 @@ mod tests {
             named += names(Observed { model_rows: 300.0, ..known });
             named_without += names(known);
         }
-        assert!(named <= 18 && named_without >= 25, "{named} {named_without}");
+        assert!(named <= 11 && named_without >= 12, "{named} {named_without}");
     }
 
     #[test]

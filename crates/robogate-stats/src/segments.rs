@@ -149,6 +149,10 @@ fn step(counts: &Cumulative, edges: &[f64], [from, cut, to]: [usize; 3]) -> Step
         !widths(c - from).any(|width| contradicts(c - width, c, !rising))
             && !widths(to - c).any(|width| contradicts(c, c + width, rising))
     };
+    // A segment of very few trials can be on the wrong side of the level, which then says nothing.
+    if !compatible(cut) {
+        return Step { at: edges[cut], low: edges[from], high: edges[to] };
+    }
     let low = (from + 1..cut).find(|c| compatible(*c)).unwrap_or(cut);
     let high = (cut + 1..to).rev().find(|c| compatible(*c)).unwrap_or(cut);
     Step { at: edges[cut], low: edges[low - 1], high: edges[high + 1] }

@@ -14,7 +14,9 @@
 //!
 //! Limit: the threshold is marginal over the other parameters and applies to their design. The resolution is one bin: within
 //! it the rate is interpolated linearly, so the interval of a jump of the rate may miss it by up to one bin (it covered 33
-//! to 85 % of simulated jumps). [`crate::segments`] locates jumps. A Latin hypercube makes the interval conservative. Sources: robogate paper, table of critical thresholds; Barlow et
+//! to 85 % of simulated jumps). [`crate::segments`] locates jumps. A Latin hypercube makes the interval conservative.
+//!
+//! Sources: robogate paper, table of critical thresholds; Barlow et
 //! al. (1972) for isotonic regression; Efron and Tibshirani (1993), chapter 13.
 
 use crate::binning::{BinningError, Edges};

@@ -2,7 +2,7 @@
 //!
 //! At each corner and in the middle of each cell, both parameters have the values of that place, and the other parameters
 //! those of some settings of the population. The mean of the corrected model over these settings has a posterior: that of
-//! shift and slope. Contour and band are interpolated linearly between these places. Cells are as large as those of the
+//! shift, slope and effects. Contour and band are interpolated linearly between these places. Cells are as large as those of the
 //! operating envelope, so that each holds enough simulated episodes.
 
 use std::collections::BTreeMap;

@@ -81,7 +81,7 @@ pub struct Transfer {
     /// Which endings are not compared, and why, in one sentence.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub not_compared: Option<String>,
-    /// Effects of parameters that the simulation does not explain, the most significant first.
+    /// Effects of parameters beyond shift and slope of the corrected simulation, the most significant first.
     pub parameters: Vec<ParameterDifference>,
     /// Whether the trials' settings look like a sample of the population.
     pub settings: Vec<SettingsCheck>,
@@ -400,7 +400,7 @@ impl Transfer {
         self.endings.iter().filter(|ending| ending.adjusted_p <= LEVEL)
     }
 
-    /// Parameters with a significant effect beyond the corrected simulation.
+    /// Parameters with a significant effect beyond shift and slope of the corrected simulation.
     pub fn different_parameters(&self) -> impl Iterator<Item = &ParameterDifference> {
         self.parameters.iter().filter(|parameter| parameter.adjusted_p <= LEVEL)
     }

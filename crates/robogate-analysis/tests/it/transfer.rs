@@ -139,12 +139,13 @@ fn parameters_join_the_corrected_model() {
         let settings = &of.next.as_ref().unwrap().settings;
         let of_shape: Vec<f64> = settings
             .iter()
-            .filter(|trial| trial.values["shape"] == Value::Category(shape.into()) && trial.simulated > 0.3)
+            .filter(|trial| trial.values["shape"] == Value::Category(shape.into()))
             .map(|trial| trial.expected - trial.simulated)
             .collect();
+        assert!(!of_shape.is_empty(), "{settings:?}");
         of_shape.iter().sum::<f64>() / of_shape.len() as f64
     };
-    assert!(excess(&found, "box") - excess(&found, "sphere") > 0.3, "{:?}", found.next);
+    assert!(excess(&found, "box") - excess(&found, "sphere") > 0.1, "{:?}", found.next);
     assert!((excess(&plain, "box") - excess(&plain, "sphere")).abs() < 0.2, "{:?}", plain.next);
     // The map's rates contain the effect too: their mean is near the real rate.
     let mean = |of: &Transfer| {

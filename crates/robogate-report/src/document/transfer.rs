@@ -241,7 +241,7 @@ fn differences(of: &Transfer) -> Section {
             Block::Table(Table::new("Endings", &ending_columns, endings.collect())),
             Block::Folded(
                 Table::new(
-                    "Effects of parameters beyond the corrected model",
+                    "Effects of parameters beyond shift and slope",
                     &parameter_columns,
                     parameters.collect(),
                 )
