@@ -52,19 +52,23 @@ impl NewCases {
     }
 }
 
-/// The number of cases of imported episodes, if some have several. Without names of cases, a case is a combination of
-/// parameters, one of them continuous: the values of others may be equal by chance.
+/// The number of cases of imported episodes, if they repeat cases. Without names of cases, a case is a combination of
+/// parameters, one of them continuous: the values of others may be equal by chance. Rounded values may, too, so there are at
+/// least two episodes for each such case.
 pub(crate) fn repeated(space: &ParameterSpace, trials: &[Trial]) -> Option<u64> {
-    let continuous = space
-        .parameters()
-        .iter()
-        .any(|parameter| matches!(parameter.domain, Domain::Continuous { .. }) && !identifies(&parameter.name));
+    // A missing value is absent.
+    let continuous = |trial: &Trial| {
+        space.parameters().iter().any(|parameter| {
+            matches!(parameter.domain, Domain::Continuous { .. })
+                && !identifies(&parameter.name)
+                && trial.requested.get(&parameter.name).is_some()
+        })
+    };
+    let of_each = trials.iter().all(continuous);
     let trials: Vec<&Trial> = trials.iter().collect();
-    if !continuous && !are_named(&trials) {
-        return None;
-    }
     let cases = by_case(&trials).len();
-    (cases < trials.len()).then_some(cases as u64)
+    let repeats = if are_named(&trials) { cases < trials.len() } else { of_each && 2 * cases <= trials.len() };
+    (repeats && cases > 0).then_some(cases as u64)
 }
 
 /// The trials of each case.
@@ -73,7 +77,8 @@ fn by_case<'a>(trials: &[&'a Trial]) -> BTreeMap<String, Vec<&'a Trial>> {
     let mut cases: BTreeMap<String, Vec<&'a Trial>> = BTreeMap::new();
     for &trial in trials {
         let case = match &trial.label.case {
-            Some(case) if named => case.clone(),
+            // Names may be unique within a category only.
+            Some(_) if named => format!("{:?}", trial.label),
             _ => {
                 let parameters: Vec<_> = trial.requested.iter().filter(|(name, _)| !identifies(name)).collect();
                 format!("{:?} {parameters:?}", trial.label)
@@ -134,5 +139,12 @@ mod tests {
             (0..12_u8).map(|i| trial(i.into(), Some(["lift", "push"][usize::from(i % 2)]), f64::from(i), 0)).collect();
         assert_eq!(repeated(&levels, &named), Some(2));
         assert_eq!(repeated(&continuous, &[]), None);
+        // Two rounded values that are equal by chance, and a missing value.
+        let mut few: Vec<Trial> = (0..8_u8).map(|i| trial(i.into(), None, f64::from(i % 7), i.into())).collect();
+        assert_eq!(repeated(&continuous, &few), None);
+        few.extend((8..20_u8).map(|i| trial(i.into(), None, f64::from(i % 7), i.into())));
+        assert_eq!(repeated(&continuous, &few), Some(7));
+        few[3].requested = Assignment::default();
+        assert_eq!(repeated(&continuous, &few), None);
     }
 }

@@ -95,7 +95,10 @@ impl Foresight for LatencyForesight {
 /// These draws and those of the latency in the episode with this seed.
 fn with_draws(mut draws: Measures, latency: &Latency, seed: Seed) -> Measures {
     for (name, value) in latency.draws(seed).iter() {
-        draws.set(name, Some(value));
+        // A draw that the environment declares keeps its meaning.
+        if draws.get(name.as_str()).is_none() {
+            draws.set(name, Some(value));
+        }
     }
     draws
 }

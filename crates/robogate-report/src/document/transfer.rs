@@ -240,12 +240,8 @@ fn differences(of: &Transfer) -> Section {
         blocks: vec![
             Block::Table(Table::new("Endings", &ending_columns, endings.collect())),
             Block::Folded(
-                Table::new(
-                    "Effects of parameters beyond shift and slope",
-                    &parameter_columns,
-                    parameters.collect(),
-                )
-                .without_empty(),
+                Table::new("Effects of parameters beyond shift and slope", &parameter_columns, parameters.collect())
+                    .without_empty(),
             ),
             Block::Folded(Table::new("Settings of the trials: random sample?", &setting_columns, settings.collect())),
         ],

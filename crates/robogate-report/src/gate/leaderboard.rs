@@ -76,7 +76,7 @@ fn terms(board: &Leaderboard) -> Vec<String> {
 fn caution(board: &Leaderboard) -> String {
     let sequential = match is_sequential(board) {
         true => {
-            " The intervals of success rates are exact. Those with * are confidence sequences, which hold for any number of episodes: it was \
+            " Intervals of success rates without * are exact. Those with * are confidence sequences, which hold for any number of episodes: it was \
              not fixed in advance, as in a gate that stops early, and the exact interval would cover too rarely."
         }
         false => "",

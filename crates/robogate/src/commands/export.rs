@@ -98,7 +98,8 @@ impl Export {
         let with_draws = |entry: Result<Entry, DictionaryError>| {
             let mut entry = entry?;
             let episode = &mut entry.episode;
-            if episode.draws.is_empty() || !complete {
+            // An episode that could not be set up has no draws.
+            if !episode.applied.is_empty() && (episode.draws.is_empty() || !complete) {
                 for (name, value) in compute(&episode.scenario).iter() {
                     // What the run recorded stays.
                     if episode.draws.get(name.as_str()).is_none() {

@@ -62,7 +62,9 @@ impl Rank {
             }
             // A gate that tests after each round may have stopped at any of them.
             let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
-            entries.push((name, record, asked.map_or(Sampling::Fixed, |asked| asked.sampling)));
+            let is_gate = source.dictionary().provenance().question_sha256.is_some();
+            let unknown = if is_gate { Sampling::Sequential } else { Sampling::Fixed };
+            entries.push((name, record, asked.map_or(unknown, |asked| asked.sampling)));
         }
         let first =
             entries.first().ok_or_else(|| anyhow::anyhow!("a leaderboard needs at least one run")).or_usage()?;
@@ -173,7 +175,7 @@ pub(crate) fn print(board: &Leaderboard) {
     ));
     if sequential {
         line(dim(
-            "  Success: exact intervals. *: the number of episodes was not fixed in advance (as in a gate that stops early), so the",
+            "  Success: exact intervals without *. *: the number of episodes was not fixed in advance (as in a gate that stops early), so the",
         ));
         line(dim(
             "  interval is a confidence sequence, which holds for any number. The exact one would cover too rarely.",

@@ -1,11 +1,11 @@
 //! What a gate asks: requirements, the baseline or the run that it compares with, and trials of the real robot.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use robogate_analysis::transfer::Transfer;
 use robogate_analysis::{Finding, Source};
+use robogate_campaign::folder::write_atomically;
 use robogate_core::TaskSpec;
 use robogate_core::budget::Budget;
 use robogate_dictionary::{Provenance, read_text};
@@ -160,8 +160,9 @@ pub(super) fn question<'a>(asked: &'a Asked, other: Option<&'a Record>) -> Quest
 
 /// Writes the question beside the plan. Without it, `resume` refuses to continue the gate.
 pub(crate) fn write_question(dir: &Path, asked: &Asked) {
-    if let Err(error) = fs::write(dir.join(Asked::FILE), asked.to_json()) {
-        warning(format_args!("cannot write {}: {error}", dir.join(Asked::FILE).display()));
+    if let Err(error) = write_atomically(dir, Asked::FILE, asked.to_json().as_bytes()) {
+        let file = dir.join(Asked::FILE);
+        warning(format_args!("cannot write {}: {error}. `robogate resume` needs it", file.display()));
     }
 }
 
