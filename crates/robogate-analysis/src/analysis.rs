@@ -17,6 +17,7 @@ use crate::pairs::{self, PairMap, check as check_pair, default_pairs};
 use crate::replay::{ReplayGroup, replay_groups};
 use crate::safe_box::{DEFAULT_TARGET, SafeBox, safe_box};
 use crate::sampling::{Sampling, sampling};
+use crate::scenarios::Scenarios;
 use crate::table::{EpisodeTable, Sample};
 use crate::task::TaskAnalysis;
 use crate::{AnalysisError, Finding, Population, Source, Success};
@@ -166,7 +167,8 @@ impl Analysis {
         let marginal_effects: Vec<MarginalEffect> =
             base.parameters.iter().map(|parameter| marginal_effect(&table, &base, parameter)).collect();
         let task = TaskAnalysis::of_dictionary(dictionary.provenance());
-        let effects = Effects::of(&base, population);
+        let scenarios = Scenarios::repeated(&base, population);
+        let effects = Effects::of(&base, scenarios.as_ref());
         let mut wanted: Vec<(String, String)> = default_pairs(&base, &effects, task);
         for pair in pairs {
             if !wanted.contains(pair) {
@@ -177,7 +179,8 @@ impl Analysis {
             wanted.clear();
         }
         let envelopes = wanted.iter().filter_map(|(up, across)| envelope(&base, up, across)).collect();
-        let fitted = if *models { risk(&base, task) } else { Finding::not("models were not requested") };
+        let fitted =
+            if *models { risk(&base, scenarios.as_ref(), task) } else { Finding::not("models were not requested") };
         let (risk, scored) = match fitted {
             Finding::Estimated((model, scored)) => (Finding::Estimated(model), Some(scored)),
             Finding::CannotBeEstimated { because } => (Finding::CannotBeEstimated { because }, None),

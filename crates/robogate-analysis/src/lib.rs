@@ -34,6 +34,7 @@ mod rate;
 mod replay;
 mod safe_box;
 mod sampling;
+mod scenarios;
 mod source;
 pub mod study;
 mod success;

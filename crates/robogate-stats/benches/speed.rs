@@ -51,7 +51,7 @@ fn main() {
     let data = Data::new(&columns, &outcomes, None).unwrap();
     let model = timed(&mut ours, "logistic", || fit(data, Options::default()).unwrap());
     let scores = model.probabilities(&columns).unwrap();
-    let area = timed(&mut ours, "auc", || auc(&scores, &outcomes, Confidence::P95).unwrap());
+    let area = timed(&mut ours, "auc", || auc(&scores, &outcomes, None, Confidence::P95).unwrap());
     timed(&mut ours, "thresholds", || {
         for column in &x[..5] {
             let column = &column[..BOOTSTRAP_ROWS];

@@ -7,11 +7,13 @@
 //! - Expected calibration error: Σ share of the bin · |observed - mean p|. It is biased upwards if bins have few rows,
 //!   and it depends on the bins, so their number is part of the figure.
 //!
-//! With weights, every mean is a weighted mean, and bin intervals use Kish's effective counts. Limit: a good score in
-//! sample does not imply a good score out of sample. Sources: Brier (1950); Good (1952); Murphy and Winkler (1977);
-//! Naeini, Cooper and Hauskrecht (2015).
+//! With weights, every mean is a weighted mean, and bin intervals use Kish's effective counts. Rows of one cluster, such as
+//! repeats of a scenario, may depend on each other: bin intervals then divide these counts by the design effect of the bin
+//! ([`design_effect`]). Limit: a good score in sample does not imply a good score out of sample. Sources: Brier (1950);
+//! Good (1952); Murphy and Winkler (1977); Naeini, Cooper and Hauskrecht (2015).
 
 use crate::interval::{Confidence, Interval, wilson_real};
+use crate::prediction_powered::design_effect;
 use crate::weighted::is_weight;
 
 /// The reason why probabilities cannot be scored.
@@ -98,17 +100,21 @@ pub struct Calibration {
 
 /// Scores stated probabilities of success.
 ///
+/// `clusters[i]` is the cluster of row i. Without clusters, rows are independent.
+///
 /// # Errors
 /// Unequal lengths, an invalid probability or weight, no rows, or zero bins.
 pub fn calibration(
     probabilities: &[f64],
     outcomes: &[bool],
     weights: Option<&[f64]>,
+    clusters: Option<&[usize]>,
     bins: Bins,
     confidence: Confidence,
 ) -> Result<Calibration, CalibrationError> {
     let expected = outcomes.len();
-    for found in [Some(probabilities.len()), weights.map(<[f64]>::len)].into_iter().flatten() {
+    let lengths = [Some(probabilities.len()), weights.map(<[f64]>::len), clusters.map(<[usize]>::len)];
+    for found in lengths.into_iter().flatten() {
         if found != expected {
             return Err(CalibrationError::Length { expected, found });
         }
@@ -143,7 +149,8 @@ pub fn calibration(
         }
     }
     let rate = success_weight / total;
-    let bins = reliability(probabilities, outcomes, &rows, &weight, total, bins, confidence)?;
+    let columns = Columns { probabilities, outcomes, clusters };
+    let bins = reliability(columns, &rows, &weight, total, bins, confidence)?;
     let gap = |b: &ReliabilityBin| (b.observed - b.stated).abs();
     Ok(Calibration {
         rows: rows.len(),
@@ -157,9 +164,16 @@ pub fn calibration(
     })
 }
 
+/// The columns of the rows, without their weights.
+#[derive(Clone, Copy)]
+struct Columns<'a> {
+    probabilities: &'a [f64],
+    outcomes: &'a [bool],
+    clusters: Option<&'a [usize]>,
+}
+
 fn reliability(
-    probabilities: &[f64],
-    outcomes: &[bool],
+    Columns { probabilities, outcomes, clusters }: Columns<'_>,
     rows: &[usize],
     weight: &impl Fn(usize) -> f64,
     total: f64,
@@ -182,11 +196,11 @@ fn reliability(
     let inner = &edges[1..edges.len() - 1];
     let count = edges.len() - 1;
     let mut sums = vec![[0.0_f64; 4]; count];
-    let mut members = vec![0; count];
+    let mut members: Vec<Vec<usize>> = vec![Vec::new(); count];
     for &row in rows {
         let (p, w) = (probabilities[row], weight(row));
         let bin = inner.partition_point(|edge| *edge <= p);
-        members[bin] += 1;
+        members[bin].push(row);
         sums[bin][0] += w;
         sums[bin][1] += w * w;
         sums[bin][2] += w * p;
@@ -194,14 +208,15 @@ fn reliability(
     }
     let z = confidence.z();
     Ok((0..count)
-        .filter(|&b| members[b] > 0)
+        .filter(|&b| !members[b].is_empty())
         .map(|b| {
             let [w, ww, wp, wy] = sums[b];
             let observed = (wy / w).min(1.0);
-            let effective = w * w / ww;
+            let shared = clusters.map_or(1.0, |clusters| inflation(outcomes, clusters, &members[b], confidence));
+            let effective = w * w / ww / shared;
             ReliabilityBin {
                 range: Interval { low: edges[b], high: edges[b + 1] },
-                rows: members[b],
+                rows: members[b].len(),
                 share: w / total,
                 stated: wp / w,
                 observed,
@@ -211,20 +226,57 @@ fn reliability(
         .collect())
 }
 
+/// How many times the variance of the rate of these rows exceeds that of independent ones.
+fn inflation(outcomes: &[bool], clusters: &[usize], rows: &[usize], confidence: Confidence) -> f64 {
+    let of_rows: Vec<usize> = rows.iter().map(|&row| clusters[row]).collect();
+    let mut distinct = of_rows.clone();
+    distinct.sort_unstable();
+    distinct.dedup();
+    match distinct.len() {
+        // Rows of one cluster do not show how much they share.
+        1 => rows.len() as f64,
+        count if count == rows.len() => 1.0,
+        _ => {
+            let outcomes: Vec<bool> = rows.iter().map(|&row| outcomes[row]).collect();
+            design_effect(&outcomes, &[of_rows], confidence)
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::interval::{Trials, wilson};
+
+    #[test]
+    fn clusters_widen_the_bins() {
+        let outcomes: Vec<bool> = (0..200).map(|i| i / 5 * 7 % 10 < 6).collect();
+        let stated = vec![0.6; 200];
+        let interval = |clusters: Option<&[usize]>| {
+            let found = calibration(&stated, &outcomes, None, clusters, Bins::EqualCount(1), Confidence::P95).unwrap();
+            assert!((found.bins[0].observed - 0.6).abs() < 1e-12);
+            found.bins[0].interval
+        };
+        let alone: Vec<usize> = (0..200).collect();
+        assert_eq!(interval(None), interval(Some(&alone)));
+        // 40 clusters of five equal outcomes are worth a little less than 40 rows, because their variance is estimated.
+        let clusters: Vec<usize> = (0..200).map(|i| i / 5).collect();
+        let [five, forty] = [interval(Some(&clusters)), wilson(Trials::new(24, 40).unwrap(), Confidence::P95)];
+        assert!(five.width() > forty.width() && five.width() < 1.1 * forty.width(), "{five:?} {forty:?}");
+        // One cluster is worth one row.
+        assert_eq!(interval(Some(&[7; 200])), wilson_real(0.6, 1.0, Confidence::P95.z()));
+    }
 
     #[test]
     fn certain_errors_are_counted() {
-        let c = calibration(&[1.0, 0.5], &[false, true], None, Bins::EqualWidth(10), Confidence::P95).unwrap();
+        let c = calibration(&[1.0, 0.5], &[false, true], None, None, Bins::EqualWidth(10), Confidence::P95).unwrap();
         assert_eq!((c.log_loss, c.certain_and_wrong), (None, 1));
     }
 
     #[test]
     fn constant_prediction_scores_baseline() {
         let outcomes = [true, false, false, true, false];
-        let c = calibration(&[0.4; 5], &outcomes, None, Bins::EqualCount(4), Confidence::P95).unwrap();
+        let c = calibration(&[0.4; 5], &outcomes, None, None, Bins::EqualCount(4), Confidence::P95).unwrap();
         assert!((c.brier - c.brier_of_the_rate).abs() < 1e-15 && c.expected_error < 1e-15);
         assert_eq!(c.bins.len(), 1);
     }
@@ -232,10 +284,10 @@ mod tests {
     #[test]
     fn invalid_probability_is_rejected() {
         for p in [-0.1, 1.1, f64::NAN] {
-            let found = calibration(&[p], &[true], None, Bins::EqualWidth(1), Confidence::P95);
+            let found = calibration(&[p], &[true], None, None, Bins::EqualWidth(1), Confidence::P95);
             assert!(matches!(found, Err(CalibrationError::NotAProbability { row: 0, .. })));
         }
-        let none = calibration(&[], &[], None, Bins::EqualWidth(1), Confidence::P95);
+        let none = calibration(&[], &[], None, None, Bins::EqualWidth(1), Confidence::P95);
         assert_eq!(none, Err(CalibrationError::NoRows));
     }
 }

@@ -94,14 +94,21 @@ fn one_round(rng: &mut ChaCha8Rng) {
     assert!(mcnemar_exact(pairs) <= 0.0);
     let _ = newcombe_paired(pairs, level);
 
-    if let Ok(a) = auc(&x, &outcomes, level) {
-        is_unit(a.interval);
-        assert!(a.interval.contains(a.auc) || (a.auc - a.interval.high).abs() < 1e-12);
+    let clusters: Vec<usize> = (0..n).map(|i| (i * 7 + k as usize) % 9).collect();
+    for clusters in [None, Some(clusters.as_slice())] {
+        if let Ok(a) = auc(&x, &outcomes, clusters, level) {
+            is_unit(a.interval);
+            assert!(a.interval.contains(a.auc) || (a.auc - a.interval.high).abs() < 1e-12);
+        }
+        // Also with a row without a cluster.
+        let clusters = clusters.map(|clusters| clusters.get(1..).unwrap_or_default());
+        let folds = stratified_folds(&outcomes, clusters, k as usize, k);
+        assert!(folds.len() == n && folds.iter().all(|fold| *fold < (k as usize).max(2)));
     }
-    let _ = (compare(&x, &y, &outcomes, level), curve(&x, &outcomes), stratified_folds(&outcomes, k as usize, k));
+    let _ = (compare(&x, &y, &outcomes, level), curve(&x, &outcomes));
     for bins in [Bins::EqualWidth(k as usize), Bins::EqualCount(k as usize)] {
         let stated: Vec<f64> = x.iter().map(|v| v.clamp(0.0, 1.0)).collect();
-        if let Ok(c) = calibration(&stated, &outcomes, Some(&weights), bins, level) {
+        if let Ok(c) = calibration(&stated, &outcomes, Some(&weights), Some(&clusters), bins, level) {
             for b in c.bins {
                 is_unit(b.interval);
             }

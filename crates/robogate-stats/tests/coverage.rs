@@ -6,7 +6,7 @@ use rand_core::{Rng, SeedableRng};
 use robogate_stats::binning::Edges;
 use robogate_stats::compare::{Pairs, newcombe_paired};
 use robogate_stats::logistic::{Data, firth_profile};
-use robogate_stats::roc::auc;
+use robogate_stats::roc::{RocError, auc, cross_validate, stratified_folds};
 use robogate_stats::threshold::{Threshold, ThresholdOptions, threshold};
 use robogate_stats::weighted_events::event_rate;
 use robogate_stats::{Confidence, Interval};
@@ -26,18 +26,64 @@ fn coverage(runs: u64, truth: f64, mut interval: impl FnMut(&mut ChaCha8Rng) -> 
     held as f64 / runs as f64
 }
 
+/// The area for scores N(1, 1) of successes and N(0, 1) of failures: Phi(1 / sqrt 2).
+const AREA: f64 = 0.760_249_938_906_523;
+
+/// Scores of this many successes and failures, and their outcomes.
+fn scored(random: &mut ChaCha8Rng, successes: usize, failures: usize) -> (Vec<f64>, Vec<bool>) {
+    let outcomes: Vec<bool> = (0..successes + failures).map(|i| i < successes).collect();
+    let scores = outcomes.iter().map(|o| normal(random) + f64::from(u8::from(*o))).collect();
+    (scores, outcomes)
+}
+
 #[test]
 fn delong_interval_has_nominal_coverage() {
-    // Scores N(1, 1) for successes and N(0, 1) for failures: the area is Phi(1 / sqrt 2).
-    let truth = 0.760_249_938_906_523;
-    // With few rows in a class the normal interval is known to be too short, as in the second case.
-    for (successes, failures, least) in [(100, 300, 0.935), (40, 40, 0.93), (15, 200, 0.91)] {
-        let covered = coverage(2_000, truth, |random| {
-            let outcomes: Vec<bool> = (0..successes + failures).map(|i| i < successes).collect();
-            let scores: Vec<f64> = outcomes.iter().map(|o| normal(random) + f64::from(u8::from(*o))).collect();
-            auc(&scores, &outcomes, Confidence::P95).unwrap().interval
+    // With very few rows in a class the area is skewed, and Student's interval is known to be too short, as in the last case.
+    for (successes, failures, least) in [(100, 300, 0.935), (40, 40, 0.93), (15, 200, 0.912), (5, 100, 0.855)] {
+        let covered = coverage(2_000, AREA, |random| {
+            let (scores, outcomes) = scored(random, successes, failures);
+            auc(&scores, &outcomes, None, Confidence::P95).unwrap().interval
         });
+        println!("AUC, {successes} and {failures}: {covered:.3}");
         assert!((least..=0.965).contains(&covered), "{successes} and {failures}: {covered}");
+    }
+}
+
+#[test]
+fn cross_validated_interval_has_nominal_coverage() {
+    // With two or three successes in a fold, the normal quantile covers 90 %.
+    for (successes, failures) in [(12, 100), (15, 200), (30, 100)] {
+        let covered = coverage(2_000, AREA, |random| {
+            let (scores, outcomes) = scored(random, successes, failures);
+            let folds = stratified_folds(&outcomes, None, 5, 0);
+            let found = cross_validate::<RocError>(&outcomes, None, &folds, Confidence::P95, |_, test| {
+                Ok(test.iter().map(|&row| scores[row]).collect())
+            });
+            found.unwrap().interval
+        });
+        println!("AUC over folds, {successes} and {failures}: {covered:.3}");
+        assert!((0.925..=0.975).contains(&covered), "{successes} and {failures}: {covered}");
+    }
+}
+
+#[test]
+fn clustered_interval_has_nominal_coverage() {
+    // Scenarios with several rows of one score s ~ N(0, 1). A row succeeds if s + e > 0 with its own e ~ N(0, 1), so the area
+    // is 5/6: four times an orthant of three normal numbers with the correlations 1/2, 1/2 and 0.
+    for (clusters, rows) in [(60, 5), (30, 10)] {
+        let mut alone = 0;
+        let covered = coverage(2_000, 5.0 / 6.0, |random| {
+            let names: Vec<usize> = (0..clusters * rows).map(|row| row / rows).collect();
+            let of_cluster: Vec<f64> = (0..clusters).map(|_| normal(random)).collect();
+            let scores: Vec<f64> = names.iter().map(|cluster| of_cluster[*cluster]).collect();
+            let outcomes: Vec<bool> = scores.iter().map(|score| score + normal(random) > 0.0).collect();
+            let by_row = auc(&scores, &outcomes, None, Confidence::P95).unwrap().interval;
+            alone += usize::from(by_row.contains(5.0 / 6.0));
+            auc(&scores, &outcomes, Some(&names), Confidence::P95).unwrap().interval
+        });
+        println!("AUC, {clusters} clusters of {rows}: {covered:.3}, by row {:.3}", alone as f64 / 2_000.0);
+        assert!((0.925..=0.975).contains(&covered), "{clusters} clusters of {rows}: {covered}");
+        assert!(alone < 1_820, "{clusters} clusters of {rows} by row: {alone} of 2,000");
     }
 }
 

@@ -17,9 +17,10 @@ use serde::{Deserialize, Serialize};
 pub use interaction::Interaction;
 pub use shape::{EffectShape, RateStep, ShapeKind};
 
+use crate::Finding;
 use crate::marginal::integer_edges;
+use crate::scenarios::Scenarios;
 use crate::table::{ParameterColumn, ParameterKind, Sample};
-use crate::{Finding, Population};
 
 /// The error probability of everything that is named. It is below the usual 5 %, so that the share of false reports in a
 /// few hundred simulated ones is below 5 % too.
@@ -31,8 +32,6 @@ const SINGLE: f64 = 0.84;
 const TEST_CELLS: usize = 100;
 /// Cells of a numeric parameter in the estimate of its influence.
 const INFLUENCE_CELLS: usize = 20;
-/// Fewest combinations of parameters in imported results that are taken for repeated scenarios.
-const FEWEST_SCENARIOS: usize = 20;
 /// Rows that determine the edges of the cells. All rows are counted.
 const EDGE_ROWS: usize = 20_000;
 
@@ -81,19 +80,18 @@ impl Effects {
             || self.interactions.iter().any(|pair| pair.parameters.iter().any(|name| name == parameter))
     }
 
-    pub(crate) fn of(base: &Sample, population: Population) -> Self {
-        let units = may_repeat(base, population).then(|| Units::of(base));
-        let units = units.filter(|units| units.repeats() && (population == Population::Suite || units.are_scenarios()));
+    /// `scenarios` are those of `base`, if they have repeats.
+    pub(crate) fn of(base: &Sample, scenarios: Option<&Scenarios>) -> Self {
         let (mut names, mut found) = (Vec::new(), Vec::new());
         // Enough replicates for the smallest p-value that Holm's first step can need.
         let replicates = (base.parameters.len() * 500).clamp(4_000, 20_000);
         for (at, parameter) in base.parameters.iter().enumerate() {
             let Some(cells) = TestCells::of(base, parameter) else { continue };
             let seed = at as u64;
-            let tested = match &units {
-                Some(units) => {
-                    let cell_of = units.cells(parameter, &cells);
-                    scan_units(&units.trials, &cell_of, cells.trials.len(), cells.order, 2_000, seed)
+            let tested = match scenarios {
+                Some(scenarios) => {
+                    let cell_of = cells.of_scenarios(parameter, scenarios);
+                    scan_units(&scenarios.trials, &cell_of, cells.trials.len(), cells.order, 2_000, seed)
                 }
                 None => scan(&cells.trials, cells.order, replicates, seed),
             };
@@ -114,8 +112,8 @@ impl Effects {
             b.significant.cmp(&a.significant).then(b.influence.total_cmp(&a.influence)).then(a.p.total_cmp(&b.p))
         });
         let (interactions, pairs_tested) =
-            if units.is_some() { (Vec::new(), 0) } else { interaction::interactions(base, &ranked, 1.0 - SINGLE) };
-        Self { tested: p.len() as u64, pairs_tested, by_scenario: units.is_some(), ranked, interactions }
+            if scenarios.is_some() { (Vec::new(), 0) } else { interaction::interactions(base, &ranked, 1.0 - SINGLE) };
+        Self { tested: p.len() as u64, pairs_tested, by_scenario: scenarios.is_some(), ranked, interactions }
     }
 }
 
@@ -180,6 +178,16 @@ impl TestCells {
         }
     }
 
+    /// The cell of each scenario.
+    fn of_scenarios(&self, parameter: &ParameterColumn, scenarios: &Scenarios) -> Vec<usize> {
+        let value = |row: &usize| parameter.values[*row];
+        let cell = |row: &usize| match &self.edges {
+            Some(edges) => edges.bin(value(row)).unwrap_or(0),
+            None => value(row) as usize,
+        };
+        scenarios.first.iter().map(cell).collect()
+    }
+
     /// The cells for the estimate of the influence: neighbours together, because narrow cells only add noise to it.
     fn merged(&self) -> Vec<Trials> {
         let together = match self.order {
@@ -210,57 +218,4 @@ fn edges(parameter: &ParameterColumn, cells: usize) -> Option<Edges> {
     edges[0] = low;
     edges[last] = high;
     Edges::new(edges).ok()
-}
-
-/// Whether rows with the same parameters may be repeats of one scenario: in suites, and in imported results with a continuous
-/// parameter, whose values are not equal by chance. A sample from a space has no repeats.
-fn may_repeat(base: &Sample, population: Population) -> bool {
-    let continuous = |p: &ParameterColumn| matches!(p.kind, ParameterKind::Continuous { .. });
-    match population {
-        Population::Suite => true,
-        Population::AsImported => base.parameters.iter().any(continuous),
-        _ => false,
-    }
-}
-
-/// Rows with the same parameter values: the repeats of one scenario.
-struct Units {
-    trials: Vec<Trials>,
-    /// One row of each unit.
-    first: Vec<usize>,
-}
-
-impl Units {
-    fn of(base: &Sample) -> Self {
-        let mut rows: Vec<usize> = (0..base.len()).collect();
-        let compare = |a: &usize, b: &usize| {
-            let by = base.parameters.iter().map(|p| p.values[*a].total_cmp(&p.values[*b]));
-            by.into_iter().find(|order| order.is_ne()).unwrap_or(std::cmp::Ordering::Equal)
-        };
-        rows.sort_by(compare);
-        let (mut trials, mut first) = (Vec::new(), Vec::new());
-        for unit in rows.chunk_by(|a, b| compare(a, b).is_eq()) {
-            trials.push(Trials::count(unit.iter().map(|row| base.success[*row])));
-            first.push(unit[0]);
-        }
-        Self { trials, first }
-    }
-
-    fn repeats(&self) -> bool {
-        self.trials.iter().any(|unit| unit.n() > 1)
-    }
-
-    /// Whether these are scenarios with few or many repeats. Fewer combinations are taken for a grid of settings.
-    fn are_scenarios(&self) -> bool {
-        self.trials.len() >= FEWEST_SCENARIOS
-    }
-
-    fn cells(&self, parameter: &ParameterColumn, cells: &TestCells) -> Vec<usize> {
-        let value = |row: &usize| parameter.values[*row];
-        let cell = |row: &usize| match &cells.edges {
-            Some(edges) => edges.bin(value(row)).unwrap_or(0),
-            None => value(row) as usize,
-        };
-        self.first.iter().map(cell).collect()
-    }
 }

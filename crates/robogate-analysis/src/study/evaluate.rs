@@ -163,7 +163,7 @@ fn evaluate(scores: &Scores, sample: &Sample, test: &Sample) -> Result<Evaluated
     let loss = |t: f64| (-t).max(0.0) + (-t.abs()).exp().ln_1p();
     let probability = |t: f64| 1.0 / (1.0 + (-t).exp());
     let reason = |error: robogate_stats::roc::RocError| error.to_string();
-    let on_test = auc(&scores.test, &test.success, Confidence::P95).map_err(reason)?;
+    let on_test = auc(&scores.test, &test.success, None, Confidence::P95).map_err(reason)?;
     Ok(Evaluated {
         per_episode: [
             per(&|t, y| f64::from(u8::from((t >= 0.0) != y))),
@@ -172,7 +172,7 @@ fn evaluate(scores: &Scores, sample: &Sample, test: &Sample) -> Result<Evaluated
             contributions(&scores.test, &test.success).map_err(reason)?,
         ],
         auc_95: ends(on_test.interval),
-        auc_in_sample: auc(&scores.own, &sample.success, Confidence::P95).map_err(reason)?.auc,
+        auc_in_sample: auc(&scores.own, &sample.success, None, Confidence::P95).map_err(reason)?.auc,
     })
 }
 

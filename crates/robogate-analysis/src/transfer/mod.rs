@@ -37,6 +37,7 @@ use crate::analysis::populations;
 use crate::effects::Effects;
 use crate::labels::parameter_label;
 use crate::rate::ends;
+use crate::scenarios::Scenarios;
 use crate::table::EpisodeTable;
 use crate::{AnalysisError, Finding, Population, Rate, Source, Subject};
 
@@ -381,7 +382,7 @@ impl Transfer {
             return Err(no(format!("{} has no trial inside the simulated space", real.display())));
         }
         let (base, _, population) = populations(&simulation.table);
-        let effects = Effects::of(&base, population);
+        let effects = Effects::of(&base, Scenarios::repeated(&base, population).as_ref());
         let places = Places::of(simulation.space(), &base, &effects, predictor::training(&simulation.table).len());
         let others = map::others(&simulation.points, options.population.is_some());
         let on_map = places.estimated().map_or_else(Vec::new, |places| places.settings(&others));

@@ -10,6 +10,7 @@ mod explorer;
 mod headlines;
 mod noise;
 mod populations;
+mod risk;
 mod runs;
 mod study;
 mod synthetic;

@@ -1,6 +1,7 @@
 //! Agreement tests for ROC, calibration, frontier, thresholds, comparisons, weights, correlations and modes.
 
 use crate::{all_close, bools, close, count, float, floats, formula, list, reference};
+use robogate_maths::beta::student_quantile;
 use robogate_stats::binning::Edges;
 use robogate_stats::calibration::{Bins, calibration};
 use robogate_stats::compare::{Pairs, at_least, at_most, mcnemar_exact, newcombe, newcombe_paired, z_test};
@@ -31,12 +32,15 @@ fn auc_matches_scikit_learn() {
     let case = &reference["roc"];
     let (first, second) = (floats(&case["first"]), floats(&case["second"]));
     for (i, scores) in [&first, &second].into_iter().enumerate() {
-        let ours = auc(scores, &outcomes, P95).unwrap();
+        let ours = auc(scores, &outcomes, None, P95).unwrap();
         close("auc", ours.auc, floats(&case["auc"])[i], 1e-12);
         close("se", ours.se.unwrap(), floats(&case["se"])[i], 1e-11);
     }
-    let ours = auc(&first, &outcomes, P95).unwrap();
+    let ours = auc(&first, &outcomes, None, P95).unwrap();
     all_close("interval", &[ours.interval.low, ours.interval.high], &floats(&case["interval"]), 1e-11);
+    let clusters: Vec<usize> = (0..outcomes.len()).map(|row| row / 3).collect();
+    let ours = auc(&first, &outcomes, Some(&clusters), P95).unwrap();
+    close("clustered se", ours.se.unwrap(), float(&case["clustered_se"]), 1e-11);
     let both = compare(&first, &second, &outcomes, P95).unwrap().unwrap();
     close("difference se", both.se, float(&case["difference_se"]), 1e-10);
     close("difference p", both.ln_p.unwrap(), float(&case["difference_ln_p"]), 1e-9);
@@ -65,7 +69,7 @@ fn cross_validation_matches_scikit_learn() {
     let reference = reference();
     let (columns, outcomes, _) = plain(&reference);
     let folds: Vec<usize> = (0..outcomes.len()).map(|i| i % 5).collect();
-    let result = cross_validate::<Failed>(&outcomes, &folds, P95, |train, test| {
+    let result = cross_validate::<Failed>(&outcomes, None, &folds, P95, |train, test| {
         let pick = |c: &[f64], rows: &[usize]| rows.iter().map(|&i| c[i]).collect::<Vec<f64>>();
         let (a, b) = (pick(&columns[0], train), pick(&columns[1], train));
         let y: Vec<bool> = train.iter().map(|&i| outcomes[i]).collect();
@@ -76,6 +80,20 @@ fn cross_validation_matches_scikit_learn() {
     .unwrap();
     let ours: Vec<f64> = result.folds.iter().map(|f| f.unwrap()).collect();
     all_close("folds", &ours, &floats(&reference["cross_validated"]["folds"]), 1e-9);
+    // Satterthwaite's degrees of freedom of the mean of the folds.
+    let (mut sum, mut spread) = (0.0, 0.0);
+    for fold in 0..5 {
+        let of = |i: &usize| folds[*i] == fold;
+        let (scores, truth): (Vec<f64>, Vec<bool>) =
+            (0..folds.len()).filter(of).map(|i| (result.scores[i], outcomes[i])).unzip();
+        let one = auc(&scores, &truth, None, P95).unwrap();
+        sum += one.se.unwrap().powi(2);
+        spread += one.se.unwrap().powi(4) / one.df.unwrap();
+    }
+    let se = sum.sqrt() / 5.0;
+    let half = student_quantile(sum * sum / spread, 0.95) * se;
+    close("se", result.se.unwrap(), se, 1e-12);
+    all_close("interval", &[result.interval.low, result.interval.high], &[result.auc - half, result.auc + half], 1e-12);
 }
 
 #[test]
@@ -84,7 +102,7 @@ fn calibration_matches_scikit_learn() {
     let (_, outcomes, weights) = plain(&reference);
     let case = &reference["calibration"];
     let stated = floats(&case["stated"]);
-    let ours = calibration(&stated, &outcomes, None, Bins::EqualWidth(10), P95).unwrap();
+    let ours = calibration(&stated, &outcomes, None, None, Bins::EqualWidth(10), P95).unwrap();
     close("brier", ours.brier, float(&case["brier"]), 1e-12);
     close("log loss", ours.log_loss.unwrap(), float(&case["log_loss"]), 1e-12);
     close("ece", ours.expected_error, float(&case["expected_error"]), 1e-11);
@@ -92,7 +110,7 @@ fn calibration_matches_scikit_learn() {
     let mean: Vec<f64> = ours.bins.iter().map(|b| b.stated).collect();
     all_close("observed", &observed, &floats(&case["observed"]), 1e-12);
     all_close("stated", &mean, &floats(&case["mean_stated"]), 1e-12);
-    let weighted = calibration(&stated, &outcomes, Some(&weights), Bins::EqualCount(10), P95).unwrap();
+    let weighted = calibration(&stated, &outcomes, Some(&weights), None, Bins::EqualCount(10), P95).unwrap();
     close("weighted brier", weighted.brier, float(&case["brier_weighted"]), 1e-12);
     close("weighted log loss", weighted.log_loss.unwrap(), float(&case["log_loss_weighted"]), 1e-12);
 }

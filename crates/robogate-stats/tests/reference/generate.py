@@ -217,29 +217,51 @@ OUT["limit_state"] = {"points": limit_reference(surface, [0.1, 0.7, 1.3], 0.95)}
 
 
 def delong(scores_a, scores_b, outcomes):
-    """The textbook kernel over all pairs; covariance of two AUCs on the same rows."""
+    """The textbook kernel over all pairs; covariance of two AUCs on the same rows, one term for each class."""
     k = lambda s: (s[outcomes][:, None] > s[~outcomes]) + 0.5 * (s[outcomes][:, None] == s[~outcomes])
     ka, kb = k(scores_a), k(scores_b)
     m, n_ = ka.shape
-    return ka.mean(), np.cov(ka.mean(1), kb.mean(1))[0, 1] / m + np.cov(ka.mean(0), kb.mean(0))[0, 1] / n_
+    return ka.mean(), np.array([np.cov(ka.mean(1), kb.mean(1))[0, 1] / m, np.cov(ka.mean(0), kb.mean(0))[0, 1] / n_])
+
+
+def welch(terms, outcomes):
+    """Degrees of freedom of the sum of the two terms."""
+    return terms.sum() ** 2 / np.sum(terms**2 / (np.array([outcomes.sum(), (~outcomes).sum()]) - 1))
+
+
+def obuchowski(scores, outcomes, clusters):
+    """The variance of the AUC of clustered rows, with the notation of Obuchowski (1997)."""
+    k = (scores[outcomes][:, None] > scores[~outcomes]) + 0.5 * (scores[outcomes][:, None] == scores[~outcomes])
+    area, (m, n_) = k.mean(), k.shape
+    c10, c01, names = clusters[outcomes], clusters[~outcomes], np.unique(clusters)
+    x = np.array([np.sum(k.mean(1)[c10 == c]) - np.sum(c10 == c) * area for c in names])
+    y_ = np.array([np.sum(k.mean(0)[c01 == c]) - np.sum(c01 == c) * area for c in names])
+    i10, i01, i = len(np.unique(c10)), len(np.unique(c01)), len(names)
+    s10, s01 = i10 / ((i10 - 1) * m) * np.sum(x**2), i01 / ((i01 - 1) * n_) * np.sum(y_**2)
+    s11 = i / (i - 1) * np.sum(x * y_)
+    return s10 / m + s01 / n_ + 2 * s11 / (m * n_)
 
 
 s1 = np.round(sp.expit(-1.2 + 3 * x0) + rng.normal(0, 0.15, n), 2)
 s2 = np.round(x0 - 0.2 * x1, 1)
-auc1, v1 = delong(s1, s1, y)
-auc2, v2 = delong(s2, s2, y)
-_, c12 = delong(s1, s2, y)
+auc1, terms1 = delong(s1, s1, y)
+auc2, terms2 = delong(s2, s2, y)
+_, shared = delong(s1, s2, y)
+v1, v2, terms = terms1.sum(), terms2.sum(), terms1 + terms2 - 2 * shared
+half = st.t.isf(0.025, welch(terms1, y)) * math.sqrt(v1)
+difference_se = math.sqrt(terms.sum())
+difference_t = abs(auc1 - auc2) / difference_se
 assert abs(auc1 - skm.roc_auc_score(y, s1)) < 1e-12 and abs(auc2 - skm.roc_auc_score(y, s2)) < 1e-12
 fpr, tpr, thr = skm.roc_curve(y, s2, drop_intermediate=False)
-z95 = st.norm.isf(0.025)
 OUT["roc"] = {
     "first": lst(s1),
     "second": lst(s2),
     "auc": [float(skm.roc_auc_score(y, s)) for s in (s1, s2)],
     "se": [math.sqrt(v1), math.sqrt(v2)],
-    "interval": [float(auc1 - z95 * math.sqrt(v1)), float(auc1 + z95 * math.sqrt(v1))],
-    "difference_se": math.sqrt(v1 + v2 - 2 * c12),
-    "difference_ln_p": float(math.log(2) + st.norm.logsf(abs(auc1 - auc2) / math.sqrt(v1 + v2 - 2 * c12))),
+    "clustered_se": math.sqrt(obuchowski(s1, y, np.arange(n) // 3)),
+    "interval": [float(auc1 - half), float(auc1 + half)],
+    "difference_se": difference_se,
+    "difference_ln_p": float(math.log(2) + st.t.logsf(difference_t, welch(terms, y))),
     "fpr": lst(fpr),
     "tpr": lst(tpr),
     "thresholds": lst(thr[1:]),

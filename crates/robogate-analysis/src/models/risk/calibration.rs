@@ -32,12 +32,13 @@ pub struct ReliabilityBin {
     pub predicted: f64,
     /// Observed failure rate.
     pub observed: f64,
-    /// Its Wilson 95 % interval.
+    /// Its Wilson 95 % interval. Repeats of a scenario count by their design effect.
     pub interval_95: [f64; 2],
 }
 
-pub(super) fn calibrated(p: &[f64], failed: &[bool]) -> Finding<CalibrationFigures> {
-    calibration(p, failed, None, Bins::EqualCount(10), Confidence::P95)
+/// `scenarios` is the scenario of each row, if these have repeats.
+pub(super) fn calibrated(p: &[f64], failed: &[bool], scenarios: Option<&[usize]>) -> Finding<CalibrationFigures> {
+    calibration(p, failed, None, scenarios, Bins::EqualCount(10), Confidence::P95)
         .map(|found: Calibration| CalibrationFigures {
             brier: found.brier,
             base_rate_brier: found.brier_of_the_rate,

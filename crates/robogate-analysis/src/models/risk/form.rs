@@ -1,8 +1,11 @@
 //! The form of the risk model: coding of levels and scale of each number, chosen by cross-validation.
 
+use std::collections::BTreeMap;
+
 use robogate_stats::logistic::{Data, Options, fit};
 use robogate_stats::roc::stratified_folds;
 
+use super::fewest;
 use super::penalties::Coding;
 use crate::table::{ParameterColumn, ParameterKind};
 
@@ -10,11 +13,11 @@ use crate::table::{ParameterColumn, ParameterKind};
 const MOST_ROWS: usize = 20_000;
 /// Folds.
 const FOLDS: usize = 5;
-/// Fewest rows of the rarer outcome for a choice.
+/// Fewest rows of the rarer outcome for a choice, or scenarios with it.
 const FEWEST: usize = 30;
 /// Smallest ratio of the ends of a range for which a logarithm can matter.
 const RATIO: f64 = 3.0;
-/// Smallest improvement of the log loss, per row, in standard errors of the difference.
+/// Smallest improvement of the mean log loss, in standard errors of the difference.
 const STANDARD_ERRORS: f64 = 2.0;
 
 /// The form of a model.
@@ -33,24 +36,31 @@ impl Form {
     }
 
     /// The form with the smallest cross-validated log loss. One choice after the other replaces the plain form if its
-    /// improvement is at least two standard errors.
-    pub(super) fn choose(parameters: &[ParameterColumn], failed: &[bool]) -> Self {
+    /// improvement is at least two standard errors. `scenarios` is the scenario of each row, if these have repeats: all rows
+    /// of a scenario are then in one fold, and the standard errors are those of scenarios.
+    pub(super) fn choose(parameters: &[ParameterColumn], failed: &[bool], scenarios: Option<&[usize]>) -> Self {
         let mut form = Self::plain(parameters);
         let step = failed.len().div_ceil(MOST_ROWS).max(1);
         let rows: Vec<usize> = (0..failed.len()).step_by(step).collect();
-        let failures = rows.iter().filter(|row| failed[**row]).count();
-        if failures.min(rows.len() - failures) < FEWEST {
+        let outcomes: Vec<bool> = rows.iter().map(|row| failed[*row]).collect();
+        let scenarios: Option<Vec<usize>> = scenarios.map(|of| rows.iter().map(|row| of[*row]).collect());
+        if fewest(&outcomes, scenarios.as_deref()) < FEWEST {
             return form;
         }
-        let outcomes: Vec<bool> = rows.iter().map(|row| failed[*row]).collect();
-        let folds = stratified_folds(&outcomes, FOLDS, 0);
+        let folds = stratified_folds(&outcomes, scenarios.as_deref(), FOLDS, 0);
         let Some(mut best) = losses(parameters, failed, &rows, &folds, &form) else { return form };
         let mut offer = |candidate: Self, form: &mut Self| {
             let Some(found) = losses(parameters, failed, &rows, &folds, &candidate) else { return };
             let n = best.len() as f64;
             let gain: Vec<f64> = best.iter().zip(&found).map(|(a, b)| a - b).collect();
             let mean = gain.iter().sum::<f64>() / n;
-            let variance = gain.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / n;
+            // The deviations of each scenario together, because they are not independent.
+            let mut apart: BTreeMap<usize, f64> = BTreeMap::new();
+            for (at, gain) in gain.iter().enumerate() {
+                let scenario = scenarios.as_ref().map_or(at, |of| of[at]);
+                *apart.entry(scenario).or_default() += gain - mean;
+            }
+            let variance = apart.values().map(|sum| sum.powi(2)).sum::<f64>() / n;
             if mean > STANDARD_ERRORS * (variance / n).sqrt() {
                 *form = candidate;
                 best = found;

@@ -6,9 +6,13 @@
 //! cross-validation, the penalties of each fold come from the other folds. Cross-validation also chooses between both
 //! codings, and between a linear and a logarithmic scale of each number ([`form`]).
 //!
+//! If scenarios have several episodes, all episodes of a scenario are in one fold, so that a held-out episode is of a
+//! scenario that the model has not seen. The intervals of AUC and calibration count scenarios.
+//!
 //! Limitation: in sample, the penalties are computed from the outcomes that they predict. The in-sample AUC is therefore
-//! too high. The cross-validated figures have no such bias. The tests of the penalties are likelihood-ratio tests of the
-//! levels ([`levels`]).
+//! too high. The cross-validated figures have no such bias, but folds share training rows, which their interval ignores:
+//! if no parameter has an effect, it misses an AUC of 0.5 more often than once in 20. The tests of the penalties are
+//! likelihood-ratio tests of the levels ([`levels`]). Standard errors of coefficients assume independent rows.
 //! Source for the coding: Micci-Barreca (2001), SIGKDD Explorations 3(1).
 
 mod calibration;
@@ -17,6 +21,8 @@ mod levels;
 mod penalties;
 mod roc;
 mod scoring;
+
+use std::collections::BTreeSet;
 
 use robogate_stats::Confidence;
 use robogate_stats::logistic::{Data, Options, RegressionError, Scale, fit};
@@ -32,6 +38,7 @@ pub use scoring::{Scoring, ScoringTerm};
 use super::{Regression, why};
 use crate::Finding;
 use crate::labels::parameter_label;
+use crate::scenarios::Scenarios;
 use crate::table::{ParameterColumn, Sample};
 use crate::task::TaskAnalysis;
 use calibration::calibrated;
@@ -75,12 +82,14 @@ pub(crate) struct Scored {
     pub(crate) unseen: bool,
 }
 
-pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Scored)> {
+/// `scenarios` are those of `base`, if they have repeats.
+pub(crate) fn risk(base: &Sample, scenarios: Option<&Scenarios>, task: &TaskAnalysis) -> Finding<(RiskModel, Scored)> {
     if base.parameters.is_empty() && base.len() > 0 {
         return Finding::not("the dataset has no parameter");
     }
     let failed: Vec<bool> = base.success.iter().map(|s| !s).collect();
-    let form = Form::choose(&base.parameters, &failed);
+    let of_row = scenarios.map(|scenarios| scenarios.of_row.as_slice());
+    let form = Form::choose(&base.parameters, &failed, of_row);
     let names: Vec<String> = base.parameters.iter().zip(&form.log).map(|(p, log)| feature(p, *log)).collect();
     let all: Vec<usize> = (0..base.len()).collect();
     let coding = Coding::learn(&base.parameters, &failed, &all, &form);
@@ -99,12 +108,13 @@ pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Sc
     levels::replace_tests(&mut regression, &base.parameters, &slices, &failed);
     drop(slices);
     drop(columns);
-    let folds = stratified_folds(&failed, FOLDS, 0);
-    let fewest = failed.iter().filter(|f| **f).count().min(base.success.iter().filter(|s| **s).count());
+    let folds = stratified_folds(&failed, of_row, FOLDS, 0);
+    let fewest = fewest(&failed, of_row);
     let crossed = if fewest < FOLDS {
-        Err(format!("the rarer outcome has {fewest} episodes, fewer than the {FOLDS} folds"))
+        let units = if scenarios.is_some() { "scenarios" } else { "episodes" };
+        Err(format!("the rarer outcome has {fewest} {units}, fewer than the {FOLDS} folds"))
     } else {
-        cross_validate::<CrossValidationError>(&failed, &folds, Confidence::P95, |train, test| {
+        cross_validate::<CrossValidationError>(&failed, of_row, &folds, Confidence::P95, |train, test| {
             let coding = Coding::learn(&base.parameters, &failed, train, &form);
             let columns = coding.columns(&base.parameters, train);
             let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
@@ -137,10 +147,10 @@ pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Sc
             .collect(),
         penalties: coding.penalties(&base.parameters),
         scoring,
-        roc: roc_figures(&p, &failed, crossed.as_ref().ok()),
-        calibration_in_sample: calibrated(&p, &failed),
+        roc: roc_figures(&p, &failed, of_row, crossed.as_ref().ok()),
+        calibration_in_sample: calibrated(&p, &failed, of_row),
         calibration_cross_validated: match &crossed {
-            Ok(crossed) => calibrated(&crossed.scores, &failed),
+            Ok(crossed) => calibrated(&crossed.scores, &failed, of_row),
             Err(because) => Finding::not(because.clone()),
         },
     };
@@ -149,6 +159,18 @@ pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Sc
         Err(_) => Scored { p, unseen: false },
     };
     Finding::Estimated((model, scored))
+}
+
+/// The number of rows that have the rarer outcome, or of scenarios that have it in a row.
+fn fewest(failed: &[bool], scenarios: Option<&[usize]>) -> usize {
+    let with = |outcome: bool| {
+        let rows = (0..failed.len()).filter(|row| failed[*row] == outcome);
+        match scenarios {
+            Some(of) => rows.map(|row| of[row]).collect::<BTreeSet<usize>>().len(),
+            None => rows.count(),
+        }
+    };
+    with(true).min(with(false))
 }
 
 /// The error of a cross-validation as text.

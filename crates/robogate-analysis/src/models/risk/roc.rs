@@ -16,11 +16,11 @@ const ROC_POINTS: usize = 120;
 pub struct RocFigures {
     /// AUC on the training rows, which is biased upwards.
     pub auc_in_sample: f64,
-    /// DeLong's 95 % interval.
+    /// DeLong's 95 % interval, or Obuchowski's if scenarios have several episodes.
     pub auc_in_sample_95: [f64; 2],
-    /// Mean AUC over five held-out folds. `None` if a fold has one outcome only.
+    /// Mean AUC over those of five held-out folds that have both outcomes. `None` without cross-validation.
     pub auc_cross_validated: Option<f64>,
-    /// 95 % interval from DeLong's variance in each fold.
+    /// 95 % interval from the same variance in each fold.
     pub auc_cross_validated_95: [f64; 2],
     /// The ROC curves, thinned.
     pub curves: Vec<RocCurve>,
@@ -35,8 +35,14 @@ pub struct RocCurve {
     pub points: Vec<[f64; 2]>,
 }
 
-pub(super) fn roc_figures(p: &[f64], failed: &[bool], crossed: Option<&CrossValidated>) -> Finding<RocFigures> {
-    let found = match auc(p, failed, Confidence::P95) {
+/// `scenarios` is the scenario of each row, if these have repeats.
+pub(super) fn roc_figures(
+    p: &[f64],
+    failed: &[bool],
+    scenarios: Option<&[usize]>,
+    crossed: Option<&CrossValidated>,
+) -> Finding<RocFigures> {
+    let found = match auc(p, failed, scenarios, Confidence::P95) {
         Ok(found) => found,
         Err(error) => return Finding::not(error.to_string()),
     };

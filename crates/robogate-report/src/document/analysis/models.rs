@@ -22,14 +22,20 @@ pub(super) fn risk(analysis: &Analysis) -> Section {
                     title: "Discrimination".to_owned(),
                     svg: figures::roc(roc),
                     is_map: false,
-                    caption: "ROC curves. Cross-validated: each of five folds is scored by a model of the other four."
-                        .to_owned(),
+                    caption: format!(
+                        "ROC curves. Cross-validated: each of five folds is scored by a model of the other four.{}",
+                        if analysis.effects.by_scenario {
+                            " All episodes of a scenario are in one fold, and the intervals count scenarios."
+                        } else {
+                            ""
+                        }
+                    ),
                     findings: Vec::new(),
                     table: roc_table(roc),
                 }),
                 Finding::CannotBeEstimated { because } => blocks.push(Block::cannot("A ROC curve", because)),
             }
-            figures.extend(calibration(risk));
+            figures.extend(calibration(risk, analysis.effects.by_scenario));
             blocks.push(Block::Grid(figures));
             blocks.push(Block::Table(calibration_table(risk)));
             blocks.extend(penalties_table(risk).map(Block::Folded));
@@ -70,7 +76,7 @@ fn coefficients(risk: &RiskModel, analysis: &Analysis) -> Figure {
     }
 }
 
-fn calibration(risk: &RiskModel) -> Option<Figure> {
+fn calibration(risk: &RiskModel, by_scenario: bool) -> Option<Figure> {
     let (found, rows) = match (&risk.calibration_cross_validated, &risk.calibration_in_sample) {
         (Finding::Estimated(found), _) => (found, "cross-validated"),
         (_, Finding::Estimated(found)) => (found, "in sample"),
@@ -81,7 +87,8 @@ fn calibration(risk: &RiskModel) -> Option<Figure> {
         svg: figures::reliability(found),
         is_map: false,
         caption: format!(
-            "Observed failure rates by predicted probability, ten bins, {rows}. A calibrated model lies on the line."
+            "Observed failure rates by predicted probability, ten bins, {rows}. A calibrated model lies on the line.{}",
+            if by_scenario { " The intervals allow for dependent episodes of a scenario." } else { "" }
         ),
         findings: Vec::new(),
         table: reliability_table(found),
