@@ -16,7 +16,9 @@
 //! Limits: at an area of 0.76 the 95 % interval covers 95 % with 100 and 300 rows in the classes, 94 % with 40 and 40,
 //! 93 % with 15 and 200, and 88 % with 5 and 100, because the AUC of few rows is skewed. The mean over five folds covers
 //! 95 % with 12 and 100. With 60 clusters of five rows an interval covers 94 %, and one that ignores the clusters 87 %
-//! (`tests/coverage.rs`). An AUC applies to the population that its rows were sampled from. AUCs of two designs, or in
+//! (`tests/coverage.rs`). Clusters are of similar size: one that holds most rows of a class makes the interval too narrow. Rows of a
+//! cluster have about the same score, so their own pairs draw the AUC of a fold with few clusters towards 1/2 (by 0.003
+//! with 60 clusters of five rows). An AUC applies to the population that its rows were sampled from. AUCs of two designs, or in
 //! sample against out of sample, are not comparable. [`compare`] is for two scores on the same rows.
 //! Sources: DeLong, DeLong and Clarke-Pearson (1988), Biometrics 44; Obuchowski (1997), Biometrics 53, for clusters; Sun
 //! and Xu (2014), IEEE Signal Processing Letters 21(11); Satterthwaite (1946), Biometrics Bulletin 2(6); LeDell, Petersen
@@ -414,7 +416,8 @@ pub fn stratified_folds(outcomes: &[bool], clusters: Option<&[usize]>, k: usize,
         let [successes, failures] = counted(rows);
         Reverse((successes * all[1]).max(failures * all[0]))
     });
-    let mut held = vec![[0_u128; 2]; k.max(2)];
+    // More folds than rows would stay empty.
+    let mut held = vec![[0_u128; 2]; k.clamp(2, outcomes.len().max(2))];
     let mut folds = vec![0; outcomes.len()];
     for &rows in strata.iter().flatten() {
         let [successes, failures] = counted(rows);

@@ -16,6 +16,11 @@ pub(super) fn risk(analysis: &Analysis) -> Section {
         Finding::Estimated(risk) => {
             blocks.push(Block::Figure(coefficients(risk, analysis)));
             blocks.extend(risk.regression.warnings.iter().cloned().map(Block::Caution));
+            if analysis.effects.by_scenario {
+                let text = "Scenarios have several episodes. Intervals and p-values of the coefficients treat them as independent, \
+                            and are too optimistic.";
+                blocks.push(Block::Caution(text.to_owned()));
+            }
             let mut figures = Vec::new();
             match &risk.roc {
                 Finding::Estimated(roc) => figures.push(Figure {
@@ -31,7 +36,7 @@ pub(super) fn risk(analysis: &Analysis) -> Section {
                         }
                     ),
                     findings: Vec::new(),
-                    table: roc_table(roc),
+                    table: roc_table(roc, analysis.effects.by_scenario),
                 }),
                 Finding::CannotBeEstimated { because } => blocks.push(Block::cannot("A ROC curve", because)),
             }
@@ -171,14 +176,15 @@ pub(super) fn regression_table(title: &str, regression: &Regression) -> Table {
     table
 }
 
-fn roc_table(figures: &RocFigures) -> Table {
+fn roc_table(figures: &RocFigures, by_scenario: bool) -> Table {
     let both = |[low, high]: [f64; 2]| format!("{} to {}", fixed(low, 4), fixed(high, 4));
     let cross_validated = or_dash(figures.auc_cross_validated, |a| fixed(a, 4));
     let rows = vec![
         vec!["cross-validated, 5 folds".to_owned(), cross_validated, both(figures.auc_cross_validated_95)],
         vec!["in sample".to_owned(), fixed(figures.auc_in_sample, 4), both(figures.auc_in_sample_95)],
     ];
-    let columns = [("rows", Text), ("AUC", Number), ("95 % (DeLong)", Number)];
+    let interval = if by_scenario { "95 % (Obuchowski)" } else { "95 % (DeLong)" };
+    let columns = [("rows", Text), ("AUC", Number), (interval, Number)];
     Table::new("Area under the ROC curve", &columns, rows)
 }
 
