@@ -14,8 +14,8 @@
 //! independent trials of the event behind the AUC (Clopper-Pearson). No two pairs share a cluster.
 //!
 //! Limits: at an area of 0.76 the 95 % interval covers 95 % with 100 and 300 rows in the classes, 94 % with 40 and 40,
-//! 93 % with 15 and 200, and 88 % with 5 and 100, because the AUC of few rows is skewed. The mean over five folds covers
-//! 95 % with 12 and 100. With 60 clusters of five rows an interval covers 94 %, and one that ignores the clusters 87 %
+//! 94 % with 15 and 200, and 89 % with 5 and 100, because the AUC of few rows is skewed. The mean over five folds covers
+//! 95 % with 12 and 100. With 60 clusters of five rows an interval covers 95 %, and one that ignores the clusters 88 %
 //! (`tests/coverage.rs`). Clusters are of similar size: one that holds most rows of a class makes the interval too narrow. Rows of a
 //! cluster have about the same score, so their own pairs draw the AUC of a fold with few clusters towards 1/2 (by 0.003
 //! with 60 clusters of five rows). An AUC applies to the population that its rows were sampled from. AUCs of two designs, or in
