@@ -193,8 +193,7 @@ impl ExplorerTable {
             self.columns[fixed::OUTCOME].level(mode.as_str());
         }
         // Identifiers of imported rows are not parameters of the scenario.
-        let identifiers = [results::SOURCE_ROW, results::SOURCE_SEED, results::SOURCE_EPISODE];
-        let parameters = provenance.space.parameters().iter().filter(|p| !identifiers.contains(&&*p.name));
+        let parameters = provenance.space.parameters().iter().filter(|p| !results::only_identifies(&p.name));
         let domains = parameters.clone().map(|parameter| parameter.domain.clone()).collect();
         let parameters = parameters.map(|parameter| {
             let (label, unit) = label_and_unit(&parameter.name);

@@ -96,8 +96,7 @@ impl EpisodeTable {
         let measure = |name: Word| Ok((name, dictionary.numbers(name.as_str())?));
         let measures = task.measures.iter().map(|spec| measure(spec.name)).collect::<Result<_, DictionaryError>>()?;
         // Identifiers of imported rows are not parameters of the scenario.
-        let identifiers = [results::SOURCE_ROW, results::SOURCE_SEED, results::SOURCE_EPISODE];
-        let parameters = provenance.space.parameters().iter().filter(|p| !identifiers.contains(&&*p.name));
+        let parameters = provenance.space.parameters().iter().filter(|p| !results::only_identifies(&p.name));
         let parameters = parameters.map(|p| parameter(dictionary, &p.name, &p.domain)).collect::<Result<_, _>>()?;
         Ok(Self {
             index,

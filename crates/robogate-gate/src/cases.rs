@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 
 use robogate_core::{Domain, ParameterSpace};
-use robogate_dictionary::results::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED};
+use robogate_dictionary::results::only_identifies;
 use robogate_stats::bounded_mean::BoundedMean;
 use robogate_stats::{Confidence, Interval};
 use schemars::JsonSchema;
@@ -60,7 +60,7 @@ pub(crate) fn repeated(space: &ParameterSpace, trials: &[Trial]) -> Option<u64> 
     let continuous = |trial: &Trial| {
         space.parameters().iter().any(|parameter| {
             matches!(parameter.domain, Domain::Continuous { .. })
-                && !identifies(&parameter.name)
+                && !only_identifies(&parameter.name)
                 && trial.requested.get(&parameter.name).is_some()
         })
     };
@@ -80,7 +80,7 @@ fn by_case<'a>(trials: &[&'a Trial]) -> BTreeMap<String, Vec<&'a Trial>> {
             // Names may be unique within a category only.
             Some(_) if named => format!("{:?}", trial.label),
             _ => {
-                let parameters: Vec<_> = trial.requested.iter().filter(|(name, _)| !identifies(name)).collect();
+                let parameters: Vec<_> = trial.requested.iter().filter(|(name, _)| !only_identifies(name)).collect();
                 format!("{:?} {parameters:?}", trial.label)
             }
         };
@@ -94,15 +94,11 @@ fn are_named(trials: &[&Trial]) -> bool {
     trials.iter().all(|trial| trial.label.case.is_some())
 }
 
-/// Whether a parameter only identifies the episode.
-fn identifies(name: &str) -> bool {
-    [SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED].contains(&name)
-}
-
 #[cfg(test)]
 mod tests {
     use robogate_core::{Assignment, Measures, Value};
     use robogate_dictionary::Label;
+    use robogate_dictionary::results::SOURCE_SEED;
 
     use super::*;
 

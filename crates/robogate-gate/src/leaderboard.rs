@@ -100,6 +100,11 @@ impl Leaderboard {
     /// The version of the format.
     pub const FORMAT: u32 = 1;
 
+    /// Whether the number of episodes of some policy was not fixed in advance.
+    pub fn is_sequential(&self) -> bool {
+        self.standings.iter().any(|standing| standing.sequential)
+    }
+
     /// Ranks named records by `terms`. The sampling of each record is how its number of episodes was chosen. The record
     /// can override it ([`Record::sampling`]).
     ///

@@ -8,7 +8,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use robogate_core::{TaskSpec, Value};
-use robogate_dictionary::results::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED};
+use robogate_dictionary::results::only_identifies;
 use robogate_stats::compare::Pairs;
 use robogate_stats::families::{FamilyPairs, SharedTwin, paired_effects};
 use robogate_stats::format::{count, counted, list, percent, percent_range};
@@ -510,9 +510,8 @@ fn same_origin(trial: &Trial, twin: &Trial, suite: bool) -> Result<(), GateError
 
 /// The parameters that differ between the episodes of a pair.
 fn perturbed(trial: &Trial, twin: &Trial) -> Vec<String> {
-    let identifies = |name: &str| [SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED].contains(&name);
     let differs = |(name, value): &(&str, &Value)| {
-        !identifies(name) && twin.requested.get(name).is_some_and(|nominal| !same(nominal, value))
+        !only_identifies(name) && twin.requested.get(name).is_some_and(|nominal| !same(nominal, value))
     };
     trial.requested.iter().filter(differs).map(|(name, _)| name.to_owned()).collect()
 }

@@ -15,9 +15,10 @@
 //! NeurIPS, for histograms and growth by leaf. Limit: the fit has no interval; use rows that were not fitted to judge it.
 
 use rand_chacha::ChaCha8Rng;
-use rand_core::{Rng, SeedableRng};
+use rand_core::SeedableRng;
 
 use crate::logistic::logistic_and_log;
+use crate::resample::uniform;
 
 /// Largest number of bins of a column.
 const BINS: usize = 64;
@@ -189,8 +190,7 @@ fn subsample(n: usize, share: f64, random: &mut ChaCha8Rng) -> Vec<u32> {
     let mut chosen = Vec::with_capacity(wanted);
     // Knuth's selection sampling (algorithm S).
     for i in 0..n {
-        let uniform = (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
-        if uniform * ((n - i) as f64) < (wanted - chosen.len()) as f64 {
+        if uniform(random) * ((n - i) as f64) < (wanted - chosen.len()) as f64 {
             chosen.push(i as u32);
         }
     }
@@ -402,10 +402,6 @@ impl Grower<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn uniform(random: &mut ChaCha8Rng) -> f64 {
-        (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
-    }
 
     /// Two columns: success is likely where the first is large; the second is noise.
     fn data(rows: usize) -> (Vec<Vec<f64>>, Vec<bool>) {

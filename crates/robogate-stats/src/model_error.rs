@@ -74,11 +74,9 @@ pub fn model_error(pairs: &[Pair], alpha: f64) -> Result<Option<ModelError>, Out
 mod tests {
     use super::*;
     use rand_chacha::ChaCha8Rng;
-    use rand_core::{Rng, SeedableRng};
+    use rand_core::SeedableRng;
 
-    fn uniform(random: &mut ChaCha8Rng) -> f64 {
-        (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
-    }
+    use crate::resample::uniform;
 
     /// Pairs at points with a uniform probability p, predicted with an error of 0.1 in either direction.
     fn pairs(n: usize, random: &mut ChaCha8Rng) -> (Vec<Pair>, f64) {

@@ -33,6 +33,7 @@ use robogate_maths::dense::{Cholesky, dot};
 use robogate_maths::normal;
 
 use crate::Interval;
+use crate::resample::uniform;
 
 /// Largest |η| of a model. Beyond it, a model claims more certainty than episodes can show.
 pub const LARGEST_LOG_ODDS: f64 = 6.0;
@@ -327,11 +328,10 @@ impl<'a> WithEffects<'a> {
             factor.solve(&mut step);
             // Halved until it improves; at the mode, no part of it does.
             let moved = |part: f64| at.iter().zip(&step).map(|(at, step)| at + part * step).collect::<Vec<f64>>();
-            let better = (0..20).map(|halvings| moved(0.5_f64.powi(halvings))).find(|to| self.ln(to) > value);
-            let Some(to) = better else { break };
-            let gain = self.ln(&to) - value;
-            at = to;
-            value += gain;
+            let mut tried = (0..20).map(|halvings| moved(0.5_f64.powi(halvings))).map(|to| (self.ln(&to), to));
+            let Some((better, to)) = tried.find(|(ln, _)| *ln > value) else { break };
+            let gain = better - value;
+            (value, at) = (better, to);
             if gain < 1e-10 {
                 break;
             }
@@ -408,13 +408,7 @@ pub fn effects(
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut largest = Vec::with_capacity(SIMULATIONS);
     for _ in 0..SIMULATIONS {
-        let y: Vec<f64> = p
-            .iter()
-            .map(|p| {
-                let u = (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
-                f64::from(u8::from(u < *p))
-            })
-            .collect();
+        let y: Vec<f64> = p.iter().map(|p| f64::from(u8::from(uniform(&mut random) < *p))).collect();
         let most = ready.iter().flatten().map(|(x, information)| z(x, *information, &mut |i| y[i]).abs());
         largest.push(most.fold(0.0, f64::max));
     }
@@ -475,7 +469,7 @@ mod tests {
 
     fn data(seed: u64, n: usize, truth: impl Fn(f64, f64) -> f64) -> (Vec<f64>, Vec<f64>, Vec<bool>) {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
-        let mut unit = || (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
+        let mut unit = || uniform(&mut random);
         let (mut eta, mut x, mut y) = (Vec::new(), Vec::new(), Vec::new());
         for _ in 0..n {
             let (e, v) = (6.0 * unit() - 3.0, unit());
@@ -497,8 +491,7 @@ mod tests {
             let columns: Vec<Vec<f64>> = (0..4).map(|k| data(10 * seed + k, 300, |_, _| 0.0).1).collect();
             let truth = |i: usize| 2.0 * columns[0][i] - 3.0 * columns[1][i] + columns[2][i] + 0.5;
             let mut random = ChaCha8Rng::seed_from_u64(1_000_000 + seed);
-            let mut unit = || (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
-            let success: Vec<bool> = (0..300).map(|i| unit() < logistic(truth(i))).collect();
+            let success: Vec<bool> = (0..300).map(|i| uniform(&mut random) < logistic(truth(i))).collect();
             (columns, success)
         };
         let (mut named, mut named_without) = (0, 0);

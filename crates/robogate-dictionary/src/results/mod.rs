@@ -34,7 +34,7 @@ use std::sync::Arc;
 pub use format::Format;
 pub use mapping::{About, Mapping};
 pub use role::Role;
-pub use survey::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED};
+pub use survey::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED, only_identifies};
 
 use crate::codec::Interner;
 use crate::published::{self, Imported};

@@ -27,6 +27,11 @@ pub const SOURCE_EPISODE: &str = "source_episode";
 /// The parameter that numbers the rows of a source without parameters, because a space needs at least one.
 pub const SOURCE_ROW: &str = "source_row";
 
+/// Whether a parameter of imported rows only identifies the episode, and is not one of its scenario.
+pub fn only_identifies(parameter: &str) -> bool {
+    [SOURCE_SEED, SOURCE_EPISODE, SOURCE_ROW].contains(&parameter)
+}
+
 /// The column of a parameter (`None` for the row number) and the parameter.
 type FromColumn = (Option<Arc<str>>, Parameter);
 

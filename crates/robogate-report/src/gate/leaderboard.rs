@@ -58,13 +58,8 @@ const FAILURES: &str = "failures";
 
 /// The titles of the other columns.
 fn heads(board: &Leaderboard) -> [&'static str; 6] {
-    let interval = if is_sequential(board) { "95 % interval" } else { "exact 95 % interval" };
+    let interval = if board.is_sequential() { "95 % interval" } else { "exact 95 % interval" };
     ["rank (95 %)", "policy", "score", "95 % (bootstrap)", "success", interval]
-}
-
-/// Whether the number of episodes of some policy was not fixed in advance.
-fn is_sequential(board: &Leaderboard) -> bool {
-    board.standings.iter().any(|standing| standing.sequential)
 }
 
 fn terms(board: &Leaderboard) -> Vec<String> {
@@ -74,12 +69,11 @@ fn terms(board: &Leaderboard) -> Vec<String> {
 }
 
 fn caution(board: &Leaderboard) -> String {
-    let sequential = match is_sequential(board) {
-        true => {
-            " Intervals of success rates without * are exact. Those with * are confidence sequences, which hold for any number of episodes: it was \
-             not fixed in advance, as in a gate that stops early, and the exact interval would cover too rarely."
-        }
-        false => "",
+    let sequential = if board.is_sequential() {
+        " Intervals of success rates without * are exact. Those with * are confidence sequences, which hold for any number of \
+         episodes: it was not fixed in advance, as in a gate that stops early, and the exact interval would cover too rarely."
+    } else {
+        ""
     };
     format!(
         "{} The score summarises observed figures. Its interval and that of the rank come from {} bootstrap replicates of the \

@@ -130,7 +130,7 @@ pub(crate) fn print(board: &Leaderboard) {
     }
     line("");
     let wide = board.standings.iter().map(|s| s.name.chars().count()).max().unwrap_or(6).max(6);
-    let sequential = board.standings.iter().any(|s| s.sequential);
+    let sequential = board.is_sequential();
     let exact = if sequential { "" } else { "exact " };
     line(dim(format_args!(
         "  rank (95 %)   {:<wide$}  score  {:<24}  95 % (bootstrap) success ({exact}95 % interval)",
@@ -175,10 +175,10 @@ pub(crate) fn print(board: &Leaderboard) {
     ));
     if sequential {
         line(dim(
-            "  Success: exact intervals without *. *: the number of episodes was not fixed in advance (as in a gate that stops early), so the",
+            "  *: the number of episodes was not fixed in advance, as in a gate that stops early. The interval is a confidence",
         ));
         line(dim(
-            "  interval is a confidence sequence, which holds for any number. The exact one would cover too rarely.",
+            "  sequence, which holds for any number; an exact one would cover too rarely. Success rates without * have exact ones.",
         ));
     }
 }
