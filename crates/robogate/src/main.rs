@@ -22,6 +22,7 @@ mod lost_episodes;
 mod number;
 #[cfg(feature = "object-store")]
 mod object_store;
+mod origin;
 mod picture;
 mod place;
 mod policy_source;
@@ -29,6 +30,7 @@ mod progress;
 mod registry;
 mod remote;
 mod renderer;
+mod reopening;
 mod sharded;
 mod source;
 mod subject;

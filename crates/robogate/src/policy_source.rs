@@ -8,14 +8,16 @@ use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_core::{Fault, FaultKind, Observation, Policy, TaskSpec};
 use robogate_dictionary::read_text;
-use robogate_policy::{Access, BoundMap, ExternalPolicy, Mapped, PolicyError, Profile, RangeCounts, TaskMap};
+use robogate_policy::{
+    Access, BoundMap, ExternalPolicy, Mapped, PolicyError, Profile, RangeCounts, TaskMap, network_sha256,
+};
 use robogate_tasks::Random;
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint_statistics::CheckpointStatistics;
 use crate::duration;
 use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
-use crate::terminal::note;
+use crate::terminal::{foreign, note};
 
 /// A policy other than the environment's scripted controller.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -87,6 +89,14 @@ impl PolicySource {
         }
     }
 
+    /// The address of its server, or its file, if it is external.
+    pub(crate) fn server(&self) -> Option<&str> {
+        match self {
+            Self::External(served) => Some(&served.server),
+            Self::BuiltIn(_) | Self::Declared(_) => None,
+        }
+    }
+
     /// Whether it is a network that this process runs.
     pub(crate) fn is_network(&self) -> bool {
         self.profile().is_some_and(|profile| profile.dialect.is_file())
@@ -100,10 +110,11 @@ impl PolicySource {
         }
     }
 
-    /// The same policy with new connection metadata.
+    /// The same policy with new connection metadata. A network must have the recorded bytes before it is loaded.
     pub(crate) fn asked_again(&self, location: &PolicyLocation) -> Result<Self, Exit> {
         match self {
             Self::External(served) => {
+                served.check_file(location)?;
                 ExternalSource::ask(&served.server, Arc::clone(&served.profile), served.map.clone(), location)
                     .map(Self::External)
             }
@@ -158,6 +169,26 @@ impl ExternalSource {
         let seen = bound.observation(observation).map_err(anyhow::Error::from).or_broken()?;
         self.profile = Arc::new(statistics.add_to(&self.profile, &seen)?);
         Ok(())
+    }
+
+    /// Rejects another network than the recorded one.
+    fn check_file(&self, location: &PolicyLocation) -> Result<(), Exit> {
+        let file = location.at.as_deref().unwrap_or(&self.server);
+        let recorded = self.declared.get("sha256").and_then(serde_json::Value::as_str);
+        if !self.profile.dialect.is_file() || file.contains("://") {
+            return Ok(());
+        }
+        let now = network_sha256(Path::new(file)).map_err(policy_error)?;
+        if recorded == Some(now.as_str()) {
+            return Ok(());
+        }
+        Err(anyhow!(
+            "the policy {} is not the one of the run: its SHA-256 is {now}, but the run recorded {}\n  hint: name the recorded \
+             file with --policy-at",
+            foreign(file),
+            foreign(recorded.unwrap_or("none"))
+        ))
+        .or_usage()
     }
 
     /// Connect to a policy and record what it reports about itself.
@@ -275,9 +306,14 @@ impl PolicyLocation {
         Self { at: None, access: access.clone() }
     }
 
-    /// The same access without another address: that of a second policy, whose address is recorded.
-    pub(crate) fn without_address(&self) -> Self {
-        Self::with_access(&self.access)
+    /// A policy that is reached at this address, or at the recorded one.
+    pub(crate) fn at(at: Option<String>, access: &PolicyAccess) -> Self {
+        Self { at, access: access.clone() }
+    }
+
+    /// Address and access.
+    pub(crate) fn parts(self) -> (Option<String>, PolicyAccess) {
+        (self.at, self.access)
     }
 
     /// Rejects a key or certificates if the policy is not behind a server.
@@ -290,7 +326,7 @@ impl PolicyLocation {
         match &self.at {
             None => Ok(()),
             Some(at) => Err(anyhow!(
-                "--policy-at {at}: the policy of this run is neither a server nor a file\n  hint: leave out --policy-at"
+                "{at}: the policy of this run is neither a server nor a file\n  hint: leave out its address"
             ))
             .or_usage(),
         }

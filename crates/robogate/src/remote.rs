@@ -40,9 +40,9 @@ pub(crate) struct Simulators {
     pub(crate) python: Option<PathBuf>,
 }
 
-impl Simulators {
+impl Default for Simulators {
     /// No remote simulator.
-    pub(crate) fn none() -> Self {
+    fn default() -> Self {
         Self { addresses: Vec::new(), python: None, timeout_s: 30.0 }
     }
 }
@@ -71,7 +71,8 @@ impl Simulators {
     pub(crate) fn launch(&self, environment: &str) -> Result<(Arc<Pool>, Arc<Servers>), Exit> {
         let interpreter = Interpreter::choose(self.python.as_deref(), environment).or_usage()?;
         note(format_args!("starting {environment} in {}", interpreter.path().display()));
-        let (servers, address) = Servers::start(environment.to_owned(), interpreter, self.timeouts())?;
+        let (servers, address) =
+            Servers::start(environment.to_owned(), self.python.clone(), interpreter, self.timeouts())?;
         let pool = Pool::connect(&[address], self.timeouts(), listener()).map_err(pool_error)?;
         if !pool.hello().deterministic {
             note(format_args!(

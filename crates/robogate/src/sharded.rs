@@ -7,14 +7,14 @@ use anyhow::anyhow;
 use robogate_campaign::shards::{Assignment, OpenRound, ShardError, ShardStatus, Shards};
 use robogate_campaign::{AfterRound, Completion, Event, Round};
 use robogate_core::Foresight;
-use robogate_dictionary::Provenance;
 use robogate_gate::{Asked, GateError, Record};
 
 use crate::commands::gate::{Look, begun, compared_with, finish, refused, ruled_out, write_question};
 use crate::commands::run::{conclude, write_report};
 use crate::commands::shard::exit;
 use crate::exit::{Exit, USAGE};
-use crate::remote::Simulators;
+use crate::origin;
+use crate::reopening::Reopening;
 use crate::subject::{Subject, starts_processes};
 use crate::twins;
 
@@ -64,16 +64,13 @@ fn not_planned(path: &Path, reason: &str) -> Exit {
 pub(crate) type Knowledge = Option<Arc<dyn Foresight>>;
 
 /// The knowledge of the environment of a run. The policy, whose server may be gone, is not needed.
-fn recorded_foresight(provenance: &Provenance) -> Result<Knowledge, Exit> {
-    let mut world = provenance.clone();
-    if let Some(settings) = world.world.as_object_mut() {
-        settings.remove("policy");
-    }
-    if starts_processes(&world) {
+fn recorded_foresight(shards: &Shards, opening: &Reopening) -> Result<Knowledge, Exit> {
+    let provenance = &shards.settings().provenance;
+    if starts_processes(provenance) {
         // The bridge protocol has no such knowledge for environments in other processes.
         return Ok(None);
     }
-    let subject = Subject::recorded(&world, &Simulators::none())?;
+    let subject = Subject::recorded_environment(provenance, Some(&shards.dir()), opening)?;
     subject.foresight()
 }
 
@@ -98,8 +95,8 @@ impl Campaign {
     }
 
     /// Like [`Self::choose`], in the environment of the plan.
-    pub(crate) fn choose_as_recorded(&self) -> Result<(), Exit> {
-        self.choose(&|| recorded_foresight(&self.shards.settings().provenance))
+    pub(crate) fn choose_as_recorded(&self, opening: &Reopening) -> Result<(), Exit> {
+        self.choose(&|| recorded_foresight(&self.shards, opening))
     }
 
     /// Calls `work` with the decision after each round.
@@ -134,24 +131,42 @@ impl Campaign {
         self.in_rounds(|shards, after_round| shards.status(after_round))
     }
 
+    /// Notes that the merged run is this user's, if the campaign is.
+    fn register(&self, out: &Path) {
+        origin::register_copy(out, &self.shards.dir(), &self.shards.settings().provenance);
+    }
+
     /// Merges the shards into `out`, and prints nothing.
-    pub(crate) fn merge_quietly(mut self, out: &Path, events: &mut dyn FnMut(&Event)) -> Result<(), Exit> {
-        self.choose_as_recorded()?;
+    pub(crate) fn merge_quietly(
+        mut self,
+        out: &Path,
+        events: &mut dyn FnMut(&Event),
+        opening: &Reopening,
+    ) -> Result<(), Exit> {
+        self.choose_as_recorded(opening)?;
+        self.register(out);
         self.in_rounds(|shards, after_round| shards.merge(out, events, after_round))?;
         write_report(out, None, None);
         Ok(())
     }
 
     /// Merges the shards into `out`, and prints the summary or the verdict.
-    pub(crate) fn merge(mut self, out: &Path, events: &mut dyn FnMut(&Event), json: bool) -> Result<u8, Exit> {
-        self.choose_as_recorded()?;
+    pub(crate) fn merge(
+        mut self,
+        out: &Path,
+        events: &mut dyn FnMut(&Event),
+        opening: &Reopening,
+        json: bool,
+    ) -> Result<u8, Exit> {
+        self.choose_as_recorded(opening)?;
+        self.register(out);
         let completion = self.in_rounds(|shards, after_round| shards.merge(out, events, after_round))?;
         let stopped = match (&self.gate, &completion) {
             (Some(Gate { asked, other, .. }), Completion::Finished { .. }) => ruled_out(out, asked, other.as_ref())?,
             _ => false,
         };
         if !stopped {
-            twins::merge(&self.shards, out, &completion)?;
+            twins::merge(&self.shards, out, &completion, opening)?;
         }
         match &self.gate {
             Some(Gate { asked, other, .. }) => {

@@ -21,7 +21,9 @@ use crate::commands::gate::refused;
 use crate::commands::run;
 use crate::commands::shard;
 use crate::exit::{Exit, OrExit};
+use crate::origin;
 use crate::place;
+use crate::reopening::Reopening;
 use crate::sharded::Campaign;
 use crate::source::open_source;
 use crate::subject::Subject;
@@ -195,7 +197,9 @@ impl Arms {
         for kind in Kind::ALL {
             let Some(plan) = kind.plan(plan, &space, subject.task(), rounds).map_err(run::exit)? else { continue };
             let provenance = subject.provenance(space_of(&plan)?)?;
-            arms.push(Arm { kind, folder: dir.join(kind.folder()), plan, provenance });
+            let folder = dir.join(kind.folder());
+            subject.register(&folder, &provenance);
+            arms.push(Arm { kind, folder, plan, provenance });
         }
         Ok(Self(arms))
     }
@@ -259,17 +263,17 @@ fn as_many_rounds(stage: &mut SuiteStage, rounds: u64) {
 
 /// Merges the arms of a campaign in shards into `out`, after the campaign itself was merged. If an arm does not exist, writes
 /// its plan; if shards are missing, prints how to run them.
-pub(crate) fn merge(campaign: &Shards, out: &Path, completion: &Completion) -> Result<(), Exit> {
+pub(crate) fn merge(campaign: &Shards, out: &Path, completion: &Completion, opening: &Reopening) -> Result<(), Exit> {
     let Completion::Finished { summary, .. } = completion else { return Ok(()) };
     if campaign.settings().plan.twins {
         for kind in Kind::ALL {
-            merge_arm(kind, campaign, out, rounds_of(summary))?;
+            merge_arm(kind, campaign, out, rounds_of(summary), opening)?;
         }
     }
     Ok(())
 }
 
-fn merge_arm(kind: Kind, campaign: &Shards, out: &Path, rounds: u64) -> Result<(), Exit> {
+fn merge_arm(kind: Kind, campaign: &Shards, out: &Path, rounds: u64, opening: &Reopening) -> Result<(), Exit> {
     let settings = campaign.settings();
     if out.join(kind.folder()).join(DICTIONARY).is_file() {
         return Ok(());
@@ -283,6 +287,7 @@ fn merge_arm(kind: Kind, campaign: &Shards, out: &Path, rounds: u64) -> Result<(
             let Some(plan) = plan else { return Ok(()) };
             let provenance =
                 Provenance { space: space_of(&plan)?, question_sha256: None, ..settings.provenance.clone() };
+            origin::register_copy(&dir, &campaign.dir(), &provenance);
             Shards::begin(place::create(&dir)?, campaign.shards(), &plan, provenance).map_err(shard::exit)?
         }
         Err(error) => return Err(shard::exit(error)),
@@ -298,7 +303,7 @@ fn merge_arm(kind: Kind, campaign: &Shards, out: &Path, rounds: u64) -> Result<(
         ));
         return Ok(());
     }
-    arm.merge_quietly(&out.join(kind.folder()), &mut |_: &Event| {})?;
+    arm.merge_quietly(&out.join(kind.folder()), &mut |_: &Event| {}, opening)?;
     // The page of an earlier merge lacks this arm.
     match std::fs::remove_file(out.join(crate::commands::report::PAGE)) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error)

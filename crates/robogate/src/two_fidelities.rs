@@ -19,9 +19,8 @@ use serde_json::json;
 use crate::commands::run::{self, How};
 use crate::exit::{Exit, OrExit};
 use crate::lost_episodes::RunsLostAgain;
-use crate::policy_source::PolicyLocation;
 use crate::progress::Progress;
-use crate::remote::Simulators;
+use crate::reopening::Reopening;
 use crate::subject::Subject;
 use crate::terminal::{bold, line, note, percent, wrapped};
 
@@ -55,7 +54,7 @@ impl CoarseArm {
         dir: &Path,
         plan: &Plan,
         provenance: &Provenance,
-        location: &PolicyLocation,
+        opening: &Reopening,
     ) -> Result<Option<Self>, Exit> {
         let (Some(coarse), Some(arm)) = (&plan.coarse, plan.coarse_arm()) else { return Ok(None) };
         plan.check(&provenance.space).or_usage()?;
@@ -88,7 +87,7 @@ impl CoarseArm {
         if let Some(world) = coarser.world.as_object_mut() {
             world.insert(TIME_STEP.to_owned(), json!(coarse.time_step_s));
         }
-        let subject = Subject::recorded_at(&coarser, &Simulators::none(), location).map_err(|exit| {
+        let subject = Subject::recorded(&coarser, Some(dir), opening).map_err(|exit| {
             let error = exit.error.context(format!("--coarse-step {}: cannot be used", coarse.time_step_s));
             Exit { error, ..exit }
         })?;

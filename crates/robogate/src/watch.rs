@@ -14,8 +14,9 @@ use robogate_stats::format::{counted, number};
 use crate::film::{self, Cameras, FILM_FRAMES, Filmed, Shot};
 use crate::picture;
 use crate::policy_source::PolicySource;
-use crate::remote::Simulators;
+use crate::reopening::Reopening;
 use crate::subject::{Subject, starts_processes};
+use crate::terminal::note;
 
 /// Maximum number of recorded episodes of a page.
 const MAX_CLIPS: usize = 12;
@@ -99,19 +100,19 @@ struct Done {
 }
 
 /// The episodes of a run that are worth watching. Nothing is recorded for rows without a run's folder, and for a run
-/// that needs a server which `simulators` does not name. With `frames`, images are written too if the environment has a
+/// whose programs `opening` does not permit. With `frames`, images are written too if the environment has a
 /// camera.
 pub(crate) fn watch(
     source: &Source,
     analysis: &Analysis,
-    simulators: &Simulators,
+    opening: &Reopening,
     moment: Moment<'_>,
     frames: Option<&Frames>,
 ) -> anyhow::Result<Watch> {
     let chosen = worth_watching(source, analysis, MAX_CLIPS)?;
     let mut recorder = Recorder::new(moment, Place::Beside);
     recorder.frames = frames;
-    let run = if chosen.is_empty() { None } else { recorder.add(source.folder(), source, simulators) };
+    let run = if chosen.is_empty() { None } else { recorder.add(source.folder(), source, opening) };
     let folder = source.folder().filter(|_| analysis.subject.replayable);
     let mut items = Vec::with_capacity(chosen.len());
     for one in chosen {
@@ -139,7 +140,7 @@ pub(crate) fn watch(
 pub(crate) fn compared(
     comparison: &Comparison,
     sources: &[(Source, PathBuf)],
-    simulators: &Simulators,
+    opening: &Reopening,
 ) -> anyhow::Result<Watch> {
     let mut recorder = Recorder::new(Moment::OnRequest, Place::Elsewhere);
     let mut items = Vec::new();
@@ -152,7 +153,7 @@ pub(crate) fn compared(
         }
         let runs = [first, second].map(|at| {
             let source = sources.get(at).map(|(source, _)| source);
-            source.and_then(|source| recorder.add(source.folder(), source, simulators))
+            source.and_then(|source| recorder.add(source.folder(), source, opening))
         });
         let room = MAX_PAIRS.saturating_sub(items.len());
         for flip in pair.flips.iter().take(room) {
@@ -217,7 +218,7 @@ impl<'a> Recorder<'a> {
     }
 
     /// Prepares a run, and returns its place. `None` with a remark if its episodes cannot be recorded again.
-    fn add(&mut self, folder: Option<&'a Path>, source: &Source, simulators: &Simulators) -> Option<usize> {
+    fn add(&mut self, folder: Option<&'a Path>, source: &Source, opening: &Reopening) -> Option<usize> {
         let provenance = source.dictionary().provenance();
         let Some(folder) = folder.filter(|_| provenance.source.is_none()) else {
             self.remarks.push("These rows do not come from a run's folder, so no episode can be shown.".to_owned());
@@ -233,7 +234,7 @@ impl<'a> Recorder<'a> {
                 self.remarks.push(at_request("The environment runs in a process of its own", page));
                 return None;
             }
-            _ => Subject::recorded(provenance, simulators).map(|subject| Held::Again(Box::new(subject))),
+            _ => Subject::recorded(provenance, Some(folder), opening).map(|subject| Held::Again(Box::new(subject))),
         };
         match subject {
             Ok(subject) if matches!(self.moment, Moment::EndOfRun(_)) && behind_server(subject.get()) => {
@@ -253,6 +254,7 @@ impl<'a> Recorder<'a> {
                 Some(self.runs.len() - 1)
             }
             Err(why) => {
+                note(format_args!("note: the episodes are not replayed: {why}"));
                 self.remarks.push(format!(
                     "The episodes are not shown, because they cannot be replayed here: {}.",
                     why.to_string().lines().next().unwrap_or_default().trim_end_matches('.')

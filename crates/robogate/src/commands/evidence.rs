@@ -17,6 +17,7 @@ use robogate_gate::{Asked, GateError, Record, Sampling};
 use crate::commands::gate::{built_in_baseline, open_requirements, real_evidence_for, refused};
 use crate::compliance;
 use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::origin;
 use crate::place;
 use crate::source::open_source;
 use crate::subject::recorded_robot;
@@ -105,7 +106,7 @@ impl Evidence {
             add(include, &mut others).or_usage()?;
         }
         if !others.iter().any(|(role, ..)| *role == Role::Robot) && provenance.robot.sha256.is_some() {
-            match recorded_robot(provenance) {
+            match recorded_robot(provenance, source.folder()) {
                 Some(files) => {
                     others.extend(files.into_iter().map(|(name, bytes)| {
                         (Role::Robot, format!("robot/{name}"), Content::Bytes(bytes.into_owned()))
@@ -130,6 +131,7 @@ impl Evidence {
         // Read before the evaluation, so that an unusable key is reported early.
         let key = self.key.as_deref().map(PrivateKey::read).transpose().map_err(evidence_error)?;
         let manifest = write(&self.out, &ingredients, key.as_ref()).map_err(evidence_error)?;
+        source.folder().into_iter().for_each(|folder| origin::register_copy(&self.out, folder, provenance));
         line(format_args!("{}: {}", manifest.verdict, foreign(&manifest.because)));
         let signed = manifest.signer.map_or("unsigned".to_owned(), |keyid| format!("signed by key {keyid}"));
         note(format_args!("policy: {}", foreign(&manifest.policy_binding)));

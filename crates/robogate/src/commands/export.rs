@@ -14,7 +14,7 @@ use robogate_stats::format::counted;
 
 use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
-use crate::remote::Simulators;
+use crate::reopening::Reopening;
 use crate::subject::{Subject, starts_processes};
 use crate::terminal::{note, quoted};
 
@@ -68,7 +68,7 @@ impl Export {
                 return Err(anyhow::anyhow!("Parquet cannot be written to standard output\nhint: name a file"))
                     .or_usage();
             }
-            To::Parquet => return self.parquet(&dictionary),
+            To::Parquet => return self.parquet(&dictionary, Some(&*self.dictionary).filter(|path| path.is_dir())),
             To::Csv => Format::Csv,
             To::Jsonl => Format::JsonLines,
             To::Published => Format::Published,
@@ -88,9 +88,9 @@ impl Export {
 
 impl Export {
     /// Writes a dictionary of this version, with the draws of every episode as far as this build knows them.
-    fn parquet(&self, dictionary: &Dictionary) -> Result<u8, Exit> {
+    fn parquet(&self, dictionary: &Dictionary, folder: Option<&Path>) -> Result<u8, Exit> {
         let recorded = dictionary.provenance();
-        let Draws { specs, compute } = Draws::of(recorded);
+        let Draws { specs, compute } = Draws::of(recorded, folder);
         let declared = |spec: &DrawSpec| recorded.task.draws.iter().any(|known| known.name == spec.name);
         let complete = specs.iter().all(declared);
         let mut provenance = recorded.clone();
@@ -125,8 +125,8 @@ struct Draws {
 
 impl Draws {
     /// The draws of a run, with those of its task if the task is built into this version.
-    fn of(provenance: &Provenance) -> Self {
-        let why = match knowledge(provenance) {
+    fn of(provenance: &Provenance, folder: Option<&Path>) -> Self {
+        let why = match knowledge(provenance, folder) {
             Ok((task, foresight)) => {
                 // An episode that could not be set up has no draws.
                 let compute = move |scenario: &Scenario| foresight.draws(scenario).unwrap_or_default();
@@ -148,16 +148,12 @@ impl Draws {
 }
 
 /// The task of this build that a run recorded, with its knowledge about episodes before they run.
-fn knowledge(provenance: &Provenance) -> anyhow::Result<(Arc<TaskSpec>, Arc<dyn Foresight>)> {
+fn knowledge(provenance: &Provenance, folder: Option<&Path>) -> anyhow::Result<(Arc<TaskSpec>, Arc<dyn Foresight>)> {
     if provenance.source.is_some() || starts_processes(provenance) {
         anyhow::bail!("the episodes are not those of a built-in task");
     }
-    // Draws do not depend on the policy, whose server may be gone.
-    let mut world = provenance.clone();
-    if let Some(settings) = world.world.as_object_mut() {
-        settings.remove("policy");
-    }
-    let subject = Subject::recorded(&world, &Simulators::none()).map_err(|exit| exit.error)?;
+    // Draws do not depend on the policy.
+    let subject = Subject::recorded_environment(provenance, folder, &Reopening::none()).map_err(|exit| exit.error)?;
     let present = subject.provenance(provenance.space.clone()).map_err(|exit| exit.error)?;
     if present.robot.sha256 != provenance.robot.sha256 {
         anyhow::bail!("the files of the robot {} have changed since the run", provenance.robot.name);

@@ -12,6 +12,7 @@ use crate::commands::shard::open;
 use crate::exit::{Exit, OrExit};
 use crate::place;
 use crate::progress::Progress;
+use crate::reopening::{Reopening, Trust};
 use crate::terminal::note;
 
 /// Merge the shards of a campaign to the files of a run on one machine: dictionary, boundary, summary and report. The
@@ -24,6 +25,8 @@ pub(crate) struct Merge {
     /// Write the files to this folder; default: the same folder
     #[arg(long, value_name = "FOLDER", value_parser = place::local())]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    trust: Trust,
     /// Print the result as one JSON document
     #[arg(long)]
     json: bool,
@@ -33,7 +36,7 @@ impl Merge {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         if let Some(plan) = matrix::open(&self.dir)? {
             return match &self.out {
-                None => matrix::merge(&self.dir, &plan, self.json),
+                None => matrix::merge(&self.dir, &plan, self.trust, self.json),
                 Some(_) => Err(anyhow!("--out: a sweep is merged in its own folder")).or_usage(),
             };
         }
@@ -54,6 +57,6 @@ impl Merge {
             Event::Started { .. } => {}
             event => progress.hear(event),
         };
-        campaign.merge(out, &mut show, self.json)
+        campaign.merge(out, &mut show, &Reopening::trusting(self.trust), self.json)
     }
 }

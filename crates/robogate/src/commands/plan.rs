@@ -9,6 +9,8 @@ use serde_json::{Value, json};
 use crate::commands::matrix;
 use crate::commands::shard::{exit, open};
 use crate::exit::{DONE, Exit};
+use crate::reopening::Trust;
+use crate::subject::programs;
 use crate::terminal::{line, note, quoted};
 
 /// Print the next shards of a campaign that several machines run, as commands: one per line, for the missing shards of
@@ -20,6 +22,8 @@ pub(crate) struct Plan {
     /// Print the shards that can run now
     #[arg(long, required = true)]
     next: bool,
+    #[command(flatten)]
+    trust: Trust,
     /// Print the shards as one JSON document
     #[arg(long)]
     json: bool,
@@ -57,7 +61,7 @@ impl NextShard {
 }
 
 /// Finds the missing shards of the open round of the campaign in `dir`.
-pub(crate) fn next_shards(dir: &Path) -> Result<NextShards, Exit> {
+pub(crate) fn next_shards(dir: &Path, trust: Trust) -> Result<NextShards, Exit> {
     let mut campaign = open(dir)?;
     let open = campaign.open_round()?;
     let shards = campaign.shards();
@@ -67,10 +71,16 @@ pub(crate) fn next_shards(dir: &Path) -> Result<NextShards, Exit> {
             // The first worker would compute it as well. Here it is computed once.
             shards.boundary().map_err(exit)?;
         }
+        // The user of this call lets other machines start what the plan names.
+        let provenance = &shards.settings().provenance;
+        let trusted = !programs(provenance)?.is_empty() && trust.covers(dir, provenance);
         for index in missing {
             let shard = Shard::new(*index, shards.shards()).map_err(|error| exit(error.into()))?;
             let (name, out) = (shard.to_string(), dir.display().to_string());
-            let command = ["robogate", "run", "--shard", &name, "--out", &out].map(str::to_owned).to_vec();
+            let mut command = ["robogate", "run", "--shard", &name, "--out", &out].map(str::to_owned).to_vec();
+            if trusted {
+                command.push("--trust".to_owned());
+            }
             let episodes = shards.episodes_of(*round, shard);
             items.push(NextShard { shard, round: *round, episodes, dir: dir.to_owned(), command });
         }
@@ -81,9 +91,9 @@ pub(crate) fn next_shards(dir: &Path) -> Result<NextShards, Exit> {
 impl Plan {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         if let Some(plan) = matrix::open(&self.dir)? {
-            return matrix::next(&self.dir, &plan, self.json);
+            return matrix::next(&self.dir, &plan, self.trust, self.json);
         }
-        let NextShards { shards, round, items } = next_shards(&self.dir)?;
+        let NextShards { shards, round, items } = next_shards(&self.dir, self.trust)?;
         if self.json {
             let items: Vec<Value> = items.iter().map(NextShard::json).collect();
             line(json!({ "version": 1, "dir": self.dir, "shards": shards, "round": round, "items": items }));

@@ -14,8 +14,8 @@ use serde_json::json;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::film::{self, Cameras, Filmed, Shot};
 use crate::picture;
-use crate::policy_source::{PolicyAccess, PolicyLocation, PolicySource};
-use crate::remote::Simulators;
+use crate::policy_source::PolicySource;
+use crate::reopening::Reopening;
 use crate::subject::Subject;
 use crate::terminal::{bold, dim, foreign, line, note};
 use crate::watch;
@@ -28,9 +28,7 @@ pub(crate) struct Replay {
     /// Index of the episode, as in the dictionary
     index: u64,
     #[command(flatten)]
-    simulators: Simulators,
-    #[command(flatten)]
-    access: PolicyAccess,
+    opening: Reopening,
     /// Write an animation of a camera to this file (GIF)
     #[arg(long, value_name = "FILE")]
     gif: Option<PathBuf>,
@@ -65,10 +63,7 @@ struct Line {
 impl Replay {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
-        let subject = {
-            let location = PolicyLocation::with_access(&self.access);
-            Subject::recorded_at(&settings.provenance, &self.simulators, &location)?
-        };
+        let subject = Subject::recorded(&settings.provenance, Some(&self.dir), &self.opening)?;
         if self.mp4.is_some() {
             film::check_mp4().or_usage()?;
         }

@@ -14,7 +14,7 @@ use crate::commands::analyze::{analyse, options};
 use crate::commands::gate;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::place;
-use crate::remote::Simulators;
+use crate::reopening::Reopening;
 use crate::source::open_source;
 use crate::subject::Subject;
 use crate::terminal::{line, note};
@@ -46,7 +46,7 @@ pub(crate) struct Report {
     #[command(flatten)]
     nominal: NominalArguments,
     #[command(flatten)]
-    simulators: Simulators,
+    opening: Reopening,
 }
 
 /// The name of the page in a run's folder.
@@ -82,9 +82,9 @@ impl Report {
         // Markdown on stdout has no place for images.
         let frames = out.as_deref().filter(|_| matches!(self.format, Form::Md)).map(frames_beside);
         let watch = match self.format {
-            Form::Html | Form::Md if !self.no_replay => Some(
-                watch::watch(&source, &analysis, &self.simulators, Moment::OnRequest, frames.as_ref()).or_usage()?,
-            ),
+            Form::Html | Form::Md if !self.no_replay => {
+                Some(watch::watch(&source, &analysis, &self.opening, Moment::OnRequest, frames.as_ref()).or_usage()?)
+            }
             _ => None,
         };
         let pairs = pair_counts(&source, &analysis).or_usage()?;
@@ -153,7 +153,9 @@ pub(crate) fn page(
         return Ok((analysis, None));
     }
     let evaluation = gate_of(dir, &source);
-    let watch = watch::watch(&source, &analysis, &Simulators::none(), Moment::EndOfRun(subject), frames).or_broken()?;
+    // The user of this call has just run the subject.
+    let opening = subject.map_or_else(Reopening::none, |_| Reopening::trusted());
+    let watch = watch::watch(&source, &analysis, &opening, Moment::EndOfRun(subject), frames).or_broken()?;
     let pairs = pair_counts(&source, &analysis).or_broken()?;
     let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
     let twins = twins::of_folder(dir, &source, sampling)?;

@@ -11,8 +11,7 @@ use serde::Serialize;
 
 use crate::commands::evidence::evidence_error;
 use crate::exit::{Exit, OrExit};
-use crate::policy_source::PolicyLocation;
-use crate::remote::Simulators;
+use crate::reopening::Reopening;
 use crate::subject::Subject;
 
 /// The rows in the folder of evidence.
@@ -35,24 +34,19 @@ impl Rerun {
 }
 
 /// Checks that the rows are those of the plan, and runs `k` of them again. A difference is a problem of the evidence.
-pub(crate) fn rerun(
-    folder: &Path,
-    k: u64,
-    simulators: &Simulators,
-    location: &PolicyLocation,
-) -> Result<Result<Rerun, Problem>, Exit> {
+pub(crate) fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result<Rerun, Problem>, Exit> {
     let dictionary = Dictionary::open(&folder.join(ROWS)).or_usage()?;
     let recorded = dictionary.provenance();
     if recorded.source.is_some() {
         return Err(anyhow!("--rerun: the rows were imported, so they cannot be run again\n  hint: leave out --rerun"))
             .or_usage();
     }
-    let subject = Subject::recorded_at(recorded, simulators, location)?;
+    let subject = Subject::recorded(recorded, Some(folder), opening)?;
     let here = subject.provenance(recorded.space.clone())?;
     same_setup(recorded, &here)?;
     if here.world != recorded.world {
         let reason = "the policy or the environment differs from the recorded one: another file, or its server declares something else";
-        return Err(anyhow!("--rerun: {reason}\n  hint: name the judged policy with --policy-at")).or_usage();
+        return Err(anyhow!("--rerun: {reason}\n  hint: name the judged policy with --policy")).or_usage();
     }
     let wrong = |reason: String| Ok(Err(Problem::new(ROWS, reason)));
     if let Err(error) = check_rows(recorded, subject.foresight()?, dictionary.entries()) {

@@ -9,8 +9,7 @@ use robogate_gate::Asked;
 use crate::commands::run::How;
 use crate::commands::{fleet, gate};
 use crate::exit::{Exit, OrExit};
-use crate::policy_source::PolicyLocation;
-use crate::remote::Simulators;
+use crate::reopening::Reopening;
 use crate::subject::Subject;
 use crate::twins::Arms;
 use crate::two_fidelities::CoarseArm;
@@ -21,9 +20,7 @@ pub(crate) struct Resume {
     /// Folder of the run
     dir: PathBuf,
     #[command(flatten)]
-    simulators: Simulators,
-    #[command(flatten)]
-    location: PolicyLocation,
+    opening: Reopening,
     #[command(flatten)]
     how: How,
 }
@@ -31,7 +28,7 @@ pub(crate) struct Resume {
 impl Resume {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         if fleet::is_fleet(&self.dir) {
-            return fleet::resume(&self.dir, &self.simulators, &self.location, &self.how);
+            return fleet::resume(&self.dir, &self.opening, &self.how);
         }
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
         let asked = Asked::of(&self.dir).or_usage()?;
@@ -44,11 +41,11 @@ impl Resume {
             ))
             .or_usage();
         }
-        let subject = Subject::recorded_at(&settings.provenance, &self.simulators, &self.location)?;
+        let subject = Subject::recorded(&settings.provenance, Some(&self.dir), &self.opening)?;
         if let Some(asked) = asked {
-            return gate::resume(&self.dir, asked, &subject, settings, &self.simulators, &self.location, &self.how);
+            return gate::resume(&self.dir, asked, &subject, settings, &self.opening, &self.how);
         }
-        if let Some(coarse) = CoarseArm::of(&self.dir, &settings.plan, &settings.provenance, &self.location)? {
+        if let Some(coarse) = CoarseArm::of(&self.dir, &settings.plan, &settings.provenance, &Reopening::trusted())? {
             let provenance = subject.provenance(settings.provenance.space)?;
             return coarse.conduct(&self.dir, &self.how, &subject, |executor, events| {
                 robogate_campaign::resume(&self.dir, &provenance, executor, events)

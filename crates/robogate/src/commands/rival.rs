@@ -17,8 +17,7 @@ use sha2::{Digest, Sha256};
 
 use crate::commands::gate::refused;
 use crate::exit::{Exit, OrExit};
-use crate::policy_source::PolicyLocation;
-use crate::remote::Simulators;
+use crate::reopening::Reopening;
 use crate::subject::Subject;
 use crate::terminal::warning;
 
@@ -52,8 +51,7 @@ impl Rival {
     /// Prepares the other policy of an interrupted gate. Its recorded episodes do not run again.
     pub(crate) fn resume(
         dir: &Path,
-        simulators: &Simulators,
-        location: &PolicyLocation,
+        opening: &Reopening,
         planned: &Provenance,
         threads: NonZeroUsize,
     ) -> Result<Self, Exit> {
@@ -64,7 +62,7 @@ impl Rival {
         let recorded: Provenance = serde_json::from_slice(&text)
             .with_context(|| format!("{}: robogate writes this file, and it must not be edited", path.display()))
             .or_usage()?;
-        let subject = Subject::recorded_at(&recorded, simulators, &location.without_address())?;
+        let subject = Subject::recorded(&recorded, Some(dir), &opening.without_policy())?;
         let mut rival = Self::new(subject, planned, threads)?;
         if rival.provenance.policy != recorded.policy {
             return Err(anyhow!(
@@ -85,6 +83,7 @@ impl Rival {
         }
         let origin = dir.join(ORIGIN);
         if !origin.exists() {
+            self.subject.register(dir, &self.provenance);
             let text = serde_json::to_string_pretty(&self.provenance).or_broken()?;
             fs::write(&origin, text).with_context(|| format!("cannot write {}", origin.display())).or_broken()?;
         }

@@ -31,6 +31,7 @@ use crate::number::at_least_one;
 use crate::place;
 use crate::policy_source::{PolicyArguments, PolicyLocation};
 use crate::progress::Progress;
+use crate::reopening::{Reopening, Trust};
 use crate::source::open_source;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary;
@@ -122,6 +123,8 @@ pub(crate) struct Run {
     /// after the other, such as 0-3,7/16. If that folder has a plan, its options need not be repeated
     #[arg(long, value_name = "K/N", requires = "out")]
     shard: Option<ShardSet>,
+    #[command(flatten)]
+    trust: Trust,
     /// Write the plan of a campaign in N shards to --out, and run nothing: `robogate plan DIR --next` prints the commands
     /// that run the shards
     #[arg(long, value_name = "N", requires = "out", conflicts_with = "shard")]
@@ -135,7 +138,7 @@ struct Given(Vec<String>);
 impl Given {
     /// The arguments of `run` that do not affect the results of a campaign. clap reports the arguments of the whole command as
     /// well.
-    const WITHOUT_EFFECT: [&str; 13] = [
+    const WITHOUT_EFFECT: [&str; 14] = [
         "out",
         "shard",
         "divide",
@@ -145,6 +148,7 @@ impl Given {
         "addresses",
         "timeout_s",
         "python",
+        "given",
         "at",
         "wait",
         "policy_key",
@@ -210,7 +214,8 @@ impl Run {
             } else {
                 robogate_campaign::settings(dir).map_err(exit)?
             };
-            let subject = Subject::recorded_at(&provenance, &self.environment.simulators, &self.location)?;
+            let opening = Reopening::with(self.trust, &self.environment.simulators, &self.location);
+            let subject = Subject::recorded(&provenance, Some(dir), &opening)?;
             let question_sha256 = provenance.question_sha256;
             let provenance = Provenance { question_sha256, ..subject.provenance(provenance.space)? };
             return shard::run(dir, shards, &subject, &plan, provenance, None, &self.how);
@@ -238,11 +243,13 @@ impl Run {
             .or_usage();
         }
         if let (Some(shards), Some(dir)) = (&self.shard, &self.out) {
+            subject.register(dir, &provenance);
             return shard::run(dir, shards, &subject, &plan, provenance, prior.as_ref(), &self.how);
         }
         if let (Some(shards), Some(dir)) = (self.divide, &self.out) {
             let documents = shard::documents(prior.as_ref())?;
             let documents: Vec<(&str, &[u8])> = documents.iter().map(|(name, text)| (*name, &**text)).collect();
+            subject.register(dir, &provenance);
             return shard::divide(dir, shards, &plan, provenance, &documents, self.how.json);
         }
         let dir = match &self.out {
@@ -263,7 +270,7 @@ impl Run {
                 ))
             }
         };
-        let coarse = CoarseArm::of(&dir, &plan, &provenance, &self.location)?;
+        let coarse = CoarseArm::of(&dir, &plan, &provenance, &Reopening::trusted())?;
         introduce(&provenance, plan.seed);
         if plan.suite.is_none() {
             subject.note_feasibility(&provenance.space);
@@ -307,11 +314,13 @@ impl Run {
             )),
         }
         if let Some(coarse) = coarse {
+            subject.register(&dir, &provenance);
             return coarse.conduct(&dir, &self.how, &subject, |executor, events| {
                 robogate_campaign::start(&dir, &plan, provenance, executor, events)
             });
         }
         let arms = Arms::of(&dir, &plan, &provenance.space, &subject)?;
+        subject.register(&dir, &provenance);
         self.how.conduct(&dir, &subject, |executor, events| {
             let completion = match &prior {
                 Some(prior) => robogate_campaign::start_from(&dir, &plan, provenance, prior, executor, events)?,

@@ -15,6 +15,7 @@ use crate::commands::suites;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::picture;
 use crate::place;
+use crate::reopening::Trust;
 use crate::subject::{EnvironmentArguments, Subject, assignment};
 use crate::terminal::{foreign, line, note};
 
@@ -61,6 +62,8 @@ pub(crate) struct Snapshot {
     sheet: bool,
     #[command(flatten)]
     environment: EnvironmentArguments,
+    #[command(flatten)]
+    trust: Trust,
     /// Write to this path: a folder, or the file of a sheet; default: snapshots, or SUITE.png
     #[arg(long, value_name = "PATH", value_parser = place::local())]
     out: Option<PathBuf>,
@@ -83,7 +86,7 @@ impl Snapshot {
         let subject = match &self.run {
             Some(dir) => {
                 let settings = robogate_campaign::settings(dir).or_usage()?;
-                Subject::recorded(&settings.provenance, &self.environment.simulators)?
+                Subject::recorded(&settings.provenance, Some(dir), &self.environment.reopening(self.trust))?
             }
             None => Subject::new(self.environment.environment(SuctionLaw::Vacuum)?, None)?,
         };

@@ -12,8 +12,7 @@ use serde::Serialize;
 use crate::commands::rerun::{Rerun, rerun};
 use crate::compliance;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
-use crate::policy_source::PolicyLocation;
-use crate::remote::Simulators;
+use crate::reopening::Reopening;
 use crate::terminal::{bold, foreign, grouped, indented, line, note, percent};
 
 /// Verify a folder of evidence: every file, the signatures, and the verdict recomputed from the rows.
@@ -40,9 +39,7 @@ pub(crate) struct Verify {
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u64).range(1..))]
     rerun: Option<u64>,
     #[command(flatten)]
-    simulators: Simulators,
-    #[command(flatten)]
-    location: PolicyLocation,
+    opening: Reopening,
     /// Print the result as one JSON document
     #[arg(long)]
     json: bool,
@@ -82,7 +79,7 @@ impl Verify {
         }
         let mut repeated = None;
         if let (Some(k), Ok(_)) = (self.rerun, &checked) {
-            match rerun(&self.evidence, k, &self.simulators, &self.location)? {
+            match rerun(&self.evidence, k, &self.opening)? {
                 Ok(rerun) => repeated = Some(rerun),
                 Err(problem) => checked = Err(vec![problem]),
             }

@@ -129,6 +129,16 @@ mod tests {
     }
 
     #[test]
+    fn bundled_families_are_those_of_the_package() {
+        let file =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("../../python/src/robogate_eval/environments/__init__.py");
+        let text = fs::read_to_string(file).unwrap();
+        let line = text.lines().find(|line| line.starts_with("FAMILIES = ")).unwrap();
+        let names: Vec<&str> = line.split('"').skip(1).step_by(2).collect();
+        assert_eq!(names, crate::environments::BUNDLED);
+    }
+
+    #[test]
     fn unpacking_twice_gives_one_folder() {
         let cache = tempfile::tempdir().unwrap();
         let first = unpack(cache.path()).unwrap();

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::io;
 use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
 use std::process::Child;
 use std::sync::mpsc::{self, Sender};
 use std::sync::{Arc, Mutex};
@@ -22,6 +23,8 @@ use crate::terminal::{indented, note};
 /// ends with its standard input, and on Linux with the thread that started it.
 pub(crate) struct Servers {
     environment: String,
+    /// The interpreter that the user named.
+    named_python: Option<PathBuf>,
     interpreter: Interpreter,
     timeouts: Timeouts,
     /// Requests to the thread that starts processes. A server ends with the thread that started it, so this must not be
@@ -43,6 +46,7 @@ impl Servers {
     /// Starts the first server. `timeouts` also limit its calls of the environment before it is ready.
     pub(crate) fn start(
         environment: String,
+        named_python: Option<PathBuf>,
         interpreter: Interpreter,
         timeouts: Timeouts,
     ) -> Result<(Arc<Self>, Address), Exit> {
@@ -58,9 +62,14 @@ impl Servers {
         });
         let (starter, thread) = (Some(starter), Some(thread));
         let (running, shown) = (Mutex::default(), Mutex::default());
-        let servers = Self { environment, interpreter, timeouts, starter, thread, running, shown };
+        let servers = Self { environment, named_python, interpreter, timeouts, starter, thread, running, shown };
         let address = servers.launch(0)?;
         Ok((Arc::new(servers), address))
+    }
+
+    /// The interpreter that the user named.
+    pub(crate) fn named_python(&self) -> Option<&Path> {
+        self.named_python.as_deref()
     }
 
     /// Starts servers until the pool has `count` of them.

@@ -3,20 +3,25 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use anyhow::anyhow;
+use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate_core::Suite;
 use robogate_physics::{SuctionLaw, is_folder};
 use robogate_tasks::pick_place::Rules;
+use sha2::{Digest, Sha256};
 
 use crate::arm_cell::{ArmCell, ArmSettings};
 use crate::cell::{Cell, CellSettings};
 use crate::exit::{Exit, OrExit};
+use crate::origin::hex;
 use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
 use crate::remote::Simulators;
 use crate::renderer::RendererName;
+use crate::reopening::{Reopening, Trust};
+use crate::terminal::foreign;
 
 use super::environment::{EnvironmentSource, RemoteSource};
+use crate::environments::BUNDLED;
 
 /// The arguments that select the environment.
 #[derive(Debug, Args)]
@@ -113,6 +118,14 @@ impl EnvironmentArguments {
         match suite.and_then(Suite::environment) {
             Some(name) if self.env.is_none() && self.simulators.addresses.is_empty() => {
                 self.refuse_cell_options(name)?;
+                // A file of scenarios may come from somebody else. The code of bundled environments is ours.
+                if !is_bundled(name) {
+                    return Err(anyhow!(
+                        "the suite is for the environment {0}, whose code a file cannot start\n  hint: add --env {0} if you trust it",
+                        foreign(name)
+                    ))
+                    .or_usage();
+                }
                 EnvironmentSource::launched(name, &self.simulators)
             }
             _ => self.environment(suction),
@@ -130,6 +143,11 @@ impl EnvironmentArguments {
                 .or_usage()
             }
         }
+    }
+
+    /// The arguments as those of a recorded run.
+    pub(crate) fn reopening(&self, trust: Trust) -> Reopening {
+        Reopening::of(self.env.clone(), self.robot.clone(), trust, &self.simulators)
     }
 
     fn arm_settings(&self) -> ArmSettings {
@@ -198,6 +216,12 @@ impl EnvironmentArguments {
     }
 }
 
+/// Whether a name is that of a bundled environment. It contains no path and no module.
+fn is_bundled(name: &str) -> bool {
+    let plain = |text: &str| !text.is_empty() && text.chars().all(|c| c.is_ascii_alphanumeric() || "_-./".contains(c));
+    name.split_once(':').is_some_and(|(family, own)| BUNDLED.contains(&family) && plain(own))
+}
+
 /// Replaces a robot's folder by its absolute path, so that a run can be resumed from any folder. A name stays as it is.
 pub(super) fn absolute(robot: &str) -> String {
     let path = Path::new(robot);
@@ -206,13 +230,23 @@ pub(super) fn absolute(robot: &str) -> String {
 }
 
 /// Makes the file in the name of an environment absolute, so that a run can be resumed from any folder.
-fn from_any_folder(name: &str) -> String {
-    let (file, attribute) = match name.find(".py").map(|at| name.split_at(at + 3)) {
-        Some((file, attribute)) if attribute.is_empty() || attribute.starts_with(':') => (file, attribute),
-        _ => return name.to_owned(),
-    };
+pub(crate) fn from_any_folder(name: &str) -> String {
+    let Some((file, attribute)) = file_and_attribute(name) else { return name.to_owned() };
     match Path::new(file).canonicalize() {
         Ok(full) => format!("{}{attribute}", full.display()),
         Err(_) => name.to_owned(),
     }
+}
+
+/// The file in the name of an environment, FILE.py:ATTRIBUTE, and the rest of the name.
+fn file_and_attribute(name: &str) -> Option<(&str, &str)> {
+    let (file, attribute) = name.split_at(name.find(".py")? + 3);
+    (attribute.is_empty() || attribute.starts_with(':')).then_some((file, attribute))
+}
+
+/// The SHA-256 of the file in the name of an environment. `None` if the name contains no file.
+pub(super) fn file_sha256(name: &str) -> anyhow::Result<Option<String>> {
+    let Some((file, _)) = file_and_attribute(name) else { return Ok(None) };
+    let bytes = std::fs::read(file).with_context(|| format!("cannot read {file}"))?;
+    Ok(Some(hex(&Sha256::digest(bytes))))
 }

@@ -23,7 +23,7 @@ use crate::policy_source::{DeclaredPolicy, PolicySource, without_profile};
 use crate::registry::{self, CELL_TASK, ENGINES};
 use crate::remote::{self, Simulators};
 
-use super::arguments::absolute;
+use super::arguments::{absolute, file_sha256};
 use super::recorded::franka;
 use super::spaces::{check_declared, named_space};
 
@@ -45,7 +45,16 @@ pub(crate) struct RemoteSource {
     /// The robot of the scripted controller, if the task is that of the built-in cell.
     pub(super) robot: String,
     /// The environment and its servers, if this process started them.
-    pub(super) launched: Option<(String, Arc<Servers>)>,
+    pub(super) launched: Option<Launched>,
+}
+
+/// An environment whose servers this process started.
+pub(super) struct Launched {
+    /// Its name in records.
+    pub(super) name: String,
+    /// The SHA-256 of the file in its name, if there is one.
+    pub(super) sha256: Option<String>,
+    pub(super) servers: Arc<Servers>,
 }
 
 impl EnvironmentSource {
@@ -76,8 +85,11 @@ impl EnvironmentSource {
 
     /// An environment whose servers this process starts.
     pub(super) fn launched(name: &str, simulators: &Simulators) -> Result<Self, Exit> {
+        // Read before the start: a later edit of the file is another environment. A file that is missing is reported below.
+        let sha256 = file_sha256(name).ok().flatten();
         let (pool, servers) = simulators.launch(name)?;
-        Ok(Self::Remote(RemoteSource { pool, robot: franka(), launched: Some((name.to_owned(), servers)) }))
+        let launched = Launched { name: name.to_owned(), sha256, servers };
+        Ok(Self::Remote(RemoteSource { pool, robot: franka(), launched: Some(launched) }))
     }
 
     /// The policies that the environment declares.

@@ -26,13 +26,14 @@ use crate::cell::nominal;
 use crate::checkpoint_statistics::CheckpointStatistics;
 use crate::exit::{Exit, OrExit};
 use crate::latency::{LatencyArguments, without_latency};
+use crate::origin;
 use crate::policy_source::PolicySource;
 use crate::terminal::{note, percent};
 
-pub(crate) use arguments::EnvironmentArguments;
+pub(crate) use arguments::{EnvironmentArguments, from_any_folder};
 pub(crate) use environment::EnvironmentSource;
 use environment::RemoteSource;
-pub(crate) use recorded::{recorded_robot, starts_processes};
+pub(crate) use recorded::{programs, recorded_robot, starts_processes};
 pub(crate) use spaces::{assignment, check_declared, named_space};
 
 /// The subject of a run: a policy in an environment.
@@ -45,6 +46,8 @@ pub(crate) struct Subject {
     execution: Option<Execution>,
     /// The controls of the gate, as its runs record them.
     controls: Option<Value>,
+    /// The folder of the robot as the run records it, if the user named another one with the same files.
+    recorded_robot: Option<String>,
 }
 
 impl Subject {
@@ -59,7 +62,7 @@ impl Subject {
             Some(profile) => with_range_measures(&task, profile),
             None => task,
         };
-        let subject = Self { environment, policy, task, execution: None, controls: None };
+        let subject = Self { environment, policy, task, execution: None, controls: None, recorded_robot: None };
         let ready = match &subject.policy {
             // The environment declares it for its own task.
             Some(PolicySource::Declared(_)) => return Ok(subject),
@@ -107,6 +110,15 @@ impl Subject {
     pub(crate) fn with_latency(self, arguments: &LatencyArguments) -> Result<Self, Exit> {
         let execution = arguments.execution(|| self.worker()).or_usage()?;
         self.executed(execution)
+    }
+
+    /// Notes that this user starts a run of this subject in `folder`.
+    pub(crate) fn register(&self, folder: &Path, provenance: &Provenance) {
+        let python = match &self.environment {
+            EnvironmentSource::Remote(RemoteSource { launched: Some(launched), .. }) => launched.servers.named_python(),
+            _ => None,
+        };
+        origin::register(folder, provenance, python);
     }
 
     fn executed(mut self, execution: Option<Execution>) -> Result<Self, Exit> {
@@ -251,8 +263,8 @@ impl Subject {
     /// Starts servers for this many workers, if this process starts them.
     pub(crate) fn start_servers(&self, workers: NonZeroUsize) -> Result<(), Exit> {
         match &self.environment {
-            EnvironmentSource::Remote(RemoteSource { pool, launched: Some((_, servers)), .. }) => {
-                servers.grow(pool, workers)
+            EnvironmentSource::Remote(RemoteSource { pool, launched: Some(launched), .. }) => {
+                launched.servers.grow(pool, workers)
             }
             _ => Ok(()),
         }
@@ -283,6 +295,9 @@ impl Subject {
     pub(crate) fn provenance(&self, space: ParameterSpace) -> Result<Provenance, Exit> {
         let (engine, robot) = self.environment.provenance().or_broken()?;
         let mut world = self.environment.recorded().or_broken()?;
+        if let (Value::Object(world), Some(robot)) = (&mut world, &self.recorded_robot) {
+            world.insert("robot".to_owned(), json!(robot));
+        }
         if let (Value::Object(world), Some(policy)) = (&mut world, &self.policy) {
             world.insert("policy".to_owned(), json!(policy));
         }

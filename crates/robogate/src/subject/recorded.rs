@@ -1,22 +1,28 @@
 //! What a run records about its environment and its policy, and the subject of a recorded run.
 
+use std::path::Path;
+
 use anyhow::{Context, anyhow};
 use robogate_core::latency::Execution;
 use robogate_dictionary::Provenance;
 use robogate_gate::Controls;
-use robogate_physics::{RobotFile, SuctionLaw};
+use robogate_physics::{RobotFile, SuctionLaw, is_folder};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::arm_cell::{ArmCell, ArmSettings};
 use crate::cell::{self, Cell, CellSettings};
 use crate::exit::{Exit, OrExit};
-use crate::policy_source::{PolicyLocation, PolicySource};
-use crate::registry::{self};
-use crate::remote::{self, Simulators};
+use crate::origin;
+use crate::policy_source::PolicySource;
+use crate::registry;
+use crate::remote;
+use crate::reopening::{Permit, Program, Reopening};
+use crate::terminal::foreign;
 
 use super::Subject;
-use super::environment::{EnvironmentSource, RemoteSource};
+use super::arguments::{absolute, file_sha256};
+use super::environment::{EnvironmentSource, Launched, RemoteSource};
 
 /// What a run records about its environment, in addition to task, engine and robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -44,6 +50,9 @@ struct RecordedTask {
 #[serde(deny_unknown_fields)]
 struct RecordedEnvironment {
     environment: String,
+    /// The SHA-256 of the file in that name, if there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    sha256: Option<String>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -71,34 +80,16 @@ pub(super) fn franka() -> String {
     "franka".to_owned()
 }
 
-/// The files of the robot of a recorded run, if they have not changed since.
-pub(crate) fn recorded_robot(provenance: &Provenance) -> Option<Vec<RobotFile>> {
-    let mut world = provenance.world.clone();
-    let object = world.as_object_mut()?;
-    object.remove("policy");
-    object.remove("execution");
-    object.remove(Controls::KEY);
-    let robot = match serde_json::from_value(world).ok()? {
-        Recorded::Cell(settings) => settings.robot,
-        Recorded::Arm(settings) => settings.robot,
-        Recorded::SelfContained(_) | Recorded::Launched(_) | Recorded::Remote(_) => return None,
-    };
-    cell::robot_files(&robot, provenance.robot.sha256.as_ref())
+/// What a record contains about environment and policy.
+struct Parts {
+    recorded: Recorded,
+    policy: Option<PolicySource>,
+    execution: Option<Execution>,
+    controls: Option<Value>,
 }
 
-impl Subject {
-    /// The subject of a recorded run. A remote environment needs the address of its servers. A policy server is queried
-    /// for its identity again.
-    pub(crate) fn recorded(provenance: &Provenance, simulators: &Simulators) -> Result<Self, Exit> {
-        Self::recorded_at(provenance, simulators, &PolicyLocation::default())
-    }
-
-    /// The subject of a recorded run, like [`Self::recorded`], with an external policy that is reached at `location`.
-    pub(crate) fn recorded_at(
-        provenance: &Provenance,
-        simulators: &Simulators,
-        location: &PolicyLocation,
-    ) -> Result<Self, Exit> {
+impl Parts {
+    fn of(provenance: &Provenance) -> Result<Self, Exit> {
         let mut world = provenance.world.clone();
         let mut taken = |key: &str| world.as_object_mut().and_then(|world| world.remove(key));
         let (policy, execution, controls) = (taken("policy"), taken("execution"), taken(Controls::KEY));
@@ -117,10 +108,118 @@ impl Subject {
             .or_usage()?;
         let recorded: Recorded =
             serde_json::from_value(world).context("plan.json: provenance.world cannot be read").or_usage()?;
+        Ok(Self { recorded, policy, execution, controls })
+    }
+
+    /// The programs that the record names.
+    fn programs(&self) -> Vec<Program> {
+        let environment = match &self.recorded {
+            Recorded::Launched(RecordedEnvironment { environment, .. }) => {
+                Some(Program::Environment(environment.clone()))
+            }
+            Recorded::Arm(ArmSettings { robot, .. })
+            | Recorded::Cell(CellSettings { robot, .. })
+            | Recorded::Remote(RecordedServers { robot, .. }) => {
+                is_folder(robot).then(|| Program::Robot(robot.clone()))
+            }
+            Recorded::SelfContained(_) => None,
+        };
+        let policy = self.policy.as_ref().and_then(PolicySource::server);
+        environment.into_iter().chain(policy.map(|server| Program::Policy(server.to_owned()))).collect()
+    }
+}
+
+/// The programs that a record names.
+pub(crate) fn programs(provenance: &Provenance) -> Result<Vec<Program>, Exit> {
+    if provenance.source.is_some() {
+        return Ok(Vec::new());
+    }
+    Parts::of(provenance).map(|parts| parts.programs())
+}
+
+/// The files of the robot of a run in `folder`, if they have not changed since. A folder that the record of another user
+/// names is not read.
+pub(crate) fn recorded_robot(provenance: &Provenance, folder: Option<&Path>) -> Option<Vec<RobotFile>> {
+    let robot = match Parts::of(provenance).ok()?.recorded {
+        Recorded::Cell(settings) => settings.robot,
+        Recorded::Arm(settings) => settings.robot,
+        Recorded::SelfContained(_) | Recorded::Launched(_) | Recorded::Remote(_) => return None,
+    };
+    if is_folder(&robot) {
+        origin::of(folder?, provenance)?;
+    }
+    cell::robot_files(&robot, provenance.robot.sha256.as_ref())
+}
+
+/// Rejects an environment or a robot whose files are not those of the run, before anything reads them.
+fn same_files(what: &str, named: &str, recorded: Option<&String>, now: Option<&String>) -> Result<(), Exit> {
+    if recorded == now {
+        return Ok(());
+    }
+    let text = |sha256: Option<&String>| sha256.map_or("unknown", String::as_str).to_owned();
+    Err(anyhow!(
+        "the {what} {} is not the one of the run: its files have the SHA-256 {}, but the run recorded {}\n  hint: restore the files \
+         of the run, or start a new run",
+        foreign(named),
+        text(now),
+        text(recorded)
+    ))
+    .or_usage()
+}
+
+impl Subject {
+    /// The subject of a recorded run in `folder`, or of rows without one. Starts only what `opening` permits. A remote
+    /// environment needs the address of its servers. A policy server is queried for its identity again.
+    pub(crate) fn recorded(provenance: &Provenance, folder: Option<&Path>, opening: &Reopening) -> Result<Self, Exit> {
+        Self::from_parts(Parts::of(provenance)?, provenance, folder, opening)
+    }
+
+    /// Like [`Self::recorded`], with the scripted controller in place of the policy, whose server may be gone: for what only the
+    /// environment knows.
+    pub(crate) fn recorded_environment(
+        provenance: &Provenance,
+        folder: Option<&Path>,
+        opening: &Reopening,
+    ) -> Result<Self, Exit> {
+        let parts = Parts { policy: None, ..Parts::of(provenance)? };
+        Self::from_parts(parts, provenance, folder, opening)
+    }
+
+    fn from_parts(
+        parts: Parts,
+        provenance: &Provenance,
+        folder: Option<&Path>,
+        opening: &Reopening,
+    ) -> Result<Self, Exit> {
+        let Permit { environment: permitted, robot: permitted_robot, location, simulators } =
+            opening.permit(folder, provenance, &parts.programs())?;
+        let Parts { mut recorded, policy, execution, controls } = parts;
+        let mut recorded_robot = None;
+        if let Some(own) = permitted_robot {
+            let now = cell::identity(&cell::robot(&own).or_usage()?.files().or_usage()?);
+            // A simulator that has the robot need not declare its files.
+            if provenance.robot.sha256.is_some() {
+                same_files("robot", &own, provenance.robot.sha256.as_ref(), Some(&now))?;
+            }
+            match &mut recorded {
+                Recorded::Arm(ArmSettings { robot, .. })
+                | Recorded::Cell(CellSettings { robot, .. })
+                | Recorded::Remote(RecordedServers { robot, .. }) => {
+                    let own = absolute(&own);
+                    if own != *robot {
+                        recorded_robot = Some(std::mem::replace(robot, own));
+                    }
+                }
+                Recorded::SelfContained(_) | Recorded::Launched(_) => {}
+            }
+        }
         let (pool, launched) = match &recorded {
-            Recorded::Launched(RecordedEnvironment { environment }) if simulators.addresses.is_empty() => {
-                let (pool, servers) = simulators.launch(environment)?;
-                (Some(pool), Some((environment.clone(), servers)))
+            Recorded::Launched(RecordedEnvironment { environment, sha256 }) if simulators.addresses.is_empty() => {
+                let own = permitted.as_ref().unwrap_or(environment);
+                let now = file_sha256(own).or_usage()?;
+                same_files("environment", own, sha256.as_ref(), now.as_ref())?;
+                let (pool, servers) = simulators.launch(own)?;
+                (Some(pool), Some(Launched { name: environment.clone(), sha256: now, servers }))
             }
             _ => (simulators.connect()?, None),
         };
@@ -168,11 +267,11 @@ impl Subject {
             }
         };
         let policy = match policy {
-            Some(policy) => Some(policy.asked_again(location)?),
+            Some(policy) => Some(policy.asked_again(&location)?),
             None => location.unused().map(|()| None)?,
         };
         let subject = Self::new(environment, policy)?.executed(execution)?;
-        Ok(Self { controls, ..subject })
+        Ok(Self { controls, recorded_robot, ..subject })
     }
 }
 
@@ -183,8 +282,8 @@ impl EnvironmentSource {
             Self::Cell(cell) => Recorded::Cell(cell.settings().clone()),
             Self::Arm(cell) => Recorded::Arm(cell.settings().clone()),
             Self::SelfContained(task) => Recorded::SelfContained(RecordedTask { task: task.name().to_owned() }),
-            Self::Remote(RemoteSource { launched: Some((name, _)), .. }) => {
-                Recorded::Launched(RecordedEnvironment { environment: name.clone() })
+            Self::Remote(RemoteSource { launched: Some(Launched { name, sha256, .. }), .. }) => {
+                Recorded::Launched(RecordedEnvironment { environment: name.clone(), sha256: sha256.clone() })
             }
             Self::Remote(source) => {
                 Recorded::Remote(RecordedServers { simulator: ScoresItself::ScoresItself, robot: source.robot.clone() })

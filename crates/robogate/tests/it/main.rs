@@ -38,6 +38,8 @@ mod shards;
 mod signatures;
 mod study;
 mod terminal;
+#[cfg(all(target_os = "linux", feature = "mujoco", feature = "onnx"))]
+mod trust;
 mod twins;
 mod verbs;
 #[cfg(feature = "mujoco")]

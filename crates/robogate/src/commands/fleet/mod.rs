@@ -28,7 +28,7 @@ use crate::exit::{Exit, OrExit};
 use crate::latency::LatencyArguments;
 use crate::place;
 use crate::policy_source::{PolicyAccess, PolicyArguments, PolicyLocation};
-use crate::remote::Simulators;
+use crate::reopening::Reopening;
 use crate::subject::{EnvironmentArguments, Subject, named_space};
 use crate::terminal::{grouped, note};
 use plan::{FleetPlan, VERSION};
@@ -115,6 +115,7 @@ impl FleetOf {
             Some(dir) => dir.clone(),
             None => free_folder(&format!("fleet-{}-{}", subject.label(), self.seed)),
         };
+        subject.register(&dir, &plan.provenance);
         plan.begin(&dir)?;
         units::judge(&dir, &plan, &subject, &self.how)
     }
@@ -249,8 +250,8 @@ pub(crate) fn is_fleet(dir: &Path) -> bool {
 }
 
 /// Continues an interrupted fleet.
-pub(crate) fn resume(dir: &Path, simulators: &Simulators, location: &PolicyLocation, how: &How) -> Result<u8, Exit> {
+pub(crate) fn resume(dir: &Path, opening: &Reopening, how: &How) -> Result<u8, Exit> {
     let plan = FleetPlan::open(dir)?;
-    let subject = Subject::recorded_at(&plan.provenance, simulators, location)?;
+    let subject = Subject::recorded(&plan.provenance, Some(dir), opening)?;
     units::judge(dir, &plan, &subject, how)
 }

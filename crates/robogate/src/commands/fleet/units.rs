@@ -43,6 +43,7 @@ pub(super) fn judge(dir: &Path, plan: &FleetPlan, subject: &Subject, how: &How) 
                     return Ok(End::Done);
                 }
             };
+            subject.register(&folder, &campaign.provenance);
             match run(&folder, &campaign, executor, events)? {
                 (Completion::Interrupted { done, episodes }, _) => return Ok(End::Interrupted { done, episodes }),
                 (Completion::Finished { .. }, Some(error)) => {

@@ -11,8 +11,7 @@ use super::verdict::{finish, ruled_out};
 use crate::commands::rival::Rival;
 use crate::commands::run::How;
 use crate::exit::Exit;
-use crate::policy_source::PolicyLocation;
-use crate::remote::Simulators;
+use crate::reopening::Reopening;
 use crate::subject::Subject;
 use crate::twins::Arms;
 
@@ -118,8 +117,7 @@ pub(crate) fn resume(
     asked: Asked,
     subject: &Subject,
     settings: Settings,
-    simulators: &Simulators,
-    location: &PolicyLocation,
+    opening: &Reopening,
     how: &How,
 ) -> Result<u8, Exit> {
     // The rows of a policy that runs beside this one do not exist before the end.
@@ -127,7 +125,7 @@ pub(crate) fn resume(
     let rival = match running {
         Some(margin) => {
             let threads = how.threads_for_rival();
-            Some((Rival::resume(dir, simulators, location, &settings.provenance, threads)?, margin))
+            Some((Rival::resume(dir, opening, &settings.provenance, threads)?, margin))
         }
         None => None,
     };

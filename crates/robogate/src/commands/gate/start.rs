@@ -79,6 +79,7 @@ impl Gate {
         if prepared.control_failed {
             return self.refuse(&dir, &prepared, &asked);
         }
+        prepared.subject.register(&dir, &provenance);
         if let Some(shards) = self.divide {
             return self.divide(&dir, shards, &prepared.plan, provenance, &asked, registrar.as_ref());
         }

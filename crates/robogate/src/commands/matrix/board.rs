@@ -15,6 +15,7 @@ use crate::commands::gate::{built_in_baseline, open_requirements};
 use crate::commands::leaderboard::print;
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit};
+use crate::reopening::{Reopening, Trust};
 use crate::source::open_source;
 use crate::terminal::{line, warning};
 
@@ -22,8 +23,9 @@ use crate::terminal::{line, warning};
 const PAGES: [&str; 2] = ["leaderboard.html", "leaderboard.md"];
 
 /// Merges the runs of a sweep in shards, and writes its page.
-pub(crate) fn merge(dir: &Path, plan: &SweepPlan, as_json: bool) -> Result<u8, Exit> {
+pub(crate) fn merge(dir: &Path, plan: &SweepPlan, trust: Trust, as_json: bool) -> Result<u8, Exit> {
     let mut failed = Vec::new();
+    let opening = Reopening::trusting(trust);
     for run in &plan.runs {
         let folder = run.dir(dir);
         let mut events = |event: &Event| {
@@ -31,7 +33,7 @@ pub(crate) fn merge(dir: &Path, plan: &SweepPlan, as_json: bool) -> Result<u8, E
                 warning(format_args!("{}: {message}", run.name));
             }
         };
-        let merged = shard::open(&folder).and_then(|campaign| campaign.merge_quietly(&folder, &mut events));
+        let merged = shard::open(&folder).and_then(|campaign| campaign.merge_quietly(&folder, &mut events, &opening));
         if let Err(exit) = merged {
             warning(format_args!("{}: {exit}", run.name));
             failed.push(run.name.clone());

@@ -14,6 +14,7 @@ use super::sweep::{SweepPlan, SweepRun};
 use crate::commands::plan::{NextShard, next_shards};
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit};
+use crate::reopening::Trust;
 use crate::terminal::{bold, grouped, line, note, quoted};
 
 impl SweepRun {
@@ -241,10 +242,10 @@ pub(super) fn divide(dir: &Path, plan: &SweepPlan, as_json: bool) -> Result<u8, 
 }
 
 /// Prints the next shards of all runs of a sweep.
-pub(crate) fn next(dir: &Path, plan: &SweepPlan, as_json: bool) -> Result<u8, Exit> {
+pub(crate) fn next(dir: &Path, plan: &SweepPlan, trust: Trust, as_json: bool) -> Result<u8, Exit> {
     let mut items = Vec::new();
     for run in &plan.runs {
-        for mut item in next_shards(&run.dir(dir))?.items {
+        for mut item in next_shards(&run.dir(dir), trust)?.items {
             item.command.extend(run.simulator_arguments());
             items.push(item);
         }

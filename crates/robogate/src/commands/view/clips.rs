@@ -8,13 +8,13 @@ use robogate_dictionary::{Entry, Provenance};
 use robogate_replay::Clip;
 
 use crate::exit::{Exit, INVALID, OrExit};
-use crate::remote::Simulators;
+use crate::reopening::Reopening;
 use crate::subject::Subject;
 use crate::watch::{self, Again};
 
 /// Records episodes of the runs again.
 pub(super) struct Clips {
-    simulators: Simulators,
+    opening: Reopening,
     /// Environment and policy of each run that an episode was recorded of.
     subjects: Vec<(usize, Result<Subject, Exit>)>,
 }
@@ -30,14 +30,14 @@ pub(super) struct Origin {
 }
 
 impl Clips {
-    pub(super) fn new(simulators: Simulators) -> Self {
-        Self { simulators, subjects: Vec::new() }
+    pub(super) fn new(opening: Reopening) -> Self {
+        Self { opening, subjects: Vec::new() }
     }
 
     /// Records an episode. The error says in words why it cannot be shown.
     pub(super) fn clip(&mut self, origin: &Origin, entry: &Entry) -> Result<Clip, Exit> {
         if !self.subjects.iter().any(|(run, _)| *run == origin.run) {
-            self.subjects.push((origin.run, Subject::recorded(&origin.provenance, &self.simulators)));
+            self.subjects.push((origin.run, Subject::recorded(&origin.provenance, Some(&origin.path), &self.opening)));
         }
         let subject = self.subjects.iter().find(|(run, _)| *run == origin.run).map(|(_, subject)| subject);
         let subject = match subject {

@@ -14,7 +14,7 @@ use super::board::Board;
 use super::clips::{Clips, Origin};
 use super::model;
 use crate::exit::{DONE, Exit, OrExit};
-use crate::remote::Simulators;
+use crate::reopening::Reopening;
 use crate::terminal::{foreign, indented, note};
 
 /// Writes the page with at most this number of recorded episodes and of rows. If the number of episodes is given and none
@@ -22,7 +22,7 @@ use crate::terminal::{foreign, indented, note};
 pub(super) fn write(
     file: &Path,
     mut board: Board,
-    simulators: &Simulators,
+    opening: &Reopening,
     clips: Option<u16>,
     most_rows: usize,
 ) -> Result<u8, Exit> {
@@ -33,7 +33,7 @@ pub(super) fn write(
         })
         .collect();
     let most = usize::from(clips.unwrap_or(CLIPS));
-    let mut recorder = Recorder::new(simulators, most);
+    let mut recorder = Recorder::new(opening, most);
     for (run, index) in chosen(&board, most) {
         recorder.add(&mut board, run, index)?;
         if let Some(twin) = board.table.passing_twin(run, index) {
@@ -109,8 +109,8 @@ struct Recorder {
 }
 
 impl Recorder {
-    fn new(simulators: &Simulators, most: usize) -> Self {
-        let clips = Clips::new(simulators.clone());
+    fn new(opening: &Reopening, most: usize) -> Self {
+        let clips = Clips::new(opening.clone());
         Self { clips, most, recorded: Vec::new(), places: Vec::new(), failed: Vec::new() }
     }
 

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use crate::exit::Exit;
-use crate::remote::Simulators;
+use crate::reopening::Reopening;
 use board::Board;
 pub(in crate::commands) use player::Player;
 
@@ -48,7 +48,7 @@ pub(crate) struct View {
     #[arg(long, value_name = "PORT", default_value_t = 0, conflicts_with = "export")]
     port: u16,
     #[command(flatten)]
-    simulators: Simulators,
+    opening: Reopening,
 }
 
 impl View {
@@ -59,11 +59,11 @@ impl View {
         match &self.export {
             Some(file) => {
                 let rows = rows.unwrap_or(MOST_ROWS_OF_EXPORT);
-                export::write(file, board, &self.simulators, self.clips, rows)
+                export::write(file, board, &self.opening, self.clips, rows)
             }
             None => {
                 let address = SocketAddr::from((Ipv4Addr::LOCALHOST, self.port));
-                server::serve(address, board, self.simulators.clone())
+                server::serve(address, board, self.opening.clone())
             }
         }
     }

@@ -10,7 +10,7 @@ use serde_json::json;
 use super::board::Board;
 use super::clips::{Clips, Origin};
 use crate::exit::Exit;
-use crate::remote::Simulators;
+use crate::reopening::Reopening;
 
 /// The episodes of runs, which are recomputed on demand.
 pub(in crate::commands) struct Player {
@@ -44,13 +44,13 @@ impl fmt::Display for NoClip {
 
 impl Player {
     /// Plays the episodes of a board.
-    pub(super) fn new(board: Board, simulators: Simulators) -> Self {
-        Self { board: Mutex::new(board), clips: Mutex::new(Clips::new(simulators)) }
+    pub(super) fn new(board: Board, opening: Reopening) -> Self {
+        Self { board: Mutex::new(board), clips: Mutex::new(Clips::new(opening)) }
     }
 
     /// Reads the episodes of runs.
     pub(in crate::commands) fn open(runs: &[PathBuf], most_rows: usize) -> Result<Self, Exit> {
-        Ok(Self::new(Board::open(runs, most_rows)?, Simulators::none()))
+        Ok(Self::new(Board::open(runs, most_rows)?, Reopening::none()))
     }
 
     pub(super) fn with_board<T>(&self, work: impl FnOnce(&mut Board) -> T) -> T {

@@ -12,7 +12,7 @@ use super::board::Board;
 use super::model;
 use super::player::{NoClip, Player};
 use crate::exit::{DONE, Exit, OrExit};
-use crate::remote::Simulators;
+use crate::reopening::Reopening;
 use crate::terminal::{line, note};
 
 /// Shortest time between two looks at the runs.
@@ -37,13 +37,13 @@ struct Fitted {
 }
 
 /// Serves the page until the process is interrupted.
-pub(super) fn serve(address: SocketAddr, board: Board, simulators: Simulators) -> Result<u8, Exit> {
+pub(super) fn serve(address: SocketAddr, board: Board, opening: Reopening) -> Result<u8, Exit> {
     let token = random_token().or_broken()?;
     let names: Vec<&str> = board.runs.iter().map(|run| run.name.as_str()).collect();
     let (html, policy) = explorer_page(&names.join(", "), None);
     let runs = board.runs.len();
     let state = Arc::new(State {
-        player: Player::new(board, simulators),
+        player: Player::new(board, opening),
         looked: Mutex::new(Instant::now()),
         models: Mutex::new(vec![None; runs]),
     });

@@ -1,0 +1,222 @@
+//! How the environment and the policy of a recorded run are set up again, and what may start for that.
+//!
+//! A record names programs and never starts them: it may come from somebody else. They start if the user names them on
+//! this call, trusts the record on this call, or made the run on this machine ([`crate::origin`]).
+
+use std::fmt;
+use std::path::Path;
+
+use anyhow::anyhow;
+use clap::Args;
+use robogate_dictionary::Provenance;
+
+use crate::exit::{Exit, OrExit};
+use crate::origin::{self, Origin};
+use crate::policy_source::{PolicyAccess, PolicyLocation};
+use crate::remote::Simulators;
+use crate::subject::from_any_folder;
+use crate::terminal::foreign;
+
+/// The arguments that say how a recorded run is set up again.
+#[derive(Debug, Clone, Default, Args)]
+pub(crate) struct Reopening {
+    /// Start this environment for the run, whose files must be the recorded ones: the name of the run, or your own copy as
+    /// FILE.py:ATTRIBUTE. Only needed for a run that you did not make on this machine
+    #[arg(long, value_name = "NAME")]
+    env: Option<String>,
+    /// Use this policy for the run, which must be the recorded one: the address of its server, or its ONNX file. Only needed for a
+    /// run that you did not make on this machine, or if the policy has another address now
+    #[arg(long, visible_alias = "policy-at", value_name = "URL|FILE")]
+    policy: Option<String>,
+    /// Use this folder of the robot for the run, whose files must be the recorded ones. Only needed for a run that you did
+    /// not make on this machine
+    #[arg(long, value_name = "FOLDER")]
+    robot: Option<String>,
+    #[command(flatten)]
+    pub(crate) trust: Trust,
+    #[command(flatten)]
+    access: PolicyAccess,
+    #[command(flatten)]
+    pub(crate) simulators: Simulators,
+}
+
+/// The argument that trusts a record.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub(crate) struct Trust {
+    /// Start the environment, the policy and the robot that the files of the run name, although you did not make the run on this
+    /// machine. They can run any code: use it only if you trust their author
+    #[arg(long = "trust")]
+    given: bool,
+}
+
+impl Trust {
+    /// For a run that this process has just made.
+    pub(crate) const YES: Self = Self { given: true };
+
+    /// Whether the programs of the run in `folder` may start without being named.
+    pub(crate) fn covers(self, folder: &Path, provenance: &Provenance) -> bool {
+        self.given || origin::of(folder, provenance).is_some()
+    }
+}
+
+/// A program that a record names.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Program {
+    /// An environment in Python.
+    Environment(String),
+    /// The address of a policy server, or a network in a file.
+    Policy(String),
+    /// A folder with the model of a robot.
+    Robot(String),
+}
+
+impl Program {
+    /// The option that names it.
+    fn option(&self) -> &'static str {
+        match self {
+            Self::Environment(_) => "--env",
+            Self::Policy(_) => "--policy",
+            Self::Robot(_) => "--robot",
+        }
+    }
+}
+
+impl fmt::Display for Program {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Environment(name) => write!(f, "the environment {}", foreign(name)),
+            Self::Policy(server) => write!(f, "the policy {}", foreign(server)),
+            Self::Robot(folder) => write!(f, "the robot {}", foreign(folder)),
+        }
+    }
+}
+
+/// What a run may start: its programs as the user names them.
+#[derive(Debug)]
+pub(crate) struct Permit {
+    /// The environment to start, if the run names one.
+    pub(crate) environment: Option<String>,
+    /// The folder of the robot, if the run names one.
+    pub(crate) robot: Option<String>,
+    /// How the policy is reached.
+    pub(crate) location: PolicyLocation,
+    /// The simulators and the Python interpreter.
+    pub(crate) simulators: Simulators,
+}
+
+impl Reopening {
+    /// Nothing is named and nothing is trusted.
+    pub(crate) fn none() -> Self {
+        Self::default()
+    }
+
+    /// For a run that this process has just made.
+    pub(crate) fn trusted() -> Self {
+        Self::trusting(Trust::YES)
+    }
+
+    /// Trusts the record if `trust` does.
+    pub(crate) fn trusting(trust: Trust) -> Self {
+        Self { trust, ..Self::default() }
+    }
+
+    /// For a verb whose other arguments select the environment and the policy of new runs.
+    pub(crate) fn with(trust: Trust, simulators: &Simulators, location: &PolicyLocation) -> Self {
+        let (policy, access) = location.clone().parts();
+        Self { env: None, robot: None, policy, trust, access, simulators: simulators.clone() }
+    }
+
+    /// This environment and robot, for a run whose policy is not needed.
+    pub(crate) fn of(env: Option<String>, robot: Option<String>, trust: Trust, simulators: &Simulators) -> Self {
+        Self { env, robot, trust, simulators: simulators.clone(), ..Self::default() }
+    }
+
+    /// How the policy is reached.
+    pub(crate) fn location(&self) -> PolicyLocation {
+        PolicyLocation::at(self.policy.clone(), &self.access)
+    }
+
+    /// The same for a second policy of the run: `--policy` names the first one.
+    pub(crate) fn without_policy(&self) -> Self {
+        Self { policy: None, ..self.clone() }
+    }
+
+    /// Checks that `programs`, which the run in `folder` names, may start.
+    ///
+    /// # Errors
+    /// Exit code 2. The first line of the message stands alone.
+    pub(crate) fn permit(
+        &self,
+        folder: Option<&Path>,
+        provenance: &Provenance,
+        programs: &[Program],
+    ) -> Result<Permit, Exit> {
+        let origin = folder.and_then(|folder| origin::of(folder, provenance));
+        let mut permit =
+            Permit { environment: None, robot: None, location: self.location(), simulators: self.simulators.clone() };
+        let mut unnamed = Vec::new();
+        for program in programs {
+            let named = match program {
+                Program::Environment(recorded) => {
+                    let named = self.env.as_deref().map(|own| same_environment(recorded, own)).transpose()?;
+                    permit.environment = Some(named.clone().unwrap_or_else(|| recorded.clone()));
+                    // A simulator that the user names runs already.
+                    named.is_some() || !self.simulators.addresses.is_empty()
+                }
+                Program::Robot(recorded) => {
+                    permit.robot = Some(self.robot.clone().unwrap_or_else(|| recorded.clone()));
+                    self.robot.is_some()
+                }
+                Program::Policy(_) => self.policy.is_some(),
+            };
+            if !named {
+                unnamed.push(program);
+            }
+        }
+        let unused = [
+            ("--env", &self.env, programs.iter().any(|program| matches!(program, Program::Environment(_)))),
+            ("--robot", &self.robot, programs.iter().any(|program| matches!(program, Program::Robot(_)))),
+        ];
+        if let Some((option, Some(value), _)) = unused.into_iter().find(|(_, value, used)| value.is_some() && !used) {
+            return Err(anyhow!("{option} {value}: the run names none\n  hint: leave out {option}")).or_usage();
+        }
+        match &origin {
+            Some(Origin { python }) if permit.simulators.python.is_none() => {
+                permit.simulators.python.clone_from(python)
+            }
+            _ => {}
+        }
+        if origin.is_none() && !self.trust.given && !unnamed.is_empty() {
+            return Err(refusal(&unnamed)).or_usage();
+        }
+        Ok(permit)
+    }
+}
+
+/// The error for programs that may not start.
+fn refusal(unnamed: &[&Program]) -> anyhow::Error {
+    let names: Vec<String> = unnamed.iter().map(ToString::to_string).collect();
+    let options: Vec<&str> = unnamed.iter().map(|program| program.option()).collect();
+    anyhow!(
+        "the run was not made by you on this machine, so {} {} not started\n  hint: name your own copy with {}, or add --trust if \
+         you trust the author: such a program can run any code",
+        names.join(" and "),
+        if names.len() == 1 { "is" } else { "are" },
+        options.join(" and ")
+    )
+}
+
+/// The environment that the user names for that of a run. Its files are compared before it starts.
+fn same_environment(recorded: &str, named: &str) -> Result<String, Exit> {
+    let full = from_any_folder(named);
+    let attribute = |name: &str| name.rsplit_once(".py").map(|(_, attribute)| attribute.to_owned());
+    let same = match (attribute(recorded), attribute(&full)) {
+        (Some(one), Some(other)) => one == other,
+        _ => *recorded == *full,
+    };
+    if same {
+        return Ok(full);
+    }
+    Err(anyhow!("--env {named}: the run was made in {}\n  hint: name the same environment", foreign(recorded)))
+        .or_usage()
+}
