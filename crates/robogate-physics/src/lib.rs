@@ -29,6 +29,7 @@ mod model;
 mod motion;
 #[cfg(feature = "mujoco")]
 pub mod mujoco;
+mod named_files;
 mod plant;
 mod primitive;
 #[cfg(feature = "rapier")]

@@ -8,6 +8,7 @@ use std::fs;
 use std::io::{ErrorKind, Read};
 use std::path::Path;
 
+use crate::named_files;
 use crate::robot::{RobotError, RobotFile};
 
 /// Most files of a folder, deepest folder in it, and most bytes of all files together.
@@ -21,6 +22,11 @@ const MOST_ELEMENTS: u64 = 500_000;
 const DEEPEST_ELEMENT: usize = 200;
 /// Most pixels of a texture, or heights of a height field.
 const MOST_CELLS: u64 = 1 << 26;
+/// Largest values of the attributes of `size`, for which MuJoCo reserves memory, by the ends of their names. Models of robots have a few user
+/// values for each body, and none of the others.
+const MOST_USER_VALUES: f64 = 1_000.0;
+const MOST_RESERVED: f64 = 1e6;
+const MOST_MEMORY_BYTES: f64 = (1_u64 << 30) as f64;
 
 /// All files below a folder: names relative to the folder, and contents.
 pub(crate) fn files(folder: &Path) -> Result<Vec<RobotFile>, RobotError> {
@@ -44,12 +50,47 @@ pub(crate) fn text(path: &Path) -> Result<String, RobotError> {
     })
 }
 
-/// Checks the models of a folder: the files whose names end with `.xml`, `.urdf` or `.mjcf`.
+/// Checks the models of a folder, the files whose names end with `.xml`, `.urdf` or `.mjcf`, and the sizes of its images. All files that a
+/// model names must be in the folder: the hash of the robot contains no others.
 pub(crate) fn check(folder: &Path) -> Result<(), RobotError> {
     for (name, content) in files(folder)? {
-        let is_model = [".xml", ".urdf", ".mjcf"].iter().any(|ending| name.to_ascii_lowercase().ends_with(ending));
-        if is_model {
-            check_model(&content).map_err(|why| RobotError::Read { path: folder.join(&name), why })?;
+        let lower = name.to_ascii_lowercase();
+        let is_model = [".xml", ".urdf", ".mjcf"].iter().any(|ending| lower.ends_with(ending));
+        let checked = match (is_model, png_pixels(&content)) {
+            (true, _) => check_model(&content).and_then(|()| named_files::check(&content)),
+            (false, Some(pixels)) if pixels > MOST_CELLS => {
+                Err(format!("the image has {pixels} pixels. At most {MOST_CELLS} are accepted"))
+            }
+            _ => Ok(()),
+        };
+        checked.map_err(|why| RobotError::Read { path: folder.join(&name), why })?;
+    }
+    Ok(())
+}
+
+/// The number of pixels of a PNG, from its header (PNG specification, 11.2.2). `None` for another file.
+fn png_pixels(content: &[u8]) -> Option<u64> {
+    let header = content.strip_prefix(b"\x89PNG\r\n\x1a\n")?.get(8..16)?;
+    let number = |at: usize| Some(u64::from(u32::from_be_bytes(header.get(at..at + 4)?.try_into().ok()?)));
+    Some(number(0)?.saturating_mul(number(4)?))
+}
+
+/// Checks the sizes that a model tells MuJoCo to reserve.
+fn check_size(tag: &[u8]) -> Result<(), String> {
+    for (name, value) in attributes(tag) {
+        let most = match &*name {
+            name if name.starts_with("nuser_") => MOST_USER_VALUES,
+            "memory" => MOST_MEMORY_BYTES,
+            _ => MOST_RESERVED,
+        };
+        let unit = |letter: char| "KMGTPE".find(letter.to_ascii_uppercase()).map(|at| 1024_f64.powi(at as i32 + 1));
+        let value = value.trim();
+        let factor = value.chars().last().and_then(unit);
+        let number = if factor.is_some() { &value[..value.len() - 1] } else { value };
+        // What is not a number is an error that MuJoCo reports.
+        let number = number.trim().parse::<f64>().unwrap_or_default() * factor.unwrap_or(1.0);
+        if number > most {
+            return Err(format!("<size {name}=\"{value}\"/>: at most {most} is accepted"));
         }
     }
     Ok(())
@@ -102,19 +143,10 @@ pub(crate) fn check_model(text: &[u8]) -> Result<(), String> {
     let mut elements = 0_u64;
     // How often each open element is repeated.
     let mut open: Vec<u64> = vec![1];
-    let mut rest = text;
-    while let Some(start) = rest.iter().position(|byte| *byte == b'<') {
-        rest = &rest[start..];
-        let skipped = [(&b"<!--"[..], &b"-->"[..]), (b"<![CDATA[", b"]]>"), (b"<?", b"?>")];
-        if let Some((_, end)) = skipped.iter().find(|(start, _)| rest.starts_with(start)) {
-            rest = after(rest, end);
-            continue;
-        }
-        if rest.starts_with(b"<!") {
+    for tag in tags(text) {
+        if tag.starts_with(b"!") {
             return Err("it has a document type declaration, which models do not need. Remove it".to_owned());
         }
-        let (tag, end) = tag(rest);
-        rest = end;
         if tag.starts_with(b"/") {
             if open.len() > 1 {
                 open.pop();
@@ -140,6 +172,9 @@ pub(crate) fn check_model(text: &[u8]) -> Result<(), String> {
             b"texture" => counts("width").saturating_mul(counts("height")),
             _ => 0,
         };
+        if name == b"size" {
+            check_size(tag)?;
+        }
         if cells > MOST_CELLS {
             let name = String::from_utf8_lossy(name);
             return Err(format!("a {name} has {cells} values. At most {MOST_CELLS} are accepted"));
@@ -152,6 +187,38 @@ pub(crate) fn check_model(text: &[u8]) -> Result<(), String> {
         }
     }
     Ok(())
+}
+
+/// The tags of a model without comments: openings, closings (`/`) and declarations (`!`).
+pub(crate) fn tags(text: &[u8]) -> impl Iterator<Item = &[u8]> {
+    let mut rest = text;
+    std::iter::from_fn(move || {
+        loop {
+            let start = rest.iter().position(|byte| *byte == b'<')?;
+            rest = &rest[start..];
+            let skipped = [(&b"<!--"[..], &b"-->"[..]), (b"<![CDATA[", b"]]>"), (b"<?", b"?>")];
+            let Some((_, end)) = skipped.iter().find(|(start, _)| rest.starts_with(start)) else { break };
+            rest = after(rest, end);
+        }
+        let (tag, end) = tag(rest);
+        rest = end;
+        Some(tag)
+    })
+}
+
+/// The attributes of a tag: names and values.
+pub(crate) fn attributes(tag: &[u8]) -> Vec<(String, String)> {
+    let text = String::from_utf8_lossy(tag);
+    let mut rest = text.trim_start_matches(|c: char| !c.is_ascii_whitespace());
+    let mut found = Vec::new();
+    while let Some((name, value)) = rest.split_once('=') {
+        let value = value.trim_start();
+        let Some(quote) = value.chars().next().filter(|c| matches!(c, '"' | '\'')) else { break };
+        let Some((value, after)) = value[1..].split_once(quote) else { break };
+        found.push((name.trim().to_owned(), value.to_owned()));
+        rest = after;
+    }
+    found
 }
 
 /// The text after the first `end`.
@@ -204,6 +271,23 @@ mod tests {
     }
 
     #[test]
+    fn usual_sizes_are_accepted() {
+        let text = b"<mujoco><size memory=\"100M\" nuser_geom='3' njmax='500' nconmax='-1'/></mujoco>";
+        assert_eq!(check_model(text), Ok(()));
+    }
+
+    #[test]
+    fn pixels_are_counted_from_the_header() {
+        let png = |width: u32, height: u32| {
+            let start: &[u8] = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR";
+            [start, &width.to_be_bytes(), &height.to_be_bytes(), b"\x08\x02\0\0\0"].concat()
+        };
+        assert_eq!(png_pixels(&png(30_000, 30_000)), Some(900_000_000));
+        assert_eq!(png_pixels(&png(u32::MAX, u32::MAX)), Some(u64::from(u32::MAX).saturating_mul(u32::MAX.into())));
+        assert_eq!(png_pixels(b"\x89PNG"), None);
+    }
+
+    #[test]
     fn models_with_many_elements_are_rejected() {
         let repeated = |levels: usize, count: &str| {
             let open = format!("<replicate count=\"{count}\">").repeat(levels);
@@ -213,6 +297,10 @@ mod tests {
             (repeated(1, "100000000"), "more than 500000 elements"),
             (repeated(4, "100"), "more than 500000 elements"),
             ("<mujoco><composite type='grid' count='1000 1000 1000'/></mujoco>".to_owned(), "more than 500000"),
+            ("<mujoco><size nuser_body=\"1000000000\"/></mujoco>".to_owned(), "nuser_body"),
+            ("<mujoco><size nuser_jnt='2147483647'/></mujoco>".to_owned(), "at most 1000"),
+            ("<mujoco><size memory='100G'/></mujoco>".to_owned(), "memory"),
+            ("<mujoco><size nuserdata='1e9'/></mujoco>".to_owned(), "nuserdata"),
             ("<mujoco><flexcomp count = '1e9 1 1'/></mujoco>".to_owned(), "more than 500000 elements"),
             ("<mujoco><geom/>".to_owned() + &"<geom/>".repeat(500_000), "more than 500000 elements"),
             ("<mujoco><hfield nrow='100000' ncol='100000'/></mujoco>".to_owned(), "a hfield has 10000000000 values"),

@@ -90,7 +90,8 @@ fn forge(from: &Path, to: &Path, world: &Value) {
                 // Shards are bound to the bytes of their plan.
                 let layout = from.join("shards/layout.json");
                 if let Ok(old) = fs::read_to_string(&layout) {
-                    let hash = |bytes: &[u8]| Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect::<String>();
+                    let hash =
+                        |bytes: &[u8]| Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect::<String>();
                     let bound = old.replace(&hash(&fs::read(&source).unwrap()), &hash(text.as_bytes()));
                     assert_ne!(old, bound);
                     fs::create_dir_all(to.join("shards")).unwrap();
@@ -113,9 +114,8 @@ fn forge(from: &Path, to: &Path, world: &Value) {
 
 /// A policy as a run records it.
 fn policy(server: &str, profile: &str) -> Value {
-    let text = fs::read_to_string(
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../robogate-policy/src/profiles").join(profile),
-    );
+    let text =
+        fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../robogate-policy/src/profiles").join(profile));
     let profile: Value = toml::from_str(&text.unwrap()).unwrap();
     json!({ "server": server, "profile": profile, "declared": {} })
 }
