@@ -12,7 +12,7 @@ use serde::ser::{Serialize, SerializeMap, Serializer};
 
 use crate::atomic::AtomicFile;
 use crate::columns::{Cell, Columns};
-use crate::{Dictionary, DictionaryError, published};
+use crate::{Dictionary, DictionaryError, formula, published};
 
 /// A format for export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -133,6 +133,7 @@ fn separate(text: &mut String, i: usize) {
 
 /// Appends a text. An empty text is quoted, because an unquoted empty field is a missing value.
 fn quote(text: &mut String, field: &str) {
+    let field = &*formula::marked(field);
     if field.is_empty() || field.contains([',', '"', '\r', '\n']) {
         text.push('"');
         text.push_str(&field.replace('"', "\"\""));

@@ -17,6 +17,7 @@ mod entry;
 mod error;
 pub mod export;
 mod fields;
+mod formula;
 pub mod frame;
 mod hash;
 mod identity;

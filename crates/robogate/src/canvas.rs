@@ -2,6 +2,7 @@
 
 use std::io::{self, IsTerminal};
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use console::Term;
 use indicatif::{MultiProgress, ProgressDrawTarget, TermLike};
@@ -26,10 +27,14 @@ pub(crate) fn bars(quiet: bool) -> MultiProgress {
 ///
 /// The library fills each line with spaces up to the right edge, so the next character begins a new line. The `^C` that
 /// the terminal itself writes would then move the view down by a line, and its first line would stay.
+///
+/// A terminal may disappear while the process runs. The library panics if it cannot draw, with its lock held, so errors are not
+/// passed on: the view ends, and the run goes on until the signal of the lost terminal stops it.
 #[derive(Debug)]
 struct Canvas {
     term: Term,
     next: Mutex<Next>,
+    lost: AtomicBool,
 }
 
 /// What the library writes next. It writes each line as its text and then spaces.
@@ -42,7 +47,15 @@ enum Next {
 
 impl Canvas {
     fn new() -> Self {
-        Self { term: Term::buffered_stderr(), next: Mutex::new(Next::FirstText) }
+        Self { term: Term::buffered_stderr(), next: Mutex::new(Next::FirstText), lost: AtomicBool::new(false) }
+    }
+
+    /// Writes, unless the terminal is lost.
+    fn draw(&self, write: impl FnOnce(&Term) -> io::Result<()>) -> io::Result<()> {
+        if !self.lost.load(Ordering::Relaxed) && write(&self.term).is_err() {
+            self.lost.store(true, Ordering::Relaxed);
+        }
+        Ok(())
     }
 
     /// Moves on, and returns what is written now.
@@ -70,39 +83,39 @@ impl TermLike for Canvas {
 
     fn move_cursor_up(&self, n: usize) -> io::Result<()> {
         self.restart();
-        self.term.move_cursor_up(n)
+        self.draw(|term| term.move_cursor_up(n))
     }
 
     fn move_cursor_down(&self, n: usize) -> io::Result<()> {
-        self.term.move_cursor_down(n)
+        self.draw(|term| term.move_cursor_down(n))
     }
 
     fn move_cursor_right(&self, n: usize) -> io::Result<()> {
-        self.term.move_cursor_right(n)
+        self.draw(|term| term.move_cursor_right(n))
     }
 
     fn move_cursor_left(&self, n: usize) -> io::Result<()> {
-        self.term.move_cursor_left(n)
+        self.draw(|term| term.move_cursor_left(n))
     }
 
     fn write_line(&self, text: &str) -> io::Result<()> {
-        self.term.write_line(text)
+        self.draw(|term| term.write_line(text))
     }
 
     fn write_str(&self, text: &str) -> io::Result<()> {
         match self.advance() {
-            Next::FirstText => self.term.write_str(text),
-            Next::Text => self.term.write_str(&format!("\n{text}")),
+            Next::FirstText => self.draw(|term| term.write_str(text)),
+            Next::Text => self.draw(|term| term.write_str(&format!("\n{text}"))),
             Next::Spaces => Ok(()),
         }
     }
 
     fn clear_line(&self) -> io::Result<()> {
-        self.term.clear_line()
+        self.draw(Term::clear_line)
     }
 
     fn flush(&self) -> io::Result<()> {
         self.restart();
-        self.term.flush()
+        self.draw(Term::flush)
     }
 }

@@ -8,6 +8,7 @@ use ::csv::{ErrorKind, ReaderBuilder, StringRecord};
 
 use super::{Frame, Sink};
 use crate::DictionaryError;
+use crate::formula::unmarked;
 use crate::raw::{MOST_FIELDS, Metered, RawRow, Scalar};
 
 /// Maximum bytes per record. Without it, an unclosed quote would consume the whole file.
@@ -29,7 +30,7 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
         let reason = format!("its header has {} columns. Expected at most {MOST_FIELDS}", headers.len());
         return Err(DictionaryError::results(path, reason));
     }
-    let names: Vec<Arc<str>> = headers.iter().map(|name| name.trim().into()).collect();
+    let names: Vec<Arc<str>> = headers.iter().map(|name| unmarked(name.trim()).into()).collect();
     if let Some(i) = (1..names.len()).find(|i| names[..*i].contains(&names[*i])) {
         return Err(DictionaryError::results(path, format!("its header has the column `{}` twice", names[i])));
     }
@@ -70,7 +71,7 @@ fn scalar(text: &str) -> Scalar {
     match text.parse::<f64>() {
         // A parameter cannot be infinite.
         Ok(x) if x.is_finite() => Scalar::Number(x),
-        _ => Scalar::Text(text.to_owned()),
+        _ => Scalar::Text(unmarked(text).to_owned()),
     }
 }
 

@@ -141,3 +141,37 @@ fn quiet_verbs_print_results_only() {
         assert!(stdout(&output).contains("success"), "{line}: {}", stdout(&output));
     }
 }
+
+/// A pseudo-terminal that is closed while a campaign draws on it: the campaign ends as after Ctrl-C, and can be resumed.
+#[test]
+fn lost_terminal_ends_a_campaign() {
+    const CLOSE: &str = r#"
+import os, pty, select, sys, time
+child, terminal = pty.fork()
+if child == 0:
+    os.execv(sys.argv[1], sys.argv[1:])
+begun, seen = time.monotonic(), b""
+while b" left" not in seen:
+    assert time.monotonic() - begun < 60, "no live view"
+    if select.select([terminal], [], [], 0.1)[0]:
+        seen += os.read(terminal, 65536)
+os.close(terminal)
+while time.monotonic() - begun < 120:
+    ended, status = os.waitpid(child, os.WNOHANG)
+    if ended:
+        sys.exit(os.waitstatus_to_exitcode(status))
+    time.sleep(0.02)
+os.kill(child, 9)
+sys.exit("the campaign hangs")
+"#;
+    let dir = TempDir::new().unwrap();
+    let run = ["run", "--task", "stacking", "-n", "4000", "--design", "uniform", "--out", "r"];
+    let program = env!("CARGO_BIN_EXE_robogate");
+    let output =
+        Command::new("python3").args(["-c", CLOSE, program]).args(run).current_dir(dir.path()).output().unwrap();
+    assert_eq!(output.status.code(), Some(130), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(dir.path().join("r/plan.json").is_file() && !dir.path().join("r/dictionary.parquet").exists());
+    // Nobody holds the folder.
+    let status = Command::new(program).args(["analyze", "r"]).current_dir(dir.path()).output().unwrap();
+    assert!(!String::from_utf8_lossy(&status.stderr).contains("in use"));
+}

@@ -7,8 +7,8 @@ use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
 use super::Field;
-use crate::DictionaryError;
 use crate::raw::{MOST_FIELDS, Meter, Metered};
+use crate::{DictionaryError, formula};
 
 /// Maximum bytes without a complete row.
 const LONGEST: u64 = 1 << 20;
@@ -147,6 +147,7 @@ impl Rows {
     ) -> Result<(), DictionaryError> {
         let text = String::from_utf8(std::mem::take(field))
             .map_err(|e| self.wrong(line, format!("{}. Expected UTF-8", e.utf8_error())))?;
+        let text = formula::unmarked(&text).to_owned();
         fields.push(match state {
             State::Quoted | State::Closed => Field::Text(text),
             State::Start | State::Bare if text.is_empty() => Field::Missing,
