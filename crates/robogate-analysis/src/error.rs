@@ -62,23 +62,6 @@ pub enum AnalysisError {
         /// The mismatch.
         reason: String,
     },
-    /// Episodes that are not the two parts of a run with coarse episodes.
-    #[error("{}: no estimate from fine and coarse episodes: {reason}", path.display())]
-    NotTwoFidelities {
-        /// The dictionary.
-        path: PathBuf,
-        /// The reason.
-        reason: String,
-    },
-    /// Episodes of the coarse simulator.
-    #[error(
-        "{}: its episodes are coarse: they ran with a larger time step than their run, and estimate the rates of another simulator\nhint: \
-         use the run that they belong to; its fidelity.json uses both", path.display()
-    )]
-    Coarse {
-        /// The file or folder.
-        path: PathBuf,
-    },
     /// A target rate out of range.
     #[error("the target rate {found} is out of range. Expected a number between 0 and 1, for example 0.9")]
     TargetRate {

@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::{Fidelity, Platform, SCHEMA_VERSION, SchemaVersion, hex};
+use crate::{Platform, SCHEMA_VERSION, SchemaVersion, hex};
 
 /// The provenance of a dictionary: everything that its rows depend on.
 ///
@@ -34,9 +34,6 @@ pub struct Provenance {
     /// The settings of the environment (for example its time step), in the environment's format.
     #[serde(default, skip_serializing_if = "serde_json::Value::is_null")]
     pub world: serde_json::Value,
-    /// The fidelity of all episodes. Absent if it is the fine one.
-    #[serde(default, skip_serializing_if = "Fidelity::is_fine")]
-    pub fidelity: Fidelity,
     /// The parameter space. Its parameters are columns of the rows, in this order.
     pub space: ParameterSpace,
     /// The settings of the campaign (stages, budgets, designs, limits), in the campaign's format.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use robogate_core::{FailureMode, Suite, TaskSpec, Value};
 use robogate_dictionary::results::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED};
-use robogate_dictionary::{Dictionary, Entry, Fidelity, Label, Provenance, RowSampling, Stopping, hex, suite_sha256};
+use robogate_dictionary::{Dictionary, Entry, Label, Provenance, RowSampling, Stopping, hex, suite_sha256};
 use robogate_stats::format::counted;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -162,11 +162,8 @@ impl Record {
     /// The rows of a dictionary that represent its suite or its space.
     ///
     /// # Errors
-    /// If a row cannot be read, or if the episodes are coarse.
+    /// If a row cannot be read.
     pub fn of(dictionary: &Dictionary) -> Result<Self, GateError> {
-        if dictionary.provenance().fidelity == Fidelity::Coarse {
-            return Err(GateError::Coarse);
-        }
         let hash = dictionary.dataset_hash();
         Self::collect(dictionary.provenance(), hash, dictionary.entries().map(|entry| entry.map_err(GateError::from)))
     }

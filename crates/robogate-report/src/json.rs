@@ -2,7 +2,7 @@
 
 use robogate_analysis::study::Study;
 use robogate_analysis::transfer::Transfer;
-use robogate_analysis::{Analysis, Comparison, TwoFidelities};
+use robogate_analysis::{Analysis, Comparison};
 use robogate_gate::Twins;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -23,9 +23,6 @@ pub struct AnalysisReport<'a> {
     /// The episodes compared with their nominal twins. Absent without a control arm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub twins: Option<&'a Twins>,
-    /// Rates from fine and coarse episodes. Absent without coarse episodes.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub fidelities: Option<&'a TwoFidelities>,
 }
 
 /// The JSON document of a comparison.
@@ -62,12 +59,12 @@ pub struct StudyReport<'a> {
 
 /// An analysis as one versioned JSON document. Equal rows give equal bytes.
 pub fn analysis_json(analysis: &Analysis) -> String {
-    analysis_json_with(analysis, None, None)
+    analysis_json_with(analysis, None)
 }
 
-/// The same with the comparison of its control arm, and the rates from fine and coarse episodes.
-pub fn analysis_json_with(analysis: &Analysis, twins: Option<&Twins>, fidelities: Option<&TwoFidelities>) -> String {
-    text(&AnalysisReport { analysis, headline: Headline::of(analysis), limits: limits(analysis), twins, fidelities })
+/// The same with the comparison of its control arm.
+pub fn analysis_json_with(analysis: &Analysis, twins: Option<&Twins>) -> String {
+    text(&AnalysisReport { analysis, headline: Headline::of(analysis), limits: limits(analysis), twins })
 }
 
 /// A comparison as one versioned JSON document with the same properties.

@@ -24,10 +24,9 @@ mod study;
 mod text;
 mod watch;
 
-use robogate_analysis::{PairCounts, TwoFidelities};
+use robogate_analysis::PairCounts;
 use robogate_gate::{Evaluation, Twins};
 
-pub use document::fidelity_lines;
 pub use gate::{
     RequirementRow, TwinRow, evaluation_markdown, evaluation_markdown_with, feasible_part, fleet_drivers,
     fleet_headline, fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html, leaderboard_markdown,
@@ -56,8 +55,6 @@ pub struct Additions<'a> {
     pub twins: Option<&'a Twins>,
     /// The risk model that chose the episodes.
     pub active: Option<&'a ActiveModel>,
-    /// Rates from fine and coarse episodes.
-    pub fidelities: Option<&'a TwoFidelities>,
 }
 
 /// The risk model of an active design.

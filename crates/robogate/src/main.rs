@@ -36,7 +36,6 @@ mod summary;
 mod terminal;
 mod transfer_view;
 mod twins;
-mod two_fidelities;
 mod watch;
 
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use robogate_core::{Domain, FailureMode, Outcome, ParameterSpace, Scenario, Seed, TaskSpec};
-use robogate_dictionary::{Dictionary, DictionaryError, Fidelity, Robot, hex};
+use robogate_dictionary::{Dictionary, DictionaryError, Robot, hex};
 use robogate_risk::{RiskModel, Sample};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -66,9 +66,6 @@ pub enum PriorError {
     /// Its rows cannot be read.
     #[error(transparent)]
     Dictionary(#[from] DictionaryError),
-    /// Its episodes are coarse.
-    #[error("its episodes are coarse\nhint: use the run that they belong to")]
-    Coarse,
     /// It was imported.
     #[error("its episodes were imported\nhint: a prior is a finished run of robogate")]
     Imported,
@@ -115,9 +112,6 @@ impl Prior {
     /// Rows that cannot be read, or that were imported.
     pub fn of(dictionary: &Dictionary) -> Result<Self, PriorError> {
         let provenance = dictionary.provenance();
-        if provenance.fidelity == Fidelity::Coarse {
-            return Err(PriorError::Coarse);
-        }
         if provenance.source.is_some() {
             return Err(PriorError::Imported);
         }

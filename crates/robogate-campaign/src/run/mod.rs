@@ -48,10 +48,9 @@ impl Settings {
     /// The version of the file format that is written, and the newest one that is read.
     pub const VERSION: u32 = 2;
 
-    /// The settings of a new run. This function fills in `plan`, `seed` and `fidelity` of `provenance`.
+    /// The settings of a new run. This function fills in `plan` and `seed` of `provenance`.
     pub(crate) fn new(plan: &Plan, provenance: Provenance) -> serde_json::Result<Self> {
-        let (seed, fidelity) = (plan.seed, plan.fidelity);
-        let provenance = Provenance { plan: serde_json::to_value(plan)?, seed, fidelity, ..provenance };
+        let provenance = Provenance { plan: serde_json::to_value(plan)?, seed: plan.seed, ..provenance };
         Ok(Self { version: Self::VERSION, plan: plan.clone(), provenance })
     }
 
@@ -67,12 +66,10 @@ impl Settings {
         let settings: Self = folder::parse(path, text)?;
         // The provenance, which the dictionary stores, contains the plan as well. Both must agree.
         let plan = serde_json::from_value::<Plan>(settings.provenance.plan.clone());
-        let same =
-            settings.provenance.seed == settings.plan.seed && settings.provenance.fidelity == settings.plan.fidelity;
+        let same = settings.provenance.seed == settings.plan.seed;
         if !plan.is_ok_and(|plan| plan == settings.plan) || !same {
-            let source = serde::de::Error::custom(
-                "`plan` and `provenance.plan`, `provenance.seed` or `provenance.fidelity` contradict each other",
-            );
+            let source =
+                serde::de::Error::custom("`plan` and `provenance.plan` or `provenance.seed` contradict each other");
             return Err(RunError::Unreadable { path: path.to_owned(), source });
         }
         Ok(settings)

@@ -13,7 +13,6 @@ use crate::policy_source::PolicyLocation;
 use crate::remote::Simulators;
 use crate::subject::Subject;
 use crate::twins::Arms;
-use crate::two_fidelities::CoarseArm;
 
 /// Resume an interrupted campaign.
 #[derive(Debug, Args)]
@@ -47,12 +46,6 @@ impl Resume {
         let subject = Subject::recorded_at(&settings.provenance, &self.simulators, &self.location)?;
         if let Some(asked) = asked {
             return gate::resume(&self.dir, asked, &subject, settings, &self.simulators, &self.location, &self.how);
-        }
-        if let Some(coarse) = CoarseArm::of(&self.dir, &settings.plan, &settings.provenance, &self.location)? {
-            let provenance = subject.provenance(settings.provenance.space)?;
-            return coarse.conduct(&self.dir, &self.how, &subject, |executor, events| {
-                robogate_campaign::resume(&self.dir, &provenance, executor, events)
-            });
         }
         let arms = Arms::of(&self.dir, &settings.plan, &settings.provenance.space, &subject)?;
         let provenance = subject.provenance(settings.provenance.space)?;

@@ -36,7 +36,6 @@ use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary;
 use crate::terminal::{Screen, grouped, note, percent, quoted, warning};
 use crate::twins::{self, Arms};
-use crate::two_fidelities::{self, CoarseArm};
 use crate::watch::Frames;
 
 /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain.
@@ -92,19 +91,6 @@ pub(crate) struct Run {
     /// families of the task. Repeat it for each family
     #[arg(long, value_name = "FAMILY", conflicts_with_all = ["suite", "plan", "design", "seek", "until_rms"])]
     family: Vec<String>,
-    /// Run all episodes with a larger time step, which is cheaper, and this share of them (above 0, up to 1) with that of the run
-    /// as well. The rates are those of the fine simulator; the design is uniform (docs/coarse.md)
-    #[arg(
-        long,
-        value_name = "SHARE",
-        num_args = 0..=1,
-        default_missing_value = two_fidelities::SHARE,
-        conflicts_with_all = ["suite", "plan", "seek", "prior", "until_rms", "twins", "family", "shard", "divide"]
-    )]
-    coarse: Option<f64>,
-    /// Set the time step of the coarse episodes, in seconds: larger than that of the run
-    #[arg(long, value_name = "SECONDS", default_value_t = two_fidelities::TIME_STEP_S, requires = "coarse")]
-    coarse_step: f64,
     #[command(flatten)]
     environment: EnvironmentArguments,
     #[command(flatten)]
@@ -231,12 +217,6 @@ impl Run {
         plan.twins |= self.twins;
         let provenance = subject.provenance(space)?;
         let prior = self.prior(&mut plan, &provenance)?;
-        if plan.coarse.is_some() && (self.shard.is_some() || self.divide.is_some()) {
-            return Err(anyhow!(
-                "a plan with coarse episodes cannot be divided into shards\n  hint: run it on one machine, or remove `coarse`"
-            ))
-            .or_usage();
-        }
         if let (Some(shards), Some(dir)) = (&self.shard, &self.out) {
             return shard::run(dir, shards, &subject, &plan, provenance, prior.as_ref(), &self.how);
         }
@@ -263,18 +243,11 @@ impl Run {
                 ))
             }
         };
-        let coarse = CoarseArm::of(&dir, &plan, &provenance, &self.location)?;
         introduce(&provenance, plan.seed);
         if plan.suite.is_none() {
             subject.note_feasibility(&provenance.space);
         }
         match (&plan.suite, &plan.active) {
-            _ if coarse.is_some() => note(format_args!(
-                "{} over the operating space, the first {} also with the time step of the run, into {}",
-                counted(plan.coarse.map_or(0, |coarse| coarse.episodes), "coarse episode"),
-                grouped(plan.uniform.episodes),
-                dir.display()
-            )),
             (Some(stage), _) => note(format_args!(
                 "{} {}: {} scenarios, {} episodes, into {}",
                 stage.suite.name(),
@@ -305,11 +278,6 @@ impl Run {
                 grouped(plan.boundary.episodes),
                 dir.display()
             )),
-        }
-        if let Some(coarse) = coarse {
-            return coarse.conduct(&dir, &self.how, &subject, |executor, events| {
-                robogate_campaign::start(&dir, &plan, provenance, executor, events)
-            });
         }
         let arms = Arms::of(&dir, &plan, &provenance.space, &subject)?;
         self.how.conduct(&dir, &subject, |executor, events| {
@@ -346,10 +314,7 @@ impl Run {
     /// Rejects arguments that need another one. clap does not require an argument that conflicts with a given one: it would
     /// accept and ignore the rounds in `--rounds 5 -n 100`.
     fn check_required(&self) -> Result<(), Exit> {
-        let needs = [
-            ("rounds", "--rounds", self.suite.is_some(), "--suite"),
-            ("coarse_step", "--coarse-step", self.coarse.is_some(), "--coarse"),
-        ];
+        let needs = [("rounds", "--rounds", self.suite.is_some(), "--suite")];
         match needs.into_iter().find(|(name, _, is_given, _)| self.given.has(name) && !is_given) {
             Some((_, option, _, needed)) => {
                 Err(anyhow!("{option} needs {needed}\n  hint: give {needed}, or leave out {option}")).or_usage()
@@ -418,16 +383,6 @@ impl Run {
                     .or_usage();
             }
             _ => {}
-        }
-        if let Some(share) = self.coarse {
-            if self.design.as_deref().is_some_and(|design| design != "uniform") {
-                return Err(anyhow!("--coarse applies to the uniform design\n  hint: leave out --design")).or_usage();
-            }
-            // Written in this form to reject NaN as well.
-            if !(share > 0.0 && share <= 1.0) {
-                return Err(anyhow!("--coarse {share}: out of range. Expected a share above 0, up to 1")).or_usage();
-            }
-            plan = plan.with_coarse(share, self.coarse_step);
         }
         if let Some(seed) = self.seed {
             plan.seed = seed;
@@ -532,14 +487,12 @@ pub(crate) fn conclude(dir: &Path, completion: &Completion, subject: Option<&Sub
             if let Some(twins) = &twins {
                 twins::write(dir, twins)?;
             }
-            let fidelities = two_fidelities::of_run(dir);
             let analysis = write_report(dir, None, subject).map(|(analysis, _)| analysis);
             if json {
-                summary::json(dir, summary, boundary.as_deref(), twins.as_ref(), fidelities.as_ref()).or_broken()?;
+                summary::json(dir, summary, boundary.as_deref(), twins.as_ref()).or_broken()?;
             } else {
                 summary::print(dir, summary, boundary.as_deref(), analysis.as_ref());
                 twins.iter().for_each(twins::print);
-                fidelities.iter().for_each(two_fidelities::print);
             }
             let evidence = summary.stages.iter().any(|stage| stage.valid > 0);
             Ok(if evidence { DONE } else { INVALID })
@@ -650,7 +603,7 @@ mod tests {
     use super::*;
 
     /// The arguments of `run` that affect the results of a campaign.
-    const WITH_EFFECT: [&str; 34] = [
+    const WITH_EFFECT: [&str; 32] = [
         "preset",
         "plan",
         "space",
@@ -664,8 +617,6 @@ mod tests {
         "seed",
         "twins",
         "family",
-        "coarse",
-        "coarse_step",
         "task",
         "env",
         "robot",

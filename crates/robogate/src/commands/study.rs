@@ -11,7 +11,7 @@ use robogate_campaign::{
     Bins, BoundaryReport, BoundaryStage, Completion, Event, Executor, Plan, PooledWeights, Preset, UniformStage,
 };
 use robogate_core::{ParameterSpace, Seed};
-use robogate_dictionary::{Dictionary, Fidelity, Provenance};
+use robogate_dictionary::{Dictionary, Provenance};
 use robogate_physics::SuctionLaw;
 use robogate_report::{study_answer, study_json, study_markdown};
 use serde::{Deserialize, Serialize};
@@ -144,8 +144,6 @@ impl Study {
             active: None,
             suite: None,
             twins: false,
-            coarse: None,
-            fidelity: Fidelity::Fine,
         };
         let repeat = |r: u64| {
             let campaign = |word: &str, name: &str, plan: &dyn Fn(u64) -> Plan, space: &ParameterSpace| Campaign {

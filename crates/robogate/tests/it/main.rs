@@ -7,7 +7,6 @@ mod bridge;
 #[expect(unreachable_pub, reason = "a module of a test")]
 mod browser;
 #[cfg(feature = "mujoco")]
-mod coarse;
 mod command;
 mod compliance;
 mod controls;

@@ -68,15 +68,6 @@ fn analyze_writes_to_stdout() {
 }
 
 #[test]
-fn older_dictionaries_give_a_note() {
-    let old = concat!(env!("CARGO_MANIFEST_DIR"), "/../robogate-dictionary/tests/fixtures/v0.1/run");
-    let output = robogate(&["analyze", old, "--json"]);
-    assert!(output.status.success(), "{}", stderr(&output));
-    assert!(stderr(&output).contains("a dictionary of schema 1.1; its old names are read as those of schema 2.2"));
-    assert!(stderr(&output).contains("`pick_place`"));
-}
-
-#[test]
 fn report_writes_one_file() {
     let dir = TempDir::new().unwrap();
     let file = published(&dir, "arm", 200, 0.5);
