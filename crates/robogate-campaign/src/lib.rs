@@ -48,10 +48,7 @@ mod tally;
 mod threads;
 mod twins;
 
-pub use active::{
-    ActiveReport, ActiveRound, ActiveStage, Certificate, ModelScore, Prior, PriorEffect, PriorError, PriorResult,
-    PriorRound, PriorRun,
-};
+pub use active::{ActiveReport, ActiveRound, ActiveStage, Certificate, ModelScore};
 pub use boundary::{
     BoundaryReport, DrawnFrom, EmphasisFound, Focus, ParameterBoundary, PooledWeights, Region, Restricted,
 };
@@ -63,7 +60,7 @@ pub use plan::{BoundaryStage, DEFAULT_SEED, Emphasis, Plan, PlanError, Preset, R
 pub use rows::{RowsError, check_rows};
 pub use run::{
     AfterRound, Completion, RunError, Settings, not_in_shards, recorded, resume, resume_in_rounds, settings, start,
-    start_from, start_in_rounds,
+    start_in_rounds,
 };
 pub use stage::{Points, Stage};
 pub use suite::{

@@ -60,7 +60,7 @@ pub struct Additions<'a> {
 /// The risk model of an active design.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ActiveModel {
-    /// Its score, the effect of its prior and its certificate, as sentences without a full stop.
+    /// Its score and its certificate, as sentences without a full stop.
     pub sentences: Vec<String>,
     /// The rounds. The last one, without episodes, is the model of all episodes.
     pub rounds: Vec<ActiveModelRound>,
@@ -79,10 +79,4 @@ pub struct ActiveModelRound {
     pub brier: Option<f64>,
     /// Mean log loss of the cross-validation.
     pub log_loss: Option<f64>,
-    /// Slope of the prior in the model before the previous round.
-    pub prior_slope: Option<f64>,
-    /// Mean log loss of that model on the uniform episodes of the previous round.
-    pub with_prior: Option<f64>,
-    /// The same without the prior.
-    pub without_prior: Option<f64>,
 }

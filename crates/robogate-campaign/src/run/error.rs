@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use robogate_core::DesignError;
 use robogate_dictionary::DictionaryError;
-use robogate_risk::RiskError;
 
 use crate::folder::PLAN;
 use crate::{ExecuteError, PlanError};
@@ -122,17 +121,6 @@ pub enum RunError {
     /// The scenarios have no nominal twins.
     #[error(transparent)]
     Suite(#[from] robogate_core::SuiteError),
-    /// The plan names a prior that was not given.
-    #[error(
-        "the plan has `active.prior`, whose episodes are not given\nhint: remove it from the plan, and add --prior RUN"
-    )]
-    NoPrior,
-    /// No model can be fitted to the prior.
-    #[error("prior: {source}\nhint: choose another run, or leave out --prior")]
-    Prior {
-        /// The reason.
-        source: RiskError,
-    },
     /// The sampler cannot draw the points.
     #[error(transparent)]
     Design(#[from] DesignError),

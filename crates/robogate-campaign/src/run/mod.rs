@@ -5,7 +5,6 @@
 //! DIR/journal.rgj          the episodes of an unfinished run
 //! DIR/lost_episodes.jsonl  attempts that an infrastructure fault lost, if there were any
 //! DIR/boundary.json        the boundary found by the first stage
-//! DIR/prior.json           the episodes from which the risk model of the active stage starts, if the plan has a prior
 //! DIR/active.json          the models of the active stage
 //! DIR/dictionary.parquet   the episodes in order of index
 //! DIR/summary.json         the summary; written last, then the journal is deleted
@@ -30,8 +29,8 @@ pub use self::error::RunError;
 use self::origin::difference;
 pub(crate) use self::origin::{known_version, same_origin};
 pub(crate) use self::stages::Run;
-use crate::folder::{self, BOUNDARY, DICTIONARY, Folder, JOURNAL, LAYOUT, PLAN, PRIOR, SUMMARY};
-use crate::{ActiveStage, BoundaryReport, Event, Executor, Plan, Prior, Round, Summary};
+use crate::folder::{self, BOUNDARY, DICTIONARY, Folder, JOURNAL, LAYOUT, PLAN, SUMMARY};
+use crate::{BoundaryReport, Event, Executor, Plan, Round, Summary};
 
 /// The content of `plan.json`: everything that the results of a run depend on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -122,19 +121,6 @@ pub fn start(
     start_in_rounds(dir, plan, provenance, executor, events, &mut |_| ControlFlow::Continue(()))
 }
 
-/// Starts a campaign whose plan names `prior`, like [`start`].
-pub fn start_from(
-    dir: &Path,
-    plan: &Plan,
-    provenance: Provenance,
-    prior: &Prior,
-    executor: &dyn Executor,
-    events: &mut dyn FnMut(&Event),
-) -> Result<Completion, RunError> {
-    let (folder, settings) = begin(dir, plan, provenance, Some(prior))?;
-    Run::new(folder, settings, executor, events, &mut |_| ControlFlow::Continue(()))?.run()
-}
-
 /// Starts a plan that runs a suite, like [`start`], and calls `after_round` after each round.
 ///
 /// `after_round` gets the rounds in order, each once it is completely recorded. The campaign is finished after the
@@ -151,17 +137,12 @@ pub fn start_in_rounds(
     events: &mut dyn FnMut(&Event),
     after_round: &mut AfterRound<'_>,
 ) -> Result<Completion, RunError> {
-    let (folder, settings) = begin(dir, plan, provenance, None)?;
+    let (folder, settings) = begin(dir, plan, provenance)?;
     Run::new(folder, settings, executor, events, after_round)?.run()
 }
 
-/// Creates the folder of a campaign with its prior and its plan.
-fn begin(
-    dir: &Path,
-    plan: &Plan,
-    provenance: Provenance,
-    prior: Option<&Prior>,
-) -> Result<(Folder, Settings), RunError> {
+/// Creates the folder of a campaign with its plan.
+fn begin(dir: &Path, plan: &Plan, provenance: Provenance) -> Result<(Folder, Settings), RunError> {
     plan.check(&provenance.space)?;
     std::fs::create_dir_all(dir).map_err(RunError::io(dir, "create"))?;
     let folder = Folder::lock(dir)?;
@@ -175,17 +156,6 @@ fn begin(
     }
     let settings =
         Settings::new(plan, provenance).map_err(|source| RunError::Unreadable { path: dir.join(PLAN), source })?;
-    match (&settings.plan.active, prior) {
-        (Some(ActiveStage { prior: Some(named), .. }), Some(prior)) => {
-            let path = folder.path(PRIOR);
-            let text = prior.document().map_err(|source| RunError::Unreadable { path: path.clone(), source })?;
-            Prior::parse(&path, &text, named)?;
-            folder.write_bytes(PRIOR, &text)?;
-        }
-        (Some(ActiveStage { prior: Some(_), .. }), None) => return Err(RunError::NoPrior),
-        _ if folder.has(PRIOR) => folder.remove(PRIOR)?,
-        _ => {}
-    }
     folder.write(PLAN, &settings)?;
     Ok((folder, settings))
 }

@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{Context, anyhow};
+use anyhow::anyhow;
 use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, FromArgMatches, Id};
 use robogate_analysis::Analysis;
 use robogate_campaign::folder::PLAN;
 use robogate_campaign::shards::ShardSet;
 use robogate_campaign::{
-    ActiveStage, Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, Prior, RunError, Settings, ThreadPool,
+    ActiveStage, Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, Settings, ThreadPool,
 };
 use robogate_core::{FailureMode, ParameterSpace, TaskSpec};
 use robogate_dictionary::Provenance;
@@ -31,7 +31,6 @@ use crate::number::at_least_one;
 use crate::place;
 use crate::policy_source::{PolicyArguments, PolicyLocation};
 use crate::progress::Progress;
-use crate::source::open_source;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary;
 use crate::terminal::{Screen, grouped, note, percent, quoted, warning};
@@ -70,10 +69,6 @@ pub(crate) struct Run {
     /// Estimate the rate of this failure mode: the active design samples where the mode is likely
     #[arg(long, value_name = "MODE", conflicts_with_all = ["suite", "until_rms"])]
     seek: Option<String>,
-    /// Start the risk model of the active design from this finished run of the same task, with another policy, engine or robot.
-    /// The summary states whether that helped
-    #[arg(long, value_name = "RUN", conflicts_with = "suite")]
-    prior: Option<PathBuf>,
     /// Stop the active design when the root mean square error of its risk model is at most this (0 to 0.5), with 95 %
     /// confidence
     #[arg(long, value_name = "ERROR", conflicts_with = "suite")]
@@ -199,7 +194,7 @@ impl Run {
             let subject = Subject::recorded_at(&provenance, &self.environment.simulators, &self.location)?;
             let question_sha256 = provenance.question_sha256;
             let provenance = Provenance { question_sha256, ..subject.provenance(provenance.space)? };
-            return shard::run(dir, shards, &subject, &plan, provenance, None, &self.how);
+            return shard::run(dir, shards, &subject, &plan, provenance, &self.how);
         }
         // The surface gripper, four failure modes and one workspace for all robots belong to the paper preset. All other
         // runs use the physical vacuum law and every mode.
@@ -216,14 +211,11 @@ impl Run {
         let (mut plan, space) = self.plan_and_space(&subject)?;
         plan.twins |= self.twins;
         let provenance = subject.provenance(space)?;
-        let prior = self.prior(&mut plan, &provenance)?;
         if let (Some(shards), Some(dir)) = (&self.shard, &self.out) {
-            return shard::run(dir, shards, &subject, &plan, provenance, prior.as_ref(), &self.how);
+            return shard::run(dir, shards, &subject, &plan, provenance, &self.how);
         }
         if let (Some(shards), Some(dir)) = (self.divide, &self.out) {
-            let documents = shard::documents(prior.as_ref())?;
-            let documents: Vec<(&str, &[u8])> = documents.iter().map(|(name, text)| (*name, &**text)).collect();
-            return shard::divide(dir, shards, &plan, provenance, &documents, self.how.json);
+            return shard::divide(dir, shards, &plan, provenance, &[], self.how.json);
         }
         let dir = match &self.out {
             Some(dir) => {
@@ -281,34 +273,9 @@ impl Run {
         }
         let arms = Arms::of(&dir, &plan, &provenance.space, &subject)?;
         self.how.conduct(&dir, &subject, |executor, events| {
-            let completion = match &prior {
-                Some(prior) => robogate_campaign::start_from(&dir, &plan, provenance, prior, executor, events)?,
-                None => robogate_campaign::start(&dir, &plan, provenance, executor, events)?,
-            };
+            let completion = robogate_campaign::start(&dir, &plan, provenance, executor, events)?;
             arms.after(completion, executor, events)
         })
-    }
-
-    /// The episodes of `--prior`, which the plan names from now on.
-    fn prior(&self, plan: &mut Plan, provenance: &Provenance) -> Result<Option<Prior>, Exit> {
-        let Some(run) = &self.prior else { return Ok(None) };
-        let at = || format!("--prior {}", run.display());
-        let Some(stage) = &mut plan.active else {
-            return Err(anyhow!("--prior applies to the active design\n  hint: add --design active")).or_usage();
-        };
-        let source = open_source(run)?;
-        let prior = Prior::of(source.dictionary()).with_context(at).or_usage()?;
-        prior.check(&provenance.task, &provenance.space, stage.seek.as_deref()).with_context(at).or_usage()?;
-        let named = prior.identity(&provenance.robot).or_broken()?;
-        note(format_args!(
-            "prior: {} policy on {} in {}{}",
-            named.policy,
-            named.robot,
-            named.engine,
-            if named.told_draws { "" } else { "; another robot, so its model does not use the hidden draws" }
-        ));
-        stage.prior = Some(named);
-        Ok(Some(prior))
     }
 
     /// Rejects arguments that need another one. clap does not require an argument that conflicts with a given one: it would
@@ -557,7 +524,6 @@ pub(crate) fn exit(error: RunError) -> Exit {
         | RunError::NewerVersion { .. }
         | RunError::Mismatch { .. }
         | RunError::NoSuchEpisode { .. }
-        | RunError::NoPrior
         | RunError::Suite(_)
         | RunError::Plan(_) => USAGE,
         _ => INFRASTRUCTURE,
@@ -603,7 +569,7 @@ mod tests {
     use super::*;
 
     /// The arguments of `run` that affect the results of a campaign.
-    const WITH_EFFECT: [&str; 32] = [
+    const WITH_EFFECT: [&str; 31] = [
         "preset",
         "plan",
         "space",
@@ -612,7 +578,6 @@ mod tests {
         "n",
         "design",
         "seek",
-        "prior",
         "until_rms",
         "seed",
         "twins",

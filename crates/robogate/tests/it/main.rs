@@ -32,7 +32,6 @@ mod openpi;
 #[cfg(all(feature = "mujoco", feature = "rapier"))]
 mod pages;
 mod policy;
-mod prior;
 mod shards;
 mod signatures;
 mod study;
