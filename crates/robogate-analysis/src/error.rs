@@ -56,10 +56,12 @@ pub enum AnalysisError {
         /// The reason.
         reason: String,
     },
-    /// Dictionaries that do not form a study.
-    #[error("these dictionaries do not form a study: {reason}")]
-    NoStudy {
-        /// The mismatch.
+    /// A learner cannot predict the rows of another dictionary.
+    #[error("{}: no predictions: {reason}", path.display())]
+    NoPrediction {
+        /// The dictionary that the learner is fitted to.
+        path: PathBuf,
+        /// The reason.
         reason: String,
     },
     /// A target rate out of range.

@@ -10,7 +10,7 @@
 //! | a path | [`Source`] |
 //! | a source | [`Analysis`] |
 //! | several sources | [`Comparison`] |
-//! | dictionaries of several designs and a test set | [`study::Study`] |
+//! | dictionaries of two runs | [`learners::predictions`] of one for the other |
 //! | a source and trials of the real robot | [`transfer::Transfer`] |
 //! | the name of a task | [`TaskAnalysis`]: the additions of that task to the generic analysis |
 
@@ -24,6 +24,7 @@ mod error;
 mod explorer;
 mod failures;
 pub mod labels;
+pub mod learners;
 mod marginal;
 mod models;
 mod pair_counts;
@@ -35,7 +36,6 @@ mod safe_box;
 mod sampling;
 mod scenarios;
 mod source;
-pub mod study;
 mod success;
 mod table;
 mod task;

@@ -49,9 +49,7 @@ mod threads;
 mod twins;
 
 pub use active::{ActiveReport, ActiveRound, ActiveStage, Certificate, ModelScore};
-pub use boundary::{
-    BoundaryReport, DrawnFrom, EmphasisFound, Focus, ParameterBoundary, PooledWeights, Region, Restricted,
-};
+pub use boundary::{BoundaryReport, DrawnFrom, EmphasisFound, Focus, ParameterBoundary, Region, Restricted};
 pub use events::{Event, Warning};
 pub use executor::{ExecuteError, Executor, Worker, WorkerFactory};
 pub use follow::{FollowError, Follower, Progress};

@@ -1,13 +1,11 @@
 //! JSON documents: the figures, with the sentences that summarise them.
 
-use robogate_analysis::study::Study;
 use robogate_analysis::transfer::Transfer;
 use robogate_analysis::{Analysis, Comparison};
 use robogate_gate::Twins;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use crate::study::answer;
 use crate::text::{ComparisonHeadline, Headline, TransferHeadline, comparison_limits, limits};
 
 /// The JSON document of an analysis.
@@ -47,16 +45,6 @@ pub struct TransferReport<'a> {
     pub headline: TransferHeadline,
 }
 
-/// The JSON document of a study.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
-pub struct StudyReport<'a> {
-    /// The figures.
-    #[serde(flatten)]
-    pub study: &'a Study,
-    /// The result in sentences.
-    pub answer: Vec<String>,
-}
-
 /// An analysis as one versioned JSON document. Equal rows give equal bytes.
 pub fn analysis_json(analysis: &Analysis) -> String {
     analysis_json_with(analysis, None)
@@ -76,11 +64,6 @@ pub fn comparison_json(comparison: &Comparison) -> String {
 /// A transfer to the real robot as one versioned JSON document with the same properties.
 pub fn transfer_json(transfer: &Transfer) -> String {
     text(&TransferReport { transfer, headline: TransferHeadline::of(transfer) })
-}
-
-/// A study as one versioned JSON document with the same properties.
-pub fn study_json(study: &Study) -> String {
-    text(&StudyReport { study, answer: answer(study) })
 }
 
 fn text(document: &impl Serialize) -> String {

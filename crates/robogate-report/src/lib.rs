@@ -7,7 +7,6 @@
 //! | an [`Analysis`](robogate_analysis::Analysis) | [`html`], [`markdown`], [`analysis_json`] |
 //! | a [`Comparison`](robogate_analysis::Comparison) | [`comparison_html`], [`comparison_markdown`], [`comparison_json`] |
 //! | a [`Transfer`](robogate_analysis::transfer::Transfer) | [`transfer_html`], [`transfer_json`], [`next_trials`] |
-//! | a [`Study`](robogate_analysis::study::Study) | [`study_markdown`], [`study_json`] |
 //! | an [`Evaluation`] of the gate | [`junit`], [`reqif`], [`verdict_pdf`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
 //! | episodes of runs | [`explorer_page`], [`replay_page`] |
 //! | a [`Leaderboard`](robogate_gate::Leaderboard) | [`leaderboard_html`], [`leaderboard_markdown`] |
@@ -20,7 +19,6 @@ mod html;
 mod json;
 mod markdown;
 mod pdf;
-mod study;
 mod text;
 mod watch;
 
@@ -34,11 +32,9 @@ pub use gate::{
 };
 pub use html::{comparison_html, comparison_html_with, explorer_page, html, html_with, replay_page, transfer_html};
 pub use json::{
-    AnalysisReport, ComparisonReport, StudyReport, TransferReport, analysis_json, analysis_json_with, comparison_json,
-    study_json, transfer_json,
+    AnalysisReport, ComparisonReport, TransferReport, analysis_json, analysis_json_with, comparison_json, transfer_json,
 };
 pub use markdown::{comparison_markdown, markdown, markdown_with};
-pub use study::{answer as study_answer, study_markdown};
 pub use text::{ComparisonHeadline, Headline, TransferHeadline, comparison_limits, limits, low_side, next_trials};
 pub use watch::{Strip, Watch, WatchItem};
 

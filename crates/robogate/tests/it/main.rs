@@ -34,7 +34,6 @@ mod pages;
 mod policy;
 mod shards;
 mod signatures;
-mod study;
 mod terminal;
 mod twins;
 mod verbs;
