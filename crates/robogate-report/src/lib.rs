@@ -7,7 +7,7 @@
 //! | an [`Analysis`](robogate_analysis::Analysis) | [`html`], [`markdown`], [`analysis_json`] |
 //! | a [`Comparison`](robogate_analysis::Comparison) | [`comparison_html`], [`comparison_markdown`], [`comparison_json`] |
 //! | a [`Transfer`](robogate_analysis::transfer::Transfer) | [`transfer_html`], [`transfer_json`], [`next_trials`] |
-//! | an [`Evaluation`] of the gate | [`junit`], [`reqif`], [`verdict_pdf`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
+//! | an [`Evaluation`] of the gate | [`junit`], [`verdict_html`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
 //! | episodes of runs | [`explorer_page`], [`replay_page`] |
 //! | a [`Leaderboard`](robogate_gate::Leaderboard) | [`leaderboard_html`], [`leaderboard_markdown`] |
 //! | a [`Fleet`](robogate_gate::Fleet) | [`fleet_html`], [`fleet_markdown`] |
@@ -18,7 +18,6 @@ mod gate;
 mod html;
 mod json;
 mod markdown;
-mod pdf;
 mod text;
 mod watch;
 
@@ -28,7 +27,7 @@ use robogate_gate::{Evaluation, Twins};
 pub use gate::{
     RequirementRow, TwinRow, evaluation_markdown, evaluation_markdown_with, feasible_part, fleet_drivers,
     fleet_headline, fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html, leaderboard_markdown,
-    leaderboards_html, leaderboards_markdown, new_cases, reqif, sign, verdict_pdf, what_next,
+    leaderboards_html, leaderboards_markdown, new_cases, sign, verdict_html, what_next,
 };
 pub use html::{comparison_html, comparison_html_with, explorer_page, html, html_with, replay_page, transfer_html};
 pub use json::{

@@ -33,7 +33,7 @@ fn published(dir: &TempDir, robot: &str, rows: u32, from: f64) -> String {
     file
 }
 
-fn assert_self_contained(page: &str) {
+pub(crate) fn assert_self_contained(page: &str) {
     let text = fs::read_to_string(page).unwrap();
     assert!(text.starts_with("<!DOCTYPE html>") && text.trim_end().ends_with("</html>"));
     for forbidden in ["http://", "https://", "src=", "@import", "url(http", "//cdn"] {
