@@ -40,7 +40,6 @@ pub struct BoundaryReport {
 pub struct ParameterBoundary {
     /// The bins with their counts.
     #[serde(flatten)]
-    #[serde(alias = "along")]
     pub effect: MarginalEffect,
     /// The bins within the band, counted from 0.
     pub in_band: Vec<usize>,

@@ -55,10 +55,7 @@ impl Population {
         match (self, other) {
             (Self::Suite { sha256: a, .. }, Self::Suite { sha256: b, .. })
             | (Self::Drawn { sha256: a, .. }, Self::Drawn { sha256: b, .. })
-            | (Self::Imported { sha256: a, .. }, Self::Imported { sha256: b, .. })
-            // Files of version 0.2 and older describe imported scenarios as sampled ones.
-            | (Self::Imported { sha256: a, .. }, Self::Drawn { sha256: b, .. })
-            | (Self::Drawn { sha256: a, .. }, Self::Imported { sha256: b, .. }) => a == b,
+            | (Self::Imported { sha256: a, .. }, Self::Imported { sha256: b, .. }) => a == b,
             _ => false,
         }
     }
@@ -231,7 +228,7 @@ impl Record {
                     || (!named && (entry.weight - 1.0).abs() > 0.0));
             let part = (entry.stage.clone(), sampled);
             *uneven.entry(part.clone()).or_insert(false) |= focused;
-            rows.push((part, Trial::of(&entry, &unseen, provenance.schema_version)));
+            rows.push((part, Trial::of(&entry, &unseen)));
         }
         let all = rows.len();
         let trials: Vec<Trial> = rows

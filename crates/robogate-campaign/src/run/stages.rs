@@ -65,9 +65,6 @@ impl<'a> Run<'a> {
         if recovery.dropped_bytes > 0 {
             events(&Event::warning(Warning::RecordCut { bytes: recovery.dropped_bytes }));
         }
-        if recovery.without_plan {
-            events(&Event::warning(Warning::JournalWithoutPlan));
-        }
         let invalid_so_far = MostlyInvalid::default();
         let chosen = Vec::new();
         Ok(Self { folder, settings, space, journal, bins, executor, events, after_round, invalid_so_far, chosen })

@@ -309,7 +309,7 @@ impl Shards {
             Ok(decoded) => decoded,
             Err(file::Unreadable::Damaged(reason)) => return Err(damaged(reason)),
             Err(file::Unreadable::Newer(found)) => {
-                return Err(RunError::NewerVersion { path, found, known: file::VERSION }.into());
+                return Err(RunError::OtherVersion { path, found, expected: file::VERSION }.into());
             }
         };
         let expected = Header { plan: self.plan_hash, round, shard, episodes: indices.len() as u64 };

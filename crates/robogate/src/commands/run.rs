@@ -521,7 +521,7 @@ pub(crate) fn exit(error: RunError) -> Exit {
         | RunError::AlreadyARun { .. }
         | RunError::InShards { .. }
         | RunError::NotARun { .. }
-        | RunError::NewerVersion { .. }
+        | RunError::OtherVersion { .. }
         | RunError::Mismatch { .. }
         | RunError::NoSuchEpisode { .. }
         | RunError::Suite(_)
