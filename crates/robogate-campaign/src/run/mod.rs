@@ -77,7 +77,7 @@ impl Settings {
     /// Rejects `present` settings that would give other results than these recorded ones.
     pub(crate) fn same(&self, present: &Self) -> Result<(), RunError> {
         same_origin(&self.provenance, &present.provenance)?;
-        let values = [self, &present].map(|settings| serde_json::to_value(settings).unwrap_or_default());
+        let values = [self, present].map(|settings| serde_json::to_value(settings).unwrap_or_default());
         let [recorded, present] = &values;
         for part in ["plan", "provenance"] {
             if let Some((what, recorded, present)) = difference(part.to_owned(), &recorded[part], &present[part]) {
