@@ -14,7 +14,6 @@ locks=(
     "crates/robogate-dictionary/tests/requirements.lock crates/robogate-dictionary/tests/requirements.txt"
     "crates/robogate-gate/tests/evidence-requirements.lock crates/robogate-gate/tests/evidence-requirements.txt crates/robogate-dictionary/tests/requirements.lock"
     "crates/robogate-replay/tests/requirements.lock crates/robogate-replay/tests/requirements.txt crates/robogate-dictionary/tests/requirements.lock"
-    "crates/robogate-report/tests/requirements.lock crates/robogate-report/tests/requirements.txt crates/robogate-dictionary/tests/requirements.lock"
     "crates/robogate-policy/tests/requirements.lock crates/robogate-policy/tests/requirements.txt"
     "bridges/common/requirements.lock bridges/common/requirements.txt"
     "bridges/newton/requirements.lock bridges/newton/requirements.txt bridges/common/requirements.lock"

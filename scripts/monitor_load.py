@@ -381,8 +381,7 @@ def main():
         monitor.stop()
         store = sqlite3.connect(monitor.store)
         raised = [json.loads(body) for (body,) in store.execute("SELECT body FROM alarms ORDER BY n")]
-        # The webhook receives the alarms of the detectors; those of the paper's rule are only stored.
-        raised = {alarm["id"] for alarm in raised if alarm["rule"] == "detector"}
+        raised = {alarm["id"] for alarm in raised}
         delivered = [name for _, name in received]
         waited = max([0.0, *(at - last for at, _ in received)])
 

@@ -184,7 +184,7 @@ if [ $# -eq 0 ]; then
 fi
 
 programs
-python ROBOGATE_TEST_PYTHON readers-venv crates/robogate-dictionary/tests/requirements.lock crates/robogate-gate/tests/evidence-requirements.lock crates/robogate-replay/tests/requirements.lock crates/robogate-report/tests/requirements.lock
+python ROBOGATE_TEST_PYTHON readers-venv crates/robogate-dictionary/tests/requirements.lock crates/robogate-gate/tests/evidence-requirements.lock crates/robogate-replay/tests/requirements.lock
 python ROBOGATE_POLICY_PYTHON policies-venv crates/robogate-policy/tests/requirements.lock
 python ROBOGATE_BRIDGE_PYTHON bridges-venv bridges/common/requirements.lock
 

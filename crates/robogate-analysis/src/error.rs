@@ -56,28 +56,13 @@ pub enum AnalysisError {
         /// The reason.
         reason: String,
     },
-    /// Dictionaries that do not form a study.
-    #[error("these dictionaries do not form a study: {reason}")]
-    NoStudy {
-        /// The mismatch.
-        reason: String,
-    },
-    /// Episodes that are not the two parts of a run with coarse episodes.
-    #[error("{}: no estimate from fine and coarse episodes: {reason}", path.display())]
-    NotTwoFidelities {
-        /// The dictionary.
+    /// A learner cannot predict the rows of another dictionary.
+    #[error("{}: no predictions: {reason}", path.display())]
+    NoPrediction {
+        /// The dictionary that the learner is fitted to.
         path: PathBuf,
         /// The reason.
         reason: String,
-    },
-    /// Episodes of the coarse simulator.
-    #[error(
-        "{}: its episodes are coarse: they ran with a larger time step than their run, and estimate the rates of another simulator\nhint: \
-         use the run that they belong to; its fidelity.json uses both", path.display()
-    )]
-    Coarse {
-        /// The file or folder.
-        path: PathBuf,
     },
     /// A target rate out of range.
     #[error("the target rate {found} is out of range. Expected a number between 0 and 1, for example 0.9")]

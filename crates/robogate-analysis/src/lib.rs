@@ -10,9 +10,8 @@
 //! | a path | [`Source`] |
 //! | a source | [`Analysis`] |
 //! | several sources | [`Comparison`] |
-//! | dictionaries of several designs and a test set | [`study::Study`] |
+//! | dictionaries of two runs | [`learners::predictions`] of one for the other |
 //! | a source and trials of the real robot | [`transfer::Transfer`] |
-//! | dictionaries of fine and coarse episodes | [`TwoFidelities`] |
 //! | the name of a task | [`TaskAnalysis`]: the additions of that task to the generic analysis |
 
 mod analysis;
@@ -25,6 +24,7 @@ mod error;
 mod explorer;
 mod failures;
 pub mod labels;
+pub mod learners;
 mod marginal;
 mod models;
 mod pair_counts;
@@ -36,12 +36,10 @@ mod safe_box;
 mod sampling;
 mod scenarios;
 mod source;
-pub mod study;
 mod success;
 mod table;
 mod task;
 pub mod transfer;
-mod two_fidelities;
 mod watch;
 
 pub use analysis::{Analysis, AnalysisOptions, Envelope, Subject};
@@ -75,5 +73,4 @@ pub use sampling::{SampledRange, Sampling};
 pub use source::Source;
 pub use success::{Adjusted, FaultCount, InvalidBounds, Reweighted, StageSuccess, Success, WeightedRate};
 pub use task::{InteractionModel, TaskAnalysis};
-pub use two_fidelities::{FidelityCost, FidelityRate, FidelityRisk, SimulatorFigures, TwoFidelities};
 pub use watch::{Twin, WatchedEpisode, worth_watching};

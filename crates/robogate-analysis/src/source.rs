@@ -5,7 +5,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use robogate_dictionary::{Dictionary, Fidelity, published};
+use robogate_dictionary::{Dictionary, published};
 use serde::Deserialize;
 
 use crate::AnalysisError;
@@ -57,20 +57,11 @@ pub(crate) struct BoundaryEmphasis {
 }
 
 impl Source {
-    /// Opens a run's folder, a Parquet dictionary, or a published JSON dictionary (imported into a scratch file). The rows are
-    /// those of the fine simulator: coarse ones are rejected.
+    /// Opens a run's folder, a Parquet dictionary, or a published JSON dictionary (imported into a scratch file).
     ///
     /// # Errors
     /// The problem with the path, with a hint.
     pub fn open(path: &Path) -> Result<Self, AnalysisError> {
-        let source = Self::open_any(path)?;
-        match source.dictionary.provenance().fidelity {
-            Fidelity::Fine => Ok(source),
-            Fidelity::Coarse => Err(AnalysisError::Coarse { path: path.to_owned() }),
-        }
-    }
-
-    fn open_any(path: &Path) -> Result<Self, AnalysisError> {
         if path.is_dir() {
             let file = path.join(DICTIONARY);
             if !file.exists() {

@@ -10,11 +10,11 @@
 //! reported but does not affect the decision. A bin without valid episodes is never in the band. No point is sampled
 //! outside the volume, and no weight can extend estimates of the second stage beyond it.
 
-use robogate_core::{Assignment, Domain, Parameter, ParameterSpace};
+use robogate_core::{Domain, Parameter, ParameterSpace};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Bin, Bins, BoundaryStage, Emphasis, MarginalEffect, Plan, PlanError, Range};
+use crate::{Bin, Bins, BoundaryStage, Emphasis, MarginalEffect, PlanError, Range};
 
 /// The boundary found by the first stage and the resulting region of the second stage.
 ///
@@ -40,7 +40,6 @@ pub struct BoundaryReport {
 pub struct ParameterBoundary {
     /// The bins with their counts.
     #[serde(flatten)]
-    #[serde(alias = "along")]
     pub effect: MarginalEffect,
     /// The bins within the band, counted from 0.
     pub in_band: Vec<usize>,
@@ -278,40 +277,6 @@ impl Weights {
     /// q/p at a point of the space. 0 outside the sampled regions.
     fn density(&self, coded: &[f64]) -> f64 {
         self.parts.iter().filter(|(space, _)| contains(space, coded)).map(|(_, density)| density).sum()
-    }
-}
-
-/// Weights for both stages together, under which estimates apply to the operating space.
-///
-/// The n1 points of the first stage and the n2 of the second have the pooled density (n1 p + n2 q)/(n1 + n2). A point
-/// of either stage has the weight (n1 + n2)/(n1 + n2 q/p): the balance heuristic over both stages. The weights stored
-/// in the dictionary apply to each stage alone. Used on both stages at once, they would count the volume twice.
-#[derive(Debug, Clone)]
-pub struct PooledWeights {
-    space: ParameterSpace,
-    uniform: f64,
-    boundary: f64,
-    focused: Weights,
-}
-
-impl PooledWeights {
-    /// Computes the weights of a campaign's points. `space` is the operating space, `report` the boundary found by the
-    /// first stage.
-    pub fn new(plan: &Plan, space: &ParameterSpace, report: &BoundaryReport) -> Result<Self, PlanError> {
-        Ok(Self {
-            space: space.clone(),
-            uniform: plan.uniform.episodes as f64,
-            boundary: plan.boundary.episodes as f64,
-            focused: Weights::new(report, report.focus(space)?),
-        })
-    }
-
-    /// The weight of a point of either stage. `None` if the point is not in the space.
-    pub fn of(&self, requested: &Assignment) -> Option<f64> {
-        let code = |p: &Parameter| p.domain.encode(requested.get(&p.name)?);
-        let coded: Vec<f64> = self.space.parameters().iter().map(code).collect::<Option<_>>()?;
-        let density = self.focused.density(&coded);
-        Some((self.uniform + self.boundary) / (self.uniform + self.boundary * density))
     }
 }
 

@@ -140,9 +140,4 @@ pub enum Warning {
         /// The number of removed bytes.
         bytes: u64,
     },
-    /// The journal was written by version 0.2.
-    #[error(
-        "the journal was started by robogate 0.2, which did not record the plan in it: nothing shows that its episodes are those of this plan"
-    )]
-    JournalWithoutPlan,
 }

@@ -20,8 +20,6 @@ pub const JOURNAL: &str = "journal.rgj";
 pub const LOST: &str = "lost_episodes.jsonl";
 /// The boundary found by the first stage.
 pub const BOUNDARY: &str = "boundary.json";
-/// The episodes of the campaign from which the risk model of the active stage starts. Written before the plan.
-pub const PRIOR: &str = "prior.json";
 /// The models of the active stage.
 pub const ACTIVE: &str = "active.json";
 /// The division of a campaign into shards.
@@ -68,9 +66,7 @@ impl Folder {
     /// The names of the files in the folder, without our own partial files.
     pub(crate) fn names(&self) -> Result<Vec<String>, RunError> {
         let mut names = names(&self.dir).map_err(RunError::io(&self.dir, "list"))?;
-        // A process that was killed before it wrote the plan may have left the prior.
-        let planned = names.iter().any(|name| name == PLAN);
-        names.retain(|name| ![partial(PLAN), partial(PRIOR)].contains(name) && (planned || name != PRIOR));
+        names.retain(|name| *name != partial(PLAN));
         Ok(names)
     }
 

@@ -24,9 +24,6 @@
 //! A plan with `twins` has a control arm ([`NominalArm`]): the same episodes with the nominal values of the task. If the task
 //! declares families of perturbations, a second arm has episodes with one family each ([`family_arm`]).
 //!
-//! A plan with `coarse` has an arm of coarse episodes ([`Plan::coarse_arm`]): more scenarios in a simulator with a larger time
-//! step, of which those of the campaign are a sample.
-//!
 //! Many machines can share a campaign: each runs some [`shards`], and the merged files are those of one machine.
 //!
 //! An [`Executor`] runs the episodes with workers from a [`WorkerFactory`]. This crate knows no specific environment or
@@ -34,7 +31,6 @@
 
 mod active;
 pub mod boundary;
-mod coarse;
 mod events;
 mod executor;
 pub mod folder;
@@ -52,14 +48,8 @@ mod tally;
 mod threads;
 mod twins;
 
-pub use active::{
-    ActiveReport, ActiveRound, ActiveStage, Certificate, ModelScore, Prior, PriorEffect, PriorError, PriorResult,
-    PriorRound, PriorRun,
-};
-pub use boundary::{
-    BoundaryReport, DrawnFrom, EmphasisFound, Focus, ParameterBoundary, PooledWeights, Region, Restricted,
-};
-pub use coarse::{COARSE, CoarseStage};
+pub use active::{ActiveReport, ActiveRound, ActiveStage, Certificate, ModelScore};
+pub use boundary::{BoundaryReport, DrawnFrom, EmphasisFound, Focus, ParameterBoundary, Region, Restricted};
 pub use events::{Event, Warning};
 pub use executor::{ExecuteError, Executor, Worker, WorkerFactory};
 pub use follow::{FollowError, Follower, Progress};
@@ -68,7 +58,7 @@ pub use plan::{BoundaryStage, DEFAULT_SEED, Emphasis, Plan, PlanError, Preset, R
 pub use rows::{RowsError, check_rows};
 pub use run::{
     AfterRound, Completion, RunError, Settings, not_in_shards, recorded, resume, resume_in_rounds, settings, start,
-    start_from, start_in_rounds,
+    start_in_rounds,
 };
 pub use stage::{Points, Stage};
 pub use suite::{

@@ -15,11 +15,6 @@ pub enum RowsError {
     /// The provenance contains no plan of a campaign.
     #[error("the rows have no plan of a campaign: {0}\nhint: only rows that robogate recorded can be checked")]
     NoPlan(serde_json::Error),
-    /// The points follow from a prior, whose episodes are not among the rows.
-    #[error(
-        "the risk model started from a prior, and rows alone do not contain its episodes: the points cannot be checked"
-    )]
-    Prior,
     /// An episode is missing.
     #[error("episode {index} is missing")]
     Missing {
@@ -72,10 +67,7 @@ where
         None => Points::uniform(&plan, &space)?,
     };
     let mut bins = Bins::of(&plan, &space).map_err(RunError::from)?;
-    if plan.active.as_ref().is_some_and(|stage| stage.prior.is_some()) {
-        return Err(RowsError::Prior);
-    }
-    let mut chooser = Chooser::new(&plan, &space, foresight, None, all_processors())?;
+    let mut chooser = Chooser::new(&plan, &space, foresight, all_processors());
     let mut rounds = 0;
     let mut found = 0;
     for row in rows {

@@ -4,7 +4,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use robogate_core::{Assignment, Design, Episode, ParameterSpace, Scenario, Seed};
-use robogate_dictionary::{Entry, Fidelity, Label};
+use robogate_dictionary::{Entry, Label};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -76,7 +76,6 @@ pub struct Points {
     stage: Stage,
     seed: Seed,
     sampler: &'static str,
-    fidelity: Fidelity,
     first_index: u64,
     source: Source,
 }
@@ -146,22 +145,21 @@ impl Points {
         designs: Vec<Design>,
         weights: Option<Weights>,
     ) -> Result<Self, RunError> {
-        let (seed, sampler, fidelity) = (Seed::campaign(plan.seed), plan.sampler()?.name(), plan.fidelity);
-        Ok(Self { stage, seed, sampler, fidelity, first_index, source: Source::Drawn { designs, weights } })
+        let (seed, sampler) = (Seed::campaign(plan.seed), plan.sampler()?.name());
+        Ok(Self { stage, seed, sampler, first_index, source: Source::Drawn { designs, weights } })
     }
 
     /// The points of a round of the active stage, from this index on.
     pub(crate) fn active(plan: &Plan, first_index: u64, points: Vec<Chosen>) -> Self {
         let seed = Seed::campaign(plan.seed);
-        let (fidelity, source) = (plan.fidelity, Source::Listed(points));
-        Self { stage: Stage::Active, seed, sampler: "active", fidelity, first_index, source }
+        let source = Source::Listed(points);
+        Self { stage: Stage::Active, seed, sampler: "active", first_index, source }
     }
 
     /// The scenarios of a suite, in all its rounds.
     pub fn suite(stage: &SuiteStage, seed: u64) -> Self {
         let source = Source::Suite(Box::new(stage.clone()));
-        let fidelity = Fidelity::Fine;
-        Self { stage: Stage::Suite, seed: Seed::campaign(seed), sampler: "suite", fidelity, first_index: 0, source }
+        Self { stage: Stage::Suite, seed: Seed::campaign(seed), sampler: "suite", first_index: 0, source }
     }
 
     /// The stage.
@@ -250,8 +248,8 @@ impl Points {
         let index = episode.scenario.index;
         let (weight, label) = (self.weight(index)?, self.label(index));
         let design = self.design(index).to_owned();
-        let (stage, fidelity) = (self.stage.as_str().to_owned(), self.fidelity);
-        Some(Entry { stage, design, weight, label, fidelity, episode })
+        let stage = self.stage.as_str().to_owned();
+        Some(Entry { stage, design, weight, label, episode })
     }
 
     /// The position of an episode in the stage or round, if it does not come before it.

@@ -137,7 +137,7 @@ pub struct StageSummary {
     /// The faults of invalid episodes.
     pub faults: Vec<FaultCount>,
     /// The marginal effect of each continuous parameter, for the uniform stage only.
-    #[serde(default, skip_serializing_if = "Vec::is_empty", alias = "along")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub marginal_effects: Vec<MarginalEffect>,
 }
 
@@ -163,17 +163,11 @@ pub struct ModeCount {
     #[schemars(with = "String")]
     pub mode: FailureMode,
     /// Whether the task declares the mode. Otherwise the failure has an unknown kind.
-    #[serde(default = "declared")]
     pub declared: bool,
     /// The number of episodes.
     pub episodes: u64,
     /// The share of the failures. Absent if there are none.
     pub share_of_failures: Option<f64>,
-}
-
-/// The default for summaries of earlier versions, which contain only declared modes.
-fn declared() -> bool {
-    true
 }
 
 /// The count of one class of fault.

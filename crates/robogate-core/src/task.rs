@@ -288,15 +288,6 @@ impl TaskSpec {
         declared.and_then(|spec| spec.published_as).unwrap_or(mode)
     }
 
-    /// The meaning of a failure mode, if the task declares one.
-    pub fn meaning_of(&self, mode: FailureMode) -> Option<&str> {
-        self.failure_modes
-            .iter()
-            .find(|spec| spec.name == mode)
-            .map(|spec| &*spec.meaning)
-            .filter(|text| !text.is_empty())
-    }
-
     /// The measure with this name.
     pub fn measure(&self, name: &str) -> Option<&MeasureSpec> {
         self.measures.iter().find(|measure| measure.name == name)

@@ -89,7 +89,6 @@ fn provenance(task: &Arc<TaskSpec>, space: &ParameterSpace) -> Provenance {
         world: serde_json::Value::Null,
         space: space.clone(),
         plan: serde_json::Value::Null,
-        fidelity: robogate_dictionary::Fidelity::Fine,
         seed: 1,
         question_sha256: None,
         platform: Some(Platform::here()),
@@ -110,7 +109,6 @@ fn entry(task: &TaskSpec, space: &ParameterSpace, index: u64) -> Entry {
         design: "latin_hypercube".to_owned(),
         weight: 1.0,
         label: Label::default(),
-        fidelity: robogate_dictionary::Fidelity::Fine,
         episode: Episode {
             applied: requested.clone(),
             scenario: Scenario { index, seed, requested },

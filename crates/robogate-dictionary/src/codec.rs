@@ -15,7 +15,7 @@ use robogate_core::{
     Word,
 };
 
-use crate::{Entry, Fidelity, Label};
+use crate::{Entry, Label};
 
 /// Every class of fault, in the order of the codes.
 pub(crate) const FAULT_KINDS: [FaultKind; 5] =
@@ -65,7 +65,7 @@ struct Encoder<'a> {
 
 impl Encoder<'_> {
     fn entry(&mut self, entry: &Entry) {
-        let Entry { stage, design, weight, label, fidelity, episode } = entry;
+        let Entry { stage, design, weight, label, episode } = entry;
         let Episode { scenario, applied, outcome, time_s, phase, contact, measures, draws, ticks, trajectory_hash } =
             episode;
         self.u64(scenario.index);
@@ -93,8 +93,7 @@ impl Encoder<'_> {
         let with_draws = self.canonical.is_none() && !draws.is_empty();
         self.u8(u8::from(contact.is_some()) * CONTACT
             + u8::from(!label.is_empty()) * LABEL
-            + u8::from(with_draws) * DRAWS
-            + u8::from(*fidelity == Fidelity::Coarse) * COARSE);
+            + u8::from(with_draws) * DRAWS);
         if let Some(Contact { robot_body, other_body, force_n }) = contact {
             self.text(robot_body);
             self.text(other_body);
@@ -227,8 +226,6 @@ const PHASE_BY_NAME: u8 = u8::MAX;
 const CONTACT: u8 = 1;
 const LABEL: u8 = 2;
 const DRAWS: u8 = 4;
-/// Marks an episode of the coarse simulator. Nothing follows.
-const COARSE: u8 = 8;
 
 const NUMBER: u8 = b'n';
 const INTEGER: u8 = b'i';
@@ -299,8 +296,8 @@ impl<'a> Decoder<'a> {
             code => return Err(format!("{code} is not the code of a phase")),
         };
         let there = match self.u8()? {
-            there if there & !(CONTACT | LABEL | DRAWS | COARSE) == 0 => there,
-            code => return Err(format!("{code} is not a valid mark for contact, label, draws and fidelity")),
+            there if there & !(CONTACT | LABEL | DRAWS) == 0 => there,
+            code => return Err(format!("{code} is not a valid mark for contact, label and draws")),
         };
         let contact = if there & CONTACT != 0 {
             let (robot_body, other_body) = (self.text()?.to_owned(), self.text()?.to_owned());
@@ -319,8 +316,7 @@ impl<'a> Decoder<'a> {
         let trajectory_hash = self.u64()?;
         let episode =
             Episode { scenario, applied, outcome, time_s, phase, contact, measures, draws, ticks, trajectory_hash };
-        let fidelity = if there & COARSE != 0 { Fidelity::Coarse } else { Fidelity::Fine };
-        Ok(Entry { stage, design, weight, label, fidelity, episode })
+        Ok(Entry { stage, design, weight, label, episode })
     }
 
     fn numbers(&mut self) -> Result<Measures, String> {

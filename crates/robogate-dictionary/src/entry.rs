@@ -1,12 +1,7 @@
 //! Entries: one row of the dictionary per episode.
 
-use std::fmt;
-
-use robogate_core::{Episode, Seed};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
 use crate::DictionaryError;
+use robogate_core::{Episode, Seed};
 
 /// One episode with the origin of its scenario.
 ///
@@ -22,49 +17,8 @@ pub struct Entry {
     pub weight: f64,
     /// The suite scenario of the episode. Empty if the point was sampled from a space.
     pub label: Label,
-    /// The fidelity of the simulator that ran the episode.
-    pub fidelity: Fidelity,
     /// The request and the result.
     pub episode: Episode,
-}
-
-/// The fidelity of the simulator that ran an episode.
-///
-/// A dictionary has episodes of one fidelity. Coarse episodes are cheaper, and estimate the rates of another simulator.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Fidelity {
-    /// The time step of the run.
-    #[default]
-    Fine,
-    /// A larger time step than that of the run that the episodes belong to.
-    Coarse,
-}
-
-impl Fidelity {
-    /// The word in the dictionary.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Fine => "fine",
-            Self::Coarse => "coarse",
-        }
-    }
-
-    /// The fidelity with this word.
-    pub fn by_name(word: &str) -> Option<Self> {
-        [Self::Fine, Self::Coarse].into_iter().find(|fidelity| fidelity.as_str() == word)
-    }
-
-    /// Whether this is the fine fidelity.
-    pub fn is_fine(&self) -> bool {
-        *self == Self::Fine
-    }
-}
-
-impl fmt::Display for Fidelity {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.as_str())
-    }
 }
 
 /// The suite scenario that an episode belongs to. A missing word is absent.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use robogate_core::SpaceError;
 
-use crate::{Fidelity, SCHEMA_VERSION, SchemaVersion};
+use crate::{SCHEMA_VERSION, SchemaVersion};
 
 /// A row of a table, counted from 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -59,9 +59,9 @@ pub enum DictionaryError {
         /// The problem.
         reason: String,
     },
-    /// The file was written by a later version of robogate.
-    #[error("{}: schema version {found} is newer than {known}, the newest that this version of robogate reads\nhint: upgrade robogate; the file was not changed", path.display(), known = SCHEMA_VERSION)]
-    NewerSchema {
+    /// The file was written by another version of robogate.
+    #[error("{}: its schema version is {found}. Expected {SCHEMA_VERSION}\nhint: {}; the file was not changed", path.display(), other_version_hint(*found))]
+    OtherSchema {
         /// The file.
         path: PathBuf,
         /// The version.
@@ -148,19 +148,6 @@ pub enum DictionaryError {
         found: u64,
         /// The dictionary's seed.
         expected: u64,
-    },
-    /// An episode of another fidelity than the dictionary.
-    #[error(
-        "episode {index} has the fidelity {found}. Expected {expected}, as in the dictionary\nhint: keep fine and coarse episodes in \
-         files of their own"
-    )]
-    ForeignFidelity {
-        /// The episode's index.
-        index: u64,
-        /// The episode's fidelity.
-        found: Fidelity,
-        /// The dictionary's fidelity.
-        expected: Fidelity,
     },
     /// An index that is not larger than the previous one.
     #[error("episode {index} follows episode {previous}. Expected each index once, in increasing order")]
@@ -287,5 +274,14 @@ fn io_hint(source: &io::Error) -> &'static str {
         }
         io::ErrorKind::NotFound => "\nhint: check the path",
         _ => "",
+    }
+}
+
+/// What to do with a dictionary of another schema version.
+fn other_version_hint(found: SchemaVersion) -> &'static str {
+    if found > SCHEMA_VERSION {
+        "upgrade robogate"
+    } else {
+        "run the campaign again, or use the version of robogate that wrote it"
     }
 }

@@ -14,13 +14,8 @@ use crate::{DictionaryError, Entry, hex};
 
 const MAGIC: [u8; 8] = *b"RGJOURNL";
 const VERSION: u32 = 3;
-/// The version of RoboGate 0.2, whose header does not contain the plan's hash. It is still read.
-const UNBOUND: u32 = 2;
-/// The version of RoboGate 0.1, which stored failure modes and measures of its one task by number.
-const BEFORE_TASKS: u32 = 1;
-const HEADER: u64 = 48;
-/// The size of a header of version [`UNBOUND`] and before.
-const UNBOUND_HEADER: u64 = 16;
+/// The size of the header.
+pub(crate) const HEADER: u64 = 48;
 /// Bytes that [`Journal::extend`] collects for one `write` call.
 const CHUNK: usize = 1 << 20;
 
@@ -32,8 +27,6 @@ pub type PlanHash = [u8; 32];
 pub struct Recovery {
     /// Bytes of an incomplete last record that were removed. 0 if the journal was intact.
     pub dropped_bytes: u64,
-    /// Whether the header names no plan, as in journals of version 0.2. The episodes may then be those of another plan.
-    pub without_plan: bool,
 }
 
 /// The append-only journal of a running campaign. It takes 16 bytes of memory per episode, in any order.
@@ -48,8 +41,6 @@ pub struct Journal {
     places: Vec<(u64, u64)>,
     /// The plan that the header must name.
     plan: PlanHash,
-    /// The size of the header.
-    header: u64,
     /// End of the last complete frame.
     end: u64,
     /// Whether an append failed and could not be undone.
@@ -84,14 +75,13 @@ impl Journal {
         let mut journal = Self::over(file, path, plan)?;
         let length = journal.file.metadata().map_err(DictionaryError::io(path, "inspect"))?.len();
         let kept = journal.scan(length)?;
-        if kept < length || kept < journal.header {
+        if kept < length || kept < HEADER {
             journal.file.set_len(kept).map_err(DictionaryError::io(path, "repair"))?;
         }
-        if kept < journal.header {
+        if kept < HEADER {
             journal.write_header()?;
         }
-        let without_plan = journal.header == UNBOUND_HEADER;
-        Ok((journal, Recovery { dropped_bytes: length - kept, without_plan }))
+        Ok((journal, Recovery { dropped_bytes: length - kept }))
     }
 
     fn over(file: File, path: &Path, plan: &PlanHash) -> Result<Self, DictionaryError> {
@@ -107,7 +97,6 @@ impl Journal {
             path: path.to_owned(),
             places: Vec::new(),
             plan: *plan,
-            header: HEADER,
             end: 0,
             broken: false,
             buffer: Vec::new(),
@@ -118,7 +107,7 @@ impl Journal {
     fn write_header(&mut self) -> Result<(), DictionaryError> {
         let header = header_of(&self.plan);
         self.file.write_all(&header).map_err(DictionaryError::io(&self.path, "write"))?;
-        self.end = self.header;
+        self.end = HEADER;
         Ok(())
     }
 
@@ -129,7 +118,7 @@ impl Journal {
         if !self.scan_header(&mut reader)? {
             return Ok(0);
         }
-        self.end = self.header;
+        self.end = HEADER;
         while self.end < length {
             match self.scan_frame(&mut reader, length - self.end)? {
                 Some(size) => self.end += size,
@@ -145,13 +134,10 @@ impl Journal {
     }
 
     /// Checks the header. Returns `false` if the file ends inside it, because its writer was killed while creating it.
-    fn scan_header(&mut self, reader: &mut (impl Read + Seek)) -> Result<bool, DictionaryError> {
+    fn scan_header(&mut self, reader: &mut impl Read) -> Result<bool, DictionaryError> {
         let mut found = Vec::new();
         reader.take(HEADER).read_to_end(&mut found).map_err(DictionaryError::io(&self.path, "read"))?;
-        let Some(size) = header_size(&self.path, &found, &self.plan)? else { return Ok(false) };
-        self.header = size;
-        reader.seek(SeekFrom::Start(size)).map_err(DictionaryError::io(&self.path, "read"))?;
-        Ok(true)
+        check_header(&self.path, &found, &self.plan)
     }
 
     /// The size of the frame at `self.end`, with `left` bytes remaining in the file. `None` if the frame is incomplete.
@@ -348,29 +334,26 @@ impl Drop for Journal {
     }
 }
 
-/// The size of the header that `found`, the first bytes of a journal, contains. `None` if the file ends inside it.
-pub(crate) fn header_size(path: &Path, found: &[u8], plan: &PlanHash) -> Result<Option<u64>, DictionaryError> {
+/// Checks the header that `found`, the first bytes of a journal, contains. `false` if the file ends inside it.
+pub(crate) fn check_header(path: &Path, found: &[u8], plan: &PlanHash) -> Result<bool, DictionaryError> {
     let refuse = |reason: String| Err(DictionaryError::NotAJournal { path: path.to_owned(), reason });
     let found = found.get(..HEADER as usize).unwrap_or(found);
     let expected = header_of(plan);
     if found == expected {
-        return Ok(Some(HEADER));
-    }
-    if found.starts_with(&old_header(UNBOUND)) {
-        return Ok(Some(UNBOUND_HEADER));
+        return Ok(true);
     }
     // Before the plan's hash, a header of another plan is the same.
-    if expected.starts_with(found) || old_header(UNBOUND).starts_with(found) {
-        return Ok(None);
+    if expected.starts_with(found) {
+        return Ok(false);
     }
     let version = found.get(8..12).and_then(|bytes| bytes.first_chunk()).map(|bytes| u32::from_le_bytes(*bytes));
     match (found.first_chunk(), version) {
-        (Some(&MAGIC), Some(version)) if version > VERSION => refuse(format!(
-            "version {version} is newer than {VERSION}, the newest that this version of robogate reads\nhint: upgrade robogate"
+        (Some(&MAGIC), Some(version)) if version > VERSION => {
+            refuse(format!("its version is {version}. Expected {VERSION}\nhint: upgrade robogate"))
+        }
+        (Some(&MAGIC), Some(version)) if version < VERSION => refuse(format!(
+            "its version is {version}. Expected {VERSION}\nhint: finish the run with the version of robogate that started it, or start it again"
         )),
-        (Some(&MAGIC), Some(BEFORE_TASKS)) if found.starts_with(&old_header(BEFORE_TASKS)) => refuse(
-            "this run was started with robogate 0.1\nhint: finish it with that version, or start it again".to_owned(),
-        ),
         (Some(&MAGIC), _) => match found.get(12..44).and_then(|bytes| bytes.first_chunk()) {
             Some(named) if found == header_of(named) => {
                 let [found, expected] = [named, plan].map(|plan| hex(plan));
@@ -390,16 +373,6 @@ fn header_of(plan: &PlanHash) -> [u8; HEADER as usize] {
     header[12..44].copy_from_slice(plan);
     let crc = crc32fast::hash(&header[..44]);
     header[44..].copy_from_slice(&crc.to_le_bytes());
-    header
-}
-
-/// The header of an older version, without a plan.
-fn old_header(version: u32) -> [u8; UNBOUND_HEADER as usize] {
-    let mut header = [0; UNBOUND_HEADER as usize];
-    header[..8].copy_from_slice(&MAGIC);
-    header[8..12].copy_from_slice(&version.to_le_bytes());
-    let crc = crc32fast::hash(&header[..12]);
-    header[12..].copy_from_slice(&crc.to_le_bytes());
     header
 }
 

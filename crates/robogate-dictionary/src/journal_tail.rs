@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use crate::codec::{self, Interner};
 use crate::frame::{HEAD, parse_head};
-use crate::journal::header_size;
+use crate::journal::{HEADER, check_header};
 use crate::{DictionaryError, Entry, PlanHash};
 
 /// Follows a journal that another process may write. It takes no lock and changes nothing.
@@ -66,8 +66,10 @@ impl JournalTail {
         if self.end == 0 {
             let mut found = Vec::new();
             reader.by_ref().take(64).read_to_end(&mut found).map_err(DictionaryError::io(&self.path, "read"))?;
-            let Some(size) = header_size(&self.path, &found, &self.plan)? else { return Ok(()) };
-            self.end = size;
+            if !check_header(&self.path, &found, &self.plan)? {
+                return Ok(());
+            }
+            self.end = HEADER;
         }
         reader.seek(SeekFrom::Start(self.end)).map_err(DictionaryError::io(&self.path, "read"))?;
         while let Some(entry) = self.next(&mut reader, length)? {

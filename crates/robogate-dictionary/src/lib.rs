@@ -35,7 +35,7 @@ mod text;
 pub mod v1;
 
 pub use columns::{FixedColumn, Kind, fixed_columns};
-pub use entry::{Entry, Fidelity, Label};
+pub use entry::{Entry, Label};
 pub use error::{DictionaryError, Row};
 pub use hash::{DatasetHash, dataset_hash, hex};
 pub use identity::{TaskIdentity, suite_sha256};

@@ -14,7 +14,7 @@ pub struct Platform {
     pub os: String,
     /// Architecture (`x86_64`).
     pub arch: String,
-    /// C library with its version (`glibc 2.36`). Absent if it is unknown, as in files of version 0.2.
+    /// C library with its version (`glibc 2.36`). Absent if it is unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub libc: Option<String>,
     /// The CPU features by which the C library chooses its variants (`avx2`, `fma`), sorted, and `avx512` if a network ran in this

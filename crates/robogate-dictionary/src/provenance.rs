@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::{Fidelity, Platform, SCHEMA_VERSION, SchemaVersion, hex};
+use crate::{Platform, SCHEMA_VERSION, SchemaVersion, hex};
 
 /// The provenance of a dictionary: everything that its rows depend on.
 ///
@@ -19,13 +19,12 @@ pub struct Provenance {
     pub tool: Tool,
     /// Version of the dictionary's schema.
     pub schema_version: SchemaVersion,
-    /// The build of the tool. Absent if it is unknown, as in files of version 0.2 and in imports.
+    /// The build of the tool. Absent if it is unknown, as in imports.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub build: Option<Build>,
     /// The physics engine.
     pub engine: Engine,
     /// The task, as declared by the environment. Its measures are columns of the rows.
-    #[serde(default = "before_tasks")]
     pub task: Arc<TaskSpec>,
     /// The robot.
     pub robot: Robot,
@@ -34,9 +33,6 @@ pub struct Provenance {
     /// The settings of the environment (for example its time step), in the environment's format.
     #[serde(default, skip_serializing_if = "serde_json::Value::is_null")]
     pub world: serde_json::Value,
-    /// The fidelity of all episodes. Absent if it is the fine one.
-    #[serde(default, skip_serializing_if = "Fidelity::is_fine")]
-    pub fidelity: Fidelity,
     /// The parameter space. Its parameters are columns of the rows, in this order.
     pub space: ParameterSpace,
     /// The settings of the campaign (stages, budgets, designs, limits), in the campaign's format.
@@ -56,19 +52,6 @@ pub struct Provenance {
 }
 
 impl Provenance {
-    /// This provenance without the properties of build and platform that `recorded`, which an older version may have
-    /// written, does not contain.
-    pub fn as_known_in(mut self, recorded: &Self) -> Self {
-        if recorded.build.is_none() {
-            self.build = None;
-        }
-        if let (Some(platform), Some(recorded)) = (&mut self.platform, &recorded.platform) {
-            platform.libc = platform.libc.take().filter(|_| recorded.libc.is_some());
-            platform.cpu = platform.cpu.take().filter(|_| recorded.cpu.is_some());
-        }
-        self
-    }
-
     /// SHA-256 (hex) of the policy's file, or of what its server or its environment declared to run. `None` if it is
     /// unknown, and for a policy that is built into RoboGate.
     pub fn policy_sha256(&self) -> Option<String> {
@@ -89,11 +72,6 @@ impl Provenance {
         // A tree of strings, numbers and maps with string keys cannot fail to serialise.
         serde_json::to_string(self).unwrap_or_default()
     }
-}
-
-/// The task of a dictionary that does not name one.
-fn before_tasks() -> Arc<TaskSpec> {
-    Arc::new(crate::v1::task())
 }
 
 /// The tool that wrote a dictionary.

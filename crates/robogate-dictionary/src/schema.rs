@@ -7,23 +7,13 @@ use std::str::FromStr;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
-/// The version that this crate writes, and the newest one that it knows.
-pub const SCHEMA_VERSION: SchemaVersion = SchemaVersion { major: 2, minor: 2 };
-
-/// The oldest version that this crate reads. Version 2.0 added the task, 2.1 the hidden draws, 2.2 the
-/// fidelity; no version removed a column.
-pub(crate) const OLDEST: SchemaVersion = SchemaVersion { major: 1, minor: 0 };
-
-/// The version that added the columns of a suite's scenarios (`case`, `category`, `group`).
-pub(crate) const LABELLED: SchemaVersion = SchemaVersion { major: 1, minor: 1 };
-
-/// The last version without the column `fidelity`. All of its rows are of the fine simulator.
-pub(crate) const WITHOUT_FIDELITY: SchemaVersion = SchemaVersion { major: 2, minor: 1 };
+/// The version that this crate writes, and the oldest one that it reads.
+pub const SCHEMA_VERSION: SchemaVersion = SchemaVersion { major: 3, minor: 0 };
 
 /// A version of the dictionary's schema, in the form `major.minor`.
 ///
-/// A minor version adds columns: older and newer ones of the same major version are readable. A major version changes
-/// the columns or their meaning, so newer ones are rejected. All older versions are readable.
+/// A minor version adds columns, so newer ones of the same major version are readable. A major version changes the columns
+/// or their meaning, so all other ones are rejected. Older versions are rejected too.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct SchemaVersion {
@@ -36,13 +26,7 @@ pub struct SchemaVersion {
 impl SchemaVersion {
     /// Whether this crate can read a file of this version.
     pub fn is_readable(self) -> bool {
-        OLDEST <= self && self.major <= SCHEMA_VERSION.major
-    }
-
-    /// Whether this crate can add rows to a file of this version. A newer minor version is excluded, because its
-    /// additional columns would stay empty.
-    pub fn is_writable(self) -> bool {
-        self.is_readable() && self <= SCHEMA_VERSION
+        SCHEMA_VERSION <= self && self.major == SCHEMA_VERSION.major
     }
 }
 

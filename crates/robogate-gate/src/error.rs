@@ -24,12 +24,6 @@ pub enum GateError {
         /// The requirement.
         id: String,
     },
-    /// Episodes of the coarse simulator.
-    #[error(
-        "the episodes are coarse: they ran with a larger time step than their run, so no verdict can rest on them\nhint: judge the run that \
-         they belong to"
-    )]
-    Coarse,
     /// A file with a syntax error. The text contains line, column and key.
     #[error("{0}")]
     Syntax(String),

@@ -189,7 +189,6 @@ pub struct Evaluation {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub new_cases: Option<NewCases>,
     /// The result of each requirement.
-    #[serde(alias = "findings")]
     pub results: Vec<RequirementResult>,
     /// Whether the policy may replace another one, if that was requested.
     pub comparison: Option<Comparison>,

@@ -152,28 +152,10 @@ impl fmt::Display for Metric {
     }
 }
 
-/// Names of metrics in files of version 0.1, with their current names.
-const OLD_SPELLINGS: [(&str, &str); 6] = [
-    ("success_rate", "success"),
-    ("collision_count", "failure_count:collision"),
-    ("collision_rate", "failure:collision"),
-    ("drop_rate", "failure:grip_loss"),
-    ("grasp_miss_rate", "failure:grasp_miss"),
-    ("timeout_rate", "failure:timeout"),
-];
-
-impl Metric {
-    /// The current name of a metric that version 0.1 named differently.
-    pub(crate) fn renamed(old: &str) -> Option<&'static str> {
-        OLD_SPELLINGS.iter().find(|(name, _)| *name == old).map(|(_, new)| *new)
-    }
-}
-
 impl FromStr for Metric {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let text = Self::renamed(text).unwrap_or(text);
         let wrong = || {
             format!(
                 "`{text}` is not a metric. Expected success, real:success, failure:<mode>, failure_count:<mode>, \
@@ -257,16 +239,10 @@ mod tests {
     }
 
     #[test]
-    fn old_spellings_are_read() {
-        for (old, new) in OLD_SPELLINGS {
-            assert_eq!(old.parse::<Metric>().unwrap().to_string(), new);
-        }
-    }
-
-    #[test]
     fn unknown_metrics_are_rejected() {
         for text in [
             "",
+            "success_rate",
             "success:p95",
             "failure",
             "failure:success",

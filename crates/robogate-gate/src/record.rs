@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use robogate_core::{FailureMode, Suite, TaskSpec, Value};
 use robogate_dictionary::results::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED};
-use robogate_dictionary::{Dictionary, Entry, Fidelity, Label, Provenance, RowSampling, Stopping, hex, suite_sha256};
+use robogate_dictionary::{Dictionary, Entry, Label, Provenance, RowSampling, Stopping, hex, suite_sha256};
 use robogate_stats::format::counted;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -55,10 +55,7 @@ impl Population {
         match (self, other) {
             (Self::Suite { sha256: a, .. }, Self::Suite { sha256: b, .. })
             | (Self::Drawn { sha256: a, .. }, Self::Drawn { sha256: b, .. })
-            | (Self::Imported { sha256: a, .. }, Self::Imported { sha256: b, .. })
-            // Files of version 0.2 and older describe imported scenarios as sampled ones.
-            | (Self::Imported { sha256: a, .. }, Self::Drawn { sha256: b, .. })
-            | (Self::Drawn { sha256: a, .. }, Self::Imported { sha256: b, .. }) => a == b,
+            | (Self::Imported { sha256: a, .. }, Self::Imported { sha256: b, .. }) => a == b,
             _ => false,
         }
     }
@@ -162,11 +159,8 @@ impl Record {
     /// The rows of a dictionary that represent its suite or its space.
     ///
     /// # Errors
-    /// If a row cannot be read, or if the episodes are coarse.
+    /// If a row cannot be read.
     pub fn of(dictionary: &Dictionary) -> Result<Self, GateError> {
-        if dictionary.provenance().fidelity == Fidelity::Coarse {
-            return Err(GateError::Coarse);
-        }
         let hash = dictionary.dataset_hash();
         Self::collect(dictionary.provenance(), hash, dictionary.entries().map(|entry| entry.map_err(GateError::from)))
     }
@@ -234,7 +228,7 @@ impl Record {
                     || (!named && (entry.weight - 1.0).abs() > 0.0));
             let part = (entry.stage.clone(), sampled);
             *uneven.entry(part.clone()).or_insert(false) |= focused;
-            rows.push((part, Trial::of(&entry, &unseen, provenance.schema_version)));
+            rows.push((part, Trial::of(&entry, &unseen)));
         }
         let all = rows.len();
         let trials: Vec<Trial> = rows

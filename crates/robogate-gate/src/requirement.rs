@@ -35,7 +35,7 @@ pub struct Requirement {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub each: Option<Each>,
     /// For means: an upper bound of every value (for `cycle_time_s`, the time limit of the task in seconds).
-    #[serde(default, skip_serializing_if = "Option::is_none", alias = "ceiling_s")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ceiling: Option<f64>,
     /// For means of measures: a lower bound of every value. Default 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -187,21 +187,6 @@ impl Requirements {
         Ok(requirements)
     }
 
-    /// The names of version 0.1 in a file of requirements, each with its current name. They are still read.
-    pub fn old_spellings(text: &str) -> Vec<(String, &'static str)> {
-        let mut found = BTreeSet::new();
-        let document = text.parse::<toml::Table>().unwrap_or_default();
-        let tables = ["requirement", "score"].into_iter().filter_map(|key| document.get(key)?.as_array());
-        for table in tables.flatten().filter_map(toml::Value::as_table) {
-            if table.contains_key("ceiling_s") {
-                found.insert(("ceiling_s".to_owned(), "ceiling"));
-            }
-            let metric = table.get("metric").and_then(toml::Value::as_str);
-            found.extend(metric.and_then(|old| Some((old.to_owned(), Metric::renamed(old)?))));
-        }
-        found.into_iter().collect()
-    }
-
     /// Serialises the requirements as TOML. Equal requirements give equal bytes.
     pub fn to_toml(&self) -> String {
         // Strings, finite numbers and tables always serialise.

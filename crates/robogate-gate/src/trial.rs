@@ -1,7 +1,7 @@
 //! The part of a row that the gate uses.
 
 use robogate_core::{Assignment, FailureMode, Fault, Measures, Outcome};
-use robogate_dictionary::{Entry, Label, SchemaVersion};
+use robogate_dictionary::{Entry, Label};
 
 /// How an episode ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -63,17 +63,9 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// The trial of a row whose source does not record these failure modes. Imports of version 0.1 store a failure of
-    /// unknown kind as a timeout.
-    pub fn of(entry: &Entry, unseen: &[FailureMode], version: SchemaVersion) -> Self {
-        let trial = Self::from(entry);
-        let ending = match trial.ending {
-            Ending::Failure(Some(FailureMode::TIMEOUT)) if !unseen.is_empty() && version.major < 2 => {
-                Ending::Failure(None)
-            }
-            ending => ending,
-        };
-        Self { ending, unseen: unseen.to_vec(), ..trial }
+    /// The trial of a row whose source does not record these failure modes.
+    pub fn of(entry: &Entry, unseen: &[FailureMode]) -> Self {
+        Self { unseen: unseen.to_vec(), ..Self::from(entry) }
     }
 }
 

@@ -26,24 +26,13 @@ impl Level {
     }
 }
 
-/// The rule that raised an alarm.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Rule {
-    /// The moving window of the paper. Its false-alarm rate is not bounded.
-    Paper,
-    /// The e-detector. Its mean run length to a false alarm has a lower bound.
-    Detector,
-}
-
 /// Whether an alarm was raised or cleared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Happening {
     /// The alarm was raised and is active.
     Raised,
-    /// The alarm is no longer active: the window recovered, or there was no further evidence for a sufficient number of
-    /// cycles.
+    /// The alarm is no longer active: there was no further evidence for a sufficient number of cycles.
     Cleared,
 }
 
@@ -56,8 +45,6 @@ pub struct Alarm {
     pub happening: Happening,
     /// The severity.
     pub level: Level,
-    /// The rule that raised it.
-    pub rule: Rule,
     /// The recipe.
     pub recipe: String,
     /// The metric that changed: `success`, `event:NAME`, `cycle_time`, `cycle_time_spread`, `failure_modes`, `outside`,
@@ -75,7 +62,7 @@ pub struct Alarm {
     pub what: String,
     /// The statistical guarantee, in one sentence.
     pub how_sure: String,
-    /// The start of the change. `None` for a cleared alarm and for the paper's rule.
+    /// The start of the change. `None` for a cleared alarm.
     pub since: Option<Since>,
     /// Likely causes, the most likely first.
     pub look_at: Vec<String>,

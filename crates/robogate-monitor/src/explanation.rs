@@ -4,7 +4,7 @@ use robogate_stats::format::{count, number, percent};
 use robogate_stats::overdispersion::outliers;
 use robogate_stats::{Confidence, Trials, wilson};
 
-use crate::alarm::{Alarm, Happening, Level, Rule, Since};
+use crate::alarm::{Alarm, Happening, Level, Since};
 use crate::cycle::Cycle;
 use crate::detector::{ChangePoint, Factors, change_point};
 use crate::domain::Validated;
@@ -26,7 +26,6 @@ fn alarm(
     cycle: &Cycle,
     happening: Happening,
     level: Level,
-    rule: Rule,
     metric: String,
     what: String,
     how_sure: String,
@@ -34,10 +33,9 @@ fn alarm(
     look_at: Vec<String>,
 ) -> Alarm {
     Alarm {
-        id: happening_id(recipe, cycle, rule, &metric, level, happening),
+        id: happening_id(recipe, cycle, &metric, level, happening),
         happening,
         level,
-        rule,
         recipe: cycle.recipe.clone(),
         metric,
         cycle: recipe.state().cycles,
@@ -49,19 +47,6 @@ fn alarm(
         since,
         look_at,
     }
-}
-
-/// Describes an alarm of the paper's rule that was raised or cleared.
-pub(crate) fn paper(recipe: &Recipe, cycle: &Cycle, settings: &Settings, happening: Happening, level: Level) -> Alarm {
-    let window = recipe.window();
-    let baseline = recipe.baseline().success_rate().map_or_else(|| "-".to_owned(), percent);
-    let what =
-        format!("{} of the last {} cycles succeeded; the baseline is {baseline}.", window.successes(), window.n());
-    let how_sure = "The false-alarm rate of the paper's moving window is not bounded.".to_owned();
-    let look_at =
-        if happening == Happening::Raised { look_at(recipe, Metric::Success, settings, None) } else { vec![] };
-    let metric = Metric::Success.name(settings).into_owned();
-    alarm(recipe, cycle, happening, level, Rule::Paper, metric, what, how_sure, None, look_at)
 }
 
 /// Describes an alarm of a detector whose evidence reached its limit.
@@ -102,7 +87,7 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
         look_at.splice(0..0, outside(recipe, first));
     }
     let metric = metric.name(settings).into_owned();
-    alarm(recipe, cycle, Happening::Raised, level, Rule::Detector, metric, what, how_sure, since, look_at)
+    alarm(recipe, cycle, Happening::Raised, level, metric, what, how_sure, since, look_at)
 }
 
 /// Describes a cleared alarm of a detector: there was no further evidence.
@@ -122,7 +107,7 @@ pub(crate) fn cleared(
     );
     let how_sure = "A cleared alarm does not prove that the cause is gone.".to_owned();
     let metric = metric.name(settings).into_owned();
-    alarm(recipe, cycle, Happening::Cleared, level, Rule::Detector, metric, what, how_sure, None, vec![])
+    alarm(recipe, cycle, Happening::Cleared, level, metric, what, how_sure, None, vec![])
 }
 
 /// The start of a change. The interval contains those that start from the bound and from the estimate of the baseline.

@@ -37,7 +37,7 @@
 //! | reported cycles | [`Cycle`] |
 //! | normal behaviour | [`Baseline`] |
 //! | changes and their start | [`detector`], with the [`factors`] of each metric |
-//! | the paper's rule, whose alarms are a separate stream without a guarantee | [`paper`] |
+//! | the paper's rule, a figure without a guarantee that raises no alarms | [`paper`] |
 //! | validated region and risk model | [`domain`] |
 //! | differences between robots | [`robogate_stats::overdispersion`] |
 //! | false-alarm rates and detection delays | [`simulate`] |
@@ -67,7 +67,7 @@ pub mod service;
 mod settings;
 pub mod simulate;
 
-pub use alarm::{Alarm, Happening, Level, Rule, Since};
+pub use alarm::{Alarm, Happening, Level, Since};
 pub use baseline::{Baseline, BaselineError, Count};
 pub use cycle::{Cycle, CycleError, LONGEST_NAME, MOST_PARAMETERS, ParameterValue};
 pub use events::{EventSettings, MOST_EVENTS, default_events};

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use robogate_stats::Trials;
 use serde::{Deserialize, Serialize};
 
-use crate::alarm::{Alarm, Happening, Level, Rule};
+use crate::alarm::{Alarm, Happening, Level};
 use crate::baseline::Baseline;
 use crate::cycle::{Cycle, ParameterValue};
 use crate::detector::{Evidence, Factors};
@@ -335,7 +335,9 @@ impl Recipe {
         let symbols = Symbols::of(cycle, settings.events.keys(), robot, judged, mode, bin);
         self.state.successes += u64::from(cycle.success);
         self.state.history.push(symbols);
-        self.update_paper(cycle, settings, emit);
+        if let Some(window) = &mut self.state.paper {
+            self.state.paper_level = window.update(cycle.success);
+        }
         for metric in Metric::all(settings) {
             match symbols.code(metric) {
                 Some(code) if metric == Metric::Robot => self.update_robot(code, cycle, settings, emit),
@@ -443,19 +445,6 @@ impl Recipe {
             Some(Transition::Cleared(stood)) => emit(explanation::cleared(self, metric, level, cycle, settings, stood)),
             None => {}
         }
-    }
-
-    fn update_paper(&mut self, cycle: &Cycle, settings: &Settings, emit: &mut dyn FnMut(Alarm)) {
-        let Some(window) = &mut self.state.paper else { return };
-        let level = window.update(cycle.success);
-        let before = std::mem::replace(&mut self.state.paper_level, level);
-        let (happening, of) = match (before, level) {
-            (before, Some(now)) if before < Some(now) => (Happening::Raised, now),
-            (Some(was), now) if now < Some(was) => (Happening::Cleared, was),
-            _ => return,
-        };
-        self.state.raised += u64::from(happening == Happening::Raised);
-        emit(explanation::paper(self, cycle, settings, happening, of));
     }
 
     fn update_metric(
@@ -624,23 +613,12 @@ fn given(name: &str, settings: &Settings) -> u64 {
 }
 
 /// The id of a raised or cleared alarm.
-pub(crate) fn happening_id(
-    recipe: &Recipe,
-    cycle: &Cycle,
-    rule: Rule,
-    metric: &str,
-    level: Level,
-    h: Happening,
-) -> String {
-    let rule = match rule {
-        Rule::Paper => "paper",
-        Rule::Detector => "detector",
-    };
+pub(crate) fn happening_id(recipe: &Recipe, cycle: &Cycle, metric: &str, level: Level, h: Happening) -> String {
     let happening = match h {
         Happening::Raised => "raised",
         Happening::Cleared => "cleared",
     };
-    format!("{}/{}/{rule}/{metric}/{}/{happening}", cycle.recipe, recipe.state.cycles, level.as_str())
+    format!("{}/{}/{metric}/{}/{happening}", cycle.recipe, recipe.state.cycles, level.as_str())
 }
 
 #[cfg(test)]

@@ -77,7 +77,6 @@ fn write(path: &Path, rows: u64) {
         world: serde_json::Value::Null,
         space: space.clone(),
         plan: serde_json::Value::Null,
-        fidelity: robogate_dictionary::Fidelity::Fine,
         seed: 1,
         question_sha256: None,
         platform: None,
@@ -106,7 +105,6 @@ fn write(path: &Path, rows: u64) {
                 design: "uniform".to_owned(),
                 weight: 1.0,
                 label: Label::default(),
-                fidelity: robogate_dictionary::Fidelity::Fine,
                 episode: Episode {
                     scenario: Scenario { index: i, seed: Seed::campaign(1).episode(i), requested: requested.clone() },
                     applied: requested,

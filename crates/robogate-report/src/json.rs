@@ -1,13 +1,11 @@
 //! JSON documents: the figures, with the sentences that summarise them.
 
-use robogate_analysis::study::Study;
 use robogate_analysis::transfer::Transfer;
-use robogate_analysis::{Analysis, Comparison, TwoFidelities};
+use robogate_analysis::{Analysis, Comparison};
 use robogate_gate::Twins;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use crate::study::answer;
 use crate::text::{ComparisonHeadline, Headline, TransferHeadline, comparison_limits, limits};
 
 /// The JSON document of an analysis.
@@ -23,9 +21,6 @@ pub struct AnalysisReport<'a> {
     /// The episodes compared with their nominal twins. Absent without a control arm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub twins: Option<&'a Twins>,
-    /// Rates from fine and coarse episodes. Absent without coarse episodes.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub fidelities: Option<&'a TwoFidelities>,
 }
 
 /// The JSON document of a comparison.
@@ -50,24 +45,14 @@ pub struct TransferReport<'a> {
     pub headline: TransferHeadline,
 }
 
-/// The JSON document of a study.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
-pub struct StudyReport<'a> {
-    /// The figures.
-    #[serde(flatten)]
-    pub study: &'a Study,
-    /// The result in sentences.
-    pub answer: Vec<String>,
-}
-
 /// An analysis as one versioned JSON document. Equal rows give equal bytes.
 pub fn analysis_json(analysis: &Analysis) -> String {
-    analysis_json_with(analysis, None, None)
+    analysis_json_with(analysis, None)
 }
 
-/// The same with the comparison of its control arm, and the rates from fine and coarse episodes.
-pub fn analysis_json_with(analysis: &Analysis, twins: Option<&Twins>, fidelities: Option<&TwoFidelities>) -> String {
-    text(&AnalysisReport { analysis, headline: Headline::of(analysis), limits: limits(analysis), twins, fidelities })
+/// The same with the comparison of its control arm.
+pub fn analysis_json_with(analysis: &Analysis, twins: Option<&Twins>) -> String {
+    text(&AnalysisReport { analysis, headline: Headline::of(analysis), limits: limits(analysis), twins })
 }
 
 /// A comparison as one versioned JSON document with the same properties.
@@ -79,11 +64,6 @@ pub fn comparison_json(comparison: &Comparison) -> String {
 /// A transfer to the real robot as one versioned JSON document with the same properties.
 pub fn transfer_json(transfer: &Transfer) -> String {
     text(&TransferReport { transfer, headline: TransferHeadline::of(transfer) })
-}
-
-/// A study as one versioned JSON document with the same properties.
-pub fn study_json(study: &Study) -> String {
-    text(&StudyReport { study, answer: answer(study) })
 }
 
 fn text(document: &impl Serialize) -> String {

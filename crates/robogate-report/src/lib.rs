@@ -7,8 +7,7 @@
 //! | an [`Analysis`](robogate_analysis::Analysis) | [`html`], [`markdown`], [`analysis_json`] |
 //! | a [`Comparison`](robogate_analysis::Comparison) | [`comparison_html`], [`comparison_markdown`], [`comparison_json`] |
 //! | a [`Transfer`](robogate_analysis::transfer::Transfer) | [`transfer_html`], [`transfer_json`], [`next_trials`] |
-//! | a [`Study`](robogate_analysis::study::Study) | [`study_markdown`], [`study_json`] |
-//! | an [`Evaluation`] of the gate | [`junit`], [`reqif`], [`verdict_pdf`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
+//! | an [`Evaluation`] of the gate | [`junit`], [`verdict_html`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
 //! | episodes of runs | [`explorer_page`], [`replay_page`] |
 //! | a [`Leaderboard`](robogate_gate::Leaderboard) | [`leaderboard_html`], [`leaderboard_markdown`] |
 //! | a [`Fleet`](robogate_gate::Fleet) | [`fleet_html`], [`fleet_markdown`] |
@@ -19,27 +18,22 @@ mod gate;
 mod html;
 mod json;
 mod markdown;
-mod pdf;
-mod study;
 mod text;
 mod watch;
 
-use robogate_analysis::{PairCounts, TwoFidelities};
+use robogate_analysis::PairCounts;
 use robogate_gate::{Evaluation, Twins};
 
-pub use document::fidelity_lines;
 pub use gate::{
     RequirementRow, TwinRow, evaluation_markdown, evaluation_markdown_with, feasible_part, fleet_drivers,
     fleet_headline, fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html, leaderboard_markdown,
-    leaderboards_html, leaderboards_markdown, new_cases, reqif, sign, verdict_pdf, what_next,
+    leaderboards_html, leaderboards_markdown, new_cases, sign, verdict_html, what_next,
 };
 pub use html::{comparison_html, comparison_html_with, explorer_page, html, html_with, replay_page, transfer_html};
 pub use json::{
-    AnalysisReport, ComparisonReport, StudyReport, TransferReport, analysis_json, analysis_json_with, comparison_json,
-    study_json, transfer_json,
+    AnalysisReport, ComparisonReport, TransferReport, analysis_json, analysis_json_with, comparison_json, transfer_json,
 };
 pub use markdown::{comparison_markdown, markdown, markdown_with};
-pub use study::{answer as study_answer, study_markdown};
 pub use text::{ComparisonHeadline, Headline, TransferHeadline, comparison_limits, limits, low_side, next_trials};
 pub use watch::{Strip, Watch, WatchItem};
 
@@ -56,14 +50,12 @@ pub struct Additions<'a> {
     pub twins: Option<&'a Twins>,
     /// The risk model that chose the episodes.
     pub active: Option<&'a ActiveModel>,
-    /// Rates from fine and coarse episodes.
-    pub fidelities: Option<&'a TwoFidelities>,
 }
 
 /// The risk model of an active design.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ActiveModel {
-    /// Its score, the effect of its prior and its certificate, as sentences without a full stop.
+    /// Its score and its certificate, as sentences without a full stop.
     pub sentences: Vec<String>,
     /// The rounds. The last one, without episodes, is the model of all episodes.
     pub rounds: Vec<ActiveModelRound>,
@@ -82,10 +74,4 @@ pub struct ActiveModelRound {
     pub brier: Option<f64>,
     /// Mean log loss of the cross-validation.
     pub log_loss: Option<f64>,
-    /// Slope of the prior in the model before the previous round.
-    pub prior_slope: Option<f64>,
-    /// Mean log loss of that model on the uniform episodes of the previous round.
-    pub with_prior: Option<f64>,
-    /// The same without the prior.
-    pub without_prior: Option<f64>,
 }

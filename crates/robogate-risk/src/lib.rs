@@ -12,12 +12,10 @@
 //! Cross-validation finds the mean of both that predicts best, and calibrates it. Each fit runs in the order of the
 //! episodes, so the result does not depend on the number of threads that share the fits.
 
-mod gain;
 mod inputs;
 mod model;
 mod parallel;
 
-pub use gain::{PriorGain, prior_gain};
 pub use inputs::Inputs;
 pub use model::{Choice, Fitting, Learner, RiskError, RiskModel, Sample};
 pub use parallel::{all_processors, in_parallel};

@@ -67,11 +67,8 @@ pub struct Choice {
     pub log_loss: f64,
     /// Their Brier score.
     pub brier: f64,
-    /// Intercept and slope of the calibration: log-odds = intercept + slope x mean log-odds + prior slope x log-odds of
-    /// the prior. The slope is 0 if the model is the corrected prior alone.
+    /// Intercept and slope of the calibration: log-odds = intercept + slope x mean log-odds.
     pub calibration: [f64; 2],
-    /// The slope of the prior. 0 without a prior, and if cross-validation did not choose it.
-    pub prior_slope: f64,
 }
 
 /// The chance of success from parameters, hidden draws and physical margins.
@@ -81,8 +78,6 @@ pub struct RiskModel {
     boosting: Option<Boosting>,
     splines: Option<SplineLogistic>,
     choice: Choice,
-    /// The model of an earlier policy, engine or robot.
-    prior: Option<Arc<RiskModel>>,
 }
 
 /// The reason why a model cannot be fitted.
@@ -126,53 +121,6 @@ impl RiskModel {
         enough(samples, how.least)?;
         let rows = rows(&inputs, samples)?;
         let outcomes: Vec<bool> = samples.iter().map(|sample| sample.success).collect();
-        Self::fit_rows(inputs, &rows, &outcomes, how, None)
-    }
-
-    /// Fits a model that starts from the one of an earlier policy, engine or robot.
-    ///
-    /// Candidates are the prior as it is, the prior with a new intercept, the prior with a new intercept and slope, and, as
-    /// soon as [`Self::fit`] is possible, the model of the new episodes alone and together with the prior. The candidate with
-    /// the smallest log loss is chosen, with a penalty of 1/n for each coefficient of its calibration (Akaike 1974). The
-    /// learners are scored on rows that they were not fitted to, and no new row was used for the prior.
-    ///
-    /// # Errors
-    /// As [`Self::fit`], but not for too few episodes of one outcome.
-    pub fn fit_after(
-        prior: &Arc<Self>,
-        inputs: Arc<Inputs>,
-        samples: &[Sample],
-        how: Fitting,
-    ) -> Result<Self, RiskError> {
-        let known = samples
-            .iter()
-            .map(|Sample { scenario, .. }| {
-                prior.log_odds(scenario).map_err(|fault| RiskError::Scenario { index: scenario.index, fault })
-            })
-            .collect::<Result<Vec<_>, _>>()?;
-        let outcomes: Vec<bool> = samples.iter().map(|sample| sample.success).collect();
-        let (corrected, least_loss) = corrected(&known, &outcomes)?;
-        let own = match enough(samples, how.least) {
-            Ok(()) => {
-                let rows = rows(&inputs, samples)?;
-                Some(Self::fit_rows(Arc::clone(&inputs), &rows, &outcomes, how, Some(&known))?)
-            }
-            Err(_) => None,
-        };
-        let prior = Some(Arc::clone(prior));
-        Ok(match own {
-            Some(own) if criterion(&own.choice, outcomes.len()) < least_loss => Self { prior, ..own },
-            _ => Self { inputs, boosting: None, splines: None, choice: corrected, prior },
-        })
-    }
-
-    fn fit_rows(
-        inputs: Arc<Inputs>,
-        rows: &[Vec<f64>],
-        outcomes: &[bool],
-        how: Fitting,
-        known: Option<&[f64]>,
-    ) -> Result<Self, RiskError> {
         let mut order: Vec<usize> = (0..rows.len()).collect();
         Seed::campaign(0).stream("risk model folds").shuffle(&mut order);
         // Each outcome is spread evenly over the parts.
@@ -183,7 +131,7 @@ impl RiskModel {
         // One fit without each part, and the last one to all rows.
         let mut fits = in_parallel(how.threads, FOLDS + 1, |left_out| {
             let train: Vec<usize> = (0..rows.len()).filter(|row| part[*row] != left_out).collect();
-            Pair::fit(&inputs, rows, outcomes, &train, how.learner)
+            Pair::fit(&inputs, &rows, &outcomes, &train, how.learner)
         })
         .into_iter()
         .collect::<Result<Vec<Pair>, _>>()?;
@@ -191,17 +139,15 @@ impl RiskModel {
         let mut best: Option<Choice> = None;
         for share in how.learner.shares() {
             let mixed: Vec<f64> = held_out.iter().map(|both| mix(*both, *share)).collect();
-            for known in std::iter::once(None).chain(known.map(Some)) {
-                let choice = calibrated(&mixed, known, outcomes, *share)?;
-                if best.is_none_or(|best| criterion(&choice, rows.len()) < criterion(&best, rows.len())) {
-                    best = Some(choice);
-                }
+            let choice = calibrated(&mixed, &outcomes, *share)?;
+            if best.is_none_or(|best| choice.log_loss < best.log_loss) {
+                best = Some(choice);
             }
         }
         let (Some(Pair { boosting, splines }), Some(choice)) = (fits.pop(), best) else {
             return Err(RiskError::TooFew { successes: 0, failures: 0, least: 1 });
         };
-        Ok(Self { inputs, boosting, splines, choice, prior: None })
+        Ok(Self { inputs, boosting, splines, choice })
     }
 
     /// What cross-validation chose.
@@ -221,22 +167,13 @@ impl RiskModel {
 
     /// The log-odds of success of one episode, whose seed determines its draws.
     fn log_odds(&self, scenario: &Scenario) -> Result<f64, Fault> {
-        let Choice { boosting_share, calibration: [intercept, slope], prior_slope, .. } = self.choice;
-        let own = if self.boosting.is_none() && self.splines.is_none() {
-            0.0
-        } else {
-            let row = self.inputs.row(scenario)?;
-            let both = [
-                self.boosting.as_ref().map_or(0.0, |model| model.log_odds(&row)),
-                self.splines.as_ref().map_or(0.0, |model| model.log_odds(&row)),
-            ];
-            slope * mix(both, boosting_share)
-        };
-        let known = match &self.prior {
-            Some(prior) if prior_slope > 0.0 => prior_slope * prior.log_odds(scenario)?,
-            _ => 0.0,
-        };
-        Ok(intercept + own + known)
+        let Choice { boosting_share, calibration: [intercept, slope], .. } = self.choice;
+        let row = self.inputs.row(scenario)?;
+        let both = [
+            self.boosting.as_ref().map_or(0.0, |model| model.log_odds(&row)),
+            self.splines.as_ref().map_or(0.0, |model| model.log_odds(&row)),
+        ];
+        Ok(intercept + slope * mix(both, boosting_share))
     }
 
     /// The chance of success of one episode, whose seed determines its draws.
@@ -253,7 +190,7 @@ impl RiskModel {
     /// # Errors
     /// A fault if the task cannot set the parameters up with any of the draws.
     pub fn averaged(&self, requested: &Assignment, draws: u64) -> Result<f64, Fault> {
-        let draws = if self.knows_draws() { draws.max(1) } else { 1 };
+        let draws = if self.inputs.knows_draws() { draws.max(1) } else { 1 };
         let (mut sum, mut count, mut problem) = (0.0, 0_u32, None);
         for draw in 0..draws {
             match self.told(&Inputs::fresh(requested, draw)) {
@@ -269,13 +206,6 @@ impl RiskModel {
             (0, Some(fault)) => Err(fault),
             _ => Ok(sum / f64::from(count.max(1))),
         }
-    }
-}
-
-impl RiskModel {
-    /// Whether the model, or its prior, knows the draws of an episode.
-    fn knows_draws(&self) -> bool {
-        self.inputs.knows_draws() || self.prior.as_ref().is_some_and(|prior| prior.knows_draws())
     }
 }
 
@@ -347,79 +277,14 @@ fn mix([boosting, splines]: [f64; 2], share: f64) -> f64 {
     share * boosting + (1.0 - share) * splines
 }
 
-/// Fewest episodes of each outcome for a new intercept of the prior, and for a new slope.
-const LEAST_FOR_LINE: [usize; 2] = [1, 3];
-
-/// The prior as it is, with a new intercept, or with a new intercept and slope, and its [`criterion`].
-fn corrected(known: &[f64], outcomes: &[bool]) -> Result<(Choice, f64), RiskError> {
-    let choice = |intercept: f64, slope: f64| {
-        let scores = scores(known.iter().map(|known| intercept + slope * known), outcomes);
-        Choice {
-            boosting_share: 0.0,
-            log_loss: scores[0],
-            brier: scores[1],
-            calibration: [intercept, 0.0],
-            prior_slope: slope,
-        }
-    };
-    let n = outcomes.len();
-    let successes = outcomes.iter().filter(|success| **success).count();
-    let fewest = successes.min(n - successes);
-    let mut best = choice(0.0, 1.0);
-    let mut least = best.log_loss;
-    let mut consider = |found: Choice, coefficients: f64| {
-        let penalised = found.log_loss + coefficients / n.max(1) as f64;
-        if penalised < least {
-            (best, least) = (found, penalised);
-        }
-    };
-    if fewest >= LEAST_FOR_LINE[0] {
-        consider(choice(shift(known, successes as f64), 1.0), 1.0);
-    }
-    if fewest >= LEAST_FOR_LINE[1] {
-        let line = ridge::fit(Data::new(&[known], outcomes, None)?, WEAK)?.coefficients;
-        consider(choice(line[0], line[1].max(0.0)), 2.0);
-    }
-    Ok((best, least))
-}
-
-/// The shift of log-odds that makes the expected number of successes equal to the observed one: the maximum-likelihood
-/// intercept.
-fn shift(log_odds: &[f64], successes: f64) -> f64 {
-    let (mut low, mut high) = (-30.0, 30.0);
-    for _ in 0..60 {
-        let middle = 0.5 * (low + high);
-        let expected: f64 = log_odds.iter().map(|known| logistic(middle + known)).sum();
-        if expected < successes { low = middle } else { high = middle }
-    }
-    0.5 * (low + high)
-}
-
-/// The log loss of learners, with a penalty of 1/n for each coefficient of their calibration (Akaike 1974).
-fn criterion(choice: &Choice, n: usize) -> f64 {
-    let coefficients = if choice.prior_slope > 0.0 { 3.0 } else { 2.0 };
-    choice.log_loss + coefficients / n.max(1) as f64
-}
-
-/// Calibrates log-odds of rows that were not fitted with a line (Platt 1999), and scores the result. `known` are the
-/// log-odds of a prior, which get a slope of their own.
-fn calibrated(
-    log_odds: &[f64],
-    known: Option<&[f64]>,
-    outcomes: &[bool],
-    boosting_share: f64,
-) -> Result<Choice, RiskError> {
-    let columns: Vec<&[f64]> = std::iter::once(log_odds).chain(known).collect();
-    let line = ridge::fit(Data::new(&columns, outcomes, None)?, WEAK)?.coefficients;
+/// Calibrates log-odds of rows that were not fitted with a line (Platt 1999), and scores the result.
+fn calibrated(log_odds: &[f64], outcomes: &[bool], boosting_share: f64) -> Result<Choice, RiskError> {
+    let line = ridge::fit(Data::new(&[log_odds], outcomes, None)?, WEAK)?.coefficients;
     // A negative slope would turn the prediction around. It means that the model found nothing.
-    let slope = |at: usize| line.get(at).map_or(0.0, |slope| slope.max(0.0));
-    let (calibration, prior_slope) = ([line[0], slope(1)], slope(2));
-    let predicted = log_odds.iter().enumerate().map(|(row, score)| {
-        let prior = known.and_then(|known| known.get(row)).map_or(0.0, |known| prior_slope * known);
-        calibration[0] + calibration[1] * score + prior
-    });
+    let calibration = [line[0], line.get(1).map_or(0.0, |slope| slope.max(0.0))];
+    let predicted = log_odds.iter().map(|score| calibration[0] + calibration[1] * score);
     let [log_loss, brier] = scores(predicted, outcomes);
-    Ok(Choice { boosting_share, log_loss, brier, calibration, prior_slope })
+    Ok(Choice { boosting_share, log_loss, brier, calibration })
 }
 
 /// Mean log loss and Brier score of predicted log-odds.
@@ -523,110 +388,6 @@ mod tests {
         };
         let averaged = error(&|s| told.averaged(&s.requested, 64).unwrap());
         assert!(averaged < 0.005, "{averaged}");
-    }
-
-    /// Episodes of another policy, whose parts may be larger by 0.1.
-    fn easier(samples: &[Sample]) -> Vec<Sample> {
-        let success = |s: &Sample| s.scenario.requested.number("x").unwrap() + offset(s.scenario.seed) < 0.6;
-        samples.iter().map(|s| Sample { success: success(s), scenario: s.scenario.clone() }).collect()
-    }
-
-    fn inputs() -> Arc<Inputs> {
-        Arc::new(Inputs::new(&space(), Some(Arc::new(Hidden))))
-    }
-
-    #[test]
-    fn prior_helps_with_few_episodes() {
-        let all = samples(1500);
-        let prior = RiskModel::fit(inputs(), &easier(&all[..800]), Fitting::default()).unwrap();
-        let prior = Arc::new(prior);
-        let test = &all[1200..];
-        let score = |model: &RiskModel| brier(|s| model.told(s).unwrap(), test);
-        let after = |n: usize| RiskModel::fit_after(&prior, inputs(), &all[800..800 + n], Fitting::default()).unwrap();
-        // Without episodes it is the prior.
-        assert!((score(&after(0)) - score(&prior)).abs() < 1e-12);
-        let alone = RiskModel::fit(inputs(), &all[800..840], Fitting::default()).unwrap();
-        let few = after(40);
-        assert!(few.choice().prior_slope > 0.0);
-        let [with, before, without] = [score(&few), score(&prior), score(&alone)];
-        assert!(with < before && with < without, "{with} {before} {without}");
-        assert!(score(&after(400)) < 0.03);
-    }
-
-    /// A prior with random outcomes costs nothing as soon as the new episodes alone give a model.
-    #[test]
-    fn misleading_prior_is_dropped() {
-        let all = samples(1500);
-        let random =
-            all[..800].iter().map(|s| Sample { success: s.scenario.index % 7 < 3, scenario: s.scenario.clone() });
-        let prior = RiskModel::fit(inputs(), &random.collect::<Vec<_>>(), Fitting::default()).unwrap();
-        let prior = Arc::new(prior);
-        let score = |model: &RiskModel| brier(|s| model.told(s).unwrap(), &all[1200..]);
-        for n in [60, 400] {
-            let train = &all[800..800 + n];
-            let after = RiskModel::fit_after(&prior, inputs(), train, Fitting::default()).unwrap();
-            let alone = RiskModel::fit(inputs(), train, Fitting::default()).unwrap();
-            let [with, without] = [score(&after), score(&alone)];
-            assert!(with < without + 0.005, "{n}: {with} {without}");
-        }
-    }
-
-    /// The table of docs/results/discovery.md: `cargo nextest run -p robogate-risk prior_saves --no-capture`. Mean Brier score of
-    /// five sets of episodes, without a prior, with that of a similar policy, and with one whose outcomes are random.
-    #[test]
-    fn prior_saves_episodes() {
-        let all = samples(5000);
-        let random: Vec<Sample> = all[..800]
-            .iter()
-            .map(|s| Sample { success: s.scenario.index % 7 < 3, scenario: s.scenario.clone() })
-            .collect();
-        let fit = |samples: &[Sample]| Arc::new(RiskModel::fit(inputs(), samples, Fitting::default()).unwrap());
-        let [similar, random] = [fit(&easier(&all[..800])), fit(&random)];
-        let test = &all[4000..];
-        let score = |model: &RiskModel| brier(|s| model.told(s).unwrap(), test);
-        for n in [20, 40, 80] {
-            let mut sums = [0.0; 3];
-            for set in 0..5 {
-                let train = &all[800 + 320 * set..800 + 320 * set + n];
-                let rate = train.iter().filter(|s| s.success).count() as f64 / n as f64;
-                let alone = RiskModel::fit(inputs(), train, Fitting::default());
-                let after =
-                    |prior: &Arc<RiskModel>| RiskModel::fit_after(prior, inputs(), train, Fitting::default()).unwrap();
-                // A model that cannot be fitted predicts the rate.
-                sums[0] += alone.map_or_else(|_| brier(|_| rate, test), |model| score(&model));
-                sums[1] += score(&after(&similar));
-                sums[2] += score(&after(&random));
-            }
-            let [alone, similar, random] = sums.map(|sum| sum / 5.0);
-            println!("| {n} | {alone:.3} | {similar:.3} | {random:.3} |");
-            assert!(n > 40 || similar < alone, "{n}: {alone} {similar}");
-            assert!(similar < alone + 0.01, "{n}: {alone} {similar}");
-            assert!(n < 40 || random < alone + 0.01, "{n}: {alone} {random}");
-        }
-    }
-
-    /// The gain of a prior is measured on episodes that it does not know.
-    #[test]
-    fn gain_of_a_prior_is_found() {
-        let all = samples(800);
-        let splines = Fitting { learner: Learner::Splines, ..Fitting::default() };
-        let fit = |samples: &[Sample]| Arc::new(RiskModel::fit(inputs(), samples, splines).unwrap());
-        let gain = |prior: &[Sample]| crate::prior_gain(&fit(prior), &inputs(), &all[..24], splines).unwrap();
-        let good = gain(&easier(&all[300..]));
-        // 19 episodes are too few for a model of their own.
-        assert!(good.episodes == 24 && good.with < good.without && good.se > 0.0, "{good:?}");
-        assert!(crate::prior_gain(&fit(&all[300..]), &inputs(), &all[..4], splines).is_err());
-    }
-
-    /// A prior of the parameters alone serves a model that is told the draws.
-    #[test]
-    fn prior_may_know_less() {
-        let all = samples(700);
-        let blind = Arc::new(Inputs::new(&space(), None));
-        let prior = Arc::new(RiskModel::fit(blind, &easier(&all[..500]), Fitting::default()).unwrap());
-        let after = RiskModel::fit_after(&prior, inputs(), &all[500..520], Fitting::default()).unwrap();
-        let p = after.averaged(&all[0].scenario.requested, 8).unwrap();
-        assert!((0.0..=1.0).contains(&p));
     }
 
     #[test]

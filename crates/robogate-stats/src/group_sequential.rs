@@ -177,14 +177,9 @@ fn density(x: f64) -> f64 {
 /// `looks` are the counts of all pairs at each look; `planned` is the largest number of looks.
 ///
 /// # Errors
-/// [`NotAMargin`] unless 0 < `margin` < 1. [`superiority_p`] tests without a margin.
+/// [`NotAMargin`] unless 0 < `margin` < 1.
 pub fn paired_p(looks: &[[Pairs; 2]], planned: u64, margin: f64) -> Result<[f64; 2], NotAMargin> {
     check(margin).map(|margin| both(looks, planned, margin))
-}
-
-/// The same without a margin: p-values of "the second is not better" and "the second is not worse".
-pub fn superiority_p(looks: &[[Pairs; 2]], planned: u64) -> [f64; 2] {
-    both(looks, planned, 0.0)
 }
 
 /// Each look has the counts with the worst and with the best outcome of unknown pairs.

@@ -32,7 +32,6 @@
 //! | what is the estimate for the operating space if the rows were sampled elsewhere? | [`weighted`] |
 //! | the same for a rare event? | [`weighted_events`] |
 //! | what is the rate of the real robot, from simulation and a few real trials? | [`prediction_powered`], [`exact_strata`] |
-//! | what is the rate of a slow simulator, from many episodes of a fast one and few of its own? | [`two_fidelities`] |
 //! | how must the simulation be corrected for it? | [`recalibration`] |
 //! | how is a figure written for people? | [`mod@format`] |
 
@@ -75,7 +74,6 @@ pub mod spline_logistic;
 pub mod stratified;
 pub mod surface;
 pub mod threshold;
-pub mod two_fidelities;
 pub mod unit_share;
 pub mod weighted;
 pub mod weighted_events;

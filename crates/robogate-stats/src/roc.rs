@@ -277,27 +277,6 @@ pub fn auc(
     })
 }
 
-/// The contribution of each row to the AUC. The mean of the contributions is the AUC, and their variance is DeLong's.
-///
-/// A success contributes AUC + (N/m)(v - AUC) and a failure AUC + (N/n)(u - AUC), with m successes and n failures among
-/// N rows, and v, u the fraction of the other class that the row is ahead of. Their variance divided by N is DeLong's
-/// variance, except for N/(N-1) instead of m/(m-1) and n/(n-1). AUCs can therefore be averaged and subtracted row by
-/// row, like other scores.
-///
-/// # Errors
-/// As [`auc`].
-pub fn contributions(scores: &[f64], outcomes: &[bool]) -> Result<Vec<f64>, RocError> {
-    let p = placements(scores, outcomes)?;
-    let n = outcomes.len() as f64;
-    let (successes, failures) = (p.of_successes.len() as f64, p.of_failures.len() as f64);
-    let (mut of_successes, mut of_failures) = (p.of_successes.iter(), p.of_failures.iter());
-    let one = |success: &bool| {
-        let (beaten, own) = if *success { (of_successes.next(), successes) } else { (of_failures.next(), failures) };
-        p.auc + n / own * (beaten.copied().unwrap_or(p.auc) - p.auc)
-    };
-    Ok(outcomes.iter().map(one).collect())
-}
-
 /// A comparison of two scores on the same rows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AucComparison {
@@ -630,17 +609,6 @@ mod tests {
         // All successes in one cluster.
         let one = auc(&scores, &outcomes, Some(&[0, 1, 2, 3, 4, 4, 4, 4]), Confidence::P95).unwrap();
         assert_eq!((one.se, one.interval, one.method), (None, Interval::UNIT, AucMethod::Unknown));
-    }
-
-    #[test]
-    fn contributions_match_auc_and_variance() {
-        let (scores, outcomes) = overlapping(400);
-        let found = auc(&scores, &outcomes, None, Confidence::P95).unwrap();
-        let each = contributions(&scores, &outcomes).unwrap();
-        let mean = each.iter().sum::<f64>() / 400.0;
-        let se = (each.iter().map(|c| (c - mean).powi(2)).sum::<f64>() / 399.0 / 400.0).sqrt();
-        assert!((mean - found.auc).abs() < 1e-12);
-        assert!((se / found.se.unwrap() - 1.0).abs() < 0.01, "{se} {found:?}");
     }
 
     #[test]

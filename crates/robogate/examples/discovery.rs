@@ -23,7 +23,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, anyhow, bail, ensure};
-use robogate_analysis::study::{self, predictions};
+use robogate_analysis::learners::{self, predictions};
 use robogate_campaign::folder::DICTIONARY;
 use robogate_core::{Environment, Fault, FeatureSpec, Foresight, Measures, Outcome, Scenario, Seed, Value};
 use robogate_dictionary::Dictionary;
@@ -46,7 +46,7 @@ const LEARNERS: [(&str, Fitted); 5] = [
     ("boosting, told draws", Fitted::Risk { told: true, learner: Learner::Boosting }),
     ("splines, told draws", Fitted::Risk { told: true, learner: Learner::Splines }),
     ("parameters alone", Fitted::Risk { told: false, learner: Learner::Chosen }),
-    ("`flexible` of the study", Fitted::Flexible),
+    ("`flexible`", Fitted::Flexible),
 ];
 
 /// What is fitted to a run.
@@ -54,7 +54,7 @@ const LEARNERS: [(&str, Fitted); 5] = [
 enum Fitted {
     /// A risk model, which may be told the hidden draws.
     Risk { told: bool, learner: Learner },
-    /// The flexible learner of `robogate study`, which knows the parameters alone.
+    /// The flexible learner of `robogate_analysis::learners`, which knows the parameters alone.
     Flexible,
 }
 /// Samples of repeats for the interval of equal numbers of episodes.
@@ -163,7 +163,7 @@ fn score(test: &str, partners: &str, runs: &[&str]) -> anyhow::Result<()> {
                         test.losses(&map.map_err(|fault| anyhow!("{fault}"))?)
                     }
                     Fitted::Flexible => {
-                        test.losses(&predictions(study::Learner::Flexible, &episodes_of_run, &dictionary)?)
+                        test.losses(&predictions(learners::Learner::Flexible, &episodes_of_run, &dictionary)?)
                     }
                 };
                 let mut found = found.lock().unwrap_or_else(PoisonError::into_inner);

@@ -35,7 +35,6 @@ fn main() -> anyhow::Result<()> {
         task: task.clone(),
         world: serde_json::Value::Null,
         plan: serde_json::Value::Null,
-        fidelity: robogate_dictionary::Fidelity::Fine,
         seed: 0,
         source: None,
     };

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use robogate_campaign::folder::ACTIVE;
-use robogate_campaign::{ActiveReport, ActiveRound, Certificate, PriorEffect, PriorResult};
+use robogate_campaign::{ActiveReport, ActiveRound, Certificate};
 use robogate_report::{ActiveModel, ActiveModelRound};
 use robogate_stats::format::counted;
 
@@ -13,7 +13,6 @@ pub(crate) fn of_run(dir: &Path) -> Option<ActiveModel> {
     let report: ActiveReport = serde_json::from_slice(&text).ok()?;
     let last = report.rounds.last()?;
     let mut sentences = vec![score(last)];
-    sentences.extend(report.prior.as_ref().map(|found| prior(found, last)));
     sentences.extend(last.certificate.as_ref().map(certificate));
     Some(ActiveModel { sentences, rounds: report.rounds.iter().map(round).collect() })
 }
@@ -39,27 +38,6 @@ fn certificate(found: &Certificate) -> String {
     )
 }
 
-/// Whether the prior helped.
-fn prior(found: &PriorResult, last: &ActiveRound) -> String {
-    let effect = match found.effect {
-        PriorEffect::Helped => "the prior helped",
-        PriorEffect::NoDifference => "the prior made no significant difference",
-        PriorEffect::Hurt => "the prior made the predictions worse",
-    };
-    let [low, high] = found.gain_95;
-    let slope = last.prior.map_or_else(String::new, |round| match round.slope {
-        slope if slope > 0.0 => format!("; its slope was {slope:.2} in the last round"),
-        _ => "; cross-validation did not choose it in the last round".to_owned(),
-    });
-    format!(
-        "{effect}: log loss {:.3} with it and {:.3} without (95 % interval of the gain {low:+.3} to {high:+.3}), on {} that \
-         neither model had seen{slope}",
-        found.with,
-        found.without,
-        counted(found.episodes, "uniform episode"),
-    )
-}
-
 fn round(round: &ActiveRound) -> ActiveModelRound {
     ActiveModelRound {
         episodes: round.episodes,
@@ -67,8 +45,5 @@ fn round(round: &ActiveRound) -> ActiveModelRound {
         boosting_share: round.model.map(|model| model.boosting_share),
         brier: round.model.map(|model| model.brier),
         log_loss: round.model.map(|model| model.log_loss),
-        prior_slope: round.prior.map(|prior| prior.slope),
-        with_prior: round.prior.map(|prior| prior.with),
-        without_prior: round.prior.map(|prior| prior.without),
     }
 }

@@ -1,4 +1,4 @@
-//! The compliance pack of evidence: the verdict in the formats of requirement management, CI and filing, and the list of
+//! The compliance pack of evidence: the verdict as a page for filing and for CI, and the list of
 //! components behind it.
 //!
 //! All documents are functions of the evaluation, the provenance of the rows and this build, without a date. Evidence
@@ -10,7 +10,7 @@ use anyhow::Context;
 use robogate_dictionary::{Dictionary, Provenance, Tool};
 use robogate_gate::Evaluation;
 use robogate_gate::evidence::{EnvironmentBinding, MANIFEST, Manifest, PolicyBinding, Problem, Role};
-use robogate_report::{junit, reqif, verdict_pdf};
+use robogate_report::{junit, verdict_html};
 use serde_json::{Value, json};
 
 /// The list of components.
@@ -23,8 +23,7 @@ pub(crate) fn documents(evaluation: &Evaluation, provenance: &Provenance) -> Vec
     // A tree of strings and maps cannot fail to serialise.
     let sbom = serde_json::to_string_pretty(&sbom(evaluation, provenance)).unwrap_or_default() + "\n";
     [
-        ("compliance/verdict.pdf", verdict_pdf(evaluation, &origin(provenance))),
-        ("compliance/gate.reqif", reqif(evaluation).into_bytes()),
+        ("compliance/verdict.html", verdict_html(evaluation, &origin(provenance)).into_bytes()),
         ("compliance/gate.junit.xml", junit(evaluation).into_bytes()),
         (SBOM, sbom.into_bytes()),
     ]

@@ -38,7 +38,6 @@ mod summary;
 mod terminal;
 mod transfer_view;
 mod twins;
-mod two_fidelities;
 mod watch;
 
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};
@@ -106,7 +105,6 @@ enum Verb {
     /// Find rows that make a success rate wrong, in the results of any tool
     Audit(commands::audit::AuditOf),
     /// Compare boundary-focused and uniform sampling by experiment
-    Study(commands::study::Study),
     /// Record demonstrations of the scripted controller, with pictures, as a LeRobot dataset (v3.0)
     Demos(commands::demos::Demos),
     /// List, show and check suites: the scenarios on which a policy is judged
@@ -198,7 +196,6 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Export(export) => export.execute(),
         Verb::Import(import) => import.execute(),
         Verb::Audit(audit) => audit.execute(),
-        Verb::Study(study) => study.execute(),
         Verb::Demos(demos) => demos.execute(),
         Verb::Suites(suites) => suites.execute(),
         Verb::Policy(policy) => policy.execute(),

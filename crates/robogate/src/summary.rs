@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use robogate_analysis::{Analysis, Effects, MarginalEffect, TwoFidelities};
+use robogate_analysis::{Analysis, Effects, MarginalEffect};
 use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{
     BoundaryReport, DrawnFrom, Estimate, OutcomeCounts, Population, Sought, Stage, StageSummary, SuiteSummary, Summary,
@@ -26,14 +26,10 @@ pub(crate) fn json(
     summary: &Summary,
     boundary: Option<&BoundaryReport>,
     twins: Option<&Twins>,
-    fidelities: Option<&TwoFidelities>,
 ) -> serde_json::Result<()> {
     let mut document = json!({ "version": 1, "dir": dir, "summary": summary, "boundary": boundary });
     if let (Some(document), Some(twins)) = (document.as_object_mut(), twins) {
         document.insert("twins".to_owned(), serde_json::to_value(twins)?);
-    }
-    if let (Some(document), Some(fidelities)) = (document.as_object_mut(), fidelities) {
-        document.insert("fidelities".to_owned(), serde_json::to_value(fidelities)?);
     }
     line(serde_json::to_string_pretty(&document)?);
     Ok(())

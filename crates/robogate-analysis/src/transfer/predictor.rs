@@ -6,7 +6,7 @@ use robogate_core::{ParameterSpace, Sampler, Seed, samplers};
 use robogate_stats::recalibration::LARGEST_LOG_ODDS;
 
 use super::trials::RealTrials;
-use crate::study::flexible_scores;
+use crate::learners::flexible_scores;
 use crate::table::{EpisodeTable, ParameterColumn, Sample};
 
 /// Points of the space at which the model is evaluated.
@@ -103,7 +103,7 @@ pub(super) fn predict(
     };
     let scores = flexible_scores(&train, &test, fitted)?;
     let probability = |eta: &f64| 1.0 / (1.0 + (-eta.clamp(-LARGEST_LOG_ODDS, LARGEST_LOG_ODDS)).exp());
-    let all: Vec<f64> = scores.test.iter().map(probability).collect();
+    let all: Vec<f64> = scores.iter().map(probability).collect();
     let (population, rest) = all.split_at(points.len());
     let (map, mut rest) = rest.split_at(on_map);
     let mut predicted = Vec::with_capacity(sizes.len());

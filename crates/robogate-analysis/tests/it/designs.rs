@@ -1,13 +1,12 @@
-//! Synthetic designs of one law, to be evaluated by a study. The tests of `robogate-report` use this file too.
+//! Synthetic designs of one law.
 
 use std::path::Path;
 use std::sync::Arc as Shared;
 
-use robogate_analysis::study::{Repeat, Study};
 use robogate_core::{FailureMode, Outcome, ParameterSpace};
 use robogate_dictionary::{Dictionary, Entry};
 
-use crate::synthetic::{entry, space, unit, write};
+use crate::synthetic::{entry, unit, write};
 
 /// The probability of success at a point of the unit cube: logarithm of friction, mass, obstacles.
 pub(crate) type Law = fn(&[f64]) -> f64;
@@ -45,30 +44,4 @@ pub(crate) fn dictionary(dir: &Path, name: &str, space: &ParameterSpace, entries
     let path = dir.join(name);
     write(&path, space, entries);
     Dictionary::open(&path).unwrap()
-}
-
-/// The study of a law: `repeats` of `n` episodes each, evaluated on 1,500.
-pub(crate) fn study(law: Law, two_stage: Focus, pure: Focus, repeats: u64, n: u64) -> Study {
-    let dir = tempfile::tempdir().unwrap();
-    let space = space(&["box", "sphere"]);
-    let test = dictionary(dir.path(), "test", &space, sampled(&space, 999, 1500, 0, law, even));
-    let data: Vec<[Dictionary; 3]> = (0..repeats)
-        .map(|r| {
-            let make = |word: &str, seed: u64, focused: u64, focus: Focus| {
-                let entries = sampled(&space, 3 * r + seed, n, focused, law, focus);
-                dictionary(dir.path(), &format!("{word}-{r}"), &space, entries)
-            };
-            [make("uniform", 1, 0, even), make("two-stage", 2, n / 2, two_stage), make("pure", 3, n, pure)]
-        })
-        .collect();
-    let repeats: Vec<Repeat<'_>> = data
-        .iter()
-        .map(|[uniform, two_stage, pure_boundary]| Repeat {
-            uniform,
-            two_stage,
-            two_stage_weights: vec![1.0; n as usize],
-            pure_boundary,
-        })
-        .collect();
-    Study::of(&test, &repeats).unwrap()
 }

@@ -22,7 +22,6 @@ pub(crate) fn provenance(space: ParameterSpace) -> Provenance {
         world: serde_json::Value::Null,
         space,
         plan: serde_json::Value::Null,
-        fidelity: robogate_dictionary::Fidelity::Fine,
         seed: SEED,
         question_sha256: None,
         platform: Some(Platform { os: "test".to_owned(), arch: "test".to_owned(), libc: None, cpu: None }),
@@ -48,7 +47,6 @@ pub(crate) fn entry(i: u64, requested: Assignment, outcome: Outcome) -> Entry {
         design: "uniform".to_owned(),
         weight: 1.0,
         label: Label::default(),
-        fidelity: robogate_dictionary::Fidelity::Fine,
         episode: Episode {
             scenario: Scenario { index: i, seed: Seed::campaign(SEED).episode(i), requested },
             applied: Assignment::default(),

@@ -8,11 +8,11 @@ mod degenerate;
 mod designs;
 mod explorer;
 mod headlines;
+mod learners;
 mod noise;
 mod populations;
 mod risk;
 mod runs;
-mod study;
 mod synthetic;
 mod transfer;
 

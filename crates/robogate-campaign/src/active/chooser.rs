@@ -1,6 +1,6 @@
 //! Chooses the points of the active stage.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::ops::Range;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use robogate_risk::{Fitting, Inputs, RiskError, RiskModel, Sample, in_parallel};
 use robogate_stats::model_error::{Pair, model_error};
 use serde::{Deserialize, Serialize};
 
-use super::{ActiveRound, ActiveStage, Certificate, ModelScore, Prior, PriorRound, PriorRun};
+use super::{ActiveRound, ActiveStage, Certificate, ModelScore};
 use crate::{Plan, RunError};
 
 /// Fresh draws over which the model is averaged where its error is measured.
@@ -19,7 +19,7 @@ const DRAWS: u64 = 96;
 /// Probability that any of the bounds of a campaign fails.
 const ALPHA: f64 = 0.05;
 /// Fewest failures of the mode that a plan seeks for a model.
-pub(super) const FEWEST_SOUGHT: usize = 3;
+const FEWEST_SOUGHT: usize = 3;
 
 /// How the point of an episode was chosen: its design in the dictionary.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -70,10 +70,6 @@ pub(crate) struct Chooser {
     threads: NonZeroUsize,
     /// The failure mode that the plan seeks.
     seek: Option<FailureMode>,
-    /// The model of the earlier campaign, if the plan has one.
-    prior: Option<Arc<RiskModel>>,
-    /// The indices of episodes that no model chose.
-    uniform: BTreeSet<u64>,
     /// The episodes for training so far.
     samples: Vec<Sample>,
     /// The outcomes of pairs so far: the first index of the pair, parameters, and outcomes of valid episodes.
@@ -81,33 +77,18 @@ pub(crate) struct Chooser {
 }
 
 impl Chooser {
-    /// `None` if the plan has no active stage. `prior` has the episodes of the earlier campaign that the plan names. Without
-    /// them, no round can be opened.
+    /// `None` if the plan has no active stage.
     pub(crate) fn new(
         plan: &Plan,
         space: &Arc<ParameterSpace>,
         foresight: Option<Arc<dyn Foresight>>,
-        prior: Option<&Prior>,
         threads: NonZeroUsize,
-    ) -> Result<Option<Self>, RunError> {
-        let Some(stage) = plan.active.clone() else { return Ok(None) };
+    ) -> Option<Self> {
+        let stage = plan.active.clone()?;
         let seek = stage.seek.as_deref().map(FailureMode::from_foreign);
-        let model = match (prior, &stage.prior) {
-            (Some(prior), Some(PriorRun { told_draws, .. })) => {
-                let foresight = foresight.clone().filter(|_| *told_draws);
-                let inputs = Arc::new(Inputs::new(prior.space(), foresight));
-                let samples = prior.samples(*told_draws, seek);
-                let model =
-                    RiskModel::fit(inputs, &samples, Fitting { least: FEWEST_SOUGHT, threads, ..Fitting::default() });
-                Some(Arc::new(model.map_err(|source| RunError::Prior { source })?))
-            }
-            _ => None,
-        };
-        Ok(Some(Self {
+        Some(Self {
             rounds: stage.rounds(plan.uniform.episodes),
             seek,
-            prior: model,
-            uniform: BTreeSet::new(),
             stage,
             space: Arc::clone(space),
             inputs: Arc::new(Inputs::new(space, foresight)),
@@ -115,7 +96,7 @@ impl Chooser {
             threads,
             samples: Vec::new(),
             pairs: BTreeMap::new(),
-        }))
+        })
     }
 
     /// The rounds of the stage.
@@ -131,9 +112,6 @@ impl Chooser {
             Outcome::Failure(mode) => self.seek.is_some_and(|seek| seek != mode),
             Outcome::Invalid(_) => return,
         };
-        if entry.design == Choice::Uniform.as_str() {
-            self.uniform.insert(scenario.index);
-        }
         if entry.design != Choice::Pair.as_str() {
             self.samples.push(Sample { scenario: scenario.clone(), success });
         } else if let Some(round) = self.rounds.iter().find(|round| round.contains(&scenario.index)) {
@@ -147,7 +125,7 @@ impl Chooser {
     /// has no points.
     pub(crate) fn open(&self, number: usize) -> Result<Opened, RunError> {
         let round = self.rounds.get(number).cloned().unwrap_or(0..0);
-        let (model, problem) = match self.fit(&self.samples, self.prior.as_ref()) {
+        let (model, problem) = match self.fit() {
             Ok(model) => (model, None),
             Err(error) => (None, Some(error.to_string())),
         };
@@ -167,61 +145,20 @@ impl Chooser {
             model: model.as_ref().map(score),
             problem,
             certificate,
-            prior: self.prior_round(number),
         };
         Ok(Opened { report, points })
     }
 
-    /// Fits a model, with a prior or without. `None` if there are too few episodes of one outcome.
-    fn fit(&self, samples: &[Sample], prior: Option<&Arc<RiskModel>>) -> Result<Option<RiskModel>, RiskError> {
+    /// Fits a model. `None` if there are too few episodes of one outcome.
+    fn fit(&self) -> Result<Option<RiskModel>, RiskError> {
         // Failures of a rare mode are few. The rounds would be uniform for too long with the usual number.
         let least = if self.seek.is_some() { FEWEST_SOUGHT } else { RiskModel::LEAST };
         let how = Fitting { least, threads: self.threads, ..Fitting::default() };
-        let inputs = Arc::clone(&self.inputs);
-        let model = match prior {
-            Some(prior) => RiskModel::fit_after(prior, inputs, samples, how),
-            None => RiskModel::fit(inputs, samples, how),
-        };
-        match model {
+        match RiskModel::fit(Arc::clone(&self.inputs), &self.samples, how) {
             Ok(model) => Ok(Some(model)),
             Err(RiskError::TooFew { .. }) => Ok(None),
             Err(error) => Err(error),
         }
-    }
-
-    /// Compares models with and without the prior on the uniform episodes of the round before this one, which neither has
-    /// seen. `None` without a prior, in the first round, and with fewer than two such episodes.
-    fn prior_round(&self, number: usize) -> Option<PriorRound> {
-        let prior = self.prior.as_ref()?;
-        let round = self.rounds.get(number.checked_sub(1)?)?;
-        let until = self.samples.partition_point(|sample| sample.scenario.index < round.start);
-        let before = &self.samples[..until];
-        let with = self.fit(before, Some(prior)).ok()??;
-        let without = self.fit(before, None).ok()?;
-        let successes = before.iter().filter(|sample| sample.success).count() as f64;
-        let rate = (successes + 1.0) / (before.len() as f64 + 2.0);
-        let loss = |p: f64, success: bool| -(if success { p } else { 1.0 - p }).max(1e-15).ln();
-        let losses = |sample: &Sample| {
-            let with = with.told(&sample.scenario).ok()?;
-            let without = without.as_ref().map_or(Ok(rate), |model| model.told(&sample.scenario)).ok()?;
-            Some([loss(with, sample.success), loss(without, sample.success)])
-        };
-        let is_test = |sample: &&Sample| {
-            let index = sample.scenario.index;
-            round.contains(&index) && self.uniform.contains(&index)
-        };
-        let losses: Vec<[f64; 2]> = self.samples[until..].iter().filter(is_test).filter_map(losses).collect();
-        let n = losses.len() as f64;
-        let mean = |of: &dyn Fn(&[f64; 2]) -> f64| losses.iter().map(of).sum::<f64>() / n;
-        let (with_loss, without) = (mean(&|loss| loss[0]), mean(&|loss| loss[1]));
-        let squares: f64 = losses.iter().map(|loss| (loss[1] - loss[0] - (without - with_loss)).powi(2)).sum();
-        (losses.len() > 1).then(|| PriorRound {
-            episodes: losses.len() as u64,
-            slope: with.choice().prior_slope,
-            with: with_loss,
-            without,
-            se: (squares / (n - 1.0) / n).sqrt(),
-        })
     }
 
     /// The error of the model from all complete pairs. The confidence is divided among the looks, one for each round and

@@ -27,21 +27,15 @@
 //! with the same parameters, from the operating distribution, and different seeds. Pairs never enter the model. They bound
 //! its error ([`robogate_stats::model_error`]), and the stage ends when the bound reaches the stated error.
 //!
-//! A plan may name an earlier campaign, its prior ([`Prior`]): each round then chooses among the model of that campaign, as it
-//! is or corrected, and a model of the new episodes with or without it. The uniform episodes of each round show whether it
-//! helped ([`PriorRound`]), because no model has seen them. A misleading prior costs at most a part of the chosen half.
-//!
 //! The points of a round depend on the plan and on the recorded episodes of earlier rounds only, so a run that was
 //! interrupted chooses the same ones. A model that cannot be fitted makes its round uniform.
 
 mod chooser;
-mod prior;
 mod report;
 mod stage;
 
 pub(crate) use chooser::{Chooser, Chosen, Opened};
-pub use prior::{Prior, PriorError, PriorRun};
-pub use report::{ActiveReport, ActiveRound, Certificate, ModelScore, PriorEffect, PriorResult, PriorRound};
+pub use report::{ActiveReport, ActiveRound, Certificate, ModelScore};
 pub use stage::ActiveStage;
 
 #[cfg(test)]

@@ -1,6 +1,5 @@
 //! The report on the models of the active stage.
 
-use robogate_stats::Confidence;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -11,9 +10,6 @@ pub struct ActiveReport {
     pub version: u32,
     /// The rounds in order. The last entry, without episodes, describes the model of all episodes.
     pub rounds: Vec<ActiveRound>,
-    /// Whether the prior helped, over all rounds. Absent without a prior, or without episodes that show it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub prior: Option<PriorResult>,
 }
 
 impl ActiveReport {
@@ -22,8 +18,7 @@ impl ActiveReport {
 
     /// The report on these rounds.
     pub(crate) fn of(rounds: Vec<ActiveRound>) -> Self {
-        let prior = PriorResult::of(&rounds);
-        Self { version: Self::VERSION, rounds, prior }
+        Self { version: Self::VERSION, rounds }
     }
 }
 
@@ -44,74 +39,6 @@ pub struct ActiveRound {
     /// The error of the model, if the plan measures it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub certificate: Option<Certificate>,
-    /// Whether the prior helped to predict the round before this one. Absent without a prior, and in the first round.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub prior: Option<PriorRound>,
-}
-
-/// The log loss of two models on the uniform episodes of a round, fitted before it with and without the prior. A model without
-/// the prior that cannot be fitted yet predicts the success rate so far.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct PriorRound {
-    /// The number of these episodes.
-    pub episodes: u64,
-    /// The slope of the prior in the model. 0 if cross-validation did not choose it.
-    pub slope: f64,
-    /// Mean log loss with the prior.
-    pub with: f64,
-    /// Mean log loss without it.
-    pub without: f64,
-    /// Standard error of the mean difference.
-    pub se: f64,
-}
-
-/// Whether the prior helped: the log loss over the uniform episodes of all rounds.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct PriorResult {
-    /// The number of these episodes.
-    pub episodes: u64,
-    /// Mean log loss with the prior.
-    pub with: f64,
-    /// Mean log loss without it.
-    pub without: f64,
-    /// 95 % interval of the loss without the prior minus that with it.
-    pub gain_95: [f64; 2],
-    /// The decision.
-    pub effect: PriorEffect,
-}
-
-/// The effect of a prior on the predictions.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum PriorEffect {
-    /// The predictions are significantly better with the prior.
-    Helped,
-    /// The losses do not differ significantly.
-    NoDifference,
-    /// The predictions are significantly worse with the prior.
-    Hurt,
-}
-
-impl PriorResult {
-    /// Pools the rounds, weighted by their episodes. The models of a round follow from earlier episodes, so the differences of
-    /// rounds are uncorrelated. The interval is the normal one.
-    fn of(rounds: &[ActiveRound]) -> Option<Self> {
-        let rounds: Vec<PriorRound> = rounds.iter().filter_map(|round| round.prior).collect();
-        let episodes: u64 = rounds.iter().map(|round| round.episodes).sum();
-        let mean = |of: fn(&PriorRound) -> f64| {
-            rounds.iter().map(|round| round.episodes as f64 * of(round)).sum::<f64>() / episodes as f64
-        };
-        let (with, without) = (mean(|round| round.with), mean(|round| round.without));
-        let variance: f64 = rounds.iter().map(|round| (round.episodes as f64 * round.se).powi(2)).sum();
-        let half = Confidence::P95.z() * variance.sqrt() / episodes as f64;
-        let gain_95 = [without - with - half, without - with + half];
-        let effect = match gain_95 {
-            [low, _] if low > 0.0 => PriorEffect::Helped,
-            [_, high] if high < 0.0 => PriorEffect::Hurt,
-            _ => PriorEffect::NoDifference,
-        };
-        (episodes > 0).then_some(Self { episodes, with, without, gain_95, effect })
-    }
 }
 
 /// Scores of a model in cross-validation, told the hidden draws.

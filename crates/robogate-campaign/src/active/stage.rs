@@ -5,8 +5,6 @@ use std::ops::Range;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::PriorRun;
-
 /// The plan of the active stage, which replaces the boundary stage.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -31,9 +29,6 @@ pub struct ActiveStage {
     /// Sample where this failure mode is likely, instead of where the outcome is least certain.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seek: Option<String>,
-    /// The earlier campaign from which the risk model starts. `robogate run --prior` writes it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub prior: Option<PriorRun>,
 }
 
 fn default_growth() -> f64 {
@@ -69,7 +64,6 @@ impl ActiveStage {
             until_rms: None,
             pair_share: default_pair_share(),
             seek: None,
-            prior: None,
         }
     }
 

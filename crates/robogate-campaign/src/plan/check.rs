@@ -64,7 +64,6 @@ impl Plan {
 
     pub(super) fn check_alone(&self) -> Result<(), PlanError> {
         self.sampler()?;
-        self.check_coarse()?;
         let (uniform, stage) = (&self.uniform, &self.boundary);
         if let Some(suite) = &self.suite {
             if uniform.episodes > 0 || stage.episodes > 0 || self.active.is_some() {
@@ -99,10 +98,7 @@ impl Plan {
         if uniform.episodes == 0 {
             return Err(PlanError::BoundaryAlone { boundary: stage.episodes });
         }
-        let coarse = self.coarse.map_or(0, |coarse| coarse.episodes);
-        for (key, episodes) in
-            [("uniform.episodes", uniform.episodes), ("boundary.episodes", stage.episodes), ("coarse.episodes", coarse)]
-        {
+        for (key, episodes) in [("uniform.episodes", uniform.episodes), ("boundary.episodes", stage.episodes)] {
             check_most(key, episodes)?;
         }
         if !(2..=MOST_BINS).contains(&stage.bins) {

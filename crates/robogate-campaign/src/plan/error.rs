@@ -48,32 +48,6 @@ pub enum PlanError {
         "`active.seek` and `active.until_rms` cannot be combined\nhint: the bound is that of a model of success; remove one of them"
     )]
     SeekUntilRms,
-    /// Coarse episodes in a plan with more than a uniform stage.
-    #[error(
-        "`coarse` cannot be combined with `suite`, `active`, `boundary.episodes` or `twins`\nhint: coarse episodes estimate rates over \
-         the operating space from a uniform stage alone"
-    )]
-    CoarseAndOthers,
-    /// Coarse episodes of a design whose first points are not a sample.
-    #[error(
-        "`coarse` needs the sampler `uniform`, but `sampler` is `{found}`\nhint: the first points of another design are not an independent \
-         sample"
-    )]
-    CoarseSampler {
-        /// The sampler of the plan.
-        found: String,
-    },
-    /// Fewer coarse episodes than fine ones.
-    #[error("`coarse.episodes` is {coarse}; expected at least `uniform.episodes`, which is {fine}")]
-    FewCoarse {
-        /// Coarse episodes.
-        coarse: u64,
-        /// Fine episodes.
-        fine: u64,
-    },
-    /// A plan of coarse episodes alone.
-    #[error("`fidelity` is `coarse`; expected no such key\nhint: describe coarse episodes in the section `coarse`")]
-    CoarseAlone,
     /// A setting out of range.
     #[error("`{key}` is {found}; expected {expected}")]
     Setting {

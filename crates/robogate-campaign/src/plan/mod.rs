@@ -11,11 +11,11 @@ mod preset;
 use std::path::Path;
 
 use robogate_core::{Sampler, Suite, samplers};
-use robogate_dictionary::{Fidelity, read_text};
+use robogate_dictionary::read_text;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{ActiveStage, CoarseStage, SuiteStage};
+use crate::{ActiveStage, SuiteStage};
 use hint::hint;
 
 pub use error::PlanError;
@@ -45,12 +45,6 @@ pub struct Plan {
     /// Whether the nominal twins of the episodes run after the campaign: those of the first stage, or of the suite.
     #[serde(default, skip_serializing_if = "is_false")]
     pub twins: bool,
-    /// Coarse episodes, whose first scenarios are those of the first stage.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub coarse: Option<CoarseStage>,
-    /// The fidelity of the episodes. Only the plan of the coarse episodes beside a campaign is coarse.
-    #[serde(default, skip_serializing_if = "Fidelity::is_fine")]
-    pub fidelity: Fidelity,
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
@@ -153,9 +147,6 @@ impl Plan {
     /// Reads a plan from TOML. Errors name line and key.
     pub fn from_toml(text: &str) -> Result<Self, PlanError> {
         let plan: Self = toml::from_str(text).map_err(|e| PlanError::Syntax(e.to_string()))?;
-        if plan.fidelity == Fidelity::Coarse {
-            return Err(PlanError::CoarseAlone);
-        }
         plan.check_alone()?;
         Ok(plan)
     }
@@ -234,8 +225,6 @@ impl Plan {
             active: None,
             twins: suite.has_twins(),
             suite: Some(SuiteStage::new(suite, rounds)),
-            coarse: None,
-            fidelity: Fidelity::Fine,
         }
     }
 

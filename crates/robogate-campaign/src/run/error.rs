@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use robogate_core::DesignError;
 use robogate_dictionary::DictionaryError;
-use robogate_risk::RiskError;
 
 use crate::folder::PLAN;
 use crate::{ExecuteError, PlanError};
@@ -67,15 +66,15 @@ pub enum RunError {
         /// The problem and its position.
         source: serde_json::Error,
     },
-    /// A file of the run was written by a later version of robogate.
-    #[error("{} has format version {found}, but this robogate reads versions up to {known}\nhint: upgrade robogate; nothing was changed", path.display())]
-    NewerVersion {
+    /// A file of the run was written by another version of robogate.
+    #[error("{}: its format version is {found}. Expected {expected}\nhint: {}; nothing was changed", path.display(), version_hint(*found, *expected))]
+    OtherVersion {
         /// The file.
         path: PathBuf,
         /// The version of the file.
         found: u32,
-        /// The newest known version.
-        known: u32,
+        /// The version of this robogate.
+        expected: u32,
     },
     /// The present setup differs from that of the run.
     #[error(
@@ -122,17 +121,6 @@ pub enum RunError {
     /// The scenarios have no nominal twins.
     #[error(transparent)]
     Suite(#[from] robogate_core::SuiteError),
-    /// The plan names a prior that was not given.
-    #[error(
-        "the plan has `active.prior`, whose episodes are not given\nhint: remove it from the plan, and add --prior RUN"
-    )]
-    NoPrior,
-    /// No model can be fitted to the prior.
-    #[error("prior: {source}\nhint: choose another run, or leave out --prior")]
-    Prior {
-        /// The reason.
-        source: RiskError,
-    },
     /// The sampler cannot draw the points.
     #[error(transparent)]
     Design(#[from] DesignError),
@@ -167,5 +155,14 @@ fn io_hint(source: &io::Error) -> &'static str {
             "\nhint: choose a folder with write permission"
         }
         _ => "",
+    }
+}
+
+/// What to do with a file of another version.
+fn version_hint(found: u32, expected: u32) -> &'static str {
+    if found > expected {
+        "upgrade robogate"
+    } else {
+        "start the run again, or use the version of robogate that wrote it"
     }
 }

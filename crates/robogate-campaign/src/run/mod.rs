@@ -5,7 +5,6 @@
 //! DIR/journal.rgj          the episodes of an unfinished run
 //! DIR/lost_episodes.jsonl  attempts that an infrastructure fault lost, if there were any
 //! DIR/boundary.json        the boundary found by the first stage
-//! DIR/prior.json           the episodes from which the risk model of the active stage starts, if the plan has a prior
 //! DIR/active.json          the models of the active stage
 //! DIR/dictionary.parquet   the episodes in order of index
 //! DIR/summary.json         the summary; written last, then the journal is deleted
@@ -30,8 +29,8 @@ pub use self::error::RunError;
 use self::origin::difference;
 pub(crate) use self::origin::{known_version, same_origin};
 pub(crate) use self::stages::Run;
-use crate::folder::{self, BOUNDARY, DICTIONARY, Folder, JOURNAL, LAYOUT, PLAN, PRIOR, SUMMARY};
-use crate::{ActiveStage, BoundaryReport, Event, Executor, Plan, Prior, Round, Summary};
+use crate::folder::{self, BOUNDARY, DICTIONARY, Folder, JOURNAL, LAYOUT, PLAN, SUMMARY};
+use crate::{BoundaryReport, Event, Executor, Plan, Round, Summary};
 
 /// The content of `plan.json`: everything that the results of a run depend on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -45,13 +44,12 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// The version of the file format that is written, and the newest one that is read.
+    /// The version of the file format.
     pub const VERSION: u32 = 2;
 
-    /// The settings of a new run. This function fills in `plan`, `seed` and `fidelity` of `provenance`.
+    /// The settings of a new run. This function fills in `plan` and `seed` of `provenance`.
     pub(crate) fn new(plan: &Plan, provenance: Provenance) -> serde_json::Result<Self> {
-        let (seed, fidelity) = (plan.seed, plan.fidelity);
-        let provenance = Provenance { plan: serde_json::to_value(plan)?, seed, fidelity, ..provenance };
+        let provenance = Provenance { plan: serde_json::to_value(plan)?, seed: plan.seed, ..provenance };
         Ok(Self { version: Self::VERSION, plan: plan.clone(), provenance })
     }
 
@@ -67,12 +65,10 @@ impl Settings {
         let settings: Self = folder::parse(path, text)?;
         // The provenance, which the dictionary stores, contains the plan as well. Both must agree.
         let plan = serde_json::from_value::<Plan>(settings.provenance.plan.clone());
-        let same =
-            settings.provenance.seed == settings.plan.seed && settings.provenance.fidelity == settings.plan.fidelity;
+        let same = settings.provenance.seed == settings.plan.seed;
         if !plan.is_ok_and(|plan| plan == settings.plan) || !same {
-            let source = serde::de::Error::custom(
-                "`plan` and `provenance.plan`, `provenance.seed` or `provenance.fidelity` contradict each other",
-            );
+            let source =
+                serde::de::Error::custom("`plan` and `provenance.plan` or `provenance.seed` contradict each other");
             return Err(RunError::Unreadable { path: path.to_owned(), source });
         }
         Ok(settings)
@@ -81,8 +77,7 @@ impl Settings {
     /// Rejects `present` settings that would give other results than these recorded ones.
     pub(crate) fn same(&self, present: &Self) -> Result<(), RunError> {
         same_origin(&self.provenance, &present.provenance)?;
-        let present = Self { provenance: present.provenance.clone().as_known_in(&self.provenance), ..present.clone() };
-        let values = [self, &present].map(|settings| serde_json::to_value(settings).unwrap_or_default());
+        let values = [self, present].map(|settings| serde_json::to_value(settings).unwrap_or_default());
         let [recorded, present] = &values;
         for part in ["plan", "provenance"] {
             if let Some((what, recorded, present)) = difference(part.to_owned(), &recorded[part], &present[part]) {
@@ -125,19 +120,6 @@ pub fn start(
     start_in_rounds(dir, plan, provenance, executor, events, &mut |_| ControlFlow::Continue(()))
 }
 
-/// Starts a campaign whose plan names `prior`, like [`start`].
-pub fn start_from(
-    dir: &Path,
-    plan: &Plan,
-    provenance: Provenance,
-    prior: &Prior,
-    executor: &dyn Executor,
-    events: &mut dyn FnMut(&Event),
-) -> Result<Completion, RunError> {
-    let (folder, settings) = begin(dir, plan, provenance, Some(prior))?;
-    Run::new(folder, settings, executor, events, &mut |_| ControlFlow::Continue(()))?.run()
-}
-
 /// Starts a plan that runs a suite, like [`start`], and calls `after_round` after each round.
 ///
 /// `after_round` gets the rounds in order, each once it is completely recorded. The campaign is finished after the
@@ -154,17 +136,12 @@ pub fn start_in_rounds(
     events: &mut dyn FnMut(&Event),
     after_round: &mut AfterRound<'_>,
 ) -> Result<Completion, RunError> {
-    let (folder, settings) = begin(dir, plan, provenance, None)?;
+    let (folder, settings) = begin(dir, plan, provenance)?;
     Run::new(folder, settings, executor, events, after_round)?.run()
 }
 
-/// Creates the folder of a campaign with its prior and its plan.
-fn begin(
-    dir: &Path,
-    plan: &Plan,
-    provenance: Provenance,
-    prior: Option<&Prior>,
-) -> Result<(Folder, Settings), RunError> {
+/// Creates the folder of a campaign with its plan.
+fn begin(dir: &Path, plan: &Plan, provenance: Provenance) -> Result<(Folder, Settings), RunError> {
     plan.check(&provenance.space)?;
     std::fs::create_dir_all(dir).map_err(RunError::io(dir, "create"))?;
     let folder = Folder::lock(dir)?;
@@ -178,17 +155,6 @@ fn begin(
     }
     let settings =
         Settings::new(plan, provenance).map_err(|source| RunError::Unreadable { path: dir.join(PLAN), source })?;
-    match (&settings.plan.active, prior) {
-        (Some(ActiveStage { prior: Some(named), .. }), Some(prior)) => {
-            let path = folder.path(PRIOR);
-            let text = prior.document().map_err(|source| RunError::Unreadable { path: path.clone(), source })?;
-            Prior::parse(&path, &text, named)?;
-            folder.write_bytes(PRIOR, &text)?;
-        }
-        (Some(ActiveStage { prior: Some(_), .. }), None) => return Err(RunError::NoPrior),
-        _ if folder.has(PRIOR) => folder.remove(PRIOR)?,
-        _ => {}
-    }
     folder.write(PLAN, &settings)?;
     Ok((folder, settings))
 }

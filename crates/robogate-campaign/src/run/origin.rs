@@ -8,9 +8,9 @@ use serde_json::Value;
 
 use super::RunError;
 
-pub(crate) fn known_version(path: &Path, found: u32, known: u32) -> Result<(), RunError> {
-    if found > known {
-        return Err(RunError::NewerVersion { path: path.to_owned(), found, known });
+pub(crate) fn known_version(path: &Path, found: u32, expected: u32) -> Result<(), RunError> {
+    if found != expected {
+        return Err(RunError::OtherVersion { path: path.to_owned(), found, expected });
     }
     Ok(())
 }
@@ -36,8 +36,7 @@ pub(crate) fn same_origin(recorded: &Provenance, present: &Provenance) -> Result
             return Err(RunError::Mismatch { what: what.to_owned(), recorded, present });
         }
     }
-    // Files of version 0.2 do not record the C library, the CPU and the build. Properties that are not recorded are not
-    // compared.
+    // Not every C library tells its version. Properties that are not recorded are not compared.
     let known = |p: &Provenance| {
         let platform = p.platform.as_ref().map_or_else(|| vec![("platform", text(&None))], Platform::properties);
         let build = p.build.as_ref().map(|build| ("source files of robogate", build.source_sha256.clone()));

@@ -5,16 +5,16 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use robogate_core::{Episode, ParameterSpace};
-use robogate_dictionary::{DictionaryWriter, Entry, Journal, Recovery, read_text};
+use robogate_dictionary::{DictionaryWriter, Entry, Journal, Recovery};
 
 use super::{AfterRound, Completion, RunError, Settings};
 use crate::active::{Chooser, Opened};
-use crate::folder::{ACTIVE, BOUNDARY, DICTIONARY, Folder, JOURNAL, LOST, PRIOR, SUMMARY};
+use crate::folder::{ACTIVE, BOUNDARY, DICTIONARY, Folder, JOURNAL, LOST, SUMMARY};
 use crate::invalid::MostlyInvalid;
 use crate::summary::Summing;
 use crate::{
-    ActiveReport, Bins, BoundaryReport, Event, Executor, OutcomeCounts, Points, Prior, Round, RunAgain, Stage,
-    SuiteStage, Summary, Warning,
+    ActiveReport, Bins, BoundaryReport, Event, Executor, OutcomeCounts, Points, Round, RunAgain, Stage, SuiteStage,
+    Summary, Warning,
 };
 
 /// A campaign that runs.
@@ -64,9 +64,6 @@ impl<'a> Run<'a> {
         events(&Event::Started { episodes, already_done: journal.len(), threads: executor.parallelism() });
         if recovery.dropped_bytes > 0 {
             events(&Event::warning(Warning::RecordCut { bytes: recovery.dropped_bytes }));
-        }
-        if recovery.without_plan {
-            events(&Event::warning(Warning::JournalWithoutPlan));
         }
         let invalid_so_far = MostlyInvalid::default();
         let chosen = Vec::new();
@@ -134,11 +131,9 @@ impl<'a> Run<'a> {
     /// Runs the rounds of the active stage, and writes the report on their models.
     fn active(&mut self) -> Result<Progress, RunError> {
         // The points that other processes have chosen need no model.
-        let (foresight, prior) =
-            if self.chosen.is_empty() { (self.executor.foresight()?, self.prior()?) } else { (None, None) };
+        let foresight = if self.chosen.is_empty() { self.executor.foresight()? } else { None };
         let threads = NonZeroUsize::new(self.executor.parallelism()).unwrap_or(NonZeroUsize::MIN);
-        let chooser = Chooser::new(&self.settings.plan, &self.space, foresight, prior.as_ref(), threads)?;
-        let Some(mut chooser) = chooser else {
+        let Some(mut chooser) = Chooser::new(&self.settings.plan, &self.space, foresight, threads) else {
             return Ok(Progress::Complete);
         };
         let mut rounds = Vec::new();
@@ -167,16 +162,6 @@ impl<'a> Run<'a> {
         }
         self.folder.write(ACTIVE, &ActiveReport::of(rounds))?;
         Ok(Progress::Complete)
-    }
-
-    /// The episodes from which the risk model starts, if the plan has a prior.
-    fn prior(&self) -> Result<Option<Prior>, RunError> {
-        let Some(named) = self.settings.plan.active.as_ref().and_then(|stage| stage.prior.as_ref()) else {
-            return Ok(None);
-        };
-        let path = self.folder.path(PRIOR);
-        let text = read_text(&path).map_err(RunError::io(&path, "read"))?;
-        Prior::parse(&path, text.as_bytes(), named).map(Some)
     }
 
     fn interrupted(&self) -> Completion {

@@ -10,9 +10,9 @@ use robogate_dictionary::Entry;
 use robogate_risk::all_processors;
 
 use super::{ShardError, ShardRound, Shards, get, store};
+use crate::RunError;
 use crate::active::{Chooser, Opened};
-use crate::folder::{self, PRIOR};
-use crate::{Prior, RunError};
+use crate::folder;
 
 impl Shards {
     /// The round of the active stage whose points are the next ones to choose. All rounds before it are complete. The number after
@@ -40,10 +40,9 @@ impl Shards {
     /// environment.
     pub fn choose(&self, round: ShardRound, foresight: Option<Arc<dyn Foresight>>) -> Result<(), ShardError> {
         let ShardRound::Active(number) = round else { return Ok(()) };
-        let prior = self.prior()?;
         // No shard can run meanwhile, so all processors are free.
         let threads = all_processors();
-        let Some(mut chooser) = Chooser::new(self.plan(), &self.space, foresight, prior.as_ref(), threads)? else {
+        let Some(mut chooser) = Chooser::new(self.plan(), &self.space, foresight, threads) else {
             return Ok(());
         };
         for before in std::iter::once(ShardRound::Uniform).chain((0..number).map(ShardRound::Active)) {
@@ -58,13 +57,6 @@ impl Shards {
         let text = folder::document_bytes(&opened).map_err(|source| RunError::Unreadable { path, source })?;
         self.put_equal(&name, &text)?;
         Ok(())
-    }
-
-    /// The episodes from which the risk model starts, if the plan has a prior.
-    pub(super) fn prior(&self) -> Result<Option<Prior>, ShardError> {
-        let Some(named) = self.plan().active.as_ref().and_then(|stage| stage.prior.as_ref()) else { return Ok(None) };
-        let text = get(&*self.store, PRIOR)?.ok_or(RunError::NoPrior)?;
-        Ok(Some(Prior::parse(&self.store.place(PRIOR), &text, named)?))
     }
 
     /// The stored points of a round.

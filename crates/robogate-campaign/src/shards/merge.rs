@@ -7,8 +7,8 @@ use std::path::Path;
 use robogate_core::{Episode, Fault, FaultKind, Scenario};
 use robogate_dictionary::{Dictionary, DictionaryError, Entry, Journal, Platform, Provenance, SCHEMA_VERSION, Tool};
 
-use super::{DirectoryStore, OpenRound, ShardError, ShardRound, ShardStore, Shards, Stored, put, put_equal};
-use crate::folder::{DICTIONARY, Folder, JOURNAL, PLAN, PRIOR};
+use super::{DirectoryStore, OpenRound, ShardError, ShardRound, ShardStore, Shards, Stored, put};
+use crate::folder::{DICTIONARY, Folder, JOURNAL, PLAN};
 use crate::run::{AfterRound, Run, finished, is_finished, same_origin};
 use crate::{Bins, Completion, Event, ExecuteError, Executor, OutcomeCounts, Round, RunError};
 
@@ -80,9 +80,6 @@ impl Shards {
         let folder = Folder::lock(out)?;
         if put(&store, PLAN, &self.plan_text)? == Stored::Exists && super::existing(&store, PLAN)? != self.plan_text {
             return Err(ShardError::OtherRun { dir: out.to_owned() });
-        }
-        if let Some(prior) = self.document(PRIOR)? {
-            put_equal(&store, PRIOR, &prior)?;
         }
         Ok(folder)
     }

@@ -3,7 +3,6 @@
 //!
 //! ```text
 //! DIR/plan.json                     everything the campaign depends on
-//! DIR/prior.json                    the episodes from which the risk model starts, if the plan has a prior
 //! DIR/shards/layout.json            the number of shards
 //! DIR/shards/design-uniform.points  the points of the uniform stage
 //! DIR/shards/uniform-3-of-16.rgs    the episodes of one shard
@@ -170,10 +169,7 @@ impl Shards {
         let settings = Settings::parse(&path, &plan_text)?;
         settings.plan.check(&settings.provenance.space).map_err(RunError::from)?;
         let space = Arc::new(settings.provenance.space.clone());
-        let shards = Self { store, settings, plan_text, plan_hash, space, shards: layout.shards };
-        // A missing or changed prior is reported before any episode runs.
-        shards.prior()?;
-        Ok(shards)
+        Ok(Self { store, settings, plan_text, plan_hash, space, shards: layout.shards })
     }
 
     /// The number of shards of each round.
@@ -313,7 +309,7 @@ impl Shards {
             Ok(decoded) => decoded,
             Err(file::Unreadable::Damaged(reason)) => return Err(damaged(reason)),
             Err(file::Unreadable::Newer(found)) => {
-                return Err(RunError::NewerVersion { path, found, known: file::VERSION }.into());
+                return Err(RunError::OtherVersion { path, found, expected: file::VERSION }.into());
             }
         };
         let expected = Header { plan: self.plan_hash, round, shard, episodes: indices.len() as u64 };

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use robogate_campaign::{Bins, BoundaryReport, DrawnFrom, Plan, Points, PooledWeights};
+use robogate_campaign::{Bins, BoundaryReport, DrawnFrom, Plan, Points};
 use robogate_core::{Assignment, Domain, FailureMode, Fault, FaultKind, Outcome, ParameterSpace, Value};
 
 use crate::world;
@@ -286,37 +286,6 @@ fn weighted_mean_matches_operating_mean() {
     // Without the weights, the emphasis biases the mean.
     let plain = plain / points.len() as f64;
     assert!((plain - expected).abs() > 10.0 * error, "{plain} {expected} {error}");
-}
-
-#[test]
-fn pooled_weights_estimate_operating_space() {
-    let (plan, space, report) = synthetic(20_000, 0.3);
-    // The second stage is as large as the first. Without weights it would dominate the mean.
-    let plan = Plan { uniform: robogate_campaign::UniformStage { episodes: 20_000 }, ..plan };
-    let pooled = PooledWeights::new(&plan, &space, &report).unwrap();
-    let stages = [Points::uniform(&plan, &space).unwrap(), Points::boundary(&plan, &space, &report).unwrap()];
-    // Means over the whole operating space, where logarithms of friction and mass are uniform and independent.
-    let middle = |low: f64, high: f64| 0.5 * (low.ln() + high.ln());
-    let expected = middle(0.05, 1.2) * middle(0.05, 2.0) + 2.5;
-    let (mut total, mut weighted, mut squares, mut plain) = (0.0, 0.0, 0.0, 0.0);
-    for points in &stages {
-        for index in points.indices() {
-            let requested = points.requested(index).unwrap();
-            let of = |name: &str| requested.number(name).unwrap();
-            let f = of("friction").ln() * of("mass_kg").ln() + of("obstacles");
-            let weight = pooled.of(&requested).unwrap();
-            assert!(weight > 0.0 && weight <= 2.0, "{weight}");
-            total += weight;
-            weighted += weight * f;
-            squares += (weight * (f - expected)).powi(2);
-            plain += f;
-        }
-    }
-    let (estimate, error) = (weighted / total, squares.sqrt() / total);
-    assert!((total / 40_000.0 - 1.0).abs() < 0.02, "{total}");
-    assert!((estimate - expected).abs() < 4.0 * error, "{estimate} {expected} {error}");
-    assert!((plain / 40_000.0 - expected).abs() > 10.0 * error, "{plain} {expected} {error}");
-    assert_eq!(pooled.of(&Assignment::default()), None);
 }
 
 #[test]

@@ -1,9 +1,8 @@
 //! Tests of folders with unexpected contents.
 
 use std::fs;
-use std::sync::atomic::AtomicBool;
 
-use robogate_campaign::{Event, RunError, Warning, settings};
+use robogate_campaign::{RunError, settings};
 use robogate_dictionary::{Build, DictionaryError, Provenance};
 
 use crate::world::{Synthetic, files, plan, provenance, resume, start, stop_after, with_pool};
@@ -111,15 +110,18 @@ fn settings_round_trip() {
 }
 
 #[test]
-fn newer_file_version_is_rejected() {
+fn other_file_versions_are_rejected() {
     let base = tempfile::tempdir().unwrap();
     interrupted(base.path());
     let path = base.path().join("plan.json");
     let text = fs::read_to_string(&path).unwrap();
-    fs::write(&path, text.replacen("\"version\": 2", "\"version\": 3", 1)).unwrap();
     let before = files(base.path());
-    let error = resume(base.path(), &Synthetic::default(), 1).unwrap_err();
-    assert!(matches!(error, RunError::NewerVersion { found: 3, known: 2, .. }), "{error}");
+    for (version, hint) in [(3, "upgrade robogate"), (1, "the version of robogate that wrote it")] {
+        fs::write(&path, text.replacen("\"version\": 2", &format!("\"version\": {version}"), 1)).unwrap();
+        let error = resume(base.path(), &Synthetic::default(), 1).unwrap_err();
+        assert!(matches!(error, RunError::OtherVersion { expected: 2, .. }), "{error}");
+        assert!(error.to_string().contains(hint), "{error}");
+    }
     fs::write(&path, text.replacen("\"seed\": 7", "\"seed\": 8", 1)).unwrap();
     let error = resume(base.path(), &Synthetic::default(), 1).unwrap_err();
     assert!(error.to_string().contains("contradict"), "{error}");
@@ -156,30 +158,18 @@ fn foreign_journal_is_rejected() {
     assert!(matches!(error, RunError::Dictionary(DictionaryError::OtherPlan { .. })), "{error}");
 }
 
-/// A journal of version 0.2 does not name its plan.
+/// A journal of version 2 does not name its plan.
 #[test]
-fn old_journal_is_resumed_with_a_warning() {
+fn older_journal_is_rejected() {
     let base = tempfile::tempdir().unwrap();
-    let (whole, old) = (base.path().join("whole"), base.path().join("old"));
-    start(&whole, &plan(20, 10), &Synthetic::default(), 1).unwrap();
-    interrupted(&old);
-    let path = old.join("journal.rgj");
+    interrupted(base.path());
+    let path = base.path().join("journal.rgj");
     let journal = fs::read(&path).unwrap();
     // Magic, version and CRC-32.
     let header = b"RGJOURNL\x02\0\0\0\xcc\x46\x81\x77";
     fs::write(&path, [header, &journal[48..]].concat()).unwrap();
-    let mut warnings = Vec::new();
-    let mut hear = |event: &Event, _: &AtomicBool| {
-        if let Event::Warning { warning, .. } = event {
-            warnings.push(warning.clone());
-        }
-    };
-    with_pool(&Synthetic::default(), 1, &mut hear, |pool, events| {
-        robogate_campaign::resume(&old, &provenance(), pool, events)
-    })
-    .unwrap();
-    assert_eq!(warnings, [Warning::JournalWithoutPlan]);
-    assert_eq!(files(&old), files(&whole));
+    let error = resume(base.path(), &Synthetic::default(), 1).unwrap_err().to_string();
+    assert!(error.contains("its version is 2. Expected 3") && error.contains("start it again"), "{error}");
 }
 
 #[test]

@@ -11,7 +11,6 @@ mod follow;
 mod merge_speed;
 mod overhead;
 mod plan;
-mod prior;
 mod rows;
 mod shards;
 mod suite;

@@ -88,7 +88,6 @@ pub(crate) fn provenance() -> Provenance {
         world: serde_json::json!({ "time_step_s": 0.002 }),
         space: space(),
         plan: serde_json::Value::Null,
-        fidelity: robogate_dictionary::Fidelity::Fine,
         seed: 0,
         question_sha256: None,
         platform: Some(Platform::here()),

@@ -28,14 +28,13 @@ pub struct FixedColumn {
     pub meaning: &'static str,
 }
 
-/// The fixed columns in order. `case`, `category` and `group` exist since version 1.1, `fidelity` since version 2.2. The
-/// hidden draws of the task have columns after them, since version 2.1.
+/// The fixed columns in order. The hidden draws of the task have columns after them.
 ///
 /// Each parameter of the space has a column of its name with the requested value, between `seed` and `applied_other`.
 /// After these, each parameter has a column with the prefix `applied_`: the value read back from the environment, null
 /// if the reset failed. The measures of the task have columns before `ticks`.
 pub fn fixed_columns() -> impl Iterator<Item = &'static FixedColumn> {
-    LEADING.iter().chain(&TRAILING).chain(&CLOSING).chain(&LABEL).chain(std::iter::once(&FIDELITY))
+    LEADING.iter().chain(&TRAILING).chain(&CLOSING).chain(&LABEL)
 }
 
 /// The columns before the parameters.
@@ -193,12 +192,3 @@ pub(super) static LABEL: [FixedColumn; 3] = [
         meaning: "the scenario's group within its category",
     },
 ];
-
-/// The column of the simulator's fidelity, the last fixed one.
-pub(super) static FIDELITY: FixedColumn = FixedColumn {
-    name: "fidelity",
-    kind: Kind::Text,
-    required: true,
-    repeats: true,
-    meaning: "fine, or coarse if the episode ran with larger time steps; rows of both are never in one file",
-};

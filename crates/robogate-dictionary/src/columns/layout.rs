@@ -2,9 +2,7 @@
 
 use std::ops::Range;
 
-use super::fixed::{CLOSING, FIDELITY, LABEL, LEADING, TRAILING};
-use crate::schema::{OLDEST, WITHOUT_FIDELITY};
-use crate::{SCHEMA_VERSION, SchemaVersion};
+use super::fixed::{CLOSING, LABEL, LEADING, TRAILING};
 
 /// Positions of the parameter, measure and draw columns in the table of a dictionary.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -15,8 +13,6 @@ pub(crate) struct Layout {
     pub(crate) measures: Range<usize>,
     /// The hidden draws.
     pub(crate) draws: Range<usize>,
-    /// The schema version with these fixed columns.
-    pub(crate) version: SchemaVersion,
 }
 
 impl Layout {
@@ -28,16 +24,8 @@ impl Layout {
         let applied_other = place(TRAILING[0].name)?;
         let measures = applied_other + TRAILING.len()..place(CLOSING[0].name)?;
         let parameters = first..first + applied_other.checked_sub(first)? / 2;
-        let label = place(LABEL[0].name).filter(|at| *at >= measures.end);
-        let labelled = label.is_some();
-        let after_label = label.map_or(names.len(), |at| (at + LABEL.len()).min(names.len()));
-        let with_fidelity = names.get(after_label).is_some_and(|name| name == FIDELITY.name);
-        let draws = after_label + usize::from(with_fidelity)..names.len();
-        let version = match (labelled, with_fidelity) {
-            (false, _) => OLDEST,
-            (true, false) => WITHOUT_FIDELITY,
-            (true, true) => SCHEMA_VERSION,
-        };
-        (measures.start <= measures.end).then_some(Self { parameters, measures, draws, version })
+        let after_label = place(LABEL[0].name).filter(|at| *at >= measures.end)? + LABEL.len();
+        let draws = after_label.min(names.len())..names.len();
+        (measures.start <= measures.end).then_some(Self { parameters, measures, draws })
     }
 }

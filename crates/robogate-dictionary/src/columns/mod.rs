@@ -12,13 +12,12 @@ use robogate_core::{
     TaskSpec, Value, Word,
 };
 
-use fixed::{CLOSING, FIDELITY, LABEL, LEADING, TRAILING};
+use fixed::{CLOSING, LABEL, LEADING, TRAILING};
 pub use fixed::{FixedColumn, Kind, fixed_columns};
 pub(crate) use layout::Layout;
 
 use crate::codec::{FAULT_KINDS, Interner, integer_as_number, number_as_integer};
-use crate::schema::{LABELLED, WITHOUT_FIDELITY};
-use crate::{DictionaryError, Entry, Fidelity, Label, Provenance, SchemaVersion};
+use crate::{DictionaryError, Entry, Label, Provenance};
 
 /// One column.
 #[derive(Debug, Clone)]
@@ -70,18 +69,14 @@ pub(crate) struct Columns {
     /// The hidden draws, whose columns are last.
     draws: Vec<Word>,
     specs: Vec<ColumnSpec>,
-    /// Whether there are the columns of a suite's scenarios.
-    labelled: bool,
-    /// Whether the column before the draws is the fidelity.
-    with_fidelity: bool,
     /// Whether a row may lack the value of a parameter, as an imported one may.
     gaps: bool,
 }
 
 impl Columns {
     /// The columns of a dictionary with this provenance. The rows of an imported one may lack parameters.
-    pub(crate) fn of_provenance(provenance: &Provenance, version: SchemaVersion) -> Result<Self, DictionaryError> {
-        let mut columns = Self::of(&provenance.task, &provenance.space, version)?;
+    pub(crate) fn of_provenance(provenance: &Provenance) -> Result<Self, DictionaryError> {
+        let mut columns = Self::of(&provenance.task, &provenance.space)?;
         columns.gaps = provenance.source.is_some();
         let requested = LEADING.len()..LEADING.len() + provenance.space.len();
         if columns.gaps {
@@ -90,9 +85,9 @@ impl Columns {
         Ok(columns)
     }
 
-    /// The columns of `task` over `space` in this version of the schema. Returns an error if a parameter or measure has
+    /// The columns of `task` over `space`. Returns an error if a parameter or measure has
     /// the name of another column.
-    pub(crate) fn of(task: &TaskSpec, space: &ParameterSpace, version: SchemaVersion) -> Result<Self, DictionaryError> {
+    pub(crate) fn of(task: &TaskSpec, space: &ParameterSpace) -> Result<Self, DictionaryError> {
         let spec = |name, kind, required, repeats| ColumnSpec { name, kind, required, repeats };
         let fixed = |column: &FixedColumn| spec(column.name.to_owned(), column.kind, column.required, column.repeats);
         let of_parameters = |prefix: &'static str, required| {
@@ -109,8 +104,6 @@ impl Columns {
         let of_measures = measures.iter().map(|name| spec(name.as_str().to_owned(), Kind::Number, false, false));
         let draws: Vec<Word> = task.draws.iter().map(|draw| draw.name).collect();
         let of_draws = draws.iter().map(|name| spec(name.as_str().to_owned(), Kind::Number, false, false));
-        let labelled = version >= LABELLED;
-        let with_fidelity = version > WITHOUT_FIDELITY;
         let specs: Vec<ColumnSpec> = LEADING
             .iter()
             .map(fixed)
@@ -119,8 +112,7 @@ impl Columns {
             .chain(TRAILING.iter().map(fixed))
             .chain(of_measures)
             .chain(CLOSING.iter().map(fixed))
-            .chain(LABEL.iter().filter(|_| labelled).map(fixed))
-            .chain(std::iter::once(&FIDELITY).filter(|_| with_fidelity).map(fixed))
+            .chain(LABEL.iter().map(fixed))
             .chain(of_draws)
             .collect();
         // Case-insensitive readers (DuckDB) cannot distinguish `Mass` from `mass`.
@@ -139,7 +131,7 @@ impl Columns {
             let at = if chosen(&pair[0].1) { pair[0].1 } else { pair[1].1 };
             return Err(DictionaryError::ColumnClash { column: specs[at].name.clone() });
         }
-        Ok(Self { space: space.clone(), measures, draws, specs, labelled, with_fidelity, gaps: false })
+        Ok(Self { space: space.clone(), measures, draws, specs, gaps: false })
     }
 
     /// The columns in order.
@@ -158,7 +150,7 @@ impl Columns {
     /// to `applied_other`, and a measure that is not finite becomes null.
     pub(crate) fn flatten<'a>(&self, entry: &'a Entry, cells: &mut Vec<Cell<'a>>) -> Result<(), DictionaryError> {
         entry.check()?;
-        let Entry { stage, design, weight, label, fidelity, episode } = entry;
+        let Entry { stage, design, weight, label, episode } = entry;
         let Episode { scenario, applied, outcome, time_s, phase, contact, measures, draws, ticks, trajectory_hash } =
             episode;
         cells.clear();
@@ -190,13 +182,8 @@ impl Columns {
         cells.extend(self.measures.iter().map(|name| number(measures.get(name.as_str()))));
         cells.push(Cell::Count(u64::from(*ticks)));
         cells.push(Cell::Text(format!("{trajectory_hash:016x}").into()));
-        if self.labelled {
-            let Label { case, category, group } = label;
-            cells.extend([case, category, group].map(|word| word.as_deref().map_or(Cell::Null, text)));
-        }
-        if self.with_fidelity {
-            cells.push(text(fidelity.as_str()));
-        }
+        let Label { case, category, group } = label;
+        cells.extend([case, category, group].map(|word| word.as_deref().map_or(Cell::Null, text)));
         cells.extend(self.draws.iter().map(|name| number(draws.get(name.as_str()))));
         Ok(())
     }
@@ -306,24 +293,13 @@ impl Columns {
             .ok()
             .filter(|_| hash.len() == 16 && !hash.starts_with('+'))
             .ok_or_else(|| row.wrong("is not a hash of 16 hexadecimal digits"))?;
-        let label = if self.labelled {
-            let mut word = || row.optional_text().map(str::to_owned);
-            Label { case: word(), category: word(), group: word() }
-        } else {
-            Label::default()
-        };
-        let fidelity = match self.with_fidelity {
-            true => {
-                let word = row.text()?;
-                Fidelity::by_name(word).ok_or_else(|| row.wrong("is not a fidelity. Expected fine or coarse"))?
-            }
-            false => Fidelity::Fine,
-        };
+        let mut word = || row.optional_text().map(str::to_owned);
+        let label = Label { case: word(), category: word(), group: word() };
         let draws: Measures = self.draws.iter().map(|name| (*name, row.optional_number())).collect();
         let scenario = Scenario { index, seed, requested };
         let episode =
             Episode { scenario, applied, outcome, time_s, phase, contact, measures, draws, ticks, trajectory_hash };
-        Ok(Entry { stage, design, weight, label, fidelity, episode })
+        Ok(Entry { stage, design, weight, label, episode })
     }
 }
 

@@ -6,7 +6,7 @@ use crate::codec::Interner;
 use crate::columns::{Cell, WrongCell};
 use crate::{DatasetHash, DictionaryError, Entry, Row};
 
-use super::{Column, Dictionary, damaged, same_fidelity};
+use super::{Column, Dictionary, damaged};
 
 /// The entries of a dictionary, in order.
 #[derive(Debug)]
@@ -63,7 +63,6 @@ impl Entries<'_> {
         if let Some(previous) = self.last_index.filter(|previous| *previous >= index) {
             return Err(DictionaryError::Order { index, previous });
         }
-        same_fidelity(&entry, self.dictionary.provenance.fidelity)?;
         self.last_index = Some(index);
         self.hash.update(&entry);
         self.at += 1;

@@ -16,8 +16,8 @@ use parquet::basic::Type as Physical;
 use parquet::errors::ParquetError;
 use parquet::file::metadata::ColumnChunkMetaData;
 
+use crate::DictionaryError;
 use crate::columns::Kind;
-use crate::{DictionaryError, Entry, Fidelity};
 
 pub use column::Column;
 pub use entries::Entries;
@@ -58,13 +58,5 @@ pub(crate) fn guarded<T>(read: impl FnOnce() -> Result<T, ParquetError>) -> Resu
         Ok(Ok(value)) => Ok(value),
         Ok(Err(error)) => Err(error.to_string()),
         Err(why) => Err(format!("the Parquet library panicked on this file: {why}")),
-    }
-}
-
-/// Rejects an episode of another fidelity than its dictionary.
-fn same_fidelity(entry: &Entry, expected: Fidelity) -> Result<(), DictionaryError> {
-    match entry.fidelity {
-        found if found == expected => Ok(()),
-        found => Err(DictionaryError::ForeignFidelity { index: entry.index(), found, expected }),
     }
 }

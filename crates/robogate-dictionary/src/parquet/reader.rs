@@ -78,12 +78,8 @@ impl Dictionary {
             ));
         };
         let version: SchemaVersion = version.parse().map_err(|reason| damaged(path, "the schema version", reason))?;
-        if version.major > SCHEMA_VERSION.major {
-            return Err(DictionaryError::NewerSchema { path: path.to_owned(), found: version });
-        }
         if !version.is_readable() {
-            let reason = format!("its schema version {version} was never released");
-            return Err(DictionaryError::not_a_dictionary(path, reason));
+            return Err(DictionaryError::OtherSchema { path: path.to_owned(), found: version });
         }
         let json = value(KEY_PROVENANCE).unwrap_or_default();
         let mut checksums = value(KEY_CHECKSUMS).unwrap_or_default().split(' ');
@@ -92,7 +88,7 @@ impl Dictionary {
         }
         let provenance: Provenance =
             Budget::FILE.json(json.as_bytes()).map_err(|e| damaged(path, "the provenance", e.to_string()))?;
-        let columns = Columns::of_provenance(&provenance, version)?;
+        let columns = Columns::of_provenance(&provenance)?;
         let leaves = find_leaves(&metadata, &columns, path)?;
         let checksums = checksums
             .map(|crc| u32::from_str_radix(crc, 16))

@@ -15,9 +15,9 @@ use parquet::schema::types::{ColumnPath, Type};
 
 use crate::atomic::AtomicFile;
 use crate::columns::{Cell, Columns, Kind};
-use crate::{DatasetHash, DictionaryError, Entry, Fidelity, Provenance, SCHEMA_VERSION};
+use crate::{DatasetHash, DictionaryError, Entry, Provenance, SCHEMA_VERSION};
 
-use super::{KEY_CHECKSUMS, KEY_DATASET, KEY_PROVENANCE, KEY_VERSION, byte_range, hex_crc, physical, same_fidelity};
+use super::{KEY_CHECKSUMS, KEY_DATASET, KEY_PROVENANCE, KEY_VERSION, byte_range, hex_crc, physical};
 
 /// Rows of a row group. A reader or writer keeps one group in memory, a few megabytes.
 const ROWS_PER_GROUP: usize = 1 << 14;
@@ -52,7 +52,6 @@ pub struct DictionaryWriter {
     columns: Columns,
     chunks: Vec<Chunk>,
     seed: u64,
-    fidelity: Fidelity,
     rows_in_group: usize,
     rows: u64,
     last_index: Option<u64>,
@@ -70,7 +69,7 @@ impl fmt::Debug for DictionaryWriter {
 impl DictionaryWriter {
     /// Starts a dictionary at `path`, in this crate's schema version.
     pub fn create(path: &Path, provenance: &Provenance) -> Result<Self, DictionaryError> {
-        let columns = Columns::of_provenance(provenance, SCHEMA_VERSION)?;
+        let columns = Columns::of_provenance(provenance)?;
         let provenance = Provenance { schema_version: SCHEMA_VERSION, ..provenance.clone() };
         let json = provenance.to_json();
         let checksums = vec![hex_crc(json.as_bytes())];
@@ -85,7 +84,6 @@ impl DictionaryWriter {
             columns,
             chunks,
             seed: provenance.seed,
-            fidelity: provenance.fidelity,
             rows_in_group: 0,
             rows: 0,
             last_index: None,
@@ -105,7 +103,6 @@ impl DictionaryWriter {
         if found != self.seed {
             return Err(DictionaryError::ForeignCampaign { index, found, expected: self.seed });
         }
-        same_fidelity(entry, self.fidelity)?;
         let mut cells = Vec::with_capacity(self.chunks.len());
         self.columns.flatten(entry, &mut cells)?;
         for (chunk, cell) in self.chunks.iter_mut().zip(&cells) {

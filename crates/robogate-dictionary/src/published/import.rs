@@ -19,8 +19,8 @@ use crate::columns::Columns;
 use crate::fields::Fields;
 use crate::raw::{MOST_MODES, RawRow, Scalar};
 use crate::{
-    DictionaryError, DictionaryWriter, Engine, Entry, Fidelity, Label, Provenance, Robot, Row, SCHEMA_VERSION, Source,
-    Tool, Written, v1,
+    DictionaryError, DictionaryWriter, Engine, Entry, Label, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool,
+    Written, v1,
 };
 
 /// The result of an import.
@@ -201,7 +201,6 @@ impl Survey {
             world: serde_json::Value::Null,
             space,
             plan: json!({ "published_metadata": frame.metadata }),
-            fidelity: Fidelity::Fine,
             seed: seed.unwrap_or(0),
             question_sha256: None,
             platform: None,
@@ -216,7 +215,7 @@ impl Survey {
             }),
         };
         // Rejected here, before any file is written.
-        Columns::of(&provenance.task, &provenance.space, SCHEMA_VERSION)?;
+        Columns::of(&provenance.task, &provenance.space)?;
         Ok(Plan { provenance, fields, by_sample: self.samples_rise })
     }
 }
@@ -225,8 +224,8 @@ impl Survey {
 fn free_name(published: &str) -> String {
     let here = name_here(published);
     let parameter = |name: &str| Parameter { name: name.into(), domain: Domain::Integer { low: 0, high: 0 } };
-    let clashes = ParameterSpace::new("one", vec![parameter(here)])
-        .is_ok_and(|space| Columns::of(&v1::task(), &space, SCHEMA_VERSION).is_err());
+    let clashes =
+        ParameterSpace::new("one", vec![parameter(here)]).is_ok_and(|space| Columns::of(&v1::task(), &space).is_err());
     if clashes { format!("{PREFIX}{here}") } else { here.to_owned() }
 }
 
@@ -285,7 +284,6 @@ impl Plan {
             design: "published".to_owned(),
             weight: 1.0,
             label: Label::default(),
-            fidelity: Fidelity::Fine,
             episode,
         })
     }

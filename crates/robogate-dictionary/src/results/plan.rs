@@ -10,7 +10,7 @@ use super::role::Role;
 use super::{Format, Mapping};
 use crate::codec::{EXACT_INTEGER, Interner};
 use crate::raw::{RawRow, Scalar};
-use crate::{DictionaryError, Entry, Fidelity, Label, Provenance};
+use crate::{DictionaryError, Entry, Label, Provenance};
 
 /// The conversion from rows to entries.
 pub(super) struct Plan<'a> {
@@ -62,14 +62,7 @@ impl Plan<'_> {
             category: self.word(row, Role::Category)?,
             group: self.word(row, Role::Group)?,
         };
-        Ok(Entry {
-            stage: "imported".to_owned(),
-            design: self.format.as_str().to_owned(),
-            weight: 1.0,
-            label,
-            fidelity: Fidelity::Fine,
-            episode,
-        })
+        Ok(Entry { stage: "imported".to_owned(), design: self.format.as_str().to_owned(), weight: 1.0, label, episode })
     }
 
     /// A word of the label, if the row has one. A number becomes its text.

@@ -16,7 +16,7 @@ use crate::columns::Columns;
 use crate::fields::{Field, Fields};
 use crate::provenance::SourceColumn;
 use crate::raw::{MOST_FIELDS, MOST_MODES, RawRow, Scalar};
-use crate::{DictionaryError, Engine, Fidelity, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool, published};
+use crate::{DictionaryError, Engine, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool, published};
 
 /// The parameter that stores an environment's seed.
 pub const SOURCE_SEED: &str = "source_seed";
@@ -247,7 +247,6 @@ impl<'a> Survey<'a> {
             world: serde_json::Value::Null,
             space: ParameterSpace::new("imported", parameters)?,
             plan: json!({ "source_metadata": frame.metadata }),
-            fidelity: Fidelity::Fine,
             seed: frame.metadata.get("seed").and_then(serde_json::Value::as_u64).unwrap_or(0),
             question_sha256: None,
             platform: None,
@@ -262,7 +261,7 @@ impl<'a> Survey<'a> {
             }),
         };
         // Rejected here, before any file is written.
-        Columns::of_provenance(&provenance, SCHEMA_VERSION)?;
+        Columns::of_provenance(&provenance)?;
         let measures = measures.into_iter().map(|(column, measure)| (column, measure.name)).collect();
         Ok(Plan {
             path: self.path,
@@ -493,7 +492,6 @@ impl<'a> Survey<'a> {
 fn optional(field: &Field, name: &str, task: &TaskSpec) -> Result<Domain, String> {
     let domain = field.domain_as(name)?;
     let parameter = Parameter { name: name.into(), domain: domain.clone() };
-    let taken = ParameterSpace::new("one", vec![parameter])
-        .is_ok_and(|space| Columns::of(task, &space, SCHEMA_VERSION).is_err());
+    let taken = ParameterSpace::new("one", vec![parameter]).is_ok_and(|space| Columns::of(task, &space).is_err());
     if taken { Err("another column of the dictionary has its name".to_owned()) } else { Ok(domain) }
 }

@@ -1,13 +1,11 @@
-//! The implied task of dictionaries with schema 1.
-//!
-//! RoboGate 0.1 had one task, pick and place, and did not record it. Its dictionaries and the published ones have the
-//! failure modes, measures and phases of this task.
+//! The task of the published dictionaries, which do not name one: pick and place, with its failure modes, measures and
+//! phases.
 
 use std::sync::OnceLock;
 
 use robogate_core::TaskSpec;
 
-/// The task of every dictionary of schema 1.
+/// The task of every published dictionary.
 pub fn task() -> TaskSpec {
     static TASK: OnceLock<TaskSpec> = OnceLock::new();
     // The file is part of this crate, and a test parses it.

@@ -100,7 +100,6 @@ pub(crate) fn provenance_of(task: Arc<TaskSpec>) -> Provenance {
         world: serde_json::Value::Null,
         space: space(),
         plan: serde_json::json!({ "stages": [{ "name": "uniform", "n": 100 }] }),
-        fidelity: robogate_dictionary::Fidelity::Fine,
         seed: SEED,
         question_sha256: None,
         platform: Some(Platform::here()),
@@ -150,7 +149,6 @@ pub(crate) fn entry_of(task: &TaskSpec, index: u64) -> Entry {
             1 => Label { group: Some(String::new()), ..Label::default() },
             _ => Label::default(),
         },
-        fidelity: robogate_dictionary::Fidelity::Fine,
         episode: Episode {
             scenario: Scenario { index, seed, requested },
             applied,

@@ -7,9 +7,7 @@ use std::sync::Arc;
 use robogate_core::{Domain, FailureMode, Outcome, ParameterSpace, TaskSpec, Value, Word};
 use robogate_dictionary::export::{Format, write_file};
 use robogate_dictionary::results::{Mapping, import};
-use robogate_dictionary::{
-    Dictionary, DictionaryError, Entry, Fidelity, Provenance, dataset_hash, published, write_parquet,
-};
+use robogate_dictionary::{Dictionary, DictionaryError, Entry, Provenance, dataset_hash, published, write_parquet};
 
 use crate::common::{Folder, entry, entry_of, pick_place, provenance, provenance_of, same, strange_entry, task};
 
@@ -47,30 +45,6 @@ fn round_trip(folder: &Folder, original: &Dictionary) -> Vec<Provenance> {
 
 fn modes(task: &TaskSpec) -> Vec<&str> {
     task.failure_modes.iter().map(|mode| mode.name.as_str()).collect()
-}
-
-#[test]
-fn fidelity_survives_the_round_trip() {
-    let folder = Folder::new("exported-fidelity");
-    let coarse = |index| Entry { fidelity: Fidelity::Coarse, ..entry(index) };
-    let provenance = Provenance { fidelity: Fidelity::Coarse, ..provenance() };
-    let original = dictionary(&folder.join("d.parquet"), &provenance, (0..20).map(coarse));
-    for imported in round_trip(&folder, &original) {
-        assert_eq!(imported.fidelity, Fidelity::Coarse);
-    }
-}
-
-#[test]
-fn exports_without_fidelity_are_fine() {
-    let folder = Folder::new("exported-older");
-    let original = dictionary(&folder.join("d.parquet"), &provenance(), (0..20).map(entry));
-    let (from, to) = (folder.join("older.csv"), folder.join("again.parquet"));
-    write_file(&original, Format::Csv, &from).unwrap();
-    let text = fs::read_to_string(&from).unwrap();
-    fs::write(&from, text.replace(",fidelity\r\n", "\r\n").replace(",fine\r\n", "\r\n")).unwrap();
-    let again = imported(&from, &to);
-    assert_eq!(again.len(), 20);
-    assert!(original.entries().zip(again.entries()).all(|(a, b)| same(&a.unwrap(), &b.unwrap())));
 }
 
 #[test]
@@ -140,24 +114,6 @@ fn categories_of_digits_stay_words() {
     };
     let original = dictionary(&folder.join("d.parquet"), &Provenance { space, ..provenance() }, (0..9).map(with));
     round_trip(&folder, &original);
-}
-
-#[test]
-fn exports_of_0_1_are_imported() {
-    let fixture = |name: &str| Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/v0.1").join(name);
-    let folder = Folder::new("exported-v0.1");
-    for (csv, parquet) in [("run.csv", "run/dictionary.parquet"), ("published.csv", "published.parquet")] {
-        let again = imported(&fixture(csv), &folder.join("d.parquet"));
-        let old = Dictionary::open(&fixture(parquet)).unwrap();
-        assert!(again.entries().map(Result::unwrap).eq(old.entries().map(Result::unwrap)), "{csv}");
-    }
-}
-
-#[test]
-fn labels_may_be_missing() {
-    let folder = Folder::new("exported-1.0");
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/v0.1/schema-1.0.parquet");
-    round_trip(&folder, &Dictionary::open(&path).unwrap());
 }
 
 #[test]

@@ -17,4 +17,3 @@ mod parquet;
 mod published;
 mod raw_parquet;
 mod results;
-mod v0_1;

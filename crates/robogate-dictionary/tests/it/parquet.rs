@@ -7,8 +7,7 @@ use std::process::Command;
 use crate::common::{Folder, SEED, entry, provenance, same, strange_entry, task};
 use robogate_core::{Domain, Parameter, ParameterSpace, Scale, Seed, Value};
 use robogate_dictionary::{
-    Column, Dictionary, DictionaryError, DictionaryWriter, Entry, Fidelity, Provenance, SchemaVersion, dataset_hash,
-    write_parquet,
+    Column, Dictionary, DictionaryError, DictionaryWriter, Entry, SchemaVersion, dataset_hash, write_parquet,
 };
 
 fn write(path: &Path, entries: impl Iterator<Item = Entry>) -> String {
@@ -215,7 +214,7 @@ fn column_name_clash_is_rejected() {
 }
 
 #[test]
-fn newer_schema_is_rejected_or_read_only() {
+fn other_schemas_are_rejected() {
     let folder = Folder::new("parquet-version");
     let path = folder.join("d.parquet");
     // A provenance name with the same length as the version string: only the key-value pair is replaced.
@@ -226,43 +225,22 @@ fn newer_schema_is_rejected_or_read_only() {
         let at = bytes.windows(key.len()).position(|window| window == key).unwrap() + key.len();
         let mut changed = bytes.clone();
         // Thrift's compact protocol: a field header, then the length of the text, then the text.
-        assert_eq!(&changed[at + 2..at + 5], b"2.2");
+        assert_eq!(&changed[at + 2..at + 5], b"3.0");
         changed[at + 2..at + 5].copy_from_slice(version.as_bytes());
         fs::write(&path, changed).unwrap();
         Dictionary::open(&path)
     };
-    let error = with_version("3.0").unwrap_err();
-    assert!(matches!(error, DictionaryError::NewerSchema { found: SchemaVersion { major: 3, minor: 0 }, .. }));
-    assert!(error.to_string().contains("upgrade robogate"), "{error}");
-    let newer = with_version("2.7").unwrap();
-    assert_eq!(newer.entries().filter(Result::is_ok).count(), 3);
-    assert!(newer.schema_version().is_readable() && !newer.schema_version().is_writable());
-    // Earlier versions have no fidelity: their rows are fine.
-    let older = with_version("2.1").unwrap();
-    assert!(!older.column_names().any(|name| name == "fidelity"));
-    assert!(older.entries().all(|entry| entry.unwrap().fidelity == Fidelity::Fine));
-    assert!(with_version("0.9").is_err());
+    let newer = with_version("4.0").unwrap_err();
+    assert!(matches!(newer, DictionaryError::OtherSchema { found: SchemaVersion { major: 4, minor: 0 }, .. }));
+    assert!(newer.to_string().contains("upgrade robogate"), "{newer}");
+    for version in ["2.2", "1.0", "0.9"] {
+        let older = with_version(version).unwrap_err().to_string();
+        assert!(older.contains(&format!("its schema version is {version}. Expected 3.0")), "{older}");
+        assert!(older.contains("run the campaign again"), "{older}");
+    }
+    let minor = with_version("3.7").unwrap();
+    assert_eq!(minor.entries().filter(Result::is_ok).count(), 3);
     assert!(with_version("1-0").is_err());
-}
-
-#[test]
-fn rows_of_two_fidelities_are_rejected() {
-    let folder = Folder::new("parquet-fidelity");
-    let (fine, coarse) = (folder.join("fine"), folder.join("coarse"));
-    let coarsened = |index| Entry { fidelity: Fidelity::Coarse, ..entry(index) };
-    let mut writer = DictionaryWriter::create(&fine, &provenance()).unwrap();
-    writer.push(&entry(0)).unwrap();
-    let error = writer.push(&coarsened(1)).unwrap_err();
-    assert!(matches!(error, DictionaryError::ForeignFidelity { index: 1, .. }), "{error}");
-    let fine_hash = write(&fine, (0..9).map(entry));
-    let of_coarse = Provenance { fidelity: Fidelity::Coarse, ..provenance() };
-    let hash = write_parquet(&coarse, &of_coarse, (0..9).map(|index| Ok(coarsened(index)))).unwrap().dataset_hash;
-    assert_ne!(hash, fine_hash);
-    let dictionary = Dictionary::open(&coarse).unwrap();
-    assert_eq!(dictionary.provenance().fidelity, Fidelity::Coarse);
-    assert!(dictionary.entries().map(Result::unwrap).eq((0..9).map(coarsened)));
-    let Column::Categories { words, .. } = dictionary.column("fidelity").unwrap() else { panic!("not words") };
-    assert_eq!(words, ["coarse"]);
 }
 
 #[test]

@@ -79,6 +79,16 @@ fn released_ur5e_file_is_imported() {
     assert_eq!(rates, ["30.9", "25.3", "28.9", "28.1"]);
 }
 
+/// Episodes keep their hash from one version to the next: this one is that of RoboGate 0.1.
+#[test]
+fn imported_rows_keep_their_hash() {
+    let folder = Folder::new("published-hash");
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/published.json");
+    let imported = import(&file, &folder.join("d.parquet")).unwrap();
+    assert_eq!(imported.written.rows, 20);
+    assert_eq!(imported.written.dataset_hash, "0dd9260c2a0db6e5e6cb57e44ea4bae96c39b804b81bf405f44e98e387b3e770");
+}
+
 #[test]
 fn units_are_added_and_removed() {
     let folder = Folder::new("units");

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 
 use robogate_core::{Fault, FaultKind, Outcome, Value};
 use robogate_dictionary::results::{Format, Mapping, import};
-use robogate_dictionary::{Dictionary, Entry, Label, Provenance, RowSampling, Source, Stopping};
+use robogate_dictionary::{Dictionary, Entry, Label, Provenance, RowSampling, Source, Stopping, write_parquet};
 
-use crate::common::Folder;
+use crate::common::{Folder, entry, provenance};
 
 fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/results").join(name)
@@ -398,8 +398,9 @@ fn ignored_columns_are_named() {
 
 #[test]
 fn dictionary_is_not_imported() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/v0.1/run/dictionary.parquet");
     let folder = Folder::new("results-dictionary");
+    let path = folder.join("dictionary.parquet");
+    write_parquet(&path, &provenance(), (0..3).map(|index| Ok(entry(index)))).unwrap();
     let error = import(&path, &folder.join("d.parquet"), None, &Mapping::default()).unwrap_err().to_string();
     assert!(error.contains("it is already a dictionary"), "{error}");
 }

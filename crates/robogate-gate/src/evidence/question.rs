@@ -21,7 +21,7 @@ pub enum QuestionBinding {
         /// The parts that differ: `requirements`, `baseline`, `margin`, `real trials`, `sampling`.
         changed: Vec<String>,
     },
-    /// The rows name no question: no gate started the run, or one of version 0.2. The question may have been chosen after
+    /// The rows name no question: no gate started the run. The question may have been chosen after
     /// the results were known.
     Afterwards,
 }

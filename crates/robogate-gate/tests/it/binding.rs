@@ -69,7 +69,6 @@ impl Run {
             world: json!({ "time_step_s": 0.002, "policy": policy }),
             space: space.unwrap(),
             plan: json!({ "n": 80 }),
-            fidelity: robogate_dictionary::Fidelity::Fine,
             seed: 5,
             question_sha256: Some(asked.sha256()),
             platform: Some(Platform::here()),
@@ -125,7 +124,6 @@ impl Run {
                 design: "latin_hypercube".into(),
                 weight: 1.0,
                 label: Label::default(),
-                fidelity: robogate_dictionary::Fidelity::Fine,
                 episode,
             }
         };

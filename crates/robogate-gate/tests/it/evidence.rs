@@ -49,7 +49,6 @@ fn planned_rows(path: &Path, n: u64, failures: u64, plan: serde_json::Value, lab
         world: serde_json::Value::Null,
         space,
         plan,
-        fidelity: robogate_dictionary::Fidelity::Fine,
         seed: 5,
         question_sha256: None,
         platform: Some(Platform::here()),
@@ -68,7 +67,6 @@ fn planned_rows(path: &Path, n: u64, failures: u64, plan: serde_json::Value, lab
             design: "latin_hypercube".into(),
             weight: 1.0,
             label: label(index),
-            fidelity: robogate_dictionary::Fidelity::Fine,
             episode: Episode {
                 scenario: Scenario { index, seed: Seed::campaign(5).episode(index), requested },
                 applied: Assignment::default(),

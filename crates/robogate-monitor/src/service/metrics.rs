@@ -116,18 +116,24 @@ pub(super) fn metrics(intake: &Intake) -> String {
     family(
         &mut text,
         intake,
+        ("robogate_monitor_paper_rule", "gauge", "1 while the paper's rule holds. Its false-alarm rate has no bound."),
+        |recipe, say| {
+            for level in Level::ALL {
+                let labels = format!(",level=\"{}\"", level.as_str());
+                say(&labels, f64::from(u8::from(recipe.paper_level() >= Some(level))));
+            }
+        },
+    );
+    family(
+        &mut text,
+        intake,
         ("robogate_monitor_alarm_standing", "gauge", "1 while an alarm is active."),
         |recipe, say| {
             for view in recipe.detectors(settings) {
                 for level in Level::ALL {
-                    let labels =
-                        format!(",rule=\"detector\",metric=\"{}\",level=\"{}\"", label(&view.name), level.as_str());
+                    let labels = format!(",metric=\"{}\",level=\"{}\"", label(&view.name), level.as_str());
                     say(&labels, f64::from(u8::from(view.standing[level as usize].is_some())));
                 }
-            }
-            for level in Level::ALL {
-                let labels = format!(",rule=\"paper\",metric=\"success\",level=\"{}\"", level.as_str());
-                say(&labels, f64::from(u8::from(recipe.paper_level() >= Some(level))));
             }
         },
     );

@@ -31,7 +31,7 @@ pub use intake::{Intake, IntakeError, Refused, Taken};
 pub use local::{LocalReply, LocalRequest, random_token, serve_local};
 pub use mqtt::Broker;
 pub use nearest::{Episodes, NearestEpisode, SimulatedEpisode};
-pub use outputs::{Deliver, Output, OutputError, json_lines, of_rule, webhook};
+pub use outputs::{Deliver, Output, OutputError, json_lines, webhook};
 pub use replays::{Recompute, Replays};
 pub use settings::ServiceSettings;
 pub use status::{Around, DetectorStatus, OutsideStatus, RateStatus, RecipeStatus, Status};

@@ -8,7 +8,6 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use super::engine::{Handle, Job};
-use crate::Rule;
 
 /// Maximum number of alarms per request.
 const AT_ONCE: u32 = 100;
@@ -125,19 +124,6 @@ fn deliver_waiting(
 pub fn json_lines(mut to: impl Write + Send + 'static) -> Deliver {
     Box::new(move |alarm| {
         writeln!(to, "{alarm}").and_then(|()| to.flush()).map_err(|error| OutputError(error.to_string()))
-    })
-}
-
-/// Restricts an output to the alarms of one rule. The detectors have a guarantee and the paper's rule has none, so they
-/// are separate streams.
-pub fn of_rule(rule: Rule, mut deliver: Deliver) -> Deliver {
-    #[derive(serde::Deserialize)]
-    struct Stream {
-        rule: Rule,
-    }
-    Box::new(move |alarm| match serde_json::from_str::<Stream>(alarm) {
-        Ok(stream) if stream.rule != rule => Ok(()),
-        _ => deliver(alarm),
     })
 }
 

@@ -135,7 +135,7 @@ function fold(key, open, title, ...children) {
 }
 function course(r) {
   if (!r.charts || !r.charts.cycles.length) return [];
-  const ours = current.alarms.filter(a => a.rule === "detector" && a.recipe === r.recipe);
+  const ours = current.alarms.filter(a => a.recipe === r.recipe);
   const figures = r.charts.metrics.map(m => metric(r.charts, m, ours.filter(a => a.metric === m.metric)));
   if (r.charts.evidence.length) figures.push(evidence(r.charts, ours, current.promised_cycles));
   return [fold("charts " + r.recipe, r.level != null || current.recipes.length < 4, "Time series", el("div", { class: "charts" }, ...figures))];
@@ -243,7 +243,7 @@ function alarm(a, word, level) {
   return el("section", { class: "card" },
     el("h3", {}, el("span", {}, `${a.recipe}: `, ...said(a.what)),
       el("span", { class: level || "dim" }, word)),
-    el("div", { class: "dim" }, `${time(a.time_s)} UTC, ${a.rule === "paper" ? "the paper's rule" : "detector"}, cycle ${whole(a.cycle)} ` +
+    el("div", { class: "dim" }, `${time(a.time_s)} UTC, cycle ${whole(a.cycle)} ` +
       `(${a.cycle_id}), ${a.robot}`),
     ...(since ? [el("div", {}, since)] : []), el("div", {}, ...said(a.how_sure)),
     ...(a.look_at.length ? [el("ul", {}, ...a.look_at.map(text => el("li", {}, text)))] : []));
@@ -304,10 +304,7 @@ function show() {
       "Bars show the evidence of a detector relative to its critical limit, on a logarithmic scale.";
     const name = $("of-recipe").value;
     fill("recipes", s.recipes.filter(r => !name || r.recipe === name), recipe, "No cycle has arrived yet.");
-    const [ours, papers] = ["detector", "paper"].map(rule => s.alarms.filter(a => a.rule === rule && wanted(a)));
-    fill("alarms", events(ours), happened, "No alarms.");
-    fill("paper", papers, a => alarm(a, a.happening === "raised" ? a.level : "cleared", a.happening === "raised" ? a.level : null), "No alarms.");
-    $("papers").textContent = `Alarms of the paper's rule (${whole(papers.length)})`;
+    fill("alarms", events(s.alarms.filter(wanted)), happened, "No alarms.");
     fleet(name ? { ...f, recipes: f.recipes.filter(r => r.recipe === name) } : f);
     if (!chosen) cycles();
     const i = s.intake;

@@ -1,9 +1,7 @@
 //! Each kind of change is detected, named and dated, and no other alarm is raised.
 
 use robogate_core::Seed;
-use robogate_monitor::{
-    Alarm, Baseline, Count, EventSettings, Happening, Level, Monitor, ParameterValue, Rule, Settings,
-};
+use robogate_monitor::{Alarm, Baseline, Count, EventSettings, Happening, Level, Monitor, ParameterValue, Settings};
 
 use crate::common::{Cell, cycle, domain};
 
@@ -19,7 +17,6 @@ fn alarms(after: Cell, n: usize, settings: Settings) -> Vec<Alarm> {
         cycle.id = format!("c{i}");
         monitor.observe(&cycle, &mut |alarm| alarms.push(alarm)).unwrap();
     }
-    alarms.retain(|alarm| alarm.rule == Rule::Detector);
     alarms
 }
 
@@ -110,7 +107,6 @@ fn of_mass(mass_kg: [f64; 2]) -> Vec<Alarm> {
         cycle.parameters.insert("shape".to_owned(), ParameterValue::Word(shape.to_owned()));
         monitor.observe(&cycle, &mut |alarm| alarms.push(alarm)).unwrap();
     }
-    alarms.retain(|alarm| alarm.rule == Rule::Detector);
     alarms
 }
 
@@ -171,8 +167,7 @@ fn worn_robot_is_named() {
         cycle.robot = format!("cell-{}", i % 10);
         monitor.observe(&cycle, &mut |alarm| found.push(alarm)).unwrap();
     }
-    let critical =
-        |metric| found.iter().find(|a| a.metric == metric && a.level == Level::Critical && a.rule == Rule::Detector);
+    let critical = |metric| found.iter().find(|a| a.metric == metric && a.level == Level::Critical);
     let named = critical("robot").unwrap();
     assert_eq!(named.robot, "cell-3");
     assert!(named.what.starts_with("Robot cell-3 fails at "), "{}", named.what);
@@ -203,7 +198,7 @@ fn alarms_are_raised_once_and_cleared() {
         let cell = Cell { success: if (500..900).contains(&i) { 0.7 } else { 0.96 }, ..Cell::NORMAL };
         cell.draw(&mut stream, &mut cycle);
         let mut keep = |alarm: Alarm| {
-            if alarm.rule == Rule::Detector && alarm.metric == "success" && alarm.level == Level::Critical {
+            if alarm.metric == "success" && alarm.level == Level::Critical {
                 alarms.push(alarm.happening);
             }
         };

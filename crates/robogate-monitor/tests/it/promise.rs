@@ -4,7 +4,7 @@ use robogate_core::Seed;
 use robogate_monitor::detector::Evidence;
 use robogate_monitor::factors::event;
 use robogate_monitor::simulate::{Mean, Question, simulate};
-use robogate_monitor::{Baseline, Count, Happening, Level, Monitor, Rule, Settings, Shares};
+use robogate_monitor::{Baseline, Count, Happening, Level, Monitor, Settings, Shares};
 
 use crate::common::{Cell, cycle};
 
@@ -52,7 +52,7 @@ fn all_metrics_together_reach_the_bound() {
                 Cell::NORMAL.draw(&mut stream, &mut cycle);
                 names[stream.below(names.len())].clone_into(&mut cycle.recipe);
                 robots[stream.below(robots.len())].clone_into(&mut cycle.robot);
-                monitor.observe(&cycle, &mut |alarm| alarmed |= alarm.rule == Rule::Detector).unwrap();
+                monitor.observe(&cycle, &mut |_| alarmed = true).unwrap();
                 length += 1.0;
             }
             length
@@ -107,7 +107,7 @@ fn change_intervals_cover_the_change() {
             cell.draw(&mut stream, &mut cycle);
             monitor
                 .observe(&cycle, &mut |alarm| {
-                    let ours = alarm.rule == Rule::Detector && alarm.happening == Happening::Raised;
+                    let ours = alarm.happening == Happening::Raised;
                     if ours && alarm.level == Level::Critical && n > 700 && found.is_none() {
                         found = alarm.since;
                     }
@@ -140,7 +140,7 @@ fn change_intervals_cover_with_small_baseline() {
             cycle.success = random.uniform() >= if n > 700 { 0.07 } else { 0.02 };
             monitor
                 .observe(&cycle, &mut |alarm| {
-                    let ours = alarm.rule == Rule::Detector && alarm.happening == Happening::Raised;
+                    let ours = alarm.happening == Happening::Raised;
                     if ours && alarm.metric == "success" && n > 700 {
                         found = alarm.since;
                     }
@@ -169,11 +169,7 @@ fn learnt_delay(stream: u64, change_after: u32, to: f64) -> f64 {
         let rate = if n > change_after { to } else { 0.95 };
         cycle.success = random.uniform() < rate;
         let mut warned = false;
-        monitor
-            .observe(&cycle, &mut |alarm| {
-                warned |= alarm.rule == Rule::Detector && alarm.happening == Happening::Raised
-            })
-            .unwrap();
+        monitor.observe(&cycle, &mut |alarm| warned |= alarm.happening == Happening::Raised).unwrap();
         if warned && n > change_after {
             return f64::from(n - change_after);
         }
@@ -217,7 +213,7 @@ fn learnt_baseline_reaches_the_bound() {
             for n in 1..=40_000 {
                 cycle.success = random.uniform() < 0.95;
                 let mut alarmed = false;
-                monitor.observe(&cycle, &mut |alarm| alarmed |= alarm.rule == Rule::Detector).unwrap();
+                monitor.observe(&cycle, &mut |_| alarmed = true).unwrap();
                 if alarmed {
                     return f64::from(n);
                 }

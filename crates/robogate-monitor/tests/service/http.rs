@@ -61,9 +61,9 @@ fn all_paths_answer() {
     let (status, text) = get(to, "/metrics");
     assert_eq!(status, 200);
     assert!(text.contains("robogate_monitor_cycles_total{recipe=\"part-0\"} 600"), "{text}");
-    assert!(text.contains(
-        "robogate_monitor_alarm_standing{recipe=\"part-0\",rule=\"detector\",metric=\"success\",level=\"critical\"} 1"
-    ));
+    assert!(
+        text.contains("robogate_monitor_alarm_standing{recipe=\"part-0\",metric=\"success\",level=\"critical\"} 1")
+    );
     // Every sample belongs to a family that was declared before it.
     let families: Vec<&str> = text.lines().filter_map(|l| l.strip_prefix("# TYPE ")?.split(' ').next()).collect();
     for line in text.lines().filter(|line| !line.starts_with('#')) {

@@ -12,7 +12,6 @@ use crate::gate::VerdictBlock;
 use crate::watch::Watch;
 
 pub(crate) use analysis::analysis_document;
-pub use analysis::fidelity_lines;
 pub(crate) use comparison::comparison_document;
 pub(crate) use transfer::transfer_document;
 

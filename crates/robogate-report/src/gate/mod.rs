@@ -4,8 +4,7 @@ mod fleet;
 mod junit;
 mod leaderboard;
 mod markdown;
-mod pdf;
-mod reqif;
+mod page;
 mod twins;
 mod verdict;
 
@@ -15,8 +14,7 @@ pub use fleet::{fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet
 pub use junit::junit;
 pub use leaderboard::{leaderboard_html, leaderboard_markdown, leaderboards_html, leaderboards_markdown};
 pub use markdown::{evaluation_markdown, evaluation_markdown_with};
-pub use pdf::verdict_pdf;
-pub use reqif::reqif;
+pub use page::verdict_html;
 pub use twins::TwinRow;
 pub(crate) use verdict::VerdictBlock;
 

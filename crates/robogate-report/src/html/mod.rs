@@ -163,7 +163,7 @@ fn section(section: &Section, below_verdict: bool) -> Markup {
     }
 }
 
-fn block(block: &Block) -> Markup {
+pub(crate) fn block(block: &Block) -> Markup {
     match block {
         Block::Text(text) => html! { p.text { (rich(text)) } },
         Block::Caution(text) => html! { p.caution { (rich(text)) } },

@@ -12,9 +12,9 @@ const EVIL: &str = "<img src=x onerror=\"y()\"> & 'z'";
 fn requirements() -> Requirements {
     let toml = format!(
         "name = '''{EVIL}'''\nmode = \"confidence\"\n\
-         [[requirement]]\nmetric = \"success_rate\"\nat_least = 0.1\n\
-         [[requirement]]\nmetric = \"collision_rate\"\nat_most = 0.01\n\
-         [[score]]\nname = \"success\"\nmetric = \"success_rate\"\nweight = 1.0\n\
+         [[requirement]]\nmetric = \"success\"\nat_least = 0.1\n\
+         [[requirement]]\nmetric = \"failure:collision\"\nat_most = 0.01\n\
+         [[score]]\nname = \"success\"\nmetric = \"success\"\nweight = 1.0\n\
          scoring = {{ form = \"linear\", full_at = 0.9 }}\n"
     );
     Requirements::from_toml(&toml).unwrap()

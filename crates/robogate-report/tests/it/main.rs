@@ -5,13 +5,10 @@
 
 mod comparison;
 mod degenerate;
-#[path = "../../../robogate-analysis/tests/it/designs.rs"]
-mod designs;
 mod gate;
 mod headline;
 mod pages;
 #[path = "../../../robogate-analysis/tests/it/runs.rs"]
 mod runs;
-mod study;
 #[path = "../../../robogate-analysis/tests/it/synthetic.rs"]
 mod synthetic;

@@ -16,7 +16,6 @@ use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
 use crate::source::open_source;
 use crate::terminal::{self, bar, bold, dim, grouped, line, percent, quoted, wrapped};
 use crate::twins::{self, NominalArguments};
-use crate::two_fidelities;
 
 /// Analyze a dictionary: where the policy fails, the effects of the parameters, and their confidence intervals.
 #[derive(Debug, Args)]
@@ -41,13 +40,11 @@ impl Analyze {
         let source = open_source(&self.dictionary)?;
         let analysis = analyse(&source, &self.dictionary, &options(&self.pair, self.target))?;
         let twins = self.nominal.twins(&source, Sampling::Fixed)?;
-        let fidelities = source.folder().and_then(two_fidelities::of_run);
         if self.json {
-            line(analysis_json_with(&analysis, twins.as_ref(), fidelities.as_ref()));
+            line(analysis_json_with(&analysis, twins.as_ref()));
         } else {
             print(&analysis);
             twins.iter().for_each(twins::print);
-            fidelities.iter().for_each(two_fidelities::print);
         }
         Ok(evidence(&analysis))
     }

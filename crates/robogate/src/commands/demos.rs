@@ -13,7 +13,7 @@ use robogate_campaign::folder::DICTIONARY;
 use robogate_core::samplers::Uniform;
 use robogate_core::{Assignment, Outcome, Sampler, Scenario, Seed, rollout};
 use robogate_demos::{Dataset, DatasetError, Demonstration};
-use robogate_dictionary::{Dictionary, Fidelity};
+use robogate_dictionary::Dictionary;
 use serde_json::json;
 
 use crate::cell::Cell;
@@ -204,13 +204,6 @@ fn failures(run: &Path) -> Result<Vec<Assignment>, Exit> {
     let dictionary = Dictionary::open(&run.join(DICTIONARY))
         .map_err(|error| anyhow!(error).context(format!("{}: not a finished run", run.display())))
         .or_usage()?;
-    if dictionary.provenance().fidelity == Fidelity::Coarse {
-        return Err(anyhow!(
-            "--failed-in {}: its episodes are coarse\n  hint: use the run that they belong to",
-            run.display()
-        ))
-        .or_usage();
-    }
     let mut failed = Vec::new();
     for entry in dictionary.entries() {
         let episode = entry.or_usage()?.episode;

@@ -55,7 +55,7 @@ pub(crate) struct Evidence {
     /// it in its first line
     #[arg(long)]
     reasked: bool,
-    /// Add the folder `compliance` with the verdict as PDF, ReqIF and JUnit, and a CycloneDX list of components (SBOM)
+    /// Add the folder `compliance` with the verdict as a page and as JUnit, and a CycloneDX list of components (SBOM)
     #[arg(long)]
     compliance: bool,
     /// Sign with this private key; without one the evidence is unsigned

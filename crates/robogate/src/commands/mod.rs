@@ -35,7 +35,6 @@ pub(crate) mod serve;
 pub(crate) mod shard;
 pub(crate) mod snapshot;
 pub(crate) mod status;
-pub(crate) mod study;
 pub(crate) mod suites;
 pub(crate) mod transfer;
 pub(crate) mod verify;

@@ -62,9 +62,6 @@ struct Check {
     /// Set the number of requests with the same observation (at least 2)
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..))]
     requests: u32,
-    /// The old name of --requests
-    #[arg(long, hide = true, value_name = "N", conflicts_with = "requests", value_parser = clap::value_parser!(u32).range(2..))]
-    questions: Option<u32>,
     /// Draft a profile from what the server declares about its inputs and outputs (GR00T and RoboArena servers), and from
     /// --statistics, write it to this file, and check nothing. The rest is that of --profile
     #[arg(long, value_name = "FILE", conflicts_with = "json")]
@@ -141,9 +138,6 @@ struct Findings {
 
 impl Check {
     fn execute(&self) -> Result<u8, Exit> {
-        if self.questions.is_some() {
-            note("note: --questions is the old name of --requests");
-        }
         let profile = Arc::new(profile(&self.profile).or_usage()?);
         if let Some(path) = &self.write {
             return self.draft(&profile, path);
@@ -263,7 +257,7 @@ impl Check {
     }
 
     fn requests(&self) -> u32 {
-        self.questions.unwrap_or(self.requests)
+        self.requests
     }
 
     /// Send the same observation several times: shape, latency, determinism, size and sign of the actions.

@@ -136,7 +136,7 @@ impl Replay {
                         "  the environment is not deterministic: it does not repeat an episode of the same seed (see `robogate env inspect`)",
                     );
                 }
-                let now = subject.provenance(settings.provenance.space.clone())?.as_known_in(&settings.provenance);
+                let now = subject.provenance(settings.provenance.space.clone())?;
                 let was = &settings.provenance;
                 if (&now.tool, &now.build, &now.engine, &now.robot, &now.platform)
                     != (&was.tool, &was.build, &was.engine, &was.robot, &was.platform)

@@ -19,7 +19,6 @@ use crate::source::open_source;
 use crate::subject::Subject;
 use crate::terminal::{line, note};
 use crate::twins::{self, NominalArguments};
-use crate::two_fidelities;
 use crate::watch::{self, Frames, Moment};
 
 /// Write a run or a dictionary as one page: where the policy fails, what to do, and the confidence intervals.
@@ -91,19 +90,17 @@ impl Report {
         let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
         let twins = self.nominal.twins(&source, sampling)?;
         let active = source.folder().and_then(active_model::of_run);
-        let fidelities = source.folder().and_then(two_fidelities::of_run);
         let additions = Additions {
             evaluation: evaluation.as_ref(),
             watch: shown(watch.as_ref()),
             pairs: Some(&pairs),
             twins: twins.as_ref(),
             active: active.as_ref(),
-            fidelities: fidelities.as_ref(),
         };
         let text = match self.format {
             Form::Html => html_with(&analysis, &additions),
             Form::Md => markdown_with(&analysis, &additions),
-            Form::Json => analysis_json_with(&analysis, twins.as_ref(), fidelities.as_ref()),
+            Form::Json => analysis_json_with(&analysis, twins.as_ref()),
         };
         match &out {
             Some(out) => write(out, &text)?,
@@ -160,14 +157,12 @@ pub(crate) fn page(
     let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
     let twins = twins::of_folder(dir, &source, sampling)?;
     let active = active_model::of_run(dir);
-    let fidelities = two_fidelities::of_run(dir);
     let additions = Additions {
         evaluation: evaluation.as_ref(),
         watch: shown(Some(&watch)),
         pairs: Some(&pairs),
         twins: twins.as_ref(),
         active: active.as_ref(),
-        fidelities: fidelities.as_ref(),
     };
     // Renamed when it is complete, because an existing page is kept.
     let part = dir.join(format!(".{PAGE}.part"));

@@ -103,18 +103,17 @@ fn same_setup(recorded: &Provenance, here: &Provenance) -> Result<(), Exit> {
         let hint = "hint: run the verification with the build, library and platform of the run";
         Err(anyhow!("--rerun: the rows were made with another {name}: {was}, here {is}\n  {hint}")).or_usage()
     };
-    let here = here.clone().as_known_in(recorded);
     let text = |value: &Option<String>| value.clone().unwrap_or_else(|| "unknown".to_owned());
     same("version of robogate", recorded.tool == here.tool, recorded.tool.version.clone(), here.tool.version.clone())?;
     let build = |p: &Provenance| text(&p.build.as_ref().map(|build| build.source_sha256.clone()));
-    same("build of robogate", recorded.build == here.build, build(recorded), build(&here))?;
+    same("build of robogate", recorded.build == here.build, build(recorded), build(here))?;
     let engine =
         |p: &Provenance| format!("{} {} {}", p.engine.name, text(&p.engine.version), text(&p.engine.build_sha256));
-    same("engine", recorded.engine == here.engine, engine(recorded), engine(&here))?;
+    same("engine", recorded.engine == here.engine, engine(recorded), engine(here))?;
     same("robot", recorded.robot == here.robot, text(&recorded.robot.sha256), text(&here.robot.sha256))?;
     let platform = |p: &Provenance| {
         let known = p.platform.as_ref().map(robogate_dictionary::Platform::properties).unwrap_or_default();
         known.into_iter().map(|(_, value)| value).collect::<Vec<_>>().join(", ")
     };
-    same("platform", recorded.platform == here.platform, platform(recorded), platform(&here))
+    same("platform", recorded.platform == here.platform, platform(recorded), platform(here))
 }

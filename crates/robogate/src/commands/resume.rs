@@ -12,7 +12,6 @@ use crate::exit::{Exit, OrExit};
 use crate::reopening::Reopening;
 use crate::subject::Subject;
 use crate::twins::Arms;
-use crate::two_fidelities::CoarseArm;
 
 /// Resume an interrupted campaign.
 #[derive(Debug, Args)]
@@ -44,12 +43,6 @@ impl Resume {
         let subject = Subject::recorded(&settings.provenance, Some(&self.dir), &self.opening)?;
         if let Some(asked) = asked {
             return gate::resume(&self.dir, asked, &subject, settings, &self.opening, &self.how);
-        }
-        if let Some(coarse) = CoarseArm::of(&self.dir, &settings.plan, &settings.provenance, &Reopening::trusted())? {
-            let provenance = subject.provenance(settings.provenance.space)?;
-            return coarse.conduct(&self.dir, &self.how, &subject, |executor, events| {
-                robogate_campaign::resume(&self.dir, &provenance, executor, events)
-            });
         }
         let arms = Arms::of(&self.dir, &settings.plan, &settings.provenance.space, &subject)?;
         let provenance = subject.provenance(settings.provenance.space)?;

@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{Context, anyhow};
+use anyhow::anyhow;
 use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, FromArgMatches, Id};
 use robogate_analysis::Analysis;
 use robogate_campaign::folder::PLAN;
 use robogate_campaign::shards::ShardSet;
 use robogate_campaign::{
-    ActiveStage, Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, Prior, RunError, Settings, ThreadPool,
+    ActiveStage, Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, Settings, ThreadPool,
 };
 use robogate_core::{FailureMode, ParameterSpace, TaskSpec};
 use robogate_dictionary::Provenance;
@@ -32,12 +32,10 @@ use crate::place;
 use crate::policy_source::{PolicyArguments, PolicyLocation};
 use crate::progress::Progress;
 use crate::reopening::{Reopening, Trust};
-use crate::source::open_source;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary;
 use crate::terminal::{Screen, grouped, note, percent, quoted, warning};
 use crate::twins::{self, Arms};
-use crate::two_fidelities::{self, CoarseArm};
 use crate::watch::Frames;
 
 /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain.
@@ -72,10 +70,6 @@ pub(crate) struct Run {
     /// Estimate the rate of this failure mode: the active design samples where the mode is likely
     #[arg(long, value_name = "MODE", conflicts_with_all = ["suite", "until_rms"])]
     seek: Option<String>,
-    /// Start the risk model of the active design from this finished run of the same task, with another policy, engine or robot.
-    /// The summary states whether that helped
-    #[arg(long, value_name = "RUN", conflicts_with = "suite")]
-    prior: Option<PathBuf>,
     /// Stop the active design when the root mean square error of its risk model is at most this (0 to 0.5), with 95 %
     /// confidence
     #[arg(long, value_name = "ERROR", conflicts_with = "suite")]
@@ -93,19 +87,6 @@ pub(crate) struct Run {
     /// families of the task. Repeat it for each family
     #[arg(long, value_name = "FAMILY", conflicts_with_all = ["suite", "plan", "design", "seek", "until_rms"])]
     family: Vec<String>,
-    /// Run all episodes with a larger time step, which is cheaper, and this share of them (above 0, up to 1) with that of the run
-    /// as well. The rates are those of the fine simulator; the design is uniform (docs/coarse.md)
-    #[arg(
-        long,
-        value_name = "SHARE",
-        num_args = 0..=1,
-        default_missing_value = two_fidelities::SHARE,
-        conflicts_with_all = ["suite", "plan", "seek", "prior", "until_rms", "twins", "family", "shard", "divide"]
-    )]
-    coarse: Option<f64>,
-    /// Set the time step of the coarse episodes, in seconds: larger than that of the run
-    #[arg(long, value_name = "SECONDS", default_value_t = two_fidelities::TIME_STEP_S, requires = "coarse")]
-    coarse_step: f64,
     #[command(flatten)]
     environment: EnvironmentArguments,
     #[command(flatten)]
@@ -218,7 +199,7 @@ impl Run {
             let subject = Subject::recorded(&provenance, Some(dir), &opening)?;
             let question_sha256 = provenance.question_sha256;
             let provenance = Provenance { question_sha256, ..subject.provenance(provenance.space)? };
-            return shard::run(dir, shards, &subject, &plan, provenance, None, &self.how);
+            return shard::run(dir, shards, &subject, &plan, provenance, &self.how);
         }
         // The surface gripper, four failure modes and one workspace for all robots belong to the paper preset. All other
         // runs use the physical vacuum law and every mode.
@@ -235,22 +216,13 @@ impl Run {
         let (mut plan, space) = self.plan_and_space(&subject)?;
         plan.twins |= self.twins;
         let provenance = subject.provenance(space)?;
-        let prior = self.prior(&mut plan, &provenance)?;
-        if plan.coarse.is_some() && (self.shard.is_some() || self.divide.is_some()) {
-            return Err(anyhow!(
-                "a plan with coarse episodes cannot be divided into shards\n  hint: run it on one machine, or remove `coarse`"
-            ))
-            .or_usage();
-        }
         if let (Some(shards), Some(dir)) = (&self.shard, &self.out) {
             subject.register(dir, &provenance);
-            return shard::run(dir, shards, &subject, &plan, provenance, prior.as_ref(), &self.how);
+            return shard::run(dir, shards, &subject, &plan, provenance, &self.how);
         }
         if let (Some(shards), Some(dir)) = (self.divide, &self.out) {
-            let documents = shard::documents(prior.as_ref())?;
-            let documents: Vec<(&str, &[u8])> = documents.iter().map(|(name, text)| (*name, &**text)).collect();
             subject.register(dir, &provenance);
-            return shard::divide(dir, shards, &plan, provenance, &documents, self.how.json);
+            return shard::divide(dir, shards, &plan, provenance, &[], self.how.json);
         }
         let dir = match &self.out {
             Some(dir) => {
@@ -270,18 +242,11 @@ impl Run {
                 ))
             }
         };
-        let coarse = CoarseArm::of(&dir, &plan, &provenance, &Reopening::trusted())?;
         introduce(&provenance, plan.seed);
         if plan.suite.is_none() {
             subject.note_feasibility(&provenance.space);
         }
         match (&plan.suite, &plan.active) {
-            _ if coarse.is_some() => note(format_args!(
-                "{} over the operating space, the first {} also with the time step of the run, into {}",
-                counted(plan.coarse.map_or(0, |coarse| coarse.episodes), "coarse episode"),
-                grouped(plan.uniform.episodes),
-                dir.display()
-            )),
             (Some(stage), _) => note(format_args!(
                 "{} {}: {} scenarios, {} episodes, into {}",
                 stage.suite.name(),
@@ -313,52 +278,18 @@ impl Run {
                 dir.display()
             )),
         }
-        if let Some(coarse) = coarse {
-            subject.register(&dir, &provenance);
-            return coarse.conduct(&dir, &self.how, &subject, |executor, events| {
-                robogate_campaign::start(&dir, &plan, provenance, executor, events)
-            });
-        }
         let arms = Arms::of(&dir, &plan, &provenance.space, &subject)?;
         subject.register(&dir, &provenance);
         self.how.conduct(&dir, &subject, |executor, events| {
-            let completion = match &prior {
-                Some(prior) => robogate_campaign::start_from(&dir, &plan, provenance, prior, executor, events)?,
-                None => robogate_campaign::start(&dir, &plan, provenance, executor, events)?,
-            };
+            let completion = robogate_campaign::start(&dir, &plan, provenance, executor, events)?;
             arms.after(completion, executor, events)
         })
-    }
-
-    /// The episodes of `--prior`, which the plan names from now on.
-    fn prior(&self, plan: &mut Plan, provenance: &Provenance) -> Result<Option<Prior>, Exit> {
-        let Some(run) = &self.prior else { return Ok(None) };
-        let at = || format!("--prior {}", run.display());
-        let Some(stage) = &mut plan.active else {
-            return Err(anyhow!("--prior applies to the active design\n  hint: add --design active")).or_usage();
-        };
-        let source = open_source(run)?;
-        let prior = Prior::of(source.dictionary()).with_context(at).or_usage()?;
-        prior.check(&provenance.task, &provenance.space, stage.seek.as_deref()).with_context(at).or_usage()?;
-        let named = prior.identity(&provenance.robot).or_broken()?;
-        note(format_args!(
-            "prior: {} policy on {} in {}{}",
-            named.policy,
-            named.robot,
-            named.engine,
-            if named.told_draws { "" } else { "; another robot, so its model does not use the hidden draws" }
-        ));
-        stage.prior = Some(named);
-        Ok(Some(prior))
     }
 
     /// Rejects arguments that need another one. clap does not require an argument that conflicts with a given one: it would
     /// accept and ignore the rounds in `--rounds 5 -n 100`.
     fn check_required(&self) -> Result<(), Exit> {
-        let needs = [
-            ("rounds", "--rounds", self.suite.is_some(), "--suite"),
-            ("coarse_step", "--coarse-step", self.coarse.is_some(), "--coarse"),
-        ];
+        let needs = [("rounds", "--rounds", self.suite.is_some(), "--suite")];
         match needs.into_iter().find(|(name, _, is_given, _)| self.given.has(name) && !is_given) {
             Some((_, option, _, needed)) => {
                 Err(anyhow!("{option} needs {needed}\n  hint: give {needed}, or leave out {option}")).or_usage()
@@ -427,16 +358,6 @@ impl Run {
                     .or_usage();
             }
             _ => {}
-        }
-        if let Some(share) = self.coarse {
-            if self.design.as_deref().is_some_and(|design| design != "uniform") {
-                return Err(anyhow!("--coarse applies to the uniform design\n  hint: leave out --design")).or_usage();
-            }
-            // Written in this form to reject NaN as well.
-            if !(share > 0.0 && share <= 1.0) {
-                return Err(anyhow!("--coarse {share}: out of range. Expected a share above 0, up to 1")).or_usage();
-            }
-            plan = plan.with_coarse(share, self.coarse_step);
         }
         if let Some(seed) = self.seed {
             plan.seed = seed;
@@ -541,14 +462,12 @@ pub(crate) fn conclude(dir: &Path, completion: &Completion, subject: Option<&Sub
             if let Some(twins) = &twins {
                 twins::write(dir, twins)?;
             }
-            let fidelities = two_fidelities::of_run(dir);
             let analysis = write_report(dir, None, subject).map(|(analysis, _)| analysis);
             if json {
-                summary::json(dir, summary, boundary.as_deref(), twins.as_ref(), fidelities.as_ref()).or_broken()?;
+                summary::json(dir, summary, boundary.as_deref(), twins.as_ref()).or_broken()?;
             } else {
                 summary::print(dir, summary, boundary.as_deref(), analysis.as_ref());
                 twins.iter().for_each(twins::print);
-                fidelities.iter().for_each(two_fidelities::print);
             }
             let evidence = summary.stages.iter().any(|stage| stage.valid > 0);
             Ok(if evidence { DONE } else { INVALID })
@@ -610,10 +529,9 @@ pub(crate) fn exit(error: RunError) -> Exit {
         | RunError::AlreadyARun { .. }
         | RunError::InShards { .. }
         | RunError::NotARun { .. }
-        | RunError::NewerVersion { .. }
+        | RunError::OtherVersion { .. }
         | RunError::Mismatch { .. }
         | RunError::NoSuchEpisode { .. }
-        | RunError::NoPrior
         | RunError::Suite(_)
         | RunError::Plan(_) => USAGE,
         _ => INFRASTRUCTURE,
@@ -659,7 +577,7 @@ mod tests {
     use super::*;
 
     /// The arguments of `run` that affect the results of a campaign.
-    const WITH_EFFECT: [&str; 34] = [
+    const WITH_EFFECT: [&str; 31] = [
         "preset",
         "plan",
         "space",
@@ -668,13 +586,10 @@ mod tests {
         "n",
         "design",
         "seek",
-        "prior",
         "until_rms",
         "seed",
         "twins",
         "family",
-        "coarse",
-        "coarse_step",
         "task",
         "env",
         "robot",

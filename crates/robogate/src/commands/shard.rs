@@ -3,11 +3,10 @@
 use std::path::Path;
 
 use anyhow::anyhow;
-use robogate_campaign::folder::PRIOR;
 use robogate_campaign::shards::{
     Assignment, Commit, Shard, ShardEnd, ShardError, ShardResult, ShardRound, ShardSet, ShardTask, Shards,
 };
-use robogate_campaign::{Executor, OutcomeCounts, Plan, Prior};
+use robogate_campaign::{Executor, OutcomeCounts, Plan};
 use robogate_dictionary::Provenance;
 use robogate_stats::format::counted;
 use serde_json::json;
@@ -19,21 +18,17 @@ use crate::sharded::Campaign;
 use crate::subject::Subject;
 use crate::terminal::{grouped, line, note, quoted};
 
-/// Runs `shards` of the open round of the campaign in `dir`, and commits each at its end. The first process stores the
-/// prior.
+/// Runs `shards` of the open round of the campaign in `dir`, and commits each at its end.
 pub(crate) fn run(
     dir: &Path,
     shards: &ShardSet,
     subject: &Subject,
     plan: &Plan,
     provenance: Provenance,
-    prior: Option<&Prior>,
     how: &How,
 ) -> Result<u8, Exit> {
     introduce(&provenance, plan.seed);
-    let documents = documents(prior)?;
-    let documents: Vec<(&str, &[u8])> = documents.iter().map(|(name, text)| (*name, &**text)).collect();
-    let campaign = Campaign::of(begin(dir, shards.of(), plan, provenance, &documents)?)?;
+    let campaign = Campaign::of(begin(dir, shards.of(), plan, provenance, &[])?)?;
     let mut worker = Worker { dir, campaign, shards: shards.iter(), round: None, subject, json: how.json };
     worker.choose()?;
     // Servers start only if an episode has to run.
@@ -166,11 +161,6 @@ pub(crate) fn divide(
         line(json!({ "version": 1, "dir": dir, "shards": shards, "episodes": episodes }));
     }
     Ok(DONE)
-}
-
-/// The documents beside the plan of a campaign that starts from a prior: names and contents.
-pub(crate) fn documents(prior: Option<&Prior>) -> Result<Vec<(&'static str, Vec<u8>)>, Exit> {
-    prior.map(|prior| Ok((PRIOR, prior.document()?))).into_iter().collect::<serde_json::Result<_>>().or_broken()
 }
 
 /// Starts or joins a campaign in shards in `dir`.

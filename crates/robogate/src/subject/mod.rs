@@ -320,7 +320,6 @@ impl Subject {
             world,
             space,
             plan: Value::Null,
-            fidelity: robogate_dictionary::Fidelity::Fine,
             seed: 0,
             question_sha256: None,
             platform: Some(platform),

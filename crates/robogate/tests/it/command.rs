@@ -143,10 +143,6 @@ fn wrong_arguments_are_usage_errors() {
     run("--threads", "0", &["'0' for '--threads <T>'", "at least 1"]);
     assert_usage(&["run", "--out", &out, "-n", "3", "--rounds", "5"], &["--rounds needs --suite"]);
     assert_usage(&["gate", "--baseline", &out, "--against-profile", "droid"], &["--against-profile", "--baseline"]);
-    assert_usage(
-        &["run", "--out", &out, "--suite", "industrial-68", "--coarse-step", "0.004"],
-        &["--coarse-step needs --coarse"],
-    );
     run("--robot", "r2d2", &["unknown robot `r2d2`", "franka"]);
     run("--engine", "ode", &["no such engine", "mujoco"]);
     assert_usage(&["run", "--out", &out, "--engine", "rapier", "--renderer", "egl"], &["--engine mujoco", "rapier"]);

@@ -3,14 +3,14 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 use robogate_gate::Sampling;
 use robogate_gate::evidence::{Content, Ingredients, MANIFEST, Manifest, Role, write};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::assert_exit_in;
+use crate::harness::{assert_exit_in, path};
+use crate::verbs::assert_self_contained;
 
 const REQUIREMENTS: &str = "name = \"cell 7 <A>\"\nmode = \"confidence\"\nconfidence = 0.75\n[budget]\nrounds = 8\n\
     [[requirement]]\nmetric = \"success\"\nat_least = 0.1\nids = [\"SYS-12\", \"R&D-3\"]\n\
@@ -49,7 +49,7 @@ fn compliance_pack_is_verified() {
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
-    assert_eq!(names, ["gate.junit.xml", "gate.reqif", "sbom.cdx.json", "verdict.pdf"].map(str::to_owned).into());
+    assert_eq!(names, ["gate.junit.xml", "sbom.cdx.json", "verdict.html"].map(str::to_owned).into());
     // Equal runs give equal packs.
     robogate(dir.path(), "evidence run again --compliance", 0);
     for name in &names {
@@ -82,54 +82,25 @@ fn forged_documents_are_found() {
         sampling: Sampling::Sequential,
         reasked: false,
         others: others.map(|file| (file.role, file.path.clone(), Content::File(at(&file.path)))).collect(),
-        documents: Some(|_, _| vec![("compliance/verdict.pdf".to_owned(), b"%PDF-1.4 PASS".to_vec())]),
+        documents: Some(|_, _| vec![("compliance/verdict.html".to_owned(), b"<h1>PASS</h1>".to_vec())]),
     };
     // Consistent in all hashes and statements: only the document itself shows that it is not that of the evaluation.
     write(&dir.path().join("forged"), &forged, None).unwrap();
     let printed = robogate(dir.path(), "verify forged", 4);
-    assert!(printed.contains("compliance/verdict.pdf: differs from the document of the evaluation"), "{printed}");
+    assert!(printed.contains("compliance/verdict.html: differs from the document of the evaluation"), "{printed}");
 }
 
 #[test]
-fn references_of_reqif_resolve() {
+fn page_states_the_verdict() {
     let dir = pack();
-    let text = fs::read_to_string(dir.path().join("e/compliance/gate.reqif")).unwrap();
-    let document = roxmltree::Document::parse(&text).unwrap();
-    let identifiers: Vec<&str> = document.descendants().filter_map(|node| node.attribute("IDENTIFIER")).collect();
-    let unique: BTreeSet<&str> = identifiers.iter().copied().collect();
-    assert_eq!(unique.len(), identifiers.len());
-    let references = document.descendants().filter(|node| node.tag_name().name().ends_with("-REF"));
-    let references: Vec<&str> = references.filter_map(|node| node.text()).collect();
-    assert!(references.len() > 20 && references.iter().all(|reference| unique.contains(reference)), "{references:?}");
-    assert!(text.contains("\"SYS-12, R&amp;D-3\""));
-}
-
-#[test]
-fn reqif_satisfies_its_schema() {
-    let wanted = "a Python with the package reqif";
-    let Some(python) = robogate_testing::path("ROBOGATE_TEST_PYTHON", wanted) else { return };
-    let dir = pack();
-    // The package contains the schema of the standard and the schemas that it imports.
-    let program = "import sys\nfrom reqif.cli.main import main\nsys.argv[1:] = ['validate', '--use-reqif-schema', sys.argv[1]]\nmain()";
-    let file = dir.path().join("e/compliance/gate.reqif");
-    let output = Command::new(python).args(["-c", program]).arg(file).output().unwrap();
-    let printed = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    assert!(output.status.success(), "{printed}");
-}
-
-#[test]
-fn pdf_states_the_verdict() {
-    let Some(pdftotext) = robogate_testing::program("pdftotext") else { return };
-    let dir = pack();
-    let file = dir.path().join("e/compliance/verdict.pdf");
-    let output = Command::new(pdftotext).args(["-layout"]).arg(file).arg("-").output().unwrap();
-    // A reader of PDF complains on stderr about a file that it has to repair.
-    assert!(output.status.success() && output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
-    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let page = fs::read_to_string(dir.path().join("e/compliance/verdict.html")).unwrap();
+    assert_self_contained(&path(&dir, "e/compliance/verdict.html"));
     let evaluation: Value = serde_json::from_slice(&fs::read(dir.path().join("e/evaluation.json")).unwrap()).unwrap();
     let dataset = evaluation["dataset_sha256"].as_str().unwrap();
-    for part in ["PASS", "SYS-12, R&D-3", "cell 7 <A>", "built into robogate", dataset, "page 1 of"] {
-        assert!(text.contains(part), "{part}: {text}");
+    for part in
+        ["<h1>PASS</h1>", "SYS-12, R&amp;D-3", "cell 7 &lt;A&gt;", "built into robogate", dataset, "@media print"]
+    {
+        assert!(page.contains(part), "{part}: {page}");
     }
 }
 

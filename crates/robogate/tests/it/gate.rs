@@ -70,15 +70,6 @@ fn default_gate_needs_no_arguments() {
 }
 
 #[test]
-fn old_names_are_read_with_a_note() {
-    let folder = Folder::new();
-    let requirements = folder.write("old.toml", &gate("at_least = 0.2").replace("success", "success_rate"));
-    let suite = folder.write("suite.toml", SUITE);
-    let arguments = ["gate", "--plan", "--suite", &suite, "--requirements", &requirements];
-    assert_exit(&arguments, 0, &["note: ", "old.toml: `success_rate` is the old name of `success`", "success rate"]);
-}
-
-#[test]
 fn files_agree_with_exit_code() {
     let folder = Folder::new();
     let suite = folder.write("suite.toml", SUITE);

@@ -37,7 +37,6 @@ fn schemas_are_up_to_date() {
         ("alarm", schema_for!(robogate_monitor::Alarm)),
         ("monitor-reference", schema_for!(robogate_monitor::Reference)),
         ("monitor-settings", schema_for!(robogate_monitor::service::ServiceSettings)),
-        ("study", schema_for!(robogate_report::StudyReport<'static>)),
         ("requirements", schema_for!(robogate_gate::Requirements)),
         ("baseline", schema_for!(robogate_gate::Baseline)),
         ("gate-question", schema_for!(robogate_gate::Asked)),

@@ -7,7 +7,6 @@ mod bridge;
 #[expect(unreachable_pub, reason = "a module of a test")]
 mod browser;
 #[cfg(feature = "mujoco")]
-mod coarse;
 mod command;
 mod compliance;
 mod controls;
@@ -33,10 +32,8 @@ mod openpi;
 #[cfg(all(feature = "mujoco", feature = "rapier"))]
 mod pages;
 mod policy;
-mod prior;
 mod shards;
 mod signatures;
-mod study;
 mod terminal;
 #[cfg(all(target_os = "linux", feature = "mujoco", feature = "onnx"))]
 mod trust;

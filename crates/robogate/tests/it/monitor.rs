@@ -125,26 +125,6 @@ fn real_trials_are_a_baseline() {
 }
 
 #[test]
-fn papers_alarms_are_a_separate_stream() {
-    let dir = tempfile::tempdir().unwrap();
-    let settings = path(&dir, "monitor.toml");
-    fs::write(&settings, "[detectors.baseline]\nsuccess = { count = 950, of = 1000 }\n").unwrap();
-    let (feed, papers) = (path(&dir, "cycles.jsonl"), path(&dir, "paper.jsonl"));
-    // Sixteen failures in a hundred cycles: critical for the paper's rule, not enough for a detector.
-    let lines: String = (0..300_u32).map(|i| format!("{}\n", cycle(i, 1.0, !(284..300).contains(&i)))).collect();
-    fs::write(&feed, lines).unwrap();
-    let serve = ["monitor", "serve", &feed, "--settings", &settings];
-    let found = robogate(&[&serve[..], &["--paper-alarms", &papers]].concat());
-    let alarms = fs::read_to_string(&papers).unwrap();
-    assert!(
-        alarms.lines().any(|line| line.contains("\"critical\""))
-            && alarms.lines().all(|line| line.contains("\"paper\"")),
-        "{alarms}"
-    );
-    assert!(!text(&found.stdout).contains("\"rule\":\"paper\""), "{}", text(&found.stdout));
-}
-
-#[test]
 fn exit_code_reports_a_critical_alarm() {
     let dir = tempfile::tempdir().unwrap();
     let (reference, _) = reference(&dir);

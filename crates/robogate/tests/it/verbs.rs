@@ -33,7 +33,7 @@ fn published(dir: &TempDir, robot: &str, rows: u32, from: f64) -> String {
     file
 }
 
-fn assert_self_contained(page: &str) {
+pub(crate) fn assert_self_contained(page: &str) {
     let text = fs::read_to_string(page).unwrap();
     assert!(text.starts_with("<!DOCTYPE html>") && text.trim_end().ends_with("</html>"));
     for forbidden in ["http://", "https://", "src=", "@import", "url(http", "//cdn"] {
@@ -65,15 +65,6 @@ fn analyze_writes_to_stdout() {
     assert_refused(&["analyze", &path(&dir, "nowhere")], &["nowhere"]);
     assert_refused(&["analyze", &file, "--target", "1.2"], &["1.2", "between 0 and 1"]);
     assert_refused(&["analyze", &file, "--pair", "friction", "fricton"], &["fricton", "mass_kg"]);
-}
-
-#[test]
-fn older_dictionaries_give_a_note() {
-    let old = concat!(env!("CARGO_MANIFEST_DIR"), "/../robogate-dictionary/tests/fixtures/v0.1/run");
-    let output = robogate(&["analyze", old, "--json"]);
-    assert!(output.status.success(), "{}", stderr(&output));
-    assert!(stderr(&output).contains("a dictionary of schema 1.1; its old names are read as those of schema 2.2"));
-    assert!(stderr(&output).contains("`pick_place`"));
 }
 
 #[test]

@@ -13,8 +13,7 @@ use crate::export::{Number, number};
 use crate::fields::{MOST_WORDS, continuous, integers};
 use crate::raw::MOST_MODES;
 use crate::results::{About, Format, task};
-use crate::schema::WITHOUT_FIDELITY;
-use crate::{DictionaryError, Engine, Fidelity, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool};
+use crate::{DictionaryError, Engine, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool};
 
 /// The results of the first pass.
 pub(super) struct Survey<'a> {
@@ -29,8 +28,6 @@ pub(super) struct Survey<'a> {
     /// The phases, in order of appearance.
     phases: Vec<Word>,
     seed: Option<u64>,
-    /// The fidelity of the first row. The writer rejects rows of another one.
-    fidelity: Option<Fidelity>,
     rows: u64,
     /// Valid episodes without a cycle time.
     without_time: u64,
@@ -42,8 +39,6 @@ struct Places {
     outcome: usize,
     time: usize,
     phase: usize,
-    /// Since schema 2.2.
-    fidelity: Option<usize>,
 }
 
 /// The values of one parameter.
@@ -65,11 +60,9 @@ impl<'a> Survey<'a> {
     pub(super) fn new(path: &'a Path, names: &[String]) -> Result<Self, DictionaryError> {
         let place = |name: &str| names.iter().position(|column| column == name);
         let layout = Layout::of(names);
-        let with_fidelity = layout.as_ref().is_some_and(|layout| layout.version > WITHOUT_FIDELITY);
         let places = || {
             let (seed, outcome) = (place("seed")?, place("outcome")?);
-            let fidelity = place("fidelity").filter(|_| with_fidelity);
-            Some(Places { seed, outcome, time: place("cycle_time_s")?, phase: place("phase")?, fidelity })
+            Some(Places { seed, outcome, time: place("cycle_time_s")?, phase: place("phase")? })
         };
         let (Some(layout), Some(places)) = (layout, places()) else { return Err(other_columns(path)) };
         let words = |columns: std::ops::Range<usize>| {
@@ -92,7 +85,6 @@ impl<'a> Survey<'a> {
             modes: BTreeSet::new(),
             phases: Vec::new(),
             seed: None,
-            fidelity: None,
             rows: 0,
             without_time: 0,
         })
@@ -104,10 +96,7 @@ impl<'a> Survey<'a> {
                 observed.take(&fields[at]);
             }
         }
-        let Places { seed, outcome, time, phase, fidelity } = self.places;
-        if self.fidelity.is_none() {
-            self.fidelity = fidelity.and_then(|at| Fidelity::by_name(fields[at].text()?));
-        }
+        let Places { seed, outcome, time, phase } = self.places;
         if self.seed.is_none() {
             self.seed = fields[seed].text().and_then(|text| text.parse().ok());
         }
@@ -147,7 +136,7 @@ impl<'a> Survey<'a> {
         let space = ParameterSpace::new("imported", parameters)?;
         let mut task = task::of_rows(about, self.modes, &self.measures, self.phases);
         task.draws = self.draws.iter().map(|name| task::draw(*name)).collect();
-        let columns = Columns::of(&task, &space, self.layout.version)?;
+        let columns = Columns::of(&task, &space)?;
         if !columns.specs().iter().map(|spec| &spec.name).eq(&self.names) {
             return Err(other_columns(self.path));
         }
@@ -171,7 +160,6 @@ impl<'a> Survey<'a> {
             robot: Robot { name: name(&about.robot), sha256: None, dimensions: None },
             policy: name(&about.policy),
             world: serde_json::Value::Null,
-            fidelity: self.fidelity.unwrap_or_default(),
             space,
             plan: serde_json::Value::Null,
             seed: self.seed.unwrap_or_default(),

@@ -1,4 +1,4 @@
-//! The risk model of an active design: its rounds, and whether its prior helped.
+//! The risk model of an active design: its rounds.
 
 use robogate_stats::format::{count, fixed, percent_or_dash, sentence};
 
@@ -16,9 +16,6 @@ pub(super) fn section(model: &ActiveModel) -> Section {
             percent_or_dash(round.boosting_share),
             number(round.brier),
             number(round.log_loss),
-            number(round.prior_slope),
-            number(round.with_prior),
-            number(round.without_prior),
         ]
     });
     let columns = [
@@ -27,16 +24,9 @@ pub(super) fn section(model: &ActiveModel) -> Section {
         ("share of boosting", Number),
         ("Brier score", Number),
         ("log loss", Number),
-        ("slope of the prior", Number),
-        ("loss with prior", Number),
-        ("loss without prior", Number),
     ];
     let mut table = Table::new("Rounds", &columns, rows.collect()).without_empty().at_most(MAX_ROWS);
-    table.remark = Some(
-        "Scores of cross-validation before each round, over all episodes so far. Losses with and without a prior: uniform episodes of \
-         the round before, which no model had seen."
-            .to_owned(),
-    );
+    table.remark = Some("Scores of cross-validation before each round, over all episodes so far.".to_owned());
     let mut about = vec![
         "This model chose the episodes of the active design: gradient boosting and logistic regression on splines, told the \
          parameters, the hidden draws and the margins of the task. The risk model further below is another one: a logistic \

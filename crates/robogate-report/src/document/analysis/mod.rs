@@ -4,7 +4,6 @@ mod active;
 mod danger;
 mod envelope;
 mod failures;
-mod fidelity;
 mod marginal;
 mod models;
 mod provenance;
@@ -14,8 +13,6 @@ mod twins;
 
 use robogate_analysis::{Analysis, Population};
 use robogate_stats::format::{count, counted, percent, percent_range, sentence};
-
-pub use fidelity::lines as fidelity_lines;
 
 use super::{Block, Document, Figure, Section, Table, watch_section};
 use crate::gate::VerdictBlock;
@@ -80,7 +77,6 @@ fn not_counted(analysis: &Analysis) -> String {
 fn sections(analysis: &Analysis, additions: &Additions<'_>) -> Vec<Section> {
     let mut sections: Vec<Section> = additions.watch.map(watch_section).into_iter().collect();
     sections.extend(additions.twins.map(twins::section));
-    sections.extend(additions.fidelities.map(fidelity::section));
     sections.extend([
         marginal::section(analysis),
         envelope::section(analysis, additions.pairs),

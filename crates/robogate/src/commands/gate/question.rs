@@ -166,17 +166,9 @@ pub(crate) fn write_question(dir: &Path, asked: &Asked) {
     }
 }
 
-/// Opens built-in requirements or a file. Prints a note for each name of version 0.1 in the file.
+/// Opens built-in requirements or a file.
 pub(crate) fn open_requirements(name_or_path: &str, task: &TaskSpec) -> Result<Requirements, Exit> {
-    let requirements = Requirements::open(name_or_path, task).map_err(refused)?;
-    if !Requirements::NAMES.contains(&name_or_path)
-        && let Ok(text) = read_text(Path::new(name_or_path))
-    {
-        for (old, new) in Requirements::old_spellings(&text) {
-            note(format_args!("note: {name_or_path}: `{old}` is the old name of `{new}`"));
-        }
-    }
-    Ok(requirements)
+    Requirements::open(name_or_path, task).map_err(refused)
 }
 
 /// Adds the exit code to an error of the gate: usage if the user can correct the request, invalid if there is no evidence.

@@ -8,7 +8,7 @@ use robogate_analysis::Source;
 use robogate_campaign::Completion;
 use robogate_dictionary::Provenance;
 use robogate_gate::{Asked, Evaluation, GateError, Record, Verdict};
-use robogate_report::{Watch, evaluation_markdown_with, junit, reqif};
+use robogate_report::{Watch, evaluation_markdown_with, junit};
 use robogate_stats::format::counted;
 
 use super::question::{judged, question, refused};
@@ -23,7 +23,7 @@ use crate::twins;
 use crate::watch::Frames;
 
 /// The files of the evaluation in a run's folder.
-const ANSWER: [&str; 4] = ["gate.json", "gate.md", "gate.junit.xml", "gate.reqif"];
+const ANSWER: [&str; 3] = ["gate.json", "gate.md", "gate.junit.xml"];
 
 /// The folder of images to which the Markdown file refers, in a run's folder.
 const FRAMES: &str = "frames";
@@ -71,8 +71,7 @@ pub(crate) fn ruled_out(dir: &Path, asked: &Asked, other: Option<&Record>) -> Re
 
 /// Writes the files of the evaluation into the folder of a run.
 pub(crate) fn write_answer(dir: &Path, evaluation: &Evaluation, watch: Option<&Watch>) -> Result<(), Exit> {
-    let texts =
-        [evaluation.to_json(), evaluation_markdown_with(evaluation, watch), junit(evaluation), reqif(evaluation)];
+    let texts = [evaluation.to_json(), evaluation_markdown_with(evaluation, watch), junit(evaluation)];
     for (name, text) in ANSWER.iter().zip(texts) {
         let path = dir.join(name);
         fs::write(&path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;

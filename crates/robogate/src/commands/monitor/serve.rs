@@ -11,13 +11,13 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use robogate_dictionary::read_text;
 use robogate_monitor::service::{
-    Broker, Deliver, Handle, HttpError, Intake, Output, Replays, ServiceEngine, Store, Taken, json_lines, of_rule,
-    serve, webhook,
+    Broker, Deliver, Handle, HttpError, Intake, Output, Replays, ServiceEngine, Store, Taken, json_lines, serve,
+    webhook,
 };
-use robogate_monitor::{Level, Monitor, Rule};
+use robogate_monitor::{Level, Monitor};
 
 use super::Watched;
 use super::simulated::simulated;
@@ -62,28 +62,12 @@ pub(super) struct Serve {
     /// Publish alarms on this MQTT topic
     #[arg(long, value_name = "TOPIC", requires = "mqtt")]
     mqtt_alarms: Option<String>,
-    /// Append the alarms of the paper's rule to this file (JSON lines); default: they are only stored. They have no
-    /// guarantee, so the other outputs never contain them
-    #[arg(long, value_name = "FILE")]
-    paper_alarms: Option<PathBuf>,
-    /// Choose which critical alarms set exit code 1 at the end of the feed
-    #[arg(long, value_name = "STREAM", default_value = "guaranteed")]
-    exit_on: ExitOn,
     /// Compare failed cycles on the page with the episodes of this run, by the parameters that the cycles report; default:
     /// the runs that the references name, if they are still there
     #[arg(long, value_name = "RUN", requires = "listen")]
     episodes: Option<PathBuf>,
     #[command(flatten)]
     watched: Watched,
-}
-
-/// The alarms that set the exit code.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum ExitOn {
-    /// Those of the detectors, whose false-alarm rate is bounded
-    Guaranteed,
-    /// Those of the detectors and of the paper's rule
-    Any,
 }
 
 /// An event that ends the command.
@@ -146,11 +130,7 @@ impl Serve {
                 End::Feed(Ok(taken)) => {
                     say(&taken);
                     if !serves {
-                        code = if taken.accepted + taken.duplicates == 0 {
-                            INVALID
-                        } else {
-                            exit_code(&engine, self.exit_on)
-                        };
+                        code = if taken.accepted + taken.duplicates == 0 { INVALID } else { exit_code(&engine) };
                         break;
                     }
                 }
@@ -190,15 +170,6 @@ impl Serve {
         all.extend(self.webhook.iter().map(|url| (format!("webhook {url}"), webhook(url.clone()))));
         if let (Some(broker), Some(topic)) = (broker, &self.mqtt_alarms) {
             all.push((format!("mqtt {topic}"), broker.alarms(topic.clone())));
-        }
-        for (_, deliver) in &mut all {
-            let inner = std::mem::replace(deliver, Box::new(|_| Ok(())));
-            *deliver = of_rule(Rule::Detector, inner);
-        }
-        if let Some(path) = &self.paper_alarms {
-            let file = File::options().create(true).append(true).open(path);
-            let file = file.with_context(|| format!("cannot write {}", path.display())).or_usage()?;
-            all.push((format!("file {}", path.display()), of_rule(Rule::Paper, json_lines(file))));
         }
         let start = |(name, deliver)| Output::start(name, engine.handle(), deliver, |problem| note(problem));
         all.into_iter().map(start).collect::<Result<_, _>>().or_broken()
@@ -345,13 +316,10 @@ fn say(taken: &Taken) {
     ));
 }
 
-/// Exit code 1 while a critical alarm of the chosen stream is active.
-fn exit_code(engine: &ServiceEngine, on: ExitOn) -> u8 {
+/// Exit code 1 while a critical alarm is active.
+fn exit_code(engine: &ServiceEngine) -> u8 {
     let critical = |status: robogate_monitor::service::Status| {
-        status.recipes.iter().any(|recipe| {
-            let paper = on == ExitOn::Any && recipe.paper == Some(Level::Critical);
-            recipe.level == Some(Level::Critical) || paper
-        })
+        status.recipes.iter().any(|recipe| recipe.level == Some(Level::Critical))
     };
     if engine.handle().status().is_ok_and(critical) { FAIL } else { DONE }
 }

@@ -7,7 +7,7 @@ use robogate_analysis::{ExplorerTable, Source};
 use robogate_campaign::folder::{DICTIONARY, LAYOUT, PLAN};
 use robogate_campaign::shards::Shards;
 use robogate_campaign::{Follower, Progress, settings};
-use robogate_dictionary::{Entry, Fidelity, Provenance};
+use robogate_dictionary::{Entry, Provenance};
 use serde_json::{Value, json};
 
 use crate::commands::shard;
@@ -224,13 +224,6 @@ fn open(path: &Path) -> Result<(Feed, Provenance, Option<u64>), Exit> {
         // A finished run whose plan has an older format still has its dictionary.
         match settings(path) {
             Err(_) if path.join(DICTIONARY).is_file() => {}
-            Ok(settings) if settings.plan.fidelity == Fidelity::Coarse => {
-                return Err(anyhow::anyhow!(
-                    "{}: its episodes are coarse\n  hint: open the run that they belong to",
-                    path.display()
-                ))
-                .or_usage();
-            }
             _ => return Ok(campaign(Follower::open(path).or_usage()?)),
         }
     }

@@ -1,14 +1,13 @@
-//! The learners of the study. Each is fitted to training rows and predicts the log-odds of success of training and test
-//! rows.
+//! Learners that are fitted to the rows of one run and predict the outcomes of others.
 
+use robogate_dictionary::Dictionary;
 use robogate_stats::fourier::Fourier;
 use robogate_stats::logistic::{Data, Options, RegressionError, fit, interaction};
 use robogate_stats::ridge;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
+use crate::AnalysisError;
 use crate::models::missing;
-use crate::table::{ParameterColumn, ParameterKind, Sample};
+use crate::table::{EpisodeTable, ParameterColumn, ParameterKind, Sample};
 use crate::task::{InteractionModel, TaskAnalysis};
 
 /// Number of frequencies of the flexible learner. Each gives two columns.
@@ -21,9 +20,8 @@ const PRIOR_VARIANCES: [f64; 5] = [1.0, 5.0, 25.0, 125.0, 625.0];
 /// Seed of the frequencies, which are the same in every fit.
 const SEED: u64 = 2007;
 
-/// A learner of the study.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
+/// A learner.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Learner {
     /// The logistic model that the paper publishes for the task: main effects and interactions.
     Paper,
@@ -34,50 +32,9 @@ pub enum Learner {
     Flexible,
 }
 
-/// Log-odds of success.
-pub(crate) struct Scores {
-    /// Predictions for the training rows.
-    pub(crate) own: Vec<f64>,
-    /// Predictions for the test rows.
-    pub(crate) test: Vec<f64>,
-}
-
 impl Learner {
-    /// All learners, the simplest first.
-    pub const ALL: [Self; 3] = [Self::Paper, Self::MainEffects, Self::Flexible];
-
-    /// Its name in reports.
-    pub(super) fn name(self, task: &TaskAnalysis) -> &'static str {
-        match self {
-            Self::Paper => task.interactions.map_or("published model", |model| model.name),
-            Self::MainEffects => "main effects",
-            Self::Flexible => "flexible",
-        }
-    }
-
-    /// Its description in reports.
-    pub(super) fn about(self, task: &TaskAnalysis) -> &'static str {
-        match self {
-            Self::Paper => task.interactions.map_or("no model is published for this task", |model| model.about),
-            Self::MainEffects => {
-                "a logistic model of every parameter in its own scale (logarithmic if it is sampled so), with a \
-                 column for each category"
-            }
-            Self::Flexible => {
-                "Bayesian logistic regression on the same columns and 192 random Fourier features of them; evidence \
-                 selects length scale and prior variance"
-            }
-        }
-    }
-
-    /// Fits `train` and predicts both `train` and `test`. The columns depend only on the space of the test set.
-    pub(crate) fn scores(
-        self,
-        train: &Sample,
-        weights: Option<&[f64]>,
-        test: &Sample,
-        task: &TaskAnalysis,
-    ) -> Result<Scores, String> {
+    /// Fits `train` and predicts the log-odds of success of the rows of `test`. The columns depend only on the space of the test set.
+    fn scores(self, train: &Sample, test: &Sample, task: &TaskAnalysis) -> Result<Vec<f64>, String> {
         match self {
             Self::Paper => {
                 let model = task.interactions.as_ref().ok_or("no model is published for this task")?;
@@ -86,12 +43,42 @@ impl Learner {
                 }
                 let scaling: Vec<(f64, f64)> =
                     model.main.iter().filter_map(|m| train.parameter(m)).map(|p| moments(&p.values)).collect();
-                plain(train, weights, test, |sample| interactions(sample, model, &scaling))
+                plain(train, test, |sample| interactions(sample, model, &scaling))
             }
-            Self::MainEffects => plain(train, weights, test, |sample| coordinates(sample, test, 1)),
-            Self::Flexible => flexible(train, weights, test, &mut |_, _| {}),
+            Self::MainEffects => plain(train, test, |sample| coordinates(sample, test, 1)),
+            Self::Flexible => flexible_scores(train, test, &mut |_, _| {}),
         }
     }
+}
+
+/// The chance of success of each valid row of `test`, in their order, by a learner that is fitted to all valid rows of `train`
+/// with equal weights.
+///
+/// # Errors
+/// A dictionary that cannot be read or whose parameters differ from those of `test`, or a failed fit.
+pub fn predictions(learner: Learner, train: &Dictionary, test: &Dictionary) -> Result<Vec<f64>, AnalysisError> {
+    let rows = EpisodeTable::read(test)?.valid();
+    let sample = EpisodeTable::read(train)?.valid();
+    let failed = |reason: String| AnalysisError::NoPrediction { path: train.path().to_owned(), reason };
+    let foreign =
+        |parameter: &&ParameterColumn| !sample.parameter(&parameter.name).is_some_and(|p| p.is_like(parameter));
+    if let Some(parameter) = rows.parameters.iter().find(foreign) {
+        let name = &parameter.name;
+        return Err(failed(format!("parameter `{name}` is missing or of another type than in the test set")));
+    }
+    let task = TaskAnalysis::of_dictionary(test.provenance());
+    let scores = learner.scores(&sample, &rows, task).map_err(failed)?;
+    Ok(scores.iter().map(|log_odds| 1.0 / (1.0 + (-log_odds).exp())).collect())
+}
+
+/// Fits by maximum likelihood, or by Firth's method if the data are separated.
+fn plain(train: &Sample, test: &Sample, columns: impl Fn(&Sample) -> Vec<Vec<f64>>) -> Result<Vec<f64>, String> {
+    let (own, other) = (columns(train), columns(test));
+    let views: Vec<&[f64]> = own.iter().map(Vec::as_slice).collect();
+    let data = Data::new(&views, &train.success, None).map_err(reason)?;
+    let found = fit(data, Options::default()).map_err(reason)?;
+    let beta = found.raw_coefficients();
+    Ok(linear(beta, &other, test.len()))
 }
 
 /// The scores of [`Learner::Flexible`]. `fitted` receives the number of fits so far and the number of all fits.
@@ -99,31 +86,7 @@ pub(crate) fn flexible_scores(
     train: &Sample,
     test: &Sample,
     fitted: &mut dyn FnMut(u32, u32),
-) -> Result<Scores, String> {
-    flexible(train, None, test, fitted)
-}
-
-/// Fits by maximum likelihood, or by Firth's method if the data are separated.
-fn plain(
-    train: &Sample,
-    weights: Option<&[f64]>,
-    test: &Sample,
-    columns: impl Fn(&Sample) -> Vec<Vec<f64>>,
-) -> Result<Scores, String> {
-    let (own, other) = (columns(train), columns(test));
-    let views: Vec<&[f64]> = own.iter().map(Vec::as_slice).collect();
-    let data = Data::new(&views, &train.success, weights).map_err(reason)?;
-    let found = fit(data, Options::default()).map_err(reason)?;
-    let beta = found.raw_coefficients();
-    Ok(Scores { own: linear(beta, &own, train.len()), test: linear(beta, &other, test.len()) })
-}
-
-fn flexible(
-    train: &Sample,
-    weights: Option<&[f64]>,
-    test: &Sample,
-    fitted: &mut dyn FnMut(u32, u32),
-) -> Result<Scores, String> {
+) -> Result<Vec<f64>, String> {
     let (mut fits, all) = (0, (LENGTH_SCALES.len() * PRIOR_VARIANCES.len()) as u32);
     fitted(fits, all);
     let (own, other) = (coordinates(train, test, 0), coordinates(test, test, 0));
@@ -141,7 +104,7 @@ fn flexible(
     for length in LENGTH_SCALES {
         let columns = columns(&own, length);
         let views: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
-        let data = Data::new(&views, &train.success, weights).map_err(reason)?;
+        let data = Data::new(&views, &train.success, None).map_err(reason)?;
         let mut count = || {
             fits += 1;
             fitted(fits, all);
@@ -154,12 +117,9 @@ fn flexible(
         }
     }
     let (length, model) = best.ok_or("no length scale could be fitted")?;
-    let score = |coordinates: &[Vec<f64>]| {
-        let columns = columns(coordinates, length);
-        let views: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
-        model.log_odds(&views).ok_or("the columns do not match the model")
-    };
-    Ok(Scores { own: score(&own)?, test: score(&other)? })
+    let columns = columns(&other, length);
+    let views: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+    model.log_odds(&views).ok_or_else(|| "the columns do not match the model".to_owned())
 }
 
 fn reason(error: RegressionError) -> String {
