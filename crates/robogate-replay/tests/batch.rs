@@ -68,7 +68,7 @@ impl Environment for World {
     fn step(&mut self, _: &Action) -> Result<Step, Fault> {
         self.steps += 1;
         let observation = self.observation();
-        let ending = (self.steps == self.end).then(|| Ending { failure: None, time_s: 0.1, contact: None });
+        let ending = (self.steps == self.end).then_some(Ending { failure: None, time_s: 0.1, contact: None });
         let events = vec![format!("step {} of {}", self.steps, self.end)];
         Ok(Step { observation, measures: Measures::default(), ending, events, state_hash: self.steps })
     }
