@@ -2,10 +2,14 @@
 
 use std::fmt;
 use std::io;
+use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use robogate_core::{Environment, Episode, Fault, Foresight, Policy, Scenario};
+use robogate_core::{
+    BatchEnvironment, BatchPolicy, Environment, Episode, Fault, FaultKind, Foresight, Policy, Scenario,
+    SingleEnvironments, SinglePolicies,
+};
 
 use crate::LostEpisode;
 
@@ -23,14 +27,44 @@ impl fmt::Debug for Worker {
     }
 }
 
+/// A batch environment with a policy for all of its slots. A batch worker stays in the thread that created it.
+pub struct BatchWorker {
+    /// The environment with its task.
+    pub environment: Box<dyn BatchEnvironment>,
+    /// The policy that drives the robots.
+    pub policy: Box<dyn BatchPolicy>,
+}
+
+impl fmt::Debug for BatchWorker {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("BatchWorker").finish_non_exhaustive()
+    }
+}
+
 /// Creates workers, each in the thread that uses it. All workers must behave the same, because any of them may run an
 /// episode.
 pub trait WorkerFactory: Sync {
     /// Creates a worker. Returns a fault if that is impossible.
     fn worker(&self) -> Result<Worker, Fault>;
+
+    /// Creates a worker with this many slots. By default each slot has a worker of its own. A simulator that steps many
+    /// worlds at once, or a policy that answers many observations together, replaces them. A simulator may have fewer slots
+    /// than requested. Returns a fault if no such worker can be created.
+    fn batch_worker(&self, slots: NonZeroUsize) -> Result<BatchWorker, Fault> {
+        let (mut environments, mut policies) = (Vec::new(), Vec::new());
+        for _ in 0..slots.get() {
+            let Worker { environment, policy } = self.worker()?;
+            environments.push(environment);
+            policies.push(policy);
+        }
+        let environment = SingleEnvironments::new(environments)
+            .ok_or_else(|| Fault::new(FaultKind::Setup, "a worker needs at least one slot"))?;
+        Ok(BatchWorker { environment: Box::new(environment), policy: Box::new(SinglePolicies::new(policies)) })
+    }
 }
 
-/// Runs the episodes of a stage, in threads of this process ([`crate::ThreadPool`]) or elsewhere.
+/// Runs the episodes of a stage: in threads of this process, each with one episode in progress ([`crate::ThreadPool`]) or
+/// with several ([`crate::BatchPool`]), or elsewhere.
 pub trait Executor {
     /// The number of episodes that run at once.
     fn parallelism(&self) -> usize;

@@ -26,10 +26,12 @@
 //!
 //! Many machines can share a campaign: each runs some [`shards`], and the merged files are those of one machine.
 //!
-//! An [`Executor`] runs the episodes with workers from a [`WorkerFactory`]. This crate knows no specific environment or
+//! An [`Executor`] runs the episodes with workers from a [`WorkerFactory`]: [`ThreadPool`] with one episode in progress in each
+//! thread, [`BatchPool`] with several. This crate knows no specific environment or
 //! policy. Progress is reported as one stream of [`Event`]s.
 
 mod active;
+mod batch;
 pub mod boundary;
 mod events;
 mod executor;
@@ -49,9 +51,10 @@ mod threads;
 mod twins;
 
 pub use active::{ActiveReport, ActiveRound, ActiveStage, Certificate, ModelScore};
+pub use batch::BatchPool;
 pub use boundary::{BoundaryReport, DrawnFrom, EmphasisFound, Focus, ParameterBoundary, Region, Restricted};
 pub use events::{Event, Warning};
-pub use executor::{ExecuteError, Executor, Worker, WorkerFactory};
+pub use executor::{BatchWorker, ExecuteError, Executor, Worker, WorkerFactory};
 pub use follow::{FollowError, Follower, Progress};
 pub use lost::{LostEpisode, RunAgain};
 pub use plan::{BoundaryStage, DEFAULT_SEED, Emphasis, Plan, PlanError, Preset, Range, UniformStage};

@@ -6,6 +6,7 @@
 //! - [`Design`] and [`Sampler`]: a set of points of a space, and the method that draws it.
 //! - [`TaskSpec`]: a task as data.
 //! - [`Environment`], [`Policy`] and [`rollout`]: the components and the loop of an episode.
+//! - [`BatchEnvironment`], [`BatchPolicy`] and [`rollout_many`]: the same for many episodes at once.
 //! - [`Episode`] and [`Outcome`]: the record of an episode and how it ended.
 //! - [`budget`] and [`guard`]: limits on text that another program wrote, and panics of libraries that read it.
 //!
@@ -46,7 +47,8 @@ pub use outcome::{FailureMode, FailureModeError, Fault, FaultKind, Outcome};
 pub use outside_range::{OUTSIDE_RANGE, OutsideNumber, OutsideRange, outside_any_range, outside_range_measure};
 pub use pose::Pose;
 pub use rollout::{
-    Ending, Environment, GAVE_UP, Policy, PredictedStep, Prediction, Start, Step, Tick, check_applied, rollout,
+    BatchEnvironment, BatchPolicy, Ending, Environment, GAVE_UP, Policy, PredictedStep, Prediction, Request, Rollout,
+    SingleEnvironments, SinglePolicies, Start, Step, Tick, Workload, check_applied, rollout, rollout_all, rollout_many,
     rollout_with,
 };
 pub use scenario::{Assignment, Scenario, Value};

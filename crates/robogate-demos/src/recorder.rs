@@ -2,7 +2,8 @@
 
 use nalgebra::{Isometry3, Translation3};
 use robogate_core::{
-    Action, Command, Fault, FaultKind, Image, Observation, Policy, Pose, Seed, TaskInstance, TaskSpec, vectors,
+    Action, Assignment, Command, Fault, FaultKind, Image, Observation, Policy, Pose, Seed, TaskInstance, TaskSpec,
+    vectors,
 };
 use robogate_physics::{Chain, GripperCommand};
 use robogate_tasks::pick_place::spec::Briefing;
@@ -126,6 +127,10 @@ impl<P: Policy> Recorder<P> {
 impl<P: Policy> Policy for Recorder<P> {
     fn check(&self, task: &TaskSpec) -> Result<(), String> {
         self.expert.check(task)
+    }
+
+    fn note_applied(&mut self, applied: &Assignment) {
+        self.expert.note_applied(applied);
     }
 
     fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, seed: Seed) -> Result<(), Fault> {

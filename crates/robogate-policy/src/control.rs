@@ -1,7 +1,7 @@
 //! The policies of the controls of a gate: an expert that acts through a profile, and random actions of a model.
 
 use robogate_core::{
-    Action, Fault, FaultKind, Observation, Policy, Seed, Stream, TaskInstance, TaskSpec, Word, vectors,
+    Action, Assignment, Fault, FaultKind, Observation, Policy, Seed, Stream, TaskInstance, TaskSpec, Word, vectors,
 };
 
 use super::decoder::Decoder;
@@ -58,6 +58,10 @@ impl ThroughProfile {
 impl Policy for ThroughProfile {
     fn check(&self, task: &TaskSpec) -> Result<(), String> {
         self.expert.check(task)
+    }
+
+    fn note_applied(&mut self, applied: &Assignment) {
+        self.expert.note_applied(applied);
     }
 
     fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, seed: Seed) -> Result<(), Fault> {

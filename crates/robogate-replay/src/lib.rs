@@ -17,6 +17,6 @@ mod signals;
 pub use clip::{Clip, FilmFrame};
 pub use mcap::{EncodedImage, Export, Sample, mcap};
 pub use pack::{packed_floats, packed_integers};
-pub use recording::{FRAME_PERIOD_S, Mark, Recording, record, record_with};
+pub use recording::{FRAME_PERIOD_S, Mark, Recorder, Recording, record, record_all, record_with};
 pub use reel::{MESH_BUDGET_BYTES, Reel, reel};
 pub use signals::{Clock, Signal};

@@ -1,6 +1,13 @@
 //! Records an episode.
 
-use robogate_core::{Command, Environment, Episode, Policy, Scenario, Tick, Trajectory, Word, rollout_with, vectors};
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+use robogate_core::{
+    BatchEnvironment, BatchPolicy, Command, Environment, Episode, Policy, Scenario, TaskSpec, Tick, Trajectory, Word,
+    Workload, rollout_many, rollout_with, vectors,
+};
 
 use crate::signals::{Clock, Signal};
 
@@ -48,18 +55,89 @@ pub fn record_with(
     scenario: &Scenario,
     observe: &mut dyn FnMut(&Tick<'_>),
 ) -> Recording {
-    let task = environment.task().clone();
+    let mut recorder = Recorder::new(Arc::clone(environment.task()));
     environment.record_trajectory(Some(FRAME_PERIOD_S));
-    let mut tick_s = Vec::new();
-    let mut log = Log::default();
-    let mut phases: Vec<Mark> = Vec::new();
-    let mut events: Vec<Mark> = Vec::new();
-    let mut phase = None;
     let episode = rollout_with(environment, policy, scenario, &mut |tick| {
         observe(&tick);
+        recorder.observe(&tick);
+    });
+    let trajectory = environment.take_trajectory();
+    environment.record_trajectory(None);
+    recorder.finish(episode, trajectory)
+}
+
+/// Runs these episodes in a batch and records them. The recordings are those of [`record`], in the order of the scenarios.
+pub fn record_all(
+    environment: &mut dyn BatchEnvironment,
+    policy: &mut dyn BatchPolicy,
+    scenarios: &[Scenario],
+) -> Vec<Recording> {
+    environment.record_trajectory(Some(FRAME_PERIOD_S));
+    let task = Arc::clone(environment.task());
+    let mut recordings = Recordings { task, scenarios, next: 0, slots: BTreeMap::new(), finished: BTreeMap::new() };
+    rollout_many(environment, policy, &mut recordings);
+    environment.record_trajectory(None);
+    recordings.finished.into_values().collect()
+}
+
+/// The recordings of a batch.
+struct Recordings<'a> {
+    task: Arc<TaskSpec>,
+    scenarios: &'a [Scenario],
+    next: usize,
+    /// The recorder of the episode in each slot, with the place of its scenario.
+    slots: BTreeMap<usize, (usize, Recorder)>,
+    /// Finished recordings by the place of their scenario.
+    finished: BTreeMap<usize, Recording>,
+}
+
+impl Workload for Recordings<'_> {
+    fn next(&mut self, slot: usize) -> Option<Scenario> {
+        let scenario = self.scenarios.get(self.next)?.clone();
+        self.slots.insert(slot, (self.next, Recorder::new(Arc::clone(&self.task))));
+        self.next += 1;
+        Some(scenario)
+    }
+
+    fn observe(&mut self, slot: usize, tick: Tick<'_>) {
+        if let Some((_, recorder)) = self.slots.get_mut(&slot) {
+            recorder.observe(&tick);
+        }
+    }
+
+    fn finished(&mut self, slot: usize, episode: Episode, environment: &mut dyn BatchEnvironment) -> ControlFlow<()> {
+        if let Some((at, recorder)) = self.slots.remove(&slot) {
+            self.finished.insert(at, recorder.finish(episode, environment.take_trajectory(slot)));
+        }
+        ControlFlow::Continue(())
+    }
+}
+
+/// Records an episode while it runs: the observer of any rollout.
+#[derive(Debug)]
+pub struct Recorder {
+    task: Arc<TaskSpec>,
+    tick_s: Vec<f64>,
+    log: Log,
+    phase: Option<Word>,
+    phases: Vec<Mark>,
+    events: Vec<Mark>,
+}
+
+impl Recorder {
+    /// Begins the recording of an episode of this task.
+    #[must_use]
+    pub fn new(task: Arc<TaskSpec>) -> Self {
+        let (tick_s, log, phases, events) = (Vec::new(), Log::default(), Vec::new(), Vec::new());
+        Self { task, tick_s, log, phase: None, phases, events }
+    }
+
+    /// Adds a control period.
+    pub fn observe(&mut self, tick: &Tick<'_>) {
+        let Self { task, tick_s, log, phase, phases, events } = self;
         let begin_s = tick.observation.time_s;
-        if tick.action.phase != phase {
-            phase = tick.action.phase;
+        if tick.action.phase != *phase {
+            *phase = tick.action.phase;
             phases.extend(phase.map(|phase| Mark { time_s: begin_s, what: phase.as_str().to_owned() }));
         }
         let time_s = tick.step.observation.time_s;
@@ -87,16 +165,20 @@ pub fn record_with(
             log.note(measure.name.as_str(), &measure.unit, tick.step.measures.get(measure.name.as_str()));
         }
         log.end_tick(tick_s.len());
-    });
-    let trajectory = environment.take_trajectory();
-    environment.record_trajectory(None);
-    let mut signals = log.signals;
-    signals.retain(Signal::is_known);
-    signals.truncate(MAX_SIGNALS);
-    if let Some(trajectory) = &trajectory {
-        signals.insert(signals.len().min(2), Signal::contact_force(trajectory));
     }
-    Recording { episode, trajectory, tick_s, signals, phases, events }
+
+    /// Ends the recording with the record of the episode and the motion of all bodies.
+    #[must_use]
+    pub fn finish(self, episode: Episode, trajectory: Option<Trajectory>) -> Recording {
+        let Self { tick_s, log, phases, events, .. } = self;
+        let mut signals = log.signals;
+        signals.retain(Signal::is_known);
+        signals.truncate(MAX_SIGNALS);
+        if let Some(trajectory) = &trajectory {
+            signals.insert(signals.len().min(2), Signal::contact_force(trajectory));
+        }
+        Recording { episode, trajectory, tick_s, signals, phases, events }
+    }
 }
 
 /// The name of an observed vector in a chart.
@@ -109,7 +191,7 @@ fn unit(specs: &[robogate_core::VectorSpec], name: Word) -> &str {
 }
 
 /// Signals at the end of each control period.
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct Log {
     signals: Vec<Signal>,
     ticks: usize,

@@ -3,6 +3,7 @@
 use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::sync::Arc;
+use std::thread;
 
 use robogate_core::{Episode, ParameterSpace};
 use robogate_dictionary::{DictionaryWriter, Entry, Journal, Recovery};
@@ -132,7 +133,9 @@ impl<'a> Run<'a> {
     fn active(&mut self) -> Result<Progress, RunError> {
         // The points that other processes have chosen need no model.
         let foresight = if self.chosen.is_empty() { self.executor.foresight()? } else { None };
-        let threads = NonZeroUsize::new(self.executor.parallelism()).unwrap_or(NonZeroUsize::MIN);
+        // A batch has more episodes in progress than there are processors for the models.
+        let processors = thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
+        let threads = NonZeroUsize::new(self.executor.parallelism()).unwrap_or(NonZeroUsize::MIN).min(processors);
         let Some(mut chooser) = Chooser::new(&self.settings.plan, &self.space, foresight, threads) else {
             return Ok(Progress::Complete);
         };

@@ -90,7 +90,7 @@ fn interruptions_do_not_change_files() {
 }
 
 /// Cuts off the journal at a random byte, as a kill or a power failure may.
-fn tear(dir: &Path, chance: &mut robogate_core::Stream) {
+pub(crate) fn tear(dir: &Path, chance: &mut robogate_core::Stream) {
     let file = OpenOptions::new().write(true).open(dir.join("journal.rgj")).unwrap();
     let length = file.metadata().unwrap().len();
     // Mostly within the last records, sometimes far back.

@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "test helpers fail by panicking")]
 
 mod active;
+mod batch;
 mod boundary;
 mod determinism;
 mod faults;

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use robogate_campaign::{Completion, Event, Executor, Plan, RunError, ThreadPool, Worker, WorkerFactory};
+use robogate_campaign::{BatchPool, Completion, Event, Executor, Plan, RunError, ThreadPool, Worker, WorkerFactory};
 use robogate_core::{
     Action, ActionSpace, ActionSpec, Command, Contact, Ending, Environment, FailureMode, FailureModeSpec, Fault,
     FaultKind, MeasureSpec, Observation, ObservationSpec, ParameterSpace, Policy, Scenario, Seed, Severity, Start,
@@ -270,6 +270,19 @@ pub(crate) fn with_pool<T>(
 ) -> T {
     let stop = AtomicBool::new(false);
     let pool = ThreadPool { factory, threads: NonZeroUsize::new(threads).unwrap(), stop: &stop };
+    go(&pool, &mut |event| watch(event, &stop))
+}
+
+/// Runs with `threads` threads, each with `slots` episodes in progress.
+pub(crate) fn with_batches<T>(
+    factory: &dyn WorkerFactory,
+    [threads, slots]: [usize; 2],
+    watch: &mut dyn FnMut(&Event, &AtomicBool),
+    go: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> T,
+) -> T {
+    let stop = AtomicBool::new(false);
+    let [threads, slots] = [threads, slots].map(|n| NonZeroUsize::new(n).unwrap());
+    let pool = BatchPool { factory, threads, slots, stop: &stop };
     go(&pool, &mut |event| watch(event, &stop))
 }
 

@@ -1,8 +1,6 @@
 //! Puts latency between any policy and any environment.
 
 use std::borrow::Cow;
-use std::cell::Cell;
-use std::rc::Rc;
 use std::sync::Arc;
 
 use super::draws::stream;
@@ -14,27 +12,26 @@ use crate::{
     Step, Stream, TaskInstance, TaskSpec, Trajectory, Value,
 };
 
-/// The latency of the scenario, in seconds. The environment's adapter sets it, and the policy's adapter applies it.
-type Shared = Rc<Cell<f64>>;
-
 /// Puts latency between a policy and an environment.
 ///
 /// The task of the environment gets the declarations of [`with_declarations`]. Episodes with a sampled latency record its
 /// hidden draws ([`Latency::draws`]), and the knowledge of the task about them has these draws too.
+///
+/// The two share no state: the environment lists [`LATENCY_PARAMETER`] among the applied parameters, and the policy takes
+/// its latency from there ([`Policy::note_applied`]).
 pub fn with_latency(
     environment: Box<dyn Environment>,
     policy: Box<dyn Policy>,
     execution: Execution,
 ) -> (Box<dyn Environment>, Box<dyn Policy>) {
-    let shared = Shared::default();
     let environment: Box<dyn Environment> = if matches!(execution.latency, Latency::Fixed { .. }) {
         environment
     } else {
         let latency = execution.latency.clone();
         let task = with_declarations(environment.task(), &latency);
-        Box::new(LatencyEnvironment { environment, task, latency, shared: Rc::clone(&shared) })
+        Box::new(LatencyEnvironment { environment, task, latency })
     };
-    (environment, Box::new(Delayed::new(policy, execution, shared)))
+    (environment, Box::new(Delayed::new(policy, execution)))
 }
 
 /// The task with the declarations of a latency: the parameter [`LATENCY_PARAMETER`] for [`Latency::Parameter`], or the
@@ -57,7 +54,6 @@ struct LatencyEnvironment {
     environment: Box<dyn Environment>,
     task: Arc<TaskSpec>,
     latency: Latency,
-    shared: Shared,
 }
 
 /// The knowledge of a task about episodes with a latency, which the task itself does not know.
@@ -127,7 +123,6 @@ impl Environment for LatencyEnvironment {
     }
 
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
-        self.shared.set(0.0);
         let set = if self.latency == Latency::Parameter { scenario.requested.number(LATENCY_PARAMETER) } else { None };
         let Some(wanted) = set else {
             return self.environment.reset(scenario);
@@ -136,8 +131,7 @@ impl Environment for LatencyEnvironment {
             return Err(Fault::new(FaultKind::Setup, why));
         }
         let mut start = self.environment.reset(&without_parameter(&self.latency, scenario))?;
-        self.shared.set(wanted);
-        start.applied.set(LATENCY_PARAMETER, Value::Number(self.shared.get()));
+        start.applied.set(LATENCY_PARAMETER, Value::Number(wanted));
         Ok(start)
     }
 
@@ -182,10 +176,13 @@ fn without_latency(requested: &Assignment) -> Assignment {
 }
 
 /// A policy whose actions arrive after a delay.
-struct Delayed {
-    policy: Box<dyn Policy>,
+struct Delayed<P: ?Sized> {
+    policy: Box<P>,
     latency: Latency,
-    shared: Shared,
+    /// The applied [`LATENCY_PARAMETER`] of the next episode, in seconds. `None` if it was not noted.
+    noted_s: Option<f64>,
+    /// The applied [`LATENCY_PARAMETER`] of this episode, in seconds.
+    applied_s: f64,
     stream: Stream,
     queue: Queue,
     /// The request in progress: the control period of its reply, and the reply.
@@ -199,12 +196,13 @@ struct Delayed {
     left: u32,
 }
 
-impl Delayed {
-    fn new(policy: Box<dyn Policy>, Execution { latency, mode }: Execution, shared: Shared) -> Self {
+impl<P: Policy + ?Sized> Delayed<P> {
+    fn new(policy: Box<P>, Execution { latency, mode }: Execution) -> Self {
         Self {
             policy,
             latency,
-            shared,
+            noted_s: None,
+            applied_s: 0.0,
             stream: stream(Seed::campaign(0)),
             queue: Queue::new(mode),
             pending: None,
@@ -220,7 +218,7 @@ impl Delayed {
     fn request(&mut self, observation: &Observation) -> Result<(), Fault> {
         let prediction = self.policy.predict(observation)?;
         self.queue.requested();
-        let latency_s = self.latency.sample(&mut self.stream, self.shared.get());
+        let latency_s = self.latency.sample(&mut self.stream, self.applied_s);
         // The tolerance keeps a latency of one period at one period.
         let delay = (latency_s / self.period_s - 1e-9).ceil().max(0.0) as u64;
         self.pending = Some((self.tick + delay, prediction));
@@ -258,12 +256,26 @@ impl Delayed {
     }
 }
 
-impl Policy for Delayed {
+impl<P: Policy + ?Sized> Policy for Delayed<P> {
     fn check(&self, task: &TaskSpec) -> Result<(), String> {
         self.policy.check(task)
     }
 
+    fn note_applied(&mut self, applied: &Assignment) {
+        self.noted_s = Some(applied.number(LATENCY_PARAMETER).unwrap_or(0.0));
+        self.policy.note_applied(applied);
+    }
+
     fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, seed: Seed) -> Result<(), Fault> {
+        self.applied_s = match (self.noted_s.take(), &self.latency) {
+            (Some(noted_s), _) => noted_s,
+            (None, Latency::Parameter) => {
+                let detail =
+                    "the policy was not told its latency: an adapter around it does not pass on the applied parameters";
+                return Err(Fault::new(FaultKind::Setup, detail));
+            }
+            (None, _) => 0.0,
+        };
         self.queue.clear();
         self.pending = None;
         self.tick = 0;
@@ -345,7 +357,10 @@ mod tests {
     use super::super::ExecutionMode;
     use super::super::draws::REQUESTS;
     use super::*;
-    use crate::{Better, DrawSpec, Episode, ObservationSpec, Word, rollout_with};
+    use crate::{
+        Better, DrawSpec, Episode, ObservationSpec, SingleEnvironments, SinglePolicies, Word, rollout, rollout_all,
+        rollout_with,
+    };
 
     /// Predicts four steps with the number of the request.
     struct Counting {
@@ -402,7 +417,7 @@ mod tests {
     /// The first numbers of the commands in `n` control periods.
     fn commands(latency: Latency, mode: ExecutionMode, periods: u32, n: usize) -> Vec<f64> {
         let policy = Box::new(Counting { requests: 0.0, periods, present: 0.0 });
-        let mut policy = Delayed::new(policy, Execution { latency, mode }, Shared::default());
+        let mut policy = Delayed::new(policy, Execution { latency, mode });
         policy.reset(&task(), &TaskInstance::default(), Seed::campaign(1).episode(0)).unwrap();
         let act = |_| match policy.act(&Observation::default()).unwrap().command {
             Command::Vector(numbers) => numbers[0],
@@ -473,13 +488,14 @@ mod tests {
             Ok(Start { instance, observation, applied: scenario.requested.clone() })
         }
 
-        fn step(&mut self, _: &Action) -> Result<Step, Fault> {
+        fn step(&mut self, action: &Action) -> Result<Step, Fault> {
+            let Command::Vector(numbers) = &action.command else { panic!("{action:?}") };
             Ok(Step {
                 observation: Observation::default(),
                 measures: Measures::default(),
                 ending: None,
                 events: Vec::new(),
-                state_hash: 0,
+                state_hash: numbers[0].to_bits(),
             })
         }
     }
@@ -505,9 +521,8 @@ mod tests {
     }
 
     fn delayed(latency: &Latency, period_s: f64) -> (Box<dyn Environment>, Box<dyn Policy>) {
-        let policy = Box::new(Counting { requests: 0.0, periods: 1, present: 0.0 });
         let execution = Execution { latency: latency.clone(), mode: ExecutionMode::Hold };
-        with_latency(World::new(period_s), policy, execution)
+        with_latency(World::new(period_s), counting(), execution)
     }
 
     /// An episode, and the control periods that the robot waited for the reply to each request.
@@ -524,6 +539,79 @@ mod tests {
             }
         });
         (episode, waits)
+    }
+
+    fn counting() -> Box<Counting> {
+        Box::new(Counting { requests: 0.0, periods: 1, present: 0.0 })
+    }
+
+    #[test]
+    fn parameter_sets_the_latency() {
+        let mut latency = scenario(3);
+        let commands = |scenario: &Scenario| {
+            let (mut world, mut policy) = delayed(&Latency::Parameter, 0.05);
+            let mut commands = Vec::new();
+            let episode = rollout_with(&mut *world, &mut *policy, scenario, &mut |tick| {
+                let Command::Vector(numbers) = &tick.action.command else { panic!("{:?}", tick.action) };
+                commands.push(numbers[0]);
+            });
+            (episode, commands)
+        };
+        assert_eq!(commands(&latency).1[..4], [1.0, 1.0, 2.0, 2.0]);
+        latency.requested.set(LATENCY_PARAMETER, Value::Number(0.08));
+        let (episode, commands) = commands(&latency);
+        assert_eq!(episode.applied.number(LATENCY_PARAMETER), Some(0.08));
+        assert_eq!(commands[..5], [0.0, 0.0, 1.0, 1.0, 0.0]);
+    }
+
+    #[test]
+    fn unknown_latency_is_a_fault() {
+        let execution = Execution { latency: Latency::Parameter, mode: ExecutionMode::Hold };
+        let mut policy = Delayed::new(counting(), execution);
+        let mut reset = |applied: Option<f64>| {
+            if let Some(latency_s) = applied {
+                policy.note_applied(&[(LATENCY_PARAMETER.into(), Value::Number(latency_s))].into_iter().collect());
+            }
+            policy.reset(&task(), &TaskInstance::default(), Seed::campaign(1)).map(|()| policy.applied_s)
+        };
+        assert_eq!(reset(Some(0.1)), Ok(0.1));
+        // The latency of an earlier episode says nothing about the next one.
+        assert_eq!(reset(None).unwrap_err().kind, FaultKind::Setup);
+    }
+
+    #[test]
+    fn adapters_move_between_threads() {
+        fn is_send<T: Send>(_: &T) {}
+        is_send(&Delayed::new(counting(), Execution { latency: Latency::Parameter, mode: ExecutionMode::Hold }));
+    }
+
+    #[test]
+    fn batch_with_latency_equals_single_episodes() {
+        let scenarios: Vec<Scenario> = (0..9)
+            .map(|index| {
+                let requested = [(LATENCY_PARAMETER.into(), Value::Number(0.01 * index as f64))].into_iter().collect();
+                Scenario { requested, ..scenario(index) }
+            })
+            .collect();
+        for mode in [ExecutionMode::Hold, ExecutionMode::Queue, ExecutionMode::Overlap] {
+            for latency in [Latency::Parameter, Latency::Gamma { mean_s: 0.1, sd_s: 0.1 }] {
+                let pair = || {
+                    let execution = Execution { latency: latency.clone(), mode };
+                    with_latency(World::new(0.05), counting(), execution)
+                };
+                let one = |scenario: &Scenario| {
+                    let (mut world, mut policy) = pair();
+                    rollout(&mut *world, &mut *policy, scenario)
+                };
+                let expected: Vec<Episode> = scenarios.iter().map(one).collect();
+                let (worlds, policies) = (0..4).map(|_| pair()).unzip();
+                let mut worlds = SingleEnvironments::new(worlds).unwrap();
+                let found = rollout_all(&mut worlds, &mut SinglePolicies::new(policies), &scenarios);
+                assert_eq!(found, expected, "{mode:?} {latency:?}");
+                // The commands are part of the hash, and depend on the latency.
+                assert!(expected.iter().any(|episode| episode.trajectory_hash != expected[0].trajectory_hash));
+            }
+        }
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use robogate_core::{
-    Action, Fault, FaultKind, Observation, Policy, PredictedStep, Prediction, Seed, TaskInstance, TaskSpec,
+    Action, Assignment, Fault, FaultKind, Observation, Policy, PredictedStep, Prediction, Seed, TaskInstance, TaskSpec,
 };
 
 use super::{BoundMap, TaskMap};
@@ -40,6 +40,10 @@ impl Policy for Mapped {
         let bound =
             BoundMap::new(&self.map, &self.profile, task).map_err(|why| format!("the map does not fit: {why}"))?;
         self.policy.check(bound.task())
+    }
+
+    fn note_applied(&mut self, applied: &Assignment) {
+        self.policy.note_applied(applied);
     }
 
     fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, seed: Seed) -> Result<(), Fault> {
@@ -118,6 +122,10 @@ impl Unmapped {
 impl Policy for Unmapped {
     fn check(&self, _: &TaskSpec) -> Result<(), String> {
         self.expert.check(&self.task)
+    }
+
+    fn note_applied(&mut self, applied: &Assignment) {
+        self.expert.note_applied(applied);
     }
 
     fn reset(&mut self, _: &TaskSpec, instance: &TaskInstance, seed: Seed) -> Result<(), Fault> {
