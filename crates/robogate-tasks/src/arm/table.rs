@@ -1,7 +1,8 @@
 //! Parameter tables: one row per parameter, with its range, setter and reader.
 
 use robogate_core::{Allowed, Assignment, Fault, FaultKind, ParameterSpec, Value, Word};
-use robogate_physics::{Readback, Visual};
+
+use super::Found;
 
 /// One parameter of a task with the settings `S`.
 pub(crate) struct Row<S: 'static> {
@@ -35,10 +36,8 @@ pub(crate) enum Access<S: 'static> {
 pub(crate) struct Acting<'a, S> {
     /// The settings, to interpret the state: which direction a draw has, which part a pose belongs to.
     pub(crate) settings: &'a S,
-    /// State of the engine.
-    pub(crate) engine: &'a Readback,
-    /// State of the cameras.
-    pub(crate) visual: &'a Visual,
+    /// The state from which values are read.
+    pub(crate) found: &'a Found<'a>,
     /// Bias of each encoder, in radians.
     pub(crate) bias: &'a [f64],
 }
@@ -84,7 +83,7 @@ impl<S: InSurroundings> Row<S> {
             "the cameras",
             ([1.0, 1e5], 500.0),
             |s, x| s.around_mut().lighting_lux = x,
-            |a| a.visual.lighting_lux,
+            |a| a.found.visual.lighting_lux,
         )
         .in_family("light")
     }

@@ -7,7 +7,7 @@ use robogate_tasks::pick_place::claims::{self, ClaimResult, Workbench};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
-use crate::subject::{EnvironmentArguments, EnvironmentSource};
+use crate::subject::{EnvironmentArguments, named_space};
 use crate::terminal::{bold, line, note};
 
 /// Check claims by experiment.
@@ -64,10 +64,8 @@ impl Check {
 
 impl Physics {
     fn execute(&self) -> Result<u8, Exit> {
-        let source = EnvironmentSource::Cell(Box::new(self.environment.cell()?));
-        let space = Arc::new(source.space(None, false).or_usage()?);
-        let EnvironmentSource::Cell(cell) = &source else { return Ok(DONE) };
-        let cell = &**cell;
+        let cell = &self.environment.cell()?;
+        let space = Arc::new(named_space(cell.default_space()).or_usage()?);
         let fingers: &[Experiment<'_>] = &[
             ("coulomb", &|| claims::coulomb(cell, &[2.0, 4.0, 7.0])),
             ("opening", &|| claims::opening(cell, 140)),

@@ -8,7 +8,6 @@ use robogate_physics::{RobotFile, SuctionLaw};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::arm_cell::{ArmCell, ArmSettings};
 use crate::cell::{self, Cell, CellSettings};
 use crate::exit::{Exit, OrExit};
 use crate::policy_source::{PolicyLocation, PolicySource};
@@ -29,8 +28,6 @@ enum Recorded {
     /// Servers that declare their own task.
     Remote(RecordedServers),
     /// A built-in task for an arm.
-    Arm(ArmSettings),
-    /// The built-in cell.
     Cell(CellSettings),
 }
 
@@ -80,7 +77,6 @@ pub(crate) fn recorded_robot(provenance: &Provenance) -> Option<Vec<RobotFile>> 
     object.remove(Controls::KEY);
     let robot = match serde_json::from_value(world).ok()? {
         Recorded::Cell(settings) => settings.robot,
-        Recorded::Arm(settings) => settings.robot,
         Recorded::SelfContained(_) | Recorded::Launched(_) | Recorded::Remote(_) => return None,
     };
     cell::robot_files(&robot, provenance.robot.sha256.as_ref())
@@ -126,7 +122,7 @@ impl Subject {
         };
         let engine = &provenance.engine;
         let remote = match &recorded {
-            Recorded::SelfContained(_) | Recorded::Arm(_) => false,
+            Recorded::SelfContained(_) => false,
             Recorded::Remote(_) | Recorded::Launched(_) => true,
             Recorded::Cell(settings) => settings.simulator.is_some(),
         };
@@ -156,9 +152,6 @@ impl Subject {
             (Recorded::Launched(_), Some(pool)) => {
                 EnvironmentSource::Remote(RemoteSource { pool, robot: franka(), launched })
             }
-            (Recorded::Arm(settings), _) => {
-                EnvironmentSource::Arm(Box::new(ArmCell::new(settings, SuctionLaw::Vacuum).or_usage()?))
-            }
             (Recorded::Cell(settings), pool) => {
                 // Every run of a robot with a cup records its suction law.
                 EnvironmentSource::Cell(Box::new(Cell::new(settings, SuctionLaw::Vacuum, pool).or_setup()?))
@@ -181,7 +174,6 @@ impl EnvironmentSource {
     pub(super) fn recorded(&self) -> serde_json::Result<Value> {
         serde_json::to_value(match self {
             Self::Cell(cell) => Recorded::Cell(cell.settings().clone()),
-            Self::Arm(cell) => Recorded::Arm(cell.settings().clone()),
             Self::SelfContained(task) => Recorded::SelfContained(RecordedTask { task: task.name().to_owned() }),
             Self::Remote(RemoteSource { launched: Some((name, _)), .. }) => {
                 Recorded::Launched(RecordedEnvironment { environment: name.clone() })
