@@ -97,7 +97,7 @@ fn peg_jitter(acting: &Acting<'_, Settings>) -> f64 {
 }
 
 /// Every parameter of the task.
-pub(super) static ROWS: [Row<Settings>; 11] = [
+pub(super) static ROWS: [Row<Settings>; 22] = [
     Row::<Settings>::number(
         "clearance_m",
         "m",
@@ -190,4 +190,15 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
     .in_family("peg"),
     Row::encoder_bias(),
     Row::lighting(),
+    Row::unit_bias::<0>(),
+    Row::unit_bias::<1>(),
+    Row::unit_bias::<2>(),
+    Row::unit_bias::<3>(),
+    Row::unit_bias::<4>(),
+    Row::unit_bias::<5>(),
+    Row::unit_bias::<6>(),
+    Row::grip_force_scale(),
+    Row::pad_friction_scale(),
+    Row::camera_roll(),
+    Row::camera_pitch(),
 ];

@@ -73,8 +73,8 @@ impl Referee {
     pub(super) fn new(settings: Settings, grip_force_n: f64) -> Self {
         Self {
             mouth: settings.mouth(),
+            grip: Grip::new(grip_force_n * settings.around.gripper.force_scale),
             settings,
-            grip: Grip::new(grip_force_n),
             was_held: false,
             before: 0.0,
             seated_since: None,

@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{
     Assignment, CameraSpec, Fault, Foresight, Infeasibility, Policy, Pose, Scenario, TaskInstance, TaskSpec,
 };
-use robogate_physics::{Chain, Fixture, GRAVITY, Gripper, GripperUnit, Robot, Scene, SuctionLaw, Visual};
+use robogate_physics::{Chain, Fixture, GRAVITY, Gripper, Robot, Scene, SuctionLaw};
 
 use super::controller::Scripted;
 use super::foresight::InsertionForesight;
@@ -80,7 +80,7 @@ impl Rules for Insertion {
             // The head may rest on the pads.
             friction: None,
             weight_n: settings.mass_kg * GRAVITY,
-            force_scale: 1.0,
+            force_scale: settings.around.gripper.force_scale,
         };
         let [peg, hole] = within_reach(robot, PLACES);
         out_of_reach(robot, "hole", hole, settings.hole_jitter_m)
@@ -105,7 +105,7 @@ impl Rules for Insertion {
         Ok(Resolved {
             scene: settings.scene(),
             grip_threshold_m: GRIP_THRESHOLD_M,
-            bias: encoder_bias(scenario, robot, settings.around.encoder_bias_rad),
+            bias: settings.around.bias(scenario, robot)?,
             instance: instance("pick up the peg and insert it into the hole".to_owned(), &briefing),
             trial: Box::new(Referee::new(settings, grip_force_n)),
         })
@@ -167,11 +167,11 @@ impl Settings {
             friction: GRIP_FRICTION,
             table_friction: Some(self.friction),
             arm_stiffness: self.arm_stiffness,
-            gripper: GripperUnit::default(),
+            gripper: self.around.gripper,
             fixtures,
             gravity: GRAVITY,
             marker: None,
-            visual: Visual { lighting_lux: self.around.lighting_lux, ..Visual::default() },
+            visual: self.around.visual(),
         }
     }
 }

@@ -73,7 +73,7 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         .chain(common_measures())
         .collect(),
         phases: phases::ALL.to_vec(),
-        parameters: specs(&ROWS),
+        parameters: specs(&ROWS, &robot.settings.gripper),
         ..base_spec(NAME, robot, cameras)
     }
 }

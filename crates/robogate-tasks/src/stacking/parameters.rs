@@ -105,13 +105,14 @@ fn order(acting: &Acting<'_, Settings>) -> String {
 }
 
 /// Every parameter of the task.
-pub(super) static ROWS: [Row<Settings>; 11] = [
+pub(super) static ROWS: [Row<Settings>; 22] = [
     Row {
         name: "order",
         unit: "",
         meaning: "Order of the parts in the stack, from the bottom up. The first part stays where it is.",
         read_from: "the parts' poses in the engine",
         family: Some("stack"),
+        needs_pads: false,
         access: Access::Word {
             choices: &ORDERS,
             nominal: "abc",
@@ -204,4 +205,15 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
     .in_family("layout"),
     Row::encoder_bias(),
     Row::lighting(),
+    Row::unit_bias::<0>(),
+    Row::unit_bias::<1>(),
+    Row::unit_bias::<2>(),
+    Row::unit_bias::<3>(),
+    Row::unit_bias::<4>(),
+    Row::unit_bias::<5>(),
+    Row::unit_bias::<6>(),
+    Row::grip_force_scale(),
+    Row::pad_friction_scale(),
+    Row::camera_roll(),
+    Row::camera_pitch(),
 ];

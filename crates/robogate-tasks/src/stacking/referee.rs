@@ -68,8 +68,8 @@ impl Referee {
     pub(super) fn new(settings: Settings, grip_force_n: f64) -> Self {
         Self {
             selected: settings.order[1],
+            grip: Grip::new(grip_force_n * settings.around.gripper.force_scale),
             settings,
-            grip: Grip::new(grip_force_n),
             complete: 1,
             released: None,
             record: Record::default(),

@@ -7,8 +7,8 @@ use robogate_core::{
     Assignment, CameraSpec, Fault, Foresight, Infeasibility, Policy, Pose, Scenario, TaskInstance, TaskSpec,
 };
 use robogate_physics::{
-    Chain, Color, Fixture, FreeBody, GRAVITY, Gripper, GripperUnit, MassProperties, Object, Part, Primitive, Robot,
-    Scene, SuctionLaw, Visual,
+    Chain, Color, Fixture, FreeBody, GRAVITY, Gripper, MassProperties, Object, Part, Primitive, Robot, Scene,
+    SuctionLaw, Visual,
 };
 
 use super::controller::Scripted;
@@ -77,11 +77,12 @@ impl Rules for Stacking {
         let settings: Settings = decode(&ROWS, requested).ok()?;
         // The first part of the order stays where it is.
         let heaviest = settings.mass(1).max(settings.mass(2));
+        let pads = settings.friction * settings.around.gripper.pad_friction_scale;
         let load = Load {
-            width_m: (settings.friction < 1.0).then_some(settings.size_m),
-            friction: (settings.friction < 1.0).then_some(settings.friction),
+            width_m: (pads < 1.0).then_some(settings.size_m),
+            friction: (pads < 1.0).then_some(pads),
             weight_n: heaviest * GRAVITY * settings.gravity_scale,
-            force_scale: 1.0,
+            force_scale: settings.around.gripper.force_scale,
         };
         let far = |at: [f64; 2]| out_of_reach(robot, "part", at, settings.position_jitter_m);
         within_reach(robot, PLACES)
@@ -99,7 +100,7 @@ impl Rules for Stacking {
         Ok(Resolved {
             scene: scene(&settings),
             grip_threshold_m: GRIP_THRESHOLD_M,
-            bias: encoder_bias(scenario, robot, settings.around.encoder_bias_rad),
+            bias: settings.around.bias(scenario, robot)?,
             instance: briefing(&settings).instance(),
             trial: Box::new(Referee::new(settings, grip_force_n)),
         })
@@ -172,10 +173,10 @@ pub(super) fn scene(settings: &Settings) -> Scene {
         friction: settings.friction,
         table_friction: None,
         arm_stiffness: 1.0,
-        gripper: GripperUnit::default(),
+        gripper: settings.around.gripper,
         fixtures: vec![Fixture::table()],
         gravity: GRAVITY * settings.gravity_scale,
         marker: None,
-        visual: Visual { lighting_lux: settings.around.lighting_lux, object_color: color, ..Visual::default() },
+        visual: Visual { object_color: color, ..settings.around.visual() },
     }
 }

@@ -72,7 +72,7 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         .chain(common_measures())
         .collect(),
         phases: vec![phases::APPROACH, phases::GRASP, phases::CARRY, phases::RELEASE],
-        parameters: specs(&ROWS),
+        parameters: specs(&ROWS, &robot.settings.gripper),
         ..base_spec(NAME, robot, cameras)
     }
 }
