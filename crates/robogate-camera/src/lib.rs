@@ -35,7 +35,7 @@ pub use egl::EglRenderer;
 pub use mounts::FRONT_CAMERA;
 pub use pinhole::Pinhole;
 
-use robogate_physics::{Robot, Scene, Visual};
+use robogate_physics::{Engine, Robot, Scene, Visual};
 
 use crate::looks::RobotLooks;
 use crate::mounts::{Mounts, front_pose};
@@ -48,18 +48,18 @@ pub const CAMERAS: [&str; 2] = ["front", "wrist"];
 pub const SIZE_PX: usize = 256;
 
 /// A renderer that replaces the embedded caster and renders the state of an engine.
-pub trait Renderer<E> {
+pub trait Renderer {
     /// Sets width and height of the images, in pixels.
     fn resize(&mut self, width: usize, height: usize);
 
     /// Sets up a scene and returns its applied appearance.
-    fn set_up(&mut self, engine: &E, scene: &Scene) -> Visual;
+    fn set_up(&mut self, scene: &Scene) -> Visual;
 
     /// Removes the scene.
     fn clear(&mut self);
 
     /// Renders the engine's state, one image per camera of [`CAMERAS`].
-    fn render(&mut self, engine: &E) -> Result<Vec<Image>, Fault>;
+    fn render(&mut self, engine: &dyn Engine) -> Result<Vec<Image>, Fault>;
 }
 
 /// The cameras of a cell.

@@ -12,4 +12,4 @@ mod table;
 
 pub use dataset::{CODEBASE_VERSION, Dataset, DatasetError, Written};
 pub use push::Push;
-pub use recorder::{Demonstration, Frame, Picture, Recorder};
+pub use recorder::{Demonstration, Frame, Picture, Recorder, Told};

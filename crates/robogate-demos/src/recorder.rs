@@ -6,7 +6,6 @@ use robogate_core::{
     vectors,
 };
 use robogate_physics::{Chain, GripperCommand};
-use robogate_tasks::pick_place::spec::Briefing;
 
 use crate::Push;
 
@@ -61,12 +60,16 @@ pub struct Demonstration {
     pub frames: Vec<Frame>,
 }
 
+/// Reads the object that the expert picks first from the details of an episode: position of its centre and edge, in
+/// metres.
+pub type Told = Box<dyn Fn(&TaskInstance) -> Result<[f64; 4], Fault>>;
+
 /// A policy that follows the expert with random pushes and records it.
 ///
 /// The expert must return joint positions. It receives the observations of an undisturbed arm, so it stays on its path.
-#[derive(Debug)]
-pub struct Recorder<P> {
-    expert: P,
+pub struct Recorder {
+    expert: Box<dyn Policy>,
+    told_of: Told,
     chain: Chain,
     rest: Vec<f64>,
     sigma_m: f64,
@@ -78,11 +81,12 @@ pub struct Recorder<P> {
     demonstration: Demonstration,
 }
 
-impl<P: Policy> Recorder<P> {
+impl Recorder {
     /// Records `expert` on the arm `chain` with the rest posture `rest` (rad), and with pushes of `sigma_m` ([`Push`]).
-    pub fn new(expert: P, chain: Chain, rest: Vec<f64>, sigma_m: f64) -> Self {
+    pub fn new(expert: Box<dyn Policy>, told_of: Told, chain: Chain, rest: Vec<f64>, sigma_m: f64) -> Self {
         Self {
             expert,
+            told_of,
             chain,
             rest,
             sigma_m,
@@ -124,7 +128,7 @@ impl<P: Policy> Recorder<P> {
     }
 }
 
-impl<P: Policy> Policy for Recorder<P> {
+impl Policy for Recorder {
     fn check(&self, task: &TaskSpec) -> Result<(), String> {
         self.expert.check(task)
     }
@@ -136,9 +140,7 @@ impl<P: Policy> Policy for Recorder<P> {
     fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, seed: Seed) -> Result<(), Fault> {
         self.push = Push::new(self.sigma_m, seed);
         self.period_s = task.control_period_s;
-        let briefing = Briefing::of(instance)?;
-        let [x, y, z] = briefing.object_pose.position;
-        self.told = [x, y, z, briefing.object_extent_m[0]];
+        self.told = (self.told_of)(instance)?;
         self.sent.clear();
         self.demonstration = Demonstration { task: instance.instruction.clone(), frames: Vec::new() };
         self.expert.reset(task, instance, seed)

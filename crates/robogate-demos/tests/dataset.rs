@@ -10,8 +10,9 @@ use parquet::record::RowAccessor;
 use robogate_core::{Action, Command, Fault, Image, Observation, Policy, Pose, Seed, TaskInstance, TaskSpec, vectors};
 use robogate_demos::{Dataset, DatasetError, Demonstration, Recorder};
 use robogate_physics::{Engine, MujocoEngine, built_in_robot};
-use robogate_tasks::pick_place::Rules;
+use robogate_tasks::ArmTask;
 use robogate_tasks::pick_place::spec::{Briefing, spec};
+use robogate_tasks::pick_place::{PickPlace, Rules};
 
 /// An expert that keeps moving the first joint.
 struct Onward;
@@ -51,7 +52,13 @@ fn demonstration(frames: usize, sigma_m: f64) -> (Demonstration, Vec<Action>) {
     let robot = built_in_robot("franka").unwrap();
     let task = spec(&robot, Vec::new(), &Rules::default());
     let chain = MujocoEngine::new(robot, 0.002).unwrap().chain().clone();
-    let mut recorder = Recorder::new(Onward, chain.clone(), READY.to_vec(), sigma_m);
+    let mut recorder = Recorder::new(
+        Box::new(Onward),
+        Box::new(|instance| PickPlace::DEFAULT.first_part(instance)),
+        chain.clone(),
+        READY.to_vec(),
+        sigma_m,
+    );
     recorder.reset(&task, &instance(), Seed::campaign(3).episode(1)).unwrap();
     let tool = chain.tcp_at(&READY);
     let q = tool.rotation.quaternion();

@@ -1,12 +1,14 @@
 //! The interface of a rigid-body engine. It is independent of the task.
 
+use std::any::Any;
+
 use nalgebra::{Isometry3, Vector3};
 use robogate_core::{ContactPoint, Fault};
 
 use crate::{Chain, Motion, Primitive, Robot, Scene};
 
 /// A rigid-body engine that holds one robot and, after [`Engine::load`], one scene.
-pub trait Engine {
+pub trait Engine: Any {
     /// Identifies the engine and its version.
     fn build(&self) -> EngineBuild;
 

@@ -9,6 +9,7 @@ use robogate_camera::EglRenderer;
 use robogate_core::{Assignment, Environment, Scenario, Seed, Value};
 use robogate_physics::{MujocoEngine, built_in_robot};
 use robogate_tasks::pick_place::PickPlace;
+use robogate_tasks::{ArmTask, Rig};
 
 fn main() {
     let crowded = vec![
@@ -23,7 +24,9 @@ fn main() {
             let engine = MujocoEngine::new(built_in_robot(robot).unwrap(), MujocoEngine::TIME_STEP_S).unwrap();
             let renderer = EglRenderer::new(&engine).unwrap();
             let device = renderer.device().to_owned();
-            let mut cell = PickPlace::new(engine, None).unwrap().with_renderer(Box::new(renderer));
+            let mut cell = PickPlace::default()
+                .on(Box::new(engine), Rig { renderer: Some(Box::new(renderer)), ..Rig::default() })
+                .unwrap();
             let mut requested = Assignment::default();
             settings.into_iter().for_each(|(name, value)| requested.set(name, value));
             let scenario = Scenario { index: 0, seed: Seed::campaign(1).episode(0), requested };

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use robogate_core::{Environment, ParameterSpace, Policy, Sampler, Scenario, Seed, rollout, samplers};
 use robogate_physics::{Engine, MujocoEngine, RapierEngine, Robot, built_in_robot};
 use robogate_tasks::pick_place::{FRANKA_SPACE, PickPlace, Scripted};
+use robogate_tasks::{ArmTask, Rig};
 
 fn main() {
     let episodes: usize = std::env::args().skip(1).find_map(|a| a.parse().ok()).unwrap_or(100);
@@ -44,5 +45,5 @@ fn robot() -> Robot {
 
 fn bench<E: Engine + 'static>(engine: E) -> (Box<dyn Environment>, Box<dyn Policy>) {
     let policy = Scripted::new(robot(), engine.chain().clone());
-    (Box::new(PickPlace::new(engine, None).unwrap()), Box::new(policy))
+    (Box::new(PickPlace::default().on(Box::new(engine), Rig::default()).unwrap()), Box::new(policy))
 }

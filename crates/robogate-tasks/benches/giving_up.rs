@@ -12,6 +12,7 @@ use robogate_core::{
 };
 use robogate_physics::{Engine, MujocoEngine, built_in_robot};
 use robogate_tasks::pick_place::{FRANKA_SPACE, PickPlace, Scripted};
+use robogate_tasks::{ArmTask, Rig};
 
 /// The scripted controller without the statement that it has given up.
 struct Silent(Scripted);
@@ -38,7 +39,7 @@ fn main() {
     let engine = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).unwrap();
     let speaking = Scripted::new(robot, engine.chain().clone());
     let mut policies: [Box<dyn Policy>; 2] = [Box::new(Silent(speaking.clone())), Box::new(speaking)];
-    let mut cell = PickPlace::new(engine, None).unwrap();
+    let mut cell = PickPlace::default().on(Box::new(engine), Rig::default()).unwrap();
     let (mut seconds, mut simulated) = ([0.0; 2], [0.0; 2]);
     let mut differ = 0;
     for i in 0..episodes {

@@ -11,8 +11,10 @@ pub mod pendulum;
 pub mod pick_place;
 mod random;
 mod self_contained;
+mod spaces;
 pub mod stacking;
 
-pub use arm::ArmTask;
+pub use arm::{ArmEnvironment, ArmTask, Rig};
 pub use random::Random;
 pub use self_contained::SelfContained;
+pub use spaces::{built_in_space, built_in_spaces};

@@ -7,6 +7,7 @@ use robogate_camera::{CAMERAS, EglRenderer};
 use robogate_core::{Assignment, Environment, Image, Policy, Scenario, Seed, Value};
 use robogate_physics::{Engine, MujocoEngine, built_in_robot};
 use robogate_tasks::pick_place::{PickPlace, Scripted};
+use robogate_tasks::{ArmEnvironment, ArmTask, Rig};
 
 type Settings<'a> = Vec<(&'a str, Value)>;
 
@@ -22,16 +23,27 @@ fn word(word: &str) -> Value {
     Value::Category(word.into())
 }
 
-fn embedded(robot: &str) -> PickPlace<MujocoEngine> {
+fn embedded(robot: &str) -> ArmEnvironment {
     let robot = built_in_robot(robot).unwrap();
-    PickPlace::new(MujocoEngine::new(robot, MujocoEngine::TIME_STEP_S).unwrap(), None).unwrap()
+    PickPlace::default()
+        .on(Box::new(MujocoEngine::new(robot, MujocoEngine::TIME_STEP_S).unwrap()), Rig::default())
+        .unwrap()
 }
 
 /// The same cell with MuJoCo's renderer, if a device exists.
-fn egl(robot: &str) -> Option<PickPlace<MujocoEngine>> {
+fn egl(robot: &str) -> Option<ArmEnvironment> {
+    egl_of(robot, Rig::default().picture_px)
+}
+
+/// As [`egl`], with images of this size.
+fn egl_of(robot: &str, picture_px: [usize; 2]) -> Option<ArmEnvironment> {
     let engine = MujocoEngine::new(built_in_robot(robot).unwrap(), MujocoEngine::TIME_STEP_S).unwrap();
     match EglRenderer::new(&engine) {
-        Ok(renderer) => Some(PickPlace::new(engine, None).unwrap().with_renderer(Box::new(renderer))),
+        Ok(renderer) => Some(
+            PickPlace::default()
+                .on(Box::new(engine), Rig { renderer: Some(Box::new(renderer)), picture_px, ..Rig::default() })
+                .unwrap(),
+        ),
         Err(why) => {
             robogate_testing::skip("egl", &why.to_string());
             None
@@ -40,7 +52,7 @@ fn egl(robot: &str) -> Option<PickPlace<MujocoEngine>> {
 }
 
 /// The images after this number of steps of the scripted controller.
-fn pictures(cell: &mut PickPlace<MujocoEngine>, robot: &str, settings: &[(&str, Value)], steps: usize) -> Vec<Image> {
+fn pictures(cell: &mut ArmEnvironment, robot: &str, settings: &[(&str, Value)], steps: usize) -> Vec<Image> {
     let scenario = scenario(settings);
     let start = cell.reset(&scenario).unwrap();
     let robot = built_in_robot(robot).unwrap();
@@ -75,7 +87,7 @@ fn alone(these: &BTreeSet<(i64, i64)>, others: &BTreeSet<(i64, i64)>) -> usize {
 
 /// The object's pixels, from images with two object colours.
 fn outlines(
-    cell: &mut PickPlace<MujocoEngine>,
+    cell: &mut ArmEnvironment,
     robot: &str,
     settings: &Settings<'_>,
     steps: usize,
@@ -128,7 +140,7 @@ fn object_outline_matches() {
 fn outlines_against_background_match() {
     for (robot, steps) in [("franka", 0), ("franka", 25), ("ur5e", 0), ("ur10e", 25)] {
         let Some(mut other) = egl(robot) else { return };
-        let wall = |cell: &mut PickPlace<MujocoEngine>| {
+        let wall = |cell: &mut ArmEnvironment| {
             let mut painted = |color| pictures(cell, robot, &[("background_color", word(color))], steps);
             let (light, dark) = (painted("#e0e0e0"), painted("#203020"));
             differing(&light[0], &dark[0])
@@ -144,7 +156,7 @@ fn marker_matches() {
     let Some(mut other) = egl("franka") else { return };
     for material in ["wood", "steel", "laminate", "rubber", "cardboard"] {
         // The green pixels: the ring and the cross.
-        let mark = |cell: &mut PickPlace<MujocoEngine>| {
+        let mark = |cell: &mut ArmEnvironment| {
             let image = &pictures(cell, "franka", &[("table_material", word(material))], 0)[0];
             let green = |p: &[u8]| f64::from(p[1]) > 1.2 * f64::from(p[0]) && f64::from(p[1]) > 1.1 * f64::from(p[2]);
             let pixels = image.rgb.chunks_exact(3).enumerate().filter(|(_, p)| green(p));
@@ -228,7 +240,7 @@ fn renderer_does_not_change_physics() {
         ("disturbance_speed_m_s", Value::Number(0.2)),
     ];
     let scenario = scenario(&settings);
-    let run = |mut cell: PickPlace<MujocoEngine>| {
+    let run = |mut cell: ArmEnvironment| {
         let start = cell.reset(&scenario).unwrap();
         let robot = built_in_robot("franka").unwrap();
         let engine = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).unwrap();
@@ -257,8 +269,7 @@ fn renderer_does_not_change_physics() {
 
 #[test]
 fn images_have_the_requested_size() {
-    let Some(cell) = egl("franka") else { return };
-    let mut cell = cell.with_picture_size(93, 41);
+    let Some(mut cell) = egl_of("franka", [93, 41]) else { return };
     let fault = cell.render().unwrap_err().to_string();
     assert!(fault.contains("no scenario is set up"), "{fault}");
     cell.reset(&scenario(&[])).unwrap();

@@ -14,6 +14,7 @@ use robogate_physics::RapierEngine;
 use robogate_tasks::pick_place::claims::Workbench;
 use robogate_tasks::pick_place::spec::phases;
 use robogate_tasks::pick_place::{PickPlace, Placement, Scripted};
+use robogate_tasks::{ArmTask, Rig};
 
 fn engines() -> Vec<EngineKind> {
     vec![
@@ -49,7 +50,7 @@ fn check_draws<E: Engine + 'static>(engine: E, on: EngineKind, index: u64) {
     let cell = on.franka();
     let chain = engine.chain().clone();
     let mut policy = Scripted::new(cell.robot.clone(), chain.clone());
-    let mut simulator = PickPlace::new(engine, None).unwrap();
+    let mut simulator = PickPlace::default().on(Box::new(engine), Rig::default()).unwrap();
     let scenario = scenario(index);
     let draws = simulator.foresight().unwrap().draws(&scenario).unwrap();
     let start = simulator.reset(&scenario).unwrap();

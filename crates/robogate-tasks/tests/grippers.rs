@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use robogate_core::{Assignment, Environment, Outcome, Scenario, Seed, rollout};
 use robogate_physics::{Engine, MujocoEngine, Robot, draft};
 use robogate_tasks::pick_place::{PickPlace, Scripted, inspect};
+use robogate_tasks::{ArmTask, Rig};
 
 const UR5E: &str = include_str!("../../../assets/robots/ur5e/robot.toml");
 
@@ -23,7 +24,7 @@ fn folder(name: &str, model: &str) -> PathBuf {
 fn outcomes(robot: &Robot, scenarios: &[Scenario]) -> BTreeMap<String, usize> {
     let engine = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).unwrap();
     let mut policy = Scripted::new(robot.clone(), engine.chain().clone());
-    let mut cell = PickPlace::new(engine, None).unwrap();
+    let mut cell = PickPlace::default().on(Box::new(engine), Rig::default()).unwrap();
     let mut counts = BTreeMap::new();
     for scenario in scenarios {
         let outcome = match rollout(&mut cell, &mut policy, scenario).outcome {

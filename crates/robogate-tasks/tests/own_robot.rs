@@ -10,6 +10,7 @@ use robogate_camera::{Cameras, Pinhole, Posture};
 use robogate_core::{Assignment, Environment, Image, Outcome, Scenario, Seed, rollout};
 use robogate_physics::{Engine, MujocoEngine, Robot, built_in_robot, built_in_robots};
 use robogate_tasks::pick_place::{Inspection, PickPlace, Placement, SceneParameters, Scripted, inspect, scene};
+use robogate_tasks::{ArmTask, Rig};
 
 const MODEL: &str = include_str!("../../../assets/robots/franka/franka.xml");
 const SETTINGS: &str = include_str!("../../../assets/robots/franka/robot.toml");
@@ -91,7 +92,7 @@ fn menagerie_robot_picks_and_places() {
     let built_in = MujocoEngine::new(built_in_robot("franka").unwrap(), MujocoEngine::TIME_STEP_S).unwrap();
     assert_eq!(engine.chain(), built_in.chain());
     let mut policy = Scripted::new(engine.robot().clone(), engine.chain().clone());
-    let mut simulator = PickPlace::new(engine, None).unwrap();
+    let mut simulator = PickPlace::default().on(Box::new(engine), Rig::default()).unwrap();
     let scenario = Scenario { index: 0, seed: Seed::campaign(1).episode(0), requested: Assignment::default() };
     assert_eq!(rollout(&mut simulator, &mut policy, &scenario).outcome, Outcome::Success);
     assert_eq!(simulator.render().unwrap().len(), 2);
@@ -192,7 +193,7 @@ fn urdf_matches_kinematic_table() {
         assert!(off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-6);
     }
     // Only MuJoCo can read a URDF, so it has no cameras.
-    let mut simulator = PickPlace::new(engine, None).unwrap();
+    let mut simulator = PickPlace::default().on(Box::new(engine), Rig::default()).unwrap();
     let scenario = Scenario { index: 0, seed: Seed::campaign(1).episode(0), requested: Assignment::default() };
     let why = simulator.reset(&scenario).and_then(|_| simulator.render()).unwrap_err().to_string();
     assert!(why.contains("this robot cannot be rendered"), "{why}");

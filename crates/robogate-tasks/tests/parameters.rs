@@ -13,6 +13,7 @@ use robogate_physics::{
 };
 use robogate_tasks::pick_place::claims::Workbench;
 use robogate_tasks::pick_place::{ActsOn, ParameterRow, PickPlace, parameters};
+use robogate_tasks::{ArmTask, Rig};
 
 fn engines() -> Vec<EngineKind> {
     vec![
@@ -246,7 +247,7 @@ fn tampered_scene_is_not_applied() {
             let row = parameters().iter().find(|row| row.name == *name).unwrap();
             let scenario = scenario(row, value.clone());
             let engine = Tampered { engine: on.franka().engine(), change: *change };
-            let mut simulator = PickPlace::new(engine, None).unwrap();
+            let mut simulator = PickPlace::default().on(Box::new(engine), Rig::default()).unwrap();
             let start = simulator.reset(&scenario).unwrap();
             let requested: Assignment = [((*name).into(), value.clone())].into_iter().collect();
             let checked = check_applied(&requested, &start.applied);

@@ -4,8 +4,9 @@
 use nalgebra::Point3;
 use robogate_camera::{Cameras, Posture};
 use robogate_core::{Assignment, Environment, Image, Scenario, Seed, Value};
-use robogate_physics::{Engine, MujocoEngine, RapierEngine, Robot, built_in_robot, built_in_robots};
+use robogate_physics::{MujocoEngine, RapierEngine, Robot, built_in_robot, built_in_robots};
 use robogate_tasks::pick_place::PickPlace;
+use robogate_tasks::{ArmEnvironment, ArmTask, Rig};
 
 fn scenario(settings: &[(&str, Value)]) -> Scenario {
     let mut requested = Assignment::default();
@@ -15,8 +16,10 @@ fn scenario(settings: &[(&str, Value)]) -> Scenario {
     Scenario { index: 0, seed: Seed::campaign(5).episode(0), requested }
 }
 
-fn mujoco(robot: Robot) -> PickPlace<MujocoEngine> {
-    PickPlace::new(MujocoEngine::new(robot, MujocoEngine::TIME_STEP_S).unwrap(), None).unwrap()
+fn mujoco(robot: Robot) -> ArmEnvironment {
+    PickPlace::default()
+        .on(Box::new(MujocoEngine::new(robot, MujocoEngine::TIME_STEP_S).unwrap()), Rig::default())
+        .unwrap()
 }
 
 #[test]
@@ -25,7 +28,7 @@ fn engines_give_the_same_image() {
     let mut one = mujoco(built_in_robot("franka").unwrap());
     one.reset(&scenario).unwrap();
     let engine = RapierEngine::new(built_in_robot("franka").unwrap(), RapierEngine::TIME_STEP_S).unwrap();
-    let mut other = PickPlace::new(engine, None).unwrap();
+    let mut other = PickPlace::default().on(Box::new(engine), Rig::default()).unwrap();
     other.reset(&scenario).unwrap();
     let (one, other) = (one.render().unwrap(), other.render().unwrap());
     // Engines differ in the last bits of a pose.

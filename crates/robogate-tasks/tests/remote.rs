@@ -11,6 +11,7 @@ use robogate_core::{
 use robogate_physics::{Engine, GripperCommand, MujocoEngine, RapierEngine, built_in_robot};
 use robogate_tasks::pick_place::remote::{PhysicsHost, RemotePeriod, RemotePickPlace};
 use robogate_tasks::pick_place::{FRANKA_SPACE, PickPlace, Scripted};
+use robogate_tasks::{ArmTask, Rig};
 
 /// A remote engine without a socket. `tamper` may change its reports.
 struct Remote<E> {
@@ -22,7 +23,7 @@ struct Remote<E> {
 impl<E: Engine> Remote<E> {
     fn new(engine: E) -> Self {
         let (robot, chain) = (engine.robot().clone(), engine.chain().clone());
-        let task = RemotePickPlace::new(robot, chain, None, None).unwrap();
+        let task = RemotePickPlace::new(PickPlace::default(), robot, chain, None, None, [64; 2]).unwrap();
         Self { host: PhysicsHost::new(engine, None).unwrap(), task, tamper: |_| {} }
     }
 }
@@ -77,7 +78,10 @@ fn scenarios(count: usize) -> Vec<Scenario> {
 fn same_episodes<E: Engine>(count: usize, make: impl Fn() -> E) {
     let engine = make();
     let mut policy = Scripted::new(engine.robot().clone(), engine.chain().clone());
-    let (mut local, mut remote) = (PickPlace::new(engine, None).unwrap(), Remote::new(make()));
+    let (mut local, mut remote) = (
+        PickPlace::default().on(Box::new(engine), Rig { picture_px: [64; 2], ..Rig::default() }).unwrap(),
+        Remote::new(make()),
+    );
     let mut words = std::collections::BTreeSet::new();
     for scenario in scenarios(count) {
         let episode = rollout(&mut local, &mut policy, &scenario);
@@ -120,7 +124,7 @@ fn impossible_reports_make_an_episode_invalid() {
     invalid(&mut remote, &mut policy, |p| p.sights[0].opening_m = None, "no opening");
     invalid(&mut remote, &mut policy, |p| p.sights[0].object_pose.orientation = [0.0; 4], "not a unit quaternion");
 
-    let mut task = RemotePickPlace::new(robot, chain, None, None).unwrap();
+    let mut task = RemotePickPlace::new(PickPlace::default(), robot, chain, None, None, [64; 2]).unwrap();
     let mut start = |change: fn(&mut robogate_tasks::pick_place::remote::RemoteReadback, &mut Observation)| {
         task.resolve(scenario).unwrap();
         let (mut held, sight, mut observation) = remote.host.reset(scenario).unwrap();
@@ -138,7 +142,17 @@ fn impossible_reports_make_an_episode_invalid() {
     }
     let other = start(|_, observation| raise_tool(observation, 0.02)).unwrap_err();
     assert!(other.detail.contains("a different robot"), "{other}");
-    assert!(RemotePickPlace::new(built_in_robot("ur5e").unwrap(), remote.chain(), None, None).is_err());
+    assert!(
+        RemotePickPlace::new(
+            PickPlace::default(),
+            built_in_robot("ur5e").unwrap(),
+            remote.chain(),
+            None,
+            None,
+            [64; 2]
+        )
+        .is_err()
+    );
 }
 
 impl<E: Engine> Remote<E> {

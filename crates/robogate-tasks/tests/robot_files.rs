@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use robogate_core::{Assignment, Outcome, Scenario, Seed, Value, rollout};
 use robogate_physics::{Engine, MujocoEngine, Robot};
 use robogate_tasks::pick_place::{PickPlace, Scripted};
+use robogate_tasks::{ArmTask, Rig};
 
 const MODEL: &str = include_str!("../../../assets/robots/franka/franka.xml");
 const SETTINGS: &str = include_str!("../../../assets/robots/franka/robot.toml");
@@ -28,7 +29,7 @@ fn engine(name: &str, model: &str, settings: &str) -> Result<MujocoEngine, Strin
 fn outcome(name: &str, model: &str, friction: f64) -> Outcome {
     let engine = engine(name, model, SETTINGS).unwrap();
     let mut policy = Scripted::new(engine.robot().clone(), engine.chain().clone());
-    let mut simulator = PickPlace::new(engine, None).unwrap();
+    let mut simulator = PickPlace::default().on(Box::new(engine), Rig::default()).unwrap();
     let mut requested = Assignment::default();
     requested.set("friction", Value::Number(friction));
     requested.set("mass_kg", Value::Number(1.0));

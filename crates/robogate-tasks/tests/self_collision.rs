@@ -9,6 +9,7 @@ use robogate_core::{
 };
 use robogate_physics::{Engine, Hit, JointTargets, MujocoEngine, Robot, Scene, built_in_robot, built_in_robots};
 use robogate_tasks::pick_place::{self, PickPlace, Placement, SceneParameters};
+use robogate_tasks::{ArmTask, Rig};
 
 fn engine(robot: &Robot) -> MujocoEngine {
     MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).unwrap()
@@ -100,7 +101,7 @@ impl Policy for GoTo {
 fn collision_names_the_robot_itself() {
     let robot = built_in_robot("ur5e").unwrap();
     let (postures, _) = folded(&robot, 12);
-    let mut cell = PickPlace::new(engine(&robot), None).unwrap();
+    let mut cell = PickPlace::default().on(Box::new(engine(&robot)), Rig::default()).unwrap();
     let requested = Assignment::default();
     let scenario = Scenario { index: 0, seed: Seed::campaign(1).episode(0), requested };
     let mut names = Vec::new();

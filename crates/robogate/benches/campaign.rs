@@ -18,6 +18,7 @@ use robogate_physics::{
     Chain, Engine, EngineBuild, JointTargets, MujocoEngine, Readback, Robot, Scene, Touches, Wrench, built_in_robot,
 };
 use robogate_tasks::pick_place::{FRANKA_SPACE, PickPlace, Scripted};
+use robogate_tasks::{ArmTask, Rig};
 
 fn main() {
     let episodes = std::env::args().skip(1).find_map(|a| a.parse().ok()).unwrap_or(200);
@@ -70,7 +71,10 @@ impl WorkerFactory for Franka {
     fn worker(&self) -> Result<Worker, Fault> {
         let engine = MujocoEngine::new(robot(), MujocoEngine::TIME_STEP_S).unwrap();
         let policy = Scripted::new(robot(), engine.chain().clone());
-        Ok(Worker { environment: Box::new(PickPlace::new(engine, None).unwrap()), policy: Box::new(policy) })
+        Ok(Worker {
+            environment: Box::new(PickPlace::default().on(Box::new(engine), Rig::default()).unwrap()),
+            policy: Box::new(policy),
+        })
     }
 }
 
@@ -108,7 +112,8 @@ fn record(design: &Design) -> Vec<Tape> {
     let inner = MujocoEngine::new(robot(), MujocoEngine::TIME_STEP_S).unwrap();
     let mut policy = Scripted::new(robot(), inner.chain().clone());
     let tapes = Rc::new(std::cell::RefCell::new(Vec::new()));
-    let mut simulator = PickPlace::new(Recorder { inner, tapes: Rc::clone(&tapes) }, None).unwrap();
+    let mut simulator =
+        PickPlace::default().on(Box::new(Recorder { inner, tapes: Rc::clone(&tapes) }), Rig::default()).unwrap();
     for i in 0..design.len() {
         rollout(&mut simulator, &mut policy, &scenario(design, i));
     }

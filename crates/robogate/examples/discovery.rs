@@ -25,16 +25,16 @@ use std::sync::{Arc, Mutex, PoisonError};
 use anyhow::{Context, anyhow, bail, ensure};
 use robogate_analysis::learners::{self, predictions};
 use robogate_campaign::folder::DICTIONARY;
-use robogate_core::{Environment, Fault, FeatureSpec, Foresight, Measures, Outcome, Scenario, Seed, Value};
+use robogate_core::{Fault, FeatureSpec, Foresight, Measures, Outcome, Scenario, Seed, Value};
 use robogate_dictionary::Dictionary;
-use robogate_physics::{MujocoEngine, SuctionLaw, built_in_robot};
+use robogate_physics::{MujocoEngine, built_in_robot};
 use robogate_risk::{Fitting, Inputs, Learner, RiskModel, Sample};
 use robogate_stats::crossed::crossed_mean;
 use robogate_stats::{Confidence, Interval, Trials, wilson};
-use robogate_tasks::ArmTask;
 use robogate_tasks::insertion::Insertion;
 use robogate_tasks::pick_place::PickPlace;
 use robogate_tasks::stacking::Stacking;
+use robogate_tasks::{ArmTask, Rig};
 
 /// Size of camera images, which nothing reads here.
 const PICTURE_PX: usize = 16;
@@ -132,13 +132,10 @@ fn score(test: &str, partners: &str, runs: &[&str]) -> anyhow::Result<()> {
     let robot = built_in_robot(&dictionary.provenance().robot.name)?;
     let engine = MujocoEngine::new(robot, MujocoEngine::TIME_STEP_S)?;
     let task = dictionary.provenance().task.name;
-    let others: [&dyn ArmTask; 2] = [&Insertion, &Stacking];
-    let foresight = match others.into_iter().find(|other| task == *other.name()) {
-        Some(other) => {
-            other.environment(Box::new(engine), None, SuctionLaw::Vacuum, PICTURE_PX).map(|of| of.foresight())
-        }
-        None => PickPlace::new(engine, None).map(|of| of.foresight()),
-    };
+    let tasks: [&dyn ArmTask; 3] = [&PickPlace::DEFAULT, &Insertion, &Stacking];
+    let of = tasks.into_iter().find(|of| task == *of.name()).with_context(|| format!("unknown task {task}"))?;
+    let rig = Rig { picture_px: [PICTURE_PX; 2], ..Rig::default() };
+    let foresight = of.environment(Box::new(engine), rig).map(|of| of.foresight());
     let foresight = foresight.map_err(|why| anyhow!(why))?;
     let foresight = Arc::new(Remembered { inner: foresight.context("no foresight")?, rows: Mutex::default() });
     let test = Test::new(&dictionary, &open(partners)?)?;

@@ -1,35 +1,37 @@
-//! The built-in cell: the task pick_place with a robot, in an engine of this process or in physics servers.
+//! The built-in cell: a task for an arm with a robot, in an engine of this process or in physics servers.
 
 use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, anyhow, bail};
-use robogate_camera::{Renderer, SIZE_PX};
-use robogate_core::{Assignment, Environment, ParameterSpace, Policy, Scenario, Seed, Suite};
+use robogate_camera::SIZE_PX;
+use robogate_core::{Assignment, Environment, ParameterSpace, Policy, Scenario, Seed, Suite, TaskInstance};
 use robogate_demos::Recorder;
 use robogate_dictionary::{provenance, robot_sha256};
 use robogate_physics::{
     Chain, Engine, EngineBuild, Gripper, Robot, RobotError, RobotFile, SuctionLaw, WORKSPACE_CENTRE, built_in_robot,
-    is_folder,
+    grip_force, is_folder,
 };
 use robogate_remote::message::{self, Hello};
 use robogate_remote::{Pool, RemotePhysics};
 use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
-use robogate_tasks::pick_place::{
-    PickPlace, Rules, SceneParameters, Scripted, check_suite, default_space, remote, unit_space,
-};
+use robogate_tasks::pick_place::{PickPlace, Rules, remote};
+use robogate_tasks::{ArmTask, Rig};
 use serde::{Deserialize, Serialize};
 
-use crate::registry::{ENGINES, EngineEntry};
+use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
 use crate::remote::{self as servers, CellTask, PhysicsHost};
 use crate::renderer::RendererRecord;
-use crate::subject::named_space;
+use crate::subject::{check_declared, named_space};
 
 /// The settings of the cell, as a run records them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct CellSettings {
+    /// The task.
+    #[serde(default = "default_task", skip_serializing_if = "is_default_task")]
+    pub(crate) task: String,
     /// The name of a built-in robot, or the folder of a user's robot.
     pub(crate) robot: String,
     /// The physics engine.
@@ -45,12 +47,38 @@ pub(crate) struct CellSettings {
     /// The renderer of the cameras. `None` for the embedded one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) renderer: Option<RendererRecord>,
-    /// The rules of the task.
+    /// The rules of pick_place.
     #[serde(default, skip_serializing_if = "Rules::are_default")]
     pub(crate) rules: Rules,
     /// Whether the engine runs in physics servers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) simulator: Option<Physics>,
+}
+
+/// The task of runs that record none.
+fn default_task() -> String {
+    CELL_TASK.to_owned()
+}
+
+fn is_default_task(task: &String) -> bool {
+    task == CELL_TASK
+}
+
+impl CellSettings {
+    /// The settings of this task with this robot in the default engine.
+    pub(crate) fn of(task: &str, robot: &str) -> Self {
+        Self {
+            task: task.to_owned(),
+            robot: robot.to_owned(),
+            engine: ENGINES[0].name.to_owned(),
+            time_step_s: ENGINES[0].time_step_s,
+            grip_force_n: None,
+            suction: None,
+            renderer: None,
+            rules: Rules::default(),
+            simulator: None,
+        }
+    }
 }
 
 /// Marks an engine that runs in servers that only compute physics.
@@ -63,10 +91,11 @@ pub(crate) enum Physics {
 
 /// The cell. It can be set up several times, once for each thread.
 pub(crate) struct Cell {
+    task: Arc<dyn ArmTask>,
     settings: CellSettings,
     robot: Robot,
-    /// Pixels along each side of the camera images, if they were chosen.
-    picture_px: Option<usize>,
+    /// Pixels along each side of the camera images.
+    picture_px: usize,
     /// The servers, if the engine runs in them.
     pool: Option<Arc<Pool>>,
 }
@@ -79,9 +108,12 @@ impl Cell {
         suction: SuctionLaw,
         pool: Option<Arc<Pool>>,
     ) -> anyhow::Result<Self> {
+        let task = task(&settings)?;
         let robot = robot(&settings.robot)?;
-        settings.rules.check().map_err(|why| anyhow!(why))?;
+        let name = robot.name();
+        let gripper = &robot.settings.gripper;
         if let Some(pool) = &pool {
+            task.physics_only().map_err(|why| anyhow!("--task {} cannot run with --simulator: {why}", task.name()))?;
             let hello = pool.hello();
             servers::check_robot(hello, &robot, &identity(&robot.files()?))?;
             settings.engine = servers::engine(hello).name;
@@ -90,7 +122,6 @@ impl Cell {
         } else {
             EngineEntry::find(&settings.engine)?;
         }
-        let (name, gripper) = (robot.name(), &robot.settings.gripper);
         match (gripper.cup(), settings.suction) {
             (Some(_), law) => settings.suction = Some(law.unwrap_or(suction)),
             (None, Some(law)) => {
@@ -101,13 +132,13 @@ impl Cell {
         if let (Some(_), Some(force)) = (gripper.cup(), settings.grip_force_n) {
             bail!("--grip-force {force} applies to fingers; the gripper of {name} is a suction cup");
         }
+        grip_force(gripper, settings.grip_force_n).map_err(|why| anyhow!("--grip-force: {why}"))?;
         if let Some(record) = &settings.renderer {
             record.check(&settings.engine, pool.is_some())?;
         }
-        let mut cell = Self { settings, robot, picture_px: None, pool };
-        if let Some(record) = cell.settings.renderer.clone() {
-            let engine = EngineEntry::find(&cell.settings.engine)?;
-            cell.settings.renderer = Some((engine.renderer)(&cell.setup(), &record)?);
+        let mut cell = Self { task, settings, robot, picture_px: SIZE_PX, pool };
+        if let Some(record) = &cell.settings.renderer {
+            cell.settings.renderer = Some(record.open(&*cell.engine(&cell.setup())?)?.1);
         }
         let mut environment = cell.environment()?;
         environment.reset(&nominal()).context("the robot cannot be set up in the cell")?;
@@ -119,12 +150,19 @@ impl Cell {
 
     /// The same cell with camera images of this width and height in pixels.
     pub(crate) fn with_pictures_of(self, picture_px: usize) -> Self {
-        Self { picture_px: Some(picture_px), ..self }
+        Self { picture_px, ..self }
     }
 
     /// Uses the failure modes and the workspace of the paper in every later environment.
-    pub(crate) fn set_like_the_paper(&mut self) {
+    pub(crate) fn set_like_the_paper(&mut self) -> anyhow::Result<()> {
         self.settings.rules = self.settings.rules.like_the_paper();
+        self.task = task(&self.settings)?;
+        Ok(())
+    }
+
+    /// The task.
+    pub(crate) fn task(&self) -> &dyn ArmTask {
+        &*self.task
     }
 
     /// The cell's settings.
@@ -152,28 +190,30 @@ impl Cell {
         self.pool.as_ref().and_then(|pool| NonZeroUsize::new(pool.len()))
     }
 
-    /// The name of the robot's own parameter space.
+    /// The name of the parameter space of the task for this robot.
     pub(crate) fn default_space(&self) -> &'static str {
-        default_space(&self.robot.settings.gripper)
+        self.task.space(&self.robot.settings.gripper)
     }
 
     /// The name of the distribution of this robot's units.
     pub(crate) fn unit_space(&self) -> &'static str {
-        unit_space(&self.robot.settings.gripper)
+        self.task.unit_space(&self.robot.settings.gripper)
     }
 
-    /// Rejects a space with a parameter that the gripper or the servers do not have.
+    /// Rejects a space with a parameter that the task, the gripper or the servers do not have.
     pub(crate) fn check_space(&self, space: &ParameterSpace) -> anyhow::Result<()> {
-        self.check_known(space).with_context(|| format!("space {}", space.name()))?;
-        SceneParameters::check_space(space, Some(&self.robot.settings.gripper))
-            .with_context(|| format!("space {}", space.name()))
+        let name = || format!("space {}", space.name());
+        self.check_known(space).with_context(name)?;
+        self.task.check_space(space, &self.robot.settings.gripper).map_err(|why| anyhow!(why)).with_context(name)?;
+        check_declared(self.environment()?.task(), space).with_context(name)
     }
 
-    /// Rejects a suite with a parameter that the gripper or the servers do not have.
+    /// Rejects a suite with a parameter that the task, the gripper or the servers do not have.
     pub(crate) fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
-        self.check_known(suite.space()).with_context(|| format!("suite {}", suite.name()))?;
-        match &*check_suite(suite, Some(&self.robot.settings.gripper)) {
-            [] => Ok(()),
+        let name = || format!("suite {}", suite.name());
+        self.check_known(suite.space()).with_context(name)?;
+        match &*self.task.check_suite(suite, &self.robot.settings.gripper) {
+            [] => check_declared(self.environment()?.task(), suite.space()).with_context(name),
             [misfit] => bail!("suite {}: {misfit}", suite.name()),
             misfits => {
                 let lines: Vec<String> = misfits.iter().map(|misfit| format!("\n  {misfit}")).collect();
@@ -201,55 +241,56 @@ impl Cell {
     }
 
     /// Creates an environment, and the scripted controller with a recorder that pushes the arm by `push_m` metres.
-    pub(crate) fn demonstrator(&self, push_m: f64) -> anyhow::Result<(Box<dyn Environment>, Recorder<Scripted>)> {
-        let setup = self.setup();
-        let (environment, chain) = (self.environment()?, self.chain(&setup)?);
-        let rest = setup.robot.settings.arm.home_rad.clone();
-        Ok((environment, Recorder::new(Scripted::new(setup.robot, chain.clone()), chain, rest, push_m)))
+    pub(crate) fn demonstrator(&self, push_m: f64) -> anyhow::Result<(Box<dyn Environment>, Recorder)> {
+        let chain = self.chain(&self.setup())?;
+        let rest = self.robot.settings.arm.home_rad.clone();
+        let task = Arc::clone(&self.task);
+        let told = Box::new(move |instance: &TaskInstance| task.first_part(instance));
+        Ok((self.environment()?, Recorder::new(self.controller()?, told, chain, rest, push_m)))
     }
 
-    fn build(&self, setup: &Setup) -> anyhow::Result<Built> {
-        let engine = EngineEntry::find(&self.settings.engine)?;
-        (engine.build)(setup, self.settings.renderer.as_ref(), self.picture_px.unwrap_or(SIZE_PX))
+    /// Creates the engine.
+    fn engine(&self, setup: &Setup) -> anyhow::Result<Box<dyn Engine>> {
+        Ok((EngineEntry::find(&self.settings.engine)?.engine)(setup.robot.clone(), setup.time_step_s)?)
     }
 
     /// The robot's kinematics. Those of a remote engine are assumed to be ours, and checked at each reset.
     fn chain(&self, setup: &Setup) -> anyhow::Result<Chain> {
-        match self.pool {
-            Some(_) => (ENGINES[0].chain)(setup.robot.clone()),
-            None => Ok(self.build(setup)?.chain),
-        }
+        let engine = if self.pool.is_some() { &ENGINES[0] } else { EngineEntry::find(&self.settings.engine)? };
+        engine.chain(setup.robot.clone())
     }
 
-    fn make(&self, setup: &Setup) -> anyhow::Result<(Box<dyn Environment>, Box<dyn Policy>)> {
-        let (environment, chain): (Box<dyn Environment>, Chain) = match &self.pool {
-            Some(pool) => {
-                let chain = self.chain(setup)?;
-                (Box::new(RemotePhysics::new(Arc::clone(pool), self.task_for(setup, chain.clone())?)?), chain)
-            }
-            None => {
-                let Built { environment, chain, .. } = self.build(setup)?;
-                (environment, chain)
-            }
+    fn make(&self, setup: &Setup) -> anyhow::Result<Box<dyn Environment>> {
+        if let Some(pool) = &self.pool {
+            let task = self.task_for(setup, self.chain(setup)?)?;
+            return Ok(Box::new(RemotePhysics::new(Arc::clone(pool), task)?));
+        }
+        let engine = self.engine(setup)?;
+        let renderer = self.settings.renderer.as_ref().map(|record| record.open(&*engine)).transpose()?;
+        let rig = Rig {
+            grip_force_n: None,
+            suction: setup.suction,
+            picture_px: [self.picture_px; 2],
+            renderer: renderer.map(|(renderer, _)| renderer),
         };
-        Ok((environment, Box::new(Scripted::new(setup.robot.clone(), chain))))
+        self.task.environment(engine, rig).map_err(|why| anyhow!(why))
     }
 
     fn task_for(&self, setup: &Setup, chain: Chain) -> anyhow::Result<CellTask> {
         let sha256 = identity(&self.robot.files()?);
-        CellTask::new(setup, chain, sha256, self.picture_px.unwrap_or(SIZE_PX))
+        CellTask::new(setup, chain, sha256, self.picture_px)
     }
 
     /// Creates an environment of the cell.
     pub(crate) fn environment(&self) -> anyhow::Result<Box<dyn Environment>> {
-        Ok(self.make(&self.setup())?.0)
+        self.make(&self.setup())
     }
 
     /// The scripted controller.
     pub(crate) fn controller(&self) -> anyhow::Result<Box<dyn Policy>> {
         let setup = self.setup();
         let chain = self.chain(&setup)?;
-        Ok(Box::new(Scripted::new(setup.robot, chain)))
+        Ok(self.task.controller(setup.robot, chain))
     }
 
     /// The task, for servers that only compute its physics.
@@ -279,6 +320,9 @@ impl Cell {
 
     /// Creates the engine as a server that only computes physics.
     pub(crate) fn physics_host(&self) -> anyhow::Result<PhysicsHost> {
+        self.task
+            .physics_only()
+            .map_err(|why| anyhow!("--physics-only cannot be used with --task {}: {why}", self.task.name()))?;
         if self.settings.renderer.is_some() {
             bail!("--renderer egl cannot be used with --physics-only: such a server has no cameras");
         }
@@ -291,15 +335,15 @@ impl Cell {
         hello.task.action.spaces.truncate(1);
         hello.task.observation.cameras.clear();
         hello.task.parameters.retain(|parameter| remote::is_for_engines(&parameter.name));
-        let Setup { robot, time_step_s, .. } = self.setup();
-        Ok(PhysicsHost::new(hello, (EngineEntry::find(&self.settings.engine)?.host)(robot, time_step_s)?))
+        let host = remote::PhysicsHost::new(self.engine(&self.setup())?, None).map_err(|why| anyhow!(why))?;
+        Ok(PhysicsHost::new(hello, host))
     }
 
     /// The engine and robot of the provenance.
     pub(crate) fn provenance(&self) -> anyhow::Result<(provenance::Engine, provenance::Robot)> {
         let engine = match &self.pool {
             Some(pool) => servers::engine(pool.hello()),
-            None => engine(self.build(&self.setup())?.engine),
+            None => engine(self.engine(&self.setup())?.build()),
         };
         let arm = &self.robot.settings.arm;
         let [x, y] = WORKSPACE_CENTRE;
@@ -319,6 +363,16 @@ impl Cell {
 /// An engine of this process, as records name it.
 pub(crate) fn engine(build: EngineBuild) -> provenance::Engine {
     provenance::Engine { name: build.name.to_owned(), version: Some(build.version), build_sha256: build.sha256 }
+}
+
+/// The task of these settings.
+fn task(settings: &CellSettings) -> anyhow::Result<Arc<dyn ArmTask>> {
+    settings.rules.check().map_err(|why| anyhow!(why))?;
+    if settings.task == CELL_TASK {
+        return Ok(Arc::new(PickPlace { rules: settings.rules }));
+    }
+    let task = registry::arm_task(&settings.task);
+    task.map(|task| task.boxed()).ok_or_else(|| anyhow!("--task {}: unknown task for an arm", settings.task))
 }
 
 /// A scenario with nominal values only.
@@ -342,31 +396,6 @@ pub(crate) fn identity(files: &[RobotFile]) -> String {
     robot_sha256(files.iter().map(|(name, bytes)| (name.as_str(), &**bytes)))
 }
 
-/// An environment and the identity of its engine.
-pub(crate) struct Built {
-    environment: Box<dyn Environment>,
-    chain: Chain,
-    engine: EngineBuild,
-}
-
-impl Built {
-    pub(crate) fn new<E: Engine + 'static>(
-        engine: E,
-        setup: &Setup,
-        picture_px: usize,
-        renderer: Option<Box<dyn Renderer<E>>>,
-    ) -> anyhow::Result<Self> {
-        let (chain, build) = (engine.chain().clone(), engine.build());
-        let task = PickPlace::new(engine, None).and_then(|task| task.with_rules(setup.rules));
-        let mut task = task.map_err(|why| anyhow!(why))?;
-        if let Some(renderer) = renderer {
-            task = task.with_renderer(renderer);
-        }
-        let environment = task.with_suction(setup.suction).with_picture_size(picture_px, picture_px);
-        Ok(Self { environment: Box::new(environment), chain, engine: build })
-    }
-}
-
 impl Workbench for Cell {
     fn setup(&self) -> Setup {
         let mut robot = self.robot.clone();
@@ -381,6 +410,7 @@ impl Workbench for Cell {
         if self.pool.is_some() && setup.time_step_s != self.setup().time_step_s {
             return Err("the time step of a remote simulator cannot be changed".to_owned());
         }
-        self.make(setup).map_err(|e| format!("{e:#}"))
+        let bench = || anyhow::Ok((self.make(setup)?, self.task.controller(setup.robot.clone(), self.chain(setup)?)));
+        bench().map_err(|e| format!("{e:#}"))
     }
 }

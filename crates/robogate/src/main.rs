@@ -2,7 +2,6 @@
 
 mod active_model;
 mod answer;
-mod arm_cell;
 mod benchmark;
 mod canvas;
 mod cell;

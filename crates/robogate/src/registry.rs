@@ -3,7 +3,6 @@
 //! A new engine or task adds one line here. Robots, spaces and suites are files that their crates embed.
 
 use anyhow::anyhow;
-use robogate_camera::Renderer;
 use robogate_campaign::BUILT_IN_SUITES;
 #[cfg(feature = "mujoco")]
 use robogate_physics::MujocoEngine;
@@ -11,20 +10,23 @@ use robogate_physics::MujocoEngine;
 use robogate_physics::RapierEngine;
 use robogate_physics::{Chain, Engine, Robot, RobotError, built_in_robots};
 use robogate_policy::Profile;
-use robogate_tasks::pick_place::claims::Setup;
-use robogate_tasks::pick_place::{built_in_spaces, remote};
-use robogate_tasks::{ArmTask, SelfContained, pick_place};
-
-use crate::cell::Built;
-use crate::remote::PhysicsEngine;
-use crate::renderer::RendererRecord;
+use robogate_tasks::pick_place::{self, PickPlace};
+use robogate_tasks::{ArmTask, SelfContained, built_in_spaces};
 
 /// The engines of the built-in cell; the first is the default.
 pub(crate) const ENGINES: &[EngineEntry] = &[
     #[cfg(feature = "mujoco")]
-    EngineEntry::of::<MujocoEngine>(),
+    EngineEntry {
+        name: "mujoco",
+        time_step_s: MujocoEngine::TIME_STEP_S,
+        engine: |robot, time_step_s| Ok(Box::new(MujocoEngine::new(robot, time_step_s)?)),
+    },
     #[cfg(feature = "rapier")]
-    EngineEntry::of::<RapierEngine>(),
+    EngineEntry {
+        name: "rapier",
+        time_step_s: RapierEngine::TIME_STEP_S,
+        engine: |robot, time_step_s| Ok(Box::new(RapierEngine::new(robot, time_step_s)?)),
+    },
 ];
 
 const _: () = assert!(!ENGINES.is_empty(), "a build needs an engine: --features mujoco, rapier or both");
@@ -32,9 +34,9 @@ const _: () = assert!(!ENGINES.is_empty(), "a build needs an engine: --features 
 /// The engines that a build may lack, named like their features.
 const OPTIONAL: [&str; 2] = ["mujoco", "rapier"];
 
-/// The tasks for an arm in the cell, in addition to [`CELL_TASK`].
+/// The tasks for an arm in the cell; the first is the default.
 pub(crate) const ARM_TASKS: &[&dyn ArmTask] =
-    &[&robogate_tasks::stacking::Stacking, &robogate_tasks::insertion::Insertion];
+    &[&PickPlace::DEFAULT, &robogate_tasks::stacking::Stacking, &robogate_tasks::insertion::Insertion];
 
 /// The tasks that bring their own world.
 pub(crate) const TASKS: &[&dyn SelfContained] = &[
@@ -42,7 +44,7 @@ pub(crate) const TASKS: &[&dyn SelfContained] = &[
     &robogate_tasks::pendulum::Pendulum,
 ];
 
-/// The task of the built-in cell.
+/// The default task.
 pub(crate) const CELL_TASK: &str = pick_place::NAME;
 
 /// The built-in policies. Profiles of external policies are listed beside them.
@@ -54,36 +56,14 @@ pub(crate) struct EngineEntry {
     pub(crate) name: &'static str,
     /// Default time step, in seconds.
     pub(crate) time_step_s: f64,
-    /// Builds the task in this engine.
-    pub(crate) build: fn(&Setup, Option<&RendererRecord>, usize) -> anyhow::Result<Built>,
     /// Creates the engine.
     pub(crate) engine: fn(Robot, f64) -> Result<Box<dyn Engine>, RobotError>,
-    /// Reads a robot's kinematics as this engine models them.
-    pub(crate) chain: fn(Robot) -> anyhow::Result<Chain>,
-    /// Creates the engine alone, for a server that only computes physics.
-    pub(crate) host: fn(Robot, f64) -> anyhow::Result<Box<dyn PhysicsEngine>>,
-    /// Opens a renderer that is not the embedded one, and returns its record.
-    pub(crate) renderer: fn(&Setup, &RendererRecord) -> anyhow::Result<RendererRecord>,
 }
 
 impl EngineEntry {
-    const fn of<E: CellEngine>() -> Self {
-        Self {
-            name: E::NAME,
-            time_step_s: E::TIME_STEP,
-            build: |setup, record, picture_px| {
-                let engine = E::create(setup.robot.clone(), setup.time_step_s)?;
-                let renderer = record.map(|record| engine.renderer(record)).transpose()?;
-                Built::new(engine, setup, picture_px, renderer.map(|(renderer, _)| renderer))
-            },
-            engine: |robot, time_step_s| Ok(Box::new(E::create(robot, time_step_s)?)),
-            chain: |robot| Ok(E::create(robot, E::TIME_STEP)?.chain().clone()),
-            host: |robot, time_step_s| {
-                let engine = E::create(robot, time_step_s)?;
-                Ok(Box::new(remote::PhysicsHost::new(engine, None).map_err(|why| anyhow!(why))?))
-            },
-            renderer: |setup, record| Ok(E::create(setup.robot.clone(), setup.time_step_s)?.renderer(record)?.1),
-        }
+    /// Reads a robot's kinematics as this engine models them.
+    pub(crate) fn chain(&self, robot: Robot) -> anyhow::Result<Chain> {
+        Ok((self.engine)(robot, self.time_step_s)?.chain().clone())
     }
 
     /// Finds an engine by its name.
@@ -100,58 +80,21 @@ impl EngineEntry {
     }
 }
 
-/// What the built-in cell needs from an engine in addition to its physics.
-trait CellEngine: Engine + Sized + 'static {
-    const NAME: &'static str;
-    const TIME_STEP: f64;
-
-    fn create(robot: Robot, time_step_s: f64) -> Result<Self, RobotError>;
-
-    /// Opens the renderer that reads this engine's state, and returns it with its record.
-    fn renderer(&self, record: &RendererRecord) -> anyhow::Result<(Box<dyn Renderer<Self>>, RendererRecord)> {
-        Err(anyhow!("--renderer {}: not available for the engine {}. Expected embedded", record.name(), Self::NAME))
-    }
-}
-
-#[cfg(feature = "mujoco")]
-impl CellEngine for MujocoEngine {
-    const NAME: &'static str = "mujoco";
-    const TIME_STEP: f64 = Self::TIME_STEP_S;
-
-    fn create(robot: Robot, time_step_s: f64) -> Result<Self, RobotError> {
-        Self::new(robot, time_step_s)
-    }
-
-    fn renderer(&self, record: &RendererRecord) -> anyhow::Result<(Box<dyn Renderer<Self>>, RendererRecord)> {
-        record.open(self)
-    }
-}
-
-#[cfg(feature = "rapier")]
-impl CellEngine for RapierEngine {
-    const NAME: &'static str = "rapier";
-    const TIME_STEP: f64 = Self::TIME_STEP_S;
-
-    fn create(robot: Robot, time_step_s: f64) -> Result<Self, RobotError> {
-        Self::new(robot, time_step_s)
-    }
-}
-
-/// Finds a task for an arm, other than [`CELL_TASK`], by its name.
+/// Finds a task for an arm by its name.
 pub(crate) fn arm_task(name: &str) -> Option<&'static dyn ArmTask> {
     ARM_TASKS.iter().copied().find(|task| task.name() == name)
 }
 
 /// Whether robot and engine of a task can be chosen.
 pub(crate) fn has_robots(task: &str) -> bool {
-    task == CELL_TASK || arm_task(task).is_some()
+    arm_task(task).is_some()
 }
 
 /// Names and summaries of all tasks.
 fn tasks() -> impl Iterator<Item = (&'static str, &'static str)> {
     let arms = ARM_TASKS.iter().map(|task| (task.name(), task.summary()));
     let others = TASKS.iter().map(|task| (task.name(), task.summary()));
-    std::iter::once((CELL_TASK, pick_place::SUMMARY)).chain(arms).chain(others)
+    arms.chain(others)
 }
 
 /// Finds a task that brings its own world by its name.
@@ -162,9 +105,9 @@ pub(crate) fn task(name: &str) -> anyhow::Result<&'static dyn SelfContained> {
     })
 }
 
-/// Names of all parameter spaces. Each task beside [`CELL_TASK`] has one of its own name.
+/// Names of all parameter spaces. Each task that brings its own world has one of its own name.
 pub(crate) fn spaces() -> impl Iterator<Item = &'static str> {
-    built_in_spaces().chain(tasks().skip(1).map(|(name, _)| name))
+    built_in_spaces().chain(TASKS.iter().map(|task| task.name()))
 }
 
 /// All names, by kind, for the terminal.

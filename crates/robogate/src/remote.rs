@@ -14,11 +14,11 @@ use robogate_dictionary::provenance;
 use robogate_physics::{Chain, Engine, GripperCommand, Robot};
 use robogate_remote::message::{Hello, ObservationMessage, Period, ResetReply};
 use robogate_remote::{Host, Listener, Pool, PoolError, RemoteTask, Timeouts};
-use robogate_tasks::pick_place::CONTROL_PERIOD_S;
 use robogate_tasks::pick_place::claims::Setup;
 use robogate_tasks::pick_place::remote::{
     self as cell_remote, Cell, RemotePeriod, RemotePickPlace, RemoteReadback, RemoteSight,
 };
+use robogate_tasks::pick_place::{CONTROL_PERIOD_S, PickPlace};
 use robogate_zmtp::Address;
 
 use crate::environments::{Interpreter, Servers};
@@ -154,9 +154,10 @@ pub(crate) struct CellTask(RemotePickPlace);
 
 impl CellTask {
     pub(crate) fn new(setup: &Setup, chain: Chain, sha256: String, picture_px: usize) -> anyhow::Result<Self> {
-        let task = RemotePickPlace::new(setup.robot.clone(), chain, Some(sha256), None);
-        let task = task.and_then(|task| task.with_rules(setup.rules)).map_err(|why| anyhow!(why))?;
-        Ok(Self(task.with_picture_size(picture_px, picture_px)))
+        let task = PickPlace { rules: setup.rules };
+        RemotePickPlace::new(task, setup.robot.clone(), chain, Some(sha256), None, [picture_px; 2])
+            .map(Self)
+            .map_err(|why| anyhow!(why))
     }
 }
 
@@ -221,30 +222,14 @@ impl RemoteTask for CellTask {
     }
 }
 
-/// A built-in engine that sets up cells and reports physical states, without its concrete type.
-pub(crate) trait PhysicsEngine {
-    fn reset(&mut self, scenario: &Scenario) -> Result<(RemoteReadback, RemoteSight, Observation), Fault>;
-    fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<RemotePeriod, Fault>;
-}
-
-impl<E: Engine> PhysicsEngine for cell_remote::PhysicsHost<E> {
-    fn reset(&mut self, scenario: &Scenario) -> Result<(RemoteReadback, RemoteSight, Observation), Fault> {
-        cell_remote::PhysicsHost::reset(self, scenario)
-    }
-
-    fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<RemotePeriod, Fault> {
-        cell_remote::PhysicsHost::step(self, joints, gripper)
-    }
-}
-
 /// A built-in engine as a server that only computes physics.
 pub(crate) struct PhysicsHost {
     hello: Hello,
-    engine: Box<dyn PhysicsEngine>,
+    engine: cell_remote::PhysicsHost<Box<dyn Engine>>,
 }
 
 impl PhysicsHost {
-    pub(crate) fn new(hello: Hello, engine: Box<dyn PhysicsEngine>) -> Self {
+    pub(crate) fn new(hello: Hello, engine: cell_remote::PhysicsHost<Box<dyn Engine>>) -> Self {
         Self { hello, engine }
     }
 }

@@ -2,10 +2,8 @@
 
 use anyhow::bail;
 use clap::ValueEnum;
-#[cfg(feature = "mujoco")]
 use robogate_camera::Renderer;
-#[cfg(feature = "mujoco")]
-use robogate_physics::MujocoEngine;
+use robogate_physics::Engine;
 use serde::{Deserialize, Serialize};
 
 /// A renderer on the command line.
@@ -38,12 +36,6 @@ pub(crate) enum RendererRecord {
 }
 
 impl RendererRecord {
-    /// The name on the command line.
-    pub(crate) fn name(&self) -> &'static str {
-        let Self::Egl { .. } = self;
-        "egl"
-    }
-
     /// Returns an error if the renderer cannot be used with this engine.
     pub(crate) fn check(&self, engine: &str, remote: bool) -> anyhow::Result<()> {
         let Self::Egl { .. } = self;
@@ -59,11 +51,10 @@ impl RendererRecord {
     }
 }
 
-#[cfg(feature = "mujoco")]
 impl RendererRecord {
     /// Opens the renderer for this engine, and returns it with its record, which names the device. Returns an error if
     /// the run was recorded with another device.
-    pub(crate) fn open(&self, engine: &MujocoEngine) -> anyhow::Result<(Box<dyn Renderer<MujocoEngine>>, Self)> {
+    pub(crate) fn open(&self, engine: &dyn Engine) -> anyhow::Result<(Box<dyn Renderer>, Self)> {
         let Self::Egl { device: recorded } = self;
         let (renderer, device) = egl(engine)?;
         match recorded {
@@ -78,14 +69,14 @@ impl RendererRecord {
 }
 
 #[cfg(feature = "egl")]
-fn egl(engine: &MujocoEngine) -> anyhow::Result<(Box<dyn Renderer<MujocoEngine>>, String)> {
+fn egl(engine: &dyn Engine) -> anyhow::Result<(Box<dyn Renderer>, String)> {
     let renderer = robogate_camera::EglRenderer::new(engine).map_err(|why| anyhow::anyhow!("--renderer egl: {why}"))?;
     let device = renderer.device().to_owned();
     Ok((Box::new(renderer), device))
 }
 
-#[cfg(all(feature = "mujoco", not(feature = "egl")))]
-fn egl(_: &MujocoEngine) -> anyhow::Result<(Box<dyn Renderer<MujocoEngine>>, String)> {
+#[cfg(not(feature = "egl"))]
+fn egl(_: &dyn Engine) -> anyhow::Result<(Box<dyn Renderer>, String)> {
     bail!("this build has no EGL renderer\n  hint: build it with --features egl (docs/cameras.md)")
 }
 

@@ -7,6 +7,8 @@
 mod device;
 mod dress;
 
+use std::any::Any;
+
 use mujoco_rs::prelude::*;
 use nalgebra::Vector3;
 use robogate_core::{Fault, FaultKind, Image};
@@ -47,7 +49,7 @@ impl EglRenderer {
     ///
     /// # Errors
     /// If the system has no EGL library, or no device that supports OpenGL.
-    pub fn new(engine: &MujocoEngine) -> Result<Self, String> {
+    pub fn new(engine: &dyn Engine) -> Result<Self, String> {
         let robot = engine.robot();
         let waiting = engine.chain().tcp_at(&robot.settings.arm.home_rad);
         let mounts = Mounts::new(&robot.settings.gripper, &waiting);
@@ -128,13 +130,13 @@ impl Drawn {
     }
 }
 
-impl Renderer<MujocoEngine> for EglRenderer {
+impl Renderer for EglRenderer {
     fn resize(&mut self, width: usize, height: usize) {
         self.discard();
         self.size = [width.max(1), height.max(1)];
     }
 
-    fn set_up(&mut self, _: &MujocoEngine, scene: &Scene) -> Visual {
+    fn set_up(&mut self, scene: &Scene) -> Visual {
         self.discard();
         let stage = Stage::new(scene, front_pose());
         let visual = stage.visual(&front_pose()).unwrap_or(scene.visual);
@@ -147,8 +149,11 @@ impl Renderer<MujocoEngine> for EglRenderer {
         self.scene = None;
     }
 
-    fn render(&mut self, engine: &MujocoEngine) -> Result<Vec<Image>, Fault> {
+    fn render(&mut self, engine: &dyn Engine) -> Result<Vec<Image>, Fault> {
         let setup = |why: String| Fault::new(FaultKind::Setup, why);
+        let Some(engine) = (engine as &dyn Any).downcast_ref::<MujocoEngine>() else {
+            return Err(setup("this renderer reads the state of MuJoCo only".to_owned()));
+        };
         let Some((scene, stage)) = &self.scene else { return Err(setup("no scenario is set up".to_owned())) };
         let pinholes = self.mounts.pinholes(&stage.front, &engine.tcp(), self.size);
         if self.drawn.is_none() {

@@ -9,7 +9,7 @@ use std::sync::{Mutex, PoisonError};
 
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Better, DrawSpec, FeatureSpec, Measures, Word};
-use robogate_physics::{Chain, Gripper, Robot};
+use robogate_physics::{Chain, Gripper, GripperUnit, Robot};
 
 use super::Stage;
 
@@ -147,11 +147,11 @@ pub(crate) const fn feature(
 }
 
 /// The largest force with which a gripper holds a part against its weight, in newtons: the friction of two pads with this coefficient,
-/// or the suction of a cup.
-pub(crate) fn holding_n(gripper: &Gripper, friction: f64, grip_force_n: f64) -> f64 {
+/// or the suction of a cup, with the deviations of this unit.
+pub(crate) fn holding_n(gripper: &Gripper, friction: f64, grip_force_n: f64, unit: &GripperUnit) -> f64 {
     match gripper {
-        Gripper::ParallelJaw(_) => 2.0 * friction * grip_force_n,
-        Gripper::Suction(cup) => cup.force_n(),
+        Gripper::ParallelJaw(_) => 2.0 * (friction * unit.pad_friction_scale) * (grip_force_n * unit.force_scale),
+        Gripper::Suction(cup) => cup.force_n() * unit.force_scale,
     }
 }
 

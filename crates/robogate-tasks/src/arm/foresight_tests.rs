@@ -5,9 +5,9 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use robogate_core::{Assignment, Environment, Measures, Outcome, Pose, Scenario, Seed, Step, Value, rollout};
-use robogate_physics::{Engine, MujocoEngine, Robot, SuctionLaw, built_in_robot, isometry};
+use robogate_physics::{Engine, MujocoEngine, Robot, built_in_robot, isometry};
 
-use super::{ArmEnvironment, Rules};
+use super::{ArmEnvironment, ArmTask, Rig};
 use crate::insertion::{Insertion, parts::DEPTH_M};
 use crate::stacking::Stacking;
 
@@ -16,9 +16,9 @@ const TOLERANCE_M: f64 = 0.01;
 
 const ROBOTS: [&str; 2] = ["franka", "ur5e"];
 
-fn environment<R: Rules>(rules: R, robot: &Robot) -> ArmEnvironment<R> {
+fn environment(task: &dyn ArmTask, robot: &Robot) -> ArmEnvironment {
     let engine = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).unwrap();
-    ArmEnvironment::new(rules, Box::new(engine), None, SuctionLaw::Vacuum, 16).unwrap()
+    task.on(Box::new(engine), Rig { picture_px: [16; 2], ..Rig::default() }).unwrap()
 }
 
 fn scenario(index: u64, values: &[(&str, f64)]) -> Scenario {
@@ -36,7 +36,7 @@ fn place(details: &serde_json::Value) -> Isometry3<f64> {
     isometry(&pose.position, &pose.orientation)
 }
 
-fn feature<R: Rules>(environment: &ArmEnvironment<R>, scenario: &Scenario, name: &str) -> f64 {
+fn feature(environment: &ArmEnvironment, scenario: &Scenario, name: &str) -> f64 {
     let foresight = environment.foresight().unwrap();
     let at = foresight.feature_specs().iter().position(|spec| spec.name == name).unwrap();
     foresight.features(scenario).unwrap()[at]
@@ -44,8 +44,9 @@ fn feature<R: Rules>(environment: &ArmEnvironment<R>, scenario: &Scenario, name:
 
 /// Runs the scripted controller, and checks the biases and the displacement of the tool at each moment of the plan that has a name:
 /// where the gripper changes its command, or the phase becomes the one that `arrives` names. Calls `there` at each.
-fn follow<R: Rules>(
-    environment: &mut ArmEnvironment<R>,
+fn follow(
+    task: &dyn ArmTask,
+    environment: &mut ArmEnvironment,
     robot: &Robot,
     scenario: &Scenario,
     moments: &[&str],
@@ -61,9 +62,9 @@ fn follow<R: Rules>(
         let bias = of(&draws, &format!("encoder_bias_{}_rad", joint + 1));
         assert!((measured - truly - bias).abs() < 1e-12, "joint {joint}: {} {bias}", measured - truly);
     }
-    let mut policy = R::scripted(robot.clone(), chain.clone());
-    let task = Arc::clone(environment.task());
-    policy.reset(&task, &start.instance, scenario.seed).unwrap();
+    let mut policy = task.controller(robot.clone(), chain.clone());
+    let spec = Arc::clone(environment.task());
+    policy.reset(&spec, &start.instance, scenario.seed).unwrap();
     let (mut observation, mut before, mut moments) = (start.observation, None, moments.iter());
     let mut last = None;
     for _ in 0..900 {
@@ -100,7 +101,7 @@ fn follow<R: Rules>(
 fn insertion_is_foreseen() {
     for name in ROBOTS {
         let robot = built_in_robot(name).unwrap();
-        let mut environment = environment(Insertion, &robot);
+        let mut environment = environment(&Insertion, &robot);
         for index in 0..4 {
             let scenario = scenario(
                 index,
@@ -136,17 +137,25 @@ fn insertion_is_foreseen() {
             let middle = walls.iter().map(|wall| wall.pose.translation.vector).sum::<Vector3<f64>>() / 4.0;
             let expected = mouth * Point3::new(0.0, 0.0, -0.002 - 0.5 * (DEPTH_M - 0.002));
             assert!((middle - expected.coords).norm() < 1e-6, "{name}: {middle} {expected}");
-            follow(&mut environment, &robot, &scenario, &["grasp", "arrival"], "touch", |engine, moment| {
-                if moment == "arrival" {
-                    let at = mouth.inverse() * engine.object();
-                    let axis = at.rotation * Vector3::z();
-                    // The tip is still above the mouth.
-                    let sideways = at.translation.vector.xy() - axis.xy() / axis.z * at.translation.z;
-                    let (found, leans) = (sideways.norm(), axis.xy().norm());
-                    assert!((found - entry).abs() < 1e-3, "{name} {index}: the tip is off by {found}, not {entry}");
-                    assert!((leans - tilt).abs() < 0.012, "{name} {index}: the peg leans by {leans}, not {tilt}");
-                }
-            });
+            follow(
+                &Insertion,
+                &mut environment,
+                &robot,
+                &scenario,
+                &["grasp", "arrival"],
+                "touch",
+                |engine, moment| {
+                    if moment == "arrival" {
+                        let at = mouth.inverse() * engine.object();
+                        let axis = at.rotation * Vector3::z();
+                        // The tip is still above the mouth.
+                        let sideways = at.translation.vector.xy() - axis.xy() / axis.z * at.translation.z;
+                        let (found, leans) = (sideways.norm(), axis.xy().norm());
+                        assert!((found - entry).abs() < 1e-3, "{name} {index}: the tip is off by {found}, not {entry}");
+                        assert!((leans - tilt).abs() < 0.012, "{name} {index}: the peg leans by {leans}, not {tilt}");
+                    }
+                },
+            );
         }
     }
 }
@@ -155,7 +164,7 @@ fn insertion_is_foreseen() {
 fn stacking_is_foreseen() {
     for name in ROBOTS {
         let robot = built_in_robot(name).unwrap();
-        let mut environment = environment(Stacking, &robot);
+        let mut environment = environment(&Stacking, &robot);
         let mut compared = 0;
         for index in 0..4 {
             let values = [
@@ -179,7 +188,7 @@ fn stacking_is_foreseen() {
                 }
             }
             let moments = ["grasp_second", "place_second", "grasp_third", "place_third"];
-            let last = follow(&mut environment, &robot, &scenario, &moments, "", |_, _| {}).unwrap();
+            let last = follow(&Stacking, &mut environment, &robot, &scenario, &moments, "", |_, _| {}).unwrap();
             if last.ending.is_some_and(|ending| ending.failure.is_none()) {
                 let offset = last.measures.get("stack_offset_m").unwrap();
                 let predicted = TOLERANCE_M - margin;
@@ -193,11 +202,11 @@ fn stacking_is_foreseen() {
 
 #[test]
 fn draws_are_declared_and_features_are_finite() {
-    fn check<R: Rules>(rules: R, robot: &Robot, values: &[(&str, f64)]) {
-        let mut environment = environment(rules, robot);
+    fn check(of: &dyn ArmTask, robot: &Robot, values: &[(&str, f64)]) {
+        let mut environment = environment(of, robot);
         let task = Arc::clone(environment.task());
         assert!(task.check().is_ok());
-        let mut policy = R::scripted(robot.clone(), environment.engine().chain().clone());
+        let mut policy = of.controller(robot.clone(), environment.engine().chain().clone());
         let foresight = environment.foresight().unwrap();
         for index in 0..6 {
             let scenario = scenario(index, values);
@@ -214,8 +223,8 @@ fn draws_are_declared_and_features_are_finite() {
     }
     for name in ROBOTS {
         let robot = built_in_robot(name).unwrap();
-        check(Insertion, &robot, &[("encoder_bias_rad", 0.004), ("hole_jitter_m", 0.004), ("clearance_m", 0.0003)]);
-        check(Stacking, &robot, &[("encoder_bias_rad", 0.01), ("yaw_jitter_rad", 0.3), ("overhang", 0.4)]);
+        check(&Insertion, &robot, &[("encoder_bias_rad", 0.004), ("hole_jitter_m", 0.004), ("clearance_m", 0.0003)]);
+        check(&Stacking, &robot, &[("encoder_bias_rad", 0.01), ("yaw_jitter_rad", 0.3), ("overhang", 0.4)]);
     }
 }
 
@@ -223,7 +232,7 @@ fn draws_are_declared_and_features_are_finite() {
 #[test]
 fn features_follow_the_parameters() {
     let robot = built_in_robot("franka").unwrap();
-    let insertion = environment(Insertion, &robot);
+    let insertion = environment(&Insertion, &robot);
     let with = |more: &[(&'static str, f64)]| {
         let mut values = vec![("encoder_bias_rad", 0.003), ("hole_jitter_m", 0.01), ("hole_tilt_rad", 0.05)];
         values.extend_from_slice(more);
@@ -235,7 +244,7 @@ fn features_follow_the_parameters() {
     let stiff = |stiffness| of("binding_margin", &[("clearance_m", 3e-4), ("arm_stiffness", stiffness)]);
     assert!(stiff(1.0) < stiff(0.1));
     assert!(of("grip_margin", &[("mass_kg", 2.0)]) < of("grip_margin", &[]));
-    let stacking = environment(Stacking, &robot);
+    let stacking = environment(&Stacking, &robot);
     let of = |name: &str, values: &[(&str, f64)]| feature(&stacking, &scenario(3, values), name);
     assert!((of("stability_margin_m", &[("overhang", 0.0)]) - 0.025).abs() < 1e-9);
     assert!(of("stability_margin_m", &[("overhang", 0.4)]) < 0.0, "three cubes stand up to an offset of a third");

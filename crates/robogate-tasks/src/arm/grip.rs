@@ -3,6 +3,8 @@
 use nalgebra::{Isometry3, Vector3};
 use robogate_physics::{GripperCommand, GripperState, StepView};
 
+use super::Bodies;
+
 /// The gripper is at rest if its opening changed by less than this within [`SETTLE_S`], in metres.
 const SETTLED_M: f64 = 2e-4;
 /// Time over which the gripper must be at rest, in seconds.
@@ -15,6 +17,11 @@ const TOOL_SETTLE_S: f64 = 0.2;
 const HOLD_SHARE: f64 = 0.2;
 /// A held part is lost after this long without contact to a finger, in seconds.
 const LOSS_S: f64 = 0.05;
+
+/// A body hardly moves if it is slower than this, in m/s ...
+const STILL_SPEED: f64 = 1e-3;
+/// ... and this, in rad/s.
+const STILL_SPIN: f64 = 0.02;
 
 /// A change of the grasp.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -125,6 +132,16 @@ impl Grip {
         self.state = State::Held { in_hand: view.tcp.inverse() * view.object, untouched_since: None };
         GripChange::Held
     }
+}
+
+/// Whether the first `count` free bodies hardly move.
+pub(crate) fn still(bodies: &dyn Bodies, count: usize) -> bool {
+    (0..count).all(|body| is_still(bodies.velocity(body)))
+}
+
+/// Whether a body with this linear (m/s) and angular (rad/s) velocity hardly moves.
+pub(crate) fn is_still((linear, angular): (Vector3<f64>, Vector3<f64>)) -> bool {
+    linear.norm() < STILL_SPEED && angular.norm() < STILL_SPIN
 }
 
 /// Whether a finger touches the part, or the cup holds it.

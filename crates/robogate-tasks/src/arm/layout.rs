@@ -1,6 +1,6 @@
 //! Places of parts and their deviations.
 
-use robogate_core::Stream;
+use robogate_core::{Scenario, Stream};
 use robogate_physics::Robot;
 
 /// An arm with less reach than this, in metres, works on a layout that is smaller by [`SHORT_SCALE`].
@@ -11,6 +11,12 @@ const SHORT_SCALE: f64 = 0.7;
 pub(crate) fn within_reach<const N: usize>(robot: &Robot, places: [[f64; 2]; N]) -> [[f64; 2]; N] {
     let scale = if robot.settings.arm.reach_m < SHORT_REACH_M { SHORT_SCALE } else { 1.0 };
     places.map(|place| place.map(|x| scale * x))
+}
+
+/// The bias of each encoder, drawn uniformly between minus and plus `bound` (rad).
+pub(crate) fn encoder_bias(scenario: &Scenario, robot: &Robot, bound: f64) -> Vec<f64> {
+    let mut stream = scenario.seed.stream("encoder-bias");
+    robot.settings.arm.joints.iter().map(|_| stream.between(-bound, bound)).collect()
 }
 
 /// A uniform draw from the unit disc.

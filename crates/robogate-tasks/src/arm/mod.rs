@@ -5,33 +5,38 @@
 
 mod cameras;
 mod environment;
+mod feasibility;
 mod film;
 mod foresight;
 #[cfg(all(test, feature = "mujoco"))]
 mod foresight_tests;
 mod grip;
 mod interface;
+mod judge;
 mod layout;
+mod rules;
 mod script;
 mod table;
 mod task;
 mod words;
 
 pub(crate) use cameras::{camera_specs, posture, render};
-pub(crate) use environment::{
-    ArmEnvironment, CONTROL_PERIOD_S, GRIP_THRESHOLD_M, Record, Resolved, Rules, Sight, Trial, encoder_bias,
-};
+pub use environment::{ArmEnvironment, CONTROL_PERIOD_S, Rig};
+pub(crate) use environment::{GRIP_THRESHOLD_M, cameras, show};
+pub(crate) use feasibility::{Load, cannot_carry, out_of_reach};
 pub(crate) use film::Film;
 pub(crate) use foresight::{
     Memo, Posture, bias_draws, compliance, components, draw, drawn, feature, holding_n, in_hand, log_ratio, tool_draws,
     within_quarter,
 };
-pub(crate) use grip::{Grip, GripChange, touching};
+pub(crate) use grip::{Grip, GripChange, is_still, still, touching};
 pub use interface::TOOL_DELTA;
 pub(crate) use interface::{action_spec, observation, observed_vectors};
-pub(crate) use layout::{disc_point, within_reach};
+pub(crate) use judge::{CLEARANCE_LIMIT_M, Judge};
+pub(crate) use layout::{disc_point, encoder_bias, within_reach};
+pub(crate) use rules::{Bodies, Found, Record, Resolved, Rules, Sight, Trial};
 pub(crate) use script::{FREE, Planner, Script, Stage, grasp_height, nearest, tool_down};
 pub(crate) use table::{Access, Acting, InSurroundings, Row, Surroundings, applied, decode, scale, specs};
 pub use task::ArmTask;
 pub(crate) use task::drives_task;
-pub(crate) use words::{base_spec, briefing, instance, measure, mode, not_a_briefing};
+pub(crate) use words::{base_spec, briefing, common_measures, instance, measure, mode, not_a_briefing};

@@ -1,70 +1,134 @@
 //! A task for an arm, as the command selects it.
 
-use robogate_core::{Environment, Policy, TaskSpec};
-use robogate_physics::{Chain, Engine, Gripper, Robot, SuctionLaw};
+use std::sync::Arc;
 
-use super::{ArmEnvironment, Rules};
+use robogate_core::{Environment, Fault, ParameterSpace, Policy, Suite, TaskInstance, TaskSpec};
+use robogate_physics::{Chain, Engine, Gripper, Robot};
+
+use super::rules::Rules;
+use super::{ArmEnvironment, Rig};
 
 /// A built-in task for an arm in the cell. The user chooses robot and engine.
-pub trait ArmTask: Sync {
+pub trait ArmTask: Send + Sync {
     /// The name on the command line, as in the declaration.
     fn name(&self) -> &'static str;
 
     /// A short description.
     fn summary(&self) -> &'static str;
 
-    /// The parameter space for a robot with this gripper, as TOML.
+    /// The name of the parameter space for a robot with this gripper.
     fn space(&self, gripper: &Gripper) -> &'static str;
+
+    /// The name of the distribution of units of a robot with this gripper.
+    fn unit_space(&self, gripper: &Gripper) -> &'static str;
 
     /// The name of the task's built-in suite.
     fn suite(&self) -> &'static str;
 
-    /// Creates an environment on this engine. `grip_force_n` replaces the robot's setting, `suction` is the law of a
-    /// suction cup, and camera images have `picture_px` pixels along each side.
+    /// The problems of a space with this gripper that the declared ranges do not show.
     ///
     /// # Errors
-    /// If the task does not support the engine's time step or the robot's gripper.
-    fn environment(
-        &self,
-        engine: Box<dyn Engine>,
-        grip_force_n: Option<f64>,
-        suction: SuctionLaw,
-        picture_px: usize,
-    ) -> Result<Box<dyn Environment>, String>;
+    /// The first problem.
+    fn check_space(&self, space: &ParameterSpace, gripper: &Gripper) -> Result<(), String>;
+
+    /// As [`Self::check_space`], all problems of a suite.
+    fn check_suite(&self, suite: &Suite, gripper: &Gripper) -> Vec<String>;
+
+    /// The name of the parameter space of demonstrations with this gripper.
+    fn demonstration_space(&self, gripper: &Gripper) -> &'static str;
+
+    /// The part that the gripper picks first, for demonstrations: position of its centre and edge, in metres.
+    ///
+    /// # Errors
+    /// A setup fault if the details are not those of this task.
+    fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault>;
+
+    /// The controller that moves the tool in small steps. `None` if the task has none.
+    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>>;
+
+    /// The reason why engines that only compute physics cannot run the task.
+    ///
+    /// # Errors
+    /// The reason.
+    fn physics_only(&self) -> Result<(), &'static str>;
+
+    /// The same task as a shared value.
+    fn boxed(&self) -> Arc<dyn ArmTask>;
+
+    /// Creates an environment on this engine.
+    ///
+    /// # Errors
+    /// If the control period is not an integer multiple of the engine's time step, or the gripper cannot apply the grip
+    /// force.
+    fn environment(&self, engine: Box<dyn Engine>, rig: Rig) -> Result<Box<dyn Environment>, String> {
+        Ok(Box::new(self.on(engine, rig)?))
+    }
+
+    /// As [`Self::environment`], with access to the engine.
+    ///
+    /// # Errors
+    /// As [`Self::environment`].
+    fn on(&self, engine: Box<dyn Engine>, rig: Rig) -> Result<ArmEnvironment, String>;
 
     /// The scripted controller for a robot with these kinematics.
     fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy>;
 }
 
-impl<R: Rules + Copy + Sync + 'static> ArmTask for R {
+impl<R: Rules + Clone + 'static> ArmTask for R {
     fn name(&self) -> &'static str {
-        R::NAME
+        Rules::name(self)
     }
 
     fn summary(&self) -> &'static str {
-        R::SUMMARY
+        Rules::summary(self)
     }
 
-    fn space(&self, _: &Gripper) -> &'static str {
-        R::SPACE
+    fn space(&self, gripper: &Gripper) -> &'static str {
+        Rules::space(self, gripper)
+    }
+
+    fn unit_space(&self, gripper: &Gripper) -> &'static str {
+        Rules::unit_space(self, gripper)
     }
 
     fn suite(&self) -> &'static str {
-        R::SUITE
+        Rules::suite(self)
     }
 
-    fn environment(
-        &self,
-        engine: Box<dyn Engine>,
-        grip_force_n: Option<f64>,
-        suction: SuctionLaw,
-        picture_px: usize,
-    ) -> Result<Box<dyn Environment>, String> {
-        Ok(Box::new(ArmEnvironment::new(*self, engine, grip_force_n, suction, picture_px)?))
+    fn check_space(&self, space: &ParameterSpace, gripper: &Gripper) -> Result<(), String> {
+        Rules::check_space(self, space, gripper)
+    }
+
+    fn check_suite(&self, suite: &Suite, gripper: &Gripper) -> Vec<String> {
+        Rules::check_suite(self, suite, gripper)
+    }
+
+    fn demonstration_space(&self, gripper: &Gripper) -> &'static str {
+        Rules::demonstration_space(self, gripper)
+    }
+
+    fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault> {
+        Rules::first_part(self, instance)
+    }
+
+    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>> {
+        Rules::tool_expert(self, robot)
+    }
+
+    fn physics_only(&self) -> Result<(), &'static str> {
+        Rules::physics_only(self)
+    }
+
+    fn boxed(&self) -> Arc<dyn ArmTask> {
+        Arc::new(self.clone())
+    }
+
+    fn on(&self, engine: Box<dyn Engine>, rig: Rig) -> Result<ArmEnvironment, String> {
+        ArmEnvironment::new(Arc::new(self.clone()), engine, rig)
     }
 
     fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
-        R::scripted(robot, chain)
+        self.scripted(robot, chain)
     }
 }
 

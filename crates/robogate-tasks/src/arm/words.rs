@@ -1,8 +1,8 @@
 //! The declaration of a task for an arm, and its briefings.
 
 use robogate_core::{
-    Better, CameraSpec, FailureMode, FailureModeSpec, Fault, FaultKind, MeasureSpec, ObservationSpec, Severity,
-    TaskInstance, TaskSpec, Word,
+    Better, CameraSpec, FEASIBLE, FailureMode, FailureModeSpec, Fault, FaultKind, GAVE_UP, MeasureSpec,
+    ObservationSpec, Severity, TaskInstance, TaskSpec, Word,
 };
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
@@ -50,6 +50,14 @@ pub(crate) fn not_a_briefing(name: &str, why: &str) -> Fault {
 /// A failure mode that published exports name by its own word.
 pub(crate) fn mode(name: FailureMode, severity: Severity, meaning: &str) -> FailureModeSpec {
     FailureModeSpec { name, meaning: meaning.to_owned(), severity, published_as: None }
+}
+
+/// Measures that every task on an arm has: whether a scenario is feasible, and when the policy gave up.
+pub(crate) fn common_measures() -> [MeasureSpec; 2] {
+    [
+        measure(FEASIBLE, "", Better::Neither, "1 if some policy may complete the scenario, 0 if none can."),
+        measure(GAVE_UP, "s", Better::Neither, "Time at which the policy gave up."),
+    ]
 }
 
 /// A measure.

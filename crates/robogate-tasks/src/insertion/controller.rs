@@ -21,10 +21,10 @@ use robogate_core::{Action, Command, Fault, Observation, Policy, Seed, TaskInsta
 use robogate_physics::trajectory::ToolLimit;
 use robogate_physics::{Bellows, Chain, Gripper, GripperCommand, Robot, Unreachable};
 
-use super::Insertion;
+use super::NAME;
 use super::parts::{DEPTH_M, HEAD_HEIGHT_M, SHAFT_M};
 use super::spec::{Briefing, phases};
-use crate::arm::{CONTROL_PERIOD_S, FREE, Planner, Posture, Rules, Script, compliance, drives_task, tool_down};
+use crate::arm::{CONTROL_PERIOD_S, FREE, Planner, Posture, Script, compliance, drives_task, tool_down};
 
 /// Height of the peg's tip above the block before the search, in metres.
 const ABOVE_M: f64 = 0.006;
@@ -349,7 +349,7 @@ impl Feel {
 
 impl Policy for Scripted {
     fn check(&self, task: &TaskSpec) -> Result<(), String> {
-        drives_task(Insertion::NAME, &self.robot, task)
+        drives_task(NAME, &self.robot, task)
     }
 
     fn reset(&mut self, _: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {

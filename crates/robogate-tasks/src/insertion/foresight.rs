@@ -14,8 +14,8 @@ use super::scene::{GRIP_FRICTION, nominal_poses, settings};
 use super::spec::Briefing;
 use super::whitney;
 use crate::arm::{
-    GRIP_THRESHOLD_M, Posture, bias_draws, components, draw, drawn, encoder_bias, feature, holding_n, in_hand,
-    log_ratio, tool_draws, within_quarter,
+    GRIP_THRESHOLD_M, Posture, bias_draws, components, draw, drawn, feature, holding_n, in_hand, log_ratio, tool_draws,
+    within_quarter,
 };
 
 /// Longest time of a search, in seconds: longer than an episode.
@@ -166,7 +166,7 @@ impl InsertionForesight {
 
     fn outlook(&self, scenario: &Scenario) -> Result<Outlook, Fault> {
         let settings = settings(scenario, &self.robot)?;
-        let bias = encoder_bias(scenario, &self.robot, settings.around.encoder_bias_rad);
+        let bias = settings.around.bias(scenario, &self.robot)?;
         let off = self.postures.as_ref().map(|both| both.each_ref().map(|one| one.displacement(&self.chain, &bias)));
         Ok(Outlook { settings, bias, off })
     }
@@ -203,7 +203,7 @@ impl InsertionForesight {
         let straighten_n = (-fit).max(0.0) * settings.arm_stiffness / self.compliance;
         let weight_n = settings.mass_kg * (GRAVITY + CARRY.acceleration);
         let gripper = &self.robot.settings.gripper;
-        let holding_n = holding_n(gripper, GRIP_FRICTION, self.grip_force_n);
+        let holding_n = holding_n(gripper, GRIP_FRICTION, self.grip_force_n, &settings.around.gripper);
         let search_s = controller::search_time(settings.clearance_m, settings.chamfer_m, x.hypot(y));
         let mut row = vec![
             x.hypot(y),

@@ -11,6 +11,9 @@ mod scene;
 mod spec;
 pub mod whitney;
 
+/// The task's name.
+const NAME: &str = "insertion";
+
 /// The insertion task.
 #[derive(Debug, Clone, Copy)]
 pub struct Insertion;

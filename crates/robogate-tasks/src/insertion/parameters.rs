@@ -50,7 +50,7 @@ fn is_block(acting: &Acting<'_, Settings>) -> bool {
     let settings = acting.settings;
     let expected = parts::block(&settings.mouth(), settings.width_m + settings.clearance_m, settings.chamfer_m);
     // The first fixture is the table.
-    let found = walls(acting.engine);
+    let found = walls(acting.found.engine);
     let close = |(fixture, (half, pose)): (&robogate_physics::Fixture, &([f64; 3], Isometry3<f64>))| {
         let off = fixture.part.pose.inverse() * pose;
         let same = fixture.part.primitive.half_extent().iter().zip(half).all(|(a, b)| (a - b).abs() < 1e-7);
@@ -69,7 +69,7 @@ fn of_block(acting: &Acting<'_, Settings>, value: f64) -> f64 {
 
 /// The hole's width in the engine, from the inner faces of opposite walls, minus that of the shaft.
 fn clearance(acting: &Acting<'_, Settings>) -> f64 {
-    let found = walls(acting.engine);
+    let found = walls(acting.found.engine);
     let per_side = if acting.settings.chamfer_m > 0.0 { 3 } else { 1 };
     let (Some((half, first)), Some((_, opposite))) = (found.get(1), found.get(1 + 2 * per_side)) else {
         return f64::NAN;
@@ -81,7 +81,7 @@ fn clearance(acting: &Acting<'_, Settings>) -> f64 {
 }
 
 fn width(acting: &Acting<'_, Settings>) -> f64 {
-    acting.engine.parts.first().map_or(f64::NAN, |part| 2.0 * part.half_extent()[0])
+    acting.found.engine.parts.first().map_or(f64::NAN, |part| 2.0 * part.half_extent()[0])
 }
 
 /// The scale of a point of the unit disc that gives this displacement. `NaN` if the direction disagrees.
@@ -92,12 +92,12 @@ fn scale(draw: [f64; 2], found: [f64; 2]) -> f64 {
 }
 
 fn peg_jitter(acting: &Acting<'_, Settings>) -> f64 {
-    let (at, [x, y]) = (acting.engine.object.translation, acting.settings.places[0]);
+    let (at, [x, y]) = (acting.found.engine.object.translation, acting.settings.places[0]);
     scale(acting.settings.shift[0], [at.x - x, at.y - y])
 }
 
 /// Every parameter of the task.
-pub(super) static ROWS: [Row<Settings>; 11] = [
+pub(super) static ROWS: [Row<Settings>; 22] = [
     Row::<Settings>::number(
         "clearance_m",
         "m",
@@ -135,7 +135,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         "the peg's mass in the engine",
         ([0.02, 2.0], 0.2),
         |s, x| s.mass_kg = x,
-        |a| a.engine.mass_kg,
+        |a| a.found.engine.mass_kg,
     )
     .in_family("peg"),
     Row::<Settings>::number(
@@ -145,7 +145,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         "the contacts' friction in the engine",
         ([0.01, 2.0], 0.2),
         |s, x| s.friction = x,
-        |a| a.engine.table_friction,
+        |a| a.found.engine.table_friction,
     )
     .in_family("peg"),
     Row::<Settings>::number(
@@ -155,7 +155,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         "the servos' stiffness in the engine",
         ([0.05, 2.0], 0.25),
         |s, x| s.arm_stiffness = x,
-        |a| a.engine.arm_stiffness.unwrap_or(f64::NAN),
+        |a| a.found.engine.arm_stiffness.unwrap_or(f64::NAN),
     )
     .in_family("arm"),
     Row::<Settings>::number(
@@ -190,4 +190,15 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
     .in_family("peg"),
     Row::encoder_bias(),
     Row::lighting(),
+    Row::unit_bias::<0>(),
+    Row::unit_bias::<1>(),
+    Row::unit_bias::<2>(),
+    Row::unit_bias::<3>(),
+    Row::unit_bias::<4>(),
+    Row::unit_bias::<5>(),
+    Row::unit_bias::<6>(),
+    Row::grip_force_scale(),
+    Row::pad_friction_scale(),
+    Row::camera_roll(),
+    Row::camera_pitch(),
 ];

@@ -14,14 +14,14 @@
 //! The rollout reports a timeout if none of these events happens within the time limit.
 
 use nalgebra::{Isometry3, Point3};
-use robogate_core::{Assignment, FailureMode, Measures, Word};
-use robogate_physics::{GRAVITY, GripperCommand, Readback, Visual};
+use robogate_core::{Assignment, FailureMode, Measures};
+use robogate_physics::{GRAVITY, GripperCommand};
 
 use super::parameters::{ROWS, Settings};
 use super::parts::DEPTH_M;
 use super::spec::{COLLISION, DEPTH, DROPPED, DURATION, JAM, LATERAL, MISSED, PRESS, WEDGE};
 use super::whitney;
-use crate::arm::{Acting, Grip, GripChange, Record, Sight, Trial, applied, touching};
+use crate::arm::{Acting, Found, Grip, GripChange, Record, Sight, Trial, applied, still, touching};
 
 /// The tip is seated within this distance of the full depth, in metres ...
 const SEAT_M: f64 = 0.002;
@@ -64,6 +64,8 @@ pub(crate) struct Referee {
     press_n: Option<f64>,
     lateral_n: Option<f64>,
     duration_s: Option<f64>,
+    /// Whether the peg hardly moves and was never held, and the gripper is open.
+    still: bool,
 }
 
 impl Referee {
@@ -71,8 +73,8 @@ impl Referee {
     pub(super) fn new(settings: Settings, grip_force_n: f64) -> Self {
         Self {
             mouth: settings.mouth(),
+            grip: Grip::new(grip_force_n * settings.around.gripper.force_scale),
             settings,
-            grip: Grip::new(grip_force_n),
             was_held: false,
             before: 0.0,
             seated_since: None,
@@ -85,6 +87,7 @@ impl Referee {
             press_n: None,
             lateral_n: None,
             duration_s: None,
+            still: false,
         }
     }
 
@@ -147,12 +150,12 @@ impl Referee {
 }
 
 impl Trial for Referee {
-    fn applied(&self, requested: &Assignment, engine: &Readback, visual: &Visual, bias: &[f64]) -> Assignment {
-        applied(&ROWS, requested, &Acting { settings: &self.settings, engine, visual, bias })
+    fn applied(&self, requested: &Assignment, found: &Found<'_>, bias: &[f64]) -> Assignment {
+        applied(&ROWS, requested, &Acting { settings: &self.settings, found, bias })
     }
 
-    fn select(&mut self, _: GripperCommand, _: &Isometry3<f64>, _: &[Isometry3<f64>]) -> usize {
-        0
+    fn at_rest(&self) -> bool {
+        self.still && !self.record.is_over()
     }
 
     fn observe(&mut self, sight: &Sight<'_>) {
@@ -185,11 +188,9 @@ impl Trial for Referee {
         if self.was_held {
             self.watch(sight);
         }
+        let idle = !self.was_held && self.grip.is_free() && sight.command == GripperCommand::Open;
+        self.still = idle && still(sight.bodies, 1);
         self.before = sight.time;
-    }
-
-    fn sensed(&mut self) -> Vec<(Word, Vec<f64>)> {
-        Vec::new()
     }
 
     fn measures(&self) -> Measures {
@@ -215,7 +216,7 @@ impl Referee {
         // On its way up from the table, the peg still touches it.
         let near = (sight.view.object.translation.vector - self.mouth.translation.vector).xy().norm();
         if sight.view.touches.object_on_fixture && near < 2.0 * self.settings.width_m {
-            let force = self.mouth.inverse_transform_vector(&sight.engine.support().force);
+            let force = self.mouth.inverse_transform_vector(&sight.bodies.support().force);
             press = if held { force.z } else { (force.z - GRAVITY * self.settings.mass_kg).max(0.0) };
             self.press_n = Some(self.press_n.unwrap_or(0.0).max(force.z));
             self.lateral_n = Some(self.lateral_n.unwrap_or(0.0).max(force.xy().norm()));

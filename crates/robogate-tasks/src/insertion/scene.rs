@@ -3,17 +3,23 @@
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::{CameraSpec, Fault, Foresight, Policy, Pose, Scenario, TaskSpec};
-use robogate_physics::{Chain, Fixture, GRAVITY, GripperUnit, Robot, Scene, Visual};
+use robogate_core::{
+    Assignment, CameraSpec, Fault, Foresight, Infeasibility, Policy, Pose, Scenario, TaskInstance, TaskSpec,
+};
+use robogate_physics::{Chain, Fixture, GRAVITY, Gripper, Robot, Scene, SuctionLaw};
 
-use super::Insertion;
 use super::controller::Scripted;
 use super::foresight::InsertionForesight;
 use super::parameters::{ROWS, Settings};
-use super::parts::{self, DEPTH_M};
+use super::parts::{self, DEPTH_M, HEAD_HEIGHT_M, HEAD_M, SHAFT_M};
 use super::referee::Referee;
 use super::spec::{self, Briefing};
-use crate::arm::{Resolved, Rules, decode, disc_point, encoder_bias, instance, within_reach};
+use super::{Insertion, NAME};
+use crate::arm::{
+    GRIP_THRESHOLD_M, Load, Resolved, Rules, cannot_carry, decode, disc_point, encoder_bias, instance, out_of_reach,
+    within_reach,
+};
+use crate::spaces::unit_space;
 
 /// Nominal positions (x, y) of peg and hole, in metres.
 const PLACES: [[f64; 2]; 2] = [[0.42, -0.14], [0.48, 0.14]];
@@ -22,14 +28,38 @@ const PLACES: [[f64; 2]; 2] = [[0.42, -0.14], [0.48, 0.14]];
 pub(super) const GRIP_FRICTION: f64 = 0.8;
 
 impl Rules for Insertion {
-    type Trial = Referee;
+    fn name(&self) -> &'static str {
+        NAME
+    }
 
-    const NAME: &'static str = "insertion";
-    const SUMMARY: &'static str = "insert a peg into a hole with a small clearance with a robot arm";
-    const SPACE: &'static str = include_str!("space.toml");
-    const SUITE: &'static str = "insertion-40";
+    fn summary(&self) -> &'static str {
+        "insert a peg into a hole with a small clearance with a robot arm"
+    }
 
-    fn scripted(robot: Robot, chain: Chain) -> Box<dyn Policy> {
+    fn space(&self, _: &Gripper) -> &'static str {
+        NAME
+    }
+
+    fn unit_space(&self, gripper: &Gripper) -> &'static str {
+        unit_space(gripper)
+    }
+
+    fn suite(&self) -> &'static str {
+        "insertion-40"
+    }
+
+    fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault> {
+        let [x, y, z] = Briefing::of(instance)?.peg.position;
+        Ok([x, y, z + SHAFT_M + 0.5 * HEAD_HEIGHT_M, HEAD_M])
+    }
+
+    fn physics_only(&self) -> Result<(), &'static str> {
+        Err(
+            "the protocol carries neither the stiffness of the servos nor the forces on the peg, and insertion needs both",
+        )
+    }
+
+    fn scripted(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
         Box::new(Scripted::new(robot, chain))
     }
 
@@ -37,11 +67,32 @@ impl Rules for Insertion {
         Arc::new(InsertionForesight::new(robot, chain, grip_force_n))
     }
 
+    fn infeasibility(
+        &self,
+        requested: &Assignment,
+        robot: &Robot,
+        grip_force_n: f64,
+        suction: SuctionLaw,
+    ) -> Option<Infeasibility> {
+        let settings: Settings = decode(&ROWS, requested).ok()?;
+        let load = Load {
+            width_m: Some(settings.width_m),
+            // The head may rest on the pads.
+            friction: None,
+            weight_n: settings.mass_kg * GRAVITY,
+            force_scale: settings.around.gripper.force_scale,
+        };
+        let [peg, hole] = within_reach(robot, PLACES);
+        out_of_reach(robot, "hole", hole, settings.hole_jitter_m)
+            .or_else(|| out_of_reach(robot, "peg", peg, settings.peg_jitter_m))
+            .or_else(|| cannot_carry(&robot.settings.gripper, &load, grip_force_n, suction))
+    }
+
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         spec::spec(robot, cameras)
     }
 
-    fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved<Referee>, Fault> {
+    fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved, Fault> {
         let settings = settings(scenario, robot)?;
         let [peg, hole] = nominal_poses(robot);
         let briefing = Briefing {
@@ -53,9 +104,10 @@ impl Rules for Insertion {
         };
         Ok(Resolved {
             scene: settings.scene(),
-            bias: encoder_bias(scenario, robot, settings.around.encoder_bias_rad),
+            grip_threshold_m: GRIP_THRESHOLD_M,
+            bias: settings.around.bias(scenario, robot)?,
             instance: instance("pick up the peg and insert it into the hole".to_owned(), &briefing),
-            trial: Referee::new(settings, grip_force_n),
+            trial: Box::new(Referee::new(settings, grip_force_n)),
         })
     }
 }
@@ -115,11 +167,11 @@ impl Settings {
             friction: GRIP_FRICTION,
             table_friction: Some(self.friction),
             arm_stiffness: self.arm_stiffness,
-            gripper: GripperUnit::default(),
+            gripper: self.around.gripper,
             fixtures,
             gravity: GRAVITY,
             marker: None,
-            visual: Visual { lighting_lux: self.around.lighting_lux, ..Visual::default() },
+            visual: self.around.visual(),
         }
     }
 }

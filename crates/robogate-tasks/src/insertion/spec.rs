@@ -5,8 +5,8 @@ use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
 use super::parameters::ROWS;
-use super::{Insertion, foresight};
-use crate::arm::{Rules, base_spec, briefing, measure, mode, specs};
+use super::{NAME, foresight};
+use crate::arm::{base_spec, briefing, common_measures, measure, mode, specs};
 
 /// The time limit of an episode, in seconds.
 const TIME_LIMIT_S: f64 = 40.0;
@@ -63,15 +63,18 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
             mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the peg was seated."),
         ],
         draws: foresight::draw_specs(robot.settings.arm.joints.len()),
-        measures: vec![
+        measures: [
             measure(DEPTH, "m", Better::Higher, "Largest depth of the peg's tip in the hole."),
             measure(PRESS, "N", Better::Lower, "Largest force of block and table on the peg along the hole's axis."),
             measure(LATERAL, "N", Better::Lower, "Largest force of block and table on the peg across the hole's axis."),
             measure(DURATION, "s", Better::Lower, "Time from the first contact with the block to the seat."),
-        ],
+        ]
+        .into_iter()
+        .chain(common_measures())
+        .collect(),
         phases: phases::ALL.to_vec(),
-        parameters: specs(&ROWS),
-        ..base_spec(Insertion::NAME, robot, cameras)
+        parameters: specs(&ROWS, &robot.settings.gripper),
+        ..base_spec(NAME, robot, cameras)
     }
 }
 
@@ -96,6 +99,6 @@ impl Briefing {
     /// # Errors
     /// A setup fault if the details are not those of insertion.
     pub(super) fn of(instance: &TaskInstance) -> Result<Self, Fault> {
-        briefing(Insertion::NAME, instance)
+        briefing(NAME, instance)
     }
 }

@@ -7,8 +7,6 @@ use super::scene::{scaled_scene, target};
 use super::spec::Briefing;
 use super::{Placement, Rules, SceneParameters};
 
-/// Time between two actions, in seconds (paper, section 4.1).
-pub const CONTROL_PERIOD_S: f64 = 0.05;
 /// An episode's time limit, in seconds (paper, section 4.1).
 pub const TIME_LIMIT_S: f64 = 15.0;
 /// Success is within this distance of the target, in metres (paper, section 4.3).

@@ -1,17 +1,14 @@
 //! Conditions that every policy needs: necessary conditions of geometry and statics, never those of one controller.
 
 use robogate_core::{Assignment, Infeasibility};
-use robogate_physics::{GRAVITY, Gripper, ParallelJaw, Robot, SuctionCup, SuctionLaw};
+use robogate_physics::{GRAVITY, Robot, SuctionLaw};
 
 use super::scene::target;
 use super::{Placement, SceneParameters, Shape};
+use crate::arm::{Load, cannot_carry, out_of_reach};
 
 /// The reason why no policy can complete the scenario with this robot, whose pads press with `grip_force_n`,
 /// in a workspace of this scale.
-///
-/// - The object and the target must be within the arm's reach.
-/// - Two fingers must be able to hold the object: [`narrowest`] and [`friction_carries`].
-/// - The vacuum of a cup must carry the weight.
 ///
 /// A scenario that cannot be decoded has no reason here: its reset reports the problem.
 pub(crate) fn infeasibility(
@@ -23,35 +20,18 @@ pub(crate) fn infeasibility(
 ) -> Option<Infeasibility> {
     let gripper = &robot.settings.gripper;
     let parameters = SceneParameters::from_assignment(requested, Some(gripper)).ok()?;
-    out_of_reach(&parameters, scale, robot.settings.arm.reach_m).or_else(|| match gripper {
-        Gripper::ParallelJaw(jaw) => too_wide(&parameters, jaw).or_else(|| slips(&parameters, grip_force_n)),
-        Gripper::Suction(cup) => match suction {
-            SuctionLaw::Vacuum => too_heavy(&parameters, cup),
-            SuctionLaw::Surface => None,
-        },
-    })
-}
-
-fn reason(condition: &str, limit: String) -> Infeasibility {
-    Infeasibility { condition: condition.to_owned(), limit }
-}
-
-/// The wrist of an arm cannot be farther from the base than its reach. A tool that points down is below the wrist.
-fn out_of_reach(parameters: &SceneParameters, scale: f64, reach_m: f64) -> Option<Infeasibility> {
-    let far = |[x, y]: [f64; 2]| x.hypot(y) > reach_m;
-    let limit = || format!("{reach_m:.2} m");
-    if far(target(scale)) {
-        return Some(reason("the target is out of the arm's reach", limit()));
-    }
     let placement = Placement::from_name(&parameters.placement)?.scaled(scale).moved(parameters.offset_m);
-    let nearest = placement.position[0].hypot(placement.position[1]) - parameters.position_jitter_m;
-    (nearest > reach_m).then(|| reason("the part is out of the arm's reach", limit()))
-}
-
-fn too_wide(parameters: &SceneParameters, jaw: &ParallelJaw) -> Option<Infeasibility> {
-    let width = narrowest(parameters.shape, parameters.friction)? * parameters.size_m;
-    (width > jaw.opening_m)
-        .then(|| reason("the part is wider than the gripper opening", format!("{:.0} mm", 1e3 * jaw.opening_m)))
+    // The other shapes may rest on the pads.
+    let vertical = matches!(parameters.shape, Shape::Box | Shape::Cylinder) && parameters.pad_friction() < 1.0;
+    let load = Load {
+        width_m: narrowest(parameters.shape, parameters.friction).map(|width| width * parameters.size_m),
+        friction: vertical.then(|| parameters.pad_friction()),
+        weight_n: parameters.mass_kg * GRAVITY * parameters.gravity_scale,
+        force_scale: parameters.gripper.force_scale,
+    };
+    out_of_reach(robot, "target", target(scale), 0.0)
+        .or_else(|| out_of_reach(robot, "part", placement.position, parameters.position_jitter_m))
+        .or_else(|| cannot_carry(gripper, &load, grip_force_n, suction))
 }
 
 /// The smallest distance between two contacts that can hold the shape, as a fraction of its size. `None` without a useful
@@ -68,23 +48,6 @@ fn narrowest(shape: Shape, friction: f64) -> Option<f64> {
         Shape::L => Some(0.5),
         Shape::Irregular => Some(0.44),
     }
-}
-
-/// Pads that press with F each on vertical faces carry at most 2 mu F (Coulomb). The other shapes may rest on the pads.
-fn slips(parameters: &SceneParameters, grip_force_n: f64) -> Option<Infeasibility> {
-    let friction = parameters.pad_friction();
-    let grip_force_n = grip_force_n * parameters.gripper.force_scale;
-    let vertical = matches!(parameters.shape, Shape::Box | Shape::Cylinder) && friction < 1.0;
-    let weight = parameters.mass_kg * GRAVITY * parameters.gravity_scale;
-    (vertical && weight > 2.0 * friction * grip_force_n)
-        .then(|| reason("the part is heavier than friction can carry", format!("{grip_force_n:.0} N for each pad")))
-}
-
-/// The vacuum of a cup carries at most its pressure times its area.
-fn too_heavy(parameters: &SceneParameters, cup: &SuctionCup) -> Option<Infeasibility> {
-    let weight = parameters.mass_kg * GRAVITY * parameters.gravity_scale;
-    let force_n = cup.force_n() * parameters.gripper.force_scale;
-    (weight > force_n).then(|| reason("the part is heavier than the vacuum can carry", format!("{force_n:.0} N")))
 }
 
 #[cfg(test)]

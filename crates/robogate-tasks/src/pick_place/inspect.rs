@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use super::scene::target;
 use super::{PickPlace, Rules, SceneParameters, Scripted};
+use crate::{ArmTask, Rig};
 
 /// The part of the trial is at most this fraction of the gripper's opening, and its weight at most this fraction of what the
 /// gripper can carry.
@@ -97,9 +98,9 @@ fn trial(robot: Robot) -> Result<TrialEpisode, String> {
     requested.set("mass_kg", Value::Number(mass_kg));
     let engine = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).map_err(|error| error.to_string())?;
     let mut policy = Scripted::new(robot, engine.chain().clone());
-    let mut cell = PickPlace::new(engine, None)?;
+    let mut cell = PickPlace::default().environment(Box::new(engine), Rig::default())?;
     let scenario = Scenario { index: 0, seed: Seed::campaign(0).episode(0), requested };
-    let episode = rollout(&mut cell, &mut policy, &scenario);
+    let episode = rollout(&mut *cell, &mut policy, &scenario);
     let failure = match episode.outcome {
         Outcome::Success => None,
         Outcome::Failure(mode) => Some(mode),

@@ -1,6 +1,6 @@
 //! Pick and place: pick up an object from the table and place it at a target.
 //!
-//! [`PickPlace`] combines an engine, a robot and this task into a [`robogate_core::Environment`]. [`Scripted`] is the
+//! [`PickPlace`] is the task under its rules. [`Scripted`] is the
 //! controller of the paper's baseline. [`remote`] runs the task on an engine in another process.
 
 mod cell;
@@ -10,7 +10,6 @@ mod feasibility;
 mod foresight;
 #[cfg(feature = "mujoco")]
 mod inspect;
-mod judge;
 mod object;
 mod occluder;
 mod parameters;
@@ -20,11 +19,12 @@ pub mod remote;
 mod rules;
 mod scene;
 mod scripted;
-mod simulator;
-mod spaces;
 pub mod spec;
 mod suite;
+mod task;
 mod tool_expert;
+
+use robogate_physics::Gripper;
 
 /// The task's name.
 pub const NAME: &str = "pick_place";
@@ -32,7 +32,9 @@ pub const NAME: &str = "pick_place";
 /// A short description of the task.
 pub const SUMMARY: &str = "pick a part from a table with a robot arm and place it at a target";
 
-pub use cell::{CONTROL_PERIOD_S, ResolvedCell, TIME_LIMIT_S};
+pub use crate::arm::CONTROL_PERIOD_S;
+pub use crate::spaces::{FRANKA_SPACE, built_in_space, built_in_spaces};
+pub use cell::{ResolvedCell, TIME_LIMIT_S};
 pub use disturbance::Disturbance;
 pub use foresight::PickPlaceForesight;
 #[cfg(feature = "mujoco")]
@@ -43,7 +45,14 @@ pub use placement::Placement;
 pub use rules::{ModeSet, Rules, Workspace};
 pub use scene::scene;
 pub use scripted::Scripted;
-pub use simulator::PickPlace;
-pub use spaces::{FRANKA_SPACE, built_in_space, built_in_spaces, default_space, unit_space};
 pub use suite::{SuiteMisfit, check_suite};
+pub use task::PickPlace;
 pub use tool_expert::ToolExpert;
+
+/// The name of the default parameter space for a robot with this gripper.
+fn default_space(gripper: &Gripper) -> &'static str {
+    match gripper {
+        Gripper::ParallelJaw(_) => "franka",
+        Gripper::Suction(_) => "ur",
+    }
+}

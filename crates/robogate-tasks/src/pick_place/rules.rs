@@ -3,8 +3,9 @@
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
-use super::cell::{CONTROL_PERIOD_S, TIME_LIMIT_S};
+use super::cell::TIME_LIMIT_S;
 use super::scene::workspace_scale;
+use crate::arm::CONTROL_PERIOD_S;
 
 /// The rules of pick and place that a cell may change. A run records them; an absent rule has its default.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -51,14 +52,7 @@ pub enum ModeSet {
 
 impl Default for Rules {
     fn default() -> Self {
-        Self {
-            time_limit_s: TIME_LIMIT_S,
-            jam_force_n: 100.0,
-            jam_duration_s: 0.05,
-            orientation_tolerance_rad: None,
-            modes: ModeSet::All,
-            workspace: Workspace::Scaled,
-        }
+        Self::DEFAULT
     }
 }
 
@@ -66,6 +60,16 @@ impl Default for Rules {
 const LONGEST_S: f64 = 86_400.0;
 
 impl Rules {
+    /// The default rules.
+    pub const DEFAULT: Self = Self {
+        time_limit_s: TIME_LIMIT_S,
+        jam_force_n: 100.0,
+        jam_duration_s: 0.05,
+        orientation_tolerance_rad: None,
+        modes: ModeSet::All,
+        workspace: Workspace::Scaled,
+    };
+
     /// The same rules with the modes and the workspace of the paper.
     #[must_use]
     pub fn like_the_paper(self) -> Self {

@@ -16,9 +16,8 @@ use robogate_physics::trajectory::{ToolLimit, joint_path, straight_path};
 use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
 use super::Shape;
-use super::cell::CONTROL_PERIOD_S;
 use super::spec::{Briefing, phases};
-use crate::arm::{FREE, Script, Stage, nearest, tool_down};
+use crate::arm::{CONTROL_PERIOD_S, FREE, Script, Stage, nearest, tool_down};
 
 /// Height of the tool above the table on transit paths, in metres: the carried object passes over the highest obstacle.
 pub(super) const TRANSIT_HEIGHT_M: f64 = 0.25;

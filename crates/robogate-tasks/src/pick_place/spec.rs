@@ -1,17 +1,16 @@
 //! The declaration of pick and place as data.
 
 use robogate_core::{
-    Better, CameraSpec, FEASIBLE, FailureMode, FailureModeSpec, Fault, FaultKind, GAVE_UP, MeasureSpec,
-    ObservationSpec, Pose, Severity, TaskInstance, TaskSpec, Word,
+    Better, CameraSpec, FailureMode, FailureModeSpec, Fault, MeasureSpec, Pose, Severity, TaskInstance, TaskSpec, Word,
 };
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
-use super::cell::{CONTROL_PERIOD_S, TOLERANCE_M};
+use super::cell::TOLERANCE_M;
 use super::{ModeSet, Rules, foresight, parameters};
 pub use crate::arm::TOOL_DELTA;
 pub(crate) use crate::arm::observation;
-use crate::arm::{action_spec, observed_vectors};
+use crate::arm::{base_spec, briefing, common_measures, instance, measure, mode};
 
 /// The gripper closed without the object.
 pub const GRASP_MISS: FailureMode = FailureMode::constant("grasp_miss");
@@ -58,29 +57,19 @@ pub mod phases {
 pub fn spec(robot: &Robot, cameras: Vec<CameraSpec>, rules: &Rules) -> TaskSpec {
     let gripper = &robot.settings.gripper;
     TaskSpec {
-        name: Word::constant(super::NAME),
         version: 2,
         instruction: "pick up the part and place it at the target".to_owned(),
-        control_period_s: CONTROL_PERIOD_S,
         time_limit_s: rules.time_limit_s,
         failure_modes: failure_modes(rules),
         measures: measures(),
         draws: foresight::draw_specs(robot.settings.arm.joints.len()),
         phases: phases::ALL.to_vec(),
         parameters: parameters::specs(gripper),
-        observation: ObservationSpec { vectors: observed_vectors(robot), cameras },
-        action: action_spec(robot),
-        details: serde_json::Value::Null,
+        ..base_spec(super::NAME, robot, cameras)
     }
 }
 
 fn failure_modes(rules: &Rules) -> Vec<FailureModeSpec> {
-    let mode = |name, severity, meaning: &str| FailureModeSpec {
-        name,
-        meaning: meaning.to_owned(),
-        severity,
-        published_as: None,
-    };
     let at_limit = |name, severity, meaning: String| FailureModeSpec {
         name,
         meaning,
@@ -112,18 +101,13 @@ fn failure_modes(rules: &Rules) -> Vec<FailureModeSpec> {
 }
 
 fn measures() -> Vec<MeasureSpec> {
-    let measure = |name, unit: &str, better, meaning: &str| MeasureSpec {
-        name,
-        unit: unit.to_owned(),
-        meaning: meaning.to_owned(),
-        better,
-    };
+    let [feasible, gave_up] = common_measures();
     vec![
         measure(PEAK_CONTACT_FORCE, "N", Better::Lower, "Largest normal force between the robot and anything."),
         measure(SLIP, "m", Better::Lower, "Largest displacement of the part in the hand since it was held."),
         measure(MIN_CLEARANCE, "m", Better::Higher, "Smallest distance between the robot and anything but the part."),
-        measure(FEASIBLE, "", Better::Neither, "1 if some policy may complete the scenario, 0 if none can."),
-        measure(GAVE_UP, "s", Better::Neither, "Time at which the policy gave up."),
+        feasible,
+        gave_up,
         measure(TARGET_DISTANCE, "m", Better::Lower, "Horizontal distance of the part from its target."),
     ]
 }
@@ -152,11 +136,7 @@ pub struct Briefing {
 impl Briefing {
     /// The briefing as the details of an episode.
     pub fn instance(&self) -> TaskInstance {
-        TaskInstance {
-            instruction: format!("pick up the {} and place it at the target", self.shape),
-            // Strings and finite numbers cannot fail to serialise.
-            details: serde_json::to_value(self).unwrap_or_default(),
-        }
+        instance(format!("pick up the {} and place it at the target", self.shape), self)
     }
 
     /// Reads the briefing from the details of an episode.
@@ -164,9 +144,7 @@ impl Briefing {
     /// # Errors
     /// A setup fault if the details are not those of pick and place.
     pub fn of(instance: &TaskInstance) -> Result<Self, Fault> {
-        Self::deserialize(&instance.details).map_err(|why| {
-            Fault::new(FaultKind::Setup, format!("the episode details are not a briefing of pick_place: {why}"))
-        })
+        briefing(super::NAME, instance)
     }
 }
 

@@ -4,9 +4,9 @@ use robogate_core::{Action, Fault, Observation, Policy, Seed, TaskInstance, Task
 use robogate_physics::trajectory::ToolLimit;
 use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
-use super::Stacking;
+use super::NAME;
 use super::spec::{Briefing, phases};
-use crate::arm::{CONTROL_PERIOD_S, FREE, Planner, Posture, Rules, Script, drives_task, tool_down};
+use crate::arm::{CONTROL_PERIOD_S, FREE, Planner, Posture, Script, drives_task, tool_down};
 
 /// Height of the tool above the table on transit paths, in metres: a carried part passes over a stack of two.
 const TRANSIT_HEIGHT_M: f64 = 0.25;
@@ -85,7 +85,7 @@ impl Scripted {
 
 impl Policy for Scripted {
     fn check(&self, task: &TaskSpec) -> Result<(), String> {
-        drives_task(Stacking::NAME, &self.robot, task)
+        drives_task(NAME, &self.robot, task)
     }
 
     fn reset(&mut self, _: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {

@@ -13,8 +13,8 @@ use super::scene::{briefing, settings};
 use super::spec::TOLERANCE_M;
 use super::statics::{self, Level};
 use crate::arm::{
-    GRIP_THRESHOLD_M, Memo, Posture, bias_draws, components, draw, drawn, encoder_bias, feature, grasp_height,
-    holding_n, in_hand, log_ratio, tool_draws, within_quarter,
+    GRIP_THRESHOLD_M, Memo, Posture, bias_draws, components, draw, drawn, feature, grasp_height, holding_n, in_hand,
+    log_ratio, tool_draws, within_quarter,
 };
 
 /// Sizes and overhangs are rounded to this step for the planned postures, in metres. It changes a displacement by less than 0.1 mm.
@@ -156,7 +156,7 @@ impl StackingForesight {
 
     fn outlook(&self, scenario: &Scenario) -> Result<Outlook, Fault> {
         let settings = settings(scenario, &self.robot)?;
-        let bias = encoder_bias(scenario, &self.robot, settings.around.encoder_bias_rad);
+        let bias = settings.around.bias(scenario, &self.robot)?;
         let steps = |metres: f64| (metres / STEP_M).round().max(0.0);
         let (size, overhang) = (steps(settings.size_m).max(1.0), steps(settings.overhang * settings.size_m));
         let postures = self.postures.get((settings.order, size as u64, overhang as u64), || {
@@ -210,7 +210,7 @@ impl StackingForesight {
             .map(|(level, at)| Level { at: [at.translation.x, at.translation.y], mass_kg: settings.mass(level) })
             .collect();
         let least = |of: &dyn Fn(&Grasp) -> f64| grasps.iter().map(of).fold(size, f64::min);
-        let holding_n = holding_n(gripper, settings.friction, self.grip_force_n);
+        let holding_n = holding_n(gripper, settings.friction, self.grip_force_n, &settings.around.gripper);
         let carried_n =
             settings.mass(1).max(settings.mass(2)) * (GRAVITY * settings.gravity_scale + CARRY.acceleration);
         let mut row = vec![

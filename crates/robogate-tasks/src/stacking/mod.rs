@@ -11,6 +11,9 @@ mod scene;
 mod spec;
 pub mod statics;
 
+/// The task's name.
+const NAME: &str = "stacking";
+
 /// The stacking task.
 #[derive(Debug, Clone, Copy)]
 pub struct Stacking;

@@ -65,12 +65,12 @@ fn common(values: [f64; 3], bound: f64) -> f64 {
 }
 
 fn size(acting: &Acting<'_, Settings>) -> f64 {
-    common([0, 1, 2].map(|part| found(acting.engine, part).edge_m), 1e-9)
+    common([0, 1, 2].map(|part| found(acting.found.engine, part).edge_m), 1e-9)
 }
 
 /// Mass of the part at a level of the stack, in kilograms.
 fn mass_at(acting: &Acting<'_, Settings>, level: usize) -> f64 {
-    found(acting.engine, acting.settings.order[level]).mass_kg
+    found(acting.found.engine, acting.settings.order[level]).mass_kg
 }
 
 fn mass_step(acting: &Acting<'_, Settings>) -> f64 {
@@ -80,24 +80,24 @@ fn mass_step(acting: &Acting<'_, Settings>) -> f64 {
 
 fn position_jitter(acting: &Acting<'_, Settings>) -> f64 {
     let Settings { shift, places, .. } = acting.settings;
-    let at = [0, 1, 2].map(|part| found(acting.engine, part).at);
+    let at = [0, 1, 2].map(|part| found(acting.found.engine, part).at);
     let displacements: Vec<f64> =
         (0..3).flat_map(|part| (0..2).map(move |axis| at[part][axis] - places[part][axis])).collect();
     scale(shift.as_flattened(), &displacements)
 }
 
 fn yaw_jitter(acting: &Acting<'_, Settings>) -> f64 {
-    scale(&acting.settings.turn, &[0, 1, 2].map(|part| found(acting.engine, part).at[2]))
+    scale(&acting.settings.turn, &[0, 1, 2].map(|part| found(acting.found.engine, part).at[2]))
 }
 
 /// The order that the masses and the places of the parts have in the engine: it is the request, if the engine has three
 /// parts at the places of the layout.
 fn order(acting: &Acting<'_, Settings>) -> String {
     let near = |part: usize| {
-        let ([x, y, _], [px, py]) = (found(acting.engine, part).at, acting.settings.places[part]);
+        let ([x, y, _], [px, py]) = (found(acting.found.engine, part).at, acting.settings.places[part]);
         (x - px).hypot(y - py) <= acting.settings.position_jitter_m + 1e-6
     };
-    if acting.engine.others.len() == 2 && (0..3).all(near) {
+    if acting.found.engine.others.len() == 2 && (0..3).all(near) {
         acting.settings.order.map(|part| PARTS[part]).iter().collect()
     } else {
         "not set up".to_owned()
@@ -105,13 +105,14 @@ fn order(acting: &Acting<'_, Settings>) -> String {
 }
 
 /// Every parameter of the task.
-pub(super) static ROWS: [Row<Settings>; 11] = [
+pub(super) static ROWS: [Row<Settings>; 22] = [
     Row {
         name: "order",
         unit: "",
         meaning: "Order of the parts in the stack, from the bottom up. The first part stays where it is.",
         read_from: "the parts' poses in the engine",
         family: Some("stack"),
+        needs_pads: false,
         access: Access::Word {
             choices: &ORDERS,
             nominal: "abc",
@@ -170,7 +171,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         "the contacts' friction in the engine",
         ([0.01, 10.0], 0.8),
         |s, x| s.friction = x,
-        |a| if a.engine.friction == a.engine.table_friction { a.engine.friction } else { f64::NAN },
+        |a| if a.found.engine.friction == a.found.engine.table_friction { a.found.engine.friction } else { f64::NAN },
     )
     .in_family("parts"),
     Row::<Settings>::number(
@@ -180,7 +181,7 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
         "gravity in the engine",
         ([0.1, 3.0], 1.0),
         |s, x| s.gravity_scale = x,
-        |a| a.engine.gravity / GRAVITY,
+        |a| a.found.engine.gravity / GRAVITY,
     ),
     Row::<Settings>::number(
         "position_jitter_m",
@@ -204,4 +205,15 @@ pub(super) static ROWS: [Row<Settings>; 11] = [
     .in_family("layout"),
     Row::encoder_bias(),
     Row::lighting(),
+    Row::unit_bias::<0>(),
+    Row::unit_bias::<1>(),
+    Row::unit_bias::<2>(),
+    Row::unit_bias::<3>(),
+    Row::unit_bias::<4>(),
+    Row::unit_bias::<5>(),
+    Row::unit_bias::<6>(),
+    Row::grip_force_scale(),
+    Row::pad_friction_scale(),
+    Row::camera_roll(),
+    Row::camera_pitch(),
 ];

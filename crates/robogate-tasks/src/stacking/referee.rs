@@ -14,13 +14,13 @@
 //! The rollout reports a timeout if none of these events happens within the time limit.
 
 use nalgebra::{Isometry3, Vector3};
-use robogate_core::{Assignment, Measures, Word};
-use robogate_physics::{Engine, GripperCommand, Readback, Visual};
+use robogate_core::{Assignment, Measures};
+use robogate_physics::GripperCommand;
 
 use super::parameters::{PARTS, ROWS, Settings};
 use super::spec::{COLLISION, DROPPED, MARGIN, MISPLACED, MISSED, OFFSET, PEAK_FORCE, SLIP, TOLERANCE_M, TOPPLED};
 use super::statics::{self, Level};
-use crate::arm::{Acting, Grip, GripChange, Record, Sight, Trial, applied, touching};
+use crate::arm::{Acting, Bodies, Found, Grip, GripChange, Record, Sight, Trial, applied, still, touching};
 
 /// A part is dropped if it is released more than this above its resting height, in metres.
 const DROP_M: f64 = 0.03;
@@ -49,6 +49,8 @@ pub(crate) struct Referee {
     margin_m: Option<f64>,
     peak_force_n: Option<f64>,
     slip_m: Option<f64>,
+    /// Whether the parts hardly move and the gripper is open.
+    still: bool,
 }
 
 /// A part after its release.
@@ -66,8 +68,8 @@ impl Referee {
     pub(super) fn new(settings: Settings, grip_force_n: f64) -> Self {
         Self {
             selected: settings.order[1],
+            grip: Grip::new(grip_force_n * settings.around.gripper.force_scale),
             settings,
-            grip: Grip::new(grip_force_n),
             complete: 1,
             released: None,
             record: Record::default(),
@@ -75,12 +77,13 @@ impl Referee {
             margin_m: None,
             peak_force_n: None,
             slip_m: None,
+            still: false,
         }
     }
 
     /// The part at a level of the stack.
-    fn part_at(&self, level: usize, engine: &dyn Engine) -> Isometry3<f64> {
-        engine.free_body(self.settings.order[level])
+    fn part_at(&self, level: usize, bodies: &dyn Bodies) -> Isometry3<f64> {
+        bodies.pose(self.settings.order[level])
     }
 
     /// Height of the centre of a part at this level, in metres.
@@ -101,9 +104,9 @@ impl Referee {
     }
 
     /// Whether no free body moves.
-    fn calm(engine: &dyn Engine) -> bool {
+    fn calm(bodies: &dyn Bodies) -> bool {
         (0..PARTS.len()).all(|part| {
-            let (linear, angular) = engine.free_body_velocity(part);
+            let (linear, angular) = bodies.velocity(part);
             linear.norm() < REST_SPEED && angular.norm() < REST_SPIN
         })
     }
@@ -111,7 +114,7 @@ impl Referee {
     /// A released part moves, or has come to rest.
     fn watch_released(&mut self, sight: &Sight<'_>) {
         let Some(released) = self.released else { return };
-        let (part, below) = (sight.view.object, self.part_at(self.complete - 1, sight.engine));
+        let (part, below) = (sight.view.object, self.part_at(self.complete - 1, sight.bodies));
         let expected = self.selected == self.settings.order[self.complete];
         let fell = part.translation.z < self.level_height(self.complete) - 0.5 * self.settings.size_m
             || tilt(&part) > 2.0 * TILT_RAD;
@@ -121,7 +124,7 @@ impl Referee {
             return;
         }
         let touched = sight.view.touches.body_on_object || touching(sight.view);
-        if touched || !sight.view.touches.object_on_fixture || !Self::calm(sight.engine) {
+        if touched || !sight.view.touches.object_on_fixture || !Self::calm(sight.bodies) {
             self.released = Some(Released { calm_since: None, ..released });
             return;
         }
@@ -152,7 +155,7 @@ impl Referee {
         }
         self.released = None;
         self.complete += 1;
-        let margin = statics::margin(&self.levels(sight.engine), self.settings.size_m);
+        let margin = statics::margin(&self.levels(sight.bodies), self.settings.size_m);
         self.margin_m = Some(margin);
         if self.complete == PARTS.len() {
             self.record.note(format!("the stack is complete, {:.1} mm from tipping", 1e3 * margin));
@@ -161,9 +164,9 @@ impl Referee {
     }
 
     /// The complete levels of the stack.
-    fn levels(&self, engine: &dyn Engine) -> Vec<Level> {
+    fn levels(&self, bodies: &dyn Bodies) -> Vec<Level> {
         let level = |level: usize| {
-            let at = self.part_at(level, engine).translation;
+            let at = self.part_at(level, bodies).translation;
             Level { at: [at.x, at.y], mass_kg: self.settings.mass_kg * self.settings.mass_step.powi(level as i32) }
         };
         (0..self.complete).map(level).collect()
@@ -187,22 +190,27 @@ fn tilt(part: &Isometry3<f64>) -> f64 {
 }
 
 impl Trial for Referee {
-    fn applied(&self, requested: &Assignment, engine: &Readback, visual: &Visual, bias: &[f64]) -> Assignment {
-        applied(&ROWS, requested, &Acting { settings: &self.settings, engine, visual, bias })
+    fn applied(&self, requested: &Assignment, found: &Found<'_>, bias: &[f64]) -> Assignment {
+        applied(&ROWS, requested, &Acting { settings: &self.settings, found, bias })
     }
 
-    fn select(&mut self, command: GripperCommand, tcp: &Isometry3<f64>, bodies: &[Isometry3<f64>]) -> usize {
+    fn select(&mut self, command: GripperCommand, tcp: &Isometry3<f64>, bodies: &dyn Bodies) -> Option<usize> {
         // An open gripper that closes acts on the nearest part.
         if command == GripperCommand::Close && self.grip.is_free() {
-            let distance = |body: &usize| (bodies[*body].translation.vector - tcp.translation.vector).norm();
-            let nearest = (0..bodies.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
+            let distance = |body: &usize| (bodies.pose(*body).translation.vector - tcp.translation.vector).norm();
+            let nearest = (0..PARTS.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
             self.selected = nearest.unwrap_or(self.selected);
         }
-        self.selected
+        Some(self.selected)
+    }
+
+    fn at_rest(&self) -> bool {
+        self.still && self.released.is_none() && !self.record.is_over()
     }
 
     fn observe(&mut self, sight: &Sight<'_>) {
         self.measure(sight);
+        self.still = self.grip.is_free() && sight.command == GripperCommand::Open && still(sight.bodies, PARTS.len());
         if self.record.is_over() {
             return;
         }
@@ -226,7 +234,7 @@ impl Trial for Referee {
                 self.record.end(Some(DROPPED), sight.time, None);
             }
             Some(GripChange::Released) => {
-                let (part, below) = (sight.view.object, self.part_at(self.complete - 1, sight.engine));
+                let (part, below) = (sight.view.object, self.part_at(self.complete - 1, sight.bodies));
                 let height = part.translation.z - self.level_height(self.complete);
                 let over_stack = self.off_place(&part, &below) <= self.settings.size_m;
                 // A part beside the stack rests on the table.
@@ -238,17 +246,13 @@ impl Trial for Referee {
         }
         for level in 0..self.complete {
             let held = self.grip.in_hand().is_some() && self.settings.order[level] == self.selected;
-            if !held && !self.stands(&self.part_at(level, sight.engine), level) {
+            if !held && !self.stands(&self.part_at(level, sight.bodies), level) {
                 self.record.note(format!("part {} of the stack tips over", PARTS[self.settings.order[level]]));
                 self.record.end(Some(TOPPLED), sight.time, None);
                 return;
             }
         }
         self.watch_released(sight);
-    }
-
-    fn sensed(&mut self) -> Vec<(Word, Vec<f64>)> {
-        Vec::new()
     }
 
     fn measures(&self) -> Measures {

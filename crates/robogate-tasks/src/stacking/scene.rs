@@ -3,19 +3,24 @@
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::{CameraSpec, Fault, Foresight, Policy, Pose, Scenario, TaskSpec};
+use robogate_core::{
+    Assignment, CameraSpec, Fault, Foresight, Infeasibility, Policy, Pose, Scenario, TaskInstance, TaskSpec,
+};
 use robogate_physics::{
-    Chain, Color, Fixture, FreeBody, GRAVITY, GripperUnit, MassProperties, Object, Part, Primitive, Robot, Scene,
-    Visual,
+    Chain, Color, Fixture, FreeBody, GRAVITY, Gripper, MassProperties, Object, Part, Primitive, Robot, Scene,
+    SuctionLaw, Visual,
 };
 
-use super::Stacking;
 use super::controller::Scripted;
 use super::foresight::StackingForesight;
 use super::parameters::{PARTS, ROWS, Settings};
 use super::referee::Referee;
 use super::spec::{self, Briefing, TOLERANCE_M};
-use crate::arm::{Resolved, Rules, decode, disc_point, encoder_bias, within_reach};
+use super::{NAME, Stacking};
+use crate::arm::{
+    GRIP_THRESHOLD_M, Load, Resolved, Rules, cannot_carry, decode, disc_point, encoder_bias, out_of_reach, within_reach,
+};
+use crate::spaces::unit_space;
 
 /// Nominal positions (x, y) of the parts, in metres. A hand that grasps one of them has room beside the others.
 const PLACES: [[f64; 2]; 3] = [[0.42, -0.16], [0.56, 0.0], [0.42, 0.16]];
@@ -24,15 +29,37 @@ const PLACES: [[f64; 2]; 3] = [[0.42, -0.16], [0.56, 0.0], [0.42, 0.16]];
 const COLORS: [Color; 3] = [Color([200, 60, 40]), Color([58, 110, 165]), Color([222, 170, 60])];
 
 impl Rules for Stacking {
-    type Trial = Referee;
+    fn name(&self) -> &'static str {
+        NAME
+    }
 
-    const NAME: &'static str = "stacking";
-    const SUMMARY: &'static str =
-        "stack two parts on a third one with a robot arm, in a given order and with a given offset";
-    const SPACE: &'static str = include_str!("space.toml");
-    const SUITE: &'static str = "stacking-40";
+    fn summary(&self) -> &'static str {
+        "stack two parts on a third one with a robot arm, in a given order and with a given offset"
+    }
 
-    fn scripted(robot: Robot, chain: Chain) -> Box<dyn Policy> {
+    fn space(&self, _: &Gripper) -> &'static str {
+        NAME
+    }
+
+    fn unit_space(&self, gripper: &Gripper) -> &'static str {
+        unit_space(gripper)
+    }
+
+    fn suite(&self) -> &'static str {
+        "stacking-40"
+    }
+
+    fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault> {
+        let briefing = Briefing::of(instance)?;
+        let [x, y, z] = briefing.parts[briefing.order[1]].position;
+        Ok([x, y, z, briefing.size_m])
+    }
+
+    fn physics_only(&self) -> Result<(), &'static str> {
+        Err("the protocol carries one free part, and stacking has three")
+    }
+
+    fn scripted(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
         Box::new(Scripted::new(robot, chain))
     }
 
@@ -40,17 +67,42 @@ impl Rules for Stacking {
         Arc::new(StackingForesight::new(robot, chain, grip_force_n))
     }
 
+    fn infeasibility(
+        &self,
+        requested: &Assignment,
+        robot: &Robot,
+        grip_force_n: f64,
+        suction: SuctionLaw,
+    ) -> Option<Infeasibility> {
+        let settings: Settings = decode(&ROWS, requested).ok()?;
+        // The first part of the order stays where it is.
+        let heaviest = settings.mass(1).max(settings.mass(2));
+        let pads = settings.friction * settings.around.gripper.pad_friction_scale;
+        let load = Load {
+            width_m: (pads < 1.0).then_some(settings.size_m),
+            friction: (pads < 1.0).then_some(pads),
+            weight_n: heaviest * GRAVITY * settings.gravity_scale,
+            force_scale: settings.around.gripper.force_scale,
+        };
+        let far = |at: [f64; 2]| out_of_reach(robot, "part", at, settings.position_jitter_m);
+        within_reach(robot, PLACES)
+            .into_iter()
+            .find_map(far)
+            .or_else(|| cannot_carry(&robot.settings.gripper, &load, grip_force_n, suction))
+    }
+
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         spec::spec(robot, cameras)
     }
 
-    fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved<Referee>, Fault> {
+    fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved, Fault> {
         let settings = settings(scenario, robot)?;
         Ok(Resolved {
             scene: scene(&settings),
-            bias: encoder_bias(scenario, robot, settings.around.encoder_bias_rad),
+            grip_threshold_m: GRIP_THRESHOLD_M,
+            bias: settings.around.bias(scenario, robot)?,
             instance: briefing(&settings).instance(),
-            trial: Referee::new(settings, grip_force_n),
+            trial: Box::new(Referee::new(settings, grip_force_n)),
         })
     }
 }
@@ -121,10 +173,10 @@ pub(super) fn scene(settings: &Settings) -> Scene {
         friction: settings.friction,
         table_friction: None,
         arm_stiffness: 1.0,
-        gripper: GripperUnit::default(),
+        gripper: settings.around.gripper,
         fixtures: vec![Fixture::table()],
         gravity: GRAVITY * settings.gravity_scale,
         marker: None,
-        visual: Visual { lighting_lux: settings.around.lighting_lux, object_color: color, ..Visual::default() },
+        visual: Visual { object_color: color, ..settings.around.visual() },
     }
 }

@@ -5,8 +5,8 @@ use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
 use super::parameters::ROWS;
-use super::{Stacking, foresight};
-use crate::arm::{Rules, base_spec, briefing, instance, measure, mode, not_a_briefing, specs};
+use super::{NAME, foresight};
+use crate::arm::{base_spec, briefing, common_measures, instance, measure, mode, not_a_briefing, specs};
 
 /// The time limit of an episode, in seconds.
 const TIME_LIMIT_S: f64 = 30.0;
@@ -57,7 +57,7 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
             mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the stack was complete."),
         ],
         draws: foresight::draw_specs(robot.settings.arm.joints.len()),
-        measures: vec![
+        measures: [
             measure(OFFSET, "m", Better::Lower, "Largest horizontal distance of a placed part from its place."),
             measure(
                 MARGIN,
@@ -67,10 +67,13 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
             ),
             measure(PEAK_FORCE, "N", Better::Lower, "Largest normal force between the robot and anything."),
             measure(SLIP, "m", Better::Lower, "Largest displacement of a part in the hand since it was held."),
-        ],
+        ]
+        .into_iter()
+        .chain(common_measures())
+        .collect(),
         phases: vec![phases::APPROACH, phases::GRASP, phases::CARRY, phases::RELEASE],
-        parameters: specs(&ROWS),
-        ..base_spec(Stacking::NAME, robot, cameras)
+        parameters: specs(&ROWS, &robot.settings.gripper),
+        ..base_spec(NAME, robot, cameras)
     }
 }
 
@@ -101,9 +104,9 @@ impl Briefing {
     /// # Errors
     /// A setup fault if the details are not those of stacking.
     pub(super) fn of(instance: &TaskInstance) -> Result<Self, Fault> {
-        let briefing: Self = briefing(Stacking::NAME, instance)?;
+        let briefing: Self = briefing(NAME, instance)?;
         match briefing.order.iter().find(|part| **part > 2) {
-            Some(part) => Err(not_a_briefing(Stacking::NAME, &format!("there is no part {part}"))),
+            Some(part) => Err(not_a_briefing(NAME, &format!("there is no part {part}"))),
             None => Ok(briefing),
         }
     }

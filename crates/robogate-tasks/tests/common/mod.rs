@@ -10,9 +10,9 @@ use robogate_physics::MujocoEngine;
 #[cfg(feature = "rapier")]
 use robogate_physics::RapierEngine;
 use robogate_physics::{Engine, JointTargets, Robot, Scene, SuctionLaw};
-use robogate_tasks::ArmTask;
 use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
 use robogate_tasks::pick_place::{PickPlace, Rules, Scripted};
+use robogate_tasks::{ArmTask, Rig};
 
 /// Creates one test per claim and engine.
 macro_rules! of_every_engine {
@@ -65,6 +65,16 @@ impl EngineKind {
         }
     }
 
+    /// This robot in the engine.
+    fn engine(self, robot: Robot, time_step_s: f64) -> Result<Box<dyn Engine>, String> {
+        Ok(match self {
+            #[cfg(feature = "mujoco")]
+            Self::Mujoco => Box::new(MujocoEngine::new(robot, time_step_s).map_err(|e| e.to_string())?),
+            #[cfg(feature = "rapier")]
+            Self::Rapier => Box::new(RapierEngine::new(robot, time_step_s).map_err(|e| e.to_string())?),
+        })
+    }
+
     pub(crate) fn time_step(self) -> f64 {
         match self {
             #[cfg(feature = "mujoco")]
@@ -84,13 +94,7 @@ pub(crate) struct TestCell {
 impl TestCell {
     /// The engine without the task.
     pub(crate) fn engine(&self) -> Box<dyn Engine> {
-        let (robot, step) = (self.robot.clone(), self.on.time_step());
-        match self.on {
-            #[cfg(feature = "mujoco")]
-            EngineKind::Mujoco => Box::new(MujocoEngine::new(robot, step).unwrap()),
-            #[cfg(feature = "rapier")]
-            EngineKind::Rapier => Box::new(RapierEngine::new(robot, step).unwrap()),
-        }
+        self.on.engine(self.robot.clone(), self.on.time_step()).unwrap()
     }
 }
 
@@ -105,20 +109,11 @@ impl Workbench for TestCell {
     }
 
     fn bench(&self, setup: &Setup) -> Result<Bench, String> {
-        let (robot, step) = (setup.robot.clone(), setup.time_step_s);
-        match self.on {
-            #[cfg(feature = "mujoco")]
-            EngineKind::Mujoco => bench(MujocoEngine::new(robot, step).map_err(|e| e.to_string())?, setup),
-            #[cfg(feature = "rapier")]
-            EngineKind::Rapier => bench(RapierEngine::new(robot, step).map_err(|e| e.to_string())?, setup),
-        }
+        let engine = self.on.engine(setup.robot.clone(), setup.time_step_s)?;
+        let policy = Scripted::new(setup.robot.clone(), engine.chain().clone());
+        let rig = Rig { suction: setup.suction, ..Rig::default() };
+        Ok((PickPlace { rules: setup.rules }.environment(engine, rig)?, Box::new(policy)))
     }
-}
-
-fn bench<E: Engine + 'static>(engine: E, setup: &Setup) -> Result<Bench, String> {
-    let policy = Scripted::new(setup.robot.clone(), engine.chain().clone());
-    let cell = PickPlace::new(engine, None)?.with_suction(setup.suction).with_rules(setup.rules)?;
-    Ok((Box::new(cell), Box::new(policy)))
 }
 
 /// Lets a scene run for this time in seconds, with the arm at home and its fingers open.
@@ -142,7 +137,7 @@ pub(crate) fn episodes(on: EngineKind, task: &dyn ArmTask, robot: &str, scenario
     let cell = on.robot(robot);
     let engine = cell.engine();
     let mut controller = task.controller(cell.robot.clone(), engine.chain().clone());
-    let mut environment = task.environment(engine, None, SuctionLaw::Vacuum, 64).unwrap();
+    let mut environment = task.environment(engine, Rig { picture_px: [64; 2], ..Rig::default() }).unwrap();
     controller.check(environment.task()).unwrap();
     scenarios.iter().map(|scenario| rollout(&mut *environment, &mut *controller, scenario)).collect()
 }

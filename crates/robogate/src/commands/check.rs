@@ -7,7 +7,8 @@ use robogate_tasks::pick_place::claims::{self, ClaimResult, Workbench};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
-use crate::subject::{EnvironmentArguments, EnvironmentSource};
+use crate::registry::CELL_TASK;
+use crate::subject::{EnvironmentArguments, named_space};
 use crate::terminal::{bold, line, note};
 
 /// Check claims by experiment.
@@ -64,10 +65,8 @@ impl Check {
 
 impl Physics {
     fn execute(&self) -> Result<u8, Exit> {
-        let source = EnvironmentSource::Cell(Box::new(self.environment.cell()?));
-        let space = Arc::new(source.space(None, false).or_usage()?);
-        let EnvironmentSource::Cell(cell) = &source else { return Ok(DONE) };
-        let cell = &**cell;
+        let cell = &self.environment.cell()?;
+        let space = Arc::new(named_space(cell.default_space()).or_usage()?);
         let fingers: &[Experiment<'_>] = &[
             ("coulomb", &|| claims::coulomb(cell, &[2.0, 4.0, 7.0])),
             ("opening", &|| claims::opening(cell, 140)),
@@ -79,18 +78,26 @@ impl Physics {
             ("gravity", &|| claims::gravity(cell)),
             ("surface_keeps", &|| claims::surface_keeps(cell, &space, 300)),
         ];
-        let any: &[Experiment<'_>] = &[
+        let parts: &[Experiment<'_>] = &[
             ("position_jitter", &|| claims::position_jitter(cell, 140)),
             ("easy_region", &|| claims::easy_region(cell, 700)),
-            ("time_step", &|| claims::time_step(cell, &space, 500)),
-            ("repeatable", &|| claims::repeatable(cell, &space, 200)),
             ("joint_limits", &|| claims::joint_limits(cell, 70)),
         ];
-        let gripper = &cell.setup().robot.settings.gripper;
-        let own = if gripper.cup().is_some() { suction } else { fingers };
-        let experiments = || own.iter().chain(any);
+        let any: &[Experiment<'_>] = &[
+            ("time_step", &|| claims::time_step(cell, &space, 500)),
+            ("repeatable", &|| claims::repeatable(cell, &space, 200)),
+        ];
+        let (task, gripper) = (cell.task().name(), &cell.setup().robot.settings.gripper);
+        // The other claims set the parameters of pick_place.
+        let own: [&[Experiment<'_>]; 2] = match gripper.cup() {
+            _ if task != CELL_TASK => [&[]; 2],
+            Some(_) => [suction, parts],
+            None => [fingers, parts],
+        };
+        let experiments = || own.into_iter().flatten().chain(any);
         if let Some(claim) = self.claims.iter().find(|claim| experiments().all(|(name, _)| name != claim)) {
-            return Err(anyhow::anyhow!("the claim {claim} does not apply to {}", gripper.description())).or_usage();
+            let gripper = gripper.description();
+            return Err(anyhow::anyhow!("the claim {claim} does not apply to {task} with {gripper}")).or_usage();
         }
         let mut found = Vec::new();
         for (name, experiment) in experiments() {

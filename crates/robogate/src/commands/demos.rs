@@ -39,9 +39,10 @@ pub(crate) struct Demos {
     /// Set the seed of the scenarios
     #[arg(long, value_name = "S", default_value_t = DEFAULT_SEED)]
     seed: u64,
-    /// Choose the parameter space: a built-in one (see `robogate list`) or a TOML file
-    #[arg(long, value_name = "NAME|FILE", default_value = "learned")]
-    space: String,
+    /// Choose the parameter space: a built-in one (see `robogate list`) or a TOML file; default: learned for pick_place,
+    /// otherwise that of the task
+    #[arg(long, value_name = "NAME|FILE")]
+    space: Option<String>,
     /// Use the scenarios in which the policy of this run failed, in order and with fresh seeds, instead of a space
     #[arg(long, value_name = "DIR", conflicts_with = "space")]
     failed_in: Option<PathBuf>,
@@ -130,7 +131,8 @@ impl Demos {
 
     /// Samples points of the space, independently and uniformly.
     fn points(&self, cell: &Cell, seed: Seed) -> Result<Vec<Assignment>, Exit> {
-        let space = named_space(&self.space).or_usage()?;
+        let own = || cell.task().demonstration_space(&cell.robot().settings.gripper);
+        let space = named_space(self.space.as_deref().unwrap_or_else(own)).or_usage()?;
         cell.check_space(&space).or_usage()?;
         let space = Arc::new(space);
         let design = Uniform.design(&space, self.n as usize, seed.stream("demonstrations")).or_usage()?;

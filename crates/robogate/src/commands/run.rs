@@ -208,7 +208,7 @@ impl Run {
         let suction = if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum };
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         let environment = self.environment.environment_of(suite.as_ref(), suction)?;
-        let environment = if papers { environment.like_the_paper() } else { environment };
+        let environment = if papers { environment.like_the_paper().or_broken()? } else { environment };
         let policy = self.policy.source_at(&self.location)?;
         self.location.check_used(policy.as_ref())?;
         let subject = Subject::new(environment, policy)?;

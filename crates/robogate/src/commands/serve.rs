@@ -48,8 +48,7 @@ impl Serve {
         let source = self.environment.environment(SuctionLaw::Vacuum)?;
         if self.physics_only {
             let EnvironmentSource::Cell(cell) = &source else {
-                return Err(anyhow!("--physics-only applies to the built-in cell\n  hint: leave out --task"))
-                    .or_usage();
+                return Err(anyhow!("--physics-only applies to tasks for an arm\n  hint: leave out --task")).or_usage();
             };
             return self.answer(Server::new(cell.physics_host().or_usage()?));
         }

@@ -10,7 +10,6 @@ use robogate_physics::{SuctionLaw, is_folder};
 use robogate_tasks::pick_place::Rules;
 use sha2::{Digest, Sha256};
 
-use crate::arm_cell::{ArmCell, ArmSettings};
 use crate::cell::{Cell, CellSettings};
 use crate::exit::{Exit, OrExit};
 use crate::origin::hex;
@@ -97,15 +96,7 @@ impl EnvironmentArguments {
                 launched: None,
             }));
         }
-        if pool.is_none() && registry::arm_task(&self.task).is_some() {
-            if self.renderer.record().is_some() {
-                return Err(anyhow!("--renderer egl cannot be used with --task {}", self.task)).or_usage();
-            }
-            return ArmCell::new(self.arm_settings(), suction)
-                .map(|cell| EnvironmentSource::Arm(Box::new(cell)))
-                .or_usage();
-        }
-        if pool.is_none() && self.task != CELL_TASK {
+        if registry::arm_task(&self.task).is_none() {
             let task = registry::task(&self.task).or_usage()?;
             self.refuse_cell_options(&self.task)?;
             return Ok(EnvironmentSource::SelfContained(task));
@@ -132,13 +123,15 @@ impl EnvironmentArguments {
         }
     }
 
-    /// The built-in cell that the arguments select, for verbs that support pick_place only.
+    /// The built-in task for an arm that the arguments select, for verbs that need its robot.
     pub(crate) fn cell(&self) -> Result<Cell, Exit> {
         match self.environment(SuctionLaw::Vacuum)? {
             EnvironmentSource::Cell(cell) => Ok(*cell),
-            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
+            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
+                let arms: Vec<&str> = registry::ARM_TASKS.iter().map(|task| task.name()).collect();
                 Err(anyhow!(
-                    "this command works with the built-in cell only\n  hint: leave out --task, --env and --simulator"
+                    "this command needs a built-in task for an arm: {}\n  hint: leave out --env and --simulator",
+                    arms.join(", ")
                 ))
                 .or_usage()
             }
@@ -148,11 +141,6 @@ impl EnvironmentArguments {
     /// The arguments as those of a recorded run.
     pub(crate) fn reopening(&self, trust: Trust) -> Reopening {
         Reopening::of(self.env.clone(), self.robot.clone(), trust, &self.simulators)
-    }
-
-    fn arm_settings(&self) -> ArmSettings {
-        let CellSettings { robot, engine, time_step_s, grip_force_n, suction, .. } = self.settings();
-        ArmSettings { task: self.task.clone(), robot, engine, time_step_s, grip_force_n, suction }
     }
 
     fn robot(&self) -> &str {
@@ -182,6 +170,7 @@ impl EnvironmentArguments {
         let name = self.engine.as_deref().unwrap_or(ENGINES[0].name);
         let engine = ENGINES.iter().find(|engine| engine.name == name);
         CellSettings {
+            task: self.task.clone(),
             robot: absolute(self.robot()),
             engine: name.to_owned(),
             time_step_s: self.time_step.unwrap_or(engine.map_or(0.0, |engine: &EngineEntry| engine.time_step_s)),

@@ -12,15 +12,13 @@ use robogate_policy::{Arm, BoundMap, Profile, TaskMap};
 use robogate_remote::message::{self, Hello, HostedPolicy};
 use robogate_remote::{Pool, RemoteEnvironment};
 use robogate_tasks::SelfContained;
-use robogate_tasks::pick_place::{Rules, ToolExpert};
 
-use crate::arm_cell::{ArmCell, ArmSettings};
 use crate::cell::{self, Cell, CellSettings};
 use crate::environments::Servers;
 use crate::exit::{Exit, OrExit};
 use crate::latency::without_latency;
 use crate::policy_source::{DeclaredPolicy, PolicySource, without_profile};
-use crate::registry::{self, CELL_TASK, ENGINES};
+use crate::registry::{self, CELL_TASK};
 use crate::remote::{self, Simulators};
 
 use super::arguments::{absolute, file_sha256};
@@ -29,10 +27,8 @@ use super::spaces::{check_declared, named_space};
 
 /// The source of environments.
 pub(crate) enum EnvironmentSource {
-    /// The built-in cell.
-    Cell(Box<Cell>),
     /// A built-in task for an arm.
-    Arm(Box<ArmCell>),
+    Cell(Box<Cell>),
     /// A built-in task that brings its own world.
     SelfContained(&'static dyn SelfContained),
     /// Servers that declare their own task.
@@ -58,29 +54,22 @@ pub(super) struct Launched {
 }
 
 impl EnvironmentSource {
-    /// The declarations of all built-in tasks except that of the built-in cell.
+    /// The declarations of all built-in tasks except the default one.
     pub(crate) fn declared_tasks() -> Result<Vec<Arc<TaskSpec>>, Exit> {
-        let arms = registry::ARM_TASKS.iter().map(|task| {
-            let settings = ArmSettings {
-                task: task.name().to_owned(),
-                robot: franka(),
-                engine: ENGINES[0].name.to_owned(),
-                time_step_s: ENGINES[0].time_step_s,
-                grip_force_n: None,
-                suction: None,
-            };
-            ArmCell::new(settings, SuctionLaw::Vacuum).map(|cell| Self::Arm(Box::new(cell)))
+        let arms = registry::ARM_TASKS.iter().filter(|task| task.name() != CELL_TASK).map(|task| {
+            let settings = CellSettings::of(task.name(), &franka());
+            Cell::new(settings, SuctionLaw::Vacuum, None).map(|cell| Self::Cell(Box::new(cell)))
         });
         let others = registry::TASKS.iter().map(|task| Ok(Self::SelfContained(*task)));
         arms.chain(others).map(|source| source.and_then(|source| source.task())).collect::<Result<_, _>>().or_setup()
     }
 
     /// The same environment with the failure modes and the workspace of the paper, if it is the built-in cell.
-    pub(crate) fn like_the_paper(mut self) -> Self {
+    pub(crate) fn like_the_paper(mut self) -> anyhow::Result<Self> {
         if let Self::Cell(cell) = &mut self {
-            cell.set_like_the_paper();
+            cell.set_like_the_paper()?;
         }
-        self
+        Ok(self)
     }
 
     /// An environment whose servers this process starts.
@@ -96,7 +85,7 @@ impl EnvironmentSource {
     fn policies(&self) -> &[HostedPolicy] {
         match self {
             Self::Remote(source) => &source.pool.hello().policies,
-            Self::Cell(_) | Self::Arm(_) | Self::SelfContained(_) => &[],
+            Self::Cell(_) | Self::SelfContained(_) => &[],
         }
     }
 
@@ -129,7 +118,6 @@ impl EnvironmentSource {
     pub(crate) fn task(&self) -> anyhow::Result<Arc<TaskSpec>> {
         Ok(match self {
             Self::Cell(cell) => Arc::clone(cell.environment()?.task()),
-            Self::Arm(cell) => Arc::clone(cell.environment()?.task()),
             Self::SelfContained(task) => task.task(),
             Self::Remote(source) => Arc::new(source.pool.hello().task.clone()),
         })
@@ -138,7 +126,7 @@ impl EnvironmentSource {
     /// Whether the same scenario and actions give the same episode.
     pub(crate) fn is_deterministic(&self) -> bool {
         match self {
-            Self::Cell(_) | Self::Arm(_) | Self::SelfContained(_) => true,
+            Self::Cell(_) | Self::SelfContained(_) => true,
             Self::Remote(source) => source.pool.hello().deterministic,
         }
     }
@@ -147,7 +135,6 @@ impl EnvironmentSource {
     pub(crate) fn environment(&self) -> anyhow::Result<Box<dyn Environment>> {
         Ok(match self {
             Self::Cell(cell) => cell.environment()?,
-            Self::Arm(cell) => cell.environment()?,
             Self::SelfContained(task) => task.environment()?,
             Self::Remote(source) => Box::new(RemoteEnvironment::new(Arc::clone(&source.pool))?),
         })
@@ -170,7 +157,6 @@ impl EnvironmentSource {
     pub(crate) fn with_pictures_of(self, picture_px: usize) -> Self {
         match self {
             Self::Cell(cell) => Self::Cell(Box::new(cell.with_pictures_of(picture_px))),
-            Self::Arm(cell) => Self::Arm(Box::new(cell.with_pictures_of(picture_px))),
             other => other,
         }
     }
@@ -180,18 +166,17 @@ impl EnvironmentSource {
         Ok(match self {
             Self::Cell(cell) => {
                 let policy: Box<dyn Policy> = match arm {
-                    Arm::ToolDelta | Arm::OscPose | Arm::ToolPose => Box::new(ToolExpert::new(cell.robot().clone())),
+                    Arm::ToolDelta | Arm::OscPose | Arm::ToolPose => {
+                        match cell.task().tool_expert(cell.robot().clone()) {
+                            Some(expert) => expert,
+                            None => return Ok(None),
+                        }
+                    }
                     Arm::JointPositions | Arm::JointDeltas => cell.controller()?,
                     Arm::Vector => return Ok(None),
                 };
                 Some(Worker { environment: cell.environment()?, policy })
             }
-            Self::Arm(cell) => match arm {
-                Arm::JointPositions | Arm::JointDeltas => {
-                    Some(Worker { environment: cell.environment()?, policy: cell.controller()? })
-                }
-                Arm::ToolDelta | Arm::OscPose | Arm::ToolPose | Arm::Vector => None,
-            },
             Self::SelfContained(task) => Some(Worker { environment: task.environment()?, policy: task.controller() }),
             Self::Remote(source) => match source.pool.hello().policies.first() {
                 Some(declared) => {
@@ -209,7 +194,6 @@ impl EnvironmentSource {
     pub(crate) fn hello(&self) -> anyhow::Result<Hello> {
         match self {
             Self::Cell(cell) => cell.hello(),
-            Self::Arm(cell) => cell.hello(),
             Self::SelfContained(task) => {
                 let engine = cell::engine(task.engine().map_err(|fault| anyhow!(fault))?);
                 let version = engine.version.unwrap_or_default();
@@ -232,7 +216,6 @@ impl EnvironmentSource {
         let space = match (wanted, self) {
             (Some(wanted), _) => named_space(wanted)?,
             (None, Self::Cell(cell)) => named_space(cell.default_space())?,
-            (None, Self::Arm(cell)) => cell.space()?,
             (None, Self::SelfContained(task)) => ParameterSpace::from_toml(task.space())?,
             (None, Self::Remote(source)) => {
                 let hello = source.pool.hello();
@@ -255,7 +238,7 @@ impl EnvironmentSource {
         match (self, own) {
             (_, None) => {}
             (Self::Cell(cell), Some(own)) => cell.check_space(&own)?,
-            (Self::Arm(_) | Self::SelfContained(_) | Self::Remote(_), Some(own)) => {
+            (Self::SelfContained(_) | Self::Remote(_), Some(own)) => {
                 check_declared(&*self.task()?, &own).with_context(|| format!("space {}", space.name()))?;
             }
         }
@@ -266,36 +249,12 @@ impl EnvironmentSource {
     pub(super) fn controller(&self) -> anyhow::Result<Box<dyn Policy>> {
         match self {
             Self::Cell(cell) => cell.controller(),
-            Self::Arm(cell) => cell.controller(),
             Self::SelfContained(task) => Ok(task.controller()),
             // A remote environment may be a built-in cell. Its scripted controller runs in this process.
-            Self::Remote(source) if source.pool.hello().task.name == CELL_TASK => {
-                let settings = CellSettings {
-                    robot: absolute(&source.robot),
-                    engine: ENGINES[0].name.to_owned(),
-                    time_step_s: ENGINES[0].time_step_s,
-                    grip_force_n: None,
-                    suction: None,
-                    renderer: None,
-                    rules: Rules::default(),
-                    simulator: None,
-                };
-                let cell = Cell::new(settings, SuctionLaw::Vacuum, None)?;
-                let hello = source.pool.hello();
-                remote::check_robot(hello, cell.robot(), &cell.robot_sha256()?)?;
-                cell.controller()
-            }
             Self::Remote(source) if registry::arm_task(source.pool.hello().task.name.as_str()).is_some() => {
                 let hello = source.pool.hello();
-                let settings = ArmSettings {
-                    task: hello.task.name.as_str().to_owned(),
-                    robot: absolute(&source.robot),
-                    engine: ENGINES[0].name.to_owned(),
-                    time_step_s: ENGINES[0].time_step_s,
-                    grip_force_n: None,
-                    suction: None,
-                };
-                let cell = ArmCell::new(settings, SuctionLaw::Vacuum)?;
+                let settings = CellSettings::of(hello.task.name.as_str(), &absolute(&source.robot));
+                let cell = Cell::new(settings, SuctionLaw::Vacuum, None)?;
                 remote::check_robot(hello, cell.robot(), &cell.robot_sha256()?)?;
                 cell.controller()
             }
@@ -310,7 +269,6 @@ impl EnvironmentSource {
         let robot = |name: String, sha256| provenance::Robot { name, sha256, dimensions: None };
         Ok(match self {
             Self::Cell(cell) => cell.provenance()?,
-            Self::Arm(cell) => cell.provenance()?,
             Self::SelfContained(task) => {
                 (cell::engine(task.engine().map_err(|fault| anyhow!(fault))?), robot(task.name().to_owned(), None))
             }

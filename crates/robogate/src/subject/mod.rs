@@ -28,6 +28,7 @@ use crate::exit::{Exit, OrExit};
 use crate::latency::{LatencyArguments, without_latency};
 use crate::origin;
 use crate::policy_source::PolicySource;
+use crate::registry::CELL_TASK;
 use crate::terminal::{note, percent};
 
 pub(crate) use arguments::{EnvironmentArguments, from_any_folder};
@@ -170,8 +171,7 @@ impl Subject {
     /// The name of the environment's own suite, if it has one.
     pub(crate) fn own_suite(&self) -> Option<&'static str> {
         match &self.environment {
-            EnvironmentSource::Cell(_) => Some("industrial-68"),
-            EnvironmentSource::Arm(cell) => Some(cell.suite()),
+            EnvironmentSource::Cell(cell) => Some(cell.task().suite()),
             EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
         }
     }
@@ -180,7 +180,7 @@ impl Subject {
     pub(crate) fn own_unit_space(&self) -> Option<&'static str> {
         match &self.environment {
             EnvironmentSource::Cell(cell) => Some(cell.unit_space()),
-            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
+            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
         }
     }
 
@@ -205,13 +205,11 @@ impl Subject {
     /// A short name for folders: that of the robot, or of the task.
     pub(crate) fn label(&self) -> String {
         match &self.environment {
-            EnvironmentSource::Cell(cell) => {
+            EnvironmentSource::Cell(cell) if cell.task().name() == CELL_TASK => {
                 let name = Path::new(&cell.settings().robot).file_name();
                 name.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
             }
-            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
-                self.task.name.as_str().to_owned()
-            }
+            _ => self.task.name.as_str().to_owned(),
         }
     }
 
@@ -239,7 +237,7 @@ impl Subject {
     pub(crate) fn servers(&self) -> Option<NonZeroUsize> {
         match &self.environment {
             EnvironmentSource::Cell(cell) => cell.servers(),
-            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) => None,
+            EnvironmentSource::SelfContained(_) => None,
             // This process starts as many as it needs.
             EnvironmentSource::Remote(RemoteSource { launched: Some(_), .. }) => None,
             EnvironmentSource::Remote(source) => NonZeroUsize::new(source.pool.len()),
@@ -285,7 +283,7 @@ impl Subject {
                 without_latency(suite.space())?.map_or(Ok(()), |space| cell.check_space(&space))
             }
             EnvironmentSource::Cell(cell) => cell.check_suite(suite),
-            EnvironmentSource::Arm(_) | EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
+            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
                 check_declared(&self.task, suite.space()).with_context(|| format!("suite {}", suite.name()))
             }
         }

@@ -10,7 +10,6 @@ use robogate_physics::{RobotFile, SuctionLaw, is_folder};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::arm_cell::{ArmCell, ArmSettings};
 use crate::cell::{self, Cell, CellSettings};
 use crate::exit::{Exit, OrExit};
 use crate::origin;
@@ -35,8 +34,6 @@ enum Recorded {
     /// Servers that declare their own task.
     Remote(RecordedServers),
     /// A built-in task for an arm.
-    Arm(ArmSettings),
-    /// The built-in cell.
     Cell(CellSettings),
 }
 
@@ -117,9 +114,7 @@ impl Parts {
             Recorded::Launched(RecordedEnvironment { environment, .. }) => {
                 Some(Program::Environment(environment.clone()))
             }
-            Recorded::Arm(ArmSettings { robot, .. })
-            | Recorded::Cell(CellSettings { robot, .. })
-            | Recorded::Remote(RecordedServers { robot, .. }) => {
+            Recorded::Cell(CellSettings { robot, .. }) | Recorded::Remote(RecordedServers { robot, .. }) => {
                 is_folder(robot).then(|| Program::Robot(robot.clone()))
             }
             Recorded::SelfContained(_) => None,
@@ -142,7 +137,6 @@ pub(crate) fn programs(provenance: &Provenance) -> Result<Vec<Program>, Exit> {
 pub(crate) fn recorded_robot(provenance: &Provenance, folder: Option<&Path>) -> Option<Vec<RobotFile>> {
     let robot = match Parts::of(provenance).ok()?.recorded {
         Recorded::Cell(settings) => settings.robot,
-        Recorded::Arm(settings) => settings.robot,
         Recorded::SelfContained(_) | Recorded::Launched(_) | Recorded::Remote(_) => return None,
     };
     if is_folder(&robot) {
@@ -202,9 +196,7 @@ impl Subject {
                 same_files("robot", &own, provenance.robot.sha256.as_ref(), Some(&now))?;
             }
             match &mut recorded {
-                Recorded::Arm(ArmSettings { robot, .. })
-                | Recorded::Cell(CellSettings { robot, .. })
-                | Recorded::Remote(RecordedServers { robot, .. }) => {
+                Recorded::Cell(CellSettings { robot, .. }) | Recorded::Remote(RecordedServers { robot, .. }) => {
                     let own = absolute(&own);
                     if own != *robot {
                         recorded_robot = Some(std::mem::replace(robot, own));
@@ -225,7 +217,7 @@ impl Subject {
         };
         let engine = &provenance.engine;
         let remote = match &recorded {
-            Recorded::SelfContained(_) | Recorded::Arm(_) => false,
+            Recorded::SelfContained(_) => false,
             Recorded::Remote(_) | Recorded::Launched(_) => true,
             Recorded::Cell(settings) => settings.simulator.is_some(),
         };
@@ -255,9 +247,6 @@ impl Subject {
             (Recorded::Launched(_), Some(pool)) => {
                 EnvironmentSource::Remote(RemoteSource { pool, robot: franka(), launched })
             }
-            (Recorded::Arm(settings), _) => {
-                EnvironmentSource::Arm(Box::new(ArmCell::new(settings, SuctionLaw::Vacuum).or_usage()?))
-            }
             (Recorded::Cell(settings), pool) => {
                 // Every run of a robot with a cup records its suction law.
                 EnvironmentSource::Cell(Box::new(Cell::new(settings, SuctionLaw::Vacuum, pool).or_setup()?))
@@ -280,7 +269,6 @@ impl EnvironmentSource {
     pub(super) fn recorded(&self) -> serde_json::Result<Value> {
         serde_json::to_value(match self {
             Self::Cell(cell) => Recorded::Cell(cell.settings().clone()),
-            Self::Arm(cell) => Recorded::Arm(cell.settings().clone()),
             Self::SelfContained(task) => Recorded::SelfContained(RecordedTask { task: task.name().to_owned() }),
             Self::Remote(RemoteSource { launched: Some(Launched { name, sha256, .. }), .. }) => {
                 Recorded::Launched(RecordedEnvironment { environment: name.clone(), sha256: sha256.clone() })

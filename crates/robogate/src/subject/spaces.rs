@@ -5,21 +5,15 @@ use std::path::Path;
 use anyhow::{Context, anyhow, bail};
 use robogate_core::{Assignment, ParameterSpace, TaskSpec};
 use robogate_dictionary::read_text;
-use robogate_tasks::pick_place::built_in_space;
+use robogate_tasks::built_in_space;
 
-use crate::cell::{self};
 use crate::registry::{self};
 use crate::terminal::foreign;
-
-use super::recorded::franka;
 
 /// Finds a parameter space by its name or file.
 pub(crate) fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
     let own = registry::TASKS.iter().find(|task| task.name() == wanted).map(|task| task.space());
-    // A task for an arm has the same parameters on every robot; its space is that of the default robot.
-    let arm =
-        registry::arm_task(wanted).map(|task| cell::robot(&franka()).map(|robot| task.space(&robot.settings.gripper)));
-    match built_in_space(wanted).or(own).or(arm.transpose()?) {
+    match built_in_space(wanted).or(own) {
         Some(text) => ParameterSpace::from_toml(text).with_context(|| wanted.to_owned()),
         None if !Path::new(wanted).exists() && !wanted.contains(['/', '.']) => {
             let known = registry::spaces().collect::<Vec<_>>().join(", ");

@@ -5,8 +5,9 @@
 //! round a computed value if both differ by less than the resolution of the state.
 
 use nalgebra::{Isometry3, Vector2};
-use robogate_physics::{FixtureKind, FixtureRead, GRAVITY, Primitive, Readback, Visual, isometry};
+use robogate_physics::{FixtureKind, FixtureRead, GRAVITY, Primitive, isometry};
 
+use crate::arm::Found;
 use crate::pick_place::cell::{ResolvedCell, TOLERANCE_M};
 use crate::pick_place::scene::target;
 use crate::pick_place::spec::Briefing;
@@ -22,14 +23,8 @@ const ROUNDING: f64 = 1e-12;
 pub(crate) struct ReadbackContext<'a> {
     /// The resolved cell, with the encoder biases of the episode.
     pub(crate) cell: &'a ResolvedCell,
-    /// State of the engine.
-    pub(crate) engine: &'a Readback,
-    /// State of the cameras.
-    pub(crate) visual: &'a Visual,
-    /// Threshold of the suction cup in metres; `None` without a cup.
-    pub(crate) grip_threshold_m: Option<f64>,
-    /// Grip force as a multiple of the robot's setting; `None` if the engine is in another process.
-    pub(crate) grip_force_scale: Option<f64>,
+    /// The state from which values are read.
+    pub(crate) found: &'a Found<'a>,
     /// The briefing that the policy receives.
     pub(crate) briefing: &'a Briefing,
 }
@@ -37,7 +32,7 @@ pub(crate) struct ReadbackContext<'a> {
 impl ReadbackContext<'_> {
     /// The engine's fixtures of this kind that match the cell exactly in pose and shape.
     fn fixtures(&self, kind: FixtureKind) -> impl Iterator<Item = &FixtureRead> {
-        self.engine.fixtures.iter().filter(move |read| {
+        self.found.engine.fixtures.iter().filter(move |read| {
             self.cell.scene.fixtures.get(read.fixture).is_some_and(|fixture| {
                 fixture.kind == kind
                     && read.primitive.is_some_and(|primitive| same_primitive(&fixture.part.primitive, &primitive))
@@ -50,7 +45,7 @@ impl ReadbackContext<'_> {
     fn displacement(&self) -> Vector2<f64> {
         let nominal = Placement::from_name(&self.cell.parameters.placement);
         let nominal = nominal.map_or([f64::NAN; 2], |placement| placement.scaled(self.cell.scale).position);
-        self.engine.object.translation.vector.xy() - Vector2::from(nominal)
+        self.found.engine.object.translation.vector.xy() - Vector2::from(nominal)
     }
 
     /// The displacement of the object by the position jitter, in metres (x, y).
@@ -63,7 +58,7 @@ impl ReadbackContext<'_> {
         let placement = placement.scaled(self.cell.scale);
         let placement = placement.moved(self.cell.parameters.offset_m).moved(self.jitter().into());
         let pose = placement.pose(self.cell.parameters.size_m);
-        same_pose(&isometry(&pose.position, &pose.orientation), &self.engine.object)
+        same_pose(&isometry(&pose.position, &pose.orientation), &self.found.engine.object)
     }
 }
 
@@ -82,16 +77,16 @@ fn same_primitive(a: &Primitive, b: &Primitive) -> bool {
 pub(super) fn size(context: &ReadbackContext<'_>) -> f64 {
     let unit = context.cell.parameters.shape.object(1.0, 1.0, 0.0);
     let extent = |part: &Primitive| part.half_extent()[0];
-    context.engine.parts.first().map_or(f64::NAN, extent) / extent(&unit.parts[0].primitive)
+    context.found.engine.parts.first().map_or(f64::NAN, extent) / extent(&unit.parts[0].primitive)
 }
 
 pub(super) fn com_offset(context: &ReadbackContext<'_>) -> f64 {
-    context.cell.parameters.shape.com_offset_of(size(context), &context.engine.centre_of_mass)
+    context.cell.parameters.shape.com_offset_of(size(context), &context.found.engine.centre_of_mass)
 }
 
 /// The shape whose parts the engine has.
 pub(super) fn shape(context: &ReadbackContext<'_>) -> String {
-    let read = &context.engine.parts;
+    let read = &context.found.engine.parts;
     let same = |shape: &Shape| {
         let parts = shape.object(context.cell.parameters.size_m, 1.0, 0.0).parts;
         parts.len() == read.len() && parts.iter().zip(read).all(|(part, read)| same_primitive(&part.primitive, read))
@@ -100,7 +95,7 @@ pub(super) fn shape(context: &ReadbackContext<'_>) -> String {
 }
 
 pub(super) fn gravity_scale(context: &ReadbackContext<'_>) -> f64 {
-    context.engine.gravity / GRAVITY
+    context.found.engine.gravity / GRAVITY
 }
 
 /// The placement of the object in the engine, or its position if no placement matches.
@@ -108,7 +103,7 @@ pub(super) fn placement(context: &ReadbackContext<'_>) -> String {
     let requested = context.cell.parameters.placement.as_str();
     let stands = |name: &&str| Placement::from_name(name).is_some_and(|placement| context.stands_at(&placement));
     let found = std::iter::once(requested).chain(Placement::NAMES).find(stands);
-    found.map_or_else(|| format!("{:.6?}", context.engine.object.translation.vector.as_slice()), str::to_owned)
+    found.map_or_else(|| format!("{:.6?}", context.found.engine.object.translation.vector.as_slice()), str::to_owned)
 }
 
 /// The offset of the object from its placement, in metres.
@@ -161,7 +156,7 @@ pub(super) fn unit_bias<const J: usize>(context: &ReadbackContext<'_>) -> f64 {
 
 /// Friction against the pads as a multiple of that against everything else. `NaN` without pads.
 pub(super) fn pad_friction_scale(context: &ReadbackContext<'_>) -> f64 {
-    match (context.engine.pad_friction, context.engine.friction) {
+    match (context.found.engine.pad_friction, context.found.engine.friction) {
         // A multiple of no friction cannot be read, and has no effect.
         (Some(pads), others) if pads.abs() + others.abs() <= 0.0 => context.cell.parameters.gripper.pad_friction_scale,
         (Some(pads), others) => pads / others,
@@ -179,12 +174,12 @@ pub(super) fn occluders(context: &ReadbackContext<'_>) -> usize {
 
 /// The requested gap if all obstacles of the engine respect it, otherwise the smallest actual gap.
 pub(super) fn obstacle_gap(context: &ReadbackContext<'_>) -> f64 {
-    let object = context.engine.object.translation.vector.xy();
+    let object = context.found.engine.object.translation.vector.xy();
     let half_diagonal = 0.5 * size(context) * std::f64::consts::SQRT_2;
     let areas = [(object, half_diagonal), (Vector2::from(target(context.cell.scale)), half_diagonal + TOLERANCE_M)];
     let scene = &context.cell.scene;
     let obstacles =
-        context.engine.fixtures.iter().filter(|read| {
+        context.found.engine.fixtures.iter().filter(|read| {
             scene.fixtures.get(read.fixture).is_some_and(|fixture| fixture.kind == FixtureKind::Obstacle)
         });
     let gaps = obstacles.flat_map(|read| {
@@ -214,7 +209,7 @@ pub(super) fn disturbance(context: &ReadbackContext<'_>) -> Disturbance {
 #[cfg(test)]
 mod tests {
     use robogate_core::{Assignment, Fault, FaultKind, Scenario, Seed, Value, check_applied};
-    use robogate_physics::{GripperUnit, built_in_robot};
+    use robogate_physics::{GripperUnit, Readback, built_in_robot};
 
     use super::*;
     use crate::pick_place::Rules;
@@ -256,14 +251,9 @@ mod tests {
         let mut grip_threshold_m = Some(cell.parameters.grip_threshold_m);
         change(&mut cell, &mut briefing, &mut grip_threshold_m);
         let (engine, visual) = (faithful(&cell), cell.scene.visual);
-        let context = ReadbackContext {
-            cell: &cell,
-            engine: &engine,
-            visual: &visual,
-            grip_threshold_m,
-            grip_force_scale: Some(cell.scene.gripper.force_scale),
-            briefing: &briefing,
-        };
+        let grip_force_scale = Some(cell.scene.gripper.force_scale);
+        let found = Found { engine: &engine, visual: &visual, grip_threshold_m, grip_force_scale };
+        let context = ReadbackContext { cell: &cell, found: &found, briefing: &briefing };
         check_applied(&scenario.requested, &context.applied(&scenario.requested))
     }
 

@@ -250,7 +250,7 @@ pub(super) static TABLE: [ParameterRow; 39] = [
         "",
         Engine,
         "Coulomb friction coefficient of the object against everything it touches.",
-        number([0.0, 10.0], 0.8, |p, x| p.friction = x, |c| c.engine.friction),
+        number([0.0, 10.0], 0.8, |p, x| p.friction = x, |c| c.found.engine.friction),
     )
     .in_family("object"),
     row(
@@ -258,7 +258,7 @@ pub(super) static TABLE: [ParameterRow; 39] = [
         "kg",
         Engine,
         "Mass of the object.",
-        number([1e-3, 100.0], 0.3, |p, x| p.mass_kg = x, |c| c.engine.mass_kg),
+        number([1e-3, 100.0], 0.3, |p, x| p.mass_kg = x, |c| c.found.engine.mass_kg),
     )
     .in_family("object"),
     row(
@@ -327,7 +327,7 @@ pub(super) static TABLE: [ParameterRow; 39] = [
         "m",
         Cup,
         "Distance to the object within which a suction cup takes hold.",
-        number([0.0, 0.1], 0.01, |p, x| p.grip_threshold_m = x, |c| c.grip_threshold_m.unwrap_or(f64::NAN)),
+        number([0.0, 0.1], 0.01, |p, x| p.grip_threshold_m = x, |c| c.found.grip_threshold_m.unwrap_or(f64::NAN)),
     )
     .in_family("gripper"),
     row(
@@ -351,7 +351,7 @@ pub(super) static TABLE: [ParameterRow; 39] = [
             range: [0.0, 10.0],
             nominal: None,
             set: |p, x| p.table_friction = Some(x),
-            read: |c| c.engine.table_friction,
+            read: |c| c.found.engine.table_friction,
         },
     ),
     row(
@@ -454,7 +454,7 @@ pub(super) static TABLE: [ParameterRow; 39] = [
         "lux",
         Cameras,
         "Illuminance on the table.",
-        number([1.0, 1e5], 500.0, |p, x| p.visual.lighting_lux = x, |c| c.visual.lighting_lux),
+        number([1.0, 1e5], 500.0, |p, x| p.visual.lighting_lux = x, |c| c.found.visual.lighting_lux),
     )
     .in_family("light"),
     row(
@@ -462,7 +462,7 @@ pub(super) static TABLE: [ParameterRow; 39] = [
         "rad",
         Cameras,
         "Rotation of each camera about its line of sight, from its nominal pose.",
-        number([-0.5, 0.5], 0.0, |p, x| p.visual.camera_roll_rad = x, |c| c.visual.camera_roll_rad),
+        number([-0.5, 0.5], 0.0, |p, x| p.visual.camera_roll_rad = x, |c| c.found.visual.camera_roll_rad),
     )
     .in_family("camera"),
     row(
@@ -470,7 +470,7 @@ pub(super) static TABLE: [ParameterRow; 39] = [
         "rad",
         Cameras,
         "Upward tilt of each camera from its nominal pose.",
-        number([-0.5, 0.5], 0.0, |p, x| p.visual.camera_pitch_rad = x, |c| c.visual.camera_pitch_rad),
+        number([-0.5, 0.5], 0.0, |p, x| p.visual.camera_pitch_rad = x, |c| c.found.visual.camera_pitch_rad),
     )
     .in_family("camera"),
     row(
@@ -478,7 +478,7 @@ pub(super) static TABLE: [ParameterRow; 39] = [
         "",
         Cameras,
         "Fraction of the light that passes through the object.",
-        number([0.0, 0.95], 0.0, |p, x| p.visual.object_transparency = x, |c| c.visual.object_transparency),
+        number([0.0, 0.95], 0.0, |p, x| p.visual.object_transparency = x, |c| c.found.visual.object_transparency),
     )
     .in_family("appearance"),
     row(
@@ -490,7 +490,7 @@ pub(super) static TABLE: [ParameterRow; 39] = [
             words: Words { choices: || TableMaterial::ALL.map(TableMaterial::as_str).into(), form: None },
             nominal: "wood",
             set: |p, word| TableMaterial::from_name(word).map(|material| p.visual.table_material = material),
-            read: |c| c.visual.table_material.as_str().to_owned(),
+            read: |c| c.found.visual.table_material.as_str().to_owned(),
         },
     )
     .in_family("appearance"),
@@ -503,7 +503,7 @@ pub(super) static TABLE: [ParameterRow; 39] = [
             words: Words { choices: || vec!["#b8bcc0"], form: Some(COLOR) },
             nominal: "#b8bcc0",
             set: |p, word| Color::from_hex(word).map(|color| p.visual.background_color = color),
-            read: |c| c.visual.background_color.to_string(),
+            read: |c| c.found.visual.background_color.to_string(),
         },
     )
     .in_family("appearance"),
@@ -516,7 +516,7 @@ pub(super) static TABLE: [ParameterRow; 39] = [
             words: Words { choices: || vec!["#c83c28"], form: Some(COLOR) },
             nominal: "#c83c28",
             set: |p, word| Color::from_hex(word).map(|color| p.visual.object_color = color),
-            read: |c| c.visual.object_color.to_string(),
+            read: |c| c.found.visual.object_color.to_string(),
         },
     )
     .in_family("appearance"),
@@ -532,7 +532,7 @@ pub(super) static TABLE: [ParameterRow; 39] = [
         "",
         ActsOn::Gripper,
         "Force of the pads, or vacuum of the cup, as a multiple of the robot's setting.",
-        number([0.05, 2.0], 1.0, |p, x| p.gripper.force_scale = x, |c| c.grip_force_scale.unwrap_or(f64::NAN)),
+        number([0.05, 2.0], 1.0, |p, x| p.gripper.force_scale = x, |c| c.found.grip_force_scale.unwrap_or(f64::NAN)),
     )
     .in_family("gripper"),
     row(

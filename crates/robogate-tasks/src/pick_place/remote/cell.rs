@@ -2,10 +2,10 @@
 
 use nalgebra::Matrix3;
 use robogate_core::Pose;
-use robogate_physics::{Chain, Fixture, FixtureKind, Motion, Part, Primitive, Robot, Visual, contact, pose};
+use robogate_physics::{Chain, Fixture, FixtureKind, Motion, Part, Primitive, Robot, Scene, Visual, contact, pose};
 use serde::{Deserialize, Serialize};
 
-use crate::pick_place::cell::{CONTROL_PERIOD_S, ResolvedCell};
+use crate::arm::CONTROL_PERIOD_S;
 
 /// The whole cell of an episode after every random draw. Units are metres, radians and newtons, in the robot's base
 /// frame.
@@ -201,13 +201,13 @@ impl Cell {
     /// # Errors
     /// If the gripper is not a parallel jaw of two slides.
     pub(super) fn new(
-        resolved: &ResolvedCell,
+        scene: &Scene,
         robot: &Robot,
         chain: &Chain,
         grip_force_n: f64,
         sha256: Option<String>,
     ) -> Result<Self, String> {
-        let (scene, arm) = (&resolved.scene, &robot.settings.arm);
+        let arm = &robot.settings.arm;
         let jaw = robot.settings.gripper.jaw().ok_or_else(|| {
             let (name, gripper) = (robot.name(), robot.settings.gripper.description());
             format!("{name} has {gripper}. Expected a parallel jaw for an engine of another process")

@@ -4,8 +4,9 @@ use robogate_core::{Fault, FaultKind, Observation, Scenario};
 use robogate_physics::{Engine, GripperCommand, GripperState, Plant, StepView, pose};
 
 use super::{RemotePeriod, RemoteReadback, RemoteSight};
+use crate::arm::CONTROL_PERIOD_S;
 use crate::pick_place::Rules;
-use crate::pick_place::cell::{CONTROL_PERIOD_S, ResolvedCell};
+use crate::pick_place::cell::ResolvedCell;
 use crate::pick_place::spec::observation;
 
 /// Largest clearance that is measured, in metres.

@@ -14,20 +14,16 @@ pub use report::{RemoteCollision, RemoteFixture, RemotePeriod, RemoteReadback, R
 
 use std::sync::Arc;
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 use robogate_camera::{Cameras, Posture};
 use robogate_core::{
-    Action, Assignment, Ending, Fault, FaultKind, Image, Infeasibility, Observation, Scenario, Start, Step, TaskSpec,
+    Action, Assignment, Ending, Fault, FaultKind, Foresight, Image, Infeasibility, Observation, Scenario, Start, Step,
+    TaskSpec,
 };
-use robogate_physics::{ArmState, Chain, Fixture, Gripper, Robot, grip_force, isometry};
+use robogate_physics::{ArmState, Chain, Fixture, Gripper, Robot, StepView, SuctionLaw, Wrench, grip_force, isometry};
 
-use crate::arm::{camera_specs, render};
-use crate::pick_place::cell::ResolvedCell;
-use crate::pick_place::judge::{Acting, Judge};
-use crate::pick_place::simulator::show;
-use crate::pick_place::spec::spec;
-use crate::pick_place::{ActsOn, parameters};
-use crate::pick_place::{PickPlaceForesight, Rules};
+use crate::arm::{Bodies, Found, Judge, Resolved, camera_specs, cameras, render, show};
+use crate::pick_place::{ActsOn, PickPlace, parameters};
 
 /// Largest distance between the reported tool pose and the tool pose computed from the reported joint positions at the
 /// start, in metres. Beyond this the engine has a different robot ...
@@ -37,12 +33,10 @@ const TOOL_OFF_RAD: f64 = 0.02;
 
 /// The task on an engine of another process.
 pub struct RemotePickPlace {
-    task: Arc<TaskSpec>,
     judge: Judge,
-    foresight: Arc<PickPlaceForesight>,
     sha256: Option<String>,
     grip_force_n: f64,
-    cell: Option<(Scenario, ResolvedCell)>,
+    cell: Option<(Scenario, Resolved)>,
     /// The cell's fixtures.
     fixtures: Vec<Fixture>,
     /// Names of the robot's bodies that were reported so far.
@@ -54,21 +48,27 @@ pub struct RemotePickPlace {
 }
 
 impl RemotePickPlace {
-    /// The task on this robot with the file hash `sha256`. `grip_force_n` replaces the robot's setting.
+    /// The task under these rules on this robot with the file hash `sha256`, with images of this width and height in
+    /// pixels. `grip_force_n` replaces the robot's setting.
     ///
     /// # Errors
     /// If the gripper is a suction cup, because its hold must be decided in every time step.
-    pub fn new(robot: Robot, chain: Chain, sha256: Option<String>, grip_force_n: Option<f64>) -> Result<Self, String> {
+    pub fn new(
+        task: PickPlace,
+        robot: Robot,
+        chain: Chain,
+        sha256: Option<String>,
+        grip_force_n: Option<f64>,
+        picture_px: [usize; 2],
+    ) -> Result<Self, String> {
         if let Gripper::Suction(_) = robot.settings.gripper {
             return Err(format!("{} has a suction cup, which is supported by the built-in engines only", robot.name()));
         }
         let grip_force_n = grip_force(&robot.settings.gripper, grip_force_n)?;
-        let judge = Judge::new(robot, chain, grip_force_n);
-        let cameras = Cameras::new(judge.robot());
+        let cameras = cameras(&robot, picture_px);
+        let specs = camera_specs(&cameras);
         Ok(Self {
-            task: Arc::new(spec(judge.robot(), camera_specs(&cameras), judge.rules())),
-            foresight: Arc::new(judge.foresight()),
-            judge,
+            judge: Judge::new(Arc::new(task), (robot, chain), grip_force_n, SuctionLaw::Vacuum, specs),
             sha256,
             grip_force_n,
             cell: None,
@@ -79,38 +79,14 @@ impl RemotePickPlace {
         })
     }
 
-    /// The same task with images of this size in pixels.
-    #[must_use]
-    pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
-        self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
-        self.declare();
-        self
-    }
-
     /// The knowledge about episodes before they run.
-    pub fn foresight(&self) -> Arc<PickPlaceForesight> {
-        Arc::clone(&self.foresight)
-    }
-
-    /// The same task under these rules.
-    ///
-    /// # Errors
-    /// If a rule is out of range.
-    pub fn with_rules(mut self, rules: Rules) -> Result<Self, String> {
-        rules.check()?;
-        self.judge.set_rules(rules);
-        self.declare();
-        Ok(self)
-    }
-
-    fn declare(&mut self) {
-        self.task = Arc::new(spec(self.judge.robot(), camera_specs(&self.cameras), self.judge.rules()));
-        self.foresight = Arc::new(self.judge.foresight());
+    pub fn foresight(&self) -> Arc<dyn Foresight> {
+        self.judge.foresight()
     }
 
     /// The task.
     pub fn task(&self) -> &Arc<TaskSpec> {
-        &self.task
+        self.judge.task()
     }
 
     /// The robot.
@@ -123,7 +99,7 @@ impl RemotePickPlace {
         self.seen = None;
         let resolved = self.judge.resolve(scenario)?;
         let (robot, chain) = (self.judge.robot(), self.judge.chain());
-        let cell = Cell::new(&resolved, robot, chain, self.grip_force_n, self.sha256.clone())
+        let cell = Cell::new(&resolved.scene, robot, chain, self.grip_force_n, self.sha256.clone())
             .map_err(|why| Fault::new(FaultKind::Setup, why))?;
         self.fixtures.clone_from(&resolved.scene.fixtures);
         self.cell = Some((scenario.clone(), resolved));
@@ -137,7 +113,7 @@ impl RemotePickPlace {
         sight: &RemoteSight,
         observation: &Observation,
     ) -> Result<Start, Fault> {
-        let Some((scenario, cell)) = self.cell.take() else {
+        let Some((scenario, resolved)) = self.cell.take() else {
             return Err(Fault::new(FaultKind::Setup, "no cell is set up"));
         };
         let tool = observation
@@ -156,12 +132,12 @@ impl RemotePickPlace {
         }
         self.bodies.clear();
         let (touches, seen) = sight.read(self.fixtures.len(), &mut self.bodies, 0.0)?;
-        let visual = show(&mut self.cameras, &cell);
+        let visual = show(&mut self.cameras, &resolved.scene);
         self.seen = Some(self.posture(observation, seen.object));
         let engine = held.into();
         // Suction cups and deviations of the gripper are supported only by an engine in this process.
-        let acting = Acting { engine: &engine, visual: &visual, grip_threshold_m: None, grip_force_scale: None };
-        self.judge.start(&scenario, cell, acting, &touches, arm_state(observation))
+        let found = Found { engine: &engine, visual: &visual, grip_threshold_m: None, grip_force_scale: None };
+        self.judge.start(&scenario, resolved, &found, &touches, arm_state(observation))
     }
 
     /// Joint positions (rad) to which the engine must drive the arm in the next control period.
@@ -180,15 +156,16 @@ impl RemotePickPlace {
         for (k, sight) in sights.iter().enumerate() {
             let share = (k + 1) as f64 / sights.len() as f64;
             let (touches, seen) = sight.read(self.fixtures.len(), &mut self.bodies, share)?;
-            self.judge.observe(&seen.with(&touches));
+            let view = seen.with(&touches);
+            self.judge.observe(&view, &OneObject(&view));
             if k + 1 == sights.len() {
                 self.seen = Some(self.posture(observation, seen.object));
             }
         }
-        let bound = self.judge.clearance_bound();
         let bodies = &self.bodies;
         let name = |body: usize| bodies.get(body).cloned().unwrap_or_default();
-        let clearance = clearance_m.filter(|clearance| *clearance < bound);
+        let clearance =
+            clearance_m.filter(|clearance| self.judge.clearance_bound().is_some_and(|bound| *clearance < bound));
         self.judge.finish(arm_state(observation), clearance, state_hash, name)
     }
 
@@ -226,6 +203,23 @@ impl RemotePickPlace {
             others: Vec::new(),
             fixtures: self.fixtures.iter().map(fixture).collect(),
         }
+    }
+}
+
+/// The only free body of the protocol. Engines of other processes report no support.
+struct OneObject<'a>(&'a StepView<'a>);
+
+impl Bodies for OneObject<'_> {
+    fn pose(&self, _: usize) -> Isometry3<f64> {
+        self.0.object
+    }
+
+    fn velocity(&self, _: usize) -> (Vector3<f64>, Vector3<f64>) {
+        self.0.velocity
+    }
+
+    fn support(&self) -> Wrench {
+        Wrench::ZERO
     }
 }
 

@@ -1,0 +1,114 @@
+//! Pick and place as a task for an arm.
+
+use std::sync::Arc;
+
+use robogate_core::{
+    Assignment, CameraSpec, Fault, Foresight, Infeasibility, ParameterSpace, Policy, Scenario, Suite, TaskInstance,
+    TaskSpec,
+};
+use robogate_physics::{Chain, Gripper, Robot, SuctionLaw};
+
+use super::cell::ResolvedCell;
+use super::referee::Referee;
+use super::spec::{Briefing, spec};
+use super::{
+    NAME, PickPlaceForesight, Rules, SUMMARY, SceneParameters, Scripted, ToolExpert, check_suite, default_space,
+    feasibility,
+};
+use crate::arm::{self, Resolved};
+use crate::spaces::unit_space;
+
+/// Pick and place under its rules.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct PickPlace {
+    /// The rules.
+    pub rules: Rules,
+}
+
+impl PickPlace {
+    /// The task under its default rules.
+    pub const DEFAULT: Self = Self { rules: Rules::DEFAULT };
+}
+
+impl arm::Rules for PickPlace {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn summary(&self) -> &'static str {
+        SUMMARY
+    }
+
+    fn space(&self, gripper: &Gripper) -> &'static str {
+        default_space(gripper)
+    }
+
+    fn unit_space(&self, gripper: &Gripper) -> &'static str {
+        unit_space(gripper)
+    }
+
+    fn suite(&self) -> &'static str {
+        "industrial-68"
+    }
+
+    fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
+        spec(robot, cameras, &self.rules)
+    }
+
+    fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved, Fault> {
+        let cell = ResolvedCell::new(scenario, robot, &self.rules)?;
+        let mut briefing = cell.briefing();
+        briefing.orientation_tolerance_rad = self.rules.orientation_tolerance_rad;
+        Ok(Resolved {
+            scene: cell.scene.clone(),
+            grip_threshold_m: cell.parameters.grip_threshold_m,
+            bias: cell.bias.clone(),
+            instance: briefing.instance(),
+            trial: Box::new(Referee::new(cell, briefing, self.rules, grip_force_n)),
+        })
+    }
+
+    fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Arc<dyn Foresight> {
+        Arc::new(PickPlaceForesight::new(robot, chain, grip_force_n, &self.rules))
+    }
+
+    fn infeasibility(
+        &self,
+        requested: &Assignment,
+        robot: &Robot,
+        grip_force_n: f64,
+        suction: SuctionLaw,
+    ) -> Option<Infeasibility> {
+        feasibility::infeasibility(requested, robot, self.rules.workspace_scale(robot), grip_force_n, suction)
+    }
+
+    fn check_space(&self, space: &ParameterSpace, gripper: &Gripper) -> Result<(), String> {
+        SceneParameters::check_space(space, Some(gripper)).map_err(|error| error.to_string())
+    }
+
+    fn check_suite(&self, suite: &Suite, gripper: &Gripper) -> Vec<String> {
+        check_suite(suite, Some(gripper)).iter().map(ToString::to_string).collect()
+    }
+
+    fn demonstration_space(&self, _: &Gripper) -> &'static str {
+        "learned"
+    }
+
+    fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault> {
+        let briefing = Briefing::of(instance)?;
+        let [x, y, z] = briefing.object_pose.position;
+        Ok([x, y, z, briefing.object_extent_m[0]])
+    }
+
+    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>> {
+        Some(Box::new(ToolExpert::new(robot)))
+    }
+
+    fn physics_only(&self) -> Result<(), &'static str> {
+        Ok(())
+    }
+
+    fn scripted(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
+        Box::new(Scripted::new(robot, chain))
+    }
+}

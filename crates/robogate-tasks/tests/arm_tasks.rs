@@ -1,0 +1,105 @@
+//! What every task for an arm has: early endings, parameters of a unit, feasibility.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod common;
+
+use robogate_core::{
+    Action, Command, FailureMode, Fault, Observation, Outcome, Policy, Seed, TaskInstance, TaskSpec, check_applied,
+    rollout,
+};
+use robogate_tasks::insertion::Insertion;
+use robogate_tasks::pick_place::PickPlace;
+use robogate_tasks::stacking::Stacking;
+use robogate_tasks::{ArmEnvironment, ArmTask, Rig};
+
+use common::{EngineKind, scenario};
+
+const TASKS: [&dyn ArmTask; 3] = [&PickPlace::DEFAULT, &Stacking, &Insertion];
+
+fn environment(task: &dyn ArmTask, robot: &str) -> ArmEnvironment {
+    task.on(EngineKind::Mujoco.robot(robot).engine(), Rig { picture_px: [16; 2], ..Rig::default() }).unwrap()
+}
+
+/// A policy that keeps its first posture and gives up.
+#[derive(Default)]
+struct Idle(Vec<f64>);
+
+impl Policy for Idle {
+    fn check(&self, _: &TaskSpec) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn reset(&mut self, _: &TaskSpec, _: &TaskInstance, _: Seed) -> Result<(), Fault> {
+        self.0.clear();
+        Ok(())
+    }
+
+    fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
+        if self.0.is_empty() {
+            self.0 = observation.joint_positions().to_vec();
+        }
+        Ok(Action { command: Command::JointPosition(self.0.clone()), gripper: Some(Action::OPEN), phase: None })
+    }
+
+    fn gave_up(&self) -> bool {
+        true
+    }
+}
+
+#[test]
+fn giving_up_ends_an_episode_early() {
+    for task in TASKS {
+        let mut environment = environment(task, "franka");
+        let episode = rollout(&mut environment, &mut Idle::default(), &scenario(0, &[]));
+        let limit_s = robogate_core::Environment::task(&environment).time_limit_s;
+        assert_eq!(episode.outcome, Outcome::Failure(FailureMode::TIMEOUT), "{}", task.name());
+        assert!((episode.time_s - limit_s).abs() < 1e-9, "{}: {} s", task.name(), episode.time_s);
+        assert!(f64::from(episode.ticks) * 0.05 < 0.25 * limit_s, "{}: {} ticks", task.name(), episode.ticks);
+        assert_eq!(episode.measures.get("feasible"), Some(1.0));
+    }
+}
+
+#[test]
+fn unit_parameters_are_applied() {
+    let fingers = [
+        ("unit_bias_1_rad", 0.004),
+        ("unit_bias_4_rad", -0.01),
+        ("grip_force_scale", 0.7),
+        ("pad_friction_scale", 0.6),
+        ("camera_roll_rad", 0.02),
+        ("camera_pitch_rad", -0.01),
+    ];
+    for task in TASKS {
+        for (robot, parameters) in [("franka", fingers.to_vec()), ("ur5e", fingers[..3].to_vec())] {
+            let mut environment = environment(task, robot);
+            let scenario = scenario(3, &parameters);
+            let start = robogate_core::Environment::reset(&mut environment, &scenario).unwrap();
+            check_applied(&scenario.requested, &start.applied).unwrap();
+        }
+    }
+}
+
+#[test]
+fn a_joint_that_the_arm_lacks_has_no_bias() {
+    for task in TASKS {
+        let scenario = scenario(3, &[("unit_bias_7_rad", 0.01)]);
+        let fault = robogate_core::Environment::reset(&mut environment(task, "ur5e"), &scenario).unwrap_err();
+        assert!(fault.detail.contains("unit_bias_7_rad"), "{}: {fault}", task.name());
+    }
+}
+
+#[test]
+fn impossible_scenarios_are_known() {
+    let impossible: [&[(&str, f64)]; 3] = [
+        &[("friction", 0.2), ("mass_kg", 1.3)],
+        &[("friction", 0.05), ("mass_kg", 2.0)],
+        // The vacuum of the cup carries 7.6 kg; a unit may have much less.
+        &[("mass_kg", 2.0), ("grip_force_scale", 0.05)],
+    ];
+    for (task, (robot, values)) in TASKS.into_iter().zip(["franka", "franka", "ur5e"].into_iter().zip(impossible)) {
+        let environment = environment(task, robot);
+        let known = |values| robogate_core::Environment::infeasibility(&environment, &scenario(0, values).requested);
+        assert!(known(values).is_some_and(|why| why.condition.contains("heavier")), "{}", task.name());
+        assert_eq!(known(&[]), None, "{}", task.name());
+    }
+}
