@@ -16,6 +16,7 @@ use robogate_physics::{Engine, MujocoEngine, built_in_robot};
 use robogate_tasks::SelfContained;
 use robogate_tasks::pendulum::Pendulum;
 use robogate_tasks::pick_place::{FRANKA_SPACE, PickPlace, Scripted};
+use robogate_tasks::{ArmTask, Rig};
 
 type Pair = (Box<dyn Environment>, Box<dyn Policy>);
 
@@ -25,7 +26,7 @@ fn main() {
     compare("pick_place", FRANKA_SPACE, episodes, &|| {
         let engine = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).unwrap();
         let policy = Scripted::new(robot.clone(), engine.chain().clone());
-        (Box::new(PickPlace::new(engine, None).unwrap()), Box::new(policy))
+        (Box::new(PickPlace::default().on(Box::new(engine), Rig::default()).unwrap()), Box::new(policy))
     });
     compare("pendulum", Pendulum.space(), episodes, &|| (Pendulum.environment().unwrap(), Pendulum.controller()));
 }

@@ -12,6 +12,7 @@ use robogate_physics::{Engine, MujocoEngine, Robot, built_in_robot};
 use robogate_tasks::SelfContained;
 use robogate_tasks::pendulum::Pendulum;
 use robogate_tasks::pick_place::{FRANKA_SPACE, PickPlace, Scripted};
+use robogate_tasks::{ArmTask, Rig};
 
 type Pair = (Box<dyn Environment>, Box<dyn Policy>);
 
@@ -67,7 +68,7 @@ fn pick_and_place_in_a_batch_equals_single_episodes() {
     let episodes = compare(FRANKA_SPACE, 16, &|| {
         let engine = MujocoEngine::new(robot(), MujocoEngine::TIME_STEP_S).unwrap();
         let policy = Scripted::new(robot(), engine.chain().clone());
-        (Box::new(PickPlace::new(engine, None).unwrap()), Box::new(policy))
+        (Box::new(PickPlace::default().on(Box::new(engine), Rig::default()).unwrap()), Box::new(policy))
     });
     assert!(differ_in_length(&episodes));
 }
