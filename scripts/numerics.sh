@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Compares outcome, time and trajectory hash of 1,500 episodes with recorded ones: 300 default episodes, three suites, four robots, two
+# Compares outcome, time and trajectory hash of 1,096 episodes with recorded ones: 300 default episodes, three suites, four robots, two
 # engines. The tests compare a part of them (crates/robogate/tests/it/numerics.rs); this takes a few minutes.
 #
 # Usage: scripts/numerics.sh [--write]; --write records the episodes after an intended change, which CHANGELOG.md lists under Numerics.
