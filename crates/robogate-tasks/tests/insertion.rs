@@ -114,7 +114,7 @@ of_every_engine! {
 
     /// Every parameter is read back at both ends of the space, so no episode is invalid.
     fn parameters_are_applied(on: EngineKind) {
-        let space = ParameterSpace::from_toml(Insertion.space(&on.robot("franka").robot.settings.gripper)).unwrap();
+        let space = ParameterSpace::from_toml(robogate_tasks::built_in_space(Insertion.space(&on.robot("franka").robot.settings.gripper)).unwrap()).unwrap();
         for end in [0, 1] {
             let mut requested = Assignment::default();
             for parameter in space.parameters() {
