@@ -52,20 +52,22 @@ fn download(work: &Path, folder: &Path, arch: &str) -> Result<(), LoadError> {
         pip.arg("--platform").arg(format!("manylinux_{glibc}_{arch}"));
     }
     pip.arg("--dest").arg(work).arg("--requirement").arg(&requirements);
-    succeed(pip)?;
+    succeed(pip, work)?;
     let library = work.join(LIBRARY);
     let mut unpack = Command::new("python3");
     unpack.args([OsStr::new("-c"), OsStr::new(UNPACK), work.as_os_str(), OsStr::new(LIBRARY), library.as_os_str()]);
-    succeed(unpack)?;
+    succeed(unpack, work)?;
     // A rename is atomic: no process sees half a library.
     fs::rename(&library, folder.join(LIBRARY)).map_err(LoadError::io(&library))
 }
 
 /// Runs a program. Its output, with pip's progress bar, goes to standard error: standard output belongs to the caller.
-fn succeed(mut command: Command) -> Result<(), LoadError> {
+fn succeed(mut command: Command, work: &Path) -> Result<(), LoadError> {
     let failed = |message: String| LoadError::Download { message };
     let program = command.get_program().to_string_lossy().into_owned();
     let status = command
+        // Python imports modules from its current folder first, and that of the user may be the folder of somebody else.
+        .current_dir(work)
         .stdin(Stdio::null())
         .stdout(io::stderr())
         .status()

@@ -182,9 +182,15 @@ impl Setup {
             fs::remove_dir_all(&folder).with_context(|| format!("cannot remove {}", folder.display())).or_broken()?;
         }
         note(format_args!("creating a Python environment for {} in {}", wanted.name, folder.display()));
-        visibly(Command::new(&python).args(["-m", "venv"]).arg(&folder)).or_broken()?;
+        // Python imports modules from its current folder first, and that of the user may be the folder of somebody else.
+        let parent = folder.parent().unwrap_or(&folder);
+        fs::create_dir_all(parent).with_context(|| format!("cannot create {}", parent.display())).or_broken()?;
+        let from_here = |program: &Path| std::path::absolute(program).unwrap_or_else(|_| program.to_owned());
+        let python = if python.components().count() > 1 { from_here(&python) } else { python };
+        visibly(Command::new(&python).args(["-m", "venv"]).arg(&folder).current_dir(parent)).or_broken()?;
         let inside = folder.join("bin/python");
         let mut pip = Command::new(&inside);
+        pip.current_dir(parent);
         pip.args(["-m", "pip", "install", "--disable-pip-version-check"]).args(&wanted.requirements);
         visibly(&mut pip).or_broken()?;
         let check: Vec<Family> = Interpreter::new(inside).or_usage()?.ask("list", &[])?;

@@ -77,10 +77,14 @@ impl Interpreter {
         &self.python
     }
 
-    /// The command `python -m robogate_eval.environments VERB`, for a [`Process`].
+    /// The command `python -m robogate_eval.environments VERB`, for a [`Process`]. Modules in the current folder are not imported: it
+    /// may be the folder of somebody else, and contain a `numpy.py`.
     pub(crate) fn command(&self, verb: &str) -> Command {
+        /// Python's option -P, which versions before 3.11 do not have.
+        const RUN: &str = "import sys; sys.path[:] = [path for path in sys.path if path]; import runpy; \
+                           runpy.run_module('robogate_eval.environments', run_name='__main__', alter_sys=True)";
         let mut command = Command::new(&self.python);
-        command.args(["-u", "-m", "robogate_eval.environments", verb]).env("PYTHONPATH", &self.python_path);
+        command.args(["-u", "-c", RUN, verb]).env("PYTHONPATH", &self.python_path);
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         // There is a server for each worker. Threads of NumPy's libraries would only compete with the other servers.
         for name in ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"] {

@@ -292,3 +292,34 @@ fn changed_programs_are_refused() {
     }
     bench.expect("replay theirs 0 --env other.py:make", 2, &[]);
 }
+
+/// Python imports from its current folder first. That may be the folder of somebody else.
+#[test]
+fn current_folder_holds_no_modules() {
+    let Some(python) =
+        robogate_testing::path("ROBOGATE_METAWORLD_PYTHON", "a Python with Meta-World, pyzmq and msgpack")
+    else {
+        return;
+    };
+    const MODULES: [&str; 6] = ["numpy.py", "runpy.py", "gymnasium.py", "zmq.py", "metaworld.py", "robogate_eval.py"];
+    let bench = Bench::new();
+    let module = format!("open({:?}, 'w').close()\n", bench.at("mark").display().to_string());
+    for name in MODULES {
+        fs::write(bench.at(name), &module).unwrap();
+    }
+    let inspect = |name: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_robogate"));
+        command.args(["env", "inspect", name, "--python"]).arg(&python).current_dir(&bench.dir);
+        command.env("ROBOGATE_CACHE_DIR", bench.at("cache")).env_remove("PYTHONPATH").output().unwrap()
+    };
+    let output = inspect("metaworld:drawer-open-v3");
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output));
+    bench.assert_untouched("env inspect", &Value::Null);
+    // A module that the user names may be there.
+    for name in MODULES {
+        fs::remove_file(bench.at(name)).unwrap();
+    }
+    fs::write(bench.at("own_world.py"), "raise ImportError('own_world was imported')\n").unwrap();
+    let printed = text(&inspect("own_world:make"));
+    assert!(printed.contains("own_world was imported"), "{printed}");
+}

@@ -27,6 +27,7 @@ import hashlib
 import importlib
 import importlib.metadata
 import importlib.util
+import os
 import sys
 from pathlib import Path
 
@@ -69,6 +70,7 @@ def find(name: str) -> Environment:
         environment = _own(_load(file), rest, name)
         digest = hashlib.sha256(file.read_bytes()).hexdigest()[:12]
         return environment if environment.source else dataclasses.replace(environment, source=f"{file.name} sha256:{digest}")
+    _from_here()
     try:
         module = importlib.import_module(first)
     except ModuleNotFoundError as error:
@@ -89,6 +91,7 @@ def _registered(identifier: str) -> Environment:
 
     module, _, own = identifier.rpartition(":")
     if module:
+        _from_here()
         importlib.import_module(module)
     try:
         specification = gymnasium.spec(own)
@@ -96,6 +99,16 @@ def _registered(identifier: str) -> Environment:
         hint = "" if module else "\n  hint: if another package registers it, gymnasium:MODULE:ID, for example gymnasium:gymnasium_robotics:HandReach-v3"
         raise UnknownEnvironment(f"gymnasium:{identifier}: {error}{hint}") from None
     return dataclasses.replace(as_environment(lambda: _make(own), own), source=_package(specification.entry_point))
+
+
+def _from_here() -> None:
+    """Let a module that the user names be in the current folder, after all installed packages.
+
+    The command starts Python without the current folder: a file in it must not replace a package.
+    """
+    here = os.getcwd()
+    if here not in sys.path:
+        sys.path.append(here)
 
 
 def _make(identifier: str):
