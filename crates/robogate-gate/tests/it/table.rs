@@ -45,7 +45,7 @@ fn gate(demand: &str, confidence: &str) -> Requirements {
 }
 
 fn judged(demand: &str, confidence: &str, [good, bad, unknown]: [usize; 3]) -> Evaluation {
-    let mode = if demand.starts_with("collision") {
+    let mode = if demand.contains(":collision ") {
         FailureMode::constant("collision")
     } else {
         FailureMode::constant("grasp_miss")
