@@ -21,7 +21,7 @@ use crate::{
     Scenario, Start, Step, TaskInstance, TaskSpec, Word, check_applied,
 };
 
-/// The measure with the simulated time at which the policy gave up ([`Policy::gave_up`]), in seconds. The rollout records
+/// The measure with the simulated time at which the policy gave up ([`crate::Policy::gave_up`]), in seconds. The rollout records
 /// it for tasks that declare it.
 pub const GAVE_UP: Word = Word::constant("gave_up_s");
 
