@@ -60,7 +60,6 @@ pub use error::PolicyError;
 pub use external::ExternalPolicy;
 pub use map::{BoundMap, CameraPiece, MapRow, Mapped, Piece, Pieces, Slice, Source, TaskMap, Unmapped, map_table};
 pub use mapping::{MappingProblem, MappingStep, compare_mappings};
-pub use onnx::network_sha256;
 pub use picture::Picture;
 pub use profile::{
     ActionForm, Arm, Axes, Camera, Chunking, Dialect, Filter, Fit, Frame, Gr00t, LeRobot, Memory, Orientation, Part,

@@ -1,5 +1,7 @@
 //! Policies on the command line and in the record of a run.
 
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,15 +10,15 @@ use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_core::{Fault, FaultKind, Observation, Policy, TaskSpec};
 use robogate_dictionary::read_text;
-use robogate_policy::{
-    Access, BoundMap, ExternalPolicy, Mapped, PolicyError, Profile, RangeCounts, TaskMap, network_sha256,
-};
+use robogate_policy::{Access, BoundMap, ExternalPolicy, Mapped, PolicyError, Profile, RangeCounts, TaskMap};
 use robogate_tasks::Random;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 
 use crate::checkpoint_statistics::CheckpointStatistics;
 use crate::duration;
 use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
+use crate::origin::hex;
 use crate::terminal::{foreign, note};
 
 /// A policy other than the environment's scripted controller.
@@ -178,7 +180,8 @@ impl ExternalSource {
         if !self.profile.dialect.is_file() || file.contains("://") {
             return Ok(());
         }
-        let now = network_sha256(Path::new(file)).map_err(policy_error)?;
+        let now =
+            network_sha256(Path::new(file)).with_context(|| format!("cannot read the policy {file}")).or_usage()?;
         if recorded == Some(now.as_str()) {
             return Ok(());
         }
@@ -366,6 +369,20 @@ impl PolicyArguments {
             (Some(policy), None) => Err(without_profile(policy)).or_usage(),
         }
     }
+}
+
+/// The SHA-256 of a network in a file, which is read and not loaded.
+fn network_sha256(file: &Path) -> io::Result<String> {
+    /// As large as a network may be.
+    const MOST_BYTES: u64 = 1 << 30;
+    let opened = File::open(file)?;
+    let metadata = opened.metadata()?;
+    if !metadata.is_file() || metadata.len() > MOST_BYTES {
+        return Err(io::Error::other("not a file of at most 1 GiB"));
+    }
+    let mut bytes = Vec::new();
+    opened.take(MOST_BYTES).read_to_end(&mut bytes)?;
+    Ok(hex(&Sha256::digest(bytes)))
 }
 
 /// Whether this can be the name of a policy that an environment declares.

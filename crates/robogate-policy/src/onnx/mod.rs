@@ -231,26 +231,11 @@ fn cannot_load(why: &str) -> String {
     format!("cannot be loaded as an ONNX model: {why}")
 }
 
-/// The SHA-256 of a network in a file, which is read and not loaded.
-///
-/// # Errors
-/// If the file cannot be read or is too large.
-pub fn network_sha256(path: &Path) -> Result<String, PolicyError> {
-    let name = path.display().to_string();
-    let bytes = read(&name).map_err(|why| PolicyError::File { path: name, why })?;
-    Ok(hex(&bytes))
-}
-
-/// The SHA-256 of these bytes in hexadecimal digits.
-fn hex(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
 /// Read and check a file.
 fn load(path: &str, profile: &Profile) -> Result<(Runnable, Description), PolicyError> {
     let invalid = |why: String| PolicyError::File { path: path.to_owned(), why };
     let bytes = read(path).map_err(invalid)?;
-    let sha256 = hex(&bytes);
+    let sha256: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
     let parsed = catch_panics(|| parse(&bytes)).and_then(|mut model| {
         let inputs = fix_inputs(&mut model, profile)?;
         Ok((model, inputs))
