@@ -66,7 +66,7 @@ fn succeed(mut command: Command, work: &Path) -> Result<(), LoadError> {
     let failed = |message: String| LoadError::Download { message };
     let program = command.get_program().to_string_lossy().into_owned();
     let status = command
-        // Python imports modules from its current folder first, and that of the user may be the folder of somebody else.
+        // Python imports modules from its current folder first. The user's current folder may contain another user's files.
         .current_dir(work)
         .stdin(Stdio::null())
         .stdout(io::stderr())

@@ -1,14 +1,15 @@
 //! The runs that this user made on this machine.
 //!
-//! The files of a run name programs: an environment in Python, a policy server, a network, a model of a robot. A run from
-//! somebody else names theirs, so a name in a file is no reason to start a program. When a run starts, its folder and
-//! the programs that it names are noted in the user's state folder. A copied, moved or edited folder has no such note.
+//! The files of a run name programs: an environment in Python, a policy server, a network, a model of a robot. The files of
+//! another user's run name that user's programs, so a program must not start because a file names it. When a run starts,
+//! this module records its folder and its programs in the user's state folder. A copied, moved or edited folder has no such
+//! record.
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use robogate_dictionary::Provenance;
+use robogate_dictionary::{Provenance, hex};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use sha2::{Digest, Sha256};
@@ -87,7 +88,7 @@ fn write(folder: &Path, noted: &Note) -> io::Result<()> {
     file.write_all(format!("{line}\n").as_bytes())
 }
 
-/// Lets nobody else write notes.
+/// Restricts a folder to this user.
 #[cfg(unix)]
 fn private(folder: &Path) -> io::Result<()> {
     use std::os::unix::fs::PermissionsExt;
@@ -124,7 +125,7 @@ fn state() -> io::Result<PathBuf> {
     path("ROBOGATE_STATE_DIR")
         .or_else(|| Some(path("XDG_STATE_HOME")?.join("robogate")))
         .or_else(|| Some(path("HOME")?.join(".local/state/robogate")))
-        .ok_or_else(|| io::Error::other("there is no state folder"))
+        .ok_or_else(|| io::Error::other("cannot find the state folder: HOME is not set"))
 }
 
 /// The hash of everything that a run names to be started. Space, plan and seed do not matter: the arms of a campaign and the units of
@@ -134,8 +135,4 @@ fn programs_sha256(provenance: &Provenance) -> String {
     // The keys of an object are sorted, so equal values have equal texts.
     let text = json!({ "world": world, "engine": engine, "robot": robot, "policy": policy }).to_string();
     hex(&Sha256::digest(text))
-}
-
-pub(crate) fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

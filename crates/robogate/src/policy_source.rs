@@ -9,7 +9,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_core::{Fault, FaultKind, Observation, Policy, TaskSpec};
-use robogate_dictionary::read_text;
+use robogate_dictionary::{hex, read_text};
 use robogate_policy::{Access, BoundMap, ExternalPolicy, Mapped, PolicyError, Profile, RangeCounts, TaskMap};
 use robogate_tasks::Random;
 use serde::{Deserialize, Serialize};
@@ -18,7 +18,6 @@ use sha2::{Digest, Sha256};
 use crate::checkpoint_statistics::CheckpointStatistics;
 use crate::duration;
 use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
-use crate::origin::hex;
 use crate::terminal::{foreign, note};
 
 /// A policy other than the environment's scripted controller.

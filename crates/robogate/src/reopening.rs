@@ -1,7 +1,7 @@
 //! How the environment and the policy of a recorded run are set up again, and what may start for that.
 //!
-//! A record names programs and never starts them: it may come from somebody else. They start if the user names them on
-//! this call, trusts the record on this call, or made the run on this machine ([`crate::origin`]).
+//! Another user may have written the record, so the programs that it names start only if the user of this call names them,
+//! trusts the record, or made the run on this machine ([`crate::origin`]).
 
 use std::fmt;
 use std::path::Path;
@@ -151,7 +151,7 @@ impl Reopening {
         provenance: &Provenance,
         programs: &[Program],
     ) -> Result<Permit, Exit> {
-        let origin = folder.and_then(|folder| origin::of(folder, provenance));
+        let origin = folder.filter(|_| !programs.is_empty()).and_then(|folder| origin::of(folder, provenance));
         let mut permit =
             Permit { environment: None, robot: None, location: self.location(), simulators: self.simulators.clone() };
         let mut unnamed = Vec::new();

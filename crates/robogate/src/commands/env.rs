@@ -182,7 +182,7 @@ impl Setup {
             fs::remove_dir_all(&folder).with_context(|| format!("cannot remove {}", folder.display())).or_broken()?;
         }
         note(format_args!("creating a Python environment for {} in {}", wanted.name, folder.display()));
-        // Python imports modules from its current folder first, and that of the user may be the folder of somebody else.
+        // Python imports modules from its current folder first. The user's current folder may contain another user's files.
         let parent = folder.parent().unwrap_or(&folder);
         fs::create_dir_all(parent).with_context(|| format!("cannot create {}", parent.display())).or_broken()?;
         let from_here = |program: &Path| std::path::absolute(program).unwrap_or_else(|_| program.to_owned());

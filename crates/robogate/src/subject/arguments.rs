@@ -6,13 +6,13 @@ use std::sync::Arc;
 use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate_core::Suite;
+use robogate_dictionary::hex;
 use robogate_physics::{SuctionLaw, is_folder};
 use robogate_tasks::pick_place::Rules;
 use sha2::{Digest, Sha256};
 
 use crate::cell::{Cell, CellSettings};
 use crate::exit::{Exit, OrExit};
-use crate::origin::hex;
 use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
 use crate::remote::Simulators;
 use crate::renderer::RendererName;
@@ -109,7 +109,7 @@ impl EnvironmentArguments {
         match suite.and_then(Suite::environment) {
             Some(name) if self.env.is_none() && self.simulators.addresses.is_empty() => {
                 self.refuse_cell_options(name)?;
-                // A file of scenarios may come from somebody else. The code of bundled environments is ours.
+                // Another user may have written the suite. Bundled environments are part of RoboGate.
                 if !is_bundled(name) {
                     return Err(anyhow!(
                         "the suite is for the environment {0}, whose code a file cannot start\n  hint: add --env {0} if you trust it",

@@ -171,7 +171,7 @@ sys.exit("the campaign hangs")
         Command::new("python3").args(["-c", CLOSE, program]).args(run).current_dir(dir.path()).output().unwrap();
     assert_eq!(output.status.code(), Some(130), "{}", String::from_utf8_lossy(&output.stderr));
     assert!(dir.path().join("r/plan.json").is_file() && !dir.path().join("r/dictionary.parquet").exists());
-    // Nobody holds the folder.
+    // No process locks the folder.
     let status = Command::new(program).args(["analyze", "r"]).current_dir(dir.path()).output().unwrap();
     assert!(!String::from_utf8_lossy(&status.stderr).contains("in use"));
 }
