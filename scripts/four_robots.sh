@@ -13,7 +13,7 @@ for robot in ur3e ur5e ur10e franka; do
         continue
     fi
     # The paper's surface gripper; the Franka has fingers.
-    suction=(--suction surface)
+    suction=(--set suction=surface)
     [ "$robot" = franka ] && suction=()
     "$robogate" run --robot "$robot" --plan docs/results/four-robots.toml "${suction[@]}" --out "$out/$robot"
 done

@@ -24,7 +24,7 @@ import terminal_image
 REPOSITORY = pathlib.Path(__file__).resolve().parent.parent
 IMAGES = REPOSITORY / "docs" / "images"
 # A grip force of 14 N per pad loses the heavy and the slippery parts of the suite.
-GATE = ["gate", "--grip-force", "14", "--seed", "1", "--out", "gate"]
+GATE = ["gate", "--set", "grip_force_n=14", "--seed", "1", "--out", "gate"]
 # Without its progress, whose rates are those of the machine.
 # The expert of Meta-World fails in some of these episodes.
 ENVIRONMENT = ["run", "--env", "metaworld:push-v3", "-n", "40", "--seed", "5", "--out", "environment", "--python"]

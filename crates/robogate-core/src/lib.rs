@@ -30,6 +30,7 @@ mod rollout;
 pub mod samplers;
 mod scenario;
 mod seed;
+mod setting;
 mod space;
 mod suite;
 mod task;
@@ -53,6 +54,7 @@ pub use rollout::{
 };
 pub use scenario::{Assignment, Scenario, Value};
 pub use seed::{Seed, Stream};
+pub use setting::SettingSpec;
 pub use space::{Correlation, Domain, Parameter, ParameterSpace, Scale, SpaceError};
 pub use suite::{Case, Published, Spread, Suite, SuiteError, SuiteProblem};
 pub use task::{

@@ -5,7 +5,10 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Action, ActionSpec, Domain, FailureMode, Observation, Parameter, ParameterSpace, Scale, Value, Word};
+use crate::{
+    Action, ActionSpec, Assignment, Domain, FailureMode, Observation, Parameter, ParameterSpace, Scale, SettingSpec,
+    Value, Word,
+};
 
 /// A task, as declared by the component that holds the world.
 ///
@@ -40,6 +43,9 @@ pub struct TaskSpec {
     /// The parameters that can vary.
     #[serde(default)]
     pub parameters: Vec<ParameterSpec>,
+    /// The settings, with their values. Absent in files of tasks without settings.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub settings: Vec<SettingSpec>,
     /// The observations that the policy receives.
     #[serde(default)]
     pub observation: ObservationSpec,
@@ -184,6 +190,43 @@ pub enum Allowed {
     },
 }
 
+impl Allowed {
+    /// Checks that a value is among these. The error names them.
+    pub fn accepts(&self, value: &Value) -> Result<(), String> {
+        let wrong = |expected: String| Err(format!("expected {expected}"));
+        match (self, value) {
+            (Self::Continuous { low, high }, Value::Number(x)) if (*low..=*high).contains(x) => Ok(()),
+            (Self::Continuous { low, high }, Value::Integer(n)) if (*low..=*high).contains(&(*n as f64)) => Ok(()),
+            (Self::Continuous { low, high }, _) => wrong(format!("a number from {low} to {high}")),
+            (Self::Integer { low, high }, Value::Integer(n)) if (*low..=*high).contains(n) => Ok(()),
+            (Self::Integer { low, high }, Value::Number(x))
+                if x.fract() == 0.0 && (*low as f64..=*high as f64).contains(x) =>
+            {
+                Ok(())
+            }
+            (Self::Integer { low, high }, _) => wrong(format!("an integer from {low} to {high}")),
+            (Self::Categorical { choices, open }, Value::Category(word)) if *open || choices.contains(word) => Ok(()),
+            (Self::Categorical { choices, .. }, _) => wrong(format!("one of {}", choices.join(", "))),
+        }
+    }
+
+    /// Rejects an empty or an infinite range.
+    fn check(&self) -> Result<(), String> {
+        match self {
+            Self::Continuous { low, high } if !(low.is_finite() && high.is_finite() && low <= high) => {
+                Err(format!("the range {low} to {high} is not valid: expected finite numbers in increasing order"))
+            }
+            Self::Integer { low, high } if low > high => {
+                Err(format!("the range {low} to {high} is not valid: expected integers in increasing order"))
+            }
+            Self::Categorical { choices, .. } if choices.is_empty() => {
+                Err("`choices` is empty; expected at least one".to_owned())
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
 /// The specification of the observations.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ObservationSpec {
@@ -241,6 +284,7 @@ impl TaskSpec {
             ("draws", self.draws.len()),
             ("phases", self.phases.len()),
             ("parameters", self.parameters.len()),
+            ("settings", self.settings.len()),
             ("observation.vectors", self.observation.vectors.len()),
             ("observation.cameras", self.observation.cameras.len()),
         ];
@@ -252,10 +296,19 @@ impl TaskSpec {
         unique("draws", self.draws.iter().map(|draw| draw.name.as_str()))?;
         unique("phases", self.phases.iter().map(|phase| phase.as_str()))?;
         unique("parameters", self.parameters.iter().map(|parameter| &*parameter.name))?;
+        unique("settings", self.settings.iter().map(|setting| &*setting.name))?;
         unique("observation.vectors", self.observation.vectors.iter().map(|vector| vector.name.as_str()))?;
         unique("observation.cameras", self.observation.cameras.iter().map(|camera| &*camera.name))?;
         self.action.check().map_err(TaskError::Action)?;
-        self.parameters.iter().try_for_each(ParameterSpec::check)
+        self.parameters.iter().try_for_each(ParameterSpec::check)?;
+        self.settings.iter().try_for_each(|setting| {
+            let values = || setting.default.iter().chain(&setting.value).try_for_each(|value| setting.accepts(value));
+            setting
+                .allowed
+                .check()
+                .and_then(|()| values())
+                .map_err(|problem| TaskError::Setting { setting: setting.name.to_string(), problem })
+        })
     }
 
     /// The time limit as a number of control periods.
@@ -291,6 +344,12 @@ impl TaskSpec {
     /// The measure with this name.
     pub fn measure(&self, name: &str) -> Option<&MeasureSpec> {
         self.measures.iter().find(|measure| measure.name == name)
+    }
+
+    /// The values of the settings.
+    pub fn setting_values(&self) -> Assignment {
+        let valued = |setting: &SettingSpec| Some((Arc::clone(&setting.name), setting.value.clone()?));
+        self.settings.iter().filter_map(valued).collect()
     }
 
     /// The parameter with this name.
@@ -363,23 +422,7 @@ impl ParameterSpec {
 
     /// Checks that the environment accepts a value. The error names the accepted values.
     pub fn accepts(&self, value: &Value) -> Result<(), String> {
-        let wrong = |expected: String| Err(format!("parameter `{}` = {value}: expected {expected}", self.name));
-        match (&self.allowed, value) {
-            (Allowed::Continuous { low, high }, Value::Number(x)) if (*low..=*high).contains(x) => Ok(()),
-            (Allowed::Continuous { low, high }, Value::Integer(n)) if (*low..=*high).contains(&(*n as f64)) => Ok(()),
-            (Allowed::Continuous { low, high }, _) => wrong(format!("a number from {low} to {high}")),
-            (Allowed::Integer { low, high }, Value::Integer(n)) if (*low..=*high).contains(n) => Ok(()),
-            (Allowed::Integer { low, high }, Value::Number(x))
-                if x.fract() == 0.0 && (*low as f64..=*high as f64).contains(x) =>
-            {
-                Ok(())
-            }
-            (Allowed::Integer { low, high }, _) => wrong(format!("an integer from {low} to {high}")),
-            (Allowed::Categorical { choices, open }, Value::Category(word)) if *open || choices.contains(word) => {
-                Ok(())
-            }
-            (Allowed::Categorical { choices, .. }, _) => wrong(format!("one of {}", choices.join(", "))),
-        }
+        self.allowed.accepts(value).map_err(|expected| format!("parameter `{}` = {value}: {expected}", self.name))
     }
 
     fn check(&self) -> Result<(), TaskError> {
@@ -387,19 +430,8 @@ impl ParameterSpec {
         if self.name.is_empty() || !self.name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_') {
             return wrong("the name is invalid: expected letters, digits and underscores".to_owned());
         }
-        match &self.allowed {
-            Allowed::Continuous { low, high } if !(low.is_finite() && high.is_finite() && low <= high) => {
-                return wrong(format!(
-                    "the range {low} to {high} is not valid: expected finite numbers in increasing order"
-                ));
-            }
-            Allowed::Integer { low, high } if low > high => {
-                return wrong(format!("the range {low} to {high} is not valid: expected integers in increasing order"));
-            }
-            Allowed::Categorical { choices, .. } if choices.is_empty() => {
-                return wrong("`choices` is empty; expected at least one".to_owned());
-            }
-            _ => {}
+        if let Err(why) = self.allowed.check() {
+            return wrong(why);
         }
         match &self.nominal {
             None if self.family.is_some() => {
@@ -456,6 +488,14 @@ pub enum TaskError {
     Parameter {
         /// The name.
         parameter: String,
+        /// The problem.
+        problem: String,
+    },
+    /// A setting with an invalid declaration.
+    #[error("setting `{setting}`: {problem}")]
+    Setting {
+        /// The name.
+        setting: String,
         /// The problem.
         problem: String,
     },

@@ -11,8 +11,8 @@ use robogate_core::{Action, Command, Fault, Image, Observation, Policy, Pose, Se
 use robogate_demos::{Dataset, DatasetError, Demonstration, Recorder};
 use robogate_physics::{Engine, MujocoEngine, built_in_robot};
 use robogate_tasks::ArmTask;
+use robogate_tasks::pick_place::PickPlace;
 use robogate_tasks::pick_place::spec::{Briefing, spec};
-use robogate_tasks::pick_place::{PickPlace, Rules};
 
 /// An expert that keeps moving the first joint.
 struct Onward;
@@ -50,7 +50,7 @@ fn instance() -> TaskInstance {
 
 fn demonstration(frames: usize, sigma_m: f64) -> (Demonstration, Vec<Action>) {
     let robot = built_in_robot("franka").unwrap();
-    let task = spec(&robot, Vec::new(), &Rules::default());
+    let task = spec(&robot, Vec::new(), &PickPlace::DEFAULT);
     let chain = MujocoEngine::new(robot, 0.002).unwrap().chain().clone();
     let mut recorder = Recorder::new(
         Box::new(Onward),

@@ -33,6 +33,7 @@ impl World {
             draws: Vec::new(),
             phases: Vec::new(),
             parameters: Vec::new(),
+            settings: Vec::new(),
             observation: ObservationSpec {
                 vectors: vec![VectorSpec { name: POSITION, length: 1, unit: "m".to_owned() }],
                 cameras: Vec::new(),

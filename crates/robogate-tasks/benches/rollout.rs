@@ -28,7 +28,9 @@ fn main() {
         let policy = Scripted::new(robot.clone(), engine.chain().clone());
         (Box::new(PickPlace::default().on(Box::new(engine), Rig::default()).unwrap()), Box::new(policy))
     });
-    compare("pendulum", Pendulum.space(), episodes, &|| (Pendulum.environment().unwrap(), Pendulum.controller()));
+    compare("pendulum", Pendulum::DEFAULT.space(), episodes, &|| {
+        (Pendulum::DEFAULT.environment().unwrap(), Pendulum::DEFAULT.controller())
+    });
 }
 
 fn compare(name: &str, space: &str, episodes: usize, pair: &dyn Fn() -> Pair) {

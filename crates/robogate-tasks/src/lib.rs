@@ -11,10 +11,11 @@ pub mod pendulum;
 pub mod pick_place;
 mod random;
 mod self_contained;
+mod settings;
 mod spaces;
 pub mod stacking;
 
-pub use arm::{ArmEnvironment, ArmTask, Rig};
+pub use arm::{ArmEnvironment, ArmSettings, ArmTask, Rig};
 pub use random::Random;
 pub use self_contained::SelfContained;
 pub use spaces::{built_in_space, built_in_spaces};

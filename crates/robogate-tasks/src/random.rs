@@ -103,7 +103,7 @@ mod tests {
     }
 
     fn arm() -> TaskSpec {
-        spec(&built_in_robot("franka").unwrap(), Vec::new(), &crate::pick_place::Rules::default())
+        spec(&built_in_robot("franka").unwrap(), Vec::new(), &crate::pick_place::PickPlace::DEFAULT)
     }
 
     #[test]

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use robogate_core::{Environment, Fault, Policy, TaskSpec};
+use robogate_core::{Assignment, Environment, Fault, Policy, SettingSpec, TaskSpec};
 use robogate_physics::EngineBuild;
 
 /// A built-in task with its own world and engine. The user chooses neither robot nor engine.
-pub trait SelfContained: Sync {
+pub trait SelfContained: Send + Sync {
     /// The name on the command line, as in the declaration.
     fn name(&self) -> &'static str;
 
@@ -15,6 +15,15 @@ pub trait SelfContained: Sync {
 
     /// The task specification.
     fn task(&self) -> Arc<TaskSpec>;
+
+    /// The settings, with the values of this task.
+    fn settings(&self) -> Vec<SettingSpec>;
+
+    /// The same task with these values of its settings.
+    ///
+    /// # Errors
+    /// A setting that the task does not have, or a value that it does not accept. The error names what is accepted.
+    fn with(&self, settings: &Assignment) -> Result<Arc<dyn SelfContained>, String>;
 
     /// The parameter space, as TOML.
     fn space(&self) -> &'static str;

@@ -14,7 +14,7 @@ use robogate_tasks::{ArmEnvironment, ArmTask, Rig};
 
 use common::{EngineKind, scenario};
 
-const TASKS: [&dyn ArmTask; 3] = [&PickPlace::DEFAULT, &Stacking, &Insertion];
+const TASKS: [&dyn ArmTask; 3] = [&PickPlace::DEFAULT, &Stacking::DEFAULT, &Insertion::DEFAULT];
 
 fn environment(task: &dyn ArmTask, robot: &str) -> ArmEnvironment {
     task.on(EngineKind::Mujoco.robot(robot).engine(), Rig { picture_px: [16; 2], ..Rig::default() }).unwrap()

@@ -45,16 +45,18 @@ fn differ_in_length(episodes: &[Episode]) -> bool {
 
 #[test]
 fn pendulums_in_a_batch_equal_single_ones() {
-    let episodes = compare(Pendulum.space(), 64, &|| (Pendulum.environment().unwrap(), Pendulum.controller()));
+    let episodes = compare(Pendulum::DEFAULT.space(), 64, &|| {
+        (Pendulum::DEFAULT.environment().unwrap(), Pendulum::DEFAULT.controller())
+    });
     assert!(differ_in_length(&episodes));
 }
 
 #[test]
 fn delayed_pendulums_in_a_batch_equal_single_ones() {
-    let episodes = compare(Pendulum.space(), 10, &|| {
+    let episodes = compare(Pendulum::DEFAULT.space(), 10, &|| {
         let latency = Latency::Gamma { mean_s: 0.08, sd_s: 0.05 };
         let execution = Execution { latency, mode: ExecutionMode::Queue };
-        with_latency(Pendulum.environment().unwrap(), Pendulum.controller(), execution)
+        with_latency(Pendulum::DEFAULT.environment().unwrap(), Pendulum::DEFAULT.controller(), execution)
     });
     assert!(episodes.iter().all(|episode| episode.draws.get("inference_latency_mean_s").is_some()));
 }

@@ -12,7 +12,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Assignment, FailureMode, Outcome, ParameterSpace, Scenario, Seed, Suite, Value, rollout};
 use robogate_physics::{FixtureKind, Gripper, JointTargets, Scene, built_in_robot};
 use robogate_tasks::pick_place::claims::{self, ClaimResult, Setup, Workbench};
-use robogate_tasks::pick_place::{self, Placement, Rules, SceneParameters, Shape, built_in_space};
+use robogate_tasks::pick_place::{self, Placement, SceneParameters, Shape, built_in_space};
 
 fn confirm(result: Result<ClaimResult, String>) {
     let result = result.unwrap();
@@ -348,7 +348,7 @@ of_every_engine! {
     /// In the paper's workspace, the target and all placements except the near ones are beyond the reach of a UR3e, 0.5 m.
     fn ur3e_times_out_beyond_reach(on: EngineKind) {
         let cell = on.robot("ur3e");
-        let setup = Setup { rules: Rules::default().like_the_paper(), ..cell.setup() };
+        let setup = Setup { settings: [("workspace".into(), Value::Category("paper".into()))].into_iter().collect(), ..cell.setup() };
         let (mut simulator, mut policy) = cell.bench(&setup).unwrap();
         for name in ["edge_0", "edge_90", "left_0"] {
             let [x, y] = Placement::from_name(name).unwrap().position;

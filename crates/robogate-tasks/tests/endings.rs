@@ -13,11 +13,13 @@ use robogate_core::{
 };
 use robogate_tasks::pick_place::claims::{Bench, Workbench};
 use robogate_tasks::pick_place::spec::{Briefing, JAM, MISPLACED};
-use robogate_tasks::pick_place::{ModeSet, Placement, Rules, Shape};
+use robogate_tasks::pick_place::{ModeSet, PickPlace, Placement, Shape};
+use robogate_tasks::{ArmSettings, ArmTask};
 
-fn bench(rules: Rules) -> Bench {
+fn bench(task: PickPlace) -> Bench {
     let cell = EngineKind::Mujoco.franka();
-    let setup = robogate_tasks::pick_place::claims::Setup { rules, ..cell.setup() };
+    let settings = task.settings().into_iter().filter_map(|spec| Some((spec.name, spec.value?))).collect();
+    let setup = robogate_tasks::pick_place::claims::Setup { settings, ..cell.setup() };
     cell.bench(&setup).unwrap()
 }
 
@@ -63,7 +65,7 @@ impl<F: Fn(&mut Briefing)> Policy for Changed<F> {
 
 #[test]
 fn pressing_on_a_wide_part_is_a_jam() {
-    let (mut environment, mut policy) = bench(Rules::default());
+    let (mut environment, mut policy) = bench(PickPlace::DEFAULT);
     let mut events = Vec::new();
     let episode = rollout_with(&mut *environment, &mut *policy, &scenario(0, &wide()), &mut |tick| {
         events.extend(tick.step.events.iter().cloned());
@@ -81,21 +83,21 @@ fn pressing_on_a_wide_part_is_a_jam() {
 }
 
 #[test]
-fn limits_of_a_jam_are_rules() {
-    for rules in [
-        Rules { jam_force_n: 1e4, ..Rules::default() },
-        Rules { jam_duration_s: 14.9, ..Rules::default() },
-        Rules { modes: ModeSet::Paper, ..Rules::default() },
+fn limits_of_a_jam_are_settings() {
+    for task in [
+        PickPlace { jam_force_n: 1e4, ..PickPlace::DEFAULT },
+        PickPlace { jam_duration_s: 14.9, ..PickPlace::DEFAULT },
+        PickPlace { modes: ModeSet::Paper, ..PickPlace::DEFAULT },
     ] {
-        let episode = run(&mut bench(rules), &scenario(0, &wide()));
-        assert_eq!(episode.outcome, Outcome::Failure(FailureMode::TIMEOUT), "{rules:?}");
+        let episode = run(&mut bench(task), &scenario(0, &wide()));
+        assert_eq!(episode.outcome, Outcome::Failure(FailureMode::TIMEOUT), "{task:?}");
     }
 }
 
 #[test]
 fn paper_modes_are_the_published_ones() {
     let modes = |modes| {
-        let (environment, _) = bench(Rules { modes, ..Rules::default() });
+        let (environment, _) = bench(PickPlace { modes, ..PickPlace::DEFAULT });
         let task = environment.task().clone();
         task.modes().map(|mode| (mode, task.published_mode(mode))).collect::<Vec<_>>()
     };
@@ -107,7 +109,7 @@ fn paper_modes_are_the_published_ones() {
 
 #[test]
 fn part_beside_the_target_is_misplaced() {
-    let (mut environment, policy) = bench(Rules::default());
+    let (mut environment, policy) = bench(PickPlace::DEFAULT);
     let beside = |briefing: &mut Briefing| briefing.target_pose.position[1] -= 0.1;
     let mut policy = Changed { inner: policy, change: beside, hides: false };
     let episode = rollout(&mut *environment, &mut policy, &scenario(0, &[]));
@@ -118,7 +120,8 @@ fn part_beside_the_target_is_misplaced() {
 
 #[test]
 fn time_limit_ends_the_episode() {
-    let mut short = bench(Rules { time_limit_s: 3.0, ..Rules::default() });
+    let mut short =
+        bench(PickPlace { arm: ArmSettings { time_limit_s: 3.0, ..PickPlace::DEFAULT.arm }, ..PickPlace::DEFAULT });
     let episode = run(&mut short, &scenario(0, &[]));
     assert_eq!((episode.outcome, episode.ticks), (Outcome::Failure(FailureMode::TIMEOUT), 60));
     assert!((episode.time_s - 3.0).abs() < 1e-9);
@@ -132,16 +135,16 @@ fn episode_waits_for_the_moving_box() {
         ("disturbance_y_m", Value::Number(-1.0)),
         ("disturbance_travel_m", Value::Number(0.1)),
     ];
-    let episode = run(&mut bench(Rules::default()), &scenario(0, &[&wide()[..], &moving].concat()));
+    let episode = run(&mut bench(PickPlace::DEFAULT), &scenario(0, &[&wide()[..], &moving].concat()));
     assert_eq!(episode.outcome, Outcome::Failure(JAM));
     assert!((181..200).contains(&episode.ticks), "{} control periods", episode.ticks);
 }
 
 #[test]
 fn ending_early_changes_no_outcome() {
-    let (mut environment, policy) = bench(Rules::default());
+    let (mut environment, policy) = bench(PickPlace::DEFAULT);
     let mut patient = Changed { inner: policy, change: |_: &mut Briefing| {}, hides: true };
-    let mut early = bench(Rules::default());
+    let mut early = bench(PickPlace::DEFAULT);
     for index in 0..12 {
         let pairs = [
             ("size_m", Value::Number(0.03 + 0.007 * index as f64)),
@@ -162,7 +165,7 @@ fn ending_early_changes_no_outcome() {
 
 #[test]
 fn orientation_can_be_required() {
-    let strict = Rules { orientation_tolerance_rad: Some(5.0 * PI / 180.0), ..Rules::default() };
+    let strict = PickPlace { orientation_tolerance_rad: 5.0 * PI / 180.0, ..PickPlace::DEFAULT };
     let turned = [("placement", Value::Category("rotated_45".into())), ("shape", Value::Category("L_shape".into()))];
     let episode = run(&mut bench(strict), &scenario(0, &turned));
     assert_eq!(episode.outcome, Outcome::Success, "the controller aligns the part");

@@ -100,21 +100,21 @@ of_every_engine! {
                 scenario(1, &[("hole_jitter_m", 0.002)]),
                 scenario(2, &[("clearance_m", 0.0005), ("hole_jitter_m", 0.001)]),
             ];
-            let found: Vec<Episode> = episodes(on, &Insertion, robot, &scenarios);
+            let found: Vec<Episode> = episodes(on, &Insertion::DEFAULT, robot, &scenarios);
             found.iter().for_each(|episode| assert_eq!(outcome(episode), "success", "{robot}: {episode:#?}"));
         }
     }
 
     fn distant_pegs_are_missed(on: EngineKind) {
         let scenarios: Vec<Scenario> = (0..4).map(|index| scenario(index, &[("peg_jitter_m", 0.03)])).collect();
-        let found = episodes(on, &Insertion, "ur5e", &scenarios);
+        let found = episodes(on, &Insertion::DEFAULT, "ur5e", &scenarios);
         let failures = found.iter().filter(|episode| ["missed", "dropped"].contains(&outcome(episode)));
         assert!(failures.count() > 0, "{:?}", found.iter().map(outcome).collect::<Vec<_>>());
     }
 
     /// Every parameter is read back at both ends of the space, so no episode is invalid.
     fn parameters_are_applied(on: EngineKind) {
-        let space = ParameterSpace::from_toml(robogate_tasks::built_in_space(Insertion.space(&on.robot("franka").robot.settings.gripper)).unwrap()).unwrap();
+        let space = ParameterSpace::from_toml(robogate_tasks::built_in_space(Insertion::DEFAULT.space(&on.robot("franka").robot.settings.gripper)).unwrap()).unwrap();
         for end in [0, 1] {
             let mut requested = Assignment::default();
             for parameter in space.parameters() {
@@ -122,14 +122,14 @@ of_every_engine! {
             }
             requested.set("lighting_lux", Value::Integer(700));
             let scenario = Scenario { index: 3, seed: Seed::campaign(5).episode(3), requested };
-            outcome(&episodes(on, &Insertion, "franka", &[scenario])[0]);
+            outcome(&episodes(on, &Insertion::DEFAULT, "franka", &[scenario])[0]);
         }
     }
 
     fn episodes_repeat_bit_for_bit(on: EngineKind) {
         let parameters = [("hole_jitter_m", 0.002), ("peg_jitter_m", 0.002), ("encoder_bias_rad", 0.001)];
         let scenarios = [scenario(7, &parameters)];
-        let hashes = || episodes(on, &Insertion, "ur5e", &scenarios).into_iter().map(|e| (e.time_s, e.trajectory_hash));
+        let hashes = || episodes(on, &Insertion::DEFAULT, "ur5e", &scenarios).into_iter().map(|e| (e.time_s, e.trajectory_hash));
         assert!(hashes().eq(hashes()));
     }
 }

@@ -23,8 +23,8 @@ struct Remote<E> {
 impl<E: Engine> Remote<E> {
     fn new(engine: E) -> Self {
         let (robot, chain) = (engine.robot().clone(), engine.chain().clone());
-        let task = RemotePickPlace::new(PickPlace::default(), robot, chain, None, None, [64; 2]).unwrap();
-        Self { host: PhysicsHost::new(engine, None).unwrap(), task, tamper: |_| {} }
+        let task = RemotePickPlace::new(PickPlace::default(), robot, chain, None, [64; 2]).unwrap();
+        Self { host: PhysicsHost::new(engine, PickPlace::DEFAULT).unwrap(), task, tamper: |_| {} }
     }
 }
 
@@ -124,7 +124,7 @@ fn impossible_reports_make_an_episode_invalid() {
     invalid(&mut remote, &mut policy, |p| p.sights[0].opening_m = None, "no opening");
     invalid(&mut remote, &mut policy, |p| p.sights[0].object_pose.orientation = [0.0; 4], "not a unit quaternion");
 
-    let mut task = RemotePickPlace::new(PickPlace::default(), robot, chain, None, None, [64; 2]).unwrap();
+    let mut task = RemotePickPlace::new(PickPlace::default(), robot, chain, None, [64; 2]).unwrap();
     let mut start = |change: fn(&mut robogate_tasks::pick_place::remote::RemoteReadback, &mut Observation)| {
         task.resolve(scenario).unwrap();
         let (mut held, sight, mut observation) = remote.host.reset(scenario).unwrap();
@@ -143,15 +143,8 @@ fn impossible_reports_make_an_episode_invalid() {
     let other = start(|_, observation| raise_tool(observation, 0.02)).unwrap_err();
     assert!(other.detail.contains("a different robot"), "{other}");
     assert!(
-        RemotePickPlace::new(
-            PickPlace::default(),
-            built_in_robot("ur5e").unwrap(),
-            remote.chain(),
-            None,
-            None,
-            [64; 2]
-        )
-        .is_err()
+        RemotePickPlace::new(PickPlace::default(), built_in_robot("ur5e").unwrap(), remote.chain(), None, [64; 2])
+            .is_err()
     );
 }
 

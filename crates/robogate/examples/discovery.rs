@@ -132,7 +132,7 @@ fn score(test: &str, partners: &str, runs: &[&str]) -> anyhow::Result<()> {
     let robot = built_in_robot(&dictionary.provenance().robot.name)?;
     let engine = MujocoEngine::new(robot, MujocoEngine::TIME_STEP_S)?;
     let task = dictionary.provenance().task.name;
-    let tasks: [&dyn ArmTask; 3] = [&PickPlace::DEFAULT, &Insertion, &Stacking];
+    let tasks: [&dyn ArmTask; 3] = [&PickPlace::DEFAULT, &Insertion::DEFAULT, &Stacking::DEFAULT];
     let of = tasks.into_iter().find(|of| task == *of.name()).with_context(|| format!("unknown task {task}"))?;
     let rig = Rig { picture_px: [PICTURE_PX; 2], ..Rig::default() };
     let foresight = of.environment(Box::new(engine), rig).map(|of| of.foresight());

@@ -16,20 +16,20 @@ struct Workers;
 
 impl WorkerFactory for Workers {
     fn worker(&self) -> Result<Worker, Fault> {
-        Ok(Worker { environment: Pendulum.environment()?, policy: Pendulum.controller() })
+        Ok(Worker { environment: Pendulum::DEFAULT.environment()?, policy: Pendulum::DEFAULT.controller() })
     }
 }
 
 fn main() -> anyhow::Result<()> {
-    let (folder, task) = (tempfile::tempdir()?, Pendulum.task());
+    let (folder, task) = (tempfile::tempdir()?, Pendulum::DEFAULT.task());
     let provenance = Provenance {
         tool: Tool::robogate(),
         schema_version: SCHEMA_VERSION,
         build: None,
-        engine: Engine { name: Pendulum.engine()?.name.to_owned(), version: None, build_sha256: None },
+        engine: Engine { name: Pendulum::DEFAULT.engine()?.name.to_owned(), version: None, build_sha256: None },
         robot: Robot { name: task.name.to_string(), sha256: None, dimensions: None },
         policy: "scripted".to_owned(),
-        space: ParameterSpace::from_toml(Pendulum.space())?,
+        space: ParameterSpace::from_toml(Pendulum::DEFAULT.space())?,
         question_sha256: None,
         platform: Some(Platform::here()),
         task: task.clone(),

@@ -10,13 +10,12 @@ use robogate_core::{Assignment, Environment, ParameterSpace, Policy, Scenario, S
 use robogate_demos::Recorder;
 use robogate_dictionary::{provenance, robot_sha256};
 use robogate_physics::{
-    Chain, Engine, EngineBuild, Gripper, Robot, RobotError, RobotFile, SuctionLaw, WORKSPACE_CENTRE, built_in_robot,
-    grip_force, is_folder,
+    Chain, Engine, EngineBuild, Robot, RobotError, RobotFile, WORKSPACE_CENTRE, built_in_robot, is_folder,
 };
 use robogate_remote::message::{self, Hello};
 use robogate_remote::{Pool, RemotePhysics};
 use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
-use robogate_tasks::pick_place::{PickPlace, Rules, remote};
+use robogate_tasks::pick_place::{PickPlace, remote};
 use robogate_tasks::{ArmTask, Rig};
 use serde::{Deserialize, Serialize};
 
@@ -38,18 +37,9 @@ pub(crate) struct CellSettings {
     pub(crate) engine: String,
     /// The engine's time step, in seconds.
     pub(crate) time_step_s: f64,
-    /// Normal force of each pad, in newtons. `None` for the robot's default.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) grip_force_n: Option<f64>,
-    /// How a suction cup holds an object. `None` for a gripper without one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) suction: Option<SuctionLaw>,
     /// The renderer of the cameras. `None` for the embedded one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) renderer: Option<RendererRecord>,
-    /// The rules of pick_place.
-    #[serde(default, skip_serializing_if = "Rules::are_default")]
-    pub(crate) rules: Rules,
     /// Whether the engine runs in physics servers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) simulator: Option<Physics>,
@@ -72,10 +62,7 @@ impl CellSettings {
             robot: robot.to_owned(),
             engine: ENGINES[0].name.to_owned(),
             time_step_s: ENGINES[0].time_step_s,
-            grip_force_n: None,
-            suction: None,
             renderer: None,
-            rules: Rules::default(),
             simulator: None,
         }
     }
@@ -92,6 +79,8 @@ pub(crate) enum Physics {
 /// The cell. It can be set up several times, once for each thread.
 pub(crate) struct Cell {
     task: Arc<dyn ArmTask>,
+    /// Chosen values of the task's settings.
+    chosen: Assignment,
     settings: CellSettings,
     robot: Robot,
     /// Pixels along each side of the camera images.
@@ -101,17 +90,11 @@ pub(crate) struct Cell {
 }
 
 impl Cell {
-    /// Reads the robot and sets the cell up once, so that problems are reported before a run starts. `suction` is used
-    /// for a suction cup if the settings do not choose a law.
-    pub(crate) fn new(
-        mut settings: CellSettings,
-        suction: SuctionLaw,
-        pool: Option<Arc<Pool>>,
-    ) -> anyhow::Result<Self> {
-        let task = task(&settings)?;
+    /// Reads the robot and sets the cell up once, so that problems are reported before a run starts. `chosen` are values
+    /// of the task's settings.
+    pub(crate) fn new(mut settings: CellSettings, chosen: Assignment, pool: Option<Arc<Pool>>) -> anyhow::Result<Self> {
+        let task = task(&settings.task, &chosen)?;
         let robot = robot(&settings.robot)?;
-        let name = robot.name();
-        let gripper = &robot.settings.gripper;
         if let Some(pool) = &pool {
             task.physics_only().map_err(|why| anyhow!("--task {} cannot run with --simulator: {why}", task.name()))?;
             let hello = pool.hello();
@@ -122,25 +105,19 @@ impl Cell {
         } else {
             EngineEntry::find(&settings.engine)?;
         }
-        match (gripper.cup(), settings.suction) {
-            (Some(_), law) => settings.suction = Some(law.unwrap_or(suction)),
-            (None, Some(law)) => {
-                bail!("--suction {law} applies to suction cups; the gripper of {name} is {}", gripper.description());
-            }
-            (None, None) => {}
-        }
-        if let (Some(_), Some(force)) = (gripper.cup(), settings.grip_force_n) {
-            bail!("--grip-force {force} applies to fingers; the gripper of {name} is a suction cup");
-        }
-        grip_force(gripper, settings.grip_force_n).map_err(|why| anyhow!("--grip-force: {why}"))?;
         if let Some(record) = &settings.renderer {
             record.check(&settings.engine, pool.is_some())?;
         }
-        let mut cell = Self { task, settings, robot, picture_px: SIZE_PX, pool };
+        let mut cell = Self { task, chosen, settings, robot, picture_px: SIZE_PX, pool };
         if let Some(record) = &cell.settings.renderer {
             cell.settings.renderer = Some(record.open(&*cell.engine(&cell.setup())?)?.1);
         }
         let mut environment = cell.environment()?;
+        let acts = |setting: &str| environment.task().settings.iter().any(|spec| &*spec.name == setting);
+        if let Some((setting, _)) = cell.chosen.iter().find(|(setting, _)| !acts(setting)) {
+            let gripper = cell.robot.settings.gripper.description();
+            bail!("setting `{setting}` has no effect: the gripper of {} is {gripper}", cell.robot_name());
+        }
         environment.reset(&nominal()).context("the robot cannot be set up in the cell")?;
         if cell.settings.renderer.is_some() {
             environment.render()?;
@@ -153,10 +130,12 @@ impl Cell {
         Self { picture_px, ..self }
     }
 
-    /// Uses the failure modes and the workspace of the paper in every later environment.
+    /// Uses the settings of the paper, other than those that the user chose, in every later environment.
     pub(crate) fn set_like_the_paper(&mut self) -> anyhow::Result<()> {
-        self.settings.rules = self.settings.rules.like_the_paper();
-        self.task = task(&self.settings)?;
+        let mut values = self.task.published(&self.robot.settings.gripper);
+        self.chosen.iter().for_each(|(name, value)| values.set(name, value.clone()));
+        self.task = task(&self.settings.task, &values)?;
+        self.chosen = values;
         Ok(())
     }
 
@@ -267,13 +246,12 @@ impl Cell {
         }
         let engine = self.engine(setup)?;
         let renderer = self.settings.renderer.as_ref().map(|record| record.open(&*engine)).transpose()?;
-        let rig = Rig {
-            grip_force_n: None,
-            suction: setup.suction,
-            picture_px: [self.picture_px; 2],
-            renderer: renderer.map(|(renderer, _)| renderer),
-        };
-        self.task.environment(engine, rig).map_err(|why| anyhow!(why))
+        let rig = Rig { picture_px: [self.picture_px; 2], renderer: renderer.map(|(renderer, _)| renderer) };
+        self.task
+            .with(&setup.settings)
+            .map_err(|why| anyhow!(why))?
+            .environment(engine, rig)
+            .map_err(|why| anyhow!(why))
     }
 
     fn task_for(&self, setup: &Setup, chain: Chain) -> anyhow::Result<CellTask> {
@@ -335,7 +313,8 @@ impl Cell {
         hello.task.action.spaces.truncate(1);
         hello.task.observation.cameras.clear();
         hello.task.parameters.retain(|parameter| remote::is_for_engines(&parameter.name));
-        let host = remote::PhysicsHost::new(self.engine(&self.setup())?, None).map_err(|why| anyhow!(why))?;
+        let task = PickPlace::of(&self.chosen).map_err(|why| anyhow!(why))?;
+        let host = remote::PhysicsHost::new(self.engine(&self.setup())?, task).map_err(|why| anyhow!(why))?;
         Ok(PhysicsHost::new(hello, host))
     }
 
@@ -365,14 +344,10 @@ pub(crate) fn engine(build: EngineBuild) -> provenance::Engine {
     provenance::Engine { name: build.name.to_owned(), version: Some(build.version), build_sha256: build.sha256 }
 }
 
-/// The task of these settings.
-fn task(settings: &CellSettings) -> anyhow::Result<Arc<dyn ArmTask>> {
-    settings.rules.check().map_err(|why| anyhow!(why))?;
-    if settings.task == CELL_TASK {
-        return Ok(Arc::new(PickPlace { rules: settings.rules }));
-    }
-    let task = registry::arm_task(&settings.task);
-    task.map(|task| task.boxed()).ok_or_else(|| anyhow!("--task {}: unknown task for an arm", settings.task))
+/// The task with this name and these values of its settings.
+fn task(name: &str, chosen: &Assignment) -> anyhow::Result<Arc<dyn ArmTask>> {
+    let task = registry::arm_task(name).ok_or_else(|| anyhow!("--task {name}: unknown task for an arm"))?;
+    task.with(chosen).map_err(|why| anyhow!(why))
 }
 
 /// A scenario with nominal values only.
@@ -398,12 +373,8 @@ pub(crate) fn identity(files: &[RobotFile]) -> String {
 
 impl Workbench for Cell {
     fn setup(&self) -> Setup {
-        let mut robot = self.robot.clone();
-        if let (Gripper::ParallelJaw(jaw), Some(force)) = (&mut robot.settings.gripper, self.settings.grip_force_n) {
-            jaw.force_n = force;
-        }
-        let suction = self.settings.suction.unwrap_or(SuctionLaw::Vacuum);
-        Setup { robot, time_step_s: self.settings.time_step_s, suction, rules: self.settings.rules }
+        let robot = self.robot.clone();
+        Setup { robot, time_step_s: self.settings.time_step_s, settings: self.chosen.clone() }
     }
 
     fn bench(&self, setup: &Setup) -> Result<Bench, String> {

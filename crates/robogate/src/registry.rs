@@ -4,13 +4,16 @@
 
 use anyhow::anyhow;
 use robogate_campaign::BUILT_IN_SUITES;
+use robogate_core::{Allowed, SettingSpec};
 #[cfg(feature = "mujoco")]
 use robogate_physics::MujocoEngine;
 #[cfg(feature = "rapier")]
 use robogate_physics::RapierEngine;
 use robogate_physics::{Chain, Engine, Robot, RobotError, built_in_robots};
 use robogate_policy::Profile;
+use robogate_tasks::insertion::Insertion;
 use robogate_tasks::pick_place::{self, PickPlace};
+use robogate_tasks::stacking::Stacking;
 use robogate_tasks::{ArmTask, SelfContained, built_in_spaces};
 
 /// The engines of the built-in cell; the first is the default.
@@ -35,13 +38,12 @@ const _: () = assert!(!ENGINES.is_empty(), "a build needs an engine: --features 
 const OPTIONAL: [&str; 2] = ["mujoco", "rapier"];
 
 /// The tasks for an arm in the cell; the first is the default.
-pub(crate) const ARM_TASKS: &[&dyn ArmTask] =
-    &[&PickPlace::DEFAULT, &robogate_tasks::stacking::Stacking, &robogate_tasks::insertion::Insertion];
+pub(crate) const ARM_TASKS: &[&dyn ArmTask] = &[&PickPlace::DEFAULT, &Stacking::DEFAULT, &Insertion::DEFAULT];
 
 /// The tasks that bring their own world.
 pub(crate) const TASKS: &[&dyn SelfContained] = &[
     #[cfg(feature = "mujoco")]
-    &robogate_tasks::pendulum::Pendulum,
+    &robogate_tasks::pendulum::Pendulum::DEFAULT,
 ];
 
 /// The default task.
@@ -97,6 +99,23 @@ fn tasks() -> impl Iterator<Item = (&'static str, &'static str)> {
     arms.chain(others)
 }
 
+/// The settings of all tasks, one line each.
+fn settings() -> impl Iterator<Item = String> {
+    let arms = ARM_TASKS.iter().map(|task| (task.name(), task.settings()));
+    let others = TASKS.iter().map(|task| (task.name(), task.settings()));
+    let line = |task: &str, setting: &SettingSpec| {
+        let unit = |value: String| format!("{value} {}", setting.unit).trim_end().to_owned();
+        let accepts = match &setting.allowed {
+            Allowed::Continuous { low, high } => unit(format!("{low} to {high}")),
+            Allowed::Integer { low, high } => unit(format!("{low} to {high}")),
+            Allowed::Categorical { choices, .. } => choices.join(" or "),
+        };
+        let default = setting.default.as_ref().map_or("that of the robot".to_owned(), |value| unit(value.to_string()));
+        format!("{task} {}: {} {accepts}, default {default}", setting.name, setting.meaning)
+    };
+    arms.chain(others).flat_map(move |(task, settings)| settings.into_iter().map(move |setting| line(task, &setting)))
+}
+
 /// Finds a task that brings its own world by its name.
 pub(crate) fn task(name: &str) -> anyhow::Result<&'static dyn SelfContained> {
     TASKS.iter().copied().find(|task| task.name() == name).ok_or_else(|| {
@@ -115,6 +134,7 @@ pub(crate) fn listing() -> Vec<(&'static str, Vec<String>)> {
     let names = |names: &mut dyn Iterator<Item = &str>| names.map(str::to_owned).collect::<Vec<String>>();
     vec![
         ("tasks", tasks().map(|(name, summary)| format!("{name}: {summary}")).collect()),
+        ("settings", settings().collect()),
         ("engines", names(&mut ENGINES.iter().map(|engine| engine.name))),
         ("robots", names(&mut built_in_robots())),
         ("policies", names(&mut POLICIES.into_iter().chain(Profile::built_in_names()))),

@@ -154,8 +154,8 @@ pub(crate) struct CellTask(RemotePickPlace);
 
 impl CellTask {
     pub(crate) fn new(setup: &Setup, chain: Chain, sha256: String, picture_px: usize) -> anyhow::Result<Self> {
-        let task = PickPlace { rules: setup.rules };
-        RemotePickPlace::new(task, setup.robot.clone(), chain, Some(sha256), None, [picture_px; 2])
+        let task = PickPlace::of(&setup.settings).map_err(|why| anyhow!(why))?;
+        RemotePickPlace::new(task, setup.robot.clone(), chain, Some(sha256), [picture_px; 2])
             .map(Self)
             .map_err(|why| anyhow!(why))
     }

@@ -121,6 +121,7 @@ pub(crate) fn task() -> Arc<TaskSpec> {
         draws: Vec::new(),
         phases: Vec::new(),
         parameters: Vec::new(),
+        settings: Vec::new(),
         observation: ObservationSpec::default(),
         action: ActionSpec {
             spaces: vec![ActionSpace::Vector { names: vec!["nothing".to_owned()], low: vec![-1.0], high: vec![1.0] }],

@@ -408,6 +408,7 @@ mod tests {
             measures: Vec::new(),
             phases: Vec::new(),
             parameters: Vec::new(),
+            settings: Vec::new(),
             observation: ObservationSpec::default(),
             action: ActionSpec { spaces: vec![vector], gripper: None },
             details: serde_json::Value::Null,

@@ -24,6 +24,7 @@ pub(crate) fn task(period_s: f64, limit_s: f64) -> Arc<TaskSpec> {
         draws: Vec::new(),
         phases: Vec::new(),
         parameters: Vec::new(),
+        settings: Vec::new(),
         observation: ObservationSpec {
             vectors: vec![VectorSpec { name: POSITION, length: 1, unit: "m".to_owned() }],
             cameras: Vec::new(),

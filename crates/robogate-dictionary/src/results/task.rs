@@ -38,6 +38,7 @@ pub(super) fn of_rows(
         draws: Vec::new(),
         phases,
         parameters: Vec::new(),
+        settings: Vec::new(),
         observation: ObservationSpec::default(),
         action: ActionSpec::default(),
         details: serde_json::Value::Null,

@@ -39,6 +39,7 @@ pub(crate) fn task() -> TaskSpec {
         draws: Vec::new(),
         phases: Vec::new(),
         parameters: Vec::new(),
+        settings: Vec::new(),
         observation: ObservationSpec {
             vectors: vec![
                 vector(vectors::JOINT_POSITIONS, 7),

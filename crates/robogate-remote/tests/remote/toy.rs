@@ -195,6 +195,7 @@ pub(crate) fn task() -> TaskSpec {
             parameter("mass_kg", Allowed::Continuous { low: 0.0, high: 200.0 }, Value::Number(1.0)),
             parameter("shape", Allowed::Categorical { choices, open: false }, Value::Category("box".into())),
         ],
+        settings: Vec::new(),
         observation: ObservationSpec {
             vectors: vec![
                 vector(vectors::JOINT_POSITIONS, 3),

@@ -7,11 +7,11 @@ use robogate_core::{
     Action, Assignment, Ending, Environment, Fault, Foresight, Image, Infeasibility, Scenario, Start, Step, TaskSpec,
     Trajectory,
 };
-use robogate_physics::{Engine, GripperCommand, Plant, Robot, Scene, SuctionLaw, Visual};
+use robogate_physics::{Engine, GripperCommand, Plant, Robot, Scene, Visual};
 
 use super::judge::Judge;
 use super::rules::{Found, Rules};
-use super::{Film, camera_specs, posture, render};
+use super::{Film, HasSettings, camera_specs, posture, render};
 
 /// Distance to the part within which a suction cup takes hold, in metres.
 pub(crate) const GRIP_THRESHOLD_M: f64 = 0.01;
@@ -21,10 +21,6 @@ pub const CONTROL_PERIOD_S: f64 = 0.05;
 
 /// The choices for an environment that do not depend on the task.
 pub struct Rig {
-    /// Replaces the robot's grip force, in newtons.
-    pub grip_force_n: Option<f64>,
-    /// The law of a suction cup.
-    pub suction: SuctionLaw,
     /// Width and height of the camera images, in pixels.
     pub picture_px: [usize; 2],
     /// A renderer that replaces the embedded one.
@@ -33,7 +29,7 @@ pub struct Rig {
 
 impl Default for Rig {
     fn default() -> Self {
-        Self { grip_force_n: None, suction: SuctionLaw::Vacuum, picture_px: [SIZE_PX; 2], renderer: None }
+        Self { picture_px: [SIZE_PX; 2], renderer: None }
     }
 }
 
@@ -51,15 +47,20 @@ pub struct ArmEnvironment {
 
 impl ArmEnvironment {
     /// Creates the task on this engine, see [`super::ArmTask::environment`].
-    pub(crate) fn new(rules: Arc<dyn Rules>, engine: Box<dyn Engine>, rig: Rig) -> Result<Self, String> {
-        let Rig { grip_force_n, suction, picture_px, mut renderer } = rig;
-        let plant = Plant::new(engine, CONTROL_PERIOD_S, grip_force_n)?.with_suction(suction);
+    pub(crate) fn new<T: Rules + HasSettings + 'static>(
+        task: &T,
+        engine: Box<dyn Engine>,
+        rig: Rig,
+    ) -> Result<Self, String> {
+        let Rig { picture_px, mut renderer } = rig;
+        let settings = task.arm();
+        let plant = Plant::new(engine, CONTROL_PERIOD_S, settings.grip_force_n)?.with_suction(settings.suction);
         let (robot, chain) = (plant.engine.robot().clone(), plant.engine.chain().clone());
         let cameras = cameras(&robot, picture_px);
         if let Some(renderer) = &mut renderer {
             renderer.resize(picture_px[0], picture_px[1]);
         }
-        let judge = Judge::new(rules, (robot, chain), plant.grip_force_n(), suction, camera_specs(&cameras));
+        let judge = Judge::new(task, (robot, chain), plant.grip_force_n(), camera_specs(&cameras));
         Ok(Self { plant, judge, cameras, renderer, film: None })
     }
 

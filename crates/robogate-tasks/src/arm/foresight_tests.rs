@@ -101,7 +101,7 @@ fn follow(
 fn insertion_is_foreseen() {
     for name in ROBOTS {
         let robot = built_in_robot(name).unwrap();
-        let mut environment = environment(&Insertion, &robot);
+        let mut environment = environment(&Insertion::DEFAULT, &robot);
         for index in 0..4 {
             let scenario = scenario(
                 index,
@@ -138,7 +138,7 @@ fn insertion_is_foreseen() {
             let expected = mouth * Point3::new(0.0, 0.0, -0.002 - 0.5 * (DEPTH_M - 0.002));
             assert!((middle - expected.coords).norm() < 1e-6, "{name}: {middle} {expected}");
             follow(
-                &Insertion,
+                &Insertion::DEFAULT,
                 &mut environment,
                 &robot,
                 &scenario,
@@ -164,7 +164,7 @@ fn insertion_is_foreseen() {
 fn stacking_is_foreseen() {
     for name in ROBOTS {
         let robot = built_in_robot(name).unwrap();
-        let mut environment = environment(&Stacking, &robot);
+        let mut environment = environment(&Stacking::DEFAULT, &robot);
         let mut compared = 0;
         for index in 0..4 {
             let values = [
@@ -188,7 +188,8 @@ fn stacking_is_foreseen() {
                 }
             }
             let moments = ["grasp_second", "place_second", "grasp_third", "place_third"];
-            let last = follow(&Stacking, &mut environment, &robot, &scenario, &moments, "", |_, _| {}).unwrap();
+            let last =
+                follow(&Stacking::DEFAULT, &mut environment, &robot, &scenario, &moments, "", |_, _| {}).unwrap();
             if last.ending.is_some_and(|ending| ending.failure.is_none()) {
                 let offset = last.measures.get("stack_offset_m").unwrap();
                 let predicted = TOLERANCE_M - margin;
@@ -223,8 +224,12 @@ fn draws_are_declared_and_features_are_finite() {
     }
     for name in ROBOTS {
         let robot = built_in_robot(name).unwrap();
-        check(&Insertion, &robot, &[("encoder_bias_rad", 0.004), ("hole_jitter_m", 0.004), ("clearance_m", 0.0003)]);
-        check(&Stacking, &robot, &[("encoder_bias_rad", 0.01), ("yaw_jitter_rad", 0.3), ("overhang", 0.4)]);
+        check(
+            &Insertion::DEFAULT,
+            &robot,
+            &[("encoder_bias_rad", 0.004), ("hole_jitter_m", 0.004), ("clearance_m", 0.0003)],
+        );
+        check(&Stacking::DEFAULT, &robot, &[("encoder_bias_rad", 0.01), ("yaw_jitter_rad", 0.3), ("overhang", 0.4)]);
     }
 }
 
@@ -232,7 +237,7 @@ fn draws_are_declared_and_features_are_finite() {
 #[test]
 fn features_follow_the_parameters() {
     let robot = built_in_robot("franka").unwrap();
-    let insertion = environment(&Insertion, &robot);
+    let insertion = environment(&Insertion::DEFAULT, &robot);
     let with = |more: &[(&'static str, f64)]| {
         let mut values = vec![("encoder_bias_rad", 0.003), ("hole_jitter_m", 0.01), ("hole_tilt_rad", 0.05)];
         values.extend_from_slice(more);
@@ -244,7 +249,7 @@ fn features_follow_the_parameters() {
     let stiff = |stiffness| of("binding_margin", &[("clearance_m", 3e-4), ("arm_stiffness", stiffness)]);
     assert!(stiff(1.0) < stiff(0.1));
     assert!(of("grip_margin", &[("mass_kg", 2.0)]) < of("grip_margin", &[]));
-    let stacking = environment(&Stacking, &robot);
+    let stacking = environment(&Stacking::DEFAULT, &robot);
     let of = |name: &str, values: &[(&str, f64)]| feature(&stacking, &scenario(3, values), name);
     assert!((of("stability_margin_m", &[("overhang", 0.0)]) - 0.025).abs() < 1e-9);
     assert!(of("stability_margin_m", &[("overhang", 0.4)]) < 0.0, "three cubes stand up to an offset of a third");

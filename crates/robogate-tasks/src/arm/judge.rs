@@ -11,11 +11,13 @@ use robogate_core::{
     Scenario, Start, Step, TaskSpec,
 };
 use robogate_physics::{
-    ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Steering, StepView, SuctionLaw, Touches, Wrench, pose,
+    ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Steering, StepView, Touches, Wrench, pose,
 };
 
 use super::rules::{Bodies, Found, Resolved, Rules, Sight, Trial};
-use super::{CONTROL_PERIOD_S, observation};
+use super::settings::on_gripper;
+use super::{CONTROL_PERIOD_S, HasSettings, observation};
+use crate::settings::setting_specs;
 
 /// Largest clearance that is measured, in metres.
 pub(crate) const CLEARANCE_LIMIT_M: f64 = 0.25;
@@ -32,7 +34,6 @@ pub(crate) struct Judge {
     robot: Robot,
     chain: Chain,
     grip_force_n: f64,
-    suction: SuctionLaw,
     task: Arc<TaskSpec>,
     foresight: Arc<dyn Foresight>,
     episode: Option<Episode>,
@@ -56,16 +57,22 @@ struct Episode {
 
 impl Judge {
     /// The judge under these rules, for a gripper that holds with `grip_force_n` newtons and cameras of these sizes.
-    pub(crate) fn new(
-        rules: Arc<dyn Rules>,
+    pub(crate) fn new<T: Rules + HasSettings + 'static>(
+        rules: &T,
         (robot, chain): (Robot, Chain),
         grip_force_n: f64,
-        suction: SuctionLaw,
         cameras: Vec<CameraSpec>,
     ) -> Self {
-        let task = Arc::new(rules.spec(&robot, cameras));
+        let settings = setting_specs(&T::rows(), rules).into_iter();
+        let settings = settings.filter_map(|spec| on_gripper(spec, &robot.settings.gripper, grip_force_n));
+        let task = TaskSpec {
+            time_limit_s: rules.arm().time_limit_s,
+            settings: settings.collect(),
+            ..rules.spec(&robot, cameras)
+        };
         let foresight = rules.foresight(&robot, &chain, grip_force_n);
-        Self { rules, robot, chain, grip_force_n, suction, task, foresight, episode: None }
+        let rules = Arc::new(rules.clone());
+        Self { rules, robot, chain, grip_force_n, task: Arc::new(task), foresight, episode: None }
     }
 
     /// The task.
@@ -88,7 +95,7 @@ impl Judge {
 
     /// The reason why no policy can complete a scenario, if it is known.
     pub(crate) fn infeasibility(&self, requested: &Assignment) -> Option<Infeasibility> {
-        self.rules.infeasibility(requested, &self.robot, self.grip_force_n, self.suction)
+        self.rules.infeasibility(requested, &self.robot, self.grip_force_n)
     }
 
     /// Resolves the scene that a plant must set up for a scenario. Ends the running episode.

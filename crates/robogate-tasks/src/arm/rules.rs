@@ -7,12 +7,12 @@ use robogate_core::{
     Assignment, CameraSpec, FailureMode, Fault, Foresight, Infeasibility, Measures, ParameterSpace, Policy, Scenario,
     Suite, TaskInstance, TaskSpec,
 };
-use robogate_physics::{
-    Chain, Collision, Gripper, GripperCommand, Readback, Robot, Scene, StepView, SuctionLaw, Visual, Wrench,
-};
+use robogate_physics::{Chain, Collision, Gripper, GripperCommand, Readback, Robot, Scene, StepView, Visual, Wrench};
 
-/// The rules of a task. They make it an [`super::ArmTask`].
-pub(crate) trait Rules: Send + Sync {
+use super::OnArm;
+
+/// The rules of a task. With [`super::HasSettings`] they make it an [`super::ArmTask`].
+pub(crate) trait Rules: OnArm + Send + Sync {
     /// The name on the command line, as in the declaration.
     fn name(&self) -> &'static str;
 
@@ -42,13 +42,7 @@ pub(crate) trait Rules: Send + Sync {
 
     /// The reason why no policy can complete a scenario with this robot, whose gripper holds with `grip_force_n`
     /// newtons. A scenario that cannot be decoded has no reason here: its reset reports the problem.
-    fn infeasibility(
-        &self,
-        requested: &Assignment,
-        robot: &Robot,
-        grip_force_n: f64,
-        suction: SuctionLaw,
-    ) -> Option<Infeasibility>;
+    fn infeasibility(&self, requested: &Assignment, robot: &Robot, grip_force_n: f64) -> Option<Infeasibility>;
 
     /// The problems of a space with this gripper that the declared ranges do not show.
     ///
@@ -84,6 +78,11 @@ pub(crate) trait Rules: Send + Sync {
     /// # Errors
     /// The reason.
     fn physics_only(&self) -> Result<(), &'static str>;
+
+    /// The settings of the published paper, if the task is in it, for this gripper.
+    fn published(&self, _gripper: &Gripper) -> Assignment {
+        Assignment::default()
+    }
 
     /// The scripted controller for a robot with these kinematics.
     fn scripted(&self, robot: Robot, chain: Chain) -> Box<dyn Policy>;

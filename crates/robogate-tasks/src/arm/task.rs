@@ -2,11 +2,14 @@
 
 use std::sync::Arc;
 
-use robogate_core::{Environment, Fault, ParameterSpace, Policy, Suite, TaskInstance, TaskSpec};
+use robogate_core::{
+    Assignment, Environment, Fault, ParameterSpace, Policy, SettingSpec, Suite, TaskInstance, TaskSpec,
+};
 use robogate_physics::{Chain, Engine, Gripper, Robot};
 
 use super::rules::Rules;
-use super::{ArmEnvironment, Rig};
+use super::{ArmEnvironment, ArmSettings, HasSettings, Rig};
+use crate::settings::{setting_specs, with_settings};
 
 /// A built-in task for an arm in the cell. The user chooses robot and engine.
 pub trait ArmTask: Send + Sync {
@@ -52,8 +55,20 @@ pub trait ArmTask: Send + Sync {
     /// The reason.
     fn physics_only(&self) -> Result<(), &'static str>;
 
-    /// The same task as a shared value.
-    fn boxed(&self) -> Arc<dyn ArmTask>;
+    /// The settings, with the values of this task.
+    fn settings(&self) -> Vec<SettingSpec>;
+
+    /// The settings of every task for an arm.
+    fn arm_settings(&self) -> ArmSettings;
+
+    /// The settings of the published paper for this gripper. Empty if the task is not in it.
+    fn published(&self, gripper: &Gripper) -> Assignment;
+
+    /// The same task with these values of its settings.
+    ///
+    /// # Errors
+    /// A setting that the task does not have, or a value that it does not accept. The error names what is accepted.
+    fn with(&self, settings: &Assignment) -> Result<Arc<dyn ArmTask>, String>;
 
     /// Creates an environment on this engine.
     ///
@@ -74,7 +89,7 @@ pub trait ArmTask: Send + Sync {
     fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy>;
 }
 
-impl<R: Rules + Clone + 'static> ArmTask for R {
+impl<R: Rules + HasSettings + 'static> ArmTask for R {
     fn name(&self) -> &'static str {
         Rules::name(self)
     }
@@ -119,12 +134,24 @@ impl<R: Rules + Clone + 'static> ArmTask for R {
         Rules::physics_only(self)
     }
 
-    fn boxed(&self) -> Arc<dyn ArmTask> {
-        Arc::new(self.clone())
+    fn settings(&self) -> Vec<SettingSpec> {
+        setting_specs(&R::rows(), self)
+    }
+
+    fn arm_settings(&self) -> ArmSettings {
+        *self.arm()
+    }
+
+    fn published(&self, gripper: &Gripper) -> Assignment {
+        Rules::published(self, gripper)
+    }
+
+    fn with(&self, settings: &Assignment) -> Result<Arc<dyn ArmTask>, String> {
+        Ok(Arc::new(with_settings(Rules::name(self), &R::rows(), self, settings)?))
     }
 
     fn on(&self, engine: Box<dyn Engine>, rig: Rig) -> Result<ArmEnvironment, String> {
-        ArmEnvironment::new(Arc::new(self.clone()), engine, rig)
+        ArmEnvironment::new(self, engine, rig)
     }
 
     fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {

@@ -7,9 +7,9 @@
 //! | collision | a robot body touches the table or the block |
 //! | missed | after a close command the gripper is at rest and does not hold the peg; or the released peg has come to rest outside the hole |
 //! | dropped | the peg left the closed gripper before it was seated |
-//! | wedge, jam | the peg is stuck: pressed in the hole with at least 10 N for 3 s without 0.5 mm of progress, or released in the hole and at rest before its seat. It is a wedge at a depth where friction can hold it against any load ([`super::whitney::can_wedge`]), a jam otherwise |
-//! | jam | the peg is pressed with more than 80 N for 0.5 s |
-//! | success | the tip is within 2 mm of the hole's full depth for 0.1 s |
+//! | wedge, jam | the peg is stuck: pressed in the hole with at least `stuck_force_n` for `stuck_duration_s` without 0.5 mm of progress, or released in the hole and at rest before its seat. It is a wedge at a depth where friction can hold it against any load ([`super::whitney::can_wedge`]), a jam otherwise |
+//! | jam | the peg is pressed with more than `jam_force_n` for `jam_duration_s` |
+//! | success | the tip is within `seat_tolerance_m` of the hole's full depth for 0.1 s |
 //!
 //! The rollout reports a timeout if none of these events happens within the time limit.
 
@@ -20,23 +20,13 @@ use robogate_physics::{GRAVITY, GripperCommand};
 use super::parameters::{ROWS, Settings};
 use super::parts::DEPTH_M;
 use super::spec::{COLLISION, DEPTH, DROPPED, DURATION, JAM, LATERAL, MISSED, PRESS, WEDGE};
-use super::whitney;
+use super::{Insertion, whitney};
 use crate::arm::{Acting, Found, Grip, GripChange, Record, Sight, Trial, applied, still, touching};
 
-/// The tip is seated within this distance of the full depth, in metres ...
-const SEAT_M: f64 = 0.002;
-/// ... for this long, in seconds.
+/// The tip must be at its seat for this long, in seconds.
 const SEAT_S: f64 = 0.1;
-/// A stuck peg is pressed with at least this force along the hole's axis, in newtons ...
-const STUCK_N: f64 = 10.0;
-/// ... for this long in total since its last progress, in seconds.
-const STUCK_S: f64 = 3.0;
 /// Progress is at least this increase of the largest depth, in metres.
 const PROGRESS_M: f64 = 0.0005;
-/// A peg that is pressed with more than this force, in newtons ...
-const CRUSH_N: f64 = 80.0;
-/// ... for this long, in seconds, is jammed.
-const CRUSH_S: f64 = 0.5;
 /// A released peg is at rest below this speed, in m/s, ...
 const REST_SPEED: f64 = 0.005;
 /// ... for this long, in seconds.
@@ -44,6 +34,7 @@ const REST_S: f64 = 0.4;
 
 /// The referee of one episode.
 pub(crate) struct Referee {
+    rules: Insertion,
     settings: Settings,
     /// Pose of the hole's frame in the base frame.
     mouth: Isometry3<f64>,
@@ -69,9 +60,10 @@ pub(crate) struct Referee {
 }
 
 impl Referee {
-    /// The referee of an episode with these settings, for a gripper that holds with `grip_force_n` newtons.
-    pub(super) fn new(settings: Settings, grip_force_n: f64) -> Self {
+    /// The referee of an episode with these settings under these rules, for a gripper that holds with `grip_force_n` newtons.
+    pub(super) fn new(settings: Settings, rules: Insertion, grip_force_n: f64) -> Self {
         Self {
+            rules,
             mouth: settings.mouth(),
             grip: Grip::new(grip_force_n * settings.around.gripper.force_scale),
             settings,
@@ -106,8 +98,8 @@ impl Referee {
     /// A peg that does not move although it is pressed.
     fn watch_pressing(&mut self, depth: Option<f64>, press: f64, time: f64) {
         let elapsed = time - self.before;
-        self.crushed_s = if press > CRUSH_N { self.crushed_s + elapsed } else { 0.0 };
-        if self.crushed_s >= CRUSH_S {
+        self.crushed_s = if press > self.rules.jam_force_n { self.crushed_s + elapsed } else { 0.0 };
+        if self.crushed_s >= self.rules.jam_duration_s {
             self.record.note(format!("peg pressed with {press:.0} N"));
             self.record.end(Some(JAM), time, None);
             return;
@@ -115,9 +107,9 @@ impl Referee {
         let Some(depth) = depth.filter(|depth| *depth > PROGRESS_M) else { return };
         if depth > self.progress.0 + PROGRESS_M {
             self.progress = (depth, 0.0);
-        } else if press >= STUCK_N {
+        } else if press >= self.rules.stuck_force_n {
             self.progress.1 += elapsed;
-            if self.progress.1 >= STUCK_S {
+            if self.progress.1 >= self.rules.stuck_duration_s {
                 self.record.note(format!("peg stuck {:.1} mm deep", 1e3 * depth));
                 self.record.end(Some(self.stuck(depth)), time, None);
             }
@@ -225,7 +217,7 @@ impl Referee {
                 self.record.note("peg touches the block");
             }
         }
-        if depth.is_some_and(|depth| depth >= DEPTH_M - SEAT_M) {
+        if depth.is_some_and(|depth| depth >= DEPTH_M - self.rules.seat_tolerance_m) {
             let since = *self.seated_since.get_or_insert(sight.time);
             if sight.time - since >= SEAT_S {
                 self.duration_s = self.touched_at.map(|touched| sight.time - touched);

@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{
     Assignment, CameraSpec, Fault, Foresight, Infeasibility, Policy, Pose, Scenario, TaskInstance, TaskSpec,
 };
-use robogate_physics::{Chain, Fixture, GRAVITY, Gripper, Robot, Scene, SuctionLaw};
+use robogate_physics::{Chain, Fixture, GRAVITY, Gripper, Robot, Scene};
 
 use super::controller::Scripted;
 use super::foresight::InsertionForesight;
@@ -67,13 +67,7 @@ impl Rules for Insertion {
         Arc::new(InsertionForesight::new(robot, chain, grip_force_n))
     }
 
-    fn infeasibility(
-        &self,
-        requested: &Assignment,
-        robot: &Robot,
-        grip_force_n: f64,
-        suction: SuctionLaw,
-    ) -> Option<Infeasibility> {
+    fn infeasibility(&self, requested: &Assignment, robot: &Robot, grip_force_n: f64) -> Option<Infeasibility> {
         let settings: Settings = decode(&ROWS, requested).ok()?;
         let load = Load {
             width_m: Some(settings.width_m),
@@ -85,7 +79,7 @@ impl Rules for Insertion {
         let [peg, hole] = within_reach(robot, PLACES);
         out_of_reach(robot, "hole", hole, settings.hole_jitter_m)
             .or_else(|| out_of_reach(robot, "peg", peg, settings.peg_jitter_m))
-            .or_else(|| cannot_carry(&robot.settings.gripper, &load, grip_force_n, suction))
+            .or_else(|| cannot_carry(&robot.settings.gripper, &load, grip_force_n, self.arm.suction))
     }
 
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
@@ -107,7 +101,7 @@ impl Rules for Insertion {
             grip_threshold_m: GRIP_THRESHOLD_M,
             bias: settings.around.bias(scenario, robot)?,
             instance: instance("pick up the peg and insert it into the hole".to_owned(), &briefing),
-            trial: Box::new(Referee::new(settings, grip_force_n)),
+            trial: Box::new(Referee::new(settings, *self, grip_force_n)),
         })
     }
 }

@@ -8,9 +8,6 @@ use super::parameters::ROWS;
 use super::{NAME, foresight};
 use crate::arm::{base_spec, briefing, common_measures, measure, mode, specs};
 
-/// The time limit of an episode, in seconds.
-const TIME_LIMIT_S: f64 = 40.0;
-
 /// The peg is pressed and does not move, and another direction of the load would move it.
 pub(super) const JAM: FailureMode = FailureMode::constant("jam");
 /// The peg is caught between two contacts and no load moves it.
@@ -49,7 +46,6 @@ pub(super) mod phases {
 pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
     TaskSpec {
         instruction: "pick up the peg and insert it into the hole".to_owned(),
-        time_limit_s: TIME_LIMIT_S,
         failure_modes: vec![
             mode(JAM, Severity::Major, "The peg was pressed in the hole or on the block and did not move."),
             mode(

@@ -11,36 +11,30 @@ use robogate_physics::MujocoModel;
 
 use super::film::Film;
 use super::parameters::{self, Applied, GRAVITY, Settings};
-use super::{ANGLE, ENERGY, ERROR, FELL, OVERSPEED, PEAK_SPEED, SPEED};
+use super::{ANGLE, ENERGY, ERROR, FELL, OVERSPEED, PEAK_SPEED, Pendulum, SPEED};
 
 /// Time between two actions, in seconds.
 pub(super) const CONTROL_PERIOD_S: f64 = 0.02;
-/// The time limit of an episode, in seconds.
-pub(super) const TIME_LIMIT_S: f64 = 10.0;
 /// The engine's time step, in seconds. A control period has ten.
 const TIME_STEP_S: f64 = 0.002;
 const STEPS_PER_PERIOD: u32 = 10;
 
-/// The pole counts as upright within this angle, in rad ...
-const UPRIGHT_RAD: f64 = 0.2;
-/// ... and the episode succeeds after it has been upright for this long, in seconds.
-const HOLD_S: f64 = 0.5;
-/// The pole has reached upright after this long within the angle, in seconds ...
+/// The pole has reached upright after this long within its tolerance, in seconds ...
 const REACHED_S: f64 = 0.1;
 /// ... and has fallen if it then exceeds this angle, in rad.
-const FALLEN_RAD: f64 = 0.6;
-/// Speed limit, in rad/s.
-const SPEED_LIMIT: f64 = 25.0;
+pub(super) const FALLEN_RAD: f64 = 0.6;
 
 /// The test bench: a pole, a motor and a referee.
 pub(super) struct Bench {
     task: Arc<TaskSpec>,
+    rules: Pendulum,
     episode: Option<Episode>,
     /// The recorder of trajectories, if they are recorded.
     film: Option<Film>,
 }
 
 struct Episode {
+    rules: Pendulum,
     model: MujocoModel,
     settings: Settings,
     ticks: u32,
@@ -52,8 +46,8 @@ struct Episode {
 }
 
 impl Bench {
-    pub(super) fn new(task: Arc<TaskSpec>) -> Self {
-        Self { task, episode: None, film: None }
+    pub(super) fn new(task: Arc<TaskSpec>, rules: Pendulum) -> Self {
+        Self { task, rules, episode: None, film: None }
     }
 }
 
@@ -106,16 +100,16 @@ impl Episode {
         let (error, speed) = (from_upright(self.angle()).abs(), self.speed().abs());
         self.peak_speed = self.peak_speed.max(speed);
         self.energy += (torque * self.settings.torque_limit * speed).abs() * TIME_STEP_S;
-        if speed > SPEED_LIMIT {
+        if speed > self.rules.speed_limit_rad_s {
             return Ok(Some(Some(OVERSPEED)));
         }
-        if error > UPRIGHT_RAD {
+        if error > self.rules.tolerance_rad {
             self.upright_since = None;
             return Ok((self.reached && error > FALLEN_RAD).then_some(Some(FELL)));
         }
         let held = time - *self.upright_since.get_or_insert(time);
         self.reached |= held >= REACHED_S;
-        Ok((held >= HOLD_S).then_some(None))
+        Ok((held >= self.rules.hold_s).then_some(None))
     }
 }
 
@@ -131,8 +125,16 @@ impl Environment for Bench {
         model.data_mut().qpos_mut()[0] = settings.start;
         model.data_mut().forward();
         let applied = parameters::applied(&scenario.requested, &Applied { model: &model, bias: settings.bias });
-        let episode =
-            Episode { model, settings, ticks: 0, upright_since: None, reached: false, peak_speed: 0.0, energy: 0.0 };
+        let episode = Episode {
+            rules: self.rules,
+            model,
+            settings,
+            ticks: 0,
+            upright_since: None,
+            reached: false,
+            peak_speed: 0.0,
+            energy: 0.0,
+        };
         let observation = episode.observation();
         if let Some(film) = &mut self.film {
             film.start(episode.settings.length, episode.angle());

@@ -12,14 +12,15 @@ mod parameters;
 use std::sync::Arc;
 
 use robogate_core::{
-    ActionSpace, ActionSpec, Better, Environment, FailureMode, FailureModeSpec, Fault, MeasureSpec, ObservationSpec,
-    Policy, Severity, TaskSpec, VectorSpec, Word,
+    ActionSpace, ActionSpec, Assignment, Better, Environment, FailureMode, FailureModeSpec, Fault, MeasureSpec,
+    ObservationSpec, Policy, SettingSpec, Severity, TaskSpec, VectorSpec, Word,
 };
 use robogate_physics::{EngineBuild, MujocoModel};
 
 use self::controller::SwingUp;
-use self::environment::{Bench, CONTROL_PERIOD_S, TIME_LIMIT_S};
+use self::environment::{Bench, CONTROL_PERIOD_S, FALLEN_RAD};
 use crate::SelfContained;
+use crate::settings::{Field, SettingRow, setting_specs, with_settings};
 
 /// The pole was upright and fell again.
 const FELL: FailureMode = FailureMode::constant("fell");
@@ -37,8 +38,65 @@ const SWING: Word = Word::constant("swing");
 const BALANCE: Word = Word::constant("balance");
 
 /// The pendulum swing-up task.
-#[derive(Debug, Clone, Copy)]
-pub struct Pendulum;
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pendulum {
+    /// Time limit of an episode, in seconds.
+    pub time_limit_s: f64,
+    /// The pole counts as upright within this angle, in radians ...
+    pub tolerance_rad: f64,
+    /// ... and the episode succeeds after it has been upright for this long, in seconds.
+    pub hold_s: f64,
+    /// The largest speed that the bench allows, in rad/s.
+    pub speed_limit_rad_s: f64,
+}
+
+impl Pendulum {
+    /// The task with its default settings.
+    pub const DEFAULT: Self = Self { time_limit_s: 10.0, tolerance_rad: 0.2, hold_s: 0.5, speed_limit_rad_s: 25.0 };
+
+    fn rows() -> [SettingRow<Self>; 4] {
+        let number =
+            |name, unit, meaning, range, field| SettingRow { name, unit, meaning, field: Field::Number(range, field) };
+        [
+            SettingRow {
+                name: "time_limit_s",
+                unit: "s",
+                meaning: "Time limit of an episode, in simulated seconds.",
+                field: Field::Periods(CONTROL_PERIOD_S, LONGEST, |task: &mut Self| &mut task.time_limit_s),
+            },
+            number(
+                "tolerance_rad",
+                "rad",
+                "The pole is upright within this angle.",
+                [1e-3, FALLEN_RAD],
+                |task: &mut Self| &mut task.tolerance_rad,
+            ),
+            number(
+                "hold_s",
+                "s",
+                "The episode succeeds after the pole has been upright for this long.",
+                [CONTROL_PERIOD_S, 3600.0],
+                |task| &mut task.hold_s,
+            ),
+            number(
+                "speed_limit_rad_s",
+                "rad/s",
+                "The largest speed of the pole that the bench allows.",
+                [0.1, 1000.0],
+                |task| &mut task.speed_limit_rad_s,
+            ),
+        ]
+    }
+}
+
+impl Default for Pendulum {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+/// Control periods of a day.
+const LONGEST: u32 = 4_320_000;
 
 impl SelfContained for Pendulum {
     fn name(&self) -> &'static str {
@@ -68,7 +126,7 @@ impl SelfContained for Pendulum {
             version: 1,
             instruction: "swing the pole upright and hold it there".to_owned(),
             control_period_s: CONTROL_PERIOD_S,
-            time_limit_s: TIME_LIMIT_S,
+            time_limit_s: self.time_limit_s,
             failure_modes: vec![
                 mode(FELL, "The pole was upright and came down again.", Severity::Major),
                 mode(OVERSPEED, "The pole turned faster than the bench allows.", Severity::Critical),
@@ -82,6 +140,7 @@ impl SelfContained for Pendulum {
             draws: Vec::new(),
             phases: vec![SWING, BALANCE],
             parameters: parameters::specs(),
+            settings: self.settings(),
             observation: ObservationSpec {
                 vectors: vec![vector(ANGLE, "rad"), vector(SPEED, "rad/s")],
                 cameras: Vec::new(),
@@ -98,6 +157,14 @@ impl SelfContained for Pendulum {
         })
     }
 
+    fn settings(&self) -> Vec<SettingSpec> {
+        setting_specs(&Self::rows(), self)
+    }
+
+    fn with(&self, settings: &Assignment) -> Result<Arc<dyn SelfContained>, String> {
+        Ok(Arc::new(with_settings(self.name(), &Self::rows(), self, settings)?))
+    }
+
     fn space(&self) -> &'static str {
         include_str!("space.toml")
     }
@@ -107,7 +174,7 @@ impl SelfContained for Pendulum {
     }
 
     fn environment(&self) -> Result<Box<dyn Environment>, Fault> {
-        Ok(Box::new(Bench::new(self.task())))
+        Ok(Box::new(Bench::new(self.task(), *self)))
     }
 
     fn controller(&self) -> Box<dyn Policy> {

@@ -5,11 +5,9 @@ use robogate_physics::{Robot, Scene};
 
 use super::scene::{scaled_scene, target};
 use super::spec::Briefing;
-use super::{Placement, Rules, SceneParameters};
+use super::{PickPlace, Placement, SceneParameters};
 
-/// An episode's time limit, in seconds (paper, section 4.1).
-pub const TIME_LIMIT_S: f64 = 15.0;
-/// Success is within this distance of the target, in metres (paper, section 4.3).
+/// Distance around the target that obstacles leave free, and the default tolerance, in metres (paper, section 4.3).
 pub(crate) const TOLERANCE_M: f64 = 0.03;
 
 /// Everything about an episode that is fixed before it starts.
@@ -39,7 +37,7 @@ pub(crate) struct Draws {
 
 impl ResolvedCell {
     /// Resolves the cell of a scenario for this robot under these rules. The result depends only on these inputs.
-    pub fn new(scenario: &Scenario, robot: &Robot, rules: &Rules) -> Result<Self, Fault> {
+    pub fn new(scenario: &Scenario, robot: &Robot, rules: &PickPlace) -> Result<Self, Fault> {
         let setup = |why: String| Fault::new(FaultKind::Setup, why);
         let gripper = &robot.settings.gripper;
         let parameters =

@@ -14,7 +14,7 @@ use robogate_physics::{GRAVITY, Gripper, ParallelJaw, Robot, SuctionCup, Suction
 use std::collections::BTreeMap;
 
 use super::spec::{GRIP_LOSS, SLIP, phases};
-use super::{Placement, Rules, Shape};
+use super::{Placement, Shape};
 
 /// An environment and a scripted controller for it.
 pub type Bench = (Box<dyn Environment>, Box<dyn Policy>);
@@ -26,10 +26,8 @@ pub struct Setup {
     pub robot: Robot,
     /// The engine's time step in seconds.
     pub time_step_s: f64,
-    /// The law by which a suction cup holds an object.
-    pub suction: SuctionLaw,
-    /// The rules of the task.
-    pub rules: Rules,
+    /// Values of the task's settings; the others have their defaults.
+    pub settings: Assignment,
 }
 
 /// A factory of benches.
@@ -75,7 +73,7 @@ pub fn coulomb(workbench: &dyn Workbench, sevenths: &[f64]) -> Result<ClaimResul
     let limit = jaw(&mut workbench.setup())?.force_limit_n;
     for force in sevenths.iter().map(|sevenths| sevenths / 7.0 * limit) {
         let mut setup = workbench.setup();
-        jaw(&mut setup)?.force_n = force;
+        setup.settings.set("grip_force_n", Value::Number(force));
         let (mut simulator, mut policy) = workbench.bench(&setup)?;
         for mass in masses {
             let law = mass * 9.81 / (2.0 * force);
@@ -350,7 +348,7 @@ fn heaviest(workbench: &dyn Workbench, setup: &Setup, gravity_scale: f64) -> Res
 /// The setup with a vacuum cup of this suction force in newtons, obtained by its pressure.
 fn with_force(workbench: &dyn Workbench, force: f64) -> Result<Setup, String> {
     let mut setup = workbench.setup();
-    setup.suction = SuctionLaw::Vacuum;
+    setup.settings.set("suction", word(SuctionLaw::Vacuum));
     let cup = cup(&mut setup)?;
     cup.vacuum_pa = force / cup.area_m2();
     Ok(setup)
@@ -405,7 +403,9 @@ pub fn surface_keeps(
     episodes: usize,
 ) -> Result<ClaimResult, String> {
     let design = design(space, episodes)?;
-    let mut bench = workbench.bench(&Setup { suction: SuctionLaw::Surface, ..workbench.setup() })?;
+    let mut setup = workbench.setup();
+    setup.settings.set("suction", word(SuctionLaw::Surface));
+    let mut bench = workbench.bench(&setup)?;
     let mut tally = Tally::default();
     for i in 0..design.len() {
         tally.count(&run(&mut bench, &design, i));
@@ -437,6 +437,10 @@ pub fn position_jitter(workbench: &dyn Workbench, episodes: usize) -> Result<Cla
         holds: none.invalid + much.invalid == 0 && much.successes < none.successes,
         figures: vec![format!("on the placement: {}", none.line()), format!("off the placement: {}", much.line())],
     })
+}
+
+fn word(law: SuctionLaw) -> Value {
+    Value::Category(law.as_str().into())
 }
 
 fn jaw(setup: &mut Setup) -> Result<&mut ParallelJaw, String> {

@@ -9,7 +9,7 @@ use robogate_physics::{Chain, FixtureKind, GRAVITY, Gripper, Robot, isometry};
 
 use super::cell::ResolvedCell;
 use super::scripted::{CARRY_ACCELERATION_M_S2, Scripted, grasp_height};
-use super::{Rules, Shape, parameters};
+use super::{PickPlace, Shape, parameters};
 use crate::arm::{Memo, Posture, bias_draws, components, draw, drawn, feature, log_ratio, tool_draws};
 
 /// Sizes are rounded to this step for the planned grasp, in metres.
@@ -143,7 +143,7 @@ static CUP: [FeatureSpec; 9] = [
 /// The knowledge about episodes of pick and place on one robot.
 pub struct PickPlaceForesight {
     robot: Robot,
-    rules: Rules,
+    rules: PickPlace,
     chain: Chain,
     grip_force_n: f64,
     planner: Scripted,
@@ -171,7 +171,7 @@ struct Outlook {
 }
 
 impl PickPlaceForesight {
-    pub(super) fn new(robot: &Robot, chain: &Chain, grip_force_n: f64, rules: &Rules) -> Self {
+    pub(super) fn new(robot: &Robot, chain: &Chain, grip_force_n: f64, rules: &PickPlace) -> Self {
         Self {
             robot: robot.clone(),
             rules: *rules,

@@ -9,7 +9,7 @@ use robogate_physics::{
 use serde::Serialize;
 
 use super::scene::target;
-use super::{PickPlace, Rules, SceneParameters, Scripted};
+use super::{PickPlace, SceneParameters, Scripted};
 use crate::{ArmTask, Rig};
 
 /// The part of the trial is at most this fraction of the gripper's opening, and its weight at most this fraction of what the
@@ -60,7 +60,7 @@ pub struct TrialEpisode {
 pub fn inspect(robot: &str) -> Inspection {
     let read = if is_folder(robot) { Robot::from_folder(Path::new(robot)) } else { built_in_robot(robot) }.ok();
     // A robot that cannot be read has problems, and reaches nothing.
-    let scale = read.as_ref().map_or(1.0, |robot| Rules::default().workspace_scale(robot));
+    let scale = read.as_ref().map_or(1.0, |robot| PickPlace::DEFAULT.workspace_scale(robot));
     let physics::Inspection { mut problems, settings, measured } = physics::inspect(robot, &[target(scale)]);
     let measured = measured.map(|of_robot| {
         let reaches_target = of_robot.reaches == [true];
@@ -114,7 +114,7 @@ impl TrialEpisode {
     fn problem(&self, robot: &str) -> Option<Problem> {
         let failure = self.failure.as_ref()?;
         let check = if *failure == FailureMode::TIMEOUT {
-            "Check arm.velocity_limit_rad_s, acceleration_limit_rad_s2 and gripper.finger_speed_m_s, and give a slow arm more time: --time-limit"
+            "Check arm.velocity_limit_rad_s, acceleration_limit_rad_s2 and gripper.finger_speed_m_s, and give a slow arm more time: --set time_limit_s=30"
         } else {
             "Check gripper.tip_m, palm_m and force_n, the servos of the arm, and arm.home_rad"
         };

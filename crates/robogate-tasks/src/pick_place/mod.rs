@@ -1,7 +1,6 @@
 //! Pick and place: pick up an object from the table and place it at a target.
 //!
-//! [`PickPlace`] is the task under its rules. [`Scripted`] is the
-//! controller of the paper's baseline. [`remote`] runs the task on an engine in another process.
+//! [`PickPlace`] is the task with its settings. [`Scripted`] is the controller of the paper's baseline. [`remote`] runs the task on an engine in another process.
 
 mod cell;
 pub mod claims;
@@ -16,9 +15,9 @@ mod parameters;
 mod placement;
 mod referee;
 pub mod remote;
-mod rules;
 mod scene;
 mod scripted;
+mod settings;
 pub mod spec;
 mod suite;
 mod task;
@@ -34,7 +33,7 @@ pub const SUMMARY: &str = "pick a part from a table with a robot arm and place i
 
 pub use crate::arm::CONTROL_PERIOD_S;
 pub use crate::spaces::{FRANKA_SPACE, built_in_space, built_in_spaces};
-pub use cell::{ResolvedCell, TIME_LIMIT_S};
+pub use cell::ResolvedCell;
 pub use disturbance::Disturbance;
 pub use foresight::PickPlaceForesight;
 #[cfg(feature = "mujoco")]
@@ -42,11 +41,10 @@ pub use inspect::{Inspection, Measured, TrialEpisode, inspect};
 pub use object::Shape;
 pub use parameters::{ActsOn, ParameterError, ParameterRow, SceneParameters, parameters};
 pub use placement::Placement;
-pub use rules::{ModeSet, Rules, Workspace};
 pub use scene::scene;
 pub use scripted::Scripted;
+pub use settings::{ModeSet, PickPlace, Workspace};
 pub use suite::{SuiteMisfit, check_suite};
-pub use task::PickPlace;
 pub use tool_expert::ToolExpert;
 
 /// The name of the default parameter space for a robot with this gripper.

@@ -24,13 +24,13 @@ use nalgebra::{Isometry3, UnitQuaternion};
 use robogate_core::{Assignment, FailureMode, Measures};
 use robogate_physics::{GripperCommand, GripperState};
 
-use super::cell::{ResolvedCell, TOLERANCE_M};
+use super::cell::ResolvedCell;
 use super::parameters::ReadbackContext;
 use super::spec::{
     Briefing, COLLISION, GRASP_MISS, GRIP_LOSS, JAM, MIN_CLEARANCE, MISPLACED, PEAK_CONTACT_FORCE, SLIP,
     TARGET_DISTANCE,
 };
-use super::{ModeSet, Rules};
+use super::{ModeSet, PickPlace};
 use crate::arm::{CLEARANCE_LIMIT_M, Found, Grip, GripChange, Record, Sight, Trial, is_still, touching};
 
 /// The object is at rest below this speed, in m/s ...
@@ -68,7 +68,7 @@ struct Measured {
 pub(super) struct Referee {
     cell: ResolvedCell,
     briefing: Briefing,
-    rules: Rules,
+    rules: PickPlace,
     grip_force: f64,
     grip: Grip,
     released: Option<Released>,
@@ -86,7 +86,7 @@ pub(super) struct Referee {
 
 impl Referee {
     /// The referee of an episode in this cell, for a gripper that holds with `grip_force_n` newtons.
-    pub(super) fn new(cell: ResolvedCell, briefing: Briefing, rules: Rules, grip_force_n: f64) -> Self {
+    pub(super) fn new(cell: ResolvedCell, briefing: Briefing, rules: PickPlace, grip_force_n: f64) -> Self {
         let grip_force = grip_force_n * cell.parameters.gripper.force_scale;
         Self {
             cell,
@@ -149,10 +149,10 @@ impl Referee {
         let object = &sight.view.object;
         let distance = self.distance(object);
         let angle = self.cell.parameters.shape.angle_between(&object.rotation, &UnitQuaternion::identity());
-        let aligned = self.rules.orientation_tolerance_rad.is_none_or(|most| angle <= most);
-        let placed = distance <= TOLERANCE_M && aligned;
+        let aligned = self.rules.orientation_limit_rad().is_none_or(|most| angle <= most);
+        let placed = distance <= self.rules.tolerance_m && aligned;
         if first || placed {
-            let turned = match self.rules.orientation_tolerance_rad {
+            let turned = match self.rules.orientation_limit_rad() {
                 Some(_) => format!(" and {:.1} degrees", angle.to_degrees()),
                 None => String::new(),
             };

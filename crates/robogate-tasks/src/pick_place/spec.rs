@@ -6,8 +6,7 @@ use robogate_core::{
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
-use super::cell::TOLERANCE_M;
-use super::{ModeSet, Rules, foresight, parameters};
+use super::{ModeSet, PickPlace, foresight, parameters};
 pub use crate::arm::TOOL_DELTA;
 pub(crate) use crate::arm::observation;
 use crate::arm::{base_spec, briefing, common_measures, instance, measure, mode};
@@ -54,12 +53,11 @@ pub mod phases {
 }
 
 /// The task specification for this robot with these cameras under these rules.
-pub fn spec(robot: &Robot, cameras: Vec<CameraSpec>, rules: &Rules) -> TaskSpec {
+pub fn spec(robot: &Robot, cameras: Vec<CameraSpec>, rules: &PickPlace) -> TaskSpec {
     let gripper = &robot.settings.gripper;
     TaskSpec {
         version: 2,
         instruction: "pick up the part and place it at the target".to_owned(),
-        time_limit_s: rules.time_limit_s,
         failure_modes: failure_modes(rules),
         measures: measures(),
         draws: foresight::draw_specs(robot.settings.arm.joints.len()),
@@ -69,7 +67,7 @@ pub fn spec(robot: &Robot, cameras: Vec<CameraSpec>, rules: &Rules) -> TaskSpec 
     }
 }
 
-fn failure_modes(rules: &Rules) -> Vec<FailureModeSpec> {
+fn failure_modes(rules: &PickPlace) -> Vec<FailureModeSpec> {
     let at_limit = |name, severity, meaning: String| FailureModeSpec {
         name,
         meaning,
@@ -80,10 +78,10 @@ fn failure_modes(rules: &Rules) -> Vec<FailureModeSpec> {
         "The time limit passed, and the robot had pressed with more than {} N for {} s.",
         rules.jam_force_n, rules.jam_duration_s
     );
-    let off = match rules.orientation_tolerance_rad {
-        None => format!("more than {:.0} mm from the target", 1e3 * TOLERANCE_M),
+    let off = match rules.orientation_limit_rad() {
+        None => format!("more than {:.0} mm from the target", 1e3 * rules.tolerance_m),
         Some(angle) => {
-            format!("more than {:.0} mm or {:.0} degrees from the target", 1e3 * TOLERANCE_M, angle.to_degrees())
+            format!("more than {:.0} mm or {:.0} degrees from the target", 1e3 * rules.tolerance_m, angle.to_degrees())
         }
     };
     let misplaced = format!("The time limit passed, and the released part was at rest {off}.");

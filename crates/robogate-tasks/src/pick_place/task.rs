@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use robogate_core::{
     Assignment, CameraSpec, Fault, Foresight, Infeasibility, ParameterSpace, Policy, Scenario, Suite, TaskInstance,
-    TaskSpec,
+    TaskSpec, Value,
 };
 use robogate_physics::{Chain, Gripper, Robot, SuctionLaw};
 
@@ -12,23 +12,11 @@ use super::cell::ResolvedCell;
 use super::referee::Referee;
 use super::spec::{Briefing, spec};
 use super::{
-    NAME, PickPlaceForesight, Rules, SUMMARY, SceneParameters, Scripted, ToolExpert, check_suite, default_space,
+    NAME, PickPlace, PickPlaceForesight, SUMMARY, SceneParameters, Scripted, ToolExpert, check_suite, default_space,
     feasibility,
 };
 use crate::arm::{self, Resolved};
 use crate::spaces::unit_space;
-
-/// Pick and place under its rules.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct PickPlace {
-    /// The rules.
-    pub rules: Rules,
-}
-
-impl PickPlace {
-    /// The task under its default rules.
-    pub const DEFAULT: Self = Self { rules: Rules::DEFAULT };
-}
 
 impl arm::Rules for PickPlace {
     fn name(&self) -> &'static str {
@@ -52,34 +40,29 @@ impl arm::Rules for PickPlace {
     }
 
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
-        spec(robot, cameras, &self.rules)
+        spec(robot, cameras, self)
     }
 
     fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved, Fault> {
-        let cell = ResolvedCell::new(scenario, robot, &self.rules)?;
+        let cell = ResolvedCell::new(scenario, robot, self)?;
         let mut briefing = cell.briefing();
-        briefing.orientation_tolerance_rad = self.rules.orientation_tolerance_rad;
+        briefing.tolerance_m = self.tolerance_m;
+        briefing.orientation_tolerance_rad = self.orientation_limit_rad();
         Ok(Resolved {
             scene: cell.scene.clone(),
             grip_threshold_m: cell.parameters.grip_threshold_m,
             bias: cell.bias.clone(),
             instance: briefing.instance(),
-            trial: Box::new(Referee::new(cell, briefing, self.rules, grip_force_n)),
+            trial: Box::new(Referee::new(cell, briefing, *self, grip_force_n)),
         })
     }
 
     fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Arc<dyn Foresight> {
-        Arc::new(PickPlaceForesight::new(robot, chain, grip_force_n, &self.rules))
+        Arc::new(PickPlaceForesight::new(robot, chain, grip_force_n, self))
     }
 
-    fn infeasibility(
-        &self,
-        requested: &Assignment,
-        robot: &Robot,
-        grip_force_n: f64,
-        suction: SuctionLaw,
-    ) -> Option<Infeasibility> {
-        feasibility::infeasibility(requested, robot, self.rules.workspace_scale(robot), grip_force_n, suction)
+    fn infeasibility(&self, requested: &Assignment, robot: &Robot, grip_force_n: f64) -> Option<Infeasibility> {
+        feasibility::infeasibility(requested, robot, self.workspace_scale(robot), grip_force_n, self.arm.suction)
     }
 
     fn check_space(&self, space: &ParameterSpace, gripper: &Gripper) -> Result<(), String> {
@@ -106,6 +89,12 @@ impl arm::Rules for PickPlace {
 
     fn physics_only(&self) -> Result<(), &'static str> {
         Ok(())
+    }
+
+    fn published(&self, gripper: &Gripper) -> Assignment {
+        let word = |name: &str, word: &str| (name.into(), Value::Category(word.into()));
+        let cup = gripper.cup().map(|_| word("suction", SuctionLaw::Surface.as_str()));
+        [word("failure_modes", "paper"), word("workspace", "paper")].into_iter().chain(cup).collect()
     }
 
     fn scripted(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {

@@ -10,7 +10,6 @@ use robogate_physics::{Chain, GRAVITY, Gripper, Robot, isometry};
 use super::controller::{CARRY, RELEASE_ROOM_M, Scripted};
 use super::parameters::{PARTS, Settings};
 use super::scene::{briefing, settings};
-use super::spec::TOLERANCE_M;
 use super::statics::{self, Level};
 use crate::arm::{
     GRIP_THRESHOLD_M, Memo, Posture, bias_draws, components, draw, drawn, feature, grasp_height, holding_n, in_hand,
@@ -118,6 +117,8 @@ pub(super) struct StackingForesight {
     robot: Robot,
     chain: Chain,
     grip_force_n: f64,
+    /// Largest distance of a part from its place, in metres.
+    tolerance_m: f64,
     planner: Scripted,
     draws: Vec<DrawSpec>,
     /// `None` where a posture is out of reach.
@@ -143,8 +144,9 @@ struct Grasp {
 }
 
 impl StackingForesight {
-    pub(super) fn new(robot: &Robot, chain: &Chain, grip_force_n: f64) -> Self {
+    pub(super) fn new(robot: &Robot, chain: &Chain, grip_force_n: f64, tolerance_m: f64) -> Self {
         Self {
+            tolerance_m,
             robot: robot.clone(),
             chain: chain.clone(),
             grip_force_n,
@@ -162,7 +164,7 @@ impl StackingForesight {
         let postures = self.postures.get((settings.order, size as u64, overhang as u64), || {
             let size_m = size * STEP_M;
             let rounded = Settings { size_m, overhang: overhang * STEP_M / size_m, ..settings.clone() };
-            self.planner.postures(&briefing(&rounded))
+            self.planner.postures(&briefing(&rounded, self.tolerance_m))
         });
         let moves =
             postures.map(|moves| moves.map(|both| both.map(|one| (one.clone(), one.displacement(&self.chain, &bias)))));
@@ -173,7 +175,7 @@ impl StackingForesight {
         let settings = &outlook.settings;
         let size = settings.size_m;
         let gripper = &self.robot.settings.gripper;
-        let nominal = briefing(settings);
+        let nominal = briefing(settings, self.tolerance_m);
         let at = |pose: &Pose| isometry(&pose.position, &pose.orientation);
         let base = settings.pose(settings.order[0]);
         let mut placed = vec![base];
@@ -214,7 +216,7 @@ impl StackingForesight {
         let carried_n =
             settings.mass(1).max(settings.mass(2)) * (GRAVITY * settings.gravity_scale + CARRY.acceleration);
         let mut row = vec![
-            TOLERANCE_M - pairs().map(apart).fold(0.0, f64::max),
+            self.tolerance_m - pairs().map(apart).fold(0.0, f64::max),
             statics::margin(&levels, size).clamp(-size, size),
             pairs().map(turn).fold(0.0, f64::max),
             tilt,

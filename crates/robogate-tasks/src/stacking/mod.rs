@@ -11,9 +11,59 @@ mod scene;
 mod spec;
 pub mod statics;
 
+use crate::arm::{ArmSettings, HasSettings, OnArm, rows};
+use crate::settings::{Field, SettingRow};
+
 /// The task's name.
 const NAME: &str = "stacking";
 
 /// The stacking task.
-#[derive(Debug, Clone, Copy)]
-pub struct Stacking;
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stacking {
+    /// The settings of the arm.
+    pub arm: ArmSettings,
+    /// A part is in its place within this horizontal distance of its offset from the part below, in metres.
+    pub tolerance_m: f64,
+    /// A part has tipped over beyond this angle, in radians.
+    pub tilt_limit_rad: f64,
+}
+
+impl Stacking {
+    /// The task with its default settings.
+    pub const DEFAULT: Self = Self { arm: ArmSettings::lasting(30.0), tolerance_m: 0.01, tilt_limit_rad: 0.262 };
+}
+
+impl Default for Stacking {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+impl OnArm for Stacking {
+    fn arm(&self) -> &ArmSettings {
+        &self.arm
+    }
+
+    fn arm_mut(&mut self) -> &mut ArmSettings {
+        &mut self.arm
+    }
+}
+
+impl HasSettings for Stacking {
+    fn rows() -> Vec<SettingRow<Self>> {
+        rows([
+            SettingRow {
+                name: "tolerance_m",
+                unit: "m",
+                meaning: "Largest horizontal distance of a part from its place on the part below.",
+                field: Field::Number([1e-4, 0.05], |task: &mut Self| &mut task.tolerance_m),
+            },
+            SettingRow {
+                name: "tilt_limit_rad",
+                unit: "rad",
+                meaning: "A part of the stack has toppled beyond this angle.",
+                field: Field::Number([0.01, 1.5], |task| &mut task.tilt_limit_rad),
+            },
+        ])
+    }
+}

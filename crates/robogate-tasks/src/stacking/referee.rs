@@ -7,8 +7,8 @@
 //! | collision | a robot body touches the table |
 //! | missed | after a close command the gripper is at rest and does not hold a part |
 //! | dropped | a part left the closed gripper, or was released more than 3 cm above its resting height |
-//! | toppled | a part of the stack tilts by more than 15 degrees or sinks by more than a quarter of its size; a part that was released over the stack falls or comes to rest elsewhere |
-//! | misplaced | a released part has come to rest out of order or outside the tolerance of its place |
+//! | toppled | a part of the stack tilts by more than `tilt_limit_rad` or sinks by more than a quarter of its size; a part that was released over the stack falls or comes to rest elsewhere |
+//! | misplaced | a released part has come to rest out of order or farther than `tolerance_m` from its place |
 //! | success | all parts are in their places, have been at rest for 0.4 s, and the robot does not touch the last one |
 //!
 //! The rollout reports a timeout if none of these events happens within the time limit.
@@ -17,15 +17,14 @@ use nalgebra::{Isometry3, Vector3};
 use robogate_core::{Assignment, Measures};
 use robogate_physics::GripperCommand;
 
+use super::Stacking;
 use super::parameters::{PARTS, ROWS, Settings};
-use super::spec::{COLLISION, DROPPED, MARGIN, MISPLACED, MISSED, OFFSET, PEAK_FORCE, SLIP, TOLERANCE_M, TOPPLED};
+use super::spec::{COLLISION, DROPPED, MARGIN, MISPLACED, MISSED, OFFSET, PEAK_FORCE, SLIP, TOPPLED};
 use super::statics::{self, Level};
 use crate::arm::{Acting, Bodies, Found, Grip, GripChange, Record, Sight, Trial, applied, still, touching};
 
 /// A part is dropped if it is released more than this above its resting height, in metres.
 const DROP_M: f64 = 0.03;
-/// A part has tipped over beyond this angle, in radians.
-const TILT_RAD: f64 = 0.262;
 /// A part is no longer at its level if its centre is off by more than this fraction of its size.
 const LEVEL_SHARE: f64 = 0.25;
 /// The parts are at rest below this speed, in m/s ...
@@ -37,6 +36,7 @@ const REST_S: f64 = 0.4;
 
 /// The referee of one episode.
 pub(crate) struct Referee {
+    rules: Stacking,
     settings: Settings,
     grip: Grip,
     /// The part that the gripper acts on.
@@ -64,9 +64,10 @@ struct Released {
 }
 
 impl Referee {
-    /// The referee of an episode with these settings, for a gripper that holds with `grip_force_n` newtons.
-    pub(super) fn new(settings: Settings, grip_force_n: f64) -> Self {
+    /// The referee of an episode with these settings under these rules, for a gripper that holds with `grip_force_n` newtons.
+    pub(super) fn new(settings: Settings, rules: Stacking, grip_force_n: f64) -> Self {
         Self {
+            rules,
             selected: settings.order[1],
             grip: Grip::new(grip_force_n * settings.around.gripper.force_scale),
             settings,
@@ -94,7 +95,7 @@ impl Referee {
     /// Whether a part is upright at this level.
     fn stands(&self, part: &Isometry3<f64>, level: usize) -> bool {
         let off = (part.translation.z - self.level_height(level)).abs();
-        off <= LEVEL_SHARE * self.settings.size_m && tilt(part) <= TILT_RAD
+        off <= LEVEL_SHARE * self.settings.size_m && tilt(part) <= self.rules.tilt_limit_rad
     }
 
     /// Horizontal distance of a part from its place on the part below, in metres.
@@ -117,7 +118,7 @@ impl Referee {
         let (part, below) = (sight.view.object, self.part_at(self.complete - 1, sight.bodies));
         let expected = self.selected == self.settings.order[self.complete];
         let fell = part.translation.z < self.level_height(self.complete) - 0.5 * self.settings.size_m
-            || tilt(&part) > 2.0 * TILT_RAD;
+            || tilt(&part) > 2.0 * self.rules.tilt_limit_rad;
         if expected && released.over_stack && released.height <= DROP_M && fell {
             self.record.note(format!("part {} falls off the stack", PARTS[self.selected]));
             self.record.end(Some(TOPPLED), sight.time, None);
@@ -147,7 +148,7 @@ impl Referee {
         } else {
             self.record.note(format!("part {name} at rest, {:.1} mm from its place", 1e3 * off));
             self.offset_m = Some(self.offset_m.unwrap_or(0.0).max(off));
-            (off > TOLERANCE_M).then_some(MISPLACED)
+            (off > self.rules.tolerance_m).then_some(MISPLACED)
         };
         if failure.is_some() {
             self.record.end(failure, sight.time, None);

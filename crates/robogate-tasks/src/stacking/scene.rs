@@ -7,15 +7,14 @@ use robogate_core::{
     Assignment, CameraSpec, Fault, Foresight, Infeasibility, Policy, Pose, Scenario, TaskInstance, TaskSpec,
 };
 use robogate_physics::{
-    Chain, Color, Fixture, FreeBody, GRAVITY, Gripper, MassProperties, Object, Part, Primitive, Robot, Scene,
-    SuctionLaw, Visual,
+    Chain, Color, Fixture, FreeBody, GRAVITY, Gripper, MassProperties, Object, Part, Primitive, Robot, Scene, Visual,
 };
 
 use super::controller::Scripted;
 use super::foresight::StackingForesight;
 use super::parameters::{PARTS, ROWS, Settings};
 use super::referee::Referee;
-use super::spec::{self, Briefing, TOLERANCE_M};
+use super::spec::{self, Briefing};
 use super::{NAME, Stacking};
 use crate::arm::{
     GRIP_THRESHOLD_M, Load, Resolved, Rules, cannot_carry, decode, disc_point, encoder_bias, out_of_reach, within_reach,
@@ -64,16 +63,10 @@ impl Rules for Stacking {
     }
 
     fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Arc<dyn Foresight> {
-        Arc::new(StackingForesight::new(robot, chain, grip_force_n))
+        Arc::new(StackingForesight::new(robot, chain, grip_force_n, self.tolerance_m))
     }
 
-    fn infeasibility(
-        &self,
-        requested: &Assignment,
-        robot: &Robot,
-        grip_force_n: f64,
-        suction: SuctionLaw,
-    ) -> Option<Infeasibility> {
+    fn infeasibility(&self, requested: &Assignment, robot: &Robot, grip_force_n: f64) -> Option<Infeasibility> {
         let settings: Settings = decode(&ROWS, requested).ok()?;
         // The first part of the order stays where it is.
         let heaviest = settings.mass(1).max(settings.mass(2));
@@ -88,7 +81,7 @@ impl Rules for Stacking {
         within_reach(robot, PLACES)
             .into_iter()
             .find_map(far)
-            .or_else(|| cannot_carry(&robot.settings.gripper, &load, grip_force_n, suction))
+            .or_else(|| cannot_carry(&robot.settings.gripper, &load, grip_force_n, self.arm.suction))
     }
 
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
@@ -101,20 +94,20 @@ impl Rules for Stacking {
             scene: scene(&settings),
             grip_threshold_m: GRIP_THRESHOLD_M,
             bias: settings.around.bias(scenario, robot)?,
-            instance: briefing(&settings).instance(),
-            trial: Box::new(Referee::new(settings, grip_force_n)),
+            instance: briefing(&settings, self.tolerance_m).instance(),
+            trial: Box::new(Referee::new(settings, *self, grip_force_n)),
         })
     }
 }
 
-/// The briefing of an episode with these settings.
-pub(super) fn briefing(settings: &Settings) -> Briefing {
+/// The briefing of an episode with these settings, and this tolerance of each place in metres.
+pub(super) fn briefing(settings: &Settings, tolerance_m: f64) -> Briefing {
     Briefing {
         size_m: settings.size_m,
         parts: settings.places.map(|[x, y]| Pose::upright([x, y, 0.5 * settings.size_m], 0.0)),
         order: settings.order,
         offset_m: [settings.overhang * settings.size_m, 0.0],
-        tolerance_m: TOLERANCE_M,
+        tolerance_m,
     }
 }
 

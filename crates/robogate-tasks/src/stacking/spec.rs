@@ -8,11 +8,6 @@ use super::parameters::ROWS;
 use super::{NAME, foresight};
 use crate::arm::{base_spec, briefing, common_measures, instance, measure, mode, not_a_briefing, specs};
 
-/// The time limit of an episode, in seconds.
-const TIME_LIMIT_S: f64 = 30.0;
-/// A part is in its place within this horizontal distance of its offset from the part below, in metres.
-pub(super) const TOLERANCE_M: f64 = 0.01;
-
 /// A part that stood on another one fell off it or tipped over.
 pub(super) const TOPPLED: FailureMode = FailureMode::constant("toppled");
 /// A part came to rest outside the tolerance of its place.
@@ -47,7 +42,6 @@ pub(super) mod phases {
 pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
     TaskSpec {
         instruction: "stack the parts in the given order".to_owned(),
-        time_limit_s: TIME_LIMIT_S,
         failure_modes: vec![
             mode(TOPPLED, Severity::Critical, "A part that stood on another one fell off it or tipped over."),
             mode(MISPLACED, Severity::Major, "A part came to rest outside the tolerance of its place."),

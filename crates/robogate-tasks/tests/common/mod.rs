@@ -9,9 +9,9 @@ use robogate_core::{Assignment, Episode, Outcome, Scenario, Seed, Value, rollout
 use robogate_physics::MujocoEngine;
 #[cfg(feature = "rapier")]
 use robogate_physics::RapierEngine;
-use robogate_physics::{Engine, JointTargets, Robot, Scene, SuctionLaw};
+use robogate_physics::{Engine, JointTargets, Robot, Scene};
 use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
-use robogate_tasks::pick_place::{PickPlace, Rules, Scripted};
+use robogate_tasks::pick_place::{PickPlace, Scripted};
 use robogate_tasks::{ArmTask, Rig};
 
 /// Creates one test per claim and engine.
@@ -100,19 +100,13 @@ impl TestCell {
 
 impl Workbench for TestCell {
     fn setup(&self) -> Setup {
-        Setup {
-            robot: self.robot.clone(),
-            time_step_s: self.on.time_step(),
-            suction: SuctionLaw::Vacuum,
-            rules: Rules::default(),
-        }
+        Setup { robot: self.robot.clone(), time_step_s: self.on.time_step(), settings: Assignment::default() }
     }
 
     fn bench(&self, setup: &Setup) -> Result<Bench, String> {
         let engine = self.on.engine(setup.robot.clone(), setup.time_step_s)?;
         let policy = Scripted::new(setup.robot.clone(), engine.chain().clone());
-        let rig = Rig { suction: setup.suction, ..Rig::default() };
-        Ok((PickPlace { rules: setup.rules }.environment(engine, rig)?, Box::new(policy)))
+        Ok((PickPlace::of(&setup.settings)?.environment(engine, Rig::default())?, Box::new(policy)))
     }
 }
 

@@ -10,7 +10,7 @@ use robogate_zmtp::Address;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
-use crate::subject::{EnvironmentArguments, assignment, named_space};
+use crate::subject::{EnvironmentArguments, named_space};
 use crate::terminal::{bold, line, note};
 
 /// Run the conformance tests against a simulator server.
@@ -29,7 +29,7 @@ enum What {
 /// Check whether a server conforms to the bridge protocol (bridges/PROTOCOL.md).
 ///
 /// Runs 13 experiments, then measures latencies. Exit codes: 0 all requirements met, 1 a requirement not met, 5 no
-/// answer.
+/// answer. --set also sets parameters, in every scenario.
 #[derive(Debug, Args)]
 struct BridgeCheck {
     /// Address of the server: tcp://HOST:PORT
@@ -38,9 +38,6 @@ struct BridgeCheck {
     /// server's own space, otherwise the declared nominal values
     #[arg(long, value_name = "NAME|FILE")]
     space: Option<String>,
-    /// Set a parameter in every scenario; repeat for several
-    #[arg(long, value_name = "NAME=VALUE")]
-    set: Vec<String>,
     #[command(flatten)]
     environment: EnvironmentArguments,
     /// Print one JSON document
@@ -69,15 +66,21 @@ impl BridgeCheck {
             (None, Some(space)) => Some(space.clone()),
             (None, None) => None,
         };
-        let base = assignment(&self.set).or_usage()?;
+        let (cell, base) = if hello.scores_itself {
+            (None, self.environment.parameters()?)
+        } else {
+            let (cell, parameters) = self.environment.cell_and_parameters()?;
+            (Some(cell), parameters)
+        };
         let scenarios =
             scenarios(&task, space.map(Arc::new).as_ref(), &base, SCENARIOS).map_err(anyhow::Error::msg).or_usage()?;
         note(format_args!("checking {} ...", self.address));
-        let report = if hello.scores_itself {
-            check(&self.address, timeouts, &scenarios, &mut ScoredSession::default())
-        } else {
-            let mut session = PhysicsSession(self.environment.cell()?.remote_task().or_usage()?);
-            check(&self.address, timeouts, &scenarios, &mut session)
+        let report = match cell {
+            None => check(&self.address, timeouts, &scenarios, &mut ScoredSession::default()),
+            Some(cell) => {
+                let mut session = PhysicsSession(cell.remote_task().or_usage()?);
+                check(&self.address, timeouts, &scenarios, &mut session)
+            }
         };
         let report = report.map_err(failed).or_broken()?;
         let tried: Vec<&str> = scenarios.first().into_iter().flat_map(|s| s.requested.iter().map(|p| p.0)).collect();

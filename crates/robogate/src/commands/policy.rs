@@ -7,7 +7,6 @@ use std::time::Instant;
 use anyhow::{Context, anyhow};
 use clap::{Args, Subcommand};
 use robogate_core::{Action, Environment, FaultKind, Image, Observation, TaskSpec};
-use robogate_physics::SuctionLaw;
 use robogate_policy::{
     Arm, BoundMap, Chunk, Decoder, Draft, ExternalPolicy, MapRow, PolicyError, Profile, Side, TaskMap, check_task,
     map_table, outside_range,
@@ -209,7 +208,7 @@ impl Check {
 
     /// The environment with the pictures of the profile.
     fn source(&self, profile: &Profile) -> Result<EnvironmentSource, Exit> {
-        let source = self.environment.environment(SuctionLaw::Vacuum)?;
+        let source = self.environment.environment()?;
         Ok(profile.rendered_px.into_iter().fold(source, EnvironmentSource::with_pictures_of))
     }
 

@@ -17,7 +17,6 @@ use robogate_campaign::{
 use robogate_core::{FailureMode, ParameterSpace, TaskSpec};
 use robogate_dictionary::Provenance;
 use robogate_gate::Sampling;
-use robogate_physics::SuctionLaw;
 use robogate_report::Watch;
 use robogate_risk::all_processors;
 use robogate_stats::format::counted;
@@ -205,9 +204,8 @@ impl Run {
         // runs use the physical vacuum law and every mode.
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
-        let suction = if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum };
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
-        let environment = self.environment.environment_of(suite.as_ref(), suction)?;
+        let environment = self.environment.environment_of(suite.as_ref())?;
         let environment = if papers { environment.like_the_paper().or_broken()? } else { environment };
         let policy = self.policy.source_at(&self.location)?;
         self.location.check_used(policy.as_ref())?;
@@ -577,7 +575,7 @@ mod tests {
     use super::*;
 
     /// The arguments of `run` that affect the results of a campaign.
-    const WITH_EFFECT: [&str; 31] = [
+    const WITH_EFFECT: &[&str] = &[
         "preset",
         "plan",
         "space",
@@ -595,12 +593,7 @@ mod tests {
         "robot",
         "engine",
         "time_step",
-        "grip_force",
-        "suction",
-        "time_limit",
-        "jam_force",
-        "jam_duration",
-        "orientation_tolerance",
+        "set",
         "renderer",
         "policy",
         "profile",
@@ -617,7 +610,7 @@ mod tests {
         let run = command.find_subcommand("run").unwrap();
         let known = command.get_arguments().chain(run.get_arguments()).map(|argument| argument.get_id().as_str());
         let known: BTreeSet<&str> = known.collect();
-        let classified: BTreeSet<&str> = Given::WITHOUT_EFFECT.into_iter().chain(WITH_EFFECT).collect();
+        let classified: BTreeSet<&str> = Given::WITHOUT_EFFECT.iter().chain(WITH_EFFECT).copied().collect();
         assert_eq!(known, classified);
         assert_eq!(classified.len(), Given::WITHOUT_EFFECT.len() + WITH_EFFECT.len(), "an argument is in both lists");
     }

@@ -5,7 +5,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::anyhow;
 use clap::Args;
-use robogate_physics::SuctionLaw;
 use robogate_remote::limits::REQUEST;
 use robogate_remote::{EnvironmentHost, Host, Server};
 use robogate_zmtp::{Address, Replier, ZmtpError};
@@ -45,7 +44,7 @@ impl Serve {
             );
             return Err(why).or_usage();
         }
-        let source = self.environment.environment(SuctionLaw::Vacuum)?;
+        let source = self.environment.environment()?;
         if self.physics_only {
             let EnvironmentSource::Cell(cell) = &source else {
                 return Err(anyhow!("--physics-only applies to tasks for an arm\n  hint: leave out --task")).or_usage();

@@ -8,7 +8,6 @@ use clap::Args;
 use robogate_camera::{CAMERAS, SIZE_PX};
 use robogate_campaign::{DEFAULT_SEED, Worker, WorkerFactory, recorded};
 use robogate_core::{Assignment, Image, Scenario, Seed, Start, Suite};
-use robogate_physics::SuctionLaw;
 use serde_json::json;
 
 use crate::commands::suites;
@@ -16,7 +15,7 @@ use crate::exit::{DONE, Exit, OrExit};
 use crate::picture;
 use crate::place;
 use crate::reopening::Trust;
-use crate::subject::{EnvironmentArguments, Subject, assignment};
+use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{foreign, line, note};
 
 /// Default width and height of an image, in pixels.
@@ -27,6 +26,8 @@ const COLUMNS: usize = 10;
 const LARGEST_PX: usize = 4096;
 
 /// Render a scenario with the cameras of the cell, at the start or while the scripted controller works.
+///
+/// --set also sets parameters of the scenario (docs/parameters.md).
 #[derive(Debug, Args)]
 pub(crate) struct Snapshot {
     /// Render a scenario of this suite: a built-in one or a TOML file
@@ -36,7 +37,7 @@ pub(crate) struct Snapshot {
     #[arg(long, value_name = "ID", requires = "suite", conflicts_with = "index")]
     case: Option<String>,
     /// Render an episode of this run
-    #[arg(long, value_name = "DIR", requires = "index", conflicts_with_all = ["suite", "seed", "set", "robot", "engine", "time_step", "grip_force", "suction", "renderer"])]
+    #[arg(long, value_name = "DIR", requires = "index", conflicts_with_all = ["suite", "seed", "set", "robot", "engine", "time_step", "renderer"])]
     run: Option<PathBuf>,
     /// Select the index: of the suite's scenario (counted across rounds), of the run's episode, or of the random draws
     /// of a scenario; default: 0
@@ -45,9 +46,6 @@ pub(crate) struct Snapshot {
     /// Set the campaign seed
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
-    /// Set a parameter of the scenario (docs/parameters.md); repeat for several
-    #[arg(long, value_name = "NAME=VALUE")]
-    set: Vec<String>,
     /// Render at these simulated times, in seconds; separate several with commas
     #[arg(long, value_name = "SECONDS", value_delimiter = ',', default_value = "0")]
     at: Vec<f64>,
@@ -83,12 +81,16 @@ impl Snapshot {
             return Err(anyhow!("--at {wrong}: expected a time from 0 to 1,000,000 s")).or_usage();
         }
         times.sort_by(f64::total_cmp);
-        let subject = match &self.run {
+        let (subject, set) = match &self.run {
             Some(dir) => {
                 let settings = robogate_campaign::settings(dir).or_usage()?;
-                Subject::recorded(&settings.provenance, Some(dir), &self.environment.reopening(self.trust))?
+                let opening = self.environment.reopening(self.trust);
+                (Subject::recorded(&settings.provenance, Some(dir), &opening)?, Assignment::default())
             }
-            None => Subject::new(self.environment.environment(SuctionLaw::Vacuum)?, None)?,
+            None => {
+                let (environment, set) = self.environment.environment_and_parameters()?;
+                (Subject::new(environment, None)?, set)
+            }
         };
         let subject = subject.with_pictures_of(size);
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
@@ -96,14 +98,14 @@ impl Snapshot {
             subject.check_suite(suite).or_usage()?;
         }
         match &suite {
-            Some(suite) if self.sheet => self.sheet(&subject, suite, &times),
-            _ => self.pictures(&subject, suite.as_ref(), &times),
+            Some(suite) if self.sheet => self.sheet(&subject, suite, &set, &times),
+            _ => self.pictures(&subject, suite.as_ref(), &set, &times),
         }
     }
 
     /// Renders one scenario: one file for each camera and time.
-    fn pictures(&self, subject: &Subject, suite: Option<&Suite>, times: &[f64]) -> Result<u8, Exit> {
-        let (name, scenario) = self.scenario(suite)?;
+    fn pictures(&self, subject: &Subject, suite: Option<&Suite>, set: &Assignment, times: &[f64]) -> Result<u8, Exit> {
+        let (name, scenario) = self.scenario(suite, set)?;
         let folder = self.out.clone().unwrap_or_else(|| PathBuf::from("snapshots"));
         let mut worker = subject.worker().or_broken()?;
         let mut written = Vec::new();
@@ -128,7 +130,7 @@ impl Snapshot {
     }
 
     /// Renders every scenario of a suite on one sheet.
-    fn sheet(&self, subject: &Subject, suite: &Suite, times: &[f64]) -> Result<u8, Exit> {
+    fn sheet(&self, subject: &Subject, suite: &Suite, set: &Assignment, times: &[f64]) -> Result<u8, Exit> {
         let [time] = times else {
             return Err(anyhow!("--sheet renders every scenario once: expected one time for --at")).or_usage();
         };
@@ -136,7 +138,7 @@ impl Snapshot {
         let mut worker = subject.worker().or_broken()?;
         let mut pictures = Vec::with_capacity(suite.cases().len());
         for (index, case) in (self.index.unwrap_or(0)..).zip(suite.cases()) {
-            let scenario = self.with_set(suite.scenario(self.campaign(), index))?;
+            let scenario = with(suite.scenario(self.campaign(), index), set);
             // An episode that ends before this time is shown at its end.
             let mut last = None;
             watch(&mut worker, &scenario, &[*time], |_, images| {
@@ -163,7 +165,7 @@ impl Snapshot {
     }
 
     /// The requested scenario, and its name in file names.
-    fn scenario(&self, suite: Option<&Suite>) -> Result<(String, Scenario), Exit> {
+    fn scenario(&self, suite: Option<&Suite>, set: &Assignment) -> Result<(String, Scenario), Exit> {
         if let (Some(dir), Some(index)) = (&self.run, self.index) {
             let entry = recorded(dir, index).or_usage()?;
             return Ok((format!("episode-{index}"), entry.episode.scenario));
@@ -171,7 +173,7 @@ impl Snapshot {
         let index = self.index.unwrap_or(0);
         let Some(suite) = suite else {
             let scenario = Scenario { index, seed: self.campaign().episode(index), requested: Assignment::default() };
-            return Ok((format!("scenario-{index}"), self.with_set(scenario)?));
+            return Ok((format!("scenario-{index}"), with(scenario, set)));
         };
         let index = match &self.case {
             None => index,
@@ -184,16 +186,14 @@ impl Snapshot {
                 }
             },
         };
-        Ok((suite.case(index).id.clone(), self.with_set(suite.scenario(self.campaign(), index))?))
+        Ok((suite.case(index).id.clone(), with(suite.scenario(self.campaign(), index), set)))
     }
+}
 
-    /// Applies `--set` to a scenario.
-    fn with_set(&self, mut scenario: Scenario) -> Result<Scenario, Exit> {
-        for (name, value) in assignment(&self.set).or_usage()?.iter() {
-            scenario.requested.set(name, value.clone());
-        }
-        Ok(scenario)
-    }
+/// The scenario with these values of its parameters.
+fn with(mut scenario: Scenario, set: &Assignment) -> Scenario {
+    set.iter().for_each(|(name, value)| scenario.requested.set(name, value.clone()));
+    scenario
 }
 
 /// Runs an episode and passes on the images at these times (ascending, in seconds). If the episode ends first, it

@@ -5,10 +5,9 @@ use std::sync::Arc;
 
 use anyhow::{Context, anyhow};
 use clap::Args;
-use robogate_core::Suite;
+use robogate_core::{Assignment, SettingSpec, Suite};
 use robogate_dictionary::hex;
-use robogate_physics::{SuctionLaw, is_folder};
-use robogate_tasks::pick_place::Rules;
+use robogate_physics::is_folder;
 use sha2::{Digest, Sha256};
 
 use crate::cell::{Cell, CellSettings};
@@ -20,6 +19,7 @@ use crate::reopening::{Reopening, Trust};
 use crate::terminal::foreign;
 
 use super::environment::{EnvironmentSource, RemoteSource};
+use super::spaces::assignment;
 use crate::environments::BUNDLED;
 
 /// The arguments that select the environment.
@@ -30,7 +30,7 @@ pub(crate) struct EnvironmentArguments {
     task: String,
     /// Run in this environment: FAMILY:NAME of a bundled one (see `robogate env list`), gymnasium:ID, or your own as
     /// FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE
-    #[arg(long, value_name = "NAME", conflicts_with_all = ["task", "addresses", "engine", "time_step", "robot", "grip_force", "suction", "time_limit", "jam_force", "jam_duration", "orientation_tolerance"])]
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["task", "addresses", "engine", "time_step", "robot"])]
     env: Option<String>,
     /// Choose the robot: a built-in one (see `robogate robots`), or the folder of your own [default: franka]
     #[arg(long, value_name = "ROBOT")]
@@ -40,26 +40,10 @@ pub(crate) struct EnvironmentArguments {
     /// Set the engine's time step, in seconds; default: the engine's own
     #[arg(long, value_name = "SECONDS", conflicts_with = "addresses")]
     time_step: Option<f64>,
-    /// Set the normal force of each gripper pad, in newtons; default: the robot's own
-    #[arg(long, value_name = "NEWTONS")]
-    grip_force: Option<f64>,
-    /// Choose how a suction cup holds an object: surface (a joint that never breaks, as in the paper) or vacuum
-    /// (limited by pressure and friction); default: surface with the paper preset, vacuum otherwise
-    #[arg(long, value_name = "LAW")]
-    suction: Option<SuctionLaw>,
-    /// Set the time limit of an episode of pick_place, in seconds; a multiple of 0.05 [default: 15]
-    #[arg(long, value_name = "SECONDS")]
-    time_limit: Option<f64>,
-    /// Set the contact force above which the robot presses, in newtons; see the failure mode `jam` [default: 100]
-    #[arg(long, value_name = "NEWTONS")]
-    jam_force: Option<f64>,
-    /// Set the duration of pressing that is a jam, in seconds [default: 0.05]
-    #[arg(long, value_name = "SECONDS")]
-    jam_duration: Option<f64>,
-    /// Require the part to be at rest within this angle of its orientation at the target, in degrees; default: any
-    /// orientation
-    #[arg(long, value_name = "DEGREES")]
-    orientation_tolerance: Option<f64>,
+    /// Set a setting of the task (`robogate list` has them): time_limit_s=20, or with a unit time_limit_s=2min; repeat
+    /// for several
+    #[arg(long = "set", value_name = "NAME=VALUE")]
+    set: Vec<String>,
     /// Choose the renderer of the camera images: the embedded ray caster, or MuJoCo's renderer through EGL
     /// (docs/cameras.md)
     #[arg(long, value_name = "RENDERER", default_value = "embedded")]
@@ -75,37 +59,84 @@ fn engine_help() -> String {
 }
 
 impl EnvironmentArguments {
-    /// The environment that the arguments select. `suction` is used for a suction cup if they do not choose a law.
-    pub(crate) fn environment(&self, suction: SuctionLaw) -> Result<EnvironmentSource, Exit> {
+    /// The environment that the arguments select.
+    pub(crate) fn environment(&self) -> Result<EnvironmentSource, Exit> {
+        let (environment, rest) = self.environment_and_parameters()?;
+        self.refuse_parameters(&environment, &rest)?;
+        Ok(environment)
+    }
+
+    /// The environment that the arguments select, and the values of `--set` that are no settings of its task, for verbs
+    /// that make a scenario of them.
+    pub(crate) fn environment_and_parameters(&self) -> Result<(EnvironmentSource, Assignment), Exit> {
         if let Some(name) = &self.env {
-            return EnvironmentSource::launched(&from_any_folder(name), &self.simulators);
+            return Ok((EnvironmentSource::launched(&from_any_folder(name), &self.simulators)?, self.parameters()?));
         }
         if self.simulators.python.is_some() && self.simulators.addresses.is_empty() {
             return Err(anyhow!("--python applies to --env only\n  hint: leave it out")).or_usage();
         }
         let pool = self.simulators.connect()?;
-        let scores_itself = pool.as_ref().is_some_and(|pool| pool.hello().scores_itself);
-        if let (Some(option), true) = (self.rules_given().first(), scores_itself || self.task != CELL_TASK) {
-            return Err(anyhow!("{option} applies to pick_place in the built-in cell only\n  hint: leave it out"))
-                .or_usage();
-        }
         if let Some(pool) = pool.as_ref().filter(|pool| pool.hello().scores_itself) {
-            return Ok(EnvironmentSource::Remote(RemoteSource {
-                pool: Arc::clone(pool),
-                robot: self.robot().to_owned(),
-                launched: None,
-            }));
+            let remote = RemoteSource { pool: Arc::clone(pool), robot: self.robot().to_owned(), launched: None };
+            return Ok((EnvironmentSource::Remote(remote), self.parameters()?));
         }
-        if registry::arm_task(&self.task).is_none() {
+        let Some(arm) = registry::arm_task(&self.task) else {
             let task = registry::task(&self.task).or_usage()?;
             self.refuse_cell_options(&self.task)?;
-            return Ok(EnvironmentSource::SelfContained(task));
+            let (chosen, rest) = self.settings_among(&task.settings()).or_usage()?;
+            let task = task.with(&chosen).map_err(|why| anyhow!("--set: {why}")).or_usage()?;
+            return Ok((EnvironmentSource::SelfContained(task), rest));
+        };
+        let (chosen, rest) = self.settings_among(&arm.settings()).or_usage()?;
+        let cell = Cell::new(self.settings(), chosen, pool).or_setup()?;
+        Ok((EnvironmentSource::Cell(Box::new(cell)), rest))
+    }
+
+    /// The values of `--set` as parameters of a scenario.
+    pub(crate) fn parameters(&self) -> Result<Assignment, Exit> {
+        assignment(&self.set).or_usage()
+    }
+
+    /// The values of `--set` that belong to these settings, and the others.
+    fn settings_among(&self, specs: &[SettingSpec]) -> anyhow::Result<(Assignment, Assignment)> {
+        let (mut chosen, mut rest) = (Assignment::default(), Vec::new());
+        for pair in &self.set {
+            let named = pair.split_once('=');
+            match named.and_then(|(name, text)| Some((specs.iter().find(|spec| &*spec.name == name.trim())?, text))) {
+                Some((spec, text)) => chosen.set(&*spec.name, spec.read(text).map_err(|why| anyhow!("--set: {why}"))?),
+                None => rest.push(pair.clone()),
+            }
         }
-        Cell::new(self.settings(), suction, pool).map(|cell| EnvironmentSource::Cell(Box::new(cell))).or_setup()
+        Ok((chosen, assignment(&rest)?))
+    }
+
+    /// Rejects values of `--set` that are no settings of the task.
+    fn refuse_parameters(&self, environment: &EnvironmentSource, rest: &Assignment) -> Result<(), Exit> {
+        let Some((name, _)) = rest.iter().next() else { return Ok(()) };
+        let task = environment.task().or_broken()?;
+        let known: Vec<&str> = task.settings.iter().map(|spec| &*spec.name).collect();
+        let name = foreign(name);
+        Err(match (environment, known.is_empty()) {
+            _ if task.parameter(&name).is_some() => anyhow!(
+                "--set {name}: `{name}` is a parameter of {}, which varies between episodes\n  hint: set its range in a \
+                 space: --space FILE",
+                task.name
+            ),
+            (EnvironmentSource::Remote(_), false) => anyhow!(
+                "--set {name}: the settings of {} are those of its server\n  hint: give them to the server: robogate \
+                 serve --set {name}=VALUE",
+                task.name
+            ),
+            (_, true) => anyhow!("--set {name}: {} has no settings\n  hint: leave it out", task.name),
+            (_, false) => {
+                anyhow!("--set {name}: {} has no such setting. Expected one of: {}", task.name, known.join(", "))
+            }
+        })
+        .or_usage()
     }
 
     /// The environment that the arguments select for a suite: if they select none, that of the suite.
-    pub(crate) fn environment_of(&self, suite: Option<&Suite>, suction: SuctionLaw) -> Result<EnvironmentSource, Exit> {
+    pub(crate) fn environment_of(&self, suite: Option<&Suite>) -> Result<EnvironmentSource, Exit> {
         match suite.and_then(Suite::environment) {
             Some(name) if self.env.is_none() && self.simulators.addresses.is_empty() => {
                 self.refuse_cell_options(name)?;
@@ -117,15 +148,27 @@ impl EnvironmentArguments {
                     ))
                     .or_usage();
                 }
-                EnvironmentSource::launched(name, &self.simulators)
+                let environment = EnvironmentSource::launched(name, &self.simulators)?;
+                self.refuse_parameters(&environment, &self.parameters()?)?;
+                Ok(environment)
             }
-            _ => self.environment(suction),
+            _ => self.environment(),
         }
     }
 
     /// The built-in task for an arm that the arguments select, for verbs that need its robot.
     pub(crate) fn cell(&self) -> Result<Cell, Exit> {
-        match self.environment(SuctionLaw::Vacuum)? {
+        Self::as_cell(self.environment()?)
+    }
+
+    /// As [`Self::cell`], with the values of `--set` that are no settings of its task.
+    pub(crate) fn cell_and_parameters(&self) -> Result<(Cell, Assignment), Exit> {
+        let (environment, rest) = self.environment_and_parameters()?;
+        Ok((Self::as_cell(environment)?, rest))
+    }
+
+    fn as_cell(environment: EnvironmentSource) -> Result<Cell, Exit> {
+        match environment {
             EnvironmentSource::Cell(cell) => Ok(*cell),
             EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
                 let arms: Vec<&str> = registry::ARM_TASKS.iter().map(|task| task.name()).collect();
@@ -153,8 +196,6 @@ impl EnvironmentArguments {
             ("--robot", self.robot.is_some()),
             ("--engine", self.engine.is_some()),
             ("--time-step", self.time_step.is_some()),
-            ("--grip-force", self.grip_force.is_some()),
-            ("--suction", self.suction.is_some()),
             ("--renderer", self.renderer.record().is_some()),
         ];
         match given.into_iter().find(|(_, given)| *given) {
@@ -174,34 +215,9 @@ impl EnvironmentArguments {
             robot: absolute(self.robot()),
             engine: name.to_owned(),
             time_step_s: self.time_step.unwrap_or(engine.map_or(0.0, |engine: &EngineEntry| engine.time_step_s)),
-            grip_force_n: self.grip_force,
-            suction: self.suction,
             renderer: self.renderer.record(),
-            rules: self.rules(),
             simulator: None,
         }
-    }
-
-    fn rules(&self) -> Rules {
-        let default = Rules::default();
-        Rules {
-            time_limit_s: self.time_limit.unwrap_or(default.time_limit_s),
-            jam_force_n: self.jam_force.unwrap_or(default.jam_force_n),
-            jam_duration_s: self.jam_duration.unwrap_or(default.jam_duration_s),
-            orientation_tolerance_rad: self.orientation_tolerance.map(f64::to_radians),
-            ..default
-        }
-    }
-
-    /// The options that set a rule of the built-in cell.
-    fn rules_given(&self) -> Vec<&'static str> {
-        let given = [
-            ("--time-limit", self.time_limit),
-            ("--jam-force", self.jam_force),
-            ("--jam-duration", self.jam_duration),
-            ("--orientation-tolerance", self.orientation_tolerance),
-        ];
-        given.into_iter().filter_map(|(name, value)| value.map(|_| name)).collect()
     }
 }
 

@@ -5,9 +5,8 @@ use std::sync::Arc;
 use anyhow::{Context, anyhow, bail};
 use robogate_campaign::Worker;
 use robogate_core::latency::LATENCY_PARAMETER;
-use robogate_core::{Environment, ParameterSpace, Policy, TaskSpec};
+use robogate_core::{Assignment, Environment, ParameterSpace, Policy, TaskSpec};
 use robogate_dictionary::provenance;
-use robogate_physics::SuctionLaw;
 use robogate_policy::{Arm, BoundMap, Profile, TaskMap};
 use robogate_remote::message::{self, Hello, HostedPolicy};
 use robogate_remote::{Pool, RemoteEnvironment};
@@ -30,7 +29,7 @@ pub(crate) enum EnvironmentSource {
     /// A built-in task for an arm.
     Cell(Box<Cell>),
     /// A built-in task that brings its own world.
-    SelfContained(&'static dyn SelfContained),
+    SelfContained(Arc<dyn SelfContained>),
     /// Servers that declare their own task.
     Remote(RemoteSource),
 }
@@ -58,13 +57,13 @@ impl EnvironmentSource {
     pub(crate) fn declared_tasks() -> Result<Vec<Arc<TaskSpec>>, Exit> {
         let arms = registry::ARM_TASKS.iter().filter(|task| task.name() != CELL_TASK).map(|task| {
             let settings = CellSettings::of(task.name(), &franka());
-            Cell::new(settings, SuctionLaw::Vacuum, None).map(|cell| Self::Cell(Box::new(cell)))
+            Cell::new(settings, Assignment::default(), None).map(|cell| Self::Cell(Box::new(cell)))
         });
-        let others = registry::TASKS.iter().map(|task| Ok(Self::SelfContained(*task)));
-        arms.chain(others).map(|source| source.and_then(|source| source.task())).collect::<Result<_, _>>().or_setup()
+        let arms = arms.map(|source| source.and_then(|source: Self| source.task()));
+        arms.chain(registry::TASKS.iter().map(|task| Ok(task.task()))).collect::<Result<_, _>>().or_setup()
     }
 
-    /// The same environment with the failure modes and the workspace of the paper, if it is the built-in cell.
+    /// The same environment with the settings of the paper, if it is a task of the paper.
     pub(crate) fn like_the_paper(mut self) -> anyhow::Result<Self> {
         if let Self::Cell(cell) = &mut self {
             cell.set_like_the_paper()?;
@@ -254,7 +253,7 @@ impl EnvironmentSource {
             Self::Remote(source) if registry::arm_task(source.pool.hello().task.name.as_str()).is_some() => {
                 let hello = source.pool.hello();
                 let settings = CellSettings::of(hello.task.name.as_str(), &absolute(&source.robot));
-                let cell = Cell::new(settings, SuctionLaw::Vacuum, None)?;
+                let cell = Cell::new(settings, Assignment::default(), None)?;
                 remote::check_robot(hello, cell.robot(), &cell.robot_sha256()?)?;
                 cell.controller()
             }

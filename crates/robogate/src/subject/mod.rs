@@ -35,7 +35,7 @@ pub(crate) use arguments::{EnvironmentArguments, from_any_folder};
 pub(crate) use environment::EnvironmentSource;
 use environment::RemoteSource;
 pub(crate) use recorded::{programs, recorded_robot, starts_processes};
-pub(crate) use spaces::{assignment, check_declared, named_space};
+pub(crate) use spaces::{check_declared, named_space};
 
 /// The subject of a run: a policy in an environment.
 pub(crate) struct Subject {

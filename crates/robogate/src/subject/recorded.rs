@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow};
 use robogate_core::latency::Execution;
 use robogate_dictionary::Provenance;
 use robogate_gate::Controls;
-use robogate_physics::{RobotFile, SuctionLaw, is_folder};
+use robogate_physics::{RobotFile, is_folder};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -237,9 +237,11 @@ impl Subject {
             _ => Ok(()),
         }
         .or_usage()?;
+        let chosen = provenance.task.setting_values();
         let environment = match (recorded, pool) {
             (Recorded::SelfContained(RecordedTask { task }), _) => {
-                EnvironmentSource::SelfContained(registry::task(&task).or_usage()?)
+                let task = registry::task(&task).or_usage()?.with(&chosen);
+                EnvironmentSource::SelfContained(task.map_err(|why| anyhow!("plan.json: {why}")).or_usage()?)
             }
             (Recorded::Remote(RecordedServers { robot, .. }), Some(pool)) => {
                 EnvironmentSource::Remote(RemoteSource { pool, robot, launched: None })
@@ -248,8 +250,7 @@ impl Subject {
                 EnvironmentSource::Remote(RemoteSource { pool, robot: franka(), launched })
             }
             (Recorded::Cell(settings), pool) => {
-                // Every run of a robot with a cup records its suction law.
-                EnvironmentSource::Cell(Box::new(Cell::new(settings, SuctionLaw::Vacuum, pool).or_setup()?))
+                EnvironmentSource::Cell(Box::new(Cell::new(settings, chosen, pool).or_setup()?))
             }
             (Recorded::Remote(_) | Recorded::Launched(_), None) => {
                 return Err(anyhow!("--simulator ADDRESS is missing")).or_usage();

@@ -132,7 +132,7 @@ fn arm_tasks_pass_through_the_verbs() {
         assert!(page.contains(mode) && !page.contains(other));
         verb(&format!("monitor reference {a} --learn-baseline --out {task}.json"), 0, &[]);
     }
-    verb("run --task stacking --robot ur5e --grip-force 10 -n 2 --out c", 2, &["applies to fingers"]);
+    verb("run --task stacking --robot ur5e --set grip_force_n=10 -n 2 --out c", 2, &["no effect", "suction cup"]);
     verb("run --task stacking --renderer egl --engine rapier -n 2 --out d", 2, &["--renderer egl"]);
     verb("run --task stacking --engine none -n 2 --out e", 2, &["no such engine"]);
 }
@@ -218,7 +218,7 @@ fn without_engine(at: &Path) {
 #[test]
 fn options_without_effect_are_refused() {
     let dir = TempDir::new().unwrap();
-    let options = ["--robot ur5e", "--engine rapier", "--time-step 0.001", "--grip-force 5", "--suction vacuum"];
+    let options = ["--robot ur5e", "--engine rapier", "--time-step 0.001"];
     for option in options {
         let says = format!("{} cannot be used with pendulum", option.split(' ').next().unwrap());
         verb(dir.path(), &format!("run --task pendulum {option} -n 10 --out x"), 2, &[&says]);

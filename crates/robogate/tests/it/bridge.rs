@@ -10,13 +10,13 @@ use tempfile::TempDir;
 use crate::harness::{assert_exit, text};
 
 /// A `robogate serve` that ends with the test.
-struct Server {
+pub(crate) struct Server {
     child: Child,
-    address: String,
+    pub(crate) address: String,
 }
 
 impl Server {
-    fn start(arguments: &[&str]) -> Self {
+    pub(crate) fn start(arguments: &[&str]) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
             .args(["serve", "--bind", "tcp://127.0.0.1:*"])
             .args(arguments)

@@ -147,7 +147,14 @@ fn wrong_arguments_are_usage_errors() {
     run("--engine", "ode", &["no such engine", "mujoco"]);
     assert_usage(&["run", "--out", &out, "--engine", "rapier", "--renderer", "egl"], &["--engine mujoco", "rapier"]);
     run("--renderer", "vulkan", &["vulkan", "embedded", "egl"]);
-    run("--grip-force", "500", &["500", "70"]);
+    run("--set", "grip_force_n=500", &["500", "70"]);
+    run("--set", "jam_force_n=none", &["jam_force_n", "none", "a number from 0.1"]);
+    run("--set", "time_limit_s=0.03", &["time_limit_s", "0.03", "0.05 to 86400"]);
+    run("--set", "time_limit_s=3.01", &["time_limit_s", "3.01", "multiple of 0.05 s"]);
+    run("--set", "suction=vacuum", &["suction", "no effect", "franka"]);
+    run("--set", "friction=0.3", &["`friction` is a parameter", "--space"]);
+    run("--set", "jam_force=50", &["jam_force", "no such setting", "jam_force_n"]);
+    run("--set", "jam_force_n", &["jam_force_n", "NAME=VALUE"]);
     run("--time-step", "0.003", &["0.003", "not an integer multiple"]);
     run("--preset", "big", &["big", "quick", "paper"]);
 

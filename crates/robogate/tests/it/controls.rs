@@ -13,7 +13,7 @@ use robogate_physics::{
     Primitive, Scene, Steering, Visual, built_in_robot,
 };
 use robogate_policy::{Decoder, Profile, state_numbers};
-use robogate_tasks::pick_place::Rules;
+use robogate_tasks::pick_place::PickPlace;
 use robogate_tasks::pick_place::spec::spec;
 use serde_json::Value;
 use tempfile::TempDir;
@@ -209,7 +209,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 #[test]
 fn the_cell_moves_like_robosuite() {
     let profile = Profile::from_toml(Profile::built_in("pi05-libero").unwrap()).unwrap();
-    let task = spec(&built_in_robot("franka").unwrap(), Vec::new(), &Rules::default());
+    let task = spec(&built_in_robot("franka").unwrap(), Vec::new(), &PickPlace::DEFAULT);
     for motion in fixture()["motions"].as_array().unwrap() {
         let (axis, magnitude) = (motion["axis"].as_str().unwrap(), motion["magnitude"].as_f64().unwrap());
         let turns = axis == "about_z";

@@ -32,6 +32,7 @@ mod openpi;
 #[cfg(all(feature = "mujoco", feature = "rapier"))]
 mod pages;
 mod policy;
+mod settings;
 mod shards;
 mod signatures;
 mod terminal;

@@ -85,7 +85,7 @@ fn three_universal_robots() {
 
 #[test]
 fn paper_suction_law() {
-    compare("ur5e-surface", &["-n", "15", "--robot", "ur5e", "--suction", "surface"]);
+    compare("ur5e-surface", &["-n", "15", "--robot", "ur5e", "--set", "suction=surface"]);
 }
 
 #[test]

@@ -140,7 +140,10 @@ fn pages_work_in_a_browser() {
     operate(&mut browser, axe.as_ref(), &at("gate/report.html"));
     printed(&mut browser, &at("gate/report.html"));
     printed(&mut browser, &page);
-    robogate(dir.path(), &["gate", "--requirements", "paper", "--rounds", "1", "--grip-force", "2", "--out", "failed"]);
+    robogate(
+        dir.path(),
+        &["gate", "--requirements", "paper", "--rounds", "1", "--set", "grip_force_n=2", "--out", "failed"],
+    );
     printed(&mut browser, &at("failed/report.html"));
     monitor_works(&mut browser, axe.as_ref(), dir.path());
 }

@@ -212,7 +212,7 @@ mod tests {
     use robogate_physics::{GripperUnit, Readback, built_in_robot};
 
     use super::*;
-    use crate::pick_place::Rules;
+    use crate::pick_place::PickPlace;
 
     /// The readback of an engine with exactly the cell's scene.
     fn faithful(cell: &ResolvedCell) -> Readback {
@@ -246,7 +246,7 @@ mod tests {
     ) -> Result<(), Fault> {
         let requested: Assignment = [(name.into(), value)].into_iter().collect();
         let scenario = Scenario { index: 3, seed: Seed::campaign(1).episode(3), requested };
-        let mut cell = ResolvedCell::new(&scenario, &built_in_robot(robot).unwrap(), &Rules::default()).unwrap();
+        let mut cell = ResolvedCell::new(&scenario, &built_in_robot(robot).unwrap(), &PickPlace::DEFAULT).unwrap();
         let mut briefing = cell.briefing();
         let mut grip_threshold_m = Some(cell.parameters.grip_threshold_m);
         change(&mut cell, &mut briefing, &mut grip_threshold_m);

@@ -5,7 +5,7 @@ use robogate_physics::{Engine, GripperCommand, GripperState, Plant, StepView, po
 
 use super::{RemotePeriod, RemoteReadback, RemoteSight};
 use crate::arm::CONTROL_PERIOD_S;
-use crate::pick_place::Rules;
+use crate::pick_place::PickPlace;
 use crate::pick_place::cell::ResolvedCell;
 use crate::pick_place::spec::observation;
 
@@ -15,13 +15,14 @@ const CLEARANCE_LIMIT_M: f64 = 0.25;
 /// An engine as a physics server: the reference implementation for other servers.
 pub struct PhysicsHost<E> {
     plant: Plant<E>,
+    task: PickPlace,
     ticks: u64,
 }
 
 impl<E: Engine> PhysicsHost<E> {
-    /// Creates a host for this engine. `grip_force_n` replaces the robot's setting.
-    pub fn new(engine: E, grip_force_n: Option<f64>) -> Result<Self, String> {
-        Ok(Self { plant: Plant::new(engine, CONTROL_PERIOD_S, grip_force_n)?, ticks: 0 })
+    /// Creates a host for this engine, which runs the physics of this task.
+    pub fn new(engine: E, task: PickPlace) -> Result<Self, String> {
+        Ok(Self { plant: Plant::new(engine, CONTROL_PERIOD_S, task.arm.grip_force_n)?, task, ticks: 0 })
     }
 
     /// The engine.
@@ -31,7 +32,7 @@ impl<E: Engine> PhysicsHost<E> {
 
     /// Sets up the scenario's cell, which it resolves in the same way as the client.
     pub fn reset(&mut self, scenario: &Scenario) -> Result<(RemoteReadback, RemoteSight, Observation), Fault> {
-        let cell = ResolvedCell::new(scenario, self.plant.engine.robot(), &Rules::default())?;
+        let cell = ResolvedCell::new(scenario, self.plant.engine.robot(), &self.task)?;
         self.plant.load(&cell.scene, cell.parameters.grip_threshold_m)?;
         self.ticks = 0;
         let engine = &self.plant.engine;

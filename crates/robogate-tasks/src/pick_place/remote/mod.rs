@@ -20,7 +20,7 @@ use robogate_core::{
     Action, Assignment, Ending, Fault, FaultKind, Foresight, Image, Infeasibility, Observation, Scenario, Start, Step,
     TaskSpec,
 };
-use robogate_physics::{ArmState, Chain, Fixture, Gripper, Robot, StepView, SuctionLaw, Wrench, grip_force, isometry};
+use robogate_physics::{ArmState, Chain, Fixture, Gripper, Robot, StepView, Wrench, grip_force, isometry};
 
 use crate::arm::{Bodies, Found, Judge, Resolved, camera_specs, cameras, render, show};
 use crate::pick_place::{ActsOn, PickPlace, parameters};
@@ -48,8 +48,8 @@ pub struct RemotePickPlace {
 }
 
 impl RemotePickPlace {
-    /// The task under these rules on this robot with the file hash `sha256`, with images of this width and height in
-    /// pixels. `grip_force_n` replaces the robot's setting.
+    /// The task with these settings on this robot with the file hash `sha256`, with images of this width and height in
+    /// pixels.
     ///
     /// # Errors
     /// If the gripper is a suction cup, because its hold must be decided in every time step.
@@ -58,17 +58,16 @@ impl RemotePickPlace {
         robot: Robot,
         chain: Chain,
         sha256: Option<String>,
-        grip_force_n: Option<f64>,
         picture_px: [usize; 2],
     ) -> Result<Self, String> {
         if let Gripper::Suction(_) = robot.settings.gripper {
             return Err(format!("{} has a suction cup, which is supported by the built-in engines only", robot.name()));
         }
-        let grip_force_n = grip_force(&robot.settings.gripper, grip_force_n)?;
+        let grip_force_n = grip_force(&robot.settings.gripper, task.arm.grip_force_n)?;
         let cameras = cameras(&robot, picture_px);
         let specs = camera_specs(&cameras);
         Ok(Self {
-            judge: Judge::new(Arc::new(task), (robot, chain), grip_force_n, SuctionLaw::Vacuum, specs),
+            judge: Judge::new(&task, (robot, chain), grip_force_n, specs),
             sha256,
             grip_force_n,
             cell: None,

@@ -19,7 +19,6 @@ use clap::Args;
 use robogate_campaign::DEFAULT_SEED;
 use robogate_core::{ParameterSpace, Suite, SuiteError};
 use robogate_gate::{Baseline, Mode, Record, Requirements, Sampling};
-use robogate_physics::SuctionLaw;
 
 use crate::commands::gate::{built_in_baseline, open_requirements, refused};
 use crate::commands::run::{How, free_folder, introduce};
@@ -98,7 +97,7 @@ impl FleetOf {
             return Err(anyhow!("--share {share}: expected a fraction from 0 to 1")).or_usage();
         }
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
-        let environment = self.environment.environment_of(suite.as_ref(), SuctionLaw::Vacuum)?;
+        let environment = self.environment.environment_of(suite.as_ref())?;
         let location = PolicyLocation::with_access(&self.access);
         let policy = self.policy.source_at(&location)?;
         location.check_used(policy.as_ref())?;

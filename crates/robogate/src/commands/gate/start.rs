@@ -11,7 +11,6 @@ use robogate_dictionary::{Label, Provenance};
 use robogate_gate::{
     Asked, AskedAgainst, Controls, GatePlan, Mode, PairPlan, Planned, Question, Record, Requirements, Sampling,
 };
-use robogate_physics::SuctionLaw;
 use robogate_stats::format::counted;
 
 use super::Gate;
@@ -92,7 +91,7 @@ impl Gate {
     /// controls included.
     fn prepare(&self) -> Result<Prepared, Exit> {
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
-        let environment = self.environment.environment_of(suite.as_ref(), SuctionLaw::Vacuum)?;
+        let environment = self.environment.environment_of(suite.as_ref())?;
         let policy = self.policy.source_at(&self.location())?;
         // With --against, the key can be that of the other policy.
         if self.against.is_none() {
@@ -214,7 +213,7 @@ impl Gate {
         let source = PolicyArguments::of(policy, self.against_profile.as_deref())
             .with_map_of(&self.policy)
             .source_at(&self.location())?;
-        let environment = self.environment.environment(SuctionLaw::Vacuum)?;
+        let environment = self.environment.environment()?;
         let subject = Subject::new(environment, source)?;
         Rival::new(subject, &prepared.planned, self.how.threads_for_rival()).map(Some)
     }

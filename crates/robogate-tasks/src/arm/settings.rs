@@ -1,0 +1,82 @@
+//! The settings of every task for an arm.
+
+use robogate_core::{Allowed, SettingSpec, Value};
+use robogate_physics::{Gripper, SuctionLaw};
+
+use super::CONTROL_PERIOD_S;
+use crate::settings::{Field, SettingRow};
+
+/// The settings of every task for an arm.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ArmSettings {
+    /// Time limit of an episode, in seconds: an integer multiple of the control period.
+    pub time_limit_s: f64,
+    /// Normal force of each pad of the gripper, in newtons. `None` for the robot's own.
+    pub grip_force_n: Option<f64>,
+    /// How a suction cup holds a part.
+    pub suction: SuctionLaw,
+}
+
+impl ArmSettings {
+    /// The default settings of a task with this time limit in seconds.
+    pub(crate) const fn lasting(time_limit_s: f64) -> Self {
+        Self { time_limit_s, grip_force_n: None, suction: SuctionLaw::Vacuum }
+    }
+}
+
+/// A task with the settings of an arm.
+pub(crate) trait OnArm {
+    fn arm(&self) -> &ArmSettings;
+    fn arm_mut(&mut self) -> &mut ArmSettings;
+}
+
+/// A task with a table of settings.
+pub(crate) trait HasSettings: OnArm + Clone + Default + Sized {
+    /// Every setting: those of the arm, and those of the task.
+    fn rows() -> Vec<SettingRow<Self>>;
+}
+
+/// Periods of a day.
+const LONGEST: u32 = 1_728_000;
+/// Names of the settings that depend on the gripper.
+const GRIP_FORCE: &str = "grip_force_n";
+const SUCTION: &str = "suction";
+
+/// The settings of the arm, and `own` ones.
+pub(crate) fn rows<T: OnArm>(own: impl IntoIterator<Item = SettingRow<T>>) -> Vec<SettingRow<T>> {
+    let arm = [
+        SettingRow {
+            name: "time_limit_s",
+            unit: "s",
+            meaning: "Time limit of an episode, in simulated seconds.",
+            field: Field::Periods(CONTROL_PERIOD_S, LONGEST, |task: &mut T| &mut task.arm_mut().time_limit_s),
+        },
+        SettingRow {
+            name: GRIP_FORCE,
+            unit: "N",
+            meaning: "Normal force of each pad of the gripper.",
+            field: Field::OfRobot([0.0, 1e4], |task: &mut T| &mut task.arm_mut().grip_force_n),
+        },
+        SettingRow {
+            name: SUCTION,
+            unit: "",
+            meaning: "How a suction cup holds a part: by a joint that never breaks (surface), or by pressure and \
+                      friction up to their limits (vacuum).",
+            field: Field::Choice(|task: &mut T| &mut task.arm_mut().suction),
+        },
+    ];
+    arm.into_iter().chain(own).collect()
+}
+
+/// The declaration of a setting for a gripper that holds with `grip_force_n` newtons. `None` if it has no effect there.
+pub(crate) fn on_gripper(spec: SettingSpec, gripper: &Gripper, grip_force_n: f64) -> Option<SettingSpec> {
+    match (&*spec.name, gripper) {
+        (GRIP_FORCE, Gripper::ParallelJaw(jaw)) => Some(SettingSpec {
+            allowed: Allowed::Continuous { low: 0.0, high: jaw.force_limit_n },
+            value: Some(Value::Number(grip_force_n)),
+            ..spec
+        }),
+        (GRIP_FORCE, Gripper::Suction(_)) | (SUCTION, Gripper::ParallelJaw(_)) => None,
+        _ => Some(spec),
+    }
+}

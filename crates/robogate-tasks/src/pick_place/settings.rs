@@ -1,0 +1,187 @@
+//! The settings of pick and place.
+
+use std::f64::consts::PI;
+
+use robogate_core::Assignment;
+use robogate_physics::Robot;
+
+use super::NAME;
+use super::cell::TOLERANCE_M;
+use super::scene::workspace_scale;
+use crate::arm::{ArmSettings, HasSettings, OnArm, rows};
+use crate::settings::{Choice, Field, SettingRow, with_settings};
+
+/// Pick and place with its settings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PickPlace {
+    /// The settings of the arm.
+    pub arm: ArmSettings,
+    /// The part is at its target within this horizontal distance, in metres.
+    pub tolerance_m: f64,
+    /// The robot presses if a contact force on it is above this, in newtons. While it holds the part, the grip force is
+    /// added.
+    pub jam_force_n: f64,
+    /// Pressing for this long is a jam, in seconds.
+    pub jam_duration_s: f64,
+    /// Largest angle between the part at rest and its orientation at the target, in radians. A half turn accepts every
+    /// orientation, as the paper does.
+    pub orientation_tolerance_rad: f64,
+    /// The failure modes that the task reports.
+    pub modes: ModeSet,
+    /// The size of the workspace.
+    pub workspace: Workspace,
+}
+
+/// The size of the workspace: of all placements, the target and the circle of the obstacles.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Workspace {
+    /// That of the paper, scaled down about the base if the robot cannot reach all of it.
+    #[default]
+    Scaled,
+    /// That of the paper for every robot.
+    Paper,
+}
+
+/// A set of failure modes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum ModeSet {
+    /// Every mode of the task.
+    #[default]
+    All,
+    /// The four modes of the paper: `jam` and `misplaced` are reported as `timeout`.
+    Paper,
+}
+
+impl Choice for Workspace {
+    fn words(&self) -> &'static [&'static str] {
+        &["scaled", "paper"]
+    }
+
+    fn word(&self) -> &'static str {
+        match self {
+            Self::Scaled => "scaled",
+            Self::Paper => "paper",
+        }
+    }
+
+    fn choose(&mut self, word: &str) {
+        *self = if word == "paper" { Self::Paper } else { Self::Scaled };
+    }
+}
+
+impl Choice for ModeSet {
+    fn words(&self) -> &'static [&'static str] {
+        &["all", "paper"]
+    }
+
+    fn word(&self) -> &'static str {
+        match self {
+            Self::All => "all",
+            Self::Paper => "paper",
+        }
+    }
+
+    fn choose(&mut self, word: &str) {
+        *self = if word == "paper" { Self::Paper } else { Self::All };
+    }
+}
+
+impl PickPlace {
+    /// The task with its default settings.
+    pub const DEFAULT: Self = Self {
+        arm: ArmSettings::lasting(15.0),
+        tolerance_m: TOLERANCE_M,
+        jam_force_n: 100.0,
+        jam_duration_s: 0.05,
+        orientation_tolerance_rad: PI,
+        modes: ModeSet::All,
+        workspace: Workspace::Scaled,
+    };
+
+    /// The task with these values of its settings.
+    ///
+    /// # Errors
+    /// A setting that the task does not have, or a value that it does not accept.
+    pub fn of(settings: &Assignment) -> Result<Self, String> {
+        with_settings(NAME, &Self::rows(), &Self::DEFAULT, settings)
+    }
+
+    /// The same task with the modes and the workspace of the paper.
+    #[must_use]
+    pub fn like_the_paper(self) -> Self {
+        Self { modes: ModeSet::Paper, workspace: Workspace::Paper, ..self }
+    }
+
+    /// The scale of this robot's workspace about its base.
+    pub(crate) fn workspace_scale(&self, robot: &Robot) -> f64 {
+        match self.workspace {
+            Workspace::Scaled => workspace_scale(robot.settings.arm.reach_m),
+            Workspace::Paper => 1.0,
+        }
+    }
+
+    /// The largest angle at the target, in radians. `None` if every orientation is accepted.
+    pub(crate) fn orientation_limit_rad(&self) -> Option<f64> {
+        (self.orientation_tolerance_rad < PI).then_some(self.orientation_tolerance_rad)
+    }
+}
+
+impl Default for PickPlace {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+impl OnArm for PickPlace {
+    fn arm(&self) -> &ArmSettings {
+        &self.arm
+    }
+
+    fn arm_mut(&mut self) -> &mut ArmSettings {
+        &mut self.arm
+    }
+}
+
+impl HasSettings for PickPlace {
+    fn rows() -> Vec<SettingRow<Self>> {
+        rows([
+            SettingRow {
+                name: "tolerance_m",
+                unit: "m",
+                meaning: "Largest horizontal distance of the part from its target.",
+                field: Field::Number([1e-4, 0.3], |task: &mut Self| &mut task.tolerance_m),
+            },
+            SettingRow {
+                name: "orientation_tolerance_rad",
+                unit: "rad",
+                meaning: "Largest angle of the part at the target. A half turn accepts every orientation.",
+                field: Field::Number([1e-3, PI], |task| &mut task.orientation_tolerance_rad),
+            },
+            SettingRow {
+                name: "jam_force_n",
+                unit: "N",
+                meaning: "The robot presses if a contact force is above this. The grip force is added while it holds \
+                          the part.",
+                field: Field::Number([0.1, 1e6], |task| &mut task.jam_force_n),
+            },
+            SettingRow {
+                name: "jam_duration_s",
+                unit: "s",
+                meaning: "Duration of pressing that is a jam.",
+                field: Field::Number([1e-3, 3600.0], |task| &mut task.jam_duration_s),
+            },
+            SettingRow {
+                name: "failure_modes",
+                unit: "",
+                meaning: "The failure modes that are reported: all, or the four of the paper.",
+                field: Field::Choice(|task| &mut task.modes),
+            },
+            SettingRow {
+                name: "workspace",
+                unit: "",
+                meaning: "The size of the workspace: that of the paper, scaled to the robot or not.",
+                field: Field::Choice(|task| &mut task.workspace),
+            },
+        ])
+    }
+}

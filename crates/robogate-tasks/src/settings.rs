@@ -1,0 +1,143 @@
+//! Tables of settings: one row per setting of a task, with its values and its field.
+
+use robogate_core::{Allowed, Assignment, SettingSpec, Value};
+use robogate_physics::SuctionLaw;
+
+/// One setting of the task `T`.
+pub(crate) struct SettingRow<T: 'static> {
+    pub(crate) name: &'static str,
+    pub(crate) unit: &'static str,
+    pub(crate) meaning: &'static str,
+    pub(crate) field: Field<T>,
+}
+
+/// The field of a task that a setting sets. The default of the task is that of the setting.
+pub(crate) enum Field<T: 'static> {
+    /// A number in a range, both ends included.
+    Number([f64; 2], fn(&mut T) -> &mut f64),
+    /// A time in seconds: from one to the given number of periods of the given duration.
+    Periods(f64, u32, fn(&mut T) -> &mut f64),
+    /// A number in a range. The robot determines the default.
+    OfRobot([f64; 2], fn(&mut T) -> &mut Option<f64>),
+    /// One of a few words.
+    Choice(fn(&mut T) -> &mut dyn Choice),
+}
+
+/// A setting that is one of a few words.
+pub(crate) trait Choice {
+    /// Every word.
+    fn words(&self) -> &'static [&'static str];
+
+    /// The present one.
+    fn word(&self) -> &'static str;
+
+    /// Chooses one of [`Self::words`]. Any other word changes nothing.
+    fn choose(&mut self, word: &str);
+}
+
+impl Choice for SuctionLaw {
+    fn words(&self) -> &'static [&'static str] {
+        &["surface", "vacuum"]
+    }
+
+    fn word(&self) -> &'static str {
+        self.as_str()
+    }
+
+    fn choose(&mut self, word: &str) {
+        *self = word.parse().unwrap_or(*self);
+    }
+}
+
+impl<T: Clone + Default> SettingRow<T> {
+    fn allowed(&self, task: &mut T) -> Allowed {
+        match &self.field {
+            Field::Number([low, high], _) | Field::OfRobot([low, high], _) => {
+                Allowed::Continuous { low: *low, high: *high }
+            }
+            Field::Periods(period_s, most, _) => {
+                Allowed::Continuous { low: *period_s, high: period_s * f64::from(*most) }
+            }
+            Field::Choice(field) => {
+                let choices = field(task).words().iter().map(|word| (*word).into()).collect();
+                Allowed::Categorical { choices, open: false }
+            }
+        }
+    }
+
+    fn value(&self, task: &mut T) -> Option<Value> {
+        match &self.field {
+            Field::Number(_, field) | Field::Periods(_, _, field) => Some(Value::Number(*field(task))),
+            Field::OfRobot(_, field) => field(task).map(Value::Number),
+            Field::Choice(field) => Some(Value::Category(field(task).word().into())),
+        }
+    }
+
+    /// The declaration, with the value of this task.
+    fn spec(&self, task: &mut T) -> SettingSpec {
+        SettingSpec {
+            name: self.name.into(),
+            unit: self.unit.to_owned(),
+            meaning: self.meaning.to_owned(),
+            allowed: self.allowed(task),
+            default: self.value(&mut T::default()),
+            value: self.value(task),
+        }
+    }
+
+    fn set(&self, task: &mut T, value: &Value) -> Result<(), String> {
+        self.spec(task).accepts(value)?;
+        match (&self.field, value) {
+            (Field::Choice(field), Value::Category(word)) => field(task).choose(word),
+            (Field::Number(_, field) | Field::Periods(_, _, field), _) => *field(task) = number(value),
+            (Field::OfRobot(_, field), _) => *field(task) = Some(number(value)),
+            // Not accepted above.
+            (Field::Choice(_), _) => {}
+        }
+        match &self.field {
+            Field::Periods(period_s, ..) if !is_whole(number(value) / period_s) => {
+                Err(format!("setting `{}` = {value}: expected a multiple of {period_s} {}", self.name, self.unit))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+fn number(value: &Value) -> f64 {
+    match value {
+        Value::Number(x) => *x,
+        Value::Integer(n) => *n as f64,
+        Value::Category(_) => f64::NAN,
+    }
+}
+
+fn is_whole(number: f64) -> bool {
+    (number - number.round()).abs() < 1e-6
+}
+
+/// The declarations of these settings, with the values of this task.
+pub(crate) fn setting_specs<T: Clone + Default>(rows: &[SettingRow<T>], task: &T) -> Vec<SettingSpec> {
+    let mut task = task.clone();
+    rows.iter().map(|row| row.spec(&mut task)).collect()
+}
+
+/// The same task with these values of its settings.
+///
+/// # Errors
+/// A setting that the task does not have, or a value that it does not accept. The error names what is accepted.
+pub(crate) fn with_settings<T: Clone + Default>(
+    name: &str,
+    rows: &[SettingRow<T>],
+    task: &T,
+    values: &Assignment,
+) -> Result<T, String> {
+    let mut task = task.clone();
+    for (setting, value) in values.iter() {
+        let row = rows.iter().find(|row| row.name == setting).ok_or_else(|| {
+            let known: Vec<&str> = rows.iter().map(|row| row.name).collect();
+            format!("{name} has no setting `{setting}`. Expected one of: {}", known.join(", "))
+        })?;
+        row.set(&mut task, value)?;
+    }
+    Ok(task)
+}
