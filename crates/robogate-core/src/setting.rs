@@ -71,6 +71,11 @@ impl SettingSpec {
     pub fn is_changed(&self) -> bool {
         self.default.is_some() && self.value != self.default
     }
+
+    /// Name, value and unit as text. `None` without a value.
+    pub fn shown(&self) -> Option<String> {
+        Some(format!("{} = {} {}", self.name, self.value.as_ref()?, self.unit).trim_end().to_owned())
+    }
 }
 
 #[cfg(test)]

@@ -352,6 +352,12 @@ impl TaskSpec {
         self.settings.iter().filter_map(valued).collect()
     }
 
+    /// The settings whose value is not the default, as text. Empty if all have their defaults.
+    pub fn changed_settings(&self) -> String {
+        let changed = self.settings.iter().filter(|setting| setting.is_changed());
+        changed.filter_map(SettingSpec::shown).collect::<Vec<_>>().join(", ")
+    }
+
     /// The parameter with this name.
     pub fn parameter(&self, name: &str) -> Option<&ParameterSpec> {
         self.parameters.iter().find(|parameter| &*parameter.name == name)

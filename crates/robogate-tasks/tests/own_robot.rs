@@ -213,7 +213,7 @@ fn every_arm_reaches_its_target() {
 fn failed_trials_are_problems() {
     let limit = "velocity_limit_rad_s = [2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61]";
     for (name, from, to, mode, hint) in [
-        ("slow", limit, "velocity_limit_rad_s = [0.2, 0.2, 0.2, 0.2, 0.2, 0.2, 0.2]", "timeout", "--time-limit"),
+        ("slow", limit, "velocity_limit_rad_s = [0.2, 0.2, 0.2, 0.2, 0.2, 0.2, 0.2]", "timeout", "--set time_limit_s"),
         ("high", "tip_m = 0.008", "tip_m = 0.06", "grasp_miss", "gripper.tip_m"),
     ] {
         let settings = change(SETTINGS, from, to);

@@ -95,6 +95,10 @@ impl Cell {
     pub(crate) fn new(mut settings: CellSettings, chosen: Assignment, pool: Option<Arc<Pool>>) -> anyhow::Result<Self> {
         let task = task(&settings.task, &chosen)?;
         let robot = robot(&settings.robot)?;
+        let gripper = &robot.settings.gripper;
+        if let Some((setting, _)) = chosen.iter().find(|(setting, _)| !task.has_effect(setting, gripper)) {
+            bail!("setting `{setting}` has no effect: the gripper of {} is {}", robot.name(), gripper.description());
+        }
         if let Some(pool) = &pool {
             task.physics_only().map_err(|why| anyhow!("--task {} cannot run with --simulator: {why}", task.name()))?;
             let hello = pool.hello();
@@ -113,11 +117,6 @@ impl Cell {
             cell.settings.renderer = Some(record.open(&*cell.engine(&cell.setup())?)?.1);
         }
         let mut environment = cell.environment()?;
-        let acts = |setting: &str| environment.task().settings.iter().any(|spec| &*spec.name == setting);
-        if let Some((setting, _)) = cell.chosen.iter().find(|(setting, _)| !acts(setting)) {
-            let gripper = cell.robot.settings.gripper.description();
-            bail!("setting `{setting}` has no effect: the gripper of {} is {gripper}", cell.robot_name());
-        }
         environment.reset(&nominal()).context("the robot cannot be set up in the cell")?;
         if cell.settings.renderer.is_some() {
             environment.render()?;

@@ -7,6 +7,7 @@
 use std::path::Path;
 
 use anyhow::Context;
+use robogate_core::SettingSpec;
 use robogate_dictionary::{Dictionary, Provenance, Tool};
 use robogate_gate::Evaluation;
 use robogate_gate::evidence::{EnvironmentBinding, MANIFEST, Manifest, PolicyBinding, Problem, Role};
@@ -77,6 +78,10 @@ fn origin(provenance: &Provenance) -> Vec<(String, String)> {
         ("Environment", format!("SHA-256 {}", EnvironmentBinding::of(provenance).sha256)),
         ("Seed", seed.to_string()),
     ];
+    let settings: Vec<String> = task.settings.iter().filter_map(SettingSpec::shown).collect();
+    if !settings.is_empty() {
+        facts.push(("Settings of the task", settings.join(", ")));
+    }
     if let Some(build) = build {
         facts.insert(1, ("Source code", format!("SHA-256 {}", build.source_sha256)));
     }

@@ -68,15 +68,23 @@ pub(crate) fn rows<T: OnArm>(own: impl IntoIterator<Item = SettingRow<T>>) -> Ve
     arm.into_iter().chain(own).collect()
 }
 
+/// Whether a setting has an effect with this gripper.
+pub(crate) fn has_effect(setting: &str, gripper: &Gripper) -> bool {
+    match gripper {
+        Gripper::ParallelJaw(_) => setting != SUCTION,
+        Gripper::Suction(_) => setting != GRIP_FORCE,
+    }
+}
+
 /// The declaration of a setting for a gripper that holds with `grip_force_n` newtons. `None` if it has no effect there.
 pub(crate) fn on_gripper(spec: SettingSpec, gripper: &Gripper, grip_force_n: f64) -> Option<SettingSpec> {
-    match (&*spec.name, gripper) {
-        (GRIP_FORCE, Gripper::ParallelJaw(jaw)) => Some(SettingSpec {
+    match gripper.jaw() {
+        _ if !has_effect(&spec.name, gripper) => None,
+        Some(jaw) if *spec.name == *GRIP_FORCE => Some(SettingSpec {
             allowed: Allowed::Continuous { low: 0.0, high: jaw.force_limit_n },
             value: Some(Value::Number(grip_force_n)),
             ..spec
         }),
-        (GRIP_FORCE, Gripper::Suction(_)) | (SUCTION, Gripper::ParallelJaw(_)) => None,
         _ => Some(spec),
     }
 }

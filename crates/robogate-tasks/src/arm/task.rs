@@ -8,7 +8,8 @@ use robogate_core::{
 use robogate_physics::{Chain, Engine, Gripper, Robot};
 
 use super::rules::Rules;
-use super::{ArmEnvironment, ArmSettings, HasSettings, Rig};
+use super::settings::has_effect;
+use super::{ArmEnvironment, HasSettings, Rig};
 use crate::settings::{setting_specs, with_settings};
 
 /// A built-in task for an arm in the cell. The user chooses robot and engine.
@@ -58,8 +59,10 @@ pub trait ArmTask: Send + Sync {
     /// The settings, with the values of this task.
     fn settings(&self) -> Vec<SettingSpec>;
 
-    /// The settings of every task for an arm.
-    fn arm_settings(&self) -> ArmSettings;
+    /// Whether a setting has an effect with this gripper.
+    fn has_effect(&self, setting: &str, gripper: &Gripper) -> bool {
+        has_effect(setting, gripper)
+    }
 
     /// The settings of the published paper for this gripper. Empty if the task is not in it.
     fn published(&self, gripper: &Gripper) -> Assignment;
@@ -136,10 +139,6 @@ impl<R: Rules + HasSettings + 'static> ArmTask for R {
 
     fn settings(&self) -> Vec<SettingSpec> {
         setting_specs(&R::rows(), self)
-    }
-
-    fn arm_settings(&self) -> ArmSettings {
-        *self.arm()
     }
 
     fn published(&self, gripper: &Gripper) -> Assignment {

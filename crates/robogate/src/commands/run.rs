@@ -550,6 +550,10 @@ pub(crate) fn introduce(provenance: &Provenance, seed: u64) {
         provenance.engine.version.as_deref().unwrap_or_default(),
         provenance.policy,
     ));
+    let changed = provenance.task.changed_settings();
+    if !changed.is_empty() {
+        note(format_args!("with {changed}"));
+    }
     let execution = provenance.world.get("execution").cloned().map(serde_json::from_value);
     if let Some(Ok(execution)) = execution {
         note(latency::describe(&execution));

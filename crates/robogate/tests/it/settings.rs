@@ -27,7 +27,7 @@ fn every_task_has_settings_that_change_it() {
         assert_eq!(value, if task == "pendulum" { 0.02 } else { 0.05 }, "{task}");
         verb(at, &format!("export {task} {task}.csv"), 0, &[]);
         let csv = fs::read_to_string(at.join(format!("{task}.csv"))).unwrap();
-        assert_eq!(csv.matches("timeout").count(), 3, "{task}: {csv}");
+        assert_eq!(csv.matches(",timeout,timeout,").count(), 3, "{task}: {csv}");
         verb(at, &format!("replay {task} 1"), 0, &["identical to the recorded episode"]);
         verb(at, &format!("resume {task}"), 0, &[]);
         verb(at, "list", 0, &[&format!("{task} time_limit_s: ")]);
@@ -38,7 +38,7 @@ fn every_task_has_settings_that_change_it() {
 fn settings_of_a_server_are_set_there() {
     let dir = TempDir::new().unwrap();
     let server = Server::start(&["--task", "pendulum", "--set", "time_limit_s=0.04"]);
-    let run = format!("run --simulator {} -n 2 --design uniform", server.address);
+    let run = format!("run --simulator {} -n 2 --policy random", server.address);
     verb(dir.path(), &format!("{run} --out served"), 0, &[]);
     assert_eq!(recorded(&dir.path().join("served"), "time_limit_s"), 0.04);
     verb(dir.path(), &format!("{run} --set time_limit_s=1 --out no"), 2, &["robogate serve --set time_limit_s=VALUE"]);

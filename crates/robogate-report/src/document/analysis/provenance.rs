@@ -25,6 +25,10 @@ pub(super) fn section(analysis: &Analysis) -> Section {
     if let Some(platform) = &p.platform {
         facts.push(("platform".to_owned(), format!("{} {}", platform.os, platform.arch)));
     }
+    let changed = p.task.changed_settings();
+    if !changed.is_empty() {
+        facts.push(("settings".to_owned(), changed));
+    }
     let mut notes = Vec::new();
     if let Some(source) = &p.source {
         facts.push(("imported from".to_owned(), with_hash(&source.format.replace('_', " "), Some(&source.sha256))));
