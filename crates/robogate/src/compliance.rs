@@ -12,6 +12,7 @@ use robogate_dictionary::{Dictionary, Provenance, Tool};
 use robogate_gate::Evaluation;
 use robogate_gate::evidence::{EnvironmentBinding, MANIFEST, Manifest, PolicyBinding, Problem, Role};
 use robogate_report::{junit, verdict_html};
+use robogate_session::SOURCE_SHA256;
 use serde_json::{Value, json};
 
 /// The list of components.
@@ -102,7 +103,7 @@ fn sbom(evaluation: &Evaluation, provenance: &Provenance) -> Value {
     ];
     let this = Tool::robogate();
     let source = provenance.build.as_ref().map(|build| build.source_sha256.as_str());
-    if *tool != this || source.is_some_and(|source| source != env!("ROBOGATE_SOURCE_SHA256")) {
+    if *tool != this || source.is_some_and(|source| source != SOURCE_SHA256) {
         let mut measured = component("application", "measured-by", &tool.name, Some(&tool.version), None);
         measured["properties"] = json!([{ "name": "robogate:source_sha256", "value": source.unwrap_or("unknown") }]);
         components.push(measured);
@@ -119,7 +120,7 @@ fn sbom(evaluation: &Evaluation, provenance: &Provenance) -> Value {
                 "name": this.name,
                 "version": this.version,
                 "properties": [
-                    { "name": "robogate:source_sha256", "value": env!("ROBOGATE_SOURCE_SHA256") },
+                    { "name": "robogate:source_sha256", "value": SOURCE_SHA256 },
                     {
                         "name": "robogate:packages",
                         "value": "Cargo.lock of this build: the packages of all its features, platforms and tests",

@@ -2,37 +2,24 @@
 
 mod active_model;
 mod answer;
+mod arguments;
 mod benchmark;
 mod canvas;
-mod cell;
-mod checkpoint_statistics;
 mod commands;
 mod compliance;
-mod duration;
-mod environments;
 mod exit;
-mod families;
 mod film;
 #[cfg(feature = "mujoco")]
 mod inspection;
 mod interface;
-mod latency;
-mod lost_episodes;
 mod number;
 #[cfg(feature = "object-store")]
 mod object_store;
-mod origin;
 mod picture;
 mod place;
-mod policy_source;
 mod progress;
-mod registry;
-mod remote;
-mod renderer;
-mod reopening;
 mod sharded;
 mod source;
-mod subject;
 mod summary;
 mod terminal;
 mod transfer_view;
@@ -136,6 +123,7 @@ fn main() -> ExitCode {
     std::panic::set_hook(Box::new(panicked));
     commands::matrix::end_with_parent();
     let arguments = Arguments::parse();
+    terminal::show_notices();
     if arguments.quiet {
         terminal::be_quiet();
     }

@@ -10,10 +10,7 @@ use robogate_campaign::shards::{DirectoryStore, ShardStore};
 use crate::commands::run;
 use crate::exit::{Exit, OrExit};
 
-/// Whether `dir` is the address of an object store, such as `s3://bucket/campaign`.
-pub(crate) fn is_remote(dir: &Path) -> bool {
-    dir.to_str().is_some_and(|text| text.contains("://"))
-}
+pub(crate) use robogate_session::is_remote;
 
 /// Parses the path of a folder or file on this machine. An address would become a folder with its name.
 pub(crate) fn local() -> impl TypedValueParser<Value = PathBuf> {

@@ -7,9 +7,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 use robogate_campaign::{Event, OutcomeCounts, Stage};
 use robogate_core::{FailureMode, Outcome};
 
-use crate::duration::in_words;
 use crate::summary::outcomes_in_one_line;
 use crate::terminal::{self, Screen, foreign, grouped};
+use robogate_session::duration::in_words;
 
 /// Number of failures in the live view.
 pub(crate) const LAST_FAILURES: usize = 3;

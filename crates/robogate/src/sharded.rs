@@ -13,10 +13,8 @@ use crate::commands::gate::{Look, begun, compared_with, finish, refused, ruled_o
 use crate::commands::run::{conclude, write_report};
 use crate::commands::shard::exit;
 use crate::exit::{Exit, USAGE};
-use crate::origin;
-use crate::reopening::Reopening;
-use crate::subject::{Subject, starts_processes};
 use crate::twins;
+use robogate_session::{Reopening, Subject, register_copy, starts_processes};
 
 /// A campaign in shards. After each round of a gate, the sequential test decides whether another one follows.
 pub(crate) struct Campaign {
@@ -71,7 +69,7 @@ fn recorded_foresight(shards: &Shards, opening: &Reopening) -> Result<Knowledge,
         return Ok(None);
     }
     let subject = Subject::recorded_environment(provenance, Some(&shards.dir()), opening)?;
-    subject.foresight()
+    Ok(subject.foresight()?)
 }
 
 impl Campaign {
@@ -133,7 +131,7 @@ impl Campaign {
 
     /// Notes that the merged run is this user's, if the campaign is.
     fn register(&self, out: &Path) {
-        origin::register_copy(out, &self.shards.dir(), &self.shards.settings().provenance);
+        register_copy(out, &self.shards.dir(), &self.shards.settings().provenance);
     }
 
     /// Merges the shards into `out`, and prints nothing.

@@ -1,6 +1,5 @@
 //! Terminal output: stdout carries data and summaries, stderr errors and progress.
 
-use std::borrow::Cow;
 use std::fmt::{self, Display};
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{self, IsTerminal, Write};
@@ -11,7 +10,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use console::{Term, measure_text_width, strip_ansi_codes};
 use indicatif::MultiProgress;
 
-use robogate_stats::format::is_deceptive;
+use robogate_session::text::escaped;
+pub(crate) use robogate_session::text::{foreign, indented};
 pub(crate) use robogate_stats::format::{count as grouped, percent};
 
 use crate::canvas;
@@ -147,40 +147,6 @@ pub(crate) fn dim<T: Display>(text: T) -> Styled<T> {
     Styled("2", text)
 }
 
-/// Formats text from a file or a file name on one line, with control characters escaped.
-pub(crate) fn foreign(text: impl Display) -> String {
-    escaped(&text.to_string(), |_| None).into_owned()
-}
-
-/// Formats text of several lines, with all lines after the first indented and control characters escaped.
-pub(crate) fn indented(text: impl Display) -> String {
-    escaped(&text.to_string(), |rest| rest.starts_with('\n').then_some(1)).replace('\n', "\n    ")
-}
-
-/// Escapes control characters (C0, DEL, C1) and controls of the text direction as JSON does, so that a JSON document keeps its
-/// meaning. `kept` returns the
-/// number of bytes at the start of a text that are copied unchanged.
-fn escaped(text: &str, kept: impl Fn(&str) -> Option<usize>) -> Cow<'_, str> {
-    if !text.contains(is_deceptive) {
-        return Cow::Borrowed(text);
-    }
-    let mut safe = String::with_capacity(text.len());
-    let mut rest = text;
-    while let Some(c) = rest.chars().next() {
-        let taken = kept(rest);
-        let (head, tail) = rest.split_at(taken.unwrap_or(c.len_utf8()));
-        match c {
-            _ if taken.is_some() || !is_deceptive(c) => safe.push_str(head),
-            '\n' => safe.push_str("\\n"),
-            '\r' => safe.push_str("\\r"),
-            '\t' => safe.push_str("\\t"),
-            _ => safe.push_str(&format!("\\u{:04x}", u32::from(c))),
-        }
-        rest = tail;
-    }
-    Cow::Owned(safe)
-}
-
 /// Writes a line of data or summary to stdout. The first error is kept for [`stdout_error`].
 pub(crate) fn line(text: impl Display) {
     let written = writeln!(io::stdout(), "{}", fitted(harmless(&text.to_string()), columns()));
@@ -260,6 +226,31 @@ fn tell(text: &str) {
 /// Writes a warning.
 pub(crate) fn warning(text: impl Display) {
     tell(&format!("{}: {text}", label("1;33", "warning")));
+}
+
+/// Writes what the libraries tell.
+struct Notices;
+
+impl log::Log for Notices {
+    fn enabled(&self, metadata: &log::Metadata<'_>) -> bool {
+        metadata.target() == robogate_session::NOTICES
+    }
+
+    fn log(&self, record: &log::Record<'_>) {
+        match record.level() {
+            _ if !self.enabled(record.metadata()) => {}
+            log::Level::Error | log::Level::Warn => warning(record.args()),
+            _ => note(record.args()),
+        }
+    }
+
+    fn flush(&self) {}
+}
+
+/// Shows what the libraries tell from now on.
+pub(crate) fn show_notices() {
+    // Only fails if it was called before.
+    let _ = log::set_logger(&Notices).map(|()| log::set_max_level(log::LevelFilter::Info));
 }
 
 /// Writes an error.

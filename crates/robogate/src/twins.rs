@@ -21,13 +21,11 @@ use crate::commands::gate::refused;
 use crate::commands::run;
 use crate::commands::shard;
 use crate::exit::{Exit, OrExit};
-use crate::origin;
 use crate::place;
-use crate::reopening::Reopening;
 use crate::sharded::Campaign;
 use crate::source::open_source;
-use crate::subject::Subject;
 use crate::terminal::{bold, dim, grouped, line, note, quoted, wrapped};
+use robogate_session::{Reopening, Subject, register_copy};
 
 /// The comparison with the control arm in the folder of a run.
 pub(crate) const TWINS: &str = "twins.json";
@@ -287,7 +285,7 @@ fn merge_arm(kind: Kind, campaign: &Shards, out: &Path, rounds: u64, opening: &R
             let Some(plan) = plan else { return Ok(()) };
             let provenance =
                 Provenance { space: space_of(&plan)?, question_sha256: None, ..settings.provenance.clone() };
-            origin::register_copy(&dir, &campaign.dir(), &provenance);
+            register_copy(&dir, &campaign.dir(), &provenance);
             Shards::begin(place::create(&dir)?, campaign.shards(), &plan, provenance).map_err(shard::exit)?
         }
         Err(error) => return Err(shard::exit(error)),

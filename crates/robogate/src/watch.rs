@@ -13,10 +13,8 @@ use robogate_stats::format::{counted, number};
 
 use crate::film::{self, Cameras, FILM_FRAMES, Filmed, Shot};
 use crate::picture;
-use crate::policy_source::PolicySource;
-use crate::reopening::Reopening;
-use crate::subject::{Subject, starts_processes};
 use crate::terminal::note;
+use robogate_session::{PolicySource, Reopening, Subject, starts_processes};
 
 /// Maximum number of recorded episodes of a page.
 const MAX_CLIPS: usize = 12;

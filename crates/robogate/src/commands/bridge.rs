@@ -9,9 +9,10 @@ use robogate_remote::{Connection, PhysicsSession, RequestError, ScoredSession};
 use robogate_zmtp::Address;
 use serde_json::json;
 
+use crate::arguments::EnvironmentArguments;
 use crate::exit::{DONE, Exit, FAIL, OrExit};
-use crate::subject::{EnvironmentArguments, named_space};
 use crate::terminal::{bold, line, note};
+use robogate_session::named_space;
 
 /// Run the conformance tests against a simulator server.
 #[derive(Debug, Args)]
@@ -57,7 +58,7 @@ impl Bridge {
 
 impl BridgeCheck {
     fn execute(&self) -> Result<u8, Exit> {
-        let timeouts = self.environment.simulators.timeouts();
+        let timeouts = self.environment.choice().simulators.timeouts();
         let failed = |why: RequestError| anyhow::Error::new(why).context(self.address.to_string());
         let hello = Connection::open(self.address.clone(), timeouts).map_err(failed).or_broken()?.hello().clone();
         let task = hello.task.clone();
@@ -67,9 +68,9 @@ impl BridgeCheck {
             (None, None) => None,
         };
         let (cell, base) = if hello.scores_itself {
-            (None, self.environment.parameters()?)
+            (None, self.environment.choice().parameters()?)
         } else {
-            let (cell, parameters) = self.environment.cell_and_parameters()?;
+            let (cell, parameters) = self.environment.choice().cell_and_parameters()?;
             (Some(cell), parameters)
         };
         let scenarios =

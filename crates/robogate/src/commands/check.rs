@@ -6,10 +6,10 @@ use clap::{Args, Subcommand};
 use robogate_tasks::pick_place::claims::{self, ClaimResult, Workbench};
 use serde_json::json;
 
+use crate::arguments::EnvironmentArguments;
 use crate::exit::{DONE, Exit, FAIL, OrExit};
-use crate::registry::CELL_TASK;
-use crate::subject::{EnvironmentArguments, named_space};
 use crate::terminal::{bold, line, note};
+use robogate_session::{CELL_TASK, named_space};
 
 /// Check claims by experiment.
 #[derive(Debug, Args)]
@@ -65,7 +65,7 @@ impl Check {
 
 impl Physics {
     fn execute(&self) -> Result<u8, Exit> {
-        let cell = &self.environment.cell()?;
+        let cell = &self.environment.choice().cell()?;
         let space = Arc::new(named_space(cell.default_space()).or_usage()?);
         let fingers: &[Experiment<'_>] = &[
             ("coulomb", &|| claims::coulomb(cell, &[2.0, 4.0, 7.0])),

@@ -13,10 +13,10 @@ use robogate_report::{
 };
 use robogate_stats::format::{p_value, percent_or_dash, points};
 
+use crate::arguments::ReopeningArguments;
 use crate::commands::analyze::{heading, interval};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::place;
-use crate::reopening::Reopening;
 use crate::source::open_source;
 use crate::terminal::{bar, bold, dim, grouped, line, note, percent, wrapped};
 use crate::watch;
@@ -64,7 +64,7 @@ pub(crate) struct Compare {
     #[arg(long)]
     no_replay: bool,
     #[command(flatten)]
-    opening: Reopening,
+    opening: ReopeningArguments,
 }
 
 fn named_length(text: &str) -> Result<(String, f64), String> {
@@ -94,7 +94,7 @@ impl Compare {
             let watch = if self.no_replay {
                 None
             } else {
-                Some(watch::compared(&comparison, &sources, &self.opening).or_usage()?)
+                Some(watch::compared(&comparison, &sources, &self.opening.choice()).or_usage()?)
             };
             let watch = watch.as_ref().filter(|watch| !watch.items.is_empty());
             write(file, &comparison_html_with(&comparison, watch))?;

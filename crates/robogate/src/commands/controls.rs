@@ -9,9 +9,8 @@ use robogate_gate::{ControlProblem, ControlResult, Controls};
 use robogate_policy::{Profile, RandomModel, TaskMap, ThroughProfile, Unmapped, compare_mappings};
 
 use crate::exit::{Exit, OrExit};
-use crate::policy_source::mapped;
-use crate::subject::{EnvironmentSource, Subject};
 use crate::terminal::note;
+use robogate_session::{EnvironmentSource, Subject, mapped};
 
 /// The default number of episodes of each control.
 pub(crate) const EPISODES: u32 = 5;

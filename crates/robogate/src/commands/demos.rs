@@ -16,13 +16,13 @@ use robogate_demos::{Dataset, DatasetError, Demonstration};
 use robogate_dictionary::Dictionary;
 use serde_json::json;
 
-use crate::cell::Cell;
+use crate::arguments::EnvironmentArguments;
 use crate::commands::run::stop_on_signal;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
 use crate::number::at_least_one;
 use crate::place;
-use crate::subject::{EnvironmentArguments, named_space};
 use crate::terminal::{grouped, line, note, warning};
+use robogate_session::{Cell, named_space};
 
 /// Frames per second: one for each control period.
 const FPS: u32 = 20;
@@ -75,7 +75,7 @@ impl Demos {
         if self.n == 0 {
             return Err(usage("-n 0: expected at least 1 episode".to_owned()));
         }
-        let cell = self.environment.cell()?.with_pictures_of(self.size.into());
+        let cell = self.environment.choice().cell()?.with_pictures_of(self.size.into());
         let seed = Seed::campaign(self.seed);
         let points = match &self.failed_in {
             Some(run) => failures(run)?.into_iter().cycle().take(self.n as usize).collect(),

@@ -15,11 +15,11 @@ use robogate_stats::format::number;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use crate::environments::{Interpreter, installed, installed_marker};
+use crate::arguments::seconds;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, OrExit};
 use crate::interface;
-use crate::remote::seconds;
 use crate::terminal::{bold, dim, line, note};
+use robogate_session::{Interpreter, installed, installed_marker};
 
 /// List, install and inspect environments that run in Python (docs/environments.md).
 #[derive(Debug, Args)]

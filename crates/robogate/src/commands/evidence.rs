@@ -17,11 +17,10 @@ use robogate_gate::{Asked, GateError, Record, Sampling};
 use crate::commands::gate::{built_in_baseline, open_requirements, real_evidence_for, refused};
 use crate::compliance;
 use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
-use crate::origin;
 use crate::place;
 use crate::source::open_source;
-use crate::subject::recorded_robot;
 use crate::terminal::{foreign, line, note};
+use robogate_session::{recorded_robot, register_copy};
 
 /// Judge a run and write a folder with everything that the verdict depends on, so that others can check it.
 ///
@@ -131,7 +130,7 @@ impl Evidence {
         // Read before the evaluation, so that an unusable key is reported early.
         let key = self.key.as_deref().map(PrivateKey::read).transpose().map_err(evidence_error)?;
         let manifest = write(&self.out, &ingredients, key.as_ref()).map_err(evidence_error)?;
-        source.folder().into_iter().for_each(|folder| origin::register_copy(&self.out, folder, provenance));
+        source.folder().into_iter().for_each(|folder| register_copy(&self.out, folder, provenance));
         line(format_args!("{}: {}", manifest.verdict, foreign(&manifest.because)));
         let signed = manifest.signer.map_or("unsigned".to_owned(), |keyid| format!("signed by key {keyid}"));
         note(format_args!("policy: {}", foreign(&manifest.policy_binding)));

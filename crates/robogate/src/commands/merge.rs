@@ -7,13 +7,14 @@ use clap::Args;
 use robogate_campaign::Event;
 use robogate_stats::format::counted;
 
+use crate::arguments::TrustArguments;
 use crate::commands::matrix;
 use crate::commands::shard::open;
 use crate::exit::{Exit, OrExit};
 use crate::place;
 use crate::progress::Progress;
-use crate::reopening::{Reopening, Trust};
 use crate::terminal::note;
+use robogate_session::Reopening;
 
 /// Merge the shards of a campaign to the files of a run on one machine: dictionary, boundary, summary and report. The
 /// files are byte-identical to those of such a run. For a gate, also evaluate the verdict; its exit codes are those of
@@ -26,7 +27,7 @@ pub(crate) struct Merge {
     #[arg(long, value_name = "FOLDER", value_parser = place::local())]
     out: Option<PathBuf>,
     #[command(flatten)]
-    trust: Trust,
+    trust: TrustArguments,
     /// Print the result as one JSON document
     #[arg(long)]
     json: bool,
@@ -36,7 +37,7 @@ impl Merge {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         if let Some(plan) = matrix::open(&self.dir)? {
             return match &self.out {
-                None => matrix::merge(&self.dir, &plan, self.trust, self.json),
+                None => matrix::merge(&self.dir, &plan, self.trust.choice(), self.json),
                 Some(_) => Err(anyhow!("--out: a sweep is merged in its own folder")).or_usage(),
             };
         }
@@ -57,6 +58,6 @@ impl Merge {
             Event::Started { .. } => {}
             event => progress.hear(event),
         };
-        campaign.merge(out, &mut show, &Reopening::trusting(self.trust), self.json)
+        campaign.merge(out, &mut show, &Reopening::trusting(self.trust.choice()), self.json)
     }
 }

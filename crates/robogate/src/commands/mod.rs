@@ -28,7 +28,6 @@ pub(crate) mod replay;
 pub(crate) mod report;
 pub(crate) mod rerun;
 pub(crate) mod resume;
-pub(crate) mod rival;
 pub(crate) mod robots;
 pub(crate) mod run;
 pub(crate) mod serve;

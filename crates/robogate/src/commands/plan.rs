@@ -6,12 +6,12 @@ use clap::Args;
 use robogate_campaign::shards::{OpenRound, Shard, ShardRound};
 use serde_json::{Value, json};
 
+use crate::arguments::TrustArguments;
 use crate::commands::matrix;
 use crate::commands::shard::{exit, open};
 use crate::exit::{DONE, Exit};
-use crate::reopening::Trust;
-use crate::subject::programs;
 use crate::terminal::{line, note, quoted};
+use robogate_session::{Trust, programs};
 
 /// Print the next shards of a campaign that several machines run, as commands: one per line, for the missing shards of
 /// the open round. Prints nothing when all rounds are complete.
@@ -23,7 +23,7 @@ pub(crate) struct Plan {
     #[arg(long, required = true)]
     next: bool,
     #[command(flatten)]
-    trust: Trust,
+    trust: TrustArguments,
     /// Print the shards as one JSON document
     #[arg(long)]
     json: bool,
@@ -91,9 +91,9 @@ pub(crate) fn next_shards(dir: &Path, trust: Trust) -> Result<NextShards, Exit> 
 impl Plan {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         if let Some(plan) = matrix::open(&self.dir)? {
-            return matrix::next(&self.dir, &plan, self.trust, self.json);
+            return matrix::next(&self.dir, &plan, self.trust.choice(), self.json);
         }
-        let NextShards { shards, round, items } = next_shards(&self.dir, self.trust)?;
+        let NextShards { shards, round, items } = next_shards(&self.dir, self.trust.choice())?;
         if self.json {
             let items: Vec<Value> = items.iter().map(NextShard::json).collect();
             line(json!({ "version": 1, "dir": self.dir, "shards": shards, "round": round, "items": items }));

@@ -13,14 +13,12 @@ use robogate_policy::{
 };
 use serde_json::json;
 
-use crate::cell::nominal;
-use crate::checkpoint_statistics::CheckpointStatistics;
+use crate::arguments::{AccessArguments, EnvironmentArguments, StatisticsArguments};
 use crate::commands::probe::{Probes, probe};
 use crate::exit::{DONE, Exit, FAIL, OrExit};
 use crate::interface;
-use crate::policy_source::{PolicyAccess, connect, policy_error, profile, task_map};
-use crate::subject::{EnvironmentArguments, EnvironmentSource};
 use crate::terminal::{bold, foreign, line, note};
+use robogate_session::{EnvironmentSource, connect, nominal, policy_error, profile, task_map};
 
 /// List the profiles of policies, or check a policy.
 #[derive(Debug, Args)]
@@ -66,9 +64,9 @@ struct Check {
     #[arg(long, value_name = "FILE", conflicts_with = "json")]
     write: Option<PathBuf>,
     #[command(flatten)]
-    statistics: CheckpointStatistics,
+    statistics: StatisticsArguments,
     #[command(flatten)]
-    access: PolicyAccess,
+    access: AccessArguments,
     #[command(flatten)]
     environment: EnvironmentArguments,
     /// Print one JSON document
@@ -146,7 +144,7 @@ impl Check {
         let task = source.task().or_broken()?;
         let mut found =
             Findings { properties: Vec::new(), mapping: Vec::new(), probes: Probes::default(), problems: Vec::new() };
-        let mut policy = connect(&self.url, Arc::clone(&profile), self.access.access()?)?;
+        let mut policy = connect(&self.url, Arc::clone(&profile), self.access.choice().access()?)?;
         found.properties.push(("metadata", foreign(policy.declared())));
         if let Some(length) = policy.chunk_length().filter(|length| profile.chunk.length != Some(*length)) {
             found.properties.push(("declared length", format!("{length} actions in each reply")));
@@ -164,7 +162,7 @@ impl Check {
                     | PolicyError::InvalidReply { .. }
                     | PolicyError::Reported { .. }),
                 ) => found.problems.push(error.to_string()),
-                Err(error) => return Err(policy_error(error)),
+                Err(error) => return Err(policy_error(error).into()),
             }
             if is_cell(&task) {
                 check_motion(&profile, &mut *environment, &mut found)?;
@@ -208,17 +206,17 @@ impl Check {
 
     /// The environment with the pictures of the profile.
     fn source(&self, profile: &Profile) -> Result<EnvironmentSource, Exit> {
-        let source = self.environment.environment()?;
+        let source = self.environment.choice().environment()?;
         Ok(profile.rendered_px.into_iter().fold(source, EnvironmentSource::with_pictures_of))
     }
 
     /// The profile with the ranges of --statistics.
     fn ranged(&self, profile: &Profile, bound: &BoundMap, environment: &mut dyn Environment) -> Result<Profile, Exit> {
-        if !self.statistics.is_given() {
+        if !self.statistics.choice().is_given() {
             return Ok(profile.clone());
         }
         let start = environment.reset(&nominal()).or_broken()?;
-        self.statistics.add_to(profile, &bound.observation(&start.observation).or_broken()?)
+        Ok(self.statistics.choice().add_to(profile, &bound.observation(&start.observation).or_broken()?)?)
     }
 
     /// [`Self::ranged`], in an environment of its own.
@@ -235,13 +233,13 @@ impl Check {
         if path.exists() {
             return Err(anyhow!("{}: the file exists\n  hint: choose another name", path.display())).or_usage();
         }
-        let drafted = if base.dialect.declares_modalities() || !self.statistics.is_given() {
+        let drafted = if base.dialect.declares_modalities() || !self.statistics.choice().is_given() {
             robogate_policy::draft(&self.url, base).map_err(policy_error)?
         } else {
             Draft::of(base)
         };
         let Draft { profile, open } = drafted;
-        let profile = match self.statistics.is_given() {
+        let profile = match self.statistics.choice().is_given() {
             true => self.ranged_draft(&profile)?,
             false => profile,
         };

@@ -4,9 +4,8 @@ use robogate_core::{Environment, Observation};
 use robogate_policy::{Arm, BoundMap, Decoder, Frame, Profile, Side, tool_pose};
 use serde::Serialize;
 
-use crate::cell::nominal;
 use crate::exit::{Exit, OrExit};
-use crate::policy_source::policy_error;
+use robogate_session::{nominal, policy_error};
 
 /// How many control periods a probe takes.
 const TICKS: u32 = 10;

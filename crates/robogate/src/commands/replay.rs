@@ -11,14 +11,13 @@ use robogate_replay::{EncodedImage, Export, Recording, Sample, mcap, record_with
 use robogate_stats::format::number;
 use serde_json::json;
 
+use crate::arguments::ReopeningArguments;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::film::{self, Cameras, Filmed, Shot};
 use crate::picture;
-use crate::policy_source::PolicySource;
-use crate::reopening::Reopening;
-use crate::subject::Subject;
 use crate::terminal::{bold, dim, foreign, line, note};
 use crate::watch;
+use robogate_session::{PolicySource, Subject};
 
 /// Replay one episode bit for bit and print its timeline.
 #[derive(Debug, Args)]
@@ -28,7 +27,7 @@ pub(crate) struct Replay {
     /// Index of the episode, as in the dictionary
     index: u64,
     #[command(flatten)]
-    opening: Reopening,
+    opening: ReopeningArguments,
     /// Write an animation of a camera to this file (GIF)
     #[arg(long, value_name = "FILE")]
     gif: Option<PathBuf>,
@@ -63,7 +62,7 @@ struct Line {
 impl Replay {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
-        let subject = Subject::recorded(&settings.provenance, Some(&self.dir), &self.opening)?;
+        let subject = Subject::recorded(&settings.provenance, Some(&self.dir), &self.opening.choice())?;
         if self.mp4.is_some() {
             film::check_mp4().or_usage()?;
         }

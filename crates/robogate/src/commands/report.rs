@@ -10,16 +10,16 @@ use robogate_gate::{Evaluation, Sampling};
 use robogate_report::{Additions, Watch, analysis_json_with, html_with, markdown_with};
 
 use crate::active_model;
+use crate::arguments::ReopeningArguments;
 use crate::commands::analyze::{analyse, options};
 use crate::commands::gate;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::place;
-use crate::reopening::Reopening;
 use crate::source::open_source;
-use crate::subject::Subject;
 use crate::terminal::{line, note};
 use crate::twins::{self, NominalArguments};
 use crate::watch::{self, Frames, Moment};
+use robogate_session::{Reopening, Subject};
 
 /// Write a run or a dictionary as one page: where the policy fails, what to do, and the confidence intervals.
 #[derive(Debug, Args)]
@@ -45,7 +45,7 @@ pub(crate) struct Report {
     #[command(flatten)]
     nominal: NominalArguments,
     #[command(flatten)]
-    opening: Reopening,
+    opening: ReopeningArguments,
 }
 
 /// The name of the page in a run's folder.
@@ -81,9 +81,10 @@ impl Report {
         // Markdown on stdout has no place for images.
         let frames = out.as_deref().filter(|_| matches!(self.format, Form::Md)).map(frames_beside);
         let watch = match self.format {
-            Form::Html | Form::Md if !self.no_replay => {
-                Some(watch::watch(&source, &analysis, &self.opening, Moment::OnRequest, frames.as_ref()).or_usage()?)
-            }
+            Form::Html | Form::Md if !self.no_replay => Some(
+                watch::watch(&source, &analysis, &self.opening.choice(), Moment::OnRequest, frames.as_ref())
+                    .or_usage()?,
+            ),
             _ => None,
         };
         let pairs = pair_counts(&source, &analysis).or_usage()?;

@@ -11,8 +11,7 @@ use serde::Serialize;
 
 use crate::commands::evidence::evidence_error;
 use crate::exit::{Exit, OrExit};
-use crate::reopening::Reopening;
-use crate::subject::Subject;
+use robogate_session::{Reopening, Subject};
 
 /// The rows in the folder of evidence.
 const ROWS: &str = "dictionary.parquet";

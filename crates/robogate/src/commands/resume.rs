@@ -6,12 +6,12 @@ use anyhow::anyhow;
 use clap::Args;
 use robogate_gate::Asked;
 
+use crate::arguments::ReopeningArguments;
 use crate::commands::run::How;
 use crate::commands::{fleet, gate};
 use crate::exit::{Exit, OrExit};
-use crate::reopening::Reopening;
-use crate::subject::Subject;
 use crate::twins::Arms;
+use robogate_session::Subject;
 
 /// Resume an interrupted campaign.
 #[derive(Debug, Args)]
@@ -19,7 +19,7 @@ pub(crate) struct Resume {
     /// Folder of the run
     dir: PathBuf,
     #[command(flatten)]
-    opening: Reopening,
+    opening: ReopeningArguments,
     #[command(flatten)]
     how: How,
 }
@@ -27,7 +27,7 @@ pub(crate) struct Resume {
 impl Resume {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         if fleet::is_fleet(&self.dir) {
-            return fleet::resume(&self.dir, &self.opening, &self.how);
+            return fleet::resume(&self.dir, &self.opening.choice(), &self.how);
         }
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
         let asked = Asked::of(&self.dir).or_usage()?;
@@ -40,9 +40,9 @@ impl Resume {
             ))
             .or_usage();
         }
-        let subject = Subject::recorded(&settings.provenance, Some(&self.dir), &self.opening)?;
+        let subject = Subject::recorded(&settings.provenance, Some(&self.dir), &self.opening.choice())?;
         if let Some(asked) = asked {
-            return gate::resume(&self.dir, asked, &subject, settings, &self.opening, &self.how);
+            return gate::resume(&self.dir, asked, &subject, settings, &self.opening.choice(), &self.how);
         }
         let arms = Arms::of(&self.dir, &settings.plan, &settings.provenance.space, &subject)?;
         let provenance = subject.provenance(settings.provenance.space)?;

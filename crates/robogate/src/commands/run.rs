@@ -21,21 +21,17 @@ use robogate_report::Watch;
 use robogate_risk::all_processors;
 use robogate_stats::format::counted;
 
+use crate::arguments::{EnvironmentArguments, LatencyArguments, LocationArguments, PolicyArguments, TrustArguments};
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
-use crate::families;
-use crate::latency::{self, LatencyArguments};
-use crate::lost_episodes::{Outage, RunsLostAgain};
 use crate::number::at_least_one;
 use crate::place;
-use crate::policy_source::{PolicyArguments, PolicyLocation};
 use crate::progress::Progress;
-use crate::reopening::{Reopening, Trust};
-use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary;
 use crate::terminal::{Screen, grouped, note, percent, quoted, warning};
 use crate::twins::{self, Arms};
 use crate::watch::Frames;
+use robogate_session::{Outage, Reopening, RunsLostAgain, Subject, describe, families};
 
 /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain.
 #[derive(Debug, Args)]
@@ -91,7 +87,7 @@ pub(crate) struct Run {
     #[command(flatten)]
     policy: PolicyArguments,
     #[command(flatten)]
-    location: PolicyLocation,
+    location: LocationArguments,
     #[command(flatten)]
     latency: LatencyArguments,
     #[command(flatten)]
@@ -104,7 +100,7 @@ pub(crate) struct Run {
     #[arg(long, value_name = "K/N", requires = "out")]
     shard: Option<ShardSet>,
     #[command(flatten)]
-    trust: Trust,
+    trust: TrustArguments,
     /// Write the plan of a campaign in N shards to --out, and run nothing: `robogate plan DIR --next` prints the commands
     /// that run the shards
     #[arg(long, value_name = "N", requires = "out", conflicts_with = "shard")]
@@ -194,7 +190,8 @@ impl Run {
             } else {
                 robogate_campaign::settings(dir).map_err(exit)?
             };
-            let opening = Reopening::with(self.trust, &self.environment.simulators, &self.location);
+            let opening =
+                Reopening::with(self.trust.choice(), &self.environment.choice().simulators, &self.location.choice());
             let subject = Subject::recorded(&provenance, Some(dir), &opening)?;
             let question_sha256 = provenance.question_sha256;
             let provenance = Provenance { question_sha256, ..subject.provenance(provenance.space)? };
@@ -205,12 +202,13 @@ impl Run {
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
-        let environment = self.environment.environment_of(suite.as_ref())?;
+        let environment = self.environment.choice().environment_of(suite.as_ref())?;
         let environment = if papers { environment.like_the_paper().or_broken()? } else { environment };
-        let policy = self.policy.source_at(&self.location)?;
-        self.location.check_used(policy.as_ref())?;
+        let policy = self.policy.choice().source_at(&self.location.choice())?;
+        self.location.choice().check_used(policy.as_ref())?;
         let subject = Subject::new(environment, policy)?;
-        let subject = subject.with_statistics(&self.policy.statistics)?.with_latency(&self.latency)?;
+        let subject =
+            subject.with_statistics(&self.policy.choice().statistics)?.with_latency(&self.latency.choice())?;
         let (mut plan, space) = self.plan_and_space(&subject)?;
         plan.twins |= self.twins;
         let provenance = subject.provenance(space)?;
@@ -301,13 +299,14 @@ impl Run {
         if let Some(name) = &self.suite {
             let suite = suites::find(name)?;
             subject.check_suite(&suite).or_usage()?;
-            self.latency.check_suite(suite.space()).or_usage()?;
+            self.latency.choice().check_suite(suite.space()).or_usage()?;
             let space = suite.space().clone();
             let plan = Plan::of_suite(suite, self.rounds, self.seed.unwrap_or(DEFAULT_SEED));
             plan.check(&space).or_usage()?;
             return Ok((plan, space));
         }
-        let space = subject.space(self.space.as_deref()).and_then(|space| self.latency.added_to(space)).or_usage()?;
+        let space =
+            subject.space(self.space.as_deref()).and_then(|space| self.latency.choice().added_to(space)).or_usage()?;
         let mut plan = match &self.plan {
             Some(file) => Plan::load(file).or_usage()?,
             None => {
@@ -556,7 +555,7 @@ pub(crate) fn introduce(provenance: &Provenance, seed: u64) {
     }
     let execution = provenance.world.get("execution").cloned().map(serde_json::from_value);
     if let Some(Ok(execution)) = execution {
-        note(latency::describe(&execution));
+        note(describe(&execution));
     }
 }
 

@@ -10,10 +10,11 @@ use robogate_remote::{EnvironmentHost, Host, Server};
 use robogate_zmtp::{Address, Replier, ZmtpError};
 use serde_json::json;
 
+use crate::arguments::EnvironmentArguments;
 use crate::commands::run::stop_at_once;
 use crate::exit::{DONE, Exit, OrExit, USAGE};
-use crate::subject::{EnvironmentArguments, EnvironmentSource};
 use crate::terminal::{line, note};
+use robogate_session::EnvironmentSource;
 
 /// Serve a built-in environment to other programs over the bridge protocol (bridges/PROTOCOL.md).
 ///
@@ -44,7 +45,7 @@ impl Serve {
             );
             return Err(why).or_usage();
         }
-        let source = self.environment.environment()?;
+        let source = self.environment.choice().environment()?;
         if self.physics_only {
             let EnvironmentSource::Cell(cell) = &source else {
                 return Err(anyhow!("--physics-only applies to tasks for an arm\n  hint: leave out --task")).or_usage();

@@ -15,8 +15,8 @@ use crate::commands::run::{self, How, guarded, introduce};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, OrExit, USAGE};
 use crate::place;
 use crate::sharded::Campaign;
-use crate::subject::Subject;
 use crate::terminal::{grouped, line, note, quoted};
+use robogate_session::Subject;
 
 /// Runs `shards` of the open round of the campaign in `dir`, and commits each at its end.
 pub(crate) fn run(
@@ -63,7 +63,7 @@ struct Worker<'a, I> {
 impl<I: Iterator<Item = Shard>> Worker<'_, I> {
     /// Chooses the points of the next round, if it can be chosen now.
     fn choose(&self) -> Result<(), Exit> {
-        self.campaign.choose(&|| self.subject.foresight())
+        self.campaign.choose(&|| Ok(self.subject.foresight()?))
     }
 
     /// The next shard whose episodes have to run.

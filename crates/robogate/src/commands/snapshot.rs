@@ -10,13 +10,13 @@ use robogate_campaign::{DEFAULT_SEED, Worker, WorkerFactory, recorded};
 use robogate_core::{Assignment, Image, Scenario, Seed, Start, Suite};
 use serde_json::json;
 
+use crate::arguments::{EnvironmentArguments, TrustArguments};
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::picture;
 use crate::place;
-use crate::reopening::Trust;
-use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{foreign, line, note};
+use robogate_session::Subject;
 
 /// Default width and height of an image, in pixels.
 const ON_SHEET_PX: usize = 144;
@@ -61,7 +61,7 @@ pub(crate) struct Snapshot {
     #[command(flatten)]
     environment: EnvironmentArguments,
     #[command(flatten)]
-    trust: Trust,
+    trust: TrustArguments,
     /// Write to this path: a folder, or the file of a sheet; default: snapshots, or SUITE.png
     #[arg(long, value_name = "PATH", value_parser = place::local())]
     out: Option<PathBuf>,
@@ -84,11 +84,11 @@ impl Snapshot {
         let (subject, set) = match &self.run {
             Some(dir) => {
                 let settings = robogate_campaign::settings(dir).or_usage()?;
-                let opening = self.environment.reopening(self.trust);
+                let opening = self.environment.choice().reopening(self.trust.choice());
                 (Subject::recorded(&settings.provenance, Some(dir), &opening)?, Assignment::default())
             }
             None => {
-                let (environment, set) = self.environment.environment_and_parameters()?;
+                let (environment, set) = self.environment.choice().environment_and_parameters()?;
                 (Subject::new(environment, None)?, set)
             }
         };

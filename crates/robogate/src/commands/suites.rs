@@ -10,8 +10,8 @@ use robogate_dictionary::read_text;
 use serde_json::{Value, json};
 
 use crate::exit::{DONE, Exit, OrExit, USAGE};
-use crate::subject::{EnvironmentSource, check_declared};
 use crate::terminal::{bold, dim, line, note};
+use robogate_session::{EnvironmentSource, check_declared};
 
 /// List, show and check suites.
 #[derive(Debug, Args)]

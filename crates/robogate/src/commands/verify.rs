@@ -9,10 +9,10 @@ use robogate_gate::evidence::{
 use robogate_stats::format::counted;
 use serde::Serialize;
 
+use crate::arguments::ReopeningArguments;
 use crate::commands::rerun::{Rerun, rerun};
 use crate::compliance;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
-use crate::reopening::Reopening;
 use crate::terminal::{bold, foreign, grouped, indented, line, note, percent};
 
 /// Verify a folder of evidence: every file, the signatures, and the verdict recomputed from the rows.
@@ -39,7 +39,7 @@ pub(crate) struct Verify {
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u64).range(1..))]
     rerun: Option<u64>,
     #[command(flatten)]
-    opening: Reopening,
+    opening: ReopeningArguments,
     /// Print the result as one JSON document
     #[arg(long)]
     json: bool,
@@ -79,7 +79,7 @@ impl Verify {
         }
         let mut repeated = None;
         if let (Some(k), Ok(_)) = (self.rerun, &checked) {
-            match rerun(&self.evidence, k, &self.opening)? {
+            match rerun(&self.evidence, k, &self.opening.choice())? {
                 Ok(rerun) => repeated = Some(rerun),
                 Err(problem) => checked = Err(vec![problem]),
             }

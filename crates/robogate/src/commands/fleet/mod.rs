@@ -20,17 +20,15 @@ use robogate_campaign::DEFAULT_SEED;
 use robogate_core::{ParameterSpace, Suite, SuiteError};
 use robogate_gate::{Baseline, Mode, Record, Requirements, Sampling};
 
+use crate::arguments::{AccessArguments, EnvironmentArguments, LatencyArguments, PolicyArguments};
 use crate::commands::gate::{built_in_baseline, open_requirements, refused};
 use crate::commands::run::{How, free_folder, introduce};
 use crate::commands::suites;
 use crate::exit::{Exit, OrExit};
-use crate::latency::LatencyArguments;
 use crate::place;
-use crate::policy_source::{PolicyAccess, PolicyArguments, PolicyLocation};
-use crate::reopening::Reopening;
-use crate::subject::{EnvironmentArguments, Subject, named_space};
 use crate::terminal::{grouped, note};
 use plan::{FleetPlan, VERSION};
+use robogate_session::{PolicyLocation, Reopening, Subject, named_space};
 
 /// The number of scenarios that are sampled from a space.
 const SAMPLED_SCENARIOS: usize = 64;
@@ -81,7 +79,7 @@ pub(crate) struct FleetOf {
     #[command(flatten)]
     policy: PolicyArguments,
     #[command(flatten)]
-    access: PolicyAccess,
+    access: AccessArguments,
     #[command(flatten)]
     latency: LatencyArguments,
     #[command(flatten)]
@@ -97,18 +95,18 @@ impl FleetOf {
             return Err(anyhow!("--share {share}: expected a fraction from 0 to 1")).or_usage();
         }
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
-        let environment = self.environment.environment_of(suite.as_ref())?;
-        let location = PolicyLocation::with_access(&self.access);
-        let policy = self.policy.source_at(&location)?;
+        let environment = self.environment.choice().environment_of(suite.as_ref())?;
+        let location = PolicyLocation { at: None, access: self.access.choice() };
+        let policy = self.policy.choice().source_at(&location)?;
         location.check_used(policy.as_ref())?;
         let subject = Subject::new(environment, policy)?;
-        let subject = subject.with_statistics(&self.policy.statistics)?;
+        let subject = subject.with_statistics(&self.policy.choice().statistics)?;
         let suite = match (suite, subject.own_suite()) {
             (None, Some(own)) if self.space.is_none() => Some(suites::find(own)?),
             (suite, _) => suite,
         };
         let unit_space = self.unit_space(&subject, suite.as_ref())?;
-        let subject = subject.with_latency(&self.latency.varied_by(&unit_space))?;
+        let subject = subject.with_latency(&self.latency.choice().varied_by(&unit_space))?;
         let plan = self.plan(&subject, suite, unit_space)?;
         let dir = match &self.out {
             Some(dir) => dir.clone(),

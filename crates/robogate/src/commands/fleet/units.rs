@@ -14,8 +14,8 @@ use super::result;
 use crate::commands::gate::{Look, refused, write_answer, write_question};
 use crate::commands::run::{How, interrupted};
 use crate::exit::{Exit, OrExit};
+use robogate_session::Subject;
 
-use crate::subject::Subject;
 use crate::terminal::{grouped, note, percent};
 
 /// How the execution of the units ended.

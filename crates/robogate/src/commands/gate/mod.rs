@@ -14,13 +14,12 @@ use std::path::PathBuf;
 use anyhow::anyhow;
 use clap::Args;
 
+use crate::arguments::{AccessArguments, EnvironmentArguments, LatencyArguments, PolicyArguments};
 use crate::commands::controls;
 use crate::commands::run::How;
 use crate::exit::{Exit, OrExit};
-use crate::latency::LatencyArguments;
-use crate::policy_source::{PolicyAccess, PolicyArguments, PolicyLocation};
-use crate::subject::EnvironmentArguments;
 use crate::twins::NominalArguments;
+use robogate_session::PolicyLocation;
 
 pub(crate) use judge::evaluation_of;
 pub(crate) use question::{
@@ -100,7 +99,7 @@ pub(crate) struct Gate {
     #[command(flatten)]
     policy: PolicyArguments,
     #[command(flatten)]
-    access: PolicyAccess,
+    access: AccessArguments,
     #[command(flatten)]
     latency: LatencyArguments,
     #[command(flatten)]
@@ -140,6 +139,6 @@ impl Gate {
 
     /// How this process reaches the policy.
     fn location(&self) -> PolicyLocation {
-        PolicyLocation::with_access(&self.access)
+        PolicyLocation { at: None, access: self.access.choice() }
     }
 }

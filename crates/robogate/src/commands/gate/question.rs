@@ -13,9 +13,10 @@ use robogate_gate::evidence::PolicyBinding;
 use robogate_gate::{Against, Asked, Baseline, GateError, Question, RealEvidence, RealStratum, Record, Requirements};
 
 use super::Gate;
-use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::exit::{Exit, OrExit};
 use crate::source::open_source;
 use crate::terminal::{note, warning};
+use robogate_session::Failure;
 
 /// The default non-inferiority margin, as a fraction.
 pub(super) const MARGIN: f64 = 0.05;
@@ -173,13 +174,5 @@ pub(crate) fn open_requirements(name_or_path: &str, task: &TaskSpec) -> Result<R
 
 /// Adds the exit code to an error of the gate: usage if the user can correct the request, invalid if there is no evidence.
 pub(crate) fn refused(error: GateError) -> Exit {
-    let code = match &error {
-        GateError::EmptyBaseline
-        | GateError::MixedLabels { .. }
-        | GateError::PlannedSuite { .. }
-        | GateError::Copies { .. } => INVALID,
-        GateError::Dictionary(_) => INFRASTRUCTURE,
-        _ => USAGE,
-    };
-    Exit { code, error: error.into() }
+    Failure::from(error).into()
 }

@@ -8,12 +8,10 @@ use robogate_gate::{Asked, AskedAgainst, GateError, Record, Sampling, Trial, Ver
 
 use super::question::{begun, compared_with, question, write_question};
 use super::verdict::{finish, ruled_out};
-use crate::commands::rival::Rival;
 use crate::commands::run::How;
 use crate::exit::Exit;
-use crate::reopening::Reopening;
-use crate::subject::Subject;
 use crate::twins::Arms;
+use robogate_session::{Reopening, Rival, Subject};
 
 /// Evaluates the question after each round.
 pub(crate) struct Look<'a> {
@@ -72,7 +70,7 @@ impl Rounds<'_> {
         if let Some((rival, _)) = &mut self.rival
             && let Err(error) = rival.run(self.dir, round)
         {
-            self.broken = Some(error);
+            self.broken = Some(error.into());
             return ControlFlow::Break(());
         }
         let other = self.rival.as_ref().map(|(rival, _)| rival.record()).or(self.other.as_ref());

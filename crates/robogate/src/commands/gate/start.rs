@@ -19,16 +19,13 @@ use super::rounds::Rounds;
 use super::verdict::{show, write_answer};
 use crate::answer;
 use crate::commands::register::{Registered, Registrar, free};
-use crate::commands::rival::Rival;
 use crate::commands::run::{free_folder, introduce};
 use crate::commands::{controls, shard, suites};
 use crate::exit::{DONE, Exit, OrExit};
-use crate::families;
 use crate::place;
-use crate::policy_source::PolicyArguments;
-use crate::subject::Subject;
 use crate::terminal::{line, note};
 use crate::twins::Arms;
+use robogate_session::{PolicyChoice, Rival, Subject, families};
 
 /// The number of scenarios of a suite that is sampled from a space.
 const SAMPLED_SCENARIOS: usize = 64;
@@ -91,19 +88,20 @@ impl Gate {
     /// controls included.
     fn prepare(&self) -> Result<Prepared, Exit> {
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
-        let environment = self.environment.environment_of(suite.as_ref())?;
-        let policy = self.policy.source_at(&self.location())?;
+        let environment = self.environment.choice().environment_of(suite.as_ref())?;
+        let policy = self.policy.choice().source_at(&self.location())?;
         // With --against, the key can be that of the other policy.
         if self.against.is_none() {
             self.location().check_used(policy.as_ref())?;
         }
         let subject = Subject::new(environment, policy)?;
-        let subject = subject.with_statistics(&self.policy.statistics)?.with_latency(&self.latency)?;
+        let subject =
+            subject.with_statistics(&self.policy.choice().statistics)?.with_latency(&self.latency.choice())?;
         let wanted = self.requirements.as_deref().unwrap_or("default");
         let requirements = open_requirements(wanted, subject.task())?;
         let suite = self.suite(&subject)?;
         if self.suite.is_some() {
-            self.latency.check_suite(suite.space()).or_usage()?;
+            self.latency.choice().check_suite(suite.space()).or_usage()?;
         }
         subject.check_suite(&suite).or_usage()?;
         // The protocol of a published benchmark fixes the number of episodes.
@@ -174,8 +172,10 @@ impl Gate {
             (Some(name), _, _) => suites::find(name),
             (None, None, Some(own)) if self.family.is_empty() => suites::find(own),
             (None, space, _) => {
-                let space =
-                    subject.space(space.as_deref()).and_then(|space| self.latency.added_to(space)).or_usage()?;
+                let space = subject
+                    .space(space.as_deref())
+                    .and_then(|space| self.latency.choice().added_to(space))
+                    .or_usage()?;
                 if !self.family.is_empty() {
                     return families::suite(&self.family, &space, subject.task(), SAMPLED_SCENARIOS).or_usage();
                 }
@@ -210,12 +210,12 @@ impl Gate {
     /// The policy of `--against`.
     fn rival(&self, prepared: &Prepared) -> Result<Option<Rival>, Exit> {
         let Some(policy) = &self.against else { return Ok(None) };
-        let source = PolicyArguments::of(policy, self.against_profile.as_deref())
-            .with_map_of(&self.policy)
+        let source = PolicyChoice::of(policy, self.against_profile.as_deref())
+            .with_map_of(&self.policy.choice())
             .source_at(&self.location())?;
-        let environment = self.environment.environment()?;
+        let environment = self.environment.choice().environment()?;
         let subject = Subject::new(environment, source)?;
-        Rival::new(subject, &prepared.planned, self.how.threads_for_rival()).map(Some)
+        Rival::new(subject, &prepared.planned, self.how.threads_for_rival()).map(Some).map_err(Exit::from)
     }
 
     /// Writes the plan of the gate in shards.

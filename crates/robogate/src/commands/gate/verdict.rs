@@ -16,11 +16,11 @@ use crate::answer;
 use crate::benchmark;
 use crate::commands::run::{interrupted, write_report};
 use crate::exit::{Exit, OrExit};
-use crate::subject::Subject;
 use crate::summary::influential;
 use crate::terminal::{line, note, quoted};
 use crate::twins;
 use crate::watch::Frames;
+use robogate_session::Subject;
 
 /// The files of the evaluation in a run's folder.
 const ANSWER: [&str; 3] = ["gate.json", "gate.md", "gate.junit.xml"];

@@ -15,9 +15,9 @@ use crate::commands::gate::{built_in_baseline, open_requirements};
 use crate::commands::leaderboard::print;
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit};
-use crate::reopening::{Reopening, Trust};
 use crate::source::open_source;
 use crate::terminal::{line, warning};
+use robogate_session::{Reopening, Trust};
 
 /// The pages in the folder of a sweep.
 const PAGES: [&str; 2] = ["leaderboard.html", "leaderboard.md"];

@@ -14,8 +14,8 @@ use super::sweep::{SweepPlan, SweepRun};
 use crate::commands::plan::{NextShard, next_shards};
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit};
-use crate::reopening::Trust;
 use crate::terminal::{bold, grouped, line, note, quoted};
+use robogate_session::Trust;
 
 impl SweepRun {
     /// The arguments of `robogate run`.

@@ -4,9 +4,8 @@ use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
 use robogate_campaign::DEFAULT_SEED;
+use robogate_session::ENGINES;
 use serde::{Deserialize, Serialize};
-
-use crate::registry::{self, ENGINES};
 
 /// A sweep, as its file describes it.
 #[derive(Debug, Deserialize)]
@@ -178,7 +177,7 @@ impl Task {
         ensure!(!(self.suite.is_some() && drawn), "`suite` cannot be used with `space`, `plan` or `episodes`");
         ensure!(self.rounds.is_none() || self.suite.is_some(), "`rounds` needs `suite`");
         ensure!(self.episodes != Some(0), "`episodes` must be at least 1");
-        let chosen = registry::has_robots(&self.name) || !self.simulators.is_empty();
+        let chosen = robogate_session::has_robots(&self.name) || !self.simulators.is_empty();
         let name = &self.name;
         ensure!(chosen || (self.robots.is_empty() && self.engines.is_empty()), "{name} has no robots and engines");
         ensure!(self.simulators.is_empty() || self.engines.is_empty(), "`engines` cannot be used with `simulators`");
@@ -187,7 +186,7 @@ impl Task {
 
     /// Robots and engines in all combinations.
     fn cells(&self) -> Vec<(Option<&str>, Option<&str>)> {
-        let own = registry::has_robots(&self.name) && self.simulators.is_empty();
+        let own = robogate_session::has_robots(&self.name) && self.simulators.is_empty();
         let robots: Vec<Option<&str>> = match self.robots.as_slice() {
             [] => vec![own.then_some("franka")],
             robots => robots.iter().map(|robot| Some(robot.as_str())).collect(),

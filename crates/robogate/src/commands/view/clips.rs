@@ -8,9 +8,8 @@ use robogate_dictionary::{Entry, Provenance};
 use robogate_replay::Clip;
 
 use crate::exit::{Exit, INVALID, OrExit};
-use crate::reopening::Reopening;
-use crate::subject::Subject;
 use crate::watch::{self, Again};
+use robogate_session::{Reopening, Subject};
 
 /// Records episodes of the runs again.
 pub(super) struct Clips {
@@ -37,7 +36,10 @@ impl Clips {
     /// Records an episode. The error says in words why it cannot be shown.
     pub(super) fn clip(&mut self, origin: &Origin, entry: &Entry) -> Result<Clip, Exit> {
         if !self.subjects.iter().any(|(run, _)| *run == origin.run) {
-            self.subjects.push((origin.run, Subject::recorded(&origin.provenance, Some(&origin.path), &self.opening)));
+            self.subjects.push((
+                origin.run,
+                Subject::recorded(&origin.provenance, Some(&origin.path), &self.opening).map_err(Exit::from),
+            ));
         }
         let subject = self.subjects.iter().find(|(run, _)| *run == origin.run).map(|(_, subject)| subject);
         let subject = match subject {

@@ -14,8 +14,8 @@ use super::board::Board;
 use super::clips::{Clips, Origin};
 use super::model;
 use crate::exit::{DONE, Exit, OrExit};
-use crate::reopening::Reopening;
 use crate::terminal::{foreign, indented, note};
+use robogate_session::Reopening;
 
 /// Writes the page with at most this number of recorded episodes and of rows. If the number of episodes is given and none
 /// can be recorded, that is an error; by default, the page then has none.

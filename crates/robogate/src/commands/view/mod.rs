@@ -12,8 +12,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::arguments::ReopeningArguments;
 use crate::exit::Exit;
-use crate::reopening::Reopening;
 use board::Board;
 pub(in crate::commands) use player::Player;
 
@@ -48,7 +48,7 @@ pub(crate) struct View {
     #[arg(long, value_name = "PORT", default_value_t = 0, conflicts_with = "export")]
     port: u16,
     #[command(flatten)]
-    opening: Reopening,
+    opening: ReopeningArguments,
 }
 
 impl View {
@@ -59,11 +59,11 @@ impl View {
         match &self.export {
             Some(file) => {
                 let rows = rows.unwrap_or(MOST_ROWS_OF_EXPORT);
-                export::write(file, board, &self.opening, self.clips, rows)
+                export::write(file, board, &self.opening.choice(), self.clips, rows)
             }
             None => {
                 let address = SocketAddr::from((Ipv4Addr::LOCALHOST, self.port));
-                server::serve(address, board, self.opening.clone())
+                server::serve(address, board, self.opening.choice().clone())
             }
         }
     }

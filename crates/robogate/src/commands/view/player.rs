@@ -10,7 +10,7 @@ use serde_json::json;
 use super::board::Board;
 use super::clips::{Clips, Origin};
 use crate::exit::Exit;
-use crate::reopening::Reopening;
+use robogate_session::Reopening;
 
 /// The episodes of runs, which are recomputed on demand.
 pub(in crate::commands) struct Player {

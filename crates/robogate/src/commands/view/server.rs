@@ -12,8 +12,8 @@ use super::board::Board;
 use super::model;
 use super::player::{NoClip, Player};
 use crate::exit::{DONE, Exit, OrExit};
-use crate::reopening::Reopening;
 use crate::terminal::{line, note};
+use robogate_session::Reopening;
 
 /// Shortest time between two looks at the runs.
 const LOOK: Duration = Duration::from_millis(400);

@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 
 use super::package;
 use super::process::{NoAnswer, Process};
-use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
+use crate::failure::{Failure, OrFailure};
 
 /// Exit code of `python -m robogate_eval.environments` for an error that the user can correct.
 const PYTHON_USAGE: i32 = 2;
@@ -30,18 +30,18 @@ fn family(name: &str) -> &str {
 }
 
 /// The folder of the Python environment that `robogate env setup` creates for a family.
-pub(crate) fn installed(family: &str) -> anyhow::Result<PathBuf> {
+pub fn installed(family: &str) -> anyhow::Result<PathBuf> {
     Ok(cache()?.join("environments").join(family))
 }
 
 /// The file that `robogate env setup` writes last. It contains the requirements.
-pub(crate) fn installed_marker(folder: &Path) -> PathBuf {
+pub fn installed_marker(folder: &Path) -> PathBuf {
     folder.join("installed.txt")
 }
 
 /// A Python interpreter that can import the embedded package.
 #[derive(Debug, Clone)]
-pub(crate) struct Interpreter {
+pub struct Interpreter {
     python: PathBuf,
     python_path: OsString,
 }
@@ -49,7 +49,7 @@ pub(crate) struct Interpreter {
 impl Interpreter {
     /// The interpreter that the user named, or that of `robogate env setup` for the family of the environment, or the
     /// active one.
-    pub(crate) fn choose(named: Option<&Path>, environment: &str) -> anyhow::Result<Self> {
+    pub fn choose(named: Option<&Path>, environment: &str) -> anyhow::Result<Self> {
         let family = family(environment);
         let plain = !family.is_empty() && family.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
         let set_up =
@@ -63,7 +63,7 @@ impl Interpreter {
     }
 
     /// This interpreter.
-    pub(crate) fn new(python: PathBuf) -> anyhow::Result<Self> {
+    pub fn new(python: PathBuf) -> anyhow::Result<Self> {
         let package =
             cache().and_then(|cache| Ok(package::unpack(&cache)?)).context("cannot unpack the Python package")?;
         // A package that the user put there comes first: a checkout that is being edited, for example.
@@ -73,13 +73,13 @@ impl Interpreter {
     }
 
     /// The path of the interpreter.
-    pub(crate) fn path(&self) -> &Path {
+    pub fn path(&self) -> &Path {
         &self.python
     }
 
     /// The command `python -m robogate_eval.environments VERB`, for a [`Process`]. Modules in the current folder are not imported:
     /// another user's folder may contain a `numpy.py`.
-    pub(crate) fn command(&self, verb: &str) -> Command {
+    pub fn command(&self, verb: &str) -> Command {
         /// Python's option -P, which versions before 3.11 do not have.
         const RUN: &str = "import sys; sys.path[:] = [path for path in sys.path if path]; import runpy; \
                            runpy.run_module('robogate_eval.environments', run_name='__main__', alter_sys=True)";
@@ -96,18 +96,18 @@ impl Interpreter {
     }
 
     /// Runs a verb that prints one JSON document.
-    pub(crate) fn ask<T: DeserializeOwned>(&self, verb: &str, arguments: &[&str]) -> Result<T, Exit> {
+    pub fn ask<T: DeserializeOwned>(&self, verb: &str, arguments: &[&str]) -> Result<T, Failure> {
         self.ask_within(verb, arguments, &Timeouts::default())
     }
 
     /// The same with these timeouts. An environment that hangs is ended.
-    pub(crate) fn ask_within<T: DeserializeOwned>(
+    pub fn ask_within<T: DeserializeOwned>(
         &self,
         verb: &str,
         arguments: &[&str],
         timeouts: &Timeouts,
-    ) -> Result<T, Exit> {
-        let child = self.command(verb).args(arguments).spawn().map_err(|why| self.unusable(&why)).or_usage()?;
+    ) -> Result<T, Failure> {
+        let child = self.command(verb).args(arguments).spawn().map_err(|why| self.unusable(&why)).or_request()?;
         let mut process = Process::new(child);
         let what = arguments.first().unwrap_or(&verb);
         let line = process.answer(what, timeouts).map_err(|why| {
@@ -118,31 +118,31 @@ impl Interpreter {
             };
             let output = readable(&why.output);
             let output = if output.is_empty() { "It printed nothing.".to_owned() } else { output };
-            why.exit(format!("{what} fails in {}: {how}\n{output}", self.python.display()))
+            why.failure(format!("{what} fails in {}: {how}\n{output}", self.python.display()))
         })?;
         let parsed = serde_json::from_str(&line);
         parsed.with_context(|| format!("{}: cannot read the answer to `{verb}`", self.python.display())).or_broken()
     }
 
     /// The error for an interpreter that cannot be started.
-    pub(crate) fn unusable(&self, why: &std::io::Error) -> anyhow::Error {
+    pub fn unusable(&self, why: &std::io::Error) -> anyhow::Error {
         anyhow!("--python {}: cannot be started: {why}\n  hint: name a Python 3.10 or newer", self.python.display())
     }
 }
 
 impl NoAnswer {
     /// The error with this message, unless the process reported an error that the user can correct.
-    pub(super) fn exit(&self, message: String) -> Exit {
-        if self.status.and_then(|status| status.code()) != Some(PYTHON_USAGE) {
-            return Exit { code: INFRASTRUCTURE, error: anyhow!(message) };
-        }
+    pub(crate) fn failure(&self, message: String) -> Failure {
         let own = self.output.contains("error: ");
-        Exit { code: USAGE, error: anyhow!(if own { readable(&self.output) } else { message }) }
+        match self.status.and_then(|status| status.code()) {
+            Some(PYTHON_USAGE) if own => Failure::broken_if(false, anyhow!(readable(&self.output))),
+            code => Failure::broken_if(code != Some(PYTHON_USAGE), anyhow!(message)),
+        }
     }
 }
 
 /// The message of a Python process for the user: its own error if it reported one, otherwise all of its output.
-pub(super) fn readable(output: &str) -> String {
+pub(crate) fn readable(output: &str) -> String {
     match output.rfind("error: ").filter(|at| *at == 0 || output.as_bytes().get(at - 1) == Some(&b'\n')) {
         Some(at) => output.get(at + "error: ".len()..).unwrap_or_default().trim_end().to_owned(),
         None => output.trim_end().to_owned(),

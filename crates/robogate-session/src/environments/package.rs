@@ -74,7 +74,7 @@ const PACKAGE: &[(&str, &str)] = &[
 ];
 
 /// Writes the package below `cache`, unless it is there, and returns the folder to put on `PYTHONPATH`.
-pub(super) fn unpack(cache: &Path) -> io::Result<PathBuf> {
+pub(crate) fn unpack(cache: &Path) -> io::Result<PathBuf> {
     let folder = cache.join(format!("python-{}-{:016x}", env!("CARGO_PKG_VERSION"), fingerprint()));
     if folder.is_dir() {
         return Ok(folder);

@@ -16,12 +16,13 @@ use serde::Deserialize;
 
 use super::process::{Process, locked};
 use super::python::{Interpreter, readable};
-use crate::exit::{Exit, OrExit};
-use crate::terminal::{indented, note};
+use crate::failure::{Failure, OrFailure};
+use crate::notice::note;
+use crate::text::indented;
 
 /// The servers of one environment. They end when this value is dropped, and when this process ends in any way: a server
 /// ends with its standard input, and on Linux with the thread that started it.
-pub(crate) struct Servers {
+pub struct Servers {
     environment: String,
     /// The interpreter that the user named.
     named_python: Option<PathBuf>,
@@ -44,12 +45,12 @@ struct Ready {
 
 impl Servers {
     /// Starts the first server. `timeouts` also limit its calls of the environment before it is ready.
-    pub(crate) fn start(
+    pub fn start(
         environment: String,
         named_python: Option<PathBuf>,
         interpreter: Interpreter,
         timeouts: Timeouts,
-    ) -> Result<(Arc<Self>, Address), Exit> {
+    ) -> Result<(Arc<Self>, Address), Failure> {
         let (starter, requests) = mpsc::channel::<Sender<io::Result<Child>>>();
         let (name, python) = (environment.clone(), interpreter.clone());
         let thread = thread::spawn(move || {
@@ -68,14 +69,14 @@ impl Servers {
     }
 
     /// The interpreter that the user named.
-    pub(crate) fn named_python(&self) -> Option<&Path> {
+    pub fn named_python(&self) -> Option<&Path> {
         self.named_python.as_deref()
     }
 
     /// Starts servers until the pool has `count` of them.
-    pub(crate) fn grow(&self, pool: &Pool, count: NonZeroUsize) -> Result<(), Exit> {
+    pub fn grow(&self, pool: &Pool, count: NonZeroUsize) -> Result<(), Failure> {
         let more = pool.len()..count.get();
-        let started: Vec<Result<Address, Exit>> = thread::scope(|scope| {
+        let started: Vec<Result<Address, Failure>> = thread::scope(|scope| {
             let threads: Vec<_> = more.map(|position| scope.spawn(move || self.launch(position))).collect();
             let panicked = |_| Err(anyhow!("a thread that starts a server panicked")).or_broken();
             threads.into_iter().map(|thread| thread.join().unwrap_or_else(panicked)).collect()
@@ -87,7 +88,7 @@ impl Servers {
     }
 
     /// Starts the server at this position of the pool again, and tells the user what the old one printed.
-    pub(crate) fn restart(&self, position: usize) -> Result<Address, String> {
+    pub fn restart(&self, position: usize) -> Result<Address, String> {
         let old = locked(&self.running).remove(&position);
         if let Some(mut old) = old {
             let how = match old.ended() {
@@ -103,16 +104,16 @@ impl Servers {
             };
             note(indented(format_args!("server {} of {} {how}. {output}", position + 1, self.environment)));
         }
-        self.launch(position).map_err(|exit| format!("{:#}", exit.error))
+        self.launch(position).map_err(|failure| format!("{:#}", failure.error))
     }
 
     /// Starts a server and waits until it is ready.
-    fn launch(&self, position: usize) -> Result<Address, Exit> {
+    fn launch(&self, position: usize) -> Result<Address, Failure> {
         let broken = || anyhow!("the thread that starts servers has ended");
         let (reply, child) = mpsc::channel();
         self.starter.as_ref().ok_or_else(broken).or_broken()?.send(reply).map_err(|_| broken()).or_broken()?;
         let child = child.recv().map_err(|_| broken()).or_broken()?;
-        let mut process = Process::new(child.map_err(|why| self.interpreter.unusable(&why)).or_usage()?);
+        let mut process = Process::new(child.map_err(|why| self.interpreter.unusable(&why)).or_request()?);
         match process.answer(&self.environment, &self.timeouts) {
             Ok(line) => {
                 let ready = serde_json::from_str::<Ready>(&line).ok();
@@ -136,7 +137,7 @@ impl Servers {
                     (Some(_), output) => format!("\nIts last output:\n{output}"),
                     (None, output) => format!(":\n{output}"),
                 };
-                Err(why.exit(format!("the environment {name} does not start in {python}{how}{output}")))
+                Err(why.failure(format!("the environment {name} does not start in {python}{how}{output}")))
             }
         }
     }

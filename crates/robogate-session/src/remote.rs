@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{anyhow, bail};
-use clap::Args;
 use robogate_core::{
     Action, Assignment, Command, Ending, Fault, FaultKind, Foresight, Image, Infeasibility, Observation, Scenario,
     Start, Step, TaskSpec,
@@ -22,22 +21,20 @@ use robogate_tasks::pick_place::{CONTROL_PERIOD_S, PickPlace};
 use robogate_zmtp::Address;
 
 use crate::environments::{Interpreter, Servers};
-use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
-use crate::terminal::{note, warning};
+use crate::failure::{Failure, OrFailure};
+use crate::notice::{note, warning};
 
-/// The arguments that select remote simulators.
-#[derive(Debug, Clone, Args)]
-pub(crate) struct Simulators {
-    /// Run in these simulators instead of a built-in engine: addresses of bridge protocol servers, tcp://HOST:PORT,
-    /// separated by commas
-    #[arg(long = "simulator", value_name = "ADDRESSES", value_delimiter = ',')]
-    pub(crate) addresses: Vec<Address>,
-    /// Set the timeout for a step of such a simulator, in seconds (0.001 to 86400); a reset may take four times as long
-    #[arg(long = "simulator-timeout", value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
-    timeout_s: f64,
-    /// Choose the Python interpreter of --env; default: that of `robogate env setup`, otherwise the active python3
-    #[arg(long, value_name = "PATH")]
-    pub(crate) python: Option<PathBuf>,
+/// Simulators in other processes.
+#[derive(Debug, Clone)]
+pub struct Simulators {
+    /// Addresses of servers of the bridge protocol that run already. None for a built-in engine, or for an environment that
+    /// this process starts.
+    pub addresses: Vec<Address>,
+    /// Timeout for a step, in seconds. A reset may take four times as long.
+    pub timeout_s: f64,
+    /// The Python interpreter of an environment that this process starts. `None` for that of `robogate env setup`, otherwise
+    /// the active `python3`.
+    pub python: Option<PathBuf>,
 }
 
 impl Default for Simulators {
@@ -47,20 +44,14 @@ impl Default for Simulators {
     }
 }
 
-/// Parse a timeout.
-pub(crate) fn seconds(text: &str) -> Result<f64, String> {
-    let seconds: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
-    if (1e-3..=86_400.0).contains(&seconds) { Ok(seconds) } else { Err("expected 0.001 to 86400 seconds".to_owned()) }
-}
-
 impl Simulators {
     /// The timeouts of requests.
-    pub(crate) fn timeouts(&self) -> Timeouts {
+    pub fn timeouts(&self) -> Timeouts {
         Timeouts::from_step(Duration::from_secs_f64(self.timeout_s))
     }
 
     /// Connect to all simulators; `None` without `--simulator`.
-    pub(crate) fn connect(&self) -> Result<Option<Arc<Pool>>, Exit> {
+    pub fn connect(&self) -> Result<Option<Arc<Pool>>, Failure> {
         if self.addresses.is_empty() {
             return Ok(None);
         }
@@ -68,8 +59,8 @@ impl Simulators {
     }
 
     /// Start the first server of an environment, and connect to it.
-    pub(crate) fn launch(&self, environment: &str) -> Result<(Arc<Pool>, Arc<Servers>), Exit> {
-        let interpreter = Interpreter::choose(self.python.as_deref(), environment).or_usage()?;
+    pub fn launch(&self, environment: &str) -> Result<(Arc<Pool>, Arc<Servers>), Failure> {
+        let interpreter = Interpreter::choose(self.python.as_deref(), environment).or_request()?;
         note(format_args!("starting {environment} in {}", interpreter.path().display()));
         let (servers, address) =
             Servers::start(environment.to_owned(), self.python.clone(), interpreter, self.timeouts())?;
@@ -90,10 +81,9 @@ fn listener() -> Listener {
     Box::new(|failure: &str| warning(failure))
 }
 
-/// Gives an error of a pool its exit code.
-fn pool_error(error: PoolError) -> Exit {
-    let code = if matches!(error, PoolError::Request { .. }) { INFRASTRUCTURE } else { USAGE };
-    Exit { code, error: error.into() }
+/// Gives an error of a pool its kind.
+fn pool_error(error: PoolError) -> Failure {
+    Failure::broken_if(matches!(error, PoolError::Request { .. }), error)
 }
 
 /// Check that a server has this robot.
@@ -150,10 +140,14 @@ pub(crate) fn is_engine(hello: &Hello, recorded: &provenance::Engine) -> bool {
 }
 
 /// The built-in task, for servers that compute its physics.
-pub(crate) struct CellTask(RemotePickPlace);
+pub struct CellTask(RemotePickPlace);
 
 impl CellTask {
-    pub(crate) fn new(setup: &Setup, chain: Chain, sha256: String, picture_px: usize) -> anyhow::Result<Self> {
+    /// The task of this setup for a robot with this file hash, with images of this width and height in pixels.
+    ///
+    /// # Errors
+    /// Settings that the task does not accept, or a suction cup, whose hold must be decided in every time step.
+    pub fn new(setup: &Setup, chain: Chain, sha256: String, picture_px: usize) -> anyhow::Result<Self> {
         let task = PickPlace::of(&setup.settings).map_err(|why| anyhow!(why))?;
         RemotePickPlace::new(task, setup.robot.clone(), chain, Some(sha256), [picture_px; 2])
             .map(Self)
@@ -223,13 +217,14 @@ impl RemoteTask for CellTask {
 }
 
 /// A built-in engine as a server that only computes physics.
-pub(crate) struct PhysicsHost {
+pub struct PhysicsHost {
     hello: Hello,
     engine: cell_remote::PhysicsHost<Box<dyn Engine>>,
 }
 
 impl PhysicsHost {
-    pub(crate) fn new(hello: Hello, engine: cell_remote::PhysicsHost<Box<dyn Engine>>) -> Self {
+    /// A server with this hello on this engine.
+    pub fn new(hello: Hello, engine: cell_remote::PhysicsHost<Box<dyn Engine>>) -> Self {
         Self { hello, engine }
     }
 }

@@ -12,12 +12,7 @@ const DECLARED: &str = "declared";
 
 /// The suite of the families in the arguments: `NAME=PARAMETER,PARAMETER`, `each` or `declared`. A `*` at the end of a
 /// parameter stands for any ending. It has about `scenarios` scenarios, at least one for each family.
-pub(crate) fn suite(
-    given: &[String],
-    space: &ParameterSpace,
-    task: &TaskSpec,
-    scenarios: usize,
-) -> anyhow::Result<Suite> {
+pub fn suite(given: &[String], space: &ParameterSpace, task: &TaskSpec, scenarios: usize) -> anyhow::Result<Suite> {
     ensure!(
         space.correlations().is_empty(),
         "--family: the space {} samples parameters jointly, so they cannot be varied one family at a time\nhint: choose a space without `correlation`",

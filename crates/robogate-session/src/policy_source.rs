@@ -1,4 +1,4 @@
-//! Policies on the command line and in the record of a run.
+//! Policies, and the records of them.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
-use clap::Args;
 use robogate_core::{Fault, FaultKind, Observation, Policy, TaskSpec};
 use robogate_dictionary::{hex, read_text};
 use robogate_policy::{Access, BoundMap, ExternalPolicy, Mapped, PolicyError, Profile, RangeCounts, TaskMap};
@@ -16,14 +15,14 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::checkpoint_statistics::CheckpointStatistics;
-use crate::duration;
-use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
-use crate::terminal::{foreign, note};
+use crate::failure::{Failure, OrFailure};
+use crate::notice::note;
+use crate::text::foreign;
 
 /// A policy other than the environment's scripted controller.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
-pub(crate) enum PolicySource {
+pub enum PolicySource {
     /// An external policy.
     External(ExternalSource),
     /// A built-in policy.
@@ -35,18 +34,18 @@ pub(crate) enum PolicySource {
 /// A policy that the environment declares and runs itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct DeclaredPolicy {
+pub struct DeclaredPolicy {
     /// Its name.
-    pub(crate) environment: String,
+    pub environment: String,
     /// Its version, or the hash of its files, as the environment declares it.
     #[serde(default)]
-    pub(crate) version: String,
+    pub version: String,
 }
 
 /// Built-in policies that drive any task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(crate) enum BuiltInPolicy {
+pub enum BuiltInPolicy {
     /// Random actions: the baseline of a ranking.
     Random,
 }
@@ -54,7 +53,7 @@ pub(crate) enum BuiltInPolicy {
 /// A learned policy behind an inference server, or in a file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct ExternalSource {
+pub struct ExternalSource {
     /// Address of the server, or path of the file.
     server: String,
     /// Observation and action mapping of the policy.
@@ -74,7 +73,7 @@ pub(crate) struct ExternalSource {
 
 impl PolicySource {
     /// Name in records.
-    pub(crate) fn name(&self) -> &str {
+    pub fn name(&self) -> &str {
         match self {
             Self::External(served) => &served.profile.name,
             Self::BuiltIn(BuiltInPolicy::Random) => "random",
@@ -83,7 +82,7 @@ impl PolicySource {
     }
 
     /// The profile of an external policy.
-    pub(crate) fn profile(&self) -> Option<&Profile> {
+    pub fn profile(&self) -> Option<&Profile> {
         match self {
             Self::External(served) => Some(served.profile()),
             Self::BuiltIn(_) | Self::Declared(_) => None,
@@ -91,7 +90,7 @@ impl PolicySource {
     }
 
     /// The address of its server, or its file, if it is external.
-    pub(crate) fn server(&self) -> Option<&str> {
+    pub fn server(&self) -> Option<&str> {
         match self {
             Self::External(served) => Some(&served.server),
             Self::BuiltIn(_) | Self::Declared(_) => None,
@@ -99,12 +98,12 @@ impl PolicySource {
     }
 
     /// Whether it is a network that this process runs.
-    pub(crate) fn is_network(&self) -> bool {
+    pub fn is_network(&self) -> bool {
         self.profile().is_some_and(|profile| profile.dialect.is_file())
     }
 
     /// The map between the environment and the profile, if there is one.
-    pub(crate) fn map(&self) -> Option<&Arc<TaskMap>> {
+    pub fn map(&self) -> Option<&Arc<TaskMap>> {
         match self {
             Self::External(served) => served.map(),
             Self::BuiltIn(_) | Self::Declared(_) => None,
@@ -112,7 +111,7 @@ impl PolicySource {
     }
 
     /// The same policy with new connection metadata. A network must have the recorded bytes before it is loaded.
-    pub(crate) fn asked_again(&self, location: &PolicyLocation) -> Result<Self, Exit> {
+    pub fn asked_again(&self, location: &PolicyLocation) -> Result<Self, Failure> {
         match self {
             Self::External(served) => {
                 served.check_file(location)?;
@@ -125,7 +124,7 @@ impl PolicySource {
 
     /// Creates the policy for one worker. One that the environment runs is created with the environment.
     /// `ranges` count what it sees.
-    pub(crate) fn policy(&self, ranges: Option<&RangeCounts>) -> Result<Box<dyn Policy>, Fault> {
+    pub fn policy(&self, ranges: Option<&RangeCounts>) -> Result<Box<dyn Policy>, Fault> {
         Ok(match self {
             Self::External(served) => {
                 let server = served.at.as_deref().unwrap_or(&served.server);
@@ -148,39 +147,39 @@ impl PolicySource {
 
 impl ExternalSource {
     /// The profile.
-    pub(crate) fn profile(&self) -> &Profile {
+    pub fn profile(&self) -> &Profile {
         &self.profile
     }
 
     /// The map between the environment and the profile, if there is one.
-    pub(crate) fn map(&self) -> Option<&Arc<TaskMap>> {
+    pub fn map(&self) -> Option<&Arc<TaskMap>> {
         self.map.as_ref()
     }
 
     /// Adds the ranges of a checkpoint to the profile. `observation` is one of the environment with this task.
-    pub(crate) fn add_ranges(
+    pub fn add_ranges(
         &mut self,
         statistics: &CheckpointStatistics,
         task: &TaskSpec,
         observation: &Observation,
-    ) -> Result<(), Exit> {
+    ) -> Result<(), Failure> {
         let none = TaskMap::default();
         let bound = BoundMap::new(self.map.as_deref().unwrap_or(&none), &self.profile, task);
-        let bound = bound.map_err(|why| anyhow!("the map does not fit: {why}")).or_usage()?;
+        let bound = bound.map_err(|why| anyhow!("the map does not fit: {why}")).or_request()?;
         let seen = bound.observation(observation).map_err(anyhow::Error::from).or_broken()?;
         self.profile = Arc::new(statistics.add_to(&self.profile, &seen)?);
         Ok(())
     }
 
     /// Rejects another network than the recorded one.
-    fn check_file(&self, location: &PolicyLocation) -> Result<(), Exit> {
+    fn check_file(&self, location: &PolicyLocation) -> Result<(), Failure> {
         let file = location.at.as_deref().unwrap_or(&self.server);
         let recorded = self.declared.get("sha256").and_then(serde_json::Value::as_str);
         if !self.profile.dialect.is_file() || file.contains("://") {
             return Ok(());
         }
         let now =
-            network_sha256(Path::new(file)).with_context(|| format!("cannot read the policy {file}")).or_usage()?;
+            network_sha256(Path::new(file)).with_context(|| format!("cannot read the policy {file}")).or_request()?;
         if recorded == Some(now.as_str()) {
             return Ok(());
         }
@@ -190,7 +189,7 @@ impl ExternalSource {
             foreign(file),
             foreign(recorded.unwrap_or("none"))
         ))
-        .or_usage()
+        .or_request()
     }
 
     /// Connect to a policy and record what it reports about itself.
@@ -199,7 +198,7 @@ impl ExternalSource {
         profile: Arc<Profile>,
         map: Option<Arc<TaskMap>>,
         location: &PolicyLocation,
-    ) -> Result<Self, Exit> {
+    ) -> Result<Self, Failure> {
         // A run may be resumed and replayed from another folder.
         let is_file = profile.dialect.is_file() && !server.contains("://");
         let full = if is_file { std::path::absolute(server).ok() } else { None };
@@ -212,87 +211,74 @@ impl ExternalSource {
     }
 }
 
-/// The arguments that select the policy.
-#[derive(Debug, Args)]
-pub(crate) struct PolicyArguments {
-    /// Choose the policy: scripted (the environment's own controller, the default), a policy that the environment
-    /// declares (see `robogate env inspect`), random (actions drawn within the bounds of the task), the address of a
-    /// policy server such as ws://127.0.0.1:8000, or an ONNX file
-    #[arg(long, value_name = "URL|FILE|NAME|random|scripted")]
-    policy: Option<String>,
-    /// Choose the observation and action mapping of that policy: a built-in profile (see `robogate policy profiles`),
-    /// or a TOML file
-    #[arg(long, value_name = "NAME|FILE", requires = "policy")]
-    profile: Option<String>,
-    /// Map the observations, cameras and actions of the environment to those of the profile with this TOML file
-    /// (docs/environments.md)
-    #[arg(long, value_name = "FILE", requires = "profile")]
-    map: Option<PathBuf>,
-    #[command(flatten)]
-    pub(crate) statistics: CheckpointStatistics,
+/// The policy as the user chooses it.
+#[derive(Debug, Clone, Default)]
+pub struct PolicyChoice {
+    /// `scripted` (as `None`: the environment's own controller), `random`, a policy that the environment declares, the address of a
+    /// policy server, or an ONNX file.
+    pub policy: Option<String>,
+    /// The observation and action mapping of a policy server or a network: the name of a built-in profile, or a TOML file.
+    pub profile: Option<String>,
+    /// A file that maps the environment to the task that the profile expects.
+    pub map: Option<PathBuf>,
+    /// The statistics of the checkpoint.
+    pub statistics: CheckpointStatistics,
 }
 
-/// The argument that says where this process reaches an external policy.
-#[derive(Debug, Clone, Default, Args)]
-pub(crate) struct PolicyLocation {
-    /// Reach the policy at this address, or in this ONNX file, while the run records the address of --policy: the
-    /// servers of one run may have different addresses on different machines
-    #[arg(long = "policy-at", value_name = "URL|FILE")]
-    at: Option<String>,
-    #[command(flatten)]
-    access: PolicyAccess,
+/// Where this process reaches an external policy.
+#[derive(Debug, Clone, Default)]
+pub struct PolicyLocation {
+    /// The address of the server, or the file, if it is another one than the run records.
+    pub at: Option<String>,
+    /// How a server is reached.
+    pub access: PolicyAccess,
 }
 
-/// The arguments that say how this process reaches a policy server, in addition to its address. They are not recorded.
-#[derive(Debug, Clone, Default, Args)]
-pub(crate) struct PolicyAccess {
-    /// Wait up to this time (such as 90s or 10m) for a policy server that does not answer yet, at the start and after a
-    /// restart of the server; default: 0s at the start, the attempts of the profile later
-    #[arg(long, value_name = "TIME", value_parser = duration::parse)]
-    wait: Option<Duration>,
-    /// Read the key of the policy server from this file; default: the environment variable ROBOGATE_POLICY_TOKEN. A text
-    /// of the form `NAME: VALUE` sets the header NAME, another text the header Authorization
-    #[arg(long, value_name = "FILE")]
-    policy_key: Option<PathBuf>,
-    /// Trust the certificates in this file (PEM) for wss:// and https://; default: those of the system
-    #[arg(long, value_name = "FILE")]
-    policy_ca: Option<PathBuf>,
+/// How this process reaches a policy server, in addition to its address. It is not recorded.
+#[derive(Debug, Clone, Default)]
+pub struct PolicyAccess {
+    /// How long to wait for a server that does not answer yet, at the start and after a restart of the server.
+    pub wait: Option<Duration>,
+    /// The file with the key of the server. `None` for the environment variable `ROBOGATE_POLICY_TOKEN`.
+    pub key_file: Option<PathBuf>,
+    /// The file with trusted certificates (PEM). `None` for those of the system.
+    pub certificates_file: Option<PathBuf>,
 }
 
 impl PolicyAccess {
     /// Reads the files of the arguments.
-    pub(crate) fn access(&self) -> Result<Access, Exit> {
+    pub fn access(&self) -> Result<Access, Failure> {
         let mut access = Access::from_environment().with_wait(self.wait.unwrap_or_default());
-        if let Some(file) = &self.policy_key {
+        if let Some(file) = &self.key_file {
             let text = read_text(file).with_context(|| format!("--policy-key {}", file.display()));
-            let text = text.or_usage()?;
-            access = access.with_key(&text).with_context(|| format!("--policy-key {}", file.display())).or_usage()?;
+            let text = text.or_request()?;
+            access = access.with_key(&text).with_context(|| format!("--policy-key {}", file.display())).or_request()?;
         }
-        if let Some(file) = &self.policy_ca {
-            let pem = std::fs::read(file).with_context(|| format!("--policy-ca {}", file.display())).or_usage()?;
+        if let Some(file) = &self.certificates_file {
+            let pem = std::fs::read(file).with_context(|| format!("--policy-ca {}", file.display())).or_request()?;
             let read = access.with_certificates(&pem);
-            access = read.with_context(|| format!("--policy-ca {}", file.display())).or_usage()?;
+            access = read.with_context(|| format!("--policy-ca {}", file.display())).or_request()?;
         }
         Ok(access)
     }
 
     /// Rejects a key or certificates if the policy is not behind a server.
-    fn check_used(&self, policy: Option<&PolicySource>) -> Result<(), Exit> {
-        let given = [("--policy-key", &self.policy_key), ("--policy-ca", &self.policy_ca)];
+    fn check_used(&self, policy: Option<&PolicySource>) -> Result<(), Failure> {
+        let given = [("--policy-key", &self.key_file), ("--policy-ca", &self.certificates_file)];
         let option = given.into_iter().find_map(|(option, file)| file.as_ref().map(|_| option));
         match option {
             Some(option) if !matches!(policy, Some(PolicySource::External(_))) => Err(anyhow!(
                 "{option} applies to policy servers, but the policy is not behind one\n  hint: leave it out, or give the address of \
                  the server with --policy"
             ))
-            .or_usage(),
+            .or_request(),
             _ => Ok(()),
         }
     }
 }
 
 /// Connects to a policy, and tells the user once if it has to wait for the server.
-pub(crate) fn connect(server: &str, profile: Arc<Profile>, access: Access) -> Result<ExternalPolicy, Exit> {
+pub fn connect(server: &str, profile: Arc<Profile>, access: Access) -> Result<ExternalPolicy, Failure> {
     let mut told = false;
     let mut waiting = |error: &PolicyError| {
         if !std::mem::replace(&mut told, true) {
@@ -304,68 +290,68 @@ pub(crate) fn connect(server: &str, profile: Arc<Profile>, access: Access) -> Re
 
 impl PolicyLocation {
     /// The recorded address, reached in this way.
-    pub(crate) fn with_access(access: &PolicyAccess) -> Self {
+    pub fn with_access(access: &PolicyAccess) -> Self {
         Self { at: None, access: access.clone() }
     }
 
     /// A policy that is reached at this address, or at the recorded one.
-    pub(crate) fn at(at: Option<String>, access: &PolicyAccess) -> Self {
+    pub fn at(at: Option<String>, access: &PolicyAccess) -> Self {
         Self { at, access: access.clone() }
     }
 
     /// Address and access.
-    pub(crate) fn parts(self) -> (Option<String>, PolicyAccess) {
+    pub fn parts(self) -> (Option<String>, PolicyAccess) {
         (self.at, self.access)
     }
 
     /// Rejects a key or certificates if the policy is not behind a server.
-    pub(crate) fn check_used(&self, policy: Option<&PolicySource>) -> Result<(), Exit> {
+    pub fn check_used(&self, policy: Option<&PolicySource>) -> Result<(), Failure> {
         self.access.check_used(policy)
     }
 
     /// Rejects the argument for a policy that is neither a server nor a file.
-    pub(crate) fn unused(&self) -> Result<(), Exit> {
+    pub fn unused(&self) -> Result<(), Failure> {
         match &self.at {
             None => Ok(()),
             Some(at) => Err(anyhow!(
                 "{at}: the policy of this run is neither a server nor a file\n  hint: leave out its address"
             ))
-            .or_usage(),
+            .or_request(),
         }
     }
 }
 
-impl PolicyArguments {
-    /// The arguments for another policy than that of the command line.
-    pub(crate) fn of(policy: &str, profile: Option<&str>) -> Self {
+impl PolicyChoice {
+    /// Another policy with this profile.
+    pub fn of(policy: &str, profile: Option<&str>) -> Self {
         let statistics = CheckpointStatistics::default();
         Self { policy: Some(policy.to_owned()), profile: profile.map(str::to_owned), map: None, statistics }
     }
 
-    /// The same arguments with the map of others: it describes the environment. A policy without a profile needs none.
-    pub(crate) fn with_map_of(self, other: &Self) -> Self {
+    /// The same choice with the map of another: it describes the environment. A policy without a profile needs none.
+    pub fn with_map_of(self, other: &Self) -> Self {
         let map = self.profile.as_ref().and_then(|_| other.map.clone());
         Self { map, ..self }
     }
 
-    /// Connect to the policy of these arguments at `location`; `None` for the scripted controller.
-    pub(crate) fn source_at(&self, location: &PolicyLocation) -> Result<Option<PolicySource>, Exit> {
+    /// Connect to the policy of this choice at `location`; `None` for the scripted controller.
+    pub fn source_at(&self, location: &PolicyLocation) -> Result<Option<PolicySource>, Failure> {
         match (self.policy.as_deref(), &self.profile) {
             (None, _) | (Some("scripted"), None) => location.unused().map(|()| None),
             (Some("random"), None) => location.unused().map(|()| Some(PolicySource::BuiltIn(BuiltInPolicy::Random))),
             (Some(name @ ("random" | "scripted")), Some(_)) => {
-                Err(anyhow!("--profile cannot be used with --policy {name}\n  hint: leave out --profile")).or_usage()
+                Err(anyhow!("--profile cannot be used with --policy {name}\n  hint: leave out --profile")).or_request()
             }
             (Some(server), Some(wanted)) => {
-                let map = self.map.as_deref().map(task_map).transpose().or_usage()?;
-                ExternalSource::ask(server, Arc::new(profile(wanted).or_usage()?), map, location)
+                let map = self.map.as_deref().map(task_map).transpose().or_request()?;
+                ExternalSource::ask(server, Arc::new(profile(wanted).or_request()?), map, location)
                     .map(|served| Some(PolicySource::External(served)))
             }
             (Some(name), None) if is_name(name) => {
                 let declared = DeclaredPolicy { environment: name.to_owned(), version: String::new() };
                 location.unused().map(|()| Some(PolicySource::Declared(declared)))
             }
-            (Some(policy), None) => Err(without_profile(policy)).or_usage(),
+            (Some(policy), None) => Err(without_profile(policy)).or_request(),
         }
     }
 }
@@ -391,7 +377,7 @@ fn is_name(policy: &str) -> bool {
 }
 
 /// The error for a policy without a profile.
-pub(crate) fn without_profile(policy: &str) -> anyhow::Error {
+pub fn without_profile(policy: &str) -> anyhow::Error {
     if policy.contains("://") || Path::new(policy).exists() {
         anyhow!(
             "--policy {policy}: --profile is missing. It describes the observations and actions of the model\n  hint: \
@@ -410,7 +396,7 @@ pub(crate) fn without_profile(policy: &str) -> anyhow::Error {
 }
 
 /// A profile by its name or the path of its file.
-pub(crate) fn profile(wanted: &str) -> anyhow::Result<Profile> {
+pub fn profile(wanted: &str) -> anyhow::Result<Profile> {
     match Profile::built_in(wanted) {
         Some(text) => Profile::from_toml(text).with_context(|| format!("profile {wanted}")),
         None if !Path::new(wanted).exists() && !wanted.contains(['/', '.']) => {
@@ -425,21 +411,20 @@ pub(crate) fn profile(wanted: &str) -> anyhow::Result<Profile> {
 }
 
 /// A map from its file.
-pub(crate) fn task_map(file: &Path) -> anyhow::Result<Arc<TaskMap>> {
+pub fn task_map(file: &Path) -> anyhow::Result<Arc<TaskMap>> {
     let text = read_text(file).with_context(|| format!("--map {}", file.display()))?;
     TaskMap::from_toml(&text).map(Arc::new).map_err(|why| anyhow!("{}: {why}", file.display()))
 }
 
 /// A policy that sees the environment through a map, if there is one.
-pub(crate) fn mapped(policy: Box<dyn Policy>, profile: &Arc<Profile>, map: Option<&Arc<TaskMap>>) -> Box<dyn Policy> {
+pub fn mapped(policy: Box<dyn Policy>, profile: &Arc<Profile>, map: Option<&Arc<TaskMap>>) -> Box<dyn Policy> {
     match map {
         Some(map) => Box::new(Mapped::new(policy, Arc::clone(profile), Arc::clone(map))),
         None => policy,
     }
 }
 
-/// Gives an error of a policy its exit code: wrong settings are usage errors, all others infrastructure.
-pub(crate) fn policy_error(error: PolicyError) -> Exit {
-    let code = if error.is_usage_error() { USAGE } else { INFRASTRUCTURE };
-    Exit { code, error: error.into() }
+/// Gives an error of a policy its kind: wrong settings are requests, all others infrastructure.
+pub fn policy_error(error: PolicyError) -> Failure {
+    Failure::broken_if(!error.is_usage_error(), error)
 }

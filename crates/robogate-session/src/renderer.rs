@@ -1,32 +1,14 @@
-//! The renderer of the camera images, on the command line and in the record of a run.
+//! The renderer of the camera images, and its record.
 
 use anyhow::bail;
-use clap::ValueEnum;
 use robogate_camera::Renderer;
 use robogate_physics::Engine;
 use serde::{Deserialize, Serialize};
 
-/// A renderer on the command line.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub(crate) enum RendererName {
-    Embedded,
-    Egl,
-}
-
-impl RendererName {
-    /// The record of the renderer. `None` for the embedded one.
-    pub(crate) fn record(self) -> Option<RendererRecord> {
-        match self {
-            Self::Embedded => None,
-            Self::Egl => Some(RendererRecord::Egl { device: None }),
-        }
-    }
-}
-
 /// The record of a renderer other than the embedded one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "name", rename_all = "snake_case", deny_unknown_fields)]
-pub(crate) enum RendererRecord {
+pub enum RendererRecord {
     /// MuJoCo's renderer, through EGL.
     Egl {
         /// OpenGL's renderer and version. Another device may render different pixels.
@@ -37,7 +19,7 @@ pub(crate) enum RendererRecord {
 
 impl RendererRecord {
     /// Returns an error if the renderer cannot be used with this engine.
-    pub(crate) fn check(&self, engine: &str, remote: bool) -> anyhow::Result<()> {
+    pub fn check(&self, engine: &str, remote: bool) -> anyhow::Result<()> {
         let Self::Egl { .. } = self;
         if remote {
             bail!(
@@ -54,7 +36,7 @@ impl RendererRecord {
 impl RendererRecord {
     /// Opens the renderer for this engine, and returns it with its record, which names the device. Returns an error if
     /// the run was recorded with another device.
-    pub(crate) fn open(&self, engine: &dyn Engine) -> anyhow::Result<(Box<dyn Renderer>, Self)> {
+    pub fn open(&self, engine: &dyn Engine) -> anyhow::Result<(Box<dyn Renderer>, Self)> {
         let Self::Egl { device: recorded } = self;
         let (renderer, device) = egl(engine)?;
         match recorded {
@@ -86,8 +68,6 @@ mod tests {
 
     #[test]
     fn records_round_trip() {
-        assert_eq!(RendererName::Embedded.record(), None);
-        assert_eq!(RendererName::Egl.record(), Some(RendererRecord::Egl { device: None }));
         let record = RendererRecord::Egl { device: Some("llvmpipe".to_owned()) };
         let recorded = serde_json::json!({ "name": "egl", "device": "llvmpipe" });
         assert_eq!(serde_json::to_value(&record).unwrap(), recorded);

@@ -1,79 +1,78 @@
-//! The arguments that select the environment of a run.
+//! The environment as the user chooses it.
 
 use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, anyhow};
-use clap::Args;
 use robogate_core::{Assignment, SettingSpec, Suite};
 use robogate_dictionary::hex;
 use robogate_physics::is_folder;
 use sha2::{Digest, Sha256};
 
 use crate::cell::{Cell, CellSettings};
-use crate::exit::{Exit, OrExit};
+use crate::environments::BUNDLED;
+use crate::failure::{Failure, OrFailure};
 use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
 use crate::remote::Simulators;
-use crate::renderer::RendererName;
+use crate::renderer::RendererRecord;
 use crate::reopening::{Reopening, Trust};
-use crate::terminal::foreign;
+use crate::subject::{EnvironmentSource, RemoteSource, assignment};
+use crate::text::foreign;
 
-use super::environment::{EnvironmentSource, RemoteSource};
-use super::spaces::assignment;
-use crate::environments::BUNDLED;
-
-/// The arguments that select the environment.
-#[derive(Debug, Args)]
-pub(crate) struct EnvironmentArguments {
-    /// Choose the built-in task (see `robogate list`)
-    #[arg(long, value_name = "TASK", default_value = CELL_TASK, conflicts_with = "addresses")]
-    task: String,
-    /// Run in this environment: FAMILY:NAME of a bundled one (see `robogate env list`), gymnasium:ID, or your own as
-    /// FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE
-    #[arg(long, value_name = "NAME", conflicts_with_all = ["task", "addresses", "engine", "time_step", "robot"])]
-    env: Option<String>,
-    /// Choose the robot: a built-in one (see `robogate robots`), or the folder of your own [default: franka]
-    #[arg(long, value_name = "ROBOT")]
-    robot: Option<String>,
-    #[arg(long, help = engine_help(), value_name = "ENGINE", conflicts_with = "addresses")]
-    engine: Option<String>,
-    /// Set the engine's time step, in seconds; default: the engine's own
-    #[arg(long, value_name = "SECONDS", conflicts_with = "addresses")]
-    time_step: Option<f64>,
-    /// Set a setting of the task (`robogate list` has them): time_limit_s=20, or with a unit time_limit_s=2min; repeat
-    /// for several
-    #[arg(long = "set", value_name = "NAME=VALUE")]
-    set: Vec<String>,
-    /// Choose the renderer of the camera images: the embedded ray caster, or MuJoCo's renderer through EGL
-    /// (docs/cameras.md)
-    #[arg(long, value_name = "RENDERER", default_value = "embedded")]
-    renderer: RendererName,
-    #[command(flatten)]
-    pub(crate) simulators: Simulators,
+/// The environment as the user chooses it.
+#[derive(Debug, Clone)]
+pub struct EnvironmentChoice {
+    /// The built-in task.
+    pub task: String,
+    /// An environment that this process starts: `FAMILY:NAME` of a bundled one, `gymnasium:ID`, or the user's own as
+    /// `FILE.py:ATTRIBUTE` or `MODULE:ATTRIBUTE`. It replaces the built-in task.
+    pub env: Option<String>,
+    /// The robot: the name of a built-in one, or a folder. `None` for the Franka.
+    pub robot: Option<String>,
+    /// The physics engine. `None` for the default of this build.
+    pub engine: Option<String>,
+    /// The engine's time step, in seconds. `None` for the engine's own.
+    pub time_step_s: Option<f64>,
+    /// Settings of the task as `NAME=VALUE`.
+    pub set: Vec<String>,
+    /// The renderer of the camera images. `None` for the embedded one.
+    pub renderer: Option<RendererRecord>,
+    /// Simulators in other processes.
+    pub simulators: Simulators,
 }
 
-/// The help of `--engine`, with the engines of this build.
-fn engine_help() -> String {
-    let names: Vec<&str> = ENGINES.iter().map(|engine| engine.name).collect();
-    format!("Choose the physics engine: {} [default: {}]", names.join(" or "), names[0])
+impl Default for EnvironmentChoice {
+    /// Pick and place with the Franka.
+    fn default() -> Self {
+        Self {
+            task: CELL_TASK.to_owned(),
+            env: None,
+            robot: None,
+            engine: None,
+            time_step_s: None,
+            set: Vec::new(),
+            renderer: None,
+            simulators: Simulators::default(),
+        }
+    }
 }
 
-impl EnvironmentArguments {
-    /// The environment that the arguments select.
-    pub(crate) fn environment(&self) -> Result<EnvironmentSource, Exit> {
+impl EnvironmentChoice {
+    /// The environment that is chosen.
+    pub fn environment(&self) -> Result<EnvironmentSource, Failure> {
         let (environment, rest) = self.environment_and_parameters()?;
         self.refuse_parameters(&environment, &rest)?;
         Ok(environment)
     }
 
-    /// The environment that the arguments select, and the values of `--set` that are no settings of its task, for verbs
+    /// The environment that is chosen, and the values of `--set` that are no settings of its task, for verbs
     /// that make a scenario of them.
-    pub(crate) fn environment_and_parameters(&self) -> Result<(EnvironmentSource, Assignment), Exit> {
+    pub fn environment_and_parameters(&self) -> Result<(EnvironmentSource, Assignment), Failure> {
         if let Some(name) = &self.env {
             return Ok((EnvironmentSource::launched(&from_any_folder(name), &self.simulators)?, self.parameters()?));
         }
         if self.simulators.python.is_some() && self.simulators.addresses.is_empty() {
-            return Err(anyhow!("--python applies to --env only\n  hint: leave it out")).or_usage();
+            return Err(anyhow!("--python applies to --env only\n  hint: leave it out")).or_request();
         }
         let pool = self.simulators.connect()?;
         if let Some(pool) = pool.as_ref().filter(|pool| pool.hello().scores_itself) {
@@ -81,20 +80,20 @@ impl EnvironmentArguments {
             return Ok((EnvironmentSource::Remote(remote), self.parameters()?));
         }
         let Some(arm) = registry::arm_task(&self.task) else {
-            let task = registry::task(&self.task).or_usage()?;
+            let task = registry::task(&self.task).or_request()?;
             self.refuse_cell_options(&self.task)?;
-            let (chosen, rest) = self.settings_among(&task.settings()).or_usage()?;
-            let task = task.with(&chosen).map_err(|why| anyhow!("--set: {why}")).or_usage()?;
+            let (chosen, rest) = self.settings_among(&task.settings()).or_request()?;
+            let task = task.with(&chosen).map_err(|why| anyhow!("--set: {why}")).or_request()?;
             return Ok((EnvironmentSource::SelfContained(task), rest));
         };
-        let (chosen, rest) = self.settings_among(&arm.settings()).or_usage()?;
+        let (chosen, rest) = self.settings_among(&arm.settings()).or_request()?;
         let cell = Cell::new(self.settings(), chosen, pool).or_setup()?;
         Ok((EnvironmentSource::Cell(Box::new(cell)), rest))
     }
 
     /// The values of `--set` as parameters of a scenario.
-    pub(crate) fn parameters(&self) -> Result<Assignment, Exit> {
-        assignment(&self.set).or_usage()
+    pub fn parameters(&self) -> Result<Assignment, Failure> {
+        assignment(&self.set).or_request()
     }
 
     /// The values of `--set` that belong to these settings, and the others.
@@ -111,7 +110,7 @@ impl EnvironmentArguments {
     }
 
     /// Rejects values of `--set` that are no settings of the task.
-    fn refuse_parameters(&self, environment: &EnvironmentSource, rest: &Assignment) -> Result<(), Exit> {
+    fn refuse_parameters(&self, environment: &EnvironmentSource, rest: &Assignment) -> Result<(), Failure> {
         let Some((name, _)) = rest.iter().next() else { return Ok(()) };
         let task = environment.task().or_broken()?;
         let known: Vec<&str> = task.settings.iter().map(|spec| &*spec.name).collect();
@@ -132,11 +131,11 @@ impl EnvironmentArguments {
                 anyhow!("--set {name}: {} has no such setting. Expected one of: {}", task.name, known.join(", "))
             }
         })
-        .or_usage()
+        .or_request()
     }
 
-    /// The environment that the arguments select for a suite: if they select none, that of the suite.
-    pub(crate) fn environment_of(&self, suite: Option<&Suite>) -> Result<EnvironmentSource, Exit> {
+    /// The environment that is chosen for a suite: if they select none, that of the suite.
+    pub fn environment_of(&self, suite: Option<&Suite>) -> Result<EnvironmentSource, Failure> {
         match suite.and_then(Suite::environment) {
             Some(name) if self.env.is_none() && self.simulators.addresses.is_empty() => {
                 self.refuse_cell_options(name)?;
@@ -146,7 +145,7 @@ impl EnvironmentArguments {
                         "the suite is for the environment {0}, whose code a file cannot start\n  hint: add --env {0} if you trust it",
                         foreign(name)
                     ))
-                    .or_usage();
+                    .or_request();
                 }
                 let environment = EnvironmentSource::launched(name, &self.simulators)?;
                 self.refuse_parameters(&environment, &self.parameters()?)?;
@@ -156,18 +155,18 @@ impl EnvironmentArguments {
         }
     }
 
-    /// The built-in task for an arm that the arguments select, for verbs that need its robot.
-    pub(crate) fn cell(&self) -> Result<Cell, Exit> {
+    /// The built-in task for an arm that is chosen, for verbs that need its robot.
+    pub fn cell(&self) -> Result<Cell, Failure> {
         Self::as_cell(self.environment()?)
     }
 
     /// As [`Self::cell`], with the values of `--set` that are no settings of its task.
-    pub(crate) fn cell_and_parameters(&self) -> Result<(Cell, Assignment), Exit> {
+    pub fn cell_and_parameters(&self) -> Result<(Cell, Assignment), Failure> {
         let (environment, rest) = self.environment_and_parameters()?;
         Ok((Self::as_cell(environment)?, rest))
     }
 
-    fn as_cell(environment: EnvironmentSource) -> Result<Cell, Exit> {
+    fn as_cell(environment: EnvironmentSource) -> Result<Cell, Failure> {
         match environment {
             EnvironmentSource::Cell(cell) => Ok(*cell),
             EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
@@ -176,13 +175,13 @@ impl EnvironmentArguments {
                     "this command needs a built-in task for an arm: {}\n  hint: leave out --env and --simulator",
                     arms.join(", ")
                 ))
-                .or_usage()
+                .or_request()
             }
         }
     }
 
-    /// The arguments as those of a recorded run.
-    pub(crate) fn reopening(&self, trust: Trust) -> Reopening {
+    /// The choice as that of a recorded run.
+    pub fn reopening(&self, trust: Trust) -> Reopening {
         Reopening::of(self.env.clone(), self.robot.clone(), trust, &self.simulators)
     }
 
@@ -191,18 +190,18 @@ impl EnvironmentArguments {
     }
 
     /// Rejects options of the built-in cell for an environment that brings its own robot and physics.
-    fn refuse_cell_options(&self, environment: &str) -> Result<(), Exit> {
+    fn refuse_cell_options(&self, environment: &str) -> Result<(), Failure> {
         let given = [
             ("--robot", self.robot.is_some()),
             ("--engine", self.engine.is_some()),
-            ("--time-step", self.time_step.is_some()),
-            ("--renderer", self.renderer.record().is_some()),
+            ("--time-step", self.time_step_s.is_some()),
+            ("--renderer", self.renderer.clone().is_some()),
         ];
         match given.into_iter().find(|(_, given)| *given) {
             Some((option, _)) => Err(anyhow!(
                 "{option} cannot be used with {environment}, which has no robots and engines to choose\n  hint: leave it out"
             ))
-            .or_usage(),
+            .or_request(),
             None => Ok(()),
         }
     }
@@ -214,8 +213,8 @@ impl EnvironmentArguments {
             task: self.task.clone(),
             robot: absolute(self.robot()),
             engine: name.to_owned(),
-            time_step_s: self.time_step.unwrap_or(engine.map_or(0.0, |engine: &EngineEntry| engine.time_step_s)),
-            renderer: self.renderer.record(),
+            time_step_s: self.time_step_s.unwrap_or(engine.map_or(0.0, |engine: &EngineEntry| engine.time_step_s)),
+            renderer: self.renderer.clone(),
             simulator: None,
         }
     }
@@ -228,7 +227,7 @@ fn is_bundled(name: &str) -> bool {
 }
 
 /// Replaces a robot's folder by its absolute path, so that a run can be resumed from any folder. A name stays as it is.
-pub(super) fn absolute(robot: &str) -> String {
+pub(crate) fn absolute(robot: &str) -> String {
     let path = Path::new(robot);
     let full = if is_folder(robot) { path.canonicalize().ok() } else { None };
     full.map_or_else(|| robot.to_owned(), |path| path.to_string_lossy().into_owned())
@@ -250,7 +249,7 @@ fn file_and_attribute(name: &str) -> Option<(&str, &str)> {
 }
 
 /// The SHA-256 of the file in the name of an environment. `None` if the name contains no file.
-pub(super) fn file_sha256(name: &str) -> anyhow::Result<Option<String>> {
+pub(crate) fn file_sha256(name: &str) -> anyhow::Result<Option<String>> {
     let Some((file, _)) = file_and_attribute(name) else { return Ok(None) };
     let bytes = std::fs::read(file).with_context(|| format!("cannot read {file}"))?;
     Ok(Some(hex(&Sha256::digest(bytes))))

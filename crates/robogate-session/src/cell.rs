@@ -27,22 +27,22 @@ use crate::subject::{check_declared, named_space};
 /// The settings of the cell, as a run records them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct CellSettings {
+pub struct CellSettings {
     /// The task.
     #[serde(default = "default_task", skip_serializing_if = "is_default_task")]
-    pub(crate) task: String,
+    pub task: String,
     /// The name of a built-in robot, or the folder of a user's robot.
-    pub(crate) robot: String,
+    pub robot: String,
     /// The physics engine.
-    pub(crate) engine: String,
+    pub engine: String,
     /// The engine's time step, in seconds.
-    pub(crate) time_step_s: f64,
+    pub time_step_s: f64,
     /// The renderer of the cameras. `None` for the embedded one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) renderer: Option<RendererRecord>,
+    pub renderer: Option<RendererRecord>,
     /// Whether the engine runs in physics servers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) simulator: Option<Physics>,
+    pub simulator: Option<Physics>,
 }
 
 /// The task of runs that record none.
@@ -56,7 +56,7 @@ fn is_default_task(task: &String) -> bool {
 
 impl CellSettings {
     /// The settings of this task with this robot in the default engine.
-    pub(crate) fn of(task: &str, robot: &str) -> Self {
+    pub fn of(task: &str, robot: &str) -> Self {
         Self {
             task: task.to_owned(),
             robot: robot.to_owned(),
@@ -71,13 +71,13 @@ impl CellSettings {
 /// Marks an engine that runs in servers that only compute physics.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Physics {
+pub enum Physics {
     /// In servers.
     Physics,
 }
 
 /// The cell. It can be set up several times, once for each thread.
-pub(crate) struct Cell {
+pub struct Cell {
     task: Arc<dyn ArmTask>,
     /// Chosen values of the task's settings.
     chosen: Assignment,
@@ -92,7 +92,7 @@ pub(crate) struct Cell {
 impl Cell {
     /// Reads the robot and sets the cell up once, so that problems are reported before a run starts. `chosen` are values
     /// of the task's settings.
-    pub(crate) fn new(mut settings: CellSettings, chosen: Assignment, pool: Option<Arc<Pool>>) -> anyhow::Result<Self> {
+    pub fn new(mut settings: CellSettings, chosen: Assignment, pool: Option<Arc<Pool>>) -> anyhow::Result<Self> {
         let task = task(&settings.task, &chosen)?;
         let robot = robot(&settings.robot)?;
         let gripper = &robot.settings.gripper;
@@ -125,12 +125,12 @@ impl Cell {
     }
 
     /// The same cell with camera images of this width and height in pixels.
-    pub(crate) fn with_pictures_of(self, picture_px: usize) -> Self {
+    pub fn with_pictures_of(self, picture_px: usize) -> Self {
         Self { picture_px, ..self }
     }
 
     /// Uses the settings of the paper, other than those that the user chose, in every later environment.
-    pub(crate) fn set_like_the_paper(&mut self) -> anyhow::Result<()> {
+    pub fn set_like_the_paper(&mut self) -> anyhow::Result<()> {
         let mut values = self.task.published(&self.robot.settings.gripper);
         self.chosen.iter().for_each(|(name, value)| values.set(name, value.clone()));
         self.task = task(&self.settings.task, &values)?;
@@ -139,47 +139,47 @@ impl Cell {
     }
 
     /// The task.
-    pub(crate) fn task(&self) -> &dyn ArmTask {
+    pub fn task(&self) -> &dyn ArmTask {
         &*self.task
     }
 
     /// The cell's settings.
-    pub(crate) fn settings(&self) -> &CellSettings {
+    pub fn settings(&self) -> &CellSettings {
         &self.settings
     }
 
     /// The robot.
-    pub(crate) fn robot(&self) -> &Robot {
+    pub fn robot(&self) -> &Robot {
         &self.robot
     }
 
     /// The hash of the robot's files.
-    pub(crate) fn robot_sha256(&self) -> anyhow::Result<String> {
+    pub fn robot_sha256(&self) -> anyhow::Result<String> {
         Ok(identity(&self.robot.files()?))
     }
 
     /// The robot's name.
-    pub(crate) fn robot_name(&self) -> &str {
+    pub fn robot_name(&self) -> &str {
         self.robot.name()
     }
 
     /// How many servers the engine runs in, if it is remote. As many episodes run at once.
-    pub(crate) fn servers(&self) -> Option<NonZeroUsize> {
+    pub fn servers(&self) -> Option<NonZeroUsize> {
         self.pool.as_ref().and_then(|pool| NonZeroUsize::new(pool.len()))
     }
 
     /// The name of the parameter space of the task for this robot.
-    pub(crate) fn default_space(&self) -> &'static str {
+    pub fn default_space(&self) -> &'static str {
         self.task.space(&self.robot.settings.gripper)
     }
 
     /// The name of the distribution of this robot's units.
-    pub(crate) fn unit_space(&self) -> &'static str {
+    pub fn unit_space(&self) -> &'static str {
         self.task.unit_space(&self.robot.settings.gripper)
     }
 
     /// Rejects a space with a parameter that the task, the gripper or the servers do not have.
-    pub(crate) fn check_space(&self, space: &ParameterSpace) -> anyhow::Result<()> {
+    pub fn check_space(&self, space: &ParameterSpace) -> anyhow::Result<()> {
         let name = || format!("space {}", space.name());
         self.check_known(space).with_context(name)?;
         self.task.check_space(space, &self.robot.settings.gripper).map_err(|why| anyhow!(why)).with_context(name)?;
@@ -187,7 +187,7 @@ impl Cell {
     }
 
     /// Rejects a suite with a parameter that the task, the gripper or the servers do not have.
-    pub(crate) fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
+    pub fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
         let name = || format!("suite {}", suite.name());
         self.check_known(suite.space()).with_context(name)?;
         match &*self.task.check_suite(suite, &self.robot.settings.gripper) {
@@ -219,7 +219,7 @@ impl Cell {
     }
 
     /// Creates an environment, and the scripted controller with a recorder that pushes the arm by `push_m` metres.
-    pub(crate) fn demonstrator(&self, push_m: f64) -> anyhow::Result<(Box<dyn Environment>, Recorder)> {
+    pub fn demonstrator(&self, push_m: f64) -> anyhow::Result<(Box<dyn Environment>, Recorder)> {
         let chain = self.chain(&self.setup())?;
         let rest = self.robot.settings.arm.home_rad.clone();
         let task = Arc::clone(&self.task);
@@ -259,26 +259,26 @@ impl Cell {
     }
 
     /// Creates an environment of the cell.
-    pub(crate) fn environment(&self) -> anyhow::Result<Box<dyn Environment>> {
+    pub fn environment(&self) -> anyhow::Result<Box<dyn Environment>> {
         self.make(&self.setup())
     }
 
     /// The scripted controller.
-    pub(crate) fn controller(&self) -> anyhow::Result<Box<dyn Policy>> {
+    pub fn controller(&self) -> anyhow::Result<Box<dyn Policy>> {
         let setup = self.setup();
         let chain = self.chain(&setup)?;
         Ok(self.task.controller(setup.robot, chain))
     }
 
     /// The task, for servers that only compute its physics.
-    pub(crate) fn remote_task(&self) -> anyhow::Result<CellTask> {
+    pub fn remote_task(&self) -> anyhow::Result<CellTask> {
         let setup = self.setup();
         let chain = self.chain(&setup)?;
         self.task_for(&setup, chain)
     }
 
     /// The information that a server of this cell declares.
-    pub(crate) fn hello(&self) -> anyhow::Result<Hello> {
+    pub fn hello(&self) -> anyhow::Result<Hello> {
         if self.pool.is_some() {
             bail!("`robogate serve` serves built-in environments only\n  hint: leave out --simulator");
         }
@@ -296,7 +296,7 @@ impl Cell {
     }
 
     /// Creates the engine as a server that only computes physics.
-    pub(crate) fn physics_host(&self) -> anyhow::Result<PhysicsHost> {
+    pub fn physics_host(&self) -> anyhow::Result<PhysicsHost> {
         self.task
             .physics_only()
             .map_err(|why| anyhow!("--physics-only cannot be used with --task {}: {why}", self.task.name()))?;
@@ -318,7 +318,7 @@ impl Cell {
     }
 
     /// The engine and robot of the provenance.
-    pub(crate) fn provenance(&self) -> anyhow::Result<(provenance::Engine, provenance::Robot)> {
+    pub fn provenance(&self) -> anyhow::Result<(provenance::Engine, provenance::Robot)> {
         let engine = match &self.pool {
             Some(pool) => servers::engine(pool.hello()),
             None => engine(self.engine(&self.setup())?.build()),
@@ -339,7 +339,7 @@ impl Cell {
 }
 
 /// An engine of this process, as records name it.
-pub(crate) fn engine(build: EngineBuild) -> provenance::Engine {
+pub fn engine(build: EngineBuild) -> provenance::Engine {
     provenance::Engine { name: build.name.to_owned(), version: Some(build.version), build_sha256: build.sha256 }
 }
 
@@ -350,23 +350,23 @@ fn task(name: &str, chosen: &Assignment) -> anyhow::Result<Arc<dyn ArmTask>> {
 }
 
 /// A scenario with nominal values only.
-pub(crate) fn nominal() -> Scenario {
+pub fn nominal() -> Scenario {
     Scenario { index: 0, seed: Seed::campaign(0).episode(0), requested: Assignment::default() }
 }
 
 /// Loads a robot by its folder or name.
-pub(crate) fn robot(wanted: &str) -> Result<Robot, RobotError> {
+pub fn robot(wanted: &str) -> Result<Robot, RobotError> {
     if is_folder(wanted) { Robot::from_folder(Path::new(wanted)) } else { built_in_robot(wanted) }
 }
 
 /// The files of the robot with this name or folder, if they have this hash.
-pub(crate) fn robot_files(wanted: &str, sha256: Option<&String>) -> Option<Vec<RobotFile>> {
+pub fn robot_files(wanted: &str, sha256: Option<&String>) -> Option<Vec<RobotFile>> {
     let files = robot(wanted).ok()?.files().ok()?;
     (sha256 == Some(&identity(&files))).then_some(files)
 }
 
 /// The identity of a robot, from its files.
-pub(crate) fn identity(files: &[RobotFile]) -> String {
+pub fn identity(files: &[RobotFile]) -> String {
     robot_sha256(files.iter().map(|(name, bytes)| (name.as_str(), &**bytes)))
 }
 

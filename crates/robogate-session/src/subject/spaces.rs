@@ -8,10 +8,10 @@ use robogate_dictionary::read_text;
 use robogate_tasks::built_in_space;
 
 use crate::registry::{self};
-use crate::terminal::foreign;
+use crate::text::foreign;
 
 /// Finds a parameter space by its name or file.
-pub(crate) fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
+pub fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
     let own = registry::TASKS.iter().find(|task| task.name() == wanted).map(|task| task.space());
     match built_in_space(wanted).or(own) {
         Some(text) => ParameterSpace::from_toml(text).with_context(|| wanted.to_owned()),
@@ -43,7 +43,7 @@ pub(crate) fn assignment(pairs: &[String]) -> anyhow::Result<Assignment> {
 }
 
 /// Rejects a space with a parameter that the task does not declare, or with values that it does not accept.
-pub(crate) fn check_declared(task: &TaskSpec, space: &ParameterSpace) -> anyhow::Result<()> {
+pub fn check_declared(task: &TaskSpec, space: &ParameterSpace) -> anyhow::Result<()> {
     for parameter in space.parameters() {
         let Some(spec) = task.parameter(&parameter.name) else {
             let known: Vec<&str> = task.parameters.iter().map(|spec| &*spec.name).collect();

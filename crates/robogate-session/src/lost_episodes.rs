@@ -9,7 +9,7 @@ use std::sync::Arc;
 use robogate_campaign::{ExecuteError, Executor, LostEpisode};
 use robogate_core::{Episode, Fault, FaultKind, Foresight, Outcome, Scenario};
 
-use crate::terminal::note;
+use crate::notice::note;
 
 /// Smallest number of consecutive lost episodes that stops a run.
 const LOST_IN_A_ROW: u32 = 10;
@@ -23,7 +23,7 @@ type Attempt = (Vec<(Episode, Fault)>, ControlFlow<()>);
 /// resumed. An episode that is lost twice is recorded as invalid if another episode still runs after that, because then
 /// this episode itself breaks the server or the worker. Otherwise the servers are unavailable. A number of consecutive
 /// lost episodes, in the order in which they finish, shows the same earlier, unless a completed episode still runs. After such an [`Outage`] nothing runs.
-pub(crate) struct RunsLostAgain<'a> {
+pub struct RunsLostAgain<'a> {
     executor: &'a dyn Executor,
     limit: u32,
     state: RefCell<State>,
@@ -39,7 +39,7 @@ struct State {
 
 /// The reason why a run was stopped: the policy server or the simulator is unavailable.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Outage {
+pub enum Outage {
     /// Consecutive episodes were lost.
     InARow {
         /// Their number.
@@ -67,7 +67,7 @@ impl fmt::Display for Outage {
 
 impl<'a> RunsLostAgain<'a> {
     /// Runs at most `episodes` episodes with `executor`.
-    pub(crate) fn new(executor: &'a dyn Executor, episodes: u64) -> Self {
+    pub fn new(executor: &'a dyn Executor, episodes: u64) -> Self {
         // A server that restarts loses one episode of each thread, which is not yet an outage.
         let threads = u32::try_from(executor.parallelism()).unwrap_or(u32::MAX);
         let limit = LOST_IN_A_ROW.max(threads.saturating_mul(2));
@@ -76,7 +76,7 @@ impl<'a> RunsLostAgain<'a> {
     }
 
     /// The outage that has stopped the execution, if there was one.
-    pub(crate) fn outage(self) -> Option<Outage> {
+    pub fn outage(self) -> Option<Outage> {
         self.state.into_inner().outage
     }
 

@@ -1,6 +1,5 @@
 //! The subject of a run: an environment and the policy in it.
 
-mod arguments;
 mod environment;
 mod recorded;
 mod spaces;
@@ -24,21 +23,22 @@ use serde_json::{Value, json};
 
 use crate::cell::nominal;
 use crate::checkpoint_statistics::CheckpointStatistics;
-use crate::exit::{Exit, OrExit};
-use crate::latency::{LatencyArguments, without_latency};
+use crate::failure::{Failure, OrFailure};
+use crate::latency::{LatencyChoice, without_latency};
+use crate::notice::note;
 use crate::origin;
 use crate::policy_source::PolicySource;
 use crate::registry::CELL_TASK;
-use crate::terminal::{note, percent};
+use crate::text::percent;
 
-pub(crate) use arguments::{EnvironmentArguments, from_any_folder};
-pub(crate) use environment::EnvironmentSource;
-use environment::RemoteSource;
-pub(crate) use recorded::{programs, recorded_robot, starts_processes};
-pub(crate) use spaces::{check_declared, named_space};
+pub use environment::EnvironmentSource;
+pub(crate) use environment::RemoteSource;
+pub use recorded::{programs, recorded_robot, starts_processes};
+pub(crate) use spaces::assignment;
+pub use spaces::{check_declared, named_space};
 
 /// The subject of a run: a policy in an environment.
-pub(crate) struct Subject {
+pub struct Subject {
     environment: EnvironmentSource,
     /// `None` for the environment's scripted controller.
     policy: Option<PolicySource>,
@@ -54,11 +54,11 @@ pub(crate) struct Subject {
 impl Subject {
     /// Combines this policy, or the environment's scripted controller, with this environment. Returns an error if the
     /// policy cannot drive the task.
-    pub(crate) fn new(environment: EnvironmentSource, policy: Option<PolicySource>) -> Result<Self, Exit> {
+    pub fn new(environment: EnvironmentSource, policy: Option<PolicySource>) -> Result<Self, Failure> {
         let rendered_px = policy.as_ref().and_then(|policy| policy.profile()?.rendered_px);
         let environment = rendered_px.into_iter().fold(environment, EnvironmentSource::with_pictures_of);
         let task = environment.task().or_broken()?;
-        let policy = environment.declared_policy(policy).or_usage()?;
+        let policy = environment.declared_policy(policy).or_request()?;
         let task = match policy.as_ref().and_then(PolicySource::profile) {
             Some(profile) => with_range_measures(&task, profile),
             None => task,
@@ -68,14 +68,14 @@ impl Subject {
             // The environment declares it for its own task.
             Some(PolicySource::Declared(_)) => return Ok(subject),
             Some(source) => source.policy(None).map_err(anyhow::Error::from).or_broken()?,
-            None => subject.environment.controller().or_usage()?,
+            None => subject.environment.controller().or_request()?,
         };
         ready
             .check(&subject.task)
             .map_err(|why| {
                 anyhow!("the policy {} cannot drive this environment: {why}{}", subject.policy_name(), subject.hint())
             })
-            .or_usage()?;
+            .or_request()?;
         Ok(subject)
     }
 
@@ -91,13 +91,13 @@ impl Subject {
     }
 
     /// The same subject with the ranges of its checkpoint, so that states outside of them are counted.
-    pub(crate) fn with_statistics(mut self, statistics: &CheckpointStatistics) -> Result<Self, Exit> {
+    pub fn with_statistics(mut self, statistics: &CheckpointStatistics) -> Result<Self, Failure> {
         if !statistics.is_given() {
             return Ok(self);
         }
         let Some(PolicySource::External(source)) = &mut self.policy else {
             return Err(anyhow!("--statistics applies to a policy server or an ONNX file\n  hint: leave it out"))
-                .or_usage();
+                .or_request();
         };
         let mut environment =
             self.environment.environment_for(source.profile(), source.map().map(|map| &**map)).or_broken()?;
@@ -108,13 +108,13 @@ impl Subject {
     }
 
     /// The same subject with the latency of these arguments. A latency that is to be measured is measured now.
-    pub(crate) fn with_latency(self, arguments: &LatencyArguments) -> Result<Self, Exit> {
-        let execution = arguments.execution(|| self.worker()).or_usage()?;
+    pub fn with_latency(self, arguments: &LatencyChoice) -> Result<Self, Failure> {
+        let execution = arguments.execution(|| self.worker()).or_request()?;
         self.executed(execution)
     }
 
     /// Notes that this user starts a run of this subject in `folder`.
-    pub(crate) fn register(&self, folder: &Path, provenance: &Provenance) {
+    pub fn register(&self, folder: &Path, provenance: &Provenance) {
         let python = match &self.environment {
             EnvironmentSource::Remote(RemoteSource { launched: Some(launched), .. }) => launched.servers.named_python(),
             _ => None,
@@ -122,14 +122,14 @@ impl Subject {
         origin::register(folder, provenance, python);
     }
 
-    fn executed(mut self, execution: Option<Execution>) -> Result<Self, Exit> {
+    fn executed(mut self, execution: Option<Execution>) -> Result<Self, Failure> {
         if let (Some(_), Some(PolicySource::Declared(policy))) = (&execution, &self.policy) {
             return Err(anyhow!(
                 "--latency: the environment runs the policy {} itself, so its actions cannot be delayed\n  hint: leave out \
                  --latency and --execution",
                 policy.environment
             ))
-            .or_usage();
+            .or_request();
         }
         if let Some(execution) = &execution {
             self.task = with_declarations(&self.task, &execution.latency);
@@ -139,28 +139,28 @@ impl Subject {
     }
 
     /// The same subject with the controls of its gate.
-    pub(crate) fn with_controls(self, controls: &Controls) -> Self {
+    pub fn with_controls(self, controls: &Controls) -> Self {
         Self { controls: Some(json!(controls)), ..self }
     }
 
     /// The environment.
-    pub(crate) fn environment_source(&self) -> &EnvironmentSource {
+    pub fn environment_source(&self) -> &EnvironmentSource {
         &self.environment
     }
 
     /// The same subject with camera images of this width and height in pixels, if the cell renders them.
-    pub(crate) fn with_pictures_of(mut self, picture_px: usize) -> Self {
+    pub fn with_pictures_of(mut self, picture_px: usize) -> Self {
         self.environment = self.environment.with_pictures_of(picture_px);
         self
     }
 
     /// The task.
-    pub(crate) fn task(&self) -> &Arc<TaskSpec> {
+    pub fn task(&self) -> &Arc<TaskSpec> {
         &self.task
     }
 
     /// What the task knows about episodes before they run. `None` if it knows nothing.
-    pub(crate) fn foresight(&self) -> Result<Option<Arc<dyn Foresight>>, Exit> {
+    pub fn foresight(&self) -> Result<Option<Arc<dyn Foresight>>, Failure> {
         // Parameter and draws of a latency belong to an adapter, which needs a policy.
         if self.execution.is_some() {
             return Ok(self.worker().or_broken()?.environment.foresight());
@@ -169,7 +169,7 @@ impl Subject {
     }
 
     /// The name of the environment's own suite, if it has one.
-    pub(crate) fn own_suite(&self) -> Option<&'static str> {
+    pub fn own_suite(&self) -> Option<&'static str> {
         match &self.environment {
             EnvironmentSource::Cell(cell) => Some(cell.task().suite()),
             EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
@@ -177,7 +177,7 @@ impl Subject {
     }
 
     /// The distribution of the units of the robot, if it is known.
-    pub(crate) fn own_unit_space(&self) -> Option<&'static str> {
+    pub fn own_unit_space(&self) -> Option<&'static str> {
         match &self.environment {
             EnvironmentSource::Cell(cell) => Some(cell.unit_space()),
             EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
@@ -185,7 +185,7 @@ impl Subject {
     }
 
     /// Prints the share of a space that no policy can complete, by reason.
-    pub(crate) fn note_feasibility(&self, space: &ParameterSpace) {
+    pub fn note_feasibility(&self, space: &ParameterSpace) {
         // Servers check nothing before an episode, and an environment that cannot be created is reported by the run.
         if let EnvironmentSource::Remote(_) = self.environment {
             return;
@@ -203,7 +203,7 @@ impl Subject {
     }
 
     /// A short name for folders: that of the robot, or of the task.
-    pub(crate) fn label(&self) -> String {
+    pub fn label(&self) -> String {
         match &self.environment {
             EnvironmentSource::Cell(cell) if cell.task().name() == CELL_TASK => {
                 let name = Path::new(&cell.settings().robot).file_name();
@@ -214,27 +214,27 @@ impl Subject {
     }
 
     /// The policy's name in records.
-    pub(crate) fn policy_name(&self) -> &str {
+    pub fn policy_name(&self) -> &str {
         self.policy.as_ref().map_or("scripted", PolicySource::name)
     }
 
     /// Whether the environment repeats an episode with the same actions.
-    pub(crate) fn is_deterministic(&self) -> bool {
+    pub fn is_deterministic(&self) -> bool {
         self.environment.is_deterministic()
     }
 
     /// The source of the policy, unless it is the environment's own controller.
-    pub(crate) fn policy_source(&self) -> Option<&PolicySource> {
+    pub fn policy_source(&self) -> Option<&PolicySource> {
         self.policy.as_ref()
     }
 
     /// How many episodes the policy can drive at once, if that is limited.
-    pub(crate) fn at_most(&self) -> Option<NonZeroUsize> {
+    pub fn at_most(&self) -> Option<NonZeroUsize> {
         self.policy.as_ref()?.profile()?.dialect.one_at_a_time().then_some(NonZeroUsize::MIN)
     }
 
     /// How many servers the environment runs in, if it is remote. As many episodes run at once.
-    pub(crate) fn servers(&self) -> Option<NonZeroUsize> {
+    pub fn servers(&self) -> Option<NonZeroUsize> {
         match &self.environment {
             EnvironmentSource::Cell(cell) => cell.servers(),
             EnvironmentSource::SelfContained(_) => None,
@@ -246,7 +246,7 @@ impl Subject {
 
     /// How many episodes run at once by default on this many cores. A worker waits while a policy server computes, so
     /// others must simulate and render in the meantime, and the server must always find a request.
-    pub(crate) fn threads_on(&self, cores: NonZeroUsize) -> NonZeroUsize {
+    pub fn threads_on(&self, cores: NonZeroUsize) -> NonZeroUsize {
         /// Threads per core while a server computes the actions.
         const PER_CORE: usize = 4;
         let waits = self.policy.as_ref().and_then(PolicySource::profile).is_some_and(|p| !p.dialect.is_file());
@@ -259,7 +259,7 @@ impl Subject {
     }
 
     /// Starts servers for this many workers, if this process starts them.
-    pub(crate) fn start_servers(&self, workers: NonZeroUsize) -> Result<(), Exit> {
+    pub fn start_servers(&self, workers: NonZeroUsize) -> Result<(), Failure> {
         match &self.environment {
             EnvironmentSource::Remote(RemoteSource { pool, launched: Some(launched), .. }) => {
                 launched.servers.grow(pool, workers)
@@ -269,13 +269,13 @@ impl Subject {
     }
 
     /// Finds a parameter space by its name or file. `None` gives that of the environment.
-    pub(crate) fn space(&self, wanted: Option<&str>) -> anyhow::Result<ParameterSpace> {
+    pub fn space(&self, wanted: Option<&str>) -> anyhow::Result<ParameterSpace> {
         let latency_s = self.execution.as_ref().is_some_and(|execution| execution.latency == Latency::Parameter);
         self.environment.space(wanted, latency_s)
     }
 
     /// Rejects a suite with a parameter that the environment does not have.
-    pub(crate) fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
+    pub fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
         let varies = suite.space().position(LATENCY_PARAMETER).is_some();
         match &self.environment {
             // The cell does not know the latency.
@@ -290,7 +290,7 @@ impl Subject {
     }
 
     /// The provenance: what the results of a run depend on, in addition to its plan.
-    pub(crate) fn provenance(&self, space: ParameterSpace) -> Result<Provenance, Exit> {
+    pub fn provenance(&self, space: ParameterSpace) -> Result<Provenance, Failure> {
         let (engine, robot) = self.environment.provenance().or_broken()?;
         let mut world = self.environment.recorded().or_broken()?;
         if let (Value::Object(world), Some(robot)) = (&mut world, &self.recorded_robot) {
@@ -310,7 +310,7 @@ impl Subject {
         Ok(Provenance {
             tool: Tool::robogate(),
             schema_version: SCHEMA_VERSION,
-            build: Some(provenance::Build { source_sha256: env!("ROBOGATE_SOURCE_SHA256").to_owned() }),
+            build: Some(provenance::Build { source_sha256: crate::SOURCE_SHA256.to_owned() }),
             engine,
             task: Arc::clone(&self.task),
             robot,

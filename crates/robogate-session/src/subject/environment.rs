@@ -14,18 +14,18 @@ use robogate_tasks::SelfContained;
 
 use crate::cell::{self, Cell, CellSettings};
 use crate::environments::Servers;
-use crate::exit::{Exit, OrExit};
+use crate::failure::{Failure, OrFailure};
 use crate::latency::without_latency;
 use crate::policy_source::{DeclaredPolicy, PolicySource, without_profile};
 use crate::registry::{self, CELL_TASK};
 use crate::remote::{self, Simulators};
 
-use super::arguments::{absolute, file_sha256};
 use super::recorded::franka;
 use super::spaces::{check_declared, named_space};
+use crate::environment_choice::{absolute, file_sha256};
 
 /// The source of environments.
-pub(crate) enum EnvironmentSource {
+pub enum EnvironmentSource {
     /// A built-in task for an arm.
     Cell(Box<Cell>),
     /// A built-in task that brings its own world.
@@ -35,26 +35,26 @@ pub(crate) enum EnvironmentSource {
 }
 
 /// Servers that declare their own task.
-pub(crate) struct RemoteSource {
-    pub(super) pool: Arc<Pool>,
+pub struct RemoteSource {
+    pub(crate) pool: Arc<Pool>,
     /// The robot of the scripted controller, if the task is that of the built-in cell.
-    pub(super) robot: String,
+    pub(crate) robot: String,
     /// The environment and its servers, if this process started them.
-    pub(super) launched: Option<Launched>,
+    pub(crate) launched: Option<Launched>,
 }
 
 /// An environment whose servers this process started.
-pub(super) struct Launched {
+pub(crate) struct Launched {
     /// Its name in records.
-    pub(super) name: String,
+    pub(crate) name: String,
     /// The SHA-256 of the file in its name, if there is one.
-    pub(super) sha256: Option<String>,
-    pub(super) servers: Arc<Servers>,
+    pub(crate) sha256: Option<String>,
+    pub(crate) servers: Arc<Servers>,
 }
 
 impl EnvironmentSource {
     /// The declarations of all built-in tasks except the default one.
-    pub(crate) fn declared_tasks() -> Result<Vec<Arc<TaskSpec>>, Exit> {
+    pub fn declared_tasks() -> Result<Vec<Arc<TaskSpec>>, Failure> {
         let arms = registry::ARM_TASKS.iter().filter(|task| task.name() != CELL_TASK).map(|task| {
             let settings = CellSettings::of(task.name(), &franka());
             Cell::new(settings, Assignment::default(), None).map(|cell| Self::Cell(Box::new(cell)))
@@ -64,7 +64,7 @@ impl EnvironmentSource {
     }
 
     /// The same environment with the settings of the paper, if it is a task of the paper.
-    pub(crate) fn like_the_paper(mut self) -> anyhow::Result<Self> {
+    pub fn like_the_paper(mut self) -> anyhow::Result<Self> {
         if let Self::Cell(cell) = &mut self {
             cell.set_like_the_paper()?;
         }
@@ -72,7 +72,7 @@ impl EnvironmentSource {
     }
 
     /// An environment whose servers this process starts.
-    pub(super) fn launched(name: &str, simulators: &Simulators) -> Result<Self, Exit> {
+    pub(crate) fn launched(name: &str, simulators: &Simulators) -> Result<Self, Failure> {
         // Read before the start: a later edit of the file is another environment. A file that is missing is reported below.
         let sha256 = file_sha256(name).ok().flatten();
         let (pool, servers) = simulators.launch(name)?;
@@ -90,7 +90,7 @@ impl EnvironmentSource {
 
     /// The policy that the user chose, with the version that the environment declares. Without a choice, the first
     /// policy that the environment declares, if there is one.
-    pub(super) fn declared_policy(&self, chosen: Option<PolicySource>) -> anyhow::Result<Option<PolicySource>> {
+    pub(crate) fn declared_policy(&self, chosen: Option<PolicySource>) -> anyhow::Result<Option<PolicySource>> {
         let found = match &chosen {
             None => self.policies().first(),
             Some(PolicySource::Declared(wanted)) => {
@@ -114,7 +114,7 @@ impl EnvironmentSource {
     }
 
     /// The task.
-    pub(crate) fn task(&self) -> anyhow::Result<Arc<TaskSpec>> {
+    pub fn task(&self) -> anyhow::Result<Arc<TaskSpec>> {
         Ok(match self {
             Self::Cell(cell) => Arc::clone(cell.environment()?.task()),
             Self::SelfContained(task) => task.task(),
@@ -123,7 +123,7 @@ impl EnvironmentSource {
     }
 
     /// Whether the same scenario and actions give the same episode.
-    pub(crate) fn is_deterministic(&self) -> bool {
+    pub fn is_deterministic(&self) -> bool {
         match self {
             Self::Cell(_) | Self::SelfContained(_) => true,
             Self::Remote(source) => source.pool.hello().deterministic,
@@ -131,7 +131,7 @@ impl EnvironmentSource {
     }
 
     /// Creates an environment.
-    pub(crate) fn environment(&self) -> anyhow::Result<Box<dyn Environment>> {
+    pub fn environment(&self) -> anyhow::Result<Box<dyn Environment>> {
         Ok(match self {
             Self::Cell(cell) => cell.environment()?,
             Self::SelfContained(task) => task.environment()?,
@@ -140,11 +140,7 @@ impl EnvironmentSource {
     }
 
     /// Creates an environment for a policy with this profile. A remote one renders only the cameras that the policy uses.
-    pub(crate) fn environment_for(
-        &self,
-        profile: &Profile,
-        map: Option<&TaskMap>,
-    ) -> anyhow::Result<Box<dyn Environment>> {
+    pub fn environment_for(&self, profile: &Profile, map: Option<&TaskMap>) -> anyhow::Result<Box<dyn Environment>> {
         let Self::Remote(source) = self else { return self.environment() };
         let none = TaskMap::default();
         let bound = BoundMap::new(map.unwrap_or(&none), profile, &source.pool.hello().task);
@@ -153,7 +149,7 @@ impl EnvironmentSource {
     }
 
     /// The same environment with camera images of this width and height in pixels, if this process renders them.
-    pub(crate) fn with_pictures_of(self, picture_px: usize) -> Self {
+    pub fn with_pictures_of(self, picture_px: usize) -> Self {
         match self {
             Self::Cell(cell) => Self::Cell(Box::new(cell.with_pictures_of(picture_px))),
             other => other,
@@ -161,7 +157,7 @@ impl EnvironmentSource {
     }
 
     /// An environment and an expert that drives it with the commands of this arm mode. `None` without an expert.
-    pub(crate) fn expert(&self, arm: Arm) -> anyhow::Result<Option<Worker>> {
+    pub fn expert(&self, arm: Arm) -> anyhow::Result<Option<Worker>> {
         Ok(match self {
             Self::Cell(cell) => {
                 let policy: Box<dyn Policy> = match arm {
@@ -190,7 +186,7 @@ impl EnvironmentSource {
     }
 
     /// The information that a server of this environment declares.
-    pub(crate) fn hello(&self) -> anyhow::Result<Hello> {
+    pub fn hello(&self) -> anyhow::Result<Hello> {
         match self {
             Self::Cell(cell) => cell.hello(),
             Self::SelfContained(task) => {
@@ -211,7 +207,7 @@ impl EnvironmentSource {
 
     /// Finds a parameter space by its name or file. `None` gives that of the environment. If the latency `varies`, the space
     /// may contain it.
-    pub(crate) fn space(&self, wanted: Option<&str>, varies: bool) -> anyhow::Result<ParameterSpace> {
+    pub fn space(&self, wanted: Option<&str>, varies: bool) -> anyhow::Result<ParameterSpace> {
         let space = match (wanted, self) {
             (Some(wanted), _) => named_space(wanted)?,
             (None, Self::Cell(cell)) => named_space(cell.default_space())?,
@@ -245,7 +241,7 @@ impl EnvironmentSource {
     }
 
     /// The scripted controller, if the environment has one.
-    pub(super) fn controller(&self) -> anyhow::Result<Box<dyn Policy>> {
+    pub(crate) fn controller(&self) -> anyhow::Result<Box<dyn Policy>> {
         match self {
             Self::Cell(cell) => cell.controller(),
             Self::SelfContained(task) => Ok(task.controller()),
@@ -264,7 +260,7 @@ impl EnvironmentSource {
         }
     }
 
-    pub(super) fn provenance(&self) -> anyhow::Result<(provenance::Engine, provenance::Robot)> {
+    pub(crate) fn provenance(&self) -> anyhow::Result<(provenance::Engine, provenance::Robot)> {
         let robot = |name: String, sha256| provenance::Robot { name, sha256, dimensions: None };
         Ok(match self {
             Self::Cell(cell) => cell.provenance()?,

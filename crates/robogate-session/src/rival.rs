@@ -15,11 +15,10 @@ use robogate_dictionary::{Dictionary, Entry, Journal, PlanHash, Provenance, writ
 use robogate_gate::{Record, Trial};
 use sha2::{Digest, Sha256};
 
-use crate::commands::gate::refused;
-use crate::exit::{Exit, OrExit};
+use crate::failure::{Failure, OrFailure};
+use crate::notice::warning;
 use crate::reopening::Reopening;
 use crate::subject::Subject;
-use crate::terminal::warning;
 
 /// The dictionary of the other policy in the folder of the gate.
 const FILE: &str = "against.parquet";
@@ -29,7 +28,7 @@ const ORIGIN: &str = "against.json";
 const JOURNAL: &str = "against.rgj";
 
 /// The other policy with its episodes so far.
-pub(crate) struct Rival {
+pub struct Rival {
     subject: Subject,
     threads: NonZeroUsize,
     provenance: Provenance,
@@ -40,28 +39,28 @@ pub(crate) struct Rival {
 
 impl Rival {
     /// Prepares the other policy for the plan of this gate.
-    pub(crate) fn new(subject: Subject, planned: &Provenance, threads: NonZeroUsize) -> Result<Self, Exit> {
+    pub fn new(subject: Subject, planned: &Provenance, threads: NonZeroUsize) -> Result<Self, Failure> {
         let own = subject.provenance(planned.space.clone())?;
         let provenance = Provenance { plan: planned.plan.clone(), seed: planned.seed, ..own };
-        let record = Record::begun(&provenance).map_err(refused)?;
+        let record = Record::begun(&provenance)?;
         let threads = subject.at_most().map_or(threads, |most| most.min(threads));
         Ok(Self { subject, threads, provenance, record, entries: BTreeMap::new(), journal: None })
     }
 
     /// Prepares the other policy of an interrupted gate. Its recorded episodes do not run again.
-    pub(crate) fn resume(
+    pub fn resume(
         dir: &Path,
         opening: &Reopening,
         planned: &Provenance,
         threads: NonZeroUsize,
-    ) -> Result<Self, Exit> {
+    ) -> Result<Self, Failure> {
         let path = dir.join(ORIGIN);
         let text = fs::read(&path)
             .with_context(|| format!("cannot read {}, which describes the policy of --against", path.display()))
-            .or_usage()?;
+            .or_request()?;
         let recorded: Provenance = serde_json::from_slice(&text)
             .with_context(|| format!("{}: robogate writes this file, and it must not be edited", path.display()))
-            .or_usage()?;
+            .or_request()?;
         let subject = Subject::recorded(&recorded, Some(dir), &opening.without_policy())?;
         let mut rival = Self::new(subject, planned, threads)?;
         if rival.provenance.policy != recorded.policy {
@@ -70,14 +69,14 @@ impl Rival {
                 recorded.policy,
                 rival.provenance.policy
             ))
-            .or_usage();
+            .or_request();
         }
         rival.open(dir)?;
         Ok(rival)
     }
 
     /// Starts or continues the record of its episodes in the folder of the gate, which contains the plan.
-    pub(crate) fn open(&mut self, dir: &Path) -> Result<(), Exit> {
+    pub fn open(&mut self, dir: &Path) -> Result<(), Failure> {
         if self.journal.is_some() {
             return Ok(());
         }
@@ -105,23 +104,23 @@ impl Rival {
     }
 
     /// The policy's name.
-    pub(crate) fn name(&self) -> &str {
+    pub fn name(&self) -> &str {
         self.subject.policy_name()
     }
 
     /// The path of its dictionary in the folder of the gate.
-    pub(crate) fn file(&self, dir: &Path) -> String {
+    pub fn file(&self, dir: &Path) -> String {
         let full = dir.canonicalize().unwrap_or_else(|_| dir.to_owned());
         full.join(FILE).to_string_lossy().into_owned()
     }
 
     /// Its episodes of the rounds so far.
-    pub(crate) fn record(&self) -> &Record {
+    pub fn record(&self) -> &Record {
         &self.record
     }
 
     /// Runs the scenarios of a round that are not recorded yet.
-    pub(crate) fn run(&mut self, dir: &Path, round: &Round<'_>) -> Result<(), Exit> {
+    pub fn run(&mut self, dir: &Path, round: &Round<'_>) -> Result<(), Failure> {
         self.open(dir)?;
         if round.number == 0 {
             self.record.trials.clear();
@@ -161,7 +160,8 @@ impl Rival {
             // The same settings give the same scenarios. Otherwise the record belongs to another gate.
             if entry.episode.scenario != own.episode.scenario {
                 let path = dir.join(JOURNAL);
-                return Err(anyhow!("{}: episode {} is that of another gate", path.display(), own.index())).or_usage();
+                return Err(anyhow!("{}: episode {} is that of another gate", path.display(), own.index()))
+                    .or_request();
             }
             self.record.trials.push(Trial::from(entry));
         }
@@ -169,15 +169,15 @@ impl Rival {
     }
 
     /// Writes its dictionary. Returns the path and the record of its rows.
-    pub(crate) fn write(&self, dir: &Path) -> Result<(String, Record), Exit> {
+    pub fn write(&self, dir: &Path) -> Result<(String, Record), Failure> {
         let path = dir.join(FILE);
         write_parquet(&path, &self.provenance, self.entries.values().cloned().map(Ok)).or_broken()?;
-        let record = Record::of(&Dictionary::open(&path).or_broken()?).map_err(refused)?;
+        let record = Record::of(&Dictionary::open(&path).or_broken()?)?;
         Ok((self.file(dir), record))
     }
 
     /// Removes the files of an unfinished gate, after its question names the dictionary.
-    pub(crate) fn clean(self, dir: &Path) {
+    pub fn clean(self, dir: &Path) {
         drop(self.journal);
         for name in [JOURNAL, ORIGIN] {
             let path = dir.join(name);

@@ -1,37 +1,31 @@
-//! The inference latency of a policy on the command line.
+//! The inference latency of a policy.
 
+use std::str::FromStr;
 use std::time::Instant;
 
 use anyhow::{anyhow, bail};
-use clap::Args;
 use robogate_campaign::Worker;
 use robogate_core::latency::{Execution, ExecutionMode, LATENCY_PARAMETER, Latency, MOST_LATENCY_S};
 use robogate_core::{Assignment, Domain, Fault, Parameter, ParameterSpace, Scale, Scenario, Seed};
 
 use crate::duration;
-use crate::terminal::note;
+use crate::notice::note;
 
 /// Requests whose latency is measured, after one that is not.
 const MEASURED: usize = 30;
 
-/// The arguments that select latency and execution.
-#[derive(Debug, Clone, Default, Args)]
-pub(crate) struct LatencyArguments {
-    /// Delay the actions of the policy in simulated time (docs/latency.md): fixed:80ms, uniform:50ms,150ms,
-    /// normal:MEAN,SD, gamma:MEAN,SD, measured (of this policy on this machine, before the run), varied (by the parameter
-    /// `inference_latency_s` of the space or suite) or varied:0ms,500ms (adds this parameter to the space); default: the
-    /// world waits for the policy
-    #[arg(long, value_name = "LATENCY", value_parser = parse)]
-    latency: Option<Wanted>,
-    /// Choose what the robot does while the policy computes: hold (wait), queue (asynchronous inference as in LeRobot) or
-    /// overlap (overlapping chunks, after real-time chunking); default: hold
-    #[arg(long, value_name = "MODE", value_parser = parse_mode)]
-    execution: Option<ExecutionMode>,
+/// Latency and execution as the user chooses them.
+#[derive(Debug, Clone, Default)]
+pub struct LatencyChoice {
+    /// The latency. `None` if the world waits for the policy.
+    pub latency: Option<WantedLatency>,
+    /// What the robot does while the policy computes. `None` for the default.
+    pub execution: Option<ExecutionMode>,
 }
 
 /// A latency as the user gives it.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Wanted {
+pub enum WantedLatency {
     /// A distribution.
     Given(Latency),
     /// Measured before the run.
@@ -40,20 +34,28 @@ pub(crate) enum Wanted {
     Varied(Option<[f64; 2]>),
 }
 
-fn parse(text: &str) -> Result<Wanted, String> {
+impl FromStr for WantedLatency {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        parse(text)
+    }
+}
+
+fn parse(text: &str) -> Result<WantedLatency, String> {
     let (kind, numbers) = text.split_once(':').unwrap_or((text, ""));
     let numbers: Vec<f64> = match numbers {
         "" => Vec::new(),
         numbers => numbers.split(',').map(duration::seconds).collect::<Result<_, _>>()?,
     };
     let wanted = match (kind, &*numbers) {
-        ("measured", []) => Wanted::Measured,
-        ("varied", []) => Wanted::Varied(None),
-        ("varied", [low, high]) if low < high && *high <= MOST_LATENCY_S => Wanted::Varied(Some([*low, *high])),
-        ("fixed", [seconds]) => Wanted::Given(Latency::Fixed { seconds: *seconds }),
-        ("uniform", [low_s, high_s]) => Wanted::Given(Latency::Uniform { low_s: *low_s, high_s: *high_s }),
-        ("normal", [mean_s, sd_s]) => Wanted::Given(Latency::Normal { mean_s: *mean_s, sd_s: *sd_s }),
-        ("gamma", [mean_s, sd_s]) => Wanted::Given(Latency::Gamma { mean_s: *mean_s, sd_s: *sd_s }),
+        ("measured", []) => WantedLatency::Measured,
+        ("varied", []) => WantedLatency::Varied(None),
+        ("varied", [low, high]) if low < high && *high <= MOST_LATENCY_S => WantedLatency::Varied(Some([*low, *high])),
+        ("fixed", [seconds]) => WantedLatency::Given(Latency::Fixed { seconds: *seconds }),
+        ("uniform", [low_s, high_s]) => WantedLatency::Given(Latency::Uniform { low_s: *low_s, high_s: *high_s }),
+        ("normal", [mean_s, sd_s]) => WantedLatency::Given(Latency::Normal { mean_s: *mean_s, sd_s: *sd_s }),
+        ("gamma", [mean_s, sd_s]) => WantedLatency::Given(Latency::Gamma { mean_s: *mean_s, sd_s: *sd_s }),
         _ => {
             return Err(format!(
                 "`{text}` is not a valid latency. Expected fixed:80ms, uniform:50ms,150ms, normal:80ms,10ms, \
@@ -61,13 +63,14 @@ fn parse(text: &str) -> Result<Wanted, String> {
             ));
         }
     };
-    if let Wanted::Given(latency) = &wanted {
+    if let WantedLatency::Given(latency) = &wanted {
         latency.check().map_err(|why| why.to_string())?;
     }
     Ok(wanted)
 }
 
-fn parse_mode(text: &str) -> Result<ExecutionMode, String> {
+/// Reads an execution mode: `hold`, `queue` or `overlap`.
+pub fn execution_mode(text: &str) -> Result<ExecutionMode, String> {
     match text {
         "hold" => Ok(ExecutionMode::Hold),
         "queue" => Ok(ExecutionMode::Queue),
@@ -76,20 +79,17 @@ fn parse_mode(text: &str) -> Result<ExecutionMode, String> {
     }
 }
 
-impl LatencyArguments {
-    /// The latency and execution of these arguments. `None` if the world waits for the policy. `worker` creates a worker
+impl LatencyChoice {
+    /// The latency and execution of this choice. `None` if the world waits for the policy. `worker` creates a worker
     /// without latency, whose policy is measured if the user wants that.
-    pub(crate) fn execution(
-        &self,
-        worker: impl FnOnce() -> Result<Worker, Fault>,
-    ) -> anyhow::Result<Option<Execution>> {
+    pub fn execution(&self, worker: impl FnOnce() -> Result<Worker, Fault>) -> anyhow::Result<Option<Execution>> {
         let mode = self.execution.unwrap_or_default();
         let latency = match (&self.latency, self.execution) {
             (None, None) => return Ok(None),
             (None, Some(_)) => Latency::Fixed { seconds: 0.0 },
-            (Some(Wanted::Given(latency)), _) => latency.clone(),
-            (Some(Wanted::Varied(_)), _) => Latency::Parameter,
-            (Some(Wanted::Measured), _) => {
+            (Some(WantedLatency::Given(latency)), _) => latency.clone(),
+            (Some(WantedLatency::Varied(_)), _) => Latency::Parameter,
+            (Some(WantedLatency::Measured), _) => {
                 let mut samples_s =
                     measure(worker().map_err(|fault| anyhow!(fault))?).map_err(|fault| anyhow!(fault))?;
                 let latency = Latency::Measured { samples_s: samples_s.clone() };
@@ -107,10 +107,10 @@ impl LatencyArguments {
         Ok(Some(Execution { latency, mode }))
     }
 
-    /// The space with the parameter of these arguments, if they vary the latency over a range.
-    pub(crate) fn added_to(&self, space: ParameterSpace) -> anyhow::Result<ParameterSpace> {
+    /// The space with the parameter of this choice, if they vary the latency over a range.
+    pub fn added_to(&self, space: ParameterSpace) -> anyhow::Result<ParameterSpace> {
         let range = match &self.latency {
-            Some(Wanted::Varied(range)) => range,
+            Some(WantedLatency::Varied(range)) => range,
             _ => return Ok(space),
         };
         match (range, space.position(LATENCY_PARAMETER)) {
@@ -135,22 +135,22 @@ impl LatencyArguments {
         }
     }
 
-    /// The same arguments, with the latency set by the parameter if `space` has it and no latency is given.
-    pub(crate) fn varied_by(&self, space: &ParameterSpace) -> Self {
+    /// The same choice, with the latency set by the parameter if `space` has it and no latency is given.
+    pub fn varied_by(&self, space: &ParameterSpace) -> Self {
         match space.position(LATENCY_PARAMETER) {
-            Some(_) if self.latency.is_none() => Self { latency: Some(Wanted::Varied(None)), ..self.clone() },
+            Some(_) if self.latency.is_none() => Self { latency: Some(WantedLatency::Varied(None)), ..self.clone() },
             _ => self.clone(),
         }
     }
 
     /// Rejects a range for a suite, whose scenarios are fixed.
-    pub(crate) fn check_suite(&self, space: &ParameterSpace) -> anyhow::Result<()> {
+    pub fn check_suite(&self, space: &ParameterSpace) -> anyhow::Result<()> {
         match &self.latency {
-            Some(Wanted::Varied(Some(_))) => bail!(
+            Some(WantedLatency::Varied(Some(_))) => bail!(
                 "--latency varied: the scenarios of a suite are fixed\n  hint: use --latency varied with a suite that has \
                  the parameter `{LATENCY_PARAMETER}`, or a space"
             ),
-            Some(Wanted::Varied(None)) => self.added_to(space.clone()).map(drop),
+            Some(WantedLatency::Varied(None)) => self.added_to(space.clone()).map(drop),
             _ => Ok(()),
         }
     }
@@ -170,7 +170,7 @@ pub(crate) fn without_latency(space: &ParameterSpace) -> anyhow::Result<Option<P
 }
 
 /// The latency and execution of a run in one line.
-pub(crate) fn describe(execution: &Execution) -> String {
+pub fn describe(execution: &Execution) -> String {
     let ms = |seconds: f64| format!("{:.4} ms", 1e3 * seconds).replace(".0000", "");
     let latency = match &execution.latency {
         Latency::Fixed { seconds } => ms(*seconds),
@@ -215,11 +215,14 @@ mod tests {
 
     #[test]
     fn latencies_are_parsed() {
-        let given = |latency| Ok(Wanted::Given(latency));
+        let given = |latency| Ok(WantedLatency::Given(latency));
         assert_eq!(parse("fixed:80ms"), given(Latency::Fixed { seconds: 0.08 }));
         assert_eq!(parse("uniform:50ms,0.15s"), given(Latency::Uniform { low_s: 0.05, high_s: 0.15 }));
-        assert_eq!(parse("varied:0ms,500ms"), Ok(Wanted::Varied(Some([0.0, 0.5]))));
-        assert_eq!((parse("varied"), parse("measured")), (Ok(Wanted::Varied(None)), Ok(Wanted::Measured)));
+        assert_eq!(parse("varied:0ms,500ms"), Ok(WantedLatency::Varied(Some([0.0, 0.5]))));
+        assert_eq!(
+            (parse("varied"), parse("measured")),
+            (Ok(WantedLatency::Varied(None)), Ok(WantedLatency::Measured))
+        );
         for wrong in ["80ms", "fixed", "fixed:80", "fixed:11s", "normal:80ms", "gamma:80ms,0ms", "varied:2s,1s"] {
             assert!(parse(wrong).is_err(), "{wrong}");
         }
@@ -228,7 +231,7 @@ mod tests {
     #[test]
     fn latency_is_an_ordinary_parameter() {
         let space = crate::subject::named_space("learned").unwrap();
-        let arguments = LatencyArguments { latency: Some(Wanted::Varied(Some([0.0, 0.5]))), execution: None };
+        let arguments = LatencyChoice { latency: Some(WantedLatency::Varied(Some([0.0, 0.5]))), execution: None };
         let varied = arguments.added_to(space.clone()).unwrap();
         assert_eq!(varied.len(), space.len() + 1);
         assert!(arguments.added_to(varied.clone()).is_err());

@@ -3,21 +3,18 @@
 //! A new engine or task adds one line here. Robots, spaces and suites are files that their crates embed.
 
 use anyhow::anyhow;
-use robogate_campaign::BUILT_IN_SUITES;
-use robogate_core::{Allowed, SettingSpec};
 #[cfg(feature = "mujoco")]
 use robogate_physics::MujocoEngine;
 #[cfg(feature = "rapier")]
 use robogate_physics::RapierEngine;
-use robogate_physics::{Chain, Engine, Robot, RobotError, built_in_robots};
-use robogate_policy::Profile;
+use robogate_physics::{Chain, Engine, Robot, RobotError};
 use robogate_tasks::insertion::Insertion;
 use robogate_tasks::pick_place::{self, PickPlace};
 use robogate_tasks::stacking::Stacking;
 use robogate_tasks::{ArmTask, SelfContained, built_in_spaces};
 
 /// The engines of the built-in cell; the first is the default.
-pub(crate) const ENGINES: &[EngineEntry] = &[
+pub const ENGINES: &[EngineEntry] = &[
     #[cfg(feature = "mujoco")]
     EngineEntry {
         name: "mujoco",
@@ -38,38 +35,38 @@ const _: () = assert!(!ENGINES.is_empty(), "a build needs an engine: --features 
 const OPTIONAL: [&str; 2] = ["mujoco", "rapier"];
 
 /// The tasks for an arm in the cell; the first is the default.
-pub(crate) const ARM_TASKS: &[&dyn ArmTask] = &[&PickPlace::DEFAULT, &Stacking::DEFAULT, &Insertion::DEFAULT];
+pub const ARM_TASKS: &[&dyn ArmTask] = &[&PickPlace::DEFAULT, &Stacking::DEFAULT, &Insertion::DEFAULT];
 
 /// The tasks that bring their own world.
-pub(crate) const TASKS: &[&dyn SelfContained] = &[
+pub const TASKS: &[&dyn SelfContained] = &[
     #[cfg(feature = "mujoco")]
     &robogate_tasks::pendulum::Pendulum::DEFAULT,
 ];
 
 /// The default task.
-pub(crate) const CELL_TASK: &str = pick_place::NAME;
+pub const CELL_TASK: &str = pick_place::NAME;
 
 /// The built-in policies. Profiles of external policies are listed beside them.
-pub(crate) const POLICIES: [&str; 2] = ["scripted", "random"];
+pub const POLICIES: [&str; 2] = ["scripted", "random"];
 
 /// An engine of the built-in cell.
-pub(crate) struct EngineEntry {
+pub struct EngineEntry {
     /// Its name on the command line.
-    pub(crate) name: &'static str,
+    pub name: &'static str,
     /// Default time step, in seconds.
-    pub(crate) time_step_s: f64,
+    pub time_step_s: f64,
     /// Creates the engine.
-    pub(crate) engine: fn(Robot, f64) -> Result<Box<dyn Engine>, RobotError>,
+    pub engine: fn(Robot, f64) -> Result<Box<dyn Engine>, RobotError>,
 }
 
 impl EngineEntry {
     /// Reads a robot's kinematics as this engine models them.
-    pub(crate) fn chain(&self, robot: Robot) -> anyhow::Result<Chain> {
+    pub fn chain(&self, robot: Robot) -> anyhow::Result<Chain> {
         Ok((self.engine)(robot, self.time_step_s)?.chain().clone())
     }
 
     /// Finds an engine by its name.
-    pub(crate) fn find(name: &str) -> anyhow::Result<&'static Self> {
+    pub fn find(name: &str) -> anyhow::Result<&'static Self> {
         ENGINES.iter().find(|engine| engine.name == name).ok_or_else(|| {
             let known: Vec<&str> = ENGINES.iter().map(|engine| engine.name).collect();
             let hint = if OPTIONAL.contains(&name) {
@@ -83,41 +80,24 @@ impl EngineEntry {
 }
 
 /// Finds a task for an arm by its name.
-pub(crate) fn arm_task(name: &str) -> Option<&'static dyn ArmTask> {
+pub fn arm_task(name: &str) -> Option<&'static dyn ArmTask> {
     ARM_TASKS.iter().copied().find(|task| task.name() == name)
 }
 
 /// Whether robot and engine of a task can be chosen.
-pub(crate) fn has_robots(task: &str) -> bool {
+pub fn has_robots(task: &str) -> bool {
     arm_task(task).is_some()
 }
 
 /// Names and summaries of all tasks.
-fn tasks() -> impl Iterator<Item = (&'static str, &'static str)> {
+pub fn tasks() -> impl Iterator<Item = (&'static str, &'static str)> {
     let arms = ARM_TASKS.iter().map(|task| (task.name(), task.summary()));
     let others = TASKS.iter().map(|task| (task.name(), task.summary()));
     arms.chain(others)
 }
 
-/// The settings of all tasks, one line each.
-fn settings() -> impl Iterator<Item = String> {
-    let arms = ARM_TASKS.iter().map(|task| (task.name(), task.settings()));
-    let others = TASKS.iter().map(|task| (task.name(), task.settings()));
-    let line = |task: &str, setting: &SettingSpec| {
-        let unit = |value: String| format!("{value} {}", setting.unit).trim_end().to_owned();
-        let accepts = match &setting.allowed {
-            Allowed::Continuous { low, high } => unit(format!("{low} to {high}")),
-            Allowed::Integer { low, high } => unit(format!("{low} to {high}")),
-            Allowed::Categorical { choices, .. } => choices.join(" or "),
-        };
-        let default = setting.default.as_ref().map_or("that of the robot".to_owned(), |value| unit(value.to_string()));
-        format!("{task} {}: {} {accepts}, default {default}", setting.name, setting.meaning)
-    };
-    arms.chain(others).flat_map(move |(task, settings)| settings.into_iter().map(move |setting| line(task, &setting)))
-}
-
 /// Finds a task that brings its own world by its name.
-pub(crate) fn task(name: &str) -> anyhow::Result<&'static dyn SelfContained> {
+pub fn task(name: &str) -> anyhow::Result<&'static dyn SelfContained> {
     TASKS.iter().copied().find(|task| task.name() == name).ok_or_else(|| {
         let known: Vec<&str> = tasks().map(|(name, _)| name).collect();
         anyhow!("--task {name}: unknown task. Expected one of: {}", known.join(", "))
@@ -125,20 +105,6 @@ pub(crate) fn task(name: &str) -> anyhow::Result<&'static dyn SelfContained> {
 }
 
 /// Names of all parameter spaces. Each task that brings its own world has one of its own name.
-pub(crate) fn spaces() -> impl Iterator<Item = &'static str> {
+pub fn spaces() -> impl Iterator<Item = &'static str> {
     built_in_spaces().chain(TASKS.iter().map(|task| task.name()))
-}
-
-/// All names, by kind, for the terminal.
-pub(crate) fn listing() -> Vec<(&'static str, Vec<String>)> {
-    let names = |names: &mut dyn Iterator<Item = &str>| names.map(str::to_owned).collect::<Vec<String>>();
-    vec![
-        ("tasks", tasks().map(|(name, summary)| format!("{name}: {summary}")).collect()),
-        ("settings", settings().collect()),
-        ("engines", names(&mut ENGINES.iter().map(|engine| engine.name))),
-        ("robots", names(&mut built_in_robots())),
-        ("policies", names(&mut POLICIES.into_iter().chain(Profile::built_in_names()))),
-        ("spaces", names(&mut spaces())),
-        ("suites", names(&mut BUILT_IN_SUITES.iter().map(|(name, _)| *name))),
-    ]
 }

@@ -14,9 +14,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 use sha2::{Digest, Sha256};
 
-use crate::place;
+use crate::notice::note;
 use crate::subject::programs;
-use crate::terminal::note;
 
 /// A note about one folder: what its run may start, and with which interpreter.
 #[derive(Debug, Serialize, Deserialize)]
@@ -30,13 +29,13 @@ struct Note {
 
 /// A run that this user made on this machine.
 #[derive(Debug, Default, PartialEq)]
-pub(crate) struct Origin {
+pub struct Origin {
     /// The Python interpreter of its environment, if the user chose one.
-    pub(crate) python: Option<PathBuf>,
+    pub python: Option<PathBuf>,
 }
 
 /// Notes that this user starts a run in `folder`. A run that names no program needs no note.
-pub(crate) fn register(folder: &Path, provenance: &Provenance, python: Option<&Path>) {
+pub fn register(folder: &Path, provenance: &Provenance, python: Option<&Path>) {
     if programs(provenance).is_ok_and(|programs| programs.is_empty()) {
         return;
     }
@@ -51,7 +50,7 @@ pub(crate) fn register(folder: &Path, provenance: &Provenance, python: Option<&P
 }
 
 /// The same for a folder that is made from `from`, if that is a run of this user.
-pub(crate) fn register_copy(folder: &Path, from: &Path, provenance: &Provenance) {
+pub fn register_copy(folder: &Path, from: &Path, provenance: &Provenance) {
     if let Some(origin) = of(from, provenance) {
         register(folder, provenance, origin.python.as_deref());
     }
@@ -88,6 +87,11 @@ fn write(folder: &Path, noted: &Note) -> io::Result<()> {
     file.write_all(format!("{line}\n").as_bytes())
 }
 
+/// Whether a folder is the address of an object store, such as `s3://bucket/campaign`.
+pub fn is_remote(folder: &Path) -> bool {
+    folder.to_str().is_some_and(|text| text.contains("://"))
+}
+
 /// Restricts a folder to this user.
 #[cfg(unix)]
 fn private(folder: &Path) -> io::Result<()> {
@@ -103,7 +107,7 @@ fn private(_: &Path) -> io::Result<()> {
 
 /// The file with the notes about a folder. Its name is the hash of the folder's path, in which links are resolved.
 fn path(folder: &Path) -> io::Result<PathBuf> {
-    let full = if place::is_remote(folder) { folder.to_owned() } else { resolved(folder)? };
+    let full = if is_remote(folder) { folder.to_owned() } else { resolved(folder)? };
     Ok(state()?.join("origins").join(hex(&Sha256::digest(full.as_os_str().as_encoded_bytes()))))
 }
 

@@ -11,17 +11,17 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::cell::{self, Cell, CellSettings};
-use crate::exit::{Exit, OrExit};
+use crate::failure::{Failure, OrFailure};
 use crate::origin;
 use crate::policy_source::PolicySource;
 use crate::registry;
 use crate::remote;
 use crate::reopening::{Permit, Program, Reopening};
-use crate::terminal::foreign;
+use crate::text::foreign;
 
 use super::Subject;
-use super::arguments::{absolute, file_sha256};
 use super::environment::{EnvironmentSource, Launched, RemoteSource};
+use crate::environment_choice::{absolute, file_sha256};
 
 /// What a run records about its environment, in addition to task, engine and robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -61,7 +61,7 @@ struct RecordedServers {
 }
 
 /// Whether a run was made in an environment whose Python processes this command starts.
-pub(crate) fn starts_processes(provenance: &Provenance) -> bool {
+pub fn starts_processes(provenance: &Provenance) -> bool {
     provenance.world.get("environment").is_some()
 }
 
@@ -73,7 +73,7 @@ enum ScoresItself {
 }
 
 /// The robot of runs that record none.
-pub(super) fn franka() -> String {
+pub(crate) fn franka() -> String {
     "franka".to_owned()
 }
 
@@ -86,7 +86,7 @@ struct Parts {
 }
 
 impl Parts {
-    fn of(provenance: &Provenance) -> Result<Self, Exit> {
+    fn of(provenance: &Provenance) -> Result<Self, Failure> {
         let mut world = provenance.world.clone();
         let mut taken = |key: &str| world.as_object_mut().and_then(|world| world.remove(key));
         let (policy, execution, controls) = (taken("policy"), taken("execution"), taken(Controls::KEY));
@@ -94,17 +94,17 @@ impl Parts {
             .map(serde_json::from_value)
             .transpose()
             .context("plan.json: provenance.world.execution cannot be read")
-            .or_usage()?;
+            .or_request()?;
         if let Some(Execution { latency, .. }) = &execution {
-            latency.check().context("plan.json: provenance.world.execution is not valid").or_usage()?;
+            latency.check().context("plan.json: provenance.world.execution is not valid").or_request()?;
         }
         let policy: Option<PolicySource> = policy
             .map(serde_json::from_value)
             .transpose()
             .context("plan.json: provenance.world.policy cannot be read")
-            .or_usage()?;
+            .or_request()?;
         let recorded: Recorded =
-            serde_json::from_value(world).context("plan.json: provenance.world cannot be read").or_usage()?;
+            serde_json::from_value(world).context("plan.json: provenance.world cannot be read").or_request()?;
         Ok(Self { recorded, policy, execution, controls })
     }
 
@@ -125,7 +125,7 @@ impl Parts {
 }
 
 /// The programs that a record names.
-pub(crate) fn programs(provenance: &Provenance) -> Result<Vec<Program>, Exit> {
+pub fn programs(provenance: &Provenance) -> Result<Vec<Program>, Failure> {
     if provenance.source.is_some() {
         return Ok(Vec::new());
     }
@@ -134,7 +134,7 @@ pub(crate) fn programs(provenance: &Provenance) -> Result<Vec<Program>, Exit> {
 
 /// The files of the robot of a run in `folder`, if they have not changed since. A folder that the record of another user
 /// names is not read.
-pub(crate) fn recorded_robot(provenance: &Provenance, folder: Option<&Path>) -> Option<Vec<RobotFile>> {
+pub fn recorded_robot(provenance: &Provenance, folder: Option<&Path>) -> Option<Vec<RobotFile>> {
     let robot = match Parts::of(provenance).ok()?.recorded {
         Recorded::Cell(settings) => settings.robot,
         Recorded::SelfContained(_) | Recorded::Launched(_) | Recorded::Remote(_) => return None,
@@ -146,7 +146,7 @@ pub(crate) fn recorded_robot(provenance: &Provenance, folder: Option<&Path>) -> 
 }
 
 /// Rejects an environment or a robot whose files are not those of the run, before anything reads them.
-fn same_files(what: &str, named: &str, recorded: Option<&String>, now: Option<&String>) -> Result<(), Exit> {
+fn same_files(what: &str, named: &str, recorded: Option<&String>, now: Option<&String>) -> Result<(), Failure> {
     if recorded == now {
         return Ok(());
     }
@@ -158,23 +158,23 @@ fn same_files(what: &str, named: &str, recorded: Option<&String>, now: Option<&S
         text(now),
         text(recorded)
     ))
-    .or_usage()
+    .or_request()
 }
 
 impl Subject {
     /// The subject of a recorded run in `folder`, or of rows without one. Starts only what `opening` permits. A remote
     /// environment needs the address of its servers. A policy server is queried for its identity again.
-    pub(crate) fn recorded(provenance: &Provenance, folder: Option<&Path>, opening: &Reopening) -> Result<Self, Exit> {
+    pub fn recorded(provenance: &Provenance, folder: Option<&Path>, opening: &Reopening) -> Result<Self, Failure> {
         Self::from_parts(Parts::of(provenance)?, provenance, folder, opening)
     }
 
     /// Like [`Self::recorded`], with the scripted controller in place of the policy, whose server may be gone: for what only the
     /// environment knows.
-    pub(crate) fn recorded_environment(
+    pub fn recorded_environment(
         provenance: &Provenance,
         folder: Option<&Path>,
         opening: &Reopening,
-    ) -> Result<Self, Exit> {
+    ) -> Result<Self, Failure> {
         let parts = Parts { policy: None, ..Parts::of(provenance)? };
         Self::from_parts(parts, provenance, folder, opening)
     }
@@ -184,13 +184,13 @@ impl Subject {
         provenance: &Provenance,
         folder: Option<&Path>,
         opening: &Reopening,
-    ) -> Result<Self, Exit> {
+    ) -> Result<Self, Failure> {
         let Permit { environment: permitted, robot: permitted_robot, location, simulators } =
             opening.permit(folder, provenance, &parts.programs())?;
         let Parts { mut recorded, policy, execution, controls } = parts;
         let mut recorded_robot = None;
         if let Some(own) = permitted_robot {
-            let now = cell::identity(&cell::robot(&own).or_usage()?.files().or_usage()?);
+            let now = cell::identity(&cell::robot(&own).or_request()?.files().or_request()?);
             // A simulator that has the robot need not declare its files.
             if provenance.robot.sha256.is_some() {
                 same_files("robot", &own, provenance.robot.sha256.as_ref(), Some(&now))?;
@@ -208,7 +208,7 @@ impl Subject {
         let (pool, launched) = match &recorded {
             Recorded::Launched(RecordedEnvironment { environment, sha256 }) if simulators.addresses.is_empty() => {
                 let own = permitted.as_ref().unwrap_or(environment);
-                let now = file_sha256(own).or_usage()?;
+                let now = file_sha256(own).or_request()?;
                 same_files("environment", own, sha256.as_ref(), now.as_ref())?;
                 let (pool, servers) = simulators.launch(own)?;
                 (Some(pool), Some(Launched { name: environment.clone(), sha256: now, servers }))
@@ -236,12 +236,12 @@ impl Subject {
             }
             _ => Ok(()),
         }
-        .or_usage()?;
+        .or_request()?;
         let chosen = provenance.task.setting_values();
         let environment = match (recorded, pool) {
             (Recorded::SelfContained(RecordedTask { task }), _) => {
-                let task = registry::task(&task).or_usage()?.with(&chosen);
-                EnvironmentSource::SelfContained(task.map_err(|why| anyhow!("plan.json: {why}")).or_usage()?)
+                let task = registry::task(&task).or_request()?.with(&chosen);
+                EnvironmentSource::SelfContained(task.map_err(|why| anyhow!("plan.json: {why}")).or_request()?)
             }
             (Recorded::Remote(RecordedServers { robot, .. }), Some(pool)) => {
                 EnvironmentSource::Remote(RemoteSource { pool, robot, launched: None })
@@ -253,7 +253,7 @@ impl Subject {
                 EnvironmentSource::Cell(Box::new(Cell::new(settings, chosen, pool).or_setup()?))
             }
             (Recorded::Remote(_) | Recorded::Launched(_), None) => {
-                return Err(anyhow!("--simulator ADDRESS is missing")).or_usage();
+                return Err(anyhow!("--simulator ADDRESS is missing")).or_request();
             }
         };
         let policy = match policy {
@@ -267,7 +267,7 @@ impl Subject {
 
 impl EnvironmentSource {
     /// What a run records about this environment.
-    pub(super) fn recorded(&self) -> serde_json::Result<Value> {
+    pub(crate) fn recorded(&self) -> serde_json::Result<Value> {
         serde_json::to_value(match self {
             Self::Cell(cell) => Recorded::Cell(cell.settings().clone()),
             Self::SelfContained(task) => Recorded::SelfContained(RecordedTask { task: task.name().to_owned() }),

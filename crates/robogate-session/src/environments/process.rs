@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use robogate_remote::Timeouts;
 use serde::Deserialize;
 
-use crate::terminal::note;
+use crate::notice::note;
 
 /// How long a process may take to end after its standard input was closed.
 const END: Duration = Duration::from_secs(2);
@@ -73,25 +73,25 @@ impl fmt::Display for Doing {
 }
 
 /// Why a process gave no answer.
-pub(super) struct NoAnswer {
+pub(crate) struct NoAnswer {
     /// Exit status. `None` if the process did not end by itself.
-    pub(super) status: Option<ExitStatus>,
+    pub(crate) status: Option<ExitStatus>,
     /// What did not end in time, with its limit and a hint.
-    pub(super) late: Option<String>,
+    pub(crate) late: Option<String>,
     /// The last lines of its standard error.
-    pub(super) output: String,
+    pub(crate) output: String,
 }
 
 /// The last lines that a process wrote to standard error.
 type Output = Arc<Mutex<VecDeque<String>>>;
 
-pub(super) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub(crate) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     // No code panics between two related writes.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A process whose standard input, output and error are pipes. It ends when this value is dropped.
-pub(super) struct Process {
+pub(crate) struct Process {
     child: Child,
     output: Output,
     reader: Option<JoinHandle<()>>,
@@ -99,7 +99,7 @@ pub(super) struct Process {
 }
 
 impl Process {
-    pub(super) fn new(mut child: Child) -> Self {
+    pub(crate) fn new(mut child: Child) -> Self {
         let output = Output::default();
         let reader = child.stderr.take().map(|stream| {
             let output = Arc::clone(&output);
@@ -121,7 +121,7 @@ impl Process {
     }
 
     /// Waits for the first line that is not about what the process does. An environment that hangs is ended.
-    pub(super) fn answer(&mut self, name: &str, timeouts: &Timeouts) -> Result<String, Box<NoAnswer>> {
+    pub(crate) fn answer(&mut self, name: &str, timeouts: &Timeouts) -> Result<String, Box<NoAnswer>> {
         let (mut doing, mut began, mut told) = (Doing::Import, Instant::now(), false);
         loop {
             let limit = doing.limit(timeouts);
@@ -154,17 +154,17 @@ impl Process {
     }
 
     /// The exit status, if the process has ended.
-    pub(super) fn ended(&mut self) -> Option<ExitStatus> {
+    pub(crate) fn ended(&mut self) -> Option<ExitStatus> {
         self.child.try_wait().ok().flatten()
     }
 
     /// Closes the standard input, which ends the process.
-    pub(super) fn close(&mut self) {
+    pub(crate) fn close(&mut self) {
         drop(self.child.stdin.take());
     }
 
     /// Ends the process, and returns the last lines of its output.
-    pub(super) fn end(&mut self) -> String {
+    pub(crate) fn end(&mut self) -> String {
         self.close();
         if self.wait(END).is_none() {
             // It hangs in a call. An error means that it has ended meanwhile.

@@ -7,61 +7,54 @@ use std::fmt;
 use std::path::Path;
 
 use anyhow::anyhow;
-use clap::Args;
 use robogate_dictionary::Provenance;
 
-use crate::exit::{Exit, OrExit};
+use crate::environment_choice::from_any_folder;
+use crate::failure::{Failure, OrFailure};
 use crate::origin::{self, Origin};
 use crate::policy_source::{PolicyAccess, PolicyLocation};
 use crate::remote::Simulators;
-use crate::subject::from_any_folder;
-use crate::terminal::foreign;
+use crate::text::foreign;
 
-/// The arguments that say how a recorded run is set up again.
-#[derive(Debug, Clone, Default, Args)]
-pub(crate) struct Reopening {
-    /// Start this environment for the run, whose files must be the recorded ones: the name of the run, or your own copy as
-    /// FILE.py:ATTRIBUTE. Only needed for a run that you did not make on this machine
-    #[arg(long, value_name = "NAME")]
-    env: Option<String>,
-    /// Use this policy for the run, which must be the recorded one: the address of its server, or its ONNX file. Only needed for a
-    /// run that you did not make on this machine, or if the policy has another address now
-    #[arg(long, visible_alias = "policy-at", value_name = "URL|FILE")]
-    policy: Option<String>,
-    /// Use this folder of the robot for the run, whose files must be the recorded ones. Only needed for a run that you did
-    /// not make on this machine
-    #[arg(long, value_name = "FOLDER")]
-    robot: Option<String>,
-    #[command(flatten)]
-    pub(crate) trust: Trust,
-    #[command(flatten)]
-    access: PolicyAccess,
-    #[command(flatten)]
-    pub(crate) simulators: Simulators,
+/// How a recorded run is set up again.
+#[derive(Debug, Clone, Default)]
+pub struct Reopening {
+    /// The environment to start for the run, whose files must be the recorded ones: its name, or the user's own copy as
+    /// `FILE.py:ATTRIBUTE`.
+    pub env: Option<String>,
+    /// The policy of the run: the address of its server, or its network.
+    pub policy: Option<String>,
+    /// The folder of the robot of the run, whose files must be the recorded ones.
+    pub robot: Option<String>,
+    /// Whether the programs that the record names may start.
+    pub trust: Trust,
+    /// How a policy server is reached.
+    pub access: PolicyAccess,
+    /// The simulators and the Python interpreter.
+    pub simulators: Simulators,
 }
 
-/// The argument that trusts a record.
-#[derive(Debug, Clone, Copy, Default, Args)]
-pub(crate) struct Trust {
-    /// Start the environment, the policy and the robot that the files of the run name, although you did not make the run on this
-    /// machine. They can run any code: use it only if you trust their author
-    #[arg(long = "trust")]
-    given: bool,
+/// Whether the programs that a record names may start, although the user did not make the run on this machine. They can run
+/// any code.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Trust {
+    /// Whether the user trusts the author of the record.
+    pub given: bool,
 }
 
 impl Trust {
     /// For a run that this process has just made.
-    pub(crate) const YES: Self = Self { given: true };
+    pub const YES: Self = Self { given: true };
 
     /// Whether the programs of the run in `folder` may start without being named.
-    pub(crate) fn covers(self, folder: &Path, provenance: &Provenance) -> bool {
+    pub fn covers(self, folder: &Path, provenance: &Provenance) -> bool {
         self.given || origin::of(folder, provenance).is_some()
     }
 }
 
 /// A program that a record names.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Program {
+pub enum Program {
     /// An environment in Python.
     Environment(String),
     /// The address of a policy server, or a network in a file.
@@ -93,64 +86,64 @@ impl fmt::Display for Program {
 
 /// What a run may start: its programs as the user names them.
 #[derive(Debug)]
-pub(crate) struct Permit {
+pub struct Permit {
     /// The environment to start, if the run names one.
-    pub(crate) environment: Option<String>,
+    pub environment: Option<String>,
     /// The folder of the robot, if the run names one.
-    pub(crate) robot: Option<String>,
+    pub robot: Option<String>,
     /// How the policy is reached.
-    pub(crate) location: PolicyLocation,
+    pub location: PolicyLocation,
     /// The simulators and the Python interpreter.
-    pub(crate) simulators: Simulators,
+    pub simulators: Simulators,
 }
 
 impl Reopening {
     /// Nothing is named and nothing is trusted.
-    pub(crate) fn none() -> Self {
+    pub fn none() -> Self {
         Self::default()
     }
 
     /// For a run that this process has just made.
-    pub(crate) fn trusted() -> Self {
+    pub fn trusted() -> Self {
         Self::trusting(Trust::YES)
     }
 
     /// Trusts the record if `trust` does.
-    pub(crate) fn trusting(trust: Trust) -> Self {
+    pub fn trusting(trust: Trust) -> Self {
         Self { trust, ..Self::default() }
     }
 
     /// For a verb whose other arguments select the environment and the policy of new runs.
-    pub(crate) fn with(trust: Trust, simulators: &Simulators, location: &PolicyLocation) -> Self {
+    pub fn with(trust: Trust, simulators: &Simulators, location: &PolicyLocation) -> Self {
         let (policy, access) = location.clone().parts();
         Self { env: None, robot: None, policy, trust, access, simulators: simulators.clone() }
     }
 
     /// This environment and robot, for a run whose policy is not needed.
-    pub(crate) fn of(env: Option<String>, robot: Option<String>, trust: Trust, simulators: &Simulators) -> Self {
+    pub fn of(env: Option<String>, robot: Option<String>, trust: Trust, simulators: &Simulators) -> Self {
         Self { env, robot, trust, simulators: simulators.clone(), ..Self::default() }
     }
 
     /// How the policy is reached.
-    pub(crate) fn location(&self) -> PolicyLocation {
+    pub fn location(&self) -> PolicyLocation {
         PolicyLocation::at(self.policy.clone(), &self.access)
     }
 
     /// The same for a second policy of the run: `--policy` names the first one.
-    pub(crate) fn without_policy(&self) -> Self {
+    pub fn without_policy(&self) -> Self {
         Self { policy: None, ..self.clone() }
     }
 
     /// Checks that `programs`, which the run in `folder` names, may start.
     ///
     /// # Errors
-    /// Exit code 2. The first line of the message stands alone.
-    pub(crate) fn permit(
+    /// A request. The first line of the message stands alone.
+    pub fn permit(
         &self,
         folder: Option<&Path>,
         provenance: &Provenance,
         programs: &[Program],
-    ) -> Result<Permit, Exit> {
+    ) -> Result<Permit, Failure> {
         let origin = folder.filter(|_| !programs.is_empty()).and_then(|folder| origin::of(folder, provenance));
         let mut permit =
             Permit { environment: None, robot: None, location: self.location(), simulators: self.simulators.clone() };
@@ -178,7 +171,7 @@ impl Reopening {
             ("--robot", &self.robot, programs.iter().any(|program| matches!(program, Program::Robot(_)))),
         ];
         if let Some((option, Some(value), _)) = unused.into_iter().find(|(_, value, used)| value.is_some() && !used) {
-            return Err(anyhow!("{option} {value}: the run names none\n  hint: leave out {option}")).or_usage();
+            return Err(anyhow!("{option} {value}: the run names none\n  hint: leave out {option}")).or_request();
         }
         match &origin {
             Some(Origin { python }) if permit.simulators.python.is_none() => {
@@ -187,7 +180,7 @@ impl Reopening {
             _ => {}
         }
         if origin.is_none() && !self.trust.given && !unnamed.is_empty() {
-            return Err(refusal(&unnamed)).or_usage();
+            return Err(refusal(&unnamed)).or_request();
         }
         Ok(permit)
     }
@@ -207,7 +200,7 @@ fn refusal(unnamed: &[&Program]) -> anyhow::Error {
 }
 
 /// The environment that the user names for that of a run. Its files are compared before it starts.
-fn same_environment(recorded: &str, named: &str) -> Result<String, Exit> {
+fn same_environment(recorded: &str, named: &str) -> Result<String, Failure> {
     let full = from_any_folder(named);
     let attribute = |name: &str| name.rsplit_once(".py").map(|(_, attribute)| attribute.to_owned());
     let same = match (attribute(recorded), attribute(&full)) {
@@ -218,5 +211,5 @@ fn same_environment(recorded: &str, named: &str) -> Result<String, Exit> {
         return Ok(full);
     }
     Err(anyhow!("--env {named}: the run was made in {}\n  hint: name the same environment", foreign(recorded)))
-        .or_usage()
+        .or_request()
 }

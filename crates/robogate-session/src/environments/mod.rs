@@ -5,8 +5,8 @@ mod process;
 mod python;
 mod servers;
 
-pub(crate) use python::{Interpreter, installed, installed_marker};
-pub(crate) use servers::Servers;
+pub use python::{Interpreter, installed, installed_marker};
+pub use servers::Servers;
 
 /// The families of bundled environments, as `robogate_eval.environments.FAMILIES` has them.
-pub(crate) const BUNDLED: [&str; 5] = ["metaworld", "fetch", "robosuite", "libero", "dm_control"];
+pub const BUNDLED: [&str; 5] = ["metaworld", "fetch", "robosuite", "libero", "dm_control"];

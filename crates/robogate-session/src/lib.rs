@@ -1,0 +1,55 @@
+//! What a run of RoboGate consists of: environment, policy, robot, and the records of them.
+//!
+//! A program chooses an environment ([`EnvironmentChoice`]) and a policy ([`PolicyChoice`]) and makes a [`Subject`] of them, which
+//! creates workers for a campaign and its provenance. A recorded run becomes a subject again by [`Subject::recorded`], which
+//! starts only what a [`Reopening`] permits.
+//!
+//! The library parses no arguments and prints nothing. It returns a [`Failure`] with its kind, and tells everything else
+//! through the `log` crate, with the target [`NOTICES`].
+
+mod cell;
+mod checkpoint_statistics;
+pub mod duration;
+mod environment_choice;
+mod environments;
+mod failure;
+pub mod families;
+mod latency;
+mod lost_episodes;
+mod notice;
+mod origin;
+mod policy_source;
+mod registry;
+mod remote;
+mod renderer;
+mod reopening;
+mod rival;
+mod subject;
+pub mod text;
+
+pub use cell::{Cell, CellSettings, engine, identity, nominal, robot, robot_files};
+pub use checkpoint_statistics::CheckpointStatistics;
+pub use environment_choice::EnvironmentChoice;
+pub use environments::{BUNDLED, Interpreter, Servers, installed, installed_marker};
+pub use failure::{Failure, FailureKind, OrFailure, chain};
+pub use latency::{LatencyChoice, WantedLatency, describe, execution_mode};
+pub use lost_episodes::{Outage, RunsLostAgain};
+pub use notice::TARGET as NOTICES;
+pub use origin::{Origin, is_remote, register, register_copy};
+pub use policy_source::{
+    ExternalSource, PolicyAccess, PolicyChoice, PolicyLocation, PolicySource, connect, mapped, policy_error, profile,
+    task_map, without_profile,
+};
+pub use registry::{
+    ARM_TASKS, CELL_TASK, ENGINES, EngineEntry, POLICIES, TASKS, arm_task, has_robots, spaces, task, tasks,
+};
+pub use remote::{CellTask, PhysicsHost, Simulators};
+pub use renderer::RendererRecord;
+pub use reopening::{Permit, Program, Reopening, Trust};
+pub use rival::Rival;
+pub use subject::{
+    EnvironmentSource, Subject, check_declared, named_space, programs, recorded_robot, starts_processes,
+};
+
+/// The SHA-256 of the source files that results depend on.
+pub const SOURCE_SHA256: &str = env!("ROBOGATE_SOURCE_SHA256");
