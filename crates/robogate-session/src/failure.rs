@@ -4,6 +4,7 @@ use std::error::Error;
 use std::fmt;
 use std::io;
 
+use robogate_campaign::RunError;
 use robogate_gate::GateError;
 use robogate_physics::RobotError;
 
@@ -42,6 +43,24 @@ impl fmt::Display for Failure {
 }
 
 impl Error for Failure {}
+
+impl From<RunError> for Failure {
+    fn from(error: RunError) -> Self {
+        let request = matches!(
+            error,
+            RunError::NotEmpty { .. }
+                | RunError::AlreadyARun { .. }
+                | RunError::InShards { .. }
+                | RunError::NotARun { .. }
+                | RunError::OtherVersion { .. }
+                | RunError::Mismatch { .. }
+                | RunError::NoSuchEpisode { .. }
+                | RunError::Suite(_)
+                | RunError::Plan(_)
+        );
+        Self::broken_if(!request, error)
+    }
+}
 
 impl From<GateError> for Failure {
     fn from(error: GateError) -> Self {

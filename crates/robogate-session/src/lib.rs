@@ -2,11 +2,12 @@
 //!
 //! A program chooses an environment ([`EnvironmentChoice`]) and a policy ([`PolicyChoice`]) and makes a [`Subject`] of them, which
 //! creates workers for a campaign and its provenance. A recorded run becomes a subject again by [`Subject::recorded`], which
-//! starts only what a [`Reopening`] permits.
+//! starts only what a [`Reopening`] permits. [`GateRequest::decide`] decides whether a policy may run, and compares two of them.
 //!
 //! The library parses no arguments and prints nothing. It returns a [`Failure`] with its kind, and tells everything else
 //! through the `log` crate, with the target [`NOTICES`].
 
+mod arms;
 mod cell;
 mod checkpoint_statistics;
 pub mod duration;
@@ -14,6 +15,7 @@ mod environment_choice;
 mod environments;
 mod failure;
 pub mod families;
+mod gate;
 mod latency;
 mod lost_episodes;
 mod notice;
@@ -26,12 +28,15 @@ mod reopening;
 mod rival;
 mod subject;
 pub mod text;
+mod workers;
 
+pub use arms::{ArmKind, Arms, rounds_of, space_of};
 pub use cell::{Cell, CellSettings, engine, identity, nominal, robot, robot_files};
 pub use checkpoint_statistics::CheckpointStatistics;
 pub use environment_choice::EnvironmentChoice;
 pub use environments::{BUNDLED, Interpreter, Servers, installed, installed_marker};
 pub use failure::{Failure, FailureKind, OrFailure, chain};
+pub use gate::{GateRequest, Look, begun, question};
 pub use latency::{LatencyChoice, WantedLatency, describe, execution_mode};
 pub use lost_episodes::{Outage, RunsLostAgain};
 pub use notice::TARGET as NOTICES;
@@ -50,6 +55,8 @@ pub use rival::Rival;
 pub use subject::{
     EnvironmentSource, Subject, check_declared, named_space, programs, recorded_robot, starts_processes,
 };
+
+pub use workers::{Workers, guarded};
 
 /// The SHA-256 of the source files that results depend on.
 pub const SOURCE_SHA256: &str = env!("ROBOGATE_SOURCE_SHA256");

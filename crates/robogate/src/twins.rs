@@ -1,18 +1,14 @@
 //! The control arm of a campaign: runs the nominal twins, and compares them with their partners and with the episodes of one
 //! family of perturbations each.
 
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::path::Path;
 
 use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate_analysis::Source;
-use robogate_campaign::folder::{DICTIONARY, PLAN};
+use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::shards::{ShardError, Shards};
-use robogate_campaign::{
-    Completion, Event, Executor, FAMILIES, NOMINAL, NominalArm, Plan, RunError, SuiteStage, Summary,
-};
-use robogate_core::{ParameterSpace, TaskSpec};
+use robogate_campaign::{Completion, Event, FAMILIES, NOMINAL};
 use robogate_dictionary::Provenance;
 use robogate_gate::{Record, Sampling, TwinFamily, Twins};
 use robogate_report::TwinRow;
@@ -24,8 +20,8 @@ use crate::exit::{Exit, OrExit};
 use crate::place;
 use crate::sharded::Campaign;
 use crate::source::open_source;
-use crate::terminal::{bold, dim, grouped, line, note, quoted, wrapped};
-use robogate_session::{Reopening, Subject, register_copy};
+use crate::terminal::{bold, dim, line, note, quoted, wrapped};
+use robogate_session::{ArmKind, Reopening, register_copy, rounds_of, space_of};
 
 /// The comparison with the control arm in the folder of a run.
 pub(crate) const TWINS: &str = "twins.json";
@@ -125,153 +121,19 @@ pub(crate) fn print(twins: &Twins) {
     }
 }
 
-/// The campaigns beside a campaign with twins: the control arm, and the episodes with one declared family of perturbations each.
-pub(crate) struct Arms(Vec<Arm>);
-
-struct Arm {
-    kind: Kind,
-    folder: PathBuf,
-    plan: Plan,
-    provenance: Provenance,
-}
-
-/// The kind of an arm.
-#[derive(Clone, Copy)]
-enum Kind {
-    Nominal,
-    Families,
-}
-
-impl Kind {
-    const ALL: [Self; 2] = [Self::Nominal, Self::Families];
-
-    fn folder(self) -> &'static str {
-        match self {
-            Self::Nominal => NOMINAL,
-            Self::Families => FAMILIES,
-        }
-    }
-
-    /// The name of the arm in messages.
-    fn as_str(self) -> &'static str {
-        match self {
-            Self::Nominal => "control arm",
-            Self::Families => "arm of one family each",
-        }
-    }
-
-    /// The name of its episodes in messages.
-    fn episodes(self) -> &'static str {
-        match self {
-            Self::Nominal => "nominal twins",
-            Self::Families => "episodes",
-        }
-    }
-
-    /// The plan of the arm. `None` if the campaign has none.
-    fn plan(
-        self,
-        plan: &Plan,
-        space: &Arc<ParameterSpace>,
-        task: &TaskSpec,
-        rounds: u64,
-    ) -> Result<Option<Plan>, RunError> {
-        match self {
-            Self::Nominal => NominalArm::of(plan, space, task, rounds).map(|arm| Some(arm.plan)),
-            Self::Families => robogate_campaign::family_arm(plan, space, task, rounds),
-        }
-    }
-}
-
-impl Arms {
-    /// The arms of a campaign in `dir`. None if its plan has no twins.
-    pub(crate) fn of(dir: &Path, plan: &Plan, space: &ParameterSpace, subject: &Subject) -> Result<Self, Exit> {
-        let mut arms = Vec::new();
-        if !plan.twins {
-            return Ok(Self(arms));
-        }
-        let rounds = plan.suite.as_ref().map_or_else(|| plan.episodes(), |stage| stage.rounds);
-        let space = space.clone().into();
-        for kind in Kind::ALL {
-            let Some(plan) = kind.plan(plan, &space, subject.task(), rounds).map_err(run::exit)? else { continue };
-            let provenance = subject.provenance(space_of(&plan)?)?;
-            let folder = dir.join(kind.folder());
-            subject.register(&folder, &provenance);
-            arms.push(Arm { kind, folder, plan, provenance });
-        }
-        Ok(Self(arms))
-    }
-
-    /// Whether the campaign has no arms.
-    pub(crate) fn is_empty(&self) -> bool {
-        self.0.is_empty()
-    }
-
-    /// No arms, with a note.
-    pub(crate) fn left_out(self) -> Self {
-        let names: Vec<&str> = self.0.iter().map(|arm| arm.kind.as_str()).collect();
-        note(format_args!(
-            "the {} does not run, because the invalid episodes rule out a pass",
-            names.join(" and the ")
-        ));
-        Self(Vec::new())
-    }
-
-    /// Runs or resumes the arms after their campaign. A campaign that was stopped has no arms yet.
-    pub(crate) fn after(
-        self,
-        campaign: Completion,
-        executor: &dyn Executor,
-        events: &mut dyn FnMut(&Event),
-    ) -> Result<Completion, RunError> {
-        let Completion::Finished { summary, .. } = &campaign else { return Ok(campaign) };
-        for Arm { kind, folder, mut plan, provenance } in self.0 {
-            if let Some(stage) = &mut plan.suite {
-                as_many_rounds(stage, rounds_of(summary));
-            }
-            let done = if folder.join(PLAN).is_file() {
-                robogate_campaign::resume(&folder, &provenance, executor, events)?
-            } else {
-                note(format_args!("{}: {} {}", kind.as_str(), grouped(plan.episodes()), kind.episodes()));
-                robogate_campaign::start(&folder, &plan, provenance, executor, events)?
-            };
-            if let Completion::Interrupted { .. } = done {
-                return Ok(done);
-            }
-        }
-        Ok(campaign)
-    }
-}
-
-/// The parameter space of the suite of an arm.
-fn space_of(plan: &Plan) -> Result<ParameterSpace, Exit> {
-    let space = plan.suite.as_ref().map(|stage| stage.suite.space().clone());
-    space.ok_or_else(|| anyhow!("the arm has no suite")).or_broken()
-}
-
-/// The rounds of the suite that ran, or the episodes of a campaign without a suite.
-fn rounds_of(summary: &Summary) -> u64 {
-    summary.suite.as_ref().map_or(summary.episodes, |suite| suite.rounds)
-}
-
-/// Limits the arm to the rounds that ran.
-fn as_many_rounds(stage: &mut SuiteStage, rounds: u64) {
-    stage.rounds = stage.rounds.min(rounds.max(1));
-}
-
 /// Merges the arms of a campaign in shards into `out`, after the campaign itself was merged. If an arm does not exist, writes
 /// its plan; if shards are missing, prints how to run them.
 pub(crate) fn merge(campaign: &Shards, out: &Path, completion: &Completion, opening: &Reopening) -> Result<(), Exit> {
     let Completion::Finished { summary, .. } = completion else { return Ok(()) };
     if campaign.settings().plan.twins {
-        for kind in Kind::ALL {
+        for kind in ArmKind::ALL {
             merge_arm(kind, campaign, out, rounds_of(summary), opening)?;
         }
     }
     Ok(())
 }
 
-fn merge_arm(kind: Kind, campaign: &Shards, out: &Path, rounds: u64, opening: &Reopening) -> Result<(), Exit> {
+fn merge_arm(kind: ArmKind, campaign: &Shards, out: &Path, rounds: u64, opening: &Reopening) -> Result<(), Exit> {
     let settings = campaign.settings();
     if out.join(kind.folder()).join(DICTIONARY).is_file() {
         return Ok(());

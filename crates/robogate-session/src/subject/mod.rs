@@ -23,11 +23,12 @@ use serde_json::{Value, json};
 
 use crate::cell::nominal;
 use crate::checkpoint_statistics::CheckpointStatistics;
+use crate::environment_choice::EnvironmentChoice;
 use crate::failure::{Failure, OrFailure};
 use crate::latency::{LatencyChoice, without_latency};
 use crate::notice::note;
 use crate::origin;
-use crate::policy_source::PolicySource;
+use crate::policy_source::{PolicyChoice, PolicyLocation, PolicySource};
 use crate::registry::CELL_TASK;
 use crate::text::percent;
 
@@ -77,6 +78,24 @@ impl Subject {
             })
             .or_request()?;
         Ok(subject)
+    }
+
+    /// The subject of these choices.
+    ///
+    /// # Errors
+    /// A request that does not fit, or an environment or policy that does not start.
+    pub fn of(environment: &EnvironmentChoice, policy: &PolicyChoice) -> Result<Self, Failure> {
+        let location = PolicyLocation::default();
+        Self::new(environment.environment()?, policy.source_at(&location)?)?.with_statistics(&policy.statistics)
+    }
+
+    /// A suite of `scenarios` scenarios that are sampled with `seed` from the environment's own space.
+    ///
+    /// # Errors
+    /// An environment without a space.
+    pub fn sampled_suite(&self, scenarios: usize, seed: u64) -> Result<Suite, Failure> {
+        let space = self.space(None).or_request()?;
+        Suite::sampled(&Arc::new(space), scenarios, seed).map_err(anyhow::Error::from).or_request()
     }
 
     /// The hint for a policy that does not fit an environment in another process.

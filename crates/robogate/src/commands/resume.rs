@@ -10,8 +10,7 @@ use crate::arguments::ReopeningArguments;
 use crate::commands::run::How;
 use crate::commands::{fleet, gate};
 use crate::exit::{Exit, OrExit};
-use crate::twins::Arms;
-use robogate_session::Subject;
+use robogate_session::{Arms, Subject};
 
 /// Resume an interrupted campaign.
 #[derive(Debug, Args)]

@@ -11,27 +11,24 @@ use clap::{ArgMatches, Args, FromArgMatches, Id};
 use robogate_analysis::Analysis;
 use robogate_campaign::folder::PLAN;
 use robogate_campaign::shards::ShardSet;
-use robogate_campaign::{
-    ActiveStage, Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, Settings, ThreadPool,
-};
+use robogate_campaign::{ActiveStage, Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, Settings};
 use robogate_core::{FailureMode, ParameterSpace, TaskSpec};
 use robogate_dictionary::Provenance;
 use robogate_gate::Sampling;
 use robogate_report::Watch;
-use robogate_risk::all_processors;
 use robogate_stats::format::counted;
 
 use crate::arguments::{EnvironmentArguments, LatencyArguments, LocationArguments, PolicyArguments, TrustArguments};
 use crate::commands::{shard, suites};
-use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
+use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
 use crate::number::at_least_one;
 use crate::place;
 use crate::progress::Progress;
 use crate::summary;
 use crate::terminal::{Screen, grouped, note, percent, quoted, warning};
-use crate::twins::{self, Arms};
+use crate::twins;
 use crate::watch::Frames;
-use robogate_session::{Outage, Reopening, RunsLostAgain, Subject, describe, families};
+use robogate_session::{Arms, Failure, Outage, Reopening, Subject, Workers, describe, families, guarded};
 
 /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain.
 #[derive(Debug, Args)]
@@ -172,7 +169,7 @@ pub(crate) struct How {
     /// Set the number of threads; default: one for each core, or for each server of --simulator. With a policy server:
     /// four for each core, from 8 to 32, because most of the time is spent waiting. --env starts a server for each thread
     #[arg(long, value_name = "T", value_parser = at_least_one::<NonZeroUsize>)]
-    threads: Option<NonZeroUsize>,
+    pub(crate) threads: Option<NonZeroUsize>,
     /// Print the result as one JSON document
     #[arg(long)]
     pub(crate) json: bool,
@@ -365,26 +362,10 @@ impl Run {
 }
 
 impl How {
-    /// The number of threads for a second policy, if the environment does not limit it.
-    pub(crate) fn threads_for_rival(&self) -> NonZeroUsize {
-        self.threads.unwrap_or_else(all_processors)
-    }
-
-    /// Runs `work` on a thread pool that Ctrl-C stops.
-    pub(crate) fn with_pool<T>(
-        &self,
-        subject: &Subject,
-        work: impl FnOnce(&ThreadPool<'_>) -> Result<T, Exit>,
-    ) -> Result<T, Exit> {
-        let cores = all_processors();
-        let wanted = self.threads.or_else(|| subject.servers()).unwrap_or_else(|| subject.threads_on(cores));
-        let threads = subject.at_most().map_or(wanted, |limit| limit.min(wanted));
-        if self.threads.is_some() && threads < wanted {
-            note(format_args!("{threads} thread: the policy server keeps one state for all clients"));
-        }
-        subject.start_servers(threads)?;
+    /// Runs `work` on workers that Ctrl-C stops.
+    pub(crate) fn with_workers<T>(&self, work: impl FnOnce(Workers<'_>) -> Result<T, Exit>) -> Result<T, Exit> {
         let stop = stop_on_signal()?;
-        work(&ThreadPool { factory: subject, threads, stop: &stop })
+        work(Workers { threads: self.threads, stop: &stop })
     }
 
     /// Runs at most `episodes` episodes with `work` and shows their progress. Episodes that an unavailable server lost run
@@ -395,7 +376,7 @@ impl How {
         episodes: u64,
         work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<T, RunError>,
     ) -> Result<(T, Option<Outage>), Exit> {
-        self.with_pool(subject, |pool| guarded(pool, episodes, work))
+        self.with_workers(|workers| workers.with_pool(subject, |pool| shown(pool, episodes, work)))
     }
 
     /// Runs a campaign with `work` and shows its progress.
@@ -404,14 +385,8 @@ impl How {
         subject: &Subject,
         work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
     ) -> Result<Completion, Exit> {
-        match self.guarded(subject, u64::MAX, work)? {
-            (Completion::Interrupted { .. }, Some(outage)) => Err(anyhow!(
-                "stopped: {outage}\n  hint: the recorded episodes are kept; `robogate resume` runs the others once the server \
-                 is available again"
-            ))
-            .or_broken(),
-            (completion, _) => Ok(completion),
-        }
+        let mut progress = Progress::new();
+        self.with_workers(|workers| Ok(workers.carry(subject, &mut |event| progress.hear(event), work)?))
     }
 
     /// Runs a campaign with `work`, and shows its progress and summary.
@@ -426,16 +401,13 @@ impl How {
 }
 
 /// Like [`How::guarded`], on threads that exist.
-pub(crate) fn guarded<T>(
+pub(crate) fn shown<T>(
     pool: &dyn Executor,
     episodes: u64,
     work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<T, RunError>,
 ) -> Result<(T, Option<Outage>), Exit> {
     let mut progress = Progress::new();
-    let mut show = |event: &Event| progress.hear(event);
-    let executor = RunsLostAgain::new(pool, episodes);
-    let done = work(&executor, &mut show).map_err(exit)?;
-    Ok((done, executor.outage()))
+    Ok(guarded(pool, episodes, &mut |event| progress.hear(event), work)?)
 }
 
 /// Rejects a sought failure mode that the task does not have. No episode would ever end in it.
@@ -521,19 +493,7 @@ pub(crate) fn write_report(
 
 /// Gives an error of a campaign its exit code: usage if the user can correct it, infrastructure otherwise.
 pub(crate) fn exit(error: RunError) -> Exit {
-    let code = match error {
-        RunError::NotEmpty { .. }
-        | RunError::AlreadyARun { .. }
-        | RunError::InShards { .. }
-        | RunError::NotARun { .. }
-        | RunError::OtherVersion { .. }
-        | RunError::Mismatch { .. }
-        | RunError::NoSuchEpisode { .. }
-        | RunError::Suite(_)
-        | RunError::Plan(_) => USAGE,
-        _ => INFRASTRUCTURE,
-    };
-    Exit { code, error: error.into() }
+    Failure::from(error).into()
 }
 
 /// Prints the subject of the run.

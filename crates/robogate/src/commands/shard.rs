@@ -11,7 +11,7 @@ use robogate_dictionary::Provenance;
 use robogate_stats::format::counted;
 use serde_json::json;
 
-use crate::commands::run::{self, How, guarded, introduce};
+use crate::commands::run::{self, How, introduce, shown};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, OrExit, USAGE};
 use crate::place;
 use crate::sharded::Campaign;
@@ -35,16 +35,18 @@ pub(crate) fn run(
     let Some(first) = worker.next()? else {
         return Ok(DONE);
     };
-    how.with_pool(subject, |pool| {
-        let mut next = Some(first);
-        while let Some((shard, task)) = next {
-            let Some(result) = finish(&task, pool)? else {
-                return Ok(INTERRUPTED);
-            };
-            worker.commit(shard, &result)?;
-            next = worker.next()?;
-        }
-        Ok(DONE)
+    how.with_workers(|workers| {
+        workers.with_pool(subject, |pool| {
+            let mut next = Some(first);
+            while let Some((shard, task)) = next {
+                let Some(result) = finish(&task, pool)? else {
+                    return Ok(INTERRUPTED);
+                };
+                worker.commit(shard, &result)?;
+                next = worker.next()?;
+            }
+            Ok(DONE)
+        })
     })
 }
 
@@ -177,7 +179,7 @@ fn begin(
 /// Runs the episodes of a shard. `None` if the user stopped it.
 fn finish(task: &ShardTask, pool: &dyn Executor) -> Result<Option<ShardResult>, Exit> {
     // A shard with few episodes is lost if the server was unavailable in all of them.
-    let (end, outage) = guarded(pool, task.episodes(), |executor, events| task.run(executor, events))?;
+    let (end, outage) = shown(pool, task.episodes(), |executor, events| task.run(executor, events))?;
     let hint = "hint: the shard is not committed; run it again once the server is available";
     match (end, outage) {
         (_, Some(outage)) => Err(anyhow!("stopped: {outage}\n  {hint}")).or_broken(),

@@ -37,6 +37,7 @@ const MAY_USE: &[(&str, Option<&[&str]>)] = &[
             "robogate-physics",
             "robogate-policy",
             "robogate-remote",
+            "robogate-risk",
             "robogate-stats",
             "robogate-tasks",
             "robogate-zmtp",

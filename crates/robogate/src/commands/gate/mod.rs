@@ -23,9 +23,9 @@ use robogate_session::PolicyLocation;
 
 pub(crate) use judge::evaluation_of;
 pub(crate) use question::{
-    begun, built_in_baseline, compared_with, open_requirements, real_evidence_for, refused, write_question,
+    built_in_baseline, compared_with, open_requirements, real_evidence_for, refused, write_question,
 };
-pub(crate) use rounds::{Look, resume};
+pub(crate) use rounds::resume;
 pub(crate) use verdict::{finish, ruled_out, write_answer};
 
 /// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run.

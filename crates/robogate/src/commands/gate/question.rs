@@ -10,7 +10,7 @@ use robogate_core::TaskSpec;
 use robogate_core::budget::Budget;
 use robogate_dictionary::{Provenance, read_text};
 use robogate_gate::evidence::PolicyBinding;
-use robogate_gate::{Against, Asked, Baseline, GateError, Question, RealEvidence, RealStratum, Record, Requirements};
+use robogate_gate::{Against, Asked, Baseline, GateError, RealEvidence, RealStratum, Record, Requirements};
 
 use super::Gate;
 use crate::exit::{Exit, OrExit};
@@ -137,26 +137,10 @@ pub(crate) fn real_evidence_for(path: &Path, provenance: &Provenance) -> Result<
     Ok(real)
 }
 
-/// The record of a gate before its first episode, with the trials of the real robot that it was asked about.
-pub(crate) fn begun(provenance: &Provenance, asked: &Asked) -> Result<Record, Exit> {
-    let record = Record::begun(provenance).map_err(refused)?;
-    Ok(Record { real: asked.real.clone(), ..record })
-}
-
 /// The episodes of a run, with the trials of the real robot that its gate was asked about.
 pub(super) fn judged(source: &Source, asked: &Asked) -> Result<Record, Exit> {
     let record = Record::of(source.dictionary()).map_err(refused)?;
     Ok(Record { real: asked.real.clone(), ..record })
-}
-
-/// The question of a run, with the record of the run that it compares with.
-pub(super) fn question<'a>(asked: &'a Asked, other: Option<&'a Record>) -> Question<'a> {
-    Question {
-        requirements: &asked.requirements,
-        baseline: asked.baseline.as_ref(),
-        against: other.zip(asked.against.as_ref()).map(|(record, a)| Against { record, margin: a.margin }),
-        sampling: asked.sampling,
-    }
 }
 
 /// Writes the question beside the plan. Without it, `resume` refuses to continue the gate.

@@ -4,52 +4,13 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use robogate_campaign::{Completion, Round, Settings};
-use robogate_gate::{Asked, AskedAgainst, GateError, Record, Sampling, Trial, Verdict};
+use robogate_gate::{Asked, AskedAgainst, GateError, Record};
 
-use super::question::{begun, compared_with, question, write_question};
+use super::question::{compared_with, refused, write_question};
 use super::verdict::{finish, ruled_out};
 use crate::commands::run::How;
 use crate::exit::Exit;
-use crate::twins::Arms;
-use robogate_session::{Reopening, Rival, Subject};
-
-/// Evaluates the question after each round.
-pub(crate) struct Look<'a> {
-    pub(crate) asked: &'a Asked,
-    pub(crate) other: Option<&'a Record>,
-    pub(crate) record: &'a mut Record,
-    pub(crate) trouble: &'a mut Option<GateError>,
-}
-
-impl Look<'_> {
-    /// Whether another round follows. Each pass over the rounds starts with round 0.
-    pub(crate) fn after(&mut self, round: &Round<'_>) -> ControlFlow<()> {
-        if round.number == 0 {
-            self.record.trials.clear();
-        }
-        self.record.trials.extend(round.entries.iter().map(Trial::from));
-        let fixed = self.asked.sampling == Sampling::Fixed;
-        // Only invalid episodes and trials of the real robot end a gate with a fixed number of episodes.
-        let valid = self.record.trials.iter().all(|trial| trial.ending.is_valid());
-        if fixed && valid && self.record.real.is_none() {
-            return ControlFlow::Continue(());
-        }
-        match question(self.asked, self.other).evaluate(self.record) {
-            // More rounds cannot give a pass.
-            Ok(evaluation) if evaluation.ruled_out.is_some() || evaluation.is_violated_by_trials() => {
-                ControlFlow::Break(())
-            }
-            // A number of episodes that was fixed is tested once. The test at the end reports an error too.
-            _ if fixed => ControlFlow::Continue(()),
-            Ok(evaluation) if matches!(evaluation.verdict, Verdict::Pass | Verdict::Fail) => ControlFlow::Break(()),
-            Ok(_) => ControlFlow::Continue(()),
-            Err(error) => {
-                *self.trouble = Some(error);
-                ControlFlow::Break(())
-            }
-        }
-    }
-}
+use robogate_session::{Arms, Look, Reopening, Rival, Subject, Workers, begun};
 
 /// A gate between its rounds.
 pub(super) struct Rounds<'a> {
@@ -122,7 +83,7 @@ pub(crate) fn resume(
     let running = asked.against.as_ref().filter(|against| against.dataset_sha256.is_empty()).map(|a| a.margin);
     let rival = match running {
         Some(margin) => {
-            let threads = how.threads_for_rival();
+            let threads = Workers::for_rival(how.threads);
             Some((Rival::resume(dir, opening, &settings.provenance, threads)?, margin))
         }
         None => None,
@@ -131,7 +92,7 @@ pub(crate) fn resume(
         Some(_) => None,
         None => compared_with(&asked)?.map(|(_, record)| record),
     };
-    let record = begun(&settings.provenance, &asked)?;
+    let record = begun(&settings.provenance, &asked).map_err(refused)?;
     let arms = Arms::of(dir, &settings.plan, &settings.provenance.space, subject)?;
     let provenance = subject.provenance(settings.provenance.space)?;
     let mut rounds = Rounds { dir, asked, rival, other, record, trouble: None, broken: None };

@@ -24,8 +24,7 @@ use crate::commands::{controls, shard, suites};
 use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
 use crate::terminal::{line, note};
-use crate::twins::Arms;
-use robogate_session::{PolicyChoice, Rival, Subject, families};
+use robogate_session::{Arms, PolicyChoice, Rival, Subject, Workers, families};
 
 /// The number of scenarios of a suite that is sampled from a space.
 const SAMPLED_SCENARIOS: usize = 64;
@@ -215,7 +214,7 @@ impl Gate {
             .source_at(&self.location())?;
         let environment = self.environment.choice().environment()?;
         let subject = Subject::new(environment, source)?;
-        Rival::new(subject, &prepared.planned, self.how.threads_for_rival()).map(Some).map_err(Exit::from)
+        Rival::new(subject, &prepared.planned, Workers::for_rival(self.how.threads)).map(Some).map_err(Exit::from)
     }
 
     /// Writes the plan of the gate in shards.

@@ -11,7 +11,7 @@ use robogate_gate::{Asked, Evaluation, GateError, Record, Verdict};
 use robogate_report::{Watch, evaluation_markdown_with, junit};
 use robogate_stats::format::counted;
 
-use super::question::{judged, question, refused};
+use super::question::{judged, refused};
 use crate::answer;
 use crate::benchmark;
 use crate::commands::run::{interrupted, write_report};
@@ -20,7 +20,7 @@ use crate::summary::influential;
 use crate::terminal::{line, note, quoted};
 use crate::twins;
 use crate::watch::Frames;
-use robogate_session::Subject;
+use robogate_session::{Subject, question};
 
 /// The files of the evaluation in a run's folder.
 const ANSWER: [&str; 3] = ["gate.json", "gate.md", "gate.junit.xml"];

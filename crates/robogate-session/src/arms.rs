@@ -1,0 +1,161 @@
+//! The arms of a campaign: campaigns in its folder that run after it, whose plans follow from its plan.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::anyhow;
+use robogate_campaign::folder::PLAN;
+use robogate_campaign::{
+    Completion, Event, Executor, FAMILIES, NOMINAL, NominalArm, Plan, RunError, SuiteStage, Summary,
+};
+use robogate_core::{ParameterSpace, TaskSpec};
+use robogate_dictionary::Provenance;
+use robogate_stats::format::count;
+
+use crate::failure::{Failure, OrFailure};
+use crate::notice::note;
+use crate::subject::Subject;
+
+/// The campaigns beside a campaign with twins: the control arm, and the episodes with one declared family of perturbations each.
+pub struct Arms(Vec<Arm>);
+
+struct Arm {
+    kind: ArmKind,
+    folder: PathBuf,
+    plan: Plan,
+    provenance: Provenance,
+}
+
+/// The kind of an arm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ArmKind {
+    /// The nominal twin of each episode.
+    Nominal,
+    /// For each episode, one with each declared family of perturbations alone.
+    Families,
+}
+
+impl ArmKind {
+    /// Every kind.
+    pub const ALL: [Self; 2] = [Self::Nominal, Self::Families];
+
+    /// The folder of the arm in that of its campaign.
+    pub fn folder(self) -> &'static str {
+        match self {
+            Self::Nominal => NOMINAL,
+            Self::Families => FAMILIES,
+        }
+    }
+
+    /// The name of the arm in messages.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Nominal => "control arm",
+            Self::Families => "arm of one family each",
+        }
+    }
+
+    /// The name of its episodes in messages.
+    fn episodes(self) -> &'static str {
+        match self {
+            Self::Nominal => "nominal twins",
+            Self::Families => "episodes",
+        }
+    }
+
+    /// The plan of the arm. `None` if the campaign has none.
+    ///
+    /// # Errors
+    /// A space that the arm cannot have.
+    pub fn plan(
+        self,
+        plan: &Plan,
+        space: &Arc<ParameterSpace>,
+        task: &TaskSpec,
+        rounds: u64,
+    ) -> Result<Option<Plan>, RunError> {
+        match self {
+            Self::Nominal => NominalArm::of(plan, space, task, rounds).map(|arm| Some(arm.plan)),
+            Self::Families => robogate_campaign::family_arm(plan, space, task, rounds),
+        }
+    }
+}
+
+impl Arms {
+    /// The arms of a campaign in `dir`. None if its plan has no twins.
+    pub fn of(dir: &Path, plan: &Plan, space: &ParameterSpace, subject: &Subject) -> Result<Self, Failure> {
+        let mut arms = Vec::new();
+        if !plan.twins {
+            return Ok(Self(arms));
+        }
+        let rounds = plan.suite.as_ref().map_or_else(|| plan.episodes(), |stage| stage.rounds);
+        let space = space.clone().into();
+        for kind in ArmKind::ALL {
+            let Some(plan) = kind.plan(plan, &space, subject.task(), rounds)? else { continue };
+            let provenance = subject.provenance(space_of(&plan)?)?;
+            let folder = dir.join(kind.folder());
+            subject.register(&folder, &provenance);
+            arms.push(Arm { kind, folder, plan, provenance });
+        }
+        Ok(Self(arms))
+    }
+
+    /// Whether the campaign has no arms.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// No arms, with a note.
+    pub fn left_out(self) -> Self {
+        let names: Vec<&str> = self.0.iter().map(|arm| arm.kind.as_str()).collect();
+        note(format_args!(
+            "the {} does not run, because the invalid episodes rule out a pass",
+            names.join(" and the ")
+        ));
+        Self(Vec::new())
+    }
+
+    /// Runs or resumes the arms after their campaign. A campaign that was stopped has no arms yet.
+    pub fn after(
+        self,
+        campaign: Completion,
+        executor: &dyn Executor,
+        events: &mut dyn FnMut(&Event),
+    ) -> Result<Completion, RunError> {
+        let Completion::Finished { summary, .. } = &campaign else { return Ok(campaign) };
+        for Arm { kind, folder, mut plan, provenance } in self.0 {
+            if let Some(stage) = &mut plan.suite {
+                as_many_rounds(stage, rounds_of(summary));
+            }
+            let done = if folder.join(PLAN).is_file() {
+                robogate_campaign::resume(&folder, &provenance, executor, events)?
+            } else {
+                note(format_args!("{}: {} {}", kind.as_str(), count(plan.episodes()), kind.episodes()));
+                robogate_campaign::start(&folder, &plan, provenance, executor, events)?
+            };
+            if let Completion::Interrupted { .. } = done {
+                return Ok(done);
+            }
+        }
+        Ok(campaign)
+    }
+}
+
+/// The parameter space of the suite of an arm.
+///
+/// # Errors
+/// A plan without a suite.
+pub fn space_of(plan: &Plan) -> Result<ParameterSpace, Failure> {
+    let space = plan.suite.as_ref().map(|stage| stage.suite.space().clone());
+    space.ok_or_else(|| anyhow!("the arm has no suite")).or_broken()
+}
+
+/// The rounds of the suite that ran, or the episodes of a campaign without a suite.
+pub fn rounds_of(summary: &Summary) -> u64 {
+    summary.suite.as_ref().map_or(summary.episodes, |suite| suite.rounds)
+}
+
+/// Limits the arm to the rounds that ran.
+fn as_many_rounds(stage: &mut SuiteStage, rounds: u64) {
+    stage.rounds = stage.rounds.min(rounds.max(1));
+}

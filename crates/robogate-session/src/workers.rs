@@ -1,0 +1,84 @@
+//! The workers that run the episodes of a subject.
+
+use std::num::NonZeroUsize;
+use std::sync::atomic::AtomicBool;
+
+use anyhow::anyhow;
+use robogate_campaign::{Completion, Event, Executor, RunError, ThreadPool};
+use robogate_risk::all_processors;
+
+use crate::failure::{Failure, OrFailure};
+use crate::lost_episodes::{Outage, RunsLostAgain};
+use crate::notice::note;
+use crate::subject::Subject;
+
+/// The workers of a campaign.
+#[derive(Debug, Clone, Copy)]
+pub struct Workers<'a> {
+    /// How many episodes run at once. `None` for a number that fits the machine, the servers and the policy.
+    pub threads: Option<NonZeroUsize>,
+    /// Stops the campaign when another thread sets it. The episodes that run are finished.
+    pub stop: &'a AtomicBool,
+}
+
+impl Workers<'_> {
+    /// The number of threads for a second policy, if the environment does not limit it.
+    pub fn for_rival(threads: Option<NonZeroUsize>) -> NonZeroUsize {
+        threads.unwrap_or_else(all_processors)
+    }
+
+    /// Calls `work` with a pool of workers for this subject.
+    ///
+    /// # Errors
+    /// Servers that cannot be started, or the error of `work`.
+    pub fn with_pool<T, E: From<Failure>>(
+        &self,
+        subject: &Subject,
+        work: impl FnOnce(&ThreadPool<'_>) -> Result<T, E>,
+    ) -> Result<T, E> {
+        let cores = all_processors();
+        let wanted = self.threads.or_else(|| subject.servers()).unwrap_or_else(|| subject.threads_on(cores));
+        let threads = subject.at_most().map_or(wanted, |limit| limit.min(wanted));
+        if self.threads.is_some() && threads < wanted {
+            note(format_args!("{threads} thread: the policy server keeps one state for all clients"));
+        }
+        subject.start_servers(threads)?;
+        work(&ThreadPool { factory: subject, threads, stop: self.stop })
+    }
+
+    /// Runs a campaign with `work`. Episodes that an unavailable server lost run again.
+    ///
+    /// # Errors
+    /// The error of the campaign, or servers that stay unavailable: the recorded episodes are kept.
+    pub fn carry(
+        &self,
+        subject: &Subject,
+        events: &mut dyn FnMut(&Event),
+        work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
+    ) -> Result<Completion, Failure> {
+        match self.with_pool(subject, |pool| guarded(pool, u64::MAX, events, work))? {
+            (Completion::Interrupted { .. }, Some(outage)) => Err(anyhow!(
+                "stopped: {outage}\n  hint: the recorded episodes are kept; `robogate resume` runs the others once the server \
+                 is available again"
+            ))
+            .or_broken(),
+            (completion, _) => Ok(completion),
+        }
+    }
+}
+
+/// Runs at most `episodes` episodes with `work`. Episodes that an unavailable server lost run again. Also returns the outage that
+/// has stopped the execution, if there was one.
+///
+/// # Errors
+/// The error of the campaign.
+pub fn guarded<T>(
+    pool: &dyn Executor,
+    episodes: u64,
+    events: &mut dyn FnMut(&Event),
+    work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<T, RunError>,
+) -> Result<(T, Option<Outage>), Failure> {
+    let executor = RunsLostAgain::new(pool, episodes);
+    let done = work(&executor, events)?;
+    Ok((done, executor.outage()))
+}
