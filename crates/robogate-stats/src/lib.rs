@@ -23,6 +23,7 @@
 //! | does the risk score separate failures, and is it calibrated? | [`roc`], [`calibration`] |
 //! | how far are predicted probabilities from the true ones? | [`model_error`] |
 //! | which failure mode dominates, and where does that change? | [`modes`] |
+//! | which rows depend on each other, and what is the rate over new clusters? | [`clusters`] |
 //! | do several groups share one rate, and which one is an outlier? | [`overdispersion`] |
 //! | do two rates differ? | [`difference`], [`compare`], [`multiplicity`], [`crossed`] |
 //! | is it good enough, with any number of looks? | [`stratified`], [`anytime`], [`bounded_mean`] |
@@ -41,6 +42,7 @@ pub mod binning;
 pub mod boosting;
 pub mod bounded_mean;
 pub mod calibration;
+pub mod clusters;
 pub mod compare;
 pub mod correlation;
 pub mod crossed;
