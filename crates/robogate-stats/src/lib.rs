@@ -27,6 +27,7 @@
 //! | do several groups share one rate, and which one is an outlier? | [`overdispersion`] |
 //! | do two rates differ? | [`difference`], [`compare`], [`multiplicity`], [`crossed`] |
 //! | is it good enough, with any number of looks? | [`stratified`], [`anytime`], [`bounded_mean`] |
+//! | does an outcome depend on the rows before it? | [`serial`] |
 //! | how often does such a gate pass or fail? | [`operating`] |
 //! | which share of the units of a fleet meets the requirements, and what do the others have in common? | [`unit_share`], [`max_statistic`] |
 //! | may B replace A? | [`non_inferiority`], [`group_sequential`] after each round |
@@ -72,6 +73,7 @@ pub mod safe_box;
 pub mod scan;
 pub mod score_test;
 pub mod segments;
+pub mod serial;
 pub mod spline_logistic;
 pub mod stratified;
 pub mod surface;

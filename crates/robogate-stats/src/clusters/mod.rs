@@ -18,6 +18,7 @@
 //!
 //! Sources: Korn and Graubard (1998), Survey Methodology 24; Cameron, Gelbach and Miller (2011), JBES 29.
 
+mod difference;
 mod settings;
 
 use std::collections::BTreeMap;
@@ -26,6 +27,7 @@ use robogate_maths::beta::{beta_quantile, student_quantile};
 
 use crate::interval::{Confidence, Interval, Trials};
 
+pub use difference::{independent_clusters, paired_clusters};
 pub use settings::{Setting, equal_settings};
 
 /// Fewest clusters for any claim.

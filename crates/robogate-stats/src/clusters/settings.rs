@@ -22,6 +22,10 @@ const EXCESS: f64 = 5.0;
 const GRID: f64 = 1e6;
 /// Rows whose nearest neighbours determine the radius.
 const SAMPLED: usize = 200;
+/// Rows up to which all are linked without an estimate of the number of pairs.
+const LINKED: usize = 20_000;
+/// Rows that estimate the number of pairs.
+const PROBED: usize = 1_000;
 /// Columns that divide space into cells for the search of neighbours.
 const CELL_COLUMNS: usize = 3;
 
@@ -60,6 +64,9 @@ pub fn equal_settings(settings: &[Setting<'_>]) -> Option<Clusters> {
         let radius = SHARE * neighbour_distance(&near);
         // Of the rows at the median distance d, the share within s d is ln 2 times s to the number of columns.
         let chance = 0.5 * rows as f64 * std::f64::consts::LN_2 * SHARE.powi(near.len() as i32);
+        if rows > LINKED && sampled_pairs(&blocks, &near, radius) <= EXCESS * chance {
+            return None;
+        }
         (linked(&blocks, &near, radius), chance)
     };
     let mut sizes = vec![0_u64; groups.count()];
@@ -138,7 +145,7 @@ fn neighbour_distance(columns: &[Vec<f64>]) -> f64 {
             })
             .collect(),
     };
-    let step = rows.div_ceil(SAMPLED).max(1);
+    let step = rows.div_ceil(if rows > LINKED { SAMPLED / 5 } else { SAMPLED }).max(1);
     let nearest = |row: usize| {
         let others = (0..rows).filter(|other| *other != row);
         others.map(|other| squared_distance(&independent, row, other)).fold(f64::INFINITY, f64::min)
@@ -146,6 +153,28 @@ fn neighbour_distance(columns: &[Vec<f64>]) -> f64 {
     let mut found: Vec<f64> = (0..rows).step_by(step).map(nearest).collect();
     found.sort_unstable_by(f64::total_cmp);
     found[found.len() / 2].sqrt()
+}
+
+/// An estimate of the number of pairs at most `radius` apart, from some rows.
+fn sampled_pairs(blocks: &Clusters, columns: &[Vec<f64>], radius: f64) -> f64 {
+    let rows = blocks.of_row().len();
+    let mut order: Vec<usize> = (0..rows).collect();
+    order.sort_unstable_by(|a, b| columns[0][*a].total_cmp(&columns[0][*b]));
+    let sorted: Vec<f64> = order.iter().map(|row| columns[0][*row]).collect();
+    let step = (rows / PROBED).max(1);
+    let (mut pairs, mut probed) = (0.0, 0.0);
+    for row in (0..rows).step_by(step) {
+        probed += 1.0;
+        let at = columns[0][row];
+        let (from, to) = (sorted.partition_point(|v| *v < at - radius), sorted.partition_point(|v| *v <= at + radius));
+        let near = |other: &&usize| {
+            **other != row
+                && blocks.of_row()[**other] == blocks.of_row()[row]
+                && squared_distance(columns, row, **other) <= radius * radius
+        };
+        pairs += order[from..to].iter().filter(near).count() as f64;
+    }
+    0.5 * pairs * rows as f64 / probed
 }
 
 /// Single linkage within blocks: rows at most `radius` apart are in one group.
