@@ -28,6 +28,7 @@
 //! | do two rates differ? | [`difference`], [`compare`], [`multiplicity`], [`crossed`] |
 //! | is it good enough, with any number of looks? | [`stratified`], [`anytime`], [`bounded_mean`] |
 //! | does an outcome depend on the rows before it? | [`serial`] |
+//! | the same, with a known largest number of looks? | [`budgeted`] |
 //! | how often does such a gate pass or fail? | [`operating`] |
 //! | which share of the units of a fleet meets the requirements, and what do the others have in common? | [`unit_share`], [`max_statistic`] |
 //! | may B replace A? | [`non_inferiority`], [`group_sequential`] after each round |
@@ -42,6 +43,7 @@ pub mod anytime;
 pub mod binning;
 pub mod boosting;
 pub mod bounded_mean;
+pub mod budgeted;
 pub mod calibration;
 pub mod clusters;
 pub mod compare;
