@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::claims::{Claims, claims};
 use crate::danger::DangerZones;
+use crate::dependence::{ClusterReport, Dependence};
 use crate::effects::Effects;
 use crate::failures::FailureModes;
 use crate::marginal::{MarginalEffect, marginal_effect};
@@ -17,7 +18,6 @@ use crate::pairs::{self, PairMap, check as check_pair, default_pairs};
 use crate::replay::{ReplayGroup, replay_groups};
 use crate::safe_box::{DEFAULT_TARGET, SafeBox, safe_box};
 use crate::sampling::{Sampling, sampling};
-use crate::scenarios::Scenarios;
 use crate::table::{EpisodeTable, Sample};
 use crate::task::TaskAnalysis;
 use crate::{AnalysisError, Finding, Population, Source, Success};
@@ -33,6 +33,9 @@ pub struct Analysis {
     pub claims: Claims,
     /// The population that every figure below applies to, unless it names another one.
     pub population: Population,
+    /// The clusters of the episodes. Absent if the episodes are independent as far as known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clusters: Option<ClusterReport>,
     /// How often the policy succeeds.
     pub success: Success,
     /// The parameters with an effect on success, the most influential first.
@@ -71,11 +74,13 @@ pub struct AnalysisOptions {
     pub target_rate: f64,
     /// Whether to fit the risk model and to draw maps. No claim of the headline depends on them.
     pub models: bool,
+    /// Columns whose equal values mark rows that depend on each other. Empty: found by their names and by equal settings.
+    pub groups: Vec<String>,
 }
 
 impl Default for AnalysisOptions {
     fn default() -> Self {
-        Self { pairs: Vec::new(), target_rate: DEFAULT_TARGET, models: true }
+        Self { pairs: Vec::new(), target_rate: DEFAULT_TARGET, models: true, groups: Vec::new() }
     }
 }
 
@@ -152,23 +157,23 @@ impl Analysis {
     /// Analyses a source that was opened from `path`, with options.
     ///
     /// # Errors
-    /// As [`Analysis::of`], and for a target rate that is not between 0 and 1.
+    /// As [`Analysis::of`], for a target rate that is not between 0 and 1, and for a column of groups that does not exist.
     pub fn with(source: &Source, path: &Path, options: &AnalysisOptions) -> Result<Self, AnalysisError> {
-        let AnalysisOptions { pairs, target_rate, models } = options;
+        let AnalysisOptions { pairs, target_rate, models, groups } = options;
         if !(*target_rate > 0.0 && *target_rate < 1.0) {
             return Err(AnalysisError::TargetRate { found: *target_rate });
         }
         let dictionary = source.dictionary();
         let table = EpisodeTable::read(dictionary)?;
-        let (base, focused, population) = populations(&table);
+        let (mut base, focused, population) = populations(&table);
+        base.dependence = Dependence::of(&table, &base, population, groups)?;
         for (first, second) in pairs {
             check_pair(&base, first, second)?;
         }
         let marginal_effects: Vec<MarginalEffect> =
             base.parameters.iter().map(|parameter| marginal_effect(&table, &base, parameter)).collect();
         let task = TaskAnalysis::of_dictionary(dictionary.provenance());
-        let scenarios = Scenarios::repeated(&base, population);
-        let effects = Effects::of(&base, scenarios.as_ref());
+        let effects = Effects::of(&base);
         let mut wanted: Vec<(String, String)> = default_pairs(&base, &effects, task);
         for pair in pairs {
             if !wanted.contains(pair) {
@@ -179,8 +184,7 @@ impl Analysis {
             wanted.clear();
         }
         let envelopes = wanted.iter().filter_map(|(up, across)| envelope(&base, up, across)).collect();
-        let fitted =
-            if *models { risk(&base, scenarios.as_ref(), task) } else { Finding::not("models were not requested") };
+        let fitted = if *models { risk(&base, task) } else { Finding::not("models were not requested") };
         let (risk, scored) = match fitted {
             Finding::Estimated((model, scored)) => (Finding::Estimated(model), Some(scored)),
             Finding::CannotBeEstimated { because } => (Finding::CannotBeEstimated { because }, None),
@@ -192,6 +196,7 @@ impl Analysis {
             subject: Subject::of(source, path),
             claims: Claims::default(),
             population,
+            clusters: base.dependence.as_ref().map(|of| of.report(&base)),
             success: Success::of(&table, &base, focused.as_ref(), population, source.boundary()),
             envelopes,
             failure_modes: FailureModes::of(&table, &base),

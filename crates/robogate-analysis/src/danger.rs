@@ -61,8 +61,10 @@ impl DangerZones {
             .flat_map(|effect| effect.cells.iter().map(move |cell| (effect, cell)))
             .filter(|(_, cell)| cell.rate.n > 0)
             .collect();
-        let ln_p: Vec<f64> =
-            cells.iter().map(|(_, cell)| at_most(cell.rate.trials(), DANGER_LIMIT).clamp(f64::MIN, 0.0)).collect();
+        let ln_p: Vec<f64> = cells
+            .iter()
+            .map(|(_, cell)| at_most(cell.rate.effective_trials(), DANGER_LIMIT).clamp(f64::MIN, 0.0))
+            .collect();
         let below: Vec<f64> = cells.iter().map(|(effect, cell)| below_others(effect, cell)).collect();
         // Both must hold, so the larger p-value counts.
         let plain: Vec<f64> = ln_p.iter().zip(&below).map(|(p, below)| p.exp().max(*below)).collect();
@@ -91,9 +93,11 @@ impl DangerZones {
 
 /// One-sided p-value that the rate of a cell is not below that of the other cells of its parameter.
 fn below_others(effect: &MarginalEffect, cell: &Cell) -> f64 {
-    let (k, n) = effect.cells.iter().fold((0, 0), |(k, n), c| (k + c.rate.successes, n + c.rate.n));
-    let others = Trials::new(k - cell.rate.successes, n - cell.rate.n).unwrap_or(Trials::NONE);
-    match z_test(cell.rate.trials(), others) {
+    let own = cell.rate.effective_trials();
+    let all = effect.cells.iter().map(|cell| cell.rate.effective_trials());
+    let (k, n) = all.fold((0, 0), |(k, n), trials| (k + trials.successes(), n + trials.n()));
+    let others = Trials::new(k - own.successes(), n - own.n()).unwrap_or(Trials::NONE);
+    match z_test(own, others) {
         Some(test) if test.z < 0.0 => (0.5 * test.ln_p.exp()).clamp(0.0, 1.0),
         _ => 1.0,
     }

@@ -70,6 +70,14 @@ pub enum AnalysisError {
         /// The rate as given.
         found: f64,
     },
+    /// A column of groups that does not exist.
+    #[error("--groups: unknown column `{name}`. Expected one of {}", known.join(", "))]
+    Groups {
+        /// The name as given.
+        name: String,
+        /// The names of the columns.
+        known: Vec<String>,
+    },
     /// A pair of parameters that cannot be mapped.
     #[error("`{name}` is not a valid parameter of a pair: {reason}\nhint: expected two of {known}")]
     Pair {

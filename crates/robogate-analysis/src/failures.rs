@@ -58,12 +58,16 @@ impl FailureModes {
         let mut counts = vec![0; table.modes.len()];
         base.failures(table).1.into_iter().for_each(|mode| counts[mode] += 1);
         let failures = counts.iter().sum();
-        let shares = distribution(&counts, Joint::Simultaneous, Confidence::P95);
+        // Episodes in clusters count as fewer independent ones.
+        let share = base.dependence.as_ref().map_or(1.0, |of| of.share(base));
+        let independent: Vec<u64> = counts.iter().map(|count| (*count as f64 * share).round() as u64).collect();
+        let shares = distribution(&independent, Joint::Simultaneous, Confidence::P95);
+        let all = counts.clone();
         let not_recorded = table.not_recorded.clone();
         let mode_name = |mode: usize| table.mode(mode).to_owned();
         let unknown = table.modes.iter().position(|mode| *mode == FailureMode::UNKNOWN);
         let unknown_failures = unknown.map_or(0, |at| counts[at]);
-        let dominant = match dominance(&with_unknown_as_second(counts, unknown)) {
+        let dominant = match dominance(&with_unknown_as_second(independent, unknown)) {
             Some(_) if !not_recorded.is_empty() => Finding::not(unrecorded(&not_recorded)),
             None => Finding::not("nothing failed"),
             Some(found) if Some(found.mode) == unknown => Finding::not(format!(
@@ -81,8 +85,8 @@ impl FailureModes {
         let modes = shares.into_iter().enumerate().map(|(mode, share)| ModeShare {
             mode: mode_name(mode),
             declared: mode < table.declared,
-            failures: share.count,
-            share: share.share,
+            failures: all[mode],
+            share: (failures > 0).then(|| all[mode] as f64 / failures as f64),
             interval_95: ends(share.interval),
         });
         Self { failures, modes: modes.collect(), dominant, not_recorded }

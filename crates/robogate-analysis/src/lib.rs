@@ -18,6 +18,7 @@ mod analysis;
 mod claims;
 mod comparison;
 mod danger;
+mod dependence;
 mod distance;
 mod effects;
 mod error;
@@ -34,7 +35,6 @@ mod rate;
 mod replay;
 mod safe_box;
 mod sampling;
-mod scenarios;
 mod source;
 mod success;
 mod table;
@@ -50,6 +50,7 @@ pub use comparison::{
     SharedCurve, SharedParameters, Slope, UniversalZone, UniversalZones, ZoneSide,
 };
 pub use danger::{DANGER_LIMIT, DangerZone, DangerZones};
+pub use dependence::{ClusterReport, GroupingReport};
 pub use effects::{EffectShape, Effects, Interaction, LEVEL, ParameterEffect, RateStep, ShapeKind};
 pub use error::AnalysisError;
 pub use explorer::{ExplorerColumn, ExplorerTable, PassingTwin, Role, RunCounts, ValueKind};
@@ -64,7 +65,7 @@ pub use models::{
 };
 pub use pair_counts::{ListedEpisode, PairCounts, pair_counts};
 pub use pairs::{Axis, ModelRate, PairCell, PairMap, ZoneCounts};
-pub use rate::{Finding, Population, Rate};
+pub use rate::{Finding, Population, Rate, RateClusters};
 pub use replay::{HERE, ReplayEpisode, ReplayGroup, ReplayReason, shell_word};
 /// What an import states about its rows, from the dictionary.
 pub use robogate_dictionary::{RowSampling, Stopping};

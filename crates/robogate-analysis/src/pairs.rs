@@ -1,9 +1,9 @@
 //! Success by two parameters: the operating envelope.
 
-use robogate_stats::Confidence;
 use robogate_stats::binning::{Edges, per_pair};
 use robogate_stats::format::range;
 use robogate_stats::surface::{Surface, SurfaceRate};
+use robogate_stats::{Confidence, Trials};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -169,16 +169,19 @@ pub(crate) fn map(base: &Sample, up: &ParameterColumn, across: &ParameterColumn)
     let (y_axis, y_edges) = axis(up, bins)?;
     let (x_axis, x_edges) = axis(across, bins)?;
     let counted = per_pair(&up.values, &y_edges, &across.values, &x_edges, &base.success).ok()?;
-    let model = smooth(base, up, across, &y_axis, &x_axis);
-    let by_episodes = Zone::of(&counted.cells);
-    let cells: Vec<PairCell> = counted
-        .cells
-        .iter()
+    // The smooth model assumes independent rows.
+    let model = if base.dependence.is_none() { smooth(base, up, across, &y_axis, &x_axis) } else { None };
+    let rates = rates(base, &counted.cells, |row| {
+        Some(y_edges.bin(up.values[row])? * x_axis.cells() + x_edges.bin(across.values[row])?)
+    });
+    let by_episodes = Zone::of(&rates.iter().map(Rate::effective_trials).collect::<Vec<_>>());
+    let cells: Vec<PairCell> = rates
+        .into_iter()
         .zip(by_episodes)
         .enumerate()
-        .map(|(i, (trials, zone))| {
+        .map(|(i, (rate, zone))| {
             let model = model.as_ref().and_then(|(rates, _)| rates.get(i).copied());
-            PairCell { rate: Rate::of(*trials), model, zone: model.map_or(zone, |m| Zone::of_interval(m.interval_95)) }
+            PairCell { rate, model, zone: model.map_or(zone, |m| Zone::of_interval(m.interval_95)) }
         })
         .collect();
     let mut counts = ZoneCounts::default();
@@ -191,6 +194,15 @@ pub(crate) fn map(base: &Sample, up: &ParameterColumn, across: &ParameterColumn)
         zones: counts,
         length_scale: model.map(|(_, length_scale)| length_scale),
     })
+}
+
+/// The observed rates of cells. `cell_of` is the cell of a row.
+fn rates(base: &Sample, cells: &[Trials], cell_of: impl Fn(usize) -> Option<usize>) -> Vec<Rate> {
+    if base.dependence.is_none() {
+        return cells.iter().map(|trials| Rate::of(*trials)).collect();
+    }
+    let of_row: Vec<Option<usize>> = (0..base.len()).map(cell_of).collect();
+    (0..cells.len()).map(|cell| Rate::of_rows(base, |row| of_row[row] == Some(cell))).collect()
 }
 
 /// The rates in the middle of each cell by a smooth model, and its length scale. `None` for categorical parameters, and

@@ -4,6 +4,8 @@ use robogate_stats::{Confidence, Interval, Trials, clopper_pearson, wilson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::table::Sample;
+
 /// The population that a figure estimates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -107,10 +109,24 @@ pub struct Rate {
     pub successes: u64,
     /// Their share. `None` without a valid episode.
     pub rate: Option<f64>,
-    /// Wilson's 95 % interval. [0, 1] without a valid episode.
+    /// Wilson's 95 % interval. If the rows come in clusters, the interval of the rate over new clusters (Korn and Graubard).
+    /// [0, 1] without a valid episode.
     pub wilson_95: [f64; 2],
-    /// The exact (Clopper-Pearson) 95 % interval. [0, 1] without a valid episode.
+    /// The exact (Clopper-Pearson) 95 % interval. If the rows come in clusters, that of Korn and Graubard. [0, 1] without a
+    /// valid episode.
     pub clopper_pearson_95: [f64; 2],
+    /// The clusters that the intervals count. Absent if the episodes are independent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clusters: Option<RateClusters>,
+}
+
+/// The clusters behind a rate.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RateClusters {
+    /// Their number.
+    pub clusters: u64,
+    /// The number of independent episodes with the same variance of the rate.
+    pub effective_episodes: f64,
 }
 
 impl Rate {
@@ -121,7 +137,31 @@ impl Rate {
             rate: trials.rate(),
             wilson_95: ends(wilson(trials, Confidence::P95)),
             clopper_pearson_95: ends(clopper_pearson(trials, Confidence::P95)),
+            clusters: None,
         }
+    }
+
+    /// The rate of the rows of a sample for which `used` is true.
+    pub(crate) fn of_rows(base: &Sample, used: impl Fn(usize) -> bool + Copy) -> Self {
+        let Some(dependence) = base.dependence.as_ref().filter(|of| of.new_clusters) else {
+            return Self::of(Trials::count((0..base.len()).filter(|row| used(*row)).map(|row| base.success[row])));
+        };
+        let found = dependence.rate(base, used);
+        let interval = ends(found.interval(Confidence::P95));
+        let clusters = RateClusters { clusters: found.clusters as u64, effective_episodes: found.effective };
+        Self { wilson_95: interval, clopper_pearson_95: interval, clusters: Some(clusters), ..Self::of(found.trials) }
+    }
+
+    /// The counts of independent episodes with the same rate and variance: the counts themselves without clusters, and none
+    /// with too few clusters for a claim.
+    pub(crate) fn effective_trials(&self) -> Trials {
+        let Some(clusters) = self.clusters else { return self.trials() };
+        if clusters.clusters < robogate_stats::clusters::FEWEST as u64 {
+            return Trials::NONE;
+        }
+        let n = clusters.effective_episodes.floor();
+        let k = (n * self.rate.unwrap_or(0.0)).round();
+        Trials::new(k as u64, n as u64).unwrap_or(Trials::NONE)
     }
 
     /// The counts.

@@ -2,10 +2,11 @@
 
 use robogate_stats::format::percent;
 use robogate_stats::safe_box::{Column, Inside, Limits, contains, rows_needed, search};
-use robogate_stats::{Confidence, Trials, clopper_pearson};
+use robogate_stats::{Confidence, Trials};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::dependence::too_few;
 use crate::effects::Effects;
 use crate::table::{EpisodeTable, ParameterColumn, ParameterKind, Sample};
 use crate::{Finding, Population, Rate};
@@ -80,8 +81,11 @@ pub(crate) fn safe_box(
         Population::FocusedDesign => return Finding::not("a focused design does not estimate the operating space"),
         _ => {}
     }
+    if let Some(because) = base.clusters().and_then(|clusters| too_few(clusters.count())) {
+        return Finding::not(because);
+    }
     let all = Trials::count(base.success.iter().copied());
-    let whole = clopper_pearson(all, Confidence::P95).low;
+    let whole = Rate::of_rows(base, |_| true).clopper_pearson_95[0];
     if whole >= target {
         return Finding::Estimated(describe(table, base, &Vec::new(), all, whole, target, true, 1.0));
     }
@@ -92,7 +96,7 @@ pub(crate) fn safe_box(
         return Finding::not("no parameter has a significant effect");
     }
     let columns: Vec<Column<'_>> = used.iter().map(|parameter| column(parameter)).collect();
-    let Some(mut found) = search(&columns, &base.success, target, Confidence::P95, SEED) else {
+    let Some(mut found) = search(&columns, &base.success, base.clusters(), target, Confidence::P95, SEED) else {
         return Finding::not(format!("{} valid episodes are too few (it needs at least 100)", base.len()));
     };
     for (at, _) in &mut found.limits {
@@ -114,7 +118,8 @@ pub(crate) fn safe_box(
     };
     let mut described =
         describe(table, base, &found.limits, found.held_out, found.lower_bound, target, found.verified, volume);
-    if let (false, Some(rate)) = (found.verified, found.all.rate()) {
+    // The number of further episodes depends on how many clusters they come from.
+    if let (false, Some(rate), None) = (found.verified, found.all.rate(), &base.dependence) {
         // Half of the episodes verify the box.
         let needed =
             rows_needed(rate, target, Confidence::P95).map(|rows| (2.0 * rows as f64 / share.max(1e-9)).ceil());

@@ -2,6 +2,9 @@
 
 use robogate_core::{Domain, FailureMode, Word};
 use robogate_dictionary::{Column, Dictionary, DictionaryError, results};
+use robogate_stats::clusters::Clusters;
+
+use crate::dependence::Dependence;
 
 /// The name of the column of cycle times.
 const TIME: &str = "cycle_time_s";
@@ -24,6 +27,10 @@ pub(crate) struct EpisodeTable {
     pub(crate) time_s: Vec<Option<f64>>,
     /// Faults of invalid episodes, with their counts.
     pub(crate) faults: Vec<(String, u64)>,
+    /// Columns that only identify an episode: its seed.
+    pub(crate) identifiers: Vec<ParameterColumn>,
+    /// The case of each row as a number, with its category and group. `None` if the rows name none.
+    pub(crate) cases: Option<Vec<[u32; 3]>>,
     /// Failure modes that the source of imported rows does not record.
     pub(crate) not_recorded: Vec<String>,
 }
@@ -96,8 +103,11 @@ impl EpisodeTable {
         let measure = |name: Word| Ok((name, dictionary.numbers(name.as_str())?));
         let measures = task.measures.iter().map(|spec| measure(spec.name)).collect::<Result<_, DictionaryError>>()?;
         // Identifiers of imported rows are not parameters of the scenario.
-        let parameters = provenance.space.parameters().iter().filter(|p| !results::only_identifies(&p.name));
-        let parameters = parameters.map(|p| parameter(dictionary, &p.name, &p.domain)).collect::<Result<_, _>>()?;
+        let read = |identifies: bool| {
+            let of = provenance.space.parameters().iter().filter(|p| results::only_identifies(&p.name) == identifies);
+            of.map(|p| parameter(dictionary, &p.name, &p.domain)).collect::<Result<Vec<_>, DictionaryError>>()
+        };
+        let (parameters, identifiers) = (read(false)?, read(true)?);
         Ok(Self {
             index,
             stage,
@@ -110,6 +120,8 @@ impl EpisodeTable {
             measures,
             time_s: dictionary.numbers(TIME)?,
             faults,
+            identifiers,
+            cases: cases(dictionary)?,
             not_recorded,
         })
     }
@@ -159,6 +171,8 @@ impl EpisodeTable {
         Sample {
             success: rows.iter().map(|row| self.outcome[*row as usize] == Ending::Success).collect(),
             parameters: self.parameters.iter().map(|p| p.take(&rows)).collect(),
+            identifiers: self.identifiers.iter().map(|p| p.take(&rows)).collect(),
+            dependence: None,
             rows,
         }
     }
@@ -184,9 +198,17 @@ pub(crate) struct Sample {
     pub(crate) rows: Vec<u32>,
     pub(crate) success: Vec<bool>,
     pub(crate) parameters: Vec<ParameterColumn>,
+    pub(crate) identifiers: Vec<ParameterColumn>,
+    /// The clusters of the rows. `None` if the rows are independent as far as known.
+    pub(crate) dependence: Option<Dependence>,
 }
 
 impl Sample {
+    /// The cluster of each row, if rows depend on each other.
+    pub(crate) fn clusters(&self) -> Option<&Clusters> {
+        self.dependence.as_ref().map(Dependence::main)
+    }
+
     pub(crate) fn len(&self) -> usize {
         self.rows.len()
     }
@@ -198,6 +220,8 @@ impl Sample {
             rows: places.iter().map(|at| self.rows[*at as usize]).collect(),
             success: places.iter().map(|at| self.success[*at as usize]).collect(),
             parameters: self.parameters.iter().map(|column| column.take(&places)).collect(),
+            identifiers: self.identifiers.iter().map(|column| column.take(&places)).collect(),
+            dependence: self.dependence.as_ref().map(|of| of.take(&places)),
         }
     }
 
@@ -254,6 +278,19 @@ impl ParameterColumn {
     pub(crate) fn show(&self, value: f64) -> String {
         self.kind.show(value)
     }
+}
+
+/// The numbers of case, category and group of each row. `None` unless each row names a case.
+fn cases(dictionary: &Dictionary) -> Result<Option<Vec<[u32; 3]>>, DictionaryError> {
+    let (_, case) = categories(dictionary, "case")?;
+    if case.is_empty() || case.iter().any(Option::is_none) {
+        return Ok(None);
+    }
+    let (_, category) = categories(dictionary, "category")?;
+    let (_, group) = categories(dictionary, "group")?;
+    // A missing word is a word of its own.
+    let number = |codes: &[Option<u32>], row: usize| codes.get(row).copied().flatten().map_or(0, |code| code + 1);
+    Ok(Some((0..case.len()).map(|row| [number(&case, row), number(&category, row), number(&group, row)]).collect()))
 }
 
 /// Parses an outcome. A failure mode that the task does not declare is added to `modes`.

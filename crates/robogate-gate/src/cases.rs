@@ -5,11 +5,12 @@
 //! one observation, its success rate, and the interval of their mean makes no assumption about the distribution of these rates
 //! ([`robogate_stats::bounded_mean`]).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use robogate_core::{Domain, ParameterSpace};
-use robogate_dictionary::results::only_identifies;
+use robogate_core::{Domain, ParameterSpace, Value};
+use robogate_dictionary::results::{groups_rows, only_identifies};
 use robogate_stats::bounded_mean::BoundedMean;
+use robogate_stats::clusters::{Clusters, Setting, equal_settings};
 use robogate_stats::{Confidence, Interval};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -67,16 +68,24 @@ pub(crate) fn repeated(space: &ParameterSpace, trials: &[Trial]) -> Option<u64> 
     let of_each = trials.iter().all(continuous);
     let trials: Vec<&Trial> = trials.iter().collect();
     let cases = by_case(&trials).len();
-    let repeats = if are_named(&trials) { cases < trials.len() } else { of_each && 2 * cases <= trials.len() };
+    let repeats = if are_named(&trials) {
+        cases < trials.len()
+    } else {
+        (of_each && 2 * cases <= trials.len()) || by_settings(&trials).is_some()
+    };
     (repeats && cases > 0).then_some(cases as u64)
 }
 
 /// The trials of each case.
 fn by_case<'a>(trials: &[&'a Trial]) -> BTreeMap<String, Vec<&'a Trial>> {
     let named = are_named(trials);
+    let settings = if named { None } else { by_settings(trials) };
     let mut cases: BTreeMap<String, Vec<&'a Trial>> = BTreeMap::new();
-    for &trial in trials {
+    for (at, &trial) in trials.iter().enumerate() {
         let case = match &trial.label.case {
+            _ if settings.is_some() => {
+                format!("{:?} {:?}", trial.label, settings.as_ref().map(|clusters| clusters.of_row()[at]))
+            }
             // Names may be unique within a category only.
             Some(_) if named => format!("{:?}", trial.label),
             _ => {
@@ -87,6 +96,35 @@ fn by_case<'a>(trials: &[&'a Trial]) -> BTreeMap<String, Vec<&'a Trial>> {
         cases.entry(case).or_default().push(trial);
     }
     cases
+}
+
+/// Groups of equal settings, within the noise of reading them back and with integers only, if these are more than chance.
+fn by_settings(trials: &[&Trial]) -> Option<Clusters> {
+    let names: BTreeSet<&str> = trials.iter().flat_map(|trial| trial.requested.iter()).map(|(name, _)| name).collect();
+    let mut columns: Vec<(bool, Vec<f64>)> = Vec::new();
+    for name in names.into_iter().filter(|name| !only_identifies(name) && !groups_rows(name)) {
+        let mut words: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut levels = false;
+        // A missing value identifies nothing.
+        let values: Option<Vec<f64>> = trials
+            .iter()
+            .map(|trial| match trial.requested.get(name)? {
+                Value::Number(value) => Some(*value),
+                Value::Integer(value) => Some(*value as f64),
+                Value::Category(word) => {
+                    levels = true;
+                    let next = words.len();
+                    Some(*words.entry(word).or_insert(next) as f64)
+                }
+            })
+            .collect();
+        columns.push((levels, values?));
+    }
+    let settings = columns.iter().map(|(levels, values)| match levels {
+        true => Setting::Levels(values),
+        false => Setting::Numbers(values),
+    });
+    equal_settings(&settings.collect::<Vec<_>>())
 }
 
 /// Whether the source names the case of each episode.
@@ -142,5 +180,15 @@ mod tests {
         assert_eq!(repeated(&continuous, &few), Some(7));
         few[3].requested = Assignment::default();
         assert_eq!(repeated(&continuous, &few), None);
+        // Integers of a wide range, and read-back noise.
+        let wide = space("kind = \"integer\"\nlow = 0\nhigh = 1000");
+        let integer = |i: u64| {
+            let mut trial = trial(i, None, 0.0, 0);
+            trial.requested.set("friction", Value::Integer([3, 17, 512, 89, 702, 430][i as usize % 6]));
+            trial
+        };
+        assert_eq!(repeated(&wide, &(0..120).map(integer).collect::<Vec<_>>()), Some(6));
+        let noisy = |i: u64| trial(i, None, [0.13, 3.9, 7.71, 5.2][i as usize % 4] + 1e-5 * (i * 37 % 101) as f64, 0);
+        assert_eq!(repeated(&continuous, &(0..80).map(noisy).collect::<Vec<_>>()), Some(4));
     }
 }

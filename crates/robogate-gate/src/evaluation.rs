@@ -251,6 +251,14 @@ impl FeasibleRate {
     }
 }
 
+/// The largest number of rounds of a suite that its plan fixes, for a sequential test.
+fn budget(record: &Record, sampling: Sampling) -> Option<u64> {
+    match (&record.population, record.planned, sampling) {
+        (Population::Suite { cases, .. }, Some(planned), Sampling::Sequential) if *cases > 0 => Some(planned / cases),
+        _ => None,
+    }
+}
+
 /// Counts the states outside of the range of the checkpoint.
 fn outside_range(record: &Record, rounds: &Rounds<'_>) -> Option<OutsideRange> {
     let mut outside = OutsideRange::of(&record.task)?;
@@ -333,6 +341,7 @@ impl Question<'_> {
             beta: alpha / family.max(1) as f64,
             suite: rounds.suite,
             mixed: rounds.suite || record.population.repeated_cases().is_some(),
+            budget: budget(record, sampling),
             steps: counts.rounds.unwrap_or(episodes),
         };
         let mut results = asked

@@ -7,7 +7,8 @@ use std::collections::BTreeMap;
 
 use robogate_core::{FailureMode, Seed};
 use robogate_stats::Trials;
-use robogate_stats::operating::{Answer, RateTest};
+use robogate_stats::budgeted::Budget;
+use robogate_stats::operating::{Answer, Boundaries, RateTest};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -39,17 +40,18 @@ struct Limit {
     /// The failure mode. `None` for success.
     mode: Option<FailureMode>,
     test: RateTest,
+    boundaries: Boundaries,
     known: BTreeMap<(u64, u64), Answer>,
 }
 
 impl Limit {
     fn answer(&mut self, good: u64, n: u64, sampling: Sampling) -> Answer {
-        let test = self.test;
+        let (test, boundaries) = (self.test, &self.boundaries);
         *self.known.entry((good, n)).or_insert_with(|| {
             let trials = Trials::new(good, n).unwrap_or(Trials::NONE);
             match sampling {
                 Sampling::Fixed => test.fixed(trials),
-                Sampling::Sequential => test.look(trials),
+                Sampling::Sequential => boundaries.look(trials),
             }
         })
     }
@@ -76,7 +78,9 @@ pub(crate) fn joint(
             }
         };
         let at_least = if mode.is_some() { 1.0 - demand.bound.limit } else { demand.bound.limit };
-        limits.push(Limit { mode, test: RateTest { at_least, alpha, beta }, known: BTreeMap::new() });
+        let test = RateTest { at_least, alpha, beta };
+        let boundaries = Boundaries::new(test, Budget { per_round, rounds });
+        limits.push(Limit { mode, test, boundaries, known: BTreeMap::new() });
     }
     if limits.is_empty() {
         return (Vec::new(), without);

@@ -28,6 +28,7 @@ mod fleet;
 mod joint_plan;
 mod leaderboard;
 mod metric;
+mod next_budget;
 mod pair_plan;
 mod plan;
 mod real;
@@ -57,6 +58,7 @@ pub use fleet::{DriverForm, Fleet, FleetSubject, FleetUnit, UnitDriver, UnitPlac
 pub use joint_plan::JointOperating;
 pub use leaderboard::{Leaderboard, Standing};
 pub use metric::{Metric, Statistic};
+pub use next_budget::NextBudget;
 pub use pair_plan::{PairOperating, PairPlan};
 pub use plan::{GatePlan, Operating, RequirementPlan};
 pub use real::{RealEvidence, RealStratum};

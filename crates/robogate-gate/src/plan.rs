@@ -9,6 +9,7 @@ use robogate_core::Measures;
 use robogate_dictionary::Label;
 use robogate_stats::Trials;
 use robogate_stats::bounded_mean::BoundedMean;
+use robogate_stats::budgeted::Budget;
 use robogate_stats::compare::at_least;
 use robogate_stats::operating::{RateTest, Schedule, characteristics};
 use schemars::JsonSchema;
@@ -118,7 +119,7 @@ impl GatePlan {
                 let bound = requirement.bound(requirements.mode, baseline)?;
                 let schedule = match sampling {
                     Sampling::Fixed => Schedule::Fixed { n: per_round * rounds },
-                    Sampling::Sequential => Schedule::Rounds { per_round, rounds },
+                    Sampling::Sequential => Schedule::Budget(Budget { per_round, rounds }),
                 };
                 demand(requirement, bound, requirements.mode, alpha, beta, per_round, schedule, baseline)
             })
@@ -184,7 +185,7 @@ fn demand(
     }
     let n = match schedule {
         Schedule::Fixed { n } => n,
-        Schedule::Rounds { per_round, rounds } => per_round * rounds,
+        Schedule::Rounds { per_round, rounds } | Schedule::Budget(Budget { per_round, rounds }) => per_round * rounds,
     };
     // A limit on a count allows this many among n. Its share replaces the rate.
     let allowed = if let Metric::FailureCount(_) = metric { bound.limit / n as f64 } else { 1.0 - good };

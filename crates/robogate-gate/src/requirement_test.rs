@@ -8,13 +8,14 @@
 //! reads "at least". With a fixed number of episodes the tests are exact binomial tests. Each scenario of a suite has
 //! its own rate, and so does each case of imported episodes that repeat cases. The binomial distribution at their mean
 //! has heavier tails wherever a test at error 0.25 or less rejects (Hoeffding 1956), except for a single event, where the
-//! union bound n p is used instead. Sequential tests are those of [`robogate_stats::stratified`], in which each scenario of a
-//! suite is a stratum, and for durations those of
-//! [`robogate_stats::bounded_mean`].
+//! union bound n p is used instead. Sequential tests of a suite are those of [`robogate_stats::budgeted`], because its plan fixes
+//! the largest number of rounds; without a plan those of [`robogate_stats::stratified`], in which each scenario is a stratum; and
+//! for durations those of [`robogate_stats::bounded_mean`].
 
 use std::collections::BTreeMap;
 
 use robogate_stats::bounded_mean::BoundedMean;
+use robogate_stats::budgeted::Budget;
 use robogate_stats::compare::{at_least, at_most};
 use robogate_stats::operating::{Answer, RateTest};
 use robogate_stats::stratified::{self, Strata, ln_pooled_above, ln_pooled_below};
@@ -46,6 +47,8 @@ pub(crate) struct How {
     pub(crate) suite: bool,
     /// Whether the episodes have different rates: those of a suite, or imported ones that repeat cases.
     pub(crate) mixed: bool,
+    /// The largest number of rounds, if it was fixed before the first. The tests then end earlier.
+    pub(crate) budget: Option<u64>,
     /// Number of equal steps in which the episodes came: rounds of a suite, otherwise single episodes.
     pub(crate) steps: u64,
 }
@@ -146,6 +149,16 @@ fn by_scenario(
         bad.round(&best);
         above.push(good.clone());
         below.push(bad.clone());
+    }
+    let looks = |of: &[Strata]| of.iter().map(Strata::trials).collect::<Vec<Trials>>();
+    let (of_above, of_below) = (looks(&above), looks(&below));
+    let per_round = of_above.first().map_or(0, |trials| trials.n());
+    let equal = of_above.iter().zip(1..).all(|(trials, round)| trials.n() == round * per_round);
+    if let Some(rounds) = how.budget.filter(|rounds| equal && per_round > 0 && *rounds >= of_above.len() as u64) {
+        let budget = Budget { per_round, rounds };
+        let met = budget.ln_p(&of_above, &above, p0);
+        let violated = budget.ln_p(&of_below, &below, 1.0 - p0);
+        return (met, violated, budget.bounds(&above, &below, how.alpha, p0));
     }
     let most = |looks: &[Strata], p0: f64| looks.iter().map(|look| look.ln_evidence_above(p0)).fold(0.0_f64, f64::max);
     let interval = stratified::bounds(&above, &below, how.alpha, p0);

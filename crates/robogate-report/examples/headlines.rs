@@ -8,12 +8,15 @@
 #![expect(clippy::unwrap_used, reason = "a simulation that cannot run should stop")]
 #![expect(clippy::print_stdout, reason = "the table is the result")]
 
+#[path = "../../robogate-analysis/tests/it/named.rs"]
+mod named;
 #[path = "../../robogate-analysis/tests/it/noise.rs"]
 mod noise;
 #[path = "../../robogate-analysis/tests/it/episodes.rs"]
 mod synthetic;
 
-use noise::{named, planted, simulated};
+use named::named;
+use noise::{planted, simulated};
 
 /// Rows of simulation 2.
 const ROWS: u64 = 3_000;

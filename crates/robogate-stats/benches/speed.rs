@@ -56,7 +56,7 @@ fn main() {
         for column in &x[..5] {
             let column = &column[..BOOTSTRAP_ROWS];
             let edges = Edges::equal_count(column, 20).unwrap();
-            threshold(column, &outcomes[..BOOTSTRAP_ROWS], None, &edges, ThresholdOptions::default()).unwrap();
+            threshold(column, &outcomes[..BOOTSTRAP_ROWS], None, None, &edges, ThresholdOptions::default()).unwrap();
         }
     });
     timed(&mut ours, "spearman", || spearman(&x[0], &scores, Confidence::P95).unwrap());

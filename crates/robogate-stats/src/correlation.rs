@@ -67,6 +67,21 @@ pub struct Correlation {
     pub n: usize,
 }
 
+impl Correlation {
+    /// The same coefficient with the interval and the p-value of `n` rows, for rows that come in `n` clusters.
+    #[must_use]
+    pub fn counted_as(self, n: usize, confidence: Confidence) -> Self {
+        let df = n as f64 - 2.0;
+        let rest = (1.0 - self.r) * (1.0 + self.r);
+        Self {
+            ln_p: (df > 0.0 && rest > 0.0).then(|| ln_student_two_sided(df, self.r * (df / rest).sqrt())),
+            interval: fisher(self.r, n, 1.0, confidence),
+            n,
+            ..self
+        }
+    }
+}
+
 /// Pearson's correlation. Its interval covers too rarely for heavy-tailed columns, for example log-normal ones.
 ///
 /// # Errors
@@ -163,6 +178,13 @@ pub fn midranks(values: &[f64]) -> Vec<f64> {
         at = end;
     }
     ranks
+}
+
+impl Association {
+    /// ln of the p-value if each row counts as this share of an independent one.
+    pub fn ln_p_counted_as(&self, share: f64) -> f64 {
+        ln_chi_squared_sf(self.df as f64, share * self.chi_squared)
+    }
 }
 
 /// Association of two categorical quantities.

@@ -23,9 +23,12 @@
 //! | does the risk score separate failures, and is it calibrated? | [`roc`], [`calibration`] |
 //! | how far are predicted probabilities from the true ones? | [`model_error`] |
 //! | which failure mode dominates, and where does that change? | [`modes`] |
+//! | which rows depend on each other, and what is the rate over new clusters? | [`clusters`] |
 //! | do several groups share one rate, and which one is an outlier? | [`overdispersion`] |
 //! | do two rates differ? | [`difference`], [`compare`], [`multiplicity`], [`crossed`] |
 //! | is it good enough, with any number of looks? | [`stratified`], [`anytime`], [`bounded_mean`] |
+//! | does an outcome depend on the rows before it? | [`serial`] |
+//! | the same, with a known largest number of looks? | [`budgeted`] |
 //! | how often does such a gate pass or fail? | [`operating`] |
 //! | which share of the units of a fleet meets the requirements, and what do the others have in common? | [`unit_share`], [`max_statistic`] |
 //! | may B replace A? | [`non_inferiority`], [`group_sequential`] after each round |
@@ -40,7 +43,9 @@ pub mod anytime;
 pub mod binning;
 pub mod boosting;
 pub mod bounded_mean;
+pub mod budgeted;
 pub mod calibration;
+pub mod clusters;
 pub mod compare;
 pub mod correlation;
 pub mod crossed;
@@ -70,6 +75,7 @@ pub mod safe_box;
 pub mod scan;
 pub mod score_test;
 pub mod segments;
+pub mod serial;
 pub mod spline_logistic;
 pub mod stratified;
 pub mod surface;

@@ -110,7 +110,8 @@ impl LimitState {
         Ok(Self { beta, covariance, x_range, y_range, target })
     }
 
-    /// Fits the model to two columns and their product. Returns the frontier and the fit.
+    /// Fits the model to two columns and their product. Returns the frontier and the fit. `clusters` are those of
+    /// [`Data::clustered`].
     ///
     /// # Errors
     /// An error of the regression, or a term without a coefficient.
@@ -119,18 +120,21 @@ impl LimitState {
         y: &[f64],
         outcomes: &[bool],
         weights: Option<&[f64]>,
+        clusters: Option<&[usize]>,
         options: Options,
         target: f64,
     ) -> Result<(Self, Fit), LimitStateError> {
         let product = interaction(x, y);
         let columns = [x, y, product.as_slice()];
-        let found = fit(Data::new(&columns, outcomes, weights)?, options)?;
+        let found = fit(Data::new(&columns, outcomes, weights)?.clustered(clusters)?, options)?;
         if let Some(term) = found.terms.iter().position(|t| t.coefficient().is_none()) {
             return Err(LimitStateError::MissingTerm { term });
         }
         let raw = found.raw_covariance();
         let beta = std::array::from_fn(|i| found.raw_coefficients()[i]);
-        let covariance = std::array::from_fn(|i| std::array::from_fn(|j| raw[i * 4 + j]));
+        // Bands use normal quantiles, so the wider ones of Student's t enter here. They agree exactly at 95 %.
+        let wider = (found.quantile(Confidence::P95) / Confidence::P95.z()).powi(2);
+        let covariance = std::array::from_fn(|i| std::array::from_fn(|j| wider * raw[i * 4 + j]));
         let used = |row: &usize| weights.is_none_or(|w| w[*row] > 0.0);
         let range = |column: &[f64]| {
             let mut range = Interval { low: f64::INFINITY, high: f64::NEG_INFINITY };

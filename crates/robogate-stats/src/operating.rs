@@ -2,7 +2,8 @@
 //!
 //! A requirement "at least p₀" is met once it is shown at error α, and violated once the opposite is shown at error β.
 //! With a fixed number of trials, both are exact binomial tests at the end. In rounds, both are the tests of
-//! [`crate::stratified`] after each round, and the first decision ends the run. The probabilities are exact: the
+//! [`crate::stratified`] after each round, or those of [`crate::budgeted`] if the largest number of rounds is known, and the
+//! first decision ends the run. The probabilities are exact: the
 //! distribution of the number of successes is propagated from round to round.
 //!
 //! Only the pooled part of that test is computed, so scenarios with different rates are decided no later.
@@ -10,6 +11,7 @@
 //! Limit: every trial has the same success probability p. Rounds of different scenarios with the same mean vary less,
 //! so the figures apply to the suite with the largest variance.
 
+use crate::budgeted::Budget;
 use crate::compare::{at_least, at_most};
 use crate::interval::Trials;
 use crate::stratified::{ln_pooled_part_above, ln_pooled_part_below};
@@ -30,6 +32,8 @@ pub enum Schedule {
         /// At most this many rounds.
         rounds: u64,
     },
+    /// Rounds, evaluated after each, with a largest number that is fixed before the first ([`crate::budgeted`]).
+    Budget(Budget),
 }
 
 /// A requirement on a rate, with its two error probabilities. Express "at most" as "at least" of the failures.
@@ -77,11 +81,18 @@ impl RateTest {
 
     /// The smallest number of trials after which the requirement can be met, if all succeed. `None` above `most`.
     pub fn fewest(&self, schedule: Schedule, most: u64) -> Option<u64> {
+        if let Schedule::Budget(budget) = schedule {
+            let boundary = budget.boundary(self.at_least, self.alpha);
+            let rounds = (1..).map(|round| round * budget.per_round).zip(&boundary);
+            // A test of fewer trials than the first that a perfect policy passes cannot exist in any budget.
+            let within = rounds.into_iter().find(|(n, needed)| *needed <= n).map(|(n, _)| n);
+            return within.or_else(|| self.fewest(Schedule::Fixed { n: 0 }, most));
+        }
         let met = |n: u64| {
             let all = Trials::new(n, n).unwrap_or(Trials::NONE);
             match schedule {
                 Schedule::Fixed { .. } => self.fixed(all) == Answer::Met,
-                Schedule::Rounds { .. } => self.look(all) == Answer::Met,
+                _ => self.look(all) == Answer::Met,
             }
         };
         if !met(most) {
@@ -125,24 +136,62 @@ pub fn characteristics(test: RateTest, schedule: Schedule, rates: &[f64]) -> Vec
 struct Answers {
     test: RateTest,
     fixed: bool,
+    /// The answers, if the number of rounds is known.
+    boundaries: Option<Boundaries>,
     per_round: u64,
     /// For each round and number of successes.
     known: Vec<Vec<Option<Answer>>>,
+}
+
+/// The answers of a test with a known largest number of rounds.
+#[derive(Debug, Clone)]
+pub struct Boundaries {
+    budget: Budget,
+    met: Vec<u64>,
+    violated: Vec<u64>,
+}
+
+impl Boundaries {
+    /// Computes the answers once for all counts.
+    pub fn new(test: RateTest, budget: Budget) -> Self {
+        let (met, violated) =
+            (budget.boundary(test.at_least, test.alpha), budget.boundary(1.0 - test.at_least, test.beta));
+        Self { budget, met, violated }
+    }
+
+    /// The answer after complete rounds within the budget. Undecided for any other number of trials.
+    pub fn look(&self, trials: Trials) -> Answer {
+        let round = (trials.n() / self.budget.per_round.max(1)) as usize;
+        match (self.met.get(round.wrapping_sub(1)), self.violated.get(round.wrapping_sub(1))) {
+            (Some(met), _) if trials.successes() >= *met => Answer::Met,
+            (_, Some(violated)) if trials.failures() >= *violated => Answer::Violated,
+            _ => Answer::Open,
+        }
+    }
 }
 
 impl Answers {
     fn new(test: RateTest, schedule: Schedule) -> Self {
         let (per_round, rounds, fixed) = match schedule {
             Schedule::Fixed { n } => (n, 1, true),
-            Schedule::Rounds { per_round, rounds } => (per_round, rounds, false),
+            Schedule::Rounds { per_round, rounds } | Schedule::Budget(Budget { per_round, rounds }) => {
+                (per_round, rounds, false)
+            }
+        };
+        let boundaries = match schedule {
+            Schedule::Budget(budget) => Some(Boundaries::new(test, budget)),
+            Schedule::Fixed { .. } | Schedule::Rounds { .. } => None,
         };
         let known = (1..=rounds).map(|round| vec![None; (round * per_round) as usize + 1]).collect();
-        Self { test, fixed, per_round, known }
+        Self { test, fixed, boundaries, per_round, known }
     }
 
     /// The answer with `k` successes after the round with the index `round`.
     fn get(&mut self, round: usize, k: usize) -> Answer {
         let (test, fixed, n) = (self.test, self.fixed, (round as u64 + 1) * self.per_round);
+        if let Some(boundaries) = &self.boundaries {
+            return boundaries.look(Trials::new(k as u64, n).unwrap_or(Trials::NONE));
+        }
         *self.known[round][k].get_or_insert_with(|| {
             let trials = Trials::new(k as u64, n).unwrap_or(Trials::NONE);
             if fixed { test.fixed(trials) } else { test.look(trials) }

@@ -14,6 +14,7 @@
 use rand_chacha::ChaCha8Rng;
 use rand_core::SeedableRng;
 
+use crate::clusters::{Clusters, FEWEST as FEWEST_CLUSTERS, RateByCluster};
 use crate::interval::{Confidence, Trials, clopper_pearson, wilson};
 use crate::multiplicity::holm;
 use crate::resample::shuffle;
@@ -92,10 +93,11 @@ pub fn contains(limits: &Limits, columns: &[Column<'_>], row: usize) -> bool {
 }
 
 /// Searches the largest box with a success rate of at least `target`. `confidence` is the two-sided level whose lower end
-/// is the bound. `None` with fewer than 100 rows or without columns.
+/// is the bound. If rows come in `clusters`, each is in one half, and the bound counts clusters. `None` with fewer than 100 rows or without columns.
 pub fn search(
     columns: &[Column<'_>],
     success: &[bool],
+    clusters: Option<&Clusters>,
     target: f64,
     confidence: Confidence,
     seed: u64,
@@ -104,9 +106,23 @@ pub fn search(
     if n < 100 || columns.is_empty() || columns.iter().any(|c| c.values.len() != n) {
         return None;
     }
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut order: Vec<u32> = (0..n as u32).collect();
-    shuffle(&mut ChaCha8Rng::seed_from_u64(seed), &mut order);
-    let (choosing, testing) = order.split_at_mut((n / 2).min(CHOOSING));
+    let mut half = (n / 2).min(CHOOSING);
+    match clusters {
+        None => shuffle(&mut rng, &mut order),
+        Some(clusters) => {
+            let mut rank: Vec<usize> = (0..clusters.count()).collect();
+            shuffle(&mut rng, &mut rank);
+            order.sort_by_key(|row| rank[clusters.of_row()[*row as usize]]);
+            // A cluster is in one half.
+            let cluster = |at: usize| clusters.of_row()[order[at] as usize];
+            while half < n && cluster(half) == cluster(half - 1) {
+                half += 1;
+            }
+        }
+    }
+    let (choosing, testing) = order.split_at_mut(half);
     // Rows in order are read faster.
     choosing.sort_unstable();
     testing.sort_unstable();
@@ -121,7 +137,15 @@ pub fn search(
     // The chain is nested and starts with the largest box.
     for limits in chain.into_iter().rev() {
         let held_out = count(&limits, testing);
-        let lower_bound = clopper_pearson(held_out, confidence).low;
+        let lower_bound = match clusters {
+            None => clopper_pearson(held_out, confidence).low,
+            Some(clusters) => {
+                let inside =
+                    |row: usize| testing.binary_search(&(row as u32)).is_ok() && contains(&limits, columns, row);
+                let found = RateByCluster::of(&[clusters], success, inside);
+                if found.clusters < FEWEST_CLUSTERS { 0.0 } else { found.interval(confidence).low }
+            }
+        };
         let verified = lower_bound >= target;
         if !verified && best.is_some() {
             break;
@@ -366,7 +390,7 @@ mod tests {
         let owned: Vec<(Vec<f64>, Option<usize>)> = columns.iter().enumerate().map(of).collect();
         let columns: Vec<Column<'_>> =
             owned.iter().map(|(values, levels)| Column { values, levels: *levels }).collect();
-        search(&columns, success, TARGET, Confidence::P95, seed).unwrap()
+        search(&columns, success, None, TARGET, Confidence::P95, seed).unwrap()
     }
 
     /// The true rate inside a box.
@@ -416,7 +440,7 @@ mod tests {
             let (columns, success) = rows(seed, 1_000, |_| 0.5);
             assert!(!searched(&columns, &success, seed).verified);
         }
-        assert!(search(&[], &[true; 200], TARGET, Confidence::P95, 1).is_none());
+        assert!(search(&[], &[true; 200], None, TARGET, Confidence::P95, 1).is_none());
     }
 
     #[test]

@@ -19,6 +19,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_core::SeedableRng;
 
 use crate::Trials;
+use crate::correlation::midranks;
 use crate::resample::{hypergeometric, shuffle};
 
 /// Whether neighbouring cells belong together.
@@ -115,6 +116,85 @@ pub fn scan_units(
         divisions.largest(&n, &k)
     });
     Some(Scan { log_ratio, low, p })
+}
+
+/// The same test if rows come in clusters within which the parameter varies: outcomes are permuted within each cluster, so
+/// that differences between clusters do not matter. `cell_of` is the cell of each row, below `cells`.
+///
+/// `None` as in [`scan`], for lists of different lengths and for a cell that does not exist.
+pub fn scan_within(
+    outcomes: &[bool],
+    clusters: &[usize],
+    cell_of: &[usize],
+    cells: usize,
+    order: Order,
+    replicates: usize,
+    seed: u64,
+) -> Option<Scan> {
+    let rows = outcomes.len();
+    if clusters.len() != rows || cell_of.len() != rows || cell_of.iter().any(|cell| *cell >= cells) {
+        return None;
+    }
+    let mut by_cluster: Vec<usize> = (0..rows).collect();
+    by_cluster.sort_by_key(|row| clusters[*row]);
+    let ends: Vec<usize> = by_cluster
+        .chunk_by(|a, b| clusters[*a] == clusters[*b])
+        .scan(0, |at, of| {
+            *at += of.len();
+            Some(*at)
+        })
+        .collect();
+    let (mut n, mut k) = (vec![0; cells], vec![0; cells]);
+    for (cell, success) in cell_of.iter().zip(outcomes) {
+        n[*cell] += 1;
+        k[*cell] += u64::from(*success);
+    }
+    let mut divisions = Divisions::of(&n, &k, order)?;
+    let (log_ratio, low) = divisions.observed(&n, &k)?;
+    let cell_of: Vec<usize> = by_cluster.iter().map(|row| cell_of[*row]).collect();
+    let mut outcomes: Vec<bool> = by_cluster.iter().map(|row| outcomes[*row]).collect();
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let p = sequential(log_ratio, replicates, || {
+        let mut from = 0;
+        for to in &ends {
+            shuffle(&mut rng, &mut outcomes[from..*to]);
+            from = *to;
+        }
+        k.fill(0);
+        for (cell, success) in cell_of.iter().zip(&outcomes) {
+            k[*cell] += u64::from(*success);
+        }
+        divisions.largest(&n, &k)
+    });
+    Some(Scan { log_ratio, low, p })
+}
+
+/// The p-value of "the rates of units do not depend on a number", for few units: the absolute rank correlation of rates and
+/// values, with permuted units. It has more power than a scan against a monotone effect.
+///
+/// `None` for lists of different lengths, for fewer than two units with trials, and if all rates or values are equal.
+pub fn rank_units(units: &[Trials], values: &[f64], replicates: usize, seed: u64) -> Option<f64> {
+    if units.len() != values.len() {
+        return None;
+    }
+    let used = units.iter().zip(values).filter_map(|(unit, value)| Some((unit.rate()?, *value)));
+    let (rates, values): (Vec<f64>, Vec<f64>) = used.unzip();
+    let centred = |values: &[f64]| {
+        let middle = 0.5 * (values.len() as f64 + 1.0);
+        midranks(values).into_iter().map(|rank| rank - middle).collect::<Vec<f64>>()
+    };
+    let (mut rates, values) = (centred(&rates), centred(&values));
+    let varies = |ranks: &[f64]| ranks.iter().any(|rank| rank.abs() > 0.0);
+    if !varies(&rates) || !varies(&values) {
+        return None;
+    }
+    let product = |rates: &[f64]| rates.iter().zip(&values).map(|(a, b)| a * b).sum::<f64>().abs();
+    let observed = product(&rates);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    Some(sequential(observed, replicates, || {
+        shuffle(&mut rng, &mut rates);
+        product(&rates)
+    }))
 }
 
 /// The p-value by sampling until enough replicates reach the observed statistic.
@@ -307,6 +387,41 @@ mod tests {
         let cells = trials(&[(4, 4), (1, 4), (1, 4)]);
         let mean = (0..200).map(|seed| scan(&cells, Order::Unordered, 999, seed).unwrap().p).sum::<f64>() / 200.0;
         assert!((mean - reached / all).abs() < 0.02, "{mean} for {}", reached / all);
+    }
+
+    #[test]
+    fn rows_of_a_cluster_are_permuted_together() {
+        // Clusters have their own rates, and the cell is confounded with them in half of the rows.
+        let mut rejected = 0;
+        for seed in 0..200 {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let rates: Vec<f64> = (0..8).map(|_| uniform(&mut rng)).collect();
+            let clusters: Vec<usize> = (0..480).map(|row| row / 60).collect();
+            let cell_of: Vec<usize> = clusters
+                .iter()
+                .map(|of| if uniform(&mut rng) < 0.5 { *of } else { (8.0 * uniform(&mut rng)) as usize })
+                .collect();
+            let outcomes: Vec<bool> = clusters.iter().map(|of| uniform(&mut rng) < rates[*of]).collect();
+            let found = scan_within(&outcomes, &clusters, &cell_of, 8, Order::Ordered, 400, seed);
+            rejected += u32::from(found.is_some_and(|found| found.p <= 0.05));
+        }
+        assert!(rejected <= 20, "{rejected} of 200");
+        // An effect within the clusters is found.
+        let cell_of: Vec<usize> = (0..480).map(|row| row % 2).collect();
+        let outcomes: Vec<bool> = (0..480).map(|row| row % 2 == 0 || row % 3 == 0).collect();
+        let clusters: Vec<usize> = (0..480).map(|row| row / 60).collect();
+        assert!(scan_within(&outcomes, &clusters, &cell_of, 2, Order::Ordered, 400, 1).unwrap().p < 0.01);
+        assert!(scan_within(&outcomes, &clusters, &cell_of, 1, Order::Ordered, 400, 1).is_none());
+    }
+
+    #[test]
+    fn ranks_of_few_units_find_a_trend() {
+        let units: Vec<Trials> = (0..10).map(|i| Trials::new(10 + 3 * i, 60).unwrap()).collect();
+        let rising: Vec<f64> = (0..10).map(f64::from).collect();
+        assert!(rank_units(&units, &rising, 999, 1).unwrap() < 0.01);
+        let mixed: Vec<f64> = [5, 2, 8, 1, 9, 0, 7, 3, 6, 4].map(f64::from).to_vec();
+        assert!(rank_units(&units, &mixed, 999, 1).unwrap() > 0.1);
+        assert_eq!(rank_units(&units, &[1.0; 10], 999, 1), None);
     }
 
     #[test]

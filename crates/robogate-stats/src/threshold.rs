@@ -19,9 +19,12 @@
 //! Sources: robogate paper, table of critical thresholds; Barlow et
 //! al. (1972) for isotonic regression; Efron and Tibshirani (1993), chapter 13.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use crate::binning::{BinningError, Edges};
+use crate::clusters::{Clusters, RateByCluster};
 use crate::interval::{Confidence, Interval, wilson_real};
-use crate::resample::{multinomial, percentile_ends, standard_error};
+use crate::resample::{multinomial, percentile_ends, standard_error, uniform};
 use crate::weighted::is_weight;
 use rand_chacha::ChaCha8Rng;
 use rand_core::SeedableRng;
@@ -157,7 +160,8 @@ struct Cell {
     weight: f64,
 }
 
-/// Searches for a crossing of `options.level` along `values`, binned at `edges`. Rows outside the edges are ignored.
+/// Searches for a crossing of `options.level` along `values`, binned at `edges`. Rows outside the edges are ignored. If rows
+/// come in `clusters`, which exclude weights, the bootstrap samples whole clusters.
 ///
 /// # Errors
 /// Inputs that do not match, or fewer than two bins with rows.
@@ -165,6 +169,7 @@ pub fn threshold(
     values: &[f64],
     outcomes: &[bool],
     weights: Option<&[f64]>,
+    clusters: Option<&Clusters>,
     edges: &Edges,
     options: ThresholdOptions,
 ) -> Result<ThresholdResult, ThresholdError> {
@@ -172,7 +177,9 @@ pub fn threshold(
     if !(level > 0.0 && level < 1.0) {
         return Err(ThresholdError::BadLevel { level });
     }
-    for found in [Some(values.len()), weights.map(<[f64]>::len)].into_iter().flatten() {
+    for found in
+        [Some(values.len()), weights.map(<[f64]>::len), clusters.map(|of| of.of_row().len())].into_iter().flatten()
+    {
         if found != outcomes.len() {
             let expected = outcomes.len();
             return Err(BinningError::Length { expected, found }.into());
@@ -181,7 +188,8 @@ pub fn threshold(
     if let Some((row, value)) = weights.and_then(|w| w.iter().copied().enumerate().find(|(_, w)| !is_weight(*w))) {
         return Err(ThresholdError::BadWeight { row, value });
     }
-    let table = Table::new(values, outcomes, weights, edges);
+    let mut table = Table::new(values, outcomes, weights, edges);
+    let blocks = clusters.map(|clusters| table.by_cluster(values, outcomes, clusters, edges)).unwrap_or_default();
     let filled = table.positions.len();
     if filled < 2 {
         return Err(ThresholdError::TooFewBins { filled });
@@ -216,7 +224,15 @@ pub fn threshold(
     let mut drawn = vec![0; observed.len()];
     let mut replicates = Vec::with_capacity(options.replicates);
     for _ in 0..options.replicates {
-        multinomial(&mut rng, &observed, &mut drawn);
+        if blocks.is_empty() {
+            multinomial(&mut rng, &observed, &mut drawn);
+        } else {
+            drawn.fill(0);
+            for _ in 0..blocks.len() {
+                let block = &blocks[(uniform(&mut rng) * blocks.len() as f64) as usize];
+                block.iter().for_each(|(cell, count)| drawn[*cell] += count);
+            }
+        }
         table.rates(&drawn, &mut rates, &mut sizes);
         let fitted = isotonic(&rates, &sizes, direction);
         replicates.push(crossing(&table.positions, &fitted, &sizes, level, direction));
@@ -312,6 +328,28 @@ impl Table {
             effective: full.iter().map(|&b| sums[b].0 * sums[b].0 / sums[b].1).collect(),
             rows: full.iter().map(|&b| sums[b].3).collect(),
         }
+    }
+
+    /// The counts of each cluster, as pairs of cell and count. The effective numbers become those of clusters.
+    fn by_cluster(
+        &mut self,
+        values: &[f64],
+        outcomes: &[bool],
+        clusters: &Clusters,
+        edges: &Edges,
+    ) -> Vec<Vec<(usize, u64)>> {
+        let bin_of: Vec<Option<usize>> = values.iter().map(|value| edges.bin(*value)).collect();
+        let filled: BTreeSet<usize> = bin_of.iter().copied().flatten().collect();
+        let filled: Vec<usize> = filled.into_iter().collect();
+        let mut blocks: Vec<BTreeMap<usize, u64>> = vec![BTreeMap::new(); clusters.count()];
+        for ((bin, success), cluster) in bin_of.iter().zip(outcomes).zip(clusters.of_row()) {
+            let Some(at) = bin.and_then(|bin| filled.binary_search(&bin).ok()) else { continue };
+            *blocks[*cluster].entry((2 * at + usize::from(*success)) * self.classes).or_default() += 1;
+        }
+        for (effective, bin) in self.effective.iter_mut().zip(&filled) {
+            *effective = RateByCluster::of(&[clusters], outcomes, |row| bin_of[row] == Some(*bin)).effective;
+        }
+        blocks.into_iter().map(|block| block.into_iter().collect()).collect()
     }
 
     /// Success rate and weight of every bin for the given cell counts. An empty bin has weight 0 and rate 0.
@@ -413,7 +451,7 @@ mod tests {
     fn look(law: impl Fn(f64) -> f64) -> Threshold {
         let (values, outcomes) = rows(law);
         let edges = Edges::equal_width(&values, 20).unwrap();
-        threshold(&values, &outcomes, None, &edges, ThresholdOptions::default()).unwrap().threshold
+        threshold(&values, &outcomes, None, None, &edges, ThresholdOptions::default()).unwrap().threshold
     }
 
     #[test]
@@ -462,7 +500,7 @@ mod tests {
         let edges = Edges::equal_width(&values, 10).unwrap();
         let run = |weights: Option<&[f64]>, seed| {
             let options = ThresholdOptions { seed, ..Default::default() };
-            threshold(&values, &outcomes, weights, &edges, options).unwrap().threshold
+            threshold(&values, &outcomes, weights, None, &edges, options).unwrap().threshold
         };
         assert_eq!(run(None, 1), run(None, 1));
         assert_ne!(run(None, 1), run(None, 2));
@@ -475,7 +513,7 @@ mod tests {
         let (values, outcomes) = rows(|v| v);
         let weights: Vec<f64> = outcomes.iter().map(|o| if *o { 2.0 } else { 1.0 }).collect();
         let edges = Edges::equal_width(&values, 20).unwrap();
-        let found = threshold(&values, &outcomes, Some(&weights), &edges, ThresholdOptions::default()).unwrap();
+        let found = threshold(&values, &outcomes, Some(&weights), None, &edges, ThresholdOptions::default()).unwrap();
         let Threshold::Crosses { at, .. } = found.threshold else { panic!("it crosses") };
         assert!((at - 1.0 / 3.0).abs() < 0.03, "{at}");
     }
@@ -483,9 +521,10 @@ mod tests {
     #[test]
     fn invalid_input_is_handled() {
         let edges = Edges::new(vec![0.0, 1.0]).unwrap();
-        let one_bin = threshold(&[0.1, 0.2, 0.3], &[true, false, true], None, &edges, ThresholdOptions::default());
+        let one_bin =
+            threshold(&[0.1, 0.2, 0.3], &[true, false, true], None, None, &edges, ThresholdOptions::default());
         assert_eq!(one_bin, Err(ThresholdError::TooFewBins { filled: 1 }));
         let options = ThresholdOptions { level: 1.0, ..Default::default() };
-        assert!(threshold(&[0.1], &[true], None, &edges, options).is_err());
+        assert!(threshold(&[0.1], &[true], None, None, &edges, options).is_err());
     }
 }

@@ -135,7 +135,7 @@ fn one_round(rng: &mut ChaCha8Rng) {
         assert_eq!(cells.cells.iter().map(|c| c.n()).sum::<u64>() as usize + cells.outside, n);
         let options = ThresholdOptions { replicates: 20, ..Default::default() };
         for w in [None, Some(weights.as_slice())] {
-            if let Ok(found) = threshold(&x, &outcomes, w, &edges, options)
+            if let Ok(found) = threshold(&x, &outcomes, w, None, &edges, options)
                 && let Threshold::Crosses { at, .. } = found.threshold
             {
                 assert!(at.is_finite());
@@ -166,7 +166,7 @@ fn regressions(rng: &mut ChaCha8Rng, x: &[f64], y: &[f64], outcomes: &[bool], we
             let _ = firth_profile(data, 0, Confidence::P95);
         }
     }
-    if let Ok((state, _)) = LimitState::fit(x, y, outcomes, None, Options::default(), 0.5) {
+    if let Ok((state, _)) = LimitState::fit(x, y, outcomes, None, None, Options::default(), 0.5) {
         let _ = (state.pole(), state.validity(), state.curve(7, Confidence::P95));
     }
 }

@@ -95,7 +95,7 @@ fn threshold_interval_covers_crossing() {
     let covered = coverage(500, 0.5, |random| {
         let values: Vec<f64> = (0..600).map(|_| unit(random)).collect();
         let outcomes: Vec<bool> = values.iter().map(|x| unit(random) < *x).collect();
-        match threshold(&values, &outcomes, None, &edges, options).unwrap().threshold {
+        match threshold(&values, &outcomes, None, None, &edges, options).unwrap().threshold {
             Threshold::Crosses { low, high, .. } => {
                 Interval { low: low.unwrap_or(f64::NEG_INFINITY), high: high.unwrap_or(f64::INFINITY) }
             }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use robogate_dictionary::Provenance;
 
 use crate::analysis::populations;
+use crate::dependence::Dependence;
 use crate::replay::shell_word;
 use crate::table::{EpisodeTable, ParameterColumn, Sample};
 use crate::{AnalysisError, ComparisonError, Population, Source};
@@ -21,9 +22,15 @@ pub(crate) struct Dataset<'a> {
 }
 
 impl<'a> Dataset<'a> {
-    pub(crate) fn read(source: &'a Source, path: &'a Path, name: String) -> Result<Self, AnalysisError> {
+    pub(crate) fn read(
+        source: &'a Source,
+        path: &'a Path,
+        name: String,
+        groups: &[String],
+    ) -> Result<Self, AnalysisError> {
         let table = EpisodeTable::read(source.dictionary())?;
-        let (base, focused, population) = populations(&table);
+        let (mut base, focused, population) = populations(&table);
+        base.dependence = Dependence::of(&table, &base, population, groups)?;
         Ok(Self { name, source, path, table, base, focused, population })
     }
 

@@ -1,5 +1,9 @@
 //! Differences of success rates between pairs of datasets: paired if both ran the same scenarios.
 
+use std::collections::BTreeMap;
+
+use robogate_dictionary::results::SOURCE_SEED;
+use robogate_stats::clusters::{FEWEST, independent_clusters, paired_clusters};
 use robogate_stats::compare::Pairs;
 use robogate_stats::difference::{ScoreDifference, independent, paired};
 use robogate_stats::{Confidence, Trials};
@@ -9,7 +13,9 @@ use serde::{Deserialize, Serialize};
 use crate::AnalysisError;
 use crate::comparison::dataset::Dataset;
 use crate::comparison::paired::same_scenarios;
+use crate::dependence::{EQUAL_SETTINGS, NEIGHBOURS};
 use crate::rate::ends;
+use crate::table::{ParameterColumn, categories};
 
 /// The difference of two success rates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -26,6 +32,10 @@ pub struct RateDifference {
     /// Scenarios that are valid in both, if the difference is paired; absent for independent runs.
     #[serde(default)]
     pub valid_pairs: Option<u64>,
+    /// The clusters that the test counts, if rows depend on each other: the difference then applies to new scenarios of the
+    /// same kind, and not to exactly these. Absent if it counts episodes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clusters: Option<u64>,
     /// ln of the two-sided p-value of equal rates, for this pair alone.
     pub ln_p: f64,
     /// The p-value, adjusted by Bonferroni over all pairs of datasets.
@@ -75,7 +85,11 @@ pub(crate) fn differences(datasets: &[&Dataset<'_>]) -> Result<Vec<RateDifferenc
 
 fn between(first: &Dataset<'_>, second: &Dataset<'_>, family: usize) -> Result<RateDifference, AnalysisError> {
     let pairs: Option<Pairs> = same_scenarios(first, second)?.filter(|pairs| pairs.n() > 0);
-    let difference: ScoreDifference = if let Some(pairs) = pairs {
+    let by_cluster = clustered(first, second, pairs.is_some(), level(family))?;
+    let clusters = by_cluster.map(|(_, clusters)| clusters);
+    let difference: ScoreDifference = if let Some((difference, _)) = by_cluster {
+        difference
+    } else if let Some(pairs) = pairs {
         paired(pairs, level(family))
     } else {
         let [one, two] = [first, second].map(|of| Trials::count(of.base.success.iter().copied()));
@@ -88,7 +102,72 @@ fn between(first: &Dataset<'_>, second: &Dataset<'_>, family: usize) -> Result<R
         difference: difference.estimate.unwrap_or_default(),
         interval_95: ends(difference.interval),
         valid_pairs: pairs.map(|pairs| pairs.n()),
+        clusters,
         ln_p: difference.ln_p.max(f64::MIN),
         adjusted_p: adjusted(difference.ln_p, family),
     })
+}
+
+/// The difference by clusters, and their number. `None` if the rows of both are independent, or those of chosen scenarios.
+fn clustered(
+    first: &Dataset<'_>,
+    second: &Dataset<'_>,
+    paired: bool,
+    confidence: Confidence,
+) -> Result<Option<(ScoreDifference, u64)>, AnalysisError> {
+    let of = |dataset: &Dataset<'_>| dataset.base.dependence.as_ref().is_some_and(|of| of.new_clusters);
+    if !of(first) && !of(second) {
+        return Ok(None);
+    }
+    let (one, two) = (labelled(first)?, labelled(second)?);
+    let shared: Vec<&Vec<String>> = one.keys().filter(|name| two.contains_key(*name)).collect();
+    // The same scenarios in both: their differences are compared, even if the runs of each differ.
+    if paired || (2 * shared.len() > one.len().max(two.len()) && shared.len() >= FEWEST.min(one.len())) {
+        let rates = |of: &BTreeMap<Vec<String>, Trials>| shared.iter().map(|name| of[*name]).collect::<Vec<Trials>>();
+        return Ok(Some((paired_clusters(&rates(&one), &rates(&two), confidence), shared.len() as u64)));
+    }
+    let rates = |of: BTreeMap<Vec<String>, Trials>| of.into_values().collect::<Vec<Trials>>();
+    let clusters = one.len().min(two.len()) as u64;
+    Ok(Some((independent_clusters(&rates(one), &rates(two), confidence), clusters)))
+}
+
+/// The outcomes of each cluster by its name: the case with its category and group, the settings, or the value of the column that
+/// identifies clusters. Blocks of neighbouring rows have names that no other dataset has.
+fn labelled(dataset: &Dataset<'_>) -> Result<BTreeMap<Vec<String>, Trials>, AnalysisError> {
+    let base = &dataset.base;
+    let Some(clusters) = base.clusters() else {
+        // Each row is its own cluster.
+        let rows = base.success.iter().enumerate();
+        return Ok(rows.map(|(row, success)| (vec![row.to_string()], Trials::count([*success]))).collect());
+    };
+    let trials = clusters.trials(&base.success, |_| true);
+    let by = base.dependence.as_ref().map_or("", |of| of.groupings[0].by.as_str());
+    let mut words = Vec::new();
+    if by == "case" {
+        for column in ["case", "category", "group"] {
+            words.push(categories(dataset.source.dictionary(), column)?);
+        }
+    }
+    let mut names: Vec<Option<Vec<String>>> = vec![None; clusters.count()];
+    for (at, cluster) in clusters.of_row().iter().enumerate() {
+        let row = base.rows[at] as usize;
+        let label = || -> Vec<String> {
+            if by == NEIGHBOURS {
+                return vec![dataset.name.clone(), cluster.to_string()];
+            }
+            if words.is_empty() {
+                let seed = |p: &ParameterColumn| by == "seed" && p.name == SOURCE_SEED;
+                let named = |p: &&ParameterColumn| by == EQUAL_SETTINGS || p.name == by;
+                let columns = base.parameters.iter().filter(named).chain(base.identifiers.iter().filter(|p| seed(p)));
+                return columns.map(|p| p.exactly(p.values[at])).collect();
+            }
+            let word = |(words, codes): &(Vec<String>, Vec<Option<u32>>)| {
+                let code = codes.get(row).copied().flatten();
+                code.map_or_else(String::new, |code| words[code as usize].clone())
+            };
+            words.iter().map(word).collect()
+        };
+        names[*cluster].get_or_insert_with(label);
+    }
+    Ok(names.into_iter().zip(trials).filter_map(|(name, trials)| Some((name?, trials))).collect())
 }

@@ -119,6 +119,8 @@ pub struct ComparisonOptions {
     pub common: bool,
     /// Number of flips that are listed for each direction.
     pub max_flips: usize,
+    /// Columns whose equal values mark rows that depend on each other. Empty: found by their names and by equal settings.
+    pub groups: Vec<String>,
 }
 
 impl Default for ComparisonOptions {
@@ -132,6 +134,7 @@ impl Default for ComparisonOptions {
             paired: false,
             common: false,
             max_flips: 10,
+            groups: Vec::new(),
         }
     }
 }
@@ -148,7 +151,8 @@ impl Comparison {
         dataset::check_distinct(sources)?;
         let names = dataset::names(sources, &options.names)?;
         check(options, &names)?;
-        let all = sources.iter().zip(names).map(|((source, path), name)| Dataset::read(source, path, name));
+        let all =
+            sources.iter().zip(names).map(|((source, path), name)| Dataset::read(source, path, name, &options.groups));
         let mut all: Vec<Dataset<'_>> = all.collect::<Result<_, AnalysisError>>()?;
         common::check_tasks(&all)?;
         // Pairs of the same scenarios have the same space by construction.

@@ -9,8 +9,9 @@ mod shape;
 
 use robogate_stats::Trials;
 use robogate_stats::binning::{Edges, per_bin, per_category};
+use robogate_stats::clusters::{Clusters, FEWEST};
 use robogate_stats::multiplicity::holm;
-use robogate_stats::scan::{Order, Scan, scan, scan_units};
+use robogate_stats::scan::{Order, Scan, rank_units, scan, scan_units, scan_within};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +20,6 @@ pub use shape::{EffectShape, RateStep, ShapeKind};
 
 use crate::Finding;
 use crate::marginal::integer_edges;
-use crate::scenarios::Scenarios;
 use crate::table::{ParameterColumn, ParameterKind, Sample};
 
 /// The error probability of everything that is named. It is below the usual 5 %, so that the share of false reports in a
@@ -32,6 +32,14 @@ const SINGLE: f64 = 0.84;
 const TEST_CELLS: usize = 100;
 /// Cells of a numeric parameter in the estimate of its influence.
 const INFLUENCE_CELLS: usize = 20;
+/// Share of a parameter's variance between clusters from which these are permuted. Below it, rows within clusters are.
+const BETWEEN: f64 = 0.5;
+/// Replicates of the tests that count clusters.
+const REPLICATES: usize = 2_000;
+/// Clusters from which a scan has enough units. With fewer, ranks are compared.
+const SCANNED: usize = 30;
+/// Most rows that are permuted within clusters.
+const WITHIN_ROWS: usize = 50_000;
 /// Rows that determine the edges of the cells. All rows are counted.
 const EDGE_ROWS: usize = 20_000;
 
@@ -42,7 +50,7 @@ pub struct Effects {
     pub tested: u64,
     /// Pairs that were tested for an interaction.
     pub pairs_tested: u64,
-    /// Whether repeated scenarios were tested as units, because their episodes are not independent.
+    /// Whether the tests count clusters, because episodes depend on each other.
     pub by_scenario: bool,
     /// The parameters, the most influential first: significant ones before the others.
     pub ranked: Vec<ParameterEffect>,
@@ -80,18 +88,21 @@ impl Effects {
             || self.interactions.iter().any(|pair| pair.parameters.iter().any(|name| name == parameter))
     }
 
-    /// `scenarios` are those of `base`, if they have repeats.
-    pub(crate) fn of(base: &Sample, scenarios: Option<&Scenarios>) -> Self {
+    pub(crate) fn of(base: &Sample) -> Self {
         let (mut names, mut found) = (Vec::new(), Vec::new());
         // Enough replicates for the smallest p-value that Holm's first step can need.
         let replicates = (base.parameters.len() * 500).clamp(4_000, 20_000);
         for (at, parameter) in base.parameters.iter().enumerate() {
             let Some(cells) = TestCells::of(base, parameter) else { continue };
             let seed = at as u64;
-            let tested = match scenarios {
-                Some(scenarios) => {
-                    let cell_of = cells.of_scenarios(parameter, scenarios);
-                    scan_units(&scenarios.trials, &cell_of, cells.trials.len(), cells.order, 2_000, seed)
+            let tested = match &base.dependence {
+                Some(dependence) => {
+                    let (clusters, between) = dependence.grouping_of(parameter);
+                    if between > BETWEEN {
+                        cells.between(base, parameter, clusters, seed)
+                    } else {
+                        cells.within(base, parameter, dependence.main(), seed)
+                    }
                 }
                 None => scan(&cells.trials, cells.order, replicates, seed),
             };
@@ -111,9 +122,12 @@ impl Effects {
         ranked.sort_by(|a, b| {
             b.significant.cmp(&a.significant).then(b.influence.total_cmp(&a.influence)).then(a.p.total_cmp(&b.p))
         });
-        let (interactions, pairs_tested) =
-            if scenarios.is_some() { (Vec::new(), 0) } else { interaction::interactions(base, &ranked, 1.0 - SINGLE) };
-        Self { tested: p.len() as u64, pairs_tested, by_scenario: scenarios.is_some(), ranked, interactions }
+        let (interactions, pairs_tested) = if base.dependence.is_some() {
+            (Vec::new(), 0)
+        } else {
+            interaction::interactions(base, &ranked, 1.0 - SINGLE)
+        };
+        Self { tested: p.len() as u64, pairs_tested, by_scenario: base.dependence.is_some(), ranked, interactions }
     }
 }
 
@@ -128,7 +142,7 @@ fn effect(
     let significant = adjusted_p <= LEVEL;
     ParameterEffect {
         parameter: parameter.name.clone(),
-        influence: influence(&cells.merged()),
+        influence: influence(&cells.merged(), base.dependence.as_ref().map_or(1.0, |of| of.share(base))),
         p: scan.p,
         adjusted_p,
         significant,
@@ -141,16 +155,16 @@ fn effect(
 }
 
 /// The first-order Sobol index from the rates of cells: their variance without the part that sampling explains, divided
-/// by the variance of the outcome.
-fn influence(cells: &[Trials]) -> f64 {
+/// by the variance of the outcome. `share` is the number of independent rows for which one row counts.
+fn influence(cells: &[Trials], share: f64) -> f64 {
     let n: f64 = cells.iter().map(|c| c.n() as f64).sum();
     let rate = cells.iter().map(|c| c.successes() as f64).sum::<f64>() / n.max(1.0);
     let total = rate * (1.0 - rate);
     let between: f64 = cells
         .iter()
-        .filter(|cell| cell.n() > 1)
+        .filter(|cell| cell.n() as f64 * share > 1.0)
         .filter_map(|cell| Some((cell.n() as f64, cell.rate()?)))
-        .map(|(m, p)| m / n * ((p - rate).powi(2) - p * (1.0 - p) / (m - 1.0)))
+        .map(|(m, p)| m / n * ((p - rate).powi(2) - p * (1.0 - p) / (m * share - 1.0)))
         .sum();
     if total > 0.0 { (between / total).clamp(0.0, 1.0) } else { 0.0 }
 }
@@ -178,14 +192,46 @@ impl TestCells {
         }
     }
 
-    /// The cell of each scenario.
-    fn of_scenarios(&self, parameter: &ParameterColumn, scenarios: &Scenarios) -> Vec<usize> {
-        let value = |row: &usize| parameter.values[*row];
-        let cell = |row: &usize| match &self.edges {
-            Some(edges) => edges.bin(value(row)).unwrap_or(0),
-            None => value(row) as usize,
+    fn cell(&self, value: f64) -> usize {
+        match &self.edges {
+            Some(edges) => edges.bin(value).unwrap_or(0),
+            None => value as usize,
+        }
+    }
+
+    /// The test of a parameter that varies between clusters: clusters are permuted. `None` with too few clusters.
+    fn between(&self, base: &Sample, parameter: &ParameterColumn, clusters: &Clusters, seed: u64) -> Option<Scan> {
+        if clusters.count() < FEWEST {
+            return None;
+        }
+        let units = clusters.trials(&base.success, |_| true);
+        let mut first = vec![None; clusters.count()];
+        let mut sums = vec![0.0; clusters.count()];
+        for (cluster, value) in clusters.of_row().iter().zip(&parameter.values) {
+            first[*cluster].get_or_insert(*value);
+            sums[*cluster] += value;
+        }
+        let means: Vec<f64> = sums.iter().zip(&units).map(|(sum, unit)| sum / unit.n().max(1) as f64).collect();
+        let cell_of: Vec<usize> = match self.order {
+            Order::Ordered => means.iter().map(|mean| self.cell(*mean)).collect(),
+            Order::Unordered => first.iter().map(|value| self.cell(value.unwrap_or(0.0))).collect(),
         };
-        scenarios.first.iter().map(cell).collect()
+        let found = scan_units(&units, &cell_of, self.trials.len(), self.order, REPLICATES, seed)?;
+        if self.order == Order::Ordered && clusters.count() < SCANNED {
+            let p = rank_units(&units, &means, REPLICATES, seed)?;
+            return Some(Scan { p, ..found });
+        }
+        Some(found)
+    }
+
+    /// The test of a parameter that varies within clusters: outcomes are permuted within each.
+    fn within(&self, base: &Sample, parameter: &ParameterColumn, clusters: &Clusters, seed: u64) -> Option<Scan> {
+        let step = base.len().div_ceil(WITHIN_ROWS).max(1);
+        let rows = || (0..base.len()).step_by(step);
+        let success: Vec<bool> = rows().map(|row| base.success[row]).collect();
+        let of_row: Vec<usize> = rows().map(|row| clusters.of_row()[row]).collect();
+        let cell_of: Vec<usize> = rows().map(|row| self.cell(parameter.values[row])).collect();
+        scan_within(&success, &of_row, &cell_of, self.trials.len(), self.order, REPLICATES, seed)
     }
 
     /// The cells for the estimate of the influence: neighbours together, because narrow cells only add noise to it.

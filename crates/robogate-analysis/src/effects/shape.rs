@@ -62,22 +62,24 @@ impl From<Step> for RateStep {
 /// The shape of a significant effect. `low` are the cells with the lower rate in the test.
 pub(super) fn shape(base: &Sample, parameter: &ParameterColumn, cells: &[Trials], low: &[bool]) -> Option<EffectShape> {
     if let ParameterKind::Categorical { levels } = &parameter.kind {
-        let sum = |wanted: bool| {
-            let of = cells.iter().zip(low).filter(|(_, low)| **low == wanted);
-            let (k, n) = of.fold((0, 0), |(k, n), (cell, _)| (k + cell.successes(), n + cell.n()));
-            Trials::new(k, n).unwrap_or(Trials::NONE)
-        };
+        let is_low = |row: usize| low.get(parameter.values[row] as usize).copied().unwrap_or(false);
+        let rate = |wanted: bool| Rate::of_rows(base, |row| is_low(row) == wanted);
         let low_levels = levels.iter().zip(cells).zip(low).filter(|((_, cell), low)| **low && cell.n() > 0);
         return Some(EffectShape {
             kind: ShapeKind::Levels,
             steps: Vec::new(),
             low_levels: low_levels.map(|((level, _), _)| level.clone()).collect(),
-            high: Rate::of(sum(false)),
-            low: Rate::of(sum(true)),
+            high: rate(false),
+            low: rate(true),
         });
     }
     let edges = super::edges(parameter, (base.len() / ROWS_PER_CELL).clamp(8, CELLS))?;
-    let fine = per_bin(&parameter.values, &base.success, &edges).ok()?.cells;
+    let mut fine = per_bin(&parameter.values, &base.success, &edges).ok()?.cells;
+    if let Some(dependence) = &base.dependence {
+        // Each row counts for less than an independent one.
+        let share = dependence.share(base);
+        fine.iter_mut().for_each(|cell| *cell = scaled(*cell, share));
+    }
     let Segments { shape, high, low } = segments(&fine, edges.as_slice())?;
     let (kind, steps) = match shape {
         Shape::Rising(step) => (ShapeKind::Rising, vec![step.into()]),
@@ -85,5 +87,25 @@ pub(super) fn shape(base: &Sample, parameter: &ParameterColumn, cells: &[Trials]
         Shape::Band(from, to) => (ShapeKind::Band, vec![from.into(), to.into()]),
         Shape::Gap(from, to) => (ShapeKind::Gap, vec![from.into(), to.into()]),
     };
-    Some(EffectShape { kind, steps, low_levels: Vec::new(), high: Rate::of(high), low: Rate::of(low) })
+    if base.dependence.is_none() {
+        return Some(EffectShape { kind, steps, low_levels: Vec::new(), high: Rate::of(high), low: Rate::of(low) });
+    }
+    let inside = |row: usize| {
+        let value = parameter.values[row];
+        match steps.as_slice() {
+            [from, to] => (from.at..to.at).contains(&value) == (kind == ShapeKind::Band),
+            [step] => (value >= step.at) == (kind == ShapeKind::Rising),
+            _ => true,
+        }
+    };
+    let rate = |high: bool| Rate::of_rows(base, |row| inside(row) == high);
+    let (high, low) = (rate(true), rate(false));
+    Some(EffectShape { kind, steps, low_levels: Vec::new(), high, low })
+}
+
+/// Counts with the same rate and a share of the number of trials.
+fn scaled(cell: Trials, share: f64) -> Trials {
+    let n = (cell.n() as f64 * share).floor();
+    let k = (n * cell.rate().unwrap_or(0.0)).round();
+    Trials::new(k as u64, n as u64).unwrap_or(Trials::NONE)
 }

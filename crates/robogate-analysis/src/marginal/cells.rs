@@ -5,6 +5,7 @@ use robogate_stats::binning::{Edges, per_bin, per_category};
 use robogate_stats::format::range;
 
 use super::{BINS, Cell, Zone, level_edges};
+use crate::dependence::effective;
 use crate::rate::Rate;
 use crate::table::{ParameterColumn, ParameterKind, Sample};
 
@@ -26,13 +27,10 @@ pub(super) fn cells(base: &Sample, parameter: &ParameterColumn) -> (Vec<Cell>, u
         }
         ParameterKind::Categorical { levels } => {
             let trials = per_category(&parameter.codes(), &base.success, levels.len()).unwrap_or_default();
-            let cells = levels.iter().zip(&trials).zip(Zone::of(&trials));
-            let cell = |((level, trials), zone): ((&String, &Trials), Zone)| Cell {
-                label: level.clone(),
-                range: None,
-                rate: Rate::of(*trials),
-                zone,
-            };
+            let (rates, zones) = rated(base, &trials, |row| Some(parameter.values[row] as usize));
+            let cells = levels.iter().zip(rates).zip(zones);
+            let cell =
+                |((level, rate), zone): ((&String, Rate), Zone)| Cell { label: level.clone(), range: None, rate, zone };
             (cells.map(cell).collect(), 0)
         }
     }
@@ -42,13 +40,26 @@ fn bins(base: &Sample, parameter: &ParameterColumn, edges: &Edges) -> (Vec<Cell>
     let counted = per_bin(&parameter.values, &base.success, edges);
     let (trials, outside) = counted.map_or_else(|_| (Vec::new(), 0), |c| (c.cells, c.outside as u64));
     let ranges = edges.as_slice().windows(2).map(|e| [e[0], e[1]]);
-    let cells = ranges.zip(&trials).zip(Zone::of(&trials)).map(|((edges, trials), zone)| Cell {
+    let (rates, zones) = rated(base, &trials, |row| edges.bin(parameter.values[row]));
+    let cells = ranges.zip(rates).zip(zones).map(|((edges, rate), zone)| Cell {
         label: range(edges),
         range: Some(edges),
-        rate: Rate::of(*trials),
+        rate,
         zone,
     });
     (cells.collect(), outside)
+}
+
+/// The rates and the zones of cells. `cell_of` is the cell of a row.
+fn rated(base: &Sample, trials: &[Trials], cell_of: impl Fn(usize) -> Option<usize>) -> (Vec<Rate>, Vec<Zone>) {
+    if base.dependence.is_none() {
+        return (trials.iter().map(|trials| Rate::of(*trials)).collect(), Zone::of(trials));
+    }
+    let cells: Vec<Option<usize>> = (0..base.len()).map(cell_of).collect();
+    let of = |cell: usize| Rate::of_rows(base, |row| cells[row] == Some(cell));
+    let effective = |cell: usize| effective(base, |row| cells[row] == Some(cell));
+    let effective: Vec<Trials> = (0..trials.len()).map(effective).collect();
+    ((0..trials.len()).map(of).collect(), Zone::of(&effective))
 }
 
 fn equal_width(low: f64, high: f64) -> Option<Edges> {

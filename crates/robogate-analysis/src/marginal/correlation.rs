@@ -46,10 +46,14 @@ impl Correlation {
 }
 
 pub(super) fn correlation(base: &Sample, parameter: &ParameterColumn) -> Finding<Correlation> {
+    // A parameter that varies between clusters has as many independent values as clusters.
+    let clusters = base.dependence.as_ref().map(|of| of.grouping_of(parameter)).filter(|(_, share)| *share > 0.5);
+    let clusters = clusters.map(|(clusters, _)| clusters.count());
     if parameter.is_numeric() {
         let Ok(found) = point_biserial(&parameter.values, &base.success, Confidence::P95) else {
             return Finding::not(no_contrast(base, parameter));
         };
+        let found = clusters.map_or(found, |n| found.counted_as(n, Confidence::P95));
         let outcomes: Vec<f64> = base.success.iter().map(|s| f64::from(u8::from(*s))).collect();
         let ranks = spearman(&parameter.values, &outcomes, Confidence::P95).ok();
         return Finding::Estimated(Correlation::Number {
@@ -63,7 +67,9 @@ pub(super) fn correlation(base: &Sample, parameter: &ParameterColumn) -> Finding
     match cramers_v(&parameter.codes(), &outcomes) {
         Ok(found) => Finding::Estimated(Correlation::Category {
             cramers_v: found.v_corrected,
-            ln_p: found.ln_p.max(f64::MIN),
+            ln_p: clusters
+                .map_or(found.ln_p, |n| found.ln_p_counted_as(n as f64 / base.len().max(1) as f64))
+                .max(f64::MIN),
             smallest_expected: found.smallest_expected,
         }),
         Err(_) => Finding::not(no_contrast(base, parameter)),

@@ -51,6 +51,9 @@ pub(super) fn mode_changes(table: &EpisodeTable, base: &Sample, parameter: &Para
     if !parameter.is_numeric() {
         return Finding::not("a categorical parameter has no order");
     }
+    if base.dependence.is_some() {
+        return Finding::not("the tests of modes need independent episodes, and these come in clusters");
+    }
     let (failed, modes_of) = base.failures(table);
     if failed.len() < 2 {
         return Finding::not(format!("{} failed", counted(failed.len() as u64, "episode")));

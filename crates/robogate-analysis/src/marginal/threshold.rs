@@ -6,6 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{integer_edges, no_contrast};
+use crate::dependence::too_few;
 use crate::rate::{Finding, ends};
 use crate::table::{ParameterColumn, Sample};
 
@@ -55,6 +56,9 @@ pub(super) fn critical_threshold(base: &Sample, parameter: &ParameterColumn) -> 
         let n = base.len();
         return Finding::not(format!("there are too few valid episodes ({n}; it needs at least {MIN_EPISODES})"));
     }
+    if let Some(because) = base.clusters().and_then(|clusters| too_few(clusters.count())) {
+        return Finding::not(because);
+    }
     // At least fifty rows per bin, up to a maximum number of bins.
     let bins = (base.len() / 50).clamp(4, 20);
     let edges = integer_edges(parameter).map_or_else(|| Edges::equal_count(&parameter.values, bins), Ok);
@@ -62,7 +66,7 @@ pub(super) fn critical_threshold(base: &Sample, parameter: &ParameterColumn) -> 
         return Finding::not(no_contrast(base, parameter));
     };
     let options = ThresholdOptions { replicates: REPLICATES, ..ThresholdOptions::default() };
-    match threshold(&parameter.values, &base.success, None, &edges, options) {
+    match threshold(&parameter.values, &base.success, None, base.clusters(), &edges, options) {
         Ok(found) => Finding::Estimated(match found.threshold {
             Threshold::Crosses { at, direction, low, high, se, crossing_share } => CriticalThreshold::Crosses {
                 at,

@@ -1,8 +1,9 @@
 //! The closed-form frontier of two parameters: where the model predicts 50 % success.
 
+use robogate_stats::clusters::Clusters;
 use robogate_stats::limit_state::{CompatibleSet, LimitState, SuccessSide};
 use robogate_stats::logistic::{Options, interaction};
-use robogate_stats::{Confidence, Interval, Trials};
+use robogate_stats::{Confidence, Interval};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -75,10 +76,12 @@ pub(crate) fn frontier(base: &Sample, x: &ParameterColumn, y: &ParameterColumn) 
         parameter_label(&y.name),
         format!("{} \u{d7} {}", parameter_label(&x.name), parameter_label(&y.name)),
     ];
-    let (state, fit) = match LimitState::fit(&x.values, &y.values, &base.success, None, Options::default(), 0.5) {
-        Ok(found) => found,
-        Err(error) => return Finding::not(why_no_frontier(&error, &names)),
-    };
+    let clusters = base.clusters().map(Clusters::of_row);
+    let (state, fit) =
+        match LimitState::fit(&x.values, &y.values, &base.success, None, clusters, Options::default(), 0.5) {
+            Ok(found) => found,
+            Err(error) => return Finding::not(why_no_frontier(&error, &names)),
+        };
     let raw = fit.raw_coefficients();
     let coefficients: [f64; 4] = std::array::from_fn(|i| raw[i]);
     let valid = state.validity();
@@ -105,8 +108,7 @@ pub(crate) fn frontier(base: &Sample, x: &ParameterColumn, y: &ParameterColumn) 
         .collect();
     let product = interaction(&x.values, &y.values);
     let stated = fit.probabilities(&[&x.values, &y.values, &product]).unwrap_or_default();
-    let close = stated.iter().zip(&base.success).filter(|(p, _)| (NEAR[0]..=NEAR[1]).contains(*p));
-    let near = Rate::of(Trials::count(close.map(|(_, success)| *success)));
+    let near = Rate::of_rows(base, |row| stated.get(row).is_some_and(|p| (NEAR[0]..=NEAR[1]).contains(p)));
     Finding::Estimated(Frontier {
         near,
         contradicted: near.wilson_95[1] < NEAR[0] || near.wilson_95[0] > NEAR[1],

@@ -1,5 +1,6 @@
 //! The published logistic model of a task: standardised main effects and products of them.
 
+use robogate_stats::clusters::Clusters;
 use robogate_stats::format::list;
 use robogate_stats::logistic::{Data, Options, Scale, fit, interaction, standardized};
 
@@ -29,7 +30,9 @@ pub(crate) fn interactions(base: &Sample, task: &TaskAnalysis) -> Finding<Regres
     let names: Vec<String> =
         model.main.iter().map(|m| parameter_label(m)).chain(model.products.iter().map(product)).collect();
     let options = Options { scale: Scale::Standardized, ..Options::default() };
-    let found = Data::new(&all, &base.success, None).and_then(|data| fit(data, options));
+    let found = Data::new(&all, &base.success, None)
+        .and_then(|data| data.clustered(base.clusters().map(Clusters::of_row)))
+        .and_then(|data| fit(data, options));
     match found {
         Ok(fit) => Finding::Estimated(Regression::of(&fit, "success", &names, true)),
         Err(error) => Finding::not(why(&error, &names)),

@@ -134,7 +134,9 @@ impl Success {
         let base_is_focused = population == Population::FocusedDesign;
         let of_base = |s: &&StageSuccess| (s.population == Population::FocusedDesign) == base_is_focused;
         let invalid: u64 = stages.iter().filter(of_base).map(|stage| stage.invalid).sum();
-        let rate = Rate::of(Trials::count(base.success.iter().copied()));
+        let rate = Rate::of_rows(base, |_| true);
+        // The rows of the headline are one stage, whose rate is the same.
+        stages.iter_mut().filter(|stage| stage.rate.n == rate.n).for_each(|stage| stage.rate = rate);
         let all = rate.n + invalid;
         let of_all = |successes: u64| (all > 0).then(|| successes as f64 / all as f64);
         Self {
@@ -160,10 +162,8 @@ impl Success {
 
 fn feasible(table: &EpisodeTable, base: &Sample) -> Option<Rate> {
     let marked = table.measure(FEASIBLE.as_str())?;
-    let known =
-        base.rows.iter().zip(&base.success).map(|(row, success)| Some((marked[*row as usize]? > 0.5, *success)));
-    let known: Vec<(bool, bool)> = known.collect::<Option<_>>()?;
-    Some(Rate::of(Trials::count(known.into_iter().filter(|(feasible, _)| *feasible).map(|(_, success)| success))))
+    let known: Vec<bool> = base.rows.iter().map(|row| Some(marked[*row as usize]? > 0.5)).collect::<Option<_>>()?;
+    Some(Rate::of_rows(base, |row| known[row]))
 }
 
 fn stage(table: &EpisodeTable, at: usize) -> StageSuccess {

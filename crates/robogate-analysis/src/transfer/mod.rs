@@ -34,10 +34,10 @@ pub use trials::{RealTrial, RealTrials};
 use self::corrected::CorrectedModel;
 use self::map::Places;
 use crate::analysis::populations;
+use crate::dependence::Dependence;
 use crate::effects::Effects;
 use crate::labels::parameter_label;
 use crate::rate::ends;
-use crate::scenarios::Scenarios;
 use crate::table::EpisodeTable;
 use crate::{AnalysisError, Finding, Population, Rate, Source, Subject};
 
@@ -381,8 +381,9 @@ impl Transfer {
         if trials.trials.is_empty() {
             return Err(no(format!("{} has no trial inside the simulated space", real.display())));
         }
-        let (base, _, population) = populations(&simulation.table);
-        let effects = Effects::of(&base, Scenarios::repeated(&base, population).as_ref());
+        let (mut base, _, population) = populations(&simulation.table);
+        base.dependence = Dependence::of(&simulation.table, &base, population, &[])?;
+        let effects = Effects::of(&base);
         let places = Places::of(simulation.space(), &base, &effects, predictor::training(&simulation.table).len());
         let others = map::others(&simulation.points, options.population.is_some());
         let on_map = places.estimated().map_or_else(Vec::new, |places| places.settings(&others));

@@ -100,6 +100,8 @@ pub(super) fn predict(
         rows: Vec::new(),
         success: vec![false; rows.len()],
         parameters: train.parameters.iter().filter_map(column).collect(),
+        identifiers: Vec::new(),
+        dependence: None,
     };
     let scores = flexible_scores(&train, &test, fitted)?;
     let probability = |eta: &f64| 1.0 / (1.0 + (-eta.clamp(-LARGEST_LOG_ODDS, LARGEST_LOG_ODDS)).exp());

@@ -6,7 +6,8 @@ use std::sync::Arc;
 use robogate_analysis::{Analysis, AnalysisOptions, ShapeKind, Source};
 use robogate_core::{FailureMode, Outcome};
 
-use crate::noise::{named, planted, simulated, ten};
+use crate::named::named;
+use crate::noise::{planted, simulated, ten};
 use crate::synthetic::{entry, unit, write};
 
 /// The analysis of imported results: `repeats` episodes of each of `scenes` scenes, whose success rates do not depend on any

@@ -3,12 +3,15 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests too")]
 
 mod anchors;
+mod clusters;
 mod comparison;
 mod degenerate;
+mod dependence;
 mod designs;
 mod explorer;
 mod headlines;
 mod learners;
+mod named;
 mod noise;
 mod populations;
 mod risk;

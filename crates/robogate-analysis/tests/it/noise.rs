@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use robogate_analysis::{Advice, Analysis, AnalysisOptions, Source};
+use robogate_analysis::{Analysis, AnalysisOptions, Source};
 use robogate_core::{FailureMode, Outcome, ParameterSpace};
 
 use crate::synthetic::{entry, unit, write};
@@ -49,20 +49,6 @@ pub(crate) fn simulated(seed: u64, n: u64, law: impl Fn(&[f64]) -> f64) -> Analy
     let path = dir.path().join("dictionary.parquet");
     write(&path, &space, (0..n).map(one).collect());
     Analysis::with(&Source::open(&path).unwrap(), Path::new("test.parquet"), &options).unwrap()
-}
-
-/// Everything that a report names: regions, interactions, boxes, danger zones.
-pub(crate) fn named(analysis: &Analysis) -> Vec<String> {
-    let claims = &analysis.claims;
-    let mut named: Vec<String> = claims.failure_regions.iter().map(|region| region.parameter.clone()).collect();
-    named.extend(claims.interactions.iter().flatten().cloned());
-    for advice in &claims.advice {
-        if matches!(advice, Advice::Operate { .. } | Advice::RunMore { .. } | Advice::NoBox { .. }) {
-            named.extend(analysis.safe_box.estimated().unwrap().limits.iter().map(|limit| limit.parameter.clone()));
-        }
-    }
-    named.extend(analysis.danger_zones.zones.iter().filter(|z| z.significant).map(|z| z.parameter.clone()));
-    named
 }
 
 /// A law whose odds of success are divided by `ratio` in the tenth of one parameter that starts at `from`.

@@ -33,6 +33,7 @@ use std::sync::Arc;
 
 pub use format::Format;
 pub use mapping::{About, Mapping};
+pub use names::groups_rows;
 pub use role::Role;
 pub use survey::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED, only_identifies};
 

@@ -138,6 +138,51 @@ const SPELLINGS: [(Role, &[&str]); 4] = [
     (Role::FailureMode, &["failure_category"]),
 ];
 
+/// Words that name what several episodes share, if nothing but a number or a prefix stands beside them.
+const SHARED: [&str; 24] = [
+    "scenario",
+    "scene",
+    "case",
+    "seed",
+    "layout",
+    "day",
+    "date",
+    "week",
+    "shift",
+    "session",
+    "block",
+    "batch",
+    "lot",
+    "operator",
+    "rater",
+    "annotator",
+    "robot",
+    "arm",
+    "unit",
+    "machine",
+    "station",
+    "cell",
+    "site",
+    "lab",
+];
+
+/// Words that may stand beside one of [`SHARED`].
+const NUMBERS: [&str; 15] =
+    ["id", "ids", "name", "number", "no", "nr", "num", "index", "idx", "ix", "serial", "key", "code", "test", "eval"];
+
+/// Whether the name says that episodes with the same value share something that can move their rate: a scenario, a day, an
+/// operator, a session, a robot.
+pub fn groups_rows(name: &str) -> bool {
+    let plain = plain(name);
+    let mut words =
+        plain.split('_').filter(|word| !word.is_empty()).map(|word| word.trim_end_matches(char::is_numeric));
+    let mut shared = 0;
+    words.all(|word| {
+        shared += usize::from(SHARED.contains(&word));
+        SHARED.contains(&word) || NUMBERS.contains(&word)
+    }) && shared == 1
+}
+
 /// The name in lower case, with `_` for every other separator.
 pub(super) fn plain(name: &str) -> String {
     let mut plain = String::with_capacity(name.len());
@@ -167,6 +212,9 @@ pub(super) fn suggested(name: &str) -> Suggested {
     let any = |known: &[&str]| words.iter().any(|word| known.contains(word));
     if any(&RESULTS) {
         return Suggested::Measure;
+    }
+    if groups_rows(&plain) {
+        return Suggested::Parameter;
     }
     if EPISODE_IDS.contains(&plain.as_str()) || any(&IDENTIFIERS) {
         return Suggested::Identifier;

@@ -8,7 +8,7 @@ mod page;
 mod twins;
 mod verdict;
 
-use robogate_gate::{Evaluation, Metric, Mode, RequirementResult, Sampling, Status};
+use robogate_gate::{Evaluation, Metric, Mode, NextBudget, RequirementResult, Sampling, Status};
 
 pub use fleet::{fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share};
 pub use junit::junit;
@@ -87,13 +87,10 @@ impl RequirementRow {
             None => String::new(),
         };
         let mut notes = Vec::new();
-        match (result.status, result.decided_at_episodes) {
-            (Status::NoEvidence, _) => notes.push("no episode gives evidence".to_owned()),
-            (Status::Undecided, Some(at)) => notes.push(how_many(at, evaluation)),
-            (Status::Undecided, None) if evaluation.requirements.mode == Mode::Confidence => {
-                notes.push("too close to the limit for a practical number of episodes".to_owned());
-            }
-            _ => {}
+        match result.status {
+            Status::NoEvidence => notes.push("no episode gives evidence".to_owned()),
+            Status::Undecided => notes.extend(NextBudget::of(result, evaluation).map(|next| chance(&next))),
+            Status::Met | Status::Violated => {}
         }
         if result.invalid > 0 && result.status != Status::NoEvidence {
             let most = result.figure.most.map_or_else(|| "any".to_owned(), text);
@@ -108,17 +105,15 @@ impl RequirementRow {
     }
 }
 
-/// How many episodes would decide a requirement.
-fn how_many(at: u64, evaluation: &Evaluation) -> String {
-    match evaluation.sampling {
-        Sampling::Sequential => {
-            format!(
-                "about {} more episodes would decide at this rate",
-                count(at.saturating_sub(evaluation.counts.episodes).max(1))
-            )
-        }
-        Sampling::Fixed => format!("a run of about {} episodes would decide at this rate", count(at)),
-    }
+/// The probability that another gate of the same size decides.
+fn chance(next: &NextBudget) -> String {
+    let [least, most] = next.over_interval;
+    format!(
+        "a new gate of {} episodes decides with a probability of {} if the observed rate is the true one ({} over its interval)",
+        count(next.episodes),
+        percent(next.at_observed),
+        percent_range([least, most])
+    )
 }
 
 /// What an inconclusive gate needs: more episodes, or a repair of what makes episodes invalid. Empty if it is conclusive.
@@ -136,17 +131,10 @@ pub fn what_next(evaluation: &Evaluation) -> String {
             of.first
         );
     }
-    evaluation.decided_at_episodes.map_or_else(String::new, |at| match evaluation.sampling {
-        Sampling::Sequential => {
-            let more = at.saturating_sub(evaluation.counts.episodes).max(1);
-            format!("If the rates stay as they are, about {} more episodes decide.", count(more))
-        }
-        Sampling::Fixed => {
-            format!(
-                "If the rates stay as they are, a new run of about {} episodes decides. The episodes of this run may not be counted again.",
-                count(at)
-            )
-        }
+    let undecided = evaluation.results.iter().filter_map(|result| Some((result, NextBudget::of(result, evaluation)?)));
+    let hardest = undecided.min_by(|a, b| a.1.at_observed.total_cmp(&b.1.at_observed));
+    hardest.map_or_else(String::new, |(result, next)| {
+        format!("`{}`: {}. The episodes of this run may not be counted again.", result.id, chance(&next))
     })
 }
 

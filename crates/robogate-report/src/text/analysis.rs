@@ -2,7 +2,8 @@
 
 use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
 use robogate_analysis::{
-    Advice, Analysis, BoxLimit, EffectShape, FailureModes, FailureRegion, Population, SafeBox, ShapeKind, unrecorded,
+    Advice, Analysis, BoxLimit, ClusterReport, EffectShape, FailureModes, FailureRegion, Population, SafeBox,
+    ShapeKind, unrecorded,
 };
 use robogate_stats::format::{count, counted, list, number, percent, percent_or_dash, percent_range, range, sentence};
 use schemars::JsonSchema;
@@ -18,6 +19,10 @@ const LISTED_MODES: usize = 3;
 
 /// Smallest gain of the adjusted interval that is reported.
 const MIN_GAIN: f64 = 1.1;
+
+/// Clusters below which intervals of a rate above [`HIGH_RATE`] cover too rarely.
+const FEW_AT_HIGH_RATES: u64 = 50;
+const HIGH_RATE: f64 = 0.9;
 
 /// The headline of an analysis.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, JsonSchema)]
@@ -69,11 +74,37 @@ fn answer(analysis: &Analysis) -> String {
         },
         _ => String::new(),
     };
+    let clusters = analysis.clusters.as_ref().map_or_else(String::new, |of| format!(" {}", dependent(analysis, of)));
     format!(
-        "The policy succeeded in {} of {} {of}{chance}.{of_feasible}",
+        "The policy succeeded in {} of {} {of}{chance}.{clusters}{of_feasible}",
         count(rate.successes),
         counted(rate.n, "valid episode")
     )
+}
+
+/// What the clusters of the episodes mean for the claims, in sentences.
+fn dependent(analysis: &Analysis, of: &ClusterReport) -> String {
+    let by: Vec<String> =
+        of.groupings.iter().map(|group| format!("{} ({})", group.by, count(group.clusters))).collect();
+    let found = match of.serial_p {
+        Some(_) => format!(
+            "Neighbouring rows of the file depend on each other, so {} of them are counted instead of episodes. If sessions, days or              operators explain it, name their column with `--groups`.",
+            counted(of.clusters, "block")
+        ),
+        None => format!("The episodes are not independent: they repeat {}.", list(&by)),
+    };
+    let scope = match analysis.population {
+        Population::Suite => "The rate applies to these scenarios; effects of parameters count each scenario once.",
+        _ => "Intervals and tests count these clusters, and apply to new ones of the same kind.",
+    };
+    let power = if of.too_few {
+        " They are too few for a claim about others: at least 8 are needed."
+    } else if of.low_power {
+        " With fewer than 15 of them only large effects can be found."
+    } else {
+        ""
+    };
+    format!("{found} {scope}{power}")
 }
 
 /// A success rate in words, from both ends of its interval: a rate alone would claim more than the episodes support.
@@ -285,11 +316,25 @@ fn uncertainty(analysis: &Analysis) -> Vec<String> {
     if rate.n == 0 {
         return vec!["Without a valid episode the success rate may be anywhere from 0 to 100 %.".to_owned()];
     }
-    let mut lines = vec![format!(
-        "95 % interval {} (Wilson), {} (exact).",
-        percent_range(rate.wilson_95),
-        percent_range(rate.clopper_pearson_95)
-    )];
+    let mut lines = vec![match rate.clusters {
+        Some(of) => format!(
+            "95 % interval {} for new clusters like these {} (Korn and Graubard). The episodes are as precise as {} independent ones.",
+            percent_range(rate.wilson_95),
+            count(of.clusters),
+            count(of.effective_episodes.round() as u64)
+        ),
+        None => format!(
+            "95 % interval {} (Wilson), {} (exact).",
+            percent_range(rate.wilson_95),
+            percent_range(rate.clopper_pearson_95)
+        ),
+    }];
+    if let (Some(of), Some(observed)) = (rate.clusters, rate.rate)
+        && of.clusters < FEW_AT_HIGH_RATES
+        && observed > HIGH_RATE
+    {
+        lines.push("At rates above 90 % so few clusters seldom contain the rare bad one: the interval covers about 90 %, not 95 %.".to_owned());
+    }
     if let Some(found) = success.adjusted.as_ref().and_then(|a| a.estimated()) {
         let gain = found.effective_episodes / rate.n as f64;
         if gain > MIN_GAIN {

@@ -132,6 +132,11 @@ fn origin(analysis: &Analysis) -> String {
 }
 
 fn intervals(analysis: &Analysis) -> String {
+    if analysis.clusters.is_some() && analysis.population != Population::Suite {
+        return "Intervals and tests assume that clusters are independent of each other, and a number of them that was fixed in advance. \
+                Dependence that no column, no equal settings and no order of the rows shows is not found."
+            .to_owned();
+    }
     let narrow = "They are too narrow if the results are checked repeatedly while episodes are added";
     match analysis.provenance.source.as_ref().map(|source| source.stopping) {
         None => format!(

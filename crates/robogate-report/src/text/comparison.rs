@@ -65,16 +65,27 @@ fn paired_answer(pair: &PairedComparison) -> String {
     } else {
         "The difference is not significant"
     };
+    let scope = match pair.clusters {
+        Some(n) if n < 8 => format!(
+            " The pairs come from {}, too few for a claim about new scenarios: at least 8 are needed.",
+            counted(n, "scenario")
+        ),
+        Some(n) => format!(
+            " The test counts {} once each, and applies to new scenarios of the same kind.",
+            counted(n, "scenario")
+        ),
+        None => " It applies to these scenarios.".to_owned(),
+    };
     format!(
-        "On the same {}, {} succeeds in {} and {} in {}. {verdict} ({} points, {}). {} differ in their outcome.",
-        counted(pair.valid_pairs, "scenario"),
+        "On the same {}, {} succeeds in {} and {} in {}. {verdict} ({} points, {}).{scope} {} differ in their outcome.",
+        counted(pair.valid_pairs, if pair.clusters.is_some() { "episode" } else { "scenario" }),
         pair.first,
         percent_or_dash(pair.first_rate.rate),
         pair.second,
         percent_or_dash(pair.second_rate.rate),
         points(difference),
         points_range(pair.difference_95),
-        counted(pair.first_only + pair.second_only, "scenario")
+        counted(pair.first_only + pair.second_only, if pair.clusters.is_some() { "episode" } else { "scenario" })
     )
 }
 
@@ -127,7 +138,11 @@ fn what_differs(of: &Comparison) -> Vec<String> {
             } else {
                 ", not significant"
             };
-            let paired = d.valid_pairs.map_or_else(String::new, |n| format!(" on the same {}", counted(n, "scenario")));
+            let paired = match (d.clusters, d.valid_pairs) {
+                (Some(n), _) => format!(" over {}, each counted once", counted(n, "scenario")),
+                (None, Some(n)) => format!(" on the same {}", counted(n, "scenario")),
+                (None, None) => String::new(),
+            };
             format!(
                 "{} compared with {}{paired}: {} points ({}){verdict}.",
                 d.first,

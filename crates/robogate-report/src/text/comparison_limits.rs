@@ -43,6 +43,16 @@ pub fn comparison_limits(of: &Comparison) -> Vec<String> {
             labels(&parameters)
         ));
     }
+    for of in of.differences.iter().filter(|of| of.clusters.is_some()) {
+        let too_few = if of.clusters < Some(8) { " At least 8 are needed for a claim." } else { "" };
+        lines.push(format!(
+            "Episodes of {} or {} depend on each other. Their difference counts {} once each, and applies to new ones of the same kind, not \
+             to exactly these.{too_few}",
+            of.first,
+            of.second,
+            counted(of.clusters.unwrap_or_default(), "scenario")
+        ));
+    }
     for of in of.differences.iter().filter(|of| of.valid_pairs.is_some()) {
         lines.push(format!(
             "{} and {} ran the same scenarios, so their difference is a paired one. Use --paired to list the scenarios that \

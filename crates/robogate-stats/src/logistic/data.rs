@@ -17,6 +17,7 @@ pub struct Data<'a> {
     columns: &'a [&'a [f64]],
     outcomes: &'a [bool],
     weights: Option<&'a [f64]>,
+    clusters: Option<&'a [usize]>,
 }
 
 impl<'a> Data<'a> {
@@ -48,7 +49,19 @@ impl<'a> Data<'a> {
                 return Err(RegressionError::BadWeight { row, value: weights[row] });
             }
         }
-        Ok(Self { columns, outcomes, weights })
+        Ok(Self { columns, outcomes, weights, clusters: None })
+    }
+
+    /// The same rows, of which those with equal numbers depend on each other. Standard errors, intervals and p-values then
+    /// count clusters. `clusters` are numbered from 0; `None` changes nothing.
+    ///
+    /// # Errors
+    /// [`RegressionError::ClusterLength`] if there is not one number for each row.
+    pub fn clustered(self, clusters: Option<&'a [usize]>) -> Result<Self, RegressionError> {
+        match clusters.filter(|of| of.len() != self.rows()) {
+            Some(of) => Err(RegressionError::ClusterLength { expected: self.rows(), found: of.len() }),
+            None => Ok(Self { clusters, ..self }),
+        }
     }
 
     /// Number of columns, without the intercept.
@@ -74,6 +87,11 @@ impl<'a> Data<'a> {
     /// The weights.
     pub fn weights(&self) -> Option<&'a [f64]> {
         self.weights
+    }
+
+    /// The cluster of each row.
+    pub(super) fn clusters(&self) -> Option<&'a [usize]> {
+        self.clusters
     }
 
     fn weight(&self, row: usize) -> f64 {
@@ -224,6 +242,11 @@ impl<'a> Standardized<'a> {
             }
         }
         self.dropped.sort_by_key(|(column, _)| *column);
+    }
+
+    /// The cluster of each row.
+    pub(super) fn clusters(&self) -> Option<&'a [usize]> {
+        self.data.clusters()
     }
 
     /// Number of coefficients, including the intercept.

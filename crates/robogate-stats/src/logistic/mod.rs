@@ -13,8 +13,11 @@
 //!   errors are inaccurate under separation; use [`firth_profile`] for intervals there.
 //! - Fewer than ten events per coefficient give a [`Caution`].
 //!
-//! Guarantee: a returned fit has converged (last Newton step below 1e-8 of a standardized unit). Limit: rows are
-//! assumed independent. A wrong functional form is not detected; see [`crate::calibration`].
+//! If rows come in clusters ([`Data::clustered`]), standard errors are those of a jackknife over clusters, and intervals and
+//! p-values use Student's t with as many degrees of freedom as clusters exceed coefficients.
+//!
+//! Guarantee: a returned fit has converged (last Newton step below 1e-8 of a standardized unit). Limit: rows, or clusters,
+//! are assumed independent. A wrong functional form is not detected; see [`crate::calibration`].
 //! Sources: McCullagh and Nelder (1989), chapter 4; Albert and Anderson (1984); Firth (1993), Biometrika 80(1); Heinze
 //! and Schemper (2002), Statistics in Medicine 21; White (1982) for the sandwich; Peduzzi et al. (1996) for ten events.
 
@@ -28,6 +31,7 @@ use data::Standardized;
 pub use data::{Data, Dropped};
 use newton::Solution;
 pub(crate) use newton::logistic_and_log;
+use robogate_maths::beta::{ln_student_two_sided, student_quantile};
 use robogate_maths::normal::ln_two_sided;
 pub use separation::{Separation, SeparationKind};
 
@@ -50,6 +54,14 @@ pub enum RegressionError {
         /// Rows of the outcomes.
         expected: usize,
         /// Rows of the weights.
+        found: usize,
+    },
+    /// The clusters and the outcomes have different lengths.
+    #[error("{found} numbers of clusters. Expected {expected}, one for each outcome")]
+    ClusterLength {
+        /// Rows of the outcomes.
+        expected: usize,
+        /// Rows of the clusters.
         found: usize,
     },
     /// A value is NaN or infinite.
@@ -155,13 +167,16 @@ pub struct Coefficient {
     pub z: f64,
     /// Natural logarithm of the two-sided p-value.
     pub ln_p: f64,
+    /// Degrees of freedom of Student's t, if rows come in clusters. Otherwise the normal distribution is used.
+    pub degrees: Option<f64>,
 }
 
 impl Coefficient {
-    fn new(estimate: f64, variance: f64) -> Self {
+    fn new(estimate: f64, variance: f64, degrees: Option<f64>) -> Self {
         let se = variance.max(0.0).sqrt();
         let z = estimate / se;
-        Self { estimate, se, z, ln_p: ln_two_sided(z) }
+        let ln_p = degrees.map_or_else(|| ln_two_sided(z), |df| ln_student_two_sided(df, z));
+        Self { estimate, se, z, ln_p, degrees }
     }
 
     /// Two-sided p-value. 0 if it is below the smallest double; see `ln_p`.
@@ -171,9 +186,14 @@ impl Coefficient {
 
     /// Wald interval, estimate ± z se.
     pub fn interval(&self, confidence: Confidence) -> Interval {
-        let half = confidence.z() * self.se;
+        let half = quantile(confidence, self.degrees) * self.se;
         Interval { low: self.estimate - half, high: self.estimate + half }
     }
+}
+
+/// The two-sided quantile of Student's t, or of the normal distribution without degrees of freedom.
+fn quantile(confidence: Confidence, degrees: Option<f64>) -> f64 {
+    degrees.map_or_else(|| confidence.z(), |df| student_quantile(df, confidence.level()))
 }
 
 /// The result for one column.
@@ -254,6 +274,11 @@ impl Fit {
         (in_fit(a) && in_fit(b)).then(|| self.covariance[a * (self.terms.len() + 1) + b])
     }
 
+    /// The quantile of intervals of the coefficients: of Student's t if rows come in clusters, otherwise the normal one.
+    pub fn quantile(&self, confidence: Confidence) -> f64 {
+        quantile(confidence, self.intercept.degrees)
+    }
+
     /// Coefficients per raw unit, intercept first, 0 for dropped columns. They do not depend on the reported scale.
     pub fn raw_coefficients(&self) -> &[f64] {
         &self.raw
@@ -286,7 +311,7 @@ impl Fit {
                 variance += x(i) * x(j) * self.raw_covariance[i * q + j];
             }
         }
-        let half = confidence.z() * variance.max(0.0).sqrt();
+        let half = self.quantile(confidence) * variance.max(0.0).sqrt();
         Some(Interval { low: logistic_and_log(t - half).0, high: logistic_and_log(t + half).0 })
     }
 
@@ -469,9 +494,14 @@ fn not_settled(unsettled: newton::Unsettled) -> RegressionError {
 /// Transforms the solution from standardized columns to the caller's columns.
 fn report(x: &Standardized<'_>, solution: &Solution, options: Options, cautions: Vec<Caution>) -> Fit {
     let q = x.parameters();
-    let covariance = match options.covariance {
-        Covariance::Model => solution.inverse_information.clone(),
-        Covariance::Sandwich => newton::sandwich(x, solution),
+    let (covariance, degrees) = match (x.clusters(), options.covariance) {
+        (Some(of_row), _) => {
+            let (covariance, clusters) = newton::clustered(x, solution, of_row);
+            // Too few clusters for the coefficients leave one degree of freedom, with which almost nothing is significant.
+            (covariance, Some((clusters as f64 - q as f64).max(1.0)))
+        }
+        (None, Covariance::Model) => (solution.inverse_information.clone(), None),
+        (None, Covariance::Sandwich) => (newton::sandwich(x, solution), None),
     };
     // Raw = T standardized: slopes are divided by the standard deviation, and the intercept absorbs the means.
     let mut transform = vec![0.0; q * q];
@@ -508,7 +538,7 @@ fn report(x: &Standardized<'_>, solution: &Solution, options: Options, cautions:
         Scale::Raw => (&raw_beta, &raw_covariance),
         Scale::Standardized => (&solution.beta, &covariance),
     };
-    let coefficient = |i: usize| Coefficient::new(shown[i], shown_covariance[i * q + i]);
+    let coefficient = |i: usize| Coefficient::new(shown[i], shown_covariance[i * q + i], degrees);
     let mut terms: Vec<Term> = vec![Term::Dropped(Dropped::Constant); full - 1];
     for (column, why) in &x.dropped {
         terms[*column] = Term::Dropped(why.clone());
@@ -549,4 +579,51 @@ pub fn standardized(column: &[f64]) -> Option<Vec<f64>> {
     let deviation = (column.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt();
     (deviation > 1e-12 * mean.abs() && deviation.is_finite())
         .then(|| column.iter().map(|v| (v - mean) / deviation).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use rand_chacha::ChaCha8Rng;
+    use rand_core::SeedableRng;
+
+    use super::*;
+    use crate::resample::uniform;
+
+    #[test]
+    fn clusters_keep_the_level_of_p_values() {
+        // Scenarios have their own rates, which depend on nothing.
+        let (mut by_cluster, mut by_row) = (0, 0);
+        for seed in 0..300 {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let of_row: Vec<usize> = (0..900).map(|row| row / 60).collect();
+            let rates: Vec<f64> = (0..15).map(|_| uniform(&mut rng)).collect();
+            let mut column = || -> Vec<f64> {
+                let points: Vec<f64> = (0..15).map(|_| uniform(&mut rng)).collect();
+                of_row.iter().map(|of| points[*of]).collect()
+            };
+            let (a, b) = (column(), column());
+            let outcomes: Vec<bool> = of_row.iter().map(|of| uniform(&mut rng) < rates[*of]).collect();
+            let columns: [&[f64]; 2] = [&a, &b];
+            let data = Data::new(&columns, &outcomes, None).unwrap();
+            let p = |data: Data<'_>| fit(data, Options::default()).unwrap().terms[0].coefficient().unwrap().p();
+            by_cluster += u32::from(p(data.clustered(Some(&of_row)).unwrap()) <= 0.05);
+            by_row += u32::from(p(data) <= 0.05);
+        }
+        assert!(by_cluster <= 24, "{by_cluster} of 300");
+        assert!(by_row >= 150, "{by_row} of 300");
+    }
+
+    #[test]
+    fn single_rows_as_clusters_give_the_sandwich() {
+        let x: Vec<f64> = (0..800).map(|i| f64::from(i % 40)).collect();
+        let outcomes: Vec<bool> = (0..800).map(|i| (i * 37) % 101 < 30 + (i % 40)).collect();
+        let of_row: Vec<usize> = (0..800).collect();
+        let columns: [&[f64]; 1] = [&x];
+        let data = Data::new(&columns, &outcomes, None).unwrap();
+        let se = |data, options| fit(data, options).unwrap().terms[0].coefficient().unwrap().se;
+        let clustered = se(data.clustered(Some(&of_row)).unwrap(), Options::default());
+        let sandwich = se(data, Options { covariance: Covariance::Sandwich, ..Options::default() });
+        assert!((clustered / sandwich - 1.0).abs() < 0.002, "{clustered} {sandwich}");
+        assert!(data.clustered(Some(&of_row[1..])).is_err());
+    }
 }

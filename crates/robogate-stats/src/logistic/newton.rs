@@ -5,6 +5,10 @@ use robogate_maths::dense::{Cholesky, dot};
 
 /// Smallest pivot of the information, as a fraction of its diagonal. Below it a direction has almost no curvature.
 const PIVOT: f64 = 1e-12;
+/// The same for the information without one cluster.
+const SINGULAR: f64 = 1e-8;
+/// Largest number of clusters for the jackknife.
+const JACKKNIFED: usize = 500;
 /// Maximum number of steps.
 const MOST_STEPS: usize = 50;
 /// Number of steps after which large steps indicate separation.
@@ -315,6 +319,65 @@ pub(super) fn sandwich(x: &Standardized<'_>, solution: &Solution) -> Vec<f64> {
     mirror(&mut meat, q);
     let bread = &solution.inverse_information;
     product(bread, &product(&meat, bread, q), q)
+}
+
+/// The covariance if rows come in clusters, and the number of clusters.
+///
+/// With at most [`JACKKNIFED`] clusters it is that of the jackknife: (G-1)/G Σ dᵢ dᵢᵀ, where dᵢ = (I - Iᵢ)⁻¹ sᵢ is the change of
+/// the coefficients without cluster i, from its information Iᵢ and its score sᵢ (one Newton step). Without a cluster that
+/// determines a coefficient alone, I - Iᵢ is singular, and I replaces it. With more clusters, dᵢ = I⁻¹ sᵢ and the factor is
+/// G/(G-1). Sources: Liang and Zeger (1986), Biometrika 73; Mancl and DeRouen (2001), Biometrics 57.
+pub(super) fn clustered(x: &Standardized<'_>, solution: &Solution, of_row: &[usize]) -> (Vec<f64>, usize) {
+    let q = x.parameters();
+    let most = of_row.iter().max().map_or(0, |last| last + 1);
+    let jackknife = most <= JACKKNIFED;
+    let mut scores = vec![0.0; most * q];
+    let mut parts = vec![0.0; if jackknife { most * q * q } else { 0 }];
+    let mut whole = vec![0.0; q * q];
+    let mut used = vec![false; most];
+    let mut eta = [0.0; BLOCK];
+    x.for_each_block(|block| {
+        block.predictor(&solution.beta, &mut eta);
+        for i in (0..block.rows).filter(|i| block.weight[*i] > 0.0) {
+            let cluster = of_row[block.first_row + i];
+            used[cluster] = true;
+            let (other, _) = logistic_and_log(-block.sign[i] * eta[i]);
+            let (score, curvature) = (block.weight[i] * block.sign[i] * other, block.weight[i] * other * (1.0 - other));
+            for a in 0..q {
+                let of_a = block.x[a * BLOCK + i];
+                scores[cluster * q + a] += score * of_a;
+                for b in (0..q).filter(|_| jackknife) {
+                    let part = curvature * of_a * block.x[b * BLOCK + i];
+                    parts[cluster * q * q + a * q + b] += part;
+                    whole[a * q + b] += part;
+                }
+            }
+        }
+    });
+    let mut covariance = vec![0.0; q * q];
+    for cluster in (0..most).filter(|cluster| used[*cluster]) {
+        let score = &scores[cluster * q..(cluster + 1) * q];
+        let row = |a: usize| &solution.inverse_information[a * q..(a + 1) * q];
+        let mut step: Vec<f64> = (0..q).map(|a| dot(row(a), score)).collect();
+        if jackknife {
+            let own = &parts[cluster * q * q..(cluster + 1) * q * q];
+            let without: Vec<f64> = whole.iter().zip(own).map(|(all, own)| all - own).collect();
+            if let Ok(factor) = Cholesky::new(&without, q, SINGULAR) {
+                step.copy_from_slice(score);
+                factor.solve(&mut step);
+            }
+        }
+        for a in 0..q {
+            for b in 0..q {
+                covariance[a * q + b] += step[a] * step[b];
+            }
+        }
+    }
+    let clusters = used.iter().filter(|used| **used).count();
+    let g = clusters as f64;
+    let factor = if jackknife { (g - 1.0) / g } else { g / (g - 1.0) };
+    covariance.iter_mut().for_each(|value| *value *= factor);
+    (covariance, clusters)
 }
 
 /// The product A B of square row-major matrices.

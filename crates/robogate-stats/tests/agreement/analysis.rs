@@ -119,7 +119,7 @@ fn calibration_matches_scikit_learn() {
 fn frontier_matches_numerical_solution() {
     let reference = reference();
     let (columns, outcomes, _) = plain(&reference);
-    let (state, _) = LimitState::fit(&columns[0], &columns[1], &outcomes, None, Options::default(), 0.5).unwrap();
+    let (state, _) = LimitState::fit(&columns[0], &columns[1], &outcomes, None, None, Options::default(), 0.5).unwrap();
     for case in list(&reference["limit_state"]["points"]) {
         let point = state.at(float(&case["y"]), P95).unwrap();
         close("x", point.x, float(&case["x"]), 1e-7);
@@ -142,7 +142,7 @@ fn thresholds_match_row_bootstrap() {
     let options = ThresholdOptions { replicates: 4_000, ..Default::default() };
     for (name, weights) in [("plain", None), ("weighted", Some(weights.as_slice()))] {
         let case = &reference()["threshold"][name];
-        let found = threshold(&u, &outcomes, weights, &edges, options).unwrap();
+        let found = threshold(&u, &outcomes, weights, None, &edges, options).unwrap();
         let monotone: Vec<f64> = found.bins.iter().map(|b| b.monotone_rate).collect();
         all_close("monotone", &monotone, &floats(&case["monotone"]), 1e-12);
         let Threshold::Crosses { at, low, high, se, .. } = found.threshold else { panic!("it crosses") };

@@ -32,13 +32,24 @@ pub(crate) struct Analyze {
     #[arg(long, value_name = "RATE", default_value_t = DEFAULT_TARGET)]
     target: f64,
     #[command(flatten)]
+    groups: Groups,
+    #[command(flatten)]
     nominal: NominalArguments,
+}
+
+/// The columns that mark dependent rows.
+#[derive(Debug, Args)]
+pub(crate) struct Groups {
+    /// Set the columns whose equal values mark rows that depend on each other, such as day,operator; default: found by name
+    /// (case, scenario, seed, day, session, operator, robot, unit, ...) and by equal settings
+    #[arg(long = "groups", value_name = "COLUMN,...", value_delimiter = ',')]
+    pub(crate) columns: Vec<String>,
 }
 
 impl Analyze {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let source = open_source(&self.dictionary)?;
-        let analysis = analyse(&source, &self.dictionary, &options(&self.pair, self.target))?;
+        let analysis = analyse(&source, &self.dictionary, &options(&self.pair, self.target, &self.groups))?;
         let twins = self.nominal.twins(&source, Sampling::Fixed)?;
         if self.json {
             line(analysis_json_with(&analysis, twins.as_ref()));
@@ -50,10 +61,10 @@ impl Analyze {
     }
 }
 
-/// The options `--pair A B` and `--target RATE`.
-pub(crate) fn options(names: &[String], target_rate: f64) -> AnalysisOptions {
+/// The options `--pair A B`, `--target RATE` and `--groups COLUMN,...`.
+pub(crate) fn options(names: &[String], target_rate: f64, groups: &Groups) -> AnalysisOptions {
     let pairs = names.chunks_exact(2).map(|pair| (pair[0].clone(), pair[1].clone())).collect();
-    AnalysisOptions { pairs, target_rate, ..AnalysisOptions::default() }
+    AnalysisOptions { pairs, target_rate, groups: groups.columns.clone(), ..AnalysisOptions::default() }
 }
 
 /// Analyzes a source. Its errors get their exit codes.

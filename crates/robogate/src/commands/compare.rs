@@ -14,7 +14,7 @@ use robogate_report::{
 use robogate_stats::format::{p_value, percent_or_dash, points};
 
 use crate::arguments::ReopeningArguments;
-use crate::commands::analyze::{heading, interval};
+use crate::commands::analyze::{Groups, heading, interval};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::place;
 use crate::source::open_source;
@@ -60,6 +60,8 @@ pub(crate) struct Compare {
     /// Set the number of scenarios with different outcomes to list for each direction
     #[arg(long, value_name = "N", default_value_t = 10, requires = "paired")]
     flips: usize,
+    #[command(flatten)]
+    groups: Groups,
     /// Leave out the recorded episodes
     #[arg(long)]
     no_replay: bool,
@@ -88,6 +90,7 @@ impl Compare {
             paired: self.paired,
             common: self.common,
             max_flips: self.flips,
+            groups: self.groups.columns.clone(),
         };
         let comparison = Comparison::of(&sources, &options).map_err(exit)?;
         if let Some(file) = &self.html {

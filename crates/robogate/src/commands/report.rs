@@ -11,7 +11,7 @@ use robogate_report::{Additions, Watch, analysis_json_with, html_with, markdown_
 
 use crate::active_model;
 use crate::arguments::ReopeningArguments;
-use crate::commands::analyze::{analyse, options};
+use crate::commands::analyze::{Groups, analyse, options};
 use crate::commands::gate;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::place;
@@ -42,6 +42,8 @@ pub(crate) struct Report {
     /// Leave out the recorded episodes
     #[arg(long)]
     no_replay: bool,
+    #[command(flatten)]
+    groups: Groups,
     #[command(flatten)]
     nominal: NominalArguments,
     #[command(flatten)]
@@ -76,7 +78,7 @@ impl Report {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let source = open_source(&self.dictionary)?;
         let out = self.out(&source)?;
-        let analysis = analyse(&source, &self.dictionary, &options(&self.pair, self.target))?;
+        let analysis = analyse(&source, &self.dictionary, &options(&self.pair, self.target, &self.groups))?;
         let evaluation = source.folder().and_then(|folder| gate_of(folder, &source));
         // Markdown on stdout has no place for images.
         let frames = out.as_deref().filter(|_| matches!(self.format, Form::Md)).map(frames_beside);

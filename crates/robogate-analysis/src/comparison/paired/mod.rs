@@ -5,6 +5,7 @@ mod disagreement;
 mod flips;
 mod rows;
 
+use robogate_stats::clusters::paired_clusters;
 use robogate_stats::compare::Pairs;
 use robogate_stats::{Trials, difference};
 use schemars::JsonSchema;
@@ -50,6 +51,10 @@ pub struct PairedComparison {
     /// Interval of the difference at 95 % for all pairs of datasets together (Bonferroni). It excludes 0 if and only if
     /// `adjusted_p` is at most 0.05, because both come from one score test.
     pub difference_95: [f64; 2],
+    /// The clusters that the test counts, if rows depend on each other: the difference then applies to new scenarios of the
+    /// same kind, and not to exactly these. Absent if it counts episodes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clusters: Option<u64>,
     /// ln of the two-sided p-value of equal rates, for this pair of datasets alone.
     pub ln_p: f64,
     /// The p-value, adjusted by Bonferroni over all pairs of datasets.
@@ -121,7 +126,11 @@ pub(crate) fn paired(
 
 fn compared(pairs: &PairedRows<'_>, pair: Option<(&str, &str)>, max_flips: usize, family: usize) -> PairedComparison {
     let counts = pairs.counts();
-    let difference = difference::paired(counts, level(family));
+    let by_cluster = by_cluster(pairs);
+    let difference = match &by_cluster {
+        Some([one, two]) => paired_clusters(one, two, level(family)),
+        None => difference::paired(counts, level(family)),
+    };
     let rate = |successes| Rate::of(Trials::new(successes, counts.n()).unwrap_or(Trials::NONE));
     PairedComparison {
         first: pairs.first.name.clone(),
@@ -136,6 +145,7 @@ fn compared(pairs: &PairedRows<'_>, pair: Option<(&str, &str)>, max_flips: usize
         second_rate: rate(counts.both + counts.second_only),
         difference: difference.estimate,
         difference_95: ends(difference.interval),
+        clusters: by_cluster.map(|[one, _]| one.iter().filter(|trials| trials.n() > 0).count() as u64),
         ln_p: difference.ln_p.max(f64::MIN),
         adjusted_p: adjusted(difference.ln_p, family),
         invalid: invalid(pairs),
@@ -143,6 +153,25 @@ fn compared(pairs: &PairedRows<'_>, pair: Option<(&str, &str)>, max_flips: usize
         disagreement: disagreement::disagreement(pairs, pair),
         flips: flips::flips(pairs, max_flips),
     }
+}
+
+/// The outcomes of both in each cluster of the first, over the pairs that are valid in both. `None` if its rows are independent,
+/// or those of chosen scenarios.
+fn by_cluster(pairs: &PairedRows<'_>) -> Option<[Vec<Trials>; 2]> {
+    let base = &pairs.first.base;
+    let dependence = base.dependence.as_ref().filter(|of| of.new_clusters)?;
+    let mut counts = vec![[0_u64; 3]; dependence.main().count()];
+    for at in &pairs.rows {
+        let (Ok(row), (one, two)) = (base.rows.binary_search(&(at.0 as u32)), pairs.endings(*at)) else { continue };
+        if two != Ending::Invalid {
+            let cell = &mut counts[dependence.main().of_row()[row]];
+            cell[0] += 1;
+            cell[1] += u64::from(one == Ending::Success);
+            cell[2] += u64::from(two == Ending::Success);
+        }
+    }
+    let of = |which: usize| counts.iter().map(|c| Trials::new(c[which], c[0]).unwrap_or(Trials::NONE)).collect();
+    Some([of(1), of(2)])
 }
 
 fn invalid(pairs: &PairedRows<'_>) -> PairedInvalid {

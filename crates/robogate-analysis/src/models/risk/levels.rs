@@ -9,7 +9,7 @@ use robogate_stats::logistic::{Data, Estimator, Fit, Options, fit};
 
 use crate::Finding;
 use crate::models::Regression;
-use crate::table::{ParameterColumn, ParameterKind};
+use crate::table::{ParameterKind, Sample};
 
 /// Rows of the test.
 const MOST_ROWS: usize = 100_000;
@@ -18,20 +18,20 @@ const MOST_LEVELS: usize = 40;
 
 /// Replaces the tests of the penalties in `regression` by likelihood-ratio tests. The standard error becomes the
 /// test-based one, |coefficient| / z, and the interval follows from it (Miettinen 1976). `columns` are those of the fit.
-pub(super) fn replace_tests(
-    regression: &mut Regression,
-    parameters: &[ParameterColumn],
-    columns: &[&[f64]],
-    failed: &[bool],
-) {
+pub(super) fn replace_tests(regression: &mut Regression, base: &Sample, columns: &[&[f64]], failed: &[bool]) {
     let step = failed.len().div_ceil(MOST_ROWS).max(1);
     let thin = |column: &[f64]| column.iter().step_by(step).copied().collect::<Vec<f64>>();
     let outcomes: Vec<bool> = failed.iter().step_by(step).copied().collect();
     let columns: Vec<Vec<f64>> = columns.iter().map(|column| thin(column)).collect();
-    for (at, parameter) in parameters.iter().enumerate() {
+    for (at, parameter) in base.parameters.iter().enumerate() {
         let ParameterKind::Categorical { levels } = &parameter.kind else { continue };
         let Some(term) = regression.terms.get_mut(at + 1) else { continue };
         let Finding::Estimated(estimate) = &mut term.estimate else { continue };
+        if base.dependence.is_some() {
+            term.estimate =
+                Finding::not("a likelihood-ratio test needs independent rows; see its influence on success instead");
+            continue;
+        }
         let codes: Vec<usize> = parameter.values.iter().step_by(step).map(|v| *v as usize).collect();
         let others: Vec<&[f64]> =
             columns.iter().enumerate().filter(|(i, _)| *i != at).map(|(_, c)| c.as_slice()).collect();

@@ -12,7 +12,7 @@
 //! Limitation: in sample, the penalties are computed from the outcomes that they predict. The in-sample AUC is therefore
 //! too high. The cross-validated figures have no such bias, but folds share training rows, which their interval ignores:
 //! if no parameter has an effect, it misses an AUC of 0.5 more often than once in 20. The tests of the penalties are
-//! likelihood-ratio tests of the levels ([`levels`]). Standard errors of coefficients assume independent rows.
+//! likelihood-ratio tests of the levels ([`levels`]). If rows come in clusters, these count clusters or are left out.
 //! Source for the coding: Micci-Barreca (2001), SIGKDD Explorations 3(1).
 
 mod calibration;
@@ -25,6 +25,7 @@ mod scoring;
 use std::collections::BTreeSet;
 
 use robogate_stats::Confidence;
+use robogate_stats::clusters::Clusters;
 use robogate_stats::logistic::{Data, Options, RegressionError, Scale, fit};
 use robogate_stats::roc::{RocError, cross_validate, stratified_folds};
 use schemars::JsonSchema;
@@ -38,7 +39,6 @@ pub use scoring::{Scoring, ScoringTerm};
 use super::{Regression, why};
 use crate::Finding;
 use crate::labels::parameter_label;
-use crate::scenarios::Scenarios;
 use crate::table::{ParameterColumn, Sample};
 use crate::task::TaskAnalysis;
 use calibration::calibrated;
@@ -82,13 +82,12 @@ pub(crate) struct Scored {
     pub(crate) unseen: bool,
 }
 
-/// `scenarios` are those of `base`, if they have repeats.
-pub(crate) fn risk(base: &Sample, scenarios: Option<&Scenarios>, task: &TaskAnalysis) -> Finding<(RiskModel, Scored)> {
+pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Scored)> {
     if base.parameters.is_empty() && base.len() > 0 {
         return Finding::not("the dataset has no parameter");
     }
     let failed: Vec<bool> = base.success.iter().map(|s| !s).collect();
-    let of_row = scenarios.map(|scenarios| scenarios.of_row.as_slice());
+    let of_row = base.clusters().map(Clusters::of_row);
     let form = Form::choose(&base.parameters, &failed, of_row);
     let names: Vec<String> = base.parameters.iter().zip(&form.log).map(|(p, log)| feature(p, *log)).collect();
     let all: Vec<usize> = (0..base.len()).collect();
@@ -96,7 +95,7 @@ pub(crate) fn risk(base: &Sample, scenarios: Option<&Scenarios>, task: &TaskAnal
     let columns = coding.columns(&base.parameters, &all);
     let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
     let options = Options { scale: Scale::Standardized, ..Options::default() };
-    let whole = match Data::new(&slices, &failed, None).and_then(|data| fit(data, options)) {
+    let whole = match Data::new(&slices, &failed, None).and_then(|data| fit(data.clustered(of_row)?, options)) {
         Ok(whole) => whole,
         Err(error) => return Finding::not(why(&error, &names)),
     };
@@ -105,13 +104,13 @@ pub(crate) fn risk(base: &Sample, scenarios: Option<&Scenarios>, task: &TaskAnal
     };
     let scoring = Scoring::of(&whole, &base.parameters, &slices, &form);
     let mut regression = Regression::of(&whole, "failure", &names, true);
-    levels::replace_tests(&mut regression, &base.parameters, &slices, &failed);
+    levels::replace_tests(&mut regression, base, &slices, &failed);
     drop(slices);
     drop(columns);
     let folds = stratified_folds(&failed, of_row, FOLDS, 0);
     let fewest = fewest(&failed, of_row);
     let crossed = if fewest < FOLDS {
-        let units = if scenarios.is_some() { "scenarios" } else { "episodes" };
+        let units = if of_row.is_some() { "clusters" } else { "episodes" };
         Err(format!("the rarer outcome has {fewest} {units}, fewer than the {FOLDS} folds"))
     } else {
         cross_validate::<CrossValidationError>(&failed, of_row, &folds, Confidence::P95, |train, test| {

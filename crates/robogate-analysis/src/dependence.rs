@@ -1,0 +1,283 @@
+//! Rows of a sample that depend on each other.
+//!
+//! Clusters come from labels (the case of a suite, a scenario, a seed, a day, an operator, a session, a robot, a unit), from
+//! columns that the user names, and from equal settings. If nothing identifies clusters, a test of neighbouring rows
+//! looks for dependence in the order of the file; if it rejects, blocks of neighbouring rows are clusters.
+
+use robogate_dictionary::results::{SOURCE_SEED, groups_rows};
+use robogate_stats::clusters::{self, Clusters, FEWEST, LOW_POWER, RateByCluster, Setting, equal_settings};
+use robogate_stats::correlation::spearman;
+use robogate_stats::logistic::{Data, Options, fit, standardized};
+use robogate_stats::serial::{self, serial_dependence};
+use robogate_stats::{Confidence, Trials};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::table::{EpisodeTable, ParameterColumn, ParameterKind, Sample};
+use crate::{AnalysisError, Population};
+
+/// The name of the division by equal settings.
+pub(crate) const EQUAL_SETTINGS: &str = "equal settings";
+/// The name of the division into blocks of neighbouring rows.
+pub(crate) const NEIGHBOURS: &str = "neighbouring rows";
+/// Blocks of neighbouring rows, if the rows of a file depend on their order.
+const BLOCKS: usize = 10;
+/// Level of the test of neighbouring rows.
+const SERIAL_LEVEL: f64 = 0.01;
+/// Rank correlation of a parameter with the order of the rows from which the file counts as sorted by it.
+const SORTED: f64 = 0.5;
+/// Most rows of the test of neighbouring rows.
+const SERIAL_ROWS: usize = 100_000;
+/// Most numeric parameters in the model whose residuals are tested.
+const MODELLED: usize = 12;
+
+/// The clusters of the rows that all figures count, in the document of an analysis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ClusterReport {
+    /// What identifies clusters, the coarsest first.
+    pub groupings: Vec<GroupingReport>,
+    /// The number of clusters that rates and boxes count: that of the first grouping.
+    pub clusters: u64,
+    /// Valid episodes in them.
+    pub episodes: u64,
+    /// Whether there are fewer than 8 clusters: no claim is made.
+    pub too_few: bool,
+    /// Whether there are fewer than 15 clusters: only large effects are found.
+    pub low_power: bool,
+    /// The p-value of the test of neighbouring rows, if blocks of these are the clusters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub serial_p: Option<f64>,
+}
+
+/// One way in which rows are divided into clusters.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct GroupingReport {
+    /// The column, `equal settings`, or `neighbouring rows`.
+    pub by: String,
+    /// The number of clusters.
+    pub clusters: u64,
+}
+
+/// The clusters of a sample.
+#[derive(Debug, Clone)]
+pub(crate) struct Dependence {
+    /// Divisions that do not contain each other, the coarsest first. At least one.
+    pub(crate) groupings: Vec<Grouping>,
+    /// Whether rates estimate new clusters. Those of a suite are rates of its own scenarios.
+    pub(crate) new_clusters: bool,
+    serial_p: Option<f64>,
+}
+
+/// One division of the rows.
+#[derive(Debug, Clone)]
+pub(crate) struct Grouping {
+    /// The column, or [`EQUAL_SETTINGS`] or [`NEIGHBOURS`].
+    pub(crate) by: String,
+    pub(crate) clusters: Clusters,
+}
+
+impl Dependence {
+    /// The clusters of `base`. `groups` are columns that the user names. `None` if rows are independent as far as known.
+    pub(crate) fn of(
+        table: &EpisodeTable,
+        base: &Sample,
+        population: Population,
+        groups: &[String],
+    ) -> Result<Option<Self>, AnalysisError> {
+        let mut found = Vec::new();
+        for name in groups {
+            let clusters = labelled(table, base, name).ok_or_else(|| AnalysisError::Groups {
+                name: name.clone(),
+                known: base.parameters.iter().map(|p| p.name.clone()).chain(["case".to_owned()]).collect(),
+            })?;
+            found.push(Grouping { by: name.clone(), clusters });
+        }
+        if groups.is_empty() && matches!(population, Population::AsImported | Population::Suite) {
+            found.extend(known(table, base, population));
+        }
+        let mut serial_p = None;
+        found.retain(|grouping| grouping.clusters.divides() || groups.contains(&grouping.by));
+        if found.is_empty() && population == Population::AsImported {
+            if let Some((p, blocks)) = neighbours(base) {
+                serial_p = Some(p);
+                found.push(Grouping { by: NEIGHBOURS.to_owned(), clusters: blocks });
+            }
+        }
+        let groupings = independent_of_each_other(found);
+        let new_clusters = population != Population::Suite || !groups.is_empty();
+        Ok((!groupings.is_empty()).then_some(Self { groupings, new_clusters, serial_p }))
+    }
+
+    /// The coarsest division, which rates, models and boxes count.
+    pub(crate) fn main(&self) -> &Clusters {
+        &self.groupings[0].clusters
+    }
+
+    /// The division that explains most of a parameter's variance, and that share. The coarser one of two equal ones.
+    pub(crate) fn grouping_of(&self, parameter: &ParameterColumn) -> (&Clusters, f64) {
+        let levels = match &parameter.kind {
+            ParameterKind::Categorical { levels } => Some(levels.len()),
+            ParameterKind::Continuous { .. } | ParameterKind::Integer { .. } => None,
+        };
+        let mut best = (self.main(), f64::NEG_INFINITY);
+        for grouping in &self.groupings {
+            let share = grouping.clusters.between_share(&parameter.values, levels).unwrap_or(0.0);
+            if share > best.1 + 1e-9 {
+                best = (&grouping.clusters, share);
+            }
+        }
+        best
+    }
+
+    /// The rate over new clusters of the rows for which `used` is true.
+    pub(crate) fn rate(&self, base: &Sample, used: impl Fn(usize) -> bool + Copy) -> RateByCluster {
+        let groupings: Vec<&Clusters> = self.groupings.iter().map(|grouping| &grouping.clusters).collect();
+        RateByCluster::of(&groupings, &base.success, used)
+    }
+
+    /// How many independent rows one row counts for, from 0 to 1.
+    pub(crate) fn share(&self, base: &Sample) -> f64 {
+        let all = self.rate(base, |_| true);
+        (all.effective / all.trials.n().max(1) as f64).clamp(0.0, 1.0)
+    }
+
+    /// The same clusters for a part of the rows.
+    pub(crate) fn take(&self, rows: &[u32]) -> Self {
+        let take = |grouping: &Grouping| Grouping {
+            by: grouping.by.clone(),
+            clusters: grouping.clusters.take(rows.iter().map(|row| *row as usize)),
+        };
+        Self { groupings: self.groupings.iter().map(take).collect(), ..self.clone() }
+    }
+
+    pub(crate) fn report(&self, base: &Sample) -> ClusterReport {
+        let clusters = self.main().count();
+        let report = |of: &Grouping| GroupingReport { by: of.by.clone(), clusters: of.clusters.count() as u64 };
+        ClusterReport {
+            groupings: self.groupings.iter().map(report).collect(),
+            clusters: clusters as u64,
+            episodes: base.len() as u64,
+            too_few: clusters < FEWEST,
+            low_power: clusters < LOW_POWER,
+            serial_p: self.serial_p,
+        }
+    }
+}
+
+/// Why too few clusters allow no claim, as the end of a sentence. `None` if there are enough.
+pub(crate) fn too_few(clusters: usize) -> Option<String> {
+    (clusters < clusters::FEWEST).then(|| {
+        format!("the rows come in {clusters} clusters, and a claim about others needs at least {}", clusters::FEWEST)
+    })
+}
+
+/// Counts that rows with dependence support: as many as independent rows would with the same variance.
+pub(crate) fn effective(base: &Sample, used: impl Fn(usize) -> bool + Copy) -> Trials {
+    match &base.dependence {
+        Some(dependence) => dependence.rate(base, used).effective_trials(),
+        None => Trials::count((0..base.len()).filter(|row| used(*row)).map(|row| base.success[row])),
+    }
+}
+
+/// The division by a named column. `None` if there is no such column.
+fn labelled(table: &EpisodeTable, base: &Sample, name: &str) -> Option<Clusters> {
+    if name == "case" {
+        return table.cases.as_ref().map(|cases| Clusters::of_labels(base.rows.iter().map(|row| cases[*row as usize])));
+    }
+    let plain = |column: &ParameterColumn| column.name == name || (name == "seed" && column.name == SOURCE_SEED);
+    let column = base.parameters.iter().chain(&base.identifiers).find(|column| plain(column))?;
+    Some(Clusters::of_labels(column.values.iter().map(|v| v.to_bits())))
+}
+
+/// Divisions that labels and settings identify.
+fn known(table: &EpisodeTable, base: &Sample, population: Population) -> Vec<Grouping> {
+    let mut found = Vec::new();
+    if let Some(cases) = &table.cases {
+        let clusters = Clusters::of_labels(base.rows.iter().map(|row| cases[*row as usize]));
+        found.push(Grouping { by: "case".to_owned(), clusters });
+    }
+    for column in base.parameters.iter().filter(|column| groups_rows(&column.name)) {
+        let clusters = Clusters::of_labels(column.values.iter().map(|v| v.to_bits()));
+        found.push(Grouping { by: column.name.clone(), clusters });
+    }
+    let settings: Vec<Setting<'_>> = base.parameters.iter().filter(|p| !groups_rows(&p.name)).map(setting).collect();
+    let equal = match population {
+        Population::Suite => {
+            let bits = |row: usize| base.parameters.iter().map(|p| p.values[row].to_bits()).collect::<Vec<_>>();
+            Some(Clusters::of_labels((0..base.len()).map(bits)))
+        }
+        _ => equal_settings(&settings),
+    };
+    if let Some(clusters) = equal {
+        found.push(Grouping { by: EQUAL_SETTINGS.to_owned(), clusters });
+    }
+    // A seed that occurs at several settings is the number of a repeat.
+    if let Some(seed) = base.identifiers.iter().find(|column| column.name == SOURCE_SEED) {
+        let clusters = Clusters::of_labels(seed.values.iter().map(|v| v.to_bits()));
+        let constant =
+            |p: &ParameterColumn| clusters.between_share(&p.values, None).is_none_or(|share| share > 1.0 - 1e-6);
+        let settings = base.parameters.iter().filter(|p| !groups_rows(&p.name)).all(constant);
+        let crossed = found.iter().any(|other| other.clusters.divides() && !clusters.is_within(&other.clusters));
+        if settings && !crossed {
+            found.push(Grouping { by: "seed".to_owned(), clusters });
+        }
+    }
+    found
+}
+
+fn setting(column: &ParameterColumn) -> Setting<'_> {
+    match column.kind {
+        ParameterKind::Categorical { .. } => Setting::Levels(&column.values),
+        ParameterKind::Continuous { log: true, low, .. } if low > 0.0 => Setting::Logarithmic(&column.values),
+        ParameterKind::Continuous { .. } | ParameterKind::Integer { .. } => Setting::Numbers(&column.values),
+    }
+}
+
+/// Leaves out divisions whose clusters lie within those of another one, and puts the coarsest first.
+fn independent_of_each_other(mut found: Vec<Grouping>) -> Vec<Grouping> {
+    found.sort_by_key(|grouping| grouping.clusters.count());
+    let mut kept: Vec<Grouping> = Vec::new();
+    for grouping in found {
+        if !kept.iter().any(|coarser| grouping.clusters.is_within(&coarser.clusters)) {
+            kept.push(grouping);
+        }
+    }
+    kept
+}
+
+/// Blocks of neighbouring rows, and the p-value of the test, if rows depend on their neighbours. `None` for a file that is
+/// sorted by its outcomes or by a parameter, where the order says nothing.
+fn neighbours(base: &Sample) -> Option<(f64, Clusters)> {
+    let rows = base.len().min(SERIAL_ROWS);
+    let success = &base.success[..rows];
+    let changes = success.windows(2).filter(|pair| pair[0] != pair[1]).count();
+    let order: Vec<f64> = (0..rows).map(|row| row as f64).collect();
+    let sorted = |column: &ParameterColumn| {
+        let found = spearman(&column.values[..rows], &order, Confidence::P95);
+        found.is_ok_and(|found| found.r.abs() > SORTED)
+    };
+    if rows < 2 * serial::LAG || changes <= 2 || base.parameters.iter().any(sorted) {
+        return None;
+    }
+    let p = serial_dependence(&residuals(base, rows), SERIAL_LEVEL, 0)?;
+    let size = base.len().div_ceil(BLOCKS);
+    (p <= SERIAL_LEVEL).then(|| (p, Clusters::of_labels((0..base.len()).map(|row| row / size))))
+}
+
+/// Outcomes less a smooth model of the parameters, in units of their standard deviation.
+fn residuals(base: &Sample, rows: usize) -> Vec<f64> {
+    let success = &base.success[..rows];
+    let mut columns: Vec<Vec<f64>> = Vec::new();
+    for column in base.parameters.iter().filter(|column| column.is_numeric()).take(MODELLED) {
+        let Some(line) = standardized(&column.values[..rows]) else { continue };
+        columns.push(line.iter().map(|x| x * x).collect());
+        columns.push(line);
+    }
+    let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+    let model = Data::new(&slices, success, None).and_then(|data| fit(data, Options::default()));
+    let mean = success.iter().filter(|s| **s).count() as f64 / rows as f64;
+    let p = model.ok().and_then(|model| model.probabilities(&slices)).filter(|p| p.len() == rows);
+    let p = p.unwrap_or_else(|| vec![mean; rows]);
+    let residual = |(p, success): (&f64, &bool)| (f64::from(u8::from(*success)) - p) / (p * (1.0 - p)).max(1e-4).sqrt();
+    p.iter().zip(success).map(residual).collect()
+}

@@ -1,0 +1,52 @@
+//! What another gate of the same size would decide.
+//!
+//! The number of episodes "at which the observed rate decides" is a point estimate from an interval that contains the limit, so
+//! it has no upper bound. The probability that a new gate of the same size decides has one: it is stated at the observed rate and
+//! over the interval.
+
+use robogate_stats::budgeted::Budget;
+use robogate_stats::operating::{RateTest, Schedule, characteristics};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::{Evaluation, Mode, RequirementResult, Sampling, Sense, Status};
+
+/// The probability that a new gate of the same size decides an undecided requirement on a rate.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct NextBudget {
+    /// Episodes of the new gate in the scope of the requirement.
+    pub episodes: u64,
+    /// The probability if the observed rate is the true one.
+    pub at_observed: f64,
+    /// The smallest and the largest probability over the interval of the rate.
+    pub over_interval: [f64; 2],
+}
+
+impl NextBudget {
+    /// `None` for a requirement that is decided or is not on a rate, and without an interval.
+    pub fn of(result: &RequirementResult, evaluation: &Evaluation) -> Option<Self> {
+        let (metric, limit) = (result.requirement.metric, result.bound.limit);
+        let is_rate = !metric.is_mean() && metric.quantile().is_none() && (0.0..=1.0).contains(&limit);
+        if result.status != Status::Undecided || evaluation.requirements.mode != Mode::Confidence || !is_rate {
+            return None;
+        }
+        let good = |rate: f64| if result.bound.sense == Sense::AtLeast { rate } else { 1.0 - rate };
+        let [low, high] = result.interval?;
+        let alpha = evaluation.requirements.alpha();
+        let test = RateTest { at_least: good(limit), alpha, beta: alpha / evaluation.results.len().max(1) as f64 };
+        let episodes = result.valid + result.invalid;
+        let schedule = match (evaluation.sampling, evaluation.counts.rounds) {
+            (Sampling::Sequential, Some(rounds)) if rounds > 0 => {
+                Schedule::Budget(Budget { per_round: episodes / rounds, rounds })
+            }
+            _ => Schedule::Fixed { n: episodes },
+        };
+        // The probability is smallest at the limit and grows with the distance from it.
+        let rates = [result.figure.observed?, low, limit.clamp(low, high), high].map(good);
+        let decided = characteristics(test, schedule, &rates);
+        let decided: Vec<f64> = decided.into_iter().map(|c| c.met + c.violated).collect();
+        let least = decided.iter().copied().fold(1.0, f64::min);
+        let most = decided.iter().copied().fold(0.0, f64::max);
+        Some(Self { episodes, at_observed: decided[0], over_interval: [least, most] })
+    }
+}

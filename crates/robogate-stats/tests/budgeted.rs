@@ -1,0 +1,151 @@
+//! The gate with a known budget: its errors for scenarios with unequal rates, and live gates against the recursion.
+
+use rand_chacha::ChaCha8Rng;
+use rand_core::{Rng, SeedableRng};
+use robogate_maths::beta::ln_binomial_pmf;
+use robogate_stats::Trials;
+use robogate_stats::budgeted::Budget;
+use robogate_stats::operating::{RateTest, Schedule, characteristic};
+use robogate_stats::stratified::Strata;
+
+/// The probabilities of the number of successes of a round: some scenarios always succeed, some never, the others are equal.
+fn round(m: u64, always: u64, never: u64, rate: f64) -> Vec<f64> {
+    let others = m - always - never;
+    let mut masses = vec![0.0; m as usize + 1];
+    for k in 0..=others {
+        let mass = if rate <= 0.0 {
+            f64::from(u8::from(k == 0))
+        } else if rate >= 1.0 {
+            f64::from(u8::from(k == others))
+        } else {
+            ln_binomial_pmf(k as f64, others as f64, rate).exp()
+        };
+        masses[(always + k) as usize] += mass;
+    }
+    masses
+}
+
+/// The probability of reaching a boundary.
+fn crossing(step: &[f64], boundary: &[u64]) -> f64 {
+    let (mut going, mut crossed) = (vec![1.0], 0.0);
+    for limit in boundary {
+        let mut next = vec![0.0; going.len() + step.len() - 1];
+        for (k, probability) in going.iter().enumerate().filter(|(_, p)| **p > 1e-18) {
+            for (j, s) in step.iter().enumerate().filter(|(_, s)| **s > 1e-18) {
+                next[k + j] += probability * s;
+            }
+        }
+        for (k, probability) in next.iter_mut().enumerate() {
+            if k as u64 >= *limit {
+                crossed += std::mem::take(probability);
+            }
+        }
+        going = next;
+    }
+    crossed
+}
+
+#[test]
+// For a fixed mean, the extreme distributions of a sum of independent results have rates 0, 1 and one other value (Hoeffding
+// 1956). No error of theirs exceeds that of equal rates.
+fn unequal_rates_do_not_raise_the_error() {
+    for (m, rounds, p0) in [(30, 10, 0.5), (30, 10, 0.9), (30, 10, 0.08), (50, 12, 0.95), (24, 8, 0.98)] {
+        let budget = Budget { per_round: m, rounds };
+        let boundary = budget.boundary(p0, 0.05);
+        let equal = crossing(&round(m, 0, 0, p0), &boundary);
+        assert!(equal <= 0.05 && equal > 0.025, "{m} x {rounds} at {p0}: {equal}");
+        for always in (0..m).step_by(3) {
+            for never in (0..3).chain((3..m - always).step_by(4)) {
+                let others = m - always - never.min(m - always);
+                let rate = (m as f64 * p0 - always as f64) / others as f64;
+                if others == 0 || always + never >= m || !(0.0..=1.0).contains(&rate) {
+                    continue;
+                }
+                let error = crossing(&round(m, always, never, rate), &boundary);
+                assert!(error <= 0.05, "{always} always, {never} never, others {rate}: {error}");
+            }
+        }
+    }
+}
+
+fn unit(random: &mut ChaCha8Rng) -> f64 {
+    ((random.next_u64() >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
+}
+
+/// Whether the test of "above `limit`" shows it in any round of a live gate, with all parts of the evidence.
+fn shown(budget: Budget, rates: &[f64], limit: f64, boundary: &[u64], seed: u64) -> bool {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut strata = Strata::default();
+    boundary.iter().any(|needed| {
+        let results: Vec<(usize, bool)> = rates.iter().enumerate().map(|(s, p)| (s, unit(&mut random) < *p)).collect();
+        strata.round(&results);
+        strata.trials().successes() >= *needed || strata.ln_evidence_above(limit) >= (1.0 / (0.4 * 0.05_f64)).ln()
+    }) && budget.rounds as usize == boundary.len()
+}
+
+#[test]
+fn live_gates_keep_the_error() {
+    let budget = Budget { per_round: 50, rounds: 20 };
+    for (limit, rates) in [
+        (0.92, vec![0.92; 50]),
+        (0.92, (0..50).map(|i| if i % 2 == 0 { 1.0 } else { 0.84 }).collect()),
+        (0.92, (0..50).map(|i| f64::from(u8::from(i < 46))).collect()),
+        (0.8, (0..50).map(|i| 0.6 + 0.4 * f64::from(i) / 49.0).collect::<Vec<f64>>()),
+    ] {
+        let boundary = budget.boundary(limit, 0.05);
+        let gates = 4_000;
+        let wrong =
+            (0..gates).filter(|seed| shown(budget, &rates, limit, &boundary, *seed)).count() as f64 / gates as f64;
+        assert!(wrong <= 0.05 + 3.0 * (0.05 * 0.95 / gates as f64).sqrt(), "{limit}: {wrong}");
+    }
+}
+
+#[test]
+fn live_gates_confirm_the_recursion() {
+    let budget = Budget { per_round: 68, rounds: 20 };
+    for (limit, rate) in [
+        (0.5, 0.54),
+        (0.7, 0.73),
+        (0.8, 0.83),
+        (0.9, 0.92),
+        (0.92, 0.94),
+        (0.92, 0.95),
+        (0.95, 0.965),
+        (0.97, 0.98),
+        (0.98, 0.99),
+        (0.99, 0.997),
+    ] {
+        let test = RateTest { at_least: limit, alpha: 0.05, beta: 1e-9 };
+        let exact = characteristic(test, Schedule::Budget(budget), rate).met;
+        let boundary = budget.boundary(limit, 0.05);
+        let gates = 600;
+        let found =
+            (0..gates).filter(|seed| shown(budget, &[rate; 68], limit, &boundary, *seed)).count() as f64 / gates as f64;
+        let error = 3.5 * (exact * (1.0 - exact) / gates as f64).sqrt() + 0.01;
+        assert!((found - exact).abs() <= error, "{limit} at {rate}: {found} live, {exact} exact");
+    }
+}
+
+#[test]
+fn power_is_near_that_of_the_fixed_test() {
+    let budget = Budget { per_round: 68, rounds: 20 };
+    for limit in [0.5_f64, 0.8, 0.92, 0.95, 0.98] {
+        let unit = (limit * (1.0 - limit) / 1_360.0).sqrt();
+        for step in [-4.0, -3.0, -2.5, 2.5, 3.0, 4.0] {
+            let rate = limit + step * unit;
+            let test = RateTest { at_least: limit, alpha: 0.05, beta: 0.05 };
+            let of = |schedule| characteristic(test, schedule, rate);
+            let (gate, fixed) = (of(Schedule::Budget(budget)), of(Schedule::Fixed { n: 1_360 }));
+            let right = |c: robogate_stats::operating::Characteristic| if step > 0.0 { c.met } else { c.violated };
+            assert!(right(gate) >= 0.95 * right(fixed), "{limit} {step}: {} {}", right(gate), right(fixed));
+            assert!(gate.trials <= 0.83 * 1_360.0, "{limit} {step}: {}", gate.trials);
+        }
+    }
+}
+
+#[test]
+fn few_trials_show_nothing() {
+    let budget = Budget { per_round: 5, rounds: 2 };
+    assert!(budget.boundary(0.99, 0.05).iter().zip([5, 10]).all(|(needed, n)| *needed > n));
+    assert!(budget.ln_p(&[Trials::new(5, 5).unwrap()], &[Strata::default()], 0.99) > 0.05_f64.ln());
+}
