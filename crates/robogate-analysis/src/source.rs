@@ -5,7 +5,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use robogate_dictionary::{Dictionary, published};
+use robogate_dictionary::{Dictionary, published, results};
 use serde::Deserialize;
 
 use crate::AnalysisError;
@@ -57,7 +57,8 @@ pub(crate) struct BoundaryEmphasis {
 }
 
 impl Source {
-    /// Opens a run's folder, a Parquet dictionary, or a published JSON dictionary (imported into a scratch file).
+    /// Opens a run's folder, a Parquet dictionary, a published JSON dictionary, or an exported CSV or JSON Lines file. The
+    /// last three are imported into a scratch file.
     ///
     /// # Errors
     /// The problem with the path, with a hint.
@@ -76,16 +77,18 @@ impl Source {
             Some(b'P') => {
                 Ok(Self { dictionary: Dictionary::open(path)?, folder: None, boundary: None, _scratch: None })
             }
-            Some(b'{' | b' ' | b'\t' | b'\r' | b'\n' | 0xEF) => {
+            Some(first) => {
                 let scratch = Scratch::new();
-                published::import(path, &scratch.0)?;
+                if !results::import_export(path, &scratch.0)? {
+                    if !matches!(first, b'{' | b' ' | b'\t' | b'\r' | b'\n' | 0xEF) {
+                        let reason = "it is not a dictionary; convert results of other tools with `robogate import`";
+                        return Err(AnalysisError::NotADictionary { path: path.to_owned(), reason: reason.to_owned() });
+                    }
+                    published::import(path, &scratch.0)?;
+                }
                 let dictionary = Dictionary::open(&scratch.0)?;
                 Ok(Self { dictionary, folder: None, boundary: None, _scratch: Some(scratch) })
             }
-            Some(_) => Err(AnalysisError::NotADictionary {
-                path: path.to_owned(),
-                reason: "the file is neither Parquet nor JSON".to_owned(),
-            }),
             None => {
                 Err(AnalysisError::NotADictionary { path: path.to_owned(), reason: "the file is empty".to_owned() })
             }

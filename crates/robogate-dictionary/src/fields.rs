@@ -101,7 +101,7 @@ enum FieldKind {
     /// No value yet.
     Nothing,
     /// Only integers so far.
-    Integers { low: i64, high: i64 },
+    Integers { low: i128, high: i128 },
     /// Real numbers.
     Numbers { low: f64, high: f64 },
     /// Words.
@@ -113,7 +113,8 @@ enum FieldKind {
 impl FieldKind {
     fn of(value: &Scalar) -> Self {
         match value {
-            Scalar::Integer(n) => Self::Integers { low: *n, high: *n },
+            Scalar::Integer(n) => Self::Integers { low: (*n).into(), high: (*n).into() },
+            Scalar::Unsigned(n) => Self::Integers { low: (*n).into(), high: (*n).into() },
             Scalar::Number(x) => Self::Numbers { low: *x, high: *x },
             Scalar::Text(text) => Self::Words(BTreeSet::from([text.clone()])),
             Scalar::Bool(_) => Self::Other("it contains truth values"),
@@ -130,7 +131,11 @@ impl FieldKind {
             }
             (Self::Other(_), _) => true,
             (Self::Integers { low, high }, Scalar::Integer(n)) => {
-                (*low, *high) = ((*low).min(*n), (*high).max(*n));
+                (*low, *high) = ((*low).min((*n).into()), (*high).max((*n).into()));
+                true
+            }
+            (Self::Integers { low, high }, Scalar::Unsigned(n)) => {
+                (*low, *high) = ((*low).min((*n).into()), (*high).max((*n).into()));
                 true
             }
             (Self::Integers { low, high }, Scalar::Number(x)) => {
@@ -139,6 +144,10 @@ impl FieldKind {
             }
             (Self::Numbers { low, high }, Scalar::Number(x)) => {
                 (*low, *high) = (low.min(*x), high.max(*x));
+                true
+            }
+            (Self::Numbers { low, high }, Scalar::Unsigned(n)) => {
+                (*low, *high) = (low.min(*n as f64), high.max(*n as f64));
                 true
             }
             (Self::Numbers { low, high }, Scalar::Integer(n)) => {
@@ -179,6 +188,14 @@ impl Field {
         matches!(self.kind, FieldKind::Integers { .. } | FieldKind::Numbers { .. })
     }
 
+    /// The lowest and highest value, if all values are integers and an integer parameter cannot span them.
+    pub(crate) fn wide_integers(&self) -> Option<(i128, i128)> {
+        match self.kind {
+            FieldKind::Integers { low, high } if high - low >= 1 << 32 => Some((low, high)),
+            _ => None,
+        }
+    }
+
     /// The observed range as the domain of a parameter, or the reason why it cannot be one.
     pub(crate) fn domain(&self) -> Result<Domain, &'static str> {
         self.domain_as(&self.name)
@@ -191,7 +208,10 @@ impl Field {
             FieldKind::Nothing => Err("it has no value"),
             FieldKind::Other(why) => Err(why),
             _ if !column => Err("its name must be letters, digits and underscores"),
-            FieldKind::Integers { low, high } => Ok(integers(*low, *high)),
+            FieldKind::Integers { low, high } => match (i64::try_from(*low), i64::try_from(*high)) {
+                (Ok(low), Ok(high)) => Ok(integers(low, high)),
+                _ => Ok(continuous(*low as f64, *high as f64)),
+            },
             FieldKind::Numbers { low, high } => Ok(continuous(*low, *high)),
             FieldKind::Words(words) => {
                 Ok(Domain::Categorical { choices: words.iter().map(|word| word.as_str().into()).collect() })

@@ -12,6 +12,7 @@
 mod atomic;
 mod codec;
 mod columns;
+mod decode;
 mod delta;
 mod entry;
 mod error;

@@ -26,6 +26,8 @@ pub(crate) enum Scalar {
     Null,
     Bool(bool),
     Integer(i64),
+    /// An integer above the range of [`Self::Integer`].
+    Unsigned(u64),
     Number(f64),
     Text(String),
     /// An array or object.
@@ -33,12 +35,18 @@ pub(crate) enum Scalar {
 }
 
 impl Scalar {
+    /// The integer without loss.
+    pub(crate) fn unsigned(n: u64) -> Self {
+        i64::try_from(n).map_or(Self::Unsigned(n), Self::Integer)
+    }
+
     /// The value as shown in an error message.
     pub(crate) fn show(&self) -> String {
         match self {
             Self::Null => "a missing value".to_owned(),
             Self::Bool(value) => value.to_string(),
             Self::Integer(n) => n.to_string(),
+            Self::Unsigned(n) => n.to_string(),
             Self::Number(x) => x.to_string(),
             Self::Text(text) => format!("`{text}`"),
             Self::Nested => "an array or object".to_owned(),
@@ -190,8 +198,7 @@ impl<'de> Visitor<'de> for AnyScalar {
     }
 
     fn visit_u64<E: Error>(self, n: u64) -> Result<Scalar, E> {
-        // Above 2^63 the value is an identifier or a huge measure. A real number keeps its magnitude.
-        Ok(i64::try_from(n).map_or(Scalar::Number(n as f64), Scalar::Integer))
+        Ok(Scalar::unsigned(n))
     }
 
     fn visit_f64<E: Error>(self, x: f64) -> Result<Scalar, E> {

@@ -5,7 +5,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use robogate_core::{FailureMode, Suite, TaskSpec, Value};
-use robogate_dictionary::results::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED};
+use robogate_dictionary::results::{SOURCE_EPISODE, SOURCE_ROW, recorded_seed};
 use robogate_dictionary::{Dictionary, Entry, Label, Provenance, RowSampling, Stopping, hex, suite_sha256};
 use robogate_stats::format::counted;
 use schemars::JsonSchema;
@@ -294,13 +294,7 @@ fn population(provenance: &Provenance, trials: &[Trial]) -> Result<(Population, 
 
 /// The scenario seed of each row. `None` if a row has none, or if several rows share one.
 pub(crate) fn recorded_seeds(trials: &[Trial]) -> Option<Vec<i64>> {
-    let seeds: Option<Vec<i64>> = trials
-        .iter()
-        .map(|trial| match trial.requested.get(SOURCE_SEED) {
-            Some(Value::Integer(seed)) => Some(*seed),
-            _ => None,
-        })
-        .collect();
+    let seeds: Option<Vec<i64>> = trials.iter().map(|trial| recorded_seed(&trial.requested)).collect();
     seeds.filter(|seeds| seeds.len() < 2 || seeds.iter().any(|seed| Some(seed) != seeds.first()))
 }
 

@@ -16,6 +16,7 @@ use parquet::file::reader::{ChunkReader, Length};
 use robogate_core::budget::Budget;
 
 use crate::columns::{ColumnSpec, Columns, Kind};
+use crate::decode::placeholder;
 use crate::pages::{Allowance, check_footer, page_reader};
 use crate::{DictionaryError, Provenance, SCHEMA_VERSION, SchemaVersion};
 
@@ -271,6 +272,9 @@ fn check_ends(file: &mut File, path: &Path) -> Result<(), DictionaryError> {
         file.read_exact(&mut magic)?;
         Ok(magic)
     };
+    if let Some(reason) = placeholder(path) {
+        return Err(DictionaryError::not_a_dictionary(path, reason));
+    }
     let length = file.metadata().map_err(DictionaryError::io(path, "inspect"))?.len();
     if length < 12 {
         let reason = format!("it has {length} bytes, too few for a Parquet file");

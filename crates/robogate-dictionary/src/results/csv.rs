@@ -4,47 +4,130 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::sync::Arc;
 
-use ::csv::{ErrorKind, ReaderBuilder, StringRecord};
+use ::csv::{ErrorKind, Reader, ReaderBuilder, StringRecord};
 
+use super::numbers::{Evidence, Numbers};
 use super::{Frame, Sink};
 use crate::DictionaryError;
+use crate::decode::Text;
 use crate::formula::unmarked;
-use crate::raw::{MOST_FIELDS, Metered, RawRow, Scalar};
+use crate::raw::{MOST_FIELDS, Meter, RawRow, Scalar};
 
 /// Maximum bytes per record. Without it, an unclosed quote would consume the whole file.
 const LONGEST: u64 = 1 << 20;
 
 pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
-    let metered = Metered::open(path, LONGEST)?;
-    let meter = metered.meter();
-    let mut metered = BufReader::with_capacity(1 << 16, metered);
-    let start = metered.fill_buf().map_err(DictionaryError::io(path, "read"))?;
-    let first = start.split(|byte| *byte == b'\n').next().unwrap_or_default();
-    let delimiter = delimiter(first);
-    if start.starts_with(b"\xef\xbb\xbf") {
-        metered.consume(3);
-    }
-    let mut reader = ReaderBuilder::new().delimiter(delimiter).from_reader(&mut metered);
-    let headers = reader.headers().map_err(|e| refuse(path, &e))?;
-    if headers.len() > MOST_FIELDS {
-        let reason = format!("its header has {} columns. Expected at most {MOST_FIELDS}", headers.len());
-        return Err(DictionaryError::results(path, reason));
-    }
-    let names: Vec<Arc<str>> = headers.iter().map(|name| unmarked(name.trim()).into()).collect();
-    if let Some(i) = (1..names.len()).find(|i| names[..*i].contains(&names[*i])) {
-        return Err(DictionaryError::results(path, format!("its header has the column `{}` twice", names[i])));
-    }
+    let numbers = numbers(path)?;
+    let mut table = Table::open(path)?;
     let mut row = RawRow::default();
-    let mut record = StringRecord::new();
-    while reader.read_record(&mut record).map_err(|e| refuse(path, &e))? {
-        meter.reset();
+    let mut repeated: Vec<u64> = Vec::new();
+    while table.next()? {
+        if table.repeats_header()? {
+            repeated.push(table.line());
+            continue;
+        }
         row.fields.clear();
-        row.fields.extend(names.iter().cloned().zip(record.iter().map(scalar)));
+        row.fields.extend(table.names.iter().cloned().zip(table.record.iter().map(|field| scalar(field, numbers))));
         sink(&row)?;
         row.number += 1;
     }
-    drop(reader);
-    Ok(Frame { sha256: metered.into_inner().sha256(), ..Frame::default() })
+    let text = table.reader.into_inner().into_inner();
+    let mut notes: Vec<String> = text.note().into_iter().collect();
+    if let Some(first) = repeated.first() {
+        let n = repeated.len();
+        notes.push(format!(
+            "Lines that repeat the header, as after a merge of files: {n}, first line {first}. They are skipped."
+        ));
+    }
+    Ok(Frame { sha256: text.sha256(), notes, ..Frame::default() })
+}
+
+/// How the file writes numbers, from all of its fields.
+fn numbers(path: &Path) -> Result<Numbers, DictionaryError> {
+    let mut table = Table::open(path)?;
+    let mut evidence = Evidence::default();
+    while table.next()? {
+        let line = table.line();
+        table.record.iter().for_each(|field| evidence.take(line, field));
+    }
+    evidence.decide().map_err(|reason| DictionaryError::results(path, reason))
+}
+
+/// The records of a file after its header.
+struct Table<'a> {
+    path: &'a Path,
+    reader: Reader<BufReader<Text>>,
+    meter: Meter,
+    /// Lines before the header.
+    before: u64,
+    names: Vec<Arc<str>>,
+    record: StringRecord,
+}
+
+impl<'a> Table<'a> {
+    fn open(path: &'a Path) -> Result<Self, DictionaryError> {
+        let text = Text::open(path, LONGEST)?;
+        let meter = text.meter();
+        let mut text = BufReader::with_capacity(1 << 16, text);
+        let start = text.fill_buf().map_err(DictionaryError::io(path, "read"))?;
+        let first = start.split(|byte| *byte == b'\n').next().unwrap_or_default();
+        // Excel reads the separator from such a line.
+        let stated = first.trim_ascii().trim_ascii_end();
+        let stated = stated.strip_prefix(b"\"").and_then(|line| line.strip_suffix(b"\"")).unwrap_or(stated);
+        let (delimiter, before) = match stated.split_at_checked(4) {
+            Some((key, [separator])) if key.eq_ignore_ascii_case(b"sep=") => (*separator, 1),
+            // The tab is trimmed.
+            Some((key, [])) if key.eq_ignore_ascii_case(b"sep=") => (b'\t', 1),
+            _ => (delimiter(first), 0),
+        };
+        if before > 0 {
+            let line = first.len() + 1;
+            text.consume(line);
+        }
+        let mut reader = ReaderBuilder::new().delimiter(delimiter).from_reader(text);
+        let headers = reader.headers().map_err(|e| refuse(path, before, &e))?;
+        if headers.len() > MOST_FIELDS {
+            let reason = format!("its header has {} columns. Expected at most {MOST_FIELDS}", headers.len());
+            return Err(DictionaryError::results(path, reason));
+        }
+        let names: Vec<Arc<str>> = headers.iter().map(|name| unmarked(name.trim()).into()).collect();
+        if let Some(i) = (1..names.len()).find(|i| names[..*i].contains(&names[*i])) {
+            return Err(DictionaryError::results(path, format!("its header has the column `{}` twice", names[i])));
+        }
+        Ok(Self { path, reader, meter, before, names, record: StringRecord::new() })
+    }
+
+    fn next(&mut self) -> Result<bool, DictionaryError> {
+        self.meter.reset();
+        self.reader.read_record(&mut self.record).map_err(|e| refuse(self.path, self.before, &e))
+    }
+
+    /// The line of the record, from 1.
+    fn line(&self) -> u64 {
+        self.record.position().map_or(0, ::csv::Position::line) + self.before
+    }
+
+    /// Whether the record is the header again. Files that were merged repeat it. A header with other columns, or in
+    /// another order, would give its rows a wrong meaning.
+    fn repeats_header(&self) -> Result<bool, DictionaryError> {
+        let is_name = |field: &str| self.names.iter().any(|name| **name == *field.trim());
+        let same = self.names.iter().zip(&self.record).filter(|(name, field)| ***name == *field.trim()).count();
+        if same == self.names.len() && same > 1 {
+            return Ok(true);
+        }
+        let named = self.record.iter().filter(|field| is_name(field)).count();
+        // A table of one column may have its name as a word: `success`.
+        if 2 * named > self.names.len() {
+            let what = if self.names.len() == 1 {
+                "it repeats the name of the only column, which can be a header or a value\nhint: write true or false"
+            } else {
+                "it is a second header with other columns, or with columns in another order\nhint: import each file \
+                 by itself, or give all files the same columns"
+            };
+            return Err(DictionaryError::results(self.path, format!("line {}: {what}", self.line())));
+        }
+        Ok(false)
+    }
 }
 
 /// The separator of the header: the most frequent of comma, semicolon and tab.
@@ -54,29 +137,29 @@ fn delimiter(header: &[u8]) -> u8 {
     if count(most) == 0 { b',' } else { most }
 }
 
+/// The truth values of spreadsheets in German, French, Spanish, Portuguese, Italian, Dutch, Polish and Swedish.
+const TRUE: [&str; 11] =
+    ["true", "True", "TRUE", "WAHR", "VRAI", "VERDADERO", "VERDADEIRO", "VERO", "WAAR", "PRAWDA", "SANT"];
+const FALSE: [&str; 10] =
+    ["false", "False", "FALSE", "FALSCH", "FAUX", "FALSO", "ONWAAR", "FA\u{141}SZ", "FALSZ", "FALSKT"];
+
 /// Parses the value of a field. Other tools write `nan` and similar words for a missing value.
-fn scalar(text: &str) -> Scalar {
+fn scalar(text: &str, numbers: Numbers) -> Scalar {
     let text = text.trim();
     if ["", "nan", "null", "none", "na", "n/a"].contains(&text.to_ascii_lowercase().as_str()) {
         return Scalar::Null;
     }
-    match text {
-        "true" | "True" | "TRUE" => return Scalar::Bool(true),
-        "false" | "False" | "FALSE" => return Scalar::Bool(false),
-        _ => {}
-    }
-    if let Ok(n) = text.parse() {
-        return Scalar::Integer(n);
-    }
-    match text.parse::<f64>() {
-        // A parameter cannot be infinite.
-        Ok(x) if x.is_finite() => Scalar::Number(x),
-        _ => Scalar::Text(unmarked(text).to_owned()),
+    if TRUE.contains(&text) {
+        Scalar::Bool(true)
+    } else if FALSE.contains(&text) {
+        Scalar::Bool(false)
+    } else {
+        numbers.read(text).unwrap_or_else(|| Scalar::Text(unmarked(text).to_owned()))
     }
 }
 
-fn refuse(path: &Path, error: &::csv::Error) -> DictionaryError {
-    let line = error.position().map_or_else(String::new, |position| format!("line {}: ", position.line()));
+fn refuse(path: &Path, before: u64, error: &::csv::Error) -> DictionaryError {
+    let line = error.position().map_or_else(String::new, |position| format!("line {}: ", position.line() + before));
     let reason = match error.kind() {
         ErrorKind::Io(e) if e.kind() == std::io::ErrorKind::InvalidData => {
             format!("{line}{e}\nhint: look for a quote that is never closed")

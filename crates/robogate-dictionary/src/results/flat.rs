@@ -11,7 +11,8 @@ use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Seq
 use super::Sink;
 use crate::DictionaryError;
 use crate::codec::Interner;
-use crate::raw::{MOST_FIELDS, MOST_JSON, Meter, Metered, RawRow, Scalar};
+use crate::decode::Text;
+use crate::raw::{MOST_FIELDS, MOST_JSON, Meter, RawRow, Scalar};
 
 /// Adds the fields of one object to a row without clearing the row first.
 pub(super) struct FlatRow<'a> {
@@ -93,7 +94,7 @@ impl<'de> Visitor<'de> for OneField<'_> {
     }
 
     fn visit_u64<E: Error>(self, n: u64) -> Result<(), E> {
-        self.push(i64::try_from(n).map_or(Scalar::Number(n as f64), Scalar::Integer))
+        self.push(Scalar::unsigned(n))
     }
 
     fn visit_f64<E: Error>(self, x: f64) -> Result<(), E> {
@@ -136,16 +137,16 @@ impl<'a> Rows<'a> {
         sink: Sink<'a>,
         visit: impl FnOnce(&mut Self, &mut Json<'_>) -> Result<(), serde_json::Error>,
     ) -> Result<String, DictionaryError> {
-        let mut metered = Metered::open(path, MOST_JSON)?;
+        let mut text = Text::open_json(path, MOST_JSON)?;
         let mut rows =
-            Self { sink, meter: metered.meter(), error: None, row: RawRow::default(), names: Interner::default() };
-        let reader: Box<dyn Read + '_> = Box::new(BufReader::with_capacity(1 << 16, &mut metered));
+            Self { sink, meter: text.meter(), error: None, row: RawRow::default(), names: Interner::default() };
+        let reader: Box<dyn Read + '_> = Box::new(BufReader::with_capacity(1 << 16, &mut text));
         let mut json = serde_json::Deserializer::from_reader(reader);
         let parsed = visit(&mut rows, &mut json).and_then(|()| json.end());
         drop(json);
         match rows.error {
             Some(error) => Err(error),
-            None => parsed.map_err(|source| DictionaryError::json(path, source)).map(|()| metered.sha256()),
+            None => parsed.map_err(|source| DictionaryError::json(path, source)).map(|()| text.sha256()),
         }
     }
 
@@ -286,6 +287,7 @@ pub(super) fn metadata(value: Scalar) -> Option<serde_json::Value> {
     Some(match value {
         Scalar::Bool(value) => value.into(),
         Scalar::Integer(n) => n.into(),
+        Scalar::Unsigned(n) => n.into(),
         Scalar::Number(x) => x.into(),
         Scalar::Text(text) if text.len() <= LONGEST => text.into(),
         Scalar::Text(_) | Scalar::Null | Scalar::Nested => return None,

@@ -1,14 +1,14 @@
 //! File formats of results, and their recognition.
 
 use std::fmt;
-use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-use serde::de::{Deserializer, Error, IgnoredAny, MapAccess, Visitor};
+use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
 use super::Mapping;
 use crate::DictionaryError;
+use crate::decode::{Text, start_of};
 
 /// A file format of per-episode results.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -65,8 +65,11 @@ const FIRST_LOOK: u64 = 16 << 20;
 
 /// Recognises the format by the content of the file. The file name is not used.
 pub(super) fn recognise(path: &Path) -> Result<Format, DictionaryError> {
-    let file = File::open(path).map_err(DictionaryError::io(path, "open"))?;
-    let mut reader = BufReader::with_capacity(1 << 16, file.take(FIRST_LOOK));
+    if start_of(path).starts_with(b"PAR1") {
+        return Ok(Format::Parquet);
+    }
+    let text = Text::open_json(path, u64::MAX)?.take(FIRST_LOOK);
+    let mut reader = BufReader::with_capacity(1 << 16, text);
     let start = reader.fill_buf().map_err(DictionaryError::io(path, "read"))?;
     let unknown = |what: &str| {
         DictionaryError::results(
@@ -76,16 +79,12 @@ pub(super) fn recognise(path: &Path) -> Result<Format, DictionaryError> {
             ),
         )
     };
-    if start.starts_with(b"PAR1") {
-        return Ok(Format::Parquet);
-    }
-    let text = start.strip_prefix(b"\xef\xbb\xbf").unwrap_or(start);
-    match text.iter().find(|byte| !byte.is_ascii_whitespace()) {
+    match start.iter().find(|byte| !byte.is_ascii_whitespace()) {
         None => return Err(unknown("the file is empty")),
         Some(b'{') => {}
         Some(b'[') => return Err(unknown("it is a JSON array; expected one object per line (JSON Lines)")),
         Some(_) => {
-            let line = text.split(|byte| *byte == b'\n').next().unwrap_or_default();
+            let line = start.split(|byte| *byte == b'\n').next().unwrap_or_default();
             let plain = std::str::from_utf8(line).is_ok_and(|line| !line.contains('\0'));
             return if plain { Ok(Format::Csv) } else { Err(unknown("its format is unknown")) };
         }
@@ -124,13 +123,86 @@ impl<'de> Visitor<'de> for &mut Look {
                 "tasks" => Some(Format::VlaEval),
                 _ => None,
             };
-            if let Some(format) = format {
-                self.0 = Some(Seen::Format(format));
-                return Err(A::Error::custom("seen enough"));
-            }
-            map.next_value::<IgnoredAny>()?;
+            let Some(format) = format else {
+                map.next_value::<IgnoredAny>()?;
+                continue;
+            };
+            // In a row of JSON Lines, such a key can have any value: LeRobot's episodes.jsonl lists words as `tasks`.
+            map.next_value_seed(Start { look: &mut *self, format, inside: false })?;
         }
         self.0 = Some(Seen::Whole);
+        Ok(())
+    }
+}
+
+/// Looks for an array of objects, which has the layout `format`. It ends the reading early with an error.
+struct Start<'a> {
+    look: &'a mut Look,
+    format: Format,
+    /// Whether the value is the first element of the array.
+    inside: bool,
+}
+
+impl Start<'_> {
+    fn found<E: Error>(self) -> Result<(), E> {
+        self.look.0 = Some(Seen::Format(self.format));
+        Err(E::custom("seen enough"))
+    }
+}
+
+impl<'de> DeserializeSeed<'de> for Start<'_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Start<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a value")
+    }
+
+    fn visit_unit<E: Error>(self) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_bool<E: Error>(self, _: bool) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_i64<E: Error>(self, _: i64) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_u64<E: Error>(self, _: u64) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_f64<E: Error>(self, _: f64) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_str<E: Error>(self, _: &str) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<(), A::Error> {
+        let Self { look, format, inside } = self;
+        if !inside && seq.next_element_seed(Start { look: &mut *look, format, inside: true })?.is_none() {
+            return Start { look, format, inside }.found();
+        }
+        while seq.next_element::<IgnoredAny>()?.is_some() {}
+        Ok(())
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+        if self.inside {
+            return self.found();
+        }
+        while map.next_entry::<IgnoredAny, IgnoredAny>()?.is_some() {}
         Ok(())
     }
 }

@@ -9,7 +9,8 @@ use super::flat::FlatRow;
 use super::{Frame, Sink};
 use crate::DictionaryError;
 use crate::codec::Interner;
-use crate::raw::{Metered, RawRow};
+use crate::decode::Text;
+use crate::raw::RawRow;
 
 /// Maximum bytes per line.
 const LONGEST: u64 = 1 << 20;
@@ -18,7 +19,7 @@ const LONGEST: u64 = 1 << 20;
 #[derive(Debug)]
 pub(super) struct Lines {
     path: PathBuf,
-    reader: BufReader<Metered>,
+    reader: BufReader<Text>,
     line: Vec<u8>,
     number: u64,
 }
@@ -26,7 +27,7 @@ pub(super) struct Lines {
 impl Lines {
     pub(super) fn open(path: &Path) -> Result<Self, DictionaryError> {
         // The meter is unnecessary: the length of each line is limited here, where its number is known.
-        let reader = BufReader::with_capacity(1 << 16, Metered::open(path, u64::MAX)?);
+        let reader = BufReader::with_capacity(1 << 16, Text::open_json(path, u64::MAX)?);
         Ok(Self { path: path.to_owned(), reader, line: Vec::new(), number: 0 })
     }
 
@@ -45,9 +46,6 @@ impl Lines {
                     format!("line {} has more than {LONGEST} bytes. Expected one episode per line", self.number);
                 return Err(DictionaryError::results(&self.path, reason));
             }
-            if self.number == 1 && self.line.starts_with(b"\xef\xbb\xbf") {
-                self.line.drain(..3);
-            }
             if !self.line.trim_ascii().is_empty() {
                 break;
             }
@@ -64,6 +62,11 @@ impl Lines {
     /// The number of the last line that was read, from 1.
     pub(super) fn number(&self) -> u64 {
         self.number
+    }
+
+    /// What the reader should know about the encoding of the file.
+    pub(super) fn note(&self) -> Option<String> {
+        self.reader.get_ref().note()
     }
 
     /// The hash of the bytes read so far.
@@ -85,5 +88,5 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
         sink(&row)?;
         row.number += 1;
     }
-    Ok(Frame { sha256: lines.sha256(), ..Frame::default() })
+    Ok(Frame { notes: lines.note().into_iter().collect(), sha256: lines.sha256(), ..Frame::default() })
 }

@@ -8,7 +8,7 @@
 use std::fmt;
 use std::path::Path;
 
-use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Visitor};
+use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
 use super::flat::{RowArray, Rows, Scalars, TaskArray, TaskObject};
 use super::{Frame, Mapping, SOURCE_EPISODE, Sink};
@@ -136,6 +136,7 @@ impl TaskObject for Task {
         let word = |value: &Scalar| match value {
             Scalar::Text(text) => Some(text.clone()),
             Scalar::Integer(n) => Some(n.to_string()),
+            Scalar::Unsigned(n) => Some(n.to_string()),
             Scalar::Null | Scalar::Bool(_) | Scalar::Number(_) | Scalar::Nested => None,
         };
         let (group, id) = (word(&group), word(&id));
@@ -143,7 +144,7 @@ impl TaskObject for Task {
             rows.push("success", success.map_or(Scalar::Null, Scalar::Bool));
             rows.push(SOURCE_EPISODE, Scalar::Integer(episode as i64));
             for (name, values) in &metrics.rewards {
-                rows.push(name, values.get(episode).copied().flatten().map_or(Scalar::Null, Scalar::Number));
+                rows.push(name, values.get(episode).cloned().unwrap_or(Scalar::Null));
             }
             if let Some(group) = &group {
                 rows.push("category", Scalar::Text(group.clone()));
@@ -162,7 +163,7 @@ impl TaskObject for Task {
 #[derive(Default)]
 struct OfTask {
     successes: Option<Vec<Option<bool>>>,
-    rewards: Vec<(&'static str, Vec<Option<f64>>)>,
+    rewards: Vec<(&'static str, Vec<Scalar>)>,
 }
 
 struct Metrics;
@@ -188,11 +189,38 @@ impl<'de> Visitor<'de> for Metrics {
             // The meter of the file limits the number of values.
             match key.as_str() {
                 "successes" => metrics.successes = Some(map.next_value()?),
-                "sum_rewards" => metrics.rewards.push(("sum_reward", map.next_value()?)),
-                "max_rewards" => metrics.rewards.push(("max_reward", map.next_value()?)),
+                "sum_rewards" => metrics.rewards.push(("sum_reward", map.next_value_seed(Values)?)),
+                "max_rewards" => metrics.rewards.push(("max_reward", map.next_value_seed(Values)?)),
                 _ => drop(map.next_value::<IgnoredAny>()?),
             }
         }
         Ok(metrics)
+    }
+}
+
+/// An array of values.
+struct Values;
+
+impl<'de> DeserializeSeed<'de> for Values {
+    type Value = Vec<Scalar>;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Values {
+    type Value = Vec<Scalar>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an array of numbers")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Self::Value, A::Error> {
+        let mut values = Vec::new();
+        while let Some(value) = seq.next_element_seed(AnyScalar)? {
+            values.push(value);
+        }
+        Ok(values)
     }
 }

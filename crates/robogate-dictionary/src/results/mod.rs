@@ -9,6 +9,7 @@
 //! failure without a failure mode has [`FailureMode::UNKNOWN`](robogate_core::FailureMode::UNKNOWN), and
 //! [`crate::Source::not_recorded`] lists the modes that it may have been.
 
+mod aggregates;
 pub mod audit;
 mod csv;
 mod exported;
@@ -19,6 +20,7 @@ mod json_lines;
 mod lerobot;
 mod mapping;
 mod names;
+mod numbers;
 mod outcome;
 mod parquet;
 mod plan;
@@ -31,13 +33,15 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
+use aggregates::Aggregates;
 pub use format::Format;
 pub use mapping::{About, Mapping};
 pub use names::groups_rows;
 pub use role::Role;
-pub use survey::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED, only_identifies};
+pub use survey::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED, only_identifies, recorded_seed};
 
 use crate::codec::Interner;
+use crate::decode::placeholder;
 use crate::published::{self, Imported};
 use crate::raw::{MOST_FIELDS, RawRow};
 use crate::{Dictionary, DictionaryError, DictionaryWriter};
@@ -60,10 +64,7 @@ type Sink<'a> = &'a mut dyn FnMut(&RawRow) -> Result<(), DictionaryError>;
 ///
 /// If no format is given, it is recognised from the content. If a row is invalid, no file is written.
 pub fn import(from: &Path, to: &Path, format: Option<Format>, mapping: &Mapping) -> Result<Imported, DictionaryError> {
-    let format = match format {
-        Some(format) => format,
-        None => format::recognise(from)?,
-    };
+    let format = format_of(from, format)?;
     if format == Format::Published {
         if !mapping.is_empty() {
             return Err(fixed_columns(from, "the published JSON"));
@@ -79,9 +80,15 @@ pub fn import(from: &Path, to: &Path, format: Option<Format>, mapping: &Mapping)
     if format == Format::Parquet && Dictionary::open(from).is_ok() {
         return Err(DictionaryError::results(from, "it is already a dictionary\nhint: use it without importing it"));
     }
+    let mapped = mapping.roles.contains_key(&Role::Success);
     let mapping = mapping.over(&format.mapping()).found_in(&columns(format, from));
+    let mut aggregates = Aggregates::new(mapping.column(Role::Success), mapped);
     let mut survey = survey::Survey::new(from, &mapping);
-    let frame = read(format, from, &mut |row| survey.row(row))?;
+    let frame = read(format, from, &mut |row| {
+        aggregates.take(row);
+        survey.row(row)
+    })?;
+    aggregates.check(from)?;
     let plan = survey.plan(format, &frame)?;
     let mut writer = DictionaryWriter::create(to, &plan.provenance)?;
     let mut words = Interner::default();
@@ -91,6 +98,27 @@ pub fn import(from: &Path, to: &Path, format: Option<Format>, mapping: &Mapping)
     }
     let written = writer.finish()?;
     Ok(Imported { provenance: plan.provenance, written })
+}
+
+/// Imports `from` as the dictionary `to` if it is an export of RoboGate (CSV or JSON Lines). Returns whether it is one.
+pub fn import_export(from: &Path, to: &Path) -> Result<bool, DictionaryError> {
+    check_placeholder(from)?;
+    match format::recognise(from) {
+        Ok(format) if exported::is_export(from, format) => {
+            exported::import(from, to, format, &About::default()).map(|_| true)
+        }
+        Ok(_) | Err(_) => Ok(false),
+    }
+}
+
+/// The format that was given, or that of the content.
+fn format_of(path: &Path, given: Option<Format>) -> Result<Format, DictionaryError> {
+    check_placeholder(path)?;
+    given.map_or_else(|| format::recognise(path), Ok)
+}
+
+fn check_placeholder(path: &Path) -> Result<(), DictionaryError> {
+    placeholder(path).map_or(Ok(()), |reason| Err(DictionaryError::results(path, reason)))
 }
 
 /// The error about a mapping for a file with fixed columns.

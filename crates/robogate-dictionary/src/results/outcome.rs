@@ -138,9 +138,7 @@ impl<'a> Results<'a> {
             Some(Scalar::Text(word)) if ["error", "invalid"].contains(&word.to_ascii_lowercase().as_str()) => {
                 Success::Error
             }
-            Some(value) => Success::Known(truth(value).ok_or_else(|| {
-                row.wrong(path, column, "is neither true nor false. Expected true, false, 1, 0, success, fail or error")
-            })?),
+            Some(value) => Success::Known(truth(value).ok_or_else(|| not_a_truth(path, row, column))?),
         })
     }
 
@@ -213,6 +211,19 @@ impl<'a> Results<'a> {
     }
 }
 
+/// The error about a success that is neither true nor false.
+pub(super) fn not_a_truth(path: &Path, row: &RawRow, column: &str) -> DictionaryError {
+    let hint = match row.get(column) {
+        Some(Scalar::Integer(_) | Scalar::Unsigned(_) | Scalar::Number(_)) => {
+            "\nhint: a percentage, a score or partial credit does not say success; add a column with true or false, and \
+             name it with --map success=COLUMN"
+        }
+        _ => "",
+    };
+    let expected = "is neither true nor false. Expected true, false, 1, 0, success, fail or error";
+    row.wrong(path, column, format!("{expected}{hint}"))
+}
+
 /// Interprets a value as a truth value, if possible.
 pub(super) fn truth(value: &Scalar) -> Option<bool> {
     match value {
@@ -226,7 +237,7 @@ pub(super) fn truth(value: &Scalar) -> Option<bool> {
             "false" | "no" | "fail" | "failed" | "failure" => Some(false),
             _ => None,
         },
-        Scalar::Null | Scalar::Integer(_) | Scalar::Number(_) | Scalar::Nested => None,
+        Scalar::Null | Scalar::Integer(_) | Scalar::Unsigned(_) | Scalar::Number(_) | Scalar::Nested => None,
     }
 }
 

@@ -4,7 +4,7 @@ use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
-use ::parquet::basic::Type as Physical;
+use ::parquet::basic::{ConvertedType, Type as Physical};
 use ::parquet::column::reader::{ColumnReader, get_column_reader};
 use ::parquet::errors::ParquetError;
 use ::parquet::file::reader::{FileReader, SerializedFileReader};
@@ -47,11 +47,13 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
     }
     let mut frame = Frame { sha256: hashed.sha256(), ..Frame::default() };
     let mut columns: Vec<(usize, Arc<str>)> = Vec::new();
+    let mut unsigned: Vec<bool> = Vec::new();
     for (i, column) in schema.columns().iter().enumerate() {
         let name = column.path().string();
         let plain = column.max_rep_level() == 0 && column.max_def_level() <= 1 && column.path().parts().len() == 1;
         if plain && !matches!(column.physical_type(), Physical::INT96 | Physical::FIXED_LEN_BYTE_ARRAY) {
             columns.push((i, name.into()));
+            unsigned.push(matches!(column.converted_type(), ConvertedType::UINT_32 | ConvertedType::UINT_64));
         } else {
             frame
                 .notes
@@ -92,7 +94,11 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
             let n = left.min(BATCH);
             let mut text = MOST_TEXT;
             let batch = guarded(|| {
-                readers.iter_mut().map(|reader| values(reader, n, &mut text)).collect::<Result<Vec<_>, _>>()
+                readers
+                    .iter_mut()
+                    .zip(&unsigned)
+                    .map(|(reader, unsigned)| values(reader, n, *unsigned, &mut text))
+                    .collect::<Result<Vec<_>, _>>()
             })
             .map_err(refuse)?;
             let mut batch: Vec<_> = batch.into_iter().map(Vec::into_iter).collect();
@@ -110,8 +116,8 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
     Ok(frame)
 }
 
-/// The next `n` values of a column. Texts are charged to `text`, a number of bytes.
-fn values(reader: &mut ColumnReader, n: usize, text: &mut usize) -> Result<Vec<Scalar>, ParquetError> {
+/// The next `n` values of a column, whose integers may be unsigned. Texts are charged to `text`, a number of bytes.
+fn values(reader: &mut ColumnReader, n: usize, unsigned: bool, text: &mut usize) -> Result<Vec<Scalar>, ParquetError> {
     macro_rules! read {
         ($reader:expr, $scalar:expr) => {{
             let (mut present, mut values) = (Vec::new(), Vec::new());
@@ -136,6 +142,12 @@ fn values(reader: &mut ColumnReader, n: usize, text: &mut usize) -> Result<Vec<S
     }
     match reader {
         ColumnReader::BoolColumnReader(reader) => read!(reader, |truth| Ok(Scalar::Bool(truth))),
+        ColumnReader::Int32ColumnReader(reader) if unsigned => {
+            read!(reader, |n: i32| Ok(Scalar::Integer(n.cast_unsigned().into())))
+        }
+        ColumnReader::Int64ColumnReader(reader) if unsigned => {
+            read!(reader, |n: i64| Ok(Scalar::unsigned(n.cast_unsigned())))
+        }
         ColumnReader::Int32ColumnReader(reader) => read!(reader, |n| Ok(Scalar::Integer(n.into()))),
         ColumnReader::Int64ColumnReader(reader) => read!(reader, |n| Ok(Scalar::Integer(n))),
         ColumnReader::FloatColumnReader(reader) => read!(reader, |x| Ok(number(x.into()))),

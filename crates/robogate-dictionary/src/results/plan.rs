@@ -7,6 +7,7 @@ use robogate_core::{Assignment, Domain, Episode, Measures, Scenario, Seed, Value
 
 use super::outcome::Results;
 use super::role::Role;
+use super::survey::SEED_PARTS;
 use super::{Format, Mapping};
 use crate::codec::{EXACT_INTEGER, Interner};
 use crate::raw::{RawRow, Scalar};
@@ -34,6 +35,10 @@ impl Plan<'_> {
                 let value = match column {
                     None => Ok(Value::Integer(i64::try_from(index).unwrap_or(i64::MAX))),
                     Some(column) if matches!(row.get(column), None | Some(Scalar::Null)) => return None,
+                    Some(column) if let Some(at) = SEED_PARTS.iter().position(|part| *part == &*parameter.name) => {
+                        seed_part(row.get(column), at)
+                            .ok_or_else(|| row.wrong(self.path, column, "is not an integer of 64 bits"))
+                    }
                     Some(column) => self.value(row, column, &parameter.domain, words),
                 };
                 Some(value.map(|value| (Arc::clone(&parameter.name), value)))
@@ -72,6 +77,7 @@ impl Plan<'_> {
             None | Some(Scalar::Null) => Ok(None),
             Some(Scalar::Text(word)) => Ok(Some(word.clone())),
             Some(Scalar::Integer(n)) => Ok(Some(n.to_string())),
+            Some(Scalar::Unsigned(n)) => Ok(Some(n.to_string())),
             Some(_) => Err(row.wrong(self.path, column, format!("is not a word, as a {} must be", role.as_str()))),
         }
     }
@@ -88,10 +94,9 @@ impl Plan<'_> {
             (Some(Scalar::Integer(n)), Domain::Continuous { .. })
                 if n.unsigned_abs() > EXACT_INTEGER.unsigned_abs() =>
             {
-                return wrong(
-                    "has more digits than a double can represent\nhint: list the column under `ignore` in a mapping",
-                );
+                return wrong(TOO_LONG);
             }
+            (Some(Scalar::Unsigned(_)), _) => return wrong(TOO_LONG),
             (Some(Scalar::Integer(n)), Domain::Continuous { .. }) => Value::Number(*n as f64),
             (Some(Scalar::Integer(n)), _) => Value::Integer(*n),
             (Some(Scalar::Number(x)), _) => Value::Number(*x),
@@ -101,11 +106,24 @@ impl Plan<'_> {
     }
 }
 
+const TOO_LONG: &str = "has more digits than a double can represent\nhint: list the column under `ignore` in a mapping";
+
+/// The upper (0) or lower (1) 32 bits of a seed.
+fn seed_part(seed: Option<&Scalar>, part: usize) -> Option<Value> {
+    let bits = match seed? {
+        Scalar::Integer(n) => n.cast_unsigned(),
+        Scalar::Unsigned(n) => *n,
+        _ => return None,
+    };
+    Some(Value::Integer(if part == 0 { (bits >> 32).cast_signed() } else { (bits & 0xFFFF_FFFF).cast_signed() }))
+}
+
 /// The value of a measure. `None` if the row has none.
 fn measure(value: Option<&Scalar>) -> Option<f64> {
     match value? {
         Scalar::Bool(truth) => Some(f64::from(u8::from(*truth))),
         Scalar::Integer(n) => Some(*n as f64),
+        Scalar::Unsigned(n) => Some(*n as f64),
         Scalar::Number(x) => Some(*x),
         Scalar::Null | Scalar::Text(_) | Scalar::Nested => None,
     }

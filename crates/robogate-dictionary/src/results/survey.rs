@@ -4,7 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
-use robogate_core::{Domain, FailureMode, MeasureSpec, Outcome, Parameter, ParameterSpace, TaskSpec, Word};
+use robogate_core::{
+    Assignment, Domain, FailureMode, MeasureSpec, Outcome, Parameter, ParameterSpace, TaskSpec, Value, Word,
+};
 use serde_json::json;
 
 use super::names::{self, Suggested};
@@ -21,6 +23,18 @@ use crate::{DictionaryError, Engine, Provenance, Robot, Row, SCHEMA_VERSION, Sou
 /// The parameter that stores an environment's seed.
 pub const SOURCE_SEED: &str = "source_seed";
 
+/// The parameters that store the upper and lower 32 bits of seeds that need more than 32 bits.
+pub(super) const SEED_PARTS: [&str; 2] = ["source_seed_high", "source_seed_low"];
+
+/// The seed of an imported episode. One above the range of `i64` has its bits.
+pub fn recorded_seed(requested: &Assignment) -> Option<i64> {
+    let part = |name: &str| match requested.get(name) {
+        Some(Value::Integer(n)) => Some(*n),
+        _ => None,
+    };
+    part(SOURCE_SEED).or_else(|| Some(part(SEED_PARTS[0])? << 32 | part(SEED_PARTS[1])?))
+}
+
 /// The parameter that stores the number of an episode within its case, for sources that record no seed.
 pub const SOURCE_EPISODE: &str = "source_episode";
 
@@ -29,7 +43,7 @@ pub const SOURCE_ROW: &str = "source_row";
 
 /// Whether a parameter of imported rows only identifies the episode, and is not one of its scenario.
 pub fn only_identifies(parameter: &str) -> bool {
-    [SOURCE_SEED, SOURCE_EPISODE, SOURCE_ROW].contains(&parameter)
+    [SOURCE_SEED, SOURCE_EPISODE, SOURCE_ROW].contains(&parameter) || SEED_PARTS.contains(&parameter)
 }
 
 /// The column of a parameter (`None` for the row number) and the parameter.
@@ -336,6 +350,22 @@ impl<'a> Survey<'a> {
                 Some(named) => named.iter().find(|(_, column)| **column == *field.name).map_or("", |(name, _)| name),
                 None => &field.name,
             };
+            if name == SOURCE_SEED
+                && let Some((low, high)) = field.wide_integers()
+                && (low >= 0 || high <= i64::MAX.into())
+            {
+                for part in SEED_PARTS {
+                    let domain = Domain::Integer { low: 0, high: (1 << 32) - 1 };
+                    parameters.push((Some(Arc::clone(&field.name)), Parameter { name: part.into(), domain }));
+                }
+                notes.push(format!(
+                    "Seeds of 64 bits are kept in two parameters, `{}` and `{}`.",
+                    SEED_PARTS[0], SEED_PARTS[1]
+                ));
+                let column = field.name.to_string();
+                roles.push(SourceColumn { column, role: "seed".to_owned(), values: field.values });
+                continue;
+            }
             let domain = if self.mapping.parameters.is_some() && ![SOURCE_SEED, SOURCE_EPISODE].contains(&name) {
                 Ok(self.required(&field, name)?)
             } else {

@@ -75,9 +75,15 @@ fn missing_columns_are_reported() {
 
 #[test]
 fn sound_file_is_clear() {
-    let rows: String =
-        (0..60).map(|i| format!("{i},{},{},0.{:03}1,{}\n", 100 + i, (i * 7 + i / 3) % 3 % 2, i, 50 + i)).collect();
-    let audit = of_text("sound", &format!("episode,seed,success,friction,steps\n{rows}"));
+    let rows: String = (0..60)
+        .map(|i| {
+            let success = (i * 7 + i / 3) % 3 % 2;
+            let reason = if success == 1 { "done" } else { "slipped" };
+            format!("{i},{},{success},0.{i:03}1,{},{reason},False,{}\n", 100 + i, 50 + i, i % 4)
+        })
+        .collect();
+    let header = "episode,seed,success,friction,steps,reason,truncated,env_id";
+    let audit = of_text("sound", &format!("{header}\n{rows}"));
     assert_eq!(audit.found(), 0, "{:?}", audit.checks);
     assert!(audit.checks.iter().all(|c| matches!(c.result, CheckResult::Clear { .. })), "{:?}", audit.checks);
 }

@@ -175,7 +175,7 @@ fn wrong_values_are_located() {
         ("k.jsonl", "{\"success\": true}\n{\"success\": tru}\n", &["line 2", "one JSON object"]),
         ("l.jsonl", "{\"success\": true, \"success\": false}\n{}\n", &["line 1", "`success` twice"]),
         ("m.json", "[{\"success\": true}]", &["JSON array", "JSON Lines"]),
-        ("n.json", "{\"per_episode\": 3}", &["n.json", "an array of episodes"]),
+        ("n.json", "{\"per_episode\": 3}", &["n.json", "no row has an outcome in `success`"]),
         ("o.json", "{\"per_episode\": [], \"per_task\": []}", &["twice"]),
         ("p.json", "{\"tasks\": [{\"episodes\": [{}], \"task\": \"t\"}]}", &["before its name"]),
         (
@@ -183,7 +183,7 @@ fn wrong_values_are_located() {
             "{\"tasks\": [{\"task\": \"t\", \"episodes\": [{\"metrics\": {\"success\": 0.5}}]}]}",
             &["row 0", "0.5 is neither"],
         ),
-        ("r.json", "{\"per_episode\": [{\"success\": NaN}]}", &["line 1 column 30", "JSON has no NaN"]),
+        ("r.json", "{\"per_episode\": [{\"success\": NaN}]}", &["no row has an outcome in `success`"]),
         ("s.csv", "success,case\n1,2.5\n", &["2.5 is not a word, as a case must be"]),
         ("u.csv", "success,drop\n1,0.3\n", &["column `drop`: 0.3 is neither true nor false", "[parameters]"]),
         ("s", "", &["the file is empty"]),

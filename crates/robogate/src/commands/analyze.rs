@@ -20,7 +20,7 @@ use crate::twins::{self, NominalArguments};
 /// Analyze a dictionary: where the policy fails, the effects of the parameters, and their confidence intervals.
 #[derive(Debug, Args)]
 pub(crate) struct Analyze {
-    /// A run's folder, a dictionary (Parquet) or a published JSON dictionary
+    /// A run's folder, a dictionary (Parquet), an exported CSV or JSON Lines file, or a published JSON dictionary
     dictionary: PathBuf,
     /// Print one versioned JSON document
     #[arg(long)]

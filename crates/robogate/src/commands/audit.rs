@@ -13,8 +13,8 @@ use crate::terminal::{bold, dim, foreign, grouped, line, wrapped};
 
 /// Find rows that make a success rate wrong, in the results of any tool.
 ///
-/// Checks for infrastructure errors counted as failures, duplicate initial states, success at the first step, missing
-/// and duplicate rows, batch-size artefacts and repeated seeds. Reads the formats of `robogate import`. Exit codes: 0
+/// Checks for infrastructure errors counted as failures, duplicate initial states, success at the first step or at the
+/// time limit, missing and duplicate rows, batch-size artefacts and repeated seeds. Reads the formats of `robogate import`. Exit codes: 0
 /// nothing was found, 1 a problem was found.
 #[derive(Debug, Args)]
 pub(crate) struct AuditOf {

@@ -21,6 +21,7 @@ pub(super) fn run(check: Check, table: &Table<'_>, metadata: &Map<String, Value>
         Check::InfrastructureErrors => infrastructure(table),
         Check::DuplicateInitialStates => initial_states(table),
         Check::SuccessAtFirstStep => first_step(table),
+        Check::SuccessAtTimeLimit => time_limit(table),
         Check::MissingRows => missing(table, metadata),
         Check::DuplicateRows => duplicates(table),
         Check::BatchArtefacts => batches(table),
@@ -41,6 +42,7 @@ fn needless(check: Check, table: &Table<'_>) -> Option<&'static str> {
         }
         Check::InfrastructureErrors
         | Check::SuccessAtFirstStep
+        | Check::SuccessAtTimeLimit
         | Check::MissingRows
         | Check::DuplicateRows
         | Check::RepeatedSeeds => None,
@@ -88,6 +90,13 @@ fn infrastructure(table: &Table<'_>) -> Outcome {
     if !empty.is_empty() {
         problems.push(problem("A failure has 0 steps: the episode never ran".to_owned(), &empty));
     }
+    let silent = where_(table, |row| row.success == Some(false) && !row.has_reason);
+    if problems.is_empty() && !silent.is_empty() && !table.own {
+        return Err(format!(
+            "{} of the failures have no text about an error or a reason, and a number of steps alone shows only episodes that never ran",
+            silent.len()
+        ));
+    }
     Ok((problems, names(&table.reasons.union(&table.length).cloned().collect())))
 }
 
@@ -118,8 +127,33 @@ fn first_step(table: &Table<'_>) -> Outcome {
         return Err("no column has the number of steps".to_owned());
     }
     let rows = where_(table, |row| row.success == Some(true) && row.length.is_some_and(|length| length <= 1.0));
+    if !table.rows.iter().any(|row| row.success == Some(true) && row.length.is_some()) {
+        return Err("no success has a number of steps".to_owned());
+    }
     let what = "The episode succeeded after at most one step".to_owned();
     Ok((if rows.is_empty() { Vec::new() } else { vec![problem(what, &rows)] }, names(&table.length)))
+}
+
+fn time_limit(table: &Table<'_>) -> Outcome {
+    if table.truncated.is_empty() {
+        return Err("no column states whether the time limit ended the episode, such as `truncated`".to_owned());
+    }
+    let successes = where_(table, |row| row.success == Some(true) && row.truncated.is_some());
+    let at_limit: Vec<usize> = successes
+        .iter()
+        .copied()
+        .filter(|at| table.rows[*at].truncated == Some(true) && table.rows[*at].terminated != Some(true))
+        .collect();
+    if successes.is_empty() {
+        return Err("no success states whether the time limit ended it".to_owned());
+    }
+    // Where no success ends the episode, the task ends at its limit by design.
+    if at_limit.len() == successes.len() {
+        return Err("every success lasts until the time limit, so the task does not end at a success".to_owned());
+    }
+    let what = "The time limit ended the episode, and it counts as a success".to_owned();
+    let problems = if at_limit.is_empty() { Vec::new() } else { vec![problem(what, &at_limit)] };
+    Ok((problems, names(&table.truncated)))
 }
 
 fn missing(table: &Table<'_>, metadata: &Map<String, Value>) -> Outcome {
@@ -241,13 +275,12 @@ fn batches(table: &Table<'_>) -> Outcome {
                 "no column names the parallel environment, and 40 rows are needed to look for a period".to_owned()
             );
         }
-        let tried = SIZES.iter().filter(|size| table.rows.len() >= **size * 10);
         // The level is divided by the number of sizes that are tried.
         let limit = 3.72 + (SIZES.len() as f64).ln() / 3.72;
-        let found = tried.filter_map(|size| {
-            let z = dependence(table, |at, _| Some((at % size) as i64))?;
-            (z > limit).then_some((z, *size))
-        });
+        let tried = SIZES.iter().filter_map(|size| Some((dependence(table, |at, _| Some((at % size) as i64))?, *size)));
+        let tried: Vec<(f64, usize)> = tried.collect();
+        let largest = tried.iter().map(|(_, size)| *size).max();
+        let found = tried.iter().copied().filter(|(z, _)| *z > limit);
         if let Some((_, size)) = found.max_by(|a, b| a.0.total_cmp(&b.0)) {
             let what = format!("Success depends on the position in a batch of {size} rows (p < 0.0001)");
             problems.push(problem(what, &[]));
@@ -258,7 +291,24 @@ fn batches(table: &Table<'_>) -> Outcome {
                 &rows,
             ));
         }
-        return Ok((problems, Vec::new()));
+        if !problems.is_empty() {
+            return Ok((problems, Vec::new()));
+        }
+        if sorted_by_outcome(table) {
+            return Err(
+                "no column names the parallel environment, and equal outcomes stand side by side: the rows are sorted, or in the \
+                 order in which episodes ended, so their position says nothing about the environment"
+                    .to_owned(),
+            );
+        }
+        return if tried.len() == SIZES.len() {
+            Ok((problems, Vec::new()))
+        } else {
+            let tried = largest.map_or("no batch size".to_owned(), |size| format!("only batches of up to {size}"));
+            Err(format!(
+                "no column names the parallel environment, and with these outcomes {tried} can be tested (nothing was found)"
+            ))
+        };
     }
     let groups = grouped(table, |row| row.environment);
     let counts: Vec<usize> = groups.values().map(Vec::len).collect();
@@ -271,10 +321,14 @@ fn batches(table: &Table<'_>) -> Outcome {
         );
         problems.push(problem(what, &[]));
     }
-    if let Some(z) = dependence(table, |_, row| row.environment)
-        && z > 3.72
-    {
-        problems.push(problem("Success depends on the environment (p < 0.0001)".to_owned(), &[]));
+    match dependence(table, |_, row| row.environment) {
+        Some(z) if z > 3.72 => {
+            problems.push(problem("Success depends on the environment (p < 0.0001)".to_owned(), &[]));
+        }
+        None if problems.is_empty() => {
+            return Err("the environments have too few successes or failures to compare their rates".to_owned());
+        }
+        _ => {}
     }
     Ok((problems, names(&table.environment)))
 }
@@ -305,6 +359,25 @@ fn dependence(table: &Table<'_>, group: impl Fn(usize, &AuditRow) -> Option<i64>
         .sum();
     let spread = 2.0 / (9.0 * k);
     Some(((statistic / k).cbrt() - (1.0 - spread)) / spread.sqrt())
+}
+
+/// Whether equal outcomes stand side by side within a task more often than chance allows: the runs test (Wald and
+/// Wolfowitz 1940), over all tasks together, at 3.72 standard deviations (p < 0.0001).
+fn sorted_by_outcome(table: &Table<'_>) -> bool {
+    let (mut excess, mut variance) = (0.0, 0.0);
+    for rows in grouped(table, |row| Some(row.place())).values() {
+        let outcomes: Vec<bool> = rows.iter().filter_map(|at| table.rows[*at].success).collect();
+        let successes = outcomes.iter().filter(|success| **success).count() as f64;
+        let (n, failures) = (outcomes.len() as f64, outcomes.len() as f64 - successes);
+        let both = 2.0 * successes * failures;
+        if both <= 0.0 || n < 2.0 {
+            continue;
+        }
+        let runs = 1.0 + outcomes.windows(2).filter(|pair| pair[0] != pair[1]).count() as f64;
+        excess += 1.0 + both / n - runs;
+        variance += both * (both - n) / (n * n * (n - 1.0));
+    }
+    excess > 3.72 * f64::max(variance, 1.0).sqrt()
 }
 
 /// The period with which the seeds repeat, and the repeated rows.

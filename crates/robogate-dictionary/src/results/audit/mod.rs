@@ -1,8 +1,8 @@
 //! Audits a file of results: finds rows that make its success rate wrong.
 //!
 //! The audit reads the same formats as [`super::import`] and interprets no outcome beyond success. Each check names the
-//! columns that it needs. A check whose columns are missing is listed as not possible, because silence would look like
-//! a pass.
+//! columns that it needs. A check whose columns are missing, or that could not find its fault in these rows, is listed as not
+//! possible, because silence would look like a pass.
 
 mod checks;
 mod table;
@@ -12,7 +12,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Format, Mapping, Role, columns, format, read};
+use super::{Aggregates, Format, Mapping, Role, columns, format_of, read};
 use crate::DictionaryError;
 use table::Table;
 
@@ -26,6 +26,8 @@ pub enum Check {
     DuplicateInitialStates,
     /// Episodes that succeed in their first step.
     SuccessAtFirstStep,
+    /// Episodes that succeed when the time limit ends them.
+    SuccessAtTimeLimit,
     /// Numbers of episodes without a row.
     MissingRows,
     /// Rows that occur twice.
@@ -38,10 +40,11 @@ pub enum Check {
 
 impl Check {
     /// Every check.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::InfrastructureErrors,
         Self::DuplicateInitialStates,
         Self::SuccessAtFirstStep,
+        Self::SuccessAtTimeLimit,
         Self::MissingRows,
         Self::DuplicateRows,
         Self::BatchArtefacts,
@@ -54,6 +57,7 @@ impl Check {
             Self::InfrastructureErrors => "infrastructure errors counted as failures",
             Self::DuplicateInitialStates => "duplicate initial states",
             Self::SuccessAtFirstStep => "success at the first step",
+            Self::SuccessAtTimeLimit => "success at the time limit",
             Self::MissingRows => "missing rows",
             Self::DuplicateRows => "duplicate rows",
             Self::BatchArtefacts => "batch-size artefacts",
@@ -72,6 +76,10 @@ impl Check {
             }
             Self::SuccessAtFirstStep => {
                 "Look at these episodes. The success test may be true at the reset, or the state of the previous episode was kept."
+            }
+            Self::SuccessAtTimeLimit => {
+                "Look at these episodes. The time limit ended them, although other successes end the episode: success may \
+                 be reported for a timeout."
             }
             Self::MissingRows => {
                 "Find out what happened to the missing episodes. If they ended in errors or were stopped, the rate is biased."
@@ -98,7 +106,7 @@ pub enum CheckResult {
         /// The columns that were used.
         columns: Vec<String>,
     },
-    /// The file lacks what the check needs.
+    /// The file lacks what the check needs, or has too few rows to find the fault.
     NotPossible {
         /// What is missing.
         because: String,
@@ -167,18 +175,23 @@ impl Audit {
 /// # Errors
 /// If the file cannot be read, has no rows, or does not report success and failure.
 pub fn audit(path: &Path, format: Option<Format>, mapping: &Mapping) -> Result<Audit, DictionaryError> {
-    let format = match format {
-        Some(format) => format,
-        None => format::recognise(path)?,
-    };
+    let format = format_of(path, format)?;
     if format == Format::Published {
         let reason = "the published JSON has one layout, whose import checks every row\nhint: robogate import";
         return Err(DictionaryError::results(path, reason));
     }
     let columns = columns(format, path);
+    let mapped = mapping.roles.contains_key(&Role::Success);
     let mapping = mapping.over(&format.mapping()).found_in(&columns);
+    let mut aggregates = Aggregates::new(mapping.column(Role::Success), mapped);
     let mut table = Table::new(&mapping, &columns);
-    let frame = read(format, path, &mut |row| table.push(path, row))?;
+    let frame = read(format, path, &mut |row| {
+        aggregates.take(row);
+        table.push(path, row)
+    })?;
+    if !table.own {
+        aggregates.check(path)?;
+    }
     if table.rows.is_empty() {
         return Err(DictionaryError::results(path, "it has no episodes. Expected at least one row"));
     }
@@ -189,6 +202,9 @@ pub fn audit(path: &Path, format: Option<Format>, mapping: &Mapping) -> Result<A
             mapping.column(Role::Success)
         );
         return Err(DictionaryError::results(path, reason));
+    }
+    if let Some(error) = table.unreadable.take() {
+        return Err(error);
     }
     let result = |check: Check| {
         let result = match checks::run(check, &table, &frame.metadata) {

@@ -7,8 +7,9 @@ use std::path::Path;
 
 use super::super::exported;
 use super::super::names::{self, Suggested};
-use super::super::outcome::truth;
+use super::super::outcome::{not_a_truth, truth};
 use super::super::role::Role;
+use super::super::survey::SEED_PARTS;
 use super::super::{Mapping, SOURCE_SEED};
 use crate::DictionaryError;
 use crate::raw::{RawRow, Scalar};
@@ -63,8 +64,14 @@ pub(super) struct AuditRow {
     pub(super) success: Option<bool>,
     /// The text that reports an infrastructure error.
     pub(super) error: Option<String>,
+    /// Whether a column states why the episode ended.
+    pub(super) has_reason: bool,
     /// Number of steps.
     pub(super) length: Option<f64>,
+    /// Whether the time limit ended the episode, and not the task.
+    pub(super) truncated: Option<bool>,
+    /// Whether the task ended the episode.
+    pub(super) terminated: Option<bool>,
     pub(super) seed: Option<String>,
     /// Task and case.
     pub(super) case: String,
@@ -90,9 +97,12 @@ pub(super) struct Table<'a> {
     pub(super) own: bool,
     /// Whether a value of the success column reports an outcome.
     pub(super) has_outcomes: bool,
+    /// The first value of success that is neither true nor false.
+    pub(super) unreadable: Option<DictionaryError>,
     pub(super) rows: Vec<AuditRow>,
     pub(super) length: BTreeSet<String>,
     pub(super) reasons: BTreeSet<String>,
+    pub(super) truncated: BTreeSet<String>,
     pub(super) seed: BTreeSet<String>,
     pub(super) episode: BTreeSet<String>,
     pub(super) environment: BTreeSet<String>,
@@ -123,6 +133,15 @@ fn hashed(values: &[(&str, &Scalar)]) -> u64 {
     hasher.finish()
 }
 
+/// Whether a value of success is neither true, false nor an error.
+fn is_unreadable(mapping: &Mapping, name: &str, value: &Scalar) -> bool {
+    mapping.column(Role::Success) == name && !reports_error(value) && truth(value).is_none()
+}
+
+fn reports_error(value: &Scalar) -> bool {
+    matches!(value, Scalar::Text(word) if ["error", "invalid"].contains(&word.to_ascii_lowercase().as_str()))
+}
+
 impl<'a> Table<'a> {
     /// A table without rows, for a file with these columns.
     pub(super) fn new(mapping: &'a Mapping, columns: &[String]) -> Self {
@@ -131,9 +150,11 @@ impl<'a> Table<'a> {
             mapping,
             own: exported::has_marks(columns),
             has_outcomes: false,
+            unreadable: None,
             rows: Vec::new(),
             length: none(),
             reasons: none(),
+            truncated: none(),
             seed: none(),
             episode: none(),
             environment: none(),
@@ -159,6 +180,9 @@ impl<'a> Table<'a> {
             if self.own {
                 self.take_own(name, value, &mut row);
             } else {
+                if self.unreadable.is_none() && is_unreadable(self.mapping, name, value) {
+                    self.unreadable = Some(not_a_truth(path, raw, name));
+                }
                 self.take(name, value, &mut row, &mut parameters);
             }
         }
@@ -172,6 +196,7 @@ impl<'a> Table<'a> {
     fn take_own(&mut self, name: &str, value: &Scalar, row: &mut AuditRow) {
         let columns = match (name, value) {
             ("outcome", Scalar::Text(outcome)) => {
+                row.has_reason = true;
                 row.success = (outcome != "invalid").then_some(outcome == "success");
                 self.has_outcomes = true;
                 &mut self.reasons
@@ -188,6 +213,12 @@ impl<'a> Table<'a> {
             // The column `seed` has the seed of the campaign.
             (SOURCE_SEED, value) => {
                 row.seed = Some(value.show());
+                &mut self.seed
+            }
+            (part, value) if SEED_PARTS.contains(&part) => {
+                let seed = row.seed.get_or_insert_default();
+                seed.push_str(&value.show());
+                seed.push(' ');
                 &mut self.seed
             }
             ("case", value) => {
@@ -233,14 +264,14 @@ impl<'a> Table<'a> {
         };
         match role {
             Some(Role::Success) => {
-                let reports_error = |word: &String| ["error", "invalid"].contains(&word.to_ascii_lowercase().as_str());
-                let invalid = matches!(value, Scalar::Text(word) if reports_error(word));
+                let invalid = reports_error(value);
                 row.success = if invalid { None } else { truth(value) };
                 self.has_outcomes |= invalid || row.success.is_some();
                 return;
             }
             Some(Role::Error) => {
                 add(&mut self.reasons);
+                row.has_reason = true;
                 let quiet = matches!(value, Scalar::Bool(false) | Scalar::Integer(0))
                     || matches!(value, Scalar::Text(text) if text.trim().is_empty() || text.eq_ignore_ascii_case("none"));
                 if !quiet {
@@ -276,6 +307,13 @@ impl<'a> Table<'a> {
         } else if has(&["env"]) && has(&["id", "idx", "index", "ix"]) {
             add(&mut self.environment);
             row.environment = integer;
+        } else if ["truncated", "timeout", "timed_out", "time_limit_reached"].contains(&plain.as_str()) {
+            if let Some(truncated) = truth(value) {
+                add(&mut self.truncated);
+                row.truncated = Some(truncated);
+            }
+        } else if ["terminated", "terminal"].contains(&plain.as_str()) {
+            row.terminated = truth(value);
         } else if has(&["state", "layout", "scene"]) && has(&["init", "initial", "reset", "start", "id"]) {
             add(&mut self.state);
             row.state = Some(value.show());
@@ -283,6 +321,7 @@ impl<'a> Table<'a> {
             && let Scalar::Text(text) = value
         {
             add(&mut self.reasons);
+            row.has_reason = true;
             let lower = text.to_ascii_lowercase();
             if row.error.is_none() && ERRORS.iter().any(|error| lower.contains(error)) {
                 row.error = Some(text.chars().take(80).collect());

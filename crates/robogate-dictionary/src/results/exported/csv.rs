@@ -7,7 +7,8 @@ use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
 use super::Field;
-use crate::raw::{MOST_FIELDS, Meter, Metered};
+use crate::decode::Text;
+use crate::raw::{MOST_FIELDS, Meter};
 use crate::{DictionaryError, formula};
 
 /// Maximum bytes without a complete row.
@@ -16,7 +17,7 @@ const LONGEST: u64 = 1 << 20;
 /// The rows of a file after its header line.
 pub(super) struct Rows {
     path: PathBuf,
-    reader: BufReader<Metered>,
+    reader: BufReader<Text>,
     meter: Meter,
     /// Line breaks read so far.
     breaks: u64,
@@ -36,12 +37,9 @@ enum State {
 impl Rows {
     /// Opens the file and reads its header line. `None` if it has none.
     pub(super) fn open(path: &Path) -> Result<Option<Self>, DictionaryError> {
-        let metered = Metered::open(path, LONGEST)?;
-        let meter = metered.meter();
-        let mut reader = BufReader::with_capacity(1 << 16, metered);
-        if reader.fill_buf().map_err(DictionaryError::io(path, "read"))?.starts_with(b"\xef\xbb\xbf") {
-            reader.consume(3);
-        }
+        let text = Text::open(path, LONGEST)?;
+        let meter = text.meter();
+        let reader = BufReader::with_capacity(1 << 16, text);
         let mut rows = Self { path: path.to_owned(), reader, meter, breaks: 0, names: Vec::new() };
         let mut names = Vec::new();
         if !rows.record(&mut names)? {
