@@ -7,7 +7,8 @@ use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::MjsBody;
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
-use crate::mujoco::{PREFIX, ROBOT, damping, links, sweep, wxyz};
+use crate::mujoco::damping::{self, Strong};
+use crate::mujoco::{PREFIX, ROBOT, links, sweep, wxyz};
 use crate::robot::{BELLOWS_JOINT, NOT_UTF_8, RobotSource};
 use crate::scene::isometry;
 use crate::{
@@ -35,8 +36,8 @@ pub(crate) struct Built {
     pub(crate) chain: Chain,
     /// The motion of fingers with drives.
     pub(crate) fingers: Option<FingerMotion>,
-    /// Which joints of the arm are strongly damped ([`damping`]).
-    pub(crate) strong: Vec<bool>,
+    /// Which joints and drives are strongly damped ([`damping`]).
+    pub(crate) strong: Strong,
 }
 
 /// Builds the model of a robot.
@@ -98,7 +99,7 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<Built, Vec<Problem>
         Some(jaw) => Some(finger_motion(&mut spec, settings, jaw)?),
         None => None,
     };
-    let strong = damping::couple(&mut spec, &model, settings, time_step);
+    let strong = damping::couple(&mut spec, &model, settings, fingers.as_ref(), time_step);
     links::let_links_collide(&mut spec, model, settings, fingers.as_ref());
     Ok(Built { spec, chain, fingers, strong })
 }

@@ -27,6 +27,9 @@ const ARMATURE: f64 = 1e-3;
 /// Inertia of the arm's motors during the measurement, in kg m^2: the arm's servos, which pull towards zero, and the reaction
 /// of the fingers do not accelerate it, so fingers with springs rest as on an arm that stands still.
 const STANDING: f64 = 1e6;
+/// Tolerance of the constraint solver, which is relative to the mean inertia: with [`STANDING`] arms, MuJoCo's default allows
+/// errors of 0.1 N, which move light fingers by millimetres.
+const TOLERANCE: f64 = 1e-15;
 /// Number of time steps in which the inertia that a drive moves is measured: longer than equalities take to act.
 const PROBE_STEPS: usize = 20;
 /// In these steps a drive moves by at most this fraction of its travel.
@@ -55,6 +58,7 @@ pub(crate) fn measurable(spec: &mut MjSpec, arm: &[&str]) {
         let inertia = if arm.contains(&joint.name()) { STANDING } else { ARMATURE };
         joint.set_armature(inertia);
     }
+    spec.option_mut().tolerance = TOLERANCE;
 }
 
 /// Where a drive acts.
@@ -87,12 +91,20 @@ impl DriveAt {
     }
 
     /// The inertia that the drive moves at joint positions 0, in kg m^2 or kg.
-    fn inertia(self, model: &MjModel) -> f64 {
+    pub(super) fn inertia(self, model: &MjModel) -> f64 {
         let inverse = match self {
             Self::Joint { qvel, .. } => model.dof_invweight0()[qvel],
             Self::Tendon(id) => model.tendon_invweight0()[id],
         };
         1.0 / inverse.max(1e-9)
+    }
+
+    /// Damping of the joint or tendon itself, in N m s/rad or N s/m.
+    pub(super) fn passive_damping(self, model: &MjModel) -> f64 {
+        match self {
+            Self::Joint { qvel, .. } => model.dof_damping()[qvel],
+            Self::Tendon(id) => model.tendon_damping()[id],
+        }
     }
 }
 
