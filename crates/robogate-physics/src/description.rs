@@ -7,7 +7,7 @@ use mjcf_rs::body::{Geom, GeomType, InertiaSpec, Joint, JointType};
 use mjcf_rs::equality::Equality;
 use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, Unit, UnitQuaternion, Vector3};
 
-use crate::robot::{BELLOWS_JOINT, RobotSource};
+use crate::robot::{BELLOWS_JOINT, CONTINUOUS_RAD, RobotSource};
 use crate::{Bellows, Chain, ChainJoint, Problem, Robot, RobotError, includes, robot_folder};
 
 /// A tree of rigid bodies. A body without a joint is part of its parent link.
@@ -522,7 +522,7 @@ fn chain(
         if joint.slides {
             return Err(format!("joint `{}` is not a hinge: arms with sliding joints are not supported", joint.name));
         }
-        let range = joint.range.ok_or_else(|| format!("joint `{}` has no limits: give it a range", joint.name))?;
+        let range = joint.range.unwrap_or([-CONTINUOUS_RAD, CONTINUOUS_RAD]);
         joints.push(ChainJoint { placement: back * joint.in_parent, axis: Vector3::x_axis(), range });
         back = joint.in_link.inverse();
     }

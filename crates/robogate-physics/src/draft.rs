@@ -11,8 +11,8 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::Seed;
 
 use crate::drafted_jaw::{Jaw, TIP};
-use crate::mujoco::load_mujoco;
-use crate::robot::RobotSource;
+use crate::mujoco::{load_mujoco, sweep};
+use crate::robot::{CONTINUOUS_RAD, RobotSource};
 use crate::robot_model::{self, joint_id};
 use crate::scene::isometry;
 use crate::{Chain, MujocoEngine, Problem, Robot, RobotSettings};
@@ -23,6 +23,8 @@ const FEWEST_JOINTS: usize = 4;
 const POSTURES: usize = 20_000;
 /// Where the tool waits at home, in metres from the base: over the middle of the workspace.
 const HOME_TOOL: [f64; 3] = [0.45, 0.0, 0.30];
+/// Reach of an arm with which the tool waits there, in metres. Shorter arms wait nearer to the base.
+const FULL_REACH: f64 = 0.75;
 /// Distance that the home posture keeps from the ends of the joints' ranges, in radians.
 const HOME_MARGIN: f64 = 0.05;
 /// At home the tool may point this far off straight down, in radians.
@@ -62,12 +64,12 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
     let raw = spec
         .clone()
         .compile()
-        .map_err(|error| one(error.to_string(), "this error is from MuJoCo: correct the model"))?;
+        .map_err(|error| vec![robot_model::rejected(&error)])?;
     robot_model::prepare(&mut spec, MujocoEngine::TIME_STEP_S);
     let compiled = spec
         .clone()
         .compile()
-        .map_err(|error| one(error.to_string(), "this error is from MuJoCo: correct the model"))?;
+        .map_err(|error| vec![robot_model::rejected(&error)])?;
     let text = std::fs::read_to_string(model).unwrap_or_default();
     let tree = Tree::of(&compiled).map_err(|problem| vec![problem])?;
     let mut draft = Writer { out: String::new(), guesses: Vec::new() };
@@ -79,7 +81,15 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
     let stated = arm.home.as_deref();
     let home_is_known = stated.is_some_and(|home| chain.as_ref().is_none_or(|chain| is_over_workspace(chain, home)));
     let found = match (&chain, home_is_known) {
-        (Some(chain), false) => stated.and_then(|home| turned_home(chain, home)).or_else(|| sought_home(chain)),
+        (Some(chain), false) => {
+            // Short arms wait nearer to the base.
+            let near = (crate::inspect::reach(chain)[0] / FULL_REACH).min(1.0);
+            let at = |scale: f64| {
+                let tool = HOME_TOOL.map(|x| scale * x);
+                stated.and_then(|home| turned_home(chain, home, tool)).or_else(|| sought_home(chain, tool))
+            };
+            at(1.0).or_else(|| (near < 1.0).then(|| at(near)).flatten())
+        }
         _ => None,
     };
     if let Some(home) = &found {
@@ -257,7 +267,7 @@ impl ArmDraft {
                     if model.jnt_limited()[*joint] {
                         model.jnt_range()[*joint]
                     } else {
-                        [-std::f64::consts::PI, std::f64::consts::PI]
+                        [-CONTINUOUS_RAD, CONTINUOUS_RAD]
                     }
                 })
                 .collect(),
@@ -366,11 +376,29 @@ impl Tool {
                 ));
             }
             (None, None) => {
-                let carrier = named_body(model, &bodies, &["tcp", "tool", "ee_link", "end_effector"]).unwrap_or(palm);
-                tool.sites.push(("tcp".to_owned(), body_name(carrier), [0.0; 3], [0.0; 3]));
+                let named = named_body(model, &bodies, &["tcp", "tool", "ee_link", "end_effector"]);
+                let flange = sites(&["flange", "attachment"]).first().and_then(|site| in_body(model, *site, palm));
+                // Without a frame of the tool, the cup sits on the end of the arm, along the z axis of the flange.
+                let (carrier, at, end) = match named {
+                    Some(body) => (body, Isometry3::identity(), 0.0),
+                    None => {
+                        let flange = flange.unwrap_or_else(Isometry3::identity);
+                        (palm, flange, farthest_along_z(model, palm, &flange))
+                    }
+                };
+                let at = at * Translation3::new(0.0, 0.0, end);
+                let (roll, pitch, yaw) = at.rotation.euler_angles();
+                let position = at.translation.vector.into();
+                tool.sites.push(("tcp".to_owned(), body_name(carrier), position, [roll, pitch, yaw]));
                 tool.tcp = "tcp".to_owned();
-                tool.guesses
-                    .push(format!("the tool centre point is at the frame of the body `{}`", body_name(carrier)));
+                tool.guesses.push(match end > 0.0 {
+                    true => format!(
+                        "the tool centre point is {:.1} mm beyond the flange, at the end of the shapes of the body `{}`",
+                        1e3 * end,
+                        body_name(carrier)
+                    ),
+                    false => format!("the tool centre point is at the frame of the body `{}`", body_name(carrier)),
+                });
             }
         }
         match &jaw {
@@ -452,6 +480,15 @@ fn in_body(model: &MjModel, site: usize, body: usize) -> Option<Isometry3<f64>> 
     let carrier = isometry(&data.xpos()[carrier], &data.xquat()[carrier]);
     let at = carrier * isometry(&model.site_pos()[site], &model.site_quat()[site]);
     Some(isometry(&data.xpos()[body], &data.xquat()[body]).inverse() * at)
+}
+
+/// How far the collision shapes that are fixed to a body reach along the z axis of a frame in it, in metres. 0 if they do not.
+fn farthest_along_z(model: &MjModel, body: usize, frame: &Isometry3<f64>) -> f64 {
+    let mut data = MjData::new(Box::new(model.clone()));
+    data.forward();
+    let frame = isometry(&data.xpos()[body], &data.xquat()[body]) * frame;
+    let corners = sweep::corners(&data, &sweep::shapes(model, body));
+    corners.iter().map(|corner| frame.inverse_transform_point(corner).z).fold(0.0, f64::max)
 }
 
 /// The last body that is fixed to `body`.
@@ -538,11 +575,11 @@ fn is_over_workspace(chain: &Chain, home: &[f64]) -> bool {
 }
 
 /// Pose of a tool that waits over the workspace, with its x axis nearest to that of `tcp`.
-fn waiting(tcp: &Isometry3<f64>) -> Isometry3<f64> {
+fn waiting(tcp: &Isometry3<f64>, tool: [f64; 3]) -> Isometry3<f64> {
     let x = tcp.rotation * Vector3::x();
     let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), x.y.atan2(x.x));
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
-    Isometry3::from_parts(Translation3::from(Vector3::from(HOME_TOOL)), yaw * down)
+    Isometry3::from_parts(Translation3::from(Vector3::from(tool)), yaw * down)
 }
 
 /// Whether these positions keep a distance from the ends of the ranges.
@@ -554,14 +591,14 @@ fn is_inside(chain: &Chain, home: &[f64]) -> bool {
 }
 
 /// A posture like the model's, with the first joint turned so that the tool is over the workspace.
-fn turned_home(chain: &Chain, stated: &[f64]) -> Option<Vec<f64>> {
+fn turned_home(chain: &Chain, stated: &[f64], tool: [f64; 3]) -> Option<Vec<f64>> {
     let mut turned = stated.to_vec();
     let at = chain.tcp_at(stated).translation;
     let first = chain.joints.first()?;
     let turn = at.y.atan2(at.x) * (first.placement.rotation * first.axis).z.signum();
     let turns = [0.0, -std::f64::consts::TAU, std::f64::consts::TAU].map(|whole| stated[0] - turn + whole);
     turned[0] = turns.into_iter().min_by(|a, b| a.abs().total_cmp(&b.abs()))?;
-    let home = chain.reach(&waiting(&chain.tcp_at(&turned)), &turned).ok()?;
+    let home = chain.reach(&waiting(&chain.tcp_at(&turned), tool), &turned).ok()?;
     is_inside(chain, &home).then_some(home)
 }
 
@@ -580,9 +617,9 @@ fn lowest_m(chain: &Chain, positions: &[f64]) -> f64 {
 }
 
 /// A posture with the tool pointing down over the workspace, the elbow up, away from the ends of the ranges.
-fn sought_home(chain: &Chain) -> Option<Vec<f64>> {
+fn sought_home(chain: &Chain, tool: [f64; 3]) -> Option<Vec<f64>> {
     let mut stream = Seed::campaign(0).stream("home posture");
-    let goal = Vector3::from(HOME_TOOL);
+    let goal = Vector3::from(tool);
     let mut best: Vec<(f64, Vec<f64>)> = Vec::new();
     for _ in 0..POSTURES {
         let q: Vec<f64> = chain.joints.iter().map(|joint| stream.between(joint.range[0], joint.range[1])).collect();
@@ -598,7 +635,7 @@ fn sought_home(chain: &Chain) -> Option<Vec<f64>> {
         }
     }
     best.into_iter().find_map(|(_, q)| {
-        let home = chain.reach(&waiting(&chain.tcp_at(&q)), &q).ok()?;
+        let home = chain.reach(&waiting(&chain.tcp_at(&q), tool), &q).ok()?;
         is_inside(chain, &home).then_some(home)
     })
 }

@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaterni
 
 use crate::mujoco::sweep::{self, Sweep};
 use crate::scene::isometry;
-use crate::{FingerDrive, Problem};
+use crate::{FingerDrive, Problem, robot_model};
 
 /// Distance from the fingertips back to the tool centre point, in metres.
 pub(crate) const TIP: f64 = 0.01;
@@ -15,6 +15,8 @@ const FARTHEST_TIP: f64 = 0.05;
 const SNAP: f64 = 0.3;
 /// Two slides are described by their joints alone if their opening is right to within this, in metres.
 const EXACT: f64 = 1e-3;
+/// A part of the gripper is a finger if it reaches this fraction of the way of the pads from the palm.
+const FINGER_SHARE: f64 = 0.9;
 /// Number of states in which the fingers are measured.
 const STATES: usize = 9;
 /// Stiffness of a finger's servo, in N/m, and its smallest damping, in N s/m.
@@ -64,9 +66,7 @@ impl Jaw {
         let names: Vec<&str> =
             arm.iter().filter_map(|joint| model.id_to_name(MjtObjBase::mjOBJ_JOINT, *joint)).collect();
         sweep::measurable(&mut spec, &names);
-        let one = |what: String, hint: &str| vec![Problem::new(what, hint)];
-        let compiled =
-            spec.compile().map_err(|error| one(error.to_string(), "this error is from MuJoCo: correct the model"))?;
+        let compiled = spec.compile().map_err(|error| vec![robot_model::rejected(&error)])?;
         let arm: Vec<(&str, f64)> = arm
             .iter()
             .map(|joint| (model.id_to_name(MjtObjBase::mjOBJ_JOINT, *joint).unwrap_or_default(), 0.0))
@@ -82,7 +82,10 @@ impl Jaw {
         let force = drives[0].force.map(|force| force * drives.len() as f64 / slope);
         let force = force.or_else(|| joints.first().and_then(|joint| joint_force(model, *joint)));
         Ok(Self {
-            slides: slides.filter(|_| measured.closed_m < EXACT && (measured.opening_m - travel * 2.0).abs() < EXACT),
+            slides: slides.filter(|_| {
+                let closed_at_zero = drives.iter().all(|drive| drive.ends[1].abs() < 1e-9);
+                closed_at_zero && measured.closed_m < EXACT && (measured.opening_m - travel * 2.0).abs() < EXACT
+            }),
             drives: settings,
             bodies: pads.bodies.map(name),
             opening_m: measured.opening_m,
@@ -285,8 +288,32 @@ fn pads(model: &MjModel, palm: usize) -> Result<Pads, Problem> {
             "only grippers with two moving fingers are supported; give both geoms with contype or conaffinity, or <collision> elements",
         ));
     };
+    if let Some(third) = third_finger(model, palm, &parts) {
+        let name = |body: usize| model.id_to_name(MjtObjBase::mjOBJ_BODY, body).unwrap_or_default();
+        let [first, second, third] = [first, second, third].map(name);
+        return Err(Problem::new(
+            format!("the gripper has three fingers or more: `{first}`, `{second}` and `{third}` reach equally far"),
+            "only grippers with two fingers are supported: remove the other fingers from the model",
+        ));
+    }
     let bodies = [first.min(second), first.max(second)];
     Ok(Pads { bodies, shapes: bodies.map(|body| sweep::shapes(model, body)) })
+}
+
+/// The body of a third finger: a part that reaches nearly as far as the pads, on another branch of the palm. `parts` are reach and
+/// body of each moving part, farthest first.
+fn third_finger(model: &MjModel, palm: usize, parts: &[(f64, usize, i32)]) -> Option<usize> {
+    let weld = |body: usize| model.body_weldid()[body];
+    let branch = |mut body: usize| {
+        while body > 0 && weld(model.body_parentid()[weld(body) as usize] as usize) != weld(palm) {
+            body = model.body_parentid()[weld(body) as usize] as usize;
+        }
+        weld(body)
+    };
+    let [(_, first, _), (reach, second, _), others @ ..] = parts else { return None };
+    let known = [branch(*first), branch(*second)];
+    let far = |(other, body, _): &&(f64, usize, i32)| *other > FINGER_SHARE * reach && !known.contains(&branch(*body));
+    others.iter().find(far).map(|(_, body, _)| *body)
 }
 
 /// Puts the open end of each drive first: where the pads are farther apart.

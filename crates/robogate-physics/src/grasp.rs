@@ -1,11 +1,12 @@
 //! The test grasp of a robot check: the gripper takes a part from a pedestal, lifts it and holds it.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use robogate_core::Fault;
 use serde::Serialize;
 
 use crate::{
     Engine, Fixture, FixtureKind, GRAVITY, Gripper, GripperCommand, GripperState, GripperUnit, MassProperties,
-    MujocoEngine, Object, Part, Plant, Primitive, Problem, Robot, Scene, Visual,
+    MujocoEngine, Object, ParallelJaw, Part, Plant, Primitive, Problem, Robot, Scene, Visual,
 };
 
 /// Time between two commands, in seconds.
@@ -14,6 +15,12 @@ const PERIOD_S: f64 = 0.05;
 const FRICTION: f64 = 0.8;
 /// Largest edge and mass of the part, in metres and kilograms.
 const LARGEST: (f64, f64) = (0.05, 0.5);
+/// Parts at the ends of the opening, as fractions of it.
+const ENDS_OF_OPENING: [f64; 2] = [0.15, 0.85];
+/// A part is at least this much wider than the closed gripper, in metres.
+const ROOM_M: f64 = 2e-3;
+/// Mass of a light part, in kilograms.
+const LIGHTEST_KG: f64 = 0.02;
 /// Height by which the part is lifted, in metres, and the duration in seconds.
 const LIFT: (f64, f64) = (0.05, 1.0);
 /// Duration of holding in the air, in seconds. Forces are averaged over its second half.
@@ -40,10 +47,11 @@ pub struct Grasp {
     pub held: bool,
 }
 
-/// Grasps a part. The part is lifted from the tool's place at home, or up to it if the arm cannot move higher. `None`, with a
-/// problem, if the arm can do neither.
-pub(crate) fn test(robot: &Robot, problems: &mut Vec<Problem>) -> Option<Grasp> {
-    let settings = robot.settings.clone();
+/// Grasps parts of a medium size, and of the ends of the gripper's opening and payload. They are lifted from the tool's place at home,
+/// or up to it if the arm cannot move higher. Returns the medium grasp and those at the ends; `None`, with a problem, if the arm
+/// can do neither.
+pub(crate) fn test(robot: &Robot, problems: &mut Vec<Problem>) -> Option<(Grasp, Vec<Grasp>)> {
+    let settings = &robot.settings;
     let engine = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).ok()?;
     let mut plant = Plant::new(engine, PERIOD_S, None).ok()?;
     let (chain, home) = (plant.engine.chain().clone(), settings.arm.home_rad.clone());
@@ -60,66 +68,130 @@ pub(crate) fn test(robot: &Robot, problems: &mut Vec<Problem>) -> Option<Grasp> 
         ));
         return None;
     };
-    let tcp = chain.tcp_at(&low);
-    let (part_m, limit_n) = match &settings.gripper {
-        Gripper::ParallelJaw(jaw) => ((0.5 * jaw.opening_m).min(LARGEST.0), FRICTION * jaw.force_n),
-        Gripper::Suction(cup) => ((1.25 * cup.cup_diameter_m).max(0.02), 0.25 * cup.force_n()),
+    let path = Path { home, low, lifted };
+    let limit_n = match &settings.gripper {
+        Gripper::ParallelJaw(jaw) => FRICTION * jaw.force_n,
+        Gripper::Suction(cup) => 0.25 * cup.force_n(),
     };
-    let mass_kg = (limit_n / GRAVITY).min(LARGEST.1).min(settings.arm.payload_kg);
-    let scene = scene(&tcp, &settings.gripper, part_m, mass_kg);
-    plant.load(&scene, 0.01).ok()?;
+    let heaviest = (limit_n / GRAVITY).min(settings.arm.payload_kg);
+    let lightest = LIGHTEST_KG.min(heaviest);
+    let (medium, parts) = match &settings.gripper {
+        Gripper::ParallelJaw(jaw) => {
+            let [small, large] = ENDS_OF_OPENING.map(|share| share * jaw.opening_m);
+            let small = small.max(plant.engine.narrowest_m() + ROOM_M);
+            ((0.5 * jaw.opening_m).min(LARGEST.0), vec![(small, lightest), (small, heaviest), (large, lightest), (large, heaviest)])
+        }
+        Gripper::Suction(cup) => {
+            let size = (1.25 * cup.cup_diameter_m).max(0.02);
+            (size, vec![(size, lightest), (size, heaviest)])
+        }
+    };
+    let first = attempt(&mut plant, &path, (medium, heaviest.min(LARGEST.1)), problems)?;
+    let mut at_ends = Vec::new();
+    for part in parts {
+        if !problems.is_empty() {
+            break;
+        }
+        at_ends.extend(attempt(&mut plant, &path, part, problems));
+    }
+    Some((first, at_ends))
+}
+
+/// Joint positions of a test grasp.
+struct Path {
+    home: Vec<f64>,
+    /// Where the part is grasped, and where it is held.
+    low: Vec<f64>,
+    lifted: Vec<f64>,
+}
+
+/// Grasps one part, given by its edge (m) and mass (kg). `None`, with a problem, if the simulation fails.
+fn attempt(
+    plant: &mut Plant<MujocoEngine>,
+    path: &Path,
+    (part_m, mass_kg): (f64, f64),
+    problems: &mut Vec<Problem>,
+) -> Option<Grasp> {
+    match grasped(plant, path, part_m, mass_kg) {
+        Ok(grasp) => {
+            problems.extend(problem(&grasp, plant.engine.robot().settings.gripper.jaw()));
+            Some(grasp)
+        }
+        Err(fault) => {
+            problems.push(Problem::new(
+                format!("the test grasp of a part of {:.0} mm and {mass_kg:.2} kg fails: {fault}", 1e3 * part_m),
+                "look for undamped joints, weak couplings and wrong masses in the model of the gripper, or lower gripper.stiffness_n_m",
+            ));
+            None
+        }
+    }
+}
+
+fn grasped(plant: &mut Plant<MujocoEngine>, path: &Path, part_m: f64, mass_kg: f64) -> Result<Grasp, Fault> {
+    let Path { home, low, lifted } = path;
+    let settings = plant.engine.robot().settings.clone();
+    let scene = scene(&plant.engine.chain().tcp_at(low), &settings.gripper, part_m, mass_kg);
+    plant.load(&scene, 0.01)?;
     let opening_m = plant.engine.opening();
-    let mut run = |seconds: f64, command: &dyn Fn(f64) -> Vec<f64>, gripper| -> Option<(f64, f64, bool)> {
+    let mut run = |seconds: f64, command: &dyn Fn(f64) -> Vec<f64>, gripper| -> Result<(f64, f64, bool), Fault> {
         let periods = (seconds / PERIOD_S).ceil() as usize;
         let (mut forces, mut steps, mut cup) = (0.0, 0_u32, false);
         for k in 1..=periods {
             let share = k as f64 / periods as f64;
-            plant
-                .run(&command(share), gripper, &mut |_, view| {
-                    if let GripperState::Cup(holds) = view.gripper {
-                        cup = holds;
-                    }
-                    if share > 0.5 {
-                        forces += view.touches.fingers.iter().map(|force| force.unwrap_or(0.0)).sum::<f64>();
-                        steps += 1;
-                    }
-                })
-                .ok()?;
+            plant.run(&command(share), gripper, &mut |_, view| {
+                if let GripperState::Cup(holds) = view.gripper {
+                    cup = holds;
+                }
+                if share > 0.5 {
+                    forces += view.touches.fingers.iter().map(|force| force.unwrap_or(0.0)).sum::<f64>();
+                    steps += 1;
+                }
+            })?;
         }
         let in_hand = plant.engine.tcp().inverse_transform_point(&plant.engine.object().translation.vector.into());
-        Some((0.5 * forces / f64::from(steps.max(1)), in_hand.coords.norm(), cup))
+        Ok((0.5 * forces / f64::from(steps.max(1)), in_hand.coords.norm(), cup))
     };
-    let path = |from: &[f64], to: &[f64], share: f64| -> Vec<f64> {
+    let between = |from: &[f64], to: &[f64], share: f64| -> Vec<f64> {
         from.iter().zip(to).map(|(a, b)| a + share * (b - a)).collect()
     };
     let closing_s = settings.gripper.jaw().map_or(0.5, |jaw| 0.5 + 0.5 * jaw.opening_m / jaw.finger_speed_m_s);
     if low != home {
-        run(LIFT.1, &|share| path(&home, &low, share), GripperCommand::Open)?;
+        run(LIFT.1, &|share| between(home, low, share), GripperCommand::Open)?;
     }
     run(0.2, &|_| low.clone(), GripperCommand::Open)?;
     let (_, before, _) = run(closing_s, &|_| low.clone(), GripperCommand::Close)?;
-    run(LIFT.1, &|share| path(&low, &lifted, share), GripperCommand::Close)?;
+    run(LIFT.1, &|share| between(low, lifted, share), GripperCommand::Close)?;
     let (force, after, cup) = run(HOLD_S, &|_| lifted.clone(), GripperCommand::Close)?;
     let slip_m = (after - before).abs();
-    let jaw = settings.gripper.jaw();
-    let held = slip_m < SLIP_M && (jaw.is_some() || cup);
-    let grasp = Grasp { opening_m, part_m, mass_kg, force_n: jaw.map(|_| force), slip_m, held };
+    let has_jaw = settings.gripper.jaw().is_some();
+    let held = slip_m < SLIP_M && (has_jaw || cup);
+    Ok(Grasp { opening_m, part_m, mass_kg, force_n: has_jaw.then_some(force), slip_m, held })
+}
+
+/// The problem of a grasp, if it has one.
+fn problem(grasp: &Grasp, jaw: Option<&ParallelJaw>) -> Option<Problem> {
+    let Grasp { part_m, mass_kg, force_n, slip_m, held, .. } = grasp;
     if !held {
-        problems.push(Problem::new(
+        return Some(Problem::new(
             format!(
                 "the gripper does not hold a part of {:.0} mm and {mass_kg:.2} kg: it moved by {:.0} mm in the gripper",
                 1e3 * part_m,
                 1e3 * slip_m
             ),
-            "check that the site of arm.tcp_site is between the pads or at the lip, with z out of the tool and the fingers along y, and that gripper.finger_bodies carry the pads",
-        ));
-    } else if let Some(jaw) = jaw.filter(|jaw| force < FORCE_SHARE * jaw.force_n) {
-        problems.push(Problem::new(
-            format!("each pad presses with {force:.1} N on a held part. gripper.force_n is {} N", jaw.force_n),
-            "check the coupling of the fingers and their damping and friction in the model, or lower gripper.force_n",
+            "check that the site of arm.tcp_site is between the pads or at the lip, with z out of the tool and the fingers along y, that gripper.finger_bodies carry the pads, and that arm.payload_kg and gripper.force_n fit the arm",
         ));
     }
-    Some(grasp)
+    let (jaw, force) = (jaw?, (*force_n)?);
+    (force < FORCE_SHARE * jaw.force_n).then(|| {
+        Problem::new(
+            format!(
+                "each pad presses with {force:.1} N on a held part of {:.0} mm. gripper.force_n is {} N",
+                1e3 * part_m,
+                jaw.force_n
+            ),
+            "check the coupling of the fingers and their damping and friction in the model, or lower gripper.force_n",
+        )
+    })
 }
 
 /// A part at the tool, upright, on a pedestal that is narrower than it.

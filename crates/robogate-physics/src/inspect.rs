@@ -61,7 +61,7 @@ pub struct Measured {
     /// Largest distance of the tool centre point from the first joint's axis over the same postures, in metres.
     pub tool_reach_m: f64,
     /// Fraction of the positions over the table that the tool reaches pointing down, low and high above the table:
-    /// 0.30 to 0.70 m in front of the base, 0.30 m to the right to 0.40 m to the left.
+    /// 0.30 to 0.70 m in front of the base, 0.30 m to the right to 0.40 m to the left, times the scale of the workspace.
     pub workspace_share: f64,
     /// For each position of the caller, whether the tool reaches it pointing down.
     #[serde(skip)]
@@ -70,11 +70,13 @@ pub struct Measured {
     pub tracking_error_rad: Option<f64>,
     /// The grasp of a test part; `None` without a trial.
     pub grasp: Option<Grasp>,
+    /// The grasps of small and large, light and heavy parts at the ends of the gripper's opening and payload.
+    pub grasps_at_ends: Vec<Grasp>,
 }
 
 /// Inspects a robot: a built-in one by its name, any other by its folder. `positions` (x, y in metres on the table) are
-/// tested for whether the tool reaches them.
-pub fn inspect(robot: &str, positions: &[[f64; 2]]) -> Inspection {
+/// tested for whether the tool reaches them. The workspace of a short arm is the usual one times `scale`.
+pub fn inspect(robot: &str, scale: f64, positions: &[[f64; 2]]) -> Inspection {
     let folder = Path::new(robot);
     let read = if is_folder(robot) { Robot::read(folder) } else { built_in_robot(robot).map(|r| (r, Vec::new())) };
     let (robot, mut problems) = match read {
@@ -84,7 +86,7 @@ pub fn inspect(robot: &str, positions: &[[f64; 2]]) -> Inspection {
     let settings = Some(robot.settings.clone());
     let measured = if problems.is_empty() {
         match MujocoEngine::new(robot, MujocoEngine::TIME_STEP_S) {
-            Ok(mut engine) => Some(measure(&mut engine, positions, &mut problems)),
+            Ok(mut engine) => Some(measure(&mut engine, scale, positions, &mut problems)),
             Err(error) => {
                 problems.extend(error.into_problems());
                 None
@@ -113,7 +115,12 @@ impl RobotError {
     }
 }
 
-fn measure(engine: &mut MujocoEngine, positions: &[[f64; 2]], problems: &mut Vec<Problem>) -> Measured {
+fn measure(
+    engine: &mut MujocoEngine,
+    scale: f64,
+    positions: &[[f64; 2]],
+    problems: &mut Vec<Problem>,
+) -> Measured {
     let (chain, settings) = (engine.chain().clone(), engine.robot().settings.clone());
     let [flange_reach_m, tool_reach_m] = reach(&chain);
     let stated = settings.arm.reach_m;
@@ -126,18 +133,23 @@ fn measure(engine: &mut MujocoEngine, positions: &[[f64; 2]], problems: &mut Vec
         ));
     }
     tool_direction(&chain, &settings, problems);
-    let (workspace_share, reaches) = workspace(&chain, &settings.arm.home_rad, positions);
+    let (workspace_share, reaches) = workspace(&chain, &settings.arm.home_rad, scale, positions);
     if workspace_share <= 0.0 {
         problems.push(Problem::new(
-            "the tool cannot reach any position over the table pointing down",
+            format!(
+                "the tool cannot reach any position over the table pointing down, {:.2} to {:.2} m in front of the base",
+                0.3 * scale,
+                0.7 * scale
+            ),
             "the base is at the origin and the table in front of it, at +x and z = 0: check the pose of the base, the tool's z axis and the joints' ranges in the model",
         ));
     }
     let tracking_error_rad = trial(engine, &settings, problems);
-    let grasp = match tracking_error_rad {
+    let grasps = match tracking_error_rad {
         Some(_) if problems.is_empty() => grasp::test(engine.robot(), problems),
         _ => None,
     };
+    let (grasp, grasps_at_ends) = grasps.map_or((None, Vec::new()), |(grasp, at_ends)| (Some(grasp), at_ends));
     Measured {
         masses_kg: engine.masses(),
         flange_reach_m,
@@ -146,6 +158,7 @@ fn measure(engine: &mut MujocoEngine, positions: &[[f64; 2]], problems: &mut Vec
         reaches,
         tracking_error_rad,
         grasp,
+        grasps_at_ends,
     }
 }
 
@@ -187,7 +200,7 @@ fn tool_direction(chain: &Chain, settings: &RobotSettings, problems: &mut Vec<Pr
 }
 
 /// The fraction of positions over the table that the tool reaches, and whether it reaches each of `positions`.
-fn workspace(chain: &Chain, home: &[f64], positions: &[[f64; 2]]) -> (f64, Vec<bool>) {
+fn workspace(chain: &Chain, home: &[f64], scale: f64, positions: &[[f64; 2]]) -> (f64, Vec<bool>) {
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
     let at_home = chain.tcp_at(home);
     let x = at_home.rotation * Vector3::x();
@@ -200,7 +213,7 @@ fn workspace(chain: &Chain, home: &[f64], positions: &[[f64; 2]]) -> (f64, Vec<b
         })
     };
     let places: Vec<bool> = (6..=14)
-        .flat_map(|x| (-6..=8).map(move |y| [GRID_M * f64::from(x), GRID_M * f64::from(y)]))
+        .flat_map(|x| (-6..=8).map(move |y| [GRID_M * f64::from(x), GRID_M * f64::from(y)].map(|x| scale * x)))
         .map(reached)
         .collect();
     let share = places.iter().filter(|reached| **reached).count() as f64 / places.len() as f64;
@@ -373,7 +386,7 @@ fn home_is_free(engine: &mut MujocoEngine, scene: &Scene, problems: &mut Vec<Pro
     for (a, b, depth) in engine.self_contacts(DEEP_M) {
         problems.push(Problem::new(
             format!("at home `{a}` and `{b}` penetrate each other by {:.1} mm", 1e3 * depth),
-            "choose another arm.home_rad, or, if their shapes overlap by design, exclude the pair in the model: <contact><exclude body1=\"..\" body2=\"..\"/>",
+            "choose another arm.home_rad, or, if their shapes overlap by design, exclude the pair in the model: <contact><exclude body1=\"..\" body2=\"..\"/></contact>, in a URDF within <mujoco>",
         ));
     }
 }

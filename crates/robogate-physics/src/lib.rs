@@ -43,6 +43,7 @@ mod servo;
 mod steering;
 pub mod suction;
 pub mod trajectory;
+mod unrest;
 mod visual;
 
 #[cfg(feature = "mujoco")]

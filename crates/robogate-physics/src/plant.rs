@@ -6,6 +6,7 @@ use nalgebra::{Isometry3, Vector3};
 use robogate_core::{Fault, FaultKind};
 
 use crate::suction::{self, Change, Suction};
+use crate::unrest::Unrest;
 use crate::{Engine, Gripper, GripperCommand, JointTargets, Part, Scene, Servo, SuctionCup, SuctionLaw, Touches};
 
 /// The state that an observer gets after each time step.
@@ -70,6 +71,7 @@ struct Drives {
     selected: usize,
     /// Grip force of this scene's unit, in newtons.
     grip_force_n: f64,
+    unrest: Unrest,
 }
 
 impl<E: Engine> Plant<E> {
@@ -155,6 +157,7 @@ impl<E: Engine> Plant<E> {
             parts: scene.free_bodies().map(|(object, _)| object.parts.clone()).collect(),
             selected: 0,
             grip_force_n: self.grip_force_n * force_scale,
+            unrest: Unrest::default(),
         });
         Ok(())
     }
@@ -172,6 +175,9 @@ impl<E: Engine> Plant<E> {
 
     /// Runs one control period towards these joint positions (rad). `observe` is called after each time step with the
     /// engine and the state.
+    ///
+    /// # Errors
+    /// If the engine diverges, or if the fingers have not come to rest for two seconds under one command, which no policy can cause.
     pub fn run(
         &mut self,
         command: &[f64],
@@ -191,6 +197,7 @@ impl<E: Engine> Plant<E> {
             // the servo's spring builds up that force.
             (goal, drives.grip_force_n / jaw.stiffness_n_m, jaw.finger_speed_m_s * self.engine.time_step())
         });
+        let mut restless = None;
         for k in 1..=self.steps_per_period {
             let fraction = k as f64 / self.steps_per_period as f64;
             let targets = &mut drives.targets;
@@ -201,6 +208,9 @@ impl<E: Engine> Plant<E> {
                 targets.finger = next.clamp(finger - lead, finger + lead);
             }
             self.engine.advance(targets);
+            if let Some(opening) = self.engine.drive_opening() {
+                restless = drives.unrest.step(gripper, opening, self.engine.time_step()).or(restless);
+            }
             if let Some(suction) = &mut drives.suction {
                 let (engine, parts) = (&self.engine, &drives.parts[drives.selected]);
                 let view = |cup: &_| suction::look(cup, &engine.tcp(), parts, &engine.object());
@@ -214,6 +224,14 @@ impl<E: Engine> Plant<E> {
             observe(&self.engine, &StepView::of(&self.engine, holding, fraction));
         }
         self.drives = Some(drives);
+        if let Some(frequency) = restless {
+            return Err(Fault::new(
+                FaultKind::Diverged,
+                format!(
+                    "the fingers oscillate at {frequency:.0} Hz while the command to the gripper does not change: the model of the hand is unstable. Check it with `robogate robots check`"
+                ),
+            ));
+        }
         self.engine.health()
     }
 

@@ -290,6 +290,10 @@ impl ParallelJaw {
     }
 }
 
+/// A hinge of the arm without limits turns by at most this angle to each side, in radians. The controllers of continuous joints count
+/// their turns too, and cables end them.
+pub(crate) const CONTINUOUS_RAD: f64 = std::f64::consts::TAU;
+
 /// Standard atmosphere, in pascals.
 const ATMOSPHERE_PA: f64 = 101_325.0;
 

@@ -7,8 +7,9 @@ use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::MjsBody;
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
-use crate::mujoco::{PREFIX, ROBOT, damping, links, sweep, wxyz};
-use crate::robot::{BELLOWS_JOINT, NOT_UTF_8, RobotSource};
+use crate::mujoco::damping::{self, Strong};
+use crate::mujoco::{PREFIX, ROBOT, links, sweep, wxyz};
+use crate::robot::{BELLOWS_JOINT, CONTINUOUS_RAD, NOT_UTF_8, RobotSource};
 use crate::scene::isometry;
 use crate::{
     Bellows, Chain, ChainJoint, FingerMotion, Gripper, ParallelJaw, Problem, Robot, RobotError, RobotSettings, Site,
@@ -17,6 +18,9 @@ use crate::{
 
 /// Group of the model's own actuators, which is disabled: `robot.toml` defines the drives.
 const OFF_GROUP: i32 = 30;
+/// Mass (kg) and moment of inertia (kg m^2) of a moving link of a URDF without a mass.
+const FRAME_MASS_KG: f64 = 1e-3;
+const FRAME_INERTIA_KGM2: f64 = 1e-6;
 /// Opening and length of fingers may differ from the model by this much, in metres.
 const STATED_M: f64 = 2e-3;
 
@@ -35,8 +39,8 @@ pub(crate) struct Built {
     pub(crate) chain: Chain,
     /// The motion of fingers with drives.
     pub(crate) fingers: Option<FingerMotion>,
-    /// Which joints of the arm are strongly damped ([`damping`]).
-    pub(crate) strong: Vec<bool>,
+    /// Which joints and drives are strongly damped ([`damping`]).
+    pub(crate) strong: Strong,
 }
 
 /// Builds the model of a robot.
@@ -55,6 +59,7 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<Built, Vec<Problem>
     links::name_bodies(&mut spec);
     check_names(&spec, settings, &mut problems);
     let named = problems.is_empty();
+    limit_continuous(&mut spec, settings);
     if settings.gripper.jaw().is_some() {
         let arm: Vec<&str> = settings.arm.joints.iter().map(String::as_str).collect();
         sweep::remove_friction(&mut spec, &arm);
@@ -71,11 +76,11 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<Built, Vec<Problem>
     let compiled = spec.clone().compile().or_else(|error| {
         let missing = leave_out_missing_meshes(&mut spec, robot);
         if missing.is_empty() {
-            return Err(Problem::new(error.to_string(), "this error is from MuJoCo: correct the model"));
+            return Err(rejected(&error));
         }
         problems.extend(missing);
         // Without the missing meshes the compiler finds further problems.
-        spec.clone().compile().map_err(|error| Problem::new(error.to_string(), "correct the model"))
+        spec.clone().compile().map_err(|error| rejected(&error))
     });
     let model = match compiled {
         Ok(model) => model,
@@ -98,7 +103,7 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<Built, Vec<Problem>
         Some(jaw) => Some(finger_motion(&mut spec, settings, jaw)?),
         None => None,
     };
-    let strong = damping::couple(&mut spec, &model, settings, time_step);
+    let strong = damping::couple(&mut spec, &model, settings, fingers.as_ref(), time_step);
     links::let_links_collide(&mut spec, model, settings, fingers.as_ref());
     Ok(Built { spec, chain, fingers, strong })
 }
@@ -110,7 +115,7 @@ fn finger_motion(spec: &mut MjSpec, settings: &RobotSettings, jaw: &ParallelJaw)
     sweep::measurable(&mut measurable, &arm);
     let model = measurable
         .compile()
-        .map_err(|error| vec![Problem::new(error.to_string(), "this error is from MuJoCo: correct the model")])?;
+        .map_err(|error| vec![rejected(&error)])?;
     let motion = sweep::measure(model, settings, jaw)?;
     let open = motion.open().opening_m;
     let mut problems = Vec::new();
@@ -151,11 +156,41 @@ pub(crate) fn read(path: &Path) -> Result<MjSpec, String> {
         other => other.to_string(),
     })?;
     includes::replaced(&text, folder)?;
-    match is_urdf.then(|| mesh_files::with_full_paths(&text, folder)).flatten() {
+    let mut spec = match is_urdf.then(|| mesh_files::with_full_paths(&text, folder)).flatten() {
         Some(text) => MjSpec::from_xml_string(&text),
         None => MjSpec::from_xml(path),
     }
-    .map_err(|error| error.to_string())
+    .map_err(|error| error.to_string())?;
+    for [first, second] in is_urdf.then(|| mesh_files::excluded(&text)).unwrap_or_default() {
+        let exclude = spec.add_exclude();
+        exclude.set_bodyname1(&first);
+        exclude.set_bodyname2(&second);
+    }
+    if is_urdf {
+        give_mass(&mut spec);
+    }
+    Ok(spec)
+}
+
+/// Gives links a mass where a moving link of a URDF has none. They are frames between joints, which MuJoCo rejects.
+fn give_mass(spec: &mut MjSpec) {
+    let massless = |error: MjEditError| error.to_string().contains("mass and inertia of moving bodies");
+    if spec.clone().compile().err().is_some_and(massless) {
+        spec.compiler_mut().set_boundmass(FRAME_MASS_KG);
+        spec.compiler_mut().set_boundinertia(FRAME_INERTIA_KGM2);
+    }
+}
+
+/// The problem of a model that does not compile.
+pub(crate) fn rejected(error: &MjEditError) -> Problem {
+    let why = error.to_string();
+    match why.split_once("no decoder found for mesh file '").and_then(|(_, rest)| rest.split_once('\'')) {
+        Some((file, _)) => Problem::new(
+            format!("the mesh {file} has a format that MuJoCo does not read"),
+            "convert it to STL or OBJ, for example with MeshLab or Blender, and name the new file in the model",
+        ),
+        None => Problem::new(why, "this error is from MuJoCo: correct the model"),
+    }
 }
 
 /// Removes everything from the model that is not part of the robot: options, actuators, keyframes, contact settings.
@@ -163,8 +198,11 @@ pub(crate) fn prepare(spec: &mut MjSpec, time_step: f64) {
     *spec.option_mut() = MjSpec::new().option().clone();
     spec.set_memory(MjSpec::new().memory());
     let compiler = spec.compiler_mut();
-    compiler.set_boundmass(0.0);
-    compiler.set_boundinertia(0.0);
+    // Other bounds than those of `read` are settings of the file.
+    if compiler.boundmass() != FRAME_MASS_KG {
+        compiler.set_boundmass(0.0);
+        compiler.set_boundinertia(0.0);
+    }
     compiler.set_balanceinertia(false);
     // Links of a URDF that are fixed to each other stay separate bodies, because robot.toml names them.
     compiler.set_fusestatic(false);
@@ -268,6 +306,22 @@ fn check_names(spec: &MjSpec, settings: &RobotSettings, problems: &mut Vec<Probl
     }
     for name in bodies.iter().filter(|name| spec.body(name).is_none()) {
         missing("body", name, format!("the model has {}", listed(spec.body_iter().map(|body| body.name()))));
+    }
+}
+
+/// Gives the arm's hinges without limits the range of a continuous joint.
+fn limit_continuous(spec: &mut MjSpec, settings: &RobotSettings) {
+    for name in &settings.arm.joints {
+        let Some(joint) = spec.joint_mut(name) else { continue };
+        let unlimited = match joint.limited() {
+            mjtLimited::mjLIMITED_TRUE => false,
+            mjtLimited::mjLIMITED_FALSE => true,
+            mjtLimited::mjLIMITED_AUTO => *joint.range() == [0.0; 2],
+        };
+        if unlimited && joint.type_() == MjtJoint::mjJNT_HINGE {
+            *joint.range_mut() = [-CONTINUOUS_RAD, CONTINUOUS_RAD];
+            joint.set_limited(mjtLimited::mjLIMITED_TRUE);
+        }
     }
 }
 
@@ -434,9 +488,9 @@ fn check_joints(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Pr
             continue;
         }
         let [low, high] = model.jnt_range()[joint];
-        if !model.jnt_limited()[joint] || low >= high {
+        if low >= high {
             problems.push(Problem::new(
-                format!("joint `{name}` has no limits"),
+                format!("joint `{name}` has the range {low} to {high}"),
                 "give it a range in the model (MJCF: range=\"low high\"; URDF: a revolute joint with <limit>)",
             ));
             continue;

@@ -60,7 +60,7 @@ fn drafted_robot_passes_the_check() {
         assert!(draft.text.contains(guess));
     }
     fs::write(folder.join("robot.toml"), &draft.text).unwrap();
-    let inspection = inspect(folder.to_str().unwrap(), &[]);
+    let inspection = inspect(folder.to_str().unwrap(), 1.0, &[]);
     assert_eq!(inspection.problems, [], "{}", draft.text);
     let grasp = inspection.measured.unwrap().grasp.unwrap();
     assert!(grasp.held && (grasp.opening_m.unwrap() - 0.08).abs() < 1e-3, "{grasp:?}");

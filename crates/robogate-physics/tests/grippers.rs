@@ -22,7 +22,7 @@ fn drafted(name: &str, model: &str, change: impl Fn(String) -> String) -> (PathB
 }
 
 fn grasp(folder: &Path, text: &str) -> Grasp {
-    let inspection = inspect(folder.to_str().unwrap(), &[]);
+    let inspection = inspect(folder.to_str().unwrap(), 1.0, &[]);
     assert_eq!(inspection.problems, [], "{text}");
     inspection.measured.unwrap().grasp.unwrap()
 }
@@ -135,7 +135,7 @@ fn loose_joints_are_named() {
         ),
     ]);
     let (folder, text) = drafted("loose", &model, |text| text);
-    let problems = inspect(folder.to_str().unwrap(), &[]).problems;
+    let problems = inspect(folder.to_str().unwrap(), 1.0, &[]).problems;
     let named = |what: &str| what.contains("joint `left_finger` is at") || what.contains("joint `left_inner` is at");
     let found = problems.iter().find(|problem| named(&problem.what));
     assert!(found.is_some_and(|problem| problem.hint.contains("couple it to the drive")), "{problems:#?}\n{text}");
@@ -193,7 +193,7 @@ fn opening_is_read_from_the_pads() {
     let thick = LINKAGE
         .replace("<geom type=\"box\" size=\"0.011 0.005 0.02\"/>", "<geom type=\"box\" size=\"0.011 0.009 0.02\"/>");
     fs::write(folder.join("model.xml"), thick).unwrap();
-    let inspection = inspect(folder.to_str().unwrap(), &[]);
+    let inspection = inspect(folder.to_str().unwrap(), 1.0, &[]);
     assert!(inspection.problems[0].what.contains("the pads are 0.0720 m apart"), "{:?}", inspection.problems);
 }
 
@@ -212,7 +212,7 @@ fn wrong_drives_are_reported() {
         ("both", "[[gripper.drive]]", "finger_joints = [\"a\", \"b\"]\n[[gripper.drive]]", "either finger_joints"),
     ] {
         let (folder, text) = drafted(name, LINKAGE, drive(from, to));
-        let inspection = inspect(folder.to_str().unwrap(), &[]);
+        let inspection = inspect(folder.to_str().unwrap(), 1.0, &[]);
         let found = inspection.problems.iter().any(|problem| problem.what.contains(part) && !problem.hint.is_empty());
         assert!(found, "{name}: {:#?}\n{text}", inspection.problems);
     }

@@ -61,7 +61,15 @@ fn summary(settings: &RobotSettings, Measured { robot: measured, reaches_target,
         None => line("servos     not tested: see the problems above"),
     }
     match &measured.grasp {
-        Some(grasp) => line(format_args!("grasp      {}", in_sentence(grasp))),
+        Some(grasp) => {
+            line(format_args!("grasp      {}", in_sentence(grasp)));
+            let held = measured.grasps_at_ends.iter().filter(|grasp| grasp.held);
+            let parts: Vec<String> =
+                held.map(|grasp| format!("{:.0} mm and {:.2} kg", 1e3 * grasp.part_m, grasp.mass_kg)).collect();
+            if !parts.is_empty() {
+                line(format_args!("           also holds parts of {}", parts.join(", ")));
+            }
+        }
         None => {
             line("grasp      not tested: see the problems above, or the arm cannot lift a part from its home posture")
         }

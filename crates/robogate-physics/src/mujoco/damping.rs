@@ -8,20 +8,41 @@
 //! For these joints h D is added to the armature, and the damping force is computed from the speed at the start of the step. That
 //! is the same equation of motion, and the contact solver uses it too. Other joints, among them those of all built-in robots,
 //! keep the implicit damping.
+//!
+//! Fingers are light, so their stiffness K counts as well: h D + h^2 K is added to the inertia, and the servo pulls with
+//! K (target - q - h v) - D v. This is implicit Euler for spring and damper, which is stable for any mass and any time step.
 
 use mujoco_rs::prelude::*;
 use nalgebra::DMatrix;
 
 use super::PREFIX;
-use crate::RobotSettings;
+use super::sweep::DriveAt;
+use crate::{FingerMotion, RobotSettings};
 
-/// A joint is strongly damped if h D is more than this multiple of the inertia that its servo moves. For the built-in robots
-/// it is at most 5 times.
+/// A joint of the arm is strongly damped if h D is more than this multiple of the inertia that its servo moves. For the built-in
+/// robots it is at most 5 times.
 const STRONG: f64 = 20.0;
+/// A finger is strongly damped if h D + h^2 K is more than this multiple of its inertia: at 7 times, fingers of 29 g chatter.
+/// For the built-in Panda it is 0.5 times.
+const STRONG_FINGER: f64 = 1.0;
 
-/// Changes strongly damped joints of the arm, in the order of `arm.joints`, and returns which ones they are. `model` is the
-/// compiled `spec`.
-pub(crate) fn couple(spec: &mut MjSpec, model: &MjModel, settings: &RobotSettings, time_step: f64) -> Vec<bool> {
+/// Which joints and drives are strongly damped.
+pub(crate) struct Strong {
+    /// In the order of `arm.joints`.
+    pub(crate) arm: Vec<bool>,
+    /// In the order of `gripper.finger_joints` or `[[gripper.drive]]`.
+    pub(crate) fingers: Vec<bool>,
+}
+
+/// Changes strongly damped joints of the arm, in the order of `arm.joints`, and strongly damped fingers, and returns which ones
+/// they are. `model` is the compiled `spec`.
+pub(crate) fn couple(
+    spec: &mut MjSpec,
+    model: &MjModel,
+    settings: &RobotSettings,
+    motion: Option<&FingerMotion>,
+    time_step: f64,
+) -> Strong {
     let arm = &settings.arm;
     let joints: Vec<usize> =
         arm.joints.iter().filter_map(|name| model.name_to_id(MjtObjBase::mjOBJ_JOINT, name)).collect();
@@ -31,7 +52,10 @@ pub(crate) fn couple(spec: &mut MjSpec, model: &MjModel, settings: &RobotSetting
         data.qpos_mut()[model.jnt_qposadr()[*joint] as usize] = *home;
     }
     data.forward();
-    let Some(inertias) = moved_inertias(&data, &dofs) else { return vec![false; arm.joints.len()] };
+    let fingers = couple_fingers(spec, model, settings, motion, time_step);
+    let Some(inertias) = moved_inertias(&data, &dofs) else {
+        return Strong { arm: vec![false; arm.joints.len()], fingers };
+    };
     let mut strong = Vec::with_capacity(arm.joints.len());
     // An array that is too short is reported as a problem of the settings.
     let damping = arm.damping_nms_rad.iter().copied().chain(std::iter::repeat(0.0));
@@ -42,12 +66,50 @@ pub(crate) fn couple(spec: &mut MjSpec, model: &MjModel, settings: &RobotSetting
             if let Some(joint) = spec.joint_mut(name) {
                 joint.set_armature(model.dof_armature()[dofs[i]] + added);
             }
-            if let Some(actuator) = spec.actuator_mut(&format!("{PREFIX}{name}")) {
-                actuator.biasprm_mut()[2] = 0.0;
-            }
+            drop_damping(spec, name);
         }
     }
-    strong
+    Strong { arm: strong, fingers }
+}
+
+/// Changes strongly damped fingers, and returns which ones they are.
+fn couple_fingers(
+    spec: &mut MjSpec,
+    model: &MjModel,
+    settings: &RobotSettings,
+    motion: Option<&FingerMotion>,
+    time_step: f64,
+) -> Vec<bool> {
+    let Some(jaw) = settings.gripper.jaw() else { return Vec::new() };
+    let slides = jaw.slides().iter().map(|name| (name, 1.0));
+    // A drive with the slope s = d(opening)/d(position), one of n, has s^2 / (2 n) of a finger's stiffness and damping.
+    let share = |i: usize| motion.map_or(0.0, |motion| motion.steepest(i).powi(2) / (2.0 * jaw.drives.len() as f64));
+    let drives = jaw.drives.iter().enumerate().map(|(i, drive)| (&drive.moves, share(i)));
+    slides
+        .chain(drives)
+        .map(|(name, share)| {
+            let Some(at) = DriveAt::find(model, name) else { return false };
+            let passive = at.passive_damping(model);
+            let added = time_step * share * (jaw.damping_ns_m + time_step * jaw.stiffness_n_m);
+            let strong = added + time_step * passive > STRONG_FINGER * at.inertia(model);
+            if strong {
+                if let Some(joint) = spec.joint_mut(name) {
+                    joint.set_armature(joint.armature() + added);
+                } else if let Some(tendon) = spec.tendon_mut(name) {
+                    tendon.set_armature(tendon.armature() + added);
+                }
+                drop_damping(spec, name);
+            }
+            strong
+        })
+        .collect()
+}
+
+/// Removes the implicit damping of a servo.
+fn drop_damping(spec: &mut MjSpec, moves: &str) {
+    if let Some(actuator) = spec.actuator_mut(&format!("{PREFIX}{moves}")) {
+        actuator.biasprm_mut()[2] = 0.0;
+    }
 }
 
 /// The inertia that each of these joints moves while the others move freely, in kg m^2: one over the diagonal of the inverse

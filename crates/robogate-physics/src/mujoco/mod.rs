@@ -20,6 +20,7 @@ use mujoco_rs::wrappers::mj_logging::{log_config, set_log_config};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{ContactPoint, Fault, FaultKind};
 
+use self::damping::Strong;
 use self::sweep::DriveAt;
 use crate::finger_motion::DriveReading;
 use crate::friction::Friction;
@@ -48,8 +49,8 @@ pub struct MujocoEngine {
     chain: Chain,
     /// Motion of fingers with drives.
     fingers: Option<FingerMotion>,
-    /// Which joints of the arm are strongly damped ([`damping`]).
-    strong: Vec<bool>,
+    /// Which joints and drives are strongly damped ([`damping`]).
+    strong: Strong,
     time_step: f64,
     loaded: Option<Loaded>,
 }
@@ -434,17 +435,27 @@ impl Engine for MujocoEngine {
         }
         let (slides, drives) = (arm.joints.len(), arm.joints.len() + loaded.fingers.len());
         ctrl[slides..drives].fill(targets.finger);
-        for i in (0..arm.joints.len()).filter(|i| self.strong[*i]) {
+        for i in (0..arm.joints.len()).filter(|i| self.strong.arm[*i]) {
             let speed = loaded.data.qvel()[loaded.arm[i].1];
             let lag = speed * arm.damping_nms_rad[i] / arm.stiffness_nm_rad[i];
             loaded.data.ctrl_mut()[first + i] -= lag / softness;
         }
+        if let Some(jaw) = self.robot.settings.gripper.jaw() {
+            // See [`damping`]: a strongly damped finger is pulled to where it would be after this step.
+            let lag = self.time_step + jaw.damping_ns_m / jaw.stiffness_n_m;
+            for i in (0..loaded.fingers.len()).filter(|i| self.strong.fingers[*i]) {
+                let speed = loaded.data.qvel()[loaded.fingers[i].1];
+                loaded.data.ctrl_mut()[first + slides + i] -= lag * speed;
+            }
+        }
         if let (Some(jaw), Some(fingers)) = (self.robot.settings.gripper.jaw(), &self.fingers) {
+            let lag = self.time_step + jaw.damping_ns_m / jaw.stiffness_n_m;
             for i in 0..loaded.drives.len() {
-                let [position, _] = loaded.drives[i].state(&loaded.data);
+                let [position, speed] = loaded.drives[i].state(&loaded.data);
                 let DriveReading { opening_m, slope } = fingers.reading(i, position);
                 // The servo of a finger, which moves by half of the opening: the force on its pad, positive to open.
-                let force = jaw.stiffness_n_m * (targets.finger - 0.5 * opening_m);
+                let ahead = if self.strong.fingers[i] { lag * slope * speed } else { 0.0 };
+                let force = jaw.stiffness_n_m * (targets.finger - 0.5 * (opening_m + ahead));
                 loaded.data.ctrl_mut()[first + drives + i] = force * slope / loaded.drives.len() as f64;
             }
         }

@@ -90,7 +90,7 @@ impl MujocoEngine {
     /// Multiplies the stiffness of the arm's servos, at a constant damping ratio.
     fn set_stiffness(&self, spec: &mut MjSpec, scale: f64) {
         let arm = &self.robot.settings.arm;
-        for i in (0..arm.joints.len()).filter(|i| self.strong[*i]) {
+        for i in (0..arm.joints.len()).filter(|i| self.strong.arm[*i]) {
             if let Some(joint) = spec.joint_mut(&arm.joints[i]) {
                 let added = self.time_step * arm.damping_nms_rad[i] * (scale.sqrt() - 1.0);
                 joint.set_armature(joint.armature() + added);

@@ -20,6 +20,8 @@ const INTEGRAL: f64 = 20.0;
 /// A drive has arrived within this fraction of its travel, if it moves by less than that fraction in a second. The state
 /// that is measured is the one it has reached.
 const ARRIVED: f64 = 5e-3;
+/// Time steps at the open end before the first measurement.
+const SETTLE_STEPS: usize = 100;
 /// Most time steps to one state.
 const MOST_STEPS: usize = 1_500;
 /// Inertia of the gripper's motors during the measurement, in kg m^2 or kg.
@@ -27,6 +29,9 @@ const ARMATURE: f64 = 1e-3;
 /// Inertia of the arm's motors during the measurement, in kg m^2: the arm's servos, which pull towards zero, and the reaction
 /// of the fingers do not accelerate it, so fingers with springs rest as on an arm that stands still.
 const STANDING: f64 = 1e6;
+/// Tolerance of the constraint solver, which is relative to the mean inertia: with [`STANDING`] arms, MuJoCo's default allows
+/// errors of 0.1 N, which move light fingers by millimetres.
+const TOLERANCE: f64 = 1e-11;
 /// Number of time steps in which the inertia that a drive moves is measured: longer than equalities take to act.
 const PROBE_STEPS: usize = 20;
 /// In these steps a drive moves by at most this fraction of its travel.
@@ -51,10 +56,14 @@ pub(crate) fn remove_friction(spec: &mut MjSpec, arm: &[&str]) {
 /// the inertia of motors, and equalities hold best if everything that they couple has a similar inertia.
 pub(crate) fn measurable(spec: &mut MjSpec, arm: &[&str]) {
     remove_friction(spec, arm);
+    let step = spec.option_mut().timestep;
     for joint in spec.joint_iter_mut() {
-        let inertia = if arm.contains(&joint.name()) { STANDING } else { ARMATURE };
+        // What a joint's damping takes in a time step is added to its inertia: see `damping`.
+        let damped = ARMATURE + step * joint.damping()[0];
+        let inertia = if arm.contains(&joint.name()) { STANDING } else { damped };
         joint.set_armature(inertia);
     }
+    spec.option_mut().tolerance = TOLERANCE;
 }
 
 /// Where a drive acts.
@@ -87,12 +96,20 @@ impl DriveAt {
     }
 
     /// The inertia that the drive moves at joint positions 0, in kg m^2 or kg.
-    fn inertia(self, model: &MjModel) -> f64 {
+    pub(super) fn inertia(self, model: &MjModel) -> f64 {
         let inverse = match self {
             Self::Joint { qvel, .. } => model.dof_invweight0()[qvel],
             Self::Tendon(id) => model.tendon_invweight0()[id],
         };
         1.0 / inverse.max(1e-9)
+    }
+
+    /// Damping of the joint or tendon itself, in N m s/rad or N s/m.
+    pub(super) fn passive_damping(self, model: &MjModel) -> f64 {
+        match self {
+            Self::Joint { qvel, .. } => model.dof_damping()[qvel],
+            Self::Tendon(id) => model.tendon_damping()[id],
+        }
     }
 }
 
@@ -192,10 +209,41 @@ impl Sweep {
         for (qpos, _, q) in &sweep.arm {
             sweep.data.qpos_mut()[*qpos] = *q;
         }
+        sweep.place_followers();
         sweep.data.forward();
         sweep.inertia = (0..sweep.drives.len()).map(|i| sweep.coupled_inertia(i)).collect();
+        // Linkages that are closed by other equalities come to rest.
+        for _ in 0..SETTLE_STEPS {
+            sweep.drive_to(0.0);
+            sweep.step();
+        }
         sweep.go(0.0)?;
         Ok(sweep)
+    }
+
+    /// Moves joints that follow others by an equality to where it puts them. `open` need not be 0.
+    fn place_followers(&mut self) {
+        let model = self.data.model();
+        let pairs: Vec<(usize, f64)> = (0..model.eq_type().len())
+            .filter(|equality| model.eq_type()[*equality] == MjtEq::mjEQ_JOINT && model.eq_active0()[*equality])
+            .filter_map(|equality| {
+                let at = |joint: i32| usize::try_from(joint).ok().map(|joint| model.jnt_qposadr()[joint] as usize);
+                let follower = at(model.eq_obj1id()[equality])?;
+                let leader = at(model.eq_obj2id()[equality])?;
+                let moved = self.data.qpos()[leader] - model.qpos0()[leader];
+                let coefficients = &model.eq_data()[equality][..5];
+                let value = coefficients.iter().rev().fold(0.0, |sum, coefficient| sum * moved + coefficient);
+                Some((follower, model.qpos0()[follower] + value))
+            })
+            .collect();
+        let driven = |qpos: usize| {
+            let at = |drive: &DriveAt| matches!(drive, DriveAt::Joint { qpos: other, .. } if *other == qpos);
+            self.drives.iter().any(at) || self.arm.iter().any(|(other, ..)| *other == qpos)
+        };
+        let free: Vec<(usize, f64)> = pairs.into_iter().filter(|(follower, _)| !driven(*follower)).collect();
+        for (follower, position) in free {
+            self.data.qpos_mut()[follower] = position;
+        }
     }
 
     /// The inertia that a drive moves with all that equalities couple to it, from the speed that a force gives to it.
@@ -233,28 +281,34 @@ impl Sweep {
         }
     }
 
-    /// Moves the drives to a share of their way from open (0) to closed (1).
-    pub(crate) fn go(&mut self, share: f64) -> Result<(), Problem> {
+    /// Sets the controls of the drives for a share of their way from open (0) to closed (1). Returns a drive that is not there yet.
+    fn drive_to(&mut self, share: f64) -> Option<usize> {
         let first = self.data.ctrl().len() - self.drives.len();
         let step = self.data.model_opt().timestep;
+        let mut off = None;
+        for (i, drive) in self.drives.iter().enumerate() {
+            let [open, closed] = self.ends[i];
+            let [position, speed] = drive.state(&self.data);
+            let error = open + share * (closed - open) - position;
+            let stiffness = self.inertia[i] * FREQUENCY * FREQUENCY;
+            self.integral[i] += INTEGRAL * step * error;
+            self.data.ctrl_mut()[first + i] =
+                stiffness * (error + self.integral[i]) - 2.0 * self.inertia[i] * FREQUENCY * speed;
+            let travel = (closed - open).abs();
+            if error.abs() > ARRIVED * travel || speed.abs() > ARRIVED * travel {
+                off = Some(i);
+            }
+        }
+        off
+    }
+
+    /// Moves the drives to a share of their way from open (0) to closed (1).
+    pub(crate) fn go(&mut self, share: f64) -> Result<(), Problem> {
         let mut off = 0;
         for _ in 0..MOST_STEPS {
-            let mut arrived = true;
-            for (i, drive) in self.drives.iter().enumerate() {
-                let [open, closed] = self.ends[i];
-                let [position, speed] = drive.state(&self.data);
-                let error = open + share * (closed - open) - position;
-                let stiffness = self.inertia[i] * FREQUENCY * FREQUENCY;
-                self.integral[i] += INTEGRAL * step * error;
-                self.data.ctrl_mut()[first + i] =
-                    stiffness * (error + self.integral[i]) - 2.0 * self.inertia[i] * FREQUENCY * speed;
-                let travel = (closed - open).abs();
-                if error.abs() > ARRIVED * travel || speed.abs() > ARRIVED * travel {
-                    (arrived, off) = (false, i);
-                }
-            }
-            if arrived {
-                return Ok(());
+            match self.drive_to(share) {
+                None => return Ok(()),
+                Some(drive) => off = drive,
             }
             self.step();
         }
@@ -304,17 +358,22 @@ impl Sweep {
     /// The corners of the bounding boxes of these shapes, in metres.
     pub(crate) fn corners(&mut self, geoms: &[usize]) -> Vec<Point3<f64>> {
         self.data.forward();
-        let model = self.data.model();
-        let of = |geom: &usize| {
-            let [x, y, z, a, b, c] = model.geom_aabb()[*geom];
-            let at = rigid(self.data.geom_xpos()[*geom], &self.data.geom_xmat()[*geom]);
-            (0..8).map(move |bits: u8| {
-                let side = |bit: u8| if bits >> bit & 1 == 1 { 1.0 } else { -1.0 };
-                at * Point3::new(x + side(0) * a, y + side(1) * b, z + side(2) * c)
-            })
-        };
-        geoms.iter().flat_map(of).collect()
+        corners(&self.data, geoms)
     }
+}
+
+/// The corners of the bounding boxes of these shapes, in metres.
+pub(crate) fn corners(data: &MjData<Box<MjModel>>, geoms: &[usize]) -> Vec<Point3<f64>> {
+    let model = data.model();
+    let of = |geom: &usize| {
+        let [x, y, z, a, b, c] = model.geom_aabb()[*geom];
+        let at = rigid(data.geom_xpos()[*geom], &data.geom_xmat()[*geom]);
+        (0..8).map(move |bits: u8| {
+            let side = |bit: u8| if bits >> bit & 1 == 1 { 1.0 } else { -1.0 };
+            at * Point3::new(x + side(0) * a, y + side(1) * b, z + side(2) * c)
+        })
+    };
+    geoms.iter().flat_map(of).collect()
 }
 
 /// Smallest distance between a shape of the first set and one of the second, in metres.

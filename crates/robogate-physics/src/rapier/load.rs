@@ -254,7 +254,17 @@ impl Build<'_> {
             .collect();
         for (id, dof) in &order {
             if let Some(joint) = &description.links[*id].joint {
-                multibody.armature_mut()[*dof] = joint.armature;
+                let mut inertia = joint.armature;
+                // Fingers so light that their servo stops them within a time step h chatter against a part. As in MuJoCo
+                // (`mujoco/damping`), they get the inertia h D + h^2 K, which vanishes with the time step.
+                if let Some(jaw) = jaw.filter(|_| finger_joints.contains(&joint.name)) {
+                    let step = self.engine.time_step;
+                    let added = step * (jaw.damping_ns_m + step * jaw.stiffness_n_m);
+                    if added > description.links[*id].mass + inertia {
+                        inertia += added;
+                    }
+                }
+                multibody.armature_mut()[*dof] = inertia;
                 multibody.damping_mut()[*dof] = joint.damping;
             }
         }

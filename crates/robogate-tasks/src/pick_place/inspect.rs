@@ -61,7 +61,7 @@ pub fn inspect(robot: &str) -> Inspection {
     let read = if is_folder(robot) { Robot::from_folder(Path::new(robot)) } else { built_in_robot(robot) }.ok();
     // A robot that cannot be read has problems, and reaches nothing.
     let scale = read.as_ref().map_or(1.0, |robot| PickPlace::DEFAULT.workspace_scale(robot));
-    let physics::Inspection { mut problems, settings, measured } = physics::inspect(robot, &[target(scale)]);
+    let physics::Inspection { mut problems, settings, measured } = physics::inspect(robot, scale, &[target(scale)]);
     let measured = measured.map(|of_robot| {
         let reaches_target = of_robot.reaches == [true];
         let ready = problems.is_empty() && reaches_target && of_robot.grasp.is_some();
