@@ -2,6 +2,9 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::hex;
 
 /// The platform: operating system, architecture, C library and CPU features.
 ///
@@ -21,6 +24,11 @@ pub struct Platform {
     /// process with it. Absent if they are unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cpu: Option<Vec<String>>,
+    /// Fingerprint of the mathematical functions: the first 16 hexadecimal digits of the SHA-256 over the bits of their results for
+    /// fixed arguments. It differs where the C library chooses other variants than the CPU suggests, for example because of
+    /// `GLIBC_TUNABLES`. Absent if it is unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub maths: Option<String>,
 }
 
 impl Platform {
@@ -31,7 +39,14 @@ impl Platform {
             arch: std::env::consts::ARCH.to_owned(),
             libc: libc_version(),
             cpu: cpu_features(),
+            maths: Some(maths_fingerprint()),
         }
+    }
+
+    /// Whether only the mathematical functions differ: the same episodes have the same outcomes in all but rare cases, and other
+    /// last bits.
+    pub fn differs_in_maths_only(&self, other: &Self) -> bool {
+        self.maths != other.maths && Self { maths: other.maths.clone(), ..self.clone() } == *other
     }
 
     /// The platform of a process that runs networks itself.
@@ -50,8 +65,38 @@ impl Platform {
         known.extend(self.libc.iter().map(|libc| ("C library", libc.clone())));
         let features = |cpu: &Vec<String>| if cpu.is_empty() { "none".to_owned() } else { cpu.join(" ") };
         known.extend(self.cpu.iter().map(|cpu| ("CPU features", features(cpu))));
+        known.extend(self.maths.iter().map(|maths| ("mathematical functions", maths.clone())));
         known
     }
+}
+
+/// The bits of the functions of the C library whose variants differ in the last bit, as a short hash.
+fn maths_fingerprint() -> String {
+    /// Enough arguments for each variant that is known to differ to show it many times.
+    const ARGUMENTS: u32 = 512;
+    let functions: [fn(f64) -> f64; 12] = [
+        f64::sin,
+        f64::cos,
+        f64::tan,
+        |x| (x / 40.0).asin(),
+        |x| (x / 40.0).acos(),
+        f64::atan,
+        |x| x.atan2(1.7),
+        f64::exp,
+        f64::ln,
+        |x| x.powf(1.37),
+        f64::tanh,
+        f64::cbrt,
+    ];
+    let mut hash = Sha256::new();
+    for function in functions {
+        for n in 1..=ARGUMENTS {
+            // Irregular arguments from 0.07 to 38.
+            let x = f64::from(n) * 0.074_193_21;
+            hash.update(function(std::hint::black_box(x)).to_bits().to_le_bytes());
+        }
+    }
+    hex(&hash.finalize()).chars().take(16).collect()
 }
 
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
@@ -121,6 +166,15 @@ mod tests {
         assert_eq!(cpu(&networks).contains(&"avx512".to_owned()), has_avx512());
         assert!(cpu(&networks).is_sorted());
         assert_eq!(plain == networks, !has_avx512());
+    }
+
+    #[test]
+    fn maths_has_one_fingerprint() {
+        let here = Platform::here();
+        assert_eq!(here.maths.as_deref(), Some(&*maths_fingerprint()));
+        let other = Platform { maths: Some("0".repeat(16)), ..here.clone() };
+        assert!(here.differs_in_maths_only(&other) && !here.differs_in_maths_only(&here));
+        assert!(!here.differs_in_maths_only(&Platform { os: "plan9".to_owned(), ..other }));
     }
 
     #[cfg(all(target_os = "linux", target_env = "gnu"))]

@@ -79,7 +79,10 @@ pub(crate) fn test(robot: &Robot, problems: &mut Vec<Problem>) -> Option<(Grasp,
         Gripper::ParallelJaw(jaw) => {
             let [small, large] = ENDS_OF_OPENING.map(|share| share * jaw.opening_m);
             let small = small.max(plant.engine.narrowest_m() + ROOM_M);
-            ((0.5 * jaw.opening_m).min(LARGEST.0), vec![(small, lightest), (small, heaviest), (large, lightest), (large, heaviest)])
+            (
+                (0.5 * jaw.opening_m).min(LARGEST.0),
+                vec![(small, lightest), (small, heaviest), (large, lightest), (large, heaviest)],
+            )
         }
         Gripper::Suction(cup) => {
             let size = (1.25 * cup.cup_diameter_m).max(0.02);

@@ -24,7 +24,7 @@ pub(crate) fn provenance(space: ParameterSpace) -> Provenance {
         plan: serde_json::Value::Null,
         seed: SEED,
         question_sha256: None,
-        platform: Some(Platform { os: "test".to_owned(), arch: "test".to_owned(), libc: None, cpu: None }),
+        platform: Some(Platform { os: "test".to_owned(), arch: "test".to_owned(), libc: None, cpu: None, maths: None }),
         source: None,
     }
 }

@@ -137,7 +137,13 @@ impl Replay {
                 }
                 let now = subject.provenance(settings.provenance.space.clone())?;
                 let was = &settings.provenance;
-                if (&now.tool, &now.build, &now.engine, &now.robot, &now.platform)
+                let maths =
+                    matches!((&was.platform, &now.platform), (Some(was), Some(is)) if was.differs_in_maths_only(is));
+                if maths {
+                    line(
+                        "  the mathematical functions of the C library differ from those of the run, which changes last bits",
+                    );
+                } else if (&now.tool, &now.build, &now.engine, &now.robot, &now.platform)
                     != (&was.tool, &was.build, &was.engine, &was.robot, &was.platform)
                 {
                     line("  tool, build, engine, robot or platform differ from those of the run");

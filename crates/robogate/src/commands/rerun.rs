@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, anyhow};
 use robogate_campaign::{WorkerFactory, check_rows};
-use robogate_core::{Outcome, rollout};
+use robogate_core::{FaultKind, Outcome, rollout};
 use robogate_dictionary::{Dictionary, Provenance};
 use robogate_gate::evidence::{Problem, random_positions};
 use serde::Serialize;
@@ -19,10 +19,16 @@ const ROWS: &str = "dictionary.parquet";
 /// The result of running rows again.
 #[derive(Debug, Serialize)]
 pub(crate) struct Rerun {
-    /// The number of rows that could have been chosen: those with a valid outcome.
+    /// The number of rows that could have been chosen.
     pub(crate) of: u64,
-    /// The indices of the rows that ran again, all with the same result.
+    /// The indices of the rows that ran again, all with the same outcome.
     pub(crate) rows: Vec<u64>,
+    /// How many of them also have the same measures and trajectory, bit for bit.
+    pub(crate) identical: u64,
+    /// How many of them were lost to an unavailable server when they were recorded, which need not happen again.
+    pub(crate) lost: u64,
+    /// Whether the mathematical functions differ from those of the run, so that last bits differ.
+    pub(crate) other_maths: bool,
 }
 
 impl Rerun {
@@ -42,7 +48,9 @@ pub(crate) fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result
     }
     let subject = Subject::recorded(recorded, Some(folder), opening)?;
     let here = subject.provenance(recorded.space.clone())?;
-    same_setup(recorded, &here)?;
+    let other_maths =
+        matches!((&recorded.platform, &here.platform), (Some(was), Some(is)) if was.differs_in_maths_only(is));
+    same_setup(recorded, &here, other_maths)?;
     if here.world != recorded.world {
         let reason = "the policy or the environment differs from the recorded one: another file, or its server declares something else";
         return Err(anyhow!("--rerun: {reason}\n  hint: name the judged policy with --policy")).or_usage();
@@ -51,15 +59,13 @@ pub(crate) fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result
     if let Err(error) = check_rows(recorded, subject.foresight()?, dictionary.entries()) {
         return wrong(error.to_string());
     }
-    let mut valid = Vec::new();
+    let mut indices = Vec::new();
     for entry in dictionary.entries() {
-        let entry = entry.or_usage()?;
-        if !matches!(entry.episode.outcome, Outcome::Invalid(_)) {
-            valid.push(entry.index());
-        }
+        indices.push(entry.or_usage()?.index());
     }
-    let chosen = random_positions(valid.len() as u64, k).map_err(evidence_error)?;
-    let rows: Vec<u64> = chosen.iter().filter_map(|at| valid.get(*at as usize).copied()).collect();
+    let chosen = random_positions(indices.len() as u64, k).map_err(evidence_error)?;
+    let rows: Vec<u64> = chosen.iter().filter_map(|at| indices.get(*at as usize).copied()).collect();
+    let (mut identical, mut lost) = (0, 0);
     let mut worker = subject.worker().or_broken()?;
     for entry in dictionary.entries() {
         let entry = entry.or_usage()?;
@@ -67,13 +73,26 @@ pub(crate) fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result
             continue;
         }
         let before = entry.episode;
+        if matches!(&before.outcome, Outcome::Invalid(fault) if fault.kind == FaultKind::Unavailable) {
+            lost += 1;
+            continue;
+        }
         let again = rollout(&mut *worker.environment, &mut *worker.policy, &before.scenario);
-        if let Outcome::Invalid(fault) = &again.outcome {
+        if let Outcome::Invalid(fault) = &again.outcome
+            && fault.kind == FaultKind::Unavailable
+        {
             return Err(anyhow!("{fault}"))
                 .with_context(|| format!("--rerun: row {} cannot be run", entry_index(&before)))
                 .or_broken();
         }
-        if again != before {
+        let same = again.repeats(&before);
+        identical += u64::from(same);
+        let alike = match (&before.outcome, &again.outcome) {
+            // The text of a fault may name an address or a time.
+            (Outcome::Invalid(was), Outcome::Invalid(is)) => was.kind == is.kind,
+            (was, is) => other_maths && was.as_str() == is.as_str(),
+        };
+        if !same && !alike {
             let describe = |episode: &robogate_core::Episode| {
                 let outcome = episode.outcome.as_str();
                 format!("{outcome} at {:.3} s, trajectory {:016x}", episode.time_s, episode.trajectory_hash)
@@ -86,7 +105,7 @@ pub(crate) fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result
             ));
         }
     }
-    Ok(Ok(Rerun { of: valid.len() as u64, rows }))
+    Ok(Ok(Rerun { of: indices.len() as u64, rows, identical, lost, other_maths }))
 }
 
 fn entry_index(episode: &robogate_core::Episode) -> u64 {
@@ -94,7 +113,7 @@ fn entry_index(episode: &robogate_core::Episode) -> u64 {
 }
 
 /// Rejects a setup in which the same episodes can have other bits.
-fn same_setup(recorded: &Provenance, here: &Provenance) -> Result<(), Exit> {
+fn same_setup(recorded: &Provenance, here: &Provenance, other_maths: bool) -> Result<(), Exit> {
     let same = |name: &str, equal: bool, was: String, is: String| {
         if equal {
             return Ok(());
@@ -114,5 +133,5 @@ fn same_setup(recorded: &Provenance, here: &Provenance) -> Result<(), Exit> {
         let known = p.platform.as_ref().map(robogate_dictionary::Platform::properties).unwrap_or_default();
         known.into_iter().map(|(_, value)| value).collect::<Vec<_>>().join(", ")
     };
-    same("platform", recorded.platform == here.platform, platform(recorded), platform(here))
+    same("platform", recorded.platform == here.platform || other_maths, platform(recorded), platform(here))
 }

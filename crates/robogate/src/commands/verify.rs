@@ -139,19 +139,33 @@ impl Verify {
 }
 
 fn tell_rerun(rerun: &Rerun) {
-    let rows = rerun.rows.len() as u64;
+    let rows = rerun.rows.len() as u64 - rerun.lost;
+    let same = match rows - rerun.identical {
+        0 => "with the same outcome, measures and trajectory".to_owned(),
+        others if rerun.other_maths => format!(
+            "with the same outcome; {} have other last bits, because the mathematical functions of the C library differ from those \
+             of the run",
+            grouped(others)
+        ),
+        others => format!("with the same outcome; {} are invalid for the same reason in other words", grouped(others)),
+    };
     if rows == rerun.of {
-        let all = counted(rows, "valid row");
-        line(format_args!("  rerun: all {all} ran again, with the same outcome, measures and trajectory"));
-        return;
+        line(format_args!("  rerun: all {} ran again, {same}", counted(rows, "row")));
+    } else {
+        line(format_args!(
+            "  rerun: {} of {} rows, chosen at random, ran again, {same}; {} or more invented rows would have been found with \
+             95 % probability",
+            grouped(rows),
+            grouped(rerun.of),
+            percent(rerun.detects())
+        ));
     }
-    line(format_args!(
-        "  rerun: {} of {} valid rows, chosen at random, have the same outcome, measures and trajectory; {} or more \
-         invented rows would have been found with 95 % probability",
-        grouped(rows),
-        grouped(rerun.of),
-        percent(rerun.detects())
-    ));
+    if rerun.lost > 0 {
+        line(format_args!(
+            "  rerun: {} chosen had been lost to a server that was unavailable, and cannot be repeated",
+            counted(rerun.lost, "row")
+        ));
+    }
 }
 
 /// The first line: the verdict, with all that limits its meaning.
