@@ -64,6 +64,17 @@ pub enum JsonError {
     Syntax(#[from] serde_json::Error),
 }
 
+/// The reason why a TOML text was not decoded.
+#[derive(Debug, thiserror::Error)]
+pub enum TomlError {
+    /// It exceeds a budget.
+    #[error(transparent)]
+    OverBudget(#[from] OverBudget),
+    /// It is not TOML, or not of the expected form.
+    #[error(transparent)]
+    Syntax(#[from] toml::de::Error),
+}
+
 impl Budget {
     /// A reply of a policy server. A chunk of a thousand actions with 32 numbers has 33,000 values.
     pub const REPLY: Self = Self { bytes: 64 << 20, values: 1 << 18, depth: 64 };
@@ -111,6 +122,34 @@ impl Budget {
         Ok(())
     }
 
+    /// Checks a TOML text. Text that is not TOML may pass: its decoder rejects it. Signs in strings and comments count too.
+    pub fn check_toml(&self, text: &str) -> Result<(), OverBudget> {
+        self.check_bytes(text.len())?;
+        let bytes = text.as_bytes();
+        let mut values = 1;
+        for (at, byte) in bytes.iter().enumerate() {
+            values += match byte {
+                b'[' | b'{' => OBJECT,
+                // A dotted key is a table for each dot; a dot before a digit belongs to a number.
+                b'.' if bytes.get(at + 1).is_some_and(|next| next.is_ascii_alphabetic() || b"_-\"'".contains(next)) => {
+                    OBJECT
+                }
+                b'=' | b',' => 1,
+                _ => 0,
+            };
+            if values > self.values {
+                return Err(OverBudget::Values { at, limit: self.values });
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks a TOML text and decodes it.
+    pub fn toml<T: DeserializeOwned>(&self, text: &str) -> Result<T, TomlError> {
+        self.check_toml(text)?;
+        Ok(toml::from_str(text)?)
+    }
+
     /// Checks a JSON text and decodes it.
     pub fn json<T: DeserializeOwned>(&self, text: &[u8]) -> Result<T, JsonError> {
         self.check_json(text)?;
@@ -129,6 +168,18 @@ mod tests {
         let text = br#"{"a\"[[[[[": [1, 2, {"b": "]]{{{{,,,,"}], "c": null}"#;
         let decoded: serde_json::Value = SMALL.json(text).unwrap();
         assert_eq!(decoded, serde_json::from_slice::<serde_json::Value>(text).unwrap());
+    }
+
+    #[test]
+    fn tables_of_toml_are_counted() {
+        let check = |text: &str| SMALL.check_toml(text);
+        assert_eq!(check("a = 1.5\n[b]\nc = [0.25, 0.5]\n"), Ok(()));
+        for text in ["[a]\n[b]\n[c]\n", "a.b.c.d = 1", "a = {b = {c = {}}}"] {
+            assert!(matches!(check(text), Err(OverBudget::Values { limit: 40, .. })), "{text}");
+        }
+        assert_eq!(check(&"#".repeat(1_001)), Err(OverBudget::Bytes { found: 1_001, limit: 1_000 }));
+        assert_eq!(SMALL.toml::<toml::Table>("a = 1").unwrap().len(), 1);
+        assert!(matches!(SMALL.toml::<toml::Table>("a = "), Err(TomlError::Syntax(_))));
     }
 
     #[test]

@@ -6,6 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::Value;
+use crate::budget::Budget;
 use crate::copula::Copula;
 
 /// A parameter space: the parameters that vary between episodes, with their ranges and distribution.
@@ -67,6 +68,7 @@ impl ParameterSpace {
 
     /// Reads a space from TOML. Errors name the line and key, or the parameter.
     pub fn from_toml(text: &str) -> Result<Self, SpaceError> {
+        Budget::FILE.check_toml(text).map_err(|error| SpaceError::Syntax(error.to_string()))?;
         // Parsing and validation are separate steps, which keeps the type of a validation error.
         let syntax = |e: toml::de::Error| SpaceError::Syntax(in_parameter(text).unwrap_or_else(|| e.to_string()));
         let file = match with_fixed_kinds(text) {

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::path::Path;
 
+use robogate_core::budget;
 use robogate_core::{Severity, TaskSpec};
 use robogate_dictionary::read_text;
 use schemars::JsonSchema;
@@ -182,7 +183,8 @@ impl Requirements {
     /// A problem with its location: an unknown key, a requirement without a limit, or one that cannot be met at any
     /// number of episodes.
     pub fn from_toml(text: &str) -> Result<Self, GateError> {
-        let requirements: Self = toml::from_str(text).map_err(|error| GateError::Syntax(error.to_string()))?;
+        let requirements: Self =
+            budget::Budget::FILE.toml(text).map_err(|error| GateError::Syntax(error.to_string()))?;
         requirements.check()?;
         Ok(requirements)
     }

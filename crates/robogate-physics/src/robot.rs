@@ -8,6 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::robot_folder;
+use robogate_core::budget::Budget;
 
 /// A robot as read from its folder. An engine checks it against its model.
 #[derive(Debug, Clone, PartialEq)]
@@ -394,7 +395,7 @@ impl RobotSettings {
     }
 
     fn parse(text: &str, path: &Path) -> Result<Self, RobotError> {
-        toml::from_str(text).map_err(|e| RobotError::Invalid {
+        Budget::FILE.toml(text).map_err(|e| RobotError::Invalid {
             path: path.to_owned(),
             problems: vec![Problem::new(
                 e.to_string().trim_end(),

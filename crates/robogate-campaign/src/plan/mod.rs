@@ -10,6 +10,7 @@ mod preset;
 
 use std::path::Path;
 
+use robogate_core::budget::Budget;
 use robogate_core::{Sampler, Suite, samplers};
 use robogate_dictionary::read_text;
 use schemars::JsonSchema;
@@ -146,7 +147,7 @@ fn default_band() -> [f64; 2] {
 impl Plan {
     /// Reads a plan from TOML. Errors name line and key.
     pub fn from_toml(text: &str) -> Result<Self, PlanError> {
-        let plan: Self = toml::from_str(text).map_err(|e| PlanError::Syntax(e.to_string()))?;
+        let plan: Self = Budget::FILE.toml(text).map_err(|e| PlanError::Syntax(e.to_string()))?;
         plan.check_alone()?;
         Ok(plan)
     }

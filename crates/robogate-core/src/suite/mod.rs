@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 pub use self::file::Published;
 use self::file::SuiteFile;
 pub use self::problem::{SuiteError, SuiteProblem};
+use crate::budget::Budget;
 use crate::samplers::LatinHypercube;
 use crate::{Assignment, Domain, ParameterSpace, Sampler, Scenario, Seed, Value};
 
@@ -135,7 +136,7 @@ impl Suite {
 
     /// Reads a suite from TOML. A syntax error names line and key. Errors of content are all reported at once.
     pub fn from_toml(text: &str) -> Result<Self, SuiteError> {
-        let file: SuiteFile = toml::from_str(text).map_err(|e| SuiteError::Syntax(e.to_string()))?;
+        let file: SuiteFile = Budget::FILE.toml(text).map_err(|e| SuiteError::Syntax(e.to_string()))?;
         Self::try_from(file)
     }
 

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use robogate_core::budget::Budget;
 use robogate_core::{FailureMode, Word};
 use serde::Deserialize;
 use serde::de::{Deserializer, Error, MapAccess, Visitor};
@@ -82,7 +83,9 @@ pub struct About {
 impl Mapping {
     /// Reads a mapping from TOML. `origin` names it in errors.
     pub fn from_toml(text: &str, origin: &str) -> Result<Self, DictionaryError> {
-        toml::from_str(text).map_err(|e| DictionaryError::Mapping { origin: origin.to_owned(), reason: e.to_string() })
+        Budget::FILE
+            .toml(text)
+            .map_err(|e| DictionaryError::Mapping { origin: origin.to_owned(), reason: e.to_string() })
     }
 
     /// Adds pairs in the command-line form: `success=ok,flag.jammed=jam,parameter.mass_kg=mass`.

@@ -75,9 +75,20 @@ pub fn verify(folder: &Path, trusted: Option<&PublicKey>) -> Result<Verified, Ve
         Err(problem) => return Err(vec![problem]),
     };
     let statements = statements_of(&manifest);
+    let (signed, key) = check_key(folder, &manifest, trusted, &mut problems);
+    // Nothing else of a folder that the trusted key did not sign is read.
+    if trusted.is_some() {
+        for name in statements.iter().filter(|_| manifest.signer.is_some()) {
+            if let Some(Err(reason)) = key.as_ref().map(|key| signed_body(folder, name, key)) {
+                problems.push(Problem::new(name.as_str(), reason));
+            }
+        }
+        if !problems.is_empty() {
+            return Err(problems);
+        }
+    }
     check_files(folder, &manifest, &statements, &mut problems);
     let evaluation = check_facts(folder, &manifest, &mut problems);
-    let (signed, key) = check_key(folder, &manifest, trusted, &mut problems);
     let sha256 = facts::sha256(manifest.to_json().as_bytes());
     let bodies = evaluation.as_ref().map(|evaluation| {
         [statement::test_result(&manifest, &sha256, evaluation), statement::evidence(&manifest, &sha256)]

@@ -8,6 +8,7 @@ mod piece;
 mod policy;
 mod table;
 
+use robogate_core::budget::Budget;
 use std::collections::BTreeMap;
 
 use robogate_core::Word;
@@ -41,7 +42,7 @@ impl TaskMap {
     /// # Errors
     /// If the text is not the TOML of a map. The message has line and column.
     pub fn from_toml(text: &str) -> Result<Self, String> {
-        let map: Self = toml::from_str(text).map_err(|why| format!("not a valid map: {why}"))?;
+        let map: Self = Budget::FILE.toml(text).map_err(|why| format!("not a valid map: {why}"))?;
         if map == Self::default() {
             return Err("the map is empty. Expected at least one of [vectors], [cameras] and [action]".to_owned());
         }

@@ -6,6 +6,7 @@ mod dialect;
 mod memory;
 mod observation;
 
+use robogate_core::budget::Budget;
 use serde::{Deserialize, Serialize};
 
 pub use action::{ActionForm, Arm, Chunking, Frame, Rotation, Side};
@@ -133,7 +134,7 @@ impl Profile {
 
     /// Parse and check a profile.
     pub fn from_toml(text: &str) -> Result<Self, ProfileError> {
-        let profile: Self = toml::from_str(text).map_err(|e| ProfileError::Form(e.to_string()))?;
+        let profile: Self = Budget::FILE.toml(text).map_err(|e| ProfileError::Form(e.to_string()))?;
         profile.check()?;
         Ok(profile)
     }
