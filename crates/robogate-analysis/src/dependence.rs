@@ -97,11 +97,12 @@ impl Dependence {
         }
         let mut serial_p = None;
         found.retain(|grouping| grouping.clusters.divides() || groups.contains(&grouping.by));
-        if found.is_empty() && population == Population::AsImported {
-            if let Some((p, blocks)) = neighbours(base) {
-                serial_p = Some(p);
-                found.push(Grouping { by: NEIGHBOURS.to_owned(), clusters: blocks });
-            }
+        if found.is_empty()
+            && population == Population::AsImported
+            && let Some((p, blocks)) = neighbours(base)
+        {
+            serial_p = Some(p);
+            found.push(Grouping { by: NEIGHBOURS.to_owned(), clusters: blocks });
         }
         let groupings = independent_of_each_other(found);
         let new_clusters = population != Population::Suite || !groups.is_empty();

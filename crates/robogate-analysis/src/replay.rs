@@ -95,13 +95,13 @@ fn by_risk(table: &EpisodeTable, base: &Sample, scored: &Scored) -> Vec<ReplayGr
             ReplayReason::UnexpectedFailure,
             "Failed although success was predicted",
             format!("Failed although {by} predicts success: possible model error."),
-            lowest(base.len(), |i| (!base.success[i]).then(|| risk(i))),
+            lowest(base.len(), |i| (!base.success[i] && risk(i) < 0.5).then(|| risk(i))),
         ),
         group(
             ReplayReason::UnexpectedSuccess,
             "Succeeded although failure was predicted",
             format!("Succeeded although {by} predicts failure: possible model error."),
-            lowest(base.len(), |i| base.success[i].then(|| -risk(i))),
+            lowest(base.len(), |i| (base.success[i] && risk(i) > 0.5).then(|| -risk(i))),
         ),
         group(
             ReplayReason::Boundary,

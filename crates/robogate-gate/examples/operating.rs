@@ -1,6 +1,7 @@
 //! Prints how many episodes sequential testing saves, as a Markdown table.
 #![expect(clippy::print_stdout, reason = "an example that prints")]
 
+use robogate_stats::budgeted::Budget;
 use robogate_stats::operating::{RateTest, Schedule, characteristic};
 
 /// The smallest fixed number of episodes, in complete rounds, at which the exact test passes with probability `power`.
@@ -10,7 +11,7 @@ fn fixed(test: RateTest, p: f64, power: f64) -> Option<u64> {
 
 fn main() {
     let test = RateTest { at_least: 0.92, alpha: 0.05, beta: 0.05 };
-    let rounds = Schedule::Rounds { per_round: 68, rounds: 20 };
+    let rounds = Schedule::Budget(Budget { per_round: 68, rounds: 20 });
     println!("| true rate | pass | fail | open | expected episodes | of 1,360 saved | fixed number with that power |");
     println!("|---:|---:|---:|---:|---:|---:|---:|");
     for p in [1.0, 0.99, 0.98, 0.97, 0.96, 0.95, 0.94, 0.92, 0.90, 0.88, 0.85, 0.80] {

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::comparison::{Against, Comparison};
 use crate::figure::{Extremes, figure};
-use crate::requirement_test::{How, test};
+use crate::requirement_test::{How, anytime_interval, test};
 use crate::rounds::Rounds;
 use crate::ruled_out::RuledOut;
 use crate::scope::{Scope, expand};
@@ -123,7 +123,8 @@ pub struct GroupResult {
     pub invalid: u64,
     /// Number of successes.
     pub successes: u64,
-    /// Exact (Clopper-Pearson) 95 % interval of the success rate. It assumes a fixed number of episodes.
+    /// 95 % interval of the success rate: exact (Clopper-Pearson) for a fixed number of episodes, and valid at any stopping time
+    /// (e-process, 2.5 % on each side) for a sequential gate.
     pub interval_95: [f64; 2],
     /// How the other episodes ended, the most frequent first.
     pub endings: Vec<EndingCount>,
@@ -389,7 +390,7 @@ impl Question<'_> {
             new_cases: NewCases::of(&record.population, &rounds.trials().collect::<Vec<&Trial>>()),
             results,
             comparison,
-            groups: groups(rounds.trials()),
+            groups: groups(rounds.trials(), sampling),
             score: ConfidenceScore::of(&requirements.score, self.baseline, rounds.rounds.iter().flatten().copied()),
             decided_at_episodes,
             controls: record.controls.clone(),
@@ -625,7 +626,7 @@ pub(crate) fn known<'a>(trials: impl Iterator<Item = &'a Trial>) -> String {
     }
 }
 
-fn groups<'a>(trials: impl Iterator<Item = &'a Trial>) -> Vec<GroupResult> {
+fn groups<'a>(trials: impl Iterator<Item = &'a Trial>, sampling: Sampling) -> Vec<GroupResult> {
     let mut found: Vec<(&Label, Vec<&Trial>)> = Vec::new();
     for trial in trials {
         let label = &trial.label;
@@ -640,13 +641,17 @@ fn groups<'a>(trials: impl Iterator<Item = &'a Trial>) -> Vec<GroupResult> {
             None => found.push((label, vec![trial])),
         }
     }
-    found.into_iter().map(|(label, trials)| group(label, &trials)).collect()
+    found.into_iter().map(|(label, trials)| group(label, &trials, sampling)).collect()
 }
 
-fn group(label: &Label, trials: &[&Trial]) -> GroupResult {
+fn group(label: &Label, trials: &[&Trial], sampling: Sampling) -> GroupResult {
     let valid = trials.iter().filter(|trial| trial.ending.is_valid()).count() as u64;
     let successes = trials.iter().filter(|trial| trial.ending == Ending::Success).count() as u64;
-    let interval = clopper_pearson(Trials::new(successes, valid).unwrap_or(Trials::NONE), Confidence::P95);
+    let counts = Trials::new(successes, valid).unwrap_or(Trials::NONE);
+    let interval = match sampling {
+        Sampling::Fixed => clopper_pearson(counts, Confidence::P95),
+        Sampling::Sequential => anytime_interval(counts, Confidence::P95.tail()),
+    };
     GroupResult {
         category: label.category.clone().unwrap_or_default(),
         group: label.group.clone().unwrap_or_default(),

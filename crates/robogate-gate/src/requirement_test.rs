@@ -184,6 +184,15 @@ fn at_once(look: Look, p0: f64, how: How) -> (f64, f64, Interval) {
     (-above, -below, Interval { low, high })
 }
 
+/// The rates that the e-process does not exclude at error `alpha` on each side, at any stopping time.
+pub(crate) fn anytime_interval(trials: Trials, alpha: f64) -> Interval {
+    let Some(rate) = trials.rate() else { return Interval::UNIT };
+    let look = Look { worst: trials, best: trials };
+    let how =
+        How { sampling: Sampling::Sequential, alpha, beta: alpha, suite: false, mixed: false, budget: None, steps: 1 };
+    at_once(look, rate.clamp(1e-9, 1.0 - 1e-9), how).2
+}
+
 /// ln P(X >= k | p0), for episodes with different rates if `mixed`.
 fn fixed_above(trials: Trials, p0: f64, mixed: bool) -> f64 {
     let binomial = at_least(trials, p0);

@@ -91,18 +91,27 @@ pub fn counted(n: u64, thing: &str) -> String {
     if n == 1 { format!("1 {thing}") } else { format!("{} {thing}s", count(n)) }
 }
 
-/// A p-value from its natural logarithm, readable far below the smallest `f64`.
+/// Smaller p-values are stated as a bound: no approximation is accurate so far in the tail.
+const LEAST_P: f64 = 1e-6;
+
+/// A p-value from its natural logarithm. Below 1e-6 it is a bound, `< 1e-6`.
 pub fn p_value(ln_p: f64) -> String {
     let p = ln_p.exp();
     if p >= 0.001 {
         fixed(p, 3)
-    } else if ln_p.is_finite() {
+    } else if p >= LEAST_P {
         let exponent = (ln_p / std::f64::consts::LN_10).floor();
         let mantissa = (ln_p - exponent * std::f64::consts::LN_10).exp();
         format!("{mantissa:.1}e{}", minus(format!("{exponent:.0}")))
     } else {
-        "0".to_owned()
+        "< 1e\u{2212}6".to_owned()
     }
+}
+
+/// A p-value as an equation: `p = 0.037`, or `p < 1e-6`.
+pub fn p_equation(ln_p: f64) -> String {
+    let p = p_value(ln_p);
+    if p.starts_with('<') { format!("p {p}") } else { format!("p = {p}") }
 }
 
 /// Items as a list in a sentence: "a, b and c".
@@ -162,7 +171,12 @@ mod tests {
     #[test]
     fn tiny_p_values_stay_readable() {
         assert_eq!(p_value(0.037_f64.ln()), "0.037");
-        assert_eq!(p_value(-2000.0 * std::f64::consts::LN_10), "1.0e\u{2212}2000");
+        assert_eq!(p_value(2.5e-6_f64.ln()), "2.5e\u{2212}6");
+        for ln_p in [9e-7_f64.ln(), -2000.0 * std::f64::consts::LN_10, f64::NEG_INFINITY] {
+            assert_eq!(p_value(ln_p), "< 1e\u{2212}6");
+            assert_eq!(p_equation(ln_p), "p < 1e\u{2212}6");
+        }
+        assert_eq!(p_equation(0.037_f64.ln()), "p = 0.037");
     }
 
     #[test]

@@ -23,7 +23,7 @@ pub(crate) fn print(evaluation: &Evaluation) {
     let wide = |cell: fn(&RequirementRow) -> &str, head: &str| {
         rows.iter().map(|row| cell(row).chars().count()).max().unwrap_or(0).max(head.chars().count())
     };
-    let heads = ["requirement", "observed", "confidence interval"];
+    let heads = ["requirement", "observed", "one-sided bounds"];
     let widths = [wide(|r| &r.requirement, heads[0]), wide(|r| &r.observed, heads[1]), wide(|r| &r.interval, heads[2])];
     let point = evaluation.requirements.mode == Mode::Point;
     let [a, b, c] = widths;

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::rate::ends;
 use crate::rate::{Finding, Population, Rate};
 use crate::source::BoundaryFile;
-use crate::table::{Ending, EpisodeTable, ParameterKind, Sample};
+use crate::table::{ACTIVE, Ending, EpisodeTable, ParameterKind, Sample};
 
 /// How often the policy succeeds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -91,7 +91,8 @@ pub struct StageSuccess {
     pub weights: Option<[f64; 2]>,
     /// Kish's effective sample size of its weights.
     pub effective_sample_size: f64,
-    /// The weighted rate of a focused stage (Hajek): it applies to the operating space inside the region of the stage.
+    /// The weighted rate of a boundary stage (Hajek): it applies to the operating space inside the region of the stage. Absent for
+    /// an active stage, which has no region: its rows count in the rate from all rows.
     pub weighted: Option<WeightedRate>,
 }
 
@@ -191,7 +192,8 @@ fn stage(table: &EpisodeTable, at: usize) -> StageSuccess {
         rate: Rate::of(Trials::count(success.iter().copied())),
         weights: (low <= high).then_some([low, high]),
         effective_sample_size: effective_sample_size(&weights),
-        weighted: of.focused.then(|| weighted(&success, &weights).ok()).flatten(),
+        // The weights of an active stage refer to all of its rows together, and these are only those that its model chose.
+        weighted: (of.focused && of.name != ACTIVE).then(|| weighted(&success, &weights).ok()).flatten(),
     }
 }
 

@@ -94,6 +94,7 @@ fn uniform_part_counts_and_chosen_rows_do_not() {
     let stage = |name: &str| both.success.stages.iter().find(|s| s.stage == name).unwrap();
     assert_eq!(stage("active").population, Population::FocusedDesign);
     assert_eq!(stage("active (uniform part)").population, Population::OperatingSpace);
+    assert_eq!(stage("active").weighted, None, "the chosen rows alone have no region");
     let plain = stage("active").rate.rate.unwrap();
     assert!((plain - truth).abs() > 0.1, "the chosen rows alone: {plain} for {truth}");
     let found = both.success.reweighted.as_ref().unwrap().estimated().unwrap();

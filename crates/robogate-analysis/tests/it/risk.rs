@@ -1,11 +1,11 @@
 //! The risk model of imported results with several episodes of the same scenes.
 
-use robogate_analysis::Analysis;
+use robogate_analysis::{Analysis, ReplayReason};
 use robogate_core::{FailureMode, Outcome};
 use robogate_stats::{Confidence, Trials, wilson};
 
 use crate::hold;
-use crate::synthetic::{analysed, entry, point, space, unit};
+use crate::synthetic::{analysed, entry, point, space, unit, with_outcomes};
 
 const SCENES: u64 = 60;
 const REPEATS: u64 = 10;
@@ -65,4 +65,18 @@ fn calibration_counts_scenes() {
         of_rows += by_row;
     }
     assert!(sum > 1.3 * of_rows, "{sum} {of_rows}");
+}
+
+#[test]
+// In a law without any effect, no outcome of the frequent kind is unexpected.
+fn expected_failures_are_not_called_unexpected() {
+    let mostly =
+        |i: u64| if unit(i, 99) < 0.2 { Outcome::Success } else { Outcome::Failure(FailureMode::constant("jam")) };
+    let analysis = analysed(&space(&["box", "sphere"]), with_outcomes(600, mostly));
+    let of = |reason: ReplayReason| analysis.replay.iter().filter(move |group| group.reason == reason);
+    let risk = |figure: &str| -> f64 { figure.trim_start_matches("risk ").trim_end_matches(" %").parse().unwrap() };
+    let failures: Vec<f64> =
+        of(ReplayReason::UnexpectedFailure).flat_map(|group| &group.episodes).map(|e| risk(&e.figure)).collect();
+    assert!(failures.iter().all(|risk| *risk < 50.0), "{failures:?}");
+    assert!(of(ReplayReason::UnexpectedSuccess).next().is_some(), "successes are unexpected here");
 }

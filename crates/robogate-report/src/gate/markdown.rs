@@ -37,7 +37,7 @@ pub fn evaluation_markdown_with(evaluation: &Evaluation, watch: Option<&Watch>) 
         escape_markdown(&evaluation.because)
     );
     if evaluation.requirements.mode == Mode::Confidence {
-        out.push_str("| | requirement | observed | confidence interval | |\n|---|---|---:|---:|---|\n");
+        out.push_str("| | requirement | observed | one-sided bounds | |\n|---|---|---:|---:|---|\n");
     } else {
         out.push_str("| | requirement | observed | |\n|---|---|---:|---|\n");
     }

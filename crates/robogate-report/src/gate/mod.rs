@@ -29,7 +29,7 @@ pub struct RequirementRow {
     pub requirement: String,
     /// The observed figure.
     pub observed: String,
-    /// The confidence interval. Empty in point mode.
+    /// The bounds of the figure, each one-sided at the confidence of the requirements. Empty in point mode.
     pub interval: String,
     /// How many episodes would decide it, or why there is no evidence. Empty if it is decided.
     pub note: String,
@@ -169,7 +169,24 @@ pub fn new_cases(evaluation: &Evaluation) -> Option<String> {
 pub fn how_judged(evaluation: &Evaluation) -> String {
     let dropped =
         evaluation.dropped.iter().map(|d| format!(" Not judged as written: `{}`, because {}.", d.id, d.because));
-    test_used(evaluation) + &dropped.collect::<String>()
+    test_used(evaluation) + &levels(evaluation) + &dropped.collect::<String>()
+}
+
+/// What the printed bounds mean.
+fn levels(evaluation: &Evaluation) -> String {
+    if evaluation.requirements.mode == Mode::Point {
+        return String::new();
+    }
+    let confidence = evaluation.requirements.confidence;
+    let groups = match evaluation.sampling {
+        Sampling::Fixed => "exact",
+        Sampling::Sequential => "valid at any number of episodes",
+    };
+    format!(
+        " Each of the two bounds of a requirement holds at {}, so both together are a {} interval. Intervals of groups are {groups}, at 95 %.",
+        percent(confidence),
+        percent(2.0 * confidence - 1.0)
+    )
 }
 
 fn test_used(evaluation: &Evaluation) -> String {
@@ -184,7 +201,7 @@ fn test_used(evaluation: &Evaluation) -> String {
             "Each requirement is tested at {percent} confidence by a test that is valid however the number of episodes was chosen. If it was fixed in advance, import with `--stopping fixed`: the exact test needs fewer episodes. A pass states that all requirements hold, a fail that at least one does not; each is wrong with a probability of at most {error}."
         ),
         (Mode::Confidence, Sampling::Sequential) => format!(
-            "Each requirement is tested at {percent} confidence after each round, by a test that allows repeated looks at the data. A pass states that all requirements hold, a fail that at least one does not; each is wrong with a probability of at most {error}."
+            "Each requirement is tested at {percent} confidence after each round, by a test for the number of rounds that was planned before the first (it assumes independent scenarios and fresh randomness in each round). A pass states that all requirements hold, a fail that at least one does not; each is wrong with a probability of at most {error}."
         ),
     }
 }

@@ -75,7 +75,7 @@ fn requirements(evaluation: &Evaluation) -> Vec<Block> {
         ("requirement", Text),
         ("identifiers", Text),
         ("observed", Number),
-        ("confidence interval", Number),
+        ("one-sided bounds", Number),
     ];
     let mut notes = Vec::new();
     let rows = RequirementRow::all(evaluation).into_iter().enumerate().map(|(at, row)| {

@@ -83,7 +83,7 @@ impl VerdictBlock {
     pub(crate) fn markdown(&self, out: &mut String) {
         // Writing to a string cannot fail.
         let _ = write!(out, "## Verdict: {}\n\n{}\n\n", self.word(), escape_markdown(&self.because));
-        out.push_str("| | requirement | observed | confidence interval | |\n|---|---|---:|---:|---|\n");
+        out.push_str("| | requirement | observed | one-sided bounds | |\n|---|---|---:|---:|---|\n");
         for VerdictRow { row, .. } in &self.requirements {
             let _ = writeln!(
                 out,

@@ -339,13 +339,11 @@ fn uncertainty(analysis: &Analysis) -> Vec<String> {
         let gain = found.effective_episodes / rate.n as f64;
         if gain > MIN_GAIN {
             lines.push(format!(
-                "With the known distribution of {}: {}, 95 % interval {}. This is as precise as {} independent episodes, {:.1} \
-                 times the number that was run.",
+                "With the known distribution of {}: {}, 95 % interval {}. Its variance is {} of that of the plain rate.",
                 counted(found.parameters, "parameter"),
                 percent(found.rate),
                 percent_range(found.interval_95),
-                count(found.effective_episodes.round() as u64),
-                gain
+                percent(1.0 / gain)
             ));
         }
     }

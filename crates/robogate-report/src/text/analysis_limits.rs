@@ -159,9 +159,10 @@ fn intervals(analysis: &Analysis) -> String {
 }
 
 fn causes(analysis: &Analysis, joint: bool) -> String {
-    if analysis.provenance.source.is_some() && sampling(analysis) != Some(RowSampling::Uniform) {
+    if analysis.provenance.source.is_some() {
         return "Correlations, coefficients and thresholds describe the imported rows. Parameters may be correlated with each other \
-                and with causes that were not recorded, so an effect need not be causal."
+                and with causes that were not recorded, so an effect need not be causal. What the import states about the sampling \
+                is not checked."
             .to_owned();
     }
     let sampling = if joint {

@@ -391,11 +391,11 @@ fn danger(analysis: &Analysis) {
             None => zone.cell.clone(),
         };
         let text = format!(
-            "  {:<16} {cell:<18} {:>7} {:>9}  p (Holm) {:.1e}  {}",
+            "  {:<16} {cell:<18} {:>7} {:>9}  p (Holm) {:>8}  {}",
             zone.parameter,
             percent_or_dash(zone.rate.rate),
             grouped(zone.rate.n),
-            zone.holm_p,
+            p_value(zone.holm_p.max(f64::MIN_POSITIVE).ln()),
             if zone.significant { "significant" } else { "not significant" }
         );
         if zone.significant { line(text) } else { line(dim(text)) }

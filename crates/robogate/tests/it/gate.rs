@@ -65,7 +65,7 @@ fn default_gate_needs_no_arguments() {
     assert_exit(
         &["gate", "--plan"],
         0,
-        &["success rate at least 92.00 %", "limit", "met at the earliest after 5 rounds"],
+        &["success rate at least 92.00 %", "limit", "met at the earliest after 7 rounds"],
     );
 }
 

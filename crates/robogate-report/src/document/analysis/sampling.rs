@@ -15,12 +15,11 @@ pub(super) fn section(analysis: &Analysis) -> Section {
     match &success.adjusted {
         Some(Finding::Estimated(found)) => blocks.push(Block::Text(format!(
             "With the known distribution of {} as a control variate (a linear model on their bins), the rate is {} with a standard \
-             error of {} and a 95 % interval of {}. {} independent episodes would give the same standard error.",
+             error of {} and a 95 % interval of {}.",
             counted(found.parameters, "parameter"),
             percent(found.rate),
             percent(found.se),
-            percent_range(found.interval_95),
-            count(found.effective_episodes.round() as u64)
+            percent_range(found.interval_95)
         ))),
         Some(Finding::CannotBeEstimated { because }) => {
             blocks.push(Block::cannot("An interval with the known distribution of the parameters", because));

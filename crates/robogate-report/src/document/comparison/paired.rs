@@ -2,7 +2,7 @@
 
 use robogate_analysis::labels::{mode_label, parameter_label};
 use robogate_analysis::{DisagreementMap, Finding, PairedComparison};
-use robogate_stats::format::{count, p_value, percent_or_dash, percent_range, points, points_range};
+use robogate_stats::format::{count, p_equation, percent_or_dash, percent_range, points, points_range};
 
 use super::{Block, Figure, Section, Table};
 use crate::document::Kind::{Code, Number, Short, Text};
@@ -55,7 +55,7 @@ fn facts(pair: &PairedComparison) -> Vec<(String, String)> {
         ("Difference".to_owned(), difference),
         (
             "Score test".to_owned(),
-            format!("p = {}; {} for all pairs of datasets together", p_value(pair.ln_p), plain_p(pair.adjusted_p)),
+            format!("{}; {} for all pairs of datasets together", p_equation(pair.ln_p), plain_p(pair.adjusted_p)),
         ),
         ("Scenarios".to_owned(), format!("{}, {} valid in both", count(pair.scenarios), count(pair.valid_pairs))),
     ];
