@@ -61,15 +61,9 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
     let file = model.file_name().map(|file| file.to_string_lossy().into_owned()).unwrap_or_default();
     let mut spec =
         robot_model::read(model).map_err(|error| one(error, "MuJoCo reads MJCF and URDF: correct the file"))?;
-    let raw = spec
-        .clone()
-        .compile()
-        .map_err(|error| vec![robot_model::rejected(&error)])?;
+    let raw = spec.clone().compile().map_err(|error| vec![robot_model::rejected(&error)])?;
     robot_model::prepare(&mut spec, MujocoEngine::TIME_STEP_S);
-    let compiled = spec
-        .clone()
-        .compile()
-        .map_err(|error| vec![robot_model::rejected(&error)])?;
+    let compiled = spec.clone().compile().map_err(|error| vec![robot_model::rejected(&error)])?;
     let text = std::fs::read_to_string(model).unwrap_or_default();
     let tree = Tree::of(&compiled).map_err(|problem| vec![problem])?;
     let mut draft = Writer { out: String::new(), guesses: Vec::new() };

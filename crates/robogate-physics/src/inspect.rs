@@ -115,12 +115,7 @@ impl RobotError {
     }
 }
 
-fn measure(
-    engine: &mut MujocoEngine,
-    scale: f64,
-    positions: &[[f64; 2]],
-    problems: &mut Vec<Problem>,
-) -> Measured {
+fn measure(engine: &mut MujocoEngine, scale: f64, positions: &[[f64; 2]], problems: &mut Vec<Problem>) -> Measured {
     let (chain, settings) = (engine.chain().clone(), engine.robot().settings.clone());
     let [flange_reach_m, tool_reach_m] = reach(&chain);
     let stated = settings.arm.reach_m;

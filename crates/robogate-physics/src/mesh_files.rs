@@ -75,8 +75,12 @@ fn keeping_paths(text: &str) -> Option<String> {
 fn tags<'a>(text: &'a str, name: &str) -> impl Iterator<Item = &'a str> {
     let start = format!("<{name}");
     let at: Vec<usize> = text.match_indices(&start).map(|(at, _)| at).collect();
-    let ends = move |rest: &str| rest[start.len()..].starts_with(|next: char| next.is_whitespace() || "/>".contains(next));
-    at.into_iter().map(|at| &text[at..]).filter(move |rest| ends(rest)).filter_map(|rest| Some(&rest[..=rest.find('>')?]))
+    let ends =
+        move |rest: &str| rest[start.len()..].starts_with(|next: char| next.is_whitespace() || "/>".contains(next));
+    at.into_iter()
+        .map(|at| &text[at..])
+        .filter(move |rest| ends(rest))
+        .filter_map(|rest| Some(&rest[..=rest.find('>')?]))
 }
 
 /// The value of an attribute of a start tag.

@@ -113,9 +113,7 @@ fn finger_motion(spec: &mut MjSpec, settings: &RobotSettings, jaw: &ParallelJaw)
     let arm: Vec<&str> = settings.arm.joints.iter().map(String::as_str).collect();
     let mut measurable = spec.clone();
     sweep::measurable(&mut measurable, &arm);
-    let model = measurable
-        .compile()
-        .map_err(|error| vec![rejected(&error)])?;
+    let model = measurable.compile().map_err(|error| vec![rejected(&error)])?;
     let motion = sweep::measure(model, settings, jaw)?;
     let open = motion.open().opening_m;
     let mut problems = Vec::new();

@@ -71,8 +71,9 @@ fn arm(rest: &str) -> String {
 fn slides(mass: f64) -> String {
     let finger = |name: &str| link(name, mass, 1e-4 * mass, "<box size=\"0.02 0.01 0.05\"/>", 0.035);
     let slide = |name: &str, side: &str, sign: &str, rest: &str| {
-        let rest =
-            format!("<axis xyz=\"0 {sign}1 0\"/><limit lower=\"0\" upper=\"0.04\" effort=\"100\" velocity=\"0.2\"/>{rest}");
+        let rest = format!(
+            "<axis xyz=\"0 {sign}1 0\"/><limit lower=\"0\" upper=\"0.04\" effort=\"100\" velocity=\"0.2\"/>{rest}"
+        );
         joint(name, "prismatic", ["hand", side], &format!("0 {sign}0.005 0.07"), &rest)
     };
     hand()
@@ -147,7 +148,13 @@ fn fingers_that_turn_are_measured_where_zero_is_not_open() {
         + &finger("right")
         + &finger("left")
         + &turn("drive", "right", "-0.012", "lower=\"-0.06\" upper=\"0.7\"", "")
-        + &turn("follower", "left", "0.012", "lower=\"-0.7\" upper=\"0.06\"", "<mimic joint=\"drive\" multiplier=\"-1\"/>")));
+        + &turn(
+            "follower",
+            "left",
+            "0.012",
+            "lower=\"-0.7\" upper=\"0.06\"",
+            "<mimic joint=\"drive\" multiplier=\"-1\"/>",
+        )));
     let folder = folder("open-not-zero", &model);
     drafted(&folder).unwrap();
     let jaw = jaw(&folder);
@@ -161,7 +168,10 @@ fn fingers_that_turn_are_measured_where_zero_is_not_open() {
 fn slides_that_close_upwards_become_drives() {
     let model = arm(&slides(0.1).replace("0 -0.005 0.07", "0 -0.045 0.07").replace("0 0.005 0.07", "0 0.045 0.07"))
         .replace("<axis xyz=\"0 -1 0\"/>", "<axis xyz=\"0 +1 0\"/>")
-        .replace("<axis xyz=\"0 1 0\"/><limit lower=\"0\" upper=\"0.04\"", "<axis xyz=\"0 -1 0\"/><limit lower=\"0\" upper=\"0.04\"")
+        .replace(
+            "<axis xyz=\"0 1 0\"/><limit lower=\"0\" upper=\"0.04\"",
+            "<axis xyz=\"0 -1 0\"/><limit lower=\"0\" upper=\"0.04\"",
+        )
         .replace("0 +1 0", "0 1 0");
     let folder = folder("closes-upwards", &model);
     drafted(&folder).unwrap();
@@ -174,7 +184,10 @@ fn slides_that_close_upwards_become_drives() {
 #[test]
 fn continuous_joints_turn_by_a_full_turn() {
     let continuous = |text: String, name: &str| {
-        text.replace(&format!("<joint name=\"{name}\" type=\"revolute\">"), &format!("<joint name=\"{name}\" type=\"continuous\">"))
+        text.replace(
+            &format!("<joint name=\"{name}\" type=\"revolute\">"),
+            &format!("<joint name=\"{name}\" type=\"continuous\">"),
+        )
     };
     let model = ["j1", "j4", "j6"].into_iter().fold(arm(&slides(0.1)), continuous);
     passes("continuous", &model);
@@ -187,8 +200,13 @@ fn links_without_mass_are_frames() {
         .replace("</robot>", "<link name=\"aux\"/></robot>")
         .replace(
             "</robot>",
-            &(joint("ja", "revolute", ["l5", "aux"], "0 0 0", "<axis xyz=\"1 0 0\"/><limit lower=\"-2\" upper=\"2\" effort=\"30\" velocity=\"2\"/>")
-                + "</robot>"),
+            &(joint(
+                "ja",
+                "revolute",
+                ["l5", "aux"],
+                "0 0 0",
+                "<axis xyz=\"1 0 0\"/><limit lower=\"-2\" upper=\"2\" effort=\"30\" velocity=\"2\"/>",
+            ) + "</robot>"),
         );
     passes("massless", &model);
 }
