@@ -90,12 +90,17 @@ pub(crate) fn test(robot: &Robot, problems: &mut Vec<Problem>) -> Option<(Grasp,
         }
     };
     let first = attempt(&mut plant, &path, (medium, heaviest.min(LARGEST.1)), problems)?;
+    problems.extend(problem(&first, settings.gripper.jaw()));
     let mut at_ends = Vec::new();
     for part in parts {
         if !problems.is_empty() {
             break;
         }
-        at_ends.extend(attempt(&mut plant, &path, part, problems));
+        if let Some(grasp) = attempt(&mut plant, &path, part, problems) {
+            // Fingers that turn press with less than their stated force where they are not parallel.
+            problems.extend(problem(&grasp, None));
+            at_ends.push(grasp);
+        }
     }
     Some((first, at_ends))
 }
@@ -116,10 +121,7 @@ fn attempt(
     problems: &mut Vec<Problem>,
 ) -> Option<Grasp> {
     match grasped(plant, path, part_m, mass_kg) {
-        Ok(grasp) => {
-            problems.extend(problem(&grasp, plant.engine.robot().settings.gripper.jaw()));
-            Some(grasp)
-        }
+        Ok(grasp) => Some(grasp),
         Err(fault) => {
             problems.push(Problem::new(
                 format!("the test grasp of a part of {:.0} mm and {mass_kg:.2} kg fails: {fault}", 1e3 * part_m),

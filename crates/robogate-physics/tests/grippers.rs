@@ -88,10 +88,10 @@ fn sprung_pads_are_measured_at_rest() {
 
 #[test]
 fn friction_does_not_weaken_the_grasp() {
-    let stiff = "range=\"-1 1\" armature=\"0.1\" frictionloss=\"1\"/>";
+    let stiff = "range=\"-1 1\" armature=\"0.02\" frictionloss=\"1\"/>";
     let model = changed(&[
         ("range=\"-1 1\"/>", stiff),
-        ("range=\"-0.2 1\"/>", "range=\"-0.2 1\" armature=\"0.1\" frictionloss=\"1\"/>"),
+        ("range=\"-0.2 1\"/>", "range=\"-0.2 1\" armature=\"0.02\" frictionloss=\"1\"/>"),
     ]);
     let (folder, text) = drafted("friction", &model, |text| text);
     crank_follows_its_formula(&folder);

@@ -27,11 +27,9 @@ const MOST_STEPS: usize = 1_500;
 /// Inertia of the gripper's motors during the measurement, in kg m^2 or kg.
 const ARMATURE: f64 = 1e-3;
 /// Inertia of the arm's motors during the measurement, in kg m^2: the arm's servos, which pull towards zero, and the reaction
-/// of the fingers do not accelerate it, so fingers with springs rest as on an arm that stands still.
-const STANDING: f64 = 1e6;
-/// Tolerance of the constraint solver, which is relative to the mean inertia: with [`STANDING`] arms, MuJoCo's default allows
-/// errors of 0.1 N, which move light fingers by millimetres.
-const TOLERANCE: f64 = 1e-11;
+/// of the fingers do not accelerate it, so fingers with springs rest as on an arm that stands still. MuJoCo's solver stops at an
+/// error of force that grows with this inertia: 1e6 kg m^2 moves light fingers by millimetres.
+const STANDING: f64 = 1e4;
 /// Number of time steps in which the inertia that a drive moves is measured: longer than equalities take to act.
 const PROBE_STEPS: usize = 20;
 /// In these steps a drive moves by at most this fraction of its travel.
@@ -56,14 +54,16 @@ pub(crate) fn remove_friction(spec: &mut MjSpec, arm: &[&str]) {
 /// the inertia of motors, and equalities hold best if everything that they couple has a similar inertia.
 pub(crate) fn measurable(spec: &mut MjSpec, arm: &[&str]) {
     remove_friction(spec, arm);
-    let step = spec.option_mut().timestep;
+    // Neither do they depend on the damping of the drives, which would count as inertia when that is measured.
+    let driven: Vec<String> =
+        spec.actuator_iter().filter_map(|actuator| actuator.name().strip_prefix(PREFIX).map(str::to_owned)).collect();
     for joint in spec.joint_iter_mut() {
-        // What a joint's damping takes in a time step is added to its inertia: see `damping`.
-        let damped = ARMATURE + step * joint.damping()[0];
-        let inertia = if arm.contains(&joint.name()) { STANDING } else { damped };
+        if driven.iter().any(|name| name == joint.name()) {
+            joint.damping_mut().fill(0.0);
+        }
+        let inertia = if arm.contains(&joint.name()) { STANDING } else { ARMATURE };
         joint.set_armature(inertia);
     }
-    spec.option_mut().tolerance = TOLERANCE;
 }
 
 /// Where a drive acts.
