@@ -386,6 +386,69 @@ class Faults(unittest.TestCase):
         with self.assertRaisesRegex(DeclarationError, "does not step the model"):
             Adapter(environment)
 
+    def test_success_is_a_truth_value(self):
+        from robogate_eval.serving.scoring import truth
+
+        for value, expected in [(True, True), (np.bool_(False), False), (1, True), (0.0, False), (np.array([1]), True), (np.array(False), False), (np.float32(1), True)]:
+            self.assertIs(truth(value, "x"), expected)
+        for value in (0.4, float("nan"), -1, 100, {"a": 1}, "yes", None, np.array([True, True]), [], np.float32(0.4)):
+            with self.assertRaisesRegex(Problem, rf"info\['success'\] is .*\({type(value).__name__}\). Expected True"):
+                truth(value, "info['success']")
+
+    def test_share_of_success_is_refused(self):
+        class Share(SlidingBox):
+            def step(self, action):
+                *rest, info = super().step(action)
+                return *rest, {"success": 0.4}
+
+        with self.assertRaisesRegex(DeclarationError, r"info\['success'\] is 0.4 \(float\)"):
+            sliding_box(Share)
+
+    def test_success_at_the_start_is_invalid(self):
+        class Solved(SlidingBox):
+            def reset(self, **options):
+                observation, info = super().reset(**options)
+                return observation, {**info, "is_success": True}
+
+        with self.assertRaisesRegex(DeclarationError, "already successful at the start"):
+            sliding_box(Solved)
+        task = Task(name="solved", starts_may_succeed=True)
+        adapter = Adapter(Environment(make=Solved, task=task, policies={"push": PUSH}))
+        self.assertIn("observation", adapter.reset(Scenario(0, 1, {}, policy="push")))
+
+    def test_derived_constants_leave_the_rest_alone(self):
+        """From MuJoCo 3.17 on, mj_setConst rewrites the poses of welds that an author set."""
+        import mujoco
+        from robogate_eval.serving import model as module
+
+        xml = """<mujoco><worldbody><body name="mocap" mocap="true" pos="0 0 .5"/><body name="hand" pos="0 0 .55"><freejoint/>
+        <geom type="box" size=".03 .03 .03" mass="1"/></body></worldbody><equality><weld body1="mocap" body2="hand"/></equality></mujoco>"""
+
+        class Env:
+            model = mujoco.MjModel.from_xml_string(xml)
+            data = mujoco.MjData(model)
+
+        Env.model.eq_data[0, 3:6] = (0, 0, 0.1)
+        original = mujoco.mj_setConst
+
+        def rewrites(model, data):
+            original(model, data)
+            model.eq_data[0, 3:6] = (0, 0, 0.05)
+
+        before = {name: array.copy() for name, array in module._numbers(Env.model).items()}
+        edited = module.Model(Env())
+        mujoco.mj_setConst = rewrites
+        try:
+            edited.edit(Env.model.body_mass, 2, 2.0)
+            edited.finish()
+            np.testing.assert_array_equal(Env.model.eq_data, before["eq_data"])
+            self.assertAlmostEqual(Env.model.body_subtreemass[2], 2.0)
+            edited.restore()
+        finally:
+            mujoco.mj_setConst = original
+        for name, array in module._numbers(Env.model).items():
+            np.testing.assert_array_equal(array, before[name], err_msg=name)
+
     def test_no_report_of_success(self):
         class Silent(SlidingBox):
             def step(self, action):

@@ -24,6 +24,12 @@ from .timing import control_period, step_limit
 from .trajectory import Trajectory
 
 
+ALREADY = (
+    "already successful at the start: the criterion holds before the policy acts. Correct the criterion or the starts, or declare "
+    "Task(..., starts_may_succeed=True)"
+)
+
+
 class Adapter:
     """Serves an environment.
 
@@ -185,7 +191,7 @@ class Adapter:
         for knob, value in requested:
             if knob.before_reset:
                 knob.set(self._env, value)
-        observation, _ = self._env.reset(seed=_seed(scenario))
+        observation, info = self._env.reset(seed=_seed(scenario))
         if self._model is not None:
             self._model.bind(self._env)
             if self._model.differs and (bound := [knob.name for knob, _ in requested if is_bound(knob, self._environment)]):
@@ -205,6 +211,8 @@ class Adapter:
             if self._model is not None:
                 self._model.advanced()
         self._trajectory = Trajectory(self._env, self._period, observations=[observation])
+        if not self._task.starts_may_succeed and self._scoring.holds_at_start(self._trajectory, info):
+            raise Problem("setup", ALREADY)
         self._recorder = None
         if scenario.record_s is not None and self._model is not None:
             self._recorder = Recorder(self._env, self._model, scenario.record_s)
