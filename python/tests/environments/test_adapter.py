@@ -414,7 +414,8 @@ class Faults(unittest.TestCase):
             sliding_box(Solved)
         task = Task(name="solved", starts_may_succeed=True)
         adapter = Adapter(Environment(make=Solved, task=task, policies={"push": PUSH}))
-        self.assertIn("observation", adapter.reset(Scenario(0, 1, {}, policy="push")))
+        self.assertEqual(run(adapter)[0]["measures"]["success_at_start"], 1.0)
+        self.assertIn("success_at_start", [measure["name"] for measure in adapter.hello()["task"]["measures"]])
 
     def test_derived_constants_leave_the_rest_alone(self):
         """From MuJoCo 3.17 on, mj_setConst rewrites the poses of welds that an author set."""

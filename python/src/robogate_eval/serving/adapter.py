@@ -211,7 +211,8 @@ class Adapter:
             if self._model is not None:
                 self._model.advanced()
         self._trajectory = Trajectory(self._env, self._period, observations=[observation])
-        if not self._task.starts_may_succeed and self._scoring.holds_at_start(self._trajectory, info):
+        self._solved = self._scoring.holds_at_start(self._trajectory, info)
+        if self._solved and not self._task.starts_may_succeed:
             raise Problem("setup", ALREADY)
         self._recorder = None
         if scenario.record_s is not None and self._model is not None:
@@ -342,6 +343,8 @@ class Adapter:
             self._policy = None
             if self._task.measure is not None:
                 measures = dict(self._task.measure(trajectory))
+            if self._task.starts_may_succeed:
+                measures[declaration.SUCCESS_AT_START.name] = float(self._solved)
         return observation, ending, measures
 
     def _check(self, model: Model) -> None:
