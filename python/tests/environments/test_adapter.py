@@ -386,6 +386,58 @@ class Faults(unittest.TestCase):
         with self.assertRaisesRegex(DeclarationError, "does not step the model"):
             Adapter(environment)
 
+    def test_error_of_one_start_makes_one_episode_invalid(self):
+        for make in (SlidingBox, Plain):
+            tries = []
+
+            def policy(env):
+                count = [0]
+
+                def act(observation):
+                    count[0] += 1
+                    if count[0] == 3 and len(tries) < fails:
+                        tries.append(count[0])
+                        raise ValueError("no solution")
+                    return np.array([0.4])
+
+                return act
+
+            # The task of the sliding box reads a Dict.
+            adapter = Adapter(Environment(make=make, task=Task(name="box", success=lambda t: False), policies={"push": Policy(policy)}))
+            fails = 2
+            with self.assertRaisesRegex(Problem, "setup: raised in two tries at this start: ValueError: no solution"):
+                run(adapter)
+            self.assertEqual(len(tries), 2)
+            fails = 3
+            with self.assertRaisesRegex(ValueError, "no solution"):
+                run(adapter)
+            fails = 0
+            self.assertIsNotNone(run(adapter)[0]["ending"])
+
+    def test_registered_environment_takes_arguments(self):
+        from robogate_eval.environments import _arguments
+
+        self.assertEqual(_arguments("x", "mode=state&steps=50&dense=true"), {"mode": "state", "steps": 50, "dense": True})
+        for query in ("mode", "1x=2", "a=1&a=2"):
+            with self.assertRaises(UnknownEnvironment):
+                _arguments("x", query)
+        environment = find("gymnasium:Pendulum-v1?g=1.5")
+        self.assertEqual(environment.make().unwrapped.g, 1.5)
+
+    def test_graphics_library_is_chosen_without_a_display(self):
+        import os
+        from unittest import mock
+
+        from robogate_eval.serving import rendering
+
+        for found, expected in [({"EGL", "OSMesa"}, "egl"), ({"OSMesa"}, "osmesa"), (set(), None)]:
+            with mock.patch.dict(os.environ, clear=True), mock.patch.object(rendering, "find_library", lambda name: name if name in found else None):
+                rendering.choose_library()
+                self.assertEqual(os.environ.get("MUJOCO_GL"), expected)
+        with mock.patch.dict(os.environ, {"DISPLAY": ":0"}, clear=True):
+            rendering.choose_library()
+            self.assertNotIn("MUJOCO_GL", os.environ)
+
     def test_success_is_a_truth_value(self):
         from robogate_eval.serving.scoring import truth
 

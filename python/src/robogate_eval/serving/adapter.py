@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from robogate_bridge import FreeRun, Image, Problem, Recording
+from robogate_bridge import Action, FreeRun, Image, Problem, Recording
 
 from . import declaration
 from .cameras import Cameras
@@ -72,6 +73,8 @@ class Adapter:
         self._changes = False
         self._cameras = Cameras(env, self._model, self._observations, self._task)
         self._scoring = Scoring(self._task)
+        # Whether an episode that raised runs a second time now.
+        self._repeats = False
         self._hash = 0
         try:
             self.deterministic = self._is_deterministic(doing)
@@ -152,7 +155,7 @@ class Adapter:
         return repeats()
 
     def _states(self, index: int, steps: int, doing: Callable[[str], None]) -> list[int]:
-        from robogate_bridge import Action, Scenario
+        from robogate_bridge import Scenario
 
         doing("reset")
         self.reset(Scenario(index=index, seed=0, parameters={}))
@@ -170,7 +173,7 @@ class Adapter:
         """Raise if the environment does not report success. Many do so at the end of an episode only, so one is run to its end."""
         if self._scoring.is_known(self._trajectory):
             return
-        from robogate_bridge import Action, Scenario
+        from robogate_bridge import Scenario
 
         doing("reset")
         self.reset(Scenario(index=3, seed=0, parameters={}))
@@ -182,6 +185,36 @@ class Adapter:
     # Episodes
 
     def reset(self, scenario: Any) -> dict:
+        self._scenario, self._sent = scenario, []
+        with self._repeating_errors():
+            return self._reset(scenario)
+
+    @contextmanager
+    def _repeating_errors(self) -> Iterator[None]:
+        """Repeat an episode in which the environment or its policy raised, up to the same place. If it raises again, this start
+        makes it raise, and only this episode is invalid. Otherwise the error passes on, and the episode runs again later."""
+        try:
+            yield
+        except Problem:
+            raise
+        except Exception:
+            if self._repeats:
+                raise
+            self._repeats = True
+            try:
+                sent = self._sent
+                self.reset(self._scenario)
+                for numbers in sent:
+                    self.step(Action("vector", list(numbers)))
+            except Problem:
+                raise
+            except Exception as again:
+                raise Problem("setup", f"raised in two tries at this start: {type(again).__name__}: {again}") from again
+            finally:
+                self._repeats = False
+            raise
+
+    def _reset(self, scenario: Any) -> dict:
         requested = [(self._by_parameter[name], value) for name, value in scenario.parameters.items()]
         # The order of the declaration: a mass is set before the inertia that scales with it.
         requested.sort(key=lambda pair: self._order[pair[0].parameter])
@@ -246,6 +279,11 @@ class Adapter:
         return reply
 
     def step(self, action: Any) -> dict:
+        with self._repeating_errors():
+            return self._step(action)
+
+    def _step(self, action: Any) -> dict:
+        self._sent.append(action.numbers)
         observation, ending, measures = self._advance(action.numbers)
         reply = self._reply(observation)
         reply["ending"], reply["measures"], reply["state_hash"] = ending, measures, self._hash
@@ -263,6 +301,7 @@ class Adapter:
         noisy, vectors = self._disturbances.noisy, self._observations
         try:
             while len(actions) < periods and time.monotonic() <= ends:
+                self._sent.append(numbers)
                 observation, ending, measures = self._advance(numbers)
                 if self._policy is None or not vectors.is_plain(observation):
                     last = self._reply(observation) | {"ending": ending, "measures": measures, "state_hash": self._hash}
@@ -278,8 +317,12 @@ class Adapter:
                 seen_all.append(seen)
                 actions.append(numbers)
                 states.append(state)
-        except Exception as why:
-            error = why
+        except Exception:
+            try:
+                with self._repeating_errors():
+                    raise
+            except Exception as why:
+                error = why
         digests = [self._model.hash_of(state) for state in states]
         if digests and last is None:
             self._hash = digests[-1]
