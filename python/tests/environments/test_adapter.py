@@ -193,8 +193,8 @@ class Declaring(unittest.TestCase):
         class Text(SlidingBox):
             observation_space = gymnasium.spaces.Text(10)
 
-        class Nested(SlidingBox):
-            action_space = gymnasium.spaces.Dict({"arm": SlidingBox.action_space})
+        class Spoken(SlidingBox):
+            action_space = gymnasium.spaces.Dict({"arm": SlidingBox.action_space, "words": gymnasium.spaces.Text(9)})
 
         class Old(SlidingBox):
             def step(self, action):
@@ -219,7 +219,7 @@ class Declaring(unittest.TestCase):
             (Other, "declares box with 3 numbers, but reset returned 2 numbers"),
             (Missing, "declares pusher.x with 1 numbers, but reset returned a dict with the keys box"),
             (Text, "the observation is a Text"),
-            (Nested, "the action space is a Dict.*ActionWrapper"),
+            (Spoken, "the action space is a Text.*ActionWrapper"),
             (Old, "step returned 4 values.*shimmy translates"),
             (NoInfo, "step returned the info None. Expected a dict"),
             (Large, r"the observation has 10000 numbers \(shape \(100, 100\)\)"),
@@ -437,6 +437,43 @@ class Faults(unittest.TestCase):
         with mock.patch.dict(os.environ, {"DISPLAY": ":0"}, clear=True):
             rendering.choose_library()
             self.assertNotIn("MUJOCO_GL", os.environ)
+
+    def test_parts_that_are_no_numbers_are_skipped(self):
+        from gymnasium import spaces
+        from robogate_eval.serving.spaces import Observations
+
+        grey, first, alpha = spaces.Box(0, 255, (4, 6, 1), np.uint8), spaces.Box(0, 255, (3, 8, 6), np.uint8), spaces.Box(0, 255, (4, 6, 4), np.uint8)
+        parts = {"state": spaces.Box(-1, 1, (3,)), "text": spaces.Text(20), "depth": spaces.Box(0, 9, (120, 160, 1)), "grey": grey, "first": first, "alpha": alpha}
+        space = spaces.Dict(parts)
+        observations = Observations(space)
+        self.assertEqual(list(observations.vectors), ["state"])
+        self.assertEqual({name for name, _ in observations.skipped}, {"text", "depth"})
+        self.assertEqual({name: size for name, (_, *size) in observations.images.items()}, {"grey": [4, 6], "first": [8, 6], "alpha": [4, 6]})
+        seen = space.sample()
+        observations.check(seen)
+        np.testing.assert_array_equal(observations.image(seen, "first")[5, 2], seen["first"][:, 5, 2])
+        np.testing.assert_array_equal(observations.image(seen, "alpha"), seen["alpha"][:, :, :3])
+        self.assertEqual(observations.image(seen, "grey").shape, (4, 6, 3))
+        with self.assertRaisesRegex(DeclarationError, "is a Text"):
+            Observations(spaces.Dict({"text": spaces.Text(20)}))
+
+    def test_actions_of_two_arms_are_joined(self):
+        from gymnasium import spaces
+        from robogate_eval.serving.spaces import actions_of
+
+        arms = spaces.Dict({"right": spaces.Box(-1, 1, (2,), np.float32), "left": spaces.Box(-2, 2, (1, 2), np.float32), "grip": spaces.Discrete(2)})
+        actions = actions_of(arms, ())
+        self.assertEqual(sorted(actions.names), ["grip", "left_0", "left_1", "right_0", "right_1"])
+        for _ in range(5):
+            action = arms.sample()
+            again = actions.decode(actions.encode(action))
+            self.assertTrue(arms.contains(again), again)
+            for key in action:
+                np.testing.assert_array_equal(again[key], action[key])
+        with self.assertRaisesRegex(ValueError, "with the parts left. Expected"):
+            actions.encode({"left": np.zeros((1, 2))})
+        pair = actions_of(spaces.Tuple([spaces.Box(-1, 1, (1,)), spaces.Box(-1, 1, (2,))]), ("a", "b", "c"))
+        self.assertEqual((pair.names, len(pair.decode([0.1, 0.2, 0.3]))), (["a", "b", "c"], 2))
 
     def test_success_is_a_truth_value(self):
         from robogate_eval.serving.scoring import truth

@@ -69,6 +69,7 @@ class Adapter:
         # `dropped`: knobs that do not act, with the reason.
         knobs, self.dropped = offered(environment, env, self._model, self._observations, self._disturbances, self._observe, self._period)
         self._offer(knobs)
+        self.dropped = [*self.dropped, *self._observations.skipped]
         # Whether a reset of the check below built another model.
         self._changes = False
         self._cameras = Cameras(env, self._model, self._observations, self._task)
