@@ -152,6 +152,7 @@ mod tests {
             ending: Ending::Success,
             time_s: None,
             measures: Measures::default(),
+            trajectory: None,
             unseen: Vec::new(),
         }
     }

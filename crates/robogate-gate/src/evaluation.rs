@@ -7,6 +7,8 @@
 //!
 //! If each "met" must also hold on its own, [`Family::Holm`] adjusts these as well.
 
+use std::collections::BTreeSet;
+
 use robogate_core::{OutsideRange, TaskSpec, is_feasible};
 use robogate_dictionary::{Label, TaskIdentity};
 use robogate_stats::multiplicity::holm;
@@ -183,6 +185,9 @@ pub struct Evaluation {
     /// Requirements that could not be evaluated on these episodes, or only in part.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub dropped: Vec<Dropped>,
+    /// Number of distinct trajectories among the valid episodes. `None` if trajectories were not recorded.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub distinct_trajectories: Option<u64>,
     /// The success rate over the scenarios that some policy may complete. `None` if the task does not check feasibility.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub feasible: Option<FeasibleRate>,
@@ -355,6 +360,8 @@ impl Question<'_> {
         let mut comparison = comparison;
         self.decide(&mut results, comparison.as_mut(), alpha);
         let control = record.controls.as_ref().and_then(Controls::failure);
+        let distinct = distinct_trajectories(rounds.trials());
+        let control = control.or_else(|| copies(counts.valid, distinct));
         let (verdict, mut because) = match &control {
             Some(because) => (Verdict::Invalid, because.clone()),
             None => conclude(counts, &results, comparison.as_ref()),
@@ -379,13 +386,14 @@ impl Question<'_> {
             policy: record.policy.clone(),
             dataset_sha256: record.dataset_sha256.clone(),
             population: record.population.clone(),
-            estimand: record.population.estimand(),
+            estimand: record.population.estimand_of(counts.valid, distinct),
             sampling,
             counts,
             requirements: requirements.clone(),
             baseline: self.baseline.cloned(),
             real: record.real.clone(),
             dropped,
+            distinct_trajectories: distinct,
             feasible: FeasibleRate::of(rounds.trials()),
             new_cases: NewCases::of(&record.population, &rounds.trials().collect::<Vec<&Trial>>()),
             results,
@@ -559,6 +567,25 @@ impl Question<'_> {
             comparison.status = status(last);
         }
     }
+}
+
+/// The number of distinct trajectories among the valid episodes. `None` if a trajectory was not recorded.
+fn distinct_trajectories<'a>(trials: impl Iterator<Item = &'a Trial>) -> Option<u64> {
+    let valid = trials.filter(|trial| trial.ending.is_valid());
+    let trajectories: Option<BTreeSet<u64>> = valid.map(|trial| trial.trajectory).collect();
+    trajectories.map(|distinct| distinct.len() as u64).filter(|distinct| *distinct > 0)
+}
+
+/// Why episodes whose trajectories are mostly copies of each other are no evidence. `None` if they are.
+///
+/// Few episodes can be equal by chance, where a scenario has few states.
+fn copies(valid: u64, distinct: Option<u64>) -> Option<String> {
+    const FEW: u64 = 10;
+    let distinct = distinct.filter(|distinct| valid >= FEW && 2 * distinct <= valid)?;
+    Some(format!(
+        "only {distinct} of {valid} valid episodes have a trajectory of their own: seeds and parameters have no effect in \
+         the others, and copies are no new evidence. Let the reset of the environment depend on its seed, or vary more"
+    ))
 }
 
 fn conclude(counts: Counts, results: &[RequirementResult], comparison: Option<&Comparison>) -> (Verdict, String) {

@@ -150,6 +150,7 @@ fn blank(label: Label) -> Trial {
         ending: Ending::Failure(None),
         time_s: None,
         measures: Measures::default(),
+        trajectory: None,
         unseen: Vec::new(),
     }
 }

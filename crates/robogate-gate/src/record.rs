@@ -68,6 +68,14 @@ impl Population {
         }
     }
 
+    /// The estimand of this many valid episodes, of which some have a distinct trajectory, in a few sentences.
+    pub(crate) fn estimand_of(&self, valid: u64, distinct: Option<u64>) -> String {
+        let Some(distinct) = distinct else { return self.estimand() };
+        let text = self.estimand();
+        let text = if distinct < valid { text.replace(", over fresh seeds", "") } else { text };
+        format!("{text} {distinct} of {valid} valid episodes have a distinct trajectory.")
+    }
+
     /// The estimand in a few sentences.
     pub fn estimand(&self) -> String {
         match self {

@@ -58,6 +58,8 @@ pub struct Trial {
     pub time_s: Option<f64>,
     /// Its measures.
     pub measures: Measures,
+    /// Hash of its trajectory. `None` if it was not recorded.
+    pub trajectory: Option<u64>,
     /// Failure modes that its source does not record. Any episode, even a success, may have been one of these.
     pub unseen: Vec<FailureMode>,
 }
@@ -80,6 +82,7 @@ impl From<&Entry> for Trial {
             ending: Ending::from(&episode.outcome),
             time_s: Some(episode.time_s).filter(|t| t.is_finite() && *t >= 0.0),
             measures: episode.measures.clone(),
+            trajectory: Some(episode.trajectory_hash).filter(|hash| *hash != 0),
             unseen: Vec::new(),
         }
     }

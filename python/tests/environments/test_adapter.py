@@ -193,8 +193,8 @@ class Declaring(unittest.TestCase):
         class Text(SlidingBox):
             observation_space = gymnasium.spaces.Text(10)
 
-        class Nested(SlidingBox):
-            action_space = gymnasium.spaces.Dict({"arm": SlidingBox.action_space})
+        class Spoken(SlidingBox):
+            action_space = gymnasium.spaces.Dict({"arm": SlidingBox.action_space, "words": gymnasium.spaces.Text(9)})
 
         class Old(SlidingBox):
             def step(self, action):
@@ -219,7 +219,7 @@ class Declaring(unittest.TestCase):
             (Other, "declares box with 3 numbers, but reset returned 2 numbers"),
             (Missing, "declares pusher.x with 1 numbers, but reset returned a dict with the keys box"),
             (Text, "the observation is a Text"),
-            (Nested, "the action space is a Dict.*ActionWrapper"),
+            (Spoken, "the action space is a Text.*ActionWrapper"),
             (Old, "step returned 4 values.*shimmy translates"),
             (NoInfo, "step returned the info None. Expected a dict"),
             (Large, r"the observation has 10000 numbers \(shape \(100, 100\)\)"),
@@ -385,6 +385,159 @@ class Faults(unittest.TestCase):
         environment = Environment(make=lambda: Other(), task=Task(name="other"))
         with self.assertRaisesRegex(DeclarationError, "does not step the model"):
             Adapter(environment)
+
+    def test_error_of_one_start_makes_one_episode_invalid(self):
+        for make in (SlidingBox, Plain):
+            tries = []
+
+            def policy(env):
+                count = [0]
+
+                def act(observation):
+                    count[0] += 1
+                    if count[0] == 3 and len(tries) < fails:
+                        tries.append(count[0])
+                        raise ValueError("no solution")
+                    return np.array([0.4])
+
+                return act
+
+            # The task of the sliding box reads a Dict.
+            adapter = Adapter(Environment(make=make, task=Task(name="box", success=lambda t: False), policies={"push": Policy(policy)}))
+            fails = 2
+            with self.assertRaisesRegex(Problem, "setup: raised in two tries at this start: ValueError: no solution"):
+                run(adapter)
+            self.assertEqual(len(tries), 2)
+            fails = 3
+            with self.assertRaisesRegex(ValueError, "no solution"):
+                run(adapter)
+            fails = 0
+            self.assertIsNotNone(run(adapter)[0]["ending"])
+
+    def test_registered_environment_takes_arguments(self):
+        from robogate_eval.environments import _arguments
+
+        self.assertEqual(_arguments("x", "mode=state&steps=50&dense=true"), {"mode": "state", "steps": 50, "dense": True})
+        for query in ("mode", "1x=2", "a=1&a=2"):
+            with self.assertRaises(UnknownEnvironment):
+                _arguments("x", query)
+        environment = find("gymnasium:Pendulum-v1?g=1.5")
+        self.assertEqual(environment.make().unwrapped.g, 1.5)
+
+    def test_graphics_library_is_chosen_without_a_display(self):
+        import os
+        from unittest import mock
+
+        from robogate_eval.serving import rendering
+
+        for found, expected in [({"EGL", "OSMesa"}, "egl"), ({"OSMesa"}, "osmesa"), (set(), None)]:
+            with mock.patch.dict(os.environ, clear=True), mock.patch.object(rendering, "find_library", lambda name: name if name in found else None):
+                rendering.choose_library()
+                self.assertEqual(os.environ.get("MUJOCO_GL"), expected)
+        with mock.patch.dict(os.environ, {"DISPLAY": ":0"}, clear=True):
+            rendering.choose_library()
+            self.assertNotIn("MUJOCO_GL", os.environ)
+
+    def test_parts_that_are_no_numbers_are_skipped(self):
+        from gymnasium import spaces
+        from robogate_eval.serving.spaces import Observations
+
+        grey, first, alpha = spaces.Box(0, 255, (4, 6, 1), np.uint8), spaces.Box(0, 255, (3, 8, 6), np.uint8), spaces.Box(0, 255, (4, 6, 4), np.uint8)
+        parts = {"state": spaces.Box(-1, 1, (3,)), "text": spaces.Text(20), "depth": spaces.Box(0, 9, (120, 160, 1)), "grey": grey, "first": first, "alpha": alpha}
+        space = spaces.Dict(parts)
+        observations = Observations(space)
+        self.assertEqual(list(observations.vectors), ["state"])
+        self.assertEqual({name for name, _ in observations.skipped}, {"text", "depth"})
+        self.assertEqual({name: size for name, (_, *size) in observations.images.items()}, {"grey": [4, 6], "first": [8, 6], "alpha": [4, 6]})
+        seen = space.sample()
+        observations.check(seen)
+        np.testing.assert_array_equal(observations.image(seen, "first")[5, 2], seen["first"][:, 5, 2])
+        np.testing.assert_array_equal(observations.image(seen, "alpha"), seen["alpha"][:, :, :3])
+        self.assertEqual(observations.image(seen, "grey").shape, (4, 6, 3))
+        with self.assertRaisesRegex(DeclarationError, "is a Text"):
+            Observations(spaces.Dict({"text": spaces.Text(20)}))
+
+    def test_actions_of_two_arms_are_joined(self):
+        from gymnasium import spaces
+        from robogate_eval.serving.spaces import actions_of
+
+        arms = spaces.Dict({"right": spaces.Box(-1, 1, (2,), np.float32), "left": spaces.Box(-2, 2, (1, 2), np.float32), "grip": spaces.Discrete(2)})
+        actions = actions_of(arms, ())
+        self.assertEqual(sorted(actions.names), ["grip", "left_0", "left_1", "right_0", "right_1"])
+        for _ in range(5):
+            action = arms.sample()
+            again = actions.decode(actions.encode(action))
+            self.assertTrue(arms.contains(again), again)
+            for key in action:
+                np.testing.assert_array_equal(again[key], action[key])
+        with self.assertRaisesRegex(ValueError, "with the parts left. Expected"):
+            actions.encode({"left": np.zeros((1, 2))})
+        pair = actions_of(spaces.Tuple([spaces.Box(-1, 1, (1,)), spaces.Box(-1, 1, (2,))]), ("a", "b", "c"))
+        self.assertEqual((pair.names, len(pair.decode([0.1, 0.2, 0.3]))), (["a", "b", "c"], 2))
+
+    def test_success_is_a_truth_value(self):
+        from robogate_eval.serving.scoring import truth
+
+        for value, expected in [(True, True), (np.bool_(False), False), (1, True), (0.0, False), (np.array([1]), True), (np.array(False), False), (np.float32(1), True)]:
+            self.assertIs(truth(value, "x"), expected)
+        for value in (0.4, float("nan"), -1, 100, {"a": 1}, "yes", None, np.array([True, True]), [], np.float32(0.4)):
+            with self.assertRaisesRegex(Problem, rf"info\['success'\] is .*\({type(value).__name__}\). Expected True"):
+                truth(value, "info['success']")
+
+    def test_share_of_success_is_refused(self):
+        class Share(SlidingBox):
+            def step(self, action):
+                *rest, info = super().step(action)
+                return *rest, {"success": 0.4}
+
+        with self.assertRaisesRegex(DeclarationError, r"info\['success'\] is 0.4 \(float\)"):
+            sliding_box(Share)
+
+    def test_success_at_the_start_is_invalid(self):
+        class Solved(SlidingBox):
+            def reset(self, **options):
+                observation, info = super().reset(**options)
+                return observation, {**info, "is_success": True}
+
+        with self.assertRaisesRegex(DeclarationError, "already successful at the start"):
+            sliding_box(Solved)
+        task = Task(name="solved", starts_may_succeed=True)
+        adapter = Adapter(Environment(make=Solved, task=task, policies={"push": PUSH}))
+        self.assertEqual(run(adapter)[0]["measures"]["success_at_start"], 1.0)
+        self.assertIn("success_at_start", [measure["name"] for measure in adapter.hello()["task"]["measures"]])
+
+    def test_derived_constants_leave_the_rest_alone(self):
+        """From MuJoCo 3.17 on, mj_setConst rewrites the poses of welds that an author set."""
+        import mujoco
+        from robogate_eval.serving import model as module
+
+        xml = """<mujoco><worldbody><body name="mocap" mocap="true" pos="0 0 .5"/><body name="hand" pos="0 0 .55"><freejoint/>
+        <geom type="box" size=".03 .03 .03" mass="1"/></body></worldbody><equality><weld body1="mocap" body2="hand"/></equality></mujoco>"""
+
+        class Env:
+            model = mujoco.MjModel.from_xml_string(xml)
+            data = mujoco.MjData(model)
+
+        Env.model.eq_data[0, 3:6] = (0, 0, 0.1)
+        original = mujoco.mj_setConst
+
+        def rewrites(model, data):
+            original(model, data)
+            model.eq_data[0, 3:6] = (0, 0, 0.05)
+
+        before = {name: array.copy() for name, array in module._numbers(Env.model).items()}
+        edited = module.Model(Env())
+        mujoco.mj_setConst = rewrites
+        try:
+            edited.edit(Env.model.body_mass, 2, 2.0)
+            edited.finish()
+            np.testing.assert_array_equal(Env.model.eq_data, before["eq_data"])
+            self.assertAlmostEqual(Env.model.body_subtreemass[2], 2.0)
+            edited.restore()
+        finally:
+            mujoco.mj_setConst = original
+        for name, array in module._numbers(Env.model).items():
+            np.testing.assert_array_equal(array, before[name], err_msg=name)
 
     def test_no_report_of_success(self):
         class Silent(SlidingBox):

@@ -181,7 +181,7 @@ class Success(unittest.TestCase):
             def step(self, action):
                 return (*super().step(action)[:4], {"success": "false"})
 
-        with self.assertRaisesRegex(DeclarationError, "the text 'false'. Expected True or False"):
+        with self.assertRaisesRegex(DeclarationError, "is 'false' \\(str\\). Expected True"):
             adapter(Text)
 
 

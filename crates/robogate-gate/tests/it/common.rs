@@ -29,6 +29,7 @@ pub(crate) fn trial(index: u64, ending: Ending) -> Trial {
         ending,
         time_s: Some(4.1),
         measures: Measures::default(),
+        trajectory: None,
         unseen: Vec::new(),
     }
 }

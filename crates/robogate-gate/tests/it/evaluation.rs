@@ -346,3 +346,24 @@ fn invalid_episodes_widen_the_interval_over_new_cases() {
     let with = interval(&record);
     assert!(with.rate == Some(1.0) && with.interval_95[0] < without.interval_95[0], "{with:?} {without:?}");
 }
+
+/// Copies of a few trajectories look like many episodes, whose success rate would be certain.
+#[test]
+fn copies_of_trajectories_are_no_evidence() {
+    let gate = requirements(SUCCESS);
+    let judged = |distinct: u64| {
+        let mut record = suite(4, times(64, &Ending::Success));
+        (0..).zip(&mut record.trials).for_each(|(i, trial)| trial.trajectory = Some(1 + i % distinct));
+        judge(&gate, &record, Sampling::Fixed)
+    };
+    let copied = judged(3);
+    assert_eq!((copied.verdict, copied.distinct_trajectories), (Verdict::Invalid, Some(3)));
+    assert!(copied.because.starts_with("only 3 of 64 valid episodes"), "{}", copied.because);
+    assert!(!copied.estimand.contains("fresh seeds"), "{}", copied.estimand);
+    let fresh = judged(64);
+    assert_eq!(fresh.verdict, Verdict::Pass);
+    assert!(fresh.estimand.contains("over fresh seeds"), "{}", fresh.estimand);
+    // Without recorded trajectories, as in imported rows, nothing is claimed.
+    let unknown = judge(&gate, &suite(4, times(64, &Ending::Success)), Sampling::Fixed);
+    assert_eq!((unknown.verdict, unknown.distinct_trajectories), (Verdict::Pass, None));
+}

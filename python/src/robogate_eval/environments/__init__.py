@@ -27,6 +27,7 @@ import hashlib
 import importlib
 import importlib.metadata
 import importlib.util
+import json
 import os
 import sys
 from pathlib import Path
@@ -50,7 +51,7 @@ def find(name: str) -> Environment:
     """Find an environment by its name.
 
     A name is `FAMILY:NAME` of a bundled family, `gymnasium:ID` for a registered Gymnasium environment (`gymnasium:MODULE:ID` if the
-    import of a module registers it), or `FILE.py:ATTRIBUTE` or `MODULE:ATTRIBUTE` for your own. The attribute is an `Environment`, or a function that returns one or a `gymnasium.Env`.
+    import of a module registers it; `?key=value&...` gives its arguments), or `FILE.py:ATTRIBUTE` or `MODULE:ATTRIBUTE` for your own. The attribute is an `Environment`, or a function that returns one or a `gymnasium.Env`.
 
     Raises:
         UnknownEnvironment: There is no such environment.
@@ -89,7 +90,9 @@ def _registered(identifier: str) -> Environment:
     """An environment that is registered with Gymnasium: `ID`, or `MODULE:ID` if the import of a module registers it."""
     import gymnasium
 
-    module, _, own = identifier.rpartition(":")
+    named, _, query = identifier.partition("?")
+    arguments = _arguments(identifier, query)
+    module, _, own = named.rpartition(":")
     if module:
         _from_here()
         importlib.import_module(module)
@@ -98,7 +101,7 @@ def _registered(identifier: str) -> Environment:
     except gymnasium.error.Error as error:
         hint = "" if module else "\n  hint: if another package registers it, gymnasium:MODULE:ID, for example gymnasium:gymnasium_robotics:HandReach-v3"
         raise UnknownEnvironment(f"gymnasium:{identifier}: {error}{hint}") from None
-    return dataclasses.replace(as_environment(lambda: _make(own), own), source=_package(specification.entry_point))
+    return dataclasses.replace(as_environment(lambda: _make(own, arguments), own), source=_package(specification.entry_point))
 
 
 def _from_here() -> None:
@@ -111,22 +114,38 @@ def _from_here() -> None:
         sys.path.append(here)
 
 
-def _make(identifier: str):
+def _arguments(identifier: str, query: str) -> dict:
+    """The arguments of an environment, `key=value&...`. A value is read as JSON, otherwise it is a text; `true` is True."""
+    arguments = {}
+    for pair in filter(None, query.split("&")):
+        key, equals, text = pair.partition("=")
+        if not equals or not key.isidentifier():
+            raise UnknownEnvironment(f"gymnasium:{identifier}: {pair!r} is no argument. Expected key=value, as in gymnasium:ID?obs_type=state&max_steps=50")
+        if key in arguments:
+            raise UnknownEnvironment(f"gymnasium:{identifier}: the argument {key} is given twice")
+        try:
+            arguments[key] = json.loads(text)
+        except ValueError:
+            arguments[key] = text
+    return arguments
+
+
+def _make(identifier: str, arguments: dict):
     """The environment of this identifier. One without a MuJoCo model is made for images, if it can render them."""
     import gymnasium
 
     from ..serving.model import NoModel
     from ..serving.model import find as find_model
 
-    env = gymnasium.make(identifier)
-    if env.render_mode is not None or "rgb_array" not in env.metadata.get("render_modes", []):
+    env = gymnasium.make(identifier, **arguments)
+    if "render_mode" in arguments or env.render_mode is not None or "rgb_array" not in env.metadata.get("render_modes", []):
         return env
     try:
         find_model(env)
         return env
     except (NoModel, ImportError):
         env.close()
-        return gymnasium.make(identifier, render_mode="rgb_array")
+        return gymnasium.make(identifier, render_mode="rgb_array", **arguments)
 
 
 def _package(entry_point: object) -> str:

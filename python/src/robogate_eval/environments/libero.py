@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..libero.suites import REST_STEPS, SUITES
+from ..libero.suites import REST_STEPS, SUITES, wording
 from ..serving.environment import Environment, Policy, Task
 from .family import Family, UnknownEnvironment
 from .robosuite_world import ACTION_NAMES, PERIOD_S, REST_ACTION, after_rest, cameras, once
@@ -53,7 +53,7 @@ def _declare(suite: str, task: int | None) -> Environment:
         make=once(world, lambda: World(suite, task)),
         task=Task(
             name=f"libero.{suite}" if task is None else f"libero.{suite}.{task}",
-            instruction=f"any task of LIBERO-{suite}" if task is None else "",
+            instruction=f"any task of LIBERO-{suite}" if task is None else wording(world.names[task]),
             control_period_s=PERIOD_S,
             time_limit_s=SUITES[suite].steps * PERIOD_S,
             failure_modes=scoring.FAILURE_MODES,

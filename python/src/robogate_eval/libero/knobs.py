@@ -13,7 +13,7 @@ import numpy as np
 from ..serving import friction
 from ..serving.knobs import Knob
 
-WORDINGS = ("task_file", "file_name", "lower_case", "polite", "none")
+WORDINGS = ("file_name", "task_file", "upper_case", "polite", "none")
 CAMERA = "agentview"
 ARM = slice(0, 7)
 # The joint limits of the arm leave this much around the start.
@@ -184,8 +184,8 @@ def _instruction():
     def write(env, value):
         env.wording = value
 
-    return Knob("instruction", write, lambda env: env.wording, choices=WORDINGS, nominal="task_file", read_from="the instruction that is sent",
-                family="wording", meaning="Wording: of the task file, of its file name (as LIBERO's benchmark class reports it), in lower case, with please, or none.")  # fmt: skip
+    return Knob("instruction", write, lambda env: env.wording, choices=WORDINGS, nominal="file_name", read_from="the instruction that is sent",
+                family="wording", meaning="Wording: LIBERO's `task.language`, which follows from the file name; the text of the task file; upper case; with please; none.")  # fmt: skip
 
 
 def _physics():
@@ -203,11 +203,9 @@ def _physics():
         return max(values, key=lambda value: abs(value - wanted[0])) if values else None
 
     def load(env, value):
-        import mujoco
-
         for field in ("body_mass", "body_inertia"):
             env.edits.edit(getattr(env.model, field), env.handled, _base(env, field)[env.handled] * value)
-        mujoco.mj_setConst(env.model, env.edits.scratch)
+        env.edits.derive()
 
     def push(env, value):
         env.edits.edit(env.model.actuator_gainprm, (ARM, 0), _base(env, "actuator_gainprm")[ARM, 0] * value)

@@ -35,9 +35,9 @@ SUITES = {
 
 
 def wording(task_name: str) -> str:
-    """The instruction that LIBERO's benchmark class derives from the name of a task file.
+    """The instruction that LIBERO's benchmark class derives from the name of a task file (`task.language`).
 
-    It differs from the instruction in the file for some tasks. Published evaluations use it.
+    openpi, OpenVLA-OFT, LeRobot and vla-eval send it. The text in the task file differs from it in most tasks.
     """
     if task_name[:1].isupper():
         # SCENE10 has one more digit than the others.

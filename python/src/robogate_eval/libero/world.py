@@ -36,7 +36,7 @@ class World(RobosuiteWorld):
         self.observation_space = spaces.Dict({name: spaces.Box(-np.inf, np.inf, (n,)) for name, n in VECTORS.items()})
         self.action_space = spaces.Box(-1.0, 1.0, (7,))
         # The wording of the instruction: see `knobs.py`.
-        self.wording = "task_file"
+        self.wording = "file_name"
         self.image_noise = 0.0
 
     # What is loaded
@@ -59,7 +59,7 @@ class World(RobosuiteWorld):
         self._env, self.task, states = self._worlds[self.index]
         self.state_index = int(random.integers(len(states))) if self.wanted_state is None else self.wanted_state
         self.wanted_task = self.wanted_state = None
-        self.wording, self.image_noise = "task_file", 0.0
+        self.wording, self.image_noise = "file_name", 0.0
         self._random = np.random.default_rng(seed)
         # LIBERO draws the places of fixtures from NumPy's global generator in each reset, and the initial states do not contain them.
         # So that an episode does not depend on the episodes before it, the generator is seeded here.
@@ -99,11 +99,11 @@ class World(RobosuiteWorld):
     @property
     def instruction(self) -> str:
         """The instruction of this episode, in the chosen wording."""
-        text = self.task.instruction
+        text = wording(self.name)
         return {
-            "task_file": text,
-            "file_name": wording(self.name),
-            "lower_case": text.lower(),
+            "file_name": text,
+            "task_file": self.task.instruction,
+            "upper_case": text.upper(),
             "polite": f"please {text[:1].lower()}{text[1:]}",
             "none": "",
         }[self.wording]

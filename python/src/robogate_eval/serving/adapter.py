@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from robogate_bridge import FreeRun, Image, Problem, Recording
+from robogate_bridge import Action, FreeRun, Image, Problem, Recording
 
 from . import declaration
 from .cameras import Cameras
@@ -22,6 +23,12 @@ from .scoring import Scoring
 from .spaces import Observations, actions_of, same
 from .timing import control_period, step_limit
 from .trajectory import Trajectory
+
+
+ALREADY = (
+    "already successful at the start: the criterion holds before the policy acts. Correct the criterion or the starts, or declare "
+    "Task(..., starts_may_succeed=True)"
+)
 
 
 class Adapter:
@@ -62,10 +69,13 @@ class Adapter:
         # `dropped`: knobs that do not act, with the reason.
         knobs, self.dropped = offered(environment, env, self._model, self._observations, self._disturbances, self._observe, self._period)
         self._offer(knobs)
+        self.dropped = [*self.dropped, *self._observations.skipped]
         # Whether a reset of the check below built another model.
         self._changes = False
         self._cameras = Cameras(env, self._model, self._observations, self._task)
         self._scoring = Scoring(self._task)
+        # Whether an episode that raised runs a second time now.
+        self._repeats = False
         self._hash = 0
         try:
             self.deterministic = self._is_deterministic(doing)
@@ -146,7 +156,7 @@ class Adapter:
         return repeats()
 
     def _states(self, index: int, steps: int, doing: Callable[[str], None]) -> list[int]:
-        from robogate_bridge import Action, Scenario
+        from robogate_bridge import Scenario
 
         doing("reset")
         self.reset(Scenario(index=index, seed=0, parameters={}))
@@ -164,7 +174,7 @@ class Adapter:
         """Raise if the environment does not report success. Many do so at the end of an episode only, so one is run to its end."""
         if self._scoring.is_known(self._trajectory):
             return
-        from robogate_bridge import Action, Scenario
+        from robogate_bridge import Scenario
 
         doing("reset")
         self.reset(Scenario(index=3, seed=0, parameters={}))
@@ -176,6 +186,36 @@ class Adapter:
     # Episodes
 
     def reset(self, scenario: Any) -> dict:
+        self._scenario, self._sent = scenario, []
+        with self._repeating_errors():
+            return self._reset(scenario)
+
+    @contextmanager
+    def _repeating_errors(self) -> Iterator[None]:
+        """Repeat an episode in which the environment or its policy raised, up to the same place. If it raises again, this start
+        makes it raise, and only this episode is invalid. Otherwise the error passes on, and the episode runs again later."""
+        try:
+            yield
+        except Problem:
+            raise
+        except Exception:
+            if self._repeats:
+                raise
+            self._repeats = True
+            try:
+                sent = self._sent
+                self.reset(self._scenario)
+                for numbers in sent:
+                    self.step(Action("vector", list(numbers)))
+            except Problem:
+                raise
+            except Exception as again:
+                raise Problem("setup", f"raised in two tries at this start: {type(again).__name__}: {again}") from again
+            finally:
+                self._repeats = False
+            raise
+
+    def _reset(self, scenario: Any) -> dict:
         requested = [(self._by_parameter[name], value) for name, value in scenario.parameters.items()]
         # The order of the declaration: a mass is set before the inertia that scales with it.
         requested.sort(key=lambda pair: self._order[pair[0].parameter])
@@ -185,7 +225,7 @@ class Adapter:
         for knob, value in requested:
             if knob.before_reset:
                 knob.set(self._env, value)
-        observation, _ = self._env.reset(seed=_seed(scenario))
+        observation, info = self._env.reset(seed=_seed(scenario))
         if self._model is not None:
             self._model.bind(self._env)
             if self._model.differs and (bound := [knob.name for knob, _ in requested if is_bound(knob, self._environment)]):
@@ -205,6 +245,9 @@ class Adapter:
             if self._model is not None:
                 self._model.advanced()
         self._trajectory = Trajectory(self._env, self._period, observations=[observation])
+        self._solved = self._scoring.holds_at_start(self._trajectory, info)
+        if self._solved and not self._task.starts_may_succeed:
+            raise Problem("setup", ALREADY)
         self._recorder = None
         if scenario.record_s is not None and self._model is not None:
             self._recorder = Recorder(self._env, self._model, scenario.record_s)
@@ -237,6 +280,11 @@ class Adapter:
         return reply
 
     def step(self, action: Any) -> dict:
+        with self._repeating_errors():
+            return self._step(action)
+
+    def _step(self, action: Any) -> dict:
+        self._sent.append(action.numbers)
         observation, ending, measures = self._advance(action.numbers)
         reply = self._reply(observation)
         reply["ending"], reply["measures"], reply["state_hash"] = ending, measures, self._hash
@@ -254,6 +302,7 @@ class Adapter:
         noisy, vectors = self._disturbances.noisy, self._observations
         try:
             while len(actions) < periods and time.monotonic() <= ends:
+                self._sent.append(numbers)
                 observation, ending, measures = self._advance(numbers)
                 if self._policy is None or not vectors.is_plain(observation):
                     last = self._reply(observation) | {"ending": ending, "measures": measures, "state_hash": self._hash}
@@ -269,8 +318,12 @@ class Adapter:
                 seen_all.append(seen)
                 actions.append(numbers)
                 states.append(state)
-        except Exception as why:
-            error = why
+        except Exception:
+            try:
+                with self._repeating_errors():
+                    raise
+            except Exception as why:
+                error = why
         digests = [self._model.hash_of(state) for state in states]
         if digests and last is None:
             self._hash = digests[-1]
@@ -334,6 +387,8 @@ class Adapter:
             self._policy = None
             if self._task.measure is not None:
                 measures = dict(self._task.measure(trajectory))
+            if self._task.starts_may_succeed:
+                measures[declaration.SUCCESS_AT_START.name] = float(self._solved)
         return observation, ending, measures
 
     def _check(self, model: Model) -> None:

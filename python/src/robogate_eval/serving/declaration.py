@@ -8,10 +8,14 @@ from pathlib import Path
 
 from .cameras import Cameras
 from .default_space import default_space
-from .environment import DeclarationError, Environment, Task
+from .environment import DeclarationError, Environment, Measure, Task
 from .knobs import Knob, parameter_name
 from .model import Model
 from .spaces import Actions, Observations
+
+
+# The measure of a task whose episodes may start in success.
+SUCCESS_AT_START = Measure("success_at_start", meaning="1 if the criterion held before the first action, otherwise 0.")
 
 
 def task_declaration(
@@ -30,7 +34,7 @@ def task_declaration(
         "failure_modes": modes,
         "measures": [
             {"name": measure.name, "unit": measure.unit, "meaning": measure.meaning, "better": measure.better}
-            for measure in task.measures
+            for measure in (*task.measures, *([SUCCESS_AT_START] if task.starts_may_succeed else []))
         ],
         "parameters": [knob.declaration() for knob in knobs],
         "observation": {"vectors": observations.declaration(), "cameras": cameras.declaration()},

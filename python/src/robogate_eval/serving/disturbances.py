@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import deque
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,7 @@ class Disturbances:
     def delayed(self, action: np.ndarray) -> np.ndarray:
         """The action that the environment runs when the policy returns this one."""
         if self._queue[0] is None:
-            self._queue = deque(action.copy() for _ in self._queue)
+            self._queue = deque(deepcopy(action) for _ in self._queue)
         self._queue.append(action)
         return self._queue.popleft()
 
@@ -51,7 +52,7 @@ class Disturbances:
         """The knobs of delay and noise."""
 
         def delay(env: Any, value: int) -> None:
-            self._queue = deque(None if self._rest is None else self._rest.copy() for _ in range(int(value)))
+            self._queue = deque(None if self._rest is None else deepcopy(self._rest) for _ in range(int(value)))
             self.delays = bool(self._queue)
 
         knobs = [

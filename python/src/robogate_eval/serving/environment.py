@@ -73,6 +73,8 @@ class Task:
     control_period_s: float | None = None
     # Called after each step. Default: `info["success"]`, `info["is_success"]` or `env.check_success()`.
     success: Callable[[Trajectory], bool] | None = None
+    # Whether an episode may start in success: the measure `success_at_start` then counts these. Otherwise such an episode is invalid.
+    starts_may_succeed: bool = False
     failure_modes: Sequence[FailureMode] = ()
     # Called after each step that was no success. Returns the name of a failure mode to end the episode, or None. If
     # `trajectory.over`, the episode ends in any case: None is then a `timeout`, or `terminated` if the environment ended it.

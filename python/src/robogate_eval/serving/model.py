@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 from collections.abc import Iterator
 from typing import Any
@@ -74,12 +75,32 @@ def _layout(model: Any) -> tuple:
     return (model.names, model.nu, *(array.tobytes() for array in arrays))
 
 
+# What MuJoCo derives from masses, sizes and the reference configuration (`mj_setConst`). From 3.17 on, that function rewrites
+# further fields, such as the relative poses of welds in `eq_data`.
+DERIVED = (
+    "body_subtreemass", "body_invweight0", "dof_invweight0", "dof_M0", "tendon_length0", "tendon_invweight0", "actuator_length0",
+    "actuator_acc0", "cam_pos0", "cam_poscom0", "cam_mat0", "light_pos0", "light_poscom0", "light_dir0",
+)  # fmt: skip
+STATISTICS = ("meaninertia", "meanmass", "meansize", "extent")
+# Large fields that do not depend on masses.
+CONTENT = ("mesh_", "tex_", "hfield_", "skin_", "flex_", "name_", "text_", "bvh_", "oct_", "paths")
+
+
+def _numbers(model: Any) -> dict[str, Any]:
+    """The numeric fields of a model, as views of its memory."""
+    fields = ((name, _get(model, name)) for name in dir(model) if not name.startswith(("_", *CONTENT)))
+    return {name: value for name, value in fields if isinstance(value, np.ndarray) and value.dtype.kind in "fiub"}
+
+
 class Model:
     """The model and data of an environment. Edits are undone before the next reset."""
 
     def __init__(self, env: Any):
         self._edits: list[tuple[Any, Any, Any]] = []
-        self._derived = False
+        # What the model had before the first derivation: its fields, and its statistics.
+        self._before: tuple[list[tuple[Any, Any]], dict[str, float]] | None = None
+        # Fields that a derivation must leave alone, found once for each model.
+        self._untouched: tuple[Any, list[str]] | None = None
         # A model and a state of it, from which each reset starts.
         self._kept: tuple[Any, Any] | None = None
         # Friction that was requested in this episode, by geom.
@@ -138,25 +159,45 @@ class Model:
         import mujoco
 
         if self._edits:
-            # Constants that MuJoCo derives from masses and sizes, such as the inverse weights of constraints.
-            mujoco.mj_setConst(self.model, self.scratch)
-            self._derived = True
+            self.derive()
         # What the solver starts from is kept, so that nominal values give the episode of the environment alone.
         warm_start = self.data.qacc_warmstart.copy()
         mujoco.mj_forward(self.model, self.data)
         self.data.qacc_warmstart[:] = warm_start
 
-    def restore(self) -> None:
-        """Undo all edits."""
+    def derive(self) -> None:
+        """Compute the constants that depend on masses and sizes, such as the inverse weights of constraints. Nothing else changes."""
         import mujoco
 
+        model = self.model
+        if self._untouched is None or self._untouched[0] is not model:
+            twin = copy.copy(model)
+            mujoco.mj_setConst(twin, mujoco.MjData(twin))
+            now, then = _numbers(model), _numbers(twin)
+            changed = [name for name in now if name not in DERIVED and not np.array_equal(now[name], then[name], equal_nan=now[name].dtype.kind == "f")]
+            self._untouched = (model, changed)
+        untouched = [(getattr(model, name), getattr(model, name).copy()) for name in self._untouched[1]]
+        if self._before is None:
+            derived = [array for name in DERIVED if (array := getattr(model, name, None)) is not None]
+            fields = [(array, array.copy()) for array in derived]
+            self._before = (fields, {name: getattr(model.stat, name) for name in STATISTICS})
+        mujoco.mj_setConst(model, self.scratch)
+        for array, values in untouched:
+            array[...] = values
+
+    def restore(self) -> None:
+        """Undo all edits."""
         self.friction.clear()
         while self._edits:
             array, index, value = self._edits.pop()
             array[index] = value
-        if self._derived:
-            mujoco.mj_setConst(self.model, self.scratch)
-            self._derived = False
+        if self._before is not None:
+            # The bytes of the environment's author, and not a new derivation.
+            for array, values in self._before[0]:
+                array[...] = values
+            for name, value in self._before[1].items():
+                setattr(self.model.stat, name, value)
+            self._before = None
 
     def advanced(self) -> bool:
         """Whether the data moved on in time since the last call. If not, the environment steps another model."""

@@ -118,7 +118,9 @@ def serve_child(name: str) -> None:
 def child_adapter(child: Child, name: str) -> Adapter:
     """The adapter of the environment of this name."""
     from ..environments import find
+    from .rendering import choose_library
 
+    choose_library()
     child.doing("import")
     return Adapter(find(name), child.doing)
 

@@ -4,7 +4,22 @@ from __future__ import annotations
 
 import os
 import sys
+from ctypes.util import find_library
 from typing import Any
+
+
+def choose_library() -> None:
+    """Choose MuJoCo's graphics library for this process before an environment imports MuJoCo, which fixes the choice.
+
+    Without a display and without a choice in `MUJOCO_GL` that is EGL, or OSMesa where EGL is missing. Without both nothing is
+    chosen, because MuJoCo cannot be imported with a library that is missing.
+    """
+    shown = any(os.environ.get(name) for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"))
+    if sys.platform != "linux" or shown:
+        return
+    found = next((name for name, library in (("egl", "EGL"), ("osmesa", "OSMesa")) if find_library(library)), None)
+    if found is not None:
+        os.environ["MUJOCO_GL"] = found
 
 
 def renderer(model: Any, height: int, width: int) -> Any:

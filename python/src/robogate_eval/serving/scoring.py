@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,10 @@ from robogate_bridge import Problem
 from .environment import Task, innermost
 from .hints import example_file
 from .trajectory import Trajectory
+
+
+# Words in the keys of `info` that name success.
+SUCCESS_WORDS = ("succe", "solved", "completed", "goal_reached", "goal_achieved", "task_done")
 
 
 class Scoring:
@@ -22,14 +27,27 @@ class Scoring:
         """Whether it is known what success is: the task says it, or the environment has reported it in this trajectory."""
         return self._task.success is not None or _reported(trajectory) is not None
 
+    def holds_at_start(self, trajectory: Trajectory, info: Any) -> bool:
+        """Whether the criterion holds before the first action, as far as the environment can say: by `info` of the reset, by
+        `check_success()`, or by the task's function if it accepts a trajectory without actions."""
+        if self._task.success is not None:
+            try:
+                return self._task.success(trajectory) is True
+            except Exception:  # most functions look at the last action or reward
+                return False
+        for key in ("success", "is_success"):
+            if isinstance(info, Mapping) and key in info:
+                return truth(info[key], f"info[{key!r}] of the reset")
+        return bool(_reported(trajectory))
+
     def ending(self, trajectory: Trajectory, info: dict) -> dict | None:
         """The ending of the episode. None if it goes on."""
         if self._task.success is None:
             # Most environments report it in this way.
-            reported = info.get("success", info)
-            done = reported if type(reported) is bool else bool(reported) if type(reported) is float else self._succeeded(trajectory)
+            reported = info.get("success")
+            done = reported if type(reported) is bool else self._succeeded(trajectory)
         else:
-            done = self._task.success(trajectory)
+            done = truth(self._task.success(trajectory), "the result of the task's success function")
         if done:
             return {"failure": None}
         failure = None if self._task.failure is None else self._task.failure(trajectory)
@@ -40,13 +58,16 @@ class Scoring:
     def _succeeded(self, trajectory: Trajectory) -> bool:
         reported = _reported(trajectory)
         if reported is None and trajectory.over:
-            example = example_file(trajectory.env, self._task.name, "success=lambda t: t.rewards[-1] > 0.9")
+            known = [key for key in trajectory.info if any(word in str(key).lower() for word in SUCCESS_WORDS)]
+            rule = f"bool(t.info.get({known[0]!r}, False))" if known else "t.rewards[-1] > 0.9"
+            what = f"what {known[0]!r} says" if known else "a reward above 0.9"
+            example = example_file(trajectory.env, self._task.name, f"success=lambda t: {rule}")
             has = ", ".join(map(str, trajectory.info)) or "nothing"
             raise Problem(
                 "setup",
                 "the environment reports no success: until the end of an episode, info had neither `success` nor `is_success` (it has "
-                f"{has}), and there is no check_success(). Say in a file what success is, and name the file with --env. If it is a reward "
-                f"above 0.9:\n{example}",
+                f"{has}), and there is no check_success(). Say in a file what success is, and name the file with --env. If it is "
+                f"{what}:\n{example}",
             )
         return bool(reported)
 
@@ -57,14 +78,28 @@ def _reported(trajectory: Trajectory) -> bool | None:
         for key in ("success", "is_success"):
             if key in info:
                 # Reported earlier and not now: this step is not a success.
-                return info is trajectory.infos[-1] and _truth(info[key])
+                return info is trajectory.infos[-1] and truth(info[key], f"info[{key!r}]")
     env = innermost(trajectory.env)
     check = getattr(env, "check_success", None) or getattr(env, "_check_success", None)
-    return None if check is None else _truth(check())
+    return None if check is None else truth(check(), f"{check.__name__}()")
 
 
-def _truth(value: Any) -> bool:
-    if isinstance(value, str):
-        raise Problem("setup", f"info reports success as the text {value!r:.40}. Expected True or False")
-    # `np.all` of one number takes ten times as long.
-    return bool(np.all(value)) if isinstance(value, (np.ndarray, list, tuple)) else bool(value)
+def truth(value: Any, name: str) -> bool:
+    """Success as a truth value: True, False, 1 or 0, as a number of Python or NumPy, or as an array with one of these.
+
+    Anything else (a share, NaN, a dict) is no answer to the question whether the episode succeeded.
+
+    Raises:
+        Problem: The value is something else. Names what reported it, its value and its type.
+    """
+    one = value
+    if isinstance(value, (np.ndarray, list, tuple)) and np.size(value) == 1:
+        one = np.asarray(value).reshape(())[()]
+    # Comparing a number of another kind with 0 and 1 also excludes NaN.
+    if isinstance(one, (bool, np.bool_, int, float, np.number)) and (one == 0 or one == 1):
+        return bool(one)
+    raise Problem(
+        "setup",
+        f"{name} is {value!r:.60} ({type(value).__name__}). Expected True, False, 1 or 0. If a share counts as success, say from "
+        "which value on: Task(..., success=lambda t: t.info[\"success\"] >= 0.9)",
+    )

@@ -13,12 +13,17 @@ from robogate_bridge import Problem
 from .environment import DeclarationError, task_name
 
 
+# Numbers of channels of an image: grey, colours, colours with transparency.
+CHANNELS = (3, 1, 4)
+
+
 class Observations:
     """The observation space of an environment.
 
     A Box of numbers becomes a vector: `observation`, the key of a Dict, or the position in a Tuple (those of nested spaces are joined
-    by `.`). A Box of bytes of the shape height x width x 3 becomes a camera. Discrete, MultiDiscrete and MultiBinary become vectors
-    too.
+    by `.`). A Box of bytes of the shape height x width x channels or channels x height x width becomes a camera: with three channels,
+    one (grey) or four (the last is not used). Discrete, MultiDiscrete and MultiBinary become vectors too. Other parts of a Dict or a
+    Tuple are skipped: the policy of a server does not receive them.
     """
 
     def __init__(self, space: spaces.Space):
@@ -26,7 +31,13 @@ class Observations:
         self.vectors: dict[str, tuple[tuple[str | int, ...], int]] = {}
         # name -> (path, height, width)
         self.images: dict[str, tuple[tuple[str | int, ...], int, int]] = {}
+        # Images with the channels first.
+        self._channels_first: set[str] = set()
+        # Parts that are neither numbers nor images, with the reason.
+        self.skipped: list[tuple[str, str]] = []
         self._add(space, ())
+        if not self.vectors and not self.images:
+            raise DeclarationError(self.skipped[0][1] if self.skipped else "the observation has no parts. Expected numbers or images")
         # The whole observation is one vector.
         self.single = list(self.vectors.values()) == [((), self.vectors["observation"][1])] if "observation" in self.vectors else False
         self._plain = (self.vectors["observation"][1],) if self.single else None
@@ -42,20 +53,24 @@ class Observations:
         elif isinstance(space, spaces.Tuple):
             for position, inner in enumerate(space.spaces):
                 self._add(inner, (*path, position))
-        elif isinstance(space, spaces.Box) and space.dtype == np.uint8 and len(space.shape) == 3 and space.shape[2] == 3:
+        elif isinstance(space, spaces.Box) and space.dtype == np.uint8 and len(space.shape) == 3 and space.shape[2] in CHANNELS:
             self.images[name] = (path, space.shape[0], space.shape[1])
+        elif isinstance(space, spaces.Box) and space.dtype == np.uint8 and len(space.shape) == 3 and space.shape[0] in CHANNELS:
+            self.images[name] = (path, space.shape[1], space.shape[2])
+            self._channels_first.add(name)
         elif isinstance(space, (spaces.Box, spaces.MultiBinary, spaces.MultiDiscrete, spaces.Discrete)):
             length = int(np.prod(space.shape)) if space.shape else 1
             if length > 4096:
-                raise DeclarationError(
+                why = (
                     f"the {which} has {length} numbers (shape {space.shape}). Expected at most 4096, or an image: bytes of the shape height x "
                     "width x 3. Hint: a gymnasium.ObservationWrapper can change it"
                 )
+                self.skipped.append((name, why))
+                return
             self.vectors[name] = (path, length)
         else:
-            raise DeclarationError(
-                f"the {which} is a {type(space).__name__}. Expected a Box, Discrete, MultiDiscrete or MultiBinary, or a Dict or Tuple of these"
-            )
+            why = f"the {which} is a {type(space).__name__}. Expected a Box, Discrete, MultiDiscrete or MultiBinary, or a Dict or Tuple of these"
+            self.skipped.append((name, why))
 
 
     def declaration(self) -> list[dict]:
@@ -65,10 +80,12 @@ class Observations:
     def check(self, observation: Any) -> None:
         """Raise if an observation differs from the declared space."""
         sizes = {name: (path, length) for name, (path, length) in self.vectors.items()}
-        sizes |= {name: (path, height * width * 3) for name, (path, height, width) in self.images.items()}
-        for name, (path, length) in sizes.items():
+        pixels = {name: (path, height * width) for name, (path, height, width) in self.images.items()}
+        for name, (path, length) in (sizes | pixels).items():
             try:
                 found = np.size(_at(observation, path))
+                if name in pixels and found in [length * channels for channels in CHANNELS]:
+                    continue
             except (KeyError, IndexError, TypeError):
                 keys = f" with the keys {', '.join(map(str, observation))}" if isinstance(observation, dict) else ""
                 found = f"a {type(observation).__name__}{keys}"
@@ -95,7 +112,11 @@ class Observations:
 
     def image(self, observation: Any, name: str) -> np.ndarray:
         """The image of a camera in an observation."""
-        return np.ascontiguousarray(_at(observation, self.images[name][0]))
+        image = np.asarray(_at(observation, self.images[name][0]))
+        if name in self._channels_first:
+            image = np.moveaxis(image, 0, 2)
+        image = np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image[:, :, :3]
+        return np.ascontiguousarray(image)
 
     def with_noise(self, observation: Any, noise: dict[str, np.ndarray]) -> Any:
         """An observation with these numbers added to vectors. The original stays as it is."""
@@ -138,11 +159,13 @@ def actions_of(space: spaces.Space, names: Sequence[str]) -> Actions:
         return Levels([space.start], [space.n], (), np.int64, names)
     if isinstance(space, spaces.MultiDiscrete):
         return Levels(np.broadcast_to(getattr(space, "start", 0), space.nvec.shape), space.nvec, space.shape, space.dtype, names)
+    if isinstance(space, (spaces.Dict, spaces.Tuple)):
+        return Joined(space, names)
     if isinstance(space, spaces.MultiBinary):
         return Levels(np.zeros(space.shape), np.full(space.shape, 2), space.shape, space.dtype, names)
     if not isinstance(space, spaces.Box):
         raise DeclarationError(
-            f"the action space is a {type(space).__name__}. Expected a Box with finite bounds, Discrete, MultiDiscrete or MultiBinary. Hint: "
+            f"the action space is a {type(space).__name__}. Expected a Box with finite bounds, Discrete, MultiDiscrete or MultiBinary, or a Dict or Tuple of these. Hint: "
             "a gymnasium.ActionWrapper can translate the numbers of one Box"
         )
     if not (np.isfinite(space.low).all() and np.isfinite(space.high).all()):
@@ -238,3 +261,42 @@ class Levels(Actions):
                 levels = ", ".join(f"{first:.0f} to {last:.0f}" for first, last in zip(self.first, self.last))
                 raise Problem("bad_action", f"the policy returned the action {action!r:.80}. Expected integers: {levels}")
         return super().bounded(numbers)
+
+
+class Joined(Actions):
+    """Actions that are a Dict or a Tuple, such as one for each arm: their numbers stand one after the other, in the order of the space.
+
+    The default names have the key in front: `left_0`, `left_1`, `right_0`. A key whose part is one number is its name.
+    """
+
+    def __init__(self, space: spaces.Space, names: Sequence[str]):
+        self._keys = list(space.spaces) if isinstance(space, spaces.Dict) else None
+        inner = space.spaces.items() if isinstance(space, spaces.Dict) else enumerate(space.spaces)
+        self._parts = {key: actions_of(part, ()) for key, part in inner}
+        if not self._parts:
+            raise DeclarationError("the action space has no parts. Expected at least one number")
+        own = []
+        for key, part in self._parts.items():
+            prefix = task_name(str(key))
+            own += [prefix] if len(part.names) == 1 else [f"{prefix}_{name.removeprefix('action_')}" for name in part.names]
+        low, high = (np.concatenate([getattr(part, bound) for part in self._parts.values()]) for bound in ("low", "high"))
+        super().__init__(low, high, (len(low),), float, names or own)
+        self.zeros_rest = all(part.zeros_rest for part in self._parts.values())
+
+    def decode(self, numbers: "Sequence[float] | np.ndarray") -> Any:
+        """The Dict or Tuple that the environment takes."""
+        numbers, start, values = np.asarray(numbers, dtype=float), 0, []
+        for part in self._parts.values():
+            values.append(part.decode(numbers[start : start + len(part.low)].tolist()))
+            start += len(part.low)
+        return tuple(values) if self._keys is None else dict(zip(self._keys, values))
+
+    def bounded(self, action: Any) -> np.ndarray:
+        """The numbers of an action of a policy: a Dict or Tuple like the space, or all numbers in a row."""
+        if not isinstance(action, (dict, tuple)):
+            return super().bounded(action)
+        keys = set(action) if isinstance(action, dict) else set(range(len(action)))
+        if keys != set(self._parts):
+            expected, found = (", ".join(map(str, which)) for which in (self._parts, sorted(keys, key=str)))
+            raise ValueError(f"the policy returned an action with the parts {found}. Expected {expected}")
+        return np.concatenate([part.bounded(action[key]) for key, part in self._parts.items()])
