@@ -214,10 +214,10 @@ class Command(unittest.TestCase):
         self.assertEqual((total["round"], total["outcomes"]), ("sweep", {"success": 4}))
 
     def test_errors_have_code_and_message(self) -> None:
-        self.answer("echo 'RoboGate 0.2' >&2; echo 'error: no campaign' >&2; echo 'hint: check' >&2; exit 2")
+        self.answer("echo 'RoboGate 0.2' >&2; echo 'error: no campaign' >&2; echo 'Hint: check' >&2; exit 2")
         with self.assertRaises(shards.CommandError) as raised:
             shards.next_round("d")
-        self.assertEqual((raised.exception.code, str(raised.exception)), (2, "no campaign\nhint: check"))
+        self.assertEqual((raised.exception.code, str(raised.exception)), (2, "no campaign\nHint: check"))
 
 
 if __name__ == "__main__":

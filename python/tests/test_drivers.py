@@ -197,7 +197,7 @@ class OnRay(Driver):
         with mock.patch.object(self.driver.os, "getcwd", return_value="/nowhere/driver"):
             code, _, errors = self.run_driver("gate", "--out", str(self.work / "e"), "--policy", "y.onnx")
         self.assertEqual(code, 2)
-        self.assertIn("error: cannot read y.onnx\nhint: this node cannot use /nowhere/driver", errors)
+        self.assertIn("error: cannot read y.onnx\nHint: this node cannot use /nowhere/driver", errors)
 
     def test_errors_of_ray_are_infrastructure(self) -> None:
         self.command.unlink()
@@ -207,7 +207,7 @@ class OnRay(Driver):
         with mock.patch.object(self.driver, "run", Remote(self.missing, self.work)):
             code, _, errors = self.run_driver("run", "--out", "d")
         self.assertEqual(code, 5)
-        self.assertTrue(errors.startswith("error: no command on this node\nhint: "), errors)
+        self.assertTrue(errors.startswith("error: no command on this node\nHint: "), errors)
 
     @staticmethod
     def missing(*_: Any) -> None:
@@ -216,7 +216,7 @@ class OnRay(Driver):
     def test_errors_of_the_address_have_codes(self) -> None:
         for raised, code, message in [
             (ValueError("Malformed address here."), 2, "error: --address here: Malformed address here.\n"),
-            (ConnectionError("refused"), 5, "error: no Ray cluster at here: refused\nhint: "),
+            (ConnectionError("refused"), 5, "error: no Ray cluster at here: refused\nHint: "),
             (RuntimeError("wrong version\nof Ray"), 5, "error: --address here: Ray does not start: wrong version\n"),
         ]:
             with mock.patch.object(self.modules["ray"], "init", side_effect=raised):
@@ -235,7 +235,7 @@ class OnRay(Driver):
                         code, _, errors = self.run_driver("run", "--out", "d", "--address", option)
                     self.assertEqual(code, 5, errors)
                     self.assertTrue(errors.startswith(f"error: no Ray cluster at {address}: "), errors)
-                    self.assertIn("\nhint: start one with `ray start --head`", errors)
+                    self.assertIn("\nHint: start one with `ray start --head`", errors)
         init.assert_not_called()
 
     def test_other_addresses_are_left_to_ray(self) -> None:

@@ -49,7 +49,7 @@ pub struct Library {
 pub enum LoadError {
     /// No release of MuJoCo is pinned for this platform.
     #[error(
-        "MuJoCo {VERSION} is provided for Linux on x86_64 and aarch64 only\nhint: set {LIBRARY_VARIABLE} to the MuJoCo {VERSION} library of this system, or use the Rapier engine"
+        "MuJoCo {VERSION} is provided for Linux on x86_64 and aarch64 only\nHint: set {LIBRARY_VARIABLE} to the MuJoCo {VERSION} library of this system, or use the Rapier engine"
     )]
     Platform,
     /// The path that the user named holds no library.
@@ -59,11 +59,11 @@ pub enum LoadError {
         path: PathBuf,
     },
     /// No folder for downloads is known.
-    #[error("MuJoCo {VERSION}: no folder for downloads\nhint: set {CACHE_VARIABLE} or HOME to an absolute path")]
+    #[error("MuJoCo {VERSION}: no folder for downloads\nHint: set {CACHE_VARIABLE} or HOME to an absolute path")]
     NoCache,
     /// A file cannot be read or written.
     #[error(
-        "MuJoCo {VERSION}: {}: {message}\nhint: set {CACHE_VARIABLE} to a folder that can be written, or {LIBRARY_VARIABLE} to a {LIBRARY} of this machine", path.display()
+        "MuJoCo {VERSION}: {}: {message}\nHint: set {CACHE_VARIABLE} to a folder that can be written, or {LIBRARY_VARIABLE} to a {LIBRARY} of this machine", path.display()
     )]
     Io {
         /// The file.
@@ -73,7 +73,7 @@ pub enum LoadError {
     },
     /// The download failed.
     #[error(
-        "MuJoCo {VERSION} cannot be downloaded: {message}\nhint: provide python3 with pip and access to a Python package index, or set {LIBRARY_VARIABLE} to a {LIBRARY} of this machine"
+        "MuJoCo {VERSION} cannot be downloaded: {message}\nHint: provide python3 with pip and access to a Python package index, or set {LIBRARY_VARIABLE} to a {LIBRARY} of this machine"
     )]
     Download {
         /// What failed.
@@ -81,7 +81,7 @@ pub enum LoadError {
     },
     /// The file is not the pinned library.
     #[error(
-        "{}: SHA-256 digest {found}. Expected {expected}, the library of MuJoCo {VERSION}\nhint: reinstall, or delete this file to have it downloaded again", path.display()
+        "{}: SHA-256 digest {found}. Expected {expected}, the library of MuJoCo {VERSION}\nHint: reinstall, or delete this file to have it downloaded again", path.display()
     )]
     Digest {
         /// The file.

@@ -12,7 +12,7 @@ pub enum AnalysisError {
     Dictionary(#[from] DictionaryError),
     /// A file that is not a dictionary in any supported format.
     #[error(
-        "{}: {reason}\nhint: expected a run's folder, a dictionary (Parquet) or a published JSON dictionary",
+        "{}: {reason}\nHint: expected a run's folder, a dictionary (Parquet) or a published JSON dictionary",
         path.display()
     )]
     NotADictionary {
@@ -23,7 +23,7 @@ pub enum AnalysisError {
     },
     /// A folder without a finished run.
     #[error(
-        "{}: the folder has no dictionary.parquet\nhint: resume an interrupted run with `robogate resume {0}`",
+        "{}: the folder has no dictionary.parquet\nHint: resume an interrupted run with `robogate resume {0}`",
         path.display()
     )]
     NoDictionaryInFolder {
@@ -79,7 +79,7 @@ pub enum AnalysisError {
         known: Vec<String>,
     },
     /// A pair of parameters that cannot be mapped.
-    #[error("`{name}` is not a valid parameter of a pair: {reason}\nhint: expected two of {known}")]
+    #[error("`{name}` is not a valid parameter of a pair: {reason}\nHint: expected two of {known}")]
     Pair {
         /// The name as given.
         name: String,

@@ -107,7 +107,7 @@ impl Event {
 pub enum Warning {
     /// All episodes so far are invalid.
     #[error(
-        "all {episodes} episodes so far are invalid, the first because of {first}\nhint: the run continues. Stop it with Ctrl-C, fix the cause and start a new run"
+        "all {episodes} episodes so far are invalid, the first because of {first}\nHint: the run continues. Stop it with Ctrl-C, fix the cause and start a new run"
     )]
     AllInvalid {
         /// The number of episodes so far.
@@ -117,7 +117,7 @@ pub enum Warning {
     },
     /// More than half of the episodes so far are invalid.
     #[error(
-        "{invalid} of {episodes} episodes so far are invalid, the first because of {first}\nhint: the run continues. Stop it with Ctrl-C, fix the cause and start a new run"
+        "{invalid} of {episodes} episodes so far are invalid, the first because of {first}\nHint: the run continues. Stop it with Ctrl-C, fix the cause and start a new run"
     )]
     MostlyInvalid {
         /// The number of episodes so far.

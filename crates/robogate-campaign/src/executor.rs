@@ -100,6 +100,6 @@ pub enum ExecuteError {
     #[error("cannot set up environment and policy: {0}")]
     Worker(Fault),
     /// The operating system could not start a thread.
-    #[error("cannot start a thread: {0}\nhint: use fewer threads")]
+    #[error("cannot start a thread: {0}\nHint: use fewer threads")]
     Thread(io::Error),
 }

@@ -13,7 +13,7 @@ use crate::{Bins, BoundaryReport, Plan, Points, RunError, Stage};
 #[derive(Debug, thiserror::Error)]
 pub enum RowsError {
     /// The provenance contains no plan of a campaign.
-    #[error("the rows have no plan of a campaign: {0}\nhint: only rows that robogate recorded can be checked")]
+    #[error("the rows have no plan of a campaign: {0}\nHint: only rows that robogate recorded can be checked")]
     NoPlan(serde_json::Error),
     /// An episode is missing.
     #[error("episode {index} is missing")]

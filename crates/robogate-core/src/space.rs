@@ -351,7 +351,7 @@ pub enum SpaceError {
     },
     /// A range with equal ends.
     #[error(
-        "parameter `{parameter}`: low and high are both {value}\nhint: to fix the parameter, write `value = {value:?}`"
+        "parameter `{parameter}`: low and high are both {value}\nHint: to fix the parameter, write `value = {value:?}`"
     )]
     OneValue {
         /// The name.
@@ -395,7 +395,7 @@ pub enum SpaceError {
     },
     /// A rank correlation out of range.
     #[error(
-        "[[correlation]] of {pair}: rank {rank} is out of range: expected a number in (-1, 1)\nhint: if one parameter determines the other, remove one of them"
+        "[[correlation]] of {pair}: rank {rank} is out of range: expected a number in (-1, 1)\nHint: if one parameter determines the other, remove one of them"
     )]
     CorrelationOutside {
         /// The parameters.
@@ -411,7 +411,7 @@ pub enum SpaceError {
     },
     /// Correlations that contradict each other.
     #[error(
-        "the correlations of {parameters} contradict each other (the matrix is not positive definite)\nhint: two parameters that are strongly correlated with a third must be correlated with each other"
+        "the correlations of {parameters} contradict each other (the matrix is not positive definite)\nHint: two parameters that are strongly correlated with a third must be correlated with each other"
     )]
     CorrelationsContradict {
         /// The parameters up to the first that contradicts the ones before it.

@@ -71,7 +71,7 @@ impl Encoding {
             Some(line) => Err(DictionaryError::results(
                 path,
                 format!(
-                    "line {line}: the text is not UTF-8, and its encoding cannot be recognised. Expected UTF-8\nhint: \
+                    "line {line}: the text is not UTF-8, and its encoding cannot be recognised. Expected UTF-8\nHint: \
                      convert the file, for example with `iconv -f GB18030 -t UTF-8`"
                 ),
             )),
@@ -315,9 +315,9 @@ pub(crate) fn start_of(path: &Path) -> Vec<u8> {
 pub(crate) fn placeholder(path: &Path) -> Option<&'static str> {
     let start = start_of(path);
     if start.starts_with(b"version https://git-lfs.github.com/spec/") {
-        Some("it is a Git LFS pointer, not the file itself\nhint: download the file with `git lfs pull`")
+        Some("it is a Git LFS pointer, not the file itself\nHint: download the file with `git lfs pull`")
     } else if start.starts_with(b"/annex/objects/") {
-        Some("it is a git-annex pointer, not the file itself\nhint: download the file with `git annex get`")
+        Some("it is a git-annex pointer, not the file itself\nHint: download the file with `git annex get`")
     } else {
         None
     }

@@ -40,7 +40,7 @@ pub enum DictionaryError {
         reason: String,
     },
     /// The journal of another campaign.
-    #[error("{}: the journal belongs to another campaign: it names the plan with the SHA-256 {found}, but this folder's plan.json has {expected}\nhint: restore the journal or the plan of this run; episodes of two campaigns cannot be mixed", path.display())]
+    #[error("{}: the journal belongs to another campaign: it names the plan with the SHA-256 {found}, but this folder's plan.json has {expected}\nHint: restore the journal or the plan of this run; episodes of two campaigns cannot be mixed", path.display())]
     OtherPlan {
         /// The journal.
         path: PathBuf,
@@ -50,7 +50,7 @@ pub enum DictionaryError {
         expected: String,
     },
     /// A part of a dictionary has changed since it was written.
-    #[error("{}: {place} is damaged: {reason}\nhint: restore the file from a backup, or run its campaign again", path.display())]
+    #[error("{}: {place} is damaged: {reason}\nHint: restore the file from a backup, or run its campaign again", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -60,7 +60,7 @@ pub enum DictionaryError {
         reason: String,
     },
     /// The file was written by another version of robogate.
-    #[error("{}: its schema version is {found}. Expected {SCHEMA_VERSION}\nhint: {}; the file was not changed", path.display(), other_version_hint(*found))]
+    #[error("{}: its schema version is {found}. Expected {SCHEMA_VERSION}\nHint: {}; the file was not changed", path.display(), other_version_hint(*found))]
     OtherSchema {
         /// The file.
         path: PathBuf,
@@ -68,7 +68,7 @@ pub enum DictionaryError {
         found: SchemaVersion,
     },
     /// A parameter or measure has the name of another column.
-    #[error("`{column}` is the name of another column of the dictionary\nhint: rename the parameter or measure")]
+    #[error("`{column}` is the name of another column of the dictionary\nHint: rename the parameter or measure")]
     ColumnClash {
         /// The name.
         column: String,
@@ -166,7 +166,7 @@ pub enum DictionaryError {
         reason: String,
     },
     /// A record before the journal's end has changed since it was written.
-    #[error("{}: the record at byte {offset} is damaged: {reason}\nhint: to keep the {intact} episodes before it and run the others again, truncate the file there (truncate -s {offset})", path.display())]
+    #[error("{}: the record at byte {offset} is damaged: {reason}\nHint: to keep the {intact} episodes before it and run the others again, truncate the file there (truncate -s {offset})", path.display())]
     DamagedJournal {
         /// The file.
         path: PathBuf,
@@ -186,13 +186,13 @@ pub enum DictionaryError {
         index: u64,
     },
     /// Another process writes to the journal.
-    #[error("{} is in use by another process\nhint: only one process at a time can run or resume a campaign", path.display())]
+    #[error("{} is in use by another process\nHint: only one process at a time can run or resume a campaign", path.display())]
     Locked {
         /// The journal.
         path: PathBuf,
     },
     /// An earlier write failed and could not be undone.
-    #[error("{}: no more episodes can be recorded after a failed write\nhint: free disk space, then resume the campaign", path.display())]
+    #[error("{}: no more episodes can be recorded after a failed write\nHint: free disk space, then resume the campaign", path.display())]
     Broken {
         /// The journal.
         path: PathBuf,
@@ -249,7 +249,7 @@ impl DictionaryError {
             // Python's json module writes NaN for a missing number, which is not valid JSON.
             None if source.to_string().starts_with("expected value") => Self::Results {
                 path: path.to_owned(),
-                reason: format!("{source}\nhint: JSON has no NaN or Infinity; write null in their place"),
+                reason: format!("{source}\nHint: JSON has no NaN or Infinity; write null in their place"),
             },
             None => Self::Json { path: path.to_owned(), source },
         }
@@ -267,12 +267,12 @@ impl DictionaryError {
 fn io_hint(source: &io::Error) -> &'static str {
     match source.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "\nhint: free disk space, then try again; everything recorded before is intact"
+            "\nHint: free disk space, then try again; everything recorded before is intact"
         }
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
-            "\nhint: choose a folder with write permission"
+            "\nHint: choose a folder with write permission"
         }
-        io::ErrorKind::NotFound => "\nhint: check the path",
+        io::ErrorKind::NotFound => "\nHint: check the path",
         _ => "",
     }
 }

@@ -349,10 +349,10 @@ pub(crate) fn check_header(path: &Path, found: &[u8], plan: &PlanHash) -> Result
     let version = found.get(8..12).and_then(|bytes| bytes.first_chunk()).map(|bytes| u32::from_le_bytes(*bytes));
     match (found.first_chunk(), version) {
         (Some(&MAGIC), Some(version)) if version > VERSION => {
-            refuse(format!("its version is {version}. Expected {VERSION}\nhint: upgrade robogate"))
+            refuse(format!("its version is {version}. Expected {VERSION}\nHint: upgrade robogate"))
         }
         (Some(&MAGIC), Some(version)) if version < VERSION => refuse(format!(
-            "its version is {version}. Expected {VERSION}\nhint: finish the run with the version of robogate that started it, or start it again"
+            "its version is {version}. Expected {VERSION}\nHint: finish the run with the version of robogate that started it, or start it again"
         )),
         (Some(&MAGIC), _) => match found.get(12..44).and_then(|bytes| bytes.first_chunk()) {
             Some(named) if found == header_of(named) => {
@@ -361,7 +361,7 @@ pub(crate) fn check_header(path: &Path, found: &[u8], plan: &PlanHash) -> Result
             }
             _ => refuse("its header is damaged".to_owned()),
         },
-        _ => refuse("it does not start with the header of a journal\nhint: check the path".to_owned()),
+        _ => refuse("it does not start with the header of a journal\nHint: check the path".to_owned()),
     }
 }
 

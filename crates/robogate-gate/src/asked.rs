@@ -71,7 +71,7 @@ impl Asked {
             .map_err(|error| in_file(GateError::Syntax(format!("not a gate's question: {error}"))))?;
         if asked.format != Self::FORMAT {
             let text =
-                format!("unsupported format {}. Expected {}\nhint: upgrade robogate", asked.format, Self::FORMAT);
+                format!("unsupported format {}. Expected {}\nHint: upgrade robogate", asked.format, Self::FORMAT);
             return Err(in_file(GateError::Syntax(text)));
         }
         asked.requirements.check().map_err(in_file)?;

@@ -9,7 +9,7 @@ use robogate_dictionary::DictionaryError;
 pub enum GateError {
     /// Trials of the real robot that do not belong to the judged episodes.
     #[error(
-        "{reason}\nhint: create the file with `robogate transfer` from a simulation of the same task, robot and policy"
+        "{reason}\nHint: create the file with `robogate transfer` from a simulation of the same task, robot and policy"
     )]
     Real {
         /// The mismatch.
@@ -18,7 +18,7 @@ pub enum GateError {
     /// A requirement on the real robot, without trials of it.
     #[error(
         "requirement `{id}` needs trials of the real robot, but none were given: no number of simulated episodes can show \
-         it\nhint: create the trials' file with `robogate transfer --sim RUN --real FILE --out FILE`, and pass it with --real"
+         it\nHint: create the trials' file with `robogate transfer --sim RUN --real FILE --out FILE`, and pass it with --real"
     )]
     NoRealTrials {
         /// The requirement.
@@ -28,7 +28,7 @@ pub enum GateError {
     #[error("{0}")]
     Syntax(String),
     /// A file that cannot be read.
-    #[error("cannot read {}: {source}\nhint: check the path", path.display())]
+    #[error("cannot read {}: {source}\nHint: check the path", path.display())]
     Unreadable {
         /// The file.
         path: PathBuf,
@@ -44,10 +44,10 @@ pub enum GateError {
         error: Box<GateError>,
     },
     /// A set without requirements.
-    #[error("no [[requirement]]. Expected at least one\nhint: a gate without requirements would pass every policy")]
+    #[error("no [[requirement]]. Expected at least one\nHint: a gate without requirements would pass every policy")]
     NoRequirements,
     /// A confidence out of range.
-    #[error("`confidence` is {confidence}; expected at least 0.75 and below 1\nhint: write 95 % as 0.95")]
+    #[error("`confidence` is {confidence}; expected at least 0.75 and below 1\nHint: write 95 % as 0.95")]
     Confidence {
         /// The given value.
         confidence: f64,
@@ -69,7 +69,7 @@ pub enum GateError {
         reason: String,
     },
     /// A duplicate requirement.
-    #[error("requirement `{id}`: duplicate\nhint: keep the stricter one")]
+    #[error("requirement `{id}`: duplicate\nHint: keep the stricter one")]
     Twice {
         /// The requirement.
         id: String,
@@ -86,7 +86,7 @@ pub enum GateError {
     },
     /// A requirement that a perfect policy cannot meet within the budget.
     #[error(
-        "requirement `{id}` can't be met within the budget: without any failure it takes {fewest} episodes, but the budget allows {budget}\nhint: allow more rounds with `--rounds N`, or choose a weaker limit in a file of your own with --requirements"
+        "requirement `{id}` can't be met within the budget: without any failure it takes {fewest} episodes, but the budget allows {budget}\nHint: allow more rounds with `--rounds N`, or choose a weaker limit in a file of your own with --requirements"
     )]
     BudgetTooSmall {
         /// The requirement.
@@ -98,7 +98,7 @@ pub enum GateError {
     },
     /// A relative requirement without a baseline.
     #[error(
-        "{what} refers to a baseline, but none was given\nhint: create one with `robogate baseline RUN -o FILE` and pass it with --baseline, or choose requirements that need none with --requirements FILE"
+        "{what} refers to a baseline, but none was given\nHint: create one with `robogate baseline RUN -o FILE` and pass it with --baseline, or choose requirements that need none with --requirements FILE"
     )]
     NoBaseline {
         /// The requirement or term.
@@ -114,7 +114,7 @@ pub enum GateError {
     },
     /// A baseline of another population.
     #[error(
-        "the baseline is of {baseline}, but the episodes are of {run}\nhint: create a baseline from the same scenarios: `robogate baseline RUN -o FILE`"
+        "the baseline is of {baseline}, but the episodes are of {run}\nHint: create a baseline from the same scenarios: `robogate baseline RUN -o FILE`"
     )]
     ForeignBaseline {
         /// The population of the baseline.
@@ -123,7 +123,7 @@ pub enum GateError {
         run: String,
     },
     /// A baseline in a newer format.
-    #[error("unsupported baseline format {found}. Expected at most {known}\nhint: upgrade robogate")]
+    #[error("unsupported baseline format {found}. Expected at most {known}\nHint: upgrade robogate")]
     NewerBaseline {
         /// Its format.
         found: u32,
@@ -145,7 +145,7 @@ pub enum GateError {
     },
     /// A requirement for each category or group, with episodes that have none.
     #[error(
-        "requirement `{id}`: some episodes have no {what}\nhint: set the column on import (--map {what}=COLUMN), or remove `each`"
+        "requirement `{id}`: some episodes have no {what}\nHint: set the column on import (--map {what}=COLUMN), or remove `each`"
     )]
     NoLabel {
         /// The requirement.
@@ -155,7 +155,7 @@ pub enum GateError {
     },
     /// A plan whose suite does not match.
     #[error(
-        "the plan's suite {reason}\nhint: the rows were changed, or written by another version of robogate. Run the suite again"
+        "the plan's suite {reason}\nHint: the rows were changed, or written by another version of robogate. Run the suite again"
     )]
     PlannedSuite {
         /// The problem.
@@ -163,7 +163,7 @@ pub enum GateError {
     },
     /// A duplicate episode among imported rows.
     #[error(
-        "rows {first} and {second} are the same episode: case, seed and parameters are equal, and a copy is not independent evidence\nhint: remove one of them. If the seed belongs to a whole series, import without its column"
+        "rows {first} and {second} are the same episode: case, seed and parameters are equal, and a copy is not independent evidence\nHint: remove one of them. If the seed belongs to a whole series, import without its column"
     )]
     Copies {
         /// The first row.
@@ -173,7 +173,7 @@ pub enum GateError {
     },
     /// A control arm that no row belongs to.
     #[error(
-        "no row has `{column}` = `{value}`\nhint: give the column that names the perturbation and its value without one, for example --nominal category=none"
+        "no row has `{column}` = `{value}`\nHint: give the column that names the perturbation and its value without one, for example --nominal category=none"
     )]
     NoNominalRows {
         /// The column.
@@ -183,7 +183,7 @@ pub enum GateError {
     },
     /// Imported episodes without scenario seeds, which cannot be paired.
     #[error(
-        "the imported episodes of {policy} cannot be paired, because case and seed are not recorded for each\nhint: set both columns on import (--map case=COLUMN --map seed=COLUMN), or compare with a baseline: `robogate baseline RUN -o FILE`"
+        "the imported episodes of {policy} cannot be paired, because case and seed are not recorded for each\nHint: set both columns on import (--map case=COLUMN --map seed=COLUMN), or compare with a baseline: `robogate baseline RUN -o FILE`"
     )]
     NoIdentity {
         /// The policy.
@@ -191,7 +191,7 @@ pub enum GateError {
     },
     /// A comparison that even a perfect policy could not pass.
     #[error(
-        "the comparison can't be decided: the other run has {pairs} episodes to pair with, which cannot show a margin of {margin} even if this policy never fails\nhint: run the other policy for more rounds with the same seed, or allow a wider --margin"
+        "the comparison can't be decided: the other run has {pairs} episodes to pair with, which cannot show a margin of {margin} even if this policy never fails\nHint: run the other policy for more rounds with the same seed, or allow a wider --margin"
     )]
     TooFewPairs {
         /// The possible number of pairs.
@@ -200,14 +200,14 @@ pub enum GateError {
         margin: f64,
     },
     /// An episode without a scenario id in a suite.
-    #[error("episode {index} has no scenario id, but others do\nhint: judge the episodes of a suite separately")]
+    #[error("episode {index} has no scenario id, but others do\nHint: judge the episodes of a suite separately")]
     MixedLabels {
         /// The first episode without an id.
         index: u64,
     },
     /// A value outside the range of a test of a mean.
     #[error(
-        "requirement `{id}`: episode {index} has the value {value}, outside {low} to {high}\nhint: set `floor` and `ceiling` to bounds of every value (for `cycle_time_s`, `ceiling` is the time limit of the episodes)"
+        "requirement `{id}`: episode {index} has the value {value}, outside {low} to {high}\nHint: set `floor` and `ceiling` to bounds of every value (for `cycle_time_s`, `ceiling` is the time limit of the episodes)"
     )]
     OutOfRange {
         /// The requirement.
@@ -237,7 +237,7 @@ pub enum GateError {
     },
     /// Two runs with different scenarios.
     #[error(
-        "episode {index} differs between the runs: {what}\nhint: run the other policy on the same suite with the same seed"
+        "episode {index} differs between the runs: {what}\nHint: run the other policy on the same suite with the same seed"
     )]
     NotPaired {
         /// The episode's index.
@@ -250,7 +250,7 @@ pub enum GateError {
     NothingToRank,
     /// Records of different scenarios in one leaderboard.
     #[error(
-        "{name} is of {population}, but the first run is of {first}\nhint: rank only policies that ran the same scenarios"
+        "{name} is of {population}, but the first run is of {first}\nHint: rank only policies that ran the same scenarios"
     )]
     NotComparable {
         /// The record's name.

@@ -63,12 +63,12 @@ impl Metric {
         let list = |names: Vec<&str>| if names.is_empty() { "none".to_owned() } else { names.join(", ") };
         match self {
             Self::Failure(mode) | Self::FailureCount(mode) if !task.declares(mode) => Err(format!(
-                "the task {} has no failure mode `{mode}`\nhint: its failure modes are {}",
+                "the task {} has no failure mode `{mode}`\nHint: its failure modes are {}",
                 task.name,
                 list(task.modes().map(FailureMode::as_str).collect())
             )),
             Self::Measure(name, _) if task.measure(name.as_str()).is_none() => Err(format!(
-                "the task {} has no measure `{name}`\nhint: its measures are {}",
+                "the task {} has no measure `{name}`\nHint: its measures are {}",
                 task.name,
                 list(task.measures.iter().map(|measure| measure.name.as_str()).collect())
             )),

@@ -156,7 +156,7 @@ impl Requirement {
             return Err(GateError::Unmeetable {
                 id: self.id(),
                 demand: self.demand(),
-                reason: "a count grows with the number of episodes, so a limit on it cannot be shown to hold\nhint: require `failure:<mode>` with `at_most = 0.01`".to_owned(),
+                reason: "a count grows with the number of episodes, so a limit on it cannot be shown to hold\nHint: require `failure:<mode>` with `at_most = 0.01`".to_owned(),
             });
         }
         Ok(())
@@ -210,19 +210,19 @@ impl Requirement {
         let Bound { sense, limit } = bound;
         if self.metric.is_rate() {
             if sense == Sense::AtLeast && limit > 1.0 {
-                return refuse("a rate cannot exceed 1\nhint: write 92 % as 0.92");
+                return refuse("a rate cannot exceed 1\nHint: write 92 % as 0.92");
             }
             if mode == Mode::Confidence {
                 if (sense == Sense::AtLeast && limit >= 1.0) || (sense == Sense::AtMost && limit <= 0.0) {
                     return refuse(
-                        "no number of episodes can show that an event never happens\nhint: use a limit such as 0.99 or 0.01; with `at_most_times_baseline`, also set `at_most` as a minimum limit",
+                        "no number of episodes can show that an event never happens\nHint: use a limit such as 0.99 or 0.01; with `at_most_times_baseline`, also set `at_most` as a minimum limit",
                     );
                 }
                 if (sense == Sense::AtLeast && limit <= 0.0) || (sense == Sense::AtMost && limit >= 1.0) {
                     return Err(GateError::Requirement {
                         id: self.id(),
                         reason: format!(
-                            "`{sense} {limit}` holds for every rate\nhint: remove the requirement, or choose a stricter limit"
+                            "`{sense} {limit}` holds for every rate\nHint: remove the requirement, or choose a stricter limit"
                         ),
                     });
                 }
@@ -235,7 +235,7 @@ impl Requirement {
                 Err(GateError::Requirement { id: self.id(), reason })
             };
             match sense {
-                Sense::AtMost if limit <= floor => return refuse("no value is below it\nhint: raise the limit"),
+                Sense::AtMost if limit <= floor => return refuse("no value is below it\nHint: raise the limit"),
                 Sense::AtLeast if limit >= ceiling => return refuse("`ceiling` is not above the limit"),
                 Sense::AtMost if limit >= ceiling => return always("ceiling"),
                 Sense::AtLeast if limit <= floor && self.floor.is_some() => return always("floor"),

@@ -159,7 +159,7 @@ impl Requirements {
         let task = &record.task;
         let wrong = |reason: String| GateError::NotOfTask { requirements: self.name.clone(), reason };
         if let Some(name) = self.task.as_deref().filter(|name| task.name != *name && !record.imported) {
-            let hint = "hint: use --requirements default, or your own file";
+            let hint = "Hint: use --requirements default, or your own file";
             return Err(wrong(format!(
                 "the requirements are for the task {name}, but the episodes are of {}\n{hint}",
                 task.name

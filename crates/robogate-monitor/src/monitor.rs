@@ -19,7 +19,7 @@ pub struct Monitor {
 
 /// The error for a cycle of a new recipe, if the limit of recipes is reached.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("recipe `{recipe}` is new, and {most} recipes are watched already. Hint: increase `most_recipes`")]
+#[error("recipe `{recipe}` is new, and {most} recipes are watched already\nHint: increase `most_recipes`")]
 pub struct TooManyRecipes {
     /// The rejected recipe.
     pub recipe: String,

@@ -58,8 +58,8 @@ pub enum ReferenceError {
     Domain(#[from] DomainError),
     /// A baseline that the gate would reject.
     #[error(
-        "the baseline is a success rate of {:.1} %, below the {:.1} % that the gate requires: a monitor with it would accept what the gate rejects\n  \
-         hint: use the run of a gate that passed, or leave the rate out with `robogate monitor reference RUN --learn-baseline`; the monitor then \
+        "the baseline is a success rate of {:.1} %, below the {:.1} % that the gate requires: a monitor with it would accept what the gate rejects\n\
+         Hint: use the run of a gate that passed, or leave the rate out with `robogate monitor reference RUN --learn-baseline`; the monitor then \
          learns it from the first cycles of the robot",
         100.0 * rate,
         100.0 * required
@@ -72,7 +72,7 @@ pub enum ReferenceError {
     },
     /// A mix of failure modes from a simulator.
     #[error(
-        "the mix of failure modes comes from a simulator, so every robot would raise an alarm about it\n  hint: write the reference again with \
+        "the mix of failure modes comes from a simulator, so every robot would raise an alarm about it\nHint: write the reference again with \
          `robogate monitor reference RUN`; the monitor then learns the mix from the robot"
     )]
     SimulatedModes,

@@ -107,7 +107,7 @@ impl RobotError {
         match self {
             Self::Invalid { problems, .. } => problems,
             Self::Engine { why } => {
-                let (what, hint) = why.split_once("\nhint: ").unwrap_or((&why, "use the Rapier engine"));
+                let (what, hint) = why.split_once("\nHint: ").unwrap_or((&why, "use the Rapier engine"));
                 vec![Problem::new(what, hint)]
             }
             other => vec![Problem::new(other.to_string(), "name a folder with a robot.toml and the model beside it")],

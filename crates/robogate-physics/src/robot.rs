@@ -488,7 +488,7 @@ impl Problem {
 
 impl fmt::Display for Problem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}\n  hint: {}", self.what, self.hint)
+        write!(f, "{}\nHint: {}", self.what, self.hint)
     }
 }
 

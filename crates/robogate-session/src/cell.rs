@@ -280,7 +280,7 @@ impl Cell {
     /// The information that a server of this cell declares.
     pub fn hello(&self) -> anyhow::Result<Hello> {
         if self.pool.is_some() {
-            bail!("`robogate serve` serves built-in environments only\n  hint: leave out --simulator");
+            bail!("`robogate serve` serves built-in environments only\nHint: leave out --simulator");
         }
         let (engine, robot) = self.provenance()?;
         let program = message::Program { name: "robogate".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() };

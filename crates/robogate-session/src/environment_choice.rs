@@ -72,7 +72,7 @@ impl EnvironmentChoice {
             return Ok((EnvironmentSource::launched(&from_any_folder(name), &self.simulators)?, self.parameters()?));
         }
         if self.simulators.python.is_some() && self.simulators.addresses.is_empty() {
-            return Err(anyhow!("--python applies to --env only\n  hint: leave it out")).or_request();
+            return Err(anyhow!("--python applies to --env only\nHint: leave it out")).or_request();
         }
         let pool = self.simulators.connect()?;
         if let Some(pool) = pool.as_ref().filter(|pool| pool.hello().scores_itself) {
@@ -117,16 +117,16 @@ impl EnvironmentChoice {
         let name = foreign(name);
         Err(match (environment, known.is_empty()) {
             _ if task.parameter(&name).is_some() => anyhow!(
-                "--set {name}: `{name}` is a parameter of {}, which varies between episodes\n  hint: set its range in a \
+                "--set {name}: `{name}` is a parameter of {}, which varies between episodes\nHint: set its range in a \
                  space: --space FILE",
                 task.name
             ),
             (EnvironmentSource::Remote(_), false) => anyhow!(
-                "--set {name}: the settings of {} are those of its server\n  hint: give them to the server: robogate \
+                "--set {name}: the settings of {} are those of its server\nHint: give them to the server: robogate \
                  serve --set {name}=VALUE",
                 task.name
             ),
-            (_, true) => anyhow!("--set {name}: {} has no settings\n  hint: leave it out", task.name),
+            (_, true) => anyhow!("--set {name}: {} has no settings\nHint: leave it out", task.name),
             (_, false) => {
                 anyhow!("--set {name}: {} has no such setting. Expected one of: {}", task.name, known.join(", "))
             }
@@ -142,7 +142,7 @@ impl EnvironmentChoice {
                 // Another user may have written the suite. Bundled environments are part of RoboGate.
                 if !is_bundled(name) {
                     return Err(anyhow!(
-                        "the suite is for the environment {0}, whose code a file cannot start\n  hint: add --env {0} if you trust it",
+                        "the suite is for the environment {0}, whose code a file cannot start\nHint: add --env {0} if you trust it",
                         foreign(name)
                     ))
                     .or_request();
@@ -172,7 +172,7 @@ impl EnvironmentChoice {
             EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
                 let arms: Vec<&str> = registry::ARM_TASKS.iter().map(|task| task.name()).collect();
                 Err(anyhow!(
-                    "this command needs a built-in task for an arm: {}\n  hint: leave out --env and --simulator",
+                    "this command needs a built-in task for an arm: {}\nHint: leave out --env and --simulator",
                     arms.join(", ")
                 ))
                 .or_request()
@@ -199,7 +199,7 @@ impl EnvironmentChoice {
         ];
         match given.into_iter().find(|(_, given)| *given) {
             Some((option, _)) => Err(anyhow!(
-                "{option} cannot be used with {environment}, which has no robots and engines to choose\n  hint: leave it out"
+                "{option} cannot be used with {environment}, which has no robots and engines to choose\nHint: leave it out"
             ))
             .or_request(),
             None => Ok(()),

@@ -13,7 +13,7 @@ use robogate_physics::RobotError;
 pub struct Failure {
     /// Its kind.
     pub kind: FailureKind,
-    /// The error with its causes. The message may have several lines; a line that begins with `hint:` says what to do.
+    /// The error with its causes. The message may have several lines; a line that begins with `Hint:` says what to do.
     pub error: anyhow::Error,
 }
 

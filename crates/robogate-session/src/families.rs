@@ -15,7 +15,7 @@ const DECLARED: &str = "declared";
 pub fn suite(given: &[String], space: &ParameterSpace, task: &TaskSpec, scenarios: usize) -> anyhow::Result<Suite> {
     ensure!(
         space.correlations().is_empty(),
-        "--family: the space {} samples parameters jointly, so they cannot be varied one family at a time\nhint: choose a space without `correlation`",
+        "--family: the space {} samples parameters jointly, so they cannot be varied one family at a time\nHint: choose a space without `correlation`",
         space.name()
     );
     let mut families: Vec<(String, Vec<String>)> = Vec::new();
@@ -57,7 +57,7 @@ fn declared(space: &ParameterSpace, task: &TaskSpec) -> anyhow::Result<Vec<(Stri
     let families = task.families_among(names);
     ensure!(
         !families.is_empty(),
-        "--family {DECLARED}: the task {} declares no family for a parameter of the space {}\nhint: use NAME=PARAMETER,PARAMETER or `{EACH}`",
+        "--family {DECLARED}: the task {} declares no family for a parameter of the space {}\nHint: use NAME=PARAMETER,PARAMETER or `{EACH}`",
         task.name,
         space.name()
     );

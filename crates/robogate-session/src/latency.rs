@@ -116,12 +116,12 @@ impl LatencyChoice {
         match (range, space.position(LATENCY_PARAMETER)) {
             (None, Some(_)) => Ok(space),
             (None, None) => bail!(
-                "--latency varied: the space {} has no parameter `{LATENCY_PARAMETER}`\n  hint: give a range, for example \
+                "--latency varied: the space {} has no parameter `{LATENCY_PARAMETER}`\nHint: give a range, for example \
                  --latency varied:0ms,500ms",
                 space.name()
             ),
             (Some(_), Some(_)) => bail!(
-                "--latency varied: the space {} has the parameter `{LATENCY_PARAMETER}` already\n  hint: use --latency \
+                "--latency varied: the space {} has the parameter `{LATENCY_PARAMETER}` already\nHint: use --latency \
                  varied, without a range",
                 space.name()
             ),
@@ -147,7 +147,7 @@ impl LatencyChoice {
     pub fn check_suite(&self, space: &ParameterSpace) -> anyhow::Result<()> {
         match &self.latency {
             Some(WantedLatency::Varied(Some(_))) => bail!(
-                "--latency varied: the scenarios of a suite are fixed\n  hint: use --latency varied with a suite that has \
+                "--latency varied: the scenarios of a suite are fixed\nHint: use --latency varied with a suite that has \
                  the parameter `{LATENCY_PARAMETER}`, or a space"
             ),
             Some(WantedLatency::Varied(None)) => self.added_to(space.clone()).map(drop),

@@ -43,7 +43,7 @@ pub fn register(folder: &Path, provenance: &Provenance, python: Option<&Path>) {
     let noted = Note { programs_sha256: programs_sha256(provenance), python };
     if let Err(why) = write(folder, &noted) {
         note(format_args!(
-            "note: cannot note that this run is yours ({why}), so replays of it need --trust\n  hint: set ROBOGATE_STATE_DIR to a \
+            "note: cannot note that this run is yours ({why}), so replays of it need --trust\nHint: set ROBOGATE_STATE_DIR to a \
              folder that you can write"
         ));
     }

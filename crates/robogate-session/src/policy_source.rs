@@ -184,7 +184,7 @@ impl ExternalSource {
             return Ok(());
         }
         Err(anyhow!(
-            "the policy {} is not the one of the run: its SHA-256 is {now}, but the run recorded {}\n  hint: name the recorded \
+            "the policy {} is not the one of the run: its SHA-256 is {now}, but the run recorded {}\nHint: name the recorded \
              file with --policy-at",
             foreign(file),
             foreign(recorded.unwrap_or("none"))
@@ -268,7 +268,7 @@ impl PolicyAccess {
         let option = given.into_iter().find_map(|(option, file)| file.as_ref().map(|_| option));
         match option {
             Some(option) if !matches!(policy, Some(PolicySource::External(_))) => Err(anyhow!(
-                "{option} applies to policy servers, but the policy is not behind one\n  hint: leave it out, or give the address of \
+                "{option} applies to policy servers, but the policy is not behind one\nHint: leave it out, or give the address of \
                  the server with --policy"
             ))
             .or_request(),
@@ -313,10 +313,10 @@ impl PolicyLocation {
     pub fn unused(&self) -> Result<(), Failure> {
         match &self.at {
             None => Ok(()),
-            Some(at) => Err(anyhow!(
-                "{at}: the policy of this run is neither a server nor a file\n  hint: leave out its address"
-            ))
-            .or_request(),
+            Some(at) => {
+                Err(anyhow!("{at}: the policy of this run is neither a server nor a file\nHint: leave out its address"))
+                    .or_request()
+            }
         }
     }
 }
@@ -340,7 +340,7 @@ impl PolicyChoice {
             (None, _) | (Some("scripted"), None) => location.unused().map(|()| None),
             (Some("random"), None) => location.unused().map(|()| Some(PolicySource::BuiltIn(BuiltInPolicy::Random))),
             (Some(name @ ("random" | "scripted")), Some(_)) => {
-                Err(anyhow!("--profile cannot be used with --policy {name}\n  hint: leave out --profile")).or_request()
+                Err(anyhow!("--profile cannot be used with --policy {name}\nHint: leave out --profile")).or_request()
             }
             (Some(server), Some(wanted)) => {
                 let map = self.map.as_deref().map(task_map).transpose().or_request()?;
@@ -380,7 +380,7 @@ fn is_name(policy: &str) -> bool {
 pub fn without_profile(policy: &str) -> anyhow::Error {
     if policy.contains("://") || Path::new(policy).exists() {
         anyhow!(
-            "--policy {policy}: --profile is missing. It describes the observations and actions of the model\n  hint: \
+            "--policy {policy}: --profile is missing. It describes the observations and actions of the model\nHint: \
              `robogate policy profiles` lists the built-in profiles"
         )
     } else if policy.contains(['/', '.']) {

@@ -69,11 +69,8 @@ impl EngineEntry {
     pub fn find(name: &str) -> anyhow::Result<&'static Self> {
         ENGINES.iter().find(|engine| engine.name == name).ok_or_else(|| {
             let known: Vec<&str> = ENGINES.iter().map(|engine| engine.name).collect();
-            let hint = if OPTIONAL.contains(&name) {
-                format!("\n  hint: build with --features {name}")
-            } else {
-                String::new()
-            };
+            let hint =
+                if OPTIONAL.contains(&name) { format!("\nHint: build with --features {name}") } else { String::new() };
             anyhow!("--engine {name}: no such engine in this build. Expected one of: {}{hint}", known.join(", "))
         })
     }

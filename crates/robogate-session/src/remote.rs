@@ -97,7 +97,7 @@ pub(crate) fn check_robot(hello: &Hello, robot: &Robot, sha256: &str) -> anyhow:
             let (short, other) = (sha256.get(..12).unwrap_or(sha256), other.get(..12).unwrap_or(other));
             bail!(
                 "the simulator has another robot: its {} has files with the hash {other}..., the {name} of --robot has \
-                 {short}...\n  hint: start the simulator with the robot folder that --robot names",
+                 {short}...\nHint: start the simulator with the robot folder that --robot names",
                 theirs.name
             );
         }

@@ -171,7 +171,7 @@ impl Reopening {
             ("--robot", &self.robot, programs.iter().any(|program| matches!(program, Program::Robot(_)))),
         ];
         if let Some((option, Some(value), _)) = unused.into_iter().find(|(_, value, used)| value.is_some() && !used) {
-            return Err(anyhow!("{option} {value}: the run names none\n  hint: leave out {option}")).or_request();
+            return Err(anyhow!("{option} {value}: the run names none\nHint: leave out {option}")).or_request();
         }
         match &origin {
             Some(Origin { python }) if permit.simulators.python.is_none() => {
@@ -191,7 +191,7 @@ fn refusal(unnamed: &[&Program]) -> anyhow::Error {
     let names: Vec<String> = unnamed.iter().map(ToString::to_string).collect();
     let options: Vec<&str> = unnamed.iter().map(|program| program.option()).collect();
     anyhow!(
-        "the run was not made by you on this machine, so {} {} not started\n  hint: name your own copy with {}, or add --trust if \
+        "the run was not made by you on this machine, so {} {} not started\nHint: name your own copy with {}, or add --trust if \
          you trust the author: such a program can run any code",
         names.join(" and "),
         if names.len() == 1 { "is" } else { "are" },
@@ -210,6 +210,6 @@ fn same_environment(recorded: &str, named: &str) -> Result<String, Failure> {
     if same {
         return Ok(full);
     }
-    Err(anyhow!("--env {named}: the run was made in {}\n  hint: name the same environment", foreign(recorded)))
+    Err(anyhow!("--env {named}: the run was made in {}\nHint: name the same environment", foreign(recorded)))
         .or_request()
 }

@@ -58,7 +58,7 @@ impl Workers<'_> {
     ) -> Result<Completion, Failure> {
         match self.with_pool(subject, |pool| guarded(pool, u64::MAX, events, work))? {
             (Completion::Interrupted { .. }, Some(outage)) => Err(anyhow!(
-                "stopped: {outage}\n  hint: the recorded episodes are kept; `robogate resume` runs the others once the server \
+                "stopped: {outage}\nHint: the recorded episodes are kept; `robogate resume` runs the others once the server \
                  is available again"
             ))
             .or_broken(),

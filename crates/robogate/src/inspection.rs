@@ -27,7 +27,7 @@ pub(crate) fn show(robot: &str, json: bool) -> u8 {
             n => line(format_args!("{} {n} problems with {name}", bold("FAILS"))),
         }
         for (i, problem) in problems.iter().enumerate() {
-            line(format_args!("\n{}. {}\n   hint: {}", i + 1, problem.what, problem.hint));
+            line(format_args!("\n{}. {}\nHint: {}", i + 1, problem.what, problem.hint));
         }
         if let (Some(settings), Some(measured)) = (settings, measured) {
             line("");

@@ -156,7 +156,7 @@ fn panicked(panic: &PanicHookInfo<'_>) {
     let place = panic.location().map(|place| format!(" ({}:{})", place.file(), place.line())).unwrap_or_default();
     let why = message(panic.payload());
     let error = anyhow::anyhow!(
-        "internal error: {why}{place}\nhint: this is a defect of robogate. Report the command and this message"
+        "internal error: {why}{place}\nHint: this is a defect of robogate. Report the command and this message"
     );
     terminal::error(&exit::Exit { code: exit::INFRASTRUCTURE, error });
 }

@@ -36,7 +36,7 @@ pub(crate) fn check_different(one: (&str, Option<&Path>), other: (&str, Option<&
     let ((first, Some(one)), (second, Some(other))) = (one, other) else { return Ok(()) };
     let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     if absolute(one) == absolute(other) {
-        return Err(anyhow!("{first} and {second} are the same file, {}\n  hint: choose two files", one.display()))
+        return Err(anyhow!("{first} and {second} are the same file, {}\nHint: choose two files", one.display()))
             .or_usage();
     }
     Ok(())
@@ -82,7 +82,7 @@ fn remote(dir: &Path) -> Result<Box<dyn ShardStore>, Exit> {
 #[cfg(not(feature = "object-store"))]
 fn remote(dir: &Path) -> Result<Box<dyn ShardStore>, Exit> {
     Err(anyhow!(
-        "{}: this build of robogate has no object stores\n  hint: use a folder, the Python package robogate-eval, or a build with \
+        "{}: this build of robogate has no object stores\nHint: use a folder, the Python package robogate-eval, or a build with \
          --features object-store",
         dir.display()
     ))

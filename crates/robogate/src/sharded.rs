@@ -55,7 +55,7 @@ impl Gate {
 /// The error of a question that the plan does not name.
 fn not_planned(path: &Path, reason: &str) -> Exit {
     let hint = "run the `robogate gate --divide` that wrote the plan again, which writes a missing question, or restore the file";
-    Exit { code: USAGE, error: anyhow!("{}: {reason}\n  hint: {hint}", path.display()) }
+    Exit { code: USAGE, error: anyhow!("{}: {reason}\nHint: {hint}", path.display()) }
 }
 
 /// What the task knows about episodes before they run. `None` if it knows nothing.

@@ -41,7 +41,7 @@ impl NominalArguments {
         match &self.nominal {
             None => Ok(()),
             Some(_) => {
-                Err(anyhow!("--nominal applies to a finished run\n  hint: add --run RUN, or use --twins")).or_usage()
+                Err(anyhow!("--nominal applies to a finished run\nHint: add --run RUN, or use --twins")).or_usage()
             }
         }
     }

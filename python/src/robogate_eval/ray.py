@@ -37,7 +37,7 @@ try:
     from robogate_eval.cluster.tasks import Attempt, Servers, run
 except ImportError as error:
     # An exit with a message would have code 1, which means that a gate has failed.
-    sys.stderr.write(f"error: {error}\nhint: pip install 'robogate-eval[ray]'\n")
+    sys.stderr.write(f"error: {error}\nHint: pip install 'robogate-eval[ray]'\n")
     raise SystemExit(USAGE) from error
 
 # How many shards each slot of the cluster gets in a round. More shards balance the load better, and each takes less time to repeat.
@@ -107,7 +107,7 @@ class Campaign:
         if lane is None:
             raise CampaignError(
                 USAGE,
-                "no node has room for the servers\nhint: check the GPUs of the nodes with `ray status`, or start servers "
+                "no node has room for the servers\nHint: check the GPUs of the nodes with `ray status`, or start servers "
                 "with --policies-per-node or --simulators-per-node",
             )
         return lane
@@ -199,7 +199,7 @@ class Campaign:
             raise CampaignError(
                 INFRASTRUCTURE,
                 f"{left.name} failed {most} times, the last time because: {problem}\n"
-                "hint: committed shards are kept; the same command continues the campaign",
+                "Hint: committed shards are kept; the same command continues the campaign",
             )
         self.repeated += len(left.items)
         again = "runs again" if len(left.items) == 1 else "run again"
@@ -222,7 +222,7 @@ class Campaign:
                 raise CampaignError(
                     INFRASTRUCTURE,
                     f"{len(left)} shards were committed on another node, but {folder} does not contain them here\n"
-                    "hint: DIR must be the same folder on all nodes, on a shared file system or in an object store",
+                    "Hint: DIR must be the same folder on all nodes, on a shared file system or in an object store",
                 )
             round = after
 
@@ -285,7 +285,7 @@ def _plan(given: argparse.Namespace, policy: str) -> "Lanes":
     policies = servers("policy", given.policies_per_node)
     if policies is not None and "://" not in policy:
         # The plan in a folder is read here; that in an object store is not.
-        hint = "\nhint: repeat all options of a campaign in an object store" if "://" in given.out else ""
+        hint = "\nHint: repeat all options of a campaign in an object store" if "://" in given.out else ""
         raise CampaignError(
             USAGE, f"--policy-server needs --policy with the address that the plan records, such as ws://127.0.0.1:8000{hint}"
         )
@@ -323,7 +323,7 @@ def _endpoint(address: str) -> "tuple[str, int] | None":
 
 def _no_cluster(address: str, problem: object) -> CampaignError:
     hint = "start one with `ray start --head`, check the host and port in --address or RAY_ADDRESS, or use --address local"
-    return CampaignError(INFRASTRUCTURE, f"no Ray cluster at {address}: {problem}\nhint: {hint}")
+    return CampaignError(INFRASTRUCTURE, f"no Ray cluster at {address}: {problem}\nHint: {hint}")
 
 
 def _connect(address: str) -> None:
@@ -404,7 +404,7 @@ def main() -> None:
         code = execute(given, options)
     except ray.exceptions.RayError as error:
         # First, because the error of a task is also an instance of its cause's class.
-        note(f"error: {reason(error)}\nhint: committed shards are kept; the same command continues the campaign")
+        note(f"error: {reason(error)}\nHint: committed shards are kept; the same command continues the campaign")
         code = INFRASTRUCTURE
     except (CampaignError, CommandError) as error:
         note(f"error: {error}")

@@ -530,7 +530,7 @@ class Registered(unittest.TestCase):
         self.assertEqual(find("gymnasium:CartPole-v1").source, f"gymnasium {gymnasium.__version__}")
 
     def test_unknown_name_has_a_hint(self):
-        with self.assertRaisesRegex(UnknownEnvironment, "hint: if another package registers it, gymnasium:MODULE:ID"):
+        with self.assertRaisesRegex(UnknownEnvironment, "Hint: if another package registers it, gymnasium:MODULE:ID"):
             find("gymnasium:Foreign-v0")
 
 

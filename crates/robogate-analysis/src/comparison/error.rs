@@ -11,13 +11,13 @@ pub enum ComparisonError {
     #[error(transparent)]
     Analysis(#[from] AnalysisError),
     /// Fewer than two dictionaries.
-    #[error("expected at least two dictionaries, found {found}\nhint: analyze a single one with `robogate analyze`")]
+    #[error("expected at least two dictionaries, found {found}\nHint: analyze a single one with `robogate analyze`")]
     TooFew {
         /// The number of dictionaries.
         found: usize,
     },
     /// Two dictionaries with the same rows.
-    #[error("{} and {} have the same rows\nhint: remove one of them", first.display(), second.display())]
+    #[error("{} and {} have the same rows\nHint: remove one of them", first.display(), second.display())]
     SameTwice {
         /// The first path.
         first: PathBuf,
@@ -26,7 +26,7 @@ pub enum ComparisonError {
     },
     /// The number of names differs from the number of dictionaries.
     #[error(
-        "--names: found {given} names for {datasets} dictionaries\nhint: give one name for each in their order, or leave out --names"
+        "--names: found {given} names for {datasets} dictionaries\nHint: give one name for each in their order, or leave out --names"
     )]
     Names {
         /// Names given.
@@ -59,7 +59,7 @@ pub enum ComparisonError {
         expected: &'static str,
     },
     /// A pair of parameters that cannot be compared together.
-    #[error("`{name}` is not a valid parameter of a pair: {reason}\nhint: expected two of {known}")]
+    #[error("`{name}` is not a valid parameter of a pair: {reason}\nHint: expected two of {known}")]
     Pair {
         /// The problem.
         name: String,
@@ -70,7 +70,7 @@ pub enum ComparisonError {
     },
     /// Dictionaries of different tasks.
     #[error(
-        "`{first}` ran the task {task} and `{second}` the task {other}\nhint: their success rates are of different things; compare runs of one task"
+        "`{first}` ran the task {task} and `{second}` the task {other}\nHint: their success rates are of different things; compare runs of one task"
     )]
     DifferentTasks {
         /// Name of the first.
@@ -84,7 +84,7 @@ pub enum ComparisonError {
     },
     /// Dictionaries of different spaces.
     #[error(
-        "`{first}` and `{second}` have different parameter spaces: {difference}\nhint: with --common only rows in the shared ranges are compared"
+        "`{first}` and `{second}` have different parameter spaces: {difference}\nHint: with --common only rows in the shared ranges are compared"
     )]
     DifferentSpaces {
         /// Name of the first.
@@ -95,14 +95,14 @@ pub enum ComparisonError {
         difference: String,
     },
     /// No rows in the shared part of the spaces.
-    #[error("`{name}` has no valid row in the shared part of the spaces\nhint: compare runs whose spaces overlap")]
+    #[error("`{name}` has no valid row in the shared part of the spaces\nHint: compare runs whose spaces overlap")]
     NothingShared {
         /// The dataset.
         name: String,
     },
     /// Two dictionaries that did not run the same scenarios.
     #[error(
-        "`{first}` and `{second}` did not run the same scenarios: {difference}\nhint: pairs need runs with the same \
+        "`{first}` and `{second}` did not run the same scenarios: {difference}\nHint: pairs need runs with the same \
          plan, space and --seed; without --paired they are compared as independent runs"
     )]
     NotTheSameDesign {

@@ -45,7 +45,7 @@ impl Gl {
         #[expect(unsafe_code, reason = "a library is loaded")]
         let egl = unsafe { egl::DynamicInstance::<egl::EGL1_5>::load_required() }.map_err(|error| {
             format!(
-                "cannot load EGL 1.5: {error}\n  hint: on Debian and Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri"
+                "cannot load EGL 1.5: {error}\nHint: on Debian and Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri"
             )
         })?;
         let wanted = match env::var(DEVICE_VARIABLE) {
@@ -73,7 +73,7 @@ impl Gl {
             }
         }
         Err(format!(
-            "no EGL device supports OpenGL: {why}\n  hint: Mesa renders without a GPU; on Debian and Ubuntu: apt-get install \
+            "no EGL device supports OpenGL: {why}\nHint: Mesa renders without a GPU; on Debian and Ubuntu: apt-get install \
              libegl1 libgl1 libgl1-mesa-dri"
         ))
     }

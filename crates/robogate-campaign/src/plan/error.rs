@@ -7,7 +7,7 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum PlanError {
     /// The file cannot be read.
-    #[error("cannot read {}: {source}\nhint: check the path", path.display())]
+    #[error("cannot read {}: {source}\nHint: check the path", path.display())]
     Unreadable {
         /// The file.
         path: PathBuf,
@@ -26,26 +26,26 @@ pub enum PlanError {
     #[error("{0}")]
     Syntax(String),
     /// The plan has no episodes.
-    #[error("`uniform.episodes` and `boundary.episodes` are both 0\nhint: a campaign needs at least one episode")]
+    #[error("`uniform.episodes` and `boundary.episodes` are both 0\nHint: a campaign needs at least one episode")]
     NoEpisodes,
     /// A plan with both a suite and stages.
     #[error(
-        "`suite` cannot be combined with `uniform.episodes` or `boundary.episodes`\nhint: a plan runs either a suite or stages"
+        "`suite` cannot be combined with `uniform.episodes` or `boundary.episodes`\nHint: a plan runs either a suite or stages"
     )]
     SuiteAndStages,
     /// A plan with two stages after the first.
     #[error(
-        "`active` and `boundary.episodes` cannot be combined\nhint: the active stage replaces the boundary stage; remove one of them"
+        "`active` and `boundary.episodes` cannot be combined\nHint: the active stage replaces the boundary stage; remove one of them"
     )]
     ActiveAndBoundary,
     /// An active stage without a first stage.
     #[error(
-        "`uniform.episodes` is 0, but `active` needs a uniform stage\nhint: give it about a quarter of the episodes"
+        "`uniform.episodes` is 0, but `active` needs a uniform stage\nHint: give it about a quarter of the episodes"
     )]
     ActiveAlone,
     /// An active stage that seeks a failure mode and measures the error of a model of success.
     #[error(
-        "`active.seek` and `active.until_rms` cannot be combined\nhint: the bound is that of a model of success; remove one of them"
+        "`active.seek` and `active.until_rms` cannot be combined\nHint: the bound is that of a model of success; remove one of them"
     )]
     SeekUntilRms,
     /// A setting out of range.
@@ -59,7 +59,7 @@ pub enum PlanError {
         expected: &'static str,
     },
     /// A suite with zero rounds.
-    #[error("a suite needs at least one round\nhint: set `suite.rounds` in the plan or `--rounds` on the command line")]
+    #[error("a suite needs at least one round\nHint: set `suite.rounds` in the plan or `--rounds` on the command line")]
     NoRounds,
     /// A suite that does not match its hash.
     #[error("`suite.sha256` does not match `suite.suite`: it states {found}")]
@@ -69,12 +69,12 @@ pub enum PlanError {
     },
     /// A suite with another parameter space.
     #[error(
-        "the parameter space does not match the suite\nhint: a suite defines its own space; remove the separate one"
+        "the parameter space does not match the suite\nHint: a suite defines its own space; remove the separate one"
     )]
     SuiteSpace,
     /// A second stage without a first.
     #[error(
-        "`uniform.episodes` is 0 and `boundary.episodes` is {boundary}\nhint: the boundary is found from the uniform stage; give it some of the episodes"
+        "`uniform.episodes` is 0 and `boundary.episodes` is {boundary}\nHint: the boundary is found from the uniform stage; give it some of the episodes"
     )]
     BoundaryAlone {
         /// Episodes of the second stage.
@@ -115,16 +115,16 @@ pub enum PlanError {
         high: f64,
     },
     /// A share out of range.
-    #[error("`boundary.emphasis.share` is {share}; expected a number from 0 to 1\nhint: write 30 % as 0.30")]
+    #[error("`boundary.emphasis.share` is {share}; expected a number from 0 to 1\nHint: write 30 % as 0.30")]
     Share {
         /// The value.
         share: f64,
     },
     /// An emphasis without conditions.
-    #[error("`boundary.emphasis` has no [[boundary.emphasis.where]]\nhint: remove the table if no emphasis is needed")]
+    #[error("`boundary.emphasis` has no [[boundary.emphasis.where]]\nHint: remove the table if no emphasis is needed")]
     NoConditions,
     /// An unknown sampler.
-    #[error("`sampler`: `{name}` is unknown\nhint: {hint}")]
+    #[error("`sampler`: `{name}` is unknown\nHint: {hint}")]
     UnknownSampler {
         /// The name.
         name: String,
@@ -132,7 +132,7 @@ pub enum PlanError {
         hint: String,
     },
     /// A range of a parameter that is not in the space.
-    #[error("`{key}`: the parameter space `{space}` has no parameter `{parameter}`\nhint: {hint}")]
+    #[error("`{key}`: the parameter space `{space}` has no parameter `{parameter}`\nHint: {hint}")]
     UnknownParameter {
         /// The key.
         key: String,
@@ -202,7 +202,7 @@ pub enum PlanError {
         high: f64,
     },
     /// Two ranges of the same parameter in one list.
-    #[error("`{key}`: `{parameter}` is in this list twice\nhint: one range can have both a `low` and a `high`")]
+    #[error("`{key}`: `{parameter}` is in this list twice\nHint: one range can have both a `low` and a `high`")]
     Twice {
         /// The key.
         key: String,
@@ -212,7 +212,7 @@ pub enum PlanError {
     /// A boundary stage in a space whose parameters are correlated.
     #[error(
         "the boundary stage needs independent parameters, but the space correlates `{first}` with `{second}`: its points \
-         and weights would be wrong\nhint: use a plan without a [boundary] table (--plan FILE); the uniform stage supports \
+         and weights would be wrong\nHint: use a plan without a [boundary] table (--plan FILE); the uniform stage supports \
          correlations"
     )]
     CorrelatedBoundary {

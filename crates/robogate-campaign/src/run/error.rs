@@ -23,7 +23,7 @@ pub enum RunError {
         source: io::Error,
     },
     /// The folder contains other files.
-    #[error("{} is not empty (it contains `{name}`) and is not a robogate run\nhint: choose an empty or new folder", dir.display())]
+    #[error("{} is not empty (it contains `{name}`) and is not a robogate run\nHint: choose an empty or new folder", dir.display())]
     NotEmpty {
         /// The folder.
         dir: PathBuf,
@@ -40,26 +40,26 @@ pub enum RunError {
     },
     /// The folder contains a campaign in shards.
     #[error(
-        "{} contains a campaign in shards\nhint: `robogate plan {0} --next` prints the missing shards, and `robogate merge {0}` merges them", dir.display()
+        "{} contains a campaign in shards\nHint: `robogate plan {0} --next` prints the missing shards, and `robogate merge {0}` merges them", dir.display()
     )]
     InShards {
         /// The folder.
         dir: PathBuf,
     },
     /// The folder contains no run.
-    #[error("{} is not a robogate run: it has no {PLAN}\nhint: check the path, or start a run with `robogate run --out DIR`", dir.display())]
+    #[error("{} is not a robogate run: it has no {PLAN}\nHint: check the path, or start a run with `robogate run --out DIR`", dir.display())]
     NotARun {
         /// The folder.
         dir: PathBuf,
     },
     /// Another process uses the folder.
-    #[error("{} is in use by another process\nhint: only one process at a time can run or resume a campaign", dir.display())]
+    #[error("{} is in use by another process\nHint: only one process at a time can run or resume a campaign", dir.display())]
     Locked {
         /// The folder.
         dir: PathBuf,
     },
     /// A file of the run cannot be parsed.
-    #[error("{}: {source}\nhint: robogate writes this file, and it must not be edited; restore it from a copy", path.display())]
+    #[error("{}: {source}\nHint: robogate writes this file, and it must not be edited; restore it from a copy", path.display())]
     Unreadable {
         /// The file.
         path: PathBuf,
@@ -67,7 +67,7 @@ pub enum RunError {
         source: serde_json::Error,
     },
     /// A file of the run was written by another version of robogate.
-    #[error("{}: its format version is {found}. Expected {expected}\nhint: {}; nothing was changed", path.display(), version_hint(*found, *expected))]
+    #[error("{}: its format version is {found}. Expected {expected}\nHint: {}; nothing was changed", path.display(), version_hint(*found, *expected))]
     OtherVersion {
         /// The file.
         path: PathBuf,
@@ -78,7 +78,7 @@ pub enum RunError {
     },
     /// The present setup differs from that of the run.
     #[error(
-        "the run was started with another {what}: {recorded}, now {present}\nhint: resume it with the original {what}, or start a new run; episodes of both cannot be compared"
+        "the run was started with another {what}: {recorded}, now {present}\nHint: resume it with the original {what}, or start a new run; episodes of both cannot be compared"
     )]
     Mismatch {
         /// The differing item.
@@ -89,7 +89,7 @@ pub enum RunError {
         present: String,
     },
     /// The journal contains an episode that is not in the plan.
-    #[error("{}: episode {index} does not match the plan\nhint: the journal belongs to another run, or was started on another platform", path.display())]
+    #[error("{}: episode {index} does not match the plan\nHint: the journal belongs to another run, or was started on another platform", path.display())]
     ForeignEpisode {
         /// The journal.
         path: PathBuf,
@@ -138,10 +138,10 @@ impl RunError {
 fn already_a_run(dir: &Path, finished: bool) -> String {
     let dir = dir.display();
     if finished {
-        format!("{dir} already contains a finished run\nhint: choose another folder")
+        format!("{dir} already contains a finished run\nHint: choose another folder")
     } else {
         format!(
-            "{dir} contains an unfinished run\nhint: resume it with `robogate resume {dir}`, or choose another folder"
+            "{dir} contains an unfinished run\nHint: resume it with `robogate resume {dir}`, or choose another folder"
         )
     }
 }
@@ -149,10 +149,10 @@ fn already_a_run(dir: &Path, finished: bool) -> String {
 fn io_hint(source: &io::Error) -> &'static str {
     match source.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "\nhint: free space on that disk, then resume; recorded episodes are intact"
+            "\nHint: free space on that disk, then resume; recorded episodes are intact"
         }
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
-            "\nhint: choose a folder with write permission"
+            "\nHint: choose a folder with write permission"
         }
         _ => "",
     }

@@ -19,7 +19,7 @@ pub enum ShardError {
     Name(#[from] ShardNameError),
     /// The points of a round of the active stage are not chosen yet.
     #[error(
-        "the points of round {round} are not chosen yet\nhint: `robogate plan {} --next` prints its shards; the first one that runs chooses them", dir.display()
+        "the points of round {round} are not chosen yet\nHint: `robogate plan {} --next` prints its shards; the first one that runs chooses them", dir.display()
     )]
     NotChosen {
         /// The folder.
@@ -39,7 +39,7 @@ pub enum ShardError {
     },
     /// The folder contains a run of one machine.
     #[error(
-        "{} contains a run that is not divided into shards\nhint: continue it with `robogate resume {0}`, or choose another folder",
+        "{} contains a run that is not divided into shards\nHint: continue it with `robogate resume {0}`, or choose another folder",
         dir.display()
     )]
     SingleRun {
@@ -48,7 +48,7 @@ pub enum ShardError {
     },
     /// The folder contains no campaign in shards.
     #[error(
-        "{} contains no campaign in shards\nhint: check the path, or run the first shard with `robogate run --shard 0/N --out {0}`",
+        "{} contains no campaign in shards\nHint: check the path, or run the first shard with `robogate run --shard 0/N --out {0}`",
         dir.display()
     )]
     NotInShards {
@@ -57,7 +57,7 @@ pub enum ShardError {
     },
     /// The folder was divided into another number of shards.
     #[error(
-        "{} is divided into {shards} shards, but --shard names one of {asked}\nhint: use --shard K/{shards}; the first shard of a folder fixes their number",
+        "{} is divided into {shards} shards, but --shard names one of {asked}\nHint: use --shard K/{shards}; the first shard of a folder fixes their number",
         dir.display()
     )]
     OtherCount {
@@ -70,7 +70,7 @@ pub enum ShardError {
     },
     /// The plan was changed after the campaign was divided.
     #[error(
-        "{} was changed after the first shard was run\nhint: robogate writes this file, and it must not be edited; restore it from a copy",
+        "{} was changed after the first shard was run\nHint: robogate writes this file, and it must not be edited; restore it from a copy",
         path.display()
     )]
     PlanChanged {
@@ -79,7 +79,7 @@ pub enum ShardError {
     },
     /// A shard file whose name does not belong to the campaign.
     #[error(
-        "{} is not a shard of this campaign, which is divided into {shards} shards\nhint: move the file to another folder",
+        "{} is not a shard of this campaign, which is divided into {shards} shards\nHint: move the file to another folder",
         path.display()
     )]
     ForeignFile {
@@ -89,7 +89,7 @@ pub enum ShardError {
         shards: u32,
     },
     /// A shard file has changed since it was committed.
-    #[error("{} is damaged: {reason}\nhint: delete the file and run this shard again", path.display())]
+    #[error("{} is damaged: {reason}\nHint: delete the file and run this shard again", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -98,7 +98,7 @@ pub enum ShardError {
     },
     /// A shard of another plan, or of another build.
     #[error(
-        "{} belongs to another campaign: its plan, policy, engine or version of robogate differ from plan.json\nhint: delete the file and run this shard again",
+        "{} belongs to another campaign: its plan, policy, engine or version of robogate differ from plan.json\nHint: delete the file and run this shard again",
         path.display()
     )]
     OtherPlan {
@@ -106,7 +106,7 @@ pub enum ShardError {
         path: PathBuf,
     },
     /// A shard under the name of another one.
-    #[error("{} contains shard {found}\nhint: restore its name, or delete the file and run this shard again", path.display())]
+    #[error("{} contains shard {found}\nHint: restore its name, or delete the file and run this shard again", path.display())]
     Misnamed {
         /// The file.
         path: PathBuf,
@@ -115,7 +115,7 @@ pub enum ShardError {
     },
     /// Two different results for the same file.
     #[error(
-        "{} exists with another content: SHA-256 {committed}, and this process computed {computed}. The existing file was kept\nhint: the same shard must give the same bytes on every machine; check that policy and simulator are deterministic",
+        "{} exists with another content: SHA-256 {committed}, and this process computed {computed}. The existing file was kept\nHint: the same shard must give the same bytes on every machine; check that policy and simulator are deterministic",
         path.display()
     )]
     Conflict {
@@ -128,7 +128,7 @@ pub enum ShardError {
     },
     /// A committed shard for which another process computed a different result.
     #[error(
-        "{} is contradicted: its SHA-256 is {committed}, and another process computed {computed} for the same shard\nhint: the same shard must give the same bytes on every machine; find out why policy or simulator are not deterministic. Then delete {} to keep the committed shard",
+        "{} is contradicted: its SHA-256 is {committed}, and another process computed {computed} for the same shard\nHint: the same shard must give the same bytes on every machine; find out why policy or simulator are not deterministic. Then delete {} to keep the committed shard",
         path.display(), marker.display()
     )]
     Contradicted {
@@ -143,7 +143,7 @@ pub enum ShardError {
     },
     /// Shards are missing.
     #[error(
-        "{} of {shards} shards of round {round} are missing: {}\nhint: `robogate plan {} --next` prints the commands that run them",
+        "{} of {shards} shards of round {round} are missing: {}\nHint: `robogate plan {} --next` prints the commands that run them",
         missing.len(), listed(missing), dir.display()
     )]
     Missing {
@@ -157,7 +157,7 @@ pub enum ShardError {
         missing: Vec<u32>,
     },
     /// The result of an earlier merge has changed.
-    #[error("{source}\nhint: if the shards are still there, delete {} and merge them again", path.display())]
+    #[error("{source}\nHint: if the shards are still there, delete {} and merge them again", path.display())]
     DamagedResult {
         /// The dictionary.
         path: PathBuf,
@@ -165,7 +165,7 @@ pub enum ShardError {
         source: Box<DictionaryError>,
     },
     /// The output folder contains another run.
-    #[error("{} contains another run\nhint: choose an empty or new folder with --out", dir.display())]
+    #[error("{} contains another run\nHint: choose an empty or new folder with --out", dir.display())]
     OtherRun {
         /// The output folder.
         dir: PathBuf,
@@ -189,12 +189,12 @@ fn listed(numbers: &[u32]) -> String {
 fn io_hint(source: &io::Error) -> &'static str {
     match source.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "\nhint: free space on that disk, then run the shard again"
+            "\nHint: free space on that disk, then run the shard again"
         }
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
-            "\nhint: choose a folder with write permission"
+            "\nHint: choose a folder with write permission"
         }
-        io::ErrorKind::Unsupported => "\nhint: shards need a file system with hard links, such as ext4, XFS or NFS",
+        io::ErrorKind::Unsupported => "\nHint: shards need a file system with hard links, such as ext4, XFS or NFS",
         _ => "",
     }
 }

@@ -52,7 +52,7 @@ fn resume_needs_a_run() {
     let base = tempfile::tempdir().unwrap();
     for dir in [base.path().to_owned(), base.path().join("nowhere")] {
         let error = resume(&dir, &Synthetic::default(), 1).unwrap_err();
-        assert!(matches!(error, RunError::NotARun { .. }) && error.to_string().contains("hint: "), "{error}");
+        assert!(matches!(error, RunError::NotARun { .. }) && error.to_string().contains("Hint: "), "{error}");
     }
 }
 

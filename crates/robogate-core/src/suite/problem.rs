@@ -25,7 +25,7 @@ impl fmt::Display for SuiteError {
             Self::NoNominal { task } => write!(
                 f,
                 "the task {task} declares a nominal value for none of these parameters, so the scenarios have no nominal \
-                 twins\nhint: declare `nominal` for the parameters in the task of the environment"
+                 twins\nHint: declare `nominal` for the parameters in the task of the environment"
             ),
             Self::Problems(problems) => {
                 for (i, problem) in problems.iter().enumerate() {

@@ -281,12 +281,12 @@ fn check_ends(file: &mut File, path: &Path) -> Result<(), DictionaryError> {
         return Err(DictionaryError::not_a_dictionary(path, reason));
     }
     if read(file, SeekFrom::Start(0)).map_err(DictionaryError::io(path, "read"))? != *b"PAR1" {
-        let reason = "it is not a Parquet file\nhint: read results of other tools with `robogate import`";
+        let reason = "it is not a Parquet file\nHint: read results of other tools with `robogate import`";
         return Err(DictionaryError::not_a_dictionary(path, reason));
     }
     if read(file, SeekFrom::End(-4)).map_err(DictionaryError::io(path, "read"))? != *b"PAR1" {
         let reason = format!(
-            "it starts as a Parquet file but ends at byte {length} without a footer: it is truncated\nhint: restore it from a backup, or run its campaign again"
+            "it starts as a Parquet file but ends at byte {length} without a footer: it is truncated\nHint: restore it from a backup, or run its campaign again"
         );
         return Err(DictionaryError::not_a_dictionary(path, reason));
     }

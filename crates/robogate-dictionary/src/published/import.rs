@@ -46,7 +46,7 @@ pub fn import(from: &Path, to: &Path) -> Result<Imported, DictionaryError> {
     let mut words = Interner::default();
     let again = rows::read(from, &mut |row| writer.push(&plan.entry(from, row, &mut words)?))?;
     if again.sha256 != frame.sha256 {
-        let reason = "it changed during the import\nhint: import it once it is complete".to_owned();
+        let reason = "it changed during the import\nHint: import it once it is complete".to_owned();
         return Err(DictionaryError::Published { path: from.to_owned(), reason });
     }
     let written = writer.finish()?;

@@ -106,7 +106,7 @@ impl Aggregates {
             Err(DictionaryError::results(
                 path,
                 format!(
-                    "{reason}. Expected one row per episode\nhint: write one row for each episode, with true or false"
+                    "{reason}. Expected one row per episode\nHint: write one row for each episode, with true or false"
                 ),
             ))
         };

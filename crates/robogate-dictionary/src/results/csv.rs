@@ -119,9 +119,9 @@ impl<'a> Table<'a> {
         // A table of one column may have its name as a word: `success`.
         if 2 * named > self.names.len() {
             let what = if self.names.len() == 1 {
-                "it repeats the name of the only column, which can be a header or a value\nhint: write true or false"
+                "it repeats the name of the only column, which can be a header or a value\nHint: write true or false"
             } else {
-                "it is a second header with other columns, or with columns in another order\nhint: import each file \
+                "it is a second header with other columns, or with columns in another order\nHint: import each file \
                  by itself, or give all files the same columns"
             };
             return Err(DictionaryError::results(self.path, format!("line {}: {what}", self.line())));
@@ -162,7 +162,7 @@ fn refuse(path: &Path, before: u64, error: &::csv::Error) -> DictionaryError {
     let line = error.position().map_or_else(String::new, |position| format!("line {}: ", position.line() + before));
     let reason = match error.kind() {
         ErrorKind::Io(e) if e.kind() == std::io::ErrorKind::InvalidData => {
-            format!("{line}{e}\nhint: look for a quote that is never closed")
+            format!("{line}{e}\nHint: look for a quote that is never closed")
         }
         ErrorKind::Utf8 { err, .. } => format!("{line}{err}. Expected UTF-8"),
         ErrorKind::UnequalLengths { expected_len, len, .. } => {

@@ -75,7 +75,7 @@ pub(super) fn recognise(path: &Path) -> Result<Format, DictionaryError> {
         DictionaryError::results(
             path,
             format!(
-                "{what}. Expected LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON, CSV, JSON Lines or Parquet\nhint: if it has one of these formats, select it with --format"
+                "{what}. Expected LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON, CSV, JSON Lines or Parquet\nHint: if it has one of these formats, select it with --format"
             ),
         )
     };

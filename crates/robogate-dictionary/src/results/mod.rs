@@ -78,7 +78,7 @@ pub fn import(from: &Path, to: &Path, format: Option<Format>, mapping: &Mapping)
         return exported::import(from, to, format, &mapping.about);
     }
     if format == Format::Parquet && Dictionary::open(from).is_ok() {
-        return Err(DictionaryError::results(from, "it is already a dictionary\nhint: use it without importing it"));
+        return Err(DictionaryError::results(from, "it is already a dictionary\nHint: use it without importing it"));
     }
     let mapped = mapping.roles.contains_key(&Role::Success);
     let mapping = mapping.over(&format.mapping()).found_in(&columns(format, from));
@@ -125,7 +125,7 @@ fn check_placeholder(path: &Path) -> Result<(), DictionaryError> {
 fn fixed_columns(from: &Path, what: &str) -> DictionaryError {
     DictionaryError::Mapping {
         origin: from.display().to_string(),
-        reason: format!("the columns of {what} are fixed\nhint: remove the mapping"),
+        reason: format!("the columns of {what} are fixed\nHint: remove the mapping"),
     }
 }
 
@@ -152,7 +152,7 @@ fn columns(format: Format, path: &Path) -> Vec<String> {
 
 /// The error about a file that changed between the two passes.
 fn changed(from: &Path) -> DictionaryError {
-    DictionaryError::results(from, "it changed during the import\nhint: import it once it is complete")
+    DictionaryError::results(from, "it changed during the import\nHint: import it once it is complete")
 }
 
 fn read(format: Format, path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {

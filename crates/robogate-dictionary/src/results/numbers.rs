@@ -99,7 +99,7 @@ impl Evidence {
 
     /// How the file writes numbers, or why that cannot be known.
     pub(super) fn decide(self) -> Result<Numbers, String> {
-        const HINT: &str = "hint: write every number with a decimal point and without thousands separators";
+        const HINT: &str = "Hint: write every number with a decimal point and without thousands separators";
         let either = |(line, text): (u64, String), what: &str| {
             Err(format!("line {line}: `{text}` is ambiguous: {what}\n{HINT}"))
         };

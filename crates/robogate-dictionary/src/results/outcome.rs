@@ -153,7 +153,7 @@ impl<'a> Results<'a> {
             let hint = if self.mapping.flags.contains_key(&flag.mode) {
                 String::new()
             } else {
-                "\nhint: if it is a parameter, list it under [parameters] in a mapping".to_owned()
+                "\nHint: if it is a parameter, list it under [parameters] in a mapping".to_owned()
             };
             row.wrong(path, column, format!("is neither true nor false, as the flag of {} must be{hint}", flag.mode))
         })
@@ -215,7 +215,7 @@ impl<'a> Results<'a> {
 pub(super) fn not_a_truth(path: &Path, row: &RawRow, column: &str) -> DictionaryError {
     let hint = match row.get(column) {
         Some(Scalar::Integer(_) | Scalar::Unsigned(_) | Scalar::Number(_)) => {
-            "\nhint: a percentage, a score or partial credit does not say success; add a column with true or false, and \
+            "\nHint: a percentage, a score or partial credit does not say success; add a column with true or false, and \
              name it with --map success=COLUMN"
         }
         _ => "",

@@ -29,7 +29,7 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
         DictionaryError::results(
             path,
             format!(
-                "{reason}. Expected flat columns, uncompressed, snappy or zstd\nhint: write it again with compression=\"zstd\""
+                "{reason}. Expected flat columns, uncompressed, snappy or zstd\nHint: write it again with compression=\"zstd\""
             ),
         )
     };

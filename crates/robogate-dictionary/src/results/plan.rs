@@ -106,7 +106,7 @@ impl Plan<'_> {
     }
 }
 
-const TOO_LONG: &str = "has more digits than a double can represent\nhint: list the column under `ignore` in a mapping";
+const TOO_LONG: &str = "has more digits than a double can represent\nHint: list the column under `ignore` in a mapping";
 
 /// The upper (0) or lower (1) 32 bits of a seed.
 fn seed_part(seed: Option<&Scalar>, part: usize) -> Option<Value> {

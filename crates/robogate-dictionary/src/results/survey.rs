@@ -207,7 +207,7 @@ impl<'a> Survey<'a> {
             self.modes.insert(mode);
             if self.modes.len() > MOST_MODES {
                 let reason = format!(
-                    "it has more than {MOST_MODES} different failure modes\nhint: map its words to fewer modes under \
+                    "it has more than {MOST_MODES} different failure modes\nHint: map its words to fewer modes under \
                      [failure_modes] in a mapping"
                 );
                 return Err(DictionaryError::results(self.path, format!("{}: {reason}", Row(row.number))));
@@ -450,7 +450,7 @@ impl<'a> Survey<'a> {
         }
         if self.silent == self.rows {
             let reason = format!(
-                "no row has an outcome in `{}`\nhint: name the column, for example with --map success=COLUMN",
+                "no row has an outcome in `{}`\nHint: name the column, for example with --map success=COLUMN",
                 self.mapping.column(Role::Success)
             );
             return Err(DictionaryError::results(self.path, reason));

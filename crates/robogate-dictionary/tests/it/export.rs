@@ -103,5 +103,5 @@ fn full_device_is_an_error() {
     let dictionary = dictionary(&folder);
     let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
     let error = csv(&dictionary, full).unwrap_err().to_string();
-    assert!(error.contains("hint: free disk space"), "{error}");
+    assert!(error.contains("Hint: free disk space"), "{error}");
 }

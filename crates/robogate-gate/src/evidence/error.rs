@@ -22,7 +22,7 @@ pub enum EvidenceError {
         source: io::Error,
     },
     /// The path exists already.
-    #[error("{} already exists\nhint: {hint}", path.display())]
+    #[error("{} already exists\nHint: {hint}", path.display())]
     Exists {
         /// The path.
         path: PathBuf,
@@ -30,7 +30,7 @@ pub enum EvidenceError {
         hint: &'static str,
     },
     /// A private key that other users can read.
-    #[error("{} can be read by other users (mode {mode:03o}), so its signatures prove nothing\nhint: chmod 600 {}, or create a new key if it was exposed", path.display(), path.display())]
+    #[error("{} can be read by other users (mode {mode:03o}), so its signatures prove nothing\nHint: chmod 600 {}, or create a new key if it was exposed", path.display(), path.display())]
     KeyMode {
         /// The key's file.
         path: PathBuf,
@@ -59,11 +59,11 @@ pub enum EvidenceError {
     #[error("two files have the path `{0}` in the evidence")]
     Twice(String),
     /// A file that does not belong to the rows.
-    #[error("{0}\nhint: evidence must contain the files of the run. Remove this file, or use that of the run")]
+    #[error("{0}\nHint: evidence must contain the files of the run. Remove this file, or use that of the run")]
     Contradicts(Problem),
     /// Another question than that of the gate, without the user's consent.
     #[error(
-        "the {} differ from those that the run's gate was asked\nhint: leave out the options that change them, or add --reasked: verification then reports it in its first line", changed.join(", ")
+        "the {} differ from those that the run's gate was asked\nHint: leave out the options that change them, or add --reasked: verification then reports it in its first line", changed.join(", ")
     )]
     Reasked {
         /// The parts that differ.

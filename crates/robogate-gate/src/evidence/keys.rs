@@ -48,7 +48,7 @@ impl PrivateKey {
         let text = text_of(file, path)?;
         if text.contains("PUBLIC KEY") {
             return Err(wrong(
-                "it is a public key\nhint: sign with the private key file that `robogate keys new` wrote beside it"
+                "it is a public key\nHint: sign with the private key file that `robogate keys new` wrote beside it"
                     .to_owned(),
             ));
         }
@@ -64,7 +64,7 @@ impl PrivateKey {
         let _ = metadata;
         // The library's error could contain parts of the key, so a hint replaces it.
         let key = SigningKey::from_pkcs8_pem(&text).map_err(|_| {
-            wrong("not PKCS#8 PEM of an ed25519 key\nhint: create one with `robogate keys new FILE`".to_owned())
+            wrong("not PKCS#8 PEM of an ed25519 key\nHint: create one with `robogate keys new FILE`".to_owned())
         })?;
         Ok(Self(key))
     }
@@ -147,12 +147,12 @@ impl PublicKey {
     pub fn from_pem(text: &str) -> Result<Self, String> {
         if text.contains("PRIVATE KEY") {
             return Err(
-                "it is a private key\nhint: use the file with the suffix .pub, and do not share this one".to_owned()
+                "it is a private key\nHint: use the file with the suffix .pub, and do not share this one".to_owned()
             );
         }
         // The library names a byte of its parser, also one that is not in the text.
         VerifyingKey::from_public_key_pem(text).map(Self).map_err(|_| {
-            "not SubjectPublicKeyInfo PEM of an ed25519 key\nhint: expected the file with the suffix .pub that `robogate keys new` wrote"
+            "not SubjectPublicKeyInfo PEM of an ed25519 key\nHint: expected the file with the suffix .pub that `robogate keys new` wrote"
                 .to_owned()
         })
     }

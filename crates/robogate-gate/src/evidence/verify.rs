@@ -167,17 +167,17 @@ fn missing(error: &std::io::Error) -> String {
 fn manifest_of(folder: &Path) -> Result<Manifest, Problem> {
     let wrong = |reason: String| Problem::new(MANIFEST, reason);
     let text = read(folder, MANIFEST)
-        .map_err(|reason| wrong(format!("{reason}\nhint: expected a folder written by `robogate evidence RUN OUT`")))?;
+        .map_err(|reason| wrong(format!("{reason}\nHint: expected a folder written by `robogate evidence RUN OUT`")))?;
     let json: serde_json::Value = Budget::FILE.json(text.as_bytes()).map_err(|e| wrong(format!("not JSON: {e}")))?;
     match json.get("format").and_then(serde_json::Value::as_u64) {
         Some(format) if format == u64::from(Manifest::FORMAT) => {}
         Some(format) if format > u64::from(Manifest::FORMAT) => {
             let known = Manifest::FORMAT;
-            return Err(wrong(format!("unsupported format {format}. Expected {known}\nhint: upgrade robogate")));
+            return Err(wrong(format!("unsupported format {format}. Expected {known}\nHint: upgrade robogate")));
         }
         Some(format) => {
             return Err(wrong(format!(
-                "format {format} is no longer supported\nhint: verify it with the version of robogate that wrote it"
+                "format {format} is no longer supported\nHint: verify it with the version of robogate that wrote it"
             )));
         }
         None => return Err(wrong("no `format`, so it is not a manifest of evidence".to_owned())),
@@ -236,7 +236,7 @@ fn check_files(folder: &Path, manifest: &Manifest, statements: &[String; 2], pro
         let known =
             name == MANIFEST || statements.contains(&name) || manifest.files.iter().any(|file| file.path == name);
         if !known {
-            problems.push(Problem::new(name, "not part of the evidence\nhint: remove it, or find out who added it"));
+            problems.push(Problem::new(name, "not part of the evidence\nHint: remove it, or find out who added it"));
         }
     }
 }
@@ -268,7 +268,7 @@ fn walk(
             found.push(path);
         } else {
             if !belongs(&path) {
-                let reason = "this folder contains no file of the evidence\nhint: remove it, or find out who added it";
+                let reason = "this folder contains no file of the evidence\nHint: remove it, or find out who added it";
                 problems.push(Problem::new(format!("{path}/"), reason));
             }
             walk(folder, &path, belongs, found, problems);

@@ -18,7 +18,7 @@ fn undecidable_requirements_are_rejected() {
         "metric = \"failure_count:collision\"\nat_most = 0",
     ] {
         let text = refused(&one("confidence", lines));
-        assert!(text.contains("can't be met at any number of episodes") && text.contains("hint:"), "{text}");
+        assert!(text.contains("can't be met at any number of episodes") && text.contains("Hint:"), "{text}");
     }
     assert!(refused(&one("point", "metric = \"success\"\nat_least = 92.0")).contains("write 92 % as 0.92"));
     // The paper's gate compares counts, so a limit of zero can be met.

@@ -110,9 +110,7 @@ impl Default for HttpSettings {
 #[derive(Debug, thiserror::Error)]
 pub enum HttpError {
     /// An address that other machines can reach, without a token.
-    #[error(
-        "other machines can reach {0}, but no token is configured\n  hint: use --token-file, or listen on 127.0.0.1"
-    )]
+    #[error("other machines can reach {0}, but no token is configured\nHint: use --token-file, or listen on 127.0.0.1")]
     NoToken(SocketAddr),
     /// An address that other machines can reach, for a server that only serves this one.
     #[error("{0} is not an address of this machine alone. Expected a loopback address such as 127.0.0.1")]

@@ -143,7 +143,7 @@ impl Process {
                 Err(RecvTimeoutError::Timeout) => {
                     let (limit, step) = (limit.as_secs_f64(), timeouts.step.as_secs_f64());
                     let late = format!(
-                        "{doing} did not end within {limit} s\n  hint: --simulator-timeout SECONDS allows more time for a step (now {step} s). A \
+                        "{doing} did not end within {limit} s\nHint: --simulator-timeout SECONDS allows more time for a step (now {step} s). A \
                          reset may take four times as long, and import, construction and knobs {START_STEPS} times (at least {} s)",
                         SHORTEST_START.as_secs()
                     );

@@ -21,7 +21,7 @@ fn cache() -> anyhow::Result<PathBuf> {
     path("ROBOGATE_CACHE_DIR")
         .or_else(|| Some(path("XDG_CACHE_HOME")?.join("robogate")))
         .or_else(|| Some(path("HOME")?.join(".cache/robogate")))
-        .ok_or_else(|| anyhow!("no cache folder\n  hint: set ROBOGATE_CACHE_DIR or HOME to an absolute path"))
+        .ok_or_else(|| anyhow!("no cache folder\nHint: set ROBOGATE_CACHE_DIR or HOME to an absolute path"))
 }
 
 /// The family of a bundled environment: the part of its name before the colon.
@@ -126,7 +126,7 @@ impl Interpreter {
 
     /// The error for an interpreter that cannot be started.
     pub fn unusable(&self, why: &std::io::Error) -> anyhow::Error {
-        anyhow!("--python {}: cannot be started: {why}\n  hint: name a Python 3.10 or newer", self.python.display())
+        anyhow!("--python {}: cannot be started: {why}\nHint: name a Python 3.10 or newer", self.python.display())
     }
 }
 
@@ -161,7 +161,7 @@ mod tests {
 
     #[test]
     fn own_error_is_shown_alone() {
-        assert_eq!(readable("warning: old\nerror: no such task\n  hint: another\n"), "no such task\n  hint: another");
+        assert_eq!(readable("warning: old\nerror: no such task\nHint: another\n"), "no such task\nHint: another");
         assert_eq!(readable("Traceback:\nValueError: error: x\n"), "Traceback:\nValueError: error: x");
     }
 }

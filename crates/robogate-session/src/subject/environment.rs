@@ -200,7 +200,7 @@ impl EnvironmentSource {
                 Ok(Hello { space, ..Hello::new((*task.task()).clone(), program, engine) })
             }
             Self::Remote(_) => {
-                bail!("`robogate serve` serves built-in environments only\n  hint: leave out --env and --simulator")
+                bail!("`robogate serve` serves built-in environments only\nHint: leave out --env and --simulator")
             }
         }
     }
@@ -218,7 +218,7 @@ impl EnvironmentSource {
                     Some(space) => space.clone(),
                     None => hello.task.declared_space().with_context(|| {
                         format!(
-                            "the task {} declares no parameter with a range\n  hint: name a space with --space",
+                            "the task {} declares no parameter with a range\nHint: name a space with --space",
                             hello.task.name
                         )
                     })?,
@@ -254,7 +254,7 @@ impl EnvironmentSource {
                 cell.controller()
             }
             Self::Remote(source) => bail!(
-                "the task {} has no scripted controller here\n  hint: name a policy with --policy",
+                "the task {} has no scripted controller here\nHint: name a policy with --policy",
                 source.pool.hello().task.name
             ),
         }

@@ -102,7 +102,7 @@ impl Subject {
     fn hint(&self) -> &'static str {
         match (&self.environment, &self.policy) {
             (EnvironmentSource::Remote(_), Some(source)) if source.profile().is_some() => {
-                "\n  hint: --map FILE maps the environment to the profile; `robogate policy check` with the same options shows both \
+                "\nHint: --map FILE maps the environment to the profile; `robogate policy check` with the same options shows both \
                  sides"
             }
             _ => "",
@@ -115,7 +115,7 @@ impl Subject {
             return Ok(self);
         }
         let Some(PolicySource::External(source)) = &mut self.policy else {
-            return Err(anyhow!("--statistics applies to a policy server or an ONNX file\n  hint: leave it out"))
+            return Err(anyhow!("--statistics applies to a policy server or an ONNX file\nHint: leave it out"))
                 .or_request();
         };
         let mut environment =
@@ -144,7 +144,7 @@ impl Subject {
     fn executed(mut self, execution: Option<Execution>) -> Result<Self, Failure> {
         if let (Some(_), Some(PolicySource::Declared(policy))) = (&execution, &self.policy) {
             return Err(anyhow!(
-                "--latency: the environment runs the policy {} itself, so its actions cannot be delayed\n  hint: leave out \
+                "--latency: the environment runs the policy {} itself, so its actions cannot be delayed\nHint: leave out \
                  --latency and --execution",
                 policy.environment
             ))

@@ -152,7 +152,7 @@ fn same_files(what: &str, named: &str, recorded: Option<&String>, now: Option<&S
     }
     let text = |sha256: Option<&String>| sha256.map_or("unknown", String::as_str).to_owned();
     Err(anyhow!(
-        "the {what} {} is not the one of the run: its files have the SHA-256 {}, but the run recorded {}\n  hint: restore the files \
+        "the {what} {} is not the one of the run: its files have the SHA-256 {}, but the run recorded {}\nHint: restore the files \
          of the run, or start a new run",
         foreign(named),
         text(now),
@@ -223,7 +223,7 @@ impl Subject {
         };
         match &pool {
             None if remote => Err(anyhow!(
-                "the run was made in the remote simulator {}\n  hint: give its address with --simulator ADDRESS",
+                "the run was made in the remote simulator {}\nHint: give its address with --simulator ADDRESS",
                 engine.name
             )),
             Some(_) if !remote => {

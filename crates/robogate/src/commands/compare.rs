@@ -118,7 +118,7 @@ impl Compare {
         let full = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
         for (i, path) in self.dictionaries.iter().enumerate() {
             if self.dictionaries[..i].iter().any(|before| full(before) == full(path)) {
-                let error = anyhow!("{} is given twice\nhint: remove one of them", path.display());
+                let error = anyhow!("{} is given twice\nHint: remove one of them", path.display());
                 return Err(Exit { code: USAGE, error });
             }
             if let Some(page) = [&self.html, &self.md].into_iter().flatten().find(|page| full(page) == full(path)) {

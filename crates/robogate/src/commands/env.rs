@@ -120,7 +120,7 @@ impl Family {
     fn is_provided(&self) -> Result<(), Exit> {
         match (&self.yours, &self.missing) {
             (Some(yours), Some(missing)) if *missing == self.package => Err(anyhow!(
-                "{}: the package {missing} cannot be imported, and pip cannot install it\n  hint: {yours}, and repeat this command",
+                "{}: the package {missing} cannot be imported, and pip cannot install it\nHint: {yours}, and repeat this command",
                 self.name
             ))
             .or_usage(),
@@ -248,7 +248,7 @@ impl Inspect {
 /// Writes a file that must not exist yet.
 fn write_new(file: &Path, text: &str) -> anyhow::Result<()> {
     if file.exists() {
-        bail!("{}: the file exists already\n  hint: name another file", file.display());
+        bail!("{}: the file exists already\nHint: name another file", file.display());
     }
     fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))
 }

@@ -79,7 +79,7 @@ impl Evidence {
         let source = open_source(&self.run)?;
         if self.run.is_dir() && place::is_within(&self.out, &self.run) {
             return Err(anyhow::anyhow!(
-                "{} is in the folder of the run\n  hint: choose a folder outside of it, so that the run keeps its own files only",
+                "{} is in the folder of the run\nHint: choose a folder outside of it, so that the run keeps its own files only",
                 self.out.display()
             ))
             .or_usage();
@@ -147,7 +147,7 @@ impl Evidence {
             (Some(name), _) => Ok(Content::Bytes(open_requirements(name, task)?.to_toml().into_bytes())),
             (None, Some(asked)) => Ok(Content::Bytes(asked.requirements.to_toml().into_bytes())),
             (None, None) => Err(anyhow::anyhow!(
-                "this run was not made by `robogate gate`, so it has no requirements\nhint: choose them with --requirements default, paper, or a file"
+                "this run was not made by `robogate gate`, so it has no requirements\nHint: choose them with --requirements default, paper, or a file"
             ))
             .or_usage(),
         }
@@ -191,7 +191,7 @@ impl Evidence {
         let recorded = asked.map_or(Sampling::Fixed, |asked| asked.sampling);
         match self.sampling {
             Some(Count::Fixed) if recorded == Sampling::Sequential => anyhow::bail!(
-                "--sampling fixed: the run's gate tested after each round, so its number of episodes was not fixed\nhint: leave out --sampling"
+                "--sampling fixed: the run's gate tested after each round, so its number of episodes was not fixed\nHint: leave out --sampling"
             ),
             Some(Count::Fixed) => Ok(Sampling::Fixed),
             Some(Count::Sequential) => Ok(Sampling::Sequential),

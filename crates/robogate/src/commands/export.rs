@@ -64,7 +64,7 @@ impl Export {
         let dictionary = open(&self.dictionary)?;
         let format = match to {
             To::Parquet if standard_output => {
-                return Err(anyhow::anyhow!("Parquet cannot be written to standard output\nhint: name a file"))
+                return Err(anyhow::anyhow!("Parquet cannot be written to standard output\nHint: name a file"))
                     .or_usage();
             }
             To::Parquet => return self.parquet(&dictionary, Some(&*self.dictionary).filter(|path| path.is_dir())),
@@ -173,7 +173,7 @@ pub(crate) fn require_absent(out: &Path) -> Result<(), Exit> {
         return Ok(());
     }
     let why = anyhow::anyhow!(
-        "{}: already exists, and is not overwritten\nhint: choose another name, or remove it",
+        "{}: already exists, and is not overwritten\nHint: choose another name, or remove it",
         out.display()
     );
     Err(why).or_usage()
@@ -195,7 +195,7 @@ fn open(path: &Path) -> Result<Dictionary, Exit> {
     if path.is_dir() && !file.exists() && robogate_campaign::settings(path).is_ok() {
         robogate_campaign::not_in_shards(path).or_usage()?;
         let why =
-            anyhow::anyhow!("{}: the run is not finished\nhint: robogate resume {}", path.display(), quoted(path));
+            anyhow::anyhow!("{}: the run is not finished\nHint: robogate resume {}", path.display(), quoted(path));
         return Err(why).or_usage();
     }
     Dictionary::open(&file).or_usage()

@@ -56,8 +56,7 @@ impl Rank {
             let record = Record::of(source.dictionary()).or_broken()?;
             if let Some(at) = entries.iter().position(|(_, other, _)| other.dataset_sha256 == record.dataset_sha256) {
                 let first = foreign(&self.runs[at]);
-                let why =
-                    anyhow::anyhow!("{first} and {} have the same rows\n  hint: remove one of them", foreign(run));
+                let why = anyhow::anyhow!("{first} and {} have the same rows\nHint: remove one of them", foreign(run));
                 return Err(why).or_usage();
             }
             // A gate that tests after each round may have stopped at any of them.

@@ -231,7 +231,7 @@ impl Check {
     /// Drafts a profile from the metadata of the server and the statistics of the checkpoint.
     fn draft(&self, base: &Profile, path: &Path) -> Result<u8, Exit> {
         if path.exists() {
-            return Err(anyhow!("{}: the file exists\n  hint: choose another name", path.display())).or_usage();
+            return Err(anyhow!("{}: the file exists\nHint: choose another name", path.display())).or_usage();
         }
         let drafted = if base.dialect.declares_modalities() || !self.statistics.choice().is_given() {
             robogate_policy::draft(&self.url, base).map_err(policy_error)?

@@ -67,7 +67,7 @@ impl Registered {
 pub(crate) fn free(dir: &Path) -> Result<(), Exit> {
     let used = fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some());
     if used {
-        Err(anyhow!("{} is not empty\n  hint: choose an empty or new folder", dir.display())).or_usage()
+        Err(anyhow!("{} is not empty\nHint: choose an empty or new folder", dir.display())).or_usage()
     } else {
         Ok(())
     }

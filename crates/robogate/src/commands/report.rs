@@ -122,7 +122,7 @@ impl Report {
         let evidence = source.folder().filter(|folder| folder.join(MANIFEST).is_file());
         match evidence.filter(|folder| place::is_within(&out, folder)) {
             Some(folder) => Err(anyhow!(
-                "{} contains evidence, and another file in it would make it invalid\n  hint: choose a file outside of it with --out",
+                "{} contains evidence, and another file in it would make it invalid\nHint: choose a file outside of it with --out",
                 folder.display()
             ))
             .or_usage(),

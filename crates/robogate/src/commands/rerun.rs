@@ -43,7 +43,7 @@ pub(crate) fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result
     let dictionary = Dictionary::open(&folder.join(ROWS)).or_usage()?;
     let recorded = dictionary.provenance();
     if recorded.source.is_some() {
-        return Err(anyhow!("--rerun: the rows were imported, so they cannot be run again\n  hint: leave out --rerun"))
+        return Err(anyhow!("--rerun: the rows were imported, so they cannot be run again\nHint: leave out --rerun"))
             .or_usage();
     }
     let subject = Subject::recorded(recorded, Some(folder), opening)?;
@@ -53,7 +53,7 @@ pub(crate) fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result
     same_setup(recorded, &here, other_maths)?;
     if here.world != recorded.world {
         let reason = "the policy or the environment differs from the recorded one: another file, or its server declares something else";
-        return Err(anyhow!("--rerun: {reason}\n  hint: name the judged policy with --policy")).or_usage();
+        return Err(anyhow!("--rerun: {reason}\nHint: name the judged policy with --policy")).or_usage();
     }
     let wrong = |reason: String| Ok(Err(Problem::new(ROWS, reason)));
     if let Err(error) = check_rows(recorded, subject.foresight()?, dictionary.entries()) {
@@ -118,7 +118,7 @@ fn same_setup(recorded: &Provenance, here: &Provenance, other_maths: bool) -> Re
         if equal {
             return Ok(());
         }
-        let hint = "hint: run the verification with the build, library and platform of the run";
+        let hint = "Hint: run the verification with the build, library and platform of the run";
         Err(anyhow!("--rerun: the rows were made with another {name}: {was}, here {is}\n  {hint}")).or_usage()
     };
     let text = |value: &Option<String>| value.clone().unwrap_or_else(|| "unknown".to_owned());

@@ -33,7 +33,7 @@ impl Resume {
         if asked.is_none() && settings.provenance.question_sha256.is_some() {
             let file = self.dir.join(Asked::FILE);
             return Err(anyhow!(
-                "{}: missing, but the plan is that of a gate with a question\n  hint: restore the file, repeat `robogate merge` if \
+                "{}: missing, but the plan is that of a gate with a question\nHint: restore the file, repeat `robogate merge` if \
                  it was interrupted, or start the gate again in another folder",
                 file.display()
             ))

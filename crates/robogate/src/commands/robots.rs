@@ -122,7 +122,7 @@ impl Check {
     #[cfg(not(feature = "mujoco"))]
     fn execute(&self) -> Result<u8, Exit> {
         let why = format!(
-            "this build has no MuJoCo, which the check needs\nhint: build with --features mujoco, or run a few episodes: robogate run --robot {} -n 10",
+            "this build has no MuJoCo, which the check needs\nHint: build with --features mujoco, or run a few episodes: robogate run --robot {} -n 10",
             self.robot
         );
         Err(anyhow::anyhow!(why)).or_usage()
@@ -136,7 +136,7 @@ impl Init {
         let folder = folder.with_context(|| format!("{}: no such file", self.model.display())).or_usage()?;
         let file = folder.join("robot.toml");
         if file.exists() && !self.force {
-            return Err(anyhow!("{} exists\n  hint: replace it with --force", file.display())).or_usage();
+            return Err(anyhow!("{} exists\nHint: replace it with --force", file.display())).or_usage();
         }
         let own = || folder.file_name().map(|name| name.to_string_lossy().into_owned());
         let name = self.name.clone().or_else(own).unwrap_or_else(|| "robot".to_owned());
@@ -144,7 +144,7 @@ impl Init {
             Ok(draft) => draft,
             Err(problems) => {
                 let lines: Vec<String> =
-                    problems.iter().map(|problem| format!("{}\n  hint: {}", problem.what, problem.hint)).collect();
+                    problems.iter().map(|problem| format!("{}\nHint: {}", problem.what, problem.hint)).collect();
                 return Err(anyhow!("{}: {}", self.model.display(), lines.join("\n"))).or_usage();
             }
         };

@@ -285,7 +285,7 @@ impl Run {
         let needs = [("rounds", "--rounds", self.suite.is_some(), "--suite")];
         match needs.into_iter().find(|(name, _, is_given, _)| self.given.has(name) && !is_given) {
             Some((_, option, _, needed)) => {
-                Err(anyhow!("{option} needs {needed}\n  hint: give {needed}, or leave out {option}")).or_usage()
+                Err(anyhow!("{option} needs {needed}\nHint: give {needed}, or leave out {option}")).or_usage()
             }
             None => Ok(()),
         }
@@ -335,7 +335,7 @@ impl Run {
         if let Some(mode) = &self.seek {
             let stage = plan.active.take();
             let stage = stage
-                .ok_or_else(|| anyhow!("--seek applies to the active design\n  hint: leave out --design"))
+                .ok_or_else(|| anyhow!("--seek applies to the active design\nHint: leave out --design"))
                 .or_usage()?;
             // A file states its own number of candidates and uniform share.
             let in_file = self.plan.is_some();
@@ -348,8 +348,7 @@ impl Run {
         match (&mut plan.active, self.until_rms) {
             (Some(active), Some(_)) => active.until_rms = self.until_rms,
             (None, Some(_)) => {
-                return Err(anyhow!("--until-rms applies to the active design\n  hint: add --design active"))
-                    .or_usage();
+                return Err(anyhow!("--until-rms applies to the active design\nHint: add --design active")).or_usage();
             }
             _ => {}
         }

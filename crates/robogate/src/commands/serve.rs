@@ -39,7 +39,7 @@ impl Serve {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         if !self.bind.is_loopback() && !self.allow_remote {
             let why = anyhow!(
-                "--bind {}: other machines can reach this address, and the protocol has no authentication\n  hint: bind to \
+                "--bind {}: other machines can reach this address, and the protocol has no authentication\nHint: bind to \
                  tcp://127.0.0.1:PORT, or add --allow-remote",
                 self.bind
             );
@@ -48,7 +48,7 @@ impl Serve {
         let source = self.environment.choice().environment()?;
         if self.physics_only {
             let EnvironmentSource::Cell(cell) = &source else {
-                return Err(anyhow!("--physics-only applies to tasks for an arm\n  hint: leave out --task")).or_usage();
+                return Err(anyhow!("--physics-only applies to tasks for an arm\nHint: leave out --task")).or_usage();
             };
             return self.answer(Server::new(cell.physics_host().or_usage()?));
         }

@@ -180,7 +180,7 @@ fn begin(
 fn finish(task: &ShardTask, pool: &dyn Executor) -> Result<Option<ShardResult>, Exit> {
     // A shard with few episodes is lost if the server was unavailable in all of them.
     let (end, outage) = shown(pool, task.episodes(), |executor, events| task.run(executor, events))?;
-    let hint = "hint: the shard is not committed; run it again once the server is available";
+    let hint = "Hint: the shard is not committed; run it again once the server is available";
     match (end, outage) {
         (_, Some(outage)) => Err(anyhow!("stopped: {outage}\n  {hint}")).or_broken(),
         (ShardEnd::Complete(result), None) => Ok(Some(result)),

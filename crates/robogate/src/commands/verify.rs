@@ -202,7 +202,7 @@ fn tell(verified: &Verified) {
             format!("  registered before its first episode, as the first of key {keyid}")
         }
         Some(Registered { number, keyid }) => format!(
-            "  registered before its first episode, as number {number} of key {keyid}\n  hint: request the evidence of \
+            "  registered before its first episode, as number {number} of key {keyid}\nHint: request the evidence of \
              registrations 1 to {}: they may be earlier attempts",
             number - 1
         ),
@@ -212,7 +212,7 @@ fn tell(verified: &Verified) {
             "  UNSIGNED: the origin is unknown; anyone with write access to the folder could have created it".to_owned()
         }
         Signed::ByUnknown { keyid } => format!(
-            "  signed by key {keyid}, which was not given\n  hint: pass the public key of the expected signer with \
+            "  signed by key {keyid}, which was not given\nHint: pass the public key of the expected signer with \
              --key"
         ),
         Signed::ByTrusted { keyid } => format!("  signed by the expected key {keyid}"),

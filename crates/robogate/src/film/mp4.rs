@@ -17,7 +17,7 @@ pub(crate) fn check() -> anyhow::Result<()> {
     {
         Ok(_) => Ok(()),
         Err(e) if e.kind() == ErrorKind::NotFound => Err(anyhow!(
-            "--mp4: the program `ffmpeg` is not installed, and it encodes the video\n  hint: install it (`apt install ffmpeg`), or \
+            "--mp4: the program `ffmpeg` is not installed, and it encodes the video\nHint: install it (`apt install ffmpeg`), or \
              write an animation with --gif"
         )),
         Err(e) => Err(anyhow!("--mp4: cannot start the program `ffmpeg`: {e}")),

@@ -112,7 +112,7 @@ fn requirements_on_the_real_robot_are_refused() {
     let real = format!("{REQUIREMENTS}[[requirement]]\nmetric = \"real:success\"\nat_least = 0.6\n");
     fs::write(at.join("real.toml"), real).unwrap();
     let fleet = FLEET.replace("most.toml", "real.toml");
-    verb(at, &format!("{fleet} --out a"), 2, &["--requirements real.toml", "`real:success`", "hint: leave"]);
+    verb(at, &format!("{fleet} --out a"), 2, &["--requirements real.toml", "`real:success`", "Hint: leave"]);
     assert!(!at.join("a").exists());
 }
 
@@ -140,7 +140,7 @@ fn parameter_belongs_to_scenarios_or_unit() {
     let both = SUITE.replace("mass_kg = 0.2, ", "mass_kg = 0.2, angle_bias_rad = { low = 0.0, high = 0.1 }, ");
     fs::write(at.join("both.toml"), both).unwrap();
     let fleet = FLEET.replace("suite.toml", "both.toml");
-    verb(at, &format!("{fleet} --out a"), 2, &["`angle_bias_rad` varies over the scenarios", "hint: leave"]);
+    verb(at, &format!("{fleet} --out a"), 2, &["`angle_bias_rad` varies over the scenarios", "Hint: leave"]);
     let without = FLEET.replace(" --unit-space units.toml", "");
     verb(at, &format!("{without} --out b"), 2, &["--unit-space FILE"]);
     assert!(!at.join("a").exists() && !at.join("b").exists());
@@ -162,5 +162,5 @@ fn default_units_fit_default_suite() {
         verb(at, &fleet, 2, &[left_out, "is not a fleet"]);
     }
     // A space that the user chose is not changed.
-    verb(at, "fleet --unit-space franka-units --out taken", 2, &["`camera_roll_rad` varies", "hint: leave"]);
+    verb(at, "fleet --unit-space franka-units --out taken", 2, &["`camera_roll_rad` varies", "Hint: leave"]);
 }

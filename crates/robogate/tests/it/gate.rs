@@ -148,7 +148,7 @@ fn undecidable_questions_run_nothing() {
         assert!(!std::path::Path::new(&out).exists(), "{limit}");
     }
     assert_exit(&["gate", "--run", &folder.path("nothing")], 2, &["nothing"]);
-    assert_exit(&["gate", "--requirements", &folder.path("no.toml")], 2, &["hint: check the path"]);
+    assert_exit(&["gate", "--requirements", &folder.path("no.toml")], 2, &["Hint: check the path"]);
 }
 
 #[test]

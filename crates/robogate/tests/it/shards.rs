@@ -170,9 +170,9 @@ fn gate_in_shards_equals_single_gate() {
     let question = many.join("run/gate-question.json");
     let asked = fs::read_to_string(&question).unwrap();
     fs::write(&question, asked.replacen("0.92", "0.52", 1)).unwrap();
-    verb(many, "merge run --out elsewhere", 2, &["not the question of the plan", "hint: "]);
+    verb(many, "merge run --out elsewhere", 2, &["not the question of the plan", "Hint: "]);
     fs::remove_file(&question).unwrap();
-    verb(many, "plan run --next", 2, &["gate-question.json: missing", "hint: "]);
+    verb(many, "plan run --next", 2, &["gate-question.json: missing", "Hint: "]);
     verb(many, &format!("{gate} --divide 3"), 0, &[]);
     verb(many, "merge run --out elsewhere", 1, &["FAIL"]);
     verb(many, &format!("{gate} --divide 3 --against scripted"), 2, &["cannot be used with", "--against"]);

@@ -129,7 +129,7 @@ fn printed_commands_name_the_run() {
 fn files_that_are_no_keys_are_explained() {
     let gate = Gate::new();
     let printed = run(&["keys", "id", &gate.path("suite.toml")], 2);
-    assert!(printed.contains("not SubjectPublicKeyInfo PEM") && printed.contains("hint: expected"), "{printed}");
+    assert!(printed.contains("not SubjectPublicKeyInfo PEM") && printed.contains("Hint: expected"), "{printed}");
     let printed = run(&["verify", &gate.path("nowhere")], 2);
     assert!(printed.contains("nowhere is not a folder"), "{printed}");
 }

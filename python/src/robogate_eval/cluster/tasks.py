@@ -36,7 +36,7 @@ def enter(folder: str) -> str:
         os.chdir(folder)
     except OSError as error:
         return (
-            f"\nhint: this node cannot use {folder}, the folder in which robogate-ray was started ({error.strerror}). "
+            f"\nHint: this node cannot use {folder}, the folder in which robogate-ray was started ({error.strerror}). "
             "Relative paths need it: share the folder with all nodes, or use absolute paths"
         )
     return ""

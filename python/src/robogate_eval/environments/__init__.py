@@ -99,7 +99,7 @@ def _registered(identifier: str) -> Environment:
     try:
         specification = gymnasium.spec(own)
     except gymnasium.error.Error as error:
-        hint = "" if module else "\n  hint: if another package registers it, gymnasium:MODULE:ID, for example gymnasium:gymnasium_robotics:HandReach-v3"
+        hint = "" if module else "\nHint: if another package registers it, gymnasium:MODULE:ID, for example gymnasium:gymnasium_robotics:HandReach-v3"
         raise UnknownEnvironment(f"gymnasium:{identifier}: {error}{hint}") from None
     return dataclasses.replace(as_environment(lambda: _make(own, arguments), own), source=_package(specification.entry_point))
 

@@ -51,7 +51,7 @@ def _report(error: Exception) -> None:
     text = "".join(traceback.format_exception(type(error), error, trace))
     print(text, end="", file=sys.stderr)
     if not os.environ.get("MUJOCO_GL") and any(word in text for word in ("OpenGL", "GLFW", "gladLoadGL")):
-        print("  hint: without a display, MuJoCo renders with MUJOCO_GL=egl", file=sys.stderr)
+        print("Hint: without a display, MuJoCo renders with MUJOCO_GL=egl", file=sys.stderr)
     sys.exit(1)
 
 
@@ -114,7 +114,7 @@ def _missing(arguments: argparse.Namespace, error: ModuleNotFoundError) -> str:
         hint = f"{sys.executable} -m pip install {' '.join(basis.values())}, or choose another interpreter with --python"
     else:
         hint = f"{sys.executable} -m pip install {error.name}, if the package has this name, or choose another interpreter with --python"
-    return f"the Python package {error.name} is missing in {sys.executable}\n  hint: {hint}"
+    return f"the Python package {error.name} is missing in {sys.executable}\nHint: {hint}"
 
 
 if __name__ == "__main__":

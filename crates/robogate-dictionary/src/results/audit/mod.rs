@@ -177,7 +177,7 @@ impl Audit {
 pub fn audit(path: &Path, format: Option<Format>, mapping: &Mapping) -> Result<Audit, DictionaryError> {
     let format = format_of(path, format)?;
     if format == Format::Published {
-        let reason = "the published JSON has one layout, whose import checks every row\nhint: robogate import";
+        let reason = "the published JSON has one layout, whose import checks every row\nHint: robogate import";
         return Err(DictionaryError::results(path, reason));
     }
     let columns = columns(format, path);
@@ -197,7 +197,7 @@ pub fn audit(path: &Path, format: Option<Format>, mapping: &Mapping) -> Result<A
     }
     if !table.has_outcomes {
         let reason = format!(
-            "no row reports success or failure: column `{}` is missing, or its values are neither true nor false\nhint: name the \
+            "no row reports success or failure: column `{}` is missing, or its values are neither true nor false\nHint: name the \
              column with --map success=COLUMN",
             mapping.column(Role::Success)
         );

@@ -166,7 +166,7 @@ impl<'a> Table<'a> {
 
     pub(super) fn push(&mut self, path: &Path, raw: &RawRow) -> Result<(), DictionaryError> {
         if self.rows.len() == MOST_ROWS {
-            let reason = format!("it has more than {MOST_ROWS} rows\nhint: audit it in parts");
+            let reason = format!("it has more than {MOST_ROWS} rows\nHint: audit it in parts");
             return Err(DictionaryError::results(path, reason));
         }
         let mut row = AuditRow::default();

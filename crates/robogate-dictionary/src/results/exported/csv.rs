@@ -78,7 +78,7 @@ impl Rows {
             let buffer = match self.reader.fill_buf() {
                 Ok(buffer) => buffer,
                 Err(e) if e.kind() == io::ErrorKind::InvalidData => {
-                    return Err(self.wrong(line, format!("{e}\nhint: look for a quote that is never closed")));
+                    return Err(self.wrong(line, format!("{e}\nHint: look for a quote that is never closed")));
                 }
                 Err(e) => return Err(DictionaryError::io(&self.path, "read")(e)),
             };

@@ -227,7 +227,7 @@ impl Observed {
 fn other_columns(path: &Path) -> DictionaryError {
     DictionaryError::results(
         path,
-        "it has some columns of an export, but not all of them in order\nhint: import the unmodified file that `robogate export` wrote",
+        "it has some columns of an export, but not all of them in order\nHint: import the unmodified file that `robogate export` wrote",
     )
 }
 

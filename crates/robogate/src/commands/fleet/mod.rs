@@ -128,7 +128,7 @@ impl FleetOf {
                 }
             }
             (None, None) => Err(anyhow!(
-                "this environment has no distribution of units\n  hint: write one as a parameter space and give it with \
+                "this environment has no distribution of units\nHint: write one as a parameter space and give it with \
                  --unit-space FILE (docs/fleet.md)"
             ))
             .or_usage(),
@@ -140,7 +140,7 @@ impl FleetOf {
         if requirements.check_real(None).is_err() {
             return Err(anyhow!(
                 "--requirements {}: no unit can meet a requirement on `real:success`, because a fleet has no trials of the real \
-                 robot\n  hint: leave this requirement out, and judge it with `robogate gate --real FILE`",
+                 robot\nHint: leave this requirement out, and judge it with `robogate gate --real FILE`",
                 self.requirements
             ))
             .or_usage();
@@ -236,7 +236,7 @@ fn without(space: &ParameterSpace, left_out: impl Fn(&str) -> bool) -> anyhow::R
 /// The error for units whose parameters do not suit the scenarios.
 fn misfit(units: &ParameterSpace, error: &SuiteError) -> anyhow::Error {
     anyhow!(
-        "{}: {error}\n  hint: leave these parameters out of the file of --unit-space, or choose a suite that does not vary them",
+        "{}: {error}\nHint: leave these parameters out of the file of --unit-space, or choose a suite that does not vary them",
         units.name()
     )
 }

@@ -120,7 +120,7 @@ impl FleetPlan {
                 return Ok(());
             }
             return Err(anyhow!(
-                "{} contains another fleet\n  hint: choose another folder with --out, or continue that fleet with `robogate \
+                "{} contains another fleet\nHint: choose another folder with --out, or continue that fleet with `robogate \
                  resume {}`",
                 dir.display(),
                 dir.display()
@@ -129,7 +129,7 @@ impl FleetPlan {
         }
         if let Some(name) = fs::read_dir(dir).ok().and_then(|mut entries| entries.next()?.ok()) {
             return Err(anyhow!(
-                "{} is not empty (it contains `{}`) and is not a fleet\n  hint: choose an empty or new folder",
+                "{} is not empty (it contains `{}`) and is not a fleet\nHint: choose an empty or new folder",
                 dir.display(),
                 name.file_name().display()
             ))

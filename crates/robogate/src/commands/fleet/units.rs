@@ -70,7 +70,7 @@ pub(super) fn judge(dir: &Path, plan: &FleetPlan, subject: &Subject, how: &How) 
     }
     match (end, outage) {
         (End::Interrupted { .. }, Some(outage)) => Err(anyhow::anyhow!(
-            "stopped: {outage}\n  hint: the recorded episodes are kept; `robogate resume` runs the others once the server is \
+            "stopped: {outage}\nHint: the recorded episodes are kept; `robogate resume` runs the others once the server is \
              available again"
         ))
         .or_broken(),

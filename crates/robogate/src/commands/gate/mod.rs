@@ -130,7 +130,7 @@ impl Gate {
     fn check_margin(&self, compared: bool) -> Result<(), Exit> {
         match self.margin {
             Some(_) if !compared => Err(anyhow!(
-                "--margin applies to a comparison with another policy\n  hint: give a run with --baseline, or a policy with --against"
+                "--margin applies to a comparison with another policy\nHint: give a run with --baseline, or a policy with --against"
             ))
             .or_usage(),
             _ => Ok(()),

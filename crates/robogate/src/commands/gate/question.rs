@@ -95,7 +95,7 @@ fn real_evidence(path: &Path) -> Result<RealEvidence, Exit> {
         .json(text.as_bytes())
         .with_context(|| {
             format!(
-                "{}: not a transfer\nhint: create it with `robogate transfer --sim RUN --real FILE --out FILE`",
+                "{}: not a transfer\nHint: create it with `robogate transfer --sim RUN --real FILE --out FILE`",
                 path.display()
             )
         })

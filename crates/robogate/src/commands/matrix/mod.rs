@@ -102,7 +102,7 @@ fn begin(dir: &Path, plan: &SweepPlan) -> Result<(), Exit> {
     match open(dir)? {
         Some(there) if there == *plan => Ok(()),
         Some(_) => Err(anyhow!(
-            "{} contains another sweep, or the file of the sweep was changed\n  hint: choose another folder with --out",
+            "{} contains another sweep, or the file of the sweep was changed\nHint: choose another folder with --out",
             dir.display()
         ))
         .or_usage(),
@@ -112,7 +112,7 @@ fn begin(dir: &Path, plan: &SweepPlan) -> Result<(), Exit> {
             let entries = fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok);
             if let Some(name) = entries.map(|entry| entry.file_name()).find(|name| *name != *own) {
                 return Err(anyhow!(
-                    "{} is not empty (it contains `{}`) and is not a sweep\n  hint: choose an empty or new folder",
+                    "{} is not empty (it contains `{}`) and is not a sweep\nHint: choose an empty or new folder",
                     dir.display(),
                     name.display()
                 ))

@@ -85,7 +85,7 @@ impl Serve {
         let (settings, referred) = self.watched.settings()?;
         let serves = self.listen.is_some() || self.mqtt_cycles.is_some();
         if self.feed.is_none() && !serves {
-            let hint = "no source of cycles\n  hint: give a file (or - for stdin), --listen or --mqtt-cycles";
+            let hint = "no source of cycles\nHint: give a file (or - for stdin), --listen or --mqtt-cycles";
             return Err(anyhow!(hint)).or_usage();
         }
         let token = self.token_file.as_deref().map(token).transpose()?;
@@ -205,7 +205,7 @@ fn token(path: &Path) -> Result<String, Exit> {
         if mode & 0o027 != 0 {
             let path = path.display();
             return Err(anyhow!(
-                "--token-file {path}: other users can read it (mode {mode:03o})\n  hint: chmod 600 {path}, and choose a new token if it was exposed"
+                "--token-file {path}: other users can read it (mode {mode:03o})\nHint: chmod 600 {path}, and choose a new token if it was exposed"
             ))
             .or_usage();
         }

@@ -205,11 +205,10 @@ fn reopened(path: &Path, before: &Follower) -> Result<Follower, Exit> {
         (Feed::Campaign(follower), ..) if follower.settings().provenance == before.settings().provenance => {
             Ok(*follower)
         }
-        _ => Err(anyhow::anyhow!(
-            "{}: the plan of the run has changed\n  hint: start robogate view again",
-            path.display()
-        ))
-        .or_usage(),
+        _ => {
+            Err(anyhow::anyhow!("{}: the plan of the run has changed\nHint: start robogate view again", path.display()))
+                .or_usage()
+        }
     }
 }
 

@@ -78,7 +78,7 @@ pub(super) fn write(
     ));
     if rows.len() < board.table.rows() {
         note(format_args!(
-            "note: the page has a random sample of {} of {} rows\n  hint: choose its size with --rows",
+            "note: the page has a random sample of {} of {} rows\nHint: choose its size with --rows",
             rows.len(),
             board.table.rows()
         ));
