@@ -159,7 +159,7 @@ pub(crate) fn read(path: &Path) -> Result<MjSpec, String> {
         None => MjSpec::from_xml(path),
     }
     .map_err(|error| error.to_string())?;
-    for [first, second] in is_urdf.then(|| mesh_files::excluded(&text)).unwrap_or_default() {
+    for [first, second] in if is_urdf { mesh_files::excluded(&text) } else { Vec::new() } {
         let exclude = spec.add_exclude();
         exclude.set_bodyname1(&first);
         exclude.set_bodyname2(&second);
@@ -197,7 +197,7 @@ pub(crate) fn prepare(spec: &mut MjSpec, time_step: f64) {
     spec.set_memory(MjSpec::new().memory());
     let compiler = spec.compiler_mut();
     // Other bounds than those of `read` are settings of the file.
-    if compiler.boundmass() != FRAME_MASS_KG {
+    if (compiler.boundmass() - FRAME_MASS_KG).abs() > 0.0 {
         compiler.set_boundmass(0.0);
         compiler.set_boundinertia(0.0);
     }
