@@ -361,7 +361,7 @@ impl Question<'_> {
         self.decide(&mut results, comparison.as_mut(), alpha);
         let control = record.controls.as_ref().and_then(Controls::failure);
         let distinct = distinct_trajectories(rounds.trials());
-        let control = control.or_else(|| copies(counts.valid, distinct));
+        let control = control.or_else(|| copies(rounds.trials(), distinct));
         let (verdict, mut because) = match &control {
             Some(because) => (Verdict::Invalid, because.clone()),
             None => conclude(counts, &results, comparison.as_ref()),
@@ -578,14 +578,24 @@ fn distinct_trajectories<'a>(trials: impl Iterator<Item = &'a Trial>) -> Option<
 
 /// Why episodes whose trajectories are mostly copies of each other are no evidence. `None` if they are.
 ///
-/// Few episodes can be equal by chance, where a scenario has few states.
-fn copies(valid: u64, distinct: Option<u64>) -> Option<String> {
-    const FEW: u64 = 10;
-    let distinct = distinct.filter(|distinct| valid >= FEW && 2 * distinct <= valid)?;
-    Some(format!(
-        "only {distinct} of {valid} valid episodes have a trajectory of their own: seeds and parameters have no effect in \
-         the others, and copies are no new evidence. Let the reset of the environment depend on its seed, or vary more"
-    ))
+/// Rounds of a suite may repeat the trajectory of a scenario. Different scenarios with one trajectory, and different seeds
+/// of the only scenario, show that neither parameters nor seeds act. A few can be equal by chance.
+fn copies<'a>(trials: impl Iterator<Item = &'a Trial>, distinct: Option<u64>) -> Option<String> {
+    const FEW: usize = 10;
+    let distinct = distinct?;
+    let valid: Vec<&Trial> = trials.filter(|trial| trial.ending.is_valid()).collect();
+    let scenarios: BTreeSet<String> =
+        valid.iter().map(|trial| format!("{:?} {:?}", trial.label, trial.requested)).collect();
+    let (starts, what) = match scenarios.len() {
+        1 => (valid.len(), "episodes with different seeds"),
+        n => (n, "scenarios"),
+    };
+    (starts >= FEW && 2 * distinct <= starts as u64).then(|| {
+        format!(
+            "{starts} {what} have only {distinct} distinct trajectories: seeds and parameters have no effect in the others, \
+             and copies are no new evidence. Let the reset of the environment depend on its seed, or vary more"
+        )
+    })
 }
 
 fn conclude(counts: Counts, results: &[RequirementResult], comparison: Option<&Comparison>) -> (Verdict, String) {

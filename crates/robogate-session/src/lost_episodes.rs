@@ -10,6 +10,7 @@ use robogate_campaign::{ExecuteError, Executor, LostEpisode};
 use robogate_core::{Episode, Fault, FaultKind, Foresight, Outcome, Scenario};
 
 use crate::notice::note;
+use crate::text::foreign;
 
 /// Smallest number of consecutive lost episodes that stops a run.
 const LOST_IN_A_ROW: u32 = 10;
@@ -33,6 +34,8 @@ pub struct RunsLostAgain<'a> {
 struct State {
     in_a_row: u32,
     outage: Option<Outage>,
+    /// Kinds of faults of which an invalid episode was printed.
+    shown: BTreeSet<FaultKind>,
     /// Losses that the campaign has not recorded yet.
     lost: Vec<LostEpisode>,
 }
@@ -95,7 +98,10 @@ impl<'a> RunsLostAgain<'a> {
                     lost.push((episode, fault));
                     counted
                 }
-                _ => {
+                outcome => {
+                    if let Outcome::Invalid(fault) = outcome {
+                        self.show_first(&episode, fault);
+                    }
                     self.state.borrow_mut().in_a_row = 0;
                     receive(episode)
                 }
@@ -103,6 +109,13 @@ impl<'a> RunsLostAgain<'a> {
             flow
         })?;
         Ok((lost, flow))
+    }
+
+    /// Prints the first invalid episode of each kind of fault, because the summary of a run only counts them.
+    fn show_first(&self, episode: &Episode, fault: &Fault) {
+        if self.state.borrow_mut().shown.insert(fault.kind) {
+            note(format_args!("episode {} is invalid: {}", episode.scenario.index, foreign(fault)));
+        }
     }
 
     /// Counts a lost episode. Breaks if it shows an outage.

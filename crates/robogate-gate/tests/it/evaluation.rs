@@ -351,16 +351,21 @@ fn invalid_episodes_widen_the_interval_over_new_cases() {
 #[test]
 fn copies_of_trajectories_are_no_evidence() {
     let gate = requirements(SUCCESS);
-    let judged = |distinct: u64| {
-        let mut record = suite(4, times(64, &Ending::Success));
+    let judged = |cases: u64, distinct: u64| {
+        let mut record = suite(cases, times(64, &Ending::Success));
         (0..).zip(&mut record.trials).for_each(|(i, trial)| trial.trajectory = Some(1 + i % distinct));
         judge(&gate, &record, Sampling::Fixed)
     };
-    let copied = judged(3);
+    let copied = judged(32, 3);
     assert_eq!((copied.verdict, copied.distinct_trajectories), (Verdict::Invalid, Some(3)));
-    assert!(copied.because.starts_with("only 3 of 64 valid episodes"), "{}", copied.because);
+    assert!(copied.because.starts_with("32 scenarios have only 3 distinct trajectories"), "{}", copied.because);
     assert!(!copied.estimand.contains("fresh seeds"), "{}", copied.estimand);
-    let fresh = judged(64);
+    assert_eq!(judged(1, 1).verdict, Verdict::Invalid, "the seed has no effect");
+    // Rounds that repeat four scenarios exactly.
+    let repeated = judged(4, 4);
+    assert_eq!(repeated.verdict, Verdict::Pass);
+    assert!(repeated.estimand.contains("4 of 64 valid episodes have a distinct trajectory"), "{}", repeated.estimand);
+    let fresh = judged(4, 64);
     assert_eq!(fresh.verdict, Verdict::Pass);
     assert!(fresh.estimand.contains("over fresh seeds"), "{}", fresh.estimand);
     // Without recorded trajectories, as in imported rows, nothing is claimed.
