@@ -506,6 +506,24 @@ class Faults(unittest.TestCase):
         self.assertEqual(run(adapter)[0]["measures"]["success_at_start"], 1.0)
         self.assertIn("success_at_start", [measure["name"] for measure in adapter.hello()["task"]["measures"]])
 
+    def test_success_that_no_action_changes_is_no_success(self):
+        """A criterion that only `info` of a step reports, and that holds whatever the policy does."""
+        class Lifted(SlidingBox):
+            def step(self, action):
+                *rest, info = super().step(action)
+                return *rest, {**info, "success": True}
+
+        with self.assertRaisesRegex(DeclarationError, "already successful at the start"):
+            sliding_box(Lifted)
+
+        class Quick(SlidingBox):
+            def step(self, action):
+                *rest, info = super().step(action)
+                return *rest, {**info, "success": bool(np.asarray(action).ravel()[0] > 0.0)}
+
+        ending = run(sliding_box(Quick))[0]["ending"]
+        self.assertEqual(ending, {"failure": None})
+
     def test_derived_constants_leave_the_rest_alone(self):
         """From MuJoCo 3.17 on, mj_setConst rewrites the poses of welds that an author set."""
         import mujoco

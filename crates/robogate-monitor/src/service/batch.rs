@@ -40,6 +40,8 @@ impl Batch {
     /// If there are too many lines.
     pub fn parse(text: &[u8]) -> Result<Self, TooManyLines> {
         let mut batch = Self { bytes: text.len(), ..Self::default() };
+        // Programs on Windows begin a file with a byte-order mark.
+        let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
         let lines = text.split(|byte| *byte == b'\n').zip(1_u64..);
         let lines = lines.map(|(text, line)| (line, text.trim_ascii())).filter(|(_, text)| !text.is_empty());
         for (at, (line, text)) in lines.enumerate() {
@@ -84,6 +86,13 @@ mod tests {
         let batch = Batch::parse(&body).unwrap();
         assert_eq!((batch.malformed, batch.problems.len(), batch.cycles.len()), (20_000, LISTED, 0));
         assert!(batch.problems[0].because.contains("expected value"), "{:?}", batch.problems[0]);
+    }
+
+    #[test]
+    fn byte_order_mark_is_no_part_of_a_cycle() {
+        let line = r#"{"id": "a/0", "robot": "a", "recipe": "bracket", "time_s": 1, "success": true}"#;
+        let batch = Batch::parse(format!("\u{feff}{line}\r\n{line}\n").as_bytes()).unwrap();
+        assert_eq!((batch.cycles.len(), batch.malformed), (2, 0), "{:?}", batch.problems);
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -37,8 +38,11 @@ class Adapter:
     `doing` is called before each call of the environment until it is ready: with `make`, `reset`, `knobs` and `step`.
     """
 
-    def __init__(self, environment: Environment, doing: Callable[[str], None] = lambda _: None):
+    def __init__(self, environment: Environment, doing: Callable[[str], None] = lambda _: None, is_twin: bool = False):
         self._environment = environment
+        # Another instance, which tries another first action where the first action succeeds at once.
+        self._twin: Adapter | None = None
+        self._is_twin = is_twin
         self._task = environment.task
         doing("make")
         self._env = env = environment.make()
@@ -382,6 +386,8 @@ class Adapter:
         if self._recorder is not None:
             self._recorder.advance(trajectory.time_s)
         ending, measures = self._scoring.ending(trajectory, info), {}
+        if len(trajectory.actions) == 1 and ending is not None and ending["failure"] is None:
+            self._require_effect(numbers)
         if ending is not None or over:
             # A policy is not asked for an action that nobody runs.
             self._policy = None
@@ -390,6 +396,21 @@ class Adapter:
             if self._task.starts_may_succeed:
                 measures[declaration.SUCCESS_AT_START.name] = float(self._solved)
         return observation, ending, measures
+
+    def _require_effect(self, numbers: "list[float] | np.ndarray") -> None:
+        """Raise if the criterion also holds after the farthest other first action: then it held before the policy acted, although the
+        reset did not say so. Another instance is asked, so that the state of this one stays that of the episode."""
+        if self._is_twin or self._task.starts_may_succeed:
+            return
+        if self._twin is None:
+            self._twin = Adapter(self._environment, is_twin=True)
+        low, high = self._actions.low, self._actions.high
+        other = np.where(np.asarray(numbers) > 0.5 * (low + high), low, high)
+        # A scenario of the check before the first episode has no parameters and no policy.
+        self._twin._reset(dataclasses.replace(self._scenario, policy=None, record_s=None))
+        _, ending, _ = self._twin._advance(self._actions.bounded(other))
+        if ending is not None and ending["failure"] is None:
+            raise Problem("setup", ALREADY)
 
     def _check(self, model: Model) -> None:
         """Raise if the physics diverged, or if a parameter does not act any more."""
