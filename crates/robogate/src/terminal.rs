@@ -310,7 +310,7 @@ mod tests {
             foreign("a\x1b[2J\nverdict: pass\u{9b}1m\x7f\u{e4}"),
             "a\\u001b[2J\\nverdict: pass\\u009b1m\\u007f\u{e4}"
         );
-        assert_eq!(indented("not a plan\nHint: \rleave it out"), "not a plan\nHint: \\rleave it out");
+        assert_eq!(indented("not a plan\nHint: \rleave it out"), "not a plan\n    Hint: \\rleave it out");
     }
 
     #[test]

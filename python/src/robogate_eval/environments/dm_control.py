@@ -134,6 +134,8 @@ def environment(name: str) -> Environment:
                 Measure("mean_reward", "", "Mean of the reward over the steps.", "higher"),
             ],
             measure=_measure,
+            # A random target may be where the hand is.
+            starts_may_succeed=True,
             action_names=first.action_names,
         ),
         source=installed("dm_control"),

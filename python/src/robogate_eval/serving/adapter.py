@@ -387,7 +387,7 @@ class Adapter:
             self._recorder.advance(trajectory.time_s)
         ending, measures = self._scoring.ending(trajectory, info), {}
         if len(trajectory.actions) == 1 and ending is not None and ending["failure"] is None:
-            self._require_effect(numbers)
+            self._look_at_start(numbers)
         if ending is not None or over:
             # A policy is not asked for an action that nobody runs.
             self._policy = None
@@ -397,10 +397,10 @@ class Adapter:
                 measures[declaration.SUCCESS_AT_START.name] = float(self._solved)
         return observation, ending, measures
 
-    def _require_effect(self, numbers: "list[float] | np.ndarray") -> None:
-        """Raise if the criterion also holds after the farthest other first action: then it held before the policy acted, although the
-        reset did not say so. Another instance is asked, so that the state of this one stays that of the episode."""
-        if self._is_twin or self._task.starts_may_succeed:
+    def _look_at_start(self, numbers: "list[float] | np.ndarray") -> None:
+        """Find out whether the criterion also holds after the farthest other first action: then it held before the policy acted, although
+        the reset did not say so. Another instance is asked, so that the state of this one stays that of the episode."""
+        if self._is_twin or self._solved:
             return
         if self._twin is None:
             self._twin = Adapter(self._environment, is_twin=True)
@@ -409,7 +409,8 @@ class Adapter:
         # A scenario of the check before the first episode has no parameters and no policy.
         self._twin._reset(dataclasses.replace(self._scenario, policy=None, record_s=None))
         _, ending, _ = self._twin._advance(self._actions.bounded(other))
-        if ending is not None and ending["failure"] is None:
+        self._solved = ending is not None and ending["failure"] is None
+        if self._solved and not self._task.starts_may_succeed:
             raise Problem("setup", ALREADY)
 
     def _check(self, model: Model) -> None:
