@@ -40,9 +40,7 @@ fn egl_of(robot: &str, picture_px: [usize; 2]) -> Option<ArmEnvironment> {
     let engine = MujocoEngine::new(built_in_robot(robot).unwrap(), MujocoEngine::TIME_STEP_S).unwrap();
     match EglRenderer::new(&engine) {
         Ok(renderer) => Some(
-            PickPlace::default()
-                .on(Box::new(engine), Rig { renderer: Some(Box::new(renderer)), picture_px, ..Rig::default() })
-                .unwrap(),
+            PickPlace::default().on(Box::new(engine), Rig { renderer: Some(Box::new(renderer)), picture_px }).unwrap(),
         ),
         Err(why) => {
             robogate_testing::skip("egl", &why.to_string());
