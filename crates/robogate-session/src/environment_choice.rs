@@ -1,9 +1,10 @@
 //! The environment as the user chooses it.
 
+use std::io::ErrorKind;
 use std::path::Path;
 use std::sync::Arc;
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, bail};
 use robogate_core::{Assignment, SettingSpec, Suite};
 use robogate_dictionary::hex;
 use robogate_physics::is_folder;
@@ -251,6 +252,11 @@ fn file_and_attribute(name: &str) -> Option<(&str, &str)> {
 /// The SHA-256 of the file in the name of an environment. `None` if the name contains no file.
 pub(crate) fn file_sha256(name: &str) -> anyhow::Result<Option<String>> {
     let Some((file, _)) = file_and_attribute(name) else { return Ok(None) };
-    let bytes = std::fs::read(file).with_context(|| format!("cannot read {file}"))?;
+    let bytes = match std::fs::read(file) {
+        Err(why) if why.kind() == ErrorKind::NotFound => {
+            bail!("{}: no such file\nHint: check the path of the environment", foreign(file))
+        }
+        read => read.with_context(|| format!("cannot read {}", foreign(file)))?,
+    };
     Ok(Some(hex(&Sha256::digest(bytes))))
 }

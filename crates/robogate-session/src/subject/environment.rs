@@ -73,8 +73,9 @@ impl EnvironmentSource {
 
     /// An environment whose servers this process starts.
     pub(crate) fn launched(name: &str, simulators: &Simulators) -> Result<Self, Failure> {
-        // Read before the start: a later edit of the file is another environment. A file that is missing is reported below.
-        let sha256 = file_sha256(name).ok().flatten();
+        // Read before the start: a later edit of the file is another environment, and a wrong name is told before a package that
+        // Python lacks.
+        let sha256 = file_sha256(name).or_request()?;
         let (pool, servers) = simulators.launch(name)?;
         let launched = Launched { name: name.to_owned(), sha256, servers };
         Ok(Self::Remote(RemoteSource { pool, robot: franka(), launched: Some(launched) }))
