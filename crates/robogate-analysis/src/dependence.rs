@@ -5,7 +5,7 @@
 //! looks for dependence in the order of the file; if it rejects, blocks of neighbouring rows are clusters.
 
 use robogate_dictionary::results::{SOURCE_SEED, groups_rows};
-use robogate_stats::clusters::{self, Clusters, FEWEST, LOW_POWER, RateByCluster, Setting, equal_settings};
+use robogate_stats::clusters::{Clusters, FEWEST, LOW_POWER, RateByCluster, Setting, equal_settings};
 use robogate_stats::correlation::spearman;
 use robogate_stats::logistic::{Data, Options, fit, standardized};
 use robogate_stats::serial::{self, serial_dependence};
@@ -167,9 +167,8 @@ impl Dependence {
 
 /// Why too few clusters allow no claim, as the end of a sentence. `None` if there are enough.
 pub(crate) fn too_few(clusters: usize) -> Option<String> {
-    (clusters < clusters::FEWEST).then(|| {
-        format!("the rows come in {clusters} clusters, and a claim about others needs at least {}", clusters::FEWEST)
-    })
+    (clusters < FEWEST)
+        .then(|| format!("the rows come in {clusters} clusters, and a claim about others needs at least {FEWEST}"))
 }
 
 /// Counts that rows with dependence support: as many as independent rows would with the same variance.
@@ -180,26 +179,29 @@ pub(crate) fn effective(base: &Sample, used: impl Fn(usize) -> bool + Copy) -> T
     }
 }
 
-/// The division by a named column. `None` if there is no such column.
+/// The clusters that a named column or the case of a suite gives. `None` if there is no such column.
 fn labelled(table: &EpisodeTable, base: &Sample, name: &str) -> Option<Clusters> {
     if name == "case" {
         return table.cases.as_ref().map(|cases| Clusters::of_labels(base.rows.iter().map(|row| cases[*row as usize])));
     }
     let plain = |column: &ParameterColumn| column.name == name || (name == "seed" && column.name == SOURCE_SEED);
     let column = base.parameters.iter().chain(&base.identifiers).find(|column| plain(column))?;
-    Some(Clusters::of_labels(column.values.iter().map(|v| v.to_bits())))
+    Some(by_value(column))
+}
+
+/// Rows with equal values of a column are one cluster.
+fn by_value(column: &ParameterColumn) -> Clusters {
+    Clusters::of_labels(column.values.iter().map(|v| v.to_bits()))
 }
 
 /// Divisions that labels and settings identify.
 fn known(table: &EpisodeTable, base: &Sample, population: Population) -> Vec<Grouping> {
     let mut found = Vec::new();
-    if let Some(cases) = &table.cases {
-        let clusters = Clusters::of_labels(base.rows.iter().map(|row| cases[*row as usize]));
+    if let Some(clusters) = labelled(table, base, "case") {
         found.push(Grouping { by: "case".to_owned(), clusters });
     }
     for column in base.parameters.iter().filter(|column| groups_rows(&column.name)) {
-        let clusters = Clusters::of_labels(column.values.iter().map(|v| v.to_bits()));
-        found.push(Grouping { by: column.name.clone(), clusters });
+        found.push(Grouping { by: column.name.clone(), clusters: by_value(column) });
     }
     let settings: Vec<Setting<'_>> = base.parameters.iter().filter(|p| !groups_rows(&p.name)).map(setting).collect();
     let equal = match population {
@@ -214,7 +216,7 @@ fn known(table: &EpisodeTable, base: &Sample, population: Population) -> Vec<Gro
     }
     // A seed that occurs at several settings is the number of a repeat.
     if let Some(seed) = base.identifiers.iter().find(|column| column.name == SOURCE_SEED) {
-        let clusters = Clusters::of_labels(seed.values.iter().map(|v| v.to_bits()));
+        let clusters = by_value(seed);
         let constant =
             |p: &ParameterColumn| clusters.between_share(&p.values, None).is_none_or(|share| share > 1.0 - 1e-6);
         let settings = base.parameters.iter().filter(|p| !groups_rows(&p.name)).all(constant);

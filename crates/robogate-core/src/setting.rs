@@ -53,7 +53,7 @@ impl SettingSpec {
             Allowed::Categorical { .. } => Value::Category(text.into()),
             Allowed::Continuous { .. } | Allowed::Integer { .. } => {
                 let number = self.number(text).filter(|number| number.is_finite());
-                // Text that is no number is reported with the accepted values.
+                // Text that is not a number is reported with the accepted values.
                 number.map_or_else(|| Value::Category(text.into()), Value::Number)
             }
         };

@@ -1,4 +1,4 @@
-//! Reads text files of other tools as UTF-8, whatever encoding a spreadsheet or a shell gave them.
+//! Reads text files of other tools and converts them to UTF-8 from the encodings of spreadsheets and shells.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -249,7 +249,7 @@ enum State {
 
 impl Tokens {
     fn take(&mut self, text: &[u8], last: bool, out: &mut Vec<u8>) {
-        /// A longer token is no number that can be kept.
+        /// A longer token is not a number that can be stored.
         const LONGEST: usize = 1000;
         for byte in text {
             if self.state == State::Outside {

@@ -576,7 +576,7 @@ fn distinct_trajectories<'a>(trials: impl Iterator<Item = &'a Trial>) -> Option<
     trajectories.map(|distinct| distinct.len() as u64).filter(|distinct| *distinct > 0)
 }
 
-/// Why episodes whose trajectories are mostly copies of each other are no evidence. `None` if they are.
+/// Why most trajectories are copies of others, so that the episodes are not evidence. `None` if enough are distinct.
 ///
 /// Rounds of a suite may repeat the trajectory of a scenario. Different scenarios with one trajectory, and different seeds
 /// of the only scenario, show that neither parameters nor seeds act. A few can be equal by chance.
@@ -584,6 +584,10 @@ fn copies<'a>(trials: impl Iterator<Item = &'a Trial>, distinct: Option<u64>) ->
     const FEW: usize = 10;
     let distinct = distinct?;
     let valid: Vec<&Trial> = trials.filter(|trial| trial.ending.is_valid()).collect();
+    // There are at most as many starts as episodes.
+    if 2 * distinct > valid.len() as u64 {
+        return None;
+    }
     let scenarios: BTreeSet<String> =
         valid.iter().map(|trial| format!("{:?} {:?}", trial.label, trial.requested)).collect();
     let (starts, what) = match scenarios.len() {
@@ -593,7 +597,7 @@ fn copies<'a>(trials: impl Iterator<Item = &'a Trial>, distinct: Option<u64>) ->
     (starts >= FEW && 2 * distinct <= starts as u64).then(|| {
         format!(
             "{starts} {what} have only {distinct} distinct trajectories: seeds and parameters have no effect in the others, \
-             and copies are no new evidence. Let the reset of the environment depend on its seed, or vary more"
+             and copies are not new evidence. Let the reset of the environment depend on its seed, or vary more"
         )
     })
 }

@@ -59,15 +59,15 @@ impl Default for EnvironmentChoice {
 }
 
 impl EnvironmentChoice {
-    /// The environment that is chosen.
+    /// The chosen environment.
     pub fn environment(&self) -> Result<EnvironmentSource, Failure> {
         let (environment, rest) = self.environment_and_parameters()?;
         self.refuse_parameters(&environment, &rest)?;
         Ok(environment)
     }
 
-    /// The environment that is chosen, and the values of `--set` that are no settings of its task, for verbs
-    /// that make a scenario of them.
+    /// The chosen environment, and the values of `--set` that are not settings of its task, for verbs that put them into a
+    /// scenario.
     pub fn environment_and_parameters(&self) -> Result<(EnvironmentSource, Assignment), Failure> {
         if let Some(name) = &self.env {
             return Ok((EnvironmentSource::launched(&from_any_folder(name), &self.simulators)?, self.parameters()?));
@@ -110,7 +110,7 @@ impl EnvironmentChoice {
         Ok((chosen, assignment(&rest)?))
     }
 
-    /// Rejects values of `--set` that are no settings of the task.
+    /// Rejects values of `--set` that are not settings of the task.
     fn refuse_parameters(&self, environment: &EnvironmentSource, rest: &Assignment) -> Result<(), Failure> {
         let Some((name, _)) = rest.iter().next() else { return Ok(()) };
         let task = environment.task().or_broken()?;
@@ -135,7 +135,7 @@ impl EnvironmentChoice {
         .or_request()
     }
 
-    /// The environment that is chosen for a suite: if they select none, that of the suite.
+    /// The chosen environment for a suite: without a choice, that of the suite.
     pub fn environment_of(&self, suite: Option<&Suite>) -> Result<EnvironmentSource, Failure> {
         match suite.and_then(Suite::environment) {
             Some(name) if self.env.is_none() && self.simulators.addresses.is_empty() => {
@@ -156,12 +156,12 @@ impl EnvironmentChoice {
         }
     }
 
-    /// The built-in task for an arm that is chosen, for verbs that need its robot.
+    /// The chosen built-in task for an arm, for verbs that need its robot.
     pub fn cell(&self) -> Result<Cell, Failure> {
         Self::as_cell(self.environment()?)
     }
 
-    /// As [`Self::cell`], with the values of `--set` that are no settings of its task.
+    /// As [`Self::cell`], with the values of `--set` that are not settings of its task.
     pub fn cell_and_parameters(&self) -> Result<(Cell, Assignment), Failure> {
         let (environment, rest) = self.environment_and_parameters()?;
         Ok((Self::as_cell(environment)?, rest))

@@ -22,7 +22,7 @@ pub struct Failure {
 pub enum FailureKind {
     /// The user can correct it: a wrong setting, a wrong file, two things that do not fit.
     Request,
-    /// The episodes or files are no evidence: they are incomplete, changed, or contradict each other.
+    /// The episodes or files are not evidence: they are incomplete, changed, or contradict each other.
     Evidence,
     /// Something is broken or not available: a file that cannot be written, a server that does not answer.
     Infrastructure,

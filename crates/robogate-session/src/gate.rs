@@ -3,18 +3,22 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use robogate_campaign::folder::DICTIONARY;
+use robogate_campaign::folder::{DICTIONARY, write_atomically};
 use robogate_campaign::{Completion, DEFAULT_SEED, Event, Plan, Round};
 use robogate_core::Suite;
 use robogate_dictionary::{Dictionary, Provenance};
 use robogate_gate::{
-    Against, Asked, AskedAgainst, Evaluation, GateError, Question, Record, Requirements, Sampling, Trial, Verdict,
+    Against, Asked, AskedAgainst, Evaluation, GateError, Mode, Question, Record, Requirements, Sampling, Trial, Verdict,
 };
 
 use crate::failure::{Failure, OrFailure};
+use crate::notice::warning;
 use crate::rival::Rival;
 use crate::subject::Subject;
 use crate::workers::Workers;
+
+/// The default non-inferiority margin of a comparison with another policy, as a fraction.
+pub const MARGIN: f64 = 0.05;
 
 /// What a gate asks about a policy.
 #[derive(Debug, Clone)]
@@ -23,7 +27,7 @@ pub struct GateRequest {
     pub suite: Suite,
     /// The requirements: the name of built-in ones, or a file.
     pub requirements: String,
-    /// The largest number of rounds over the suite. `None` for that of the requirements.
+    /// The largest number of rounds over the suite. `None` for that of the suite or of the requirements.
     pub rounds: Option<u32>,
     /// Whether all rounds run, and the test is done once.
     pub fixed: bool,
@@ -37,11 +41,11 @@ impl GateRequest {
     /// A request with the default requirements and seed.
     pub fn of(suite: Suite) -> Self {
         let requirements = "default".to_owned();
-        Self { suite, requirements, rounds: None, fixed: false, seed: DEFAULT_SEED, margin: 0.05 }
+        Self { suite, requirements, rounds: None, fixed: false, seed: DEFAULT_SEED, margin: MARGIN }
     }
 
     /// Decides whether the policy of `subject` may run, from episodes in the new folder `folder`. With `rival`, both policies run
-    /// the same scenarios, round by round, and the evaluation compares them.
+    /// the same scenarios, round by round, and the evaluation compares them. Controls of an external policy do not run.
     ///
     /// # Errors
     /// A request that the task cannot meet, or infrastructure. A campaign that `workers` stops is an error too; its episodes
@@ -56,30 +60,35 @@ impl GateRequest {
     ) -> Result<Evaluation, Failure> {
         let requirements = Requirements::open(&self.requirements, subject.task())?;
         subject.check_suite(&self.suite).or_request()?;
-        let rounds = self.rounds.unwrap_or(requirements.budget.rounds);
+        let (rounds, sampling) = rounds_and_sampling(&self.suite, &requirements, self.rounds, self.fixed);
         let plan = Plan::of_suite(self.suite.clone(), u64::from(rounds), self.seed);
+        // The rows of the other policy do not exist yet.
+        let unwritten =
+            |_: &Subject| AskedAgainst { path: String::new(), dataset_sha256: String::new(), margin: self.margin };
         let mut asked = Asked {
             format: Asked::FORMAT,
             requirements,
             baseline: None,
-            against: None,
-            sampling: if self.fixed { Sampling::Fixed } else { Sampling::Sequential },
+            against: rival.as_ref().map(unwritten),
+            sampling,
             real: None,
         };
         let provenance = subject.provenance(self.suite.space().clone())?;
         let provenance = Provenance { question_sha256: Some(asked.sha256()), ..provenance };
-        let planned =
-            Provenance { plan: serde_json::to_value(&plan).or_broken()?, seed: plan.seed, ..provenance.clone() };
+        let planned = with_plan(&provenance, &plan)?;
         let mut record = begun(&planned, &asked)?;
-        let mut rival =
-            rival.map(|rival| Rival::new(rival, &planned, Workers::for_rival(workers.threads))).transpose()?;
-        if rival.is_some() {
-            asked.against =
-                Some(AskedAgainst { path: String::new(), dataset_sha256: String::new(), margin: self.margin });
-        }
+        let mut rival = rival.map(|rival| Rival::new(rival, &planned, workers.threads)).transpose()?;
         let (mut trouble, mut broken) = (None, None);
+        let question_file = asked.clone();
         subject.register(folder, &provenance);
         let completion = workers.carry(subject, events, |executor, events| {
+            let mut with_question = |event: &Event| {
+                // The folder exists and contains the plan; no episode has run yet.
+                if let Event::Started { .. } = event {
+                    write_question(folder, &question_file);
+                }
+                events(event);
+            };
             let mut after = |round: &Round<'_>| {
                 if let Some(Err(error)) = rival.as_mut().map(|rival| rival.run(folder, round)) {
                     broken = Some(error);
@@ -88,7 +97,7 @@ impl GateRequest {
                 let other = rival.as_ref().map(Rival::record);
                 Look { asked: &asked, other, record: &mut record, trouble: &mut trouble }.after(round)
             };
-            robogate_campaign::start_in_rounds(folder, &plan, provenance, executor, events, &mut after)
+            robogate_campaign::start_in_rounds(folder, &plan, provenance, executor, &mut with_question, &mut after)
         })?;
         if let Some(error) = broken {
             return Err(error);
@@ -99,18 +108,38 @@ impl GateRequest {
         if let Completion::Interrupted { done, episodes } = completion {
             return Err(anyhow::anyhow!("stopped after {done} of {episodes} episodes")).or_broken();
         }
-        let other = match rival {
-            Some(rival) => {
-                let (path, record) = rival.write(folder)?;
-                let dataset_sha256 = record.dataset_sha256.clone();
-                asked.against = Some(AskedAgainst { path, dataset_sha256, margin: self.margin });
-                rival.clean(folder);
-                Some(record)
-            }
-            None => None,
-        };
+        let other = rival.map(|rival| rival.finish(folder, &mut asked)).transpose()?;
         let record = Record::of(&Dictionary::open(&folder.join(DICTIONARY)).or_broken()?)?;
         Ok(question(&asked, other.as_ref()).evaluate(&record)?)
+    }
+}
+
+/// The largest number of rounds over a suite, and how they are tested, unless the user gives them: the protocol of a published
+/// benchmark fixes the number of episodes, and requirements on the observed rate are tested once.
+pub fn rounds_and_sampling(
+    suite: &Suite,
+    requirements: &Requirements,
+    rounds: Option<u32>,
+    fixed: bool,
+) -> (u32, Sampling) {
+    let usual = if suite.published().is_empty() { requirements.budget.rounds } else { 1 };
+    let fixed = fixed || requirements.mode == Mode::Point;
+    (rounds.unwrap_or(usual), if fixed { Sampling::Fixed } else { Sampling::Sequential })
+}
+
+/// The provenance of a campaign with this plan, as the run records it.
+///
+/// # Errors
+/// A plan that is not valid JSON.
+pub fn with_plan(provenance: &Provenance, plan: &Plan) -> Result<Provenance, Failure> {
+    Ok(Provenance { plan: serde_json::to_value(plan).or_broken()?, seed: plan.seed, ..provenance.clone() })
+}
+
+/// Writes the question beside the plan. Without it, an interrupted gate cannot continue.
+pub fn write_question(dir: &Path, asked: &Asked) {
+    if let Err(error) = write_atomically(dir, Asked::FILE, asked.to_json().as_bytes()) {
+        let file = dir.join(Asked::FILE);
+        warning(format_args!("cannot write {}: {error}. `robogate resume` needs it", file.display()));
     }
 }
 

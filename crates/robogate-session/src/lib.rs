@@ -36,7 +36,7 @@ pub use checkpoint_statistics::CheckpointStatistics;
 pub use environment_choice::EnvironmentChoice;
 pub use environments::{BUNDLED, Interpreter, Servers, installed, installed_marker};
 pub use failure::{Failure, FailureKind, OrFailure, chain};
-pub use gate::{GateRequest, Look, begun, question};
+pub use gate::{GateRequest, Look, MARGIN, begun, question, rounds_and_sampling, with_plan, write_question};
 pub use latency::{LatencyChoice, WantedLatency, describe, execution_mode};
 pub use lost_episodes::{Outage, RunsLostAgain};
 pub use notice::TARGET as NOTICES;
@@ -55,7 +55,6 @@ pub use rival::Rival;
 pub use subject::{
     EnvironmentSource, Subject, check_declared, named_space, programs, recorded_robot, starts_processes,
 };
-
 pub use workers::{Workers, guarded};
 
 /// The SHA-256 of the source files that results depend on.

@@ -12,10 +12,12 @@ use anyhow::{Context, anyhow};
 use robogate_campaign::folder::PLAN;
 use robogate_campaign::{Executor, Round, ThreadPool};
 use robogate_dictionary::{Dictionary, Entry, Journal, PlanHash, Provenance, write_parquet};
-use robogate_gate::{Record, Trial};
+use robogate_gate::{Asked, Record, Trial};
+use robogate_risk::all_processors;
 use sha2::{Digest, Sha256};
 
 use crate::failure::{Failure, OrFailure};
+use crate::gate::write_question;
 use crate::notice::warning;
 use crate::reopening::Reopening;
 use crate::subject::Subject;
@@ -38,11 +40,13 @@ pub struct Rival {
 }
 
 impl Rival {
-    /// Prepares the other policy for the plan of this gate.
-    pub fn new(subject: Subject, planned: &Provenance, threads: NonZeroUsize) -> Result<Self, Failure> {
+    /// Prepares the other policy for the plan of this gate. It runs in `threads` threads, or one for each processor, if the policy
+    /// does not limit them.
+    pub fn new(subject: Subject, planned: &Provenance, threads: Option<NonZeroUsize>) -> Result<Self, Failure> {
         let own = subject.provenance(planned.space.clone())?;
         let provenance = Provenance { plan: planned.plan.clone(), seed: planned.seed, ..own };
         let record = Record::begun(&provenance)?;
+        let threads = threads.unwrap_or_else(all_processors);
         let threads = subject.at_most().map_or(threads, |most| most.min(threads));
         Ok(Self { subject, threads, provenance, record, entries: BTreeMap::new(), journal: None })
     }
@@ -52,7 +56,7 @@ impl Rival {
         dir: &Path,
         opening: &Reopening,
         planned: &Provenance,
-        threads: NonZeroUsize,
+        threads: Option<NonZeroUsize>,
     ) -> Result<Self, Failure> {
         let path = dir.join(ORIGIN);
         let text = fs::read(&path)
@@ -168,16 +172,25 @@ impl Rival {
         Ok(())
     }
 
-    /// Writes its dictionary. Returns the path and the record of its rows.
-    pub fn write(&self, dir: &Path) -> Result<(String, Record), Failure> {
+    /// Writes its dictionary, names it in the question, and removes the files of an unfinished gate. Returns the record of its
+    /// rows.
+    ///
+    /// # Errors
+    /// A dictionary that cannot be written.
+    pub fn finish(self, dir: &Path, asked: &mut Asked) -> Result<Record, Failure> {
         let path = dir.join(FILE);
         write_parquet(&path, &self.provenance, self.entries.values().cloned().map(Ok)).or_broken()?;
         let record = Record::of(&Dictionary::open(&path).or_broken()?)?;
-        Ok((self.file(dir), record))
+        if let Some(against) = &mut asked.against {
+            (against.path, against.dataset_sha256) = (self.file(dir), record.dataset_sha256.clone());
+        }
+        write_question(dir, asked);
+        self.clean(dir);
+        Ok(record)
     }
 
     /// Removes the files of an unfinished gate, after its question names the dictionary.
-    pub fn clean(self, dir: &Path) {
+    fn clean(self, dir: &Path) {
         drop(self.journal);
         for name in [JOURNAL, ORIGIN] {
             let path = dir.join(name);

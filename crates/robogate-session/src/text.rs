@@ -4,7 +4,6 @@ use std::borrow::Cow;
 use std::fmt::Display;
 
 use robogate_stats::format::is_deceptive;
-pub use robogate_stats::format::percent;
 
 /// Formats text from a file or a file name on one line, with control characters escaped.
 pub fn foreign(text: impl Display) -> String {
@@ -17,8 +16,7 @@ pub fn indented(text: impl Display) -> String {
 }
 
 /// Escapes control characters (C0, DEL, C1) and controls of the text direction as JSON does, so that a JSON document keeps its
-/// meaning. `kept` returns the
-/// number of bytes at the start of a text that are copied unchanged.
+/// meaning. `kept` returns the number of bytes at the start of a text that are copied unchanged.
 pub fn escaped(text: &str, kept: impl Fn(&str) -> Option<usize>) -> Cow<'_, str> {
     if !text.contains(is_deceptive) {
         return Cow::Borrowed(text);

@@ -22,11 +22,6 @@ pub struct Workers<'a> {
 }
 
 impl Workers<'_> {
-    /// The number of threads for a second policy, if the environment does not limit it.
-    pub fn for_rival(threads: Option<NonZeroUsize>) -> NonZeroUsize {
-        threads.unwrap_or_else(all_processors)
-    }
-
     /// Calls `work` with a pool of workers for this subject.
     ///
     /// # Errors

@@ -3,7 +3,7 @@
 //! The statistic is the sum of squares of the sums of [`LAG`] neighbouring residuals. Under the hypothesis that rows can be
 //! exchanged, it is compared with that of permuted rows; sampling stops as soon as the p-value is clearly large.
 //!
-//! Limit: no rejection is no proof. Of eight days with rates that differ by a standard deviation of 0.4 on the logit scale, 60
+//! Limit: a test that does not reject proves nothing. Of eight days with rates that differ by a standard deviation of 0.4 on the logit scale, 60
 //! rows each, it finds about half. Source of the sequential p-value: Besag and Clifford (1991), Biometrika 78(2).
 
 use rand_chacha::ChaCha8Rng;

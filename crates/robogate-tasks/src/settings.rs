@@ -49,6 +49,39 @@ impl Choice for SuctionLaw {
     }
 }
 
+impl<T> SettingRow<T> {
+    /// A number in a range.
+    pub(crate) const fn number(
+        name: &'static str,
+        unit: &'static str,
+        meaning: &'static str,
+        range: [f64; 2],
+        field: fn(&mut T) -> &mut f64,
+    ) -> Self {
+        Self { name, unit, meaning, field: Field::Number(range, field) }
+    }
+
+    /// The time limit of an episode in control periods of this duration in seconds, at most a day.
+    pub(crate) fn time_limit(period_s: f64, field: fn(&mut T) -> &mut f64) -> Self {
+        const DAY_S: f64 = 86_400.0;
+        Self {
+            name: "time_limit_s",
+            unit: "s",
+            meaning: "Time limit of an episode, in simulated seconds.",
+            field: Field::Periods(period_s, (DAY_S / period_s).round() as u32, field),
+        }
+    }
+
+    /// One of a few words.
+    pub(crate) const fn choice(
+        name: &'static str,
+        meaning: &'static str,
+        field: fn(&mut T) -> &mut dyn Choice,
+    ) -> Self {
+        Self { name, unit: "", meaning, field: Field::Choice(field) }
+    }
+}
+
 impl<T: Clone + Default> SettingRow<T> {
     fn allowed(&self, task: &mut T) -> Allowed {
         match &self.field {

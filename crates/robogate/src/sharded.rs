@@ -9,12 +9,12 @@ use robogate_campaign::{AfterRound, Completion, Event, Round};
 use robogate_core::Foresight;
 use robogate_gate::{Asked, GateError, Record};
 
-use crate::commands::gate::{compared_with, finish, refused, ruled_out, write_question};
+use crate::commands::gate::{compared_with, finish, refused, ruled_out};
 use crate::commands::run::{conclude, write_report};
 use crate::commands::shard::exit;
 use crate::exit::{Exit, USAGE};
 use crate::twins;
-use robogate_session::{Look, Reopening, Subject, begun, register_copy, starts_processes};
+use robogate_session::{Look, Reopening, Subject, begun, register_copy, starts_processes, write_question};
 
 /// A campaign in shards. After each round of a gate, the sequential test decides whether another one follows.
 pub(crate) struct Campaign {

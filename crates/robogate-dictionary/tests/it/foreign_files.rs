@@ -86,7 +86,7 @@ fn separator_line_is_read() {
             read("sep", format!("{line}Gut;success;mass\nWAHR;1;0,5\nFALSCH;0;1,25\n")).unwrap();
         assert_eq!(words(&entries), "success unknown");
         assert_eq!(numbers(&entries, "mass"), [0.5, 1.25]);
-        assert_eq!(provenance.space.len(), 1, "the truth values of a spreadsheet are no parameter");
+        assert_eq!(provenance.space.len(), 1, "the truth values of a spreadsheet are not a parameter");
     }
     refused("sep-line", "sep=;\nsuccess;mass\n1;2\n1\n", &["line 4"]);
 }

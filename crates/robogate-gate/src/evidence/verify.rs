@@ -76,7 +76,7 @@ pub fn verify(folder: &Path, trusted: Option<&PublicKey>) -> Result<Verified, Ve
     };
     let statements = statements_of(&manifest);
     let (signed, key) = check_key(folder, &manifest, trusted, &mut problems);
-    // Nothing else of a folder that the trusted key did not sign is read.
+    // No other file of a folder that the trusted key did not sign is read.
     if trusted.is_some() {
         for name in statements.iter().filter(|_| manifest.signer.is_some()) {
             if let Some(Err(reason)) = key.as_ref().map(|key| signed_body(folder, name, key)) {

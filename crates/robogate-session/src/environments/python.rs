@@ -77,8 +77,8 @@ impl Interpreter {
         &self.python
     }
 
-    /// The command `python -m robogate_eval.environments VERB`, for a process that this crate reads. Modules in the current folder are not imported:
-    /// another user's folder may contain a `numpy.py`.
+    /// The command `python -m robogate_eval.environments VERB` with pipes for its input and output. Modules in the current folder
+    /// are not imported: another user's folder may contain a `numpy.py`.
     pub fn command(&self, verb: &str) -> Command {
         /// Python's option -P, which versions before 3.11 do not have.
         const RUN: &str = "import sys; sys.path[:] = [path for path in sys.path if path]; import runpy; \

@@ -30,7 +30,7 @@ use crate::notice::note;
 use crate::origin;
 use crate::policy_source::{PolicyChoice, PolicyLocation, PolicySource};
 use crate::registry::CELL_TASK;
-use crate::text::percent;
+use robogate_stats::format::percent;
 
 pub use environment::EnvironmentSource;
 pub(crate) use environment::RemoteSource;

@@ -36,8 +36,6 @@ pub(crate) trait HasSettings: OnArm + Clone + Default + Sized {
     fn rows() -> Vec<SettingRow<Self>>;
 }
 
-/// Periods of a day.
-const LONGEST: u32 = 1_728_000;
 /// Names of the settings that depend on the gripper.
 const GRIP_FORCE: &str = "grip_force_n";
 const SUCTION: &str = "suction";
@@ -45,25 +43,19 @@ const SUCTION: &str = "suction";
 /// The settings of the arm, and `own` ones.
 pub(crate) fn rows<T: OnArm>(own: impl IntoIterator<Item = SettingRow<T>>) -> Vec<SettingRow<T>> {
     let arm = [
-        SettingRow {
-            name: "time_limit_s",
-            unit: "s",
-            meaning: "Time limit of an episode, in simulated seconds.",
-            field: Field::Periods(CONTROL_PERIOD_S, LONGEST, |task: &mut T| &mut task.arm_mut().time_limit_s),
-        },
+        SettingRow::time_limit(CONTROL_PERIOD_S, |task: &mut T| &mut task.arm_mut().time_limit_s),
         SettingRow {
             name: GRIP_FORCE,
             unit: "N",
             meaning: "Normal force of each pad of the gripper.",
             field: Field::OfRobot([0.0, 1e4], |task: &mut T| &mut task.arm_mut().grip_force_n),
         },
-        SettingRow {
-            name: SUCTION,
-            unit: "",
-            meaning: "How a suction cup holds a part: by a joint that never breaks (surface), or by pressure and \
-                      friction up to their limits (vacuum).",
-            field: Field::Choice(|task: &mut T| &mut task.arm_mut().suction),
-        },
+        SettingRow::choice(
+            SUCTION,
+            "How a suction cup holds a part: by a joint that never breaks (surface), or by pressure and friction up to \
+             their limits (vacuum).",
+            |task: &mut T| &mut task.arm_mut().suction,
+        ),
     ];
     arm.into_iter().chain(own).collect()
 }

@@ -20,7 +20,7 @@ use robogate_physics::{EngineBuild, MujocoModel};
 use self::controller::SwingUp;
 use self::environment::{Bench, CONTROL_PERIOD_S, FALLEN_RAD};
 use crate::SelfContained;
-use crate::settings::{Field, SettingRow, setting_specs, with_settings};
+use crate::settings::{SettingRow, setting_specs, with_settings};
 
 /// The pole was upright and fell again.
 const FELL: FailureMode = FailureMode::constant("fell");
@@ -55,30 +55,23 @@ impl Pendulum {
     pub const DEFAULT: Self = Self { time_limit_s: 10.0, tolerance_rad: 0.2, hold_s: 0.5, speed_limit_rad_s: 25.0 };
 
     fn rows() -> [SettingRow<Self>; 4] {
-        let number =
-            |name, unit, meaning, range, field| SettingRow { name, unit, meaning, field: Field::Number(range, field) };
         [
-            SettingRow {
-                name: "time_limit_s",
-                unit: "s",
-                meaning: "Time limit of an episode, in simulated seconds.",
-                field: Field::Periods(CONTROL_PERIOD_S, LONGEST, |task: &mut Self| &mut task.time_limit_s),
-            },
-            number(
+            SettingRow::time_limit(CONTROL_PERIOD_S, |task: &mut Self| &mut task.time_limit_s),
+            SettingRow::number(
                 "tolerance_rad",
                 "rad",
                 "The pole is upright within this angle.",
                 [1e-3, FALLEN_RAD],
                 |task: &mut Self| &mut task.tolerance_rad,
             ),
-            number(
+            SettingRow::number(
                 "hold_s",
                 "s",
                 "The episode succeeds after the pole has been upright for this long.",
                 [CONTROL_PERIOD_S, 3600.0],
                 |task| &mut task.hold_s,
             ),
-            number(
+            SettingRow::number(
                 "speed_limit_rad_s",
                 "rad/s",
                 "The largest speed of the pole that the bench allows.",
@@ -94,9 +87,6 @@ impl Default for Pendulum {
         Self::DEFAULT
     }
 }
-
-/// Control periods of a day.
-const LONGEST: u32 = 4_320_000;
 
 impl SelfContained for Pendulum {
     fn name(&self) -> &'static str {

@@ -9,7 +9,7 @@ use super::NAME;
 use super::cell::TOLERANCE_M;
 use super::scene::workspace_scale;
 use crate::arm::{ArmSettings, HasSettings, OnArm, rows};
-use crate::settings::{Choice, Field, SettingRow, with_settings};
+use crate::settings::{Choice, SettingRow, with_settings};
 
 /// Pick and place with its settings.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -145,43 +145,41 @@ impl OnArm for PickPlace {
 impl HasSettings for PickPlace {
     fn rows() -> Vec<SettingRow<Self>> {
         rows([
-            SettingRow {
-                name: "tolerance_m",
-                unit: "m",
-                meaning: "Largest horizontal distance of the part from its target.",
-                field: Field::Number([1e-4, 0.3], |task: &mut Self| &mut task.tolerance_m),
-            },
-            SettingRow {
-                name: "orientation_tolerance_rad",
-                unit: "rad",
-                meaning: "Largest angle of the part at the target. A half turn accepts every orientation.",
-                field: Field::Number([1e-3, PI], |task| &mut task.orientation_tolerance_rad),
-            },
-            SettingRow {
-                name: "jam_force_n",
-                unit: "N",
-                meaning: "The robot presses if a contact force is above this. The grip force is added while it holds \
-                          the part.",
-                field: Field::Number([0.1, 1e6], |task| &mut task.jam_force_n),
-            },
-            SettingRow {
-                name: "jam_duration_s",
-                unit: "s",
-                meaning: "Duration of pressing that is a jam.",
-                field: Field::Number([1e-3, 3600.0], |task| &mut task.jam_duration_s),
-            },
-            SettingRow {
-                name: "failure_modes",
-                unit: "",
-                meaning: "The failure modes that are reported: all, or the four of the paper.",
-                field: Field::Choice(|task| &mut task.modes),
-            },
-            SettingRow {
-                name: "workspace",
-                unit: "",
-                meaning: "The size of the workspace: that of the paper, scaled to the robot or not.",
-                field: Field::Choice(|task| &mut task.workspace),
-            },
+            SettingRow::number(
+                "tolerance_m",
+                "m",
+                "Largest horizontal distance of the part from its target.",
+                [1e-4, 0.3],
+                |task: &mut Self| &mut task.tolerance_m,
+            ),
+            SettingRow::number(
+                "orientation_tolerance_rad",
+                "rad",
+                "Largest angle of the part at the target. A half turn accepts every orientation.",
+                [1e-3, PI],
+                |task| &mut task.orientation_tolerance_rad,
+            ),
+            SettingRow::number(
+                "jam_force_n",
+                "N",
+                "The robot presses if a contact force is above this. The grip force is added while it holds \
+                 the part.",
+                [0.1, 1e6],
+                |task| &mut task.jam_force_n,
+            ),
+            SettingRow::number("jam_duration_s", "s", "Duration of pressing that is a jam.", [1e-3, 3600.0], |task| {
+                &mut task.jam_duration_s
+            }),
+            SettingRow::choice(
+                "failure_modes",
+                "The failure modes that are reported: all, or the four of the paper.",
+                |task| &mut task.modes,
+            ),
+            SettingRow::choice(
+                "workspace",
+                "The size of the workspace: that of the paper, scaled to the robot or not.",
+                |task| &mut task.workspace,
+            ),
         ])
     }
 }

@@ -12,7 +12,7 @@ mod spec;
 pub mod statics;
 
 use crate::arm::{ArmSettings, HasSettings, OnArm, rows};
-use crate::settings::{Field, SettingRow};
+use crate::settings::SettingRow;
 
 /// The task's name.
 const NAME: &str = "stacking";
@@ -52,18 +52,20 @@ impl OnArm for Stacking {
 impl HasSettings for Stacking {
     fn rows() -> Vec<SettingRow<Self>> {
         rows([
-            SettingRow {
-                name: "tolerance_m",
-                unit: "m",
-                meaning: "Largest horizontal distance of a part from its place on the part below.",
-                field: Field::Number([1e-4, 0.05], |task: &mut Self| &mut task.tolerance_m),
-            },
-            SettingRow {
-                name: "tilt_limit_rad",
-                unit: "rad",
-                meaning: "A part of the stack has toppled beyond this angle.",
-                field: Field::Number([0.01, 1.5], |task| &mut task.tilt_limit_rad),
-            },
+            SettingRow::number(
+                "tolerance_m",
+                "m",
+                "Largest horizontal distance of a part from its place on the part below.",
+                [1e-4, 0.05],
+                |task: &mut Self| &mut task.tolerance_m,
+            ),
+            SettingRow::number(
+                "tilt_limit_rad",
+                "rad",
+                "A part of the stack has toppled beyond this angle.",
+                [0.01, 1.5],
+                |task| &mut task.tilt_limit_rad,
+            ),
         ])
     }
 }

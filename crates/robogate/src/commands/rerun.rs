@@ -25,7 +25,7 @@ pub(crate) struct Rerun {
     pub(crate) rows: Vec<u64>,
     /// How many of them also have the same measures and trajectory, bit for bit.
     pub(crate) identical: u64,
-    /// How many of them were lost to an unavailable server when they were recorded, which need not happen again.
+    /// How many other chosen rows were lost to an unavailable server when they were recorded, which need not happen again.
     pub(crate) lost: u64,
     /// Whether the mathematical functions differ from those of the run, so that last bits differ.
     pub(crate) other_maths: bool,
@@ -64,8 +64,9 @@ pub(crate) fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result
         indices.push(entry.or_usage()?.index());
     }
     let chosen = random_positions(indices.len() as u64, k).map_err(evidence_error)?;
-    let rows: Vec<u64> = chosen.iter().filter_map(|at| indices.get(*at as usize).copied()).collect();
-    let (mut identical, mut lost) = (0, 0);
+    let mut rows: Vec<u64> = chosen.iter().filter_map(|at| indices.get(*at as usize).copied()).collect();
+    let chosen = rows.len();
+    let mut identical = 0;
     let mut worker = subject.worker().or_broken()?;
     for entry in dictionary.entries() {
         let entry = entry.or_usage()?;
@@ -74,7 +75,7 @@ pub(crate) fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result
         }
         let before = entry.episode;
         if matches!(&before.outcome, Outcome::Invalid(fault) if fault.kind == FaultKind::Unavailable) {
-            lost += 1;
+            rows.retain(|row| *row != before.scenario.index);
             continue;
         }
         let again = rollout(&mut *worker.environment, &mut *worker.policy, &before.scenario);
@@ -105,6 +106,7 @@ pub(crate) fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result
             ));
         }
     }
+    let lost = (chosen - rows.len()) as u64;
     Ok(Ok(Rerun { of: indices.len() as u64, rows, identical, lost, other_maths }))
 }
 

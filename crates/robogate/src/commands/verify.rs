@@ -139,7 +139,7 @@ impl Verify {
 }
 
 fn tell_rerun(rerun: &Rerun) {
-    let rows = rerun.rows.len() as u64 - rerun.lost;
+    let rows = rerun.rows.len() as u64;
     let same = match rows - rerun.identical {
         0 => "with the same outcome, measures and trajectory".to_owned(),
         others if rerun.other_maths => format!(

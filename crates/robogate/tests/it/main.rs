@@ -21,6 +21,7 @@ mod gate;
 mod generated;
 mod harness;
 mod layering;
+mod library;
 mod local_policies;
 #[cfg(feature = "mujoco")]
 mod media;

@@ -194,7 +194,7 @@ fn rows_that_were_made_invalid_are_found() {
     assert!(printed.contains("is not what happens"), "{printed}");
 }
 
-/// Another variant of the C library's functions changes last bits, which is said and is no forgery.
+/// Another variant of the C library's functions changes last bits, which the command states, and which is not a forgery.
 #[cfg(all(target_os = "linux", target_env = "gnu", target_arch = "x86_64"))]
 #[test]
 fn other_mathematical_functions_are_named() {

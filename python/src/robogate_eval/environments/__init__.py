@@ -120,7 +120,7 @@ def _arguments(identifier: str, query: str) -> dict:
     for pair in filter(None, query.split("&")):
         key, equals, text = pair.partition("=")
         if not equals or not key.isidentifier():
-            raise UnknownEnvironment(f"gymnasium:{identifier}: {pair!r} is no argument. Expected key=value, as in gymnasium:ID?obs_type=state&max_steps=50")
+            raise UnknownEnvironment(f"gymnasium:{identifier}: {pair!r} is not an argument. Expected key=value, as in gymnasium:ID?obs_type=state&max_steps=50")
         if key in arguments:
             raise UnknownEnvironment(f"gymnasium:{identifier}: the argument {key} is given twice")
         try:

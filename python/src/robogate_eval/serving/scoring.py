@@ -87,7 +87,7 @@ def _reported(trajectory: Trajectory) -> bool | None:
 def truth(value: Any, name: str) -> bool:
     """Success as a truth value: True, False, 1 or 0, as a number of Python or NumPy, or as an array with one of these.
 
-    Anything else (a share, NaN, a dict) is no answer to the question whether the episode succeeded.
+    Anything else (a share, NaN, a dict) does not say whether the episode succeeded.
 
     Raises:
         Problem: The value is something else. Names what reported it, its value and its type.

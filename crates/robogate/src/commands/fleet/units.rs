@@ -11,10 +11,10 @@ use robogate_gate::{FleetUnit, GateError, Question, Record, Verdict};
 
 use super::plan::{FleetPlan, Unit, UnitCampaign};
 use super::result;
-use crate::commands::gate::{refused, write_answer, write_question};
+use crate::commands::gate::{refused, write_answer};
 use crate::commands::run::{How, interrupted};
 use crate::exit::{Exit, OrExit};
-use robogate_session::{Look, Subject};
+use robogate_session::{Look, Subject, write_question};
 
 use crate::terminal::{grouped, note, percent};
 

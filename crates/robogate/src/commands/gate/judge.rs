@@ -9,13 +9,13 @@ use robogate_gate::{Asked, Evaluation, Question, RealEvidence, Record, Requireme
 use robogate_stats::format::counted;
 
 use super::Gate;
-use super::question::{MARGIN, Other, compared_with, judged, open_requirements, real_evidence_for, refused};
+use super::question::{Other, compared_with, judged, open_requirements, real_evidence_for, refused};
 use super::verdict::{show, write_answer};
 use crate::exit::{Exit, OrExit};
 use crate::source::open_source;
 use crate::terminal::note;
 use crate::twins;
-use robogate_session::question;
+use robogate_session::{MARGIN, question};
 
 impl Gate {
     /// Judges a finished run.

@@ -22,9 +22,7 @@ use crate::twins::NominalArguments;
 use robogate_session::PolicyLocation;
 
 pub(crate) use judge::evaluation_of;
-pub(crate) use question::{
-    built_in_baseline, compared_with, open_requirements, real_evidence_for, refused, write_question,
-};
+pub(crate) use question::{built_in_baseline, compared_with, open_requirements, real_evidence_for, refused};
 pub(crate) use rounds::resume;
 pub(crate) use verdict::{finish, ruled_out, write_answer};
 

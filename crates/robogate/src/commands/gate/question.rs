@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use robogate_analysis::transfer::Transfer;
 use robogate_analysis::{Finding, Source};
-use robogate_campaign::folder::write_atomically;
 use robogate_core::TaskSpec;
 use robogate_core::budget::Budget;
 use robogate_dictionary::{Provenance, read_text};
@@ -15,11 +14,8 @@ use robogate_gate::{Against, Asked, Baseline, GateError, RealEvidence, RealStrat
 use super::Gate;
 use crate::exit::{Exit, OrExit};
 use crate::source::open_source;
-use crate::terminal::{note, warning};
+use crate::terminal::note;
 use robogate_session::Failure;
-
-/// The default non-inferiority margin, as a fraction.
-pub(super) const MARGIN: f64 = 0.05;
 
 /// The built-in baselines.
 const BASELINES: [&str; 1] = [include_str!("../../../../../assets/baselines/franka-industrial-68.json")];
@@ -141,14 +137,6 @@ pub(crate) fn real_evidence_for(path: &Path, provenance: &Provenance) -> Result<
 pub(super) fn judged(source: &Source, asked: &Asked) -> Result<Record, Exit> {
     let record = Record::of(source.dictionary()).map_err(refused)?;
     Ok(Record { real: asked.real.clone(), ..record })
-}
-
-/// Writes the question beside the plan. Without it, `resume` refuses to continue the gate.
-pub(crate) fn write_question(dir: &Path, asked: &Asked) {
-    if let Err(error) = write_atomically(dir, Asked::FILE, asked.to_json().as_bytes()) {
-        let file = dir.join(Asked::FILE);
-        warning(format_args!("cannot write {}: {error}. `robogate resume` needs it", file.display()));
-    }
 }
 
 /// Opens built-in requirements or a file.

@@ -4,20 +4,20 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use robogate_campaign::{Completion, Round, Settings};
-use robogate_gate::{Asked, AskedAgainst, GateError, Record};
+use robogate_gate::{Asked, GateError, Record};
 
-use super::question::{compared_with, refused, write_question};
+use super::question::{compared_with, refused};
 use super::verdict::{finish, ruled_out};
 use crate::commands::run::How;
 use crate::exit::Exit;
-use robogate_session::{Arms, Look, Reopening, Rival, Subject, Workers, begun};
+use robogate_session::{Arms, Look, Reopening, Rival, Subject, begun};
 
 /// A gate between its rounds.
 pub(super) struct Rounds<'a> {
     pub(super) dir: &'a Path,
     pub(super) asked: Asked,
-    /// The policy of `--against`, and its non-inferiority margin.
-    pub(super) rival: Option<(Rival, f64)>,
+    /// The policy of `--against`.
+    pub(super) rival: Option<Rival>,
     /// The finished run that the gate compares with.
     pub(super) other: Option<Record>,
     pub(super) record: Record,
@@ -28,13 +28,13 @@ pub(super) struct Rounds<'a> {
 impl Rounds<'_> {
     /// Whether another round follows.
     pub(super) fn after(&mut self, round: &Round<'_>) -> ControlFlow<()> {
-        if let Some((rival, _)) = &mut self.rival
+        if let Some(rival) = &mut self.rival
             && let Err(error) = rival.run(self.dir, round)
         {
             self.broken = Some(error.into());
             return ControlFlow::Break(());
         }
-        let other = self.rival.as_ref().map(|(rival, _)| rival.record()).or(self.other.as_ref());
+        let other = self.rival.as_ref().map(Rival::record).or(self.other.as_ref());
         Look { asked: &self.asked, other, record: &mut self.record, trouble: &mut self.trouble }.after(round)
     }
 
@@ -43,7 +43,7 @@ impl Rounds<'_> {
         if arms.is_empty() || self.broken.is_some() || !matches!(completion, Completion::Finished { .. }) {
             return arms;
         }
-        let other = self.rival.as_ref().map(|(rival, _)| rival.record()).or(self.other.as_ref());
+        let other = self.rival.as_ref().map(Rival::record).or(self.other.as_ref());
         // The end of the gate reports an error.
         if ruled_out(self.dir, &self.asked, other).unwrap_or(false) { arms.left_out() } else { arms }
     }
@@ -53,21 +53,11 @@ impl Rounds<'_> {
         if let Some(error) = self.broken {
             return Err(error);
         }
-        if let (Some((rival, margin)), Completion::Finished { .. }) = (self.rival, &completion) {
-            self.other = Some(finish_rival(rival, self.dir, &mut self.asked, margin)?);
+        if let (Some(rival), Completion::Finished { .. }) = (self.rival, &completion) {
+            self.other = Some(rival.finish(self.dir, &mut self.asked)?);
         }
         finish(self.dir, &self.asked, self.other.as_ref(), self.trouble, completion, Some(subject), json)
     }
-}
-
-/// Writes the rows of the policy of --against, and names them in the question.
-fn finish_rival(rival: Rival, dir: &Path, asked: &mut Asked, margin: f64) -> Result<Record, Exit> {
-    let (path, record) = rival.write(dir)?;
-    let dataset_sha256 = record.dataset_sha256.clone();
-    asked.against = Some(AskedAgainst { path, dataset_sha256, margin });
-    write_question(dir, asked);
-    rival.clean(dir);
-    Ok(record)
 }
 
 /// Resumes an interrupted gate.
@@ -80,13 +70,10 @@ pub(crate) fn resume(
     how: &How,
 ) -> Result<u8, Exit> {
     // The rows of a policy that runs beside this one do not exist before the end.
-    let running = asked.against.as_ref().filter(|against| against.dataset_sha256.is_empty()).map(|a| a.margin);
+    let running = asked.against.as_ref().is_some_and(|against| against.dataset_sha256.is_empty());
     let rival = match running {
-        Some(margin) => {
-            let threads = Workers::for_rival(how.threads);
-            Some((Rival::resume(dir, opening, &settings.provenance, threads)?, margin))
-        }
-        None => None,
+        true => Some(Rival::resume(dir, opening, &settings.provenance, how.threads)?),
+        false => None,
     };
     let other = match rival {
         Some(_) => None,

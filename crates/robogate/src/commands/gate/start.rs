@@ -9,12 +9,12 @@ use robogate_campaign::{DEFAULT_SEED, Event, Plan, Round};
 use robogate_core::Suite;
 use robogate_dictionary::{Label, Provenance};
 use robogate_gate::{
-    Asked, AskedAgainst, Controls, GatePlan, Mode, PairPlan, Planned, Question, Record, Requirements, Sampling,
+    Asked, AskedAgainst, Controls, GatePlan, PairPlan, Planned, Question, Record, Requirements, Sampling,
 };
 use robogate_stats::format::counted;
 
 use super::Gate;
-use super::question::{MARGIN, Other, open_requirements, real_evidence_for, refused, write_question};
+use super::question::{Other, open_requirements, real_evidence_for, refused};
 use super::rounds::Rounds;
 use super::verdict::{show, write_answer};
 use crate::answer;
@@ -24,7 +24,9 @@ use crate::commands::{controls, shard, suites};
 use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
 use crate::terminal::{line, note};
-use robogate_session::{Arms, PolicyChoice, Rival, Subject, Workers, families};
+use robogate_session::{
+    Arms, MARGIN, PolicyChoice, Rival, Subject, families, rounds_and_sampling, with_plan, write_question,
+};
 
 /// The number of scenarios of a suite that is sampled from a space.
 const SAMPLED_SCENARIOS: usize = 64;
@@ -103,11 +105,7 @@ impl Gate {
             self.latency.choice().check_suite(suite.space()).or_usage()?;
         }
         subject.check_suite(&suite).or_usage()?;
-        // The protocol of a published benchmark fixes the number of episodes.
-        let protocol = !suite.published().is_empty();
-        let rounds = self.rounds.unwrap_or(if protocol { 1 } else { requirements.budget.rounds });
-        let fixed = self.fixed || requirements.mode == Mode::Point;
-        let sampling = if fixed { Sampling::Fixed } else { Sampling::Sequential };
+        let (rounds, sampling) = rounds_and_sampling(&suite, &requirements, self.rounds, self.fixed);
         let labels: Vec<Label> = suite
             .cases()
             .iter()
@@ -214,7 +212,7 @@ impl Gate {
             .source_at(&self.location())?;
         let environment = self.environment.choice().environment()?;
         let subject = Subject::new(environment, source)?;
-        Rival::new(subject, &prepared.planned, Workers::for_rival(self.how.threads)).map(Some).map_err(Exit::from)
+        Rival::new(subject, &prepared.planned, self.how.threads).map(Some).map_err(Exit::from)
     }
 
     /// Writes the plan of the gate in shards.
@@ -299,7 +297,7 @@ impl Gate {
         let mut rounds = Rounds {
             dir: &dir,
             asked,
-            rival: rival.map(|rival| (rival, margin)),
+            rival,
             other: other.record.map(|(_, record)| record),
             record,
             trouble: None,
@@ -321,11 +319,6 @@ impl Gate {
         })?;
         rounds.end(completion, &subject, self.how.json)
     }
-}
-
-/// The provenance as the run records it.
-fn with_plan(provenance: &Provenance, plan: &Plan) -> Result<Provenance, Exit> {
-    Ok(Provenance { plan: serde_json::to_value(plan).or_broken()?, seed: plan.seed, ..provenance.clone() })
 }
 
 impl Prepared {
