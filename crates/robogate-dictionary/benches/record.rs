@@ -86,7 +86,7 @@ fn provenance(task: &Arc<TaskSpec>, space: &ParameterSpace) -> Provenance {
         engine: Engine { name: "none".to_owned(), version: None, build_sha256: None },
         robot: Robot { name: "none".to_owned(), sha256: None, dimensions: None },
         policy: "none".to_owned(),
-        world: serde_json::Value::Null,
+        world: None,
         space: space.clone(),
         plan: serde_json::Value::Null,
         seed: 1,

@@ -34,6 +34,7 @@ pub mod results;
 mod schema;
 mod text;
 pub mod v1;
+mod world;
 
 pub use columns::{FixedColumn, Kind, fixed_columns};
 pub use entry::{Entry, Label};
@@ -49,3 +50,7 @@ pub use provenance::{
 };
 pub use schema::{SCHEMA_VERSION, SchemaVersion};
 pub use text::{read_regular_text, read_text};
+pub use world::{
+    CellPlace, ControlProblem, ControlResult, Controls, ExternalPolicyRecord, Place, PolicyRecord, PythonPlace,
+    RendererRecord, WORLD_VERSION, World,
+};

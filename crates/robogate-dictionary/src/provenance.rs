@@ -2,12 +2,13 @@
 
 use std::sync::Arc;
 
+use robogate_core::latency::Execution;
 use robogate_core::{ParameterSpace, TaskSpec};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::{Platform, SCHEMA_VERSION, SchemaVersion, hex};
+use crate::{Controls, Platform, SCHEMA_VERSION, SchemaVersion, World, hex};
 
 /// The provenance of a dictionary: everything that its rows depend on.
 ///
@@ -30,9 +31,9 @@ pub struct Provenance {
     pub robot: Robot,
     /// The policy.
     pub policy: String,
-    /// The settings of the environment (for example its time step), in the environment's format.
-    #[serde(default, skip_serializing_if = "serde_json::Value::is_null")]
-    pub world: serde_json::Value,
+    /// Where the episodes took place, and the policy. Absent in imports.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub world: Option<World>,
     /// The parameter space. Its parameters are columns of the rows, in this order.
     pub space: ParameterSpace,
     /// The settings of the campaign (stages, budgets, designs, limits), in the campaign's format.
@@ -55,16 +56,17 @@ impl Provenance {
     /// SHA-256 (hex) of the policy's file, or of what its server or its environment declared to run. `None` if it is
     /// unknown, and for a policy that is built into RoboGate.
     pub fn policy_sha256(&self) -> Option<String> {
-        if self.source.is_some() {
-            return None;
-        }
-        let policy = self.world.get("policy")?;
-        let declared = policy.get("declared").and_then(|declared| declared.get("sha256")).and_then(|it| it.as_str());
-        // A policy that the environment runs declares a version, which may be the hash of its files.
-        let text = declared.or_else(|| policy.get("version")?.as_str())?;
-        let digits = text.strip_prefix("sha256:").unwrap_or(text);
-        let valid = digits.len() == 64 && digits.chars().all(|c| c.is_ascii_hexdigit());
-        valid.then(|| digits.to_ascii_lowercase())
+        self.world.as_ref()?.policy.as_ref()?.sha256()
+    }
+
+    /// The latency of the policy, if the run has one.
+    pub fn execution(&self) -> Option<&Execution> {
+        self.world.as_ref()?.execution.as_ref()
+    }
+
+    /// The controls of the gate that started the run, if they ran.
+    pub fn controls(&self) -> Option<&Controls> {
+        self.world.as_ref()?.controls.as_ref()
     }
 
     /// The canonical JSON. The same provenance gives the same bytes.

@@ -8,7 +8,7 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
 /// The version that this crate writes, and the oldest one that it reads.
-pub const SCHEMA_VERSION: SchemaVersion = SchemaVersion { major: 3, minor: 0 };
+pub const SCHEMA_VERSION: SchemaVersion = SchemaVersion { major: 4, minor: 0 };
 
 /// A version of the dictionary's schema, in the form `major.minor`.
 ///

@@ -10,7 +10,7 @@
 use std::collections::BTreeSet;
 
 use robogate_core::{OutsideRange, TaskSpec, is_feasible};
-use robogate_dictionary::{Label, TaskIdentity};
+use robogate_dictionary::{Controls, Label, TaskIdentity};
 use robogate_stats::multiplicity::holm;
 use robogate_stats::{Confidence, Trials, clopper_pearson, wilson};
 use schemars::JsonSchema;
@@ -23,8 +23,8 @@ use crate::rounds::Rounds;
 use crate::ruled_out::RuledOut;
 use crate::scope::{Scope, expand};
 use crate::{
-    Baseline, Bound, ConfidenceScore, Controls, Ending, Family, GateError, Metric, Mode, NewCases, Population,
-    RealEvidence, Record, Requirement, Requirements, Trial, Twins, Verdict,
+    Baseline, Bound, ConfidenceScore, Ending, Family, GateError, Metric, Mode, NewCases, Population, RealEvidence,
+    Record, Requirement, Requirements, Trial, Twins, Verdict,
 };
 
 /// How the number of episodes was chosen. It determines which test is valid.

@@ -19,7 +19,6 @@ mod asked;
 mod baseline;
 mod cases;
 mod comparison;
-mod controls;
 mod error;
 mod evaluation;
 pub mod evidence;
@@ -48,7 +47,6 @@ pub use asked::{Asked, AskedAgainst};
 pub use baseline::{Baseline, BaselineFigure};
 pub use cases::NewCases;
 pub use comparison::{Against, Comparison, Planned, check_pairing};
-pub use controls::{ControlProblem, ControlResult, Controls};
 pub use error::GateError;
 pub use evaluation::{
     Counts, Dropped, EndingCount, Evaluation, FeasibleRate, GroupResult, Question, RequirementResult, Sampling, Status,
@@ -70,3 +68,5 @@ pub use score::{ConfidenceScore, ScoreTerm, ScoredTerm, Scoring};
 pub use trial::{Ending, Trial};
 pub use twins::{Effect, Family as TwinFamily, Twins};
 pub use verdict::Verdict;
+// A part of each evaluation.
+pub use robogate_dictionary::Controls;

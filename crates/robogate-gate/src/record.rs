@@ -6,14 +6,14 @@ use std::sync::Arc;
 
 use robogate_core::{FailureMode, Suite, TaskSpec, Value};
 use robogate_dictionary::results::{SOURCE_EPISODE, SOURCE_ROW, recorded_seed};
-use robogate_dictionary::{Dictionary, Entry, Label, Provenance, RowSampling, Stopping, hex, suite_sha256};
+use robogate_dictionary::{Controls, Dictionary, Entry, Label, Provenance, RowSampling, Stopping, hex, suite_sha256};
 use robogate_stats::format::counted;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::cases::repeated;
-use crate::{Controls, GateError, RealEvidence, Sampling, Trial};
+use crate::{GateError, RealEvidence, Sampling, Trial};
 
 /// The population that a set of episodes represents.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -193,7 +193,7 @@ impl Record {
             imported: provenance.source.is_some(),
             stopping: provenance.source.as_ref().and_then(|source| source.stopping),
             real: None,
-            controls: Controls::of(provenance),
+            controls: provenance.controls().cloned(),
         })
     }
 
@@ -261,7 +261,7 @@ impl Record {
             policy_sha256: provenance.policy_sha256(),
             dataset_sha256: dataset_sha256.to_owned(),
             focused: (all - trials.len()) as u64,
-            controls: Controls::of(provenance),
+            controls: provenance.controls().cloned(),
             trials,
         })
     }

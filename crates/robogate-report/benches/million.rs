@@ -74,7 +74,7 @@ fn write(path: &Path, rows: u64) {
         task: Arc::new(robogate_dictionary::v1::task()),
         robot: Robot { name: "franka".to_owned(), sha256: None, dimensions: None },
         policy: "made up".to_owned(),
-        world: serde_json::Value::Null,
+        world: None,
         space: space.clone(),
         plan: serde_json::Value::Null,
         seed: 1,

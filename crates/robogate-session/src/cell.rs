@@ -8,7 +8,7 @@ use anyhow::{Context, anyhow, bail};
 use robogate_camera::SIZE_PX;
 use robogate_core::{Assignment, Environment, ParameterSpace, Policy, Scenario, Seed, Suite, TaskInstance};
 use robogate_demos::Recorder;
-use robogate_dictionary::{provenance, robot_sha256};
+use robogate_dictionary::{CellPlace, provenance, robot_sha256};
 use robogate_physics::{
     Chain, Engine, EngineBuild, Robot, RobotError, RobotFile, WORKSPACE_CENTRE, built_in_robot, is_folder,
 };
@@ -17,63 +17,24 @@ use robogate_remote::{Pool, RemotePhysics};
 use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
 use robogate_tasks::pick_place::{PickPlace, remote};
 use robogate_tasks::{ArmTask, Rig};
-use serde::{Deserialize, Serialize};
 
-use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
+use crate::registry::{self, ENGINES, EngineEntry};
 use crate::remote::{self as servers, CellTask, PhysicsHost};
-use crate::renderer::RendererRecord;
-use crate::subject::{check_declared, named_space};
+use crate::renderer;
+use crate::subject::{check_declared, hello_of, named_space};
 
-/// The settings of the cell, as a run records them.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct CellSettings {
-    /// The task.
-    #[serde(default = "default_task", skip_serializing_if = "is_default_task")]
-    pub task: String,
-    /// The name of a built-in robot, or the folder of a user's robot.
-    pub robot: String,
-    /// The physics engine.
-    pub engine: String,
-    /// The engine's time step, in seconds.
-    pub time_step_s: f64,
-    /// The renderer of the cameras. `None` for the embedded one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub renderer: Option<RendererRecord>,
-    /// Whether the engine runs in physics servers.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub simulator: Option<Physics>,
-}
+/// The robot of records that name none.
+pub(crate) const FRANKA: &str = "franka";
 
-/// The task of runs that record none.
-fn default_task() -> String {
-    CELL_TASK.to_owned()
-}
-
-fn is_default_task(task: &String) -> bool {
-    task == CELL_TASK
-}
-
-impl CellSettings {
-    /// The settings of this task with this robot in the default engine.
-    pub fn of(task: &str, robot: &str) -> Self {
-        Self {
-            task: task.to_owned(),
-            robot: robot.to_owned(),
-            engine: ENGINES[0].name.to_owned(),
-            time_step_s: ENGINES[0].time_step_s,
-            renderer: None,
-            simulator: None,
-        }
+/// This robot in the default engine.
+pub(crate) fn default_place(robot: &str) -> CellPlace {
+    CellPlace {
+        robot: robot.to_owned(),
+        engine: ENGINES[0].name.to_owned(),
+        time_step_s: ENGINES[0].time_step_s,
+        renderer: None,
+        physics_servers: false,
     }
-}
-
-/// Marks an engine that runs in servers that only compute physics.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Physics {
-    /// In servers.
-    Physics,
 }
 
 /// The cell. It can be set up several times, once for each thread.
@@ -81,7 +42,7 @@ pub struct Cell {
     task: Arc<dyn ArmTask>,
     /// Chosen values of the task's settings.
     chosen: Assignment,
-    settings: CellSettings,
+    settings: CellPlace,
     robot: Robot,
     /// Pixels along each side of the camera images.
     picture_px: usize,
@@ -92,8 +53,13 @@ pub struct Cell {
 impl Cell {
     /// Reads the robot and sets the cell up once, so that problems are reported before a run starts. `chosen` are values
     /// of the task's settings.
-    pub fn new(mut settings: CellSettings, chosen: Assignment, pool: Option<Arc<Pool>>) -> anyhow::Result<Self> {
-        let task = task(&settings.task, &chosen)?;
+    pub fn new(
+        task: &str,
+        mut settings: CellPlace,
+        chosen: Assignment,
+        pool: Option<Arc<Pool>>,
+    ) -> anyhow::Result<Self> {
+        let task = arm_task(task, &chosen)?;
         let robot = robot(&settings.robot)?;
         let gripper = &robot.settings.gripper;
         if let Some((setting, _)) = chosen.iter().find(|(setting, _)| !task.has_effect(setting, gripper)) {
@@ -105,16 +71,16 @@ impl Cell {
             servers::check_robot(hello, &robot, &identity(&robot.files()?))?;
             settings.engine = servers::engine(hello).name;
             settings.time_step_s = hello.time_step_s.unwrap_or_default();
-            settings.simulator = Some(Physics::Physics);
+            settings.physics_servers = true;
         } else {
             EngineEntry::find(&settings.engine)?;
         }
         if let Some(record) = &settings.renderer {
-            record.check(&settings.engine, pool.is_some())?;
+            renderer::check(record, &settings.engine, pool.is_some())?;
         }
         let mut cell = Self { task, chosen, settings, robot, picture_px: SIZE_PX, pool };
         if let Some(record) = &cell.settings.renderer {
-            cell.settings.renderer = Some(record.open(&*cell.engine(&cell.setup())?)?.1);
+            cell.settings.renderer = Some(renderer::open(record, &*cell.engine(&cell.setup())?)?.1);
         }
         let mut environment = cell.environment()?;
         environment.reset(&nominal()).context("the robot cannot be set up in the cell")?;
@@ -124,16 +90,16 @@ impl Cell {
         Ok(cell)
     }
 
-    /// The same cell with camera images of this width and height in pixels.
-    pub fn with_pictures_of(self, picture_px: usize) -> Self {
-        Self { picture_px, ..self }
+    /// Renders camera images of this width and height in pixels in every later environment.
+    pub fn set_picture_px(&mut self, picture_px: usize) {
+        self.picture_px = picture_px;
     }
 
     /// Uses the settings of the paper, other than those that the user chose, in every later environment.
     pub fn set_like_the_paper(&mut self) -> anyhow::Result<()> {
         let mut values = self.task.published(&self.robot.settings.gripper);
         self.chosen.iter().for_each(|(name, value)| values.set(name, value.clone()));
-        self.task = task(&self.settings.task, &values)?;
+        self.task = arm_task(self.task.name(), &values)?;
         self.chosen = values;
         Ok(())
     }
@@ -144,7 +110,7 @@ impl Cell {
     }
 
     /// The cell's settings.
-    pub fn settings(&self) -> &CellSettings {
+    pub fn settings(&self) -> &CellPlace {
         &self.settings
     }
 
@@ -244,7 +210,7 @@ impl Cell {
             return Ok(Box::new(RemotePhysics::new(Arc::clone(pool), task)?));
         }
         let engine = self.engine(setup)?;
-        let renderer = self.settings.renderer.as_ref().map(|record| record.open(&*engine)).transpose()?;
+        let renderer = self.settings.renderer.as_ref().map(|record| renderer::open(record, &*engine)).transpose()?;
         let rig = Rig { picture_px: [self.picture_px; 2], renderer: renderer.map(|(renderer, _)| renderer) };
         self.task
             .with(&setup.settings)
@@ -283,15 +249,12 @@ impl Cell {
             bail!("`robogate serve` serves built-in environments only\nHint: leave out --simulator");
         }
         let (engine, robot) = self.provenance()?;
-        let program = message::Program { name: "robogate".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() };
-        let (version, sha256) = (engine.version.unwrap_or_default(), engine.build_sha256);
-        let engine = message::Engine { name: engine.name, version, solver: None, sha256 };
         let task = (**self.environment()?.task()).clone();
         Ok(Hello {
             robot: Some(message::Robot { name: robot.name, sha256: robot.sha256 }),
             time_step_s: Some(self.settings.time_step_s),
             space: Some(named_space(self.default_space())?),
-            ..Hello::new(task, program, engine)
+            ..hello_of(task, engine)
         })
     }
 
@@ -344,7 +307,7 @@ pub fn engine(build: EngineBuild) -> provenance::Engine {
 }
 
 /// The task with this name and these values of its settings.
-fn task(name: &str, chosen: &Assignment) -> anyhow::Result<Arc<dyn ArmTask>> {
+fn arm_task(name: &str, chosen: &Assignment) -> anyhow::Result<Arc<dyn ArmTask>> {
     let task = registry::arm_task(name).ok_or_else(|| anyhow!("--task {name}: unknown task for an arm"))?;
     task.with(chosen).map_err(|why| anyhow!(why))
 }

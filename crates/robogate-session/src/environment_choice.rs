@@ -6,16 +6,15 @@ use std::sync::Arc;
 
 use anyhow::{Context, anyhow, bail};
 use robogate_core::{Assignment, SettingSpec, Suite};
-use robogate_dictionary::hex;
+use robogate_dictionary::{CellPlace, RendererRecord, hex};
 use robogate_physics::is_folder;
 use sha2::{Digest, Sha256};
 
-use crate::cell::{Cell, CellSettings};
+use crate::cell::{Cell, default_place};
 use crate::environments::BUNDLED;
 use crate::failure::{Failure, OrFailure};
 use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
 use crate::remote::Simulators;
-use crate::renderer::RendererRecord;
 use crate::reopening::{Reopening, Trust};
 use crate::subject::{EnvironmentSource, RemoteSource, assignment};
 use crate::text::foreign;
@@ -85,11 +84,11 @@ impl EnvironmentChoice {
             self.refuse_cell_options(&self.task)?;
             let (chosen, rest) = self.settings_among(&task.settings()).or_request()?;
             let task = task.with(&chosen).map_err(|why| anyhow!("--set: {why}")).or_request()?;
-            return Ok((EnvironmentSource::SelfContained(task), rest));
+            return Ok((EnvironmentSource::BuiltIn(Box::new(task)), rest));
         };
         let (chosen, rest) = self.settings_among(&arm.settings()).or_request()?;
-        let cell = Cell::new(self.settings(), chosen, pool).or_setup()?;
-        Ok((EnvironmentSource::Cell(Box::new(cell)), rest))
+        let cell = Cell::new(&self.task, self.place(), chosen, pool).or_setup()?;
+        Ok((EnvironmentSource::BuiltIn(Box::new(cell)), rest))
     }
 
     /// The values of `--set` as parameters of a scenario.
@@ -168,9 +167,13 @@ impl EnvironmentChoice {
     }
 
     fn as_cell(environment: EnvironmentSource) -> Result<Cell, Failure> {
-        match environment {
-            EnvironmentSource::Cell(cell) => Ok(*cell),
-            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
+        let cell = match environment {
+            EnvironmentSource::BuiltIn(built_in) => built_in.into_cell(),
+            EnvironmentSource::Remote(_) => None,
+        };
+        match cell {
+            Some(cell) => Ok(cell),
+            None => {
                 let arms: Vec<&str> = registry::ARM_TASKS.iter().map(|task| task.name()).collect();
                 Err(anyhow!(
                     "this command needs a built-in task for an arm: {}\nHint: leave out --env and --simulator",
@@ -207,16 +210,14 @@ impl EnvironmentChoice {
         }
     }
 
-    fn settings(&self) -> CellSettings {
+    fn place(&self) -> CellPlace {
         let name = self.engine.as_deref().unwrap_or(ENGINES[0].name);
         let engine = ENGINES.iter().find(|engine| engine.name == name);
-        CellSettings {
-            task: self.task.clone(),
-            robot: absolute(self.robot()),
+        CellPlace {
             engine: name.to_owned(),
             time_step_s: self.time_step_s.unwrap_or(engine.map_or(0.0, |engine: &EngineEntry| engine.time_step_s)),
             renderer: self.renderer.clone(),
-            simulator: None,
+            ..default_place(&absolute(self.robot()))
         }
     }
 }

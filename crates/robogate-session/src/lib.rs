@@ -20,6 +20,7 @@ mod latency;
 mod lost_episodes;
 mod notice;
 mod origin;
+mod policy_record;
 mod policy_source;
 mod registry;
 mod remote;
@@ -31,7 +32,7 @@ pub mod text;
 mod workers;
 
 pub use arms::{ArmKind, Arms, rounds_of, space_of};
-pub use cell::{Cell, CellSettings, engine, identity, nominal, robot, robot_files};
+pub use cell::{Cell, engine, identity, nominal, robot, robot_files};
 pub use checkpoint_statistics::CheckpointStatistics;
 pub use environment_choice::EnvironmentChoice;
 pub use environments::{BUNDLED, Interpreter, Servers, installed, installed_marker};
@@ -49,11 +50,10 @@ pub use registry::{
     ARM_TASKS, CELL_TASK, ENGINES, EngineEntry, POLICIES, TASKS, arm_task, has_robots, spaces, task, tasks,
 };
 pub use remote::{CellTask, PhysicsHost, Simulators};
-pub use renderer::RendererRecord;
 pub use reopening::{Permit, Program, Reopening, Trust};
 pub use rival::Rival;
 pub use subject::{
-    EnvironmentSource, Subject, check_declared, named_space, programs, recorded_robot, starts_processes,
+    BuiltIn, EnvironmentSource, Subject, check_declared, named_space, programs, recorded_robot, starts_processes,
 };
 pub use workers::{Workers, guarded};
 

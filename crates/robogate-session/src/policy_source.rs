@@ -11,7 +11,6 @@ use robogate_core::{Fault, FaultKind, Observation, Policy, TaskSpec};
 use robogate_dictionary::{hex, read_text};
 use robogate_policy::{Access, BoundMap, ExternalPolicy, Mapped, PolicyError, Profile, RangeCounts, TaskMap};
 use robogate_tasks::Random;
-use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::checkpoint_statistics::CheckpointStatistics;
@@ -20,8 +19,7 @@ use crate::notice::note;
 use crate::text::foreign;
 
 /// A policy other than the environment's scripted controller.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum PolicySource {
     /// An external policy.
     External(ExternalSource),
@@ -32,43 +30,36 @@ pub enum PolicySource {
 }
 
 /// A policy that the environment declares and runs itself.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct DeclaredPolicy {
     /// Its name.
     pub environment: String,
     /// Its version, or the hash of its files, as the environment declares it.
-    #[serde(default)]
     pub version: String,
 }
 
 /// Built-in policies that drive any task.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BuiltInPolicy {
     /// Random actions: the baseline of a ranking.
     Random,
 }
 
 /// A learned policy behind an inference server, or in a file.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct ExternalSource {
     /// Address of the server, or path of the file.
-    server: String,
+    pub(crate) server: String,
     /// Observation and action mapping of the policy.
-    profile: Arc<Profile>,
+    pub(crate) profile: Arc<Profile>,
     /// How the environment becomes the task that the profile expects.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    map: Option<Arc<TaskMap>>,
+    pub(crate) map: Option<Arc<TaskMap>>,
     /// What the policy reported about itself on the first connection.
-    declared: serde_json::Value,
+    pub(crate) declared: serde_json::Value,
     /// Where this process reaches the policy, if not at the recorded address.
-    #[serde(skip)]
-    at: Option<String>,
+    pub(crate) at: Option<String>,
     /// Key, certificates and patience of this process.
-    #[serde(skip)]
-    access: Access,
+    pub(crate) access: Access,
 }
 
 impl PolicySource {

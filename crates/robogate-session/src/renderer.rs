@@ -1,52 +1,37 @@
-//! The renderer of the camera images, and its record.
+//! The renderer of the camera images.
 
 use anyhow::bail;
 use robogate_camera::Renderer;
+use robogate_dictionary::RendererRecord;
 use robogate_physics::Engine;
-use serde::{Deserialize, Serialize};
 
-/// The record of a renderer other than the embedded one.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "name", rename_all = "snake_case", deny_unknown_fields)]
-pub enum RendererRecord {
-    /// MuJoCo's renderer, through EGL.
-    Egl {
-        /// OpenGL's renderer and version. Another device may render different pixels.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        device: Option<String>,
-    },
-}
-
-impl RendererRecord {
-    /// Returns an error if the renderer cannot be used with this engine.
-    pub fn check(&self, engine: &str, remote: bool) -> anyhow::Result<()> {
-        let Self::Egl { .. } = self;
-        if remote {
-            bail!(
-                "--renderer egl needs MuJoCo in this process; with --simulator only the embedded renderer is available"
-            );
-        }
-        if engine != "mujoco" {
-            bail!("--renderer egl cannot be used with --engine {engine}. Expected --engine mujoco");
-        }
-        Ok(())
+/// Returns an error if the renderer cannot be used with this engine.
+pub(crate) fn check(record: &RendererRecord, engine: &str, remote: bool) -> anyhow::Result<()> {
+    let RendererRecord::Egl { .. } = record;
+    if remote {
+        bail!("--renderer egl needs MuJoCo in this process; with --simulator only the embedded renderer is available");
     }
+    if engine != "mujoco" {
+        bail!("--renderer egl cannot be used with --engine {engine}. Expected --engine mujoco");
+    }
+    Ok(())
 }
 
-impl RendererRecord {
-    /// Opens the renderer for this engine, and returns it with its record, which names the device. Returns an error if
-    /// the run was recorded with another device.
-    pub fn open(&self, engine: &dyn Engine) -> anyhow::Result<(Box<dyn Renderer>, Self)> {
-        let Self::Egl { device: recorded } = self;
-        let (renderer, device) = egl(engine)?;
-        match recorded {
-            Some(recorded) if *recorded != device => {
-                bail!(
-                    "the run's images were rendered by {recorded}, but this machine has {device}, whose pixels may differ"
-                )
-            }
-            _ => Ok((renderer, Self::Egl { device: Some(device) })),
+/// Opens the renderer for this engine, and returns it with its record, which names the device. Returns an error if the run
+/// was recorded with another device.
+pub(crate) fn open(
+    record: &RendererRecord,
+    engine: &dyn Engine,
+) -> anyhow::Result<(Box<dyn Renderer>, RendererRecord)> {
+    let RendererRecord::Egl { device: recorded } = record;
+    let (renderer, device) = egl(engine)?;
+    match recorded {
+        Some(recorded) if *recorded != device => {
+            bail!(
+                "the run's images were rendered by {recorded}, but this machine has {device}, whose pixels may differ"
+            )
         }
+        _ => Ok((renderer, RendererRecord::Egl { device: Some(device) })),
     }
 }
 
@@ -78,8 +63,8 @@ mod tests {
     #[test]
     fn egl_requires_local_mujoco() {
         let egl = RendererRecord::Egl { device: None };
-        assert!(egl.check("mujoco", false).is_ok());
-        assert!(egl.check("rapier", false).unwrap_err().to_string().contains("rapier"));
-        assert!(egl.check("mujoco", true).unwrap_err().to_string().contains("--simulator"));
+        assert!(check(&egl, "mujoco", false).is_ok());
+        assert!(check(&egl, "rapier", false).unwrap_err().to_string().contains("rapier"));
+        assert!(check(&egl, "mujoco", true).unwrap_err().to_string().contains("--simulator"));
     }
 }

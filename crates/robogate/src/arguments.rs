@@ -5,9 +5,10 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use robogate_core::latency::ExecutionMode;
+use robogate_dictionary::RendererRecord;
 use robogate_session::{
     CELL_TASK, CheckpointStatistics, ENGINES, EnvironmentChoice, LatencyChoice, PolicyAccess, PolicyChoice,
-    PolicyLocation, RendererRecord, Reopening, Simulators, Trust, WantedLatency, duration, execution_mode,
+    PolicyLocation, Reopening, Simulators, Trust, WantedLatency, duration, execution_mode,
 };
 use robogate_zmtp::Address;
 

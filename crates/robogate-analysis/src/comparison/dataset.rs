@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use robogate_dictionary::Provenance;
+use robogate_dictionary::{CellPlace, Place, Provenance, RendererRecord};
 
 use crate::analysis::populations;
 use crate::dependence::Dependence;
@@ -105,11 +105,10 @@ pub(crate) fn names(sources: &[(Source, PathBuf)], given: &[String]) -> Result<V
 
 /// The renderer in the provenance of a built-in world. The provenance contains no entry for the embedded one.
 fn renderer(provenance: &Provenance) -> &str {
-    let world = &provenance.world;
-    match (world.get("engine"), world.get("renderer")) {
-        (None, _) => "unknown",
-        (Some(_), None) => "embedded",
-        (Some(_), Some(renderer)) => renderer.get("name").and_then(|name| name.as_str()).unwrap_or("unknown"),
+    match provenance.world.as_ref().map(|world| &world.place) {
+        Some(Place::Cell(CellPlace { renderer: None, .. })) => "embedded",
+        Some(Place::Cell(CellPlace { renderer: Some(RendererRecord::Egl { .. }), .. })) => "egl",
+        _ => "unknown",
     }
 }
 

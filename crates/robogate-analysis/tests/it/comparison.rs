@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use robogate_analysis::{Comparison, ComparisonError, ComparisonOptions, Finding, Source};
 use robogate_core::{FailureMode, Fault, FaultKind, Outcome, ParameterSpace};
-use robogate_dictionary::{DictionaryError, write_parquet};
+use robogate_dictionary::{CellPlace, DictionaryError, Place, RendererRecord, World, write_parquet};
 use tempfile::TempDir;
 
 use crate::runs::{boxes, changed, saved};
@@ -22,17 +22,24 @@ fn paired() -> ComparisonOptions {
 fn runs_are_named_by_renderer() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
-    let sampled = |file: &str, world: serde_json::Value, n: u64| {
+    let sampled = |file: &str, renderer: Option<RendererRecord>, n: u64| {
+        let place = CellPlace {
+            robot: "franka".to_owned(),
+            engine: "mujoco".to_owned(),
+            time_step_s: 0.002,
+            renderer,
+            physics_servers: false,
+        };
+        let world = Some(World::new(Place::Cell(place)));
         let path = dir.path().join(format!("{file}.parquet"));
         let provenance = robogate_dictionary::Provenance { world, ..provenance(space.clone()) };
         write_parquet(&path, &provenance, law(&space, n).into_iter().map(Ok::<_, DictionaryError>)).unwrap();
         (Source::open(&path).unwrap(), path)
     };
     let names = |a, b| compared(&[a, b]).datasets.iter().map(|d| d.name.clone()).collect::<Vec<_>>();
-    let plain = || serde_json::json!({ "engine": "mujoco" });
-    let egl = serde_json::json!({ "engine": "mujoco", "renderer": { "name": "egl", "device": "llvmpipe" } });
-    assert_eq!(names(sampled("a", plain(), 50), sampled("b", egl, 60)), ["embedded", "egl"]);
-    assert_eq!(names(sampled("c", plain(), 50), sampled("d", plain(), 60)), ["c", "d"]);
+    let egl = Some(RendererRecord::Egl { device: Some("llvmpipe".to_owned()) });
+    assert_eq!(names(sampled("a", None, 50), sampled("b", egl, 60)), ["embedded", "egl"]);
+    assert_eq!(names(sampled("c", None, 50), sampled("d", None, 60)), ["c", "d"]);
 }
 
 #[test]

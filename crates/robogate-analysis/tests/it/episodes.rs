@@ -19,7 +19,7 @@ pub(crate) fn provenance(space: ParameterSpace) -> Provenance {
         task: Arc::new(v1::task()),
         robot: Robot { name: "testbot".to_owned(), sha256: None, dimensions: None },
         policy: "scripted".to_owned(),
-        world: serde_json::Value::Null,
+        world: None,
         space,
         plan: serde_json::Value::Null,
         seed: SEED,

@@ -51,7 +51,8 @@ pub(crate) fn same_origin(recorded: &Provenance, present: &Provenance) -> Result
         }
     }
     let task = |p: &Provenance| serde_json::to_value(&*p.task).unwrap_or_default();
-    let worlds = [("world", recorded.world.clone(), present.world.clone()), ("task", task(recorded), task(present))];
+    let world = |p: &Provenance| serde_json::to_value(&p.world).unwrap_or_default();
+    let worlds = [("world", world(recorded), world(present)), ("task", task(recorded), task(present))];
     for (name, recorded, present) in worlds {
         if let Some((what, recorded, present)) = difference(name.to_owned(), &recorded, &present) {
             return Err(RunError::Mismatch { what, recorded, present });

@@ -3,7 +3,7 @@
 use std::fs;
 
 use robogate_campaign::{RunError, settings};
-use robogate_dictionary::{Build, DictionaryError, Provenance};
+use robogate_dictionary::{Build, DictionaryError, Place, Provenance, World};
 
 use crate::world::{Synthetic, files, plan, provenance, resume, start, stop_after, with_pool};
 
@@ -81,7 +81,7 @@ fn changed_provenance_is_rejected() {
         ("robot", |p| p.robot.name = "ur5e".to_owned()),
         ("robot files", |p| p.robot.sha256 = Some("00".to_owned())),
         ("policy", |p| p.policy = "acts".to_owned()),
-        ("world.time_step_s", |p| p.world["time_step_s"] = 0.001.into()),
+        ("world.place.kind", |p| p.world = Some(World::new(Place::SelfContained))),
         ("platform", |p| p.platform = None),
         ("C library", |p| p.platform.as_mut().unwrap().libc = Some("glibc 2.31".to_owned())),
         ("CPU features", |p| p.platform.as_mut().unwrap().cpu = Some(Vec::new())),

@@ -14,7 +14,7 @@ use robogate_core::{
     FaultKind, MeasureSpec, Observation, ObservationSpec, ParameterSpace, Policy, Scenario, Seed, Severity, Start,
     Step, TaskInstance, TaskSpec, Word,
 };
-use robogate_dictionary::{Engine, Platform, Provenance, Robot, SCHEMA_VERSION, Tool};
+use robogate_dictionary::{CellPlace, Engine, Place, Platform, Provenance, Robot, SCHEMA_VERSION, Tool};
 
 pub(crate) fn space() -> ParameterSpace {
     ParameterSpace::from_toml(
@@ -85,7 +85,13 @@ pub(crate) fn provenance() -> Provenance {
         task: task(),
         robot: Robot { name: "none".to_owned(), sha256: Some("ab".repeat(32)), dimensions: None },
         policy: "waits".to_owned(),
-        world: serde_json::json!({ "time_step_s": 0.002 }),
+        world: Some(robogate_dictionary::World::new(Place::Cell(CellPlace {
+            robot: "none".to_owned(),
+            engine: "test".to_owned(),
+            time_step_s: 0.002,
+            renderer: None,
+            physics_servers: false,
+        }))),
         space: space(),
         plan: serde_json::Value::Null,
         seed: 0,

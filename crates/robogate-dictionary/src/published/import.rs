@@ -198,7 +198,7 @@ impl Survey {
             task: Arc::new(v1::task()),
             robot: Robot { name: name(["robot", "robot_name"]), sha256: None, dimensions: None },
             policy: name(["policy", "controller"]),
-            world: serde_json::Value::Null,
+            world: None,
             space,
             plan: json!({ "published_metadata": frame.metadata }),
             seed: seed.unwrap_or(0),

@@ -258,7 +258,7 @@ impl<'a> Survey<'a> {
             task: Arc::new(task),
             robot: Robot { name: word(&about.robot, &[]), sha256: None, dimensions: None },
             policy: word(&about.policy, &["model_server"]),
-            world: serde_json::Value::Null,
+            world: None,
             space: ParameterSpace::new("imported", parameters)?,
             plan: json!({ "source_metadata": frame.metadata }),
             seed: frame.metadata.get("seed").and_then(serde_json::Value::as_u64).unwrap_or(0),

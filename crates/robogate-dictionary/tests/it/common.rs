@@ -97,7 +97,7 @@ pub(crate) fn provenance_of(task: Arc<TaskSpec>) -> Provenance {
         },
         robot: Robot { name: "franka".to_owned(), sha256: Some("cd".repeat(32)), dimensions: None },
         policy: "scripted".to_owned(),
-        world: serde_json::Value::Null,
+        world: None,
         space: space(),
         plan: serde_json::json!({ "stages": [{ "name": "uniform", "n": 100 }] }),
         seed: SEED,

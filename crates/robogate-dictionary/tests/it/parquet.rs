@@ -235,7 +235,7 @@ fn other_schemas_are_rejected() {
     assert!(newer.to_string().contains("upgrade robogate"), "{newer}");
     for version in ["2.2", "1.0", "0.9"] {
         let older = with_version(version).unwrap_err().to_string();
-        assert!(older.contains(&format!("its schema version is {version}. Expected 3.0")), "{older}");
+        assert!(older.contains(&format!("its schema version is {version}. Expected 4.0")), "{older}");
         assert!(older.contains("run the campaign again"), "{older}");
     }
     let minor = with_version("3.7").unwrap();

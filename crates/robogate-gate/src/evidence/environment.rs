@@ -19,11 +19,9 @@ pub struct EnvironmentBinding {
 impl EnvironmentBinding {
     /// The environment of these rows.
     pub fn of(provenance: &Provenance) -> Self {
-        let mut world = provenance.world.clone();
-        // The policy is bound on its own.
-        if let Some(world) = world.as_object_mut() {
-            world.remove("policy");
-        }
+        // The policy is bound on its own, and controls are results.
+        let world =
+            provenance.world.as_ref().map(|world| json!({ "place": world.place, "execution": world.execution }));
         let identity: Value = json!({
             "task": TaskIdentity::of(&provenance.task),
             "world": world,

@@ -2,10 +2,9 @@
 
 use std::fmt;
 
-use robogate_dictionary::Provenance;
+use robogate_dictionary::{PolicyRecord, Provenance};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 
 use super::{FileRecord, Problem, Role};
 
@@ -38,14 +37,13 @@ impl PolicyBinding {
         if provenance.source.is_some() {
             return Self::Unbound { because: "the imported rows record no digest".to_owned() };
         }
-        let policy = match provenance.world.get("policy") {
-            None | Some(Value::Null | Value::String(_)) => return Self::BuiltIn,
+        let policy = match provenance.world.as_ref().and_then(|world| world.policy.as_ref()) {
+            None | Some(PolicyRecord::BuiltIn { .. }) => return Self::BuiltIn,
             Some(policy) => policy,
         };
-        let text = |key: &str| policy.get(key).and_then(Value::as_str).unwrap_or_default();
-        let declared = policy.get("declared").and_then(|declared| declared.get("sha256")).is_some_and(Value::is_string);
-        match provenance.policy_sha256() {
-            Some(sha256) if declared && !text("server").contains("://") => Self::File { sha256 },
+        let is_file = matches!(policy, PolicyRecord::External(external) if external.is_file());
+        match policy.sha256() {
+            Some(sha256) if is_file => Self::File { sha256 },
             Some(sha256) => Self::Declared { sha256 },
             None => Self::Unbound { because: "as declared by the server".to_owned() },
         }

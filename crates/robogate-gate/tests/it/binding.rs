@@ -6,11 +6,12 @@ use std::sync::Arc;
 
 use robogate_core::{Assignment, Episode, Measures, Outcome, ParameterSpace, Scenario, Seed, Value};
 use robogate_dictionary::{
-    Build, Engine, Entry, Label, Platform, Provenance, Robot, SCHEMA_VERSION, Tool, write_parquet,
+    Build, CellPlace, Engine, Entry, Label, Place, Platform, PolicyRecord, Provenance, Robot, SCHEMA_VERSION, Tool,
+    World, write_parquet,
 };
 use robogate_gate::evidence::{
-    Content, EvidenceError, Ingredients, PolicyBinding, PrivateKey, Problem, QuestionBinding, REGISTRATION,
-    REGISTRATION_KEY, Registration, Role, Signed, list_of, random_positions, register, verify, write,
+    Content, EnvironmentBinding, EvidenceError, Ingredients, PolicyBinding, PrivateKey, Problem, QuestionBinding,
+    REGISTRATION, REGISTRATION_KEY, Registration, Role, Signed, list_of, random_positions, register, verify, write,
 };
 use robogate_gate::{Asked, RealEvidence, RealStratum, Requirements, Sampling};
 use serde_json::json;
@@ -33,6 +34,16 @@ fn requirements(least: f64) -> String {
     )
 }
 
+fn place() -> CellPlace {
+    CellPlace {
+        robot: "franka".to_owned(),
+        engine: "mujoco".to_owned(),
+        time_step_s: 0.002,
+        renderer: None,
+        physics_servers: false,
+    }
+}
+
 /// A run of a gate in a folder.
 struct Run {
     folder: tempfile::TempDir,
@@ -43,6 +54,7 @@ struct Run {
 impl Run {
     /// A run of this policy (the value of `world.policy`) that was asked for a success rate of 90 %.
     fn of(policy: serde_json::Value) -> Self {
+        let policy = Some(serde_json::from_value(policy).unwrap());
         let space = ParameterSpace::from_toml(
             "name = 'test'\n[[parameter]]\nname = 'mass_kg'\nkind = 'continuous'\nlow = 0.1\nhigh = 2.0\n",
         );
@@ -66,7 +78,7 @@ impl Run {
             task: Arc::new(crate::common::task()),
             robot: Robot { name: "franka".into(), sha256: None, dimensions: None },
             policy: "judged".into(),
-            world: json!({ "time_step_s": 0.002, "policy": policy }),
+            world: Some(World { policy, ..World::new(Place::Cell(place())) }),
             space: space.unwrap(),
             plan: json!({ "n": 80 }),
             seed: 5,
@@ -99,7 +111,9 @@ impl Run {
 
     /// A run of the file `network.onnx`.
     fn of_network() -> Self {
-        Self::of(json!({ "server": "/models/network.onnx", "profile": {}, "declared": { "sha256": sha256(NETWORK) } }))
+        Self::of(
+            json!({ "kind": "external", "server": "/models/network.onnx", "profile": {}, "declared": { "sha256": sha256(NETWORK) } }),
+        )
     }
 
     fn write_rows(&self) {
@@ -210,8 +224,8 @@ fn other_policy_files_are_rejected() {
 fn declared_digests_are_bound() {
     let declared = format!("sha256:{}", sha256(NETWORK));
     for policy in [
-        json!({ "server": "ws://host:8000", "profile": {}, "declared": { "sha256": sha256(NETWORK) } }),
-        json!({ "environment": "expert", "version": declared }),
+        json!({ "kind": "external", "server": "ws://host:8000", "profile": {}, "declared": { "sha256": sha256(NETWORK) } }),
+        json!({ "kind": "hosted", "name": "expert", "version": declared }),
     ] {
         let mut run = Run::of(policy);
         assert_eq!(PolicyBinding::of(&run.provenance), PolicyBinding::Declared { sha256: sha256(NETWORK) });
@@ -222,7 +236,9 @@ fn declared_digests_are_bound() {
 
 #[test]
 fn unknown_policies_are_not_bound() {
-    let mut run = Run::of(json!({ "server": "ws://host:8000", "profile": {}, "declared": { "name": "act" } }));
+    let mut run = Run::of(
+        json!({ "kind": "external", "server": "ws://host:8000", "profile": {}, "declared": { "name": "act" } }),
+    );
     run.include(Role::Policy, "policy/network.onnx", "network.onnx");
     let folder = run.written("e");
     let verified = verify(&folder, None).unwrap();
@@ -351,12 +367,17 @@ fn environments_have_a_hash() {
     let hash = |change: fn(&mut Provenance)| {
         let mut provenance = run.provenance.clone();
         change(&mut provenance);
-        robogate_gate::evidence::EnvironmentBinding::of(&provenance).sha256
+        EnvironmentBinding::of(&provenance).sha256
     };
-    assert_eq!(hash(|p| p.world["policy"] = json!("random")), verified.environment.sha256);
+    let random = PolicyRecord::BuiltIn { name: "random".to_owned() };
+    let mut other = run.provenance.clone();
+    other.world.as_mut().unwrap().policy = Some(random);
+    assert_eq!(EnvironmentBinding::of(&other).sha256, verified.environment.sha256);
     for change in [
         (|p| p.engine.build_sha256 = Some("cd".repeat(32))) as fn(&mut Provenance),
-        |p| p.world["time_step_s"] = json!(0.001),
+        |p| {
+            p.world = Some(World::new(Place::Cell(CellPlace { time_step_s: 0.001, ..place() })));
+        },
         |p| p.robot.sha256 = Some("00".to_owned()),
         |p| Arc::make_mut(&mut p.task).version += 1,
     ] {

@@ -46,7 +46,7 @@ fn planned_rows(path: &Path, n: u64, failures: u64, plan: serde_json::Value, lab
         task: std::sync::Arc::new(crate::common::task()),
         robot: Robot { name: "franka".into(), sha256: Some(robot_sha256([("robot.toml", ROBOT)])), dimensions: None },
         policy: "scripted".into(),
-        world: serde_json::Value::Null,
+        world: None,
         space,
         plan,
         seed: 5,

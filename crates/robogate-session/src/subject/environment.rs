@@ -8,11 +8,10 @@ use robogate_core::latency::LATENCY_PARAMETER;
 use robogate_core::{Assignment, Environment, ParameterSpace, Policy, TaskSpec};
 use robogate_dictionary::provenance;
 use robogate_policy::{Arm, BoundMap, Profile, TaskMap};
-use robogate_remote::message::{self, Hello, HostedPolicy};
+use robogate_remote::message::{Hello, HostedPolicy};
 use robogate_remote::{Pool, RemoteEnvironment};
-use robogate_tasks::SelfContained;
 
-use crate::cell::{self, Cell, CellSettings};
+use crate::cell::{Cell, FRANKA, default_place};
 use crate::environments::Servers;
 use crate::failure::{Failure, OrFailure};
 use crate::latency::without_latency;
@@ -20,16 +19,14 @@ use crate::policy_source::{DeclaredPolicy, PolicySource, without_profile};
 use crate::registry::{self, CELL_TASK};
 use crate::remote::{self, Simulators};
 
-use super::recorded::franka;
+use super::built_in::BuiltIn;
 use super::spaces::{check_declared, named_space};
 use crate::environment_choice::{absolute, file_sha256};
 
 /// The source of environments.
 pub enum EnvironmentSource {
-    /// A built-in task for an arm.
-    Cell(Box<Cell>),
-    /// A built-in task that brings its own world.
-    SelfContained(Arc<dyn SelfContained>),
+    /// A built-in task.
+    BuiltIn(Box<dyn BuiltIn>),
     /// Servers that declare their own task.
     Remote(RemoteSource),
 }
@@ -56,16 +53,17 @@ impl EnvironmentSource {
     /// The declarations of all built-in tasks except the default one.
     pub fn declared_tasks() -> Result<Vec<Arc<TaskSpec>>, Failure> {
         let arms = registry::ARM_TASKS.iter().filter(|task| task.name() != CELL_TASK).map(|task| {
-            let settings = CellSettings::of(task.name(), &franka());
-            Cell::new(settings, Assignment::default(), None).map(|cell| Self::Cell(Box::new(cell)))
+            let cell = Cell::new(task.name(), default_place(FRANKA), Assignment::default(), None)?;
+            BuiltIn::task(&cell)
         });
-        let arms = arms.map(|source| source.and_then(|source: Self| source.task()));
         arms.chain(registry::TASKS.iter().map(|task| Ok(task.task()))).collect::<Result<_, _>>().or_setup()
     }
 
     /// The same environment with the settings of the paper, if it is a task of the paper.
     pub fn like_the_paper(mut self) -> anyhow::Result<Self> {
-        if let Self::Cell(cell) = &mut self {
+        if let Self::BuiltIn(built_in) = &mut self
+            && let Some(cell) = built_in.cell_mut()
+        {
             cell.set_like_the_paper()?;
         }
         Ok(self)
@@ -78,14 +76,14 @@ impl EnvironmentSource {
         let sha256 = file_sha256(name).or_request()?;
         let (pool, servers) = simulators.launch(name)?;
         let launched = Launched { name: name.to_owned(), sha256, servers };
-        Ok(Self::Remote(RemoteSource { pool, robot: franka(), launched: Some(launched) }))
+        Ok(Self::Remote(RemoteSource { pool, robot: FRANKA.to_owned(), launched: Some(launched) }))
     }
 
     /// The policies that the environment declares.
     fn policies(&self) -> &[HostedPolicy] {
         match self {
             Self::Remote(source) => &source.pool.hello().policies,
-            Self::Cell(_) | Self::SelfContained(_) => &[],
+            Self::BuiltIn(_) => &[],
         }
     }
 
@@ -117,8 +115,7 @@ impl EnvironmentSource {
     /// The task.
     pub fn task(&self) -> anyhow::Result<Arc<TaskSpec>> {
         Ok(match self {
-            Self::Cell(cell) => Arc::clone(cell.environment()?.task()),
-            Self::SelfContained(task) => task.task(),
+            Self::BuiltIn(built_in) => built_in.task()?,
             Self::Remote(source) => Arc::new(source.pool.hello().task.clone()),
         })
     }
@@ -126,7 +123,7 @@ impl EnvironmentSource {
     /// Whether the same scenario and actions give the same episode.
     pub fn is_deterministic(&self) -> bool {
         match self {
-            Self::Cell(_) | Self::SelfContained(_) => true,
+            Self::BuiltIn(_) => true,
             Self::Remote(source) => source.pool.hello().deterministic,
         }
     }
@@ -134,8 +131,7 @@ impl EnvironmentSource {
     /// Creates an environment.
     pub fn environment(&self) -> anyhow::Result<Box<dyn Environment>> {
         Ok(match self {
-            Self::Cell(cell) => cell.environment()?,
-            Self::SelfContained(task) => task.environment()?,
+            Self::BuiltIn(built_in) => built_in.environment()?,
             Self::Remote(source) => Box::new(RemoteEnvironment::new(Arc::clone(&source.pool))?),
         })
     }
@@ -150,30 +146,22 @@ impl EnvironmentSource {
     }
 
     /// The same environment with camera images of this width and height in pixels, if this process renders them.
-    pub fn with_pictures_of(self, picture_px: usize) -> Self {
-        match self {
-            Self::Cell(cell) => Self::Cell(Box::new(cell.with_pictures_of(picture_px))),
-            other => other,
+    pub fn with_pictures_of(mut self, picture_px: usize) -> Self {
+        if let Self::BuiltIn(built_in) = &mut self
+            && let Some(cell) = built_in.cell_mut()
+        {
+            cell.set_picture_px(picture_px);
         }
+        self
     }
 
     /// An environment and an expert that drives it with the commands of this arm mode. `None` without an expert.
     pub fn expert(&self, arm: Arm) -> anyhow::Result<Option<Worker>> {
         Ok(match self {
-            Self::Cell(cell) => {
-                let policy: Box<dyn Policy> = match arm {
-                    Arm::ToolDelta | Arm::OscPose | Arm::ToolPose => {
-                        match cell.task().tool_expert(cell.robot().clone()) {
-                            Some(expert) => expert,
-                            None => return Ok(None),
-                        }
-                    }
-                    Arm::JointPositions | Arm::JointDeltas => cell.controller()?,
-                    Arm::Vector => return Ok(None),
-                };
-                Some(Worker { environment: cell.environment()?, policy })
-            }
-            Self::SelfContained(task) => Some(Worker { environment: task.environment()?, policy: task.controller() }),
+            Self::BuiltIn(built_in) => match built_in.expert(arm)? {
+                Some(policy) => Some(Worker { environment: built_in.environment()?, policy }),
+                None => None,
+            },
             Self::Remote(source) => match source.pool.hello().policies.first() {
                 Some(declared) => {
                     let (environment, policy) =
@@ -189,17 +177,7 @@ impl EnvironmentSource {
     /// The information that a server of this environment declares.
     pub fn hello(&self) -> anyhow::Result<Hello> {
         match self {
-            Self::Cell(cell) => cell.hello(),
-            Self::SelfContained(task) => {
-                let engine = cell::engine(task.engine().map_err(|fault| anyhow!(fault))?);
-                let version = engine.version.unwrap_or_default();
-                let sha256 = engine.build_sha256;
-                let engine = message::Engine { name: engine.name, version, solver: None, sha256 };
-                let program =
-                    message::Program { name: "robogate".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() };
-                let space = Some(ParameterSpace::from_toml(task.space())?);
-                Ok(Hello { space, ..Hello::new((*task.task()).clone(), program, engine) })
-            }
+            Self::BuiltIn(built_in) => built_in.hello(),
             Self::Remote(_) => {
                 bail!("`robogate serve` serves built-in environments only\nHint: leave out --env and --simulator")
             }
@@ -211,8 +189,7 @@ impl EnvironmentSource {
     pub fn space(&self, wanted: Option<&str>, varies: bool) -> anyhow::Result<ParameterSpace> {
         let space = match (wanted, self) {
             (Some(wanted), _) => named_space(wanted)?,
-            (None, Self::Cell(cell)) => named_space(cell.default_space())?,
-            (None, Self::SelfContained(task)) => ParameterSpace::from_toml(task.space())?,
+            (None, Self::BuiltIn(built_in)) => built_in.space()?,
             (None, Self::Remote(source)) => {
                 let hello = source.pool.hello();
                 match &hello.space {
@@ -233,8 +210,8 @@ impl EnvironmentSource {
         let own = if varies { without_latency(&space)? } else { Some(space.clone()) };
         match (self, own) {
             (_, None) => {}
-            (Self::Cell(cell), Some(own)) => cell.check_space(&own)?,
-            (Self::SelfContained(_) | Self::Remote(_), Some(own)) => {
+            (Self::BuiltIn(built_in), Some(own)) => built_in.check_space(&own)?,
+            (Self::Remote(_), Some(own)) => {
                 check_declared(&*self.task()?, &own).with_context(|| format!("space {}", space.name()))?;
             }
         }
@@ -244,13 +221,12 @@ impl EnvironmentSource {
     /// The scripted controller, if the environment has one.
     pub(crate) fn controller(&self) -> anyhow::Result<Box<dyn Policy>> {
         match self {
-            Self::Cell(cell) => cell.controller(),
-            Self::SelfContained(task) => Ok(task.controller()),
+            Self::BuiltIn(built_in) => built_in.controller(),
             // A remote environment may be a built-in cell. Its scripted controller runs in this process.
             Self::Remote(source) if registry::arm_task(source.pool.hello().task.name.as_str()).is_some() => {
                 let hello = source.pool.hello();
-                let settings = CellSettings::of(hello.task.name.as_str(), &absolute(&source.robot));
-                let cell = Cell::new(settings, Assignment::default(), None)?;
+                let place = default_place(&absolute(&source.robot));
+                let cell = Cell::new(hello.task.name.as_str(), place, Assignment::default(), None)?;
                 remote::check_robot(hello, cell.robot(), &cell.robot_sha256()?)?;
                 cell.controller()
             }
@@ -262,18 +238,14 @@ impl EnvironmentSource {
     }
 
     pub(crate) fn provenance(&self) -> anyhow::Result<(provenance::Engine, provenance::Robot)> {
-        let robot = |name: String, sha256| provenance::Robot { name, sha256, dimensions: None };
         Ok(match self {
-            Self::Cell(cell) => cell.provenance()?,
-            Self::SelfContained(task) => {
-                (cell::engine(task.engine().map_err(|fault| anyhow!(fault))?), robot(task.name().to_owned(), None))
-            }
+            Self::BuiltIn(built_in) => built_in.provenance()?,
             Self::Remote(source) => {
                 let hello = source.pool.hello();
                 let known = hello.robot.clone();
                 let unnamed = || (hello.task.name.to_string(), None);
                 let (name, sha256) = known.map_or_else(unnamed, |robot| (robot.name, robot.sha256));
-                (remote::engine(hello), robot(name, sha256))
+                (remote::engine(hello), provenance::Robot { name, sha256, dimensions: None })
             }
         })
     }

@@ -1,5 +1,6 @@
 //! The subject of a run: an environment and the policy in it.
 
+mod built_in;
 mod environment;
 mod recorded;
 mod spaces;
@@ -15,13 +16,12 @@ use robogate_core::{
     Environment, Fault, FaultKind, Foresight, InfeasibleShare, ParameterSpace, Policy, SpaceFeasibility, Suite,
     TaskSpec,
 };
-use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance};
-use robogate_gate::Controls;
+use robogate_dictionary::{CellPlace, Controls, Place, Platform, Provenance, SCHEMA_VERSION, Tool, World, provenance};
 use robogate_policy::{RangeCounts, RangeMeasures, with_range_measures};
 use robogate_remote::RemoteEnvironment;
-use serde_json::{Value, json};
+use serde_json::Value;
 
-use crate::cell::nominal;
+use crate::cell::{Cell, nominal};
 use crate::checkpoint_statistics::CheckpointStatistics;
 use crate::environment_choice::EnvironmentChoice;
 use crate::failure::{Failure, OrFailure};
@@ -32,6 +32,8 @@ use crate::policy_source::{PolicyChoice, PolicyLocation, PolicySource};
 use crate::registry::CELL_TASK;
 use robogate_stats::format::percent;
 
+pub use built_in::BuiltIn;
+pub(crate) use built_in::hello_of;
 pub use environment::EnvironmentSource;
 pub(crate) use environment::RemoteSource;
 pub use recorded::{programs, recorded_robot, starts_processes};
@@ -47,7 +49,7 @@ pub struct Subject {
     /// The latency of the policy. `None` if the world waits for it.
     execution: Option<Execution>,
     /// The controls of the gate, as its runs record them.
-    controls: Option<Value>,
+    controls: Option<Controls>,
     /// The folder of the robot as the run records it, if the user named another one with the same files.
     recorded_robot: Option<String>,
 }
@@ -159,7 +161,7 @@ impl Subject {
 
     /// The same subject with the controls of its gate.
     pub fn with_controls(self, controls: &Controls) -> Self {
-        Self { controls: Some(json!(controls)), ..self }
+        Self { controls: Some(controls.clone()), ..self }
     }
 
     /// The environment.
@@ -189,17 +191,19 @@ impl Subject {
 
     /// The name of the environment's own suite, if it has one.
     pub fn own_suite(&self) -> Option<&'static str> {
-        match &self.environment {
-            EnvironmentSource::Cell(cell) => Some(cell.task().suite()),
-            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
-        }
+        Some(self.cell()?.task().suite())
     }
 
     /// The distribution of the units of the robot, if it is known.
     pub fn own_unit_space(&self) -> Option<&'static str> {
+        Some(self.cell()?.unit_space())
+    }
+
+    /// The cell, if the environment is a built-in task for an arm.
+    fn cell(&self) -> Option<&Cell> {
         match &self.environment {
-            EnvironmentSource::Cell(cell) => Some(cell.unit_space()),
-            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
+            EnvironmentSource::BuiltIn(built_in) => built_in.cell(),
+            EnvironmentSource::Remote(_) => None,
         }
     }
 
@@ -223,8 +227,8 @@ impl Subject {
 
     /// A short name for folders: that of the robot, or of the task.
     pub fn label(&self) -> String {
-        match &self.environment {
-            EnvironmentSource::Cell(cell) if cell.task().name() == CELL_TASK => {
+        match self.cell() {
+            Some(cell) if cell.task().name() == CELL_TASK => {
                 let name = Path::new(&cell.settings().robot).file_name();
                 name.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
             }
@@ -255,8 +259,7 @@ impl Subject {
     /// How many servers the environment runs in, if it is remote. As many episodes run at once.
     pub fn servers(&self) -> Option<NonZeroUsize> {
         match &self.environment {
-            EnvironmentSource::Cell(cell) => cell.servers(),
-            EnvironmentSource::SelfContained(_) => None,
+            EnvironmentSource::BuiltIn(built_in) => built_in.cell()?.servers(),
             // This process starts as many as it needs.
             EnvironmentSource::Remote(RemoteSource { launched: Some(_), .. }) => None,
             EnvironmentSource::Remote(source) => NonZeroUsize::new(source.pool.len()),
@@ -297,12 +300,12 @@ impl Subject {
     pub fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
         let varies = suite.space().position(LATENCY_PARAMETER).is_some();
         match &self.environment {
-            // The cell does not know the latency.
-            EnvironmentSource::Cell(cell) if varies && self.task.parameter(LATENCY_PARAMETER).is_some() => {
-                without_latency(suite.space())?.map_or(Ok(()), |space| cell.check_space(&space))
+            // A built-in task does not know the latency.
+            EnvironmentSource::BuiltIn(built_in) if varies && self.task.parameter(LATENCY_PARAMETER).is_some() => {
+                without_latency(suite.space())?.map_or(Ok(()), |space| built_in.check_space(&space))
             }
-            EnvironmentSource::Cell(cell) => cell.check_suite(suite),
-            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
+            EnvironmentSource::BuiltIn(built_in) => built_in.check_suite(suite),
+            EnvironmentSource::Remote(_) => {
                 check_declared(&self.task, suite.space()).with_context(|| format!("suite {}", suite.name()))
             }
         }
@@ -311,19 +314,15 @@ impl Subject {
     /// The provenance: what the results of a run depend on, in addition to its plan.
     pub fn provenance(&self, space: ParameterSpace) -> Result<Provenance, Failure> {
         let (engine, robot) = self.environment.provenance().or_broken()?;
-        let mut world = self.environment.recorded().or_broken()?;
-        if let (Value::Object(world), Some(robot)) = (&mut world, &self.recorded_robot) {
-            world.insert("robot".to_owned(), json!(robot));
+        let mut place = self.environment.place();
+        if let (Place::Cell(CellPlace { robot, .. }) | Place::Servers { robot }, Some(recorded)) =
+            (&mut place, &self.recorded_robot)
+        {
+            robot.clone_from(recorded);
         }
-        if let (Value::Object(world), Some(policy)) = (&mut world, &self.policy) {
-            world.insert("policy".to_owned(), json!(policy));
-        }
-        if let (Value::Object(world), Some(execution)) = (&mut world, &self.execution) {
-            world.insert("execution".to_owned(), json!(execution));
-        }
-        if let (Value::Object(world), Some(controls)) = (&mut world, &self.controls) {
-            world.insert(Controls::KEY.to_owned(), controls.clone());
-        }
+        let policy = self.policy.as_ref().map(PolicySource::record).transpose().or_broken()?;
+        let (execution, controls) = (self.execution.clone(), self.controls.clone());
+        let world = Some(World { policy, execution, controls, ..World::new(place) });
         let runs_network = self.policy.as_ref().is_some_and(PolicySource::is_network);
         let platform = if runs_network { Platform::here().with_networks() } else { Platform::here() };
         Ok(Provenance {

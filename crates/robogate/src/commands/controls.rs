@@ -5,7 +5,7 @@ use std::sync::Arc;
 use anyhow::anyhow;
 use robogate_campaign::Worker;
 use robogate_core::{Assignment, Outcome, Policy, Scenario, Seed, Suite, rollout};
-use robogate_gate::{ControlProblem, ControlResult, Controls};
+use robogate_dictionary::{ControlProblem, ControlResult, Controls};
 use robogate_policy::{Profile, RandomModel, TaskMap, ThroughProfile, Unmapped, compare_mappings};
 
 use crate::exit::{Exit, OrExit};
@@ -89,7 +89,7 @@ fn scenarios(source: &EnvironmentSource, suite: &Suite, episodes: u32, seed: u64
     let cases = suite.cases().len().max(1) as u64;
     (0..u64::from(episodes))
         .map(|number| match source {
-            EnvironmentSource::Cell(_) => {
+            EnvironmentSource::BuiltIn(built_in) if built_in.cell().is_some() => {
                 Scenario { index: number, seed: campaign.episode(number), requested: Assignment::default() }
             }
             _ => suite.scenario(campaign, number * cases / u64::from(episodes)),

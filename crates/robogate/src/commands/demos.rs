@@ -75,7 +75,8 @@ impl Demos {
         if self.n == 0 {
             return Err(usage("-n 0: expected at least 1 episode".to_owned()));
         }
-        let cell = self.environment.choice().cell()?.with_pictures_of(self.size.into());
+        let mut cell = self.environment.choice().cell()?;
+        cell.set_picture_px(self.size.into());
         let seed = Seed::campaign(self.seed);
         let points = match &self.failed_in {
             Some(run) => failures(run)?.into_iter().cycle().take(self.n as usize).collect(),

@@ -134,10 +134,9 @@ impl Draws {
             Err(why) => why,
         };
         note(format_args!("note: the hidden draws of the task are not computed: {why:#}"));
-        let execution = provenance.world.get("execution").cloned().map(serde_json::from_value);
-        match execution {
+        match provenance.execution().cloned() {
             // Sampled latencies follow from the seed alone, also in an environment of another process.
-            Some(Ok(Execution { latency, .. })) if latency.check().is_ok() => Self {
+            Some(Execution { latency, .. }) if latency.check().is_ok() => Self {
                 specs: with_declarations(&provenance.task, &latency).draws.clone(),
                 compute: Box::new(move |scenario: &Scenario| latency.draws(scenario.seed)),
             },

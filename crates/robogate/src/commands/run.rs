@@ -512,9 +512,8 @@ pub(crate) fn introduce(provenance: &Provenance, seed: u64) {
     if !changed.is_empty() {
         note(format_args!("with {changed}"));
     }
-    let execution = provenance.world.get("execution").cloned().map(serde_json::from_value);
-    if let Some(Ok(execution)) = execution {
-        note(describe(&execution));
+    if let Some(execution) = provenance.execution() {
+        note(describe(execution));
     }
 }
 

@@ -14,7 +14,6 @@ use crate::arguments::EnvironmentArguments;
 use crate::commands::run::stop_at_once;
 use crate::exit::{DONE, Exit, OrExit, USAGE};
 use crate::terminal::{line, note};
-use robogate_session::EnvironmentSource;
 
 /// Serve a built-in environment to other programs over the bridge protocol (bridges/PROTOCOL.md).
 ///
@@ -45,13 +44,11 @@ impl Serve {
             );
             return Err(why).or_usage();
         }
-        let source = self.environment.choice().environment()?;
         if self.physics_only {
-            let EnvironmentSource::Cell(cell) = &source else {
-                return Err(anyhow!("--physics-only applies to tasks for an arm\nHint: leave out --task")).or_usage();
-            };
+            let cell = self.environment.choice().cell()?;
             return self.answer(Server::new(cell.physics_host().or_usage()?));
         }
+        let source = self.environment.choice().environment()?;
         let hello = source.hello().or_usage()?;
         let environment = source.environment().or_broken()?;
         self.answer(Server::new(EnvironmentHost::new(hello, environment)))

@@ -101,7 +101,10 @@ fn forge(from: &Path, to: &Path, world: &Value) {
             }
             "dictionary.parquet" => {
                 let dictionary = Dictionary::open(&source).unwrap();
-                let forged = Provenance { world: world.clone(), ..dictionary.provenance().clone() };
+                let forged = Provenance {
+                    world: serde_json::from_value(world.clone()).unwrap(),
+                    ..dictionary.provenance().clone()
+                };
                 let rows: Vec<Entry> = dictionary.entries().map(Result::unwrap).collect();
                 write_parquet(&target, &forged, rows.into_iter().map(Ok)).unwrap();
             }
@@ -117,7 +120,7 @@ fn policy(server: &str, profile: &str) -> Value {
     let text =
         fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../robogate-policy/src/profiles").join(profile));
     let profile: Value = toml::from_str(&text.unwrap()).unwrap();
-    json!({ "server": server, "profile": profile, "declared": {} })
+    json!({ "kind": "external", "server": server, "profile": profile, "declared": {} })
 }
 
 /// The worlds of strangers: environments by all kinds of names, policies, robots.
@@ -137,12 +140,15 @@ fn worlds(bench: &Bench) -> Vec<Value> {
         "gymnasium:package:Some-v0",
         "metaworld:push-v3",
     ];
-    let environments = names.into_iter().map(|name| json!({ "environment": name }));
+    let environments = names.into_iter().map(|name| json!({ "kind": "python", "environment": name }));
     let digest = "0".repeat(64);
-    let with_digest = json!({ "environment": "mine.py:make", "sha256": digest });
-    let served = json!({ "task": "pendulum", "policy": policy(&bench.server(), "openvla.toml") });
-    let robot = json!({ "task": "stacking", "robot": bench.at("robot"), "engine": "mujoco", "time_step_s": 0.002 });
-    environments.chain([with_digest, served, robot]).collect()
+    let with_digest = json!({ "kind": "python", "environment": "mine.py:make", "sha256": digest });
+    let robot = json!({ "kind": "cell", "robot": bench.at("robot"), "engine": "mujoco", "time_step_s": 0.002 });
+    let places = environments.chain([with_digest, robot]);
+    let in_places = places.map(|place| json!({ "version": 1, "place": place }));
+    let served = policy(&bench.server(), "openvla.toml");
+    let with_server = json!({ "version": 1, "place": { "kind": "self_contained" }, "policy": served });
+    in_places.chain([with_server]).collect()
 }
 
 /// Each verb, with a run of a stranger: pages, figures and verdicts come from the rows, and nothing starts.

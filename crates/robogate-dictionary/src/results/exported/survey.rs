@@ -159,7 +159,7 @@ impl<'a> Survey<'a> {
             task: Arc::new(task),
             robot: Robot { name: name(&about.robot), sha256: None, dimensions: None },
             policy: name(&about.policy),
-            world: serde_json::Value::Null,
+            world: None,
             space,
             plan: serde_json::Value::Null,
             seed: self.seed.unwrap_or_default(),

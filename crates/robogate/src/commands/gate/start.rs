@@ -8,9 +8,7 @@ use anyhow::Context;
 use robogate_campaign::{DEFAULT_SEED, Event, Plan, Round};
 use robogate_core::Suite;
 use robogate_dictionary::{Label, Provenance};
-use robogate_gate::{
-    Asked, AskedAgainst, Controls, GatePlan, PairPlan, Planned, Question, Record, Requirements, Sampling,
-};
+use robogate_gate::{Asked, AskedAgainst, GatePlan, PairPlan, Planned, Question, Record, Requirements, Sampling};
 use robogate_stats::format::counted;
 
 use super::Gate;
@@ -145,7 +143,7 @@ impl Gate {
         };
         let provenance = subject.provenance(suite.space().clone())?;
         let planned = with_plan(&provenance, &plan)?;
-        record.controls = Controls::of(&planned);
+        record.controls = planned.controls().cloned();
         Ok(Prepared {
             subject,
             plan,

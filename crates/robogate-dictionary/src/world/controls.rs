@@ -2,9 +2,8 @@
 //!
 //! As in a laboratory assay, a *positive control* must succeed: an expert acts through the profile of the policy. A
 //! *negative control* must not: random actions in the same space. If a control fails, the episodes say nothing about the
-//! policy, and the verdict is [invalid](crate::Verdict::Invalid), never a failure.
+//! policy, and the verdict is invalid evidence, never a failure.
 
-use robogate_dictionary::Provenance;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -57,14 +56,6 @@ pub struct Controls {
 const REQUIRED_SHARE: f64 = 0.8;
 
 impl Controls {
-    /// The name in the provenance of a run (`world.controls`).
-    pub const KEY: &'static str = "controls";
-
-    /// The controls of a run. `None` if the run has none, or if they cannot be read.
-    pub fn of(provenance: &Provenance) -> Option<Self> {
-        serde_json::from_value(provenance.world.get(Self::KEY)?.clone()).ok()
-    }
-
     /// The number of successes that the positive control must reach.
     fn required(&self) -> u64 {
         let known = self.expert.map_or(0, |expert| expert.successes);
