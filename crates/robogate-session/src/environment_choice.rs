@@ -245,7 +245,7 @@ pub(crate) fn from_any_folder(name: &str) -> String {
 }
 
 /// The file in the name of an environment, FILE.py:ATTRIBUTE, and the rest of the name.
-fn file_and_attribute(name: &str) -> Option<(&str, &str)> {
+pub(crate) fn file_and_attribute(name: &str) -> Option<(&str, &str)> {
     let (file, attribute) = name.split_at(name.find(".py")? + 3);
     (attribute.is_empty() || attribute.starts_with(':')).then_some((file, attribute))
 }

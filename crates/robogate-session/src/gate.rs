@@ -81,7 +81,7 @@ impl GateRequest {
         let (mut trouble, mut broken) = (None, None);
         let question_file = asked.clone();
         subject.register(folder, &provenance);
-        let completion = workers.carry(subject, events, |executor, events| {
+        let completion = workers.carry(folder, subject, events, |executor, events| {
             let mut with_question = |event: &Event| {
                 // The folder exists and contains the plan; no episode has run yet.
                 if let Event::Started { .. } = event {

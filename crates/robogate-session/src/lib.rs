@@ -35,13 +35,14 @@ pub use arms::{ArmKind, Arms, rounds_of, space_of};
 pub use cell::{Cell, engine, identity, nominal, robot, robot_files};
 pub use checkpoint_statistics::CheckpointStatistics;
 pub use environment_choice::EnvironmentChoice;
-pub use environments::{BUNDLED, Interpreter, Servers, installed, installed_marker};
+pub use environments::{BUNDLED, ENVIRONMENT, Interpreter, Servers, installed, installed_marker};
 pub use failure::{Failure, FailureKind, OrFailure, chain};
 pub use gate::{GateRequest, Look, MARGIN, begun, question, rounds_and_sampling, with_plan, write_question};
 pub use latency::{LatencyChoice, WantedLatency, describe, execution_mode};
 pub use lost_episodes::{Outage, RunsLostAgain};
 pub use notice::TARGET as NOTICES;
 pub use origin::{Origin, is_remote, register, register_copy};
+pub use policy_record::POLICY;
 pub use policy_source::{
     ExternalSource, PolicyAccess, PolicyChoice, PolicyLocation, PolicySource, connect, mapped, policy_error, profile,
     task_map, without_profile,

@@ -1,15 +1,20 @@
-//! Policies as runs record them.
+//! Policies as runs record and keep them.
 
+use std::fs;
+use std::io;
+use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::anyhow;
-use robogate_dictionary::{ExternalPolicyRecord, PolicyRecord};
+use robogate_dictionary::{ExternalPolicyRecord, PolicyRecord, hex};
 use robogate_policy::Access;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
+use sha2::{Digest, Sha256};
 
 use crate::failure::{Failure, OrFailure};
-use crate::policy_source::{BuiltInPolicy, DeclaredPolicy, ExternalSource, PolicySource};
+use crate::notice::note;
+use crate::policy_source::{BuiltInPolicy, DeclaredPolicy, ExternalSource, PolicySource, network_sha256};
 use crate::text::foreign;
 
 impl PolicySource {
@@ -56,6 +61,52 @@ impl PolicySource {
                 })
             }
         })
+    }
+}
+
+/// The folder in that of a run with the network of its policy.
+pub const POLICY: &str = "policy";
+/// The largest network that a run keeps a copy of, in bytes.
+const MOST_BYTES: u64 = 256 << 20;
+
+impl PolicySource {
+    /// The network of a policy in a file, with its recorded digest.
+    fn network(&self) -> Option<(&Path, &str)> {
+        let Self::External(ExternalSource { server, profile, declared, .. }) = self else { return None };
+        let is_file = profile.dialect.is_file() && !server.contains("://");
+        is_file.then_some(Path::new(server)).zip(declared.get("sha256").and_then(Value::as_str))
+    }
+
+    /// Copies the network into the folder of a run, so that later edits do not end its replays. An error is a note: the digest is
+    /// recorded.
+    pub(crate) fn keep(&self, run: &Path) {
+        let Some((file, sha256)) = self.network() else { return };
+        let copy = || {
+            let bytes = fs::metadata(file)?.len();
+            if bytes > MOST_BYTES {
+                return Err(io::Error::other(format!("it has {} MiB (at most {})", bytes >> 20, MOST_BYTES >> 20)));
+            }
+            let content = fs::read(file)?;
+            if hex(&Sha256::digest(&content)) != sha256 {
+                return Err(io::Error::other("it has changed meanwhile"));
+            }
+            let target = run.join(POLICY).join(file.file_name().unwrap_or_default());
+            fs::create_dir_all(run.join(POLICY))?;
+            fs::write(target, content)
+        };
+        if let Err(why) = copy() {
+            note(format_args!("note: the run keeps no copy of its policy: {why}"));
+        }
+    }
+
+    /// The kept copy of the network in the folder of its run, if the file itself is not the recorded one any more.
+    pub(crate) fn kept(&self, run: &Path) -> Option<String> {
+        let (file, sha256) = self.network()?;
+        let same = |file: &Path| network_sha256(file).is_ok_and(|found| found == sha256);
+        let copy = run.join(POLICY).join(file.file_name()?);
+        let found = (!same(file) && same(&copy)).then(|| copy.display().to_string())?;
+        note(format_args!("{} is not the network of the run any more; its copy is used", foreign(file.display())));
+        Some(found)
     }
 }
 

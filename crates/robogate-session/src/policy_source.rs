@@ -348,7 +348,7 @@ impl PolicyChoice {
 }
 
 /// The SHA-256 of a network in a file, which is read and not loaded.
-fn network_sha256(file: &Path) -> io::Result<String> {
+pub(crate) fn network_sha256(file: &Path) -> io::Result<String> {
     /// As large as a network may be.
     const MOST_BYTES: u64 = 1 << 30;
     let opened = File::open(file)?;
@@ -372,7 +372,7 @@ pub fn without_profile(policy: &str) -> anyhow::Error {
     if policy.contains("://") || Path::new(policy).exists() {
         anyhow!(
             "--policy {policy}: --profile is missing. It describes the observations and actions of the model\nHint: \
-             `robogate policy profiles` lists the built-in profiles"
+             `robogate list profiles` lists the built-in profiles"
         )
     } else if policy.contains(['/', '.']) {
         anyhow!(

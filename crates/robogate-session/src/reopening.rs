@@ -32,6 +32,8 @@ pub struct Reopening {
     pub access: PolicyAccess,
     /// The simulators and the Python interpreter.
     pub simulators: Simulators,
+    /// Whether new episodes continue the run. They need the original files; all else can use the copies in the run's folder.
+    pub continues: bool,
 }
 
 /// Whether the programs that a record names may start, although the user did not make the run on this machine. They can run
@@ -116,7 +118,7 @@ impl Reopening {
     /// For a verb whose other arguments select the environment and the policy of new runs.
     pub fn with(trust: Trust, simulators: &Simulators, location: &PolicyLocation) -> Self {
         let (policy, access) = location.clone().parts();
-        Self { env: None, robot: None, policy, trust, access, simulators: simulators.clone() }
+        Self { policy, trust, access, simulators: simulators.clone(), ..Self::default() }
     }
 
     /// This environment and robot, for a run whose policy is not needed.

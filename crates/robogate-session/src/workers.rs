@@ -1,6 +1,7 @@
 //! The workers that run the episodes of a subject.
 
 use std::num::NonZeroUsize;
+use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::anyhow;
@@ -41,17 +42,26 @@ impl Workers<'_> {
         work(&ThreadPool { factory: subject, threads, stop: self.stop })
     }
 
-    /// Runs a campaign with `work`. Episodes that an unavailable server lost run again.
+    /// Runs a campaign in the folder `dir` with `work`. Episodes that an unavailable server lost run again.
     ///
     /// # Errors
     /// The error of the campaign, or servers that stay unavailable: the recorded episodes are kept.
     pub fn carry(
         &self,
+        dir: &Path,
         subject: &Subject,
         events: &mut dyn FnMut(&Event),
         work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
     ) -> Result<Completion, Failure> {
-        match self.with_pool(subject, |pool| guarded(pool, u64::MAX, events, work))? {
+        let mut keeping = true;
+        let mut events = |event: &Event| {
+            // The folder exists, and no episode has run yet.
+            if matches!(event, Event::Started { .. }) && std::mem::take(&mut keeping) {
+                subject.keep_files(dir);
+            }
+            events(event);
+        };
+        match self.with_pool(subject, |pool| guarded(pool, u64::MAX, &mut events, work))? {
             (Completion::Interrupted { .. }, Some(outage)) => Err(anyhow!(
                 "stopped: {outage}\nHint: the recorded episodes are kept; `robogate resume` runs the others once the server \
                  is available again"

@@ -40,6 +40,15 @@ impl World {
     pub fn new(place: Place) -> Self {
         Self { version: WORLD_VERSION, place, policy: None, execution: None, controls: None }
     }
+
+    /// The same world, whatever the versions of installed packages are: other versions may compute the same episodes.
+    pub fn without_packages(&self) -> Self {
+        let mut world = self.clone();
+        if let Place::Python(python) = &mut world.place {
+            python.packages.clear();
+        }
+        world
+    }
 }
 
 fn known_version<'de, D: Deserializer<'de>>(source: D) -> Result<u32, D::Error> {

@@ -1,5 +1,7 @@
 //! What computes the episodes of a run.
 
+use std::collections::BTreeMap;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -64,4 +66,11 @@ pub struct PythonPlace {
     /// SHA-256 (hex) of the file in that name, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sha256: Option<String>,
+    /// The files of modules outside of installed packages that it imported until its first step: SHA-256 (hex) by the name of the
+    /// module as a path (`helpers.py`).
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub files: BTreeMap<String, String>,
+    /// The versions of the installed packages that it imported.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub packages: BTreeMap<String, String>,
 }

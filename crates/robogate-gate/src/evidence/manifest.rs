@@ -33,6 +33,8 @@ pub enum Role {
     Suite,
     /// A file of the robot.
     Robot,
+    /// A file of the environment.
+    Environment,
     /// A file of the policy.
     Policy,
     /// The campaign's summary.

@@ -1,11 +1,11 @@
-//! Checks that plan, suite, robot and policy in the folder are those of the rows.
+//! Checks that plan, suite, robot, environment and policy in the folder are those of the rows.
 
 use std::fs;
 use std::path::Path;
 
 use robogate_core::Suite;
 use robogate_core::budget::Budget;
-use robogate_dictionary::{Provenance, read_regular_text, robot_sha256};
+use robogate_dictionary::{Place, Provenance, read_regular_text, robot_sha256};
 
 use super::{FileRecord, Problem, Role, policy};
 
@@ -32,6 +32,7 @@ pub(super) fn problems(folder: &Path, files: &[FileRecord], provenance: &Provena
         }
     }
     problems.extend(policy::problems(files, provenance));
+    problems.extend(of(Role::Environment).filter_map(|file| environment(file, provenance)));
     if let Some(recorded) = &provenance.robot.sha256 {
         problems.extend(robot(folder, of(Role::Robot), recorded));
     }
@@ -60,6 +61,20 @@ fn suite(text: &str, provenance: &Provenance) -> Result<(), String> {
     let recorded: Suite =
         serde_json::from_value(recorded.clone()).map_err(|e| format!("the suite in the run's plan is invalid: {e}"))?;
     if suite == recorded { Ok(()) } else { Err(format!("not the suite of the run, `{}`", recorded.name())) }
+}
+
+/// A file that the environment of the run did not import.
+fn environment(file: &FileRecord, provenance: &Provenance) -> Option<Problem> {
+    let recorded = match provenance.world.as_ref().map(|world| &world.place) {
+        Some(Place::Python(python)) => python.files.get(file.path.strip_prefix("environment/").unwrap_or(&file.path)),
+        _ => None,
+    };
+    let reason = match recorded {
+        None => "the environment of the run has no such file".to_owned(),
+        Some(sha256) if *sha256 == file.sha256 => return None,
+        Some(sha256) => format!("not the file of the run: its SHA-256 is {}, but the rows state {sha256}", file.sha256),
+    };
+    Some(Problem::new(file.path.as_str(), reason))
 }
 
 fn robot<'a>(folder: &Path, files: impl Iterator<Item = &'a FileRecord>, recorded: &str) -> Option<Problem> {

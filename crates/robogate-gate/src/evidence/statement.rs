@@ -49,6 +49,7 @@ pub(super) fn test_result(manifest: &Manifest, manifest_sha256: &str, evaluation
                     | Role::Question
                     | Role::Suite
                     | Role::Robot
+                    | Role::Environment
             )
         })
         .map(|file| descriptor(&file.path, &file.sha256))

@@ -1,10 +1,13 @@
 //! Environments that run in Python: the interpreter, the embedded package, and the processes.
 
+mod imported;
 mod package;
 mod process;
 mod python;
 mod servers;
 
+pub use imported::ENVIRONMENT;
+pub(crate) use imported::{check_beside, kept};
 pub use python::{Interpreter, installed, installed_marker};
 pub use servers::Servers;
 

@@ -49,6 +49,7 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/serving/environment.py"),
     embedded!("robogate_eval/serving/friction.py"),
     embedded!("robogate_eval/serving/hints.py"),
+    embedded!("robogate_eval/serving/imported.py"),
     embedded!("robogate_eval/serving/knobs.py"),
     embedded!("robogate_eval/serving/model.py"),
     embedded!("robogate_eval/serving/motion.py"),

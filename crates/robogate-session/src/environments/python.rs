@@ -44,6 +44,8 @@ pub fn installed_marker(folder: &Path) -> PathBuf {
 pub struct Interpreter {
     python: PathBuf,
     python_path: OsString,
+    /// The folder of the embedded package.
+    package: PathBuf,
 }
 
 impl Interpreter {
@@ -68,8 +70,9 @@ impl Interpreter {
             cache().and_then(|cache| Ok(package::unpack(&cache)?)).context("cannot unpack the Python package")?;
         // A package that the user put there comes first: a checkout that is being edited, for example.
         let before = std::env::var_os("PYTHONPATH").unwrap_or_default();
-        let folders = std::env::split_paths(&before).filter(|folder| !folder.as_os_str().is_empty()).chain([package]);
-        Ok(Self { python, python_path: std::env::join_paths(folders).context("PYTHONPATH")? })
+        let folders =
+            std::env::split_paths(&before).filter(|folder| !folder.as_os_str().is_empty()).chain([package.clone()]);
+        Ok(Self { python, python_path: std::env::join_paths(folders).context("PYTHONPATH")?, package })
     }
 
     /// The path of the interpreter.
@@ -85,6 +88,7 @@ impl Interpreter {
                            runpy.run_module('robogate_eval.environments', run_name='__main__', alter_sys=True)";
         let mut command = Command::new(&self.python);
         command.args(["-u", "-c", RUN, verb]).env("PYTHONPATH", &self.python_path);
+        command.env("ROBOGATE_EMBEDDED_PACKAGE", &self.package);
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         // There is a server for each worker. Threads of NumPy's libraries would only compete with the other servers.
         for name in ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"] {

@@ -6,7 +6,7 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::Child;
 use std::sync::mpsc::{self, Sender};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::{self, JoinHandle};
 
 use anyhow::anyhow;
@@ -14,6 +14,7 @@ use robogate_remote::{Pool, Timeouts};
 use robogate_zmtp::Address;
 use serde::Deserialize;
 
+use super::imported::Imported;
 use super::process::{Process, locked};
 use super::python::{Interpreter, readable};
 use crate::failure::{Failure, OrFailure};
@@ -35,12 +36,16 @@ pub struct Servers {
     running: Mutex<BTreeMap<usize, Process>>,
     /// The last output of a server that was shown to the user.
     shown: Mutex<String>,
+    /// What the first server has imported.
+    imported: OnceLock<Imported>,
 }
 
 /// The line that a server prints when it is ready.
 #[derive(Deserialize)]
 struct Ready {
     listening: String,
+    #[serde(flatten)]
+    imported: Imported,
 }
 
 impl Servers {
@@ -62,8 +67,9 @@ impl Servers {
             }
         });
         let (starter, thread) = (Some(starter), Some(thread));
-        let (running, shown) = (Mutex::default(), Mutex::default());
-        let servers = Self { environment, named_python, interpreter, timeouts, starter, thread, running, shown };
+        let (running, shown, imported) = (Mutex::default(), Mutex::default(), OnceLock::new());
+        let servers =
+            Self { environment, named_python, interpreter, timeouts, starter, thread, running, shown, imported };
         let address = servers.launch(0)?;
         Ok((Arc::new(servers), address))
     }
@@ -71,6 +77,11 @@ impl Servers {
     /// The interpreter that the user named.
     pub fn named_python(&self) -> Option<&Path> {
         self.named_python.as_deref()
+    }
+
+    /// What the servers have imported.
+    pub(crate) fn imported(&self) -> Imported {
+        self.imported.get().cloned().unwrap_or_default()
     }
 
     /// Starts servers until the pool has `count` of them.
@@ -117,10 +128,20 @@ impl Servers {
         match process.answer(&self.environment, &self.timeouts) {
             Ok(line) => {
                 let ready = serde_json::from_str::<Ready>(&line).ok();
+                let imported = ready.as_ref().map(|ready| ready.imported.clone()).unwrap_or_default();
                 let address = ready.and_then(|ready| ready.listening.parse().ok());
                 let wrong =
                     || anyhow!("{}: its server printed `{}` instead of an address", self.environment, line.trim_end());
                 let address = address.ok_or_else(wrong).or_broken()?;
+                let files = imported.files();
+                if self.imported.get_or_init(|| imported).files() != files {
+                    let why = "its files have changed during the run, so its servers do not run the same code";
+                    return Err(anyhow!(
+                        "{}: {why}\nHint: restore the files and resume, or start a new run",
+                        self.environment
+                    ))
+                    .or_request();
+                }
                 locked(&self.running).insert(position, process);
                 Ok(address)
             }

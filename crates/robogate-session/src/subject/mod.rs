@@ -143,6 +143,16 @@ impl Subject {
         origin::register(folder, provenance, python);
     }
 
+    /// Copies the files of the environment and the policy into the folder of a run, so that later edits do not end its replays.
+    pub fn keep_files(&self, run: &Path) {
+        if let EnvironmentSource::Remote(RemoteSource { launched: Some(launched), .. }) = &self.environment {
+            launched.servers.imported().keep(run);
+        }
+        if let Some(policy) = &self.policy {
+            policy.keep(run);
+        }
+    }
+
     fn executed(mut self, execution: Option<Execution>) -> Result<Self, Failure> {
         if let (Some(_), Some(PolicySource::Declared(policy))) = (&execution, &self.policy) {
             return Err(anyhow!(

@@ -9,7 +9,7 @@ use robogate_physics::{RobotFile, is_folder};
 use crate::cell::{self, Cell, FRANKA};
 use crate::failure::{Failure, OrFailure};
 use crate::origin;
-use crate::policy_source::PolicySource;
+use crate::policy_source::{PolicyLocation, PolicySource};
 use crate::registry;
 use crate::remote;
 use crate::reopening::{Permit, Program, Reopening};
@@ -17,7 +17,9 @@ use crate::text::foreign;
 
 use super::Subject;
 use super::environment::{EnvironmentSource, Launched, RemoteSource};
-use crate::environment_choice::{absolute, file_sha256};
+use crate::environment_choice::{absolute, file_and_attribute, file_sha256};
+use crate::environments::{check_beside, kept};
+use crate::notice::note;
 
 /// Whether a run was made in an environment whose Python processes this command starts.
 pub fn starts_processes(provenance: &Provenance) -> bool {
@@ -84,6 +86,23 @@ fn same_files(what: &str, named: &str, recorded: Option<&String>, now: Option<&S
     .or_request()
 }
 
+/// Rejects an environment whose own file, or a file beside it, is not that of the run. Returns the digest of its own file.
+fn same_environment(own: &str, recorded: &PythonPlace) -> Result<Option<String>, Failure> {
+    let now = file_sha256(own).or_request()?;
+    same_files("environment", own, recorded.sha256.as_ref(), now.as_ref())?;
+    if let Some((file, _)) = file_and_attribute(own) {
+        check_beside(Path::new(file), recorded)?;
+    }
+    Ok(now)
+}
+
+/// The name of the kept copy of an environment in the folder of its run, if all recorded files are there unchanged.
+fn kept_copy(run: &Path, recorded: &PythonPlace) -> Option<String> {
+    let (file, attribute) = file_and_attribute(&recorded.environment)?;
+    let copy = kept(run, recorded)?.join(Path::new(file).file_name()?);
+    copy.is_file().then(|| format!("{}{attribute}", copy.display()))
+}
+
 impl Subject {
     /// The subject of a recorded run in `folder`, or of rows without one. Starts only what `opening` permits. A remote
     /// environment needs the address of its servers. A policy server is queried for its identity again.
@@ -129,11 +148,25 @@ impl Subject {
             }
         }
         let (pool, launched) = match &place {
-            Place::Python(PythonPlace { environment, sha256 }) if simulators.addresses.is_empty() => {
+            Place::Python(recorded) if simulators.addresses.is_empty() => {
+                let PythonPlace { environment, sha256, .. } = recorded;
+                // A copy in the folder is as trusted as the folder, which the user need not trust when naming other files.
+                let may_copy = opening.env.is_none() && !opening.continues;
+                let copy = folder.filter(|_| may_copy).and_then(|run| kept_copy(run, recorded));
                 let own = permitted.as_ref().unwrap_or(environment);
-                let now = file_sha256(own).or_request()?;
-                same_files("environment", own, sha256.as_ref(), now.as_ref())?;
-                let (pool, servers) = simulators.launch(own)?;
+                let (own, now) = match (same_environment(own, recorded), copy) {
+                    (Ok(now), _) => (own.clone(), now),
+                    (Err(_), Some(copy)) => {
+                        note(format_args!(
+                            "the files of {} have changed since the run; its copies are used",
+                            foreign(own)
+                        ));
+                        (copy, sha256.clone())
+                    }
+                    (Err(why), None) => return Err(why),
+                };
+                let (pool, servers) = simulators.launch(&own)?;
+                servers.imported().same_as(recorded)?;
                 (Some(pool), Some(Launched { name: environment.clone(), sha256: now, servers }))
             }
             _ => (simulators.connect()?, None),
@@ -182,7 +215,12 @@ impl Subject {
             }
         };
         let policy = match policy {
-            Some(policy) => Some(PolicySource::recorded(&policy)?.asked_again(&location)?),
+            Some(policy) => {
+                let policy = PolicySource::recorded(&policy)?;
+                let may_copy = location.at.is_none() && !opening.continues;
+                let copy = folder.filter(|_| may_copy).and_then(|run| policy.kept(run));
+                Some(policy.asked_again(&PolicyLocation { at: copy.or(location.at), access: location.access })?)
+            }
             None => location.unused().map(|()| None)?,
         };
         let subject = Self::new(environment, policy)?.executed(execution)?;
@@ -195,8 +233,14 @@ impl EnvironmentSource {
     pub(crate) fn place(&self) -> Place {
         match self {
             Self::BuiltIn(built_in) => built_in.place(),
-            Self::Remote(RemoteSource { launched: Some(Launched { name, sha256, .. }), .. }) => {
-                Place::Python(PythonPlace { environment: name.clone(), sha256: sha256.clone() })
+            Self::Remote(RemoteSource { launched: Some(Launched { name, sha256, servers }), .. }) => {
+                let imported = servers.imported();
+                Place::Python(PythonPlace {
+                    environment: name.clone(),
+                    sha256: sha256.clone(),
+                    files: imported.files(),
+                    packages: imported.packages,
+                })
             }
             Self::Remote(source) => Place::Servers { robot: source.robot.clone() },
         }

@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use robogate_analysis::Source;
 use robogate_campaign::folder::LOST;
 use robogate_core::TaskSpec;
-use robogate_dictionary::Provenance;
+use robogate_dictionary::{Place, PolicyRecord, Provenance, World};
 use robogate_gate::evidence::{
     Content, Documents, EvidenceError, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write,
 };
@@ -20,7 +20,7 @@ use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::place;
 use crate::source::open_source;
 use crate::terminal::{foreign, line, note};
-use robogate_session::{recorded_robot, register_copy};
+use robogate_session::{ENVIRONMENT, POLICY, recorded_robot, register_copy};
 
 /// Judge a run and write a folder with everything that the verdict depends on, so that others can check it.
 ///
@@ -60,7 +60,7 @@ pub(crate) struct Evidence {
     /// Sign with this private key; without one the evidence is unsigned
     #[arg(long, value_name = "PRIVATE")]
     key: Option<PathBuf>,
-    /// Add a file: suite=FILE, robot=FILE-OR-FOLDER, policy=FILE, attachment=FILE
+    /// Add a file: suite=FILE, robot=FILE-OR-FOLDER, environment=FILE-OR-FOLDER, policy=FILE, attachment=FILE
     #[arg(long, value_name = "ROLE=FILE")]
     include: Vec<String>,
 }
@@ -114,6 +114,35 @@ impl Evidence {
                 None => note(
                     "the robot's files have changed since the run or are missing. They are not included; their hash is in the rows",
                 ),
+            }
+        }
+        if !others.iter().any(|(role, ..)| *role == Role::Environment)
+            && let (Some(folder), Some(World { place: Place::Python(python), .. })) =
+                (source.folder(), &provenance.world)
+        {
+            let kept = |name: &String| Some(folder.join(ENVIRONMENT).join(name)).filter(|path| path.is_file());
+            match python.files.keys().map(kept).collect::<Option<Vec<PathBuf>>>() {
+                Some(files) => {
+                    others.extend(
+                        python.files.keys().zip(files).map(|(name, file)| {
+                            (Role::Environment, format!("environment/{name}"), Content::File(file))
+                        }),
+                    )
+                }
+                None => note(
+                    "the run has no copies of its environment's files. They are not included; their hashes are in the rows",
+                ),
+            }
+        }
+        if !others.iter().any(|(role, ..)| *role == Role::Policy)
+            && let (Some(folder), Some(World { policy: Some(PolicyRecord::External(network)), .. })) =
+                (source.folder(), &provenance.world)
+            && let Some(name) = Path::new(&network.server).file_name().filter(|_| network.is_file())
+        {
+            let file = folder.join(POLICY).join(name);
+            match file.is_file() {
+                true => others.push((Role::Policy, format!("policy/{}", name.to_string_lossy()), Content::File(file))),
+                false => note("the run has no copy of its policy. It is not included; its hash is in the rows"),
             }
         }
         let ingredients = Ingredients {
@@ -227,9 +256,12 @@ fn add(include: &str, others: &mut Vec<(Role, String, Content)>) -> anyhow::Resu
     let role = match word {
         "suite" => Role::Suite,
         "robot" => Role::Robot,
+        "environment" => Role::Environment,
         "policy" => Role::Policy,
         "attachment" => Role::Attachment,
-        _ => anyhow::bail!("--include {include}: unknown role `{word}`. Expected suite, robot, policy or attachment"),
+        _ => anyhow::bail!(
+            "--include {include}: unknown role `{word}`. Expected suite, robot, environment, policy or attachment"
+        ),
     };
     let path = Path::new(path);
     let mut paths = vec![(String::new(), path.to_owned())];

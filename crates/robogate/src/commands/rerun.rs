@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, anyhow};
 use robogate_campaign::{WorkerFactory, check_rows};
 use robogate_core::{FaultKind, Outcome, rollout};
-use robogate_dictionary::{Dictionary, Provenance};
+use robogate_dictionary::{Dictionary, Provenance, World};
 use robogate_gate::evidence::{Problem, random_positions};
 use serde::Serialize;
 
@@ -51,7 +51,8 @@ pub(crate) fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result
     let other_maths =
         matches!((&recorded.platform, &here.platform), (Some(was), Some(is)) if was.differs_in_maths_only(is));
     same_setup(recorded, &here, other_maths)?;
-    if here.world != recorded.world {
+    let world = |provenance: &Provenance| provenance.world.as_ref().map(World::without_packages);
+    if world(&here) != world(recorded) {
         let reason = "the policy or the environment differs from the recorded one: another file, or its server declares something else";
         return Err(anyhow!("--rerun: {reason}\nHint: name the judged policy with --policy")).or_usage();
     }

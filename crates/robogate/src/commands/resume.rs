@@ -10,7 +10,7 @@ use crate::arguments::ReopeningArguments;
 use crate::commands::run::How;
 use crate::commands::{fleet, gate};
 use crate::exit::{Exit, OrExit};
-use robogate_session::{Arms, Subject};
+use robogate_session::{Arms, Reopening, Subject};
 
 /// Resume an interrupted campaign.
 #[derive(Debug, Args)]
@@ -25,8 +25,9 @@ pub(crate) struct Resume {
 
 impl Resume {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let opening = Reopening { continues: true, ..self.opening.choice() };
         if fleet::is_fleet(&self.dir) {
-            return fleet::resume(&self.dir, &self.opening.choice(), &self.how);
+            return fleet::resume(&self.dir, &opening, &self.how);
         }
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
         let asked = Asked::of(&self.dir).or_usage()?;
@@ -39,9 +40,9 @@ impl Resume {
             ))
             .or_usage();
         }
-        let subject = Subject::recorded(&settings.provenance, Some(&self.dir), &self.opening.choice())?;
+        let subject = Subject::recorded(&settings.provenance, Some(&self.dir), &opening)?;
         if let Some(asked) = asked {
-            return gate::resume(&self.dir, asked, &subject, settings, &self.opening.choice(), &self.how);
+            return gate::resume(&self.dir, asked, &subject, settings, &opening, &self.how);
         }
         let arms = Arms::of(&self.dir, &settings.plan, &settings.provenance.space, &subject)?;
         let provenance = subject.provenance(settings.provenance.space)?;

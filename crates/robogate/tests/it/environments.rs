@@ -101,6 +101,34 @@ fn own_environment_runs_from_one_file() {
     bench.robogate("run --env nothing:here -n 30", 2, &["no such environment", "metaworld"]);
 }
 
+/// A run is bound to all files that its environment imported, and keeps copies of them.
+#[test]
+fn helpers_of_an_environment_are_part_of_it() {
+    let Some(bench) = Bench::new() else { return };
+    let (import, gain) = ("import gymnasium,", "0.05 * (4.0 * action");
+    bench.example("reach.py", &[(import, "import helper, gymnasium,"), (gain, "0.05 * (helper.GAIN * action")]);
+    fs::write(bench.at("helper.py"), "GAIN = 4.0\n").unwrap();
+    bench.robogate("run --env reach.py -n 30 --seed 3 --threads 2 --out run", 0, &[]);
+    let plan: serde_json::Value = serde_json::from_slice(&fs::read(bench.at("run/plan.json")).unwrap()).unwrap();
+    let place = &plan["provenance"]["world"]["place"];
+    assert_eq!(place["files"].as_object().unwrap().keys().collect::<Vec<_>>(), ["helper.py", "reach.py"]);
+    assert!(place["packages"]["gymnasium"].is_string() && place["packages"]["numpy"].is_string(), "{place}");
+    bench.robogate("evidence run evidence --requirements default", 1, &[]);
+    assert_eq!(fs::read_to_string(bench.at("evidence/environment/helper.py")).unwrap(), "GAIN = 4.0\n");
+
+    fs::write(bench.at("helper.py"), "GAIN = 0.5\n").unwrap();
+    bench.robogate("resume run", 2, &["the environment's file helper.py has changed since the run"]);
+    bench.robogate("replay run 7 --env reach.py", 2, &["file helper.py has changed since the run"]);
+    // Only the copies are those of the run.
+    bench.robogate("replay run 7", 0, &["its copies are used", "identical to the recorded episode"]);
+    fs::write(bench.at("run/environment/helper.py"), "GAIN = 0.6\n").unwrap();
+    bench.robogate("replay run 7", 2, &["file helper.py has changed since the run"]);
+    fs::write(bench.at("evidence/environment/helper.py"), "GAIN = 0.7\n").unwrap();
+    bench.robogate("verify evidence", 4, &["helper.py"]);
+    fs::write(bench.at("helper.py"), "GAIN = 4.0\n").unwrap();
+    bench.robogate("resume run", 0, &[]);
+}
+
 #[test]
 fn expert_opens_the_drawer() {
     let Some(bench) = Bench::new() else { return };

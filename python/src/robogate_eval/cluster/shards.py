@@ -107,11 +107,11 @@ def next_round(folder: str) -> Round:
 
 
 def open_status(folder: str) -> "dict[str, Any]":
-    """The progress of the open round, as an element of `rounds` in the document of `robogate status --json`.
+    """The progress of the open round, as an element of `rounds` in the document of `robogate plan --json`.
 
     For a sweep, it is the sum over the open rounds of its runs.
     """
-    document = _document(["status", folder, "--json"])
+    document = _document(["plan", folder, "--json"])
     statuses = [run["status"] for run in document["runs"]] if "runs" in document else [document]
     rounds = [entry for status in statuses for entry in status["rounds"] if entry["state"] == "open"]
     total = {"round": "sweep", "episodes": 0, "done": 0, "committed": 0, "missing": [], "outcomes": {}}

@@ -16,7 +16,7 @@ class Family:
 
     # The part of a name before the colon.
     name: str
-    # One line for `robogate env list`.
+    # One line for `robogate list environments`.
     summary: str
     # The package that must be importable.
     package: str

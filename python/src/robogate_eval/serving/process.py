@@ -17,6 +17,7 @@ import robogate_bridge
 
 from .adapter import Adapter
 from .environment import Environment, Task, as_environment
+from .imported import imported
 from .knobs import Knob
 
 # Linux: signal that this process gets when the thread that started it ends.
@@ -112,7 +113,8 @@ def serve_child(name: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     adapter = child_adapter(child, name)
     _keep()
-    robogate_bridge.serve(adapter, "tcp://127.0.0.1:*", ready=lambda address: child.answer(json.dumps({"listening": address})))
+    # The check before the first episode has called `reset` and `step`, which import what an environment needs later.
+    robogate_bridge.serve(adapter, "tcp://127.0.0.1:*", ready=lambda address: child.answer(json.dumps({"listening": address} | imported())))
 
 
 def child_adapter(child: Child, name: str) -> Adapter:

@@ -1,0 +1,154 @@
+//! What the Python process of an environment has imported.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::{Component, Path, PathBuf};
+
+use anyhow::{Context, anyhow};
+use robogate_dictionary::{PythonPlace, hex};
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+
+use crate::failure::{Failure, OrFailure};
+use crate::notice::note;
+use crate::text::foreign;
+
+/// The folder in that of a run with the files of its environment.
+pub const ENVIRONMENT: &str = "environment";
+/// The most files of an environment, and bytes in all, that a run keeps copies of.
+const MOST_FILES: usize = 1_000;
+const MOST_BYTES: u64 = 64 << 20;
+
+/// What the process has imported until the first step of its environment.
+#[derive(Debug, Clone, Default, Deserialize)]
+pub(crate) struct Imported {
+    /// The files of modules outside of installed packages.
+    #[serde(default)]
+    files: Vec<ImportedFile>,
+    /// The installed packages, with their versions.
+    #[serde(default)]
+    pub(crate) packages: BTreeMap<String, String>,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+struct ImportedFile {
+    /// The name of the module as a path.
+    name: String,
+    path: PathBuf,
+    sha256: String,
+}
+
+impl Imported {
+    /// The digests of the files, by their names.
+    pub(crate) fn files(&self) -> BTreeMap<String, String> {
+        self.files.iter().map(|file| (file.name.clone(), file.sha256.clone())).collect()
+    }
+
+    /// Copies the files into the folder of a run. An error is a note: the digests are recorded.
+    pub(crate) fn keep(&self, run: &Path) {
+        if let Err(why) = self.copy(&run.join(ENVIRONMENT)) {
+            note(format_args!("note: the run keeps no copy of its environment's files: {why}"));
+        }
+    }
+
+    fn copy(&self, folder: &Path) -> io::Result<()> {
+        let sizes = self.files.iter().map(|file| fs::metadata(&file.path).map(|metadata| metadata.len()));
+        let bytes: u64 = sizes.sum::<io::Result<u64>>()?;
+        if self.files.len() > MOST_FILES || bytes > MOST_BYTES {
+            return Err(io::Error::other(format!(
+                "they are {} files of {} MiB (at most {MOST_FILES} files of {} MiB)",
+                self.files.len(),
+                bytes >> 20,
+                MOST_BYTES >> 20
+            )));
+        }
+        for ImportedFile { name, path, sha256 } in &self.files {
+            let Some(below) = below(name) else { continue };
+            let content = fs::read(path)?;
+            if hex(&Sha256::digest(&content)) != *sha256 {
+                return Err(io::Error::other(format!("{} has changed meanwhile", foreign(path.display()))));
+            }
+            let target = folder.join(below);
+            fs::create_dir_all(target.parent().unwrap_or(folder))?;
+            fs::write(target, content)?;
+        }
+        Ok(())
+    }
+
+    /// Rejects other files than the recorded ones, by name. Other versions of packages are told.
+    pub(crate) fn same_as(&self, recorded: &PythonPlace) -> Result<(), Failure> {
+        for (package, was) in &recorded.packages {
+            let is = self.packages.get(package).map_or("none", String::as_str);
+            if is != was {
+                note(format_args!(
+                    "note: the package {} is {}; the run used {}",
+                    foreign(package),
+                    foreign(is),
+                    foreign(was)
+                ));
+            }
+        }
+        let now = self.files();
+        let (changed, why) = match recorded.files.iter().find(|(name, sha256)| now.get(*name) != Some(*sha256)) {
+            Some((name, _)) if now.contains_key(name) => (name, "has changed since the run"),
+            Some((name, _)) => (name, "is not imported now"),
+            None => match now.keys().find(|name| !recorded.files.contains_key(*name)) {
+                Some(name) => (name, "was not imported in the run"),
+                None => return Ok(()),
+            },
+        };
+        Err(differs(changed, why)).or_request()
+    }
+}
+
+fn differs(name: &str, why: &str) -> anyhow::Error {
+    let name = foreign(name);
+    anyhow!("the environment's file {name} {why}\nHint: restore the files of the run, or start a new run")
+}
+
+/// Rejects recorded files beside the file of an environment that have changed, before anything is imported.
+pub(crate) fn check_beside(file: &Path, recorded: &PythonPlace) -> Result<(), Failure> {
+    let folder = file.parent().unwrap_or(Path::new("."));
+    for (name, sha256) in &recorded.files {
+        let Some(path) = below(name).map(|name| folder.join(name)).filter(|path| path.is_file()) else { continue };
+        let content =
+            fs::read(&path).with_context(|| format!("cannot read {}", foreign(path.display()))).or_request()?;
+        if hex(&Sha256::digest(content)) != *sha256 {
+            return Err(differs(name, "has changed since the run")).or_request();
+        }
+    }
+    Ok(())
+}
+
+/// The kept copy of the file of an environment in the folder of a run, if all recorded files are there unchanged.
+pub(crate) fn kept(run: &Path, recorded: &PythonPlace) -> Option<PathBuf> {
+    let folder = run.join(ENVIRONMENT);
+    let unchanged = |(name, sha256): (&String, &String)| {
+        let path = folder.join(below(name)?);
+        let metadata = fs::symlink_metadata(&path).ok().filter(|found| found.is_file() && found.len() <= MOST_BYTES);
+        metadata.and_then(|_| fs::read(path).ok()).filter(|content| hex(&Sha256::digest(content)) == *sha256)
+    };
+    let complete = !recorded.files.is_empty() && recorded.files.iter().all(|file| unchanged(file).is_some());
+    complete.then(|| folder.canonicalize().ok()).flatten()
+}
+
+/// A name as a path below a folder. `None` for one that leaves it.
+fn below(name: &str) -> Option<&Path> {
+    let path = Path::new(name);
+    let plain = path.components().all(|part| matches!(part, Component::Normal(_)));
+    (plain && !name.is_empty()).then_some(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_stay_in_the_folder() {
+        assert_eq!(below("cell/__init__.py"), Some(Path::new("cell/__init__.py")));
+        for name in ["../x.py", "/etc/passwd", "", "a/../../b.py"] {
+            assert_eq!(below(name), None, "{name}");
+        }
+    }
+}

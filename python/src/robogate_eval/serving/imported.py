@@ -1,0 +1,75 @@
+"""What this process has imported: the files of modules by digest, and installed packages by version.
+
+A run records both, so that another helper module or another version of a library is another environment.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import os
+import site
+import sys
+import sysconfig
+from pathlib import Path
+
+# The folder of this package where the command unpacked it. The command identifies these files itself.
+EMBEDDED = "ROBOGATE_EMBEDDED_PACKAGE"
+
+
+def imported() -> dict:
+    """The imported `files` outside of the standard library and of installed packages, and the `packages`.
+
+    A file has the `name` of its module as a path (`helpers.py`, `cell/__init__.py`), which is the same on every machine, its `path`,
+    and its `sha256`. A package has name and version.
+    """
+    installed = _folders(site.getsitepackages() if hasattr(site, "getsitepackages") else [], site.getusersitepackages(), *_paths("purelib", "platlib"))
+    skipped = (*_folders(*_paths("stdlib", "platstdlib")), *_folders(os.environ.get(EMBEDDED, "")))
+    files, tops = [], set()
+    for name, module in sorted(sys.modules.items()):
+        path = _file(module)
+        if path is None or name == "__main__":
+            continue
+        # Installed packages are often inside the folder of the standard library.
+        if _is_below(path, installed):
+            tops.add(name.partition(".")[0])
+        elif not _is_below(path, skipped):
+            files.append({"name": _name(name, module, path), "path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()})
+    return {"files": files, "packages": _packages(tops)}
+
+
+def _paths(*names: str) -> list[str]:
+    return [sysconfig.get_paths()[name] for name in names]
+
+
+def _folders(*folders: str | list[str]) -> tuple[str, ...]:
+    flat = [one for folder in folders for one in ([folder] if isinstance(folder, str) else folder)]
+    return tuple(os.path.realpath(folder) + os.sep for folder in flat if folder)
+
+
+def _is_below(path: Path, folders: tuple[str, ...]) -> bool:
+    return os.path.realpath(path).startswith(folders)
+
+
+def _file(module: object) -> Path | None:
+    """The source of a module, or its compiled library. None for one that is built in."""
+    specification = getattr(module, "__spec__", None)
+    origin = getattr(specification, "origin", None) or getattr(module, "__file__", None)
+    if not isinstance(origin, str):
+        return None
+    path = Path(origin)
+    return path.resolve() if path.is_file() else None
+
+
+def _name(name: str, module: object, path: Path) -> str:
+    suffix = ".".join(["", *path.name.split(".")[1:]])
+    below = name.replace(".", "/")
+    return f"{below}/{path.name}" if hasattr(module, "__path__") else f"{below}{suffix}"
+
+
+def _packages(tops: set[str]) -> dict[str, str]:
+    """The versions of the distributions that contain these top-level modules."""
+    if not tops:
+        return {}
+    names = {name for top, owners in importlib.metadata.packages_distributions().items() if top in tops for name in owners}
+    return {name: importlib.metadata.version(name) for name in sorted(names)}
