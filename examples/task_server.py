@@ -1,7 +1,7 @@
 """A complete task of your own for RoboGate: swing a pendulum up and keep it upright. No robot, no cameras.
 
     bridges/common/setup.sh .venv                  # once: a Python environment with robogate_bridge
-    .venv/bin/python examples/task_server.py       # prints its address; then: robogate bridge check tcp://127.0.0.1:5570
+    .venv/bin/python examples/task_server.py       # prints its address; then: robogate check bridge tcp://127.0.0.1:5570
 """
 
 from math import atan2, cos, sin

@@ -124,6 +124,6 @@ case ${1:-} in
         fi
         mkdir -p "$dir/slurm"
         job=$(submit --output="$dir/slurm/next-%j.log" -- next "$dir" 0 "")
-        echo "job $job; progress: robogate status $dir; logs: $dir/slurm"
+        echo "job $job; progress: robogate plan $dir; logs: $dir/slurm"
         ;;
 esac

@@ -1,4 +1,4 @@
-"""Serves the fakes for `robogate bridge check`. Only the results on the protocol are meaningful, not those on physics."""
+"""Serves the fakes for `robogate check bridge`. Only the results on the protocol are meaningful, not those on physics."""
 
 import sys
 from pathlib import Path

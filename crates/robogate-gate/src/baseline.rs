@@ -105,7 +105,9 @@ impl Baseline {
             format: u32,
         }
         let syntax = |error: JsonError| {
-            GateError::Syntax(format!("not a baseline: {error}\nHint: create one with `robogate baseline RUN -o FILE`"))
+            GateError::Syntax(format!(
+                "not a baseline: {error}\nHint: create one with `robogate gate --run RUN --write-baseline FILE`"
+            ))
         };
         let Form { format } = Budget::FILE.json(text.as_bytes()).map_err(syntax)?;
         if format > Self::FORMAT {

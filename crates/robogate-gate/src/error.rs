@@ -98,7 +98,7 @@ pub enum GateError {
     },
     /// A relative requirement without a baseline.
     #[error(
-        "{what} refers to a baseline, but none was given\nHint: create one with `robogate baseline RUN -o FILE` and pass it with --baseline, or choose requirements that need none with --requirements FILE"
+        "{what} refers to a baseline, but none was given\nHint: create one with `robogate gate --run RUN --write-baseline FILE` and pass it with --baseline, or choose requirements that need none with --requirements FILE"
     )]
     NoBaseline {
         /// The requirement or term.
@@ -114,7 +114,7 @@ pub enum GateError {
     },
     /// A baseline of another population.
     #[error(
-        "the baseline is of {baseline}, but the episodes are of {run}\nHint: create a baseline from the same scenarios: `robogate baseline RUN -o FILE`"
+        "the baseline is of {baseline}, but the episodes are of {run}\nHint: create a baseline from the same scenarios: `robogate gate --run RUN --write-baseline FILE`"
     )]
     ForeignBaseline {
         /// The population of the baseline.
@@ -183,7 +183,7 @@ pub enum GateError {
     },
     /// Imported episodes without scenario seeds, which cannot be paired.
     #[error(
-        "the imported episodes of {policy} cannot be paired, because case and seed are not recorded for each\nHint: set both columns on import (--map case=COLUMN --map seed=COLUMN), or compare with a baseline: `robogate baseline RUN -o FILE`"
+        "the imported episodes of {policy} cannot be paired, because case and seed are not recorded for each\nHint: set both columns on import (--map case=COLUMN --map seed=COLUMN), or compare with a baseline: `robogate gate --run RUN --write-baseline FILE`"
     )]
     NoIdentity {
         /// The policy.

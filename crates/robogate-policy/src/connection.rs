@@ -89,7 +89,7 @@ fn check_address(url: &str, profile: &Profile) -> Result<(), PolicyError> {
         (true, false) => return Ok(()),
         (true, true) => format!(
             "profile {name} has the dialect onnx and takes a file. Expected FILE.onnx. Hint: for a server, use a profile \
-             with its dialect (robogate policy profiles)"
+             with its dialect (robogate list profiles)"
         ),
         (false, false) => {
             let (dialect, expected) = (dialect.name(), dialect.address());

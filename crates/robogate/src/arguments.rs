@@ -18,11 +18,11 @@ pub(crate) struct EnvironmentArguments {
     /// Choose the built-in task (see `robogate list`)
     #[arg(long, value_name = "TASK", default_value = CELL_TASK, conflicts_with = "addresses")]
     task: String,
-    /// Run in this environment: FAMILY:NAME of a bundled one (see `robogate env list`), gymnasium:ID, or your own as
+    /// Run in this environment: FAMILY:NAME of a bundled one (see `robogate list environments`), gymnasium:ID, or your own as
     /// FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE
     #[arg(long, value_name = "NAME", conflicts_with_all = ["task", "addresses", "engine", "time_step", "robot"])]
     env: Option<String>,
-    /// Choose the robot: a built-in one (see `robogate robots`), or the folder of your own [default: franka]
+    /// Choose the robot: a built-in one (see `robogate list robots`), or the folder of your own [default: franka]
     #[arg(long, value_name = "ROBOT")]
     robot: Option<String>,
     #[arg(long, help = engine_help(), value_name = "ENGINE", conflicts_with = "addresses")]
@@ -110,7 +110,7 @@ pub(crate) struct PolicyArguments {
     /// policy server such as ws://127.0.0.1:8000, or an ONNX file
     #[arg(long, value_name = "URL|FILE|NAME|random|scripted")]
     policy: Option<String>,
-    /// Choose the observation and action mapping of that policy: a built-in profile (see `robogate policy profiles`),
+    /// Choose the observation and action mapping of that policy: a built-in profile (see `robogate list profiles`),
     /// or a TOML file
     #[arg(long, value_name = "NAME|FILE", requires = "policy")]
     profile: Option<String>,
@@ -250,6 +250,7 @@ impl ReopeningArguments {
             trust: self.trust.choice(),
             access: self.access.choice(),
             simulators: self.simulators.choice(),
+            continues: false,
         }
     }
 }

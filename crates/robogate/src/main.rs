@@ -9,6 +9,7 @@ mod commands;
 mod compliance;
 mod exit;
 mod film;
+mod grouped;
 #[cfg(feature = "mujoco")]
 mod inspection;
 mod interface;
@@ -29,7 +30,7 @@ mod watch;
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use robogate_core::guard::{is_guarded, message};
 
 use crate::exit::OrExit;
@@ -52,77 +53,67 @@ struct Arguments {
 enum Verb {
     /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain
     Run(commands::run::Run),
+    /// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run
+    Gate(commands::gate::Gate),
     /// Resume an interrupted campaign
     Resume(commands::resume::Resume),
-    /// Print the next shards of a campaign that several machines run, as commands
-    Plan(commands::plan::Plan),
-    /// Show which shards of a campaign are committed, and their outcomes so far
-    Status(commands::status::Status),
-    /// Merge the shards of a campaign to the files of a run on one machine
-    Merge(commands::merge::Merge),
-    /// Run policies x tasks x robots x engines as one resumable plan, and rank the policies on one page
-    Matrix(commands::matrix::Matrix),
-    /// Replay one episode bit for bit and print its timeline
-    Replay(commands::replay::Replay),
-    /// Render a scenario with the cameras of the cell
-    Snapshot(commands::snapshot::Snapshot),
-    /// Analyze a run or a dictionary: where the policy fails, effects of the parameters, confidence intervals
-    Analyze(commands::analyze::Analyze),
     /// Compare robots, policies or simulators, and find where all of them fail
     Compare(commands::compare::Compare),
-    /// Estimate the success rate of the real robot from a simulation and a few real trials
-    Transfer(commands::transfer::TransferTo),
+    /// Rank policies that ran the same scenarios
+    Leaderboard(commands::leaderboard::Rank),
+    /// Run policies x tasks x robots x engines as one resumable plan, and rank the policies on one page
+    Matrix(commands::matrix::Matrix),
+    /// Estimate the share of a robot's units that meet the requirements, and find what distinguishes the others
+    Fleet(commands::fleet::FleetOf),
+    /// Analyze a run or a dictionary: where the policy fails, effects of the parameters, confidence intervals
+    Analyze(commands::analyze::Analyze),
     /// Write a run or a dictionary as one page: HTML, Markdown or JSON
     Report(commands::report::Report),
     /// Explore the episodes of one or several runs in the browser, also while they run
     View(commands::view::View),
-    /// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run
-    Gate(commands::gate::Gate),
-    /// Estimate the share of a robot's units that meet the requirements, and find what distinguishes the others
-    Fleet(commands::fleet::FleetOf),
-    /// Write a run's figures to a file, as a baseline for other runs
-    Baseline(commands::baseline::BaselineOf),
-    /// Rank policies that ran the same scenarios
-    Leaderboard(commands::leaderboard::Rank),
-    /// Write a failure dictionary as CSV, JSON Lines or the published JSON
-    Export(commands::export::Export),
+    /// Replay one episode bit for bit and print its timeline, or render moments of an episode or a scenario
+    Replay(commands::replay::Replay),
     /// Import the results of another tool as a dictionary
     Import(commands::import::Import),
+    /// Write a failure dictionary as CSV, JSON Lines or the published JSON
+    Export(commands::export::Export),
     /// Find rows that make a success rate wrong, in the results of any tool
     Audit(commands::audit::AuditOf),
-    /// Compare boundary-focused and uniform sampling by experiment
+    /// Install and inspect environments that run in Python: Meta-World, Fetch, or your own
+    Env(commands::env::Environments),
+    /// Check a policy server or a network against a profile and an environment
+    Policy(commands::policy::Policies),
+    /// Check a robot, or draft one of your own from its model
+    Robots(commands::robots::Robots),
+    /// Check the physics of the cell, a simulator server, or the file of a suite
+    Check(commands::check::Check),
+    /// Serve a built-in environment over the bridge protocol
+    Serve(commands::serve::Serve),
     /// Record demonstrations of the scripted controller, with pictures, as a LeRobot dataset (v3.0)
     Demos(commands::demos::Demos),
-    /// List, show and check suites: the scenarios on which a policy is judged
-    Suites(commands::suites::Suites),
-    /// List the profiles of policies, or check a policy server
-    Policy(commands::policy::Policies),
-    /// List the tasks, engines, robots, policies, spaces and suites of this build
+    /// List what this build contains: tasks, settings, engines, robots, policies, profiles, environments, spaces, suites
     List(commands::list::List),
-    /// List, install and inspect environments that run in Python: Meta-World, Fetch, or your own
-    Env(commands::env::Environments),
-    /// List the robots, or check one
-    Robots(commands::robots::Robots),
     /// Write a folder with everything that a verdict depends on, so that others can check it
     Evidence(commands::evidence::Evidence),
     /// Verify a folder of evidence: files, signatures, and the verdict recomputed from the rows
     Verify(commands::verify::Verify),
     /// Create and identify the keys that sign evidence
     Keys(commands::keys::Keys),
+    /// Show the progress of a campaign that several machines run, or print its next shards as commands
+    Plan(commands::plan::Plan),
+    /// Merge the shards of a campaign to the files of a run on one machine
+    Merge(commands::merge::Merge),
+    /// Estimate the success rate of the real robot from a simulation and a few real trials
+    Transfer(commands::transfer::TransferTo),
     /// Monitor deployed robots for drift, with a guaranteed false-alarm rate
     Monitor(commands::monitor::Monitor),
-    /// Serve a built-in environment over the bridge protocol
-    Serve(commands::serve::Serve),
-    /// Run the conformance tests against a simulator server
-    Bridge(commands::bridge::Bridge),
-    /// Check physics claims by experiment
-    Check(commands::check::Check),
 }
 
 fn main() -> ExitCode {
     std::panic::set_hook(Box::new(panicked));
     commands::matrix::end_with_parent();
-    let arguments = Arguments::parse();
+    let matches = grouped::by_purpose(Arguments::command()).get_matches();
+    let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|why| why.exit());
     terminal::show_notices();
     if arguments.quiet {
         terminal::be_quiet();
@@ -163,38 +154,33 @@ fn panicked(panic: &PanicHookInfo<'_>) {
 
 fn execute(verb: Verb) -> Result<u8, exit::Exit> {
     match verb {
-        Verb::Run(run) => run.execute(),
-        Verb::Resume(resume) => resume.execute(),
-        Verb::Plan(plan) => plan.execute(),
-        Verb::Status(status) => status.execute(),
-        Verb::Merge(merge) => merge.execute(),
-        Verb::Matrix(matrix) => matrix.execute(),
-        Verb::Replay(replay) => replay.execute(),
-        Verb::Snapshot(snapshot) => snapshot.execute(),
-        Verb::Analyze(analyze) => analyze.execute(),
-        Verb::Compare(compare) => compare.execute(),
-        Verb::Transfer(transfer) => transfer.execute(),
-        Verb::Report(report) => report.execute(),
-        Verb::View(view) => view.execute(),
-        Verb::Gate(gate) => gate.execute(),
-        Verb::Fleet(fleet) => fleet.execute(),
-        Verb::Baseline(baseline) => baseline.execute(),
-        Verb::Leaderboard(leaderboard) => leaderboard.execute(),
-        Verb::Export(export) => export.execute(),
-        Verb::Import(import) => import.execute(),
-        Verb::Audit(audit) => audit.execute(),
-        Verb::Demos(demos) => demos.execute(),
-        Verb::Suites(suites) => suites.execute(),
-        Verb::Policy(policy) => policy.execute(),
-        Verb::List(list) => list.execute(),
-        Verb::Env(environments) => environments.execute(),
-        Verb::Robots(robots) => robots.execute(),
-        Verb::Evidence(evidence) => evidence.execute(),
-        Verb::Verify(verify) => verify.execute(),
-        Verb::Keys(keys) => keys.execute(),
-        Verb::Monitor(monitor) => monitor.execute(),
-        Verb::Serve(serve) => serve.execute(),
-        Verb::Bridge(bridge) => bridge.execute(),
-        Verb::Check(check) => check.execute(),
+        Verb::Run(verb) => verb.execute(),
+        Verb::Gate(verb) => verb.execute(),
+        Verb::Resume(verb) => verb.execute(),
+        Verb::Compare(verb) => verb.execute(),
+        Verb::Leaderboard(verb) => verb.execute(),
+        Verb::Matrix(verb) => verb.execute(),
+        Verb::Fleet(verb) => verb.execute(),
+        Verb::Analyze(verb) => verb.execute(),
+        Verb::Report(verb) => verb.execute(),
+        Verb::View(verb) => verb.execute(),
+        Verb::Replay(verb) => verb.execute(),
+        Verb::Import(verb) => verb.execute(),
+        Verb::Export(verb) => verb.execute(),
+        Verb::Audit(verb) => verb.execute(),
+        Verb::Env(verb) => verb.execute(),
+        Verb::Policy(verb) => verb.execute(),
+        Verb::Robots(verb) => verb.execute(),
+        Verb::Check(verb) => verb.execute(),
+        Verb::Serve(verb) => verb.execute(),
+        Verb::Demos(verb) => verb.execute(),
+        Verb::List(verb) => verb.execute(),
+        Verb::Evidence(verb) => verb.execute(),
+        Verb::Verify(verb) => verb.execute(),
+        Verb::Keys(verb) => verb.execute(),
+        Verb::Plan(verb) => verb.execute(),
+        Verb::Merge(verb) => verb.execute(),
+        Verb::Transfer(verb) => verb.execute(),
+        Verb::Monitor(verb) => verb.execute(),
     }
 }

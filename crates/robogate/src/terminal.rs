@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Display};
 use std::hash::{BuildHasher, Hasher, RandomState};
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, ErrorKind, IsTerminal, Write};
 use std::path::Path;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,7 +15,7 @@ pub(crate) use robogate_session::text::{foreign, indented};
 pub(crate) use robogate_stats::format::{count as grouped, percent};
 
 use crate::canvas;
-use crate::exit::Exit;
+use crate::exit::{Exit, USAGE};
 
 /// The longest line of text, in columns. Also the width without a terminal, so that the output does not depend on one.
 const LONGEST_LINE: usize = 100;
@@ -255,7 +255,21 @@ pub(crate) fn show_notices() {
 
 /// Writes an error.
 pub(crate) fn error(exit: &Exit) {
-    tell(&format!("{}: {exit}", label("1;31", "error")));
+    tell(&format!("{}: {exit}{}", label("1;31", "error"), hint(exit)));
+}
+
+/// The hint for a file that the user named and that cannot be opened, unless the error has one.
+fn hint(exit: &Exit) -> &'static str {
+    if exit.code != USAGE || exit.to_string().contains("Hint:") {
+        return "";
+    }
+    let kind = exit.error.chain().find_map(|cause| Some(cause.downcast_ref::<io::Error>()?.kind()));
+    match kind {
+        Some(ErrorKind::NotFound | ErrorKind::NotADirectory) => "\nHint: check the path",
+        Some(ErrorKind::PermissionDenied) => "\nHint: check the permissions of the file",
+        Some(ErrorKind::IsADirectory) => "\nHint: name a file in this folder",
+        _ => "",
+    }
 }
 
 /// A word in a style, if stderr shows colours.

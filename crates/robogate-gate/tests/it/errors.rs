@@ -35,7 +35,7 @@ fn zero_relative_limits_are_rejected() {
     };
     let perfect = baseline(&record, 1.0, 4.0, 0.0);
     assert!(ask(Some(&perfect)).contains("also set `at_most` as a minimum limit"));
-    assert!(ask(None).contains("robogate baseline RUN -o FILE"));
+    assert!(ask(None).contains("robogate gate --run RUN --write-baseline FILE"));
     let mut other = perfect.clone();
     other.population = sampled([]).population;
     assert!(ask(Some(&other)).contains("the baseline is of space test"), "{}", ask(Some(&other)));

@@ -1,9 +1,9 @@
-//! `robogate bridge`: conformance tests of the bridge protocol.
+//! `robogate check bridge`: conformance tests of the bridge protocol.
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use clap::{Args, Subcommand};
+use clap::Args;
 use robogate_remote::conformance::{Report, check, scenarios};
 use robogate_remote::{Connection, PhysicsSession, RequestError, ScoredSession};
 use robogate_zmtp::Address;
@@ -14,25 +14,12 @@ use crate::exit::{DONE, Exit, FAIL, OrExit};
 use crate::terminal::{bold, line, note};
 use robogate_session::named_space;
 
-/// Run the conformance tests against a simulator server.
-#[derive(Debug, Args)]
-pub(crate) struct Bridge {
-    #[command(subcommand)]
-    what: What,
-}
-
-#[derive(Debug, Subcommand)]
-enum What {
-    /// Check a server: handshake, parameters, determinism, limits, errors, latency
-    Check(BridgeCheck),
-}
-
 /// Check whether a server conforms to the bridge protocol (bridges/PROTOCOL.md).
 ///
 /// Runs 13 experiments, then measures latencies. Exit codes: 0 all requirements met, 1 a requirement not met, 5 no
 /// answer. --set also sets parameters, in every scenario.
 #[derive(Debug, Args)]
-struct BridgeCheck {
+pub(crate) struct BridgeCheck {
     /// Address of the server: tcp://HOST:PORT
     address: Address,
     /// Sample the scenarios from this parameter space, limited to the parameters that the server declares; default: the
@@ -49,15 +36,8 @@ struct BridgeCheck {
 /// Number of scenarios in a check.
 const SCENARIOS: usize = 4;
 
-impl Bridge {
-    pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let What::Check(check) = &self.what;
-        check.execute()
-    }
-}
-
 impl BridgeCheck {
-    fn execute(&self) -> Result<u8, Exit> {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let timeouts = self.environment.choice().simulators.timeouts();
         let failed = |why: RequestError| anyhow::Error::new(why).context(self.address.to_string());
         let hello = Connection::open(self.address.clone(), timeouts).map_err(failed).or_broken()?.hello().clone();

@@ -1,5 +1,6 @@
-//! `robogate check`: checks physics claims by experiment.
+//! `robogate check`: checks physics claims by experiment, simulator servers, and files of suites.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use clap::{Args, Subcommand};
@@ -7,11 +8,13 @@ use robogate_tasks::pick_place::claims::{self, ClaimResult, Workbench};
 use serde_json::json;
 
 use crate::arguments::EnvironmentArguments;
+use crate::commands::bridge::BridgeCheck;
+use crate::commands::suites;
 use crate::exit::{DONE, Exit, FAIL, OrExit};
 use crate::terminal::{bold, line, note};
 use robogate_session::{CELL_TASK, named_space};
 
-/// Check claims by experiment.
+/// Check the physics of the cell, a simulator server, or the file of a suite.
 #[derive(Debug, Args)]
 pub(crate) struct Check {
     #[command(subcommand)]
@@ -22,6 +25,16 @@ pub(crate) struct Check {
 enum What {
     /// Check the physics: limits of the gripper, easy region, time step, repeatability, joint limits
     Physics(Physics),
+    /// Check a simulator server: handshake, parameters, determinism, limits, errors, latency
+    Bridge(BridgeCheck),
+    /// Check the file of a suite and report every problem; exit code 2 if there are any
+    Suite {
+        /// Suite file (TOML)
+        file: PathBuf,
+        /// Print one JSON document
+        #[arg(long)]
+        json: bool,
+    },
 }
 
 /// Run the full physics experiments, which take about three minutes. The robot's gripper determines which claims apply.
@@ -58,8 +71,11 @@ type Experiment<'a> = (&'static str, &'a dyn Fn() -> Result<ClaimResult, String>
 
 impl Check {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let What::Physics(physics) = &self.what;
-        physics.execute()
+        match &self.what {
+            What::Physics(physics) => physics.execute(),
+            What::Bridge(bridge) => bridge.execute(),
+            What::Suite { file, json } => suites::check(file, *json),
+        }
     }
 }
 

@@ -30,8 +30,6 @@ pub(crate) struct Environments {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// List the bundled environments, and whether their packages are installed
-    List(List),
     /// Create a Python environment with the pinned packages of a family
     Setup(Setup),
     /// Show what can be varied in an environment, its measures and its policies
@@ -39,18 +37,8 @@ enum What {
 }
 
 #[derive(Debug, Args)]
-struct List {
-    /// Use this Python interpreter instead of those of `robogate env setup`
-    #[arg(long, value_name = "PATH")]
-    python: Option<PathBuf>,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
-}
-
-#[derive(Debug, Args)]
 struct Setup {
-    /// Name of the family (see `robogate env list`)
+    /// Name of the family (see `robogate list environments`)
     family: String,
     /// Create the Python environment with this interpreter; default: the active python3
     #[arg(long, value_name = "PATH")]
@@ -108,7 +96,6 @@ struct NotOffered {
 impl Environments {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         match &self.what {
-            What::List(list) => list.execute(),
             What::Setup(setup) => setup.execute(),
             What::Inspect(inspect) => inspect.execute(),
         }
@@ -129,38 +116,35 @@ impl Family {
     }
 }
 
-impl List {
-    fn execute(&self) -> Result<u8, Exit> {
-        let mut families: Vec<Family> = Interpreter::choose(self.python.as_deref(), "").or_usage()?.ask("list", &[])?;
-        if self.python.is_none() {
-            for listed in &mut families {
-                let folder = installed(&listed.name).or_usage()?;
-                if installed_marker(&folder).is_file() {
-                    let own: Vec<Family> = Interpreter::new(folder.join("bin/python")).or_usage()?.ask("list", &[])?;
-                    if let Some(own) = own.into_iter().find(|own| own.name == listed.name) {
-                        *listed = own;
-                    }
+/// Prints the bundled environments, and whether their packages are installed.
+pub(crate) fn list(python: Option<&Path>, json: bool) -> Result<u8, Exit> {
+    let mut families: Vec<Family> = Interpreter::choose(python, "").or_usage()?.ask("list", &[])?;
+    if python.is_none() {
+        for listed in &mut families {
+            let folder = installed(&listed.name).or_usage()?;
+            if installed_marker(&folder).is_file() {
+                let own: Vec<Family> = Interpreter::new(folder.join("bin/python")).or_usage()?.ask("list", &[])?;
+                if let Some(own) = own.into_iter().find(|own| own.name == listed.name) {
+                    *listed = own;
                 }
             }
         }
-        if self.json {
-            line(json!({"version": 1, "families": families}));
-            return Ok(DONE);
-        }
-        for Family { name, summary, names, missing, .. } in &families {
-            line(format_args!("{}  {summary}", bold(name)));
-            match missing {
-                Some(package) => line(dim(format_args!(
-                    "  not installed (the package {package} is missing); next: robogate env setup {name}"
-                ))),
-                None => names.iter().for_each(|one| line(format_args!("  {name}:{one}"))),
-            }
-        }
-        line(dim(
-            "gymnasium:ID, FILE.py:ATTRIBUTE and MODULE:ATTRIBUTE name any other environment (docs/environments.md)",
-        ));
-        Ok(DONE)
     }
+    if json {
+        line(json!({"version": 1, "families": families}));
+        return Ok(DONE);
+    }
+    for Family { name, summary, names, missing, .. } in &families {
+        line(format_args!("{}  {summary}", bold(name)));
+        match missing {
+            Some(package) => line(dim(format_args!(
+                "  not installed (the package {package} is missing); next: robogate env setup {name}"
+            ))),
+            None => names.iter().for_each(|one| line(format_args!("  {name}:{one}"))),
+        }
+    }
+    line(dim("gymnasium:ID, FILE.py:ATTRIBUTE and MODULE:ATTRIBUTE name any other environment (docs/environments.md)"));
+    Ok(DONE)
 }
 
 impl Setup {
@@ -201,7 +185,7 @@ impl Setup {
         // The marker is written last, so an interrupted setup is repeated.
         fs::write(installed_marker(&folder), requirements).or_broken()?;
         note(format_args!("{} is ready", wanted.name));
-        note("next: robogate env list");
+        note("next: robogate list environments");
         Ok(DONE)
     }
 }

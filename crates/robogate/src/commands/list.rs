@@ -1,6 +1,9 @@
 //! `robogate list`: lists the contents of this build by name.
 
-use clap::Args;
+use std::path::PathBuf;
+
+use anyhow::anyhow;
+use clap::{Args, ValueEnum};
 use robogate_campaign::BUILT_IN_SUITES;
 use robogate_core::{Allowed, SettingSpec};
 use robogate_physics::built_in_robots;
@@ -8,23 +11,78 @@ use robogate_policy::Profile;
 use robogate_session::{ARM_TASKS, ENGINES, POLICIES, TASKS, spaces, tasks};
 use serde_json::{Map, Value, json};
 
-use crate::exit::{DONE, Exit};
-use crate::terminal::{bold, line};
+use crate::commands::{env, policy, robots, suites};
+use crate::exit::{DONE, Exit, OrExit};
+use crate::terminal::{bold, foreign, line};
 
-/// List the tasks, engines, robots, policies, spaces and suites of this build.
+/// List what this build contains: tasks and their settings, engines, robots, policies, profiles, environments, spaces and
+/// suites.
 #[derive(Debug, Args)]
 pub(crate) struct List {
+    /// List one kind in detail; default: the names of all
+    #[arg(value_enum)]
+    kind: Option<Kind>,
+    /// Show this suite with its scenarios (a built-in one or a TOML file), or this profile as TOML
+    name: Option<String>,
+    /// Find the packages of environments with this Python interpreter instead of those of `robogate env setup`
+    #[arg(long, value_name = "PATH")]
+    python: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
 }
 
+/// A kind of contents.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Kind {
+    /// Built-in tasks
+    Tasks,
+    /// Settings of the built-in tasks, for --set
+    Settings,
+    /// Physics engines
+    Engines,
+    /// Built-in robots
+    Robots,
+    /// Policies that --policy names
+    Policies,
+    /// Profiles of learned policies
+    Profiles,
+    /// Environments in Python, and whether their packages are installed
+    Environments,
+    /// Parameter spaces
+    Spaces,
+    /// Suites of scenarios
+    Suites,
+}
+
 impl List {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let (name, json) = (self.name.as_deref(), self.json);
+        if self.python.is_some() && self.kind != Some(Kind::Environments) {
+            return Err(anyhow!("--python applies to `robogate list environments`\nHint: leave it out")).or_usage();
+        }
+        match (self.kind, name) {
+            (Some(Kind::Suites), Some(name)) => return suites::show(&suites::find(name)?, json),
+            (Some(Kind::Profiles), name) => return policy::profiles(name, json),
+            (_, Some(name)) => {
+                return Err(anyhow!(
+                    "list {}: only suites and profiles are shown by name\nHint: leave it out",
+                    foreign(name)
+                ))
+                .or_usage();
+            }
+            (Some(Kind::Suites), None) => return suites::list(json),
+            (Some(Kind::Robots), None) => return robots::list(json),
+            (Some(Kind::Environments), None) => return env::list(self.python.as_deref(), json),
+            (Some(Kind::Tasks | Kind::Settings | Kind::Engines | Kind::Policies | Kind::Spaces) | None, None) => {}
+        }
+        let wanted = self.kind.and_then(|kind| kind.to_possible_value());
         let listing = listing();
+        let listing =
+            listing.into_iter().filter(|(kind, _)| wanted.as_ref().is_none_or(|wanted| wanted.get_name() == *kind));
         if self.json {
             let mut document: Map<String, Value> =
-                listing.into_iter().map(|(kind, names)| (kind.to_owned(), json!(names))).collect();
+                listing.map(|(kind, names)| (kind.to_owned(), json!(names))).collect();
             document.insert("version".to_owned(), json!(1));
             line(Value::Object(document));
             return Ok(DONE);

@@ -2,7 +2,6 @@
 
 pub(crate) mod analyze;
 pub(crate) mod audit;
-pub(crate) mod baseline;
 pub(crate) mod bridge;
 pub(crate) mod check;
 pub(crate) mod compare;
@@ -32,8 +31,8 @@ pub(crate) mod robots;
 pub(crate) mod run;
 pub(crate) mod serve;
 pub(crate) mod shard;
-pub(crate) mod snapshot;
-pub(crate) mod status;
+mod status;
+mod stills;
 pub(crate) mod suites;
 pub(crate) mod transfer;
 pub(crate) mod verify;

@@ -1,4 +1,4 @@
-//! `robogate plan`: prints the next shards of a campaign.
+//! `robogate plan`: the progress of a campaign in shards, and the next ones.
 
 use std::path::{Path, PathBuf};
 
@@ -7,24 +7,23 @@ use robogate_campaign::shards::{OpenRound, Shard, ShardRound};
 use serde_json::{Value, json};
 
 use crate::arguments::TrustArguments;
-use crate::commands::matrix;
 use crate::commands::shard::{exit, open};
+use crate::commands::{matrix, status};
 use crate::exit::{DONE, Exit};
 use crate::terminal::{line, note, quoted};
 use robogate_session::{Trust, programs};
 
-/// Print the next shards of a campaign that several machines run, as commands: one per line, for the missing shards of
-/// the open round. Prints nothing when all rounds are complete.
+/// Show which shards of a campaign are committed, and their outcomes so far; or print the next ones as commands.
 #[derive(Debug, Args)]
 pub(crate) struct Plan {
     /// Folder of the campaign or the sweep
     dir: PathBuf,
-    /// Print the shards that can run now
-    #[arg(long, required = true)]
+    /// Print the commands that run the missing shards of the open round, one per line; nothing if all rounds are complete
+    #[arg(long)]
     next: bool,
     #[command(flatten)]
     trust: TrustArguments,
-    /// Print the shards as one JSON document
+    /// Print one JSON document
     #[arg(long)]
     json: bool,
 }
@@ -90,8 +89,11 @@ pub(crate) fn next_shards(dir: &Path, trust: Trust) -> Result<NextShards, Exit> 
 
 impl Plan {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        if let Some(plan) = matrix::open(&self.dir)? {
-            return matrix::next(&self.dir, &plan, self.trust.choice(), self.json);
+        match matrix::open(&self.dir)? {
+            Some(plan) if self.next => return matrix::next(&self.dir, &plan, self.trust.choice(), self.json),
+            Some(plan) => return matrix::status(&self.dir, &plan, self.json),
+            None if !self.next => return status::print(&self.dir, self.json),
+            None => {}
         }
         let NextShards { shards, round, items } = next_shards(&self.dir, self.trust.choice())?;
         if self.json {

@@ -20,7 +20,7 @@ use crate::interface;
 use crate::terminal::{bold, foreign, line, note};
 use robogate_session::{EnvironmentSource, connect, nominal, policy_error, profile, task_map};
 
-/// List the profiles of policies, or check a policy.
+/// Check a policy.
 #[derive(Debug, Args)]
 pub(crate) struct Policies {
     #[command(subcommand)]
@@ -29,14 +29,6 @@ pub(crate) struct Policies {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// List the built-in profiles, or print one as a template
-    Profiles {
-        /// Print this profile as TOML
-        name: Option<String>,
-        /// Print one JSON document
-        #[arg(long)]
-        json: bool,
-    },
     /// Check a policy server or an ONNX file against a profile and an environment: what the model expects and what the
     /// environment has, as a table; metadata, shapes, latency, determinism, size, direction and effect of the actions.
     /// Exit codes: 0 no problems, 1 problems found, 2 wrong usage or mismatch, 5 no answer
@@ -48,7 +40,7 @@ struct Check {
     /// Address of the server, such as ws://127.0.0.1:8000, or path of an ONNX file
     #[arg(value_name = "URL|FILE")]
     url: String,
-    /// Choose the observation and action mapping of the policy: a built-in profile (robogate policy profiles), or a
+    /// Choose the observation and action mapping of the policy: a built-in profile (robogate list profiles), or a
     /// TOML file
     #[arg(long, value_name = "NAME|FILE")]
     profile: String,
@@ -77,12 +69,6 @@ struct Check {
 impl Policies {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         match &self.what {
-            What::Profiles { name: Some(name), json: false } => {
-                let text = Profile::built_in(name).ok_or_else(|| unknown_profile(name)).or_usage()?;
-                line(text.trim_end());
-                Ok(DONE)
-            }
-            What::Profiles { name, json } => profiles(name.as_deref(), *json),
             What::Check(check) => check.execute(),
         }
     }
@@ -94,7 +80,13 @@ fn unknown_profile(name: &str) -> anyhow::Error {
     anyhow!("unknown profile `{name}`. Expected one of: {known}")
 }
 
-fn profiles(name: Option<&str>, json: bool) -> Result<u8, Exit> {
+/// Prints the built-in profiles, or one of them as TOML.
+pub(crate) fn profiles(name: Option<&str>, json: bool) -> Result<u8, Exit> {
+    if let (Some(name), false) = (name, json) {
+        let text = Profile::built_in(name).ok_or_else(|| unknown_profile(name)).or_usage()?;
+        line(text.trim_end());
+        return Ok(DONE);
+    }
     let names = Profile::built_in_names().filter(|known| name.is_none_or(|name| name == *known));
     let profiles = names.map(profile).collect::<anyhow::Result<Vec<_>>>().or_broken()?;
     if let ([], Some(name)) = (&*profiles, name) {

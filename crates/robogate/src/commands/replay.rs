@@ -6,47 +6,62 @@ use anyhow::anyhow;
 use clap::Args;
 use robogate_campaign::{WorkerFactory, recorded};
 use robogate_core::{Environment, Episode, Outcome, TaskSpec, Tick, Word, rollout_with};
-use robogate_dictionary::Provenance;
+use robogate_dictionary::{Provenance, World};
 use robogate_replay::{EncodedImage, Export, Recording, Sample, mcap, record_with};
 use robogate_stats::format::number;
 use serde_json::json;
 
-use crate::arguments::ReopeningArguments;
+use crate::arguments::{AccessArguments, EnvironmentArguments, TrustArguments};
+use crate::commands::stills::{Pictures, Stills};
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::film::{self, Cameras, Filmed, Shot};
 use crate::picture;
 use crate::terminal::{bold, dim, foreign, line, note};
 use crate::watch;
-use robogate_session::{PolicySource, Subject};
+use robogate_session::{PolicySource, Reopening, Subject};
 
-/// Replay one episode bit for bit and print its timeline.
+/// Replay one episode bit for bit and print its timeline; or render moments of it, or of a scenario that has not run.
+///
+/// --set also sets parameters of the scenario (docs/parameters.md).
 #[derive(Debug, Args)]
 pub(crate) struct Replay {
     /// Folder of the run
-    dir: PathBuf,
+    #[arg(requires = "index", conflicts_with_all = ["suite", "scenario", "seed", "task", "set", "engine", "time_step", "renderer"])]
+    dir: Option<PathBuf>,
     /// Index of the episode, as in the dictionary
-    index: u64,
-    #[command(flatten)]
-    opening: ReopeningArguments,
+    index: Option<u64>,
     /// Write an animation of a camera to this file (GIF)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", requires = "dir", conflicts_with = "at")]
     gif: Option<PathBuf>,
     /// Write a video of a camera to this file (MP4); the program `ffmpeg` encodes it
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", requires = "dir", conflicts_with = "at")]
     mp4: Option<PathBuf>,
     /// Write six frames at equal distances in time to this file (PNG)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", requires = "dir", conflicts_with = "at")]
     png_strip: Option<PathBuf>,
     /// Write poses, joint states, commands, contacts, measures, events and camera images to this file for Foxglove and other
     /// tools (MCAP)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", requires = "dir", conflicts_with = "at")]
     mcap: Option<PathBuf>,
     /// Choose the camera of the images; default: the first one of the environment, in MCAP all of them
     #[arg(long, value_name = "CAMERA")]
     camera: Option<String>,
-    /// Set width and height of the images, in pixels (16 to 2048), if the built-in cell renders them
-    #[arg(long, value_name = "PIXELS", default_value_t = 320, value_parser = clap::value_parser!(u16).range(16..=2048))]
-    size: u16,
+    /// Set width and height of the images, in pixels (16 to 2048), if the built-in cell renders them; default: 320, of moments
+    /// 256, and 144 on a sheet
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u16).range(16..=2048))]
+    size: Option<u16>,
+    #[command(flatten)]
+    stills: Stills,
+    /// Use this policy for the run, which must be the recorded one: the address of its server, or its ONNX file. Only needed for a
+    /// run that you did not make on this machine, or if the policy has another address now
+    #[arg(long, visible_alias = "policy-at", value_name = "URL|FILE", requires = "dir")]
+    policy: Option<String>,
+    #[command(flatten)]
+    environment: EnvironmentArguments,
+    #[command(flatten)]
+    trust: TrustArguments,
+    #[command(flatten)]
+    access: AccessArguments,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -61,8 +76,34 @@ struct Line {
 
 impl Replay {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let settings = robogate_campaign::settings(&self.dir).or_usage()?;
-        let subject = Subject::recorded(&settings.provenance, Some(&self.dir), &self.opening.choice())?;
+        let pictures =
+            Pictures { stills: &self.stills, camera: self.camera.as_deref(), size: self.size, json: self.json };
+        match (&self.dir, self.index) {
+            (Some(dir), Some(index)) if self.stills.is_given() => pictures.of_episode(dir, index, &self.opening()),
+            (Some(dir), Some(index)) => self.replay(dir, index),
+            _ if self.stills.is_given() => {
+                let (environment, set) = self.environment.choice().environment_and_parameters()?;
+                pictures.of_scenario(Subject::new(environment, None)?, &set)
+            }
+            _ => Err(anyhow!(
+                "which episode? Expected a run and the index of an episode\nHint: robogate replay RUN INDEX; a scenario that has not \
+                 run is rendered with --suite or --scenario"
+            ))
+            .or_usage(),
+        }
+    }
+
+    /// How the run is set up again.
+    fn opening(&self) -> Reopening {
+        let own = self.environment.choice().reopening(self.trust.choice());
+        Reopening { policy: self.policy.clone(), access: self.access.choice(), ..own }
+    }
+
+    fn replay(&self, dir: &Path, index: u64) -> Result<u8, Exit> {
+        /// Default width and height of images in animations, in pixels.
+        const SIZE_PX: u16 = 320;
+        let settings = robogate_campaign::settings(dir).or_usage()?;
+        let subject = Subject::recorded(&settings.provenance, Some(dir), &self.opening())?;
         if self.mp4.is_some() {
             film::check_mp4().or_usage()?;
         }
@@ -72,11 +113,15 @@ impl Replay {
         let filming = pictures || (self.mcap.is_some() && (cameras || self.camera.is_some()));
         // The size of images would change what a policy that sees them receives.
         let seeing = subject.policy_source().and_then(PolicySource::profile).is_some();
-        let subject = if filming && !seeing { subject.with_pictures_of(usize::from(self.size)) } else { subject };
+        let subject = if filming && !seeing {
+            subject.with_pictures_of(usize::from(self.size.unwrap_or(SIZE_PX)))
+        } else {
+            subject
+        };
         if let (true, Some(camera)) = (filming, &self.camera) {
             check_camera(subject.task(), camera)?;
         }
-        let entry = recorded(&self.dir, self.index).or_usage()?;
+        let entry = recorded(dir, index).or_usage()?;
         let mut worker = subject.worker().or_broken()?;
         let mut timeline: Vec<Line> = Vec::new();
         let mut phase = None;
@@ -114,13 +159,13 @@ impl Replay {
             rollout_with(&mut *worker.environment, &mut *worker.policy, &before.scenario, &mut observe)
         };
         if let Some(fault) = watch::not_run(&before, &again) {
-            return Err(anyhow!("episode {} cannot run again: {fault}", self.index)).or_broken();
+            return Err(anyhow!("episode {} cannot run again: {fault}", index)).or_broken();
         }
         let same = again.repeats(&before);
         if self.json {
             self.print_json(&again, &timeline, same);
         } else {
-            self.print(subject.task(), &again, &timeline);
+            self.print(dir, subject.task(), &again, &timeline);
             if same {
                 line(format_args!(
                     "identical to the recorded episode, bit for bit (trajectory {:016x})",
@@ -148,7 +193,8 @@ impl Replay {
                 {
                     line("  tool, build, engine, robot or platform differ from those of the run");
                 }
-                if now.world != was.world {
+                let world = |provenance: &Provenance| provenance.world.as_ref().map(World::without_packages);
+                if world(&now) != world(was) {
                     line("  the policy differs: another file, or its server reports something else about itself");
                 }
                 let profile = subject.policy_source().and_then(PolicySource::profile);
@@ -195,7 +241,7 @@ impl Replay {
         }
         let episode = &recording.episode;
         let mut metadata: Vec<(String, String)> = [
-            ("episode", self.index.to_string()),
+            ("episode", episode.scenario.index.to_string()),
             ("task", provenance.task.name.to_string()),
             ("robot", provenance.robot.name.to_string()),
             ("policy", provenance.policy.to_string()),
@@ -212,8 +258,8 @@ impl Replay {
         Ok(())
     }
 
-    fn print(&self, task: &TaskSpec, episode: &Episode, timeline: &[Line]) {
-        line(bold(format_args!("Episode {} of {}", self.index, self.dir.display())));
+    fn print(&self, dir: &Path, task: &TaskSpec, episode: &Episode, timeline: &[Line]) {
+        line(bold(format_args!("Episode {} of {}", episode.scenario.index, dir.display())));
         for (name, requested) in episode.scenario.requested.iter() {
             line(format_args!("  {name:<14} {requested}"));
         }
@@ -252,7 +298,7 @@ impl Replay {
             episode.scenario.requested.iter().map(|(name, value)| (name.to_owned(), json!(value))).collect();
         line(json!({
             "version": 2,
-            "index": self.index,
+            "index": episode.scenario.index,
             "requested": requested,
             "outcome": episode.outcome.as_str(),
             "time_s": episode.time_s,

@@ -1,4 +1,4 @@
-//! `robogate robots`: lists and checks robots.
+//! `robogate list robots`: checks and drafts robots.
 
 #[cfg(feature = "mujoco")]
 use std::path::Path;
@@ -15,14 +15,11 @@ use crate::exit::{DONE, Exit, OrExit};
 use crate::terminal::note;
 use crate::terminal::{bold, line};
 
-/// List the built-in robots, or check one of your own.
+/// Check a robot, or draft one of your own from its model.
 #[derive(Debug, Args)]
 pub(crate) struct Robots {
     #[command(subcommand)]
-    what: Option<What>,
-    /// Print the list as one JSON document
-    #[arg(long)]
-    json: bool,
+    what: What,
 }
 
 #[derive(Debug, Subcommand)]
@@ -62,32 +59,32 @@ struct Init {
 impl Robots {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         match &self.what {
-            Some(What::Check(check)) => check.execute(),
-            Some(What::Init(init)) => init.execute(),
-            None => self.list(),
+            What::Check(check) => check.execute(),
+            What::Init(init) => init.execute(),
         }
     }
+}
 
-    fn list(&self) -> Result<u8, Exit> {
-        let robots = built_in_robots().map(built_in_robot).collect::<Result<Vec<_>, _>>().or_broken()?;
-        if self.json {
-            let robots: Vec<_> = robots.iter().map(|robot| &robot.settings).map(facts).collect();
-            line(json!({"version": 1, "robots": robots}));
-            return Ok(DONE);
-        }
-        line(bold(format_args!("{:<8} {:>6}  {:<26} {:>8} {:>9}", "robot", "joints", "gripper", "reach", "payload")));
-        for RobotSettings { name, arm, gripper, .. } in robots.iter().map(|robot| &robot.settings) {
-            line(format_args!(
-                "{name:<8} {:>6}  {:<26} {:>6.2} m {:>6.1} kg",
-                arm.joints.len(),
-                in_words(gripper),
-                arm.reach_m,
-                arm.payload_kg
-            ));
-        }
-        line("\nUse your own robot as a folder (docs/robots.md) and check it: robogate robots check FOLDER");
-        Ok(DONE)
+/// Prints the built-in robots.
+pub(crate) fn list(json: bool) -> Result<u8, Exit> {
+    let robots = built_in_robots().map(built_in_robot).collect::<Result<Vec<_>, _>>().or_broken()?;
+    if json {
+        let robots: Vec<_> = robots.iter().map(|robot| &robot.settings).map(facts).collect();
+        line(json!({"version": 1, "robots": robots}));
+        return Ok(DONE);
     }
+    line(bold(format_args!("{:<8} {:>6}  {:<26} {:>8} {:>9}", "robot", "joints", "gripper", "reach", "payload")));
+    for RobotSettings { name, arm, gripper, .. } in robots.iter().map(|robot| &robot.settings) {
+        line(format_args!(
+            "{name:<8} {:>6}  {:<26} {:>6.2} m {:>6.1} kg",
+            arm.joints.len(),
+            in_words(gripper),
+            arm.reach_m,
+            arm.payload_kg
+        ));
+    }
+    line("\nUse your own robot as a folder (docs/robots.md) and check it: robogate robots check FOLDER");
+    Ok(DONE)
 }
 
 pub(crate) fn in_words(gripper: &Gripper) -> String {

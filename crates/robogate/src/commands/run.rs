@@ -381,11 +381,12 @@ impl How {
     /// Runs a campaign with `work` and shows its progress.
     pub(crate) fn carry(
         &self,
+        dir: &Path,
         subject: &Subject,
         work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
     ) -> Result<Completion, Exit> {
         let mut progress = Progress::new();
-        self.with_workers(|workers| Ok(workers.carry(subject, &mut |event| progress.hear(event), work)?))
+        self.with_workers(|workers| Ok(workers.carry(dir, subject, &mut |event| progress.hear(event), work)?))
     }
 
     /// Runs a campaign with `work`, and shows its progress and summary.
@@ -395,7 +396,7 @@ impl How {
         subject: &Subject,
         work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
     ) -> Result<u8, Exit> {
-        conclude(dir, &self.carry(subject, work)?, Some(subject), self.json)
+        conclude(dir, &self.carry(dir, subject, work)?, Some(subject), self.json)
     }
 }
 

@@ -1,51 +1,35 @@
-//! `robogate status`: the progress of a campaign in shards.
+//! The progress of a campaign in shards.
 
-use std::path::PathBuf;
+use std::path::Path;
 
-use clap::Args;
 use robogate_campaign::shards::{RoundState, RoundStatus, ShardStatus};
 
-use crate::commands::matrix;
 use crate::commands::shard::open;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::summary::outcomes_in_one_line;
 use crate::terminal::{bold, grouped, line, note, quoted};
 
-/// Show which shards of a campaign are committed, and their outcomes so far.
-#[derive(Debug, Args)]
-pub(crate) struct Status {
-    /// Folder of the campaign or the sweep
-    dir: PathBuf,
-    /// Print the status as one JSON document
-    #[arg(long)]
-    json: bool,
-}
-
-impl Status {
-    pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        if let Some(plan) = matrix::open(&self.dir)? {
-            return matrix::status(&self.dir, &plan, self.json);
-        }
-        let status = open(&self.dir)?.status()?;
-        if self.json {
-            line(serde_json::to_string_pretty(&status).or_broken()?);
-            return Ok(DONE);
-        }
-        let ShardStatus { shards, episodes, done, complete, rounds, .. } = &status;
-        line(format_args!("{} of {} episodes in committed shards", grouped(*done), grouped(*episodes)));
-        // A suite may have thousands of rounds that wait.
-        for round in rounds.iter().filter(|round| round.state != RoundState::Waiting || round.committed > 0) {
-            show(round, *shards);
-        }
-        let waiting = rounds.iter().filter(|round| round.state == RoundState::Waiting).count();
-        if waiting > 0 {
-            line(format_args!("{waiting} more round{} after that", if waiting == 1 { "" } else { "s" }));
-        }
-        let verb = if *complete { "merge" } else { "plan" };
-        let option = if *complete { "" } else { " --next" };
-        note(format_args!("next: robogate {verb} {}{option}", quoted(&self.dir)));
-        Ok(DONE)
+/// Prints which shards are committed, and their outcomes so far.
+pub(crate) fn print(dir: &Path, json: bool) -> Result<u8, Exit> {
+    let status = open(dir)?.status()?;
+    if json {
+        line(serde_json::to_string_pretty(&status).or_broken()?);
+        return Ok(DONE);
     }
+    let ShardStatus { shards, episodes, done, complete, rounds, .. } = &status;
+    line(format_args!("{} of {} episodes in committed shards", grouped(*done), grouped(*episodes)));
+    // A suite may have thousands of rounds that wait.
+    for round in rounds.iter().filter(|round| round.state != RoundState::Waiting || round.committed > 0) {
+        show(round, *shards);
+    }
+    let waiting = rounds.iter().filter(|round| round.state == RoundState::Waiting).count();
+    if waiting > 0 {
+        line(format_args!("{waiting} more round{} after that", if waiting == 1 { "" } else { "s" }));
+    }
+    let verb = if *complete { "merge" } else { "plan" };
+    let option = if *complete { "" } else { " --next" };
+    note(format_args!("next: robogate {verb} {}{option}", quoted(dir)));
+    Ok(DONE)
 }
 
 fn show(round: &RoundStatus, shards: u32) {

@@ -1,6 +1,6 @@
-//! `robogate snapshot`: renders the cameras of the cell.
+//! Pictures of moments: of an episode, or of a scenario that has not run.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::anyhow;
@@ -10,106 +10,113 @@ use robogate_campaign::{DEFAULT_SEED, Worker, WorkerFactory, recorded};
 use robogate_core::{Assignment, Image, Scenario, Seed, Start, Suite};
 use serde_json::json;
 
-use crate::arguments::{EnvironmentArguments, TrustArguments};
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::picture;
 use crate::place;
 use crate::terminal::{foreign, line, note};
-use robogate_session::Subject;
+use robogate_session::{Reopening, Subject};
 
 /// Default width and height of an image, in pixels.
 const ON_SHEET_PX: usize = 144;
 /// Images per row of a sheet.
 const COLUMNS: usize = 10;
-/// Upper limit of `--size`, in pixels. Larger values are probably typing errors.
-const LARGEST_PX: usize = 4096;
 
-/// Render a scenario with the cameras of the cell, at the start or while the scripted controller works.
-///
-/// --set also sets parameters of the scenario (docs/parameters.md).
+/// Which moments are rendered, of an episode or of a scenario that has not run.
 #[derive(Debug, Args)]
-pub(crate) struct Snapshot {
+#[command(next_help_heading = "Pictures of moments")]
+pub(crate) struct Stills {
+    /// Write the cameras' images of these simulated times, in seconds, as PNG files; separate several with commas. Without a
+    /// run: of a scenario while the scripted controller works; default: 0
+    #[arg(long, value_name = "SECONDS", value_delimiter = ',')]
+    at: Vec<f64>,
     /// Render a scenario of this suite: a built-in one or a TOML file
     #[arg(long, value_name = "SUITE")]
     suite: Option<String>,
-    /// Select the suite's scenario by its name; default: that of --index
-    #[arg(long, value_name = "ID", requires = "suite", conflicts_with = "index")]
+    /// Select the suite's scenario by its name; default: that of --scenario
+    #[arg(long, value_name = "ID", requires = "suite", conflicts_with = "scenario")]
     case: Option<String>,
-    /// Render an episode of this run
-    #[arg(long, value_name = "DIR", requires = "index", conflicts_with_all = ["suite", "seed", "set", "robot", "engine", "time_step", "renderer"])]
-    run: Option<PathBuf>,
-    /// Select the index: of the suite's scenario (counted across rounds), of the run's episode, or of the random draws
-    /// of a scenario; default: 0
+    /// Select the index of the suite's scenario (counted across rounds), or of the random draws of a scenario without a
+    /// suite; default: 0
     #[arg(long, value_name = "I")]
-    index: Option<u64>,
-    /// Set the campaign seed
+    scenario: Option<u64>,
+    /// Set the campaign seed of the scenario
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
-    /// Render at these simulated times, in seconds; separate several with commas
-    #[arg(long, value_name = "SECONDS", value_delimiter = ',', default_value = "0")]
-    at: Vec<f64>,
-    /// Render only this camera: front or wrist; default: both, and front on a sheet
-    #[arg(long, value_name = "CAMERA", value_parser = CAMERAS)]
-    camera: Option<String>,
-    /// Set width and height of an image, in pixels; default: 256, and 144 on a sheet
-    #[arg(long, value_name = "PIXELS")]
-    size: Option<usize>,
     /// Render every scenario of the suite once, on one contact sheet
-    #[arg(long, requires = "suite", conflicts_with_all = ["case", "run"])]
+    #[arg(long, requires = "suite", conflicts_with = "case")]
     sheet: bool,
-    #[command(flatten)]
-    environment: EnvironmentArguments,
-    #[command(flatten)]
-    trust: TrustArguments,
-    /// Write to this path: a folder, or the file of a sheet; default: snapshots, or SUITE.png
+    /// Write the images to this path: a folder, or the file of a sheet; default: pictures, or SUITE.png
     #[arg(long, value_name = "PATH", value_parser = place::local())]
     out: Option<PathBuf>,
-    /// Print the list of written files as one JSON document
-    #[arg(long)]
-    json: bool,
 }
 
-impl Snapshot {
-    pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let size = self.size.unwrap_or(if self.sheet { ON_SHEET_PX } else { SIZE_PX });
-        if !(1..=LARGEST_PX).contains(&size) {
-            return Err(anyhow!("--size {size}: expected 1 to {LARGEST_PX} pixels")).or_usage();
-        }
-        let mut times = self.at.clone();
-        if let Some(wrong) = times.iter().find(|t| !(0.0..=1e6).contains(*t)) {
-            return Err(anyhow!("--at {wrong}: expected a time from 0 to 1,000,000 s")).or_usage();
-        }
-        times.sort_by(f64::total_cmp);
-        let (subject, set) = match &self.run {
-            Some(dir) => {
-                let settings = robogate_campaign::settings(dir).or_usage()?;
-                let opening = self.environment.choice().reopening(self.trust.choice());
-                (Subject::recorded(&settings.provenance, Some(dir), &opening)?, Assignment::default())
-            }
-            None => {
-                let (environment, set) = self.environment.choice().environment_and_parameters()?;
-                (Subject::new(environment, None)?, set)
-            }
-        };
-        let subject = subject.with_pictures_of(size);
-        let suite = self.suite.as_deref().map(suites::find).transpose()?;
+/// A request for pictures.
+pub(crate) struct Pictures<'a> {
+    pub(crate) stills: &'a Stills,
+    /// The only camera.
+    pub(crate) camera: Option<&'a str>,
+    /// Width and height, in pixels.
+    pub(crate) size: Option<u16>,
+    pub(crate) json: bool,
+}
+
+impl Stills {
+    /// Whether moments are wanted.
+    pub(crate) fn is_given(&self) -> bool {
+        !self.at.is_empty() || self.suite.is_some() || self.scenario.is_some()
+    }
+}
+
+impl Pictures<'_> {
+    /// Renders moments of an episode of a run.
+    pub(crate) fn of_episode(&self, dir: &Path, index: u64, opening: &Reopening) -> Result<u8, Exit> {
+        let settings = robogate_campaign::settings(dir).or_usage()?;
+        let subject = Subject::recorded(&settings.provenance, Some(dir), opening)?;
+        let subject = subject.with_pictures_of(self.size());
+        let entry = recorded(dir, index).or_usage()?;
+        self.write(&subject, &format!("episode-{index}"), &entry.episode.scenario, &self.times()?)
+    }
+
+    /// Renders a scenario that has not run, with these values of its parameters, or all scenarios of a suite.
+    pub(crate) fn of_scenario(&self, subject: Subject, set: &Assignment) -> Result<u8, Exit> {
+        let subject = subject.with_pictures_of(self.size());
+        let times = self.times()?;
+        let suite = self.stills.suite.as_deref().map(suites::find).transpose()?;
         if let Some(suite) = &suite {
             subject.check_suite(suite).or_usage()?;
         }
         match &suite {
-            Some(suite) if self.sheet => self.sheet(&subject, suite, &set, &times),
-            _ => self.pictures(&subject, suite.as_ref(), &set, &times),
+            Some(suite) if self.stills.sheet => self.sheet(&subject, suite, set, &times),
+            suite => {
+                let (name, scenario) = self.scenario(suite.as_ref(), set)?;
+                self.write(&subject, &name, &scenario, &times)
+            }
         }
     }
 
+    fn size(&self) -> usize {
+        self.size.map_or(if self.stills.sheet { ON_SHEET_PX } else { SIZE_PX }, usize::from)
+    }
+
+    fn times(&self) -> Result<Vec<f64>, Exit> {
+        let mut times = self.stills.at.clone();
+        if let Some(wrong) = times.iter().find(|t| !(0.0..=1e6).contains(*t)) {
+            return Err(anyhow!("--at {wrong}: expected a time from 0 to 1,000,000 s")).or_usage();
+        }
+        if times.is_empty() {
+            times.push(0.0);
+        }
+        times.sort_by(f64::total_cmp);
+        Ok(times)
+    }
+
     /// Renders one scenario: one file for each camera and time.
-    fn pictures(&self, subject: &Subject, suite: Option<&Suite>, set: &Assignment, times: &[f64]) -> Result<u8, Exit> {
-        let (name, scenario) = self.scenario(suite, set)?;
-        let folder = self.out.clone().unwrap_or_else(|| PathBuf::from("snapshots"));
+    fn write(&self, subject: &Subject, name: &str, scenario: &Scenario, times: &[f64]) -> Result<u8, Exit> {
+        let folder = self.stills.out.clone().unwrap_or_else(|| PathBuf::from("pictures"));
         let mut worker = subject.worker().or_broken()?;
         let mut written = Vec::new();
-        let reached = watch(&mut worker, &scenario, times, |time_s, images| {
+        let reached = watch(&mut worker, scenario, times, |time_s, images| {
             for image in images.into_iter().filter(|image| self.shows(image, None)) {
                 let file = folder.join(format!("{name}-{time_s:.2}s-{}.png", image.camera));
                 picture::write(&file, &image).or_usage()?;
@@ -134,10 +141,10 @@ impl Snapshot {
         let [time] = times else {
             return Err(anyhow!("--sheet renders every scenario once: expected one time for --at")).or_usage();
         };
-        let file = self.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.png", suite.name())));
+        let file = self.stills.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.png", suite.name())));
         let mut worker = subject.worker().or_broken()?;
         let mut pictures = Vec::with_capacity(suite.cases().len());
-        for (index, case) in (self.index.unwrap_or(0)..).zip(suite.cases()) {
+        for (index, case) in (self.stills.scenario.unwrap_or(0)..).zip(suite.cases()) {
             let scenario = with(suite.scenario(self.campaign(), index), set);
             // An episode that ends before this time is shown at its end.
             let mut last = None;
@@ -157,31 +164,27 @@ impl Snapshot {
     }
 
     fn shows(&self, image: &Image, default: Option<&str>) -> bool {
-        self.camera.as_deref().or(default).is_none_or(|camera| image.camera == camera)
+        self.camera.or(default).is_none_or(|camera| image.camera == camera)
     }
 
     fn campaign(&self) -> Seed {
-        Seed::campaign(self.seed.unwrap_or(DEFAULT_SEED))
+        Seed::campaign(self.stills.seed.unwrap_or(DEFAULT_SEED))
     }
 
     /// The requested scenario, and its name in file names.
     fn scenario(&self, suite: Option<&Suite>, set: &Assignment) -> Result<(String, Scenario), Exit> {
-        if let (Some(dir), Some(index)) = (&self.run, self.index) {
-            let entry = recorded(dir, index).or_usage()?;
-            return Ok((format!("episode-{index}"), entry.episode.scenario));
-        }
-        let index = self.index.unwrap_or(0);
+        let index = self.stills.scenario.unwrap_or(0);
         let Some(suite) = suite else {
             let scenario = Scenario { index, seed: self.campaign().episode(index), requested: Assignment::default() };
             return Ok((format!("scenario-{index}"), with(scenario, set)));
         };
-        let index = match &self.case {
+        let index = match &self.stills.case {
             None => index,
             Some(id) => match suite.cases().iter().position(|case| case.id == *id) {
                 Some(place) => place as u64,
                 None => {
                     let (suite, id) = (suite.name(), foreign(id));
-                    let why = anyhow!("{suite} has no scenario `{id}`; robogate suites show {suite} lists them");
+                    let why = anyhow!("{suite} has no scenario `{id}`; robogate list suites {suite} lists them");
                     return Err(why).or_usage();
                 }
             },

@@ -1,9 +1,8 @@
-//! `robogate suites`: lists, shows and checks suites.
+//! Suites: how they are found, listed, shown and checked.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context, anyhow};
-use clap::{Args, Subcommand};
 use robogate_campaign::{BUILT_IN_SUITES, built_in_suite, suite_sha256};
 use robogate_core::{Case, Domain, Spread, Suite, SuiteError};
 use robogate_dictionary::read_text;
@@ -13,125 +12,90 @@ use crate::exit::{DONE, Exit, OrExit, USAGE};
 use crate::terminal::{bold, dim, line, note};
 use robogate_session::{EnvironmentSource, check_declared};
 
-/// List, show and check suites.
-#[derive(Debug, Args)]
-pub(crate) struct Suites {
-    #[command(subcommand)]
-    what: Option<What>,
-    /// Print one JSON document
-    #[arg(long, global = true)]
-    json: bool,
-}
-
-#[derive(Debug, Subcommand)]
-enum What {
-    /// List the built-in suites (the default)
-    List,
-    /// Show every scenario of a suite
-    Show {
-        /// Built-in suite, or a TOML file
-        suite: String,
-    },
-    /// Check a suite file and report every problem; exit code 2 if there are any
-    Check {
-        /// Suite file (TOML)
-        file: PathBuf,
-    },
-}
-
-impl Suites {
-    pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        match &self.what {
-            None | Some(What::List) => self.list(),
-            Some(What::Show { suite }) => self.show(&find(suite)?),
-            Some(What::Check { file }) => self.check(file),
-        }
+/// Prints the built-in suites.
+pub(crate) fn list(json: bool) -> Result<u8, Exit> {
+    let suites = BUILT_IN_SUITES
+        .iter()
+        .map(|(_, text)| Suite::from_toml(text))
+        .collect::<Result<Vec<_>, SuiteError>>()
+        .or_broken()?;
+    if json {
+        line(json!({ "version": 1, "suites": suites.iter().map(head).collect::<Vec<_>>() }));
+        return Ok(DONE);
     }
-
-    fn list(&self) -> Result<u8, Exit> {
-        let suites = BUILT_IN_SUITES
-            .iter()
-            .map(|(_, text)| Suite::from_toml(text))
-            .collect::<Result<Vec<_>, SuiteError>>()
-            .or_broken()?;
-        if self.json {
-            line(json!({ "version": 1, "suites": suites.iter().map(head).collect::<Vec<_>>() }));
-            return Ok(DONE);
-        }
-        for suite in &suites {
-            line(format_args!("{} {}", bold(suite.name()), suite.version()));
-            line(format_args!("  {}", suite.description()));
-        }
-        note("show one: robogate suites show NAME; run it: robogate run --suite NAME");
-        Ok(DONE)
-    }
-
-    fn show(&self, suite: &Suite) -> Result<u8, Exit> {
-        if self.json {
-            let mut document = head(suite);
-            document["scenarios"] = suite.cases().iter().map(scenario).collect();
-            line(json!({ "version": 1, "suite": document }));
-            return Ok(DONE);
-        }
+    for suite in &suites {
         line(format_args!("{} {}", bold(suite.name()), suite.version()));
         line(format_args!("  {}", suite.description()));
-        line(format_args!("  {} scenarios, SHA-256 {}", suite.cases().len(), suite_sha256(suite)));
-        let common = common(suite);
-        line("");
-        line(bold("Defaults of the scenarios"));
-        for ((name, _), spread) in suite.cases()[0].parameters.iter().zip(&common) {
-            line(format_args!("  {name:<26} {}", words(spread)));
-        }
-        let mut last = None;
-        for case in suite.cases() {
-            let group = (case.category.as_str(), case.group.as_str());
-            if last != Some(group) {
-                line("");
-                line(bold(format_args!("{} / {}", group.0, group.1)));
-                if let Some(description) = suite.group_description(group.0, group.1) {
-                    line(format_args!("  {description}"));
-                }
-                last = Some(group);
-            }
-            let own = case.parameters.iter().zip(&common).filter(|((_, spread), common)| spread != *common);
-            let own: Vec<String> = own.map(|((name, spread), _)| format!("{name} {}", words(spread))).collect();
-            line(format_args!("  {:<24} {}", case.id, dim(own.join(", "))));
-        }
-        Ok(DONE)
     }
+    note("show one: robogate list suites NAME; run it: robogate run --suite NAME");
+    Ok(DONE)
+}
 
-    fn check(&self, file: &Path) -> Result<u8, Exit> {
-        let text = read(file).or_usage()?;
-        let (suite, problems): (Option<Suite>, Vec<String>) = match Suite::from_toml(&text) {
-            Ok(suite) => {
-                let problems = misfits(&suite)?;
-                (Some(suite), problems)
-            }
-            Err(SuiteError::Syntax(text)) => (None, vec![text]),
-            Err(SuiteError::Problems(problems)) => (None, problems.iter().map(ToString::to_string).collect()),
-            Err(error @ SuiteError::NoNominal { .. }) => (None, vec![error.to_string()]),
-        };
-        let ok = problems.is_empty();
-        if self.json {
-            line(
-                json!({ "version": 1, "file": file, "ok": ok, "suite": suite.as_ref().map(head), "problems": problems }),
-            );
-        } else {
-            problems.iter().for_each(|problem| line(format_args!("{}: {problem}", file.display())));
-            match &suite {
-                Some(suite) if ok => line(format_args!(
-                    "{}: {} {} is a suite of {} scenarios, SHA-256 {}",
-                    file.display(),
-                    suite.name(),
-                    suite.version(),
-                    suite.cases().len(),
-                    suite_sha256(suite)
-                )),
-                _ => note(format_args!("{} problem{}", problems.len(), if problems.len() == 1 { "" } else { "s" })),
-            }
-        }
-        Ok(if ok { DONE } else { USAGE })
+/// Prints every scenario of a suite.
+pub(crate) fn show(suite: &Suite, json: bool) -> Result<u8, Exit> {
+    if json {
+        let mut document = head(suite);
+        document["scenarios"] = suite.cases().iter().map(scenario).collect();
+        line(json!({ "version": 1, "suite": document }));
+        return Ok(DONE);
     }
+    line(format_args!("{} {}", bold(suite.name()), suite.version()));
+    line(format_args!("  {}", suite.description()));
+    line(format_args!("  {} scenarios, SHA-256 {}", suite.cases().len(), suite_sha256(suite)));
+    let common = common(suite);
+    line("");
+    line(bold("Defaults of the scenarios"));
+    for ((name, _), spread) in suite.cases()[0].parameters.iter().zip(&common) {
+        line(format_args!("  {name:<26} {}", words(spread)));
+    }
+    let mut last = None;
+    for case in suite.cases() {
+        let group = (case.category.as_str(), case.group.as_str());
+        if last != Some(group) {
+            line("");
+            line(bold(format_args!("{} / {}", group.0, group.1)));
+            if let Some(description) = suite.group_description(group.0, group.1) {
+                line(format_args!("  {description}"));
+            }
+            last = Some(group);
+        }
+        let own = case.parameters.iter().zip(&common).filter(|((_, spread), common)| spread != *common);
+        let own: Vec<String> = own.map(|((name, spread), _)| format!("{name} {}", words(spread))).collect();
+        line(format_args!("  {:<24} {}", case.id, dim(own.join(", "))));
+    }
+    Ok(DONE)
+}
+
+/// Checks the file of a suite and prints every problem.
+pub(crate) fn check(file: &Path, json: bool) -> Result<u8, Exit> {
+    let text = read(file).or_usage()?;
+    let (suite, problems): (Option<Suite>, Vec<String>) = match Suite::from_toml(&text) {
+        Ok(suite) => {
+            let problems = misfits(&suite)?;
+            (Some(suite), problems)
+        }
+        Err(SuiteError::Syntax(text)) => (None, vec![text]),
+        Err(SuiteError::Problems(problems)) => (None, problems.iter().map(ToString::to_string).collect()),
+        Err(error @ SuiteError::NoNominal { .. }) => (None, vec![error.to_string()]),
+    };
+    let ok = problems.is_empty();
+    if json {
+        line(json!({ "version": 1, "file": file, "ok": ok, "suite": suite.as_ref().map(head), "problems": problems }));
+    } else {
+        problems.iter().for_each(|problem| line(format_args!("{}: {problem}", file.display())));
+        match &suite {
+            Some(suite) if ok => line(format_args!(
+                "{}: {} {} is a suite of {} scenarios, SHA-256 {}",
+                file.display(),
+                suite.name(),
+                suite.version(),
+                suite.cases().len(),
+                suite_sha256(suite)
+            )),
+            _ => note(format_args!("{} problem{}", problems.len(), if problems.len() == 1 { "" } else { "s" })),
+        }
+    }
+    Ok(if ok { DONE } else { USAGE })
 }
 
 /// The problems of a suite with the task that has most of its parameters. A suite that names its environment is checked by

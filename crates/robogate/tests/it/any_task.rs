@@ -42,7 +42,7 @@ fn pendulum_passes_through_every_verb() {
     verb("gate --task pendulum --policy random --out other", 1, &["FAIL"]);
     verb("leaderboard gate other", 0, &["gate", "other"]);
     verb("leaderboard gate other gate/dictionary.parquet", 2, &["have the same rows"]);
-    verb("baseline gate --out baseline.json", 0, &["overspeed"]);
+    verb("gate --run gate --write-baseline baseline.json", 1, &["overspeed"]);
     verb("gate --run gate --baseline baseline.json", 1, &[]);
     verb(
         "monitor reference a --out reference.json",
@@ -146,7 +146,7 @@ fn verbs_of_the_cell_take_every_arm_task() {
     let refused = [None, Some("three"), Some("stiffness")];
     for (task, physics) in ["pick_place", "stacking", "insertion"].into_iter().zip(refused) {
         verb(&format!("demos --task {task} -n 2 --size 16 --all --out {task}-demos"), 0, &["2 episodes"]);
-        verb(&format!("snapshot --task {task} --size 32 --out {task}-pictures"), 0, &["front"]);
+        verb(&format!("replay --task {task} --scenario 0 --size 32 --out {task}-pictures"), 0, &["front"]);
         if let Some(why) = physics {
             verb(&format!("serve --task {task} --physics-only --bind tcp://127.0.0.1:*"), 2, &["--physics-only", why]);
             verb(&format!("check physics coulomb --task {task}"), 2, &["does not apply"]);
@@ -280,7 +280,7 @@ fn declared_tasks_need_only_an_address() {
     let address =
         line.split(['"', ' ', '\n']).find(|part| part.starts_with("tcp://")).unwrap_or_else(|| panic!("{line}"));
 
-    verb(at, &format!("bridge check {address}"), 0, &["pass"]);
+    verb(at, &format!("check bridge {address}"), 0, &["pass"]);
     let run = format!("run --simulator {address} --policy random -n 40 --seed 4 --out run");
     verb(at, &run, 0, &["swing_up", "jammed"]);
     verb(at, "analyze run", 0, &["jammed"]);

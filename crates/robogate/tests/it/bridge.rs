@@ -1,4 +1,4 @@
-//! Remote simulators on the command line: `robogate serve`, `--simulator`, `robogate bridge check`.
+//! Remote simulators on the command line: `robogate serve`, `--simulator`, `robogate check bridge`.
 
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -62,7 +62,7 @@ fn remote_and_local_rows_are_equal() {
         let folder = at(name).to_str().unwrap().to_owned();
         assert_exit(&["replay", &folder, "3", "--simulator", &one.address], 0, &["identical to the recorded episode"]);
         assert_exit(&["replay", &folder, "3"], 2, &["--simulator"]);
-        assert_exit(&["bridge", "check", &one.address], 0, &["pass", "median"]);
+        assert_exit(&["check", "bridge", &one.address], 0, &["pass", "median"]);
     }
     let folder = at("local").to_str().unwrap().to_owned();
     let server = Server::start(&[]);
@@ -91,7 +91,7 @@ fn wrong_usage_starts_nothing() {
     assert_exit(&["serve", "--bind", "127.0.0.1:1"], 2, &["tcp://127.0.0.1:5570"]);
     assert_exit(&["serve", "--robot", "ur5e", "--physics-only"], 2, &["suction"]);
     assert_exit(&["run", "--simulator", "tcp://127.0.0.1:1"], 5, &["cannot reach tcp://127.0.0.1:1"]);
-    assert_exit(&["bridge", "check", "tcp://127.0.0.1:1"], 5, &["cannot reach"]);
+    assert_exit(&["check", "bridge", "tcp://127.0.0.1:1"], 5, &["cannot reach"]);
     let server = Server::start(&["--robot", "ur5e"]);
     let address = server.address.as_str();
     assert_exit(&["run", "--simulator", address], 2, &["another robot", "--robot"]);

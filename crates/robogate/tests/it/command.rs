@@ -223,7 +223,7 @@ fn suite_rows_ignore_thread_count() {
     let dir = TempDir::new().unwrap();
     let suite = path(&dir, "two.toml");
     fs::write(&suite, TWO_SCENARIOS).unwrap();
-    assert_done(&robogate(&["suites", "check", &suite]));
+    assert_done(&robogate(&["check", "suite", &suite]));
     let runs = ["1", "2"].map(|threads| {
         let out = path(&dir, threads);
         assert_done(&robogate(&["run", "--suite", &suite, "--rounds", "3", "--threads", threads, "--out", &out]));
@@ -245,7 +245,7 @@ fn documented_suite_is_valid() {
     let dir = TempDir::new().unwrap();
     let suite = path(&dir, "bottles.toml");
     fs::write(&suite, example).unwrap();
-    assert_exit(&["suites", "check", &suite], 0, &["suite of 4 scenarios"]);
+    assert_exit(&["check", "suite", &suite], 0, &["suite of 4 scenarios"]);
 }
 
 #[test]
@@ -258,12 +258,12 @@ fn wrong_suites_are_usage_errors() {
     };
     write("{ id = \"a\", friction = 20.0, glare = 1.0 }, { id = \"b\", friction = 0.1, glare = 1.0 }");
     assert_usage(
-        &["suites", "check", &suite],
+        &["check", "suite", &suite],
         &["`friction` = 20 is out of range", "unknown parameter `glare`", "2 problems"],
     );
     assert_usage(&["run", "--suite", &suite], &["`friction` = 20 is out of range", "unknown parameter `glare`"]);
     write("{ id = \"a\" }, { id = \"a\" }");
-    assert_usage(&["suites", "check", &suite], &["scenario id `a` is used twice"]);
+    assert_usage(&["check", "suite", &suite], &["scenario id `a` is used twice"]);
     assert_usage(&["run", "--suite", "industrial-67"], &["unknown suite `industrial-67`", "industrial-68"]);
     assert_usage(&["run", "--suite", "industrial-68", "-n", "10"], &["cannot be used with"]);
     assert_usage(&["run", "--rounds", "10"], &["--suite"]);
@@ -282,7 +282,7 @@ fn snapshots_are_deterministic() {
     let take = |folder: &str| {
         let out = path(&dir, folder);
         let case = ["--suite", "industrial-68", "--case", "cluttered_scene-2", "--at", "0,0.6", "--size", "64"];
-        robogate(&[["snapshot", "--json", "--out", &out].as_slice(), &case].concat())
+        robogate(&[["replay", "--json", "--out", &out].as_slice(), &case].concat())
     };
     let (one, two) = (take("one"), take("two"));
     assert_done(&one);
@@ -303,22 +303,22 @@ fn snapshots_are_deterministic() {
     assert!(text(&again).contains("already exists"), "{}", text(&again));
 
     let sheet = path(&dir, "sheet.png");
-    assert_done(&robogate(&["snapshot", "--suite", "industrial-68", "--sheet", "--size", "16", "--out", &sheet]));
+    assert_done(&robogate(&["replay", "--suite", "industrial-68", "--sheet", "--size", "16", "--out", &sheet]));
     assert_eq!(png_size(&sheet), [10 * 20 + 4, 7 * 33 + 4]);
 }
 
 #[test]
 fn wrong_snapshots_are_usage_errors() {
-    assert_usage(&["snapshot", "--suite", "industrial-68", "--case", "nothing"], &["has no scenario `nothing`"]);
-    assert_usage(&["snapshot", "--suite", "nothing"], &["unknown suite `nothing`"]);
-    assert_usage(&["snapshot", "--set", "lighting_lux"], &["expected NAME=VALUE"]);
-    assert_usage(&["snapshot", "--set", "lighting=500"], &["lighting"]);
-    assert_usage(&["snapshot", "--set", "table_material=marble"], &["marble", "wood"]);
-    assert_usage(&["snapshot", "--at=-1"], &["--at -1", "0 to 1,000,000 s"]);
-    assert_usage(&["snapshot", "--at", "1e9"], &["0 to 1,000,000 s"]);
-    assert_usage(&["snapshot", "--size", "0"], &["1 to 4096"]);
-    assert_usage(&["snapshot", "--sheet"], &["--suite"]);
-    assert_usage(&["snapshot", "--run", "/nowhere", "--index", "3"], &["/nowhere"]);
+    assert_usage(&["replay", "--suite", "industrial-68", "--case", "nothing"], &["has no scenario `nothing`"]);
+    assert_usage(&["replay", "--suite", "nothing"], &["unknown suite `nothing`"]);
+    assert_usage(&["replay", "--scenario", "0", "--set", "lighting_lux"], &["expected NAME=VALUE"]);
+    assert_usage(&["replay", "--scenario", "0", "--set", "lighting=500"], &["lighting"]);
+    assert_usage(&["replay", "--scenario", "0", "--set", "table_material=marble"], &["marble", "wood"]);
+    assert_usage(&["replay", "--at=-1"], &["--at -1", "0 to 1,000,000 s"]);
+    assert_usage(&["replay", "--at", "1e9"], &["0 to 1,000,000 s"]);
+    assert_usage(&["replay", "--scenario", "0", "--size", "0"], &["16..=2048"]);
+    assert_usage(&["replay", "--sheet"], &["--suite"]);
+    assert_usage(&["replay", "/nowhere", "3", "--at", "1"], &["/nowhere"]);
 }
 
 /// Runs the command with this stdout. Returns its exit code and stderr.
@@ -333,7 +333,7 @@ fn ends_with_stdout(arguments: &[&str], stdout: impl Into<Stdio>) -> (Option<i32
 #[cfg(target_os = "linux")]
 #[test]
 fn lost_output_is_an_error() {
-    for arguments in [&["list"][..], &["list", "--json"], &["suites", "show", "industrial-68"]] {
+    for arguments in [&["list"][..], &["list", "--json"], &["list", "suites", "industrial-68"]] {
         let full = fs::File::options().write(true).open("/dev/full").unwrap();
         let (code, printed) = ends_with_stdout(arguments, full);
         assert_eq!(code, Some(5), "{arguments:?}: {printed}");

@@ -291,7 +291,7 @@ fn fuzzed_shards_are_read_or_refused() {
     }
     let mut names = names_in(dir.path(), "run/shards");
     names.push("run/plan.json".to_owned());
-    damaged("shards", dir.path(), &names, &["status run", "plan run --next", "merge run --out merged"]);
+    damaged("shards", dir.path(), &names, &["plan run", "plan run --next", "merge run --out merged"]);
 }
 
 #[test]

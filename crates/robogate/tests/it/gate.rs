@@ -61,7 +61,7 @@ fn elements(xml: &str, name: &str) -> usize {
 #[test]
 fn default_gate_needs_no_arguments() {
     // If this reports a missing baseline, write assets/baselines/franka-industrial-68.json again with
-    // `robogate run --suite industrial-68 --rounds 3 --out DIR` and `robogate baseline DIR -o FILE`.
+    // `robogate run --suite industrial-68 --rounds 3 --out DIR` and `robogate gate --run DIR --write-baseline FILE`.
     assert_exit(
         &["gate", "--plan"],
         0,
@@ -101,7 +101,7 @@ fn files_agree_with_exit_code() {
     }
     let pass = folder.path("pass");
     let baseline = folder.path("baseline.json");
-    assert_exit(&["baseline", &pass, "-o", &baseline], 0, &["suite two 1.0.0"]);
+    assert_exit(&["gate", "--run", &pass, "--write-baseline", &baseline], 0, &["suite two 1.0.0"]);
     // The same scenarios again: the policies are equal, so a wide margin is met.
     let requirements = folder.write("gate.toml", &gate("at_least = 0.2"));
     let arguments =
@@ -140,7 +140,7 @@ fn undecidable_questions_run_nothing() {
         ("at_least = 1.0", "can't be met at any number of episodes"),
         ("at_least = 0.999", "can't be met within the budget"),
         ("at_least = 0.5\ngroup = \"heavy\"", "nominal/easy, edge_cases/hopeless"),
-        ("at_most_times_baseline = 1.2", "robogate baseline RUN -o FILE"),
+        ("at_most_times_baseline = 1.2", "robogate gate --run RUN --write-baseline FILE"),
     ] {
         let requirements = folder.write("gate.toml", &gate(limit));
         let out = folder.path("out");

@@ -78,14 +78,19 @@ fn command_reference_is_up_to_date() {
     check("docs/command.md", &page);
 }
 
-/// The verbs that a help text lists.
+/// The verbs that a help text lists: under `Commands:`, or under their purposes.
 fn verbs(help: &str) -> Vec<String> {
-    help.lines()
-        .skip_while(|line| !line.starts_with("Commands:"))
-        .skip(1)
-        .take_while(|line| !line.is_empty())
-        .filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next().filter(|_| !line.starts_with("   ")))
-        .filter(|verb| *verb != "help")
-        .map(str::to_owned)
-        .collect()
+    let in_help = |line: &str| line.starts_with("  ") && !line.starts_with("   ");
+    let is_heading = |line: &str| !line.is_empty() && !line.starts_with(' ');
+    let mut listing = false;
+    let mut verbs = Vec::new();
+    for line in help.lines().take_while(|line| !line.starts_with("Options:") && !line.starts_with("Arguments:")) {
+        if is_heading(line) {
+            // A purpose has no full stop and is no usage line.
+            listing = line == "Commands:" || !line.contains(['.', ':', '`']);
+        } else if listing && in_help(line) {
+            verbs.extend(line.split_whitespace().next().filter(|verb| *verb != "help").map(str::to_owned));
+        }
+    }
+    verbs
 }

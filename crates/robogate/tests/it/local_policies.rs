@@ -184,7 +184,7 @@ fn outside_ranges_reach_the_evidence() {
 fn wrong_policies_are_explained() {
     let dir = folder_with_network();
     let bad: [(&[&str], &[&str]); 8] = [
-        (&["--policy", "small.onnx"], &["--profile is missing", "robogate policy profiles"]),
+        (&["--policy", "small.onnx"], &["--profile is missing", "robogate list profiles"]),
         (&["--policy", "octo"], &["octo: not a policy", "an ONNX file, `random` or `scripted`"]),
         (&["--policy", "missing.onnx"], &["missing.onnx: no such file"]),
         (&["--policy", "scripted", "--profile", "learned"], &["--profile cannot be used with --policy scripted"]),

@@ -9,6 +9,7 @@ mod browser;
 #[cfg(feature = "mujoco")]
 mod command;
 mod compliance;
+mod contributing;
 mod controls;
 #[cfg(target_os = "linux")]
 mod crash;

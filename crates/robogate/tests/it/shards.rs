@@ -66,9 +66,9 @@ fn merged_shards_equal_single_run() {
     verb("run --shard 0/3", 2, &["--out"]);
     verb("resume run", 2, &["in shards", "robogate plan run --next"]);
 
-    let status = verb("status run", 0, &["20 of 90 episodes", "uniform", "1 of 3 shards", "missing: 0-1"]);
+    let status = verb("plan run", 0, &["20 of 90 episodes", "uniform", "1 of 3 shards", "missing: 0-1"]);
     assert!(status.contains("1 more round after that"), "{status}");
-    let status: Value = serde_json::from_str(&verb("status run --json", 0, &[])).unwrap();
+    let status: Value = serde_json::from_str(&verb("plan run --json", 0, &[])).unwrap();
     assert_eq!((status["done"].as_u64(), status["complete"].as_bool()), (Some(20), Some(false)));
     let next: Value = serde_json::from_str(&verb("plan run --next --json", 0, &[])).unwrap();
     assert_eq!((next["round"].as_str(), next["items"].as_array().unwrap().len()), (Some("uniform"), 2));
@@ -79,7 +79,7 @@ fn merged_shards_equal_single_run() {
     assert_eq!(run_all_shards(at, "run"), 5);
     verb("plan run --next", 0, &["next: robogate merge run"]);
     verb("run --shard 0/3 --out run", 0, &["all rounds are complete"]);
-    verb("status run", 0, &["90 of 90 episodes", "boundary"]);
+    verb("plan run", 0, &["90 of 90 episodes", "boundary"]);
     verb("merge run --out elsewhere", 0, &["success"]);
     verb("merge run", 0, &["success", "dataset"]);
     let expected = files(&one.path().join("run"));
@@ -102,7 +102,7 @@ fn merged_shards_equal_single_run() {
     bytes[1000] ^= 1;
     fs::write(&shard, bytes).unwrap();
     verb("merge run --out again", 5, &["uniform-1-of-3.rgs is damaged", "run this shard again"]);
-    verb("status run", 5, &["uniform-1-of-3.rgs is damaged"]);
+    verb("plan run", 5, &["uniform-1-of-3.rgs is damaged"]);
 }
 
 #[test]
@@ -163,7 +163,7 @@ fn gate_in_shards_equals_single_gate() {
     verb(many, &format!("{gate} --divide 3 --requirements paper"), 2, &["baseline"]);
     let commands = run_all_shards(many, "run");
     assert!(commands < 27 && commands.is_multiple_of(3), "{commands} shards ran");
-    verb(many, "status run", 0, &["next: robogate merge run"]);
+    verb(many, "plan run", 0, &["next: robogate merge run"]);
     assert_eq!(verb(many, "merge run", 1, &["FAIL"]), verdict);
     assert!(files(&many.join("run")) == files(&one.join("run")));
     // A gate whose question is missing or another one must not become a run without a verdict.
@@ -253,7 +253,7 @@ fn sweep_ranks_policies_on_any_executor() {
 
     verb(shards, "matrix sweep.toml --divide 2 --out run", 0, &["robogate plan run --next"]);
     verb(shards, "merge run", 5, &["no run of swing-ups is finished"]);
-    verb(shards, "status run", 0, &["0 of 120 episodes", "uniform 0 of 2 shards"]);
+    verb(shards, "plan run", 0, &["0 of 120 episodes", "uniform 0 of 2 shards"]);
     assert_eq!(run_all_shards(shards, "run"), 4);
     verb(shards, "merge run", 0, &["random actions"]);
     let [one, other] = [threads, shards].map(|dir| files(&dir.join("run")));
@@ -315,7 +315,7 @@ fn active_shards_equal_single_run() {
     let at = many.path();
     verb(at, &format!("{run} --divide 2"), 0, &["120 episodes in 2 shards"]);
     assert!(run_all_shards(at, "run") >= 6);
-    verb(at, "status run", 0, &["120 of 120 episodes", "active-0"]);
+    verb(at, "plan run", 0, &["120 of 120 episodes", "active-0"]);
     verb(at, "merge run", 0, &["Risk model"]);
     assert!(files(&at.join("run")) == files(&one.path().join("run")));
     // A worker that is killed after it commits the last shard chooses nothing. The merge does it then.

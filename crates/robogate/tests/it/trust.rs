@@ -169,7 +169,7 @@ fn recorded_programs_never_start() {
             (format!("view {run} --export {out}-view.html"), 0, refused),
             (format!("replay {run} 3"), 2, refused),
             (format!("resume {run}"), 2, refused),
-            (format!("snapshot --run {run} --index 3"), 2, refused),
+            (format!("replay {run} 3 --at 0"), 2, refused),
             (format!("analyze {run}"), 0, ""),
             (format!("audit {run}/dictionary.parquet"), 0, ""),
             (format!("export {run} {out}.csv"), 0, ""),
@@ -183,7 +183,7 @@ fn recorded_programs_never_start() {
             (format!("monitor reference {run} --out {out}-reference.json"), 0, ""),
             (format!("plan {parts} --next"), 0, "--shard"),
             (format!("run --shard 0/2 --out {parts}"), 2, refused),
-            (format!("status {parts}"), 0, ""),
+            (format!("plan {parts}"), 0, ""),
         ];
         for (line, code, part) in lines {
             let output = bench.command(&line);

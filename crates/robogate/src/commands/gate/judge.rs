@@ -8,9 +8,9 @@ use robogate_analysis::Source;
 use robogate_gate::{Asked, Evaluation, Question, RealEvidence, Record, Requirements, Sampling};
 use robogate_stats::format::counted;
 
-use super::Gate;
 use super::question::{Other, compared_with, judged, open_requirements, real_evidence_for, refused};
 use super::verdict::{show, write_answer};
+use super::{Gate, baseline};
 use crate::exit::{Exit, OrExit};
 use crate::source::open_source;
 use crate::terminal::note;
@@ -21,6 +21,9 @@ impl Gate {
     /// Judges a finished run.
     pub(super) fn judge(&self, run: &Path) -> Result<u8, Exit> {
         let source = open_source(run)?;
+        if let Some(file) = &self.write_baseline {
+            baseline::write(&source, file)?;
+        }
         let mut record = Record::of(source.dictionary()).map_err(refused)?;
         let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
         // A run that was tested after each round stays a sequential test, also if it is judged again.

@@ -3,6 +3,7 @@
 //! `start` prepares a gate and runs its suite, `rounds` asks the question after each round, `judge` asks it about a finished run, and
 //! `verdict` writes and prints the answer.
 
+mod baseline;
 mod judge;
 mod question;
 mod rounds;
@@ -53,6 +54,9 @@ pub(crate) struct Gate {
     /// replace that one
     #[arg(long, value_name = "FILE|RUN")]
     baseline: Option<PathBuf>,
+    /// Also write the figures of the run to this file, as a baseline for other runs of the same scenarios
+    #[arg(long, value_name = "FILE", requires = "run")]
+    write_baseline: Option<PathBuf>,
     /// Judge requirements on `real:success` with these trials of the real robot: the file of `robogate transfer --out`;
     /// default: that of the run's gate
     #[arg(long, value_name = "FILE")]
