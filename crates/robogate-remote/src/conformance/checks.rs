@@ -144,7 +144,7 @@ impl<'a> Checker<'a> {
         numbers: Vec<f64>,
     ) -> Result<IgnoredAny, RequestError> {
         self.connection
-            .request("step", StepRequest { tick, action_space, actions: vec![numbers], ahead: 0, packed: false })
+            .request("step", StepRequest { tick, action_space, actions: vec![numbers], ahead: 0, object: None, packed: false })
     }
 
     /// Check that the episode continues after a request that was rejected.

@@ -1,7 +1,7 @@
 //! The judge: resolves scenarios, adds encoder errors, converts actions to joint commands and reports the outcome.
 //!
 //! The same judge serves an engine in this process ([`super::ArmEnvironment`]) and in another one
-//! ([`crate::pick_place::remote`]), with the same random draws, read-back and referee.
+//! ([`super::remote`]), with the same random draws, read-back and referee.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use robogate_core::{
     Scenario, Start, Step, TaskSpec,
 };
 use robogate_physics::{
-    ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Steering, StepView, Touches, Wrench, pose,
+    ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Steering, StepView, Touches, pose,
 };
 
 use super::rules::{Bodies, Found, Resolved, Rules, Sight, Trial};
@@ -251,7 +251,7 @@ impl Bodies for Box<dyn Engine> {
         self.free_body_velocity(body)
     }
 
-    fn support(&self) -> Wrench {
-        Engine::support(&**self)
+    fn support(&self) -> Vector3<f64> {
+        Engine::support(&**self).force
     }
 }

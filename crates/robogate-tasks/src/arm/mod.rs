@@ -14,6 +14,7 @@ mod grip;
 mod interface;
 mod judge;
 mod layout;
+pub mod remote;
 mod rules;
 mod script;
 mod settings;

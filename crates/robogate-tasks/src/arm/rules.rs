@@ -7,7 +7,7 @@ use robogate_core::{
     Assignment, CameraSpec, FailureMode, Fault, Foresight, Infeasibility, Measures, ParameterSpace, Policy, Scenario,
     Suite, TaskInstance, TaskSpec,
 };
-use robogate_physics::{Chain, Collision, Gripper, GripperCommand, Readback, Robot, Scene, StepView, Visual, Wrench};
+use robogate_physics::{Chain, Collision, Gripper, GripperCommand, Readback, Robot, Scene, StepView, Visual};
 
 use super::OnArm;
 
@@ -73,12 +73,6 @@ pub(crate) trait Rules: OnArm + Send + Sync {
         None
     }
 
-    /// The reason why engines that only compute physics cannot run the task.
-    ///
-    /// # Errors
-    /// The reason.
-    fn physics_only(&self) -> Result<(), &'static str>;
-
     /// The settings of the published paper, if the task is in it, for this gripper.
     fn published(&self, _gripper: &Gripper) -> Assignment {
         Assignment::default()
@@ -110,7 +104,7 @@ pub(crate) struct Found<'a> {
     pub(crate) visual: &'a Visual,
     /// Threshold of the suction cup, in metres; `None` without a cup.
     pub(crate) grip_threshold_m: Option<f64>,
-    /// Grip force as a multiple of the robot's setting; `None` if the engine is in another process.
+    /// Grip force as a multiple of that of the settings.
     pub(crate) grip_force_scale: Option<f64>,
 }
 
@@ -158,8 +152,8 @@ pub(crate) trait Bodies {
     /// Linear (m/s) and angular (rad/s) velocity of a free body.
     fn velocity(&self, body: usize) -> (Vector3<f64>, Vector3<f64>);
 
-    /// Force and torque of the fixtures on the selected body.
-    fn support(&self) -> Wrench;
+    /// Force of the fixtures and the other free bodies on the selected body, in newtons, along the axes of the base frame.
+    fn support(&self) -> Vector3<f64>;
 }
 
 /// The state that a referee gets after one time step.

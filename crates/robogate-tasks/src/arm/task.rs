@@ -7,6 +7,7 @@ use robogate_core::{
 };
 use robogate_physics::{Chain, Engine, Gripper, Robot};
 
+use super::remote::RemoteArm;
 use super::rules::Rules;
 use super::settings::has_effect;
 use super::{ArmEnvironment, HasSettings, Rig};
@@ -50,12 +51,6 @@ pub trait ArmTask: Send + Sync {
     /// The controller that moves the tool in small steps. `None` if the task has none.
     fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>>;
 
-    /// The reason why engines that only compute physics cannot run the task.
-    ///
-    /// # Errors
-    /// The reason.
-    fn physics_only(&self) -> Result<(), &'static str>;
-
     /// The settings, with the values of this task.
     fn settings(&self) -> Vec<SettingSpec>;
 
@@ -87,6 +82,19 @@ pub trait ArmTask: Send + Sync {
     /// # Errors
     /// As [`Self::environment`].
     fn on(&self, engine: Box<dyn Engine>, rig: Rig) -> Result<ArmEnvironment, String>;
+
+    /// The task on an engine in another process, for this robot with these kinematics and the file hash `sha256`, with
+    /// images of this width and height in pixels.
+    ///
+    /// # Errors
+    /// If the gripper cannot apply the grip force.
+    fn remote(
+        &self,
+        robot: Robot,
+        chain: Chain,
+        sha256: Option<String>,
+        picture_px: [usize; 2],
+    ) -> Result<RemoteArm, String>;
 
     /// The scripted controller for a robot with these kinematics.
     fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy>;
@@ -133,10 +141,6 @@ impl<R: Rules + HasSettings + 'static> ArmTask for R {
         Rules::tool_expert(self, robot)
     }
 
-    fn physics_only(&self) -> Result<(), &'static str> {
-        Rules::physics_only(self)
-    }
-
     fn settings(&self) -> Vec<SettingSpec> {
         setting_specs(&R::rows(), self)
     }
@@ -151,6 +155,16 @@ impl<R: Rules + HasSettings + 'static> ArmTask for R {
 
     fn on(&self, engine: Box<dyn Engine>, rig: Rig) -> Result<ArmEnvironment, String> {
         ArmEnvironment::new(self, engine, rig)
+    }
+
+    fn remote(
+        &self,
+        robot: Robot,
+        chain: Chain,
+        sha256: Option<String>,
+        picture_px: [usize; 2],
+    ) -> Result<RemoteArm, String> {
+        RemoteArm::new(self, (robot, chain), sha256, picture_px)
     }
 
     fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {

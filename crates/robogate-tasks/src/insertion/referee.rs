@@ -208,7 +208,7 @@ impl Referee {
         // On its way up from the table, the peg still touches it.
         let near = (sight.view.object.translation.vector - self.mouth.translation.vector).xy().norm();
         if sight.view.touches.object_on_fixture && near < 2.0 * self.settings.width_m {
-            let force = self.mouth.inverse_transform_vector(&sight.bodies.support().force);
+            let force = self.mouth.inverse_transform_vector(&sight.bodies.support());
             press = if held { force.z } else { (force.z - GRAVITY * self.settings.mass_kg).max(0.0) };
             self.press_n = Some(self.press_n.unwrap_or(0.0).max(force.z));
             self.lateral_n = Some(self.lateral_n.unwrap_or(0.0).max(force.xy().norm()));

@@ -53,12 +53,6 @@ impl Rules for Insertion {
         Ok([x, y, z + SHAFT_M + 0.5 * HEAD_HEIGHT_M, HEAD_M])
     }
 
-    fn physics_only(&self) -> Result<(), &'static str> {
-        Err(
-            "the protocol carries neither the stiffness of the servos nor the forces on the peg, and insertion needs both",
-        )
-    }
-
     fn scripted(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
         Box::new(Scripted::new(robot, chain))
     }

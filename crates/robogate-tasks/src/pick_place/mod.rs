@@ -1,6 +1,6 @@
 //! Pick and place: pick up an object from the table and place it at a target.
 //!
-//! [`PickPlace`] is the task with its settings. [`Scripted`] is the controller of the paper's baseline. [`remote`] runs the task on an engine in another process.
+//! [`PickPlace`] is the task with its settings. [`Scripted`] is the controller of the paper's baseline.
 
 mod cell;
 pub mod claims;
@@ -14,7 +14,6 @@ mod occluder;
 mod parameters;
 mod placement;
 mod referee;
-pub mod remote;
 mod scene;
 mod scripted;
 mod settings;

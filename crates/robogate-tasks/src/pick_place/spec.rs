@@ -8,7 +8,6 @@ use serde::{Deserialize, Serialize};
 
 use super::{ModeSet, PickPlace, foresight, parameters};
 pub use crate::arm::TOOL_DELTA;
-pub(crate) use crate::arm::observation;
 use crate::arm::{base_spec, briefing, common_measures, instance, measure, mode};
 
 /// The gripper closed without the object.

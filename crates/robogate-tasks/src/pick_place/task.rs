@@ -87,10 +87,6 @@ impl arm::Rules for PickPlace {
         Some(Box::new(ToolExpert::new(robot)))
     }
 
-    fn physics_only(&self) -> Result<(), &'static str> {
-        Ok(())
-    }
-
     fn published(&self, gripper: &Gripper) -> Assignment {
         let word = |name: &str, word: &str| (name.into(), Value::Category(word.into()));
         let cup = gripper.cup().map(|_| word("suction", SuctionLaw::Surface.as_str()));

@@ -54,10 +54,6 @@ impl Rules for Stacking {
         Ok([x, y, z, briefing.size_m])
     }
 
-    fn physics_only(&self) -> Result<(), &'static str> {
-        Err("the protocol carries one free part, and stacking has three")
-    }
-
     fn scripted(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
         Box::new(Scripted::new(robot, chain))
     }

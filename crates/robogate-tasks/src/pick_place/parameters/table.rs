@@ -60,11 +60,6 @@ impl ActsOn {
             Self::Cameras => "lamp, surfaces and poses of the cameras",
         }
     }
-
-    /// Whether the component is in this process even if the engine is in another one.
-    pub fn is_local(self) -> bool {
-        matches!(self, Self::Encoders | Self::Policy | Self::Cameras)
-    }
 }
 
 type Read<T> = fn(&ReadbackContext<'_>) -> T;
