@@ -141,8 +141,11 @@ impl RemoteTask for Reach {
 
     fn command(&mut self, action: &Action) -> Result<(Vec<f64>, Option<usize>), Fault> {
         match &action.command {
-            // A gripper that closes acts on another object.
-            Command::JointPosition(joints) => Ok((joints.clone(), (action.gripper > Some(0.0)).then_some(1))),
+            Command::JointPosition(joints) => {
+                // A gripper that closes at home acts on another object.
+                let chooses = action.gripper > Some(0.0) && joints.iter().all(|q| q.abs() < 1e-9);
+                Ok((joints.clone(), chooses.then_some(1)))
+            }
             _ => Err(Fault::new(FaultKind::BadAction, "expected joint positions")),
         }
     }
@@ -189,7 +192,7 @@ fn tasks_score_reported_physics() {
     }
 }
 
-/// The first closed gripper chooses object 1, whose number is part of the samples.
+/// A gripper that closes at home chooses object 1, whose number is part of the samples.
 #[test]
 fn tasks_choose_the_object() {
     let server = Running::start_host(ToyPhysics::new, unchanged);
