@@ -14,9 +14,8 @@ use robogate_physics::{
 };
 use robogate_remote::message::{self, Hello};
 use robogate_remote::{Pool, RemotePhysics};
-use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
-use robogate_tasks::remote;
-use robogate_tasks::{ArmTask, Rig};
+use robogate_tasks::claims::{Bench, Setup, Workbench};
+use robogate_tasks::{ArmTask, Rig, remote};
 use serde::{Deserialize, Serialize};
 
 use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
@@ -364,5 +363,12 @@ impl Workbench for Cell {
         }
         let bench = || anyhow::Ok((self.make(setup)?, self.task.controller(setup.robot.clone(), self.chain(setup)?)));
         bench().map_err(|e| format!("{e:#}"))
+    }
+
+    fn engine(&self) -> Result<Box<dyn Engine>, String> {
+        if self.pool.is_some() {
+            return Err("this claim needs an engine in this process: leave out --simulator".to_owned());
+        }
+        Cell::engine(self, &self.setup()).map_err(|e| format!("{e:#}"))
     }
 }

@@ -15,7 +15,7 @@ mod settings;
 mod spaces;
 pub mod stacking;
 
-pub use arm::remote;
+pub use arm::{claims, remote};
 pub use arm::{ArmEnvironment, ArmSettings, ArmTask, Rig};
 pub use random::Random;
 pub use self_contained::SelfContained;

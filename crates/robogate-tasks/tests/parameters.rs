@@ -11,7 +11,7 @@ use robogate_core::{
 use robogate_physics::{
     Chain, Engine, EngineBuild, FixtureKind, JointTargets, Primitive, Readback, Robot, Scene, Touches, Wrench,
 };
-use robogate_tasks::pick_place::claims::Workbench;
+use robogate_tasks::claims::Workbench;
 use robogate_tasks::pick_place::{ActsOn, ParameterRow, PickPlace, parameters};
 use robogate_tasks::{ArmTask, Rig};
 

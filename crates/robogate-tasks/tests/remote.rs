@@ -252,5 +252,4 @@ fn impossible_cells_are_rejected() {
     mixed.robot.joints = cup.task.robot().settings.arm.joints.clone();
     let fault = cup.host.reset(&mixed).unwrap_err();
     assert!(fault.detail.contains("the gripper of this server is a suction cup"), "{fault}");
-    assert!(cup.reset(scenario).is_err(), "a cup has no pads");
 }

@@ -11,7 +11,7 @@ use robogate_core::{
     Spread, Suite, TaskInstance, TaskSpec, Value, rollout,
 };
 use robogate_physics::{TableMaterial, built_in_robot};
-use robogate_tasks::pick_place::claims::{Bench, Workbench};
+use robogate_tasks::claims::{Bench, Workbench};
 use robogate_tasks::pick_place::{Placement, check_suite};
 
 /// The default seed of a campaign.

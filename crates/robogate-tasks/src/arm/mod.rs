@@ -4,6 +4,7 @@
 //! A task adds its scene, its rules for an outcome, its parameters and its plan. Its rules make it an [`ArmTask`].
 
 mod cameras;
+pub mod claims;
 mod environment;
 mod feasibility;
 mod film;

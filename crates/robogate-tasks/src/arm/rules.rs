@@ -10,6 +10,7 @@ use robogate_core::{
 use robogate_physics::{Chain, Collision, Gripper, GripperCommand, Readback, Robot, Scene, StepView, Visual};
 
 use super::OnArm;
+use super::claims::Claim;
 
 /// The rules of a task. With [`super::HasSettings`] they make it an [`super::ArmTask`].
 pub(crate) trait Rules: OnArm + Send + Sync {
@@ -72,6 +73,9 @@ pub(crate) trait Rules: OnArm + Send + Sync {
     fn tool_expert(&self, _robot: Robot) -> Option<Box<dyn Policy>> {
         None
     }
+
+    /// The claims about the physics with this gripper, beside those of every task.
+    fn claims(&self, gripper: &Gripper) -> Vec<Claim>;
 
     /// The settings of the published paper, if the task is in it, for this gripper.
     fn published(&self, _gripper: &Gripper) -> Assignment {

@@ -7,6 +7,7 @@ use robogate_core::{
 };
 use robogate_physics::{Chain, Engine, Gripper, Robot};
 
+use super::claims::{self, Claim};
 use super::remote::RemoteArm;
 use super::rules::Rules;
 use super::settings::has_effect;
@@ -50,6 +51,9 @@ pub trait ArmTask: Send + Sync {
 
     /// The controller that moves the tool in small steps. `None` if the task has none.
     fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>>;
+
+    /// The claims about the physics with this gripper.
+    fn claims(&self, gripper: &Gripper) -> Vec<Claim>;
 
     /// The settings, with the values of this task.
     fn settings(&self) -> Vec<SettingSpec>;
@@ -139,6 +143,11 @@ impl<R: Rules + HasSettings + 'static> ArmTask for R {
 
     fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>> {
         Rules::tool_expert(self, robot)
+    }
+
+    fn claims(&self, gripper: &Gripper) -> Vec<Claim> {
+        let own = Rules::claims(self, gripper);
+        own.into_iter().chain(claims::COMMON).collect()
     }
 
     fn settings(&self) -> Vec<SettingSpec> {

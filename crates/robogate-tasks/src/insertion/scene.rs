@@ -8,6 +8,7 @@ use robogate_core::{
 };
 use robogate_physics::{Chain, Fixture, GRAVITY, Gripper, Robot, Scene};
 
+use super::claims::CLAIMS;
 use super::controller::Scripted;
 use super::foresight::InsertionForesight;
 use super::parameters::{ROWS, Settings};
@@ -15,6 +16,7 @@ use super::parts::{self, DEPTH_M, HEAD_HEIGHT_M, HEAD_M, SHAFT_M};
 use super::referee::Referee;
 use super::spec::{self, Briefing};
 use super::{Insertion, NAME};
+use crate::arm::claims::Claim;
 use crate::arm::{
     GRIP_THRESHOLD_M, Load, Resolved, Rules, cannot_carry, decode, disc_point, encoder_bias, instance, out_of_reach,
     within_reach,
@@ -51,6 +53,10 @@ impl Rules for Insertion {
     fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault> {
         let [x, y, z] = Briefing::of(instance)?.peg.position;
         Ok([x, y, z + SHAFT_M + 0.5 * HEAD_HEIGHT_M, HEAD_M])
+    }
+
+    fn claims(&self, _: &Gripper) -> Vec<Claim> {
+        CLAIMS.to_vec()
     }
 
     fn scripted(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
@@ -145,7 +151,7 @@ impl Settings {
     }
 
     /// The scene.
-    fn scene(&self) -> Scene {
+    pub(super) fn scene(&self) -> Scene {
         let mut fixtures = vec![Fixture::table()];
         fixtures.extend(parts::block(&self.mouth(), self.width_m + self.clearance_m, self.chamfer_m));
         Scene {

@@ -3,7 +3,7 @@
 //! [`PickPlace`] is the task with its settings. [`Scripted`] is the controller of the paper's baseline.
 
 mod cell;
-pub mod claims;
+mod claims;
 mod disturbance;
 mod feasibility;
 mod foresight;

@@ -93,6 +93,10 @@ impl arm::Rules for PickPlace {
         [word("failure_modes", "paper"), word("workspace", "paper")].into_iter().chain(cup).collect()
     }
 
+    fn claims(&self, gripper: &Gripper) -> Vec<arm::claims::Claim> {
+        super::claims::claims(gripper)
+    }
+
     fn scripted(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
         Box::new(Scripted::new(robot, chain))
     }

@@ -10,12 +10,14 @@ use robogate_physics::{
     Chain, Color, Fixture, FreeBody, GRAVITY, Gripper, MassProperties, Object, Part, Primitive, Robot, Scene, Visual,
 };
 
+use super::claims::CLAIMS;
 use super::controller::Scripted;
 use super::foresight::StackingForesight;
 use super::parameters::{PARTS, ROWS, Settings};
 use super::referee::Referee;
 use super::spec::{self, Briefing};
 use super::{NAME, Stacking};
+use crate::arm::claims::Claim;
 use crate::arm::{
     GRIP_THRESHOLD_M, Load, Resolved, Rules, cannot_carry, decode, disc_point, encoder_bias, out_of_reach, within_reach,
 };
@@ -52,6 +54,10 @@ impl Rules for Stacking {
         let briefing = Briefing::of(instance)?;
         let [x, y, z] = briefing.parts[briefing.order[1]].position;
         Ok([x, y, z, briefing.size_m])
+    }
+
+    fn claims(&self, _: &Gripper) -> Vec<Claim> {
+        CLAIMS.to_vec()
     }
 
     fn scripted(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
