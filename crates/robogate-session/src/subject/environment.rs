@@ -162,12 +162,7 @@ impl EnvironmentSource {
         Ok(match self {
             Self::Cell(cell) => {
                 let policy: Box<dyn Policy> = match arm {
-                    Arm::ToolDelta | Arm::OscPose | Arm::ToolPose => {
-                        match cell.task().tool_expert(cell.robot().clone()) {
-                            Some(expert) => expert,
-                            None => return Ok(None),
-                        }
-                    }
+                    Arm::ToolDelta | Arm::OscPose | Arm::ToolPose => cell.task().tool_expert(cell.robot().clone()),
                     Arm::JointPositions | Arm::JointDeltas => cell.controller()?,
                     Arm::Vector => return Ok(None),
                 };

@@ -21,6 +21,7 @@ mod script;
 mod settings;
 mod table;
 mod task;
+mod tool_expert;
 mod words;
 
 pub(crate) use cameras::{camera_specs, posture, render};
@@ -44,4 +45,5 @@ pub(crate) use settings::{HasSettings, OnArm, rows};
 pub(crate) use table::{Access, Acting, InSurroundings, Row, Surroundings, applied, decode, scale, specs};
 pub use task::ArmTask;
 pub(crate) use task::drives_task;
+pub(crate) use tool_expert::{FINELY, FREELY, ToolExpert, Way};
 pub(crate) use words::{base_spec, briefing, common_measures, instance, measure, mode, not_a_briefing};

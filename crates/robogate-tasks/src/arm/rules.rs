@@ -69,10 +69,8 @@ pub(crate) trait Rules: OnArm + Send + Sync {
     /// A setup fault if the details are not those of this task.
     fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault>;
 
-    /// The controller that moves the tool in small steps. `None` if the task has none.
-    fn tool_expert(&self, _robot: Robot) -> Option<Box<dyn Policy>> {
-        None
-    }
+    /// The controller that moves the tool in small steps.
+    fn tool_expert(&self, robot: Robot) -> Box<dyn Policy>;
 
     /// The claims about the physics with this gripper, beside those of every task.
     fn claims(&self, gripper: &Gripper) -> Vec<Claim>;

@@ -49,8 +49,8 @@ pub trait ArmTask: Send + Sync {
     /// A setup fault if the details are not those of this task.
     fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault>;
 
-    /// The controller that moves the tool in small steps. `None` if the task has none.
-    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>>;
+    /// The controller that moves the tool in small steps.
+    fn tool_expert(&self, robot: Robot) -> Box<dyn Policy>;
 
     /// The claims about the physics with this gripper.
     fn claims(&self, gripper: &Gripper) -> Vec<Claim>;
@@ -141,7 +141,7 @@ impl<R: Rules + HasSettings + 'static> ArmTask for R {
         Rules::first_part(self, instance)
     }
 
-    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>> {
+    fn tool_expert(&self, robot: Robot) -> Box<dyn Policy> {
         Rules::tool_expert(self, robot)
     }
 

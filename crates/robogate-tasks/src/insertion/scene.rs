@@ -9,7 +9,7 @@ use robogate_core::{
 use robogate_physics::{Chain, Fixture, GRAVITY, Gripper, Robot, Scene};
 
 use super::claims::CLAIMS;
-use super::controller::Scripted;
+use super::controller::{self, Scripted};
 use super::foresight::InsertionForesight;
 use super::parameters::{ROWS, Settings};
 use super::parts::{self, DEPTH_M, HEAD_HEIGHT_M, HEAD_M, SHAFT_M};
@@ -18,7 +18,7 @@ use super::spec::{self, Briefing};
 use super::{Insertion, NAME};
 use crate::arm::claims::Claim;
 use crate::arm::{
-    GRIP_THRESHOLD_M, Load, Resolved, Rules, cannot_carry, decode, disc_point, encoder_bias, instance, out_of_reach,
+    GRIP_THRESHOLD_M, Load, Resolved, Rules, ToolExpert, cannot_carry, decode, disc_point, encoder_bias, instance, out_of_reach,
     within_reach,
 };
 use crate::spaces::unit_space;
@@ -53,6 +53,10 @@ impl Rules for Insertion {
     fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault> {
         let [x, y, z] = Briefing::of(instance)?.peg.position;
         Ok([x, y, z + SHAFT_M + 0.5 * HEAD_HEIGHT_M, HEAD_M])
+    }
+
+    fn tool_expert(&self, robot: Robot) -> Box<dyn Policy> {
+        Box::new(ToolExpert::new(NAME, controller::way, robot))
     }
 
     fn claims(&self, _: &Gripper) -> Vec<Claim> {

@@ -20,7 +20,6 @@ mod settings;
 pub mod spec;
 mod suite;
 mod task;
-mod tool_expert;
 
 use robogate_physics::Gripper;
 
@@ -44,7 +43,6 @@ pub use scene::scene;
 pub use scripted::Scripted;
 pub use settings::{ModeSet, PickPlace, Workspace};
 pub use suite::{SuiteMisfit, check_suite};
-pub use tool_expert::ToolExpert;
 
 /// The name of the default parameter space for a robot with this gripper.
 fn default_space(gripper: &Gripper) -> &'static str {

@@ -12,8 +12,8 @@ use super::cell::ResolvedCell;
 use super::referee::Referee;
 use super::spec::{Briefing, spec};
 use super::{
-    NAME, PickPlace, PickPlaceForesight, SUMMARY, SceneParameters, Scripted, ToolExpert, check_suite, default_space,
-    feasibility,
+    NAME, PickPlace, PickPlaceForesight, SUMMARY, SceneParameters, Scripted, check_suite, default_space, feasibility,
+    scripted,
 };
 use crate::arm::{self, Resolved};
 use crate::spaces::unit_space;
@@ -83,8 +83,8 @@ impl arm::Rules for PickPlace {
         Ok([x, y, z, briefing.object_extent_m[0]])
     }
 
-    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>> {
-        Some(Box::new(ToolExpert::new(robot)))
+    fn tool_expert(&self, robot: Robot) -> Box<dyn Policy> {
+        Box::new(arm::ToolExpert::new(NAME, scripted::way, robot))
     }
 
     fn published(&self, gripper: &Gripper) -> Assignment {

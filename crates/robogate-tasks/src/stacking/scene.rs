@@ -11,7 +11,7 @@ use robogate_physics::{
 };
 
 use super::claims::CLAIMS;
-use super::controller::Scripted;
+use super::controller::{self, Scripted};
 use super::foresight::StackingForesight;
 use super::parameters::{PARTS, ROWS, Settings};
 use super::referee::Referee;
@@ -19,7 +19,7 @@ use super::spec::{self, Briefing};
 use super::{NAME, Stacking};
 use crate::arm::claims::Claim;
 use crate::arm::{
-    GRIP_THRESHOLD_M, Load, Resolved, Rules, cannot_carry, decode, disc_point, encoder_bias, out_of_reach, within_reach,
+    GRIP_THRESHOLD_M, Load, Resolved, Rules, ToolExpert, cannot_carry, decode, disc_point, encoder_bias, out_of_reach, within_reach,
 };
 use crate::spaces::unit_space;
 
@@ -54,6 +54,10 @@ impl Rules for Stacking {
         let briefing = Briefing::of(instance)?;
         let [x, y, z] = briefing.parts[briefing.order[1]].position;
         Ok([x, y, z, briefing.size_m])
+    }
+
+    fn tool_expert(&self, robot: Robot) -> Box<dyn Policy> {
+        Box::new(ToolExpert::new(NAME, controller::way, robot))
     }
 
     fn claims(&self, _: &Gripper) -> Vec<Claim> {

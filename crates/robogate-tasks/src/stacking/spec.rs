@@ -87,6 +87,12 @@ pub(super) struct Briefing {
 }
 
 impl Briefing {
+    /// Nominal position (x, y) of the part at a level of the stack, in metres.
+    pub(super) fn place(&self, level: usize) -> [f64; 2] {
+        let [x, y, _] = self.parts[self.order[0]].position;
+        [x + level as f64 * self.offset_m[0], y + level as f64 * self.offset_m[1]]
+    }
+
     /// The briefing as the details of an episode.
     pub(super) fn instance(&self) -> TaskInstance {
         let [first, second, third] = self.order.map(|part| ["a", "b", "c"][part]);
