@@ -179,14 +179,18 @@ impl Cell {
     /// Rejects a space with a parameter that the task or the gripper does not have.
     pub fn check_space(&self, space: &ParameterSpace) -> anyhow::Result<()> {
         let name = || format!("space {}", space.name());
-        self.task.check_space(space, &self.robot.settings.gripper).map_err(|why| anyhow!(why)).with_context(name)?;
+        self.task
+            .parameters()
+            .check_space(space, Some(&self.robot.settings.gripper))
+            .map_err(|why| anyhow!(why))
+            .with_context(name)?;
         check_declared(self.environment()?.task(), space).with_context(name)
     }
 
     /// Rejects a suite with a parameter that the task or the gripper does not have.
     pub fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
         let name = || format!("suite {}", suite.name());
-        match &*self.task.check_suite(suite, &self.robot.settings.gripper) {
+        match &*self.task.parameters().check_suite(suite, Some(&self.robot.settings.gripper)) {
             [] => check_declared(self.environment()?.task(), suite.space()).with_context(name),
             [misfit] => bail!("suite {}: {misfit}", suite.name()),
             misfits => {

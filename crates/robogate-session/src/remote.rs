@@ -225,11 +225,7 @@ impl Host for PhysicsHost {
         &self.hello
     }
 
-    fn reset(
-        &mut self,
-        _: &Scenario,
-        cell: Option<Cell>,
-    ) -> Result<ResetReply<RemoteReadback, RemoteSight>, Fault> {
+    fn reset(&mut self, _: &Scenario, cell: Option<Cell>) -> Result<ResetReply<RemoteReadback, RemoteSight>, Fault> {
         let cell = cell.ok_or_else(|| Fault::new(FaultKind::Setup, "no cell"))?;
         let (readback, sample, observation) = self.engine.reset(&cell)?;
         Ok(ResetReply {

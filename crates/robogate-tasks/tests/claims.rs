@@ -11,8 +11,9 @@ use common::EngineKind;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Assignment, FailureMode, Outcome, ParameterSpace, Scenario, Seed, Suite, Value, rollout};
 use robogate_physics::{FixtureKind, Gripper, JointTargets, Scene, built_in_robot};
+use robogate_tasks::ArmDeclaration;
 use robogate_tasks::claims::{Setup, Workbench};
-use robogate_tasks::pick_place::{self, Placement, SceneParameters, Shape, built_in_space};
+use robogate_tasks::pick_place::{self, PickPlace, Placement, SceneParameters, Shape, built_in_space};
 
 fn space(name: &str) -> Arc<ParameterSpace> {
     Arc::new(ParameterSpace::from_toml(built_in_space(name).unwrap()).unwrap())
@@ -25,7 +26,7 @@ fn scenario(parameters: &[(&str, Value)]) -> Scenario {
 
 fn scene(on: EngineKind, robot: &str, parameters: &[(&str, Value)]) -> Scene {
     let gripper = &on.robot(robot).robot.settings.gripper;
-    let parameters = SceneParameters::from_assignment(&scenario(parameters).requested, Some(gripper)).unwrap();
+    let parameters = SceneParameters::from_assignment(&scenario(parameters).requested, gripper).unwrap();
     let placement = Placement::from_name(&parameters.placement).unwrap();
     pick_place::scene(&parameters, &placement, &mut Seed::campaign(1).episode(0).stream("obstacles")).unwrap()
 }
@@ -449,7 +450,7 @@ of_every_engine! {
 #[test]
 fn parameter_of_other_gripper_is_rejected() {
     let gripper = |robot| built_in_robot(robot).unwrap().settings.gripper;
-    SceneParameters::check_space(&space("ur-wide"), Some(&gripper("ur5e"))).unwrap();
-    let error = SceneParameters::check_space(&space("ur"), Some(&gripper("franka"))).unwrap_err().to_string();
+    PickPlace::DEFAULT.parameters().check_space(&space("ur-wide"), Some(&gripper("ur5e"))).unwrap();
+    let error = PickPlace::DEFAULT.parameters().check_space(&space("ur"), Some(&gripper("franka"))).unwrap_err();
     assert!(error.contains("grip_threshold_m") && error.contains("parallel jaw"), "{error}");
 }

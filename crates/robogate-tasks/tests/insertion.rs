@@ -6,7 +6,7 @@ mod common;
 
 use common::{EngineKind, episodes, outcome, scenario};
 use robogate_core::{Assignment, Episode, ParameterSpace, Scenario, Seed, Value};
-use robogate_tasks::ArmTask;
+use robogate_tasks::ArmDeclaration;
 use robogate_tasks::insertion::Insertion;
 
 of_every_engine! {

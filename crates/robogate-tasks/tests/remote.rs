@@ -16,7 +16,7 @@ use robogate_tasks::remote::{
     Cell, PhysicsHost, RemoteArm, RemoteCollision, RemoteCommand, RemotePeriod, RemoteReadback, RemoteSight,
 };
 use robogate_tasks::stacking::Stacking;
-use robogate_tasks::{ArmTask, Rig, built_in_space};
+use robogate_tasks::{ArmDeclaration, ArmTask, Rig, built_in_space};
 
 /// A remote engine without a socket. `tamper` may change its reports.
 struct Remote {

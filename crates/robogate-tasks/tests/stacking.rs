@@ -6,7 +6,7 @@ mod common;
 
 use common::{EngineKind, episodes, outcome, scenario};
 use robogate_core::{Assignment, Domain, ParameterSpace, Scenario, Seed, Value};
-use robogate_tasks::ArmTask;
+use robogate_tasks::ArmDeclaration;
 use robogate_tasks::stacking::Stacking;
 
 of_every_engine! {

@@ -267,7 +267,8 @@ fn repeatable(ground: &Ground<'_>, episodes: usize) -> Result<ClaimResult, Strin
     let differs = |i: &usize| backward.run(*i as u64, values(&design, *i)) != first[*i];
     let differ = (0..design.len()).rev().filter(differs).count();
     let invalid = forward.tally.invalid;
-    let figure = format!("{differ} of {} episodes differ when run in reverse order, {invalid} are invalid", design.len());
+    let figure =
+        format!("{differ} of {} episodes differ when run in reverse order, {invalid} are invalid", design.len());
     let holds = invalid == 0 && differ == 0;
     Ok(ClaimResult::new("an episode has the same bits in any order on any simulator", holds, vec![figure]))
 }

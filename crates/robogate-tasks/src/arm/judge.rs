@@ -10,9 +10,7 @@ use robogate_core::{
     Action, Assignment, CameraSpec, Contact, Ending, FEASIBLE, Fault, FaultKind, Foresight, Infeasibility, Observation,
     Scenario, Start, Step, TaskSpec,
 };
-use robogate_physics::{
-    ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Steering, StepView, Touches, pose,
-};
+use robogate_physics::{ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Steering, StepView, Touches, pose};
 
 use super::rules::{Bodies, Found, Resolved, Rules, Sight, Trial};
 use super::settings::on_gripper;
@@ -67,6 +65,7 @@ impl Judge {
         let settings = settings.filter_map(|spec| on_gripper(spec, &robot.settings.gripper, grip_force_n));
         let task = TaskSpec {
             time_limit_s: rules.arm().time_limit_s,
+            parameters: rules.parameters().specs(&robot.settings.gripper),
             settings: settings.collect(),
             ..rules.spec(&robot, cameras)
         };

@@ -10,6 +10,7 @@ mod feasibility;
 mod film;
 mod foresight;
 #[cfg(all(test, feature = "mujoco"))]
+#[path = "../../tests/support/foresight.rs"]
 mod foresight_tests;
 mod grip;
 mod interface;
@@ -42,8 +43,8 @@ pub(crate) use rules::{Bodies, Found, Record, Resolved, Rules, Sight, Trial};
 pub(crate) use script::{FREE, Planner, Script, Stage, grasp_height, nearest, tool_down};
 pub use settings::ArmSettings;
 pub(crate) use settings::{HasSettings, OnArm, rows};
-pub(crate) use table::{Access, Acting, InSurroundings, Row, Surroundings, applied, decode, scale, specs};
-pub use task::ArmTask;
+pub(crate) use table::{Access, Acting, Around, AroundMut, Needs, Row, Surroundings, Table, Words, scale};
 pub(crate) use task::drives_task;
+pub use task::{ArmDeclaration, ArmTask, Parameters};
 pub(crate) use tool_expert::{FINELY, FREELY, ToolExpert, Way};
 pub(crate) use words::{base_spec, briefing, common_measures, instance, measure, mode, not_a_briefing};

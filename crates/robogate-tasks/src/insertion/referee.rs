@@ -17,11 +17,11 @@ use nalgebra::{Isometry3, Point3};
 use robogate_core::{Assignment, FailureMode, Measures};
 use robogate_physics::{GRAVITY, GripperCommand};
 
-use super::parameters::{ROWS, Settings};
+use super::parameters::{Settings, TABLE};
 use super::parts::DEPTH_M;
 use super::spec::{COLLISION, DEPTH, DROPPED, DURATION, JAM, LATERAL, MISSED, PRESS, WEDGE};
 use super::{Insertion, whitney};
-use crate::arm::{Acting, Found, Grip, GripChange, Record, Sight, Trial, applied, still, touching};
+use crate::arm::{Acting, Found, Grip, GripChange, Record, Sight, Trial, still, touching};
 
 /// The tip must be at its seat for this long, in seconds.
 const SEAT_S: f64 = 0.1;
@@ -143,7 +143,7 @@ impl Referee {
 
 impl Trial for Referee {
     fn applied(&self, requested: &Assignment, found: &Found<'_>, bias: &[f64]) -> Assignment {
-        applied(&ROWS, requested, &Acting { settings: &self.settings, found, bias })
+        TABLE.applied(requested, &Acting { settings: &self.settings, found, bias })
     }
 
     fn at_rest(&self) -> bool {

@@ -87,8 +87,7 @@ fn opening(ground: &Ground<'_>, episodes: usize) -> Result<ClaimResult, String> 
         let mut stream = stream("claims/opening", i as u64);
         // Shapes whose width across the fingers equals their size. The lump is narrower.
         let shape = [Shape::Box, Shape::Cylinder, Shape::Sphere, Shape::L][i % 4];
-        let ranges =
-            [("friction", [0.3, 1.2]), ("mass_kg", [0.05, 0.5]), ("size_m", [1.0001 * widest, 1.5 * widest])];
+        let ranges = [("friction", [0.3, 1.2]), ("mass_kg", [0.05, 0.5]), ("size_m", [1.0001 * widest, 1.5 * widest])];
         with(numbers(ranges.map(|(name, [low, high])| (name, stream.between(low, high)))), shape, placement(i))
     }))?;
     let claim = format!("an object wider than the opening of {:.0} mm is never picked", 1e3 * widest);

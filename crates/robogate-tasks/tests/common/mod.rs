@@ -5,13 +5,13 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use robogate_core::ParameterSpace;
 use robogate_core::{Assignment, Episode, Outcome, Scenario, Seed, Value, rollout};
 #[cfg(feature = "mujoco")]
 use robogate_physics::MujocoEngine;
 #[cfg(feature = "rapier")]
 use robogate_physics::RapierEngine;
 use robogate_physics::{Engine, Robot};
-use robogate_core::ParameterSpace;
 use robogate_tasks::claims::{Bench, Setup, Workbench};
 use robogate_tasks::pick_place::PickPlace;
 use robogate_tasks::{ArmTask, Rig, built_in_space};

@@ -103,7 +103,10 @@ fn gate(row: &Row) {
     row.verb(&format!("{gate} --out gate"), &["PASS"]);
     row.verb("evidence gate proof", &[]);
     row.verb("verify proof --rerun 1", &[]);
-    row.verb("fleet TASK --units 1 --rounds 1 --fixed --requirements requirements.toml --suite suite.toml --out fleet", &[]);
+    row.verb(
+        "fleet TASK --units 1 --rounds 1 --fixed --requirements requirements.toml --suite suite.toml --out fleet",
+        &[],
+    );
     let fleet = row.json("fleet/fleet-result.json").to_string();
     assert!(fleet.contains("unit_bias_1_rad") && fleet.contains("grip_force_scale"));
     // The expert and random actions act through the profile of a model that commands the tool.
@@ -173,7 +176,10 @@ impl Newton {
         let kernels = python.ancestors().nth(2).map_or_else(PathBuf::new, |venv| venv.join("kernels"));
         let mut child = Command::new(python)
             .args(["-m", "robogate_newton", "--port", "0"])
-            .env("PYTHONPATH", std::env::join_paths(["bridges/newton", "bridges/common"].map(|at| root.join(at))).unwrap())
+            .env(
+                "PYTHONPATH",
+                std::env::join_paths(["bridges/newton", "bridges/common"].map(|at| root.join(at))).unwrap(),
+            )
             .env("WARP_CACHE_PATH", kernels)
             .stdout(Stdio::piped())
             .spawn()
@@ -197,7 +203,8 @@ fn newton(row: &Row) {
     let wanted = "the Python of bridges/newton";
     let Some(python) = robogate_testing::path("ROBOGATE_NEWTON_PYTHON", wanted) else { return };
     let newton = Newton::start(&python);
-    let gate = format!("--simulator {} --requirements requirements.toml --suite suite.toml --out newton", newton.address);
+    let gate =
+        format!("--simulator {} --requirements requirements.toml --suite suite.toml --out newton", newton.address);
     row.verb(&format!("gate TASK {gate}"), &["PASS", "newton"]);
 }
 

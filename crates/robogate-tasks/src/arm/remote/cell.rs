@@ -249,13 +249,7 @@ pub(crate) struct Grasping {
 
 impl Cell {
     /// The cell of an episode with this scene, for this robot with the file hash `sha256`.
-    pub(super) fn new(
-        scene: &Scene,
-        robot: &Robot,
-        chain: &Chain,
-        grasping: Grasping,
-        sha256: Option<String>,
-    ) -> Self {
+    pub(super) fn new(scene: &Scene, robot: &Robot, chain: &Chain, grasping: Grasping, sha256: Option<String>) -> Self {
         let arm = &robot.settings.arm;
         let unit = scene.gripper;
         let scaled = |values: &[f64], scale: f64| values.iter().map(|value| value * scale).collect();

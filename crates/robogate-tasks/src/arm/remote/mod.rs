@@ -153,7 +153,7 @@ impl RemoteArm {
         let visual = show(&mut self.cameras, &resolved.scene);
         let (grip_threshold_m, grip_force_scale) = (held.grip_threshold_m, Some(held.grip_force_n / self.grip_force_n));
         let own = &self.judge.robot().settings.arm.stiffness_nm_rad;
-        let engine = held.read(own, resolved.scene.arm_stiffness);
+        let engine = held.read(own);
         let found = Found { engine: &engine, visual: &visual, grip_threshold_m, grip_force_scale };
         let start = self.judge.start(&scenario, resolved, &found, seen.touches(), arm_state(observation))?;
         self.see(seen, observation);

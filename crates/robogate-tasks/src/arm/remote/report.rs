@@ -9,7 +9,7 @@ use robogate_physics::{
 use serde::{Deserialize, Serialize};
 
 use super::CellMotion;
-use crate::arm::Bodies;
+use crate::arm::{Bodies, scale};
 
 /// The cell as read from the engine's state.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -200,7 +200,9 @@ impl RemoteSight {
         let (objects, fixtures) = (expected.objects, expected.fixtures);
         if self.objects.len() != objects || self.object >= objects {
             let (found, object) = (self.objects.len(), self.object);
-            return Err(wrong(format!("{found} objects, and that the gripper acts on object {object}; the cell has {objects}")));
+            return Err(wrong(format!(
+                "{found} objects, and that the gripper acts on object {object}; the cell has {objects}"
+            )));
         }
         let collision = match &self.collision {
             None => None,
@@ -305,18 +307,10 @@ fn place(pose: &Pose) -> Isometry3<f64> {
 }
 
 impl RemoteReadback {
-    /// What the engine has, for an arm whose own servos have this stiffness. `scale` is the requested multiple of it.
-    pub(super) fn read(self, own_nm_rad: &[f64], scale: f64) -> Readback {
-        // A ratio of two doubles has fewer digits than the request.
-        let same = |(read, own): (&f64, &f64)| (read / (own * scale) - 1.0).abs() < 1e-12;
-        let first = own_nm_rad.first().zip(self.stiffness_nm_rad.first()).map_or(f64::NAN, |(own, read)| read / own);
-        let agrees = |(read, own): (&f64, &f64)| (read / own / first - 1.0).abs() < 1e-6;
-        let pairs = || self.stiffness_nm_rad.iter().zip(own_nm_rad);
-        let arm_stiffness = match self.stiffness_nm_rad.len() == own_nm_rad.len() {
-            true if pairs().all(same) => scale,
-            true if pairs().all(agrees) => first,
-            _ => f64::NAN,
-        };
+    /// What the engine has, for an arm whose own servos have this stiffness.
+    pub(super) fn read(self, own_nm_rad: &[f64]) -> Readback {
+        // A multiple that is not the same for all joints is none.
+        let arm_stiffness = scale(own_nm_rad, &self.stiffness_nm_rad);
         let nothing = RemoteObject {
             mass_kg: f64::NAN,
             centre_of_mass: [f64::NAN; 3],
