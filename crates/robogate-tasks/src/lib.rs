@@ -15,7 +15,8 @@ mod settings;
 mod spaces;
 pub mod stacking;
 
-pub use arm::{ArmEnvironment, ArmSettings, ArmTask, Rig};
+pub use arm::{ArmDeclaration, ArmEnvironment, ArmSettings, ArmTask, Parameters, Rig};
+pub use arm::{claims, remote};
 pub use random::Random;
 pub use self_contained::SelfContained;
 pub use spaces::{built_in_space, built_in_spaces};

@@ -108,7 +108,7 @@ fn menagerie_robot_picks_and_places() {
 
 /// An image of the last link at home, from 35 cm beside it.
 fn wrist_from_the_side(robot: &Robot) -> Image {
-    let parameters = SceneParameters::default();
+    let parameters = SceneParameters::nominal();
     let placement = Placement::from_name(&parameters.placement).unwrap();
     let scene = scene(&parameters, &placement, &mut Seed::campaign(1).stream("obstacles")).unwrap();
     let mut cameras = Cameras::new(robot).unwrap();

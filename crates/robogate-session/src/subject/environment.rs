@@ -16,7 +16,7 @@ use crate::environments::Servers;
 use crate::failure::{Failure, OrFailure};
 use crate::latency::without_latency;
 use crate::policy_source::{DeclaredPolicy, PolicySource, without_profile};
-use crate::registry::{self, CELL_TASK};
+use crate::registry;
 use crate::remote::{self, Simulators};
 
 use super::built_in::BuiltIn;
@@ -50,15 +50,6 @@ pub(crate) struct Launched {
 }
 
 impl EnvironmentSource {
-    /// The declarations of all built-in tasks except the default one.
-    pub fn declared_tasks() -> Result<Vec<Arc<TaskSpec>>, Failure> {
-        let arms = registry::ARM_TASKS.iter().filter(|task| task.name() != CELL_TASK).map(|task| {
-            let cell = Cell::new(task.name(), default_place(FRANKA), Assignment::default(), None)?;
-            BuiltIn::task(&cell)
-        });
-        arms.chain(registry::TASKS.iter().map(|task| Ok(task.task()))).collect::<Result<_, _>>().or_setup()
-    }
-
     /// The same environment with the settings of the paper, if it is a task of the paper.
     pub fn like_the_paper(mut self) -> anyhow::Result<Self> {
         if let Self::BuiltIn(built_in) = &mut self

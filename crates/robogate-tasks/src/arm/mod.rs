@@ -4,21 +4,25 @@
 //! A task adds its scene, its rules for an outcome, its parameters and its plan. Its rules make it an [`ArmTask`].
 
 mod cameras;
+pub mod claims;
 mod environment;
 mod feasibility;
 mod film;
 mod foresight;
 #[cfg(all(test, feature = "mujoco"))]
+#[path = "../../tests/support/foresight.rs"]
 mod foresight_tests;
 mod grip;
 mod interface;
 mod judge;
 mod layout;
+pub mod remote;
 mod rules;
 mod script;
 mod settings;
 mod table;
 mod task;
+mod tool_expert;
 mod words;
 
 pub(crate) use cameras::{camera_specs, posture, render};
@@ -39,7 +43,8 @@ pub(crate) use rules::{Bodies, Found, Record, Resolved, Rules, Sight, Trial};
 pub(crate) use script::{FREE, Planner, Script, Stage, grasp_height, nearest, tool_down};
 pub use settings::ArmSettings;
 pub(crate) use settings::{HasSettings, OnArm, rows};
-pub(crate) use table::{Access, Acting, InSurroundings, Row, Surroundings, applied, decode, scale, specs};
-pub use task::ArmTask;
+pub(crate) use table::{Access, Acting, Around, AroundMut, Needs, Row, Surroundings, Table, Words, scale};
 pub(crate) use task::drives_task;
+pub use task::{ArmDeclaration, ArmTask, Parameters};
+pub(crate) use tool_expert::{FINELY, FREELY, ToolExpert, Way};
 pub(crate) use words::{base_spec, briefing, common_measures, instance, measure, mode, not_a_briefing};

@@ -2,6 +2,7 @@
 //!
 //! [`whitney`] has the limits of wedging and jamming that the physics is verified against, [`parts`] the geometry.
 
+mod claims;
 mod controller;
 mod foresight;
 mod parameters;

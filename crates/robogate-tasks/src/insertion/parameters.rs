@@ -4,7 +4,7 @@ use nalgebra::Isometry3;
 use robogate_physics::{FixtureKind, Primitive, Readback};
 
 use super::parts;
-use crate::arm::{Acting, InSurroundings, Row, Surroundings};
+use crate::arm::{Acting, Around, AroundMut, Row, Surroundings, Table};
 
 /// The decoded parameters of a scenario, and its draws.
 #[derive(Debug, Clone, Default)]
@@ -27,11 +27,13 @@ pub(super) struct Settings {
     pub(super) tilt: [f64; 2],
 }
 
-impl InSurroundings for Settings {
+impl Around for Settings {
     fn around(&self) -> &Surroundings {
         &self.around
     }
+}
 
+impl AroundMut for Settings {
     fn around_mut(&mut self) -> &mut Surroundings {
         &mut self.around
     }
@@ -96,9 +98,11 @@ fn peg_jitter(acting: &Acting<'_, Settings>) -> f64 {
     scale(acting.settings.shift[0], [at.x - x, at.y - y])
 }
 
+type Parameter = Row<Settings>;
+
 /// Every parameter of the task.
-pub(super) static ROWS: [Row<Settings>; 22] = [
-    Row::<Settings>::number(
+pub(super) static TABLE: Table<Settings> = Table(&[
+    Parameter::number(
         "clearance_m",
         "m",
         "Difference of the widths of hole and peg; the policy is told.",
@@ -108,7 +112,7 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         clearance,
     )
     .in_family("hole"),
-    Row::<Settings>::number(
+    Parameter::number(
         "chamfer_m",
         "m",
         "Width of the 45 degree chamfer of the hole; the policy is told.",
@@ -118,7 +122,7 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         |a| of_block(a, a.settings.chamfer_m),
     )
     .in_family("hole"),
-    Row::<Settings>::number(
+    Parameter::number(
         "width_m",
         "m",
         "Width of the peg's square shaft.",
@@ -128,7 +132,7 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         width,
     )
     .in_family("peg"),
-    Row::<Settings>::number(
+    Parameter::number(
         "mass_kg",
         "kg",
         "Mass of the peg.",
@@ -138,7 +142,7 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         |a| a.found.engine.mass_kg,
     )
     .in_family("peg"),
-    Row::<Settings>::number(
+    Parameter::number(
         "friction",
         "",
         "Coulomb friction coefficient of the peg against block and table.",
@@ -148,7 +152,7 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         |a| a.found.engine.table_friction,
     )
     .in_family("peg"),
-    Row::<Settings>::number(
+    Parameter::number(
         "arm_stiffness",
         "",
         "Stiffness of the arm's servos as a multiple of the robot's own; the policy is told.",
@@ -158,7 +162,7 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         |a| a.found.engine.arm_stiffness.unwrap_or(f64::NAN),
     )
     .in_family("arm"),
-    Row::<Settings>::number(
+    Parameter::number(
         "hole_jitter_m",
         "m",
         "Radius of the disc from which the hole's offset from its place is drawn; the policy is not told.",
@@ -168,7 +172,7 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         |a| of_block(a, a.settings.hole_jitter_m),
     )
     .in_family("hole"),
-    Row::<Settings>::number(
+    Parameter::number(
         "hole_tilt_rad",
         "rad",
         "Largest tilt of the hole's axis, about an axis in a random direction; the policy is not told.",
@@ -178,7 +182,7 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         |a| of_block(a, a.settings.hole_tilt_rad),
     )
     .in_family("hole"),
-    Row::<Settings>::number(
+    Parameter::number(
         "peg_jitter_m",
         "m",
         "Radius of the disc from which the peg's offset from its place is drawn; the policy is not told.",
@@ -188,17 +192,5 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         peg_jitter,
     )
     .in_family("peg"),
-    Row::encoder_bias(),
-    Row::lighting(),
-    Row::unit_bias::<0>(),
-    Row::unit_bias::<1>(),
-    Row::unit_bias::<2>(),
-    Row::unit_bias::<3>(),
-    Row::unit_bias::<4>(),
-    Row::unit_bias::<5>(),
-    Row::unit_bias::<6>(),
-    Row::grip_force_scale(),
-    Row::pad_friction_scale(),
-    Row::camera_roll(),
-    Row::camera_pitch(),
-];
+    Parameter::encoder_bias("encoder_bias_rad", 0.1),
+]);

@@ -11,7 +11,7 @@ const FLOAT: f64 = 1e-3;
 
 /// A box that crosses the table in a straight line, from the parameters `disturbance_...`. It moves like the pusher of
 /// a conveyor: nothing stops it, and it pushes objects in its path.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Disturbance {
     /// Speed in m/s. At 0 there is no box.
     pub speed_m_s: f64,

@@ -35,7 +35,7 @@ pub(super) fn draw_specs(joints: usize) -> Vec<DrawSpec> {
     ]
     .into_iter()
     .filter_map(|(name, meaning)| draw(name, "m", meaning));
-    let positions = (1..=parameters::most_obstacles()).flat_map(|obstacle| {
+    let positions = (1..=parameters::MOST_OBSTACLES).flat_map(|obstacle| {
         ["x", "y"].into_iter().filter_map(move |axis| {
             let meaning = format!("Position of the centre of obstacle {obstacle} along {axis}.");
             draw(&format!("obstacle_{obstacle}_{axis}_m"), "m", meaning)
@@ -263,7 +263,7 @@ impl PickPlaceForesight {
         let clearance = nearest.as_ref().map_or(FAR_M, |near| near.distance_m.min(FAR_M));
         match &self.robot.settings.gripper {
             Gripper::ParallelJaw(jaw) => {
-                let force = 2.0 * p.pad_friction() * self.grip_force_n * p.gripper.force_scale;
+                let force = 2.0 * p.pad_friction() * self.grip_force_n * p.around.gripper.force_scale;
                 let width = p.size_m * if p.shape == Shape::Irregular { 0.76 } else { 1.0 };
                 let closing = lateral.y.abs();
                 let over = nearest.as_ref().map_or(-FAR_M, |near| near.height_m - tool.translation.z);
@@ -314,8 +314,7 @@ impl Foresight for PickPlaceForesight {
         let outlook = self.outlook(scenario)?;
         let bias = outlook.cell.bias.iter().copied().map(Some);
         let tool = components(outlook.grasp.as_ref().map(|(_, off)| off));
-        let jitter =
-            outlook.cell.draws.jitter.map(|fraction| Some(fraction * outlook.cell.parameters.position_jitter_m));
+        let jitter = outlook.cell.jitter.map(|fraction| Some(fraction * outlook.cell.parameters.position_jitter_m));
         let near = self.nearest(&outlook);
         let nearest = [near.as_ref().map(|near| near.distance_m), near.as_ref().map(|near| near.height_m)];
         let obstacles = outlook.cell.scene.fixtures.iter().filter(|fixture| fixture.kind == FixtureKind::Obstacle);

@@ -1,9 +1,9 @@
 //! Pick and place: pick up an object from the table and place it at a target.
 //!
-//! [`PickPlace`] is the task with its settings. [`Scripted`] is the controller of the paper's baseline. [`remote`] runs the task on an engine in another process.
+//! [`PickPlace`] is the task with its settings. [`Scripted`] is the controller of the paper's baseline.
 
 mod cell;
-pub mod claims;
+mod claims;
 mod disturbance;
 mod feasibility;
 mod foresight;
@@ -13,15 +13,13 @@ mod object;
 mod occluder;
 mod parameters;
 mod placement;
+mod readback;
 mod referee;
-pub mod remote;
 mod scene;
 mod scripted;
 mod settings;
 pub mod spec;
-mod suite;
 mod task;
-mod tool_expert;
 
 use robogate_physics::Gripper;
 
@@ -39,13 +37,11 @@ pub use foresight::PickPlaceForesight;
 #[cfg(feature = "mujoco")]
 pub use inspect::{Inspection, Measured, TrialEpisode, inspect};
 pub use object::Shape;
-pub use parameters::{ActsOn, ParameterError, ParameterRow, SceneParameters, parameters};
+pub use parameters::SceneParameters;
 pub use placement::Placement;
 pub use scene::scene;
 pub use scripted::Scripted;
 pub use settings::{ModeSet, PickPlace, Workspace};
-pub use suite::{SuiteMisfit, check_suite};
-pub use tool_expert::ToolExpert;
 
 /// The name of the default parameter space for a robot with this gripper.
 fn default_space(gripper: &Gripper) -> &'static str {

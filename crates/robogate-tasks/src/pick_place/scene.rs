@@ -84,11 +84,11 @@ pub(crate) fn scaled_scene(
         friction: parameters.friction,
         table_friction: parameters.table_friction,
         arm_stiffness: 1.0,
-        gripper: parameters.gripper,
+        gripper: parameters.around.gripper,
         fixtures,
         gravity: GRAVITY * parameters.gravity_scale,
         marker: Some(target),
-        visual: parameters.visual,
+        visual: parameters.visual(),
         object,
     })
 }
@@ -135,7 +135,7 @@ mod tests {
                 obstacles: 5,
                 size_m: 0.12,
                 placement: Placement::NAMES[index as usize % 14].to_owned(),
-                ..SceneParameters::default()
+                ..SceneParameters::nominal()
             };
             let placement = Placement::from_name(&parameters.placement).unwrap();
             let mut stream = Seed::campaign(1).episode(index).stream("obstacles");

@@ -11,18 +11,18 @@
 use std::f64::consts::PI;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use robogate_core::{Action, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec};
+use robogate_core::{Action, Fault, Observation, Policy, Pose, Seed, TaskInstance, TaskSpec};
 use robogate_physics::trajectory::{ToolLimit, joint_path, straight_path};
 use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
 use super::Shape;
 use super::spec::{Briefing, phases};
-use crate::arm::{CONTROL_PERIOD_S, FREE, Script, Stage, nearest, tool_down};
+use crate::arm::{CONTROL_PERIOD_S, FREE, FREELY, Script, Stage, Way, nearest, tool_down};
 
 /// Height of the tool above the table on transit paths, in metres: the carried object passes over the highest obstacle.
-pub(super) const TRANSIT_HEIGHT_M: f64 = 0.25;
+const TRANSIT_HEIGHT_M: f64 = 0.25;
 /// Height of the object above the table at its release, in metres.
-pub(super) const RELEASE_ROOM_M: f64 = 0.003;
+const RELEASE_ROOM_M: f64 = 0.003;
 /// Limits of motion with the object in hand. They are low, so that weight and not acceleration decides whether it
 /// slips.
 const CARRY: ToolLimit = ToolLimit { speed: 0.6, acceleration: CARRY_ACCELERATION_M_S2 };
@@ -168,7 +168,7 @@ pub(super) fn grasp_height(robot: &Robot, extent: &[f64; 3]) -> f64 {
 }
 
 /// Horizontal offset from the object's centre to the grasp point, in the object's frame, in metres.
-pub(super) fn grasp_offset(robot: &Robot, task: &Briefing) -> Vector3<f64> {
+fn grasp_offset(robot: &Robot, task: &Briefing) -> Vector3<f64> {
     match (&robot.settings.gripper, Shape::from_name(&task.shape)) {
         (Gripper::Suction(_), Some(shape)) => {
             let [x, y] = shape.top(task.object_extent_m[0]);
@@ -176,6 +176,26 @@ pub(super) fn grasp_offset(robot: &Robot, task: &Briefing) -> Vector3<f64> {
         }
         _ => Vector3::zeros(),
     }
+}
+
+/// The way of a tool that moves in small steps.
+pub(super) fn way(robot: &Robot, instance: &TaskInstance) -> Result<Way, Fault> {
+    let task = &Briefing::of(instance)?;
+    let yaw = yaw_of(task);
+    let symmetry = Shape::from_name(&task.shape).map_or(PI, Shape::grasp_symmetry);
+    let offset = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * grasp_offset(robot, task);
+    let over = |pose: &Pose, height: f64| [pose.position[0] + offset.x, pose.position[1] + offset.y, height];
+    let grasp = grasp_height(robot, &task.object_extent_m);
+    let mut way = Way::new(&robot.settings.gripper, yaw, symmetry);
+    way.go(phases::APPROACH_ABOVE, over(&task.object_pose, TRANSIT_HEIGHT_M), &FREELY, false);
+    way.go(phases::DESCEND, over(&task.object_pose, grasp), &FREELY, false);
+    way.grip(phases::GRASP, true);
+    way.go(phases::LIFT, over(&task.object_pose, TRANSIT_HEIGHT_M), &FREELY, true);
+    way.go(phases::MOVE_TO_TARGET, over(&task.target_pose, TRANSIT_HEIGHT_M), &FREELY, true);
+    way.go(phases::MOVE_TO_TARGET, over(&task.target_pose, grasp + RELEASE_ROOM_M), &FREELY, true);
+    way.grip(phases::RELEASE, false);
+    way.go(phases::RELEASE, over(&task.target_pose, TRANSIT_HEIGHT_M), &FREELY, false);
+    Ok(way)
 }
 
 /// The yaw of the tool nearest to `placed` at which the object has the orientation of the target, all in radians.

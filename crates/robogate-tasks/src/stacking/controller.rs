@@ -6,12 +6,16 @@ use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
 use super::NAME;
 use super::spec::{Briefing, phases};
-use crate::arm::{CONTROL_PERIOD_S, FREE, Planner, Posture, Script, drives_task, tool_down};
+use crate::arm::{
+    CONTROL_PERIOD_S, FINELY, FREE, FREELY, Planner, Posture, Script, Way, drives_task, grasp_height, tool_down,
+};
 
 /// Height of the tool above the table on transit paths, in metres: a carried part passes over a stack of two.
 const TRANSIT_HEIGHT_M: f64 = 0.25;
 /// Height of a part above the part below it at its release, in metres.
 pub(super) const RELEASE_ROOM_M: f64 = 0.003;
+/// Height above a release from which a tool that moves in small steps goes finely, in metres.
+const APPROACH_M: f64 = 0.01;
 /// Limits of motion with a part in the hand, low enough that it does not slip.
 pub(super) const CARRY: ToolLimit = ToolLimit { speed: 0.5, acceleration: 1.2 };
 /// Limits of the last part of the way down onto the stack.
@@ -52,9 +56,7 @@ impl Scripted {
         planner.straight(phases::APPROACH, &[tool_down([x, y, grasp], yaw)], FREE, Open)?;
         planner.grip(phases::GRASP, Close);
 
-        let [x0, y0, _] = briefing.parts[briefing.order[0]].position;
-        let steps = level as f64;
-        let place = [x0 + steps * briefing.offset_m[0], y0 + steps * briefing.offset_m[1]];
+        let (steps, place) = (level as f64, briefing.place(level));
         // Cubes are equal after a quarter rotation.
         let quarters: Vec<f64> = (0..4).map(|k| yaw + f64::from(k) * std::f64::consts::FRAC_PI_2).collect();
         let at = |height: f64, yaw: f64| tool_down([place[0], place[1], height], yaw);
@@ -81,6 +83,29 @@ impl Scripted {
             }
         }
     }
+}
+
+/// The way of a tool that moves in small steps.
+pub(super) fn way(robot: &Robot, instance: &TaskInstance) -> Result<Way, Fault> {
+    let briefing = Briefing::of(instance)?;
+    let gripper = &robot.settings.gripper;
+    let grasp = grasp_height(gripper, briefing.size_m);
+    let mut way = Way::for_square(gripper);
+    for level in 1..briefing.order.len() {
+        let [x, y, _] = briefing.parts[briefing.order[level]].position;
+        let [u, v] = briefing.place(level);
+        let down = level as f64 * briefing.size_m + grasp + RELEASE_ROOM_M;
+        way.go(phases::APPROACH, [x, y, TRANSIT_HEIGHT_M], &FREELY, false);
+        way.go(phases::APPROACH, [x, y, grasp], &FREELY, false);
+        way.grip(phases::GRASP, true);
+        way.go(phases::CARRY, [x, y, TRANSIT_HEIGHT_M], &FREELY, true);
+        way.go(phases::CARRY, [u, v, TRANSIT_HEIGHT_M], &FREELY, true);
+        way.go(phases::CARRY, [u, v, down + APPROACH_M], &FREELY, true);
+        way.go(phases::CARRY, [u, v, down], &FINELY, true);
+        way.grip(phases::RELEASE, false);
+        way.go(phases::RELEASE, [u, v, TRANSIT_HEIGHT_M], &FREELY, false);
+    }
+    Ok(way)
 }
 
 impl Policy for Scripted {

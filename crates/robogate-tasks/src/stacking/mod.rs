@@ -3,6 +3,7 @@
 //! Three equal cubes stand on the table. The first one of the order stays where it is; the arm stacks the other two on
 //! it. [`statics`] has the limits of overhang that the physics is verified against.
 
+mod claims;
 mod controller;
 mod foresight;
 mod parameters;
