@@ -90,6 +90,7 @@ pub struct Planned {
 /// The first of these problems.
 pub fn check_pairing(other: &Record, this: &Record, planned: Planned, margin: f64) -> Result<(), GateError> {
     non_inferiority::check(margin)?;
+    check_repeats([other, this])?;
     if !other.population.is_that_of(&this.population) {
         let baseline = other.population.to_string();
         return Err(GateError::ForeignBaseline { baseline, run: this.population.to_string() });
@@ -116,11 +117,20 @@ pub fn check_pairing(other: &Record, this: &Record, planned: Planned, margin: f6
     Ok(())
 }
 
+/// Rejects records whose episodes do not follow from seed and parameters: then equal seeds make no pair.
+fn check_repeats(records: [&Record; 2]) -> Result<(), GateError> {
+    records.into_iter().try_for_each(|record| {
+        let repeats = record.controls.as_ref().and_then(|controls| controls.repeats);
+        repeats.map_or(Ok(()), |repeats| repeats.check_pairing(&record.policy))
+    })
+}
+
 /// Whether the episodes of a pair succeeded. `None` if one is invalid.
 type Twin = Option<(bool, bool)>;
 
 impl Against<'_> {
     pub(crate) fn compare(&self, record: &Record, sampling: Sampling) -> Result<Comparison, GateError> {
+        check_repeats([self.record, record])?;
         let population = &record.population;
         if !self.record.population.is_that_of(population) {
             let baseline = self.record.population.to_string();

@@ -25,6 +25,7 @@ mod registry;
 mod remote;
 mod renderer;
 mod reopening;
+mod repetition;
 mod rival;
 mod subject;
 pub mod text;
@@ -51,6 +52,7 @@ pub use registry::{
 pub use remote::{CellTask, PhysicsHost, Simulators};
 pub use renderer::RendererRecord;
 pub use reopening::{Permit, Program, Reopening, Trust};
+pub use repetition::repeats;
 pub use rival::Rival;
 pub use subject::{
     EnvironmentSource, Subject, check_declared, named_space, programs, recorded_robot, starts_processes,

@@ -146,6 +146,10 @@ impl Gate {
         let provenance = subject.provenance(suite.space().clone())?;
         let planned = with_plan(&provenance, &plan)?;
         record.controls = Controls::of(&planned);
+        let compared = other.record.is_some() || self.against.is_some();
+        if let (true, Some(repeats)) = (compared, record.controls.as_ref().and_then(|controls| controls.repeats)) {
+            repeats.check_pairing(&record.policy).map_err(refused)?;
+        }
         Ok(Prepared {
             subject,
             plan,
