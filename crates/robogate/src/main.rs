@@ -9,6 +9,7 @@ mod commands;
 mod compliance;
 mod exit;
 mod film;
+mod hopeless;
 #[cfg(feature = "mujoco")]
 mod inspection;
 mod interface;

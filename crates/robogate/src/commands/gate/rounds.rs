@@ -83,7 +83,7 @@ pub(crate) fn resume(
     let arms = Arms::of(dir, &settings.plan, &settings.provenance.space, subject)?;
     let provenance = subject.provenance(settings.provenance.space)?;
     let mut rounds = Rounds { dir, asked, rival, other, record, trouble: None, broken: None };
-    let completion = how.carry(subject, |executor, events| {
+    let completion = how.carry(dir, subject, |executor, events| {
         let mut after = |round: &Round<'_>| rounds.after(round);
         let completion = robogate_campaign::resume_in_rounds(dir, &provenance, executor, events, &mut after)?;
         rounds.worthwhile(arms, &completion).after(completion, executor, events)

@@ -307,7 +307,7 @@ impl Gate {
             trouble: None,
             broken: None,
         };
-        let completion = self.how.carry(&subject, |executor, events| {
+        let completion = self.how.carry(&dir, &subject, |executor, events| {
             let mut with_question = |event: &Event| {
                 // The folder exists and contains the plan; no episode has run yet.
                 if let Event::Started { .. } = event {
