@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from .serving.model import layers
+from .serving.layers import layers
 
 # The algorithms of sb3_contrib, by a part of the module of their policies.
 CONTRIB = {"recurrent": "RecurrentPPO", "maskable": "MaskablePPO", "tqc": "TQC", "qrdqn": "QRDQN", "ars": "ARS", "crossq": "CrossQ"}

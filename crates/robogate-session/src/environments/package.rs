@@ -54,6 +54,7 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/serving/friction.py"),
     embedded!("robogate_eval/serving/hints.py"),
     embedded!("robogate_eval/serving/knobs.py"),
+    embedded!("robogate_eval/serving/layers.py"),
     embedded!("robogate_eval/serving/model.py"),
     embedded!("robogate_eval/serving/motion.py"),
     embedded!("robogate_eval/serving/mujoco_knobs.py"),

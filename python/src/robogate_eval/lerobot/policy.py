@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..serving.model import layers
+from ..serving.layers import layers
 
 # The part of the names of LeRobot's inputs that other environments do not have.
 PREFIXES = ("observation.images.", "observation.")
