@@ -17,6 +17,7 @@ mod failure;
 pub mod families;
 mod gate;
 mod latency;
+mod loaded_policy;
 mod lost_episodes;
 mod notice;
 mod origin;
@@ -39,6 +40,7 @@ pub use environments::{BUNDLED, Interpreter, Servers, installed, installed_marke
 pub use failure::{Failure, FailureKind, OrFailure, chain};
 pub use gate::{GateRequest, Look, MARGIN, begun, question, rounds_and_sampling, with_plan, write_question};
 pub use latency::{LatencyChoice, WantedLatency, describe, execution_mode};
+pub use loaded_policy::LoadedPolicy;
 pub use lost_episodes::{Outage, RunsLostAgain};
 pub use notice::TARGET as NOTICES;
 pub use origin::{Origin, is_remote, register, register_copy};

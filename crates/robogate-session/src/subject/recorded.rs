@@ -119,8 +119,8 @@ impl Parts {
             }
             Recorded::SelfContained(_) => None,
         };
-        let policy = self.policy.as_ref().and_then(PolicySource::server);
-        environment.into_iter().chain(policy.map(|server| Program::Policy(server.to_owned()))).collect()
+        let policy = self.policy.as_ref().and_then(PolicySource::program);
+        environment.into_iter().chain(policy.map(|named| Program::Policy(named.to_owned()))).collect()
     }
 }
 
@@ -185,8 +185,9 @@ impl Subject {
         folder: Option<&Path>,
         opening: &Reopening,
     ) -> Result<Self, Failure> {
-        let Permit { environment: permitted, robot: permitted_robot, location, simulators } =
+        let Permit { environment: permitted, robot: permitted_robot, location, mut simulators } =
             opening.permit(folder, provenance, &parts.programs())?;
+        simulators.loads = parts.policy.as_ref().map_or(Ok(None), |policy| policy.loaded(&location)).or_request()?;
         let Parts { mut recorded, policy, execution, controls } = parts;
         let mut recorded_robot = None;
         if let Some(own) = permitted_robot {
