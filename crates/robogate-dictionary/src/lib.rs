@@ -52,5 +52,5 @@ pub use schema::{SCHEMA_VERSION, SchemaVersion};
 pub use text::{read_regular_text, read_text};
 pub use world::{
     CellPlace, ControlProblem, ControlResult, Controls, ExternalPolicyRecord, Place, PolicyRecord, PythonPlace,
-    RendererRecord, WORLD_VERSION, World,
+    RendererRecord, Repeats, WORLD_VERSION, World,
 };

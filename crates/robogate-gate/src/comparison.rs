@@ -90,6 +90,7 @@ pub struct Planned {
 /// The first of these problems.
 pub fn check_pairing(other: &Record, this: &Record, planned: Planned, margin: f64) -> Result<(), GateError> {
     non_inferiority::check(margin)?;
+    check_repeats(&[other, this])?;
     if !other.population.is_that_of(&this.population) {
         let baseline = other.population.to_string();
         return Err(GateError::ForeignBaseline { baseline, run: this.population.to_string() });
@@ -116,11 +117,24 @@ pub fn check_pairing(other: &Record, this: &Record, planned: Planned, margin: f6
     Ok(())
 }
 
+/// Rejects records whose episodes do not follow from seed and parameters: then equal seeds make no pair.
+///
+/// # Errors
+/// [`GateError::Unpaired`] if an environment does not repeat its episodes.
+pub fn check_repeats(records: &[&Record]) -> Result<(), GateError> {
+    records.into_iter().try_for_each(|record| {
+        let repeats = record.controls.as_ref().and_then(|controls| controls.repeats);
+        let why = repeats.and_then(|repeats| repeats.unpaired());
+        why.map_or(Ok(()), |why| Err(GateError::Unpaired { policy: record.policy.clone(), why }))
+    })
+}
+
 /// Whether the episodes of a pair succeeded. `None` if one is invalid.
 type Twin = Option<(bool, bool)>;
 
 impl Against<'_> {
     pub(crate) fn compare(&self, record: &Record, sampling: Sampling) -> Result<Comparison, GateError> {
+        check_repeats(&[self.record, record])?;
         let population = &record.population;
         if !self.record.population.is_that_of(population) {
             let baseline = self.record.population.to_string();

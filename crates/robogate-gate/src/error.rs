@@ -245,6 +245,17 @@ pub enum GateError {
         /// The difference.
         what: String,
     },
+    /// A comparison of episodes that do not repeat.
+    #[error(
+        "the policies cannot be compared episode by episode: in the run of {policy}, {why}\nHint: let the reset of the environment \
+         set everything that varies from its seed, or judge each policy with a gate of its own"
+    )]
+    Unpaired {
+        /// The policy of the run.
+        policy: String,
+        /// What does not repeat.
+        why: String,
+    },
     /// A leaderboard without entries.
     #[error("no runs to rank. Expected at least one")]
     NothingToRank,

@@ -46,7 +46,7 @@ mod verdict;
 pub use asked::{Asked, AskedAgainst};
 pub use baseline::{Baseline, BaselineFigure};
 pub use cases::NewCases;
-pub use comparison::{Against, Comparison, Planned, check_pairing};
+pub use comparison::{Against, Comparison, Planned, check_pairing, check_repeats};
 pub use error::GateError;
 pub use evaluation::{
     Counts, Dropped, EndingCount, Evaluation, FeasibleRate, GroupResult, Question, RequirementResult, Sampling, Status,
@@ -69,4 +69,4 @@ pub use trial::{Ending, Trial};
 pub use twins::{Effect, Family as TwinFamily, Twins};
 pub use verdict::Verdict;
 // A part of each evaluation.
-pub use robogate_dictionary::Controls;
+pub use robogate_dictionary::{Controls, Repeats};

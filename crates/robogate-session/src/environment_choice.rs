@@ -13,6 +13,7 @@ use sha2::{Digest, Sha256};
 use crate::cell::{Cell, default_place};
 use crate::environments::BUNDLED;
 use crate::failure::{Failure, OrFailure};
+use crate::policy_source::PolicyChoice;
 use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
 use crate::remote::Simulators;
 use crate::reopening::{Reopening, Trust};
@@ -89,6 +90,15 @@ impl EnvironmentChoice {
         let (chosen, rest) = self.settings_among(&arm.settings()).or_request()?;
         let cell = Cell::new(&self.task, self.place(), chosen, pool).or_setup()?;
         Ok((EnvironmentSource::BuiltIn(Box::new(cell)), rest))
+    }
+
+    /// The same choice, whose processes load the policy of this choice if it is one that they load.
+    ///
+    /// # Errors
+    /// A policy that does not exist.
+    pub fn with_policy(mut self, policy: &PolicyChoice) -> Result<Self, Failure> {
+        self.simulators.loads = policy.loaded()?;
+        Ok(self)
     }
 
     /// The values of `--set` as parameters of a scenario.

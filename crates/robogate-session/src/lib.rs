@@ -17,6 +17,7 @@ mod failure;
 pub mod families;
 mod gate;
 mod latency;
+mod loaded_policy;
 mod lost_episodes;
 mod notice;
 mod origin;
@@ -26,6 +27,7 @@ mod registry;
 mod remote;
 mod renderer;
 mod reopening;
+mod repetition;
 mod rival;
 mod subject;
 pub mod text;
@@ -39,6 +41,7 @@ pub use environments::{BUNDLED, ENVIRONMENT, Interpreter, Servers, installed, in
 pub use failure::{Failure, FailureKind, OrFailure, chain};
 pub use gate::{GateRequest, Look, MARGIN, begun, question, rounds_and_sampling, with_plan, write_question};
 pub use latency::{LatencyChoice, WantedLatency, describe, execution_mode};
+pub use loaded_policy::LoadedPolicy;
 pub use lost_episodes::{Outage, RunsLostAgain};
 pub use notice::TARGET as NOTICES;
 pub use origin::{Origin, is_remote, register, register_copy};
@@ -52,6 +55,7 @@ pub use registry::{
 };
 pub use remote::{CellTask, PhysicsHost, Simulators};
 pub use reopening::{Permit, Program, Reopening, Trust};
+pub use repetition::repeats;
 pub use rival::Rival;
 pub use subject::{
     BuiltIn, EnvironmentSource, Subject, check_declared, named_space, programs, recorded_robot, starts_processes,

@@ -25,8 +25,8 @@ impl PolicySource {
     pub(crate) fn record(&self) -> serde_json::Result<PolicyRecord> {
         Ok(match self {
             Self::BuiltIn(BuiltInPolicy::Random) => PolicyRecord::BuiltIn { name: self.name().to_owned() },
-            Self::Declared(DeclaredPolicy { environment, version }) => {
-                PolicyRecord::Hosted { name: environment.clone(), version: version.clone() }
+            Self::Declared(DeclaredPolicy { environment, version, from }) => {
+                PolicyRecord::Hosted { name: environment.clone(), version: version.clone(), from: from.clone() }
             }
             Self::External(source) => PolicyRecord::External(ExternalPolicyRecord {
                 server: source.server.clone(),
@@ -47,8 +47,9 @@ impl PolicySource {
             PolicyRecord::BuiltIn { name } => {
                 return Err(anyhow!("plan.json: this version has no built-in policy `{}`", foreign(name))).or_request();
             }
-            PolicyRecord::Hosted { name, version } => {
-                Self::Declared(DeclaredPolicy { environment: name.clone(), version: version.clone() })
+            PolicyRecord::Hosted { name, version, from } => {
+                let (environment, version, from) = (name.clone(), version.clone(), from.clone());
+                Self::Declared(DeclaredPolicy { environment, version, from })
             }
             PolicyRecord::External(ExternalPolicyRecord { server, profile, map, declared }) => {
                 Self::External(ExternalSource {

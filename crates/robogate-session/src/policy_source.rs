@@ -15,6 +15,7 @@ use sha2::{Digest, Sha256};
 
 use crate::checkpoint_statistics::CheckpointStatistics;
 use crate::failure::{Failure, OrFailure};
+use crate::loaded_policy::LoadedPolicy;
 use crate::notice::note;
 use crate::text::foreign;
 
@@ -36,6 +37,8 @@ pub struct DeclaredPolicy {
     pub environment: String,
     /// Its version, or the hash of its files, as the environment declares it.
     pub version: String,
+    /// Where the process of the environment loads it from ([`LoadedPolicy`]). `None` for one of the environment's own.
+    pub from: Option<String>,
 }
 
 /// Built-in policies that drive any task.
@@ -88,6 +91,21 @@ impl PolicySource {
         }
     }
 
+    /// What runs or is loaded for it, if the user named it by an address or a path.
+    pub(crate) fn program(&self) -> Option<&str> {
+        match self {
+            Self::Declared(declared) => declared.from.as_deref(),
+            Self::External(_) | Self::BuiltIn(_) => self.server(),
+        }
+    }
+
+    /// The policy that the process of the environment loads, if it is one.
+    pub(crate) fn loaded(&self, location: &PolicyLocation) -> anyhow::Result<Option<LoadedPolicy>> {
+        let Self::Declared(DeclaredPolicy { environment, from: Some(from), .. }) = self else { return Ok(None) };
+        let named = location.at.as_deref().unwrap_or(from);
+        Ok(LoadedPolicy::of(named)?.map(|loaded| LoadedPolicy { name: environment.clone(), ..loaded }))
+    }
+
     /// Whether it is a network that this process runs.
     pub fn is_network(&self) -> bool {
         self.profile().is_some_and(|profile| profile.dialect.is_file())
@@ -109,6 +127,8 @@ impl PolicySource {
                 ExternalSource::ask(&served.server, Arc::clone(&served.profile), served.map.clone(), location)
                     .map(Self::External)
             }
+            // The environment has loaded it from there, and declares its version.
+            Self::Declared(DeclaredPolicy { from: Some(_), .. }) => Ok(self.clone()),
             Self::BuiltIn(_) | Self::Declared(_) => location.unused().map(|()| self.clone()),
         }
     }
@@ -206,7 +226,7 @@ impl ExternalSource {
 #[derive(Debug, Clone, Default)]
 pub struct PolicyChoice {
     /// `scripted` (as `None`: the environment's own controller), `random`, a policy that the environment declares, the address of a
-    /// policy server, or an ONNX file.
+    /// policy server, an ONNX file, or a policy that the process of the environment loads ([`LoadedPolicy`]).
     pub policy: Option<String>,
     /// The observation and action mapping of a policy server or a network: the name of a built-in profile, or a TOML file.
     pub profile: Option<String>,
@@ -325,8 +345,23 @@ impl PolicyChoice {
         Self { map, ..self }
     }
 
+    /// The policy that the process of the environment loads, if it is one. It needs no profile.
+    pub(crate) fn loaded(&self) -> Result<Option<LoadedPolicy>, Failure> {
+        let loaded = self.policy.as_deref().map_or(Ok(None), LoadedPolicy::of).or_request()?;
+        match (&loaded, &self.profile) {
+            (Some(loaded), Some(_)) => {
+                Err(anyhow!("--profile cannot be used with --policy {}\nHint: leave out --profile", loaded.from)).or_request()
+            }
+            _ => Ok(loaded),
+        }
+    }
+
     /// Connect to the policy of this choice at `location`; `None` for the scripted controller.
     pub fn source_at(&self, location: &PolicyLocation) -> Result<Option<PolicySource>, Failure> {
+        if let Some(loaded) = self.loaded()? {
+            let declared = DeclaredPolicy { environment: loaded.name, version: String::new(), from: Some(loaded.from) };
+            return location.unused().map(|()| Some(PolicySource::Declared(declared)));
+        }
         match (self.policy.as_deref(), &self.profile) {
             (None, _) | (Some("scripted"), None) => location.unused().map(|()| None),
             (Some("random"), None) => location.unused().map(|()| Some(PolicySource::BuiltIn(BuiltInPolicy::Random))),
@@ -339,7 +374,7 @@ impl PolicyChoice {
                     .map(|served| Some(PolicySource::External(served)))
             }
             (Some(name), None) if is_name(name) => {
-                let declared = DeclaredPolicy { environment: name.to_owned(), version: String::new() };
+                let declared = DeclaredPolicy { environment: name.to_owned(), version: String::new(), from: None };
                 location.unused().map(|()| Some(PolicySource::Declared(declared)))
             }
             (Some(policy), None) => Err(without_profile(policy)).or_request(),

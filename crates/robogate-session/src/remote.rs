@@ -21,6 +21,7 @@ use robogate_zmtp::Address;
 
 use crate::environments::{Interpreter, Servers};
 use crate::failure::{Failure, OrFailure};
+use crate::loaded_policy::LoadedPolicy;
 use crate::notice::{note, warning};
 
 /// Simulators in other processes.
@@ -34,12 +35,14 @@ pub struct Simulators {
     /// The Python interpreter of an environment that this process starts. `None` for that of `robogate env setup`, otherwise
     /// the active `python3`.
     pub python: Option<PathBuf>,
+    /// A policy that the processes of the environment load.
+    pub loads: Option<LoadedPolicy>,
 }
 
 impl Default for Simulators {
     /// No remote simulator.
     fn default() -> Self {
-        Self { addresses: Vec::new(), python: None, timeout_s: 30.0 }
+        Self { addresses: Vec::new(), python: None, timeout_s: 30.0, loads: None }
     }
 }
 
@@ -62,7 +65,7 @@ impl Simulators {
         let interpreter = Interpreter::choose(self.python.as_deref(), environment).or_request()?;
         note(format_args!("starting {environment} in {}", interpreter.path().display()));
         let (servers, address) =
-            Servers::start(environment.to_owned(), self.python.clone(), interpreter, self.timeouts())?;
+            Servers::start(environment.to_owned(), self.loads.as_ref(), self.python.clone(), interpreter, self.timeouts())?;
         let pool = Pool::connect(&[address], self.timeouts(), listener()).map_err(pool_error)?;
         if !pool.hello().deterministic {
             note(format_args!(

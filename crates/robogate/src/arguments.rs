@@ -92,7 +92,12 @@ pub(crate) struct SimulatorArguments {
 impl SimulatorArguments {
     /// The simulators of these arguments.
     pub(crate) fn choice(&self) -> Simulators {
-        Simulators { addresses: self.addresses.clone(), timeout_s: self.timeout_s, python: self.python.clone() }
+        Simulators {
+            addresses: self.addresses.clone(),
+            timeout_s: self.timeout_s,
+            python: self.python.clone(),
+            loads: None,
+        }
     }
 }
 
@@ -107,7 +112,8 @@ pub(crate) fn seconds(text: &str) -> Result<f64, String> {
 pub(crate) struct PolicyArguments {
     /// Choose the policy: scripted (the environment's own controller, the default), a policy that the environment
     /// declares (see `robogate env inspect`), random (actions drawn within the bounds of the task), the address of a
-    /// policy server such as ws://127.0.0.1:8000, or an ONNX file
+    /// policy server such as ws://127.0.0.1:8000, an ONNX file, or, in an environment in Python, lerobot:FOLDER (a checkpoint of
+    /// LeRobot) or sb3:FILE (a model of Stable-Baselines3), which its process loads
     #[arg(long, value_name = "URL|FILE|NAME|random|scripted")]
     policy: Option<String>,
     /// Choose the observation and action mapping of that policy: a built-in profile (see `robogate list profiles`),

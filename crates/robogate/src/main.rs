@@ -10,6 +10,7 @@ mod compliance;
 mod exit;
 mod film;
 mod grouped;
+mod hopeless;
 #[cfg(feature = "mujoco")]
 mod inspection;
 mod interface;

@@ -33,8 +33,10 @@ def run(env: Any, policy: Any = None, *, episodes: int | None = None, out: "str 
     `env` is the name of an environment, an `Environment`, or a function that makes a `gymnasium.Env`. `policy` is
 
     - a function from an observation of the environment to an action;
-    - a model of Stable-Baselines3, or the path of its `.zip` file; anything with `predict`;
-    - a policy of LeRobot. Its inputs are found by name in a Dict observation: `observation.state` is `state`;
+    - a model of Stable-Baselines3 or sb3_contrib; `"sb3:PATH"` for its `.zip` file or a folder of RL Baselines3 Zoo, with
+      `vecnormalize.pkl` beside it; anything with `predict`;
+    - a policy of LeRobot, or `"lerobot:PATH"` for its checkpoint folder. In an environment of LeRobot it sees what LeRobot's own
+      evaluation shows it. Elsewhere its inputs are found by name in a Dict observation: `observation.state` is `state`;
     - the name of a policy that the environment declares, or `"random"`;
     - the address of a policy server or an ONNX file, with `profile=...`, and `map=...` for the map between the environment and the
       profile: paths of TOML files, names of built-in profiles, or the same tables as dicts;
@@ -150,7 +152,7 @@ def _served(env: Any, policy: Any) -> Iterator[tuple[str, Any]]:
     chosen = policy
     if policy is not None and not isinstance(policy, (str, os.PathLike)):
         chosen = _name(policy)
-        own = Policy(lambda _: as_function(policy), f"{type(policy).__name__} of the calling process.")
+        own = Policy(lambda env: as_function(policy, env), f"{type(policy).__name__} of the calling process.")
         environment = dataclasses.replace(environment, policies={**environment.policies, chosen: own})
     adapter = Adapter(environment)
     if chosen in environment.policies:

@@ -243,6 +243,17 @@ class Declaring(unittest.TestCase):
 
 
 class Running(unittest.TestCase):
+    def test_clipped_actions_are_counted(self):
+        def measured(policy):
+            task = Task(name="sliding_box", time_limit_s=0.5)
+            adapter = Adapter(Environment(make=SlidingBox, task=task, policies={"own": Policy(lambda env: policy)}))
+            self.assertIn("clipped_actions", [measure["name"] for measure in adapter.hello()["task"]["measures"]])
+            return run(adapter, policy="own")[0]["measures"]["clipped_actions"]
+
+        numbers = iter([99.0, 0.4, 0.4 + 1e-7, -99.0] * 100)
+        self.assertEqual(measured(lambda observation: np.array([0.0])), 0.0)
+        self.assertAlmostEqual(measured(lambda observation: np.array([next(numbers)])), 0.5, delta=0.05)
+
     def test_success_and_measures(self):
         step, _ = run(sliding_box())
         self.assertEqual(step["ending"], {"failure": None})

@@ -12,6 +12,8 @@ from robogate_eval.environments import find
 from robogate_eval.environments.dm_control import World
 from robogate_eval.serving.adapter import Adapter
 
+from starts import assert_seeds_fix_starts
+
 
 class DmControl(unittest.TestCase):
     def test_declarations_are_valid(self):
@@ -20,6 +22,10 @@ class DmControl(unittest.TestCase):
             hello = declaration.hello(adapter.hello())
             self.assertTrue(hello["deterministic"], name)
             self.assertEqual(hello["task"]["action"]["spaces"][0]["names"][0], "joint_1")
+
+    def test_seed_fixes_the_start(self):
+        # The last one shuffles the bricks of the last episode.
+        assert_seeds_fix_starts(self, [f"dm_control:{name}" for name in ("reach_site", "place_brick", "reassemble_5_bricks_random_order")])
 
     def test_scripted_policy_succeeds(self):
         for name in ("reach_site", "reach_duplo"):

@@ -6,6 +6,8 @@ from robogate_bridge import Action, Scenario, declaration
 from robogate_eval.environments import families, find
 from robogate_eval.serving.adapter import Adapter
 
+from starts import assert_seeds_fix_starts
+
 
 def run(adapter, index, **parameters):
     """Run an episode of the scripted policy. Returns the last step."""
@@ -20,6 +22,9 @@ class Fetch(unittest.TestCase):
         for name in families()["fetch"].names():
             hello = declaration.hello(Adapter(find(f"fetch:{name}")).hello())
             self.assertEqual([v["name"] for v in hello["task"]["observation"]["vectors"]], ["achieved_goal", "desired_goal", "observation"])
+
+    def test_seed_fixes_the_start(self):
+        assert_seeds_fix_starts(self, [f"fetch:{name}" for name in families()["fetch"].names()])
 
     def test_scripted_policy_succeeds(self):
         for name in ("FetchReach-v4", "FetchPickAndPlace-v4"):

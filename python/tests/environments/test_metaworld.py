@@ -6,6 +6,8 @@ from robogate_bridge import Action, Scenario, declaration
 from robogate_eval.environments import UnknownEnvironment, families, find
 from robogate_eval.serving.adapter import Adapter
 
+from starts import assert_seeds_fix_starts
+
 
 def run(adapter, index, **parameters):
     """Run an episode of the expert. Returns the last step and the number of control periods."""
@@ -45,6 +47,10 @@ class MetaWorld(unittest.TestCase):
 
         self.assertEqual(first(1), first(1))
         self.assertNotEqual(first(1), first(2))
+
+    def test_seed_fixes_the_start(self):
+        # Every seventh task: all of them take minutes.
+        assert_seeds_fix_starts(self, [f"metaworld:{name}" for name in families()["metaworld"].names()[::7]])
 
     def test_nominal_values_change_nothing(self):
         # The same bits as the environment alone, although the knobs evaluate its model once more after the reset.

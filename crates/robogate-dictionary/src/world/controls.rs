@@ -7,6 +7,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::Repeats;
+
 /// Number of episodes of a control and their successes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -36,8 +38,13 @@ pub struct Controls {
     /// Why there are no controls: they were skipped, or there is no expert. Empty if they ran.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub without: String,
-    /// The profile with the published conventions, with which the expert's actions are encoded.
+    /// The profile with the published conventions, with which the expert's actions are encoded. Empty for a policy without a
+    /// profile.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
     pub reference: String,
+    /// Whether episodes repeat. `None` if this was not tried.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub repeats: Option<Repeats>,
     /// The expert without the profile: the known success rate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expert: Option<ControlResult>,
@@ -64,6 +71,9 @@ impl Controls {
 
     /// Why the episodes of this gate cannot be judged, in one sentence that names the step. `None` if no control failed.
     pub fn failure(&self) -> Option<String> {
+        if let Some(why) = self.repeats.and_then(|repeats| repeats.failure()) {
+            return Some(why);
+        }
         if !self.problems.is_empty() {
             let steps: Vec<String> =
                 self.problems.iter().map(|problem| format!("{}: {}", problem.step, problem.detail)).collect();
@@ -108,6 +118,7 @@ impl Controls {
             lines.push(format!("Negative control: random actions of the model succeed in {}", count(negative)));
         }
         lines.extend(self.problems.iter().map(|problem| format!("Control, {}: {}", problem.step, problem.detail)));
+        lines.extend(self.repeats.and_then(|repeats| repeats.line()));
         lines
     }
 }

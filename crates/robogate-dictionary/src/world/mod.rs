@@ -3,6 +3,7 @@
 mod controls;
 mod place;
 mod policy;
+mod repeats;
 
 use robogate_core::latency::Execution;
 use schemars::JsonSchema;
@@ -11,6 +12,7 @@ use serde::{Deserialize, Deserializer, Serialize, de::Error};
 pub use controls::{ControlProblem, ControlResult, Controls};
 pub use place::{CellPlace, Place, PythonPlace, RendererRecord};
 pub use policy::{ExternalPolicyRecord, PolicyRecord};
+pub use repeats::Repeats;
 
 /// The version of [`World`] that this crate writes and reads.
 pub const WORLD_VERSION: u32 = 1;

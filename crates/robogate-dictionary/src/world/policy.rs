@@ -20,6 +20,9 @@ pub enum PolicyRecord {
         /// Its version, or the hash of its files, as the environment declares it.
         #[serde(default)]
         version: String,
+        /// Where the process of the environment loads it from, for a policy that is not the environment's own: `lerobot:FOLDER`.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        from: Option<String>,
     },
     /// A network in a file, or a policy behind a server.
     External(ExternalPolicyRecord),

@@ -24,6 +24,9 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/environments/metaworld.py"),
     embedded!("robogate_eval/environments/robosuite.py"),
     embedded!("robogate_eval/environments/robosuite_world.py"),
+    embedded!("robogate_eval/lerobot/__init__.py"),
+    embedded!("robogate_eval/lerobot/policy.py"),
+    embedded!("robogate_eval/lerobot/world.py"),
     embedded!("robogate_eval/libero/__init__.py"),
     embedded!("robogate_eval/libero/bddl.py"),
     embedded!("robogate_eval/libero/controller.py"),
@@ -34,6 +37,7 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/libero/scoring.py"),
     embedded!("robogate_eval/libero/suites.py"),
     embedded!("robogate_eval/libero/world.py"),
+    embedded!("robogate_eval/policies.py"),
     embedded!("robogate_eval/scripted/__init__.py"),
     embedded!("robogate_eval/scripted/clearance.py"),
     embedded!("robogate_eval/scripted/grasp.py"),
@@ -51,6 +55,7 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/serving/hints.py"),
     embedded!("robogate_eval/serving/imported.py"),
     embedded!("robogate_eval/serving/knobs.py"),
+    embedded!("robogate_eval/serving/layers.py"),
     embedded!("robogate_eval/serving/model.py"),
     embedded!("robogate_eval/serving/motion.py"),
     embedded!("robogate_eval/serving/mujoco_knobs.py"),
@@ -62,6 +67,7 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/serving/timing.py"),
     embedded!("robogate_eval/serving/trajectory.py"),
     embedded!("robogate_eval/serving/view_knobs.py"),
+    embedded!("robogate_eval/stable_baselines.py"),
     embedded!("robogate_bridge/__init__.py"),
     embedded!("robogate_bridge/cell.py"),
     embedded!("robogate_bridge/client.py"),
@@ -121,7 +127,7 @@ mod tests {
     fn package_is_complete() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         let mut found = Vec::new();
-        for folder in ["environments", "libero", "scripted", "serving"] {
+        for folder in ["environments", "lerobot", "libero", "scripted", "serving"] {
             files(&root.join("python/src"), &format!("robogate_eval/{folder}"), &mut found);
         }
         files(&root.join("python/src"), "robogate_bridge", &mut found);

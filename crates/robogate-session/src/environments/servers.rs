@@ -18,6 +18,7 @@ use super::imported::Imported;
 use super::process::{Process, locked};
 use super::python::{Interpreter, readable};
 use crate::failure::{Failure, OrFailure};
+use crate::loaded_policy::LoadedPolicy;
 use crate::notice::note;
 use crate::text::indented;
 
@@ -49,19 +50,23 @@ struct Ready {
 }
 
 impl Servers {
-    /// Starts the first server. `timeouts` also limit its calls of the environment before it is ready.
+    /// Starts the first server. Each server also loads this policy. `timeouts` also limit its calls of the environment before it is
+    /// ready.
     pub fn start(
         environment: String,
+        loads: Option<&LoadedPolicy>,
         named_python: Option<PathBuf>,
         interpreter: Interpreter,
         timeouts: Timeouts,
     ) -> Result<(Arc<Self>, Address), Failure> {
         let (starter, requests) = mpsc::channel::<Sender<io::Result<Child>>>();
         let (name, python) = (environment.clone(), interpreter.clone());
+        let loads = loads.map(LoadedPolicy::argument);
         let thread = thread::spawn(move || {
             for reply in requests {
                 let mut command = python.command("serve");
                 command.args(["--child", &name]);
+                command.args(loads.iter().flat_map(|policy| ["--policy", policy]));
                 // Without a receiver the process is dropped, which closes its standard input.
                 let _ = reply.send(command.spawn());
             }

@@ -86,6 +86,9 @@ impl EnvironmentSource {
             Some(PolicySource::Declared(wanted)) => {
                 let found = self.policies().iter().find(|policy| policy.name == wanted.environment);
                 if found.is_none() {
+                    if let Some(from) = &wanted.from {
+                        bail!("--policy {from}: only an environment in Python loads it\nHint: name the environment with --env");
+                    }
                     let known: Vec<&str> = self.policies().iter().map(|policy| &*policy.name).collect();
                     if known.is_empty() {
                         return Err(without_profile(&wanted.environment));
@@ -97,8 +100,19 @@ impl EnvironmentSource {
             }
             Some(_) => None,
         };
+        let from = match &chosen {
+            Some(PolicySource::Declared(wanted)) => wanted.from.clone(),
+            _ => None,
+        };
+        if let (Some(from), Some(PolicySource::Declared(wanted)), Some(found)) = (&from, &chosen, found)
+            && !wanted.version.is_empty()
+            && wanted.version != found.version
+        {
+            bail!("the policy {from} is not the one of the run: its files have changed\nHint: name the recorded ones with --policy");
+        }
         let declared = |policy: &HostedPolicy| {
-            PolicySource::Declared(DeclaredPolicy { environment: policy.name.clone(), version: policy.version.clone() })
+            let (environment, version) = (policy.name.clone(), policy.version.clone());
+            PolicySource::Declared(DeclaredPolicy { environment, version, from: from.clone() })
         };
         Ok(found.map(declared).or(chosen))
     }

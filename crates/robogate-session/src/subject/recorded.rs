@@ -47,7 +47,8 @@ fn programs_of(world: &World) -> Vec<Program> {
     };
     let policy = match &world.policy {
         Some(PolicyRecord::External(external)) => Some(Program::Policy(external.server.clone())),
-        Some(PolicyRecord::BuiltIn { .. } | PolicyRecord::Hosted { .. }) | None => None,
+        Some(PolicyRecord::Hosted { from, .. }) => from.clone().map(Program::Policy),
+        Some(PolicyRecord::BuiltIn { .. }) | None => None,
     };
     environment.into_iter().chain(policy).collect()
 }
@@ -127,9 +128,11 @@ impl Subject {
         folder: Option<&Path>,
         opening: &Reopening,
     ) -> Result<Self, Failure> {
-        let Permit { environment: permitted, robot: permitted_robot, location, simulators } =
+        let Permit { environment: permitted, robot: permitted_robot, location, mut simulators } =
             opening.permit(folder, provenance, &programs_of(&world))?;
         let World { mut place, policy, execution, controls, .. } = world;
+        let policy = policy.as_ref().map(PolicySource::recorded).transpose()?;
+        simulators.loads = policy.as_ref().map_or(Ok(None), |policy| policy.loaded(&location)).or_request()?;
         let mut recorded_robot = None;
         if let Some(own) = permitted_robot {
             let now = cell::identity(&cell::robot(&own).or_request()?.files().or_request()?);
@@ -216,7 +219,6 @@ impl Subject {
         };
         let policy = match policy {
             Some(policy) => {
-                let policy = PolicySource::recorded(&policy)?;
                 let may_copy = location.at.is_none() && !opening.continues;
                 let copy = folder.filter(|_| may_copy).and_then(|run| policy.kept(run));
                 Some(policy.asked_again(&PolicyLocation { at: copy.or(location.at), access: location.access })?)

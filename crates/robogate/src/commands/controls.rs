@@ -10,16 +10,37 @@ use robogate_policy::{Profile, RandomModel, TaskMap, ThroughProfile, Unmapped, c
 
 use crate::exit::{Exit, OrExit};
 use crate::terminal::note;
-use robogate_session::{EnvironmentSource, Subject, mapped};
+use robogate_session::{EnvironmentSource, Subject, mapped, repeats};
 
 /// The default number of episodes of each control.
 pub(crate) const EPISODES: u32 = 5;
 
-/// Runs the controls of an external policy, one episode after the other. `None` for a policy without a profile.
+/// The number of episodes of the gate that run twice before it, in other processes.
+const REPEATED: u64 = 3;
+
+/// Repeats a few episodes of an environment in another process, and runs the controls of an external policy, one episode after the
+/// other. `None` for a built-in environment and a policy without a profile.
 ///
 /// In the built-in cell the episodes are nominal scenarios. In other environments they are scenarios of the suite, evenly
 /// spaced. Their seeds are not those of the gate.
 pub(crate) fn run(subject: &Subject, suite: &Suite, episodes: u32, seed: u64) -> Result<Option<Controls>, Exit> {
+    let repeated = if episodes == 0 { None } else { repeats(subject, &sample(suite, seed))? };
+    let controls = of_profile(subject, suite, episodes, seed)?;
+    Ok(match repeated {
+        None => controls,
+        repeats => Some(Controls { repeats, ..controls.unwrap_or_default() }),
+    })
+}
+
+/// Episodes of the gate, which run twice.
+fn sample(suite: &Suite, seed: u64) -> Vec<Scenario> {
+    let (campaign, cases) = (Seed::campaign(seed), suite.cases().len().max(1) as u64);
+    let number = REPEATED.min(cases);
+    (0..number).map(|at| suite.scenario(campaign, at * cases / number)).collect()
+}
+
+/// Runs the controls of a policy with a profile.
+fn of_profile(subject: &Subject, suite: &Suite, episodes: u32, seed: u64) -> Result<Option<Controls>, Exit> {
     let Some(profile) = subject.policy_source().and_then(|source| source.profile()) else { return Ok(None) };
     let map = subject.policy_source().and_then(|source| source.map());
     let reference = profile.published().or_usage()?;

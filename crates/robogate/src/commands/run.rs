@@ -1,5 +1,6 @@
 //! `robogate run`: runs a campaign, or one of its shards, and prints the result.
 
+use std::io::{self, IsTerminal};
 use std::num::{NonZeroU64, NonZeroUsize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,6 +22,7 @@ use robogate_stats::format::counted;
 use crate::arguments::{EnvironmentArguments, LatencyArguments, LocationArguments, PolicyArguments, TrustArguments};
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
+use crate::hopeless::{Reaction, Watched};
 use crate::number::at_least_one;
 use crate::place;
 use crate::progress::Progress;
@@ -28,7 +30,7 @@ use crate::summary;
 use crate::terminal::{Screen, grouped, note, percent, quoted, warning};
 use crate::twins;
 use crate::watch::Frames;
-use robogate_session::{Arms, Failure, Outage, Reopening, Subject, Workers, describe, families, guarded};
+use robogate_session::{Arms, Failure, Outage, PolicySource, Reopening, Subject, Workers, describe, families, guarded};
 
 /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain.
 #[derive(Debug, Args)]
@@ -111,12 +113,13 @@ struct Given(Vec<String>);
 impl Given {
     /// The arguments of `run` that do not affect the results of a campaign. clap reports the arguments of the whole command as
     /// well.
-    const WITHOUT_EFFECT: [&str; 14] = [
+    const WITHOUT_EFFECT: [&str; 15] = [
         "out",
         "shard",
         "divide",
         "threads",
         "json",
+        "goes_on",
         "quiet",
         "addresses",
         "timeout_s",
@@ -173,6 +176,10 @@ pub(crate) struct How {
     /// Print the result as one JSON document
     #[arg(long)]
     pub(crate) json: bool,
+    /// Go on although the first 20 episodes all fail in the same way, or with actions outside of their range. Without it such a run
+    /// stops on a terminal; elsewhere it goes on with a warning
+    #[arg(long = "continue")]
+    pub(crate) goes_on: bool,
 }
 
 impl Run {
@@ -199,7 +206,7 @@ impl Run {
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
-        let environment = self.environment.choice().environment_of(suite.as_ref())?;
+        let environment = self.environment.choice().with_policy(&self.policy.choice())?.environment_of(suite.as_ref())?;
         let environment = if papers { environment.like_the_paper().or_broken()? } else { environment };
         let policy = self.policy.choice().source_at(&self.location.choice())?;
         self.location.choice().check_used(policy.as_ref())?;
@@ -378,7 +385,7 @@ impl How {
         self.with_workers(|workers| workers.with_pool(subject, |pool| shown(pool, episodes, work)))
     }
 
-    /// Runs a campaign with `work` and shows its progress.
+    /// Runs a campaign in `dir` with `work` and shows its progress.
     pub(crate) fn carry(
         &self,
         dir: &Path,
@@ -386,7 +393,31 @@ impl How {
         work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
     ) -> Result<Completion, Exit> {
         let mut progress = Progress::new();
-        self.with_workers(|workers| Ok(workers.carry(dir, subject, &mut |event| progress.hear(event), work)?))
+        let mut stopped = None;
+        let completion = self.with_workers(|workers| {
+            Ok(workers.carry(dir, subject, &mut |event| progress.hear(event), |executor, events| {
+                let Some(reaction) = self.reaction(subject) else { return work(executor, events) };
+                let watched = Watched::new(executor, reaction);
+                let completion = work(&watched, events);
+                stopped = watched.stopped();
+                completion
+            })?)
+        })?;
+        match stopped {
+            None => Ok(completion),
+            Some(why) => Err(anyhow!(
+                "stopped: {why}\nHint: the episodes are recorded; `robogate resume {} --continue` goes on",
+                quoted(dir)
+            ))
+            .or_broken(),
+        }
+    }
+
+    /// What happens to a run that cannot succeed. `None` if the user wants it, or if the policy is the baseline of random actions.
+    fn reaction(&self, subject: &Subject) -> Option<Reaction> {
+        let random = matches!(subject.policy_source(), Some(PolicySource::BuiltIn(_)));
+        let reaction = if io::stderr().is_terminal() { Reaction::Stop } else { Reaction::Warn };
+        (!self.goes_on && !random).then_some(reaction)
     }
 
     /// Runs a campaign with `work`, and shows its progress and summary.

@@ -166,6 +166,37 @@ fn faults_are_shown_and_survived() {
     bench.robogate("run --env breaks.py -n 30", 5, &["does not start", "ZeroDivisionError"]);
 }
 
+/// Equal seeds give other episodes in another process or order. The verdict says so, and nothing is paired.
+#[test]
+fn episodes_that_do_not_repeat_are_named() {
+    let Some(bench) = Bench::new() else { return };
+    let target = "        self.target = self.np_random.uniform(-1.0, 1.0, 2)\n";
+    let import = ("import gymnasium,", "import gymnasium, os,");
+    let process = target.replace("-1.0, 1.0, 2)", "-1.0, 1.0, 2) + 1e-3 * (os.getpid() % 97)");
+    bench.example("process.py", &[(target, &process), import]);
+    let cause = "episodes depend on the order or the process: 3 of 3 episodes that ran twice had another start";
+    // Within one process, the same seed gives the same episode.
+    bench.robogate("env inspect process.py", 0, &["deterministic   yes"]);
+    bench.robogate("gate --env process.py --rounds 1 --out process", 4, &["INVALID", cause]);
+    assert!(!bench.at("process/dictionary.parquet").exists(), "episodes ran that are no evidence");
+
+    let act = "        self.speed += 0.05 * (4.0 * action - self.drag * self.speed)\n";
+    let worn = format!("{act}        Reach.worn += 1\n        self.speed *= 1.0 - 1e-9 * Reach.worn\n");
+    bench.example("worn.py", &[(act, &worn), ("    drag = 1.0\n", "    drag = 1.0\n    worn = 0\n")]);
+    let late = "had the same start and another trajectory. The rate holds for these starts";
+    let text = bench.robogate("gate --env worn.py --rounds 1 --fixed --out worn", 1, &["FAIL"]);
+    assert!(text.replace("\n        ", " ").contains(late), "{text}");
+    let judged = fs::read_to_string(bench.at("worn/gate.md")).unwrap();
+    assert!(judged.contains(late), "{judged}");
+    let refused = "the policies cannot be compared episode by episode: in the run of steer, episodes depend on the order";
+    bench.robogate("gate --env worn.py --against random", 2, &[refused]);
+    bench.robogate("gate --env worn.py --baseline worn", 2, &[refused]);
+
+    bench.example("reach.py", &[]);
+    let text = bench.robogate("gate --env reach.py --rounds 1 --fixed --out same", 1, &["repeating 3 episodes"]);
+    assert!(!text.contains("Repetition"), "{text}");
+}
+
 /// Most scenarios break the environment. The gate stops as soon as no result of the other rounds could pass.
 #[test]
 fn mostly_invalid_gate_stops_early() {

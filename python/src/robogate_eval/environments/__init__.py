@@ -35,7 +35,7 @@ from pathlib import Path
 from ..serving.environment import Environment, as_environment
 from .family import Family, UnknownEnvironment, installed
 
-__all__ = ["Family", "UnknownEnvironment", "families", "find"]
+__all__ = ["Family", "UnknownEnvironment", "families", "find", "with_policy"]
 
 # The modules of this folder that define a `FAMILY`.
 FAMILIES = ("metaworld", "fetch", "robosuite", "libero", "dm_control")
@@ -51,7 +51,8 @@ def find(name: str) -> Environment:
     """Find an environment by its name.
 
     A name is `FAMILY:NAME` of a bundled family, `gymnasium:ID` for a registered Gymnasium environment (`gymnasium:MODULE:ID` if the
-    import of a module registers it; `?key=value&...` gives its arguments), or `FILE.py:ATTRIBUTE` or `MODULE:ATTRIBUTE` for your own. The attribute is an `Environment`, or a function that returns one or a `gymnasium.Env`.
+    import of a module registers it; `?key=value&...` gives its arguments), `lerobot:TYPE/TASK` for an environment of LeRobot (its fields in
+    the same way), or `FILE.py:ATTRIBUTE` or `MODULE:ATTRIBUTE` for your own. The attribute is an `Environment`, or a function that returns one or a `gymnasium.Env`.
 
     Raises:
         UnknownEnvironment: There is no such environment.
@@ -61,6 +62,10 @@ def find(name: str) -> Environment:
         first, rest = rest, ""
     if first == "gymnasium":
         return _registered(rest)
+    if first == "lerobot":
+        from ..lerobot.world import environment
+
+        return environment(rest)
     known = families()
     if first in known:
         if not rest:
@@ -84,6 +89,14 @@ def find(name: str) -> Environment:
             f"{name}: no such environment.{meant} Expected FAMILY:NAME (families: {bundled}), gymnasium:ID, FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE"
         ) from None
     return _own(module, rest, name)
+
+
+def with_policy(environment: Environment, named: str) -> Environment:
+    """The environment with a further policy, `NAME=lerobot:FOLDER` or `NAME=sb3:FILE`, as its first."""
+    from ..policies import declared
+
+    name, _, path = named.partition("=")
+    return dataclasses.replace(environment, policies={name: declared(path), **environment.policies})
 
 
 def _registered(identifier: str) -> Environment:

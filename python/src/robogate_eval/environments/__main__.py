@@ -11,7 +11,7 @@ import traceback
 from pathlib import Path
 
 from ..serving.environment import DeclarationError
-from . import UnknownEnvironment, families, find
+from . import UnknownEnvironment, families, find, with_policy
 
 # What a server needs in addition to the environment: module and pinned requirement.
 SERVER = {"zmq": "pyzmq==27.1.0", "msgpack": "msgpack==1.1.2"}
@@ -23,6 +23,7 @@ def main() -> None:
     serve = verbs.add_parser("serve", help="serve an environment over the bridge protocol")
     serve.add_argument("name", help="FAMILY:NAME, gymnasium:ID, FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE")
     serve.add_argument("--bind", default="tcp://127.0.0.1:5570", help="address; tcp://127.0.0.1:* takes a free port")
+    serve.add_argument("--policy", help="NAME=lerobot:FOLDER or NAME=sb3:FILE: a policy to load beside the environment's own")
     serve.add_argument("--child", action="store_true", help="serve the parent process: take a free port, and end with the standard input")
     describe = verbs.add_parser("describe", help="print the declaration of an environment to the parent process, as JSON after lines about progress")
     describe.add_argument("name")
@@ -65,9 +66,10 @@ def _serve(arguments: argparse.Namespace) -> None:
     from ..serving import process
 
     if arguments.child:
-        process.serve_child(arguments.name)
+        process.serve_child(arguments.name, arguments.policy)
     else:
-        process.serve(find(arguments.name), bind=arguments.bind)
+        environment = find(arguments.name)
+        process.serve(environment if arguments.policy is None else with_policy(environment, arguments.policy), bind=arguments.bind)
 
 
 def _describe(arguments: argparse.Namespace) -> None:

@@ -29,6 +29,9 @@ class World:
         from gymnasium import spaces
 
         self._env = manipulation.load(name + SUFFIX, seed=0)
+        # A task that shuffles its bricks does so in place, so a reset would start from the order of the last one.
+        order = getattr(self._env.task, "_initial_order", None)
+        self._first_order = None if order is None else np.array(order)
         action = self._env.action_spec()
         self.action_space = spaces.Box(np.asarray(action.minimum), np.asarray(action.maximum), dtype=np.float64)
         self.action_names = [part.removeprefix(ARM).replace("/", "_") for part in action.name.split("\t")]
@@ -61,6 +64,8 @@ class World:
 
     def reset(self, seed: int) -> tuple[dict, dict]:
         self._env.random_state.seed(seed)
+        if self._first_order is not None:
+            self._env.task._initial_order[:] = self._first_order
         return self._flat(self._env.reset().observation), {}
 
     def step(self, action: Any) -> tuple:

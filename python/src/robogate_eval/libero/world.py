@@ -67,6 +67,8 @@ class World(RobosuiteWorld):
         self._env.reset()
         if len(states[self.state_index]) != 1 + self.model.nq + self.model.nv:
             raise ValueError(f"{self.name}: the initial states do not belong to this version of the task")
+        # The solver starts from its last result, so without this the last bits would depend on the episodes before.
+        self.data.qacc_warmstart[:] = 0.0
         self._observation = self._env.set_init_state(states[self.state_index])
         self.start = self.data.qpos.copy()
         if self.edits is None:

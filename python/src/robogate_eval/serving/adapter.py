@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import random
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -81,6 +83,8 @@ class Adapter:
         # Whether an episode that raised runs a second time now.
         self._repeats = False
         self._hash = 0
+        # Whether the actions of the episode come from a policy of this environment.
+        self._hosts = False
         try:
             self.deterministic = self._is_deterministic(doing)
             self._require_success(doing)
@@ -117,7 +121,7 @@ class Adapter:
         if model is not None:
             engine["sha256"] = declaration.mujoco_sha256()
         task = declaration.task_declaration(
-            self._task, self._period, self._limit, self.knobs, self._observations, self._cameras, self._actions
+            self._environment, self._period, self._limit, self.knobs, self._observations, self._cameras, self._actions
         )
         return {
             "server": {"name": "robogate-eval", "version": "1"},
@@ -229,6 +233,7 @@ class Adapter:
         for knob, value in requested:
             if knob.before_reset:
                 knob.set(self._env, value)
+        _seed_generators(_seed(scenario))
         observation, info = self._env.reset(seed=_seed(scenario))
         if self._model is not None:
             self._model.bind(self._env)
@@ -256,7 +261,9 @@ class Adapter:
         if scenario.record_s is not None and self._model is not None:
             self._recorder = Recorder(self._env, self._model, scenario.record_s)
         self._policy = None
-        if scenario.policy is not None:
+        self._hosts = scenario.policy is not None
+        self._actions.begin()
+        if self._hosts:
             self._policy = self._environment.policies[scenario.policy].make(self._env)
         reply = self._reply(observation) | {"applied": applied}
         if self._task.episode_instruction is not None:
@@ -395,6 +402,8 @@ class Adapter:
                 measures = dict(self._task.measure(trajectory))
             if self._task.starts_may_succeed:
                 measures[declaration.SUCCESS_AT_START.name] = float(self._solved)
+            if self._hosts:
+                measures[declaration.CLIPPED.name] = self._actions.clipped_share()
         return observation, ending, measures
 
     def _look_at_start(self, numbers: "list[float] | np.ndarray") -> None:
@@ -454,6 +463,15 @@ def _get_obs(env: Any) -> Any:
 
 def _values(result: Any) -> str:
     return f"{len(result)} values" if isinstance(result, tuple) else f"a {type(result).__name__}"
+
+
+def _seed_generators(seed: int) -> None:
+    """Seed the generators that all code of this process shares. An environment or a policy that draws from them then depends neither
+    on earlier episodes nor on the process."""
+    random.seed(seed)
+    np.random.seed(seed)
+    if (torch := sys.modules.get("torch")) is not None:
+        torch.manual_seed(seed)
 
 
 def _seed(scenario: Any) -> int:

@@ -17,11 +17,22 @@ from .spaces import Actions, Observations
 # The measure of a task whose episodes may start in success.
 SUCCESS_AT_START = Measure("success_at_start", meaning="1 if the criterion held before the first action, otherwise 0.")
 
+# The measure of an environment with policies of its own.
+CLIPPED = Measure("clipped_actions", meaning="Share of the control periods in which the policy's action was outside of its range and was clipped.")
+
+
+def measures_of(environment: Environment) -> list[Measure]:
+    """The measures of the task, and those that this package adds."""
+    task = environment.task
+    added = [SUCCESS_AT_START] * task.starts_may_succeed + [CLIPPED] * bool(environment.policies)
+    return [*task.measures, *added]
+
 
 def task_declaration(
-    task: Task, period_s: float, steps: int, knobs: Sequence[Knob], observations: Observations, cameras: Cameras, actions: Actions
+    environment: Environment, period_s: float, steps: int, knobs: Sequence[Knob], observations: Observations, cameras: Cameras, actions: Actions
 ) -> dict:
     """The task in the form of the bridge protocol. `steps`: the largest number of control periods of an episode."""
+    task = environment.task
     modes = [{"name": mode.name, "meaning": mode.meaning, "severity": mode.severity} for mode in task.failure_modes]
     if all(mode.name != "terminated" for mode in task.failure_modes):
         modes.append({"name": "terminated", "meaning": "The environment ended the episode without success."})
@@ -34,7 +45,7 @@ def task_declaration(
         "failure_modes": modes,
         "measures": [
             {"name": measure.name, "unit": measure.unit, "meaning": measure.meaning, "better": measure.better}
-            for measure in (*task.measures, *([SUCCESS_AT_START] if task.starts_may_succeed else []))
+            for measure in measures_of(environment)
         ],
         "parameters": [knob.declaration() for knob in knobs],
         "observation": {"vectors": observations.declaration(), "cameras": cameras.declaration()},

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+
+from .layers import attribute as _get
+from .layers import layers
 
 
 class NoModel(LookupError):
@@ -38,26 +40,6 @@ def find(env: Any) -> tuple[Any, Any]:
             if isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData):
                 return model, data
     raise NoModel(f"no MuJoCo model in {type(env).__name__}")
-
-
-def layers(env: Any) -> Iterator[Any]:
-    """An environment, and those that it wraps."""
-    waiting, seen = [env], []
-    while waiting:
-        here = waiting.pop(0)
-        if here is not None and not any(here is other for other in seen):
-            seen.append(here)
-            yield here
-            waiting += [_get(here, "env"), _get(here, "unwrapped"), _get(here, "_env")]
-
-
-def _get(value: Any, name: str) -> Any:
-    if value is None:
-        return None
-    try:
-        return getattr(value, name, None)
-    except Exception:  # a property of an environment that is not ready yet
-        return None
 
 
 def rigid(model: Any, body: int) -> list[int]:

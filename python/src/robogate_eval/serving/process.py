@@ -106,25 +106,27 @@ class Child:
             os.write(2, f"It was here when it was ended (most recent call last):\n{stack}".encode())
 
 
-def serve_child(name: str) -> None:
-    """Serve the environment of this name to the parent process: `robogate run --env`. The answer is its address."""
+def serve_child(name: str, policy: str | None = None) -> None:
+    """Serve the environment of this name to the parent process: `robogate run --env`. The answer is its address. `policy` is one to
+    load beside its own (`with_policy`)."""
     child = Child()
     # Ctrl-C reaches all processes of the terminal. The parent finishes its episodes and then closes the standard input.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    adapter = child_adapter(child, name)
+    adapter = child_adapter(child, name, policy)
     _keep()
     # The check before the first episode has called `reset` and `step`, which import what an environment needs later.
     robogate_bridge.serve(adapter, "tcp://127.0.0.1:*", ready=lambda address: child.answer(json.dumps({"listening": address} | imported())))
 
 
-def child_adapter(child: Child, name: str) -> Adapter:
+def child_adapter(child: Child, name: str, policy: str | None = None) -> Adapter:
     """The adapter of the environment of this name."""
-    from ..environments import find
+    from ..environments import find, with_policy
     from .rendering import choose_library
 
     choose_library()
     child.doing("import")
-    return Adapter(find(name), child.doing)
+    environment = find(name)
+    return Adapter(environment if policy is None else with_policy(environment, policy), child.doing)
 
 
 class Background:

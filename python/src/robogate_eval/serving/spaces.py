@@ -195,6 +195,17 @@ class Actions:
         self._last: tuple[list[float], np.ndarray] = ([], np.empty(0))
         self._ones = np.ones(len(low))
         self._is_flat = len(shape) == 1
+        # A number outside of its bounds by less is rounding.
+        self._rounding = 1e-5 * (high - low)
+        self._asked = self._outside = 0
+
+    def begin(self) -> None:
+        """Begin an episode."""
+        self._asked = self._outside = 0
+
+    def clipped_share(self) -> float | None:
+        """The share of the actions of the policy in this episode that were outside of the bounds. None without any."""
+        return self._outside / self._asked if self._asked else None
 
     def declaration(self) -> dict:
         """The action space in the form of the bridge protocol."""
@@ -221,7 +232,10 @@ class Actions:
         numbers = np.asarray(action, dtype=float).ravel()
         if len(numbers) != len(self.low):
             raise ValueError(f"the policy returned {len(numbers)} numbers. Expected {len(self.low)}")
-        return self._clipped(numbers)
+        clipped = self._clipped(numbers)
+        self._asked += 1
+        self._outside += bool((np.abs(numbers - clipped) > self._rounding).any())
+        return clipped
 
     def are_finite(self, numbers: np.ndarray) -> bool:
         """Whether all numbers of an action are finite. They are bounded, so their sum is finite too."""
@@ -299,4 +313,11 @@ class Joined(Actions):
         if keys != set(self._parts):
             expected, found = (", ".join(map(str, which)) for which in (self._parts, sorted(keys, key=str)))
             raise ValueError(f"the policy returned an action with the parts {found}. Expected {expected}")
-        return np.concatenate([part.bounded(action[key]) for key, part in self._parts.items()])
+        before = self._outside_of_parts()
+        numbers = np.concatenate([part.bounded(action[key]) for key, part in self._parts.items()])
+        self._asked += 1
+        self._outside += self._outside_of_parts() > before
+        return numbers
+
+    def _outside_of_parts(self) -> int:
+        return sum(part._outside for part in self._parts.values())

@@ -90,7 +90,8 @@ pub(crate) struct Gate {
     #[command(flatten)]
     nominal: NominalArguments,
     /// Set the number of episodes of each control of an external policy: the environment's expert, the expert through
-    /// the profile, and random actions of the model. 0 skips the controls, and the result says so
+    /// the profile, and random actions of the model. 0 skips the controls, and the result says so; it also skips the
+    /// episodes that run twice, in another process and order
     #[arg(long, value_name = "N", default_value_t = controls::EPISODES)]
     controls: u32,
     /// Set the seed of the rounds

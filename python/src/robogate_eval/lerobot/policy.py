@@ -1,0 +1,148 @@
+"""Policies of LeRobot, with the processors that are stored with them and those of LeRobot's environments."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ..serving.layers import layers
+
+# The part of the names of LeRobot's inputs that other environments do not have.
+PREFIXES = ("observation.images.", "observation.")
+# Keys of the observations of LeRobot's environments.
+KEYS = {"pixels", "agent_pos", "environment_state", "robot_state"}
+
+
+def load(path: "str | os.PathLike[str]") -> Any:
+    """Load the policy of a checkpoint folder. Its configuration can name any Python class: load only folders that you trust.
+
+    Raises:
+        ValueError: The folder has no checkpoint.
+    """
+    folder = Path(path)
+    if not (folder / "config.json").is_file() and (folder / "pretrained_model").is_dir():
+        folder = folder / "pretrained_model"
+    if not (folder / "config.json").is_file():
+        raise ValueError(f"{folder}: not a checkpoint of LeRobot. Expected a folder with config.json, such as .../pretrained_model")
+    import lerobot.policies  # registers the configurations of all policies
+    from lerobot.configs.policies import PreTrainedConfig
+    from lerobot.policies.factory import get_policy_class
+
+    del lerobot
+    config = PreTrainedConfig.from_pretrained(folder)
+    config.pretrained_path = folder
+    return get_policy_class(config.type).from_pretrained(folder, config=config)
+
+
+def version(path: "str | os.PathLike[str]") -> str:
+    """The SHA-256 of the files of a checkpoint folder: their names and contents."""
+    digest = hashlib.sha256()
+    for file in sorted(file for file in Path(path).rglob("*") if file.is_file()):
+        digest.update(f"{file.relative_to(path)}\0{file.stat().st_size}\0".encode())
+        with open(file, "rb") as opened:
+            while part := opened.read(1 << 20):
+                digest.update(part)
+    return f"sha256:{digest.hexdigest()}"
+
+
+def as_function(policy: Any, env: Any = None) -> Callable[[Any], Any]:
+    """A policy as a function from an observation of `env` to an action. Called at the start of each episode, after `policy.reset()`."""
+    import torch
+
+    before, after = _processors(policy)
+    config = next((found for layer in layers(env) if (found := getattr(layer, "lerobot_config", None)) is not None), None)
+    first, last = _environment_processors(config, policy)
+    inputs = policy.config.input_features
+    device = next(policy.parameters()).device
+    policy.eval()
+
+    def act(observation: Any) -> Any:
+        batch = first(_batch(observation, env))
+        for name, feature in inputs.items():
+            if name not in batch:
+                batch[name] = torch.as_tensor(_input(name, feature, observation, len(inputs))).unsqueeze(0)
+            elif feature.type.name != "VISUAL" and tuple(batch[name].shape[1:]) != tuple(feature.shape):
+                found = tuple(batch[name].shape[1:])
+                raise ValueError(f"the policy expects {name} of the shape {tuple(feature.shape)}, but the environment observes {found}")
+        batch = {name: value.to(device) if isinstance(value, torch.Tensor) else value for name, value in batch.items()}
+        with torch.inference_mode():
+            action = last({"action": after(policy.select_action(before(batch)))})["action"]
+        return action.squeeze(0).float().cpu().numpy()
+
+    return act
+
+
+def _batch(observation: Any, env: Any) -> dict[str, Any]:
+    """The batch of one observation, as LeRobot's evaluation makes it. Without LeRobot's keys: the instruction only."""
+    batch: dict[str, Any] = {}
+    if isinstance(observation, Mapping) and KEYS & observation.keys():
+        from lerobot.envs.utils import preprocess_observation
+
+        batch = preprocess_observation(_with_axis(observation))
+    for layer in layers(env):
+        text = next((text for name in ("instruction", "task_description", "task") if isinstance(text := getattr(layer, name, None), str)), None)
+        if text is not None:
+            return batch | {"task": [text]}
+    return batch | {"task": [""]}
+
+
+def _with_axis(value: Any) -> Any:
+    """The same observation with a first axis of one, as a vector of one environment returns it."""
+    import numpy as np
+
+    if isinstance(value, Mapping):
+        return {key: _with_axis(part) for key, part in value.items()}
+    return np.asarray(value)[None]
+
+
+def _processors(policy: Any) -> tuple[Callable, Callable]:
+    """The processors before and after a policy that was loaded from a folder. Older versions of LeRobot have none."""
+    path = getattr(policy.config, "pretrained_path", None) or getattr(policy, "name_or_path", None)
+    try:
+        from lerobot.policies.factory import make_pre_post_processors
+    except ImportError:
+        return _same, _same
+    if not path:
+        return _same, _same
+    device = str(next(policy.parameters()).device)
+    return make_pre_post_processors(policy.config, pretrained_path=str(path), preprocessor_overrides={"device_processor": {"device": device}})
+
+
+def _environment_processors(config: Any, policy: Any) -> tuple[Callable, Callable]:
+    """The processors of one of LeRobot's environments, which has this configuration."""
+    if config is None:
+        return _same, _same
+    from lerobot.envs import factory
+
+    make = getattr(factory, "make_env_pre_post_processors", None)
+    return (_same, _same) if make is None else make(env_cfg=config, policy_cfg=policy.config)
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+def _input(name: str, feature: Any, observation: Any, inputs: int) -> Any:
+    """The input of this name in an observation of any environment, as an array."""
+    import numpy as np
+
+    value = observation
+    if isinstance(observation, Mapping):
+        short = next((name.removeprefix(prefix) for prefix in PREFIXES if name.startswith(prefix)), name)
+        key = next((key for key in (name, short) if key in observation), None)
+        if key is None:
+            known = ", ".join(f"{key} {np.shape(one)}" for key, one in observation.items())
+            raise KeyError(f"the policy expects {name} {tuple(feature.shape)}, but the environment observes {known}")
+        value = observation[key]
+    elif inputs > 1:
+        raise KeyError(f"the policy expects {name} {tuple(feature.shape)} and others, but the environment observes one array")
+    array = np.asarray(value)
+    if array.dtype == np.uint8 and array.ndim == 3:
+        # Height, width, channel in bytes; the policy takes channel, height, width from 0 to 1.
+        array = np.moveaxis(array, 2, 0).astype(np.float32) / 255.0
+    if array.shape != tuple(feature.shape):
+        raise ValueError(f"the policy expects {name} of the shape {tuple(feature.shape)}, but the environment observes {array.shape}")
+    return np.ascontiguousarray(array, dtype=np.float32)

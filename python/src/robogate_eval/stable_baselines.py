@@ -1,0 +1,203 @@
+"""Models of Stable-Baselines3 and sb3_contrib: a zip file, or a folder of RL Baselines3 Zoo."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import pickle
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from .serving.layers import layers
+
+# The algorithms of sb3_contrib, by a part of the module of their policies.
+CONTRIB = {"recurrent": "RecurrentPPO", "maskable": "MaskablePPO", "tqc": "TQC", "qrdqn": "QRDQN", "ars": "ARS", "crossq": "CrossQ"}
+# Names of the statistics of VecNormalize beside a model.
+STATISTICS = ("vecnormalize.pkl", "vec_normalize.pkl")
+# The wrapper that adds the remaining time to the observation, and its number of steps where the environment has no limit.
+TIME_FEATURE = "sb3_contrib.common.wrappers.TimeFeatureWrapper"
+TIME_FEATURE_STEPS = 1000
+
+
+class Model:
+    """A saved model with what its observations passed through in training. `files` are all that were read."""
+
+    def __init__(self, model: Any, statistics: Any, time_feature: dict[str, Any] | None, files: list[Path]):
+        self.model = model
+        self.files = files
+        self._statistics = statistics
+        self._time_feature = time_feature
+
+    def function(self, env: Any) -> Callable[[Any], Any]:
+        """The model as a function from an observation of `env` to an action. Called at the start of each episode."""
+        import numpy as np
+
+        model, recurrent = self.model, hasattr(getattr(self.model, "policy", None), "lstm_actor")
+        masks = next((masks for layer in layers(env) if callable(masks := getattr(layer, "action_masks", None))), None)
+        limit = self._limit(env)
+        state, steps = None, 0
+
+        def act(observation: Any) -> Any:
+            nonlocal state, steps
+            if self._time_feature is not None:
+                observation = _with_time(observation, 1.0 if self._time_feature.get("test_mode") else 1.0 - steps / limit)
+            self._check(observation)
+            if self._statistics is not None:
+                observation = self._statistics.normalize_obs(observation)
+            options = {"action_masks": masks()} if masks is not None and type(model).__name__ == "MaskablePPO" else {}
+            if recurrent:
+                options |= {"state": state, "episode_start": np.array([steps == 0])}
+            action, state = model.predict(observation, deterministic=True, **options)
+            steps += 1
+            return action
+
+        return act
+
+    def _limit(self, env: Any) -> int:
+        limits = (getattr(getattr(layer, "spec", None), "max_episode_steps", None) for layer in layers(env))
+        return next(filter(None, limits), None) or (self._time_feature or {}).get("max_steps", TIME_FEATURE_STEPS)
+
+    def _check(self, observation: Any) -> None:
+        """Raise if an observation has another shape than those of the training."""
+        import numpy as np
+
+        space = getattr(self.model, "observation_space", None)
+        spaces = getattr(space, "spaces", None)
+        wanted = {key: part.shape for key, part in spaces.items()} if spaces else {"observation": getattr(space, "shape", None)}
+        seen = observation if isinstance(observation, Mapping) else {"observation": observation}
+        for key, shape in wanted.items():
+            found = np.shape(seen[key]) if key in seen else None
+            if shape is not None and found != tuple(shape):
+                at_end = len(shape) == 1 and found == (shape[0] - 1,)
+                hint = (
+                    ". If it was trained with the remaining time as a feature, name the folder of RL Baselines3 Zoo, whose config.yml says so"
+                    if at_end
+                    else ""
+                )
+                raise ValueError(f"the model expects {key} of the shape {tuple(shape)}, but the environment observes {found}{hint}")
+
+
+def _with_time(observation: Any, feature: float) -> Any:
+    import numpy as np
+
+    if isinstance(observation, Mapping):
+        return {**observation, "observation": _with_time(observation["observation"], feature)}
+    return np.append(observation, np.array(feature, dtype=np.asarray(observation).dtype))
+
+
+def load(path: "str | os.PathLike[str]", statistics: "str | os.PathLike[str] | None" = None) -> Model:
+    """Load a model: a zip file, or a folder of RL Baselines3 Zoo.
+
+    `statistics` are those of VecNormalize; default: `vecnormalize.pkl` beside the file. The files contain pickles, which are
+    programs: load only files that you trust.
+
+    Raises:
+        ValueError: There is no such model, or its observations passed through something that this package does not know.
+    """
+    place = Path(path)
+    file = place if not place.is_dir() else _zip_in(place)
+    settings = _settings(file)
+    found = [Path(statistics)] if statistics is not None else _statistics_of(file)
+    if not found and _normalizes(settings):
+        raise ValueError(f"{file}: the model was trained with normalised observations, but there is no {STATISTICS[0]} beside it")
+    normalizer = None
+    if found:
+        with open(found[0], "rb") as opened:
+            normalizer = pickle.load(opened)  # noqa: S301
+        if not hasattr(normalizer, "normalize_obs"):
+            raise ValueError(f"{found[0]}: expected the statistics of VecNormalize, not {type(normalizer).__name__}")
+        normalizer.training = False
+    return Model(_algorithm(file).load(file, device="cpu"), normalizer, _time_feature(file, settings), [file, *found[:1]])
+
+
+def _zip_in(folder: Path) -> Path:
+    """The model of a folder: `best_model.zip`, or the only zip file."""
+    best = folder / "best_model.zip"
+    files = [best] if best.is_file() else sorted(file for file in folder.glob("*.zip") if "_steps" not in file.stem)
+    if len(files) != 1:
+        names = ", ".join(file.name for file in files) or "none"
+        raise ValueError(f"{folder}: expected one model, best_model.zip or one .zip file. It has: {names}")
+    return files[0]
+
+
+def _statistics_of(file: Path) -> list[Path]:
+    """The statistics beside a model. RL Baselines3 Zoo has a folder with the name of the environment for them."""
+    names = (*STATISTICS, f"{file.stem}_vecnormalize.pkl", f"{file.stem}_{STATISTICS[1]}")
+    return [found for folder in _folders(file) for name in names if (found := folder / name).is_file()]
+
+
+def _folders(file: Path) -> list[Path]:
+    inner = [folder for folder in sorted(file.parent.iterdir()) if (folder / "config.yml").is_file()]
+    return [file.parent, *inner]
+
+
+def _settings(file: Path) -> dict[str, Any]:
+    """The hyperparameters in config.yml of RL Baselines3 Zoo. Empty without one."""
+    config = next((found for folder in _folders(file) if (found := folder / "config.yml").is_file()), None)
+    if config is None:
+        return {}
+    try:
+        import yaml
+    except ModuleNotFoundError:
+        raise ValueError(f"{config}: the package yaml is missing: pip install pyyaml") from None
+
+    class Loader(yaml.SafeLoader):
+        """Reads OrderedDicts as the Zoo writes them, and no other Python objects."""
+
+    tag = "tag:yaml.org,2002:python/object/apply:collections.OrderedDict"
+    Loader.add_constructor(tag, lambda loader, node: dict(loader.construct_sequence(node, deep=True)[0]))
+    try:
+        return dict(yaml.load(config.read_text(encoding="utf-8"), Loader=Loader))  # noqa: S506
+    except (yaml.YAMLError, TypeError, ValueError) as why:
+        raise ValueError(f"{config}: not the settings of RL Baselines3 Zoo: {why}") from None
+
+
+def _normalizes(settings: Mapping[str, Any]) -> bool:
+    """Whether observations were normalised in training: `normalize` is a truth value, or a dict as text."""
+    value = settings.get("normalize", False)
+    return bool(value) and "'norm_obs': False" not in str(value)
+
+
+def _time_feature(file: Path, settings: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The settings of the time feature in training. None without it."""
+    if (settings.get("frame_stack") or 1) != 1:
+        raise ValueError(f"{file}: the model was trained with stacked frames. Stack them in the environment: gymnasium.wrappers.FrameStackObservation")
+    wrappers = settings.get("env_wrapper") or []
+    feature = None
+    for wrapper in wrappers if isinstance(wrappers, list) else [wrappers]:
+        name, options = next(iter(wrapper.items())) if isinstance(wrapper, Mapping) else (wrapper, None)
+        if name != TIME_FEATURE:
+            raise ValueError(f"{file}: the model was trained with the wrapper {name}. Put it around the environment in a file, and name the .zip file")
+        feature = dict(options or {})
+    return feature
+
+
+def _algorithm(file: Path) -> Any:
+    """The class of the algorithm that saved a model."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            data = json.loads(archive.read("data"))
+    except (OSError, KeyError, zipfile.BadZipFile, json.JSONDecodeError) as why:
+        raise ValueError(f"{file}: not a model of Stable-Baselines3: {why}") from None
+    # Stored as text: "stable_baselines3.sac.policies". The policies of PPO, A2C and TRPO are those of `common`.
+    module = str(data.get("policy_class", {}).get("__module__", ""))
+    package, _, parts = module.removesuffix(".policies").partition(".")
+    name = parts.rpartition(".")[2].upper()
+    if package == "sb3_contrib":
+        name = CONTRIB.get(parts.rpartition(".")[2], name)
+    elif name == "COMMON":
+        package, name = ("sb3_contrib", "TRPO") if "cg_max_steps" in data else (package, "PPO" if "clip_range" in data else "A2C")
+    installed = {"stable_baselines3": "stable-baselines3", "sb3_contrib": "sb3-contrib"}
+    if package not in installed:
+        raise ValueError(f"{file}: unknown algorithm ({module}). Load the model yourself, and pass the object")
+    try:
+        algorithms = importlib.import_module(package)
+    except ModuleNotFoundError:
+        raise ValueError(f"{file}: the package {package} is missing: pip install {installed[package]}") from None
+    algorithm = getattr(algorithms, name, None)
+    if algorithm is None:
+        raise ValueError(f"{file}: unknown algorithm ({module}). Load the model yourself, and pass the object")
+    return algorithm
