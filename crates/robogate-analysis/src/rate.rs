@@ -166,7 +166,7 @@ impl Rate {
 
     /// The counts of independent episodes with the same rate and variance: the counts themselves without clusters, and none
     /// with too few clusters for a claim.
-    pub(crate) fn effective_trials(&self) -> Trials {
+    pub fn effective_trials(&self) -> Trials {
         if let Some(independent) = self.weighted_as {
             return rounded(self.rate.unwrap_or(0.0), independent);
         }

@@ -1,6 +1,6 @@
 //! The columns of a dictionary in memory, and samples of its rows.
 
-use robogate_core::{Domain, FailureMode, Word};
+use robogate_core::{Domain, FailureMode, Suite, Word};
 use robogate_dictionary::{Column, Dictionary, DictionaryError, results};
 use robogate_stats::clusters::Clusters;
 use robogate_stats::weighted::{WeightedRate, hajek};
@@ -35,6 +35,8 @@ pub(crate) struct EpisodeTable {
     pub(crate) cases: Option<Vec<[u32; 3]>>,
     /// Failure modes that the source of imported rows does not record.
     pub(crate) not_recorded: Vec<String>,
+    /// Whether the scenarios of the suite were new points of a space in each round.
+    pub(crate) is_fresh: bool,
 }
 
 /// How an episode ended.
@@ -125,6 +127,7 @@ impl EpisodeTable {
             identifiers,
             cases: cases(dictionary)?,
             not_recorded,
+            is_fresh: fresh_suite(&provenance.plan),
         })
     }
 
@@ -350,6 +353,12 @@ impl ParameterColumn {
 pub(crate) fn rounded(rate: f64, trials: f64) -> Trials {
     let n = trials.floor().max(0.0);
     Trials::new((n * rate).round().clamp(0.0, n) as u64, n as u64).unwrap_or(Trials::NONE)
+}
+
+/// Whether a plan runs a suite whose scenarios are new points of a space in each round.
+fn fresh_suite(plan: &serde_json::Value) -> bool {
+    let suite = plan.get("suite").and_then(|stage| stage.get("suite"));
+    suite.is_some_and(|suite| serde_json::from_value::<Suite>(suite.clone()).is_ok_and(|suite| suite.is_fresh()))
 }
 
 /// The numbers of case, category and group of each row. `None` unless each row names a case.

@@ -241,7 +241,7 @@ impl Divisions {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::resample::{binomial, uniform};
+    use crate::resample::binomial;
 
     fn trials(cells: &[(u64, u64)]) -> Vec<Trials> {
         cells.iter().map(|(k, n)| Trials::new(*k, *n).unwrap()).collect()

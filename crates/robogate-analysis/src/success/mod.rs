@@ -168,7 +168,7 @@ fn stage(table: &EpisodeTable, at: usize) -> StageSuccess {
             Population::FocusedDesign
         } else if of.name == "imported" {
             Population::AsImported
-        } else if of.name == "suite" {
+        } else if of.name == "suite" && !table.is_fresh {
             Population::Suite
         } else {
             Population::OperatingSpace

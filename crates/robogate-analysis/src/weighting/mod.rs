@@ -48,7 +48,7 @@ impl Counted {
         let any = |name: &str| table.stages.iter().any(|stage| !stage.focused && stage.name == name);
         let population = if any("imported") {
             Population::AsImported
-        } else if any("suite") {
+        } else if any("suite") && !table.is_fresh {
             Population::Suite
         } else {
             Population::OperatingSpace
