@@ -8,6 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::claims::{Claims, claims};
+use crate::conditions::Conditions;
 use crate::danger::DangerZones;
 use crate::dependence::{ClusterReport, Dependence};
 use crate::effects::Effects;
@@ -20,6 +21,7 @@ use crate::safe_box::{DEFAULT_TARGET, SafeBox, safe_box};
 use crate::sampling::{Sampling, sampling};
 use crate::table::{EpisodeTable, Sample};
 use crate::task::TaskAnalysis;
+use crate::weighting::Counted;
 use crate::{AnalysisError, Finding, Population, Source, Success};
 
 /// The analysis of one dictionary as one document.
@@ -40,6 +42,9 @@ pub struct Analysis {
     pub success: Success,
     /// The parameters with an effect on success, the most influential first.
     pub effects: Effects,
+    /// Where the policy fails, and what these episodes could have shown.
+    #[serde(default)]
+    pub conditions: Conditions,
     /// The largest box of parameters in which success is at least the target rate.
     pub safe_box: Finding<SafeBox>,
     /// Success over two parameters at once, with the frontier between success and failure.
@@ -144,7 +149,7 @@ pub struct Envelope {
 
 impl Analysis {
     /// The version of the document that this build writes.
-    pub const VERSION: u32 = 3;
+    pub const VERSION: u32 = 4;
 
     /// Analyses a source that was opened from `path`. `pairs` are mapped in addition to the default pairs.
     ///
@@ -165,7 +170,7 @@ impl Analysis {
         }
         let dictionary = source.dictionary();
         let table = EpisodeTable::read(dictionary)?;
-        let (mut base, focused, population) = populations(&table);
+        let Counted { mut base, population, weighting } = Counted::of(&table, source.boundary());
         base.dependence = Dependence::of(&table, &base, population, groups)?;
         for (first, second) in pairs {
             check_pair(&base, first, second)?;
@@ -184,7 +189,7 @@ impl Analysis {
             wanted.clear();
         }
         let envelopes = wanted.iter().filter_map(|(up, across)| envelope(&base, up, across)).collect();
-        let fitted = if *models { risk(&base, task) } else { Finding::not("models were not requested") };
+        let fitted = if *models { risk(&table, &base, task) } else { Finding::not("models were not requested") };
         let (risk, scored) = match fitted {
             Finding::Estimated((model, scored)) => (Finding::Estimated(model), Some(scored)),
             Finding::CannotBeEstimated { because } => (Finding::CannotBeEstimated { because }, None),
@@ -197,10 +202,11 @@ impl Analysis {
             claims: Claims::default(),
             population,
             clusters: base.dependence.as_ref().map(|of| of.report(&base)),
-            success: Success::of(&table, &base, focused.as_ref(), population, source.boundary()),
+            success: Success::of(&table, &base, population, weighting.as_ref()),
             envelopes,
             failure_modes: FailureModes::of(&table, &base),
             danger_zones: DangerZones::of(&marginal_effects, &effects),
+            conditions: Conditions::of(&table, &base, &effects, seek(&provenance)),
             safe_box: safe_box(&table, &base, population, independent, &effects, *target_rate),
             effects,
             marginal_effects,
@@ -228,6 +234,11 @@ impl Analysis {
     }
 }
 
+/// The failure mode that the plan of a run sought.
+fn seek(provenance: &Provenance) -> Option<&str> {
+    provenance.plan.get("active")?.get("seek")?.as_str()
+}
+
 /// Counts the states outside of the range of the checkpoint, in all rows.
 fn outside_range(dictionary: &Dictionary) -> Result<Option<OutsideRange>, AnalysisError> {
     let Some(mut outside) = OutsideRange::of(&dictionary.provenance().task) else { return Ok(None) };
@@ -235,24 +246,6 @@ fn outside_range(dictionary: &Dictionary) -> Result<Option<OutsideRange>, Analys
         outside.add(&entry?.episode.measures);
     }
     Ok(Some(outside.sorted()))
-}
-
-/// The rows that figures are computed from, the other focused rows, and the population of the first.
-pub(crate) fn populations(table: &EpisodeTable) -> (Sample, Option<Sample>, Population) {
-    let operating = table.sample(false);
-    let focused = table.sample(true);
-    if operating.len() == 0 && focused.len() > 0 {
-        return (focused, None, Population::FocusedDesign);
-    }
-    let any = |name: &str| table.stages.iter().any(|stage| !stage.focused && stage.name == name);
-    let population = if any("imported") {
-        Population::AsImported
-    } else if any("suite") {
-        Population::Suite
-    } else {
-        Population::OperatingSpace
-    };
-    (operating, (focused.len() > 0).then_some(focused), population)
 }
 
 fn envelope(base: &Sample, up: &str, across: &str) -> Option<Envelope> {

@@ -9,7 +9,7 @@ use robogate_stats::clusters::{Clusters, FEWEST, LOW_POWER, RateByCluster, Setti
 use robogate_stats::correlation::spearman;
 use robogate_stats::logistic::{Data, Options, fit, standardized};
 use robogate_stats::serial::{self, serial_dependence};
-use robogate_stats::{Confidence, Trials};
+use robogate_stats::Confidence;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -169,14 +169,6 @@ impl Dependence {
 pub(crate) fn too_few(clusters: usize) -> Option<String> {
     (clusters < FEWEST)
         .then(|| format!("the rows come in {clusters} clusters, and a claim about others needs at least {FEWEST}"))
-}
-
-/// Counts that rows with dependence support: as many as independent rows would with the same variance.
-pub(crate) fn effective(base: &Sample, used: impl Fn(usize) -> bool + Copy) -> Trials {
-    match &base.dependence {
-        Some(dependence) => dependence.rate(base, used).effective_trials(),
-        None => Trials::count((0..base.len()).filter(|row| used(*row)).map(|row| base.success[row])),
-    }
 }
 
 /// The clusters that a named column or the case of a suite gives. `None` if there is no such column.

@@ -1,9 +1,9 @@
 //! Failures by mode.
 
 use robogate_core::FailureMode;
-use robogate_stats::Confidence;
 use robogate_stats::format::{count, counted, list};
 use robogate_stats::modes::{Joint, distribution, dominance};
+use robogate_stats::{Confidence, Trials, wilson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -35,9 +35,10 @@ pub struct ModeShare {
     pub declared: bool,
     /// Number of failures with this mode.
     pub failures: u64,
-    /// Share of all failures. `None` without failures.
+    /// Share of all failures, by sampling weights. `None` without failures.
     pub share: Option<f64>,
-    /// 95 % interval. The intervals hold simultaneously for all modes (Goodman).
+    /// 95 % interval. The intervals hold simultaneously for all modes (Goodman). A failure of unknown mode may have any mode, and so may
+    /// every failure of a source that does not record some modes.
     pub interval_95: [f64; 2],
 }
 
@@ -58,16 +59,20 @@ impl FailureModes {
         let mut counts = vec![0; table.modes.len()];
         base.failures(table).1.into_iter().for_each(|mode| counts[mode] += 1);
         let failures = counts.iter().sum();
-        // Episodes in clusters count as fewer independent ones.
-        let share = base.dependence.as_ref().map_or(1.0, |of| of.share(base));
-        let independent: Vec<u64> = counts.iter().map(|count| (*count as f64 * share).round() as u64).collect();
+        // Episodes count by their weights, and those in clusters as fewer independent ones.
+        let (failed, modes_of) = base.failures(table);
+        let mut weighted = vec![0.0; counts.len()];
+        failed.iter().zip(modes_of).for_each(|(row, mode)| weighted[mode] += base.weight(*row));
+        let all_weights = weighted.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+        let worth = failed.len() as f64 * base.share() / all_weights;
+        let independent: Vec<u64> = weighted.iter().map(|weight| (weight * worth).round() as u64).collect();
         let shares = distribution(&independent, Joint::Simultaneous, Confidence::P95);
         let all = counts.clone();
         let not_recorded = table.not_recorded.clone();
         let mode_name = |mode: usize| table.mode(mode).to_owned();
         let unknown = table.modes.iter().position(|mode| *mode == FailureMode::UNKNOWN);
         let unknown_failures = unknown.map_or(0, |at| counts[at]);
-        let dominant = match dominance(&with_unknown_as_second(independent, unknown)) {
+        let dominant = match dominance(&with_unknown_as_second(independent.clone(), unknown)) {
             Some(_) if !not_recorded.is_empty() => Finding::not(unrecorded(&not_recorded)),
             None => Finding::not("nothing failed"),
             Some(found) if Some(found.mode) == unknown => Finding::not(format!(
@@ -82,12 +87,24 @@ impl FailureModes {
                 counted(failures, "failure")
             )),
         };
-        let modes = shares.into_iter().enumerate().map(|(mode, share)| ModeShare {
-            mode: mode_name(mode),
-            declared: mode < table.declared,
-            failures: all[mode],
-            share: (failures > 0).then(|| all[mode] as f64 / failures as f64),
-            interval_95: ends(share.interval),
+        // A failure whose mode is unknown may have any mode.
+        let level = Confidence::P95.shared_by(table.modes.len());
+        let of_unknown = unknown.map_or(0, |at| independent[at]);
+        let highest = |mode: usize| {
+            let trials = Trials::new(independent[mode] + of_unknown, independent.iter().sum());
+            trials.map_or(1.0, |trials| wilson(trials, level).high)
+        };
+        let modes = shares.into_iter().enumerate().map(|(mode, share)| {
+            let recorded = !not_recorded.iter().any(|name| name == table.mode(mode));
+            let [low, high] = ends(share.interval);
+            let high = if of_unknown > 0 && Some(mode) != unknown { highest(mode) } else { high };
+            ModeShare {
+                mode: mode_name(mode),
+                declared: mode < table.declared,
+                failures: all[mode],
+                share: (failures > 0 && recorded).then(|| weighted[mode] / all_weights),
+                interval_95: if not_recorded.is_empty() { [low, high] } else { [0.0, if recorded { high } else { 1.0 }] },
+            }
         });
         Self { failures, modes: modes.collect(), dominant, not_recorded }
     }

@@ -17,6 +17,7 @@
 mod analysis;
 mod claims;
 mod comparison;
+mod conditions;
 mod danger;
 mod dependence;
 mod distance;
@@ -41,6 +42,7 @@ mod table;
 mod task;
 pub mod transfer;
 mod watch;
+mod weighting;
 
 pub use analysis::{Analysis, AnalysisOptions, Envelope, Subject};
 pub use claims::{Advice, Claims, FailureRegion};
@@ -49,6 +51,7 @@ pub use comparison::{
     Effect, Flip, NotShared, PairedComparison, PairedInvalid, RateDifference, ReachRow, Sensitivity, SharedCell,
     SharedCurve, SharedParameters, Slope, UniversalZone, UniversalZones, ZoneSide,
 };
+pub use conditions::{ConditionPart, Conditions, FailureCondition, ModeRate, Power, SoughtBox};
 pub use danger::{DANGER_LIMIT, DangerZone, DangerZones};
 pub use dependence::{ClusterReport, GroupingReport};
 pub use effects::{EffectShape, Effects, Interaction, LEVEL, ParameterEffect, RateStep, ShapeKind};
@@ -72,6 +75,7 @@ pub use robogate_dictionary::{RowSampling, Stopping};
 pub use safe_box::{AvoidedMode, BoxLimit, DEFAULT_TARGET, SafeBox};
 pub use sampling::{SampledRange, Sampling};
 pub use source::Source;
-pub use success::{Adjusted, FaultCount, InvalidBounds, Reweighted, StageSuccess, Success, WeightedRate};
+pub use success::{Adjusted, FaultCount, InvalidBounds, StageSuccess, Success, WeightedRate};
 pub use task::{InteractionModel, TaskAnalysis};
 pub use watch::{Twin, WatchedEpisode, worth_watching};
+pub use weighting::Weighting;

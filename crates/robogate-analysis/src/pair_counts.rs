@@ -1,10 +1,9 @@
 //! Numbers of successes over any two parameters, for a page with a map that the reader chooses.
 
-use robogate_stats::binning::per_pair;
 
-use crate::analysis::populations;
 use crate::pairs::{Axis, axis, bins_for};
 use crate::table::EpisodeTable;
+use crate::weighting::Counted;
 use crate::{Analysis, AnalysisError, Source};
 
 /// Maximum number of parameters, which gives 120 pairs.
@@ -43,7 +42,7 @@ pub struct ListedEpisode {
 /// If a column cannot be read.
 pub fn pair_counts(source: &Source, analysis: &Analysis) -> Result<PairCounts, AnalysisError> {
     let table = EpisodeTable::read(source.dictionary())?;
-    let (base, _, _) = populations(&table);
+    let base = Counted::of(&table, source.boundary()).base;
     let bins = bins_for(base.len());
     let strength = |name: &str| {
         let effect = analysis.marginal_effects.iter().find(|effect| effect.parameter == name);
@@ -55,8 +54,8 @@ pub fn pair_counts(source: &Source, analysis: &Analysis) -> Result<PairCounts, A
     let mut pairs = Vec::new();
     for (i, (up, (_, y))) in columns.iter().enumerate() {
         for (across, (_, x)) in &columns[i + 1..] {
-            let counted = per_pair(&up.values, y, &across.values, x, &base.success);
-            let cells = counted.map(|counted| counted.cells).unwrap_or_default();
+            let cell = |row: usize| Some(y.bin(up.values[row])? * x.bins() + x.bin(across.values[row])?);
+            let cells = base.effective_cells(y.bins() * x.bins(), cell);
             pairs.push(cells.iter().map(|trials| [trials.n(), trials.successes()]).collect());
         }
     }

@@ -198,7 +198,7 @@ pub(crate) fn map(base: &Sample, up: &ParameterColumn, across: &ParameterColumn)
 
 /// The observed rates of cells. `cell_of` is the cell of a row.
 fn rates(base: &Sample, cells: &[Trials], cell_of: impl Fn(usize) -> Option<usize>) -> Vec<Rate> {
-    if base.dependence.is_none() {
+    if base.is_plain() {
         return cells.iter().map(|trials| Rate::of(*trials)).collect();
     }
     let of_row: Vec<Option<usize>> = (0..base.len()).map(cell_of).collect();
@@ -215,8 +215,15 @@ fn smooth(
     x: &Axis,
 ) -> Option<(Vec<ModelRate>, f64)> {
     let (fine_y, fine_x) = (fine(up)?, fine(across)?);
-    let counted = per_pair(&up.values, &fine_y, &across.values, &fine_x, &base.success).ok()?;
-    let surface = Surface::fit(&counted.cells, fine_x.bins(), fine_y.bins())?;
+    let mut counts = vec![[0.0; 2]; fine_x.bins() * fine_y.bins()];
+    let all: f64 = (0..base.len()).map(|row| base.weight(row)).sum();
+    let worth = base.len() as f64 * base.share() / all.max(f64::MIN_POSITIVE);
+    for (row, success) in base.success.iter().enumerate() {
+        if let (Some(y), Some(x)) = (fine_y.bin(up.values[row]), fine_x.bin(across.values[row])) {
+            counts[y * fine_x.bins() + x][usize::from(!success)] += worth * base.weight(row);
+        }
+    }
+    let surface = Surface::fit(&counts, fine_x.bins(), fine_y.bins())?;
     let (nx, ny) = (x.cells(), y.cells());
     let at = |i: usize, n: usize| (i as f64 + 0.5) / n as f64;
     let (xs, ys): (Vec<f64>, Vec<f64>) = (0..nx * ny).map(|i| (at(i % nx, nx), at(i / nx, ny))).unzip();

@@ -4,7 +4,7 @@ use robogate_stats::{Confidence, Interval, Trials, clopper_pearson, wilson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::table::Sample;
+use crate::table::{Sample, rounded};
 
 /// The population that a figure estimates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -20,8 +20,6 @@ pub enum Population {
     FocusedDesign,
     /// The part of the operating space inside the focused region, with stored weights.
     FocusedRegion,
-    /// The operating space, from all rows with their weights.
-    Reweighted,
 }
 
 impl Population {
@@ -39,7 +37,6 @@ impl Population {
                 "the focused design only, which samples near the failure boundary: this is not the rate of the operating space"
             }
             Self::FocusedRegion => "the part of the operating space inside the focused region, by stored weights",
-            Self::Reweighted => "the operating space, from all rows: focused rows are weighted",
         }
     }
 
@@ -51,7 +48,6 @@ impl Population {
             Self::Suite => "scenarios of the suite, not the operating space",
             Self::FocusedDesign => "focused design only, not the operating space",
             Self::FocusedRegion => "operating space inside the focused region, reweighted",
-            Self::Reweighted => "operating space, all rows reweighted",
         }
     }
 }
@@ -118,6 +114,10 @@ pub struct Rate {
     /// The clusters that the intervals count. Absent if the episodes are independent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clusters: Option<RateClusters>,
+    /// The number of independent episodes with the same variance, if episodes count by their sampling weights. The rate is
+    /// then not the share of successes among them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weighted_as: Option<f64>,
 }
 
 /// The clusters behind a rate.
@@ -138,13 +138,25 @@ impl Rate {
             wilson_95: ends(wilson(trials, Confidence::P95)),
             clopper_pearson_95: ends(clopper_pearson(trials, Confidence::P95)),
             clusters: None,
+            weighted_as: None,
         }
     }
 
     /// The rate of the rows of a sample for which `used` is true.
     pub(crate) fn of_rows(base: &Sample, used: impl Fn(usize) -> bool + Copy) -> Self {
+        let count = || Trials::count((0..base.len()).filter(|row| used(*row)).map(|row| base.success[row]));
+        if let Some(found) = base.weighted_rate(used).filter(|_| base.dependence.is_none()) {
+            let interval = ends(found.interval);
+            return Self {
+                rate: found.rate,
+                wilson_95: interval,
+                clopper_pearson_95: ends(clopper_pearson(rounded(found.rate.unwrap_or(0.0), found.independent), Confidence::P95)),
+                weighted_as: Some(found.independent),
+                ..Self::of(count())
+            };
+        }
         let Some(dependence) = base.dependence.as_ref().filter(|of| of.new_clusters) else {
-            return Self::of(Trials::count((0..base.len()).filter(|row| used(*row)).map(|row| base.success[row])));
+            return Self::of(count());
         };
         let found = dependence.rate(base, used);
         let interval = ends(found.interval(Confidence::P95));
@@ -154,14 +166,20 @@ impl Rate {
 
     /// The counts of independent episodes with the same rate and variance: the counts themselves without clusters, and none
     /// with too few clusters for a claim.
-    pub(crate) fn effective_trials(&self) -> Trials {
+    pub fn effective_trials(&self) -> Trials {
+        if let Some(independent) = self.weighted_as {
+            return rounded(self.rate.unwrap_or(0.0), independent);
+        }
         let Some(clusters) = self.clusters else { return self.trials() };
         if clusters.clusters < robogate_stats::clusters::FEWEST as u64 {
             return Trials::NONE;
         }
-        let n = clusters.effective_episodes.floor();
-        let k = (n * self.rate.unwrap_or(0.0)).round();
-        Trials::new(k as u64, n as u64).unwrap_or(Trials::NONE)
+        rounded(self.rate.unwrap_or(0.0), clusters.effective_episodes)
+    }
+
+    /// The number of independent episodes with the same variance.
+    pub(crate) fn independent(&self) -> f64 {
+        self.weighted_as.or(self.clusters.map(|of| of.effective_episodes)).unwrap_or(self.n as f64)
     }
 
     /// The counts.

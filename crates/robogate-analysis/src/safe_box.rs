@@ -84,7 +84,7 @@ pub(crate) fn safe_box(
     if let Some(because) = base.clusters().and_then(|clusters| too_few(clusters.count())) {
         return Finding::not(because);
     }
-    let all = Trials::count(base.success.iter().copied());
+    let all = base.effective(|_| true);
     let whole = Rate::of_rows(base, |_| true).clopper_pearson_95[0];
     if whole >= target {
         return Finding::Estimated(describe(table, base, &Vec::new(), all, whole, target, true, 1.0));
@@ -96,7 +96,7 @@ pub(crate) fn safe_box(
         return Finding::not("no parameter has a significant effect");
     }
     let columns: Vec<Column<'_>> = used.iter().map(|parameter| column(parameter)).collect();
-    let Some(mut found) = search(&columns, &base.success, base.clusters(), target, Confidence::P95, SEED) else {
+    let Some(mut found) = search(&columns, &base.success, base.weights.as_deref(), base.clusters(), target, Confidence::P95, SEED) else {
         return Finding::not(format!("{} valid episodes are too few (it needs at least 100)", base.len()));
     };
     for (at, _) in &mut found.limits {
@@ -128,7 +128,7 @@ pub(crate) fn safe_box(
     Finding::Estimated(described)
 }
 
-fn column(parameter: &ParameterColumn) -> Column<'_> {
+pub(crate) fn column(parameter: &ParameterColumn) -> Column<'_> {
     let levels = match &parameter.kind {
         ParameterKind::Categorical { levels } => Some(levels.len()),
         ParameterKind::Continuous { .. } | ParameterKind::Integer { .. } => None,
@@ -175,7 +175,7 @@ fn describe(
     }
 }
 
-fn limit(parameter: &ParameterColumn, inside: &Inside) -> BoxLimit {
+pub(crate) fn limit(parameter: &ParameterColumn, inside: &Inside) -> BoxLimit {
     let name = parameter.name.clone();
     match (inside, &parameter.kind) {
         (Inside::Levels(kept), ParameterKind::Categorical { levels }) => {

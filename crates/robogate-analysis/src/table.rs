@@ -1,8 +1,10 @@
 //! The columns of a dictionary in memory, and samples of its rows.
 
-use robogate_core::{Domain, FailureMode, Word};
+use robogate_core::{Domain, FailureMode, Suite, Word};
 use robogate_dictionary::{Column, Dictionary, DictionaryError, results};
 use robogate_stats::clusters::Clusters;
+use robogate_stats::weighted::{WeightedRate, hajek};
+use robogate_stats::{Confidence, Trials};
 
 use crate::dependence::Dependence;
 
@@ -33,6 +35,8 @@ pub(crate) struct EpisodeTable {
     pub(crate) cases: Option<Vec<[u32; 3]>>,
     /// Failure modes that the source of imported rows does not record.
     pub(crate) not_recorded: Vec<String>,
+    /// Whether the scenarios of the suite were new points of a space in each round.
+    pub(crate) is_fresh: bool,
 }
 
 /// How an episode ended.
@@ -123,6 +127,7 @@ impl EpisodeTable {
             identifiers,
             cases: cases(dictionary)?,
             not_recorded,
+            is_fresh: fresh_suite(&provenance.plan),
         })
     }
 
@@ -165,10 +170,18 @@ impl EpisodeTable {
         self.valid_where(|_| true)
     }
 
+    /// All valid rows with the weights that bring them to the operating space, one for each row of the table.
+    pub(crate) fn weighted(&self, weights: &[f64]) -> Sample {
+        let mut sample = self.valid();
+        sample.weights = Some(sample.rows.iter().map(|row| weights[*row as usize]).collect());
+        sample
+    }
+
     fn valid_where(&self, keep: impl Fn(usize) -> bool) -> Sample {
         let keep = |row: &usize| self.outcome[*row] != Ending::Invalid && keep(*row);
         let rows: Vec<u32> = (0..self.len()).filter(keep).map(|row| row as u32).collect();
         Sample {
+            weights: None,
             success: rows.iter().map(|row| self.outcome[*row as usize] == Ending::Success).collect(),
             parameters: self.parameters.iter().map(|p| p.take(&rows)).collect(),
             identifiers: self.identifiers.iter().map(|p| p.take(&rows)).collect(),
@@ -199,6 +212,8 @@ pub(crate) struct Sample {
     pub(crate) success: Vec<bool>,
     pub(crate) parameters: Vec<ParameterColumn>,
     pub(crate) identifiers: Vec<ParameterColumn>,
+    /// The sampling weight of each row. `None` if all are equal.
+    pub(crate) weights: Option<Vec<f64>>,
     /// The clusters of the rows. `None` if the rows are independent as far as known.
     pub(crate) dependence: Option<Dependence>,
 }
@@ -213,6 +228,59 @@ impl Sample {
         self.rows.len()
     }
 
+    /// Whether rows count differently: they have weights, or come in clusters. Plain counts say nothing then.
+    pub(crate) fn is_plain(&self) -> bool {
+        self.weights.is_none() && self.dependence.is_none()
+    }
+
+    pub(crate) fn weight(&self, row: usize) -> f64 {
+        self.weights.as_ref().map_or(1.0, |weights| weights[row])
+    }
+
+    /// Hajek's rate of the rows for which `used` is true. `None` without weights.
+    pub(crate) fn weighted_rate(&self, used: impl Fn(usize) -> bool) -> Option<WeightedRate> {
+        let weights = self.weights.as_ref()?;
+        let (success, weights): (Vec<bool>, Vec<f64>) =
+            (0..self.len()).filter(|row| used(*row)).map(|row| (self.success[row], weights[row])).unzip();
+        hajek(&success, &weights, Confidence::P95).ok()
+    }
+
+    /// Counts of as many independent rows as have the same rate and the same variance.
+    pub(crate) fn effective(&self, used: impl Fn(usize) -> bool + Copy) -> Trials {
+        if let Some(dependence) = &self.dependence {
+            return dependence.rate(self, used).effective_trials();
+        }
+        match self.weighted_rate(used) {
+            Some(found) => rounded(found.rate.unwrap_or(0.0), found.independent),
+            None => Trials::count((0..self.len()).filter(|row| used(*row)).map(|row| self.success[row])),
+        }
+    }
+
+    /// The effective counts of cells: [`Self::effective`] for the rows of each.
+    pub(crate) fn effective_cells(&self, cells: usize, cell_of: impl Fn(usize) -> Option<usize>) -> Vec<Trials> {
+        let of_row: Vec<Option<usize>> = (0..self.len()).map(cell_of).collect();
+        if self.is_plain() {
+            let mut counts = vec![(0, 0); cells];
+            for (cell, success) in of_row.iter().zip(&self.success) {
+                if let Some((k, n)) = cell.and_then(|cell| counts.get_mut(cell)) {
+                    *k += u64::from(*success);
+                    *n += 1;
+                }
+            }
+            return counts.into_iter().map(|(k, n)| Trials::new(k, n).unwrap_or(Trials::NONE)).collect();
+        }
+        (0..cells).map(|cell| self.effective(|row| of_row[row] == Some(cell))).collect()
+    }
+
+    /// How many independent rows one row counts for, from 0 to 1.
+    pub(crate) fn share(&self) -> f64 {
+        match (&self.dependence, self.weighted_rate(|_| true)) {
+            (Some(dependence), _) => dependence.share(self),
+            (None, Some(found)) => (found.independent / self.len().max(1) as f64).clamp(0.0, 1.0),
+            (None, None) => 1.0,
+        }
+    }
+
     /// The rows for which `kept` is true.
     pub(crate) fn restricted(&self, kept: &[bool]) -> Self {
         let places: Vec<u32> = (0..self.len()).filter(|at| kept[*at]).map(|at| at as u32).collect();
@@ -221,6 +289,7 @@ impl Sample {
             success: places.iter().map(|at| self.success[*at as usize]).collect(),
             parameters: self.parameters.iter().map(|column| column.take(&places)).collect(),
             identifiers: self.identifiers.iter().map(|column| column.take(&places)).collect(),
+            weights: self.weights.as_ref().map(|of| places.iter().map(|at| of[*at as usize]).collect()),
             dependence: self.dependence.as_ref().map(|of| of.take(&places)),
         }
     }
@@ -278,6 +347,18 @@ impl ParameterColumn {
     pub(crate) fn show(&self, value: f64) -> String {
         self.kind.show(value)
     }
+}
+
+/// Counts of a number of trials with a rate, rounded towards fewer trials.
+pub(crate) fn rounded(rate: f64, trials: f64) -> Trials {
+    let n = trials.floor().max(0.0);
+    Trials::new((n * rate).round().clamp(0.0, n) as u64, n as u64).unwrap_or(Trials::NONE)
+}
+
+/// Whether a plan runs a suite whose scenarios are new points of a space in each round.
+fn fresh_suite(plan: &serde_json::Value) -> bool {
+    let suite = plan.get("suite").and_then(|stage| stage.get("suite"));
+    suite.is_some_and(|suite| serde_json::from_value::<Suite>(suite.clone()).is_ok_and(|suite| suite.is_fresh()))
 }
 
 /// The numbers of case, category and group of each row. `None` unless each row names a case.

@@ -186,6 +186,8 @@ pub(crate) struct Summing {
     boundary: OutcomeCounts,
     active: OutcomeCounts,
     is_active: bool,
+    /// Whether the scenarios of the suite are new points of its space in each round.
+    is_fresh: bool,
     /// Outcome and weight of every valid episode, if there is an active stage.
     weighted: Vec<(bool, f64)>,
     /// The failure mode that the plan seeks, and whether each of these episodes failed in this way.
@@ -207,6 +209,7 @@ impl Summing {
             boundary: OutcomeCounts::default(),
             active: OutcomeCounts::default(),
             is_active: plan.active.is_some(),
+            is_fresh: plan.suite.as_ref().is_some_and(|stage| stage.suite.is_fresh()),
             weighted: Vec::new(),
             sought: plan
                 .active
@@ -344,6 +347,7 @@ impl Summing {
         let population = match stage {
             Stage::Uniform => Population::OperatingSpace,
             Stage::Boundary | Stage::Active => Population::FocusedDesign,
+            Stage::Suite if self.is_fresh => Population::OperatingSpace,
             Stage::Suite => Population::Suite,
         };
         let failures = counts.valid() - counts.success;

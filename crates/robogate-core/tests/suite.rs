@@ -298,3 +298,50 @@ fn family_needs_a_nominal_value() {
     let error = task.check().unwrap_err().to_string();
     assert!(error.contains("obstacles") && error.contains("nominal"), "{error}");
 }
+
+#[test]
+fn fresh_points_cover_the_space() {
+    let space = ParameterSpace::from_toml(
+        r#"
+        name = "cell"
+        [[parameter]]
+        name = "friction"
+        kind = "continuous"
+        low = 0.01
+        high = 1.0
+        scale = "log"
+        [[parameter]]
+        name = "mass_kg"
+        kind = "continuous"
+        low = 0.5
+        high = 2.0
+        [[parameter]]
+        name = "obstacles"
+        kind = "integer"
+        low = 0
+        high = 3
+        [[parameter]]
+        name = "shape"
+        kind = "categorical"
+        choices = ["box", "sphere"]
+        "#,
+    )
+    .unwrap();
+    let suite = Suite::fresh(&space, 8).unwrap();
+    assert!(suite.is_fresh() && !two().is_fresh());
+    assert_eq!((suite.name(), suite.cases().len()), ("cell", 8));
+    assert_eq!(suite.space().parameters(), space.parameters());
+    // A plan stores the suite as JSON.
+    let stored: Suite = serde_json::from_value(serde_json::to_value(&suite).unwrap()).unwrap();
+    assert_eq!(stored, suite);
+    // No point is repeated, and the logarithm of friction is uniform: half of it is below the geometric mean.
+    let seed = Seed::campaign(3);
+    let points: Vec<f64> =
+        (0..800).map(|index| suite.scenario(seed, index).requested.number("friction").unwrap()).collect();
+    let mut distinct: Vec<u64> = points.iter().map(|point| point.to_bits()).collect();
+    distinct.sort_unstable();
+    distinct.dedup();
+    assert_eq!(distinct.len(), 800);
+    let below = points.iter().filter(|friction| **friction < 0.1).count();
+    assert!((340..=460).contains(&below), "{below} of 800");
+}

@@ -293,8 +293,12 @@ fn population(provenance: &Provenance, trials: &[Trial]) -> Result<(Population, 
     Ok(match SuitePlan::of(&provenance.plan)? {
         Some(SuitePlan { rounds, sha256, suite }) => {
             let cases = suite.cases().len() as u64;
+            let episodes = Some(rounds.saturating_mul(cases));
+            if suite.is_fresh() {
+                return Ok((Population::Drawn { space: suite.name().to_owned(), sha256 }, episodes));
+            }
             let name = format!("{} {}", suite.name(), suite.version());
-            (Population::Suite { name, sha256, cases }, Some(rounds.saturating_mul(cases)))
+            (Population::Suite { name, sha256, cases }, episodes)
         }
         None => (space_or_cases(provenance, trials), None),
     })

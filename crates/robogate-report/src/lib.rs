@@ -34,7 +34,9 @@ pub use json::{
     AnalysisReport, ComparisonReport, TransferReport, analysis_json, analysis_json_with, comparison_json, transfer_json,
 };
 pub use markdown::{comparison_markdown, markdown, markdown_with};
-pub use text::{ComparisonHeadline, Headline, TransferHeadline, comparison_limits, limits, low_side, next_trials};
+pub use text::{
+    ComparisonHeadline, Headline, TransferHeadline, comparison_limits, condition, limits, low_side, next_trials,
+};
 pub use watch::{Strip, Watch, WatchItem};
 
 /// Additions to the page of an analysis.

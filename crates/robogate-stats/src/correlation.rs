@@ -135,6 +135,31 @@ fn unit(values: &[f64], side: &'static str) -> Result<Vec<f64>, CorrelationError
     Ok(centred)
 }
 
+/// The correlation of rows with sampling weights. Its interval counts `independent` rows.
+///
+/// # Errors
+/// As [`pearson`].
+pub fn weighted(
+    x: &[f64],
+    y: &[f64],
+    weights: &[f64],
+    independent: usize,
+    confidence: Confidence,
+) -> Result<Correlation, CorrelationError> {
+    let found = pearson(x, y, confidence)?;
+    if weights.len() != x.len() {
+        return Err(CorrelationError::Length { expected: x.len(), found: weights.len() });
+    }
+    let all: f64 = weights.iter().sum();
+    let mean = |values: &[f64]| values.iter().zip(weights).map(|(v, w)| v * w).sum::<f64>() / all;
+    let (a, b) = (mean(x), mean(y));
+    let moment = |f: &dyn Fn(usize) -> f64| (0..x.len()).map(|row| weights[row] * f(row)).sum::<f64>();
+    let (xx, yy) = (moment(&|row| (x[row] - a).powi(2)), moment(&|row| (y[row] - b).powi(2)));
+    let xy = moment(&|row| (x[row] - a) * (y[row] - b));
+    let r = if xx > 0.0 && yy > 0.0 { (xy / (xx * yy).sqrt()).clamp(-1.0, 1.0) } else { 0.0 };
+    Ok(Correlation { r, ..found }.counted_as(independent, confidence))
+}
+
 /// Point-biserial correlation of a parameter with success (1) and failure (0). The limit of [`pearson`] applies to its
 /// interval.
 ///

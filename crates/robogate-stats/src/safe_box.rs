@@ -19,6 +19,7 @@ use crate::interval::{Confidence, Trials, clopper_pearson, wilson};
 use crate::multiplicity::holm;
 use crate::resample::shuffle;
 use crate::scan::{Order, Scan, scan};
+use crate::weighted::hajek;
 
 /// Maximum number of limited parameters.
 pub const MAX_COLUMNS: usize = 3;
@@ -33,7 +34,7 @@ const LEVEL: f64 = 0.05;
 /// Replicates of a scan test.
 const REPLICATES: usize = 2_000;
 /// Fewest choosing rows in a box.
-const FEWEST: u32 = 25;
+const FEWEST: f64 = 25.0;
 
 /// A column with its values. Codes of levels are the integers from 0.
 #[derive(Debug, Clone, Copy)]
@@ -93,17 +94,20 @@ pub fn contains(limits: &Limits, columns: &[Column<'_>], row: usize) -> bool {
 }
 
 /// Searches the largest box with a success rate of at least `target`. `confidence` is the two-sided level whose lower end
-/// is the bound. If rows come in `clusters`, each is in one half, and the bound counts clusters. `None` with fewer than 100 rows or without columns.
+/// is the bound. If rows come in `clusters`, each is in one half, and the bound counts clusters. Rows with sampling `weights` count as
+/// that many independent ones as have the same variance. `None` with fewer than 100 rows or without columns.
 pub fn search(
     columns: &[Column<'_>],
     success: &[bool],
+    weights: Option<&[f64]>,
     clusters: Option<&Clusters>,
     target: f64,
     confidence: Confidence,
     seed: u64,
 ) -> Option<Found> {
     let n = success.len();
-    if n < 100 || columns.is_empty() || columns.iter().any(|c| c.values.len() != n) {
+    let lengths = columns.iter().all(|c| c.values.len() == n) && weights.is_none_or(|weights| weights.len() == n);
+    if n < 100 || columns.is_empty() || !lengths {
         return None;
     }
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -127,11 +131,11 @@ pub fn search(
     choosing.sort_unstable();
     testing.sort_unstable();
     let (choosing, testing) = (&*choosing, &*testing);
-    let chooser = Chooser::new(columns, success, choosing);
+    let chooser = Chooser::new(columns, success, weights, choosing);
     let chain = chooser.best_chain(target)?;
     let count = |limits: &Limits, rows: &[u32]| {
         let inside = rows.iter().map(|row| *row as usize).filter(|row| contains(limits, columns, *row));
-        Trials::count(inside.map(|row| success[row]))
+        counted(inside.map(|row| (success[row], weights.map_or(1.0, |of| of[row]))), weights.is_some())
     };
     let mut best: Option<Found> = None;
     // The chain is nested and starts with the largest box.
@@ -161,6 +165,18 @@ pub fn search(
     best
 }
 
+/// Counts of as many independent rows as have the same rate and variance.
+fn counted(rows: impl Iterator<Item = (bool, f64)>, weighted: bool) -> Trials {
+    if !weighted {
+        return Trials::count(rows.map(|(success, _)| success));
+    }
+    let (success, weights): (Vec<bool>, Vec<f64>) = rows.unzip();
+    let Ok(found) = hajek(&success, &weights, Confidence::P95) else { return Trials::NONE };
+    let n = found.independent.floor();
+    let k = (n * found.rate.unwrap_or(0.0)).round().clamp(0.0, n);
+    Trials::new(k as u64, n as u64).unwrap_or(Trials::NONE)
+}
+
 /// The number of rows inside a box that show a rate of `rate` to be at least `target` with a probability of 80 %. `None`
 /// if `rate` is not above `target`.
 pub fn rows_needed(rate: f64, target: f64, confidence: Confidence) -> Option<u64> {
@@ -178,6 +194,7 @@ pub fn rows_needed(rate: f64, target: f64, confidence: Confidence) -> Option<u64
 struct Chooser {
     cells: Vec<Coded>,
     success: Vec<bool>,
+    weights: Option<Vec<f64>>,
 }
 
 struct Coded {
@@ -192,21 +209,28 @@ struct Coded {
 type Kept = Vec<Vec<bool>>;
 
 impl Chooser {
-    fn new(columns: &[Column<'_>], success: &[bool], rows: &[u32]) -> Self {
+    fn new(columns: &[Column<'_>], success: &[bool], weights: Option<&[f64]>, rows: &[u32]) -> Self {
         let cells = columns.iter().map(|column| Coded::of(column, rows)).collect();
-        Self { cells, success: rows.iter().map(|row| success[*row as usize]).collect() }
+        let weights = weights.map(|of| rows.iter().map(|row| of[*row as usize]).collect());
+        Self { cells, success: rows.iter().map(|row| success[*row as usize]).collect(), weights }
+    }
+
+    /// The effective counts of some of the rows.
+    fn count(&self, rows: impl Iterator<Item = u32>) -> Trials {
+        let row = |row: u32| (self.success[row as usize], self.weight(row));
+        counted(rows.map(row), self.weights.is_some())
+    }
+
+    fn weight(&self, row: u32) -> f64 {
+        self.weights.as_ref().map_or(1.0, |of| of[row as usize])
     }
 
     /// The columns with a significant effect among the choosing rows, the strongest first.
     fn candidates(&self) -> Vec<usize> {
         let scanned = self.cells.iter().enumerate().filter_map(|(column, coded)| {
-            let mut counts = vec![(0, 0); coded.count];
-            for (code, success) in coded.code.iter().zip(&self.success) {
-                counts[usize::from(*code)].0 += u64::from(*success);
-                counts[usize::from(*code)].1 += 1;
-            }
-            let trials: Vec<Trials> =
-                counts.into_iter().map(|(k, n)| Trials::new(k, n).unwrap_or(Trials::NONE)).collect();
+            let mut rows = vec![Vec::new(); coded.count];
+            coded.code.iter().enumerate().for_each(|(row, code)| rows[usize::from(*code)].push(row as u32));
+            let trials: Vec<Trials> = rows.into_iter().map(|rows| self.count(rows.into_iter())).collect();
             let order = if coded.spans.is_some() { Order::Ordered } else { Order::Unordered };
             Some((column, scan(&trials, order, REPLICATES, column as u64)?))
         });
@@ -255,7 +279,7 @@ impl Chooser {
         let mut limited: Vec<usize> = Vec::new();
         let mut chain = Vec::new();
         loop {
-            let inside = Trials::count(rows.iter().map(|row| self.success[*row as usize]));
+            let inside = self.count(rows.iter().copied());
             chain.push((kept.clone(), inside));
             if inside.failures() == 0 {
                 return chain;
@@ -284,21 +308,25 @@ impl Chooser {
         best: &mut Option<(f64, usize, Vec<usize>)>,
     ) {
         let coded = &self.cells[column];
-        let (mut n, mut failures) = (vec![0_u32; coded.count], vec![0_u32; coded.count]);
+        let (mut n, mut failures) = (vec![0.0; coded.count], vec![0.0; coded.count]);
         for row in rows {
-            let cell = usize::from(coded.code[*row as usize]);
-            n[cell] += 1;
-            failures[cell] += u32::from(!self.success[*row as usize]);
+            let (cell, weight) = (usize::from(coded.code[*row as usize]), self.weight(*row));
+            n[cell] += weight;
+            failures[cell] += if self.success[*row as usize] { 0.0 } else { weight };
         }
-        let rate = inside.failures() as f64 / inside.n().max(1) as f64;
+        let (all, all_failures) = (n.iter().sum::<f64>(), failures.iter().sum::<f64>());
+        let rate = all_failures / all.max(f64::MIN_POSITIVE);
+        // One unit of weight is that many independent rows.
+        let worth = inside.n() as f64 / all.max(f64::MIN_POSITIVE);
         let mut offer = |cells: &[usize]| {
-            let (slab_n, slab_failures) = cells.iter().fold((0, 0), |(a, b), cell| (a + n[*cell], b + failures[*cell]));
-            let left = inside.n() as u32 - slab_n;
-            if left < FEWEST || slab_n == 0 {
+            let (slab_n, slab_failures) =
+                cells.iter().fold((0.0, 0.0), |(a, b), cell| (a + n[*cell], b + failures[*cell]));
+            let left = all - slab_n;
+            if left * worth < FEWEST || slab_n <= 0.0 {
                 return;
             }
-            let spread = (f64::from(slab_n) * rate * (1.0 - rate) * f64::from(left) / inside.n() as f64).sqrt();
-            let z = (f64::from(slab_failures) - f64::from(slab_n) * rate) / spread.max(1e-9);
+            let spread = (slab_n * rate * (1.0 - rate) * left / all / worth).sqrt();
+            let z = (slab_failures - slab_n * rate) / spread.max(1e-9);
             if z > 0.0 && best.as_ref().is_none_or(|(most, ..)| z > *most) {
                 *best = Some((z, column, cells.to_vec()));
             }
@@ -390,7 +418,7 @@ mod tests {
         let owned: Vec<(Vec<f64>, Option<usize>)> = columns.iter().enumerate().map(of).collect();
         let columns: Vec<Column<'_>> =
             owned.iter().map(|(values, levels)| Column { values, levels: *levels }).collect();
-        search(&columns, success, None, TARGET, Confidence::P95, seed).unwrap()
+        search(&columns, success, None, None, TARGET, Confidence::P95, seed).unwrap()
     }
 
     /// The true rate inside a box.
@@ -440,7 +468,7 @@ mod tests {
             let (columns, success) = rows(seed, 1_000, |_| 0.5);
             assert!(!searched(&columns, &success, seed).verified);
         }
-        assert!(search(&[], &[true; 200], None, TARGET, Confidence::P95, 1).is_none());
+        assert!(search(&[], &[true; 200], None, None, TARGET, Confidence::P95, 1).is_none());
     }
 
     #[test]

@@ -47,7 +47,7 @@ const EXCEEDANCES: usize = 20;
 /// The p-value below which the bound replaces sampling.
 const BOUND: f64 = 1e-6;
 /// The narrowest run, and the narrowest rest, as a part of the number of cells.
-const NARROWEST: usize = 20;
+pub(crate) const NARROWEST: usize = 20;
 /// Numbers whose x ln x is tabulated.
 const TABULATED: u64 = 1 << 16;
 
@@ -81,94 +81,6 @@ pub fn scan(cells: &[Trials], order: Order, replicates: usize, seed: u64) -> Opt
     Some(Scan { log_ratio, low, p })
 }
 
-/// The same test if rows are not independent but come in units, such as the repeats of one scenario. Units are permuted
-/// as a whole. `cell_of` is the cell of each unit, below `cells`.
-///
-/// `None` as in [`scan`], for fewer than two units, for lists of different lengths and for a cell that does not exist.
-pub fn scan_units(
-    units: &[Trials],
-    cell_of: &[usize],
-    cells: usize,
-    order: Order,
-    replicates: usize,
-    seed: u64,
-) -> Option<Scan> {
-    if units.len() != cell_of.len() || units.len() < 2 || cell_of.iter().any(|cell| *cell >= cells) {
-        return None;
-    }
-    let (mut n, mut k) = (vec![0; cells], vec![0; cells]);
-    let count = |labels: &[usize], n: &mut [u64], k: &mut [u64]| {
-        n.fill(0);
-        k.fill(0);
-        for (unit, cell) in units.iter().zip(labels) {
-            n[*cell] += unit.n();
-            k[*cell] += unit.successes();
-        }
-    };
-    count(cell_of, &mut n, &mut k);
-    let mut divisions = Divisions::of(&n, &k, order)?;
-    let (log_ratio, low) = divisions.observed(&n, &k)?;
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut labels = cell_of.to_vec();
-    let p = sequential(log_ratio, replicates, || {
-        shuffle(&mut rng, &mut labels);
-        count(&labels, &mut n, &mut k);
-        divisions.largest(&n, &k)
-    });
-    Some(Scan { log_ratio, low, p })
-}
-
-/// The same test if rows come in clusters within which the parameter varies: outcomes are permuted within each cluster, so
-/// that differences between clusters do not matter. `cell_of` is the cell of each row, below `cells`.
-///
-/// `None` as in [`scan`], for lists of different lengths and for a cell that does not exist.
-pub fn scan_within(
-    outcomes: &[bool],
-    clusters: &[usize],
-    cell_of: &[usize],
-    cells: usize,
-    order: Order,
-    replicates: usize,
-    seed: u64,
-) -> Option<Scan> {
-    let rows = outcomes.len();
-    if clusters.len() != rows || cell_of.len() != rows || cell_of.iter().any(|cell| *cell >= cells) {
-        return None;
-    }
-    let mut by_cluster: Vec<usize> = (0..rows).collect();
-    by_cluster.sort_by_key(|row| clusters[*row]);
-    let ends: Vec<usize> = by_cluster
-        .chunk_by(|a, b| clusters[*a] == clusters[*b])
-        .scan(0, |at, of| {
-            *at += of.len();
-            Some(*at)
-        })
-        .collect();
-    let (mut n, mut k) = (vec![0; cells], vec![0; cells]);
-    for (cell, success) in cell_of.iter().zip(outcomes) {
-        n[*cell] += 1;
-        k[*cell] += u64::from(*success);
-    }
-    let mut divisions = Divisions::of(&n, &k, order)?;
-    let (log_ratio, low) = divisions.observed(&n, &k)?;
-    let cell_of: Vec<usize> = by_cluster.iter().map(|row| cell_of[*row]).collect();
-    let mut outcomes: Vec<bool> = by_cluster.iter().map(|row| outcomes[*row]).collect();
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let p = sequential(log_ratio, replicates, || {
-        let mut from = 0;
-        for to in &ends {
-            shuffle(&mut rng, &mut outcomes[from..*to]);
-            from = *to;
-        }
-        k.fill(0);
-        for (cell, success) in cell_of.iter().zip(&outcomes) {
-            k[*cell] += u64::from(*success);
-        }
-        divisions.largest(&n, &k)
-    });
-    Some(Scan { log_ratio, low, p })
-}
-
 /// The p-value of "the rates of units do not depend on a number", for few units: the absolute rank correlation of rates and
 /// values, with permuted units. It has more power than a scan against a monotone effect.
 ///
@@ -198,7 +110,7 @@ pub fn rank_units(units: &[Trials], values: &[f64], replicates: usize, seed: u64
 }
 
 /// The p-value by sampling until enough replicates reach the observed statistic.
-fn sequential(statistic: f64, replicates: usize, mut replicate: impl FnMut() -> f64) -> f64 {
+pub(crate) fn sequential(statistic: f64, replicates: usize, mut replicate: impl FnMut() -> f64) -> f64 {
     let mut reached = 0;
     for drawn in 1..=replicates {
         // Equal tables have equal statistics except for rounding.
@@ -329,7 +241,7 @@ impl Divisions {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::resample::{binomial, uniform};
+    use crate::resample::binomial;
 
     fn trials(cells: &[(u64, u64)]) -> Vec<Trials> {
         cells.iter().map(|(k, n)| Trials::new(*k, *n).unwrap()).collect()
@@ -390,31 +302,6 @@ mod tests {
     }
 
     #[test]
-    fn rows_of_a_cluster_are_permuted_together() {
-        // Clusters have their own rates, and the cell is confounded with them in half of the rows.
-        let mut rejected = 0;
-        for seed in 0..200 {
-            let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            let rates: Vec<f64> = (0..8).map(|_| uniform(&mut rng)).collect();
-            let clusters: Vec<usize> = (0..480).map(|row| row / 60).collect();
-            let cell_of: Vec<usize> = clusters
-                .iter()
-                .map(|of| if uniform(&mut rng) < 0.5 { *of } else { (8.0 * uniform(&mut rng)) as usize })
-                .collect();
-            let outcomes: Vec<bool> = clusters.iter().map(|of| uniform(&mut rng) < rates[*of]).collect();
-            let found = scan_within(&outcomes, &clusters, &cell_of, 8, Order::Ordered, 400, seed);
-            rejected += u32::from(found.is_some_and(|found| found.p <= 0.05));
-        }
-        assert!(rejected <= 20, "{rejected} of 200");
-        // An effect within the clusters is found.
-        let cell_of: Vec<usize> = (0..480).map(|row| row % 2).collect();
-        let outcomes: Vec<bool> = (0..480).map(|row| row % 2 == 0 || row % 3 == 0).collect();
-        let clusters: Vec<usize> = (0..480).map(|row| row / 60).collect();
-        assert!(scan_within(&outcomes, &clusters, &cell_of, 2, Order::Ordered, 400, 1).unwrap().p < 0.01);
-        assert!(scan_within(&outcomes, &clusters, &cell_of, 1, Order::Ordered, 400, 1).is_none());
-    }
-
-    #[test]
     fn ranks_of_few_units_find_a_trend() {
         let units: Vec<Trials> = (0..10).map(|i| Trials::new(10 + 3 * i, 60).unwrap()).collect();
         let rising: Vec<f64> = (0..10).map(f64::from).collect();
@@ -425,27 +312,8 @@ mod tests {
     }
 
     #[test]
-    fn repeated_scenarios_are_one_unit_each() {
-        // Twenty scenarios of fifty repeats that always or never succeed: rows are many, units are few.
-        let mut rng = ChaCha8Rng::seed_from_u64(2);
-        let mut rejected = [0, 0];
-        for set in 0..200 {
-            let units: Vec<Trials> =
-                (0..20).map(|_| Trials::new(if uniform(&mut rng) < 0.5 { 50 } else { 0 }, 50).unwrap()).collect();
-            let cell_of: Vec<usize> = (0..20).map(|unit| unit / 5).collect();
-            let by_rows: Vec<(u64, u64)> =
-                units.chunks(5).map(|u| (u.iter().map(|u| u.successes()).sum(), 250)).collect();
-            rejected[0] += u32::from(scan(&trials(&by_rows), Order::Ordered, 199, set).is_some_and(|s| s.p <= 0.05));
-            let found = scan_units(&units, &cell_of, 4, Order::Ordered, 199, set);
-            rejected[1] += u32::from(found.is_some_and(|s| s.p <= 0.05));
-        }
-        assert!(rejected[0] > 150 && rejected[1] <= 20, "{rejected:?} of 200");
-    }
-
-    #[test]
     fn one_outcome_gives_no_test() {
         assert!(scan(&trials(&[(5, 5), (9, 9)]), Order::Ordered, 99, 1).is_none());
         assert!(scan(&trials(&[(5, 9), (0, 0)]), Order::Unordered, 99, 1).is_none());
-        assert!(scan_units(&trials(&[(1, 2), (0, 2)]), &[0, 7], 2, Order::Ordered, 99, 1).is_none());
     }
 }

@@ -16,7 +16,7 @@ use robogate_maths::normal;
 use crate::fourier::Fourier;
 use crate::logistic::{Data, logistic_and_log};
 use crate::ridge::{RidgeFit, fit};
-use crate::{Confidence, Interval, Trials};
+use crate::{Confidence, Interval};
 
 /// Frequencies of the features.
 const FREQUENCIES: usize = 28;
@@ -49,20 +49,20 @@ pub struct SurfaceRate {
 }
 
 impl Surface {
-    /// Fits the counts of `nx` x `ny` cells of equal size over the unit square; x varies fastest. `None` if the number of
-    /// cells does not match, or without both outcomes.
-    pub fn fit(cells: &[Trials], nx: usize, ny: usize) -> Option<Self> {
+    /// Fits successes and failures in `nx` x `ny` cells of equal size over the unit square; x varies fastest. Rows with sampling
+    /// weights count as that many independent ones. `None` if the number of cells does not match, or without both outcomes.
+    pub fn fit(cells: &[[f64; 2]], nx: usize, ny: usize) -> Option<Self> {
         if cells.len() != nx * ny || cells.is_empty() {
             return None;
         }
         let (mut x, mut y, mut outcomes, mut weights) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for (i, cell) in cells.iter().enumerate() {
-            for (success, count) in [(true, cell.successes()), (false, cell.failures())] {
-                if count > 0 {
+            for (success, count) in [true, false].into_iter().zip(*cell) {
+                if count > 0.0 {
                     x.push(((i % nx) as f64 + 0.5) / nx as f64);
                     y.push(((i / nx) as f64 + 0.5) / ny as f64);
                     outcomes.push(success);
-                    weights.push(count as f64);
+                    weights.push(count);
                 }
             }
         }
@@ -133,16 +133,15 @@ mod tests {
 
     const SIDE: usize = 20;
 
-    fn sampled(seed: u64, rows: usize, law: impl Fn(f64, f64) -> f64) -> Vec<Trials> {
+    fn sampled(seed: u64, rows: usize, law: impl Fn(f64, f64) -> f64) -> Vec<[f64; 2]> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut counts = vec![(0, 0); SIDE * SIDE];
+        let mut counts = vec![[0.0; 2]; SIDE * SIDE];
         for _ in 0..rows {
             let (x, y) = (uniform(&mut rng), uniform(&mut rng));
             let cell = &mut counts[(y * SIDE as f64) as usize * SIDE + (x * SIDE as f64) as usize];
-            cell.0 += u64::from(uniform(&mut rng) < law(x, y));
-            cell.1 += 1;
+            cell[usize::from(uniform(&mut rng) >= law(x, y))] += 1.0;
         }
-        counts.into_iter().map(|(k, n)| Trials::new(k, n).unwrap()).collect()
+        counts
     }
 
     #[test]
@@ -174,9 +173,9 @@ mod tests {
 
     #[test]
     fn one_outcome_gives_no_surface() {
-        assert!(Surface::fit(&[Trials::new(5, 5).unwrap(); 4], 2, 2).is_none());
-        assert!(Surface::fit(&[Trials::new(2, 5).unwrap(); 4], 3, 2).is_none());
-        let surface = Surface::fit(&[Trials::new(2, 5).unwrap(); 4], 2, 2).unwrap();
+        assert!(Surface::fit(&[[5.0, 0.0]; 4], 2, 2).is_none());
+        assert!(Surface::fit(&[[2.0, 3.0]; 4], 3, 2).is_none());
+        let surface = Surface::fit(&[[2.0, 3.0]; 4], 2, 2).unwrap();
         assert!(surface.at(&[0.1], &[], Confidence::P95).is_none());
     }
 }

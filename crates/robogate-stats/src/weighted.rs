@@ -55,6 +55,8 @@ pub struct WeightedRate {
     pub interval: Interval,
     /// Kish's effective sample size.
     pub effective: f64,
+    /// The number of independent trials that the interval counts: at most the effective sample size.
+    pub independent: f64,
     /// Rows of positive weight.
     pub rows: usize,
     /// Sum of the weights.
@@ -100,6 +102,7 @@ pub fn hajek(outcomes: &[bool], weights: &[f64], confidence: Confidence) -> Resu
             se: None,
             interval: Interval::UNIT,
             effective,
+            independent: 0.0,
             rows,
             total_weight: total,
         });
@@ -125,6 +128,7 @@ pub fn hajek(outcomes: &[bool], weights: &[f64], confidence: Confidence) -> Resu
         se,
         interval: wilson_real(rate * count, count, confidence.z()),
         effective,
+        independent: count,
         rows,
         total_weight: total,
     })

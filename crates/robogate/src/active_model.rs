@@ -20,7 +20,7 @@ pub(crate) fn of_run(dir: &Path) -> Option<ActiveModel> {
 fn score(last: &ActiveRound) -> String {
     match (&last.model, &last.problem) {
         (Some(model), _) => format!(
-            "Brier score {:.3} in cross-validation, told the hidden draws, from {}",
+            "Brier score {:.3} in cross-validation, from {}",
             model.brier,
             counted(last.trained_on, "episode")
         ),

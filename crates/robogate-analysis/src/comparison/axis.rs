@@ -12,6 +12,9 @@ use robogate_stats::format::{list, range};
 /// An integer parameter with at least this many levels is cut into bins.
 const MAX_LEVELS: i64 = 16;
 
+/// The probability of the differences between observed ends that chance explains.
+const SAME_END: f64 = 0.01;
+
 /// A parameter that all datasets have, over the range that all of them cover.
 pub(crate) struct SharedAxis {
     pub(crate) axis: Axis,
@@ -42,7 +45,8 @@ impl SharedAxis {
             return Err("it is categorical in one dataset and numeric in another".to_owned());
         }
         let spans: Vec<[f64; 2]> = columns.iter().map(|column| span(column)).collect();
-        let [low, high] = common(&spans, datasets.iter().any(|e| e.population == Population::AsImported));
+        let observed = datasets.iter().any(|e| e.population == Population::AsImported);
+        let [low, high] = if observed { observed_range(&columns) } else { shared_range(&spans) };
         let remark = spans.iter().any(|s| s[0] < low || s[1] > high).then(|| {
             format!(
                 "Only {} of {} is covered by every dataset; rows outside are excluded.",
@@ -121,7 +125,10 @@ impl SharedAxis {
     /// Successes per cell of one dataset.
     pub(crate) fn trials(&self, dataset: &Dataset<'_>) -> Vec<Trials> {
         match dataset.parameter(&self.axis.parameter) {
-            Some(column) => tally(&self.places(column), &dataset.base.success, self.cells()),
+            Some(column) => {
+                let places = self.places(column);
+                dataset.base.effective_cells(self.cells(), |row| places[row])
+            },
             None => vec![Trials::NONE; self.cells()],
         }
     }
@@ -137,7 +144,7 @@ impl SharedAxis {
             .zip(across.places(to))
             .map(|(row, column)| Some(row? * across.cells() + column?))
             .collect();
-        tally(&places, &dataset.base.success, cells)
+        dataset.base.effective_cells(cells, |row| places[row])
     }
 
     /// The edges of one cell; `None` for a level.
@@ -149,15 +156,36 @@ impl SharedAxis {
     }
 }
 
-/// The range that all spans cover. The ends of an imported range are the extremes of its rows, so they are random. Ends
-/// that differ by at most 0.5 % of the widest span count as equal, so that no row is excluded because of them.
-fn common(spans: &[[f64; 2]], observed: bool) -> [f64; 2] {
-    let ends = |at: usize| spans.iter().map(move |span| span[at]);
-    let least = |at: usize| ends(at).fold(f64::INFINITY, f64::min);
-    let most = |at: usize| ends(at).fold(f64::NEG_INFINITY, f64::max);
-    let widest = spans.iter().map(|span| span[1] - span[0]).fold(0.0, f64::max);
-    let alike = |at: usize| observed && most(at) - least(at) <= 0.005 * widest;
-    [if alike(0) { least(0) } else { most(0) }, if alike(1) { most(1) } else { least(1) }]
+/// The range that all spans cover.
+fn shared_range(spans: &[[f64; 2]]) -> [f64; 2] {
+    let low = spans.iter().map(|span| span[0]).fold(f64::NEG_INFINITY, f64::max);
+    [low, spans.iter().map(|span| span[1]).fold(f64::INFINITY, f64::min)]
+}
+
+/// The range that the rows of all datasets cover. The ends of imported ranges are the extremes of their rows, so they are random: an end
+/// is shared unless one dataset has so many different values beyond the last one of another that chance does not explain it. If
+/// both have the same distribution, the largest k of all values lie in the first with the probability of k draws without replacement.
+fn observed_range(columns: &[&ParameterColumn]) -> [f64; 2] {
+    let distinct = |column: &&ParameterColumn| {
+        let mut values = column.values.clone();
+        values.sort_unstable_by(f64::total_cmp);
+        values.dedup();
+        values
+    };
+    let values: Vec<Vec<f64>> = columns.iter().map(distinct).filter(|values| !values.is_empty()).collect();
+    let end = |sign: f64| {
+        let ends = || values.iter().map(|of| of.iter().map(|v| sign * v).fold(f64::NEG_INFINITY, f64::max));
+        let (nearest, farthest) = (ends().fold(f64::INFINITY, f64::min), ends().fold(f64::NEG_INFINITY, f64::max));
+        let shortest = values.iter().zip(ends()).filter(|(_, end)| *end <= nearest).map(|(of, _)| of.len()).min();
+        let by_chance = values.iter().all(|of| {
+            let beyond = of.iter().filter(|v| sign * **v > nearest).count();
+            let all = (of.len() + shortest.unwrap_or(0)) as f64;
+            let chance: f64 = (0..beyond).map(|i| (of.len() as f64 - i as f64) / (all - i as f64)).product();
+            chance > SAME_END / values.len() as f64
+        });
+        sign * if by_chance { farthest } else { nearest }
+    };
+    [end(-1.0), end(1.0)]
 }
 
 fn span(column: &ParameterColumn) -> [f64; 2] {
@@ -168,27 +196,23 @@ fn span(column: &ParameterColumn) -> [f64; 2] {
     }
 }
 
-fn tally(places: &[Option<usize>], success: &[bool], cells: usize) -> Vec<Trials> {
-    let mut counts = vec![(0, 0); cells];
-    for (place, success) in places.iter().zip(success) {
-        if let Some((successes, n)) = place.and_then(|place| counts.get_mut(place)) {
-            *successes += u64::from(*success);
-            *n += 1;
-        }
-    }
-    // Successes and rows are counted together, so there are never more successes.
-    counts.into_iter().map(|(successes, n)| Trials::new(successes, n).unwrap_or(Trials::NONE)).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn only_observed_ends_are_rounded() {
-        let spans = [[0.0, 100.0], [0.3, 99.8]];
-        assert_eq!(common(&spans, true), [0.0, 100.0]);
-        assert_eq!(common(&spans, false), [0.3, 99.8]);
-        assert_eq!(common(&[[0.0, 100.0], [2.0, 99.8]], true), [2.0, 100.0]);
+    fn ends_that_differ_by_chance_are_shared() {
+        let column = |from: f64, to: f64, n: usize| ParameterColumn {
+            name: "mass_kg".to_owned(),
+            kind: ParameterKind::Continuous { low: from, high: to, log: false },
+            values: (0..n).map(|i| from + (to - from) * i as f64 / (n - 1) as f64).collect(),
+        };
+        let range = |a: &ParameterColumn, b: &ParameterColumn| observed_range(&[a, b]);
+        // Two of fifty values lie beyond the last one of the other dataset; then a quarter of them.
+        assert_eq!(range(&column(0.0, 1.0, 50), &column(0.0, 0.97, 50)), [0.0, 1.0]);
+        assert_eq!(range(&column(0.0, 1.0, 50), &column(0.0, 0.75, 50)), [0.0, 0.75]);
+        // A few values of a large dataset beyond those of a small one are likely.
+        assert_eq!(range(&column(-0.1, 1.0, 500), &column(0.0, 1.0, 10)), [-0.1, 1.0]);
+        assert_eq!(shared_range(&[[0.0, 100.0], [0.3, 99.8]]), [0.3, 99.8]);
     }
 }

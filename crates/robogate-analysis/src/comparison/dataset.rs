@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use robogate_dictionary::{CellPlace, Place, Provenance, RendererRecord};
 
-use crate::analysis::populations;
 use crate::dependence::Dependence;
 use crate::replay::shell_word;
 use crate::table::{EpisodeTable, ParameterColumn, Sample};
-use crate::{AnalysisError, ComparisonError, Population, Source};
+use crate::weighting::{Counted, Weighting};
+use crate::{AnalysisError, ComparisonError, Finding, Population, Source};
 
 /// One dataset of a comparison.
 pub(crate) struct Dataset<'a> {
@@ -17,8 +17,8 @@ pub(crate) struct Dataset<'a> {
     pub(crate) path: &'a Path,
     pub(crate) table: EpisodeTable,
     pub(crate) base: Sample,
-    pub(crate) focused: Option<Sample>,
     pub(crate) population: Population,
+    pub(crate) weighting: Option<Finding<Weighting>>,
 }
 
 impl<'a> Dataset<'a> {
@@ -29,9 +29,9 @@ impl<'a> Dataset<'a> {
         groups: &[String],
     ) -> Result<Self, AnalysisError> {
         let table = EpisodeTable::read(source.dictionary())?;
-        let (mut base, focused, population) = populations(&table);
+        let Counted { mut base, population, weighting } = Counted::of(&table, source.boundary());
         base.dependence = Dependence::of(&table, &base, population, groups)?;
-        Ok(Self { name, source, path, table, base, focused, population })
+        Ok(Self { name, source, path, table, base, population, weighting })
     }
 
     pub(crate) fn provenance(&self) -> &Provenance {

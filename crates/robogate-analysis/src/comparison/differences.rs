@@ -92,7 +92,7 @@ fn between(first: &Dataset<'_>, second: &Dataset<'_>, family: usize) -> Result<R
     } else if let Some(pairs) = pairs {
         paired(pairs, level(family))
     } else {
-        let [one, two] = [first, second].map(|of| Trials::count(of.base.success.iter().copied()));
+        let [one, two] = [first, second].map(|of| of.base.effective(|_| true));
         independent(one, two, level(family))
     };
     Ok(RateDifference {

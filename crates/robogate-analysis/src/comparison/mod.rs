@@ -206,13 +206,7 @@ fn compared_dataset(dataset: &Dataset<'_>) -> ComparedDataset {
         subject: Subject::of(dataset.source, dataset.path),
         population: dataset.population,
         excluded_because: dataset.excluded_because().map(str::to_owned),
-        success: Success::of(
-            &dataset.table,
-            &dataset.base,
-            dataset.focused.as_ref(),
-            dataset.population,
-            dataset.source.boundary(),
-        ),
+        success: Success::of(&dataset.table, &dataset.base, dataset.population, dataset.weighting.as_ref()),
         failure_modes: FailureModes::of(&dataset.table, &dataset.base),
     }
 }

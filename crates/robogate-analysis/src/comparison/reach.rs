@@ -1,6 +1,5 @@
 //! Workspace distance and reach of each robot.
 
-use robogate_stats::Trials;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -37,7 +36,7 @@ pub(crate) fn reach(datasets: &[&Dataset<'_>], given: &[(String, f64)], workspac
             workspace_m,
             ratio: reach_m.zip(workspace_m).map(|(reach, workspace)| workspace / reach),
             given: named.is_some() || (recorded.is_none() && workspace.is_some()),
-            rate: Rate::of(Trials::count(dataset.base.success.iter().copied())),
+            rate: Rate::of_rows(&dataset.base, |_| true),
         }
     };
     datasets.iter().map(row).collect()

@@ -113,15 +113,16 @@ fn slope(dataset: &Dataset<'_>, parameter: &str, [low, high]: [f64; 2]) -> Findi
     };
     let inside = |value: &f64| (low..=high).contains(value);
     let logs: Vec<f64> = column.values.iter().copied().filter(inside).map(f64::ln).collect();
-    let success: Vec<bool> =
-        column.values.iter().zip(&dataset.base.success).filter(|(value, _)| inside(value)).map(|(_, s)| *s).collect();
-    slope_of(&logs, &success, &parameter_label(parameter))
+    let rows = || (0..dataset.base.len()).filter(|row| inside(&column.values[*row]));
+    let success: Vec<bool> = rows().map(|row| dataset.base.success[row]).collect();
+    let weights: Option<Vec<f64>> = dataset.base.weights.as_ref().map(|of| rows().map(|row| of[row]).collect());
+    slope_of(&logs, &success, weights.as_deref(), &parameter_label(parameter))
 }
 
-fn slope_of(logs: &[f64], success: &[bool], label: &str) -> Finding<Slope> {
+fn slope_of(logs: &[f64], success: &[bool], weights: Option<&[f64]>, label: &str) -> Finding<Slope> {
     let names = [format!("ln({label})")];
     let columns = [logs];
-    let fitted = Data::new(&columns, success, None).and_then(|data| Ok((data, fit(data, Options::default())?)));
+    let fitted = Data::new(&columns, success, weights).and_then(|data| Ok((data, fit(data, Options::for_rows(weights.is_some()))?)));
     let (data, fitted) = match fitted {
         Ok(both) => both,
         Err(error) => return Finding::not(why(&error, &names)),

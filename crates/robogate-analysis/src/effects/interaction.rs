@@ -64,7 +64,8 @@ fn tested(base: &Sample, ranked: &[ParameterEffect], share: f64) -> Option<(Vec<
         scores.push((parameter.name.clone(), ranks));
     }
     let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
-    let data = Data::new(&slices, &success, None).ok()?;
+    let weights: Option<Vec<f64>> = base.weights.as_ref().map(|of| rows.iter().map(|row| of[*row]).collect());
+    let data = Data::new(&slices, &success, weights.as_deref()).ok()?;
     let null = fit(data, Options::default()).ok()?;
     let test = ScoreTest::new(data, &null)?;
     let mut found = Vec::new();

@@ -1,17 +1,24 @@
 //! Which parameters have an effect on success, in which shape, and which pairs interact.
 //!
 //! Headlines name a parameter only if it passes the test of this module. Under the hypothesis that success depends on
-//! nothing, the probability that anything is named is at most 2.5 %: 2.1 % for single parameters (scan tests, Holm), 0.4 %
-//! for interactions of two (score tests, Holm). Adjusted p-values are scaled so that 0.025 is the limit of both.
+//! nothing, the probability that anything is named is at most 2.5 %: 2.1 % for single parameters (permutation tests of trends, bends
+//! and any shape, [`robogate_stats::effect_test`]; Holm), 0.4 % for interactions of two (score tests, Holm). Adjusted p-values are
+//! scaled so that 0.025 is the limit of both.
+//!
+//! All rows are tested, with their sampling weights. The failures that a test expects in a row come from a model of all other
+//! parameters ([`expected`]), which removes their part of the variance.
 
+mod expected;
 mod interaction;
 mod shape;
 
 use robogate_stats::Trials;
-use robogate_stats::binning::{Edges, per_bin, per_category};
+use robogate_stats::binning::Edges;
 use robogate_stats::clusters::{Clusters, FEWEST};
+use robogate_stats::correlation::midranks;
+use robogate_stats::effect_test::{Unit, Values, effect_test};
 use robogate_stats::multiplicity::holm;
-use robogate_stats::scan::{Order, Scan, rank_units, scan, scan_units, scan_within};
+use robogate_stats::scan::{Order, Scan, rank_units, scan};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -20,16 +27,21 @@ pub use shape::{EffectShape, RateStep, ShapeKind};
 
 use crate::Finding;
 use crate::marginal::integer_edges;
-use crate::table::{ParameterColumn, ParameterKind, Sample};
+use crate::table::{ParameterColumn, ParameterKind, Sample, rounded};
 
 /// The error probability of everything that is named. It is below the usual 5 %, so that the share of false reports in a
 /// few hundred simulated ones is below 5 % too.
 pub const LEVEL: f64 = 0.025;
 /// The part of it for single parameters. The rest is for interactions.
-const SINGLE: f64 = 0.84;
-/// Cells of a numeric parameter in the test. A run of them starts and ends within half a cell of an effect: with 20 cells, an
-/// effect in a tenth of the range could lose half of its statistic, because it covers one of them and two halves.
-const TEST_CELLS: usize = 100;
+pub(crate) const SINGLE: f64 = 0.84;
+/// Cells of a numeric parameter in the test, and where counts of more rows than [`MODELLED_ROWS`] are scanned. A run of cells starts
+/// and ends within half a cell of an effect.
+const TEST_CELLS: usize = 50;
+const SCAN_CELLS: usize = 100;
+/// Most rows without weights whose failures are compared with a model of the other parameters. With more, counts are scanned.
+const MODELLED_ROWS: usize = 20_000;
+/// Permuted rows of one test, at most, unless fewer than [`REPLICATES`] permutations would be left.
+const PERMUTED: usize = 40_000_000;
 /// Cells of a numeric parameter in the estimate of its influence.
 const INFLUENCE_CELLS: usize = 20;
 /// Share of a parameter's variance between clusters from which these are permuted. Below it, rows within clusters are.
@@ -92,8 +104,10 @@ impl Effects {
         let (mut names, mut found) = (Vec::new(), Vec::new());
         // Enough replicates for the smallest p-value that Holm's first step can need.
         let replicates = (base.parameters.len() * 500).clamp(4_000, 20_000);
+        let modelled = base.weights.is_some() || base.len() <= MODELLED_ROWS;
         for (at, parameter) in base.parameters.iter().enumerate() {
-            let Some(cells) = TestCells::of(base, parameter) else { continue };
+            let counted = base.is_plain() && !modelled;
+            let Some(cells) = TestCells::of(base, parameter, if counted { SCAN_CELLS } else { TEST_CELLS }) else { continue };
             let seed = at as u64;
             let tested = match &base.dependence {
                 Some(dependence) => {
@@ -104,7 +118,11 @@ impl Effects {
                         cells.within(base, parameter, dependence.main(), seed)
                     }
                 }
-                None => scan(&cells.trials, cells.order, replicates, seed),
+                None if counted => scan(&cells.trials, cells.order, replicates, seed),
+                None => {
+                    let replicates = replicates.min((PERMUTED / base.len().max(1)).max(REPLICATES));
+                    cells.test(base, parameter, &expected::units(base, at), None, replicates, seed)
+                }
             };
             if let Some(tested) = tested {
                 names.push(parameter);
@@ -142,7 +160,7 @@ fn effect(
     let significant = adjusted_p <= LEVEL;
     ParameterEffect {
         parameter: parameter.name.clone(),
-        influence: influence(&cells.merged(), base.dependence.as_ref().map_or(1.0, |of| of.share(base))),
+        influence: influence(&cells.merged(base)),
         p: scan.p,
         adjusted_p,
         significant,
@@ -155,22 +173,38 @@ fn effect(
 }
 
 /// The first-order Sobol index from the rates of cells: their variance without the part that sampling explains, divided
-/// by the variance of the outcome. `share` is the number of independent rows for which one row counts.
-fn influence(cells: &[Trials], share: f64) -> f64 {
+/// by the variance of the outcome. The counts are those of independent rows.
+fn influence(cells: &[Trials]) -> f64 {
     let n: f64 = cells.iter().map(|c| c.n() as f64).sum();
     let rate = cells.iter().map(|c| c.successes() as f64).sum::<f64>() / n.max(1.0);
     let total = rate * (1.0 - rate);
     let between: f64 = cells
         .iter()
-        .filter(|cell| cell.n() as f64 * share > 1.0)
+        .filter(|cell| cell.n() > 1)
         .filter_map(|cell| Some((cell.n() as f64, cell.rate()?)))
-        .map(|(m, p)| m / n * ((p - rate).powi(2) - p * (1.0 - p) / (m * share - 1.0)))
+        .map(|(m, p)| m / n * ((p - rate).powi(2) - p * (1.0 - p) / (m - 1.0)))
         .sum();
     if total > 0.0 { (between / total).clamp(0.0, 1.0) } else { 0.0 }
 }
 
+/// The counts of cells, as many as independent rows would have with the same variance.
+fn independent_cells(base: &Sample, cells: usize, cell_of: impl Fn(usize) -> Option<usize>) -> Vec<Trials> {
+    let Some(dependence) = &base.dependence else { return base.effective_cells(cells, cell_of) };
+    // Each row counts for less than an independent one. Few clusters are in one cell, so all rows tell how much less.
+    let share = dependence.share(base);
+    let mut counts = vec![(0_u64, 0_u64); cells];
+    for (row, success) in base.success.iter().enumerate() {
+        if let Some((k, n)) = cell_of(row).and_then(|cell| counts.get_mut(cell)) {
+            *k += u64::from(*success);
+            *n += 1;
+        }
+    }
+    counts.into_iter().map(|(k, n)| rounded(k as f64 / n.max(1) as f64, n as f64 * share)).collect()
+}
+
 /// The cells of a parameter in the test.
 struct TestCells {
+    cell_of: Vec<usize>,
     trials: Vec<Trials>,
     order: Order,
     /// The edges of a numeric parameter.
@@ -178,18 +212,26 @@ struct TestCells {
 }
 
 impl TestCells {
-    fn of(base: &Sample, parameter: &ParameterColumn) -> Option<Self> {
-        match &parameter.kind {
-            ParameterKind::Categorical { levels } => {
-                let trials = per_category(&parameter.codes(), &base.success, levels.len()).ok()?;
-                Some(Self { trials, order: Order::Unordered, edges: None })
-            }
+    fn of(base: &Sample, parameter: &ParameterColumn, most: usize) -> Option<Self> {
+        let (edges, cells) = match &parameter.kind {
+            ParameterKind::Categorical { levels } => (None, levels.len()),
             ParameterKind::Continuous { .. } | ParameterKind::Integer { .. } => {
-                let edges = edges(parameter, TEST_CELLS)?;
-                let trials = per_bin(&parameter.values, &base.success, &edges).ok()?.cells;
-                Some(Self { trials, order: Order::Ordered, edges: Some(edges) })
+                let edges = edges(parameter, most)?;
+                let cells = edges.bins();
+                (Some(edges), cells)
             }
+        };
+        let order = if edges.is_some() { Order::Ordered } else { Order::Unordered };
+        let mut of = Self { cell_of: Vec::new(), trials: Vec::new(), order, edges };
+        of.cell_of = parameter.values.iter().map(|value| of.cell(*value)).collect();
+        let mut counts = vec![(0, 0); cells];
+        for (cell, success) in of.cell_of.iter().zip(&base.success) {
+            let (k, n) = counts.get_mut(*cell)?;
+            *k += u64::from(*success);
+            *n += 1;
         }
+        of.trials = counts.into_iter().map(|(k, n)| Trials::new(k, n).unwrap_or(Trials::NONE)).collect();
+        Some(of)
     }
 
     fn cell(&self, value: f64) -> usize {
@@ -199,26 +241,62 @@ impl TestCells {
         }
     }
 
+    /// The permutation test of units that are the rows of `base`.
+    fn test(
+        &self,
+        base: &Sample,
+        parameter: &ParameterColumn,
+        units: &[Unit],
+        blocks: Option<&[usize]>,
+        replicates: usize,
+        seed: u64,
+    ) -> Option<Scan> {
+        let ranks = match self.order {
+            Order::Ordered => midranks(&parameter.values),
+            Order::Unordered => vec![0.0; base.len()],
+        };
+        self.test_of(units, &self.cell_of, &ranks, blocks, replicates, seed)
+    }
+
+    fn test_of(
+        &self,
+        units: &[Unit],
+        cell_of: &[usize],
+        ranks: &[f64],
+        blocks: Option<&[usize]>,
+        replicates: usize,
+        seed: u64,
+    ) -> Option<Scan> {
+        let values = match self.order {
+            Order::Ordered => Values::Ordered { cell_of, ranks },
+            Order::Unordered => Values::Levels(cell_of),
+        };
+        effect_test(units, values, self.trials.len(), blocks, replicates, seed)
+    }
+
     /// The test of a parameter that varies between clusters: clusters are permuted. `None` with too few clusters.
     fn between(&self, base: &Sample, parameter: &ParameterColumn, clusters: &Clusters, seed: u64) -> Option<Scan> {
         if clusters.count() < FEWEST {
             return None;
         }
-        let units = clusters.trials(&base.success, |_| true);
+        let trials = clusters.trials(&base.success, |_| true);
         let mut first = vec![None; clusters.count()];
         let mut sums = vec![0.0; clusters.count()];
         for (cluster, value) in clusters.of_row().iter().zip(&parameter.values) {
             first[*cluster].get_or_insert(*value);
             sums[*cluster] += value;
         }
-        let means: Vec<f64> = sums.iter().zip(&units).map(|(sum, unit)| sum / unit.n().max(1) as f64).collect();
+        let means: Vec<f64> = sums.iter().zip(&trials).map(|(sum, unit)| sum / unit.n().max(1) as f64).collect();
         let cell_of: Vec<usize> = match self.order {
             Order::Ordered => means.iter().map(|mean| self.cell(*mean)).collect(),
             Order::Unordered => first.iter().map(|value| self.cell(value.unwrap_or(0.0))).collect(),
         };
-        let found = scan_units(&units, &cell_of, self.trials.len(), self.order, REPLICATES, seed)?;
+        let failed = base.success.iter().filter(|s| !**s).count() as f64 / base.len().max(1) as f64;
+        let unit = |of: &Trials| Unit { n: of.n() as f64, failures: of.failures() as f64, expected: failed * of.n() as f64 };
+        let units: Vec<Unit> = trials.iter().map(unit).collect();
+        let found = self.test_of(&units, &cell_of, &midranks(&means), None, REPLICATES, seed)?;
         if self.order == Order::Ordered && clusters.count() < SCANNED {
-            let p = rank_units(&units, &means, REPLICATES, seed)?;
+            let p = rank_units(&trials, &means, REPLICATES, seed)?;
             return Some(Scan { p, ..found });
         }
         Some(found)
@@ -227,24 +305,29 @@ impl TestCells {
     /// The test of a parameter that varies within clusters: outcomes are permuted within each.
     fn within(&self, base: &Sample, parameter: &ParameterColumn, clusters: &Clusters, seed: u64) -> Option<Scan> {
         let step = base.len().div_ceil(WITHIN_ROWS).max(1);
-        let rows = || (0..base.len()).step_by(step);
-        let success: Vec<bool> = rows().map(|row| base.success[row]).collect();
-        let of_row: Vec<usize> = rows().map(|row| clusters.of_row()[row]).collect();
-        let cell_of: Vec<usize> = rows().map(|row| self.cell(parameter.values[row])).collect();
-        scan_within(&success, &of_row, &cell_of, self.trials.len(), self.order, REPLICATES, seed)
+        let kept: Vec<usize> = (0..base.len()).step_by(step).collect();
+        let of_row: Vec<usize> = kept.iter().map(|row| clusters.of_row()[*row]).collect();
+        let failed: Vec<f64> =
+            clusters.trials(&base.success, |_| true).iter().map(|of| 1.0 - of.rate().unwrap_or(0.5)).collect();
+        let unit = |row: &usize| Unit {
+            n: 1.0,
+            failures: f64::from(u8::from(!base.success[*row])),
+            expected: failed[clusters.of_row()[*row]],
+        };
+        let units: Vec<Unit> = kept.iter().map(unit).collect();
+        let cell_of: Vec<usize> = kept.iter().map(|row| self.cell_of[*row]).collect();
+        let ranks = midranks(&kept.iter().map(|row| parameter.values[*row]).collect::<Vec<_>>());
+        self.test_of(&units, &cell_of, &ranks, Some(&of_row), REPLICATES, seed)
     }
 
     /// The cells for the estimate of the influence: neighbours together, because narrow cells only add noise to it.
-    fn merged(&self) -> Vec<Trials> {
+    fn merged(&self, base: &Sample) -> Vec<Trials> {
+        let cells = self.trials.len();
         let together = match self.order {
-            Order::Ordered => self.trials.len().div_ceil(INFLUENCE_CELLS).max(1),
+            Order::Ordered => cells.div_ceil(INFLUENCE_CELLS).max(1),
             Order::Unordered => 1,
         };
-        let sum = |cells: &[Trials]| {
-            let (k, n) = cells.iter().fold((0, 0), |(k, n), cell| (k + cell.successes(), n + cell.n()));
-            Trials::new(k, n).unwrap_or(Trials::NONE)
-        };
-        self.trials.chunks(together).map(sum).collect()
+        independent_cells(base, cells.div_ceil(together), |row| Some(self.cell_of[row] / together))
     }
 }
 

@@ -1,7 +1,6 @@
 //! The shape of an effect: where success is high and where it is low.
 
 use robogate_stats::Trials;
-use robogate_stats::binning::per_bin;
 use robogate_stats::segments::{Segments, Shape, Step, segments};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -74,12 +73,7 @@ pub(super) fn shape(base: &Sample, parameter: &ParameterColumn, cells: &[Trials]
         });
     }
     let edges = super::edges(parameter, (base.len() / ROWS_PER_CELL).clamp(8, CELLS))?;
-    let mut fine = per_bin(&parameter.values, &base.success, &edges).ok()?.cells;
-    if let Some(dependence) = &base.dependence {
-        // Each row counts for less than an independent one.
-        let share = dependence.share(base);
-        fine.iter_mut().for_each(|cell| *cell = scaled(*cell, share));
-    }
+    let fine = super::independent_cells(base, edges.bins(), |row| edges.bin(parameter.values[row]));
     let Segments { shape, high, low } = segments(&fine, edges.as_slice())?;
     let (kind, steps) = match shape {
         Shape::Rising(step) => (ShapeKind::Rising, vec![step.into()]),
@@ -87,7 +81,7 @@ pub(super) fn shape(base: &Sample, parameter: &ParameterColumn, cells: &[Trials]
         Shape::Band(from, to) => (ShapeKind::Band, vec![from.into(), to.into()]),
         Shape::Gap(from, to) => (ShapeKind::Gap, vec![from.into(), to.into()]),
     };
-    if base.dependence.is_none() {
+    if base.is_plain() {
         return Some(EffectShape { kind, steps, low_levels: Vec::new(), high: Rate::of(high), low: Rate::of(low) });
     }
     let inside = |row: usize| {
@@ -101,11 +95,4 @@ pub(super) fn shape(base: &Sample, parameter: &ParameterColumn, cells: &[Trials]
     let rate = |high: bool| Rate::of_rows(base, |row| inside(row) == high);
     let (high, low) = (rate(true), rate(false));
     Some(EffectShape { kind, steps, low_levels: Vec::new(), high, low })
-}
-
-/// Counts with the same rate and a share of the number of trials.
-fn scaled(cell: Trials, share: f64) -> Trials {
-    let n = (cell.n() as f64 * share).floor();
-    let k = (n * cell.rate().unwrap_or(0.0)).round();
-    Trials::new(k as u64, n as u64).unwrap_or(Trials::NONE)
 }

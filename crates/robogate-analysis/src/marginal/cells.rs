@@ -5,7 +5,6 @@ use robogate_stats::binning::{Edges, per_bin, per_category};
 use robogate_stats::format::range;
 
 use super::{BINS, Cell, Zone, level_edges};
-use crate::dependence::effective;
 use crate::rate::Rate;
 use crate::table::{ParameterColumn, ParameterKind, Sample};
 
@@ -52,13 +51,12 @@ fn bins(base: &Sample, parameter: &ParameterColumn, edges: &Edges) -> (Vec<Cell>
 
 /// The rates and the zones of cells. `cell_of` is the cell of a row.
 fn rated(base: &Sample, trials: &[Trials], cell_of: impl Fn(usize) -> Option<usize>) -> (Vec<Rate>, Vec<Zone>) {
-    if base.dependence.is_none() {
+    if base.is_plain() {
         return (trials.iter().map(|trials| Rate::of(*trials)).collect(), Zone::of(trials));
     }
     let cells: Vec<Option<usize>> = (0..base.len()).map(cell_of).collect();
     let of = |cell: usize| Rate::of_rows(base, |row| cells[row] == Some(cell));
-    let effective = |cell: usize| effective(base, |row| cells[row] == Some(cell));
-    let effective: Vec<Trials> = (0..trials.len()).map(effective).collect();
+    let effective = base.effective_cells(trials.len(), |row| cells[row]);
     ((0..trials.len()).map(of).collect(), Zone::of(&effective))
 }
 

@@ -1,13 +1,14 @@
 //! Correlation of one parameter with success.
 
-use robogate_stats::Confidence;
-use robogate_stats::correlation::{cramers_v, point_biserial, spearman};
+use robogate_stats::binning::per_category;
+use robogate_stats::correlation::{cramers_v, midranks, pearson, weighted};
+use robogate_stats::{Confidence, Trials};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::no_contrast;
 use crate::rate::{Finding, ends};
-use crate::table::{ParameterColumn, Sample};
+use crate::table::{ParameterColumn, ParameterKind, Sample};
 
 /// Correlation of a parameter with success.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -49,13 +50,18 @@ pub(super) fn correlation(base: &Sample, parameter: &ParameterColumn) -> Finding
     // A parameter that varies between clusters has as many independent values as clusters.
     let clusters = base.dependence.as_ref().map(|of| of.grouping_of(parameter)).filter(|(_, share)| *share > 0.5);
     let clusters = clusters.map(|(clusters, _)| clusters.count());
+    let independent = (base.share() * base.len() as f64).floor() as usize;
     if parameter.is_numeric() {
-        let Ok(found) = point_biserial(&parameter.values, &base.success, Confidence::P95) else {
+        let outcomes: Vec<f64> = base.success.iter().map(|s| f64::from(u8::from(*s))).collect();
+        let of = |values: &[f64]| match &base.weights {
+            Some(weights) => weighted(values, &outcomes, weights, independent, Confidence::P95),
+            None => pearson(values, &outcomes, Confidence::P95),
+        };
+        let Ok(found) = of(&parameter.values) else {
             return Finding::not(no_contrast(base, parameter));
         };
         let found = clusters.map_or(found, |n| found.counted_as(n, Confidence::P95));
-        let outcomes: Vec<f64> = base.success.iter().map(|s| f64::from(u8::from(*s))).collect();
-        let ranks = spearman(&parameter.values, &outcomes, Confidence::P95).ok();
+        let ranks = of(&midranks(&parameter.values)).ok();
         return Finding::Estimated(Correlation::Number {
             point_biserial: found.r,
             interval_95: ends(found.interval),
@@ -63,8 +69,18 @@ pub(super) fn correlation(base: &Sample, parameter: &ParameterColumn) -> Finding
             spearman: ranks.map(|ranks| ranks.r),
         });
     }
-    let outcomes: Vec<usize> = base.success.iter().map(|s| usize::from(*s)).collect();
-    match cramers_v(&parameter.codes(), &outcomes) {
+    let ParameterKind::Categorical { levels } = &parameter.kind else { return Finding::not(no_contrast(base, parameter)) };
+    // One row for each independent episode of a level.
+    let cells = match base.weights {
+        Some(_) => base.effective_cells(levels.len(), |row| Some(parameter.values[row] as usize)),
+        None => per_category(&parameter.codes(), &base.success, levels.len()).unwrap_or_default(),
+    };
+    let row = |(level, cell): (usize, &Trials)| {
+        let outcome = |(outcome, count): (usize, u64)| std::iter::repeat_n((level, outcome), count as usize);
+        [(0, cell.failures()), (1, cell.successes())].into_iter().flat_map(outcome).collect::<Vec<_>>()
+    };
+    let (codes, outcomes): (Vec<usize>, Vec<usize>) = cells.iter().enumerate().flat_map(row).unzip();
+    match cramers_v(&codes, &outcomes) {
         Ok(found) => Finding::Estimated(Correlation::Category {
             cramers_v: found.v_corrected,
             ln_p: clusters

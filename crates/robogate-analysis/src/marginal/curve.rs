@@ -35,8 +35,8 @@ impl MarginalEffect {
             .iter()
             .filter(|cell| cell.rate.n > 0)
             .map(|cell| {
-                let share = cell.rate.clusters.map_or(1.0, |of| of.effective_episodes / cell.rate.n.max(1) as f64);
-                let (n, k) = (share * cell.rate.n as f64, share * cell.rate.successes as f64);
+                let n = cell.rate.independent();
+                let k = n * cell.rate.rate.unwrap_or(0.0);
                 cell.range.map(|range| (range, k, n - k))
             })
             .collect::<Option<_>>()?;

@@ -54,7 +54,11 @@ pub(super) fn mode_changes(table: &EpisodeTable, base: &Sample, parameter: &Para
     if base.dependence.is_some() {
         return Finding::not("the tests of modes need independent episodes, and these come in clusters");
     }
+    // The tests count failures, so rows whose points were chosen are left out.
+    let sampled = |at: usize| base.weights.is_none() || !table.is_focused(base.rows[at] as usize);
     let (failed, modes_of) = base.failures(table);
+    let (failed, modes_of): (Vec<usize>, Vec<usize>) =
+        failed.into_iter().zip(modes_of).filter(|(at, _)| sampled(*at)).unzip();
     if failed.len() < 2 {
         return Finding::not(format!("{} failed", counted(failed.len() as u64, "episode")));
     }

@@ -66,7 +66,7 @@ pub(super) fn critical_threshold(base: &Sample, parameter: &ParameterColumn) -> 
         return Finding::not(no_contrast(base, parameter));
     };
     let options = ThresholdOptions { replicates: REPLICATES, ..ThresholdOptions::default() };
-    match threshold(&parameter.values, &base.success, None, base.clusters(), &edges, options) {
+    match threshold(&parameter.values, &base.success, base.weights.as_deref(), base.clusters(), &edges, options) {
         Ok(found) => Finding::Estimated(match found.threshold {
             Threshold::Crosses { at, direction, low, high, se, crossing_share } => CriticalThreshold::Crosses {
                 at,

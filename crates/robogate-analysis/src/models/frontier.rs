@@ -77,8 +77,9 @@ pub(crate) fn frontier(base: &Sample, x: &ParameterColumn, y: &ParameterColumn) 
         format!("{} \u{d7} {}", parameter_label(&x.name), parameter_label(&y.name)),
     ];
     let clusters = base.clusters().map(Clusters::of_row);
+    let weights = base.weights.as_deref();
     let (state, fit) =
-        match LimitState::fit(&x.values, &y.values, &base.success, None, clusters, Options::default(), 0.5) {
+        match LimitState::fit(&x.values, &y.values, &base.success, weights, clusters, Options::for_rows(weights.is_some()), 0.5) {
             Ok(found) => found,
             Err(error) => return Finding::not(why_no_frontier(&error, &names)),
         };

@@ -29,8 +29,9 @@ pub(crate) fn interactions(base: &Sample, task: &TaskAnalysis) -> Finding<Regres
     };
     let names: Vec<String> =
         model.main.iter().map(|m| parameter_label(m)).chain(model.products.iter().map(product)).collect();
-    let options = Options { scale: Scale::Standardized, ..Options::default() };
-    let found = Data::new(&all, &base.success, None)
+    let weights = base.weights.as_deref();
+    let options = Options { scale: Scale::Standardized, ..Options::for_rows(weights.is_some()) };
+    let found = Data::new(&all, &base.success, weights)
         .and_then(|data| data.clustered(base.clusters().map(Clusters::of_row)))
         .and_then(|data| fit(data, options));
     match found {

@@ -33,11 +33,11 @@ pub use trials::{RealTrial, RealTrials};
 
 use self::corrected::CorrectedModel;
 use self::map::Places;
-use crate::analysis::populations;
 use crate::dependence::Dependence;
 use crate::effects::Effects;
 use crate::labels::parameter_label;
 use crate::rate::ends;
+use crate::weighting::Counted;
 use crate::table::EpisodeTable;
 use crate::{AnalysisError, Finding, Population, Rate, Source, Subject};
 
@@ -264,7 +264,7 @@ impl<'a> Simulation<'a> {
         let provenance = source.dictionary().provenance();
         let table = EpisodeTable::read(source.dictionary())?;
         check_numbers(&table, &provenance.space)?;
-        if population.is_none() && populations(&table).2 == Population::Suite {
+        if population.is_none() && Counted::of(&table, None).population == Population::Suite {
             return Err(no(
                 "its episodes are those of a suite, not a sample of an operating space. Expected a run of `robogate run`, or \
                  the settings that the real robot meets (--population)",
@@ -381,7 +381,8 @@ impl Transfer {
         if trials.trials.is_empty() {
             return Err(no(format!("{} has no trial inside the simulated space", real.display())));
         }
-        let (mut base, _, population) = populations(&simulation.table);
+        let population = Counted::of(&simulation.table, None).population;
+        let mut base = simulation.table.sample(false);
         base.dependence = Dependence::of(&simulation.table, &base, population, &[])?;
         let effects = Effects::of(&base);
         let places = Places::of(simulation.space(), &base, &effects, predictor::training(&simulation.table).len());

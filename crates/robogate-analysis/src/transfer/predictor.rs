@@ -101,6 +101,7 @@ pub(super) fn predict(
         success: vec![false; rows.len()],
         parameters: train.parameters.iter().filter_map(column).collect(),
         identifiers: Vec::new(),
+        weights: None,
         dependence: None,
     };
     let scores = flexible_scores(&train, &test, fitted)?;

@@ -1,4 +1,4 @@
-//! Focused rows are never used as an estimate of the operating space.
+//! Focused rows count by their sampling weights, and never as a plain sample of the operating space.
 
 use robogate_analysis::{Advice, Population};
 use robogate_core::Outcome;
@@ -32,30 +32,36 @@ fn focused(n: u64, from: u64) -> Vec<robogate_dictionary::Entry> {
 }
 
 #[test]
-fn headline_uses_the_uniform_stage() {
+fn focused_rows_count_by_their_weights() {
     let space = space(&["box"]);
+    let truth = truth();
     let alone = analysed(&space, law(&space, 2_000));
-    let both = analysed(&space, law(&space, 2_000).into_iter().chain(focused(2_000, 2_000)).collect());
-    assert_eq!(both.success.rate, alone.success.rate);
-    assert_eq!(both.marginal_effects, alone.marginal_effects);
+    let both = analysed(&space, law(&space, 2_000).into_iter().chain(focused(4_000, 2_000)).collect());
     assert_eq!(both.population, Population::OperatingSpace);
     let stage = both.success.stages.iter().find(|s| s.stage == "boundary").unwrap();
     assert_eq!(stage.population, Population::FocusedDesign);
-}
-
-#[test]
-fn reweighting_recovers_the_operating_rate() {
-    let space = space(&["box"]);
-    let truth = truth();
-    let both = analysed(&space, law(&space, 2_000).into_iter().chain(focused(4_000, 2_000)).collect());
-    let found = both.success.reweighted.as_ref().unwrap().estimated().unwrap();
-    let plain = both.success.stages.iter().find(|s| s.stage == "boundary").unwrap().rate.rate.unwrap();
+    let plain = stage.rate.rate.unwrap();
     assert!((plain - truth).abs() > 0.1, "the focused rate {plain} is far from the truth {truth}");
-    assert!((found.estimate.rate - truth).abs() < 0.025, "{} for {truth}", found.estimate.rate);
-    assert!((found.region_share - 0.5).abs() < 0.01);
-    assert!(found.estimate.effective_sample_size > 2_000.0);
+    let rate = both.success.rate;
+    assert_eq!(rate.n, 5_960);
+    assert!((rate.rate.unwrap() - truth).abs() < 0.025, "{rate:?} for {truth}");
+    assert!(rate.weighted_as.unwrap() > 2_000.0);
     let width = |[low, high]: [f64; 2]| high - low;
-    assert!(width(found.estimate.interval_95) < width(both.success.rate.wilson_95));
+    assert!(width(rate.wilson_95) < width(alone.success.rate.wilson_95));
+    let weighting = both.success.weighting.as_ref().unwrap().estimated().unwrap();
+    assert!((weighting.region_share - 0.5).abs() < 0.01);
+    assert_eq!((weighting.rows, weighting.chosen), (5_960, 4_000));
+    // The cells of a parameter have their rates in the operating space. In plain counts, those of mass would be too high.
+    for cell in &both.marginal_effects.iter().find(|effect| effect.parameter == "mass_kg").unwrap().cells {
+        let [from, to] = cell.range.unwrap();
+        let of_mass = |i: u64| {
+            let mut requested = point(&space, i + 1_000_000);
+            hold(&mut requested, &space, "mass_kg", (0.5 * (from + to) - 0.05) / 1.95);
+            outcome(i + 1_000_000, &requested) == Outcome::Success
+        };
+        let truth = (0..4_000).filter(|i| of_mass(*i)).count() as f64 / 4_000.0;
+        assert!((cell.rate.rate.unwrap() - truth).abs() < 0.09, "{:?} for {truth}", cell.rate);
+    }
 }
 
 /// An active stage: the first half of its rows is a uniform sample, the model chose the others in the upper half of friction.
@@ -82,24 +88,21 @@ fn active(n: u64, from: u64) -> Vec<robogate_dictionary::Entry> {
 }
 
 #[test]
-fn uniform_part_counts_and_chosen_rows_do_not() {
+fn chosen_rows_of_an_active_stage_count_by_their_weights() {
     let space = space(&["box"]);
     let truth = truth();
     let both = analysed(&space, law(&space, 1_000).into_iter().chain(active(4_000, 1_000)).collect());
     assert_eq!(both.population, Population::OperatingSpace);
-    // 980 valid rows of the uniform stage and those of the uniform part.
-    assert!((2_900..=3_000).contains(&both.success.rate.n), "{}", both.success.rate.n);
+    // 980 valid rows of the uniform stage and all of the active one.
+    assert_eq!(both.success.rate.n, 4_980);
     let rate = both.success.rate.rate.unwrap();
-    assert!((rate - truth).abs() < 0.03, "{rate} for {truth}");
+    assert!((rate - truth).abs() < 0.025, "{rate} for {truth}");
     let stage = |name: &str| both.success.stages.iter().find(|s| s.stage == name).unwrap();
     assert_eq!(stage("active").population, Population::FocusedDesign);
     assert_eq!(stage("active (uniform part)").population, Population::OperatingSpace);
     assert_eq!(stage("active").weighted, None, "the chosen rows alone have no region");
     let plain = stage("active").rate.rate.unwrap();
     assert!((plain - truth).abs() > 0.1, "the chosen rows alone: {plain} for {truth}");
-    let found = both.success.reweighted.as_ref().unwrap().estimated().unwrap();
-    assert!((found.estimate.rate - truth).abs() < 0.025, "{} for {truth}", found.estimate.rate);
-    assert!(found.rows > 4_500);
 }
 
 #[test]
@@ -207,12 +210,14 @@ fn emphasis_beyond_the_volume_is_weighted() {
         std::fs::write(dir.path().join("boundary.json"), boundary).unwrap();
         let of = |path: &Path| {
             let source = robogate_analysis::Source::open(path).unwrap();
-            robogate_analysis::Analysis::of(&source, path, &[]).unwrap().success.reweighted.unwrap()
+            robogate_analysis::Analysis::of(&source, path, &[]).unwrap().success
         };
         let found = of(dir.path());
-        error += (found.estimated().unwrap().estimate.rate - truth) / 6.0;
-        // The file alone does not describe the regions.
-        assert!(of(&path).because().unwrap().contains("folder"));
+        error += (found.rate.rate.unwrap() - truth) / 6.0;
+        // The file alone does not describe the regions, so the chosen rows are left out.
+        let alone = of(&path);
+        assert!(alone.weighting.unwrap().because().unwrap().contains("folder"));
+        assert_eq!(alone.rate.n, 1_000);
     }
     assert!(error.abs() < 0.012, "mean error {error}");
 }

@@ -41,7 +41,7 @@ pub struct ActiveRound {
     pub certificate: Option<Certificate>,
 }
 
-/// Scores of a model in cross-validation, told the hidden draws.
+/// Scores of a model in cross-validation. It knows the hidden draws of the episodes, if the task declares any.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ModelScore {
     /// Share of the boosting in the model; the rest is logistic regression on splines.

@@ -89,7 +89,8 @@ struct ScenarioFile {
     parameters: Table,
 }
 
-/// A number, a word, a list of words or a range `{ low, high }`. A list or a range is sampled again in each round.
+/// A number, a word, a list of words or a range `{ low, high }`, with `scale = "log"` if its logarithm is uniform. A list or a range is
+/// sampled again in each round.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[serde(untagged)]
 enum Given {
@@ -99,6 +100,7 @@ enum Given {
     Words(Vec<Arc<str>>),
     IntegerRange(Ends<i64>),
     Range(Ends<f64>),
+    Scaled(ScaledEnds),
 }
 
 /// The ends of a range. Two integer ends give an integer range, both included.
@@ -107,6 +109,15 @@ enum Given {
 struct Ends<T> {
     low: T,
     high: T,
+}
+
+/// The ends of a range of numbers, with the scale on which it is sampled uniformly.
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[schemars(rename = "SuiteScaledRange")]
+struct ScaledEnds {
+    low: f64,
+    high: f64,
+    scale: Scale,
 }
 
 /// Implemented by hand, because a flattened table loses the line numbers of its keys.
@@ -172,19 +183,23 @@ impl<'de> Deserialize<'de> for Given {
             }
 
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Given, A::Error> {
-                let (mut low, mut high) = (None, None);
+                let (mut low, mut high, mut scale) = (None, None, Scale::Linear);
                 while let Some(key) = map.next_key::<String>()? {
                     match key.as_str() {
                         "low" => low = Some(map.next_value()?),
                         "high" => high = Some(map.next_value()?),
-                        other => return Err(de::Error::unknown_field(other, &["low", "high"])),
+                        "scale" => scale = map.next_value()?,
+                        other => return Err(de::Error::unknown_field(other, &["low", "high", "scale"])),
                     }
                 }
                 let low = low.ok_or_else(|| de::Error::missing_field("low"))?;
                 let high = high.ok_or_else(|| de::Error::missing_field("high"))?;
                 Ok(match (low, high) {
-                    (Given::Integer(low), Given::Integer(high)) => Given::IntegerRange(Ends { low, high }),
+                    (Given::Integer(low), Given::Integer(high)) if scale == Scale::Linear => {
+                        Given::IntegerRange(Ends { low, high })
+                    }
                     (low, high) => match (low.as_number(), high.as_number()) {
+                        (Some(low), Some(high)) if scale == Scale::Log => Given::Scaled(ScaledEnds { low, high, scale }),
                         (Some(low), Some(high)) => Given::Range(Ends { low, high }),
                         _ => return Err(de::Error::custom("`low` and `high` must be numbers")),
                     },
@@ -221,7 +236,7 @@ impl Given {
     fn kind(&self) -> Kind {
         match self {
             Self::Integer(_) | Self::IntegerRange(_) => Kind::Integer,
-            Self::Number(_) | Self::Range(_) => Kind::Number,
+            Self::Number(_) | Self::Range(_) | Self::Scaled(_) => Kind::Number,
             Self::Word(_) | Self::Words(_) => Kind::Word,
         }
     }
@@ -234,6 +249,9 @@ impl Given {
             Self::IntegerRange(Ends { low, high }) => Some(Domain::Integer { low: *low, high: *high }),
             Self::Range(Ends { low, high }) => {
                 Some(Domain::Continuous { low: *low, high: *high, scale: Scale::Linear })
+            }
+            Self::Scaled(ScaledEnds { low, high, scale }) => {
+                Some(Domain::Continuous { low: *low, high: *high, scale: *scale })
             }
         }
     }
@@ -259,7 +277,7 @@ impl Given {
             (Self::Integer(n), _) => Spread::Fixed(Value::Integer(*n)),
             (Self::Number(x), _) => Spread::Fixed(Value::Number(*x)),
             (Self::Word(word), _) => Spread::Fixed(Value::Category(Arc::clone(word))),
-            (Self::Words(_) | Self::IntegerRange(_) | Self::Range(_), _) => {
+            (Self::Words(_) | Self::IntegerRange(_) | Self::Range(_) | Self::Scaled(_), _) => {
                 Spread::Drawn(self.domain().unwrap_or(Domain::Integer { low: 0, high: 0 }))
             }
         }
@@ -280,7 +298,12 @@ impl From<&Spread> for Given {
     fn from(spread: &Spread) -> Self {
         match spread {
             Spread::Fixed(value) => Self::from(value),
-            Spread::Drawn(Domain::Continuous { low, high, .. }) => Self::Range(Ends { low: *low, high: *high }),
+            Spread::Drawn(Domain::Continuous { low, high, scale: Scale::Linear }) => {
+                Self::Range(Ends { low: *low, high: *high })
+            }
+            Spread::Drawn(Domain::Continuous { low, high, scale }) => {
+                Self::Scaled(ScaledEnds { low: *low, high: *high, scale: *scale })
+            }
             Spread::Drawn(Domain::Integer { low, high }) => Self::IntegerRange(Ends { low: *low, high: *high }),
             Spread::Drawn(Domain::Categorical { choices }) => Self::Words(choices.clone()),
         }

@@ -106,6 +106,38 @@ impl Suite {
         serde_json::from_value(file).map_err(|why| wrong(why.to_string()))
     }
 
+    /// Builds a suite whose scenarios are `scenarios` new points of `space` in each round. It has one group. A space that samples
+    /// parameters jointly has no such suite: a suite samples each parameter by itself.
+    ///
+    /// # Errors
+    /// For such a space, and for one that is no space of a suite.
+    pub fn fresh(space: &ParameterSpace, scenarios: usize) -> Result<Self, SuiteError> {
+        if let Some(joint) = space.correlations().first() {
+            let names: Vec<&str> = joint.parameters.iter().map(|name| &**name).collect();
+            let why = format!("the space `{}` samples {} jointly", space.name(), names.join(" and "));
+            return Err(SuiteError::Syntax(why));
+        }
+        let spread = |domain: &Domain| match domain {
+            Domain::Continuous { low, .. } if domain.is_constant() => Spread::Fixed(Value::Number(*low)),
+            Domain::Integer { low, high } if low == high => Spread::Fixed(Value::Integer(*low)),
+            Domain::Categorical { choices } if choices.len() == 1 => Spread::Fixed(Value::Category(Arc::clone(&choices[0]))),
+            _ => Spread::Drawn(domain.clone()),
+        };
+        let parameters: Vec<(Arc<str>, Spread)> =
+            space.parameters().iter().map(|p| (Arc::clone(&p.name), spread(&p.domain))).collect();
+        let name = crate::Word::nearest(space.name()).map_or("space", crate::Word::as_str).to_owned();
+        let about = format!("{scenarios} new points of the parameter space `{}` in each round.", space.name());
+        let scenario = |number: usize| (["fresh", "fresh"], format!("fresh-{number:03}"), parameters.clone());
+        Self::try_from(SuiteFile::of_scenarios([name, "1.0.0".to_owned(), about], None, (1..=scenarios).map(scenario)))
+    }
+
+    /// Whether each scenario of each round is a new point of [`Self::space`]: all scenarios vary the same parameters over the same
+    /// ranges.
+    pub fn is_fresh(&self) -> bool {
+        let varies = self.cases[0].parameters.iter().any(|(_, spread)| matches!(spread, Spread::Drawn(_)));
+        varies && self.cases.iter().all(|case| case.parameters == self.cases[0].parameters)
+    }
+
     /// The same scenarios under another name, with `constants` in all of them: parameters that belong to one unit of a
     /// robot. A parameter that the suite sets to one value in all scenarios is replaced.
     ///

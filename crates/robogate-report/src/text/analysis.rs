@@ -2,8 +2,8 @@
 
 use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
 use robogate_analysis::{
-    Advice, Analysis, BoxLimit, ClusterReport, EffectShape, FailureModes, FailureRegion, Population, SafeBox,
-    ShapeKind, unrecorded,
+    Advice, Analysis, BoxLimit, ClusterReport, ConditionPart, EffectShape, FailureCondition, FailureModes, FailureRegion, Finding, Population, Power,
+    SafeBox, ShapeKind, SoughtBox, unrecorded,
 };
 use robogate_stats::format::{count, counted, list, number, percent, percent_or_dash, percent_range, range, sentence};
 use schemars::JsonSchema;
@@ -75,11 +75,19 @@ fn answer(analysis: &Analysis) -> String {
         _ => String::new(),
     };
     let clusters = analysis.clusters.as_ref().map_or_else(String::new, |of| format!(" {}", dependent(analysis, of)));
-    format!(
-        "The policy succeeded in {} of {} {of}{chance}.{clusters}{of_feasible}",
-        count(rate.successes),
-        counted(rate.n, "valid episode")
-    )
+    let result = match (rate.weighted_as, rate.rate) {
+        (Some(_), Some(share)) => format!(
+            "The policy succeeds in {} {of}{chance}, from {} by their sampling weights.",
+            percent(share),
+            counted(rate.n, "valid episode")
+        ),
+        _ => format!(
+            "The policy succeeded in {} of {} {of}{chance}.",
+            count(rate.successes),
+            counted(rate.n, "valid episode")
+        ),
+    };
+    format!("{result}{clusters}{of_feasible}")
 }
 
 /// What the clusters of the episodes mean for the claims, in sentences.
@@ -147,12 +155,54 @@ fn where_it_fails(analysis: &Analysis) -> Vec<String> {
     }));
     let tested = analysis.effects.tested;
     if regions.is_empty() && analysis.claims.interactions.is_empty() && modes.failures > 0 && tested > 0 {
+        let power = analysis.conditions.power.as_ref().map_or_else(String::new, |of| format!(" {}", shown(of)));
         lines.push(format!(
-            "No parameter has a significant effect on success ({} tested together).",
+            "No parameter has a significant effect on success ({} tested together).{power}",
             counted(tested, "parameter")
         ));
     }
+    lines.extend(analysis.conditions.sought.as_ref().map(sought));
     lines
+}
+
+/// What the tests could have found.
+fn shown(power: &Power) -> String {
+    let now = if power.detectable < 1.0 {
+        format!(
+            "These episodes would show a difference of {} points between both halves of a parameter's range with a probability of 80 %.",
+            count((100.0 * power.detectable).ceil() as u64)
+        )
+    } else {
+        "These episodes are too few to show any difference between both halves of a parameter's range.".to_owned()
+    };
+    format!("{now} A difference of 10 points needs about {}.", counted(rounded_up(power.episodes_for_10_points), "episode"))
+}
+
+/// A number with two significant digits, rounded up.
+fn rounded_up(n: u64) -> u64 {
+    let mut unit = 1;
+    while n / unit >= 100 {
+        unit *= 10;
+    }
+    n.div_ceil(unit) * unit
+}
+
+/// Where the sought failure mode occurs.
+fn sought(found: &Finding<SoughtBox>) -> String {
+    match found {
+        Finding::CannotBeEstimated { because } => format!("The sought failure mode has no box of parameters: {because}."),
+        Finding::Estimated(found) => format!(
+            "The sought mode, {}, occurs in {} of the episodes with {} (95 % interval {}, {}), and in {} of the others ({}). Watch {}.",
+            mode_label(&found.mode),
+            percent(found.inside.rate),
+            limits_in_words(&found.limits),
+            percent_range(found.inside.interval_95),
+            counted(found.inside.episodes, "held-out episode"),
+            percent(found.outside.rate),
+            percent_range(found.outside.interval_95),
+            list(&found.replay.iter().map(|of| format!("episode {}", of.index)).collect::<Vec<_>>())
+        ),
+    }
 }
 
 /// The most frequent mode if a test supports it, otherwise the counts alone.
@@ -211,6 +261,26 @@ pub fn low_side(parameter: &str, shape: &EffectShape) -> String {
     }
 }
 
+/// A condition in words: "friction below 0.32 and mass above 1.2 kg".
+pub fn condition(of: &FailureCondition) -> String {
+    of.parameters.iter().map(part).collect::<Vec<_>>().join(" and ")
+}
+
+fn part(of: &ConditionPart) -> String {
+    let name = parameter_label(&of.parameter);
+    let value = |v: f64| value_with_unit(&number(v), &of.parameter);
+    let range = |[low, high]: &[Option<f64>; 2]| match (low, high) {
+        (Some(low), Some(high)) => format!("between {} and {}", value(*low), value(*high)),
+        (Some(low), None) => format!("above {}", value(*low)),
+        (None, Some(high)) => format!("below {}", value(*high)),
+        (None, None) => "anywhere".to_owned(),
+    };
+    if of.ranges.is_empty() {
+        return format!("{name} {}", list(&of.levels));
+    }
+    format!("{name} {}", of.ranges.iter().map(range).collect::<Vec<_>>().join(" or "))
+}
+
 /// Maximum number of levels in a sentence.
 const MAX_LEVELS: usize = 6;
 
@@ -224,6 +294,10 @@ fn some(levels: &[String]) -> String {
 
 /// A box in words: "friction above 0.32, mass below 1.2 kg".
 fn box_in_words(found: &SafeBox) -> String {
+    limits_in_words(&found.limits)
+}
+
+fn limits_in_words(limits: &[BoxLimit]) -> String {
     let limit = |limit: &BoxLimit| {
         let name = parameter_label(&limit.parameter);
         let value = |v: f64| value_with_unit(&number(v), &limit.parameter);
@@ -239,7 +313,7 @@ fn box_in_words(found: &SafeBox) -> String {
             (None, None) => format!("{name} {}", some(&limit.levels)),
         }
     };
-    list(&found.limits.iter().map(limit).collect::<Vec<_>>())
+    list(&limits.iter().map(limit).collect::<Vec<_>>())
 }
 
 /// A verification that needs more episodes than this multiple of the run is not advised.
@@ -316,14 +390,21 @@ fn uncertainty(analysis: &Analysis) -> Vec<String> {
     if rate.n == 0 {
         return vec!["Without a valid episode the success rate may be anywhere from 0 to 100 %.".to_owned()];
     }
-    let mut lines = vec![match rate.clusters {
-        Some(of) => format!(
+    let mut lines = vec![match (rate.clusters, rate.weighted_as) {
+        (None, Some(independent)) => format!(
+            "95 % interval {}. The {} are as precise as {} independent ones from the operating space, because {} were chosen.",
+            percent_range(rate.wilson_95),
+            counted(rate.n, "episode"),
+            count(independent.round() as u64),
+            count(success.weighting.as_ref().and_then(|of| of.estimated()).map_or(0, |of| of.chosen))
+        ),
+        (Some(of), _) => format!(
             "95 % interval {} for new clusters like these {} (Korn and Graubard). The episodes are as precise as {} independent ones.",
             percent_range(rate.wilson_95),
             count(of.clusters),
             count(of.effective_episodes.round() as u64)
         ),
-        None => format!(
+        (None, None) => format!(
             "95 % interval {} (Wilson), {} (exact).",
             percent_range(rate.wilson_95),
             percent_range(rate.clopper_pearson_95)
@@ -355,14 +436,8 @@ fn uncertainty(analysis: &Analysis) -> Vec<String> {
             percent_or_dash(success.bounds.best_case)
         ));
     }
-    if let Some(found) = success.reweighted.as_ref().and_then(|r| r.estimated()) {
-        lines.push(format!(
-            "With the focused rows by their weights: {}, interval {}, effective sample size {} of {} rows.",
-            percent(found.estimate.rate),
-            percent_range(found.estimate.interval_95),
-            count(found.estimate.effective_sample_size.round() as u64),
-            count(found.rows)
-        ));
+    if let Some(because) = success.weighting.as_ref().and_then(|of| of.because()) {
+        lines.push(format!("Episodes whose points were chosen are left out: {because}."));
     }
     let roc = analysis.risk.estimated().and_then(|r| r.roc.estimated());
     if let Some(auc) = roc.and_then(|roc| roc.auc_cross_validated) {

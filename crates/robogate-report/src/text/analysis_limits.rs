@@ -1,6 +1,6 @@
 //! The limits of an analysis in sentences.
 
-use robogate_analysis::{Analysis, Population, RowSampling, Stopping};
+use robogate_analysis::{Analysis, Finding, Population, RowSampling, Stopping};
 use robogate_stats::format::{count, counted, percent_or_dash};
 
 use super::labels;
@@ -14,14 +14,18 @@ pub fn limits(analysis: &Analysis) -> Vec<String> {
     if success.stages.iter().any(|s| focused(s.population)) && !focused(analysis.population) {
         let active = success.stages.iter().any(|s| s.stage == "active");
         let focused = if active {
-            "The active stage chooses episodes whose outcome its risk model does not know. Their plain success rate does not estimate the \
-             operating space. They count in the reweighted rate only, not in any bin, threshold or model; the episodes of its uniform part \
-             count everywhere."
+            "The active stage chooses episodes whose outcome its risk model does not know."
         } else {
-            "The focused stage samples near the boundary that the first stage estimated, and nowhere else. Its plain success rate \
-             does not estimate the operating space. Its episodes count in the reweighted rate only, not in any bin, threshold or model."
+            "The focused stage samples near the boundary that the first stage estimated, and nowhere else."
         };
-        limits.push(focused.to_owned());
+        let counted = match &success.weighting {
+            Some(Finding::Estimated(of)) => format!(
+                "Their plain success rate does not estimate the operating space: rates, effects, boxes and models count {}.",
+                of.method
+            ),
+            _ => "They are left out of every rate, effect, box and model.".to_owned(),
+        };
+        limits.push(format!("{focused} {counted}"));
     }
     if success.bounds.invalid > 0 {
         limits.push(format!(
@@ -56,7 +60,7 @@ pub fn limits(analysis: &Analysis) -> Vec<String> {
     }
     if analysis.effects.tested > 0 {
         limits.push(format!(
-            "A parameter is named only if a permutation test finds an effect of any shape, at 2.5 % for all {} and {} together \
+            "A parameter is named only if a permutation test finds a trend or an effect of any other shape, at 2.5 % for all {} and {} together \
              (Holm). A parameter that is not named may still have an effect that these episodes do not show.",
             counted(analysis.effects.tested, "parameter"),
             counted(analysis.effects.pairs_tested, "pair")
@@ -165,7 +169,9 @@ fn causes(analysis: &Analysis, joint: bool) -> String {
                 is not checked."
             .to_owned();
     }
-    let sampling = if joint {
+    let sampling = if analysis.population == Population::Suite {
+        "The scenarios were chosen and differ in several parameters at once, so an effect need not be causal"
+    } else if joint {
         "Some parameters were sampled jointly, so the effect of one of them includes those of the others"
     } else {
         "Parameters were sampled independently, so these effects are causal in the simulator; on a real line parameters may be \

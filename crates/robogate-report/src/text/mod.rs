@@ -6,7 +6,7 @@ mod comparison;
 mod comparison_limits;
 mod transfer;
 
-pub use analysis::{Headline, low_side};
+pub use analysis::{Headline, condition, low_side};
 pub use analysis_limits::limits;
 pub use comparison::ComparisonHeadline;
 pub use comparison_limits::comparison_limits;

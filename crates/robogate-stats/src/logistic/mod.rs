@@ -156,6 +156,14 @@ pub struct Options {
     pub covariance: Covariance,
 }
 
+impl Options {
+    /// The default options, with the sandwich estimator for rows with sampling weights.
+    pub fn for_rows(weighted: bool) -> Self {
+        let covariance = if weighted { Covariance::Sandwich } else { Covariance::Model };
+        Self { covariance, ..Self::default() }
+    }
+}
+
 /// One estimated coefficient.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Coefficient {

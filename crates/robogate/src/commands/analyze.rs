@@ -8,7 +8,7 @@ use robogate_analysis::{
     PairMap, Population, Regression, RiskModel, Source, Zone,
 };
 use robogate_gate::Sampling;
-use robogate_report::{Headline, analysis_json_with, limits, low_side};
+use robogate_report::{Headline, analysis_json_with, condition, limits, low_side};
 use robogate_stats::format::{counted, p_value, percent_or_dash};
 
 use crate::commands::report::evidence;
@@ -77,6 +77,7 @@ pub(crate) fn analyse(source: &Source, path: &Path, options: &AnalysisOptions) -
 
 fn print(analysis: &Analysis) {
     answer(analysis);
+    conditions(analysis);
     stages(analysis);
     for envelope in &analysis.envelopes {
         pair(envelope);
@@ -160,18 +161,37 @@ fn stages(analysis: &Analysis) {
             line(format_args!("             {} invalid episodes are left out of every rate", grouped(stage.invalid)));
         }
     }
-    match &analysis.success.reweighted {
-        Some(Finding::Estimated(found)) => line(format_args!(
-            "  all rows, reweighted {} ({}), effective sample size {:.0} of {}",
-            percent(found.estimate.rate),
-            interval(found.estimate.interval_95),
-            found.estimate.effective_sample_size,
-            grouped(found.rows)
+    match &analysis.success.weighting {
+        Some(Finding::Estimated(found)) => wrapped(&format!(
+            "All {} rows count in every figure: {}. {} of them have points that were chosen.",
+            grouped(found.rows),
+            found.method,
+            grouped(found.chosen)
         )),
         Some(Finding::CannotBeEstimated { because }) => {
-            wrapped(&format!("The rate from all rows cannot be estimated because {because}."));
+            wrapped(&format!("Rows whose points were chosen are left out because {because}."));
         }
         None => {}
+    }
+}
+
+/// The conditions under which the policy significantly fails more often, as a table.
+fn conditions(analysis: &Analysis) {
+    let failing = &analysis.conditions.failing;
+    if failing.is_empty() {
+        return;
+    }
+    heading("Where it fails, by condition");
+    for of in failing {
+        line(format_args!(
+            "  {:<44} {:>8} episodes  {:>7} ({})  elsewhere {:>7}  p {}",
+            condition(of),
+            grouped(of.inside.n),
+            percent_or_dash(of.inside.rate),
+            interval(of.inside.wilson_95),
+            percent_or_dash(of.outside.rate),
+            p_value(of.adjusted_p.max(f64::MIN_POSITIVE).ln())
+        ));
     }
 }
 

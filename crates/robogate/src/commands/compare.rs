@@ -196,16 +196,6 @@ fn rates(of: &Comparison) {
         if let Some(because) = &d.excluded_because {
             wrapped(&format!("{}: {because}.", d.name));
         }
-        if let Some(found) = d.success.reweighted.as_ref().and_then(Finding::estimated) {
-            line(dim(format_args!(
-                "  {:<22} {:>7} {:>20} {} {:>8}  all rows, weighted",
-                "",
-                percent(found.estimate.rate),
-                "",
-                interval(found.estimate.interval_95),
-                grouped(found.rows)
-            )));
-        }
         let bounds = &d.success.bounds;
         if let (1.., Some(worst), Some(best)) = (bounds.invalid, bounds.worst_case, bounds.best_case) {
             let n = grouped(bounds.invalid);

@@ -161,7 +161,7 @@ fn designs_of_the_pendulum() {
     let judged = format!("{sampled} episodes");
     let excluded = format!("{} episodes of a focused design are excluded", 200 - sampled);
     verb("gate --run a --requirements default", 1, &[&judged, &excluded]);
-    verb("analyze a", 0, &["active (uniform part)", "all rows, reweighted"]);
+    verb("analyze a", 0, &["active (uniform part)", "rows count in every figure"]);
 
     verb(&format!("{run} --design uniform --out uniform"), 0, &["200 episodes over the operating space, into uniform"]);
     verb(&format!("{run} --design two-stage --out two"), 0, &["134 episodes over the operating space, then 66 near"]);

@@ -37,8 +37,13 @@ pub struct ReliabilityBin {
 }
 
 /// `scenarios` is the scenario of each row, if these have repeats.
-pub(super) fn calibrated(p: &[f64], failed: &[bool], scenarios: Option<&[usize]>) -> Finding<CalibrationFigures> {
-    calibration(p, failed, None, scenarios, Bins::EqualCount(10), Confidence::P95)
+pub(super) fn calibrated(
+    p: &[f64],
+    failed: &[bool],
+    weights: Option<&[f64]>,
+    scenarios: Option<&[usize]>,
+) -> Finding<CalibrationFigures> {
+    calibration(p, failed, weights, scenarios, Bins::EqualCount(10), Confidence::P95)
         .map(|found: Calibration| CalibrationFigures {
             brier: found.brier,
             base_rate_brier: found.brier_of_the_rate,

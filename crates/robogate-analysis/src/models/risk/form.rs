@@ -38,7 +38,12 @@ impl Form {
     /// The form with the smallest cross-validated log loss. One choice after the other replaces the plain form if its
     /// improvement is at least two standard errors. `scenarios` is the scenario of each row, if these have repeats: all rows
     /// of a scenario are then in one fold, and the standard errors are those of scenarios.
-    pub(super) fn choose(parameters: &[ParameterColumn], failed: &[bool], scenarios: Option<&[usize]>) -> Self {
+    pub(super) fn choose(
+        parameters: &[ParameterColumn],
+        failed: &[bool],
+        weights: Option<&[f64]>,
+        scenarios: Option<&[usize]>,
+    ) -> Self {
         let mut form = Self::plain(parameters);
         let step = failed.len().div_ceil(MOST_ROWS).max(1);
         let rows: Vec<usize> = (0..failed.len()).step_by(step).collect();
@@ -48,9 +53,9 @@ impl Form {
             return form;
         }
         let folds = stratified_folds(&outcomes, scenarios.as_deref(), FOLDS, 0);
-        let Some(mut best) = losses(parameters, failed, &rows, &folds, &form) else { return form };
+        let Some(mut best) = losses(parameters, (failed, weights), &rows, &folds, &form) else { return form };
         let mut offer = |candidate: Self, form: &mut Self| {
-            let Some(found) = losses(parameters, failed, &rows, &folds, &candidate) else { return };
+            let Some(found) = losses(parameters, (failed, weights), &rows, &folds, &candidate) else { return };
             let n = best.len() as f64;
             let gain: Vec<f64> = best.iter().zip(&found).map(|(a, b)| a - b).collect();
             let mean = gain.iter().sum::<f64>() / n;
@@ -84,7 +89,7 @@ impl Form {
 /// The cross-validated log loss of each row. `None` if a fold cannot be fitted.
 fn losses(
     parameters: &[ParameterColumn],
-    failed: &[bool],
+    (failed, weights): (&[bool], Option<&[f64]>),
     rows: &[usize],
     folds: &[usize],
     form: &Form,
@@ -95,11 +100,12 @@ fn losses(
             rows.iter().zip(folds).filter(|(_, f)| (**f == fold) == held).map(|(row, _)| *row).collect()
         };
         let (train, test) = (of(false), of(true));
-        let coding = Coding::learn(parameters, failed, &train, form);
+        let coding = Coding::learn(parameters, failed, weights, &train, form);
         let columns = coding.columns(parameters, &train);
         let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
         let outcomes: Vec<bool> = train.iter().map(|row| failed[*row]).collect();
-        let fitted = fit(Data::new(&slices, &outcomes, None).ok()?, Options::default()).ok()?;
+        let of_train: Option<Vec<f64>> = weights.map(|of| train.iter().map(|row| of[*row]).collect());
+        let fitted = fit(Data::new(&slices, &outcomes, of_train.as_deref()).ok()?, Options::default()).ok()?;
         let columns = coding.columns(parameters, &test);
         let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
         let p = fitted.probabilities(&slices)?;
@@ -107,7 +113,7 @@ fn losses(
         for ((at, row), p) in places.zip(&test).zip(p) {
             // A wrong prediction with certainty would decide alone.
             let of_outcome = if failed[*row] { p } else { 1.0 - p };
-            losses[at] = -of_outcome.max(1e-6).ln();
+            losses[at] = -of_outcome.max(1e-6).ln() * weights.map_or(1.0, |of| of[*row]);
         }
     }
     Some(losses)

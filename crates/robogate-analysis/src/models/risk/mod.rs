@@ -39,7 +39,7 @@ pub use scoring::{Scoring, ScoringTerm};
 use super::{Regression, why};
 use crate::Finding;
 use crate::labels::parameter_label;
-use crate::table::{ParameterColumn, Sample};
+use crate::table::{EpisodeTable, ParameterColumn, Sample};
 use crate::task::TaskAnalysis;
 use calibration::calibrated;
 use form::Form;
@@ -82,20 +82,21 @@ pub(crate) struct Scored {
     pub(crate) unseen: bool,
 }
 
-pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Scored)> {
+pub(crate) fn risk(table: &EpisodeTable, base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Scored)> {
     if base.parameters.is_empty() && base.len() > 0 {
         return Finding::not("the dataset has no parameter");
     }
     let failed: Vec<bool> = base.success.iter().map(|s| !s).collect();
     let of_row = base.clusters().map(Clusters::of_row);
-    let form = Form::choose(&base.parameters, &failed, of_row);
+    let weights = base.weights.as_deref();
+    let form = Form::choose(&base.parameters, &failed, weights, of_row);
     let names: Vec<String> = base.parameters.iter().zip(&form.log).map(|(p, log)| feature(p, *log)).collect();
     let all: Vec<usize> = (0..base.len()).collect();
-    let coding = Coding::learn(&base.parameters, &failed, &all, &form);
+    let coding = Coding::learn(&base.parameters, &failed, weights, &all, &form);
     let columns = coding.columns(&base.parameters, &all);
     let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
-    let options = Options { scale: Scale::Standardized, ..Options::default() };
-    let whole = match Data::new(&slices, &failed, None).and_then(|data| fit(data.clustered(of_row)?, options)) {
+    let options = Options { scale: Scale::Standardized, ..Options::for_rows(weights.is_some()) };
+    let whole = match Data::new(&slices, &failed, weights).and_then(|data| fit(data.clustered(of_row)?, options)) {
         Ok(whole) => whole,
         Err(error) => return Finding::not(why(&error, &names)),
     };
@@ -114,11 +115,12 @@ pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Sc
         Err(format!("the rarer outcome has {fewest} {units}, fewer than the {FOLDS} folds"))
     } else {
         cross_validate::<CrossValidationError>(&failed, of_row, &folds, Confidence::P95, |train, test| {
-            let coding = Coding::learn(&base.parameters, &failed, train, &form);
+            let coding = Coding::learn(&base.parameters, &failed, weights, train, &form);
             let columns = coding.columns(&base.parameters, train);
             let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
             let outcomes: Vec<bool> = train.iter().map(|row| failed[*row]).collect();
-            let fitted = fit(Data::new(&slices, &outcomes, None)?, Options::default())?;
+            let of_train: Option<Vec<f64>> = weights.map(|of| train.iter().map(|row| of[*row]).collect());
+            let fitted = fit(Data::new(&slices, &outcomes, of_train.as_deref())?, Options::default())?;
             drop(slices);
             drop(columns);
             let columns = coding.columns(&base.parameters, test);
@@ -130,6 +132,9 @@ pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Sc
             CrossValidationError::Roc(error) => error.to_string(),
         })
     };
+    // Ranks have no weights, so an AUC is that of the rows whose points were sampled from the operating space.
+    let chosen = |at: usize| weights.is_some() && table.is_focused(base.rows[at] as usize);
+    let sampled: Vec<usize> = (0..base.len()).filter(|at| !chosen(*at)).collect();
     let paper = task.risk_parameters;
     let model = RiskModel {
         paper_features: !paper.is_empty()
@@ -146,10 +151,10 @@ pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Sc
             .collect(),
         penalties: coding.penalties(&base.parameters),
         scoring,
-        roc: roc_figures(&p, &failed, of_row, crossed.as_ref().ok()),
-        calibration_in_sample: calibrated(&p, &failed, of_row),
+        roc: roc_figures(&p, &failed, &sampled, of_row, crossed.as_ref().ok()),
+        calibration_in_sample: calibrated(&p, &failed, weights, of_row),
         calibration_cross_validated: match &crossed {
-            Ok(crossed) => calibrated(&crossed.scores, &failed, of_row),
+            Ok(crossed) => calibrated(&crossed.scores, &failed, weights, of_row),
             Err(because) => Finding::not(because.clone()),
         },
     };

@@ -37,15 +37,25 @@ pub(super) struct Coding {
 }
 
 impl Coding {
-    pub(super) fn learn(parameters: &[ParameterColumn], failed: &[bool], rows: &[usize], form: &Form) -> Self {
-        let overall = rows.iter().filter(|row| failed[**row]).count() as f64 / rows.len().max(1) as f64;
+    /// `weights` are the sampling weights of all rows.
+    pub(super) fn learn(
+        parameters: &[ParameterColumn],
+        failed: &[bool],
+        weights: Option<&[f64]>,
+        rows: &[usize],
+        form: &Form,
+    ) -> Self {
+        let weight = |row: usize| weights.map_or(1.0, |weights| weights[row]);
+        let of_failed = |row: &usize| if failed[*row] { weight(*row) } else { 0.0 };
+        let all: f64 = rows.iter().map(|row| weight(*row)).sum();
+        let overall = rows.iter().map(of_failed).sum::<f64>() / all.max(f64::MIN_POSITIVE);
         let learn = |parameter: &ParameterColumn| match &parameter.kind {
             ParameterKind::Categorical { levels } => {
                 let mut counts = vec![(0.0, 0.0); levels.len()];
                 for row in rows {
                     let level = &mut counts[parameter.values[*row] as usize];
-                    level.0 += f64::from(u8::from(failed[*row]));
-                    level.1 += 1.0;
+                    level.0 += of_failed(row);
+                    level.1 += weight(*row);
                 }
                 let rate = |(f, n): &(f64, f64)| (f + PRIOR * overall) / (n + PRIOR);
                 // An overall rate of 0 or 1 has no log-odds; the fit then rejects the rows.

@@ -35,28 +35,39 @@ pub struct RocCurve {
     pub points: Vec<[f64; 2]>,
 }
 
-/// `scenarios` is the scenario of each row, if these have repeats.
+/// The figures of the rows in `sampled`. `scenarios` is the scenario of each row, if these have repeats.
 pub(super) fn roc_figures(
     p: &[f64],
     failed: &[bool],
+    sampled: &[usize],
     scenarios: Option<&[usize]>,
     crossed: Option<&CrossValidated>,
 ) -> Finding<RocFigures> {
-    let found = match auc(p, failed, scenarios, Confidence::P95) {
+    let outcomes: Vec<bool> = sampled.iter().map(|row| failed[*row]).collect();
+    let scenarios: Option<Vec<usize>> = scenarios.map(|of| sampled.iter().map(|row| of[*row]).collect());
+    let kept = |scores: &[f64]| sampled.iter().map(|row| scores[*row]).collect::<Vec<f64>>();
+    let found = match auc(&kept(p), &outcomes, scenarios.as_deref(), Confidence::P95) {
         Ok(found) => found,
         Err(error) => return Finding::not(error.to_string()),
     };
     let thinned = |rows: &str, scores: &[f64]| {
-        let points = curve(scores, failed).unwrap_or_default();
+        let points = curve(&kept(scores), &outcomes).unwrap_or_default();
         RocCurve { rows: rows.to_owned(), points: thin(&points) }
     };
     let mut curves = vec![thinned("in_sample", p)];
     curves.extend(crossed.map(|crossed| thinned("cross_validated", &crossed.scores)));
+    let held_out = crossed.and_then(|crossed| match sampled.len() == failed.len() {
+        true => Some((crossed.auc, crossed.interval)),
+        // The folds of a part of the rows are too small for an AUC of each.
+        false => auc(&kept(&crossed.scores), &outcomes, scenarios.as_deref(), Confidence::P95)
+            .ok()
+            .map(|found| (found.auc, found.interval)),
+    });
     Finding::Estimated(RocFigures {
         auc_in_sample: found.auc,
         auc_in_sample_95: ends(found.interval),
-        auc_cross_validated: crossed.map(|c| c.auc),
-        auc_cross_validated_95: crossed.map_or([0.0, 1.0], |c| ends(c.interval)),
+        auc_cross_validated: held_out.map(|(auc, _)| auc),
+        auc_cross_validated_95: held_out.map_or([0.0, 1.0], |(_, interval)| ends(interval)),
         curves,
     })
 }

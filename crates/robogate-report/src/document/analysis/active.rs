@@ -7,7 +7,8 @@ use crate::ActiveModel;
 use crate::document::Kind::Number;
 use crate::document::{MAX_ROWS, or_dash};
 
-pub(super) fn section(model: &ActiveModel) -> Section {
+/// `draws` states whether the task declares hidden draws.
+pub(super) fn section(model: &ActiveModel, draws: bool) -> Section {
     let rows = model.rounds.iter().map(|round| {
         let number = |value: Option<f64>| or_dash(value, |value| fixed(value, 3));
         vec![
@@ -27,12 +28,11 @@ pub(super) fn section(model: &ActiveModel) -> Section {
     ];
     let mut table = Table::new("Rounds", &columns, rows.collect()).without_empty().at_most(MAX_ROWS);
     table.remark = Some("Scores of cross-validation before each round, over all episodes so far.".to_owned());
-    let mut about = vec![
-        "This model chose the episodes of the active design: gradient boosting and logistic regression on splines, told the \
-         parameters, the hidden draws and the margins of the task. The risk model further below is another one: a logistic \
-         regression on the parameters, whose coefficients can be read."
-            .to_owned(),
-    ];
+    let inputs = if draws { "the parameters, the hidden draws and the margins of the task" } else { "the parameters" };
+    let mut about = vec![format!(
+        "This model chose the episodes of the active design: gradient boosting and logistic regression on splines of {inputs}. The \
+         risk model further below is another one: a logistic regression on the parameters, whose coefficients can be read."
+    )];
     about.extend(model.sentences.iter().map(|text| format!("{}.", sentence(text))));
     Section {
         id: "active",

@@ -1,6 +1,7 @@
 //! The document of an analysis: the result first, then the evidence.
 
 mod active;
+mod conditions;
 mod danger;
 mod envelope;
 mod failures;
@@ -63,7 +64,8 @@ pub(crate) fn analysis_document(analysis: &Analysis, additions: &Additions<'_>) 
 
 /// Why the rate counts fewer episodes than the run has. Empty if it counts all stages.
 fn not_counted(analysis: &Analysis) -> String {
-    if analysis.population == Population::FocusedDesign {
+    let counted_all = analysis.success.weighting.as_ref().is_some_and(|of| of.estimated().is_some());
+    if counted_all || analysis.population == Population::FocusedDesign {
         return String::new();
     }
     let chosen = analysis.success.stages.iter().filter(|stage| stage.population == Population::FocusedDesign);
@@ -77,12 +79,14 @@ fn not_counted(analysis: &Analysis) -> String {
 fn sections(analysis: &Analysis, additions: &Additions<'_>) -> Vec<Section> {
     let mut sections: Vec<Section> = additions.watch.map(watch_section).into_iter().collect();
     sections.extend(additions.twins.map(twins::section));
+    sections.extend(conditions::section(analysis));
     sections.extend([
         marginal::section(analysis),
         envelope::section(analysis, additions.pairs),
         failures::section(analysis),
     ]);
-    sections.extend(additions.active.map(active::section));
+    let draws = !analysis.provenance.task.draws.is_empty();
+    sections.extend(additions.active.map(|model| active::section(model, draws)));
     sections.extend([
         models::risk(analysis),
         replay::section(analysis),

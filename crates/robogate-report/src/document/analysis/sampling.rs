@@ -2,7 +2,7 @@
 
 use robogate_analysis::labels::label_with_unit;
 use robogate_analysis::{Analysis, Finding, Population, Sampling, Success};
-use robogate_stats::format::{count, counted, list, number, percent, percent_or_dash, percent_range, range, sentence};
+use robogate_stats::format::{count, counted, list, number, percent, percent_or_dash, percent_range, range};
 
 use super::{Block, Section, Table};
 use crate::document::Kind::{Number, Short, Text};
@@ -26,13 +26,18 @@ pub(super) fn section(analysis: &Analysis) -> Section {
         }
         None => {}
     }
-    match &success.reweighted {
+    match &success.weighting {
         Some(Finding::Estimated(found)) => blocks.push(Block::Text(format!(
-            "{}. The region covers {} of the operating distribution.",
-            sentence(&found.method),
+            "All {} count in every figure, {}: {} of them have points that were chosen, in a region with {} of the operating \
+             distribution.",
+            counted(found.rows, "valid episode"),
+            found.method,
+            count(found.chosen),
             percent(found.region_share)
         ))),
-        Some(Finding::CannotBeEstimated { because }) => blocks.push(Block::cannot("The rate from all rows", because)),
+        Some(Finding::CannotBeEstimated { because }) => {
+            blocks.push(Block::Text(format!("Episodes whose points were chosen are left out because {because}.")));
+        }
         None => {}
     }
     if success.bounds.invalid > 0 || !success.bounds.faults.is_empty() {
@@ -90,16 +95,6 @@ fn stages_table(success: &Success) -> Table {
 
 fn weighted_table(success: &Success) -> Option<Table> {
     let mut rows: Vec<Vec<String>> = Vec::new();
-    if let Some(found) = success.reweighted.as_ref().and_then(Finding::estimated) {
-        rows.push(vec![
-            "all rows".to_owned(),
-            percent(found.estimate.rate),
-            percent_range(found.estimate.interval_95),
-            count(found.rows),
-            count(found.estimate.effective_sample_size.round() as u64),
-            Population::Reweighted.brief().to_owned(),
-        ]);
-    }
     for stage in &success.stages {
         if let Some(found) = stage.weighted {
             rows.push(vec![

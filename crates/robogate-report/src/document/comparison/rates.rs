@@ -1,12 +1,12 @@
 //! Success rates and their differences.
 
-use robogate_analysis::{Comparison, Finding};
+use robogate_analysis::Comparison;
 use robogate_stats::difference::EXACT_TRIALS;
-use robogate_stats::format::{count, p_value, percent, percent_or_dash, percent_range, points, points_range};
+use robogate_stats::format::{count, p_value, percent_or_dash, percent_range, points, points_range};
 
 use super::{Block, Figure, Section, Table, population};
 use crate::document::Kind::{Number, Short, Text};
-use crate::document::{MAX_ROWS, or_dash, plain_p};
+use crate::document::{MAX_ROWS, plain_p};
 use crate::figures::{ForestRow, forest};
 
 pub(super) fn section(of: &Comparison) -> Section {
@@ -19,7 +19,6 @@ pub(super) fn section(of: &Comparison) -> Section {
 
 fn table(of: &Comparison) -> Table {
     let rows = of.datasets.iter().map(|d| {
-        let weighted = d.success.reweighted.as_ref().and_then(Finding::estimated);
         vec![
             d.name.clone(),
             count(d.success.rate.n),
@@ -27,7 +26,6 @@ fn table(of: &Comparison) -> Table {
             percent_or_dash(d.success.rate.rate),
             percent_range(d.success.rate.wilson_95),
             percent_range(d.success.rate.clopper_pearson_95),
-            or_dash(weighted, |w| format!("{} ({})", percent(w.estimate.rate), percent_range(w.estimate.interval_95))),
             count(d.success.bounds.invalid),
             match &d.excluded_because {
                 Some(because) => format!("not compared: {because}"),
@@ -42,7 +40,6 @@ fn table(of: &Comparison) -> Table {
         ("success", Number),
         ("Wilson 95 %", Number),
         ("exact 95 %", Number),
-        ("all rows, weighted", Number),
         ("invalid", Number),
         ("applies to", Text),
     ];

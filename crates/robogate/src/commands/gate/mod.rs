@@ -36,10 +36,11 @@ pub(crate) struct Gate {
     #[arg(long, value_name = "RUN", conflicts_with_all = ["suite", "rounds", "fixed", "seed", "plan"])]
     run: Option<PathBuf>,
     /// Run this suite: a built-in one or a TOML file; default: industrial-68 in the built-in cell, otherwise 64
-    /// scenarios sampled from the environment's parameter space with the seed of the rounds
+    /// new points of the environment's parameter space in each round, so that the verdict is about the space
     #[arg(long, value_name = "NAME|FILE")]
     suite: Option<String>,
-    /// Sample the suite from this parameter space; default: the environment's own
+    /// Run 64 new points of this parameter space in each round, so that the verdict is about the space; default: the
+    /// environment's own
     #[arg(long, value_name = "NAME|FILE", conflicts_with = "suite")]
     space: Option<String>,
     /// Judge one family of perturbations at a time, in about 64 scenarios, and run nominal twins: NAME=PARAMETER,PARAMETER (`*`
@@ -76,7 +77,8 @@ pub(crate) struct Gate {
     /// benchmark
     #[arg(long, value_name = "N")]
     rounds: Option<u32>,
-    /// Run all rounds and test once, instead of stopping as soon as the verdict is certain
+    /// Run all rounds and test once, instead of stopping as soon as the verdict is certain. Points of a space are then one set,
+    /// which each round repeats
     #[arg(long)]
     fixed: bool,
     /// Print how often the gate passes and fails at given true rates, and run nothing

@@ -178,8 +178,14 @@ impl Gate {
                 if !self.family.is_empty() {
                     return families::suite(&self.family, &space, subject.task(), SAMPLED_SCENARIOS).or_usage();
                 }
-                let seed = self.seed.unwrap_or(DEFAULT_SEED);
-                Suite::sampled(&Arc::new(space), SAMPLED_SCENARIOS, seed).map_err(anyhow::Error::from).or_usage()
+                // A fixed set of points is judged as it is. Otherwise the verdict is about the space. A space with jointly sampled
+                // parameters has no fresh points.
+                let suite = if self.fixed || !space.correlations().is_empty() {
+                    Suite::sampled(&Arc::new(space), SAMPLED_SCENARIOS, self.seed.unwrap_or(DEFAULT_SEED))
+                } else {
+                    Suite::fresh(&space, SAMPLED_SCENARIOS)
+                };
+                suite.map_err(anyhow::Error::from).or_usage()
             }
         }
     }

@@ -18,14 +18,15 @@ use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::source::open_source;
 use crate::terminal::{grouped, line, note};
 
-/// An end of a parameter's range counts as validated if an episode came this close to it, as a share of the range.
+/// An end of a suite's or an import's range counts as validated if an episode came this close to it, as a share of the range.
 const NEAR: f64 = 0.02;
 
 /// Write the reference file of a run: baseline, envelope and risk model.
 ///
 /// The file contains the counts of successes (and of failure modes, for episodes of a real robot), the range or the
-/// categories of each parameter in the valid episodes, and the risk model with the covariance of its coefficients. An end of the operating range counts as
-/// validated if an episode came within 2 % of the range to it.
+/// categories of each parameter in the valid episodes, and the risk model with the covariance of its coefficients. For a
+/// sample of a space the range is that of the space; for the scenarios of a suite, an end of the range counts as validated if an episode came
+/// within 2 % of the range to it.
 ///
 /// A run whose success rate is below the limit of its gate is rejected, because a monitor with this baseline would
 /// accept what the gate rejects: use the run of a gate that passed, or --learn-baseline. The limit is the largest one on the
@@ -54,7 +55,8 @@ impl ReferenceOf {
     pub(super) fn execute(&self) -> Result<u8, Exit> {
         let source = open_source(&self.run)?;
         let analysis = analyse(&source, &self.run, &AnalysisOptions::default())?;
-        let envelope = envelope(source.dictionary()).or_broken()?;
+        let of_space = analysis.population == Population::OperatingSpace;
+        let envelope = envelope(source.dictionary(), of_space).or_broken()?;
         let rate = &analysis.success.rate;
         if rate.n == 0 || envelope.is_empty() {
             let error = anyhow::anyhow!("the run has no valid episode, so nothing was validated");
@@ -196,11 +198,15 @@ fn baseline(analysis: &Analysis) -> Baseline {
     if analysis.population == Population::FocusedDesign {
         return Baseline::default();
     }
-    let rate = &analysis.success.rate;
+    // Episodes that count by sampling weights are as many as independent ones with the same variance.
+    let rate = match analysis.success.rate.weighted_as {
+        Some(_) => analysis.success.rate.effective_trials(),
+        None => analysis.success.rate.trials(),
+    };
     let modes: ModeCounts =
         analysis.failure_modes.modes.iter().map(|share| (share.mode.as_str(), share.failures)).collect();
     Baseline {
-        success: Some(Count { count: rate.successes, of: rate.n }),
+        success: Some(Count { count: rate.successes(), of: rate.n() }),
         failure_modes: (modes.total() > 0).then_some(modes),
         ..Baseline::default()
     }
@@ -226,8 +232,9 @@ fn risk(model: &RiskModel) -> Risk {
     }
 }
 
-/// The values of each parameter in the valid episodes.
-fn envelope(dictionary: &Dictionary) -> Result<BTreeMap<String, Validated>, DictionaryError> {
+/// The values of each parameter in the valid episodes. `of_space` states that they are a sample of the space, which vouches for its
+/// whole range.
+fn envelope(dictionary: &Dictionary, of_space: bool) -> Result<BTreeMap<String, Validated>, DictionaryError> {
     let valid = valid(dictionary)?;
     let mut envelope = BTreeMap::new();
     for parameter in dictionary.provenance().space.parameters() {
@@ -240,7 +247,7 @@ fn envelope(dictionary: &Dictionary) -> Result<BTreeMap<String, Validated>, Dict
                     seen.into_iter().filter_map(|code| words.get(code as usize).cloned()).collect();
                 (!words.is_empty()).then_some(Validated::Words(words))
             }
-            _ => range(parameter, kept(dictionary.numbers(&parameter.name)?, &valid)),
+            _ => range(parameter, kept(dictionary.numbers(&parameter.name)?, &valid), of_space),
         };
         envelope.extend(found.map(|found| (parameter.name.to_string(), found)));
     }
@@ -251,8 +258,9 @@ fn kept<'a, T: 'a>(values: Vec<Option<T>>, valid: &'a [bool]) -> impl Iterator<I
     values.into_iter().zip(valid).filter_map(|(value, valid)| value.filter(|_| *valid))
 }
 
-/// The range from the lowest to the highest value, extended to an end of the operating range if a value is close to it.
-fn range(parameter: &Parameter, values: impl Iterator<Item = f64>) -> Option<Validated> {
+/// The range from the lowest to the highest value, extended to an end of the operating range if a value is close to it, or if the values
+/// are a sample of that range.
+fn range(parameter: &Parameter, values: impl Iterator<Item = f64>, of_space: bool) -> Option<Validated> {
     let (low, high) = values
         .filter(|x| x.is_finite())
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
@@ -264,8 +272,8 @@ fn range(parameter: &Parameter, values: impl Iterator<Item = f64>) -> Option<Val
         Domain::Integer { low, high } => (low as f64, high as f64),
         Domain::Categorical { .. } => (low, high),
     };
-    let low = if parameter.domain.to_unit(low) <= NEAR { low.min(first) } else { low };
-    let high = if parameter.domain.to_unit(high) >= 1.0 - NEAR { high.max(last) } else { high };
+    let low = if of_space || parameter.domain.to_unit(low) <= NEAR { low.min(first) } else { low };
+    let high = if of_space || parameter.domain.to_unit(high) >= 1.0 - NEAR { high.max(last) } else { high };
     Some(Validated::Range([low, high]))
 }
 

@@ -44,13 +44,13 @@ impl Span {
     }
 }
 
-/// Outcomes and weights of the base rows followed by the focused ones, and the share of the volume.
+/// Weights of the base rows followed by the focused ones, and the share of the volume.
 pub(super) fn weights(
     table: &EpisodeTable,
     base: &Sample,
     focused: &Sample,
     boundary: &BoundaryFile,
-) -> Result<(Vec<bool>, Vec<f64>, f64), &'static str> {
+) -> Result<(Vec<f64>, f64), &'static str> {
     if focused.len() == 0 || base.len() == 0 {
         return Err("one of the two designs has no valid episode");
     }
@@ -83,6 +83,5 @@ pub(super) fn weights(
     };
     let of = |sample: &Sample| (0..sample.len()).map(|row| weight(sample, row)).collect::<Vec<f64>>();
     let weights = [of(base), of(focused)].concat();
-    let success = base.success.iter().chain(&focused.success).copied().collect();
-    Ok((success, weights, boundary.volume.share_of_operating_space))
+    Ok((weights, boundary.volume.share_of_operating_space))
 }
