@@ -15,7 +15,29 @@ const GROUPS: [(&str, &[&str]); 6] = [
 ];
 
 /// The order of the parts of the help.
-const TEMPLATE: &str = "{about-with-newline}\n{usage-heading} {usage}\n{after-help}\n\nOptions:\n{options}";
+const TEMPLATE: &str = "{about-with-newline}\n{usage-heading} {usage}{after-help}\n\nOptions:\n{options}";
+
+/// The columns before the text of a verb, and all of them.
+const COLUMNS: [usize; 2] = [15, 100];
+
+/// A text as lines below each other, beside the name of its verb.
+fn wrapped(text: &str) -> String {
+    let [indent, width] = COLUMNS;
+    let (mut out, mut column) = (String::new(), indent);
+    for word in text.split(' ') {
+        let length = word.chars().count();
+        if column > indent && column + 1 + length > width {
+            let _ = write!(out, "\n{:indent$}", "");
+            column = indent;
+        } else if column > indent {
+            out.push(' ');
+            column += 1;
+        }
+        out.push_str(word);
+        column += length;
+    }
+    out
+}
 
 /// The same command, whose help lists the verbs by purpose.
 pub(crate) fn by_purpose(command: Command) -> Command {
@@ -24,7 +46,8 @@ pub(crate) fn by_purpose(command: Command) -> Command {
         let _ = writeln!(text, "{purpose}");
         for verb in verbs {
             let about = command.find_subcommand(verb).and_then(Command::get_about);
-            let _ = writeln!(text, "  {verb:<12} {}", about.map(ToString::to_string).unwrap_or_default());
+            let about = about.map(ToString::to_string).unwrap_or_default();
+            let _ = writeln!(text, "  {verb:<12} {}", wrapped(&about));
         }
         text.push('\n');
     }

@@ -50,8 +50,6 @@ pub(crate) struct Replay {
     /// 256, and 144 on a sheet
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u16).range(16..=2048))]
     size: Option<u16>,
-    #[command(flatten)]
-    stills: Stills,
     /// Use this policy for the run, which must be the recorded one: the address of its server, or its ONNX file. Only needed for a
     /// run that you did not make on this machine, or if the policy has another address now
     #[arg(long, visible_alias = "policy-at", value_name = "URL|FILE", requires = "dir")]
@@ -65,6 +63,8 @@ pub(crate) struct Replay {
     /// Print one JSON document
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    stills: Stills,
 }
 
 /// An event with its time and phase.

@@ -36,7 +36,9 @@ impl Bench {
     fn command(&self, arguments: &str) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_robogate"));
         command.args(arguments.split(' ')).current_dir(&self.dir).env("ROBOGATE_CACHE_DIR", self.at("cache"));
-        command.args(["--python".as_ref(), self.python.as_os_str()]);
+        if !["evidence ", "verify "].iter().any(|verb| arguments.starts_with(verb)) {
+            command.args(["--python".as_ref(), self.python.as_os_str()]);
+        }
         command
     }
 
