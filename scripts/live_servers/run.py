@@ -223,6 +223,9 @@ def cases() -> list[Case]:
             FRACTION, {}, {"full_image": (0, rotated), "wrist_image": (1, rotated)},
             lambda seen: {"state": libero_state(seen)}, 8),
         libero_case(
+            "StarVLA, LIBERO", "starvla", "starvla", "starvla-server-libero", "ws", "examples/simBenchmarks/LIBERO/eval_files/eval_libero.py", 8,
+            FRACTION, {}, {"image_0": (0, at_224(rotated)), "image_1": (1, at_224(rotated))}, lambda seen: {}, 8),
+        libero_case(
             "vla-eval, SmolVLA", "vla-eval", "vla_eval", "smolvla-vla-eval", "ws",
             "src/vla_eval/benchmarks/libero/benchmark.py", 10, SIGNED, {"chunk_size": 10},
             {"agentview": (0, rotated), "wrist": (1, rotated)}, lambda seen: {"states": libero_state(seen)}, 10),

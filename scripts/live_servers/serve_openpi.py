@@ -12,19 +12,23 @@ absent.without("jax", "jaxlib", "flax", "torch", "augmax", "orbax", "beartype", 
                "openpi.models", "openpi.shared", "openpi.training", "lerobot", "etils", "transformers", "sentencepiece")
 ModelType = enum.Enum("ModelType", ["PI0", "PI0_FAST", "PI05"])
 absent.module("openpi.models.model", ModelType=ModelType, IMAGE_RESOLUTION=(224, 224))
-from openpi.policies import droid_policy, libero_policy  # noqa: E402
+from openpi.policies import aloha_policy, droid_policy, libero_policy  # noqa: E402
 from openpi.serving.websocket_policy_server import WebsocketPolicyServer  # noqa: E402
 from openpi_client.base_policy import BasePolicy  # noqa: E402
 
-INPUTS = {"libero": libero_policy.LiberoInputs, "droid": droid_policy.DroidInputs}
-OUTPUTS = {"libero": libero_policy.LiberoOutputs, "droid": droid_policy.DroidOutputs}
+INPUTS = {
+    "libero": lambda: libero_policy.LiberoInputs(model_type=ModelType.PI05),
+    "droid": lambda: droid_policy.DroidInputs(model_type=ModelType.PI05),
+    "aloha": aloha_policy.AlohaInputs,
+}
+OUTPUTS = {"libero": libero_policy.LiberoOutputs, "droid": droid_policy.DroidOutputs, "aloha": aloha_policy.AlohaOutputs}
 
 
 class Stub(BasePolicy):
     """The transforms of a configuration of openpi, without normalisation and resizing, around the stub."""
 
     def __init__(self):
-        self.into = INPUTS[options["environment"]](model_type=ModelType.PI05)
+        self.into = INPUTS[options["environment"]]()
         self.back = OUTPUTS[options["environment"]]()
 
     def infer(self, obs):

@@ -14,6 +14,7 @@ use super::profile::{Dialect, Gr00t, Profile};
 use super::query::Query;
 use super::rest::{Api, RestServer};
 use super::roboarena::RoboArena;
+use super::starvla::StarVla;
 use super::vla_eval::VlaEval;
 
 /// A connection to a policy. It must not be used again after an error.
@@ -54,7 +55,7 @@ pub(crate) fn connect_with(
     let rest = |api| RestServer::connect(url, api, access, deadline).map(boxed);
     let gr00t = |version, names| Gr00tServer::connect(url, version, names, expected, access, deadline).map(boxed);
     let connection = match dialect {
-        Dialect::Openpi {} => Openpi::connect(url, access, deadline).map(boxed),
+        Dialect::Openpi { separator } => Openpi::connect(url, *separator, access, deadline).map(boxed),
         Dialect::RoboArena {} => RoboArena::connect(url, expected, access, deadline).map(boxed),
         Dialect::Gr00tN15(names) => gr00t(Version::N15, names),
         Dialect::Gr00tN16(names) => gr00t(Version::N16, names),
@@ -69,6 +70,7 @@ pub(crate) fn connect_with(
             LeRobotServer::connect(url, settings, chunk, deadline).map(boxed)
         }
         Dialect::Onnx {} => load_network(url, profile, deadline),
+        Dialect::StarVla { unnorm_key } => StarVla::connect(url, unnorm_key.clone(), access, deadline).map(boxed),
         Dialect::VlaEval {} => VlaEval::connect(url, expected, access, deadline).map(boxed),
     };
     // A server listens but does not use this dialect: identify its dialect for the error message.

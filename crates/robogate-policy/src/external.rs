@@ -19,6 +19,7 @@ use super::openpi;
 use super::profile::{Dialect, Profile};
 use super::query::Query;
 use super::ranges::RangeCounts;
+use super::starvla;
 use super::suits;
 
 /// Largest time between two attempts to reach a server that is still loading.
@@ -89,7 +90,8 @@ impl ExternalPolicy {
         };
         let declared = connection.declared().clone();
         let profile = match profile.dialect {
-            Dialect::Openpi {} => openpi::with_declared_length(profile, &declared)?,
+            Dialect::Openpi { .. } => openpi::with_declared_length(profile, &declared, openpi::LENGTH)?,
+            Dialect::StarVla { .. } => openpi::with_declared_length(profile, &declared, starvla::LENGTH)?,
             _ => profile,
         };
         let decoder = Decoder::new(&profile);

@@ -41,6 +41,7 @@ mod resample;
 mod rest;
 mod roboarena;
 mod rotation;
+mod starvla;
 mod statistics;
 mod suits;
 #[cfg(test)]

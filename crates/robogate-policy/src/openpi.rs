@@ -16,6 +16,7 @@ use super::error::PolicyError;
 use super::identify;
 use super::msgpack::{self, Keys};
 use super::profile::{Chunking, Dialect, Profile};
+use super::starvla;
 use super::websocket::{Reply, Socket};
 use super::{chunk::Chunk, query::Query};
 
@@ -24,17 +25,23 @@ use super::{chunk::Chunk, query::Query};
 pub(crate) struct Openpi {
     socket: Socket,
     metadata: Json,
+    separator: Option<char>,
 }
 
 impl Openpi {
-    pub(crate) fn connect(url: &str, access: &Access, deadline: Deadline) -> Result<Self, PolicyError> {
+    pub(crate) fn connect(
+        url: &str,
+        separator: Option<char>,
+        access: &Access,
+        deadline: Deadline,
+    ) -> Result<Self, PolicyError> {
         let socket = Socket::connect(url, access.header("Api-Key"), access, deadline)?;
         let metadata = match socket.receive("the metadata of the server", deadline) {
             Ok(Reply::Bytes(bytes)) => metadata(&bytes)?,
             Ok(Reply::Text(text)) => return Err(text_error("metadata of the server", &text)),
             // An openpi server sends its metadata immediately, unless it loads the model after accepting connections.
             Err(PolicyError::Timeout { limit_s, .. }) => {
-                return Err(match identify::describe(url, &Dialect::Openpi {}) {
+                return Err(match identify::describe(url, &Dialect::Openpi { separator }) {
                     Some(found) => PolicyError::WrongDialect { expected: "openpi", found },
                     None => PolicyError::NotReady {
                         url: url.to_owned(),
@@ -54,7 +61,13 @@ impl Openpi {
                 found: "the metadata are those of a RoboArena server (dialect roboarena)".to_owned(),
             });
         }
-        Ok(Self { socket, metadata })
+        if metadata.get("env").and_then(Json::as_str) == Some(starvla::ENV) {
+            return Err(PolicyError::WrongDialect {
+                expected: "openpi",
+                found: "the metadata are those of a StarVLA server (dialect starvla)".to_owned(),
+            });
+        }
+        Ok(Self { socket, metadata, separator })
     }
 }
 
@@ -65,7 +78,7 @@ impl Connection for Openpi {
     }
 
     fn infer(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, PolicyError> {
-        match self.socket.request(&request(query), "infer", deadline)? {
+        match self.socket.request(&request(query, self.separator), "infer", deadline)? {
             Reply::Bytes(bytes) => decode(&bytes),
             Reply::Text(text) => Err(text_error("reply to infer", &text)),
         }
@@ -76,11 +89,38 @@ impl Connection for Openpi {
     }
 }
 
-/// The request for actions.
-fn request(query: &Query) -> ValueRef<'_> {
+/// The request for actions. Keys with the separator are entries of nested maps.
+fn request(query: &Query, separator: Option<char>) -> ValueRef<'_> {
     let arrays = |arrays| msgpack::arrays(arrays, Keys::Binary);
     let prompt = ("prompt", query.instruction.as_str().into());
-    msgpack::map(arrays(&query.images).chain(arrays(&query.states)).chain([prompt]))
+    let mut entries = Vec::new();
+    for (key, array) in arrays(&query.images).chain(arrays(&query.states)) {
+        put(&mut entries, key, array, separator);
+    }
+    put(&mut entries, prompt.0, prompt.1, None);
+    ValueRef::Map(entries)
+}
+
+/// Put a value at a key, or into the maps that its parts name. A map stands where its first entry does.
+fn put<'a>(
+    entries: &mut Vec<(ValueRef<'a>, ValueRef<'a>)>,
+    key: &'a str,
+    value: ValueRef<'a>,
+    separator: Option<char>,
+) {
+    let Some((outer, rest)) = separator.and_then(|separator| key.split_once(separator)) else {
+        entries.push((key.into(), value));
+        return;
+    };
+    let at = entries.iter().position(|(known, _)| *known == ValueRef::from(outer)).unwrap_or_else(|| {
+        entries.push((outer.into(), ValueRef::Map(Vec::new())));
+        entries.len() - 1
+    });
+    match &mut entries[at].1 {
+        ValueRef::Map(inner) => put(inner, rest, value, separator),
+        // A profile with the key of a map and of a value: the last one counts.
+        other => *other = msgpack::map([(rest, value)]),
+    }
 }
 
 /// Decode the actions of a reply.
@@ -93,7 +133,7 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<Chunk, PolicyError> {
 }
 
 /// The error for a text message: a Python traceback, or JSON of a server that does not use msgpack.
-fn text_error(what: &'static str, text: &str) -> PolicyError {
+pub(crate) fn text_error(what: &'static str, text: &str) -> PolicyError {
     if text.starts_with(['{', '[']) {
         let why = "the server sent JSON in a text message. Expected a binary message with msgpack";
         return PolicyError::invalid_reply(what, why);
@@ -111,10 +151,16 @@ fn keys(reply: &ValueRef<'_>) -> String {
     }
 }
 
-/// The profile with the number of actions that the server declares in its metadata, as `action_horizon`: the name of the
-/// setting in openpi's configurations.
-pub(crate) fn with_declared_length(profile: Arc<Profile>, declared: &Json) -> Result<Arc<Profile>, PolicyError> {
-    let declared = declared.get("action_horizon").and_then(Json::as_u64).and_then(|n| usize::try_from(n).ok());
+/// The number of actions in the metadata of a server: the name of the setting in openpi's configurations.
+pub(crate) const LENGTH: &str = "action_horizon";
+
+/// The profile with the number of actions that the server declares in its metadata under this name.
+pub(crate) fn with_declared_length(
+    profile: Arc<Profile>,
+    declared: &Json,
+    name: &str,
+) -> Result<Arc<Profile>, PolicyError> {
+    let declared = declared.get(name).and_then(Json::as_u64).and_then(|n| usize::try_from(n).ok());
     match declared {
         Some(length) if length < profile.chunk.execute => Err(PolicyError::Mismatch(format!(
             "the server sends {length} actions, but chunk.execute of the profile is {}",
@@ -152,8 +198,27 @@ mod tests {
         {
             let capture = Capture::read(FOLDER, name);
             let query = query(&capture.msgpack(), instruction);
-            assert_eq!(msgpack::encode(&request(&query)), capture.bytes, "{name}");
+            assert_eq!(msgpack::encode(&request(&query, None)), capture.bytes, "{name}");
         }
+    }
+
+    /// The request of openpi's own client for ALOHA, whose images are in a map.
+    #[test]
+    fn nested_keys_equal_captured_ones() {
+        let capture = Capture::read(FOLDER, "c2s_04_obs_aloha_sim_4x4.bin");
+        let asked = capture.msgpack();
+        let images = query(msgpack::get(&asked, "images").unwrap(), "").images;
+        let images = images.into_iter().map(|(name, array)| (format!("images/{name}"), array)).collect();
+        let query = Query { images, ..query(&asked, "Transfer cube") };
+        let sent = msgpack::encode(&request(&query, Some('/')));
+        let in_order = |bytes: &[u8]| {
+            let value = msgpack::decode("request", bytes).unwrap();
+            let mut entries: Vec<String> =
+                msgpack::entries(&value).unwrap().iter().map(|(key, value)| format!("{key} {value}")).collect();
+            entries.sort();
+            entries
+        };
+        assert_eq!(in_order(&sent), in_order(&capture.bytes));
     }
 
     #[test]
@@ -182,7 +247,7 @@ mod tests {
     #[test]
     fn servers_can_declare_the_length() {
         let profile = Arc::new(Profile::from_toml(Profile::built_in("pi05-droid").unwrap()).unwrap());
-        let length = |declared: Json| with_declared_length(Arc::clone(&profile), &declared).map(|p| p.chunk.length);
+        let length = |declared: Json| with_declared_length(Arc::clone(&profile), &declared, LENGTH).map(|p| p.chunk.length);
         assert_eq!(length(serde_json::json!({})), Ok(Some(15)));
         assert_eq!(length(serde_json::json!({"action_horizon": 16})), Ok(Some(16)));
         assert_eq!(length(serde_json::json!({"action_horizon": "many"})), Ok(Some(15)));

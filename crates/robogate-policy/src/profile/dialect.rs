@@ -8,7 +8,12 @@ use serde::{Deserialize, Serialize};
 pub enum Dialect {
     /// openpi's `serve_policy.py`: WebSocket, msgpack with binary keys.
     #[serde(rename = "openpi")]
-    Openpi {},
+    Openpi {
+        /// What separates the names of nested maps in the keys of cameras and states: with `/`, the key `images/cam_high` is the
+        /// entry `cam_high` of the map `images`. `None`: a key is one name.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        separator: Option<char>,
+    },
     /// RoboArena: the encoding of openpi, with server metadata and sessions.
     #[serde(rename = "roboarena")]
     RoboArena {},
@@ -44,6 +49,13 @@ pub enum Dialect {
     /// Model servers of vla-eval: WebSocket, msgpack with text keys.
     #[serde(rename = "vla-eval")]
     VlaEval {},
+    /// StarVLA's `deployment/model_server`: WebSocket, the arrays of openpi in a list of examples.
+    #[serde(rename = "starvla")]
+    StarVla {
+        /// Training set whose statistics scale the actions, for checkpoints with several.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        unnorm_key: Option<String>,
+    },
     /// A network in an ONNX file instead of a server. Keys are the names of its inputs.
     #[serde(rename = "onnx")]
     Onnx {},
@@ -80,7 +92,7 @@ impl Dialect {
     /// Name of the dialect in profiles.
     pub fn name(&self) -> &'static str {
         match self {
-            Self::Openpi {} => "openpi",
+            Self::Openpi { .. } => "openpi",
             Self::RoboArena {} => "roboarena",
             Self::Gr00tN15(_) => "gr00t-n1.5",
             Self::Gr00tN16(_) => "gr00t-n1.6",
@@ -90,6 +102,7 @@ impl Dialect {
             Self::Rest { .. } => "rest",
             Self::VlaEval {} => "vla-eval",
             Self::LeRobot(_) => "lerobot",
+            Self::StarVla { .. } => "starvla",
             Self::Onnx {} => "onnx",
         }
     }
@@ -105,7 +118,7 @@ impl Dialect {
     /// Prefix of the address of a policy with this dialect.
     pub(crate) fn scheme(&self) -> &'static str {
         match self {
-            Self::Openpi {} | Self::RoboArena {} | Self::VlaEval {} => "ws://",
+            Self::Openpi { .. } | Self::RoboArena {} | Self::VlaEval {} | Self::StarVla { .. } => "ws://",
             Self::Gr00tN15(_) | Self::Gr00tN16(_) => "tcp://",
             Self::Gr00tN15Http(_) | Self::OpenVla { .. } | Self::OpenVlaOft {} | Self::Rest { .. } => "http://",
             Self::LeRobot(_) => "grpc://",
@@ -121,6 +134,11 @@ impl Dialect {
     /// Whether the address is the path of a file.
     pub fn is_file(&self) -> bool {
         matches!(self, Self::Onnx {})
+    }
+
+    /// Whether a request contains an instruction.
+    pub fn uses_language(&self) -> bool {
+        !self.is_file()
     }
 
     /// Whether the server has one state for all clients. Only one client may then use it.
