@@ -308,7 +308,7 @@ mod tests {
         let units: Vec<Unit> = weight.iter().zip(&failed).map(unit).collect();
         let cell_of: Vec<usize> = x.iter().map(|x| (x * CELLS as f64) as usize).collect();
         let values = Values::Ordered { cell_of: &cell_of, ranks: &x };
-        effect_test(&units, values, CELLS, None, 999, seed).map_or(1.0, |found| found.p)
+        effect_test(&units, values, CELLS, None, 499, seed).map_or(1.0, |found| found.p)
     }
 
     #[test]
@@ -322,17 +322,17 @@ mod tests {
 
     #[test]
     fn trends_are_found_as_often_as_by_their_own_test() {
-        // A trend test at 5 % has a power of about 80 % if the rate rises from 0.1 to 0.5 in 120 rows: 240 of 300.
-        let found = (0..300).filter(|seed| p_of(*seed, 120, false, |x| 0.1 + 0.4 * x) <= 0.05).count();
-        assert!(found >= 205, "{found} of 300");
+        // A trend test at 5 % has a power of about 80 % if the rate rises from 0.1 to 0.5 in 120 rows: 160 of 200.
+        let found = (0..200).filter(|seed| p_of(*seed, 120, false, |x| 0.1 + 0.4 * x) <= 0.05).count();
+        assert!(found >= 134, "{found} of 200");
         // A band of a tenth of the range.
         let band = |x: f64| if (0.4..0.5).contains(&x) { 0.6 } else { 0.1 };
-        let found = (0..200).filter(|seed| p_of(*seed, 400, false, band) <= 0.05).count();
-        assert!(found >= 190, "{found} of 200");
+        let found = (0..60).filter(|seed| p_of(*seed, 400, false, band) <= 0.05).count();
+        assert!(found >= 56, "{found} of 60");
         // A valley, whose trend is zero.
         let valley = |x: f64| 0.05 + 1.2 * (x - 0.5).powi(2);
-        let found = (0..200).filter(|seed| p_of(*seed, 300, false, valley) <= 0.05).count();
-        assert!(found >= 140, "{found} of 200");
+        let found = (0..60).filter(|seed| p_of(*seed, 300, false, valley) <= 0.05).count();
+        assert!(found >= 40, "{found} of 60");
     }
 
     #[test]

@@ -5,8 +5,8 @@
 //! way, the one with the largest log-likelihood ratio of "different rates inside and outside" is kept. Its sides then grow, and limits
 //! are dropped, while the ratio does not fall. The second half, which did not choose the box, gives the rates inside and outside.
 //!
-//! Rows enter with their sampling weights, so that the rates are those of the population even if most rows were sampled where
-//! the event is likely.
+//! The search counts rows; the rates count sampling weights, so that they are those of the population even if most rows were sampled
+//! where the event is likely.
 //!
 //! Sources: Friedman and Fisher (1999), Statistics and Computing 9, for peeling and pasting; Kulldorff (1997), Communications
 //! in Statistics 26(6), for the ratio.
@@ -84,7 +84,7 @@ pub fn pocket(
         return None;
     }
     let weight = |row: usize| weights.map_or(1.0, |weights| weights[row]);
-    let search = Search { columns, event, weight: &weight, rows: &choosing };
+    let search = Search { columns, event, rows: &choosing };
     let limits = search.best()?;
     let rate = |wanted: bool| -> Option<EventRate> {
         let rows: Vec<usize> = testing.iter().copied().filter(|row| contains(&limits, columns, *row) == wanted).collect();
@@ -106,7 +106,6 @@ pub fn pocket(
 struct Search<'a> {
     columns: &'a [Column<'a>],
     event: &'a [bool],
-    weight: &'a dyn Fn(usize) -> f64,
     rows: &'a [usize],
 }
 
@@ -132,13 +131,10 @@ impl Search<'_> {
         (!limits.is_empty()).then_some(limits)
     }
 
-    /// Weight and weight of events of the rows for which `used` is true.
+    /// Rows and events among those for which `used` is true.
     fn sums(&self, used: impl Fn(usize) -> bool) -> [f64; 2] {
         let rows = self.rows.iter().filter(|row| used(**row));
-        rows.fold([0.0; 2], |[n, k], row| {
-            let weight = (self.weight)(*row);
-            [n + weight, k + if self.event[*row] { weight } else { 0.0 }]
-        })
+        rows.fold([0.0; 2], |[n, k], row| [n + 1.0, k + f64::from(u8::from(self.event[*row]))])
     }
 
     /// The log-likelihood ratio of different rates inside and outside, 0 if the rate inside is not larger.
@@ -149,9 +145,7 @@ impl Search<'_> {
         if n <= 0.0 || m <= 0.0 || k * m <= l * n {
             return 0.0;
         }
-        // In units of rows.
-        let worth = self.rows.len() as f64 / all;
-        worth * (log_likelihood(k, n) + log_likelihood(l, m) - log_likelihood(events, all))
+        log_likelihood(k, n) + log_likelihood(l, m) - log_likelihood(events, all)
     }
 
     /// The box without the slab whose removal raises the rate most. `None` if nothing can be removed.
@@ -167,11 +161,8 @@ impl Search<'_> {
             if kept.len() < FEWEST_ROWS || kept.len() == inside.len() {
                 return;
             }
-            let [n, k] = kept.iter().fold([0.0; 2], |[n, k], row| {
-                let weight = (self.weight)(*row);
-                [n + weight, k + if self.event[*row] { weight } else { 0.0 }]
-            });
-            let rate = k / n.max(f64::MIN_POSITIVE);
+            let events = kept.iter().filter(|row| self.event[**row]).count();
+            let rate = events as f64 / kept.len() as f64;
             if best.as_ref().is_none_or(|(most, _)| rate > *most) {
                 best = Some((rate, candidate));
             }
