@@ -40,7 +40,7 @@ pub(crate) use interface::{action_spec, observation, observed_vectors};
 pub(crate) use judge::{CLEARANCE_LIMIT_M, Judge};
 pub(crate) use layout::{disc_point, encoder_bias, within_reach};
 pub(crate) use rules::{Bodies, Found, Record, Resolved, Rules, Sight, Trial};
-pub(crate) use script::{FREE, Planner, Script, Stage, grasp_height, nearest, tool_down};
+pub(crate) use script::{FREE, Planner, Script, Stage, carry_yaw, cup_yaw, grasp_height, nearest, tool_down};
 pub use settings::ArmSettings;
 pub(crate) use settings::{HasSettings, OnArm, rows};
 pub(crate) use table::{Access, Acting, Around, AroundMut, Needs, Row, Surroundings, Table, Words, scale};
