@@ -11,9 +11,7 @@ mod report;
 pub(crate) use cell::Grasping;
 pub use cell::{Cell, CellContact, CellGripper, CellRobot, CellScales};
 pub use host::PhysicsHost;
-pub use report::{
-    RemoteCollision, RemoteCup, RemotePeriod, RemoteReadback, RemoteSight, RemoteState,
-};
+pub use report::{RemoteCollision, RemoteCup, RemotePeriod, RemoteReadback, RemoteSight, RemoteState};
 
 use std::sync::Arc;
 

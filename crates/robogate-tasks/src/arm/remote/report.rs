@@ -3,8 +3,8 @@
 use nalgebra::{Isometry3, Vector3};
 use robogate_core::{Fault, FaultKind, Observation, Pose};
 use robogate_physics::{
-    Collision, Engine, FixtureRead, FreeBodyRead, GripperState, Hit, Plant, Readback, StepView, Touches, exact_isometry,
-    pose,
+    Collision, Engine, FixtureRead, FreeBodyRead, GripperState, Hit, Plant, Readback, StepView, Touches,
+    exact_isometry, pose,
 };
 use serde::{Deserialize, Serialize};
 
