@@ -30,6 +30,28 @@ pub(crate) trait OnArm {
     fn arm_mut(&mut self) -> &mut ArmSettings;
 }
 
+/// Implements [`OnArm`] and `Default` for a task with the field `arm` and the constant `DEFAULT`.
+macro_rules! on_arm {
+    ($task:ty) => {
+        impl Default for $task {
+            fn default() -> Self {
+                Self::DEFAULT
+            }
+        }
+
+        impl $crate::arm::OnArm for $task {
+            fn arm(&self) -> &$crate::arm::ArmSettings {
+                &self.arm
+            }
+
+            fn arm_mut(&mut self) -> &mut $crate::arm::ArmSettings {
+                &mut self.arm
+            }
+        }
+    };
+}
+pub(crate) use on_arm;
+
 /// A task with a table of settings.
 pub(crate) trait HasSettings: OnArm + Clone + Default + Sized {
     /// Every setting: those of the arm, and those of the task.

@@ -7,12 +7,12 @@ use robogate_core::{
 };
 use robogate_physics::{Gripper, GripperUnit, Robot, Visual};
 
-use super::{Found, Parameters, encoder_bias};
+use super::{Found, Parameters, encoder_bias, unit_of};
 
 /// One parameter of a task with the settings `S`, whose applied value is interpreted with `C`.
 pub(crate) struct Row<S: 'static, C: 'static = S> {
+    /// The name, which ends with the unit.
     pub(crate) name: &'static str,
-    pub(crate) unit: &'static str,
     pub(crate) meaning: &'static str,
     /// The source of the applied value.
     pub(crate) read_from: &'static str,
@@ -142,7 +142,6 @@ impl<S: AroundMut + 'static, C: Around + 'static> Row<S, C> {
     pub(crate) const fn encoder_bias(name: &'static str, most: f64) -> Self {
         Self::number(
             name,
-            "rad",
             "Largest encoder bias: each joint's encoder has a constant bias, drawn uniformly between minus and plus this value.",
             ENCODERS,
             ([0.0, most], 0.0),
@@ -160,7 +159,6 @@ impl<S: AroundMut + 'static, C: Around + 'static> Row<S, C> {
     const fn unit_bias<const J: usize>() -> Self {
         Self::number(
             UNIT_BIASES[J],
-            "rad",
             "Constant bias of this joint's encoder (counted from the base): measured minus true position. It is added to the drawn one.",
             ENCODERS,
             ([-0.1, 0.1], 0.0),
@@ -178,7 +176,6 @@ impl<S: AroundMut + 'static, C: Around + 'static> Row<S, C> {
     const fn grip_force_scale() -> Self {
         Self::number(
             "grip_force_scale",
-            "",
             "Force of the pads, or vacuum of the cup, as a multiple of the robot's setting.",
             "the drive of the gripper",
             ([0.05, 2.0], 1.0),
@@ -192,7 +189,6 @@ impl<S: AroundMut + 'static, C: Around + 'static> Row<S, C> {
     const fn pad_friction_scale() -> Self {
         let row = Self::number(
             "pad_friction_scale",
-            "",
             "Friction coefficient of the parts against the pads, as a multiple of that against the gripper.",
             "the contact of the pads",
             ([0.05, 2.0], 1.0),
@@ -213,7 +209,6 @@ impl<S: AroundMut + 'static, C: Around + 'static> Row<S, C> {
     const fn camera_roll() -> Self {
         Self::number(
             "camera_roll_rad",
-            "rad",
             "Rotation of each camera about its line of sight, from its nominal pose.",
             "the cameras",
             ([-0.5, 0.5], 0.0),
@@ -227,7 +222,6 @@ impl<S: AroundMut + 'static, C: Around + 'static> Row<S, C> {
     const fn camera_pitch() -> Self {
         Self::number(
             "camera_pitch_rad",
-            "rad",
             "Upward tilt of each camera from its nominal pose.",
             "the cameras",
             ([-0.5, 0.5], 0.0),
@@ -241,7 +235,6 @@ impl<S: AroundMut + 'static, C: Around + 'static> Row<S, C> {
     const fn lighting() -> Self {
         Self::number(
             "lighting_lux",
-            "lux",
             "Illuminance on the table.",
             "the cameras",
             ([1.0, 1e5], 500.0),
@@ -372,7 +365,6 @@ impl<S, C> Row<S, C> {
     /// A parameter that is a number.
     pub(crate) const fn number(
         name: &'static str,
-        unit: &'static str,
         meaning: &'static str,
         read_from: &'static str,
         (range, nominal): ([f64; 2], f64),
@@ -380,17 +372,16 @@ impl<S, C> Row<S, C> {
         read: Read<C, f64>,
     ) -> Self {
         let access = Access::Number { range, nominal: Some(nominal), set, read };
-        Self::new(name, unit, meaning, read_from, access)
+        Self::new(name, meaning, read_from, access)
     }
 
     pub(crate) const fn new(
         name: &'static str,
-        unit: &'static str,
         meaning: &'static str,
         read_from: &'static str,
         access: Access<S, C>,
     ) -> Self {
-        Self { name, unit, meaning, read_from, family: None, needs: Needs::Any, access }
+        Self { name, meaning, read_from, family: None, needs: Needs::Any, access }
     }
 
     pub(crate) const fn in_family(self, family: &'static str) -> Self {
@@ -423,7 +414,7 @@ impl<S, C> Row<S, C> {
         };
         ParameterSpec {
             name: self.name.into(),
-            unit: self.unit.to_owned(),
+            unit: unit_of(self.name).to_owned(),
             meaning: self.meaning.to_owned(),
             allowed,
             nominal,

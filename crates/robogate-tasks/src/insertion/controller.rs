@@ -170,24 +170,12 @@ impl Scripted {
         use GripperCommand::{Close, Open};
         let ([x, y, _], [hx, hy, hz]) = (briefing.peg.position, briefing.hole.position);
         let tool = tool_height(&self.robot.settings.gripper);
-        let quarter = |first: f64, k: u8| first + f64::from(k) * std::f64::consts::FRAC_PI_2;
         // The peg is square, so the tool may be rotated by quarters.
-        let first = match self.robot.settings.gripper {
-            Gripper::ParallelJaw(_) => 0.0,
-            Gripper::Suction(_) => {
-                let home = self.chain.tcp_at(&self.robot.settings.arm.home_rad);
-                let axis = home.rotation * Vector3::x();
-                axis.y.atan2(axis.x) + y.atan2(x) - home.translation.y.atan2(home.translation.x)
-            }
-        };
-        let above: Vec<_> = (0..4).map(|k| tool_down([x, y, TRANSIT_HEIGHT_M], quarter(first, k))).collect();
-        let (chosen, joints) = planner.nearest(&above)?;
-        let yaw = quarter(first, chosen as u8);
+        let (yaw, joints) = planner.over([x, y], TRANSIT_HEIGHT_M, planner.square_yaw([x, y]))?;
         planner.swing(phases::PICK, joints, Open);
         planner.straight(phases::PICK, &[tool_down([x, y, tool], yaw)], FREE, Open)?;
         planner.grip(phases::PICK, Close);
-        let over: Vec<_> = (0..4).map(|k| tool_down([hx, hy, TRANSIT_HEIGHT_M], quarter(yaw, k))).collect();
-        let turned = quarter(yaw, planner.nearest(&over)?.0 as u8);
+        let (turned, _) = planner.over([hx, hy], TRANSIT_HEIGHT_M, yaw)?;
         let goals = [
             tool_down([x, y, TRANSIT_HEIGHT_M], yaw),
             tool_down([hx, hy, TRANSIT_HEIGHT_M], turned),

@@ -12,7 +12,7 @@ mod scene;
 mod spec;
 pub mod whitney;
 
-use crate::arm::{ArmSettings, HasSettings, OnArm, rows};
+use crate::arm::{ArmSettings, HasSettings, on_arm, rows};
 use crate::settings::SettingRow;
 
 /// The task's name.
@@ -47,21 +47,7 @@ impl Insertion {
     };
 }
 
-impl Default for Insertion {
-    fn default() -> Self {
-        Self::DEFAULT
-    }
-}
-
-impl OnArm for Insertion {
-    fn arm(&self) -> &ArmSettings {
-        &self.arm
-    }
-
-    fn arm_mut(&mut self) -> &mut ArmSettings {
-        &mut self.arm
-    }
-}
+on_arm!(Insertion);
 
 impl HasSettings for Insertion {
     fn rows() -> Vec<SettingRow<Self>> {

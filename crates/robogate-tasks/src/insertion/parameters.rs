@@ -104,7 +104,6 @@ type Parameter = Row<Settings>;
 pub(super) static TABLE: Table<Settings> = Table(&[
     Parameter::number(
         "clearance_m",
-        "m",
         "Difference of the widths of hole and peg; the policy is told.",
         "the shapes and poses of walls and shaft in the engine",
         ([0.0002, 0.003], 0.001),
@@ -114,7 +113,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     .in_family("hole"),
     Parameter::number(
         "chamfer_m",
-        "m",
         "Width of the 45 degree chamfer of the hole; the policy is told.",
         "the shapes and poses of the block's parts in the engine",
         ([0.0, 0.004], 0.001),
@@ -124,7 +122,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     .in_family("hole"),
     Parameter::number(
         "width_m",
-        "m",
         "Width of the peg's square shaft.",
         "the shaft's shape in the engine",
         ([0.015, 0.04], 0.03),
@@ -134,7 +131,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     .in_family("peg"),
     Parameter::number(
         "mass_kg",
-        "kg",
         "Mass of the peg.",
         "the peg's mass in the engine",
         ([0.02, 2.0], 0.2),
@@ -144,7 +140,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     .in_family("peg"),
     Parameter::number(
         "friction",
-        "",
         "Coulomb friction coefficient of the peg against block and table.",
         "the contacts' friction in the engine",
         ([0.01, 2.0], 0.2),
@@ -154,7 +149,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     .in_family("peg"),
     Parameter::number(
         "arm_stiffness",
-        "",
         "Stiffness of the arm's servos as a multiple of the robot's own; the policy is told.",
         "the servos' stiffness in the engine",
         ([0.05, 2.0], 0.25),
@@ -164,7 +158,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     .in_family("arm"),
     Parameter::number(
         "hole_jitter_m",
-        "m",
         "Radius of the disc from which the hole's offset from its place is drawn; the policy is not told.",
         "the poses of the block's parts in the engine",
         ([0.0, 0.01], 0.0),
@@ -174,7 +167,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     .in_family("hole"),
     Parameter::number(
         "hole_tilt_rad",
-        "rad",
         "Largest tilt of the hole's axis, about an axis in a random direction; the policy is not told.",
         "the poses of the block's parts in the engine",
         ([0.0, 0.05], 0.0),
@@ -184,7 +176,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     .in_family("hole"),
     Parameter::number(
         "peg_jitter_m",
-        "m",
         "Radius of the disc from which the peg's offset from its place is drawn; the policy is not told.",
         "the peg's pose in the engine",
         ([0.0, 0.03], 0.0),

@@ -109,7 +109,6 @@ type Parameter = Row<SceneParameters, Told>;
 pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     Parameter::number(
         "friction",
-        "",
         "Coulomb friction coefficient of the object against everything it touches.",
         ENGINE,
         ([0.0, 10.0], 0.8),
@@ -119,7 +118,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("object"),
     Parameter::number(
         "mass_kg",
-        "kg",
         "Mass of the object.",
         ENGINE,
         ([1e-3, 100.0], 0.3),
@@ -129,7 +127,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("object"),
     Parameter::number(
         "com_offset",
-        "",
         "Shift of the centre of mass: the fraction of the object's mass that is a point at the centre of one face.",
         ENGINE,
         ([0.0, 0.9], 0.0),
@@ -139,7 +136,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("object"),
     Parameter::number(
         "size_m",
-        "m",
         "Edge of the cube that the object fits.",
         ENGINE,
         ([5e-3, 0.2], 0.05),
@@ -150,7 +146,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     Parameter::encoder_bias("ik_noise_rad", 1.0),
     Parameter::new(
         "obstacles",
-        "",
         "Number of obstacles within 0.3 m of the workspace centre.",
         ENGINE,
         Access::Integer {
@@ -163,7 +158,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("obstacles"),
     Parameter::new(
         "shape",
-        "",
         "Shape of the object.",
         ENGINE,
         Access::Word {
@@ -176,7 +170,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("object"),
     Parameter::new(
         "placement",
-        "",
         "Nominal position and yaw of the object: a place and an angle in degrees.",
         ENGINE,
         Access::Word {
@@ -194,7 +187,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
         needs: Needs::Cup,
         ..Parameter::number(
             "grip_threshold_m",
-            "m",
             "Distance to the object within which a suction cup takes hold.",
             CUP,
             ([0.0, 0.1], 0.01),
@@ -205,7 +197,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     },
     Parameter::new(
         "approach_speed_m_s",
-        "m/s",
         "Largest speed of the tool on its way down to the object; unset, the policy chooses it.",
         POLICY,
         Access::Number {
@@ -217,7 +208,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     ),
     Parameter::new(
         "table_friction",
-        "",
         "Coulomb friction coefficient of the object against the table; unset, it is `friction`.",
         ENGINE,
         Access::Number {
@@ -229,7 +219,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     ),
     Parameter::number(
         "position_jitter_m",
-        "m",
         "Radius of the disc from which the object's offset from its placement is drawn; the policy is not told.",
         ENGINE,
         ([0.0, 0.05], 0.0),
@@ -239,7 +228,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("placement"),
     Parameter::number(
         "gravity_scale",
-        "",
         "Gravity as a multiple of 9.81 m/s^2.",
         ENGINE,
         ([0.01, 10.0], 1.0),
@@ -248,7 +236,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     ),
     Parameter::number(
         "offset_x_m",
-        "m",
         "Offset of the object from its placement along x; the policy is told.",
         ENGINE,
         ([-0.6, 0.6], 0.0),
@@ -258,7 +245,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("placement"),
     Parameter::number(
         "offset_y_m",
-        "m",
         "Offset of the object from its placement along y; the policy is told.",
         ENGINE,
         ([-0.6, 0.6], 0.0),
@@ -268,7 +254,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("placement"),
     Parameter::number(
         "obstacle_gap_m",
-        "m",
         "Smallest free space between an obstacle and the object or the target area.",
         ENGINE,
         ([0.0, 0.2], OBSTACLE_GAP),
@@ -278,7 +263,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("obstacles"),
     Parameter::new(
         "occluders",
-        "",
         "Number of panels between the object and the front camera.",
         ENGINE,
         Access::Integer { range: [0, 3], nominal: 0, set: |p, n| p.occluders = n, read: readback::occluders },
@@ -286,7 +270,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("camera"),
     Parameter::number(
         "disturbance_speed_m_s",
-        "m/s",
         "Speed of a box that crosses the workspace; at 0 there is no box.",
         ENGINE,
         ([0.0, 1.0], 0.0),
@@ -296,7 +279,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("disturbance"),
     Parameter::number(
         "disturbance_start_s",
-        "s",
         "Time at which the disturbance starts to move.",
         ENGINE,
         ([0.0, 60.0], 0.0),
@@ -306,7 +288,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("disturbance"),
     Parameter::number(
         "disturbance_x_m",
-        "m",
         "Position of the disturbance's centre along x before it moves.",
         ENGINE,
         ([-0.5, 1.5], 0.5),
@@ -316,7 +297,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("disturbance"),
     Parameter::number(
         "disturbance_y_m",
-        "m",
         "Position of the disturbance's centre along y before it moves.",
         ENGINE,
         ([-1.5, 1.5], -0.5),
@@ -326,7 +306,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("disturbance"),
     Parameter::number(
         "disturbance_heading_rad",
-        "rad",
         "Direction of the disturbance's motion: 0 along +x, positive towards +y.",
         ENGINE,
         ([-PI, PI], 0.0),
@@ -336,7 +315,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("disturbance"),
     Parameter::number(
         "disturbance_travel_m",
-        "m",
         "Distance that the disturbance moves.",
         ENGINE,
         ([1e-3, 3.0], 0.5),
@@ -346,7 +324,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("disturbance"),
     Parameter::number(
         "object_transparency",
-        "",
         "Fraction of the light that passes through the object.",
         CAMERAS,
         ([0.0, 0.95], 0.0),
@@ -356,7 +333,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("appearance"),
     Parameter::new(
         "table_material",
-        "",
         "Material of the table's top, as the cameras show it.",
         CAMERAS,
         Access::Word {
@@ -369,7 +345,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("appearance"),
     Parameter::new(
         "background_color",
-        "",
         "Colour of the background behind the table (sRGB).",
         CAMERAS,
         Access::Word {
@@ -382,7 +357,6 @@ pub(super) static TABLE: Table<SceneParameters, Told> = Table(&[
     .in_family("appearance"),
     Parameter::new(
         "object_color",
-        "",
         "Colour of the object (sRGB).",
         CAMERAS,
         Access::Word {

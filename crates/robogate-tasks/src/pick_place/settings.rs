@@ -8,7 +8,7 @@ use robogate_physics::Robot;
 use super::NAME;
 use super::cell::TOLERANCE_M;
 use super::scene::workspace_scale;
-use crate::arm::{ArmSettings, HasSettings, OnArm, rows};
+use crate::arm::{ArmSettings, HasSettings, on_arm, rows};
 use crate::settings::{Choice, SettingRow, with_settings};
 
 /// Pick and place with its settings.
@@ -126,21 +126,7 @@ impl PickPlace {
     }
 }
 
-impl Default for PickPlace {
-    fn default() -> Self {
-        Self::DEFAULT
-    }
-}
-
-impl OnArm for PickPlace {
-    fn arm(&self) -> &ArmSettings {
-        &self.arm
-    }
-
-    fn arm_mut(&mut self) -> &mut ArmSettings {
-        &mut self.arm
-    }
-}
+on_arm!(PickPlace);
 
 impl HasSettings for PickPlace {
     fn rows() -> Vec<SettingRow<Self>> {

@@ -2,7 +2,7 @@
 
 use robogate_core::{Action, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec};
 use robogate_physics::trajectory::ToolLimit;
-use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
+use robogate_physics::{Chain, GripperCommand, Robot, Unreachable};
 
 use super::NAME;
 use super::spec::{Briefing, phases};
@@ -49,39 +49,21 @@ impl Scripted {
         use GripperCommand::{Close, Open};
         let [x, y, _] = briefing.parts[briefing.order[level]].position;
         let grasp = planner.grasp_height(briefing.size_m);
-        let above: Vec<_> = self.yaws([x, y]).into_iter().map(|yaw| tool_down([x, y, TRANSIT_HEIGHT_M], yaw)).collect();
-        let (chosen, joints) = planner.nearest(&above)?;
-        let yaw = self.yaws([x, y])[chosen];
+        let (yaw, joints) = planner.over([x, y], TRANSIT_HEIGHT_M, planner.square_yaw([x, y]))?;
         planner.swing(phases::APPROACH, joints, Open);
         planner.straight(phases::APPROACH, &[tool_down([x, y, grasp], yaw)], FREE, Open)?;
         planner.grip(phases::GRASP, Close);
 
         let (steps, place) = (level as f64, briefing.place(level));
-        // Cubes are equal after a quarter rotation.
-        let quarters: Vec<f64> = (0..4).map(|k| yaw + f64::from(k) * std::f64::consts::FRAC_PI_2).collect();
         let at = |height: f64, yaw: f64| tool_down([place[0], place[1], height], yaw);
-        let over: Vec<_> = quarters.iter().map(|yaw| at(TRANSIT_HEIGHT_M, *yaw)).collect();
-        let turned = quarters[planner.nearest(&over)?.0];
+        // Cubes are equal after a quarter rotation.
+        let (turned, _) = planner.over(place, TRANSIT_HEIGHT_M, yaw)?;
         let down = steps * briefing.size_m + grasp + RELEASE_ROOM_M;
         let lifted = tool_down([x, y, TRANSIT_HEIGHT_M], yaw);
         planner.straight(phases::CARRY, &[lifted, at(TRANSIT_HEIGHT_M, turned)], CARRY, Close)?;
         planner.straight(phases::CARRY, &[at(down, turned)], LOWER, Close)?;
         planner.grip(phases::RELEASE, Open);
         planner.straight(phases::RELEASE, &[at(TRANSIT_HEIGHT_M, turned)], FREE, Open)
-    }
-
-    /// Yaws of the tool with which the robot can grasp a part at (x, y). A cup can have any yaw: its yaw follows the arm's
-    /// base, which keeps the wrist posture.
-    fn yaws(&self, [x, y]: [f64; 2]) -> Vec<f64> {
-        let quarters = |first: f64| (0..4).map(|k| first + f64::from(k) * std::f64::consts::FRAC_PI_2).collect();
-        match &self.robot.settings.gripper {
-            Gripper::ParallelJaw(_) => quarters(0.0),
-            Gripper::Suction(_) => {
-                let home = self.chain.tcp_at(&self.robot.settings.arm.home_rad);
-                let axis = home.rotation * nalgebra::Vector3::x();
-                quarters(axis.y.atan2(axis.x) + y.atan2(x) - home.translation.y.atan2(home.translation.x))
-            }
-        }
     }
 }
 

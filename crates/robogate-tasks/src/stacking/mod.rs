@@ -12,7 +12,7 @@ mod scene;
 mod spec;
 pub mod statics;
 
-use crate::arm::{ArmSettings, HasSettings, OnArm, rows};
+use crate::arm::{ArmSettings, HasSettings, on_arm, rows};
 use crate::settings::SettingRow;
 
 /// The task's name.
@@ -34,21 +34,7 @@ impl Stacking {
     pub const DEFAULT: Self = Self { arm: ArmSettings::lasting(30.0), tolerance_m: 0.01, tilt_limit_rad: 0.262 };
 }
 
-impl Default for Stacking {
-    fn default() -> Self {
-        Self::DEFAULT
-    }
-}
-
-impl OnArm for Stacking {
-    fn arm(&self) -> &ArmSettings {
-        &self.arm
-    }
-
-    fn arm_mut(&mut self) -> &mut ArmSettings {
-        &mut self.arm
-    }
-}
+on_arm!(Stacking);
 
 impl HasSettings for Stacking {
     fn rows() -> Vec<SettingRow<Self>> {

@@ -112,7 +112,6 @@ type Parameter = Row<Settings>;
 pub(super) static TABLE: Table<Settings> = Table(&[
     Parameter::new(
         "order",
-        "",
         "Order of the parts in the stack, from the bottom up. The first part stays where it is.",
         "the parts' poses in the engine",
         Access::Word {
@@ -129,7 +128,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     .in_family("stack"),
     Parameter::number(
         "overhang",
-        "",
         "Offset of each part from the part below it along x, as a fraction of its size; the policy is told.",
         "the offset in the referee",
         ([0.0, 0.6], 0.0),
@@ -139,7 +137,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     .in_family("stack"),
     Parameter::number(
         "size_m",
-        "m",
         "Edge of each part.",
         "the parts' shapes in the engine",
         ([0.03, 0.07], 0.05),
@@ -149,7 +146,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     .in_family("parts"),
     Parameter::number(
         "mass_kg",
-        "kg",
         "Mass of the part at the bottom.",
         "the part's mass in the engine",
         ([0.01, 5.0], 0.2),
@@ -159,7 +155,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     .in_family("parts"),
     Parameter::number(
         "mass_step",
-        "",
         "Mass of each part as a multiple of the part below it.",
         "the parts' masses in the engine",
         ([0.25, 4.0], 1.0),
@@ -169,7 +164,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     .in_family("parts"),
     Parameter::number(
         "friction",
-        "",
         "Coulomb friction coefficient of the parts against everything they touch.",
         "the contacts' friction in the engine",
         ([0.01, 10.0], 0.8),
@@ -179,7 +173,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     .in_family("parts"),
     Parameter::number(
         "gravity_scale",
-        "",
         "Gravity as a multiple of 9.81 m/s^2.",
         "gravity in the engine",
         ([0.1, 3.0], 1.0),
@@ -188,7 +181,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     ),
     Parameter::number(
         "position_jitter_m",
-        "m",
         "Radius of the disc from which each part's offset from its place is drawn; the policy is not told.",
         "the parts' poses in the engine",
         ([0.0, 0.03], 0.0),
@@ -198,7 +190,6 @@ pub(super) static TABLE: Table<Settings> = Table(&[
     .in_family("layout"),
     Parameter::number(
         "yaw_jitter_rad",
-        "rad",
         "Largest rotation of each part about the vertical, in both directions; the policy is not told.",
         "the parts' poses in the engine",
         ([0.0, 0.7], 0.0),

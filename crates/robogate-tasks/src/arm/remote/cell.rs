@@ -2,15 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use nalgebra::{Isometry3, Matrix3};
-use robogate_core::Pose;
 use robogate_physics::{
-    Bellows, Chain, Color, Fixture, FixtureKind, FreeBody, Gripper, GripperUnit, MassProperties, Motion, Object, Part,
-    Primitive, Robot, Scene, SuctionLaw, TableMaterial, Visual, contact, pose,
+    Bellows, Chain, Fixture, FreeBody, Gripper, GripperUnit, Part, Robot, Scene, SuctionLaw, Visual, contact,
 };
 use serde::{Deserialize, Serialize};
 
-use super::report::unit;
 use crate::arm::CONTROL_PERIOD_S;
 
 /// Largest number of objects, and of fixtures of a cell and parts of an object.
@@ -32,13 +28,13 @@ pub struct Cell {
     /// Constants of contacts.
     pub contact: CellContact,
     /// The bodies that move freely.
-    pub objects: Vec<CellObject>,
+    pub objects: Vec<FreeBody>,
     /// The table first, then all other fixtures.
-    pub fixtures: Vec<CellFixture>,
+    pub fixtures: Vec<Fixture>,
     /// The robot's drives.
     pub robot: CellRobot,
     /// Appearance of the scene.
-    pub visual: CellVisual,
+    pub visual: Visual,
 }
 
 /// Constants of contacts, as in [`robogate_physics::contact`].
@@ -56,72 +52,6 @@ pub struct CellContact {
     pub limit_impedance: [f64; 3],
     /// Mass of a moving fixture.
     pub driven_mass_kg: f64,
-}
-
-/// A body that moves freely.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct CellObject {
-    /// The name.
-    pub name: String,
-    /// The parts in its own frame.
-    pub parts: Vec<CellPart>,
-    /// The pose at the start.
-    pub pose: Pose,
-    /// The mass in kilograms.
-    pub mass_kg: f64,
-    /// The centre of mass in its own frame.
-    pub centre_of_mass: [f64; 3],
-    /// The inertia about the centre of mass along its own axes, row by row.
-    pub inertia_kg_m2: [[f64; 3]; 3],
-    /// The colour in camera images, `#rrggbb`.
-    pub color: String,
-}
-
-/// A part of an object.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct CellPart {
-    /// The shape.
-    pub primitive: Primitive,
-    /// The pose in the object's frame.
-    pub pose: Pose,
-}
-
-/// A body that stands still or follows a prescribed motion.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct CellFixture {
-    /// The name.
-    pub name: String,
-    /// The role.
-    pub kind: FixtureKind,
-    /// The shape.
-    pub primitive: Primitive,
-    /// The pose at the start.
-    pub pose: Pose,
-    /// The motion, if it moves.
-    pub motion: Option<CellMotion>,
-}
-
-/// A straight path at constant speed within a time window.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct CellMotion {
-    /// Velocity.
-    pub velocity_m_s: [f64; 3],
-    /// Start, in seconds.
-    pub starts_s: f64,
-    /// End, in seconds.
-    pub ends_s: f64,
-}
-
-impl From<&Motion> for CellMotion {
-    fn from(motion: &Motion) -> Self {
-        Self { velocity_m_s: motion.velocity.into(), starts_s: motion.starts_s, ends_s: motion.ends_s }
-    }
-}
-
-impl From<CellMotion> for Motion {
-    fn from(motion: CellMotion) -> Self {
-        Self { velocity: motion.velocity_m_s.into(), starts_s: motion.starts_s, ends_s: motion.ends_s }
-    }
 }
 
 /// The robot's drives. Arrays have one entry per arm joint, from base to tip.
@@ -206,36 +136,6 @@ pub enum CellGripper {
     },
 }
 
-/// Appearance of a cell.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct CellVisual {
-    /// Illuminance on the table.
-    pub lighting_lux: f64,
-    /// Rotation of each camera about its line of sight.
-    pub camera_roll_rad: f64,
-    /// Upward tilt of each camera.
-    pub camera_pitch_rad: f64,
-    /// Material of the table's top.
-    pub table_material: String,
-    /// Colour of the background, `#rrggbb`.
-    pub background_color: String,
-    /// Fraction of the light that passes through the first object.
-    pub object_transparency: f64,
-}
-
-impl From<&Visual> for CellVisual {
-    fn from(visual: &Visual) -> Self {
-        Self {
-            lighting_lux: visual.lighting_lux,
-            camera_roll_rad: visual.camera_roll_rad,
-            camera_pitch_rad: visual.camera_pitch_rad,
-            table_material: visual.table_material.as_str().to_owned(),
-            background_color: visual.background_color.to_string(),
-            object_transparency: visual.object_transparency,
-        }
-    }
-}
-
 /// The settings of a cell that a scene does not contain.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Grasping {
@@ -287,7 +187,7 @@ impl Cell {
                 driven_mass_kg: contact::DRIVEN_MASS_KG,
             },
             objects: objects(scene),
-            fixtures: scene.fixtures.iter().map(CellFixture::from).collect(),
+            fixtures: scene.fixtures.clone(),
             robot: CellRobot {
                 name: robot.name().to_owned(),
                 sha256,
@@ -307,7 +207,7 @@ impl Cell {
                     pad_friction: unit.pad_friction_scale,
                 },
             },
-            visual: CellVisual::from(&scene.visual),
+            visual: scene.visual,
         }
     }
 
@@ -339,8 +239,17 @@ impl Cell {
                 ));
             }
         }
-        let mut bodies = self.objects.iter().map(CellObject::body).collect::<Result<Vec<FreeBody>, String>>()?;
-        let FreeBody { object, pose, color, .. } = bodies.remove(0);
+        for FreeBody { name, object, .. } in &self.objects {
+            counted(&format!("parts of {name}"), object.parts.len(), MOST_PARTS)?;
+            above_zero(&format!("mass_kg of {name}"), object.mass.mass_kg)?;
+            object.parts.iter().try_for_each(|part| sizes(name, part))?;
+        }
+        for Fixture { name, part, motion, .. } in &self.fixtures {
+            sizes(name, part)?;
+            let speed = motion.map_or(1.0, |motion| motion.velocity.norm());
+            above_zero(&format!("the speed of {name}"), speed)?;
+        }
+        let FreeBody { object, pose, color, .. } = self.objects[0].clone();
         let force_scale = match self.robot.gripper {
             // The force of the pads contains it already.
             CellGripper::ParallelJaw { .. } => 1.0,
@@ -349,15 +258,15 @@ impl Cell {
         Ok(Scene {
             object,
             object_pose: pose,
-            others: bodies,
+            others: self.objects[1..].to_vec(),
             friction: self.friction,
             table_friction: self.table_friction,
             arm_stiffness: stiffness,
             gripper: GripperUnit { force_scale, pad_friction_scale: pad_friction },
-            fixtures: self.fixtures.iter().map(CellFixture::fixture).collect::<Result<_, _>>()?,
+            fixtures: self.fixtures.clone(),
             gravity: self.gravity_m_s2,
             marker: None,
-            visual: self.visual.visual(color)?,
+            visual: Visual { object_color: color, ..self.visual },
         })
     }
 }
@@ -370,99 +279,16 @@ fn above_zero(what: &str, value: f64) -> Result<(), String> {
     if value > 0.0 { Ok(()) } else { Err(format!("{what} is {value}. Expected above 0")) }
 }
 
-fn colour(name: &str, text: &str) -> Result<Color, String> {
-    Color::from_hex(text).ok_or_else(|| format!("the color of {name} is not written as #rrggbb"))
+fn sizes(name: &str, part: &Part) -> Result<(), String> {
+    part.primitive.half_extent().into_iter().try_for_each(|size| above_zero(&format!("a size of {name}"), size))
 }
 
-/// A part of the body `name`.
-fn part(name: &str, primitive: Primitive, pose: &Pose) -> Result<Part, String> {
-    let sizes = primitive.half_extent();
-    sizes.into_iter().try_for_each(|size| above_zero(&format!("a size of {name}"), size))?;
-    Ok(Part { primitive, pose: placed(name, pose)? })
-}
-
-fn placed(name: &str, pose: &Pose) -> Result<Isometry3<f64>, String> {
-    unit(pose).map_err(|why| format!("{name} has {why}"))
-}
-
-fn objects(scene: &Scene) -> Vec<CellObject> {
-    let first = (&scene.object, &scene.object_pose, "object", scene.visual.object_color);
-    let others = scene.others.iter().map(|body| (&body.object, &body.pose, body.name.as_str(), body.color));
-    std::iter::once(first)
-        .chain(others)
-        .map(|(object, at, name, color)| {
-            let MassProperties { mass_kg, centre, inertia: m } = object.mass;
-            CellObject {
-                name: name.to_owned(),
-                parts: object.parts.iter().map(CellPart::from).collect(),
-                pose: pose(at),
-                mass_kg,
-                centre_of_mass: centre.into(),
-                inertia_kg_m2: [0, 1, 2].map(|row| [m[(row, 0)], m[(row, 1)], m[(row, 2)]]),
-                color: color.to_string(),
-            }
-        })
-        .collect()
-}
-
-impl CellObject {
-    fn body(&self) -> Result<FreeBody, String> {
-        let Self { name, parts, pose, mass_kg, centre_of_mass, inertia_kg_m2: m, color } = self;
-        counted(&format!("parts of {name}"), parts.len(), MOST_PARTS)?;
-        above_zero(&format!("mass_kg of {name}"), *mass_kg)?;
-        let inertia = Matrix3::from_fn(|row, column| m[row][column]);
-        let parts = parts.iter().map(|one| part(name, one.primitive, &one.pose)).collect::<Result<_, _>>()?;
-        let mass = MassProperties { mass_kg: *mass_kg, centre: (*centre_of_mass).into(), inertia };
-        Ok(FreeBody {
-            name: name.clone(),
-            object: Object { parts, mass },
-            pose: placed(name, pose)?,
-            color: colour(name, color)?,
-        })
-    }
-}
-
-impl CellFixture {
-    fn fixture(&self) -> Result<Fixture, String> {
-        let Self { name, kind, primitive, pose, motion } = self;
-        let motion = motion.map(Motion::from);
-        if let Some(motion) = &motion {
-            above_zero(&format!("the speed of {name}"), motion.velocity.norm())?;
-        }
-        Ok(Fixture { name: name.clone(), kind: *kind, part: part(name, *primitive, pose)?, motion })
-    }
-}
-
-impl CellVisual {
-    fn visual(&self, object_color: Color) -> Result<Visual, String> {
-        let table_material = TableMaterial::from_name(&self.table_material)
-            .ok_or_else(|| "table_material is not one of the materials of bridges/PROTOCOL.md".to_owned())?;
-        Ok(Visual {
-            lighting_lux: self.lighting_lux,
-            camera_roll_rad: self.camera_roll_rad,
-            camera_pitch_rad: self.camera_pitch_rad,
-            table_material,
-            background_color: colour("the background", &self.background_color)?,
-            object_color,
-            object_transparency: self.object_transparency,
-        })
-    }
-}
-
-impl From<&Part> for CellPart {
-    fn from(part: &Part) -> Self {
-        Self { primitive: part.primitive, pose: pose(&part.pose) }
-    }
-}
-
-impl From<&Fixture> for CellFixture {
-    fn from(fixture: &Fixture) -> Self {
-        Self {
-            name: fixture.name.clone(),
-            kind: fixture.kind,
-            primitive: fixture.part.primitive,
-            pose: pose(&fixture.part.pose),
-            motion: fixture.motion.as_ref().map(CellMotion::from),
-        }
-    }
+fn objects(scene: &Scene) -> Vec<FreeBody> {
+    let first = FreeBody {
+        name: "object".to_owned(),
+        object: scene.object.clone(),
+        pose: scene.object_pose,
+        color: scene.visual.object_color,
+    };
+    std::iter::once(first).chain(scene.others.iter().cloned()).collect()
 }

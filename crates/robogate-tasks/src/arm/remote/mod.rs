@@ -9,13 +9,9 @@ mod host;
 mod report;
 
 pub(crate) use cell::Grasping;
-pub use cell::{
-    Cell, CellContact, CellFixture, CellGripper, CellMotion, CellObject, CellPart, CellRobot, CellScales, CellVisual,
-};
+pub use cell::{Cell, CellContact, CellGripper, CellRobot, CellScales};
 pub use host::PhysicsHost;
-pub use report::{
-    RemoteCollision, RemoteCup, RemoteFixture, RemoteObject, RemotePeriod, RemoteReadback, RemoteSight, RemoteState,
-};
+pub use report::{RemoteCollision, RemoteCup, RemotePeriod, RemoteReadback, RemoteSight, RemoteState};
 
 use std::sync::Arc;
 

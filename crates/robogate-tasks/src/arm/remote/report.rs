@@ -1,14 +1,13 @@
 //! Reports of an engine in another process as plain data.
 
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Vector3};
 use robogate_core::{Fault, FaultKind, Observation, Pose};
 use robogate_physics::{
-    Collision, Engine, FixtureRead, FreeBodyRead, GripperState, Hit, Motion, Plant, Primitive, Readback, StepView,
-    Touches, pose,
+    Collision, Engine, FixtureRead, FreeBodyRead, GripperState, Hit, Plant, Readback, StepView, Touches,
+    exact_isometry, pose,
 };
 use serde::{Deserialize, Serialize};
 
-use super::CellMotion;
 use crate::arm::{Bodies, scale};
 
 /// The cell as read from the engine's state.
@@ -29,35 +28,9 @@ pub struct RemoteReadback {
     /// Distance to an object within which the suction cup takes hold. `None` without a cup.
     pub grip_threshold_m: Option<f64>,
     /// The objects, in the order of the cell.
-    pub objects: Vec<RemoteObject>,
+    pub objects: Vec<FreeBodyRead>,
     /// The fixtures.
-    pub fixtures: Vec<RemoteFixture>,
-}
-
-/// An object as read from an engine.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct RemoteObject {
-    /// The mass in kilograms.
-    pub mass_kg: f64,
-    /// Centre of mass in the object's frame, in metres.
-    pub centre_of_mass: [f64; 3],
-    /// The parts.
-    pub parts: Vec<Primitive>,
-    /// The pose.
-    pub pose: Pose,
-}
-
-/// A fixture as read from an engine.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct RemoteFixture {
-    /// The index in the cell's list.
-    pub fixture: usize,
-    /// The shape.
-    pub primitive: Option<Primitive>,
-    /// The pose.
-    pub pose: Pose,
-    /// The motion, if it moves.
-    pub motion: Option<CellMotion>,
+    pub fixtures: Vec<FixtureRead>,
 }
 
 /// Report of one time step. Forces are normal forces in newtons. "The object" is the one that the gripper acts on.
@@ -225,7 +198,7 @@ impl RemoteSight {
             _ => return Err(wrong("no opening of the gripper".to_owned())),
         };
         let state = |state: &RemoteState| {
-            let pose = unit(&state.pose).map_err(wrong)?;
+            let pose = exact_isometry(&state.pose).map_err(wrong)?;
             Ok((pose, (state.linear_m_s.into(), state.angular_rad_s.into())))
         };
         Ok(Seen {
@@ -241,7 +214,7 @@ impl RemoteSight {
             },
             support_n: self.support_n.into(),
             objects: self.objects.iter().map(state).collect::<Result<_, Fault>>()?,
-            tcp: unit(&self.tool_pose).map_err(wrong)?,
+            tcp: exact_isometry(&self.tool_pose).map_err(wrong)?,
             cup_travel_m: self.cup.map_or(0.0, |cup| cup.travel_m),
         })
     }
@@ -283,42 +256,17 @@ impl RemoteSight {
     }
 }
 
-/// Converts a pose without normalising its quaternion, which would change the engine's bits.
-pub(super) fn unit(pose: &Pose) -> Result<Isometry3<f64>, String> {
-    let [w, x, y, z] = pose.orientation;
-    let quaternion = Quaternion::new(w, x, y, z);
-    if (quaternion.norm_squared() - 1.0).abs() > 2e-6 {
-        return Err(format!("the quaternion {:?}, which is not a unit quaternion", pose.orientation));
-    }
-    let rotation = UnitQuaternion::new_unchecked(quaternion);
-    Ok(Isometry3::from_parts(Translation3::from(Vector3::from(pose.position)), rotation))
-}
-
-impl RemoteObject {
-    fn read(self) -> FreeBodyRead {
-        let Self { mass_kg, centre_of_mass, parts, pose } = self;
-        FreeBodyRead { mass_kg, centre_of_mass: centre_of_mass.into(), parts, pose: place(&pose) }
-    }
-}
-
-/// A pose as read back. An invalid rotation gives a pose that equals no requested one.
-fn place(pose: &Pose) -> Isometry3<f64> {
-    unit(pose).unwrap_or_else(|_| Isometry3::translation(f64::NAN, f64::NAN, f64::NAN))
-}
-
 impl RemoteReadback {
     /// What the engine has, for an arm whose own servos have this stiffness.
     pub(super) fn read(self, own_nm_rad: &[f64]) -> Readback {
         // A multiple that is not the same for all joints is none.
         let arm_stiffness = scale(own_nm_rad, &self.stiffness_nm_rad);
-        let nothing = RemoteObject {
-            mass_kg: f64::NAN,
-            centre_of_mass: [f64::NAN; 3],
-            parts: Vec::new(),
-            pose: Pose { position: [f64::NAN; 3], orientation: [1.0, 0.0, 0.0, 0.0] },
-        };
         let mut objects = self.objects.into_iter();
-        let FreeBodyRead { mass_kg, centre_of_mass, parts, pose } = objects.next().unwrap_or(nothing).read();
+        let first = objects.next();
+        let (mass_kg, centre_of_mass, parts, object) = match first {
+            Some(FreeBodyRead { mass_kg, centre_of_mass, parts, pose }) => (mass_kg, centre_of_mass, parts, pose),
+            None => (f64::NAN, Vector3::zeros(), Vec::new(), Isometry3::identity()),
+        };
         Readback {
             friction: self.friction,
             table_friction: self.table_friction,
@@ -328,18 +276,9 @@ impl RemoteReadback {
             mass_kg,
             centre_of_mass,
             parts,
-            object: pose,
-            others: objects.map(RemoteObject::read).collect(),
-            fixtures: self
-                .fixtures
-                .into_iter()
-                .map(|read| FixtureRead {
-                    fixture: read.fixture,
-                    primitive: read.primitive,
-                    pose: place(&read.pose),
-                    motion: read.motion.map(Motion::from),
-                })
-                .collect(),
+            object,
+            others: objects.collect(),
+            fixtures: self.fixtures,
         }
     }
 
@@ -347,14 +286,8 @@ impl RemoteReadback {
     pub(super) fn of<E: Engine>(plant: &Plant<E>) -> Result<Self, Fault> {
         let held = plant.engine.read_back()?;
         let own = &plant.engine.robot().settings.arm.stiffness_nm_rad;
-        let object = |mass_kg, centre: &Vector3<f64>, parts: &[Primitive], at| RemoteObject {
-            mass_kg,
-            centre_of_mass: (*centre).into(),
-            parts: parts.to_vec(),
-            pose: pose(at),
-        };
-        let first = object(held.mass_kg, &held.centre_of_mass, &held.parts, &held.object);
-        let others = held.others.iter().map(|body| object(body.mass_kg, &body.centre_of_mass, &body.parts, &body.pose));
+        let Readback { mass_kg, centre_of_mass, parts, object: pose, others, .. } = held;
+        let first = FreeBodyRead { mass_kg, centre_of_mass, parts, pose };
         Ok(Self {
             friction: held.friction,
             table_friction: held.table_friction,
@@ -364,16 +297,7 @@ impl RemoteReadback {
             grip_force_n: plant.acting_force_n(),
             grip_threshold_m: plant.grip_threshold_m(),
             objects: std::iter::once(first).chain(others).collect(),
-            fixtures: held
-                .fixtures
-                .iter()
-                .map(|read| RemoteFixture {
-                    fixture: read.fixture,
-                    primitive: read.primitive,
-                    pose: pose(&read.pose),
-                    motion: read.motion.as_ref().map(CellMotion::from),
-                })
-                .collect(),
+            fixtures: held.fixtures,
         })
     }
 }
