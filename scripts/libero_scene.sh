@@ -32,7 +32,7 @@ server() {
 }
 
 # The profile with one action for each request, so that the server sees the state before each action.
-"$robogate" policy profiles pi05-libero | sed 's/^length = .*//; s/^execute = .*/execute = 1/; s/^name = "pi05-libero"/name = "scene"\nreference = "pi05-libero"/' > "$out/profile.toml"
+"$robogate" list profiles pi05-libero | sed 's/^length = .*//; s/^execute = .*/execute = 1/; s/^name = "pi05-libero"/name = "scene"\nreference = "pi05-libero"/' > "$out/profile.toml"
 # Runs one episode of a path: path NAME PORT ARGUMENTS...
 path() {
     local name=$1 port=$2

@@ -36,7 +36,7 @@ campaign() {
 
 first=assets/policies/learned.onnx
 [ ! -f "$out/learned.onnx" ] || first=$out/learned.onnx
-"$robogate" policy profiles learned > "$out/learned.toml"
+"$robogate" list profiles learned > "$out/learned.toml"
 demonstrations demos -n 1000
 campaign active --space "$wide" -n 900 --seed 7001 --policy "$first" --profile "$out/learned.toml"
 demonstrations "more-active-$count" --failed-in "$out/active" -n "$count" --seed 7002

@@ -26,7 +26,7 @@ if [ ! -f "$out/learned.onnx" ]; then
     [ -f "$out/demos/meta/info.json" ] || "$robogate" demos --out "$out/demos" -n 1000 --push 0.012
     "$python" scripts/learned/train.py "$out/demos" --out "$out/learned.onnx"
 fi
-"$robogate" policy profiles learned > "$out/learned.toml"
+"$robogate" list profiles learned > "$out/learned.toml"
 sed 's/^name = "learned"/name = "learned-wide"/' "$out/learned.toml" > "$out/learned-wide.toml"
 
 if [ ! -f "$out/learned-wide.onnx" ]; then

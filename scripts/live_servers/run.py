@@ -341,7 +341,7 @@ def profile_of(binary: str, case: Case, folder: Path) -> str:
     """The built-in profile, or a copy with another dialect."""
     if not case.profile.endswith("-http"):
         return case.profile
-    text = robogate(binary, "policy", "profiles", case.profile.removesuffix("-http"))
+    text = robogate(binary, "list", "profiles", case.profile.removesuffix("-http"))
     path = folder / "profile.toml"
     path.write_text(text.replace('name = "gr00t-n1.5"', 'name = "gr00t-n1.5-http"'))
     return str(path)

@@ -91,14 +91,6 @@ impl PolicySource {
         }
     }
 
-    /// What runs or is loaded for it, if the user named it by an address or a path.
-    pub(crate) fn program(&self) -> Option<&str> {
-        match self {
-            Self::Declared(declared) => declared.from.as_deref(),
-            Self::External(_) | Self::BuiltIn(_) => self.server(),
-        }
-    }
-
     /// The policy that the process of the environment loads, if it is one.
     pub(crate) fn loaded(&self, location: &PolicyLocation) -> anyhow::Result<Option<LoadedPolicy>> {
         let Self::Declared(DeclaredPolicy { environment, from: Some(from), .. }) = self else { return Ok(None) };
@@ -350,7 +342,8 @@ impl PolicyChoice {
         let loaded = self.policy.as_deref().map_or(Ok(None), LoadedPolicy::of).or_request()?;
         match (&loaded, &self.profile) {
             (Some(loaded), Some(_)) => {
-                Err(anyhow!("--profile cannot be used with --policy {}\nHint: leave out --profile", loaded.from)).or_request()
+                Err(anyhow!("--profile cannot be used with --policy {}\nHint: leave out --profile", loaded.from))
+                    .or_request()
             }
             _ => Ok(loaded),
         }

@@ -40,7 +40,7 @@ pub(crate) fn idle() -> String {
 
 /// The built-in profile with a change, which refers to the built-in one for its conventions.
 fn profile(dir: &TempDir, from: &str, to: &str) -> String {
-    let built_in = String::from_utf8(robogate(&["policy", "profiles", "pi0-libero"]).stdout).unwrap();
+    let built_in = String::from_utf8(robogate(&["list", "profiles", "pi0-libero"]).stdout).unwrap();
     assert!(built_in.contains(from), "{built_in}");
     let changed = built_in.replacen(from, to, 2).replace("[dialect]", "reference = \"pi0-libero\"\n[dialect]");
     let file = dir.path().join("mine.toml");

@@ -15,7 +15,7 @@ use crate::openpi::{actions, serve};
 
 /// Write a built-in profile with changes to a file.
 fn profile(dir: &TempDir, name: &str, changes: &[(&str, &str)]) -> String {
-    let mut toml = String::from_utf8(robogate(&["policy", "profiles", name]).stdout).unwrap();
+    let mut toml = String::from_utf8(robogate(&["list", "profiles", name]).stdout).unwrap();
     for (from, to) in changes {
         assert!(toml.contains(from), "{toml}");
         toml = toml.replace(from, to);
