@@ -4,7 +4,7 @@
 #
 # Usage: scripts/release.sh [ARCHITECTURE...]       x86_64 or aarch64; default: the architecture of this machine
 #
-# ROBOGATE_SIGNING_KEY names an OpenSSH private key for the signature. docs/installing.md shows how to verify a release, and
+# ROBOGATE_SIGNING_KEY names an OpenSSH private key for the signature. docs/guides/installing.md shows how to verify a release, and
 # scripts/check_release.sh tests one. Needs Rust with the target of each architecture (`rustup target add`), Python 3.11 with venv,
 # and dpkg. Everything else is installed into the build folder.
 set -euo pipefail
@@ -38,7 +38,7 @@ out=$target/release-files
 rm -rf "$out"
 mkdir -p "$out"
 
-# The oldest glibc on which the command runs. docs/installing.md names the distributions.
+# The oldest glibc on which the command runs. docs/guides/installing.md names the distributions.
 glibc=2.28
 
 # Tools, once for each version of the pins.

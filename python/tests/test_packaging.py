@@ -23,15 +23,15 @@ class Packaging(unittest.TestCase):
         floor = only(r"^glibc=(.+)$", "scripts/release.sh")
         self.assertEqual(only(r"libc6 \(>= (.+)\)", "crates/robogate/Cargo.toml"), floor)
         self.assertEqual(only(r"glibc (\d\.\d+) or later", "python/README.md"), floor)
-        self.assertEqual(only(r"glibc (\d\.\d+) or later", "docs/installing.md"), floor)
+        self.assertEqual(only(r"glibc (\d\.\d+) or later", "docs/guides/installing.md"), floor)
 
     def test_python_floor_agrees(self) -> None:
         floor = only(r'^requires-python = ">=(.+)"$', "python/pyproject.toml")
-        self.assertEqual(only(r"Python (\d\.\d+) or later", "docs/installing.md"), floor)
+        self.assertEqual(only(r"Python (\d\.\d+) or later", "docs/guides/installing.md"), floor)
 
     def test_pages_name_the_current_files(self) -> None:
         version = only(r'^version = "(.+)"$', "Cargo.toml")
-        for page in ("README.md", "docs/installing.md"):
+        for page in ("README.md", "docs/guides/installing.md"):
             named = re.findall(r"robogate(?:_eval-|_)(\d+\.\d+\.\d+)", read(page))
             self.assertTrue(named, page)
             self.assertEqual(set(named), {version}, page)

@@ -399,7 +399,7 @@ impl RobotSettings {
             path: path.to_owned(),
             problems: vec![Problem::new(
                 e.to_string().trim_end(),
-                "see docs/robots.md and schemas/robot.schema.json for the keys",
+                "see docs/guides/robots.md and schemas/robot.schema.json for the keys",
             )],
         })
     }
@@ -464,7 +464,7 @@ impl RobotSettings {
             }
         }
         if let Some(why) = self.gripper.contradiction() {
-            problem(why, "see docs/robots.md and the gripper's data sheet");
+            problem(why, "see docs/guides/robots.md and the gripper's data sheet");
         }
         problems
     }

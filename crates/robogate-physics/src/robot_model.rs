@@ -570,14 +570,14 @@ fn check_jaw(model: &MjModel, jaw: &ParallelJaw, problems: &mut Vec<Problem>) {
         if model.jnt_type()[joint] != MjtJoint::mjJNT_SLIDE || !model.jnt_limited()[joint] {
             problems.push(Problem::new(
                 format!("finger joint `{name}` is not a slide with a range"),
-                "gripper.finger_joints are slides that range from 0, closed, to half the opening; give all other fingers [[gripper.drive]] (docs/robots.md)",
+                "gripper.finger_joints are slides that range from 0, closed, to half the opening; give all other fingers [[gripper.drive]] (docs/guides/robots.md)",
             ));
             return;
         }
         if low > 0.0 || high <= 0.0 {
             problems.push(Problem::new(
                 format!("finger joint `{name}` ranges from {low} to {high}. Expected 0, closed, to a positive value"),
-                "describe a slide with another zero or direction by [[gripper.drive]] (docs/robots.md)",
+                "describe a slide with another zero or direction by [[gripper.drive]] (docs/guides/robots.md)",
             ));
             return;
         }

@@ -44,7 +44,7 @@ fn egl(engine: &dyn Engine) -> anyhow::Result<(Box<dyn Renderer>, String)> {
 
 #[cfg(not(feature = "egl"))]
 fn egl(_: &dyn Engine) -> anyhow::Result<(Box<dyn Renderer>, String)> {
-    bail!("this build has no EGL renderer\nHint: build it with --features egl (docs/cameras.md)")
+    bail!("this build has no EGL renderer\nHint: build it with --features egl (docs/reference/cameras.md)")
 }
 
 #[cfg(test)]

@@ -276,9 +276,9 @@ fn tampered_scene_is_not_applied() {
 #[test]
 fn every_parameter_is_documented() {
     let pages = [
-        include_str!("../../../docs/parameters.md"),
-        include_str!("../../../docs/stacking.md"),
-        include_str!("../../../docs/insertion.md"),
+        include_str!("../../../docs/reference/parameters.md"),
+        include_str!("../../../docs/reference/stacking.md"),
+        include_str!("../../../docs/reference/insertion.md"),
     ];
     for (task, page) in TASKS.into_iter().zip(pages) {
         for robot in ROBOTS {

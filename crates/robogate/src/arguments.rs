@@ -35,7 +35,7 @@ pub(crate) struct EnvironmentArguments {
     #[arg(long = "set", value_name = "NAME=VALUE")]
     set: Vec<String>,
     /// Choose the renderer of the camera images: the embedded ray caster, or MuJoCo's renderer through EGL
-    /// (docs/cameras.md)
+    /// (docs/reference/cameras.md)
     #[arg(long, value_name = "RENDERER", default_value = "embedded")]
     renderer: RendererName,
     #[command(flatten)]
@@ -121,7 +121,7 @@ pub(crate) struct PolicyArguments {
     #[arg(long, value_name = "NAME|FILE", requires = "policy")]
     profile: Option<String>,
     /// Map the observations, cameras and actions of the environment to those of the profile with this TOML file
-    /// (docs/environments.md)
+    /// (docs/guides/environments.md)
     #[arg(long, value_name = "FILE", requires = "profile")]
     map: Option<PathBuf>,
     #[command(flatten)]
@@ -204,7 +204,7 @@ impl AccessArguments {
 /// The arguments that select latency and execution.
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct LatencyArguments {
-    /// Delay the actions of the policy in simulated time (docs/latency.md): fixed:80ms, uniform:50ms,150ms,
+    /// Delay the actions of the policy in simulated time (docs/concepts/latency.md): fixed:80ms, uniform:50ms,150ms,
     /// normal:MEAN,SD, gamma:MEAN,SD, measured (of this policy on this machine, before the run), varied (by the parameter
     /// `inference_latency_s` of the space or suite) or varied:0ms,500ms (adds this parameter to the space); default: the
     /// world waits for the policy

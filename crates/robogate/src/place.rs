@@ -16,7 +16,7 @@ pub(crate) use robogate_session::is_remote;
 pub(crate) fn local() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().try_map(|path| {
         if is_remote(&path) {
-            Err("expected a path on this machine. Only a campaign in shards can be in an object store (docs/cluster.md)")
+            Err("expected a path on this machine. Only a campaign in shards can be in an object store (docs/guides/cluster.md)")
         } else {
             Ok(path)
         }
@@ -45,7 +45,7 @@ pub(crate) fn check_different(one: (&str, Option<&Path>), other: (&str, Option<&
 /// Rejects an address as the `--out` of a campaign that is not divided into shards.
 pub(crate) fn check_local(out: &Path) -> Result<(), Exit> {
     if is_remote(out) {
-        return Err(anyhow!("--out {}: an object store needs --divide or --shard (docs/cluster.md)", out.display()))
+        return Err(anyhow!("--out {}: an object store needs --divide or --shard (docs/guides/cluster.md)", out.display()))
             .or_usage();
     }
     Ok(())

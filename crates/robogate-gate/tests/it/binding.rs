@@ -1,4 +1,4 @@
-//! Evidence is bound to what was judged. Each test is one attack of `docs/signatures.md`.
+//! Evidence is bound to what was judged. Each test is one attack of `docs/concepts/signatures.md`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -501,7 +501,7 @@ fn each_attack_has_a_test() {
     for name in ["robogate-gate/tests", "robogate-campaign/tests", "robogate/tests"] {
         sources(&root.join("crates").join(name), &mut code);
     }
-    let page = fs::read_to_string(root.join("docs/signatures.md")).unwrap();
+    let page = fs::read_to_string(root.join("docs/concepts/signatures.md")).unwrap();
     let leaves: Vec<&str> = page
         .lines()
         .filter(|line| line.starts_with("| ") && line.as_bytes()[2].is_ascii_digit())

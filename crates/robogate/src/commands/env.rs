@@ -21,7 +21,7 @@ use crate::interface;
 use crate::terminal::{bold, dim, line, note};
 use robogate_session::{Interpreter, installed, installed_marker};
 
-/// List, install and inspect environments that run in Python (docs/environments.md).
+/// List, install and inspect environments that run in Python (docs/guides/environments.md).
 #[derive(Debug, Args)]
 pub(crate) struct Environments {
     #[command(subcommand)]
@@ -143,7 +143,7 @@ pub(crate) fn list(python: Option<&Path>, json: bool) -> Result<u8, Exit> {
             None => names.iter().for_each(|one| line(format_args!("  {name}:{one}"))),
         }
     }
-    line(dim("gymnasium:ID, FILE.py:ATTRIBUTE and MODULE:ATTRIBUTE name any other environment (docs/environments.md)"));
+    line(dim("gymnasium:ID, FILE.py:ATTRIBUTE and MODULE:ATTRIBUTE name any other environment (docs/guides/environments.md)"));
     Ok(DONE)
 }
 

@@ -45,7 +45,7 @@ struct Check {
     #[arg(long, value_name = "NAME|FILE")]
     profile: String,
     /// Map the observations, cameras and actions of the environment to those of the profile with this TOML file
-    /// (docs/environments.md)
+    /// (docs/guides/environments.md)
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
     /// Set the number of requests with the same observation (at least 2)
@@ -344,7 +344,7 @@ fn describe(task: &TaskSpec, found: &mut Findings) {
 
 /// The map that fits, with its table. `None` if the environment lacks something, which is a problem.
 fn fit(profile: &Profile, map: Option<&TaskMap>, task: &TaskSpec, found: &mut Findings) -> Option<BoundMap> {
-    const HINT: &str = "--map FILE maps the environment to the profile (docs/environments.md)";
+    const HINT: &str = "--map FILE maps the environment to the profile (docs/guides/environments.md)";
     let none = TaskMap::default();
     let bound = match BoundMap::new(map.unwrap_or(&none), profile, task) {
         Ok(bound) => bound,

@@ -22,7 +22,7 @@ use robogate_session::{PolicySource, Reopening, Subject};
 
 /// Replay one episode bit for bit and print its timeline; or render moments of it, or of a scenario that has not run.
 ///
-/// --set also sets parameters of the scenario (docs/parameters.md).
+/// --set also sets parameters of the scenario (docs/reference/parameters.md).
 #[derive(Debug, Args)]
 pub(crate) struct Replay {
     /// Folder of the run

@@ -83,7 +83,7 @@ pub(crate) fn list(json: bool) -> Result<u8, Exit> {
             arm.payload_kg
         ));
     }
-    line("\nUse your own robot as a folder (docs/robots.md) and check it: robogate robots check FOLDER");
+    line("\nUse your own robot as a folder (docs/guides/robots.md) and check it: robogate robots check FOLDER");
     Ok(DONE)
 }
 

@@ -94,7 +94,7 @@ pub(crate) struct Run {
     /// Write the run to this folder; default: a new one under runs/
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Run only shard K of N, counted from 0, of the open round of the campaign in --out (docs/cluster.md), or several, one
+    /// Run only shard K of N, counted from 0, of the open round of the campaign in --out (docs/guides/cluster.md), or several, one
     /// after the other, such as 0-3,7/16. If that folder has a plan, its options need not be repeated
     #[arg(long, value_name = "K/N", requires = "out")]
     shard: Option<ShardSet>,

@@ -198,7 +198,7 @@ fn wrong_arguments_are_usage_errors() {
         "export r",
     ] {
         let arguments: Vec<&str> = line.split(' ').chain(["s3://bucket/x"]).collect();
-        assert_usage(&arguments, &["s3://bucket/x", "docs/cluster.md"]);
+        assert_usage(&arguments, &["s3://bucket/x", "docs/guides/cluster.md"]);
     }
     assert!(!Path::new(&out).exists() && !Path::new("s3:").exists(), "a run was started");
     assert!(!dir.path().join("x.csv").exists() && !dir.path().join("x.parquet").exists());
@@ -239,7 +239,7 @@ fn suite_rows_ignore_thread_count() {
 
 #[test]
 fn documented_suite_is_valid() {
-    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/suites.md");
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/guides/suites.md");
     let page = fs::read_to_string(page).unwrap();
     let example = page.split("```toml\n").nth(1).unwrap().split("```").next().unwrap();
     let dir = TempDir::new().unwrap();

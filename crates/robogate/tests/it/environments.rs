@@ -57,9 +57,9 @@ impl Bench {
         fs::read(self.at(run).join("dictionary.parquet")).unwrap()
     }
 
-    /// Writes the example of docs/environments.md, with `changes` to its text.
+    /// Writes the example of docs/guides/environments.md, with `changes` to its text.
     fn example(&self, name: &str, changes: &[(&str, &str)]) {
-        let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/environments.md");
+        let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/guides/environments.md");
         let page = fs::read_to_string(page).unwrap();
         let mut code = page.split("```python\n").nth(1).unwrap().split("```").next().unwrap().to_owned();
         for (from, to) in changes {

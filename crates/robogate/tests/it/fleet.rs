@@ -146,7 +146,7 @@ fn parameter_belongs_to_scenarios_or_unit() {
     assert!(!at.join("a").exists() && !at.join("b").exists());
 }
 
-/// The commands of docs/fleet.md. A folder that belongs to something else stops them after all units have been checked.
+/// The commands of docs/guides/fleet.md. A folder that belongs to something else stops them after all units have been checked.
 #[test]
 fn default_units_fit_default_suite() {
     let dir = TempDir::new().unwrap();

@@ -75,7 +75,7 @@ fn command_reference_is_up_to_date() {
             page += &format!("\n### robogate {verb} {under}\n\n```\n{}```\n", help(&[&verb, &under]));
         }
     }
-    check("docs/command.md", &page);
+    check("docs/reference/command.md", &page);
 }
 
 /// The verbs that a help text lists: under `Commands:`, or under their purposes.

@@ -129,7 +129,7 @@ impl FleetOf {
             }
             (None, None) => Err(anyhow!(
                 "this environment has no distribution of units\nHint: write one as a parameter space and give it with \
-                 --unit-space FILE (docs/fleet.md)"
+                 --unit-space FILE (docs/guides/fleet.md)"
             ))
             .or_usage(),
         }

@@ -110,11 +110,11 @@ pub(crate) struct Gate {
     #[command(flatten)]
     how: How,
     /// Write the plan of the gate in N shards to --out, and run nothing: `robogate plan DIR --next` prints the commands
-    /// that run the next round, and `robogate merge DIR` returns the verdict (docs/cluster.md)
+    /// that run the next round, and `robogate merge DIR` returns the verdict (docs/guides/cluster.md)
     #[arg(long, value_name = "N", requires = "out", conflicts_with_all = ["run", "plan", "against"])]
     divide: Option<u32>,
     /// Register the run before its first episode: sign its plan, seed, question and policy with this private key, and
-    /// number the registration in PRIVATE.registrations (docs/signatures.md)
+    /// number the registration in PRIVATE.registrations (docs/concepts/signatures.md)
     #[arg(long, value_name = "PRIVATE", conflicts_with_all = ["run", "plan"])]
     register: Option<PathBuf>,
     /// Write the run to this folder (default: a new one under runs/); with --run, write only the verdict's files

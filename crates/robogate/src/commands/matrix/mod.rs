@@ -39,7 +39,7 @@ const PLAN: &str = "sweep.json";
 /// prints the next shards of all runs, and `robogate merge DIR` writes the page.
 #[derive(Debug, Args)]
 pub(crate) struct Matrix {
-    /// File of the sweep (docs/sweeps.md)
+    /// File of the sweep (docs/guides/sweeps.md)
     sweep: PathBuf,
     /// Write the runs to this folder; default: runs/NAME
     #[arg(long, value_name = "DIR", value_parser = place::local())]
