@@ -45,8 +45,11 @@ pub(crate) fn check_different(one: (&str, Option<&Path>), other: (&str, Option<&
 /// Rejects an address as the `--out` of a campaign that is not divided into shards.
 pub(crate) fn check_local(out: &Path) -> Result<(), Exit> {
     if is_remote(out) {
-        return Err(anyhow!("--out {}: an object store needs --divide or --shard (docs/guides/cluster.md)", out.display()))
-            .or_usage();
+        return Err(anyhow!(
+            "--out {}: an object store needs --divide or --shard (docs/guides/cluster.md)",
+            out.display()
+        ))
+        .or_usage();
     }
     Ok(())
 }

@@ -143,7 +143,9 @@ pub(crate) fn list(python: Option<&Path>, json: bool) -> Result<u8, Exit> {
             None => names.iter().for_each(|one| line(format_args!("  {name}:{one}"))),
         }
     }
-    line(dim("gymnasium:ID, FILE.py:ATTRIBUTE and MODULE:ATTRIBUTE name any other environment (docs/guides/environments.md)"));
+    line(dim(
+        "gymnasium:ID, FILE.py:ATTRIBUTE and MODULE:ATTRIBUTE name any other environment (docs/guides/environments.md)",
+    ));
     Ok(DONE)
 }
 
