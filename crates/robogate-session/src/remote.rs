@@ -14,9 +14,7 @@ use robogate_physics::{Engine, GripperCommand, Robot};
 use robogate_remote::message::{Hello, ObservationMessage, Period, ResetReply};
 use robogate_remote::{Host, Listener, Pool, PoolError, RemoteTask, Timeouts};
 use robogate_tasks::pick_place::CONTROL_PERIOD_S;
-use robogate_tasks::remote::{
-    self as cell_remote, Cell, RemoteArm, RemoteCommand, RemotePeriod, RemoteReadback, RemoteSight,
-};
+use robogate_tasks::remote::{self as cell_remote, Cell, RemoteArm, RemotePeriod, RemoteReadback, RemoteSight};
 use robogate_zmtp::Address;
 
 use crate::environments::{Interpreter, Servers};
@@ -184,8 +182,7 @@ impl RemoteTask for CellTask {
     }
 
     fn command(&mut self, action: &Action) -> Result<(Vec<f64>, Option<usize>), Fault> {
-        let RemoteCommand { joints, object } = self.0.command(action)?;
-        Ok((joints, object))
+        self.0.command(action)
     }
 
     fn score(

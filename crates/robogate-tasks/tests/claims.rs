@@ -28,7 +28,7 @@ fn scene(on: EngineKind, robot: &str, parameters: &[(&str, Value)]) -> Scene {
     let gripper = &on.robot(robot).robot.settings.gripper;
     let parameters = SceneParameters::from_assignment(&scenario(parameters).requested, gripper).unwrap();
     let placement = Placement::from_name(&parameters.placement).unwrap();
-    pick_place::scene(&parameters, &placement, &mut Seed::campaign(1).episode(0).stream("obstacles")).unwrap()
+    pick_place::scene(&parameters, &placement, 1.0, &mut Seed::campaign(1).episode(0).stream("obstacles")).unwrap()
 }
 
 fn assert_same(a: &Isometry3<f64>, b: &Isometry3<f64>) {

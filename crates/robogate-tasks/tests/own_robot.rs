@@ -110,7 +110,7 @@ fn menagerie_robot_picks_and_places() {
 fn wrist_from_the_side(robot: &Robot) -> Image {
     let parameters = SceneParameters::nominal();
     let placement = Placement::from_name(&parameters.placement).unwrap();
-    let scene = scene(&parameters, &placement, &mut Seed::campaign(1).stream("obstacles")).unwrap();
+    let scene = scene(&parameters, &placement, 1.0, &mut Seed::campaign(1).stream("obstacles")).unwrap();
     let mut cameras = Cameras::new(robot).unwrap();
     cameras.set_up(&scene);
     let engine = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).unwrap();

@@ -9,11 +9,11 @@ use robogate_core::{
     Action, Assignment, Ending, Environment, Fault, FaultKind, Foresight, Infeasibility, Observation, Outcome,
     ParameterSpace, Policy, Sampler, Scenario, Seed, Start, Step, TaskSpec, Value, rollout, vectors,
 };
-use robogate_physics::{Chain, Engine, GripperCommand, MujocoEngine, RapierEngine, Robot, built_in_robot};
+use robogate_physics::{Chain, Engine, GripperCommand, MujocoEngine, Primitive, RapierEngine, Robot, built_in_robot};
 use robogate_tasks::insertion::Insertion;
 use robogate_tasks::pick_place::PickPlace;
 use robogate_tasks::remote::{
-    Cell, PhysicsHost, RemoteArm, RemoteCollision, RemoteCommand, RemotePeriod, RemoteReadback, RemoteSight,
+    Cell, PhysicsHost, RemoteArm, RemoteCollision, RemotePeriod, RemoteReadback, RemoteSight,
 };
 use robogate_tasks::stacking::Stacking;
 use robogate_tasks::{ArmDeclaration, ArmTask, Rig, built_in_space};
@@ -60,7 +60,7 @@ impl Environment for Remote {
     }
 
     fn step(&mut self, action: &Action) -> Result<Step, Fault> {
-        let RemoteCommand { joints, object } = self.task.command(action)?;
+        let (joints, object) = self.task.command(action)?;
         object.into_iter().for_each(|object| self.host.select(object));
         let mut period = self.host.step(&joints, GripperCommand::of(action))?;
         (self.tamper)(&mut period);
@@ -208,7 +208,7 @@ fn values_that_are_not_applied_are_found() {
     let (pick, stack, insert) = (&PickPlace::DEFAULT, &Stacking::DEFAULT, &Insertion::DEFAULT);
     check(pick, "friction", number(0.7), |held| held.friction *= 1.01);
     check(pick, "mass_kg", number(0.2), |held| held.objects[0].mass_kg *= 1.01);
-    check(pick, "placement", Value::Category("left_0".into()), |held| held.objects[0].pose.position[0] += 1e-3);
+    check(pick, "placement", Value::Category("left_0".into()), |held| held.objects[0].pose.translation.x += 1e-3);
     check(pick, "obstacles", Value::Integer(2), |held| held.fixtures.clear());
     check(pick, "grip_force_scale", number(0.9), |held| held.grip_force_n *= 1.01);
     check(pick, "pad_friction_scale", number(0.9), |held| held.pad_friction = None);
@@ -218,7 +218,7 @@ fn values_that_are_not_applied_are_found() {
     check(insert, "arm_stiffness", number(0.3), |held| held.stiffness_nm_rad[4] *= 1.01);
     check(insert, "arm_stiffness", number(0.3), |held| held.stiffness_nm_rad.truncate(6));
     check(insert, "friction", number(0.3), |held| held.table_friction *= 1.01);
-    check(insert, "chamfer_m", number(0.002), |held| held.fixtures[3].pose.position[2] += 1e-5);
+    check(insert, "chamfer_m", number(0.002), |held| held.fixtures[3].pose.translation.z += 1e-5);
 }
 
 /// A server takes cells from other programs. One that no engine can set up is a setup fault, and the next one is set up.
@@ -238,15 +238,29 @@ fn impossible_cells_are_rejected() {
     check(|cell| cell.objects = vec![cell.objects[0].clone(); 40], "40 objects");
     check(|cell| cell.objects[1].name = cell.objects[0].name.clone(), "different names");
     check(|cell| cell.objects[1].name = "a\0b".to_owned(), "not valid");
-    check(|cell| cell.objects[2].mass_kg = 0.0, "mass_kg of part_c is 0");
-    check(|cell| cell.objects[2].parts.clear(), "0 parts of part_c");
-    check(|cell| cell.objects[2].pose.orientation = [2.0; 4], "not a unit quaternion");
-    check(|cell| cell.objects[0].color = "red".to_owned(), "#rrggbb");
-    check(|cell| cell.objects[0].inertia_kg_m2 = [[-1.0; 3]; 3], "");
+    check(|cell| cell.objects[2].object.mass.mass_kg = 0.0, "mass_kg of part_c is 0");
+    check(|cell| cell.objects[2].object.parts.clear(), "0 parts of part_c");
+    check(|cell| cell.objects[0].object.mass.inertia.fill(-1.0), "");
+    check(|cell| cell.fixtures[0].part.primitive = Primitive::Sphere { radius: 0.0 }, "a size of table is 0");
     check(|cell| cell.fixtures.clear(), "0 fixtures");
     check(|cell| cell.robot.scales.stiffness = -1.0, "scales.stiffness");
     check(|cell| drop(cell.robot.joints.pop()), "this server's robot is franka");
     check(|cell| cell.control_period_s = 0.1, "control_period_s");
+    let written = serde_json::to_value(&good).unwrap();
+    let read = |(at, value)| {
+        let mut changed = written.clone();
+        *changed.pointer_mut(at).unwrap() = value;
+        serde_json::from_value::<Cell>(changed).map_err(|why| why.to_string())
+    };
+    assert_eq!(read(("/friction", serde_json::json!(good.friction))).unwrap(), good);
+    for (at, value, words) in [
+        ("/objects/2/pose/orientation", serde_json::json!([2.0, 2.0, 2.0, 2.0]), "not a unit quaternion"),
+        ("/objects/0/color", serde_json::json!("red"), "#rrggbb"),
+        ("/visual/table_material", serde_json::json!("cheese"), "cheese"),
+    ] {
+        let why = read((at, value)).unwrap_err();
+        assert!(why.contains(words), "{why}");
+    }
     let mut cup = Remote::new(&Stacking::DEFAULT, mujoco("ur5e"));
     let mut mixed = good.clone();
     mixed.robot.joints = cup.task.robot().settings.arm.joints.clone();

@@ -349,7 +349,7 @@ pub(crate) struct Tally {
     pub(crate) episodes: usize,
     pub(crate) successes: usize,
     pub(crate) invalid: usize,
-    failures: BTreeMap<FailureMode, usize>,
+    pub(crate) failures: BTreeMap<FailureMode, usize>,
 }
 
 impl Tally {
@@ -360,10 +360,6 @@ impl Tally {
             Outcome::Failure(mode) => *self.failures.entry(*mode).or_default() += 1,
             Outcome::Invalid(_) => self.invalid += 1,
         }
-    }
-
-    pub(crate) fn of(&self, mode: FailureMode) -> usize {
-        self.failures.get(&mode).copied().unwrap_or_default()
     }
 
     pub(crate) fn line(&self) -> String {

@@ -11,7 +11,8 @@ use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Better, DrawSpec, FeatureSpec, Measures, Word};
 use robogate_physics::{Chain, Gripper, GripperUnit, Robot};
 
-use super::{Stage, unit_of};
+use super::Stage;
+use crate::settings::unit_of;
 
 /// Position, then rotation vector of a displacement.
 const TOOL: [(&str, &str, &str); 6] = [
@@ -139,6 +140,21 @@ pub(crate) fn drawn(specs: &[DrawSpec], values: impl IntoIterator<Item = Option<
 /// A feature, whose name ends with its unit.
 pub(crate) const fn feature(name: &'static str, better: Better, meaning: &'static str) -> FeatureSpec {
     FeatureSpec { name, unit: unit_of(name), meaning, better }
+}
+
+/// The features of a task, then those of its gripper.
+pub(crate) const fn joined<const A: usize, const B: usize, const N: usize>(
+    task: &[FeatureSpec; A],
+    gripper: &[FeatureSpec; B],
+) -> [FeatureSpec; N] {
+    let mut all = [const { feature("", Better::Neither, "") }; N];
+    let mut i = 0;
+    while i < N {
+        let FeatureSpec { name, better, meaning, .. } = if i < A { &task[i] } else { &gripper[i - A] };
+        all[i] = feature(name, *better, meaning);
+        i += 1;
+    }
+    all
 }
 
 /// Features of a grasp that every task has.

@@ -32,10 +32,9 @@ pub(crate) use feasibility::{Load, cannot_carry, out_of_reach};
 pub(crate) use film::Film;
 pub(crate) use foresight::{
     GAP_MARGIN, LIP_MARGIN, Memo, OPENING_CLEARANCE, PRESS_MARGIN, Posture, bias_draws, compliance, components, draw,
-    drawn, feature, holding_n, in_hand, log_ratio, tool_draws, within_quarter,
+    drawn, feature, holding_n, in_hand, joined, log_ratio, tool_draws, within_quarter,
 };
 pub(crate) use grip::{Grip, GripChange, is_still, still, touching};
-pub use interface::TOOL_DELTA;
 pub(crate) use interface::{action_spec, observation, observed_vectors};
 pub(crate) use judge::{CLEARANCE_LIMIT_M, Judge};
 pub(crate) use layout::{disc_point, encoder_bias, within_reach};
@@ -43,8 +42,8 @@ pub(crate) use rules::{Bodies, Found, Record, Resolved, Rules, Sight, Trial};
 pub(crate) use script::{FREE, Planner, Script, Stage, carry_yaw, cup_yaw, grasp_height, nearest, tool_down};
 pub use settings::ArmSettings;
 pub(crate) use settings::{HasSettings, OnArm, on_arm, rows};
-pub(crate) use table::{Access, Acting, Around, AroundMut, Needs, Row, Surroundings, Table, Words, scale};
+pub(crate) use table::{Access, Acting, InSurroundings, Needs, Row, Surroundings, Table, Words, scale};
 pub(crate) use task::drives_task;
 pub use task::{ArmDeclaration, ArmTask, Parameters};
 pub(crate) use tool_expert::{FINELY, FREELY, ToolExpert, Way};
-pub(crate) use words::{base_spec, briefing, common_measures, instance, measure, mode, not_a_briefing, unit_of};
+pub(crate) use words::{base_spec, briefing, common_measures, instance, measure, mode, not_a_briefing};

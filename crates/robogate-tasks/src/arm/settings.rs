@@ -68,7 +68,6 @@ pub(crate) fn rows<T: OnArm>(own: impl IntoIterator<Item = SettingRow<T>>) -> Ve
         SettingRow::time_limit(CONTROL_PERIOD_S, |task: &mut T| &mut task.arm_mut().time_limit_s),
         SettingRow {
             name: GRIP_FORCE,
-            unit: "N",
             meaning: "Normal force of each pad of the gripper.",
             field: Field::OfRobot([0.0, 1e4], |task: &mut T| &mut task.arm_mut().grip_force_n),
         },

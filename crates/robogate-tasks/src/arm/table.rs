@@ -7,7 +7,8 @@ use robogate_core::{
 };
 use robogate_physics::{Gripper, GripperUnit, Robot, Visual};
 
-use super::{Found, Parameters, encoder_bias, unit_of};
+use super::{Found, Parameters, encoder_bias};
+use crate::settings::unit_of;
 
 /// One parameter of a task with the settings `S`, whose applied value is interpreted with `C`.
 pub(crate) struct Row<S: 'static, C: 'static = S> {
@@ -53,6 +54,7 @@ pub(crate) struct Words {
 pub(crate) struct Acting<'a, C> {
     /// What interprets the state: which direction a draw has, which part a pose belongs to.
     pub(crate) settings: &'a C,
+    pub(crate) around: &'a Surroundings,
     /// The state from which values are read.
     pub(crate) found: &'a Found<'a>,
     /// Bias of each encoder, in radians.
@@ -111,17 +113,12 @@ impl Surroundings {
     }
 }
 
-/// Something that contains the parameters of arm and light.
-pub(crate) trait Around {
-    fn around(&self) -> &Surroundings;
-}
-
 /// The settings of a task, which contain those of arm and light.
-pub(crate) trait AroundMut: Around {
+pub(crate) trait InSurroundings {
     fn around_mut(&mut self) -> &mut Surroundings;
 }
 
-impl<S: AroundMut + 'static, C: Around + 'static> Row<S, C> {
+impl<S: InSurroundings + 'static, C: 'static> Row<S, C> {
     /// The parameters of every task, after its own ones.
     const COMMON: &'static [Self] = &[
         Self::lighting(),
@@ -147,9 +144,9 @@ impl<S: AroundMut + 'static, C: Around + 'static> Row<S, C> {
             ([0.0, most], 0.0),
             |s, x| s.around_mut().encoder_bias_rad = x,
             |a| {
-                let units = a.settings.around().unit_bias_rad;
+                let units = a.around.unit_bias_rad;
                 let drawn: Vec<f64> = a.bias.iter().zip(units).map(|(bias, unit)| bias - unit).collect();
-                scale(&a.settings.around().encoders, &drawn)
+                scale(&a.around.encoders, &drawn)
             },
         )
         .in_family("encoders")
@@ -164,7 +161,7 @@ impl<S: AroundMut + 'static, C: Around + 'static> Row<S, C> {
             ([-0.1, 0.1], 0.0),
             |s, x| s.around_mut().unit_bias_rad[J] = x,
             |a| {
-                let Surroundings { encoder_bias_rad, encoders, .. } = a.settings.around();
+                let Surroundings { encoder_bias_rad, encoders, .. } = a.around;
                 let drawn = encoders.get(J).map(|fraction| encoder_bias_rad * fraction);
                 a.bias.get(J).zip(drawn).map_or(f64::NAN, |(bias, drawn)| bias - drawn)
             },
@@ -195,9 +192,7 @@ impl<S: AroundMut + 'static, C: Around + 'static> Row<S, C> {
             |s, x| s.around_mut().gripper.pad_friction_scale = x,
             |a| match (a.found.engine.pad_friction, a.found.engine.friction) {
                 // A multiple of no friction cannot be read, and has no effect.
-                (Some(pads), others) if pads.abs() + others.abs() <= 0.0 => {
-                    a.settings.around().gripper.pad_friction_scale
-                }
+                (Some(pads), others) if pads.abs() + others.abs() <= 0.0 => a.around.gripper.pad_friction_scale,
                 (Some(pads), others) => pads / others,
                 (None, _) => f64::NAN,
             },
@@ -261,7 +256,7 @@ const ROUNDING: f64 = 1e-9;
 /// The parameters of a task: its own rows, then those of every task.
 pub(crate) struct Table<S: 'static, C: 'static = S>(pub(crate) &'static [Row<S, C>]);
 
-impl<S: AroundMut + Default + 'static, C: Around + 'static> Table<S, C> {
+impl<S: InSurroundings + Default + 'static, C: 'static> Table<S, C> {
     fn rows(&self) -> impl Iterator<Item = &'static Row<S, C>> {
         self.0.iter().chain(Row::COMMON)
     }
@@ -326,7 +321,7 @@ impl<S: AroundMut + Default + 'static, C: Around + 'static> Table<S, C> {
     }
 }
 
-impl<S: AroundMut + Default, C: Around> Parameters for Table<S, C> {
+impl<S: InSurroundings + Default, C> Parameters for Table<S, C> {
     fn specs(&self, gripper: &Gripper) -> Vec<ParameterSpec> {
         self.rows().filter(|row| row.applies_to(gripper)).map(Row::spec).collect()
     }

@@ -61,19 +61,6 @@ pub(crate) fn common_measures() -> [MeasureSpec; 2] {
     ]
 }
 
-/// The unit with which a name ends; empty without one.
-pub(crate) const fn unit_of(name: &str) -> &'static str {
-    match name.as_bytes() {
-        [.., b'_', b'm', b'_', b's'] => "m/s",
-        [.., b'_', b'm'] => "m",
-        [.., b'_', b's'] => "s",
-        [.., b'_', b'k', b'g'] => "kg",
-        [.., b'_', b'r', b'a', b'd'] => "rad",
-        [.., b'_', b'l', b'u', b'x'] => "lux",
-        _ => "",
-    }
-}
-
 /// A measure.
 pub(crate) fn measure(name: Word, unit: &str, better: Better, meaning: &str) -> MeasureSpec {
     MeasureSpec { name, unit: unit.to_owned(), meaning: meaning.to_owned(), better }

@@ -4,7 +4,7 @@ use nalgebra::Isometry3;
 use robogate_physics::{FixtureKind, Primitive, Readback};
 
 use super::parts;
-use crate::arm::{Acting, Around, AroundMut, Row, Surroundings, Table};
+use crate::arm::{Acting, InSurroundings, Row, Surroundings, Table};
 
 /// The decoded parameters of a scenario, and its draws.
 #[derive(Debug, Clone, Default)]
@@ -27,13 +27,7 @@ pub(super) struct Settings {
     pub(super) tilt: [f64; 2],
 }
 
-impl Around for Settings {
-    fn around(&self) -> &Surroundings {
-        &self.around
-    }
-}
-
-impl AroundMut for Settings {
+impl InSurroundings for Settings {
     fn around_mut(&mut self) -> &mut Surroundings {
         &mut self.around
     }

@@ -143,7 +143,7 @@ impl Referee {
 
 impl Trial for Referee {
     fn applied(&self, requested: &Assignment, found: &Found<'_>, bias: &[f64]) -> Assignment {
-        TABLE.applied(requested, &Acting { settings: &self.settings, found, bias })
+        TABLE.applied(requested, &Acting { settings: &self.settings, around: &self.settings.around, found, bias })
     }
 
     fn at_rest(&self) -> bool {

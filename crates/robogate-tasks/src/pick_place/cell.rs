@@ -3,17 +3,17 @@
 use robogate_core::{Fault, FaultKind, Pose, Scenario};
 use robogate_physics::{Robot, Scene};
 
-use super::scene::{scaled_scene, target};
+use super::scene::{scene, target};
 use super::spec::Briefing;
 use super::{PickPlace, Placement, SceneParameters};
-use crate::arm::{Around, Surroundings, encoder_bias};
+use crate::arm::encoder_bias;
 
 /// Distance around the target that obstacles leave free, and the default tolerance, in metres (paper, section 4.3).
 pub(crate) const TOLERANCE_M: f64 = 0.03;
 
 /// Everything about an episode that is fixed before it starts.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ResolvedCell {
+pub(crate) struct ResolvedCell {
     pub(crate) parameters: SceneParameters,
     /// Scale of the workspace about the robot's base.
     pub(crate) scale: f64,
@@ -35,15 +35,9 @@ pub(crate) struct Told {
     pub(crate) briefing: Briefing,
 }
 
-impl Around for Told {
-    fn around(&self) -> &Surroundings {
-        &self.cell.parameters.around
-    }
-}
-
 impl ResolvedCell {
     /// Resolves the cell of a scenario for this robot under these rules. The result depends only on these inputs.
-    pub fn new(scenario: &Scenario, robot: &Robot, rules: &PickPlace) -> Result<Self, Fault> {
+    pub(crate) fn new(scenario: &Scenario, robot: &Robot, rules: &PickPlace) -> Result<Self, Fault> {
         let setup = |why: String| Fault::new(FaultKind::Setup, why);
         let gripper = &robot.settings.gripper;
         let mut parameters = SceneParameters::from_assignment(&scenario.requested, gripper)?;
@@ -57,7 +51,7 @@ impl ResolvedCell {
         let (sin, cos) = jitter.between(0.0, std::f64::consts::TAU).sin_cos();
         let standing = placement.moved([off * cos, off * sin]);
         let mut obstacles = scenario.seed.stream("obstacles");
-        let scene = scaled_scene(&parameters, &standing, scale, &mut obstacles).map_err(setup)?;
+        let scene = scene(&parameters, &standing, scale, &mut obstacles).map_err(setup)?;
         let [x, y] = target(scale);
         let target = [x, y, 0.5 * parameters.size_m];
         let bias = parameters.around.bias(scenario, robot)?;
@@ -65,13 +59,8 @@ impl ResolvedCell {
         Ok(Self { parameters, scale, placement, scene, target, bias, jitter: [fraction * cos, fraction * sin] })
     }
 
-    /// The scene that an engine loads.
-    pub fn scene(&self) -> &Scene {
-        &self.scene
-    }
-
     /// The briefing that the policy receives.
-    pub fn briefing(&self) -> Briefing {
+    pub(crate) fn briefing(&self) -> Briefing {
         let size = self.parameters.size_m;
         Briefing {
             shape: self.parameters.shape.as_str().to_owned(),

@@ -23,7 +23,7 @@ const CUP: [Claim; 4] = [
 const ANY: [Claim; 3] = [
     Claim::new("position_jitter", 140, position_jitter),
     Claim::new("easy_region", 700, |ground, episodes| claims::easy_region(ground, episodes, easy)),
-    Claim::new("joint_limits", 70, |ground, episodes| claims::joint_limits(ground, episodes, nominal)),
+    Claim::new("joint_limits", 70, |ground, episodes| claims::joint_limits(ground, episodes, easy)),
 ];
 
 /// The claims for a robot with this gripper.
@@ -105,11 +105,6 @@ fn easy(gripper: &Gripper, index: u64) -> Assignment {
     let values = numbers(ranges.map(|(name, [low, high])| (name, stream.between(low, high))));
     let index = index as usize;
     with(values, shapes[index % shapes.len()], placement(index / shapes.len()))
-}
-
-fn nominal(_: &Gripper, index: u64) -> Assignment {
-    let values = numbers([("friction", 0.8), ("mass_kg", 0.2), ("size_m", 0.05)]);
-    with(values, Shape::ALL[index as usize % 5], placement(index as usize))
 }
 
 /// A round object neither rotates nor creeps out of the pads. Its centre stays within 4 mm of its first position in the
@@ -198,7 +193,7 @@ fn surface_keeps(ground: &Ground<'_>, episodes: usize) -> Result<ClaimResult, St
     let mut setup = ground.setup();
     setup.settings.set("suction", word(SuctionLaw::Surface));
     let tally = ground.sampled(&setup, episodes)?;
-    let holds = tally.invalid == 0 && tally.successes > 0 && tally.of(GRIP_LOSS) == 0;
+    let holds = tally.invalid == 0 && tally.successes > 0 && !tally.failures.contains_key(&GRIP_LOSS);
     Ok(ClaimResult::new("a surface gripper never reports grip_loss", holds, vec![tally.line()]))
 }
 

@@ -117,7 +117,7 @@ static CUP: [FeatureSpec; 9] = [
 ];
 
 /// The knowledge about episodes of pick and place on one robot.
-pub struct PickPlaceForesight {
+pub(super) struct PickPlaceForesight {
     robot: Robot,
     rules: PickPlace,
     chain: Chain,

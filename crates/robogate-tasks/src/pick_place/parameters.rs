@@ -3,12 +3,12 @@
 use std::f64::consts::PI;
 
 use robogate_core::Assignment;
-use robogate_physics::{Color, Gripper, Object, TableMaterial, Visual};
+use robogate_physics::{Color, Gripper, TableMaterial, Visual};
 
 use super::cell::Told;
 use super::scene::OBSTACLE_GAP;
 use super::{Disturbance, Placement, Shape, readback};
-use crate::arm::{Access, Around, AroundMut, Needs, Row, Surroundings, Table, Words};
+use crate::arm::{Access, InSurroundings, Needs, Row, Surroundings, Table, Words};
 
 /// The largest number of obstacles.
 pub(super) const MOST_OBSTACLES: usize = 12;
@@ -73,11 +73,6 @@ impl SceneParameters {
         self.friction * self.around.gripper.pad_friction_scale
     }
 
-    /// The object described by these parameters.
-    pub fn object(&self) -> Object {
-        self.shape.object(self.size_m, self.mass_kg, self.com_offset)
-    }
-
     /// The appearance of the scene.
     pub(crate) fn visual(&self) -> Visual {
         let Visual { table_material, background_color, object_color, object_transparency, .. } = self.looks;
@@ -85,13 +80,7 @@ impl SceneParameters {
     }
 }
 
-impl Around for SceneParameters {
-    fn around(&self) -> &Surroundings {
-        &self.around
-    }
-}
-
-impl AroundMut for SceneParameters {
+impl InSurroundings for SceneParameters {
     fn around_mut(&mut self) -> &mut Surroundings {
         &mut self.around
     }

@@ -209,7 +209,7 @@ mod tests {
         let grip_force_scale = Some(cell.scene.gripper.force_scale);
         let found = Found { engine: &engine, visual: &visual, grip_threshold_m, grip_force_scale };
         let (bias, told) = (cell.bias.clone(), Told { cell, briefing });
-        let acting = Acting { settings: &told, found: &found, bias: &bias };
+        let acting = Acting { settings: &told, around: &told.cell.parameters.around, found: &found, bias: &bias };
         check_applied(&scenario.requested, &TABLE.applied(&scenario.requested, &acting))
     }
 

@@ -215,7 +215,10 @@ impl Referee {
 
 impl Trial for Referee {
     fn applied(&self, requested: &Assignment, found: &Found<'_>, bias: &[f64]) -> Assignment {
-        TABLE.applied(requested, &Acting { settings: &self.told, found, bias })
+        TABLE.applied(
+            requested,
+            &Acting { settings: &self.told, around: &self.told.cell.parameters.around, found, bias },
+        )
     }
 
     fn observe(&mut self, sight: &Sight<'_>) {

@@ -7,7 +7,6 @@ use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
 use super::{ModeSet, PickPlace, foresight};
-pub use crate::arm::TOOL_DELTA;
 use crate::arm::{base_spec, briefing, common_measures, instance, measure, mode};
 
 /// The gripper closed without the object.

@@ -8,10 +8,11 @@ use robogate_core::{
 use robogate_physics::{Chain, Gripper, Robot, SuctionLaw};
 
 use super::cell::{ResolvedCell, Told};
+use super::foresight::PickPlaceForesight;
 use super::parameters::TABLE;
 use super::referee::Referee;
 use super::spec::{Briefing, spec};
-use super::{NAME, PickPlace, PickPlaceForesight, SUMMARY, Scripted, claims, default_space, feasibility, scripted};
+use super::{NAME, PickPlace, Scripted, claims, feasibility, scripted};
 use crate::arm::claims::Claim;
 use crate::arm::{ArmDeclaration, Parameters, Resolved, Rules, ToolExpert};
 
@@ -21,11 +22,11 @@ impl ArmDeclaration for PickPlace {
     }
 
     fn summary(&self) -> &'static str {
-        SUMMARY
+        "pick a part from a table with a robot arm and place it at a target"
     }
 
     fn space(&self, gripper: &Gripper) -> &'static str {
-        default_space(gripper)
+        if gripper.cup().is_some() { "ur" } else { "franka" }
     }
 
     fn suite(&self) -> &'static str {

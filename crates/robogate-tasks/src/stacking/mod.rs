@@ -41,14 +41,12 @@ impl HasSettings for Stacking {
         rows([
             SettingRow::number(
                 "tolerance_m",
-                "m",
                 "Largest horizontal distance of a part from its place on the part below.",
                 [1e-4, 0.05],
                 |task: &mut Self| &mut task.tolerance_m,
             ),
             SettingRow::number(
                 "tilt_limit_rad",
-                "rad",
                 "A part of the stack has toppled beyond this angle.",
                 [0.01, 1.5],
                 |task| &mut task.tilt_limit_rad,

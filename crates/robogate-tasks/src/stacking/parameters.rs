@@ -2,7 +2,7 @@
 
 use robogate_physics::{GRAVITY, Readback};
 
-use crate::arm::{Access, Acting, Around, AroundMut, Row, Surroundings, Table, Words, scale};
+use crate::arm::{Access, Acting, InSurroundings, Row, Surroundings, Table, Words, scale};
 
 /// The orders in which the parts can be stacked, from the bottom up.
 pub(super) const ORDERS: [&str; 6] = ["abc", "acb", "bac", "bca", "cab", "cba"];
@@ -32,13 +32,7 @@ pub(super) struct Settings {
     pub(super) turn: [f64; 3],
 }
 
-impl Around for Settings {
-    fn around(&self) -> &Surroundings {
-        &self.around
-    }
-}
-
-impl AroundMut for Settings {
+impl InSurroundings for Settings {
     fn around_mut(&mut self) -> &mut Surroundings {
         &mut self.around
     }

@@ -192,7 +192,7 @@ fn tilt(part: &Isometry3<f64>) -> f64 {
 
 impl Trial for Referee {
     fn applied(&self, requested: &Assignment, found: &Found<'_>, bias: &[f64]) -> Assignment {
-        TABLE.applied(requested, &Acting { settings: &self.settings, found, bias })
+        TABLE.applied(requested, &Acting { settings: &self.settings, around: &self.settings.around, found, bias })
     }
 
     fn select(&mut self, command: GripperCommand, tcp: &Isometry3<f64>, bodies: &dyn Bodies) -> Option<usize> {

@@ -47,15 +47,6 @@ pub struct RemoteArm {
     last: Option<(Seen, Posture)>,
 }
 
-/// The command of a control period.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RemoteCommand {
-    /// Joint positions (rad) to which the engine must drive the arm.
-    pub joints: Vec<f64>,
-    /// The object that the gripper acts on from now on. `None` keeps the present one.
-    pub object: Option<usize>,
-}
-
 impl RemoteArm {
     /// The task on this robot with the file hash `sha256`, with images of this width and height in pixels.
     ///
@@ -151,19 +142,20 @@ impl RemoteArm {
         let own = &self.judge.robot().settings.arm.stiffness_nm_rad;
         let engine = held.read(own);
         let found = Found { engine: &engine, visual: &visual, grip_threshold_m, grip_force_scale };
-        let start = self.judge.start(&scenario, resolved, &found, seen.touches(), arm_state(observation))?;
+        let start = self.judge.start(&scenario, resolved, &found, &seen.touches, arm_state(observation))?;
         self.see(seen, observation);
         Ok(start)
     }
 
-    /// The command of the next control period for this action.
+    /// The command of the next control period for this action: joint positions (rad) to which the engine must drive the arm,
+    /// and the object that the gripper acts on from now on. `None` keeps the present one.
     ///
     /// # Errors
     /// If no episode is running, or the action cannot be carried out.
-    pub fn command(&mut self, action: &Action) -> Result<RemoteCommand, Fault> {
+    pub fn command(&mut self, action: &Action) -> Result<(Vec<f64>, Option<usize>), Fault> {
         let joints = self.judge.command(action)?;
         let object = self.last.as_ref().and_then(|(seen, _)| self.judge.select(&seen.tcp, seen));
-        Ok(RemoteCommand { joints, object })
+        Ok((joints, object))
     }
 
     /// Scores a control period from the reports of its time steps.

@@ -106,23 +106,22 @@ pub struct RemotePeriod {
     pub clearance_m: Option<f64>,
 }
 
+/// Linear (m/s) and angular (rad/s) velocity.
+type Velocity = (Vector3<f64>, Vector3<f64>);
+
 /// The state of the physics after a time step, from a checked report.
 pub(super) struct Seen {
     fraction: f64,
     gripper: GripperState,
     object: usize,
-    touches: Touches,
+    pub(super) touches: Touches,
     support_n: Vector3<f64>,
-    pub(super) objects: Vec<(Isometry3<f64>, (Vector3<f64>, Vector3<f64>))>,
+    pub(super) objects: Vec<(Isometry3<f64>, Velocity)>,
     pub(super) tcp: Isometry3<f64>,
     pub(super) cup_travel_m: f64,
 }
 
 impl Seen {
-    pub(super) fn touches(&self) -> &Touches {
-        &self.touches
-    }
-
     pub(super) fn view(&self) -> StepView<'_> {
         let Self { fraction, gripper, object, touches, tcp, .. } = self;
         let (pose, velocity) = self.objects[*object];
@@ -135,7 +134,7 @@ impl Bodies for Seen {
         self.objects[body].0
     }
 
-    fn velocity(&self, body: usize) -> (Vector3<f64>, Vector3<f64>) {
+    fn velocity(&self, body: usize) -> Velocity {
         self.objects[body].1
     }
 
