@@ -146,7 +146,8 @@ fn serve(row: &Row) {
             let task = if name == "physics" { run.clone() } else { run.replace(&format!("TASK --robot {robot} "), "") };
             row.verb(&format!("{task} --simulator {address} --out {run_name}"), &[]);
             assert_eq!(row.rows(&run_name), local, "{run_name}");
-            row.verb(&format!("check bridge {address}"), &["pass"]);
+            let cell = if name == "physics" { format!(" TASK --robot {robot}") } else { String::new() };
+            row.verb(&format!("check bridge {address}{cell}"), &["pass"]);
         }
     }
 }
