@@ -21,6 +21,7 @@ mod loaded_policy;
 mod lost_episodes;
 mod notice;
 mod origin;
+mod pictures;
 mod policy_source;
 mod registry;
 mod remote;
@@ -44,6 +45,7 @@ pub use loaded_policy::LoadedPolicy;
 pub use lost_episodes::{Outage, RunsLostAgain};
 pub use notice::TARGET as NOTICES;
 pub use origin::{Origin, is_remote, register, register_copy};
+pub use pictures::picture_problems;
 pub use policy_source::{
     ExternalSource, PolicyAccess, PolicyChoice, PolicyLocation, PolicySource, connect, mapped, policy_error, profile,
     task_map, without_profile,
