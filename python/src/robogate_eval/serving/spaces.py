@@ -71,7 +71,7 @@ class Observations:
             if length > 4096:
                 why = (
                     f"the {which} is an image of numbers, such as depth (shape {space.shape}). Only policies in the process of the environment see it"
-                    if space.dtype.kind == "f" and len(space.shape) in (2, 3) and min(space.shape[:2]) > 8
+                    if path and space.dtype.kind == "f" and len(space.shape) in (2, 3) and min(space.shape[:2]) > 8
                     else f"the {which} has {length} numbers (shape {space.shape}). Expected at most 4096, or an image: bytes of the shape height x "
                     "width x 3. Hint: a gymnasium.ObservationWrapper can change it"
                 )
