@@ -16,6 +16,7 @@ use super::rest::{Api, RestServer};
 use super::roboarena::RoboArena;
 use super::starvla::StarVla;
 use super::vla_eval::VlaEval;
+use super::xpolicylab::XPolicyLab;
 
 /// A connection to a policy. It must not be used again after an error.
 pub(crate) trait Connection: Send {
@@ -71,6 +72,9 @@ pub(crate) fn connect_with(
         }
         Dialect::Onnx {} => load_network(url, profile, deadline),
         Dialect::StarVla { unnorm_key } => StarVla::connect(url, unnorm_key.clone(), access, deadline).map(boxed),
+        Dialect::XPolicyLab { action_keys } => {
+            XPolicyLab::connect(url, action_keys.clone(), access, deadline).map(boxed)
+        }
         Dialect::VlaEval {} => VlaEval::connect(url, expected, access, deadline).map(boxed),
     };
     // A server listens but does not use this dialect: identify its dialect for the error message.

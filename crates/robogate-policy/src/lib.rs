@@ -49,6 +49,7 @@ mod tests;
 mod tls;
 mod vla_eval;
 mod websocket;
+mod xpolicylab;
 
 pub use access::Access;
 pub use array::{Array, Dtype, InvalidArray};

@@ -229,6 +229,8 @@ mod tests {
         assert_eq!(libero.rows()[0][..3], [0.0, 0.01, 0.02]);
         let droid = decode(&Capture::read(FOLDER, "s2c_03_action_droid_10x8.bin").bytes).unwrap();
         assert_eq!((droid.rows().len(), droid.rows()[0].len()), (10, 8));
+        let aloha = decode(&Capture::read(FOLDER, "s2c_05_action_aloha_50x14.bin").bytes).unwrap();
+        assert_eq!((aloha.rows().len(), aloha.rows()[0].len()), (50, 14));
     }
 
     #[test]

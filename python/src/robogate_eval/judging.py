@@ -43,8 +43,8 @@ def run(env: Any, policy: Any = None, *, episodes: int | None = None, out: "str 
     - None for the environment's own policy.
 
     A function or a model runs in this process, one episode at a time. Anything else runs in processes of the command, one for each
-    core or for each of `threads`. Further `options` are those of `robogate run`: `seed=7` is `--seed 7`, and `fixed=True` is
-    `--fixed`.
+    core or for each of `threads`. Further `options` are those of `robogate run`: `seed=7` is `--seed 7`, and `twins=True` is
+    `--twins`.
 
     Raises:
         CommandError: There is no result.

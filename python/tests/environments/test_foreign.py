@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import random
 import select
 import subprocess
 import sys
@@ -9,17 +10,18 @@ import tempfile
 import types
 import unittest
 from pathlib import Path
+from unittest import mock
 
 import gymnasium
 import mujoco
 import numpy as np
 from robogate_bridge import Action, Problem, Scenario, declaration
 from robogate_eval.environments import UnknownEnvironment, find
-from robogate_eval.serving import Knob, Policy, Task
+from robogate_eval.serving import Knob, Policy, Task, rendering
 from robogate_eval.serving.adapter import Adapter
 from robogate_eval.serving.environment import DeclarationError, Environment
 from robogate_eval.serving.knobs import parameter_name
-from robogate_eval.serving.spaces import actions_of
+from robogate_eval.serving.spaces import Observations, actions_of
 from sliding_box import XML, SlidingBox
 
 
@@ -198,6 +200,23 @@ class Spaces(unittest.TestCase):
         self.assertEqual({name: len(numbers) for name, numbers in vectors.items()}, {"0.box": 3, "0.pusher.x": 1, "1": 2})
         self.assertEqual(vectors["1"], [1.0, 2.0])
 
+    def test_newest_of_stacked_frames_is_a_camera(self):
+        frames = np.arange(4 * 5 * 6 * 3, dtype=np.uint8).reshape(4, 5, 6, 3)
+        space = gymnasium.spaces.Dict({
+            "front": gymnasium.spaces.Box(0, 255, (4, 5, 6, 3), np.uint8),
+            "depth": gymnasium.spaces.Box(0.0, 10.0, (120, 160, 1), np.float32),
+            "state": gymnasium.spaces.Box(-1.0, 1.0, (2,)),
+        })  # fmt: skip
+        seen = Observations(space)
+        observation = {"front": frames, "depth": np.zeros((120, 160, 1), np.float32), "state": np.zeros(2)}
+        seen.check(observation)
+        np.testing.assert_array_equal(seen.image(observation, "front"), frames[-1])
+        self.assertEqual(seen.images["front"][1:], (5, 6))
+        self.assertEqual(list(seen.vectors), ["state"])
+        why = dict(seen.skipped)
+        self.assertIn("only the newest of 4 frames", why["front"])
+        self.assertIn("an image of numbers, such as depth (shape (120, 160, 1))", why["depth"])
+
     def test_parts_with_one_name_are_refused(self):
         class Twice(SlidingBox):
             observation_space = gymnasium.spaces.Dict({"a b": gymnasium.spaces.Discrete(2), "a-b": gymnasium.spaces.Discrete(2)})
@@ -365,6 +384,25 @@ class History(unittest.TestCase):
 
         self.assertTrue(adapter(Keeps).deterministic)
 
+    def test_shared_generators_follow_from_the_seed(self):
+        class Shared(SlidingBox):
+            observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (2,))
+
+            def reset(self, seed=None, options=None):
+                super().reset(seed=seed)
+                return self._get_obs(), {}
+
+            def _get_obs(self):
+                return np.array([np.random.uniform(), random.random()])
+
+        def start(index, found):
+            return found.reset(Scenario(index, 1, {}))["observation"]["vectors"]["observation"]
+
+        first, other = adapter(Shared, knobs=()), adapter(Shared, knobs=())
+        wanted = [start(index, first) for index in (1, 2)]
+        self.assertEqual([start(index, other) for index in (2, 1)], wanted[::-1])
+        self.assertNotEqual(*wanted)
+
     def test_chance_of_its_own_does_not_repeat(self):
         class Chance(SlidingBox):
             def reset(self, seed=None, options=None):
@@ -481,6 +519,14 @@ class Plane(gymnasium.Env):
 
 
 class Pictures(unittest.TestCase):
+    def test_buffer_grows_to_the_picture(self):
+        model = mujoco.MjModel.from_xml_string(XML)
+        model.vis.global_.offwidth, model.vis.global_.offheight = 64, 480
+        with mock.patch.object(mujoco, "Renderer") as made, mock.patch.dict(os.environ, {"MUJOCO_GL": "disabled"}):
+            rendering.renderer(model, 240, 320)
+        made.assert_called_once_with(model, 240, 320)
+        self.assertEqual((model.vis.global_.offwidth, model.vis.global_.offheight), (320, 480))
+
     def test_an_environment_made_for_images_has_a_camera(self):
         task = Task(name="plane", control_period_s=0.1)
         found = adapter(lambda: Plane("rgb_array"), task=task)

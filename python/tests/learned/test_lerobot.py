@@ -3,7 +3,11 @@
 Needs a Python with lerobot, gym-pusht, pyzmq and msgpack. A small ACT is trained here in seconds.
 """
 
+import csv
 import importlib.util
+import os
+import subprocess
+import sys
 import tempfile
 import unittest
 from pathlib import Path
@@ -14,7 +18,7 @@ if not MISSING:
     import numpy as np
     import torch
     from robogate_bridge import Action, Problem, Scenario, declaration
-    from robogate_eval import policies
+    from robogate_eval import judging, policies
     from robogate_eval.environments import UnknownEnvironment, find, with_policy
     from robogate_eval.lerobot.policy import load, version
     from robogate_eval.serving.adapter import Adapter, _seed
@@ -130,6 +134,33 @@ class LeRobot(unittest.TestCase):
               pretrained_backbone_weights=None, spatial_softmax_num_keypoints=4)  # fmt: skip
         # It samples its actions: the seed of the episode is that of the noise.
         self.assert_equal_episodes(PIXELS, folder)
+
+    @unittest.skipUnless(os.environ.get("ROBOGATE_COMMAND"), "ROBOGATE_COMMAND names no command")
+    def test_command_and_function_agree_with_lerobot(self):
+        """The command loads the checkpoint itself; the function is given the policy."""
+
+        def rows(name, *options):
+            out = Path(self.place.name) / name
+            command = [os.environ["ROBOGATE_COMMAND"], "run", "--out", str(out), "-n", str(2 * EPISODES), "--seed", "1", "--threads", "1", *options]
+            subprocess.run(command, check=True, capture_output=True)
+            table = out.with_suffix(".csv")
+            subprocess.run([command[0], "export", str(out), str(table)], check=True, capture_output=True)
+            with open(table, newline="", encoding="utf-8") as file:
+                return {int(row["index"]): row for row in csv.DictReader(file)}
+
+        loaded = rows("loaded", "--env", ENVIRONMENT, "--policy", f"lerobot:{self.folder}", "--python", sys.executable)
+        policy = policies.load(f"lerobot:{self.folder}")
+        with judging._served(ENVIRONMENT, policy) as (address, chosen):
+            given = rows("given", "--simulator", address, "--policy", chosen)
+        compared, config = 0, self.environment.make().lerobot_config
+        for index, row in loaded.items():
+            for column in ("outcome", "cycle_time_s", "trajectory_hash", "action_delay"):
+                self.assertEqual(row[column], given[index][column], f"episode {index}, {column}")
+            if float(row["action_delay"]) == 0.0:
+                actions, success = of_lerobot(config, self.folder, index)
+                self.assertEqual((round(float(row["cycle_time_s"]) * config.fps), row["outcome"] == "success"), (len(actions), success), f"episode {index}")
+                compared += 1
+        self.assertGreater(compared, 1)
 
     def test_version_follows_from_the_files(self):
         before = version(self.folder)

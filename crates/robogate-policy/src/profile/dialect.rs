@@ -56,6 +56,12 @@ pub enum Dialect {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         unnorm_key: Option<String>,
     },
+    /// XPolicyLab's `client_server/ws`: WebSocket, frames of msgpack.
+    #[serde(rename = "xpolicylab")]
+    XPolicyLab {
+        /// Parts that make up an action, in the order of its numbers, for example `left_arm_joint_state`.
+        action_keys: Vec<String>,
+    },
     /// A network in an ONNX file instead of a server. Keys are the names of its inputs.
     #[serde(rename = "onnx")]
     Onnx {},
@@ -103,6 +109,7 @@ impl Dialect {
             Self::VlaEval {} => "vla-eval",
             Self::LeRobot(_) => "lerobot",
             Self::StarVla { .. } => "starvla",
+            Self::XPolicyLab { .. } => "xpolicylab",
             Self::Onnx {} => "onnx",
         }
     }
@@ -118,7 +125,11 @@ impl Dialect {
     /// Prefix of the address of a policy with this dialect.
     pub(crate) fn scheme(&self) -> &'static str {
         match self {
-            Self::Openpi { .. } | Self::RoboArena {} | Self::VlaEval {} | Self::StarVla { .. } => "ws://",
+            Self::Openpi { .. }
+            | Self::RoboArena {}
+            | Self::VlaEval {}
+            | Self::StarVla { .. }
+            | Self::XPolicyLab { .. } => "ws://",
             Self::Gr00tN15(_) | Self::Gr00tN16(_) => "tcp://",
             Self::Gr00tN15Http(_) | Self::OpenVla { .. } | Self::OpenVlaOft {} | Self::Rest { .. } => "http://",
             Self::LeRobot(_) => "grpc://",
@@ -143,7 +154,8 @@ impl Dialect {
 
     /// Whether the server has one state for all clients. Only one client may then use it.
     pub fn one_at_a_time(&self) -> bool {
-        // Octo's server keeps the last images and the instruction until /reset. LeRobot's server has global state.
-        matches!(self, Self::Rest { .. } | Self::LeRobot(_))
+        // Octo's server keeps the last images and the instruction until /reset. LeRobot's server has global state, and XPolicyLab's
+        // has one model that all clients reset.
+        matches!(self, Self::Rest { .. } | Self::LeRobot(_) | Self::XPolicyLab { .. })
     }
 }

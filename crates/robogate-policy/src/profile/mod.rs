@@ -108,6 +108,7 @@ const BUILT_IN: &[(&str, &str)] = &[
     ("starvla-server-libero", include_str!("../profiles/starvla-server-libero.toml")),
     ("pi0-aloha-sim", include_str!("../profiles/pi0-aloha-sim.toml")),
     ("pi05-aloha", include_str!("../profiles/pi05-aloha.toml")),
+    ("xpolicylab-dual-arm", include_str!("../profiles/xpolicylab-dual-arm.toml")),
     ("x-vla-libero", include_str!("../profiles/x-vla-libero.toml")),
     ("smolvla-base", include_str!("../profiles/smolvla-base.toml")),
     ("learned", include_str!("../profiles/learned.toml")),

@@ -26,7 +26,7 @@ use crate::checkpoint_statistics::CheckpointStatistics;
 use crate::environment_choice::EnvironmentChoice;
 use crate::failure::{Failure, OrFailure};
 use crate::latency::{LatencyChoice, without_latency};
-use crate::notice::note;
+use crate::notice::{note, warning};
 use crate::origin;
 use crate::policy_source::{PolicyChoice, PolicyLocation, PolicySource};
 use crate::registry::CELL_TASK;
@@ -79,7 +79,21 @@ impl Subject {
                 anyhow!("the policy {} cannot drive this environment: {why}{}", subject.policy_name(), subject.hint())
             })
             .or_request()?;
+        subject.note_missing_instruction();
         Ok(subject)
+    }
+
+    /// Warns if a model that understands language is told the name of the task, because the environment has no instruction.
+    fn note_missing_instruction(&self) {
+        let profile = self.policy.as_ref().and_then(PolicySource::profile);
+        let told = self.task.instruction.trim();
+        let listens = profile.is_some_and(|profile| profile.dialect.uses_language() && profile.instruction.is_none());
+        if listens && (told.is_empty() || told == self.task.name.as_str()) {
+            warning(format_args!(
+                "the environment has no instruction, so the policy is told `{told}`. Set `instruction` in a copy of the profile, or \
+                 in the Task of the environment"
+            ));
+        }
     }
 
     /// The subject of these choices.

@@ -10,7 +10,7 @@ use robogate_policy::{Profile, RandomModel, TaskMap, ThroughProfile, Unmapped, c
 
 use crate::exit::{Exit, OrExit};
 use crate::terminal::note;
-use robogate_session::{EnvironmentSource, Subject, mapped, repeats};
+use robogate_session::{EnvironmentSource, Subject, mapped, picture_problems, repeats};
 
 /// The default number of episodes of each control.
 pub(crate) const EPISODES: u32 = 5;
@@ -58,6 +58,14 @@ fn of_profile(subject: &Subject, suite: &Suite, episodes: u32, seed: u64) -> Res
     }
     let source = subject.environment_source();
     let scenarios = scenarios(source, suite, episodes, seed);
+    if let (EnvironmentSource::Remote(_), Some(scenario), false) = (source, scenarios.first(), profile.cameras.is_empty()) {
+        let mut environment = source.environment_for(profile, map.map(|map| &**map)).or_usage()?;
+        let problems = picture_problems(&mut *environment, scenario).or_broken()?;
+        if let Some(problem) = problems.first() {
+            return Err(anyhow!("{problem}\nHint: `robogate policy check` with the same options shows what the policy receives"))
+                .or_usage();
+        }
+    }
     note(format_args!("controls of the profile {}: {episodes} episodes each", profile.name));
     let expert = || source.expert(profile.action.arm).or_broken();
     let Some(worker) = expert()? else {

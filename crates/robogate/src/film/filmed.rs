@@ -77,7 +77,8 @@ impl<'a> Filmed<'a> {
 
     /// Films the state at a time, if an image of it is due.
     fn expose(&mut self, time_s: f64, ended: bool) {
-        if self.trouble.is_some() {
+        // A server without cameras ends the episode when it is asked for images.
+        if self.trouble.is_some() || self.wanted.is_empty() {
             return;
         }
         if let Some(due) = &mut self.due {

@@ -198,6 +198,23 @@ fn episodes_that_do_not_repeat_are_named() {
     bench.example("reach.py", &[]);
     let text = bench.robogate("gate --env reach.py --rounds 1 --fixed --out same", 1, &["repeating 3 episodes"]);
     assert!(!text.contains("Repetition"), "{text}");
+    // It has no cameras: the page shows the episodes by their signals.
+    let page = fs::read_to_string(bench.at("same/report.html")).unwrap();
+    assert!(!page.contains("is not shown"), "an episode is missing");
+}
+
+/// The first episodes fail in the same way. A script is warned and goes on.
+#[test]
+fn hopeless_run_is_named() {
+    let Some(bench) = Bench::new() else { return };
+    bench.example("far.py", &[("np.clip(3.0 * (o[4:] - o[:2]) - 1.5 * o[2:4], -1.0, 1.0)", "99.0 * np.ones(2)")]);
+    let clipped = "the first 20 episodes have no success, and 100.0 % of the actions were outside of their range";
+    bench.robogate("run --env far.py -n 30 --threads 2 --out far", 0, &["warning: ", clipped]);
+    let text = bench.robogate("run --env far.py -n 30 --threads 2 --continue --out on", 0, &[]);
+    assert!(!text.contains(clipped), "{text}");
+    assert!(bench.rows("far") == bench.rows("on"), "rows depend on the warning");
+    bench.robogate("run --env far.py -n 30 --policy sb3:none.zip", 2, &["--policy sb3:none.zip", "No such file"]);
+    bench.robogate("run --env far.py -n 30 --policy lerobot:.", 2, &["not a checkpoint of LeRobot"]);
 }
 
 /// Most scenarios break the environment. The gate stops as soon as no result of the other rounds could pass.

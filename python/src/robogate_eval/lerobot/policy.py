@@ -16,17 +16,25 @@ PREFIXES = ("observation.images.", "observation.")
 KEYS = {"pixels", "agent_pos", "environment_state", "robot_state"}
 
 
+def checkpoint(path: "str | os.PathLike[str]") -> Path:
+    """The folder of a checkpoint: this one, or the last one of the training whose output folder this is.
+
+    Raises:
+        ValueError: The folder has no checkpoint.
+    """
+    for inner in ("", "pretrained_model", "checkpoints/last/pretrained_model"):
+        if (Path(path) / inner / "config.json").is_file():
+            return Path(path) / inner
+    raise ValueError(f"{path}: not a checkpoint of LeRobot. Expected a folder with config.json, such as .../pretrained_model")
+
+
 def load(path: "str | os.PathLike[str]") -> Any:
     """Load the policy of a checkpoint folder. Its configuration can name any Python class: load only folders that you trust.
 
     Raises:
         ValueError: The folder has no checkpoint.
     """
-    folder = Path(path)
-    if not (folder / "config.json").is_file() and (folder / "pretrained_model").is_dir():
-        folder = folder / "pretrained_model"
-    if not (folder / "config.json").is_file():
-        raise ValueError(f"{folder}: not a checkpoint of LeRobot. Expected a folder with config.json, such as .../pretrained_model")
+    folder = checkpoint(path)
     import lerobot.policies  # registers the configurations of all policies
     from lerobot.configs.policies import PreTrainedConfig
     from lerobot.policies.factory import get_policy_class
@@ -38,10 +46,10 @@ def load(path: "str | os.PathLike[str]") -> Any:
 
 
 def version(path: "str | os.PathLike[str]") -> str:
-    """The SHA-256 of the files of a checkpoint folder: their names and contents."""
-    digest = hashlib.sha256()
-    for file in sorted(file for file in Path(path).rglob("*") if file.is_file()):
-        digest.update(f"{file.relative_to(path)}\0{file.stat().st_size}\0".encode())
+    """The SHA-256 of the files of a checkpoint: their names and contents."""
+    folder, digest = checkpoint(path), hashlib.sha256()
+    for file in sorted(file for file in folder.rglob("*") if file.is_file()):
+        digest.update(f"{file.relative_to(folder)}\0{file.stat().st_size}\0".encode())
         with open(file, "rb") as opened:
             while part := opened.read(1 << 20):
                 digest.update(part)

@@ -37,6 +37,9 @@ def renderer(model: Any, height: int, width: int) -> Any:
 
         # The module from which the renderer takes it has another place in MuJoCo 4.
         sys.modules[mujoco.Renderer.__module__].gl_context.GLContext = GLContext
+    # A picture that is larger than the buffer of the model would be refused, or grey where there is no buffer.
+    buffer = model.vis.global_
+    buffer.offwidth, buffer.offheight = max(buffer.offwidth, width), max(buffer.offheight, height)
     return mujoco.Renderer(model, height, width)
 
 

@@ -22,7 +22,7 @@ class Observations:
 
     A Box of numbers becomes a vector: `observation`, the key of a Dict, or the position in a Tuple (those of nested spaces are joined
     by `.`). A Box of bytes of the shape height x width x channels or channels x height x width becomes a camera: with three channels,
-    one (grey) or four (the last is not used). Discrete, MultiDiscrete and MultiBinary become vectors too. Other parts of a Dict or a
+    one (grey) or four (the last is not used), and stacked frames, of which the newest counts. Discrete, MultiDiscrete and MultiBinary become vectors too. Other parts of a Dict or a
     Tuple are skipped: the policy of a server does not receive them.
     """
 
@@ -42,7 +42,11 @@ class Observations:
         self.single = list(self.vectors.values()) == [((), self.vectors["observation"][1])] if "observation" in self.vectors else False
         self._plain = (self.vectors["observation"][1],) if self.single else None
 
-    def _add(self, space: spaces.Space, path: tuple[str | int, ...]) -> None:
+    @staticmethod
+    def _is_image(shape: tuple[int, ...]) -> bool:
+        return shape[2] in CHANNELS or shape[0] in CHANNELS
+
+    def _add(self, space: spaces.Space, path: tuple[str | int, ...], newest: bool = False) -> None:
         name = task_name(".".join(map(str, path))) if path else "observation"
         which = f"observation {name}" if path else "observation"
         if name in self.vectors or name in self.images:
@@ -54,15 +58,21 @@ class Observations:
             for position, inner in enumerate(space.spaces):
                 self._add(inner, (*path, position))
         elif isinstance(space, spaces.Box) and space.dtype == np.uint8 and len(space.shape) == 3 and space.shape[2] in CHANNELS:
-            self.images[name] = (path, space.shape[0], space.shape[1])
+            self.images[name] = ((*path, -1) if newest else path, space.shape[0], space.shape[1])
         elif isinstance(space, spaces.Box) and space.dtype == np.uint8 and len(space.shape) == 3 and space.shape[0] in CHANNELS:
-            self.images[name] = (path, space.shape[1], space.shape[2])
+            self.images[name] = ((*path, -1) if newest else path, space.shape[1], space.shape[2])
             self._channels_first.add(name)
+        elif isinstance(space, spaces.Box) and space.dtype == np.uint8 and len(space.shape) == 4 and self._is_image(space.shape[1:]):
+            # Frames of several moments, the newest last.
+            self._add(spaces.Box(0, 255, space.shape[1:], np.uint8), path, newest=True)
+            self.skipped.append((name, f"only the newest of {space.shape[0]} frames is a camera. `history` in a profile asks for earlier ones"))
         elif isinstance(space, (spaces.Box, spaces.MultiBinary, spaces.MultiDiscrete, spaces.Discrete)):
             length = int(np.prod(space.shape)) if space.shape else 1
             if length > 4096:
                 why = (
-                    f"the {which} has {length} numbers (shape {space.shape}). Expected at most 4096, or an image: bytes of the shape height x "
+                    f"the {which} is an image of numbers, such as depth (shape {space.shape}). Only policies in the process of the environment see it"
+                    if path and space.dtype.kind == "f" and len(space.shape) in (2, 3) and min(space.shape[:2]) > 8
+                    else f"the {which} has {length} numbers (shape {space.shape}). Expected at most 4096, or an image: bytes of the shape height x "
                     "width x 3. Hint: a gymnasium.ObservationWrapper can change it"
                 )
                 self.skipped.append((name, why))
@@ -71,7 +81,6 @@ class Observations:
         else:
             why = f"the {which} is a {type(space).__name__}. Expected a Box, Discrete, MultiDiscrete or MultiBinary, or a Dict or Tuple of these"
             self.skipped.append((name, why))
-
 
     def declaration(self) -> list[dict]:
         """The vectors in the form of the bridge protocol."""
