@@ -75,9 +75,8 @@ fn reported(rows: &Rows) -> Vec<String> {
     }
     let space = ParameterSpace::from_toml(&toml).unwrap();
     let row = |(i, (x, success)): (usize, (&Vec<f64>, &bool))| {
-        let value = |(p, u): (&robogate_core::Parameter, &f64)| {
-            (Arc::clone(&p.name), p.domain.decode(p.domain.from_unit(*u)))
-        };
+        let value =
+            |(p, u): (&robogate_core::Parameter, &f64)| (Arc::clone(&p.name), p.domain.decode(p.domain.from_unit(*u)));
         let requested = space.parameters().iter().zip(x).map(value).collect();
         let failed = Outcome::Failure(FailureMode::constant("grasp_miss"));
         entry(i as u64, requested, if *success { Outcome::Success } else { failed })

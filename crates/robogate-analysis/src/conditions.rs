@@ -6,7 +6,7 @@ use robogate_stats::safe_box::Limits;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::effects::{Effects, Interaction, LEVEL, ShapeKind, SINGLE};
+use crate::effects::{Effects, Interaction, LEVEL, SINGLE, ShapeKind};
 use crate::replay::{ReplayEpisode, episode};
 use crate::safe_box::{BoxLimit, column, limit};
 use crate::table::{Ending, EpisodeTable, ParameterColumn, Sample};
@@ -137,22 +137,14 @@ impl Conditions {
                 (ShapeKind::Gap, [from, to]) => vec![[Some(*from), Some(*to)]],
                 _ => Vec::new(),
             };
-            let part = ConditionPart {
-                parameter: effect.parameter.clone(),
-                ranges,
-                levels: shape.low_levels.clone(),
-            };
+            let part = ConditionPart { parameter: effect.parameter.clone(), ranges, levels: shape.low_levels.clone() };
             failing.push(condition(vec![part], effect.adjusted_p));
         }
         let corners = effects.interactions.iter().filter_map(|pair| Some((corner(base, pair)?, pair.adjusted_p)));
         failing.extend(corners.map(|(parts, p)| condition(parts, p)));
         failing.sort_by(|a, b| a.adjusted_p.total_cmp(&b.adjusted_p));
         failing.truncate(MOST);
-        Self {
-            failing,
-            power: power(base, overall, effects),
-            sought: seek.map(|mode| sought(table, base, mode)),
-        }
+        Self { failing, power: power(base, overall, effects), sought: seek.map(|mode| sought(table, base, mode)) }
     }
 }
 
@@ -188,11 +180,12 @@ fn corner(base: &Sample, pair: &Interaction) -> Option<Vec<ConditionPart>> {
         for second in 1..side {
             for above in [[false, false], [false, true], [true, false], [true, true]] {
                 let inside = |i: usize, j: usize| (i >= first) == above[0] && (j >= second) == above[1];
-                let (n, k) = (0..side * side).filter(|at| inside(at / side, at % side)).fold((0.0, 0.0), |(n, k), at| {
-                    (n + cells[at][0], k + cells[at][1])
-                });
+                let (n, k) = (0..side * side)
+                    .filter(|at| inside(at / side, at % side))
+                    .fold((0.0, 0.0), |(n, k), at| (n + cells[at][0], k + cells[at][1]));
                 let rate = failed / total.max(f64::MIN_POSITIVE);
-                let excess = (k - rate * n) / (n * (1.0 - n / total) * rate * (1.0 - rate)).max(f64::MIN_POSITIVE).sqrt();
+                let excess =
+                    (k - rate * n) / (n * (1.0 - n / total) * rate * (1.0 - rate)).max(f64::MIN_POSITIVE).sqrt();
                 if n >= SMALLEST_CORNER * total && best.is_none_or(|(most, _)| excess > most) {
                     best = Some((excess, [(first, above[0]), (second, above[1])]));
                 }

@@ -5,11 +5,11 @@
 //! looks for dependence in the order of the file; if it rejects, blocks of neighbouring rows are clusters.
 
 use robogate_dictionary::results::{SOURCE_SEED, groups_rows};
+use robogate_stats::Confidence;
 use robogate_stats::clusters::{Clusters, FEWEST, LOW_POWER, RateByCluster, Setting, equal_settings};
 use robogate_stats::correlation::spearman;
 use robogate_stats::logistic::{Data, Options, fit, standardized};
 use robogate_stats::serial::{self, serial_dependence};
-use robogate_stats::Confidence;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

@@ -103,7 +103,11 @@ impl FailureModes {
                 declared: mode < table.declared,
                 failures: all[mode],
                 share: (failures > 0 && recorded).then(|| weighted[mode] / all_weights),
-                interval_95: if not_recorded.is_empty() { [low, high] } else { [0.0, if recorded { high } else { 1.0 }] },
+                interval_95: if not_recorded.is_empty() {
+                    [low, high]
+                } else {
+                    [0.0, if recorded { high } else { 1.0 }]
+                },
             }
         });
         Self { failures, modes: modes.collect(), dominant, not_recorded }

@@ -1,6 +1,5 @@
 //! Numbers of successes over any two parameters, for a page with a map that the reader chooses.
 
-
 use crate::pairs::{Axis, axis, bins_for};
 use crate::table::EpisodeTable;
 use crate::weighting::Counted;

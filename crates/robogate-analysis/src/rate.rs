@@ -150,7 +150,10 @@ impl Rate {
             return Self {
                 rate: found.rate,
                 wilson_95: interval,
-                clopper_pearson_95: ends(clopper_pearson(rounded(found.rate.unwrap_or(0.0), found.independent), Confidence::P95)),
+                clopper_pearson_95: ends(clopper_pearson(
+                    rounded(found.rate.unwrap_or(0.0), found.independent),
+                    Confidence::P95,
+                )),
                 weighted_as: Some(found.independent),
                 ..Self::of(count())
             };

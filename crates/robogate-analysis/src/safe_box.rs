@@ -96,7 +96,9 @@ pub(crate) fn safe_box(
         return Finding::not("no parameter has a significant effect");
     }
     let columns: Vec<Column<'_>> = used.iter().map(|parameter| column(parameter)).collect();
-    let Some(mut found) = search(&columns, &base.success, base.weights.as_deref(), base.clusters(), target, Confidence::P95, SEED) else {
+    let Some(mut found) =
+        search(&columns, &base.success, base.weights.as_deref(), base.clusters(), target, Confidence::P95, SEED)
+    else {
         return Finding::not(format!("{} valid episodes are too few (it needs at least 100)", base.len()));
     };
     for (at, _) in &mut found.limits {

@@ -300,8 +300,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let x: Vec<f64> = (0..n).map(|_| uniform(&mut rng)).collect();
         let failed: Vec<bool> = x.iter().map(|x| uniform(&mut rng) < rate(*x)).collect();
-        let weight: Vec<f64> =
-            (0..n).map(|_| if weighted { 0.2 + 1.8 * uniform(&mut rng) } else { 1.0 }).collect();
+        let weight: Vec<f64> = (0..n).map(|_| if weighted { 0.2 + 1.8 * uniform(&mut rng) } else { 1.0 }).collect();
         let all: f64 = weight.iter().sum();
         let mean = weight.iter().zip(&failed).map(|(w, f)| if *f { *w } else { 0.0 }).sum::<f64>() / all;
         let unit = |(w, f): (&f64, &bool)| Unit { n: *w, failures: if *f { *w } else { 0.0 }, expected: w * mean };
@@ -389,9 +388,8 @@ mod tests {
             let unit = |f: &bool| Unit { n: 1.0, failures: f64::from(u8::from(*f)), expected: mean };
             let units: Vec<Unit> = failed.iter().map(unit).collect();
             let values = Values::Ordered { cell_of: &cell_of, ranks: &ranks };
-            rejected += u32::from(
-                effect_test(&units, values, 8, Some(&block), 400, seed).is_some_and(|found| found.p <= 0.05),
-            );
+            rejected +=
+                u32::from(effect_test(&units, values, 8, Some(&block), 400, seed).is_some_and(|found| found.p <= 0.05));
         }
         assert!(rejected <= 20, "{rejected} of 200");
     }

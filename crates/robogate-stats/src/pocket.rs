@@ -87,7 +87,8 @@ pub fn pocket(
     let search = Search { columns, event, rows: &choosing };
     let limits = search.best()?;
     let rate = |wanted: bool| -> Option<EventRate> {
-        let rows: Vec<usize> = testing.iter().copied().filter(|row| contains(&limits, columns, *row) == wanted).collect();
+        let rows: Vec<usize> =
+            testing.iter().copied().filter(|row| contains(&limits, columns, *row) == wanted).collect();
         let events: Vec<bool> = rows.iter().map(|row| event[*row]).collect();
         let weights: Vec<f64> = rows.iter().map(|row| weight(*row)).collect();
         let found = hajek(&events, &weights, confidence).ok()?;
@@ -150,14 +151,14 @@ impl Search<'_> {
 
     /// The box without the slab whose removal raises the rate most. `None` if nothing can be removed.
     fn peeled(&self, limits: &Limits) -> Option<Limits> {
-        let inside: Vec<usize> =
-            self.rows.iter().copied().filter(|row| contains(limits, self.columns, *row)).collect();
+        let inside: Vec<usize> = self.rows.iter().copied().filter(|row| contains(limits, self.columns, *row)).collect();
         if inside.len() < 2 * FEWEST_ROWS || inside.iter().all(|row| self.event[*row]) {
             return None;
         }
         let mut best: Option<(f64, Limits)> = None;
         let mut offer = |candidate: Limits| {
-            let kept: Vec<usize> = inside.iter().copied().filter(|row| contains(&candidate, self.columns, *row)).collect();
+            let kept: Vec<usize> =
+                inside.iter().copied().filter(|row| contains(&candidate, self.columns, *row)).collect();
             if kept.len() < FEWEST_ROWS || kept.len() == inside.len() {
                 return;
             }
@@ -303,7 +304,11 @@ mod tests {
             let views: Vec<Column<'_>> = columns.iter().map(|values| Column { values, levels: None }).collect();
             let found = pocket(&views, &event, Some(&weights), Confidence::P95, seed).unwrap();
             assert!(found.is_significant(), "{found:?}");
-            assert_eq!(found.limits.iter().map(|(column, _)| *column).collect::<Vec<_>>(), [0, 1], "seed {seed}: {found:?}");
+            assert_eq!(
+                found.limits.iter().map(|(column, _)| *column).collect::<Vec<_>>(),
+                [0, 1],
+                "seed {seed}: {found:?}"
+            );
             let mut filled = 1.0;
             for ((_, inside), [from, to]) in found.limits.iter().zip([[0.3_f64, 0.37_f64], [0.6, 0.67]]) {
                 let Inside::Range { low: Some(low), high: Some(high) } = inside else { panic!("{inside:?}") };

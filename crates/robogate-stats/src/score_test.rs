@@ -96,7 +96,8 @@ impl<'a> ScoreTest<'a> {
     /// Σ (a (y - p) z̃)². `cross` is X'Wz.
     fn robust_variance(&self, column: &[f64], mut cross: Vec<f64>) -> f64 {
         self.gram.solve(&mut cross);
-        let explained = |row: usize| cross[0] + self.columns.iter().zip(&cross[1..]).map(|(x, b)| x[row] * b).sum::<f64>();
+        let explained =
+            |row: usize| cross[0] + self.columns.iter().zip(&cross[1..]).map(|(x, b)| x[row] * b).sum::<f64>();
         column.iter().zip(&self.residual).enumerate().map(|(row, (z, r))| ((z - explained(row)) * r).powi(2)).sum()
     }
 }

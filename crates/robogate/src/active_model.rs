@@ -19,11 +19,9 @@ pub(crate) fn of_run(dir: &Path) -> Option<ActiveModel> {
 
 fn score(last: &ActiveRound) -> String {
     match (&last.model, &last.problem) {
-        (Some(model), _) => format!(
-            "Brier score {:.3} in cross-validation, from {}",
-            model.brier,
-            counted(last.trained_on, "episode")
-        ),
+        (Some(model), _) => {
+            format!("Brier score {:.3} in cross-validation, from {}", model.brier, counted(last.trained_on, "episode"))
+        }
         (None, Some(problem)) => format!("none: {problem}"),
         (None, None) => "none: too few failures, or too few successes".to_owned(),
     }

@@ -128,7 +128,7 @@ impl SharedAxis {
             Some(column) => {
                 let places = self.places(column);
                 dataset.base.effective_cells(self.cells(), |row| places[row])
-            },
+            }
             None => vec![Trials::NONE; self.cells()],
         }
     }

@@ -122,7 +122,8 @@ fn slope(dataset: &Dataset<'_>, parameter: &str, [low, high]: [f64; 2]) -> Findi
 fn slope_of(logs: &[f64], success: &[bool], weights: Option<&[f64]>, label: &str) -> Finding<Slope> {
     let names = [format!("ln({label})")];
     let columns = [logs];
-    let fitted = Data::new(&columns, success, weights).and_then(|data| Ok((data, fit(data, Options::for_rows(weights.is_some()))?)));
+    let fitted = Data::new(&columns, success, weights)
+        .and_then(|data| Ok((data, fit(data, Options::for_rows(weights.is_some()))?)));
     let (data, fitted) = match fitted {
         Ok(both) => both,
         Err(error) => return Finding::not(why(&error, &names)),

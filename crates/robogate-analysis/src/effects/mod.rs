@@ -107,7 +107,9 @@ impl Effects {
         let modelled = base.weights.is_some() || base.len() <= MODELLED_ROWS;
         for (at, parameter) in base.parameters.iter().enumerate() {
             let counted = base.is_plain() && !modelled;
-            let Some(cells) = TestCells::of(base, parameter, if counted { SCAN_CELLS } else { TEST_CELLS }) else { continue };
+            let Some(cells) = TestCells::of(base, parameter, if counted { SCAN_CELLS } else { TEST_CELLS }) else {
+                continue;
+            };
             let seed = at as u64;
             let tested = match &base.dependence {
                 Some(dependence) => {
@@ -292,7 +294,8 @@ impl TestCells {
             Order::Unordered => first.iter().map(|value| self.cell(value.unwrap_or(0.0))).collect(),
         };
         let failed = base.success.iter().filter(|s| !**s).count() as f64 / base.len().max(1) as f64;
-        let unit = |of: &Trials| Unit { n: of.n() as f64, failures: of.failures() as f64, expected: failed * of.n() as f64 };
+        let unit =
+            |of: &Trials| Unit { n: of.n() as f64, failures: of.failures() as f64, expected: failed * of.n() as f64 };
         let units: Vec<Unit> = trials.iter().map(unit).collect();
         let found = self.test_of(&units, &cell_of, &midranks(&means), None, REPLICATES, seed)?;
         if self.order == Order::Ordered && clusters.count() < SCANNED {

@@ -69,7 +69,9 @@ pub(super) fn correlation(base: &Sample, parameter: &ParameterColumn) -> Finding
             spearman: ranks.map(|ranks| ranks.r),
         });
     }
-    let ParameterKind::Categorical { levels } = &parameter.kind else { return Finding::not(no_contrast(base, parameter)) };
+    let ParameterKind::Categorical { levels } = &parameter.kind else {
+        return Finding::not(no_contrast(base, parameter));
+    };
     // One row for each independent episode of a level.
     let cells = match base.weights {
         Some(_) => base.effective_cells(levels.len(), |row| Some(parameter.values[row] as usize)),

@@ -78,11 +78,18 @@ pub(crate) fn frontier(base: &Sample, x: &ParameterColumn, y: &ParameterColumn) 
     ];
     let clusters = base.clusters().map(Clusters::of_row);
     let weights = base.weights.as_deref();
-    let (state, fit) =
-        match LimitState::fit(&x.values, &y.values, &base.success, weights, clusters, Options::for_rows(weights.is_some()), 0.5) {
-            Ok(found) => found,
-            Err(error) => return Finding::not(why_no_frontier(&error, &names)),
-        };
+    let (state, fit) = match LimitState::fit(
+        &x.values,
+        &y.values,
+        &base.success,
+        weights,
+        clusters,
+        Options::for_rows(weights.is_some()),
+        0.5,
+    ) {
+        Ok(found) => found,
+        Err(error) => return Finding::not(why_no_frontier(&error, &names)),
+    };
     let raw = fit.raw_coefficients();
     let coefficients: [f64; 4] = std::array::from_fn(|i| raw[i]);
     let valid = state.validity();

@@ -111,7 +111,12 @@ pub struct WeightedRate {
 }
 
 impl Success {
-    pub(crate) fn of(table: &EpisodeTable, base: &Sample, population: Population, weighting: Option<&Finding<Weighting>>) -> Self {
+    pub(crate) fn of(
+        table: &EpisodeTable,
+        base: &Sample,
+        population: Population,
+        weighting: Option<&Finding<Weighting>>,
+    ) -> Self {
         let mut stages: Vec<StageSuccess> = (0..table.stages.len()).map(|i| stage(table, i)).collect();
         stages.retain(|stage| stage.episodes > 0);
         let base_is_focused = population == Population::FocusedDesign;

@@ -37,8 +37,8 @@ use crate::dependence::Dependence;
 use crate::effects::Effects;
 use crate::labels::parameter_label;
 use crate::rate::ends;
-use crate::weighting::Counted;
 use crate::table::EpisodeTable;
+use crate::weighting::Counted;
 use crate::{AnalysisError, Finding, Population, Rate, Source, Subject};
 
 /// Shares of the population that a stratum may have.

@@ -76,7 +76,11 @@ fn weights(
     boundary: Option<&BoundaryFile>,
 ) -> Result<(Vec<f64>, f64, &'static str), &'static str> {
     if focused.rows.iter().all(|row| table.is_active(*row as usize)) {
-        return Ok((table.weight.clone(), 1.0, "each row by its stored weight, which refers to the whole operating space"));
+        return Ok((
+            table.weight.clone(),
+            1.0,
+            "each row by its stored weight, which refers to the whole operating space",
+        ));
     }
     let ((found, share), method) = match boundary.filter(|b| b.volume.episodes > 0) {
         Some(boundary) => (
@@ -108,11 +112,7 @@ fn equal_weights(table: &EpisodeTable, rows: &Sample) -> bool {
 }
 
 /// Weights of the base rows followed by the focused ones, and P(R).
-fn combined_weights(
-    table: &EpisodeTable,
-    base: &Sample,
-    focused: &Sample,
-) -> Result<(Vec<f64>, f64), &'static str> {
+fn combined_weights(table: &EpisodeTable, base: &Sample, focused: &Sample) -> Result<(Vec<f64>, f64), &'static str> {
     if focused.len() == 0 || base.len() == 0 {
         return Err("one of the two designs has no valid episode");
     }

@@ -199,7 +199,9 @@ impl<'de> Deserialize<'de> for Given {
                         Given::IntegerRange(Ends { low, high })
                     }
                     (low, high) => match (low.as_number(), high.as_number()) {
-                        (Some(low), Some(high)) if scale == Scale::Log => Given::Scaled(ScaledEnds { low, high, scale }),
+                        (Some(low), Some(high)) if scale == Scale::Log => {
+                            Given::Scaled(ScaledEnds { low, high, scale })
+                        }
                         (Some(low), Some(high)) => Given::Range(Ends { low, high }),
                         _ => return Err(de::Error::custom("`low` and `high` must be numbers")),
                     },

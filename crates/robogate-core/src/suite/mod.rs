@@ -120,7 +120,9 @@ impl Suite {
         let spread = |domain: &Domain| match domain {
             Domain::Continuous { low, .. } if domain.is_constant() => Spread::Fixed(Value::Number(*low)),
             Domain::Integer { low, high } if low == high => Spread::Fixed(Value::Integer(*low)),
-            Domain::Categorical { choices } if choices.len() == 1 => Spread::Fixed(Value::Category(Arc::clone(&choices[0]))),
+            Domain::Categorical { choices } if choices.len() == 1 => {
+                Spread::Fixed(Value::Category(Arc::clone(&choices[0])))
+            }
             _ => Spread::Drawn(domain.clone()),
         };
         let parameters: Vec<(Arc<str>, Spread)> =

@@ -2,8 +2,8 @@
 
 use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
 use robogate_analysis::{
-    Advice, Analysis, BoxLimit, ClusterReport, ConditionPart, EffectShape, FailureCondition, FailureModes, FailureRegion, Finding, Population, Power,
-    SafeBox, ShapeKind, SoughtBox, unrecorded,
+    Advice, Analysis, BoxLimit, ClusterReport, ConditionPart, EffectShape, FailureCondition, FailureModes,
+    FailureRegion, Finding, Population, Power, SafeBox, ShapeKind, SoughtBox, unrecorded,
 };
 use robogate_stats::format::{count, counted, list, number, percent, percent_or_dash, percent_range, range, sentence};
 use schemars::JsonSchema;
@@ -175,7 +175,10 @@ fn shown(power: &Power) -> String {
     } else {
         "These episodes are too few to show any difference between both halves of a parameter's range.".to_owned()
     };
-    format!("{now} A difference of 10 points needs about {}.", counted(rounded_up(power.episodes_for_10_points), "episode"))
+    format!(
+        "{now} A difference of 10 points needs about {}.",
+        counted(rounded_up(power.episodes_for_10_points), "episode")
+    )
 }
 
 /// A number with two significant digits, rounded up.
@@ -190,7 +193,9 @@ fn rounded_up(n: u64) -> u64 {
 /// Where the sought failure mode occurs.
 fn sought(found: &Finding<SoughtBox>) -> String {
     match found {
-        Finding::CannotBeEstimated { because } => format!("The sought failure mode has no box of parameters: {because}."),
+        Finding::CannotBeEstimated { because } => {
+            format!("The sought failure mode has no box of parameters: {because}.")
+        }
         Finding::Estimated(found) => format!(
             "The sought mode, {}, occurs in {} of the episodes with {} (95 % interval {}, {}), and in {} of the others ({}). Watch {}.",
             mode_label(&found.mode),

@@ -28,8 +28,9 @@ pub(super) fn replace_tests(regression: &mut Regression, base: &Sample, columns:
         let Some(term) = regression.terms.get_mut(at + 1) else { continue };
         let Finding::Estimated(estimate) = &mut term.estimate else { continue };
         if !base.is_plain() {
-            term.estimate =
-                Finding::not("a likelihood-ratio test needs independent rows without weights; see its influence on success instead");
+            term.estimate = Finding::not(
+                "a likelihood-ratio test needs independent rows without weights; see its influence on success instead",
+            );
             continue;
         }
         let codes: Vec<usize> = parameter.values.iter().step_by(step).map(|v| *v as usize).collect();
