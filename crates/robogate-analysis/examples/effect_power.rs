@@ -132,8 +132,8 @@ fn main() {
     let reports: u64 = std::env::args().nth(1).map_or(200, |word| word.parse().unwrap());
     println!("| law | episodes | report | scan alone | regression with pairs alone | report names something else |");
     println!("|---|---|---|---|---|---|");
-    for law in &LAWS {
-        for n in [100, 200, 500, 1_000, 3_000] {
+    for n in [200, 1_000, 100, 500, 3_000] {
+        for law in &LAWS {
             let mut counts = [[0_u64; NAMES.len()]; 3];
             let mut false_names = 0;
             for seed in 0..reports {

@@ -110,3 +110,31 @@ fn bad_levels_are_named_in_words() {
     assert!((found.volume - 0.75).abs() < 1e-9);
     assert!(found.avoided as f64 > 0.85 * found.failures as f64);
 }
+
+#[test]
+fn conditions_list_single_parameters_and_pairs() {
+    let law = |at: &[f64]| if at[4] > 0.6 && at[5] < 0.4 { 0.1 } else { 0.95 };
+    let analysis = simulated(5, 2_000, law);
+    let failing = &analysis.conditions.failing;
+    let pair = failing.iter().find(|of| of.parameters.len() == 2).unwrap();
+    let of = |name: &str| &pair.parameters.iter().find(|part| part.parameter == name).unwrap().ranges[0];
+    let [above, below] = [of("p4"), of("p5")];
+    assert!((above[0].unwrap() - 0.6).abs() < 0.06 && above[1].is_none(), "{above:?}");
+    assert!((below[1].unwrap() - 0.4).abs() < 0.06 && below[0].is_none(), "{below:?}");
+    assert!(pair.inside.rate.unwrap() < 0.2 && pair.outside.rate.unwrap() > 0.9);
+    assert!(pair.lift.unwrap() > 3.0);
+    assert_eq!(pair.inside.n + pair.outside.n, 2_000);
+    assert!(failing.iter().any(|of| of.parameters.len() == 1));
+}
+
+#[test]
+fn stated_number_of_episodes_shows_ten_points() {
+    // Without an effect, the report states how many episodes a difference of 10 points needs.
+    let stated = simulated(6, 300, |_| 0.9).conditions.power.unwrap();
+    assert!((500..1_500).contains(&stated.episodes_for_10_points), "{stated:?}");
+    let law = |at: &[f64]| if at[3] > 0.5 { 0.85 } else { 0.95 };
+    let found = |seed: &u64| named(&simulated(*seed, stated.episodes_for_10_points, law)).contains(&"p3".to_owned());
+    // 80 % of 40 is 32, with a standard deviation of 2.5.
+    let found = (100..140).filter(found).count();
+    assert!((25..=39).contains(&found), "{found} of 40 with {} episodes", stated.episodes_for_10_points);
+}

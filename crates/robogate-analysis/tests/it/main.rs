@@ -16,6 +16,7 @@ mod noise;
 mod populations;
 mod risk;
 mod runs;
+mod sought;
 mod synthetic;
 mod transfer;
 

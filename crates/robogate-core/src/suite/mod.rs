@@ -137,7 +137,7 @@ impl Suite {
     /// ranges.
     pub fn is_fresh(&self) -> bool {
         let varies = self.cases[0].parameters.iter().any(|(_, spread)| matches!(spread, Spread::Drawn(_)));
-        varies && self.cases.iter().all(|case| case.parameters == self.cases[0].parameters)
+        varies && !self.has_twins() && self.cases.iter().all(|case| case.parameters == self.cases[0].parameters)
     }
 
     /// The same scenarios under another name, with `constants` in all of them: parameters that belong to one unit of a
