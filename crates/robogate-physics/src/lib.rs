@@ -45,6 +45,8 @@ pub mod suction;
 pub mod trajectory;
 mod unrest;
 mod visual;
+#[cfg(feature = "mujoco")]
+pub mod worlds;
 
 #[cfg(feature = "mujoco")]
 pub use draft::{Draft, draft};
@@ -64,7 +66,7 @@ pub use model::MujocoModel;
 pub use motion::Motion;
 #[cfg(feature = "mujoco")]
 pub use mujoco::{MujocoEngine, load_mujoco};
-pub use plant::{ArmState, GripperState, Plant, StepView, grip_force};
+pub use plant::{ArmState, GripperState, Plant, StepView, grip_force, state_hash};
 pub use primitive::{Part, Primitive};
 #[cfg(feature = "rapier")]
 pub use rapier::RapierEngine;

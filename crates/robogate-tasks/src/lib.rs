@@ -15,6 +15,8 @@ mod settings;
 mod spaces;
 pub mod stacking;
 
+#[cfg(feature = "mujoco")]
+pub use arm::ArmWorlds;
 pub use arm::{ArmEnvironment, ArmSettings, ArmTask, Rig};
 pub use random::Random;
 pub use self_contained::SelfContained;

@@ -9,6 +9,7 @@ mod contacts;
 pub(crate) mod damping;
 mod inspection;
 pub(crate) mod links;
+pub(crate) mod numbers;
 mod scene;
 pub(crate) mod sweep;
 
@@ -185,6 +186,11 @@ impl MujocoEngine {
         let name = format!("{PREFIX}{}", arm.joints.first()?);
         let actuator = model.name_to_id(MjtObjBase::mjOBJ_ACTUATOR, &name)?;
         Some(model.actuator_gainprm()[actuator][0] / arm.stiffness_nm_rad[0])
+    }
+
+    /// The loaded scene. `None` before [`Engine::load`].
+    pub fn scene(&self) -> Option<&Scene> {
+        self.loaded.as_ref().map(|loaded| &loaded.scene)
     }
 
     /// Positions of all joints of the loaded scene, in the compiled model's order.

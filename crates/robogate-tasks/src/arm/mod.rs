@@ -20,6 +20,8 @@ mod settings;
 mod table;
 mod task;
 mod words;
+#[cfg(feature = "mujoco")]
+mod worlds;
 
 pub(crate) use cameras::{camera_specs, posture, render};
 pub use environment::{ArmEnvironment, CONTROL_PERIOD_S, Rig};
@@ -42,4 +44,6 @@ pub(crate) use settings::{HasSettings, OnArm, rows};
 pub(crate) use table::{Access, Acting, InSurroundings, Row, Surroundings, applied, decode, scale, specs};
 pub use task::ArmTask;
 pub(crate) use task::drives_task;
+#[cfg(feature = "mujoco")]
+pub use worlds::ArmWorlds;
 pub(crate) use words::{base_spec, briefing, common_measures, instance, measure, mode, not_a_briefing};
