@@ -4,6 +4,7 @@ import argparse
 import json
 import os
 import sys
+import time
 
 import mujoco
 import mujoco_warp
@@ -26,6 +27,7 @@ def main():
         wp.set_device(arguments.device)
     device = wp.get_device()
     groups = {}
+    spent = {"periods": 0, "world_periods": 0, "reset_s": 0.0, "step_s": 0.0}
 
     def answer(request):
         match request["do"]:
@@ -41,22 +43,29 @@ def main():
                 groups[request["group"]] = group
                 return {"layout": group.tables.layout, "fields": group.fields}
             case "step":
+                began = time.perf_counter()
                 for key, worlds in request["resets"]:
                     groups[key].reset(worlds)
+                reset = time.perf_counter()
                 # All groups are queued before the first result is read.
                 for key in request["groups"]:
                     groups[key].begin()
                 for key in request["groups"]:
                     groups[key].finish()
+                spent["periods"] += 1
+                spent["reset_s"] += reset - began
+                spent["step_s"] += time.perf_counter() - reset
+                spent["world_periods"] += sum(groups[key].worlds for key in request["groups"])
                 return {}
         raise ValueError(f"unknown request {request['do']!r}")
 
     for line in sys.stdin:
         try:
             reply = answer(json.loads(line))
-        except Exception as why:  # noqa: BLE001 - every failure is a reply
+        except Exception as why:
             reply = {"error": f"{type(why).__name__}: {why}"}
         replies.write(json.dumps(reply) + "\n")
+    print(json.dumps({**spent, "groups": [group.worlds for group in groups.values()]}), file=sys.stderr)
 
 
 if __name__ == "__main__":

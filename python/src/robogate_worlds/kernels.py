@@ -101,9 +101,11 @@ def add_contacts(
     amount = wp.int64(normal * UNIT) * COUNT + wp.int64(1)
     if first == OBJECT or second == OBJECT:
         if first == ROBOT or second == ROBOT:
-            body, thing, which = index[one], index[two], finger[one]
+            body, thing, which = int(index[one]), int(index[two]), int(finger[one])
             if second == ROBOT:
-                body, thing, which = index[two], index[one], finger[two]
+                body = index[two]
+                thing = index[one]
+                which = finger[two]
             if thing == selected:
                 if which >= 0:
                     wp.atomic_add(pressed, w, which, amount)

@@ -188,11 +188,6 @@ impl MujocoEngine {
         Some(model.actuator_gainprm()[actuator][0] / arm.stiffness_nm_rad[0])
     }
 
-    /// The loaded scene. `None` before [`Engine::load`].
-    pub fn scene(&self) -> Option<&Scene> {
-        self.loaded.as_ref().map(|loaded| &loaded.scene)
-    }
-
     /// Positions of all joints of the loaded scene, in the compiled model's order.
     pub fn positions(&self) -> &[f64] {
         self.loaded().data.qpos()

@@ -13,6 +13,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::json;
 
+use crate::load_mujoco;
 use crate::mujoco::numbers::Plan;
 
 /// The simulator, as it describes itself.
@@ -101,6 +102,7 @@ impl Server {
         };
         let mut server = Self { requests, replies, folder, identity, groups: Vec::new() };
         server.identity = server.ask(&json!({"do": "hello"}))?;
+        load_mujoco().map_err(unavailable)?;
         let (own, its) = (mujoco_rs::mujoco_version(), &server.identity.mujoco);
         if own != its {
             return Err(unavailable(format_args!("its MuJoCo has version {its}. Expected {own}")));

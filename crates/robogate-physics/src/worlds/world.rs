@@ -8,8 +8,8 @@ use crate::mujoco::numbers::Stage;
 use crate::plant::{unit_grip_force, unrest};
 use crate::unrest::Unrest;
 use crate::{
-    Collision, Engine, GripperCommand, GripperState, Hit, MujocoEngine, Scene, Servo, StepView, Touches, Wrench,
-    isometry,
+    Collision, Engine, Fixture, FixtureKind, GripperCommand, GripperState, Hit, MujocoEngine, Part, Primitive, Readback,
+    Scene, Servo, StepView, Touches, Wrench, isometry,
 };
 
 /// Numbers of a report before those of the free bodies, and of each free body.
@@ -19,6 +19,37 @@ const BODY: usize = 13;
 const BODY_ON_OBJECT: u32 = 1;
 const OBJECT_ON_FIXTURE: u32 = 2;
 const NOT_FINITE: u32 = 4;
+
+/// Scenes with at most so many boxes and cylinders that stand still have the same topology, whatever they are.
+const SPARES: usize = 5;
+/// Spare fixtures are this far below the table, in metres.
+const SPARE_DEPTH_M: f64 = 100.0;
+
+/// The same scene with its fixtures in an order that depends on their kinds alone, and spare ones out of reach. Also returns the
+/// index in `scene` of each fixture.
+fn with_spares(scene: &Scene) -> (Scene, Vec<Option<usize>>) {
+    let (mut kept, mut boxes, mut cylinders) = (Vec::new(), Vec::new(), Vec::new());
+    for (index, fixture) in scene.fixtures.iter().enumerate() {
+        match (fixture.kind, fixture.part.primitive, fixture.motion) {
+            (FixtureKind::Obstacle, Primitive::Box { .. }, None) => boxes.push((Some(index), fixture.clone())),
+            (FixtureKind::Obstacle, Primitive::Cylinder { .. }, None) => cylinders.push((Some(index), fixture.clone())),
+            _ => kept.push((Some(index), fixture.clone())),
+        }
+    }
+    for (fixtures, primitive, side) in [
+        (&mut boxes, Primitive::Box { half: [0.02; 3] }, 1.0),
+        (&mut cylinders, Primitive::Cylinder { radius: 0.02, half_height: 0.02 }, -1.0),
+    ] {
+        for k in fixtures.len()..SPARES {
+            let pose = Isometry3::translation(0.0, side * (k + 1) as f64, -SPARE_DEPTH_M);
+            let (name, kind) = (String::new(), FixtureKind::Obstacle);
+            fixtures.push((None, Fixture { name, kind, part: Part { primitive, pose }, motion: None }));
+        }
+    }
+    let (order, mut fixtures): (Vec<_>, Vec<_>) = kept.into_iter().chain(boxes).chain(cylinders).unzip();
+    fixtures.iter_mut().enumerate().for_each(|(k, fixture)| fixture.name = format!("fixture {k}"));
+    (Scene { fixtures, ..scene.clone() }, order)
+}
 
 /// A world in a simulator, with the scene as MuJoCo has compiled it in this process.
 #[derive(Debug)]
@@ -32,7 +63,8 @@ pub struct World {
     grip_force_n: f64,
     softness: f64,
     selected: usize,
-    fixtures: usize,
+    /// The index in the scene of each fixture of the world. `None` for a spare one.
+    fixtures: Vec<Option<usize>>,
     bodies: usize,
     steps_per_period: usize,
     steps: u64,
@@ -121,7 +153,8 @@ impl World {
     pub fn new(engine: &mut MujocoEngine, scene: &Scene, grip_force_n: f64, period_s: f64) -> Result<Self, Fault> {
         let home = engine.robot().settings.arm.home_rad.clone();
         let grip_force_n = unit_grip_force(&engine.robot().settings.gripper, grip_force_n, scene.gripper.force_scale)?;
-        engine.load(scene, &home)?;
+        let (same, fixtures) = with_spares(scene);
+        engine.load(&same, &home)?;
         let steps_per_period = (period_s / engine.time_step()).round() as usize;
         Ok(Self {
             stage: None,
@@ -132,7 +165,7 @@ impl World {
             grip_force_n,
             softness: scene.arm_stiffness.sqrt(),
             selected: 0,
-            fixtures: scene.fixtures.len(),
+            fixtures,
             bodies: engine.free_bodies(),
             steps_per_period,
             steps: 0,
@@ -148,6 +181,28 @@ impl World {
     /// The state after the last time step, or at the start.
     pub fn last(&self) -> &StepReport {
         &self.last
+    }
+
+    /// The physical quantities of the scene, with the fixtures as the scene numbers them.
+    ///
+    /// # Errors
+    /// As [`Engine::read_back`].
+    pub fn read_back(&self, engine: &MujocoEngine) -> Result<Readback, Fault> {
+        let mut found = engine.read_back()?;
+        found.fixtures.retain_mut(|read| {
+            let fixture = self.fixtures[read.fixture];
+            read.fixture = fixture.unwrap_or_default();
+            fixture.is_some()
+        });
+        Ok(found)
+    }
+
+    /// Poses of the fixtures, as the scene numbers them.
+    pub fn fixture_poses(&self, engine: &MujocoEngine) -> Vec<Isometry3<f64>> {
+        let mut poses: Vec<(usize, Isometry3<f64>)> =
+            self.fixtures.iter().enumerate().filter_map(|(own, of)| Some(((*of)?, engine.fixture(own)))).collect();
+        poses.sort_by_key(|(fixture, _)| *fixture);
+        poses.into_iter().map(|(_, pose)| pose).collect()
     }
 
     /// Loads this world's scene in its last state into `engine`.
@@ -224,9 +279,10 @@ impl World {
         let vector = |i: usize| Vector3::new(at(i), at(i + 1), at(i + 2));
         let force = |i: usize| (numbers[i] >= 0.0).then(|| at(i));
         let flags = numbers[3] as u32;
-        let hit = |other: usize| match other.checked_sub(self.fixtures) {
-            Some(body) => Hit::Itself(body),
-            None => Hit::Fixture(other),
+        let hit = |other: usize| match self.fixtures.get(other) {
+            // The robot cannot reach a spare fixture.
+            Some(fixture) => Hit::Fixture(fixture.unwrap_or_default()),
+            None => Hit::Itself(other - self.fixtures.len()),
         };
         let touches = Touches {
             fingers: [force(1), force(2)],

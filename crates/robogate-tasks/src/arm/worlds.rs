@@ -4,12 +4,12 @@ use std::num::NonZeroUsize;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Vector3};
-use robogate_camera::Cameras;
+use robogate_camera::{Cameras, Posture};
 use robogate_core::{
     Action, BatchEnvironment, Ending, Fault, FaultKind, Foresight, Image, Scenario, Start, Step, TaskSpec,
 };
 use robogate_physics::worlds::{Member, Period, StepReport, World};
-use robogate_physics::{ArmState, Engine, GripperCommand, MujocoEngine, Wrench, grip_force, state_hash};
+use robogate_physics::{ArmState, Engine, GripperCommand, MujocoEngine, Scene, Wrench, grip_force, state_hash};
 
 use super::judge::Judge;
 use super::rules::{Bodies, Found, Rules};
@@ -29,6 +29,8 @@ pub struct ArmWorlds {
 struct Slot {
     judge: Judge,
     world: Option<World>,
+    /// The scene, for the cameras.
+    scene: Option<Scene>,
 }
 
 impl std::fmt::Debug for ArmWorlds {
@@ -50,14 +52,14 @@ impl ArmWorlds {
         let cameras = cameras(engine.robot(), rig.picture_px);
         let (robot, chain) = (engine.robot().clone(), engine.chain().clone());
         let judge = Judge::new(task, (robot, chain), grip_force_n, camera_specs(&cameras));
-        let mut all: Vec<Slot> = (1..slots.get()).map(|_| Slot { judge: judge.another(), world: None }).collect();
-        all.push(Slot { judge, world: None });
+        let mut all: Vec<Slot> = (1..slots.get()).map(|_| Slot { judge: judge.another(), world: None, scene: None }).collect();
+        all.push(Slot { judge, world: None, scene: None });
         Ok(Self { engine, member, slots: all, grip_force_n, cameras })
     }
 
     fn start(&mut self, slot: usize, scenario: &Scenario) -> Result<Start, Fault> {
         let Self { engine, member, slots, grip_force_n, cameras } = self;
-        let Slot { judge, world } = &mut slots[slot];
+        let Slot { judge, world, scene } = &mut slots[slot];
         if let Some(mut ended) = world.take() {
             member.release(&mut ended);
         }
@@ -65,11 +67,12 @@ impl ArmWorlds {
         let mut new = World::new(engine, &resolved.scene, *grip_force_n, CONTROL_PERIOD_S)?;
         let visual = show(cameras, &resolved.scene);
         let found = Found {
-            engine: &engine.read_back()?,
+            engine: &new.read_back(engine)?,
             visual: &visual,
             grip_threshold_m: None,
             grip_force_scale: Some(new.grip_force_n() / *grip_force_n),
         };
+        *scene = Some(resolved.scene.clone());
         let started = judge.start(scenario, resolved, &found, engine.touches(), ArmState::of(engine));
         new.leave(engine);
         *world = Some(new);
@@ -92,7 +95,7 @@ impl Slot {
 
     /// Judges a control period.
     fn finish(&mut self, action: &Action, period: &Period, engine: &mut MujocoEngine) -> Result<Step, Fault> {
-        let Self { judge, world } = self;
+        let Self { judge, world, .. } = self;
         let Some(world) = world else { return Err(Fault::new(FaultKind::Setup, "no episode is running")) };
         world.read(engine, period, GripperCommand::of(action), &mut |report, fraction| {
             judge.observe(&report.view(fraction), report);
@@ -127,11 +130,13 @@ impl BatchEnvironment for ArmWorlds {
         let mut replies: Vec<Option<Result<Step, Fault>>> = (0..slots.len()).map(|_| None).collect();
         let mut running = Vec::new();
         let mut exchanged: Vec<(&mut World, Vec<f32>)> = Vec::new();
+        let mut listed: Vec<Option<&Action>> = vec![None; slots.len()];
+        actions.iter().for_each(|(slot, action)| listed[*slot] = Some(action));
         for (at, slot) in slots.iter_mut().enumerate() {
-            match actions.iter().find(|(listed, _)| *listed == at) {
-                Some((_, action)) => match (slot.command(action, engine), &mut slot.world) {
+            match listed[at] {
+                Some(action) => match (slot.command(action, engine), &mut slot.world) {
                     (Ok(command), Some(world)) => {
-                        running.push((at, *action));
+                        running.push((at, action));
                         exchanged.push((world, command));
                     }
                     (Ok(_), None) => {}
@@ -169,15 +174,14 @@ impl BatchEnvironment for ArmWorlds {
         let Self { engine, cameras, slots: all, .. } = self;
         let mut images = Vec::with_capacity(slots.len());
         for slot in slots {
-            let Some(world) = &mut all[*slot].world else {
+            let Slot { world: Some(world), scene: Some(scene), .. } = &mut all[*slot] else {
                 images.push(Err(Fault::new(FaultKind::Setup, "no episode is running")));
                 continue;
             };
             world.enter(engine);
-            if let Some(scene) = engine.scene() {
-                show(cameras, scene);
-            }
-            images.push(render(cameras, |bodies| posture(engine, bodies)));
+            show(cameras, scene);
+            let fixtures = world.fixture_poses(engine);
+            images.push(render(cameras, |[_, others]| Posture { fixtures, ..posture(engine, [0, others]) }));
             world.leave(engine);
         }
         images
