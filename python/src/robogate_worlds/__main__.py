@@ -27,7 +27,7 @@ def main():
         wp.set_device(arguments.device)
     device = wp.get_device()
     groups = {}
-    spent = {"periods": 0, "world_periods": 0, "reset_s": 0.0, "step_s": 0.0}
+    spent = {"periods": 0, "world_periods": 0, "create_s": 0.0, "reset_s": 0.0, "begin_s": 0.0, "finish_s": 0.0}
 
     def answer(request):
         match request["do"]:
@@ -37,10 +37,12 @@ def main():
                     "mujoco_warp": getattr(mujoco_warp, "__version__", ""), "deterministic": arguments.deterministic,
                 }
             case "group":
+                began = time.perf_counter()
                 group = Group(
                     request["file"], request["model"], request["plan"], request["worlds"], arguments.deterministic
                 )
                 groups[request["group"]] = group
+                spent["create_s"] += time.perf_counter() - began
                 return {"layout": group.tables.layout, "fields": group.fields}
             case "step":
                 began = time.perf_counter()
@@ -50,11 +52,13 @@ def main():
                 # All groups are queued before the first result is read.
                 for key in request["groups"]:
                     groups[key].begin()
+                begun = time.perf_counter()
                 for key in request["groups"]:
                     groups[key].finish()
                 spent["periods"] += 1
                 spent["reset_s"] += reset - began
-                spent["step_s"] += time.perf_counter() - reset
+                spent["begin_s"] += begun - reset
+                spent["finish_s"] += time.perf_counter() - begun
                 spent["world_periods"] += sum(groups[key].worlds for key in request["groups"])
                 return {}
         raise ValueError(f"unknown request {request['do']!r}")

@@ -1,5 +1,7 @@
 """Worlds of one topology: the same shapes and joints. Masses, sizes, friction, poses and gains differ between worlds."""
 
+import contextlib
+
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
@@ -72,7 +74,14 @@ class Group:
         self._target = wp.zeros(worlds, dtype=float)
         self._command = wp.zeros(self.tables.command.shape, dtype=float)
         self._reports = wp.zeros(self.tables.reports.shape, dtype=float)
+        self._clock = wp.zeros(1, dtype=int)
         self._graph = None
+        # Groups run beside each other on a GPU.
+        self._stream = wp.Stream() if wp.get_device().is_cuda else None
+        wp.synchronize()
+
+    def _own_stream(self):
+        return wp.ScopedStream(self._stream) if self._stream else contextlib.nullcontext()
 
     @staticmethod
     def _as_floats(array, width):
@@ -88,6 +97,10 @@ class Group:
 
     def reset(self, worlds):
         """Sets these worlds up from their rows of `numbers`, and writes what the device has to `held`."""
+        with self._own_stream():
+            self._reset(worlds)
+
+    def _reset(self, worlds):
         rows = wp.array(np.ascontiguousarray(self.tables.numbers[worlds]), dtype=float)
         index = wp.array(np.array(worlds, dtype=np.int32), dtype=int)
         back = wp.zeros(rows.shape, dtype=float)
@@ -101,11 +114,12 @@ class Group:
             wp.launch(kernels.gather, dim=(len(worlds), flat.shape[1]), inputs=[flat, index, offset, back])
         self.tables.held[worlds] = back.numpy()
 
-    def _one(self, k):
+    def _one(self):
+        """One time step."""
         plan, d = self._plan, self._d
         joints, steps = len(plan["lag"]), plan["steps"]
         wp.launch(kernels.drive, dim=self.worlds, inputs=[
-            (k + 1) / steps, steps * plan["time_step"], joints, plan["first"], self._lag, self._fingers, self._command,
+            self._clock, steps, steps * plan["time_step"], joints, plan["first"], self._lag, self._fingers, self._command,
             d.qpos, self._target, d.ctrl,
         ])
         mjw.step(self._m, d)
@@ -113,40 +127,48 @@ class Group:
         wp.launch(kernels.add_contacts, dim=contact.geom.shape[0], inputs=[
             joints, self._columns, plan["fixtures"], self._role, self._index, self._finger, self._object_body, self._command,
             d.nacon, contact.geom, contact.worldid, contact.efc_address, contact.dim, contact.pos, contact.frame,
-            contact.friction, d.efc.force, d.xipos, self._pressed, self._pairs, self._support, self._flags,
+            d.efc.force, d.xipos, self._pressed, self._pairs, self._support, self._flags,
         ])
         wp.launch(kernels.report, dim=self.worlds, inputs=[
-            k, plan["time_step"], joints, self._columns, plan["tcp"], self._fingers, self._free, self._movers, self._motion,
-            self._command, d.site_xpos, d.site_xmat, self._pressed, self._pairs, self._support, self._flags, d.qpos, d.qvel,
-            self._reports,
+            self._clock, plan["time_step"], joints, self._columns, plan["tcp"], self._fingers, self._free, self._movers,
+            self._motion, self._command, d.site_xpos, d.site_xmat, self._pressed, self._pairs, self._support, self._flags,
+            d.qpos, d.qvel, self._reports,
         ])
+        wp.launch(kernels.tick, dim=1, inputs=[self._clock])
 
     def begin(self):
         """Starts one control period of all worlds, towards their commands."""
+        with self._own_stream():
+            self._begin()
+
+    def _begin(self):
         self._command.assign(self.tables.command)
-        if wp.get_device().is_cuda:
+        if wp.get_device().is_cuda and self._graph is None:
+            # A capture cannot load kernels: one step does, and is undone.
+            self._clock.zero_()
+            self._one()
+            self._reload()
+            with wp.ScopedCapture() as capture:
+                self._one()
+            self._graph = capture.graph
+        self._clock.zero_()
+        for _ in range(self._plan["steps"]):
             if self._graph is None:
-                self._one(0)  # loads all kernels, which a capture cannot do
-                self._reload()
-                with wp.ScopedCapture() as capture:
-                    for k in range(self._plan["steps"]):
-                        self._one(k)
-                self._graph = capture.graph
-            wp.capture_launch(self._graph)
-        else:
-            for k in range(self._plan["steps"]):
-                self._one(k)
+                self._one()
+            else:
+                wp.capture_launch(self._graph)
 
     def _reload(self):
         """Undoes a step."""
-        self.reset(list(range(self.worlds)))
+        self._reset(list(range(self.worlds)))
         for sums in (self._pressed, self._pairs, self._support, self._flags):
             sums.zero_()
 
     def finish(self):
         """Waits for the control period and writes its reports."""
         tables, d = self.tables, self._d
-        tables.reports[:] = self._reports.numpy()
-        tables.qpos[:] = d.qpos.numpy()
-        tables.qvel[:] = d.qvel.numpy()
-        tables.lost[:, 0] = d.overflow.numpy() & LOSSES
+        with self._own_stream():
+            tables.reports[:] = self._reports.numpy()
+            tables.qpos[:] = d.qpos.numpy()
+            tables.qvel[:] = d.qvel.numpy()
+            tables.lost[:, 0] = d.overflow.numpy() & LOSSES

@@ -20,7 +20,8 @@ DIVERGED = wp.constant(NOT_FINITE)
 
 @wp.kernel
 def drive(
-    share: float,
+    clock: wp.array(dtype=int),
+    steps: int,
     period: float,
     joints: int,
     first: int,
@@ -34,6 +35,7 @@ def drive(
     """Sets the controls: a quadratic B-spline through the commands, and fingers whose target is at most so far ahead of them
     that they press with the grip force."""
     w = wp.tid()
+    share = float(clock[0] + 1) / float(steps)
     a = 0.5 * (1.0 - share) * (1.0 - share)
     b = 0.5 + share * (1.0 - share)
     c = 0.5 * share * share
@@ -74,7 +76,6 @@ def add_contacts(
     dim: wp.array(dtype=int),
     position: wp.array(dtype=wp.vec3),
     frame: wp.array(dtype=wp.mat33),
-    friction: wp.array(dtype=wp.types.vector(5, wp.float32)),
     force: wp.array2d(dtype=float),
     xipos: wp.array2d(dtype=wp.vec3),
     pressed: wp.array2d(dtype=wp.int64),
@@ -155,7 +156,7 @@ def newtons(amount: wp.int64) -> float:
 
 @wp.kernel
 def report(
-    k: int,
+    clock: wp.array(dtype=int),
     time_step: float,
     joints: int,
     columns: int,
@@ -177,6 +178,7 @@ def report(
 ):
     """Writes the report of a step, clears the sums, and moves the fixtures that move."""
     w = wp.tid()
+    k = clock[0]
     opening = float(0.0)
     for i in range(fingers.shape[0]):
         opening += qpos[w, fingers[i]]
@@ -238,6 +240,12 @@ def report(
             qvel[w, movers[i, 1]] = speed
         else:
             qvel[w, movers[i, 1]] = 0.0
+
+
+@wp.kernel
+def tick(clock: wp.array(dtype=int)):
+    """Counts the time steps of a control period."""
+    clock[0] = clock[0] + 1
 
 
 @wp.kernel

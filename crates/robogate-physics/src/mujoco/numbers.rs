@@ -201,6 +201,7 @@ fn topology(model: &MjModel) -> u64 {
     model.geom_rgba_mut().fill([0.0; 4]);
     model.bvh_aabb_mut().fill([0.0; 6]);
     model.dof_simplenum_mut().fill(0);
+    model.dof_length_mut().fill(0.0);
     model.body_sameframe_mut().fill(MjtSameFrame::mjSAMEFRAME_NONE);
     model.geom_sameframe_mut().fill(MjtSameFrame::mjSAMEFRAME_NONE);
     // SAFETY: this copy of the model is saved and never simulated; no size and no address changes.
@@ -210,6 +211,8 @@ fn topology(model: &MjModel) -> u64 {
         model.actuator_biasprm_mut().iter_mut().flatten().for_each(|x| *x = 0.0);
         model.eq_data_mut().iter_mut().flatten().for_each(|x| *x = 0.0);
         model.body_simple_mut().fill(0);
+        model.bvh_nodeid_mut().fill(0);
+        model.bvh_child_mut().fill([0; 2]);
     }
     // FNV-1a, by words of eight bytes.
     bytes(&model).chunks(8).fold(0xcbf2_9ce4_8422_2325, |hash: u64, chunk| {
