@@ -66,6 +66,8 @@ class Group:
         self._free = ints(np.array(plan["free"], dtype=np.int32).reshape(-1, 3))
         self._object_body = ints([body for body, _, _ in plan["free"]])
         self._movers = ints(movers)
+        # Shapes of the world itself.
+        self._still = ints(np.flatnonzero(mjm.geom_bodyid == 0))
         self._columns = 1 + plan["fixtures"] + mjm.nbody
         self._pressed = wp.zeros((worlds, 2), dtype=wp.int64)
         self._pairs = wp.zeros((worlds, mjm.nbody * self._columns), dtype=wp.int64)
@@ -110,6 +112,9 @@ class Group:
         ])
         for flat, offset in zip(self._flat, self._offsets):
             wp.launch(kernels.scatter, dim=(len(worlds), flat.shape[1]), inputs=[rows, index, offset, flat])
+        wp.launch(kernels.place_fixtures, dim=(len(worlds), self._still.shape[0]), inputs=[
+            index, self._still, self._m.geom_pos, self._m.geom_quat, d.geom_xpos, d.geom_xmat,
+        ])
         for flat, offset in zip(self._flat, self._offsets):
             wp.launch(kernels.gather, dim=(len(worlds), flat.shape[1]), inputs=[flat, index, offset, back])
         self.tables.held[worlds] = back.numpy()

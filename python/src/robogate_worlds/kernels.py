@@ -273,6 +273,24 @@ def gather(
 
 
 @wp.kernel
+def place_fixtures(
+    worlds: wp.array(dtype=int),
+    geoms: wp.array(dtype=int),
+    geom_pos: wp.array2d(dtype=wp.vec3),
+    geom_quat: wp.array2d(dtype=wp.quat),
+    geom_xpos: wp.array2d(dtype=wp.vec3),
+    geom_xmat: wp.array2d(dtype=wp.mat33),
+):
+    """Places the shapes of the world itself. MuJoCo Warp does this once, for the model that it was given."""
+    i, j = wp.tid()
+    w, geom = worlds[i], geoms[j]
+    geom_xpos[w, geom] = geom_pos[w, geom]
+    turn = geom_quat[w, geom]
+    # MuJoCo's quaternions begin with the scalar, those of Warp end with it.
+    geom_xmat[w, geom] = wp.quat_to_matrix(wp.quat(turn[1], turn[2], turn[3], turn[0]))
+
+
+@wp.kernel
 def start(
     worlds: wp.array(dtype=int),
     open_finger: float,
