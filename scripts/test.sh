@@ -6,7 +6,7 @@
 #
 # ROBOGATE_TESTS_STRICT=1 makes a skipped test a failure; ROBOGATE_TESTS_OPTIONAL lists tools that may be missing even then.
 # The Python environments are in the build folder. These variables select others: ROBOGATE_TEST_PYTHON, ROBOGATE_BRIDGE_PYTHON,
-# ROBOGATE_POLICY_PYTHON, ROBOGATE_METAWORLD_PYTHON, ROBOGATE_FETCH_PYTHON.
+# ROBOGATE_POLICY_PYTHON, ROBOGATE_NEWTON_PYTHON, ROBOGATE_METAWORLD_PYTHON, ROBOGATE_FETCH_PYTHON.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/common.sh
@@ -133,7 +133,11 @@ bridge() {
 # All suites but the Rust tests, one after the other.
 other_suites() {
     # The longest first. Newton compiles its kernels once and caches them in its environment.
-    bridge newton "$newton" bridges/newton/requirements.lock ROBOGATE_NEWTON_VENV
+    if [ -n "${ROBOGATE_NEWTON_PYTHON:-}" ]; then
+        suite bridges/newton env ROBOGATE_NEWTON_VENV="${ROBOGATE_NEWTON_PYTHON%/bin/*}" bridges/newton/test.sh
+    else
+        skipped bridges/newton "no Python with Newton"
+    fi
     bridge isaac_sim "$isaac" bridges/isaac_sim/tests/requirements.lock ROBOGATE_ISAAC_TEST_VENV
     suite "python" env PYTHONPATH="$PWD/python/src" python3 scripts/run_unittests.py python/tests
     if [ -n "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
@@ -169,18 +173,17 @@ await_other_suites() {
 
 # The environments of the bridges are needed last, so they are created beside all that follows.
 if [ $# -eq 0 ]; then
-    bridges/common/setup.sh "$target/newton-venv" bridges/newton/requirements.lock &
-    newton=$!
     # Fakes replace the classes of Isaac Sim.
     bridges/common/setup.sh "$target/isaac_sim-venv" bridges/isaac_sim/tests/requirements.lock &
     isaac=$!
-    beside=("$newton" "$isaac")
+    beside=("$isaac")
 fi
 
 programs
 python ROBOGATE_TEST_PYTHON readers-venv crates/robogate-dictionary/tests/requirements.lock crates/robogate-gate/tests/evidence-requirements.lock crates/robogate-replay/tests/requirements.lock
 python ROBOGATE_POLICY_PYTHON policies-venv crates/robogate-policy/tests/requirements.lock
 python ROBOGATE_BRIDGE_PYTHON bridges-venv bridges/common/requirements.lock
+python ROBOGATE_NEWTON_PYTHON newton-venv bridges/common/requirements.lock bridges/newton/requirements.lock
 
 for family in metaworld fetch dm_control; do
     python "ROBOGATE_${family^^}_PYTHON" "$family-venv" "scripts/locks/$family.lock"

@@ -7,5 +7,5 @@ venv=${ROBOGATE_NEWTON_VENV:-$here/.venv}
 "$here/../common/setup.sh" "$venv" "$here/requirements.lock" >&2
 # The cache of compiled kernels, which is kept between starts.
 export WARP_CACHE_PATH=${WARP_CACHE_PATH:-$venv/kernels}
-export PYTHONPATH=$here${PYTHONPATH:+:$PYTHONPATH}
+export PYTHONPATH=$here:$here/../common${PYTHONPATH:+:$PYTHONPATH}
 exec "$venv/bin/python" -m robogate_newton "$@"

@@ -15,7 +15,7 @@ import msgpack
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from robogate_bridge import Client, Contact, Fingers, Problem, Server, Servo, codec
+from robogate_bridge import Client, Contact, Fingers, Part, Problem, Server, Servo, Touches, codec
 from robogate_bridge.server import loopback
 from toy import Gantry, Still, Tank
 
@@ -25,7 +25,7 @@ CELL = {
     "control_period_s": 0.05,
     "gravity_m_s2": 9.81,
     "friction": 0.8,
-    "table_friction": 0.8,
+    "table_friction": None,
     "contact": {
         "patch_radius_m": 0.006,
         "rolling_m": 0.0004,
@@ -34,14 +34,19 @@ CELL = {
         "limit_impedance": [0.98, 0.99, 0.001],
         "driven_mass_kg": 500.0,
     },
-    "object": {
-        "parts": [{"primitive": {"kind": "sphere", "radius": 0.02}, "pose": None}],
-        "pose": {"position": [0.5, 0.0, 0.02], "orientation": [1.0, 0.0, 0.0, 0.0]},
-        "mass_kg": 0.3,
-        "centre_of_mass": [0.0, 0.0, 0.0],
-    },
+    "objects": [
+        {
+            "name": name,
+            "parts": [{"primitive": {"kind": "sphere", "radius": 0.02}, "pose": None}],
+            "pose": {"position": [0.5, y, 0.02], "orientation": [1.0, 0.0, 0.0, 0.0]},
+            "mass_kg": 0.3,
+            "centre_of_mass": [0.0, 0.0, 0.0],
+        }
+        for name, y in (("a", 0.0), ("b", 0.1))
+    ],
     "fixtures": [],
     "robot": {
+        "stiffness_nm_rad": [100.0],
         "home_rad": [0.0],
         "position_limit_rad": [[-1.0, 1.0]],
         "velocity_limit_rad_s": [2.0],
@@ -72,6 +77,43 @@ class TheContact(unittest.TestCase):
     def test_is_required(self):
         with self.assertRaises(KeyError):
             Contact.of({"contact": {"patch_radius_m": 0.005}})
+
+
+class TheTouches(unittest.TestCase):
+    """Object 0 lies on fixture 3 and carries object 1, which both fingers and the hand touch."""
+
+    def touches(self):
+        touches = Touches(3)
+        below, above = Part("object", index=0), Part("object", index=1)
+        left, hand = Part("robot", "left", finger=0), Part("robot", "hand")
+        table = Part("fixture", index=3)
+        touches.add(table, below, 5.0, (0.0, 0.0, -5.0))
+        touches.add(below, table, 3.0, (0.5, 0.0, 3.0))
+        touches.add(above, below, 2.0, (0.0, 0.0, 2.0))
+        touches.add(left, above, 10.0, (0.0, 10.0, 0.0))
+        touches.add(above, left, 5.0)
+        touches.add(above, Part("robot", "right", finger=1), 12.0)
+        touches.add(hand, above, 1.0)
+        touches.add(hand, table, 4.0)
+        for one, two in ((table, Part("fixture", index=0)), (left, hand), (None, above), (above, above)):
+            touches.add(one, two, 99.0)
+        return touches
+
+    def test_sum_by_object(self):
+        below, above, alone = (self.touches().sight(index) for index in range(3))
+        self.assertEqual((below["fingers"], below["body_on_object"], below["object_on_fixture"]), ([None, None], False, True))
+        # The weight of the upper object acts on the lower one.
+        self.assertEqual(below["support_n"], [0.5, 0.0, 6.0])
+        self.assertEqual((above["fingers"], above["body_on_object"], above["object_on_fixture"]), ([15.0, 12.0], True, True))
+        self.assertEqual(above["support_n"], [0.0, 0.0, 2.0])
+        self.assertEqual((alone["fingers"], alone["object_on_fixture"]), ([None, None], False))
+        self.assertEqual(self.touches().on_object_n, [10.0, 30.0, 0.0])
+
+    def test_share_collision_and_peak(self):
+        for index in range(3):
+            sight = self.touches().sight(index)
+            self.assertEqual(sight["collision"], {"robot_body": "hand", "fixture": 3, "force_n": 4.0})
+            self.assertEqual((sight["peak_force_n"], sight["object"]), (15.0, index))
 
 
 class Proposing(Tank):
@@ -283,7 +325,21 @@ class TheServer(unittest.TestCase):
         server = begun(Still(), cell=CELL)
         reply = ask(server, "step", tick=0, action_space="joint_position", actions=[[0.01, 1.0], [0.01, 1.0]])
         self.assertEqual([len(step["sights"]) for step in reply["steps"]], [5, 5])
+        self.assertEqual(len(reply["steps"][0]["sights"][0]["objects"]), 2)
         self.rejects(ask(server, "reset", index=0, seed=1, parameters={}), "bad_request")
+
+    def test_clients_choose_the_object(self):
+        server, action = begun(Still(), cell=CELL), {"action_space": "joint_position", "actions": [[0.01, 1.0]]}
+        chosen = []
+        for tick, more in enumerate(({}, {"object": 1}, {}, {"object": 0})):
+            reply = ask(server, "step", tick=tick, **action, **more)
+            chosen.append(reply["steps"][0]["sights"][-1]["object"])
+        self.assertEqual(chosen, [0, 1, 1, 0])
+        self.rejects(ask(server, "step", tick=4, **action, object=2), "bad_request")
+        self.rejects(ask(server, "step", tick=4, **action, object=-1), "bad_request")
+        self.assertTrue(ask(server, "step", tick=4, **action)["ok"])
+        joints = {"action_space": "joint_position", "actions": [[0.5, 0, 0.3, -1]]}
+        self.rejects(ask(begun(), "step", tick=0, **joints, object=0), "bad_request")
 
     def test_every_request_gets_a_reply(self):
         server = begun()
@@ -393,10 +449,10 @@ class DeclaredTasks(unittest.TestCase):
         ]:
             self.assertIn(part, changed(change))
 
-    def test_version_1_is_rejected(self):
-        reply = codec.decode(Server(Tank()).answer([codec.encode({"v": 1, "op": "hello", "episode": 0})])[0])
-        self.assertEqual((reply["v"], reply["error"]["kind"]), (2, "bad_request"))
-        self.assertIn("uses protocol version 2, but the request has version 1", reply["error"]["detail"])
+    def test_other_versions_are_rejected(self):
+        reply = codec.decode(Server(Tank()).answer([codec.encode({"v": 2, "op": "hello", "episode": 0})])[0])
+        self.assertEqual((reply["v"], reply["error"]["kind"]), (3, "bad_request"))
+        self.assertIn("uses protocol version 3, but the request has version 2", reply["error"]["detail"])
 
 
 class TheExamples(unittest.TestCase):

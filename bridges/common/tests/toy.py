@@ -2,12 +2,12 @@
 
 `Gantry` scores itself: three sliding joints carry a hand in a straight line; the object moves along while it is gripped. `Tank`
 scores itself and has no robot: two valves fill a tank. `Still` computes physics only: its arm reaches any command immediately, and
-its object stays at rest.
+its objects stay at rest.
 """
 
 import argparse
 
-from robogate_bridge import Image, Problem, Servo, arm_observation, serve, state_hash
+from robogate_bridge import Image, Problem, Servo, Touches, arm_observation, serve, state_hash, table_friction
 
 PERIOD = 0.05
 DOWN = [0.0, 1.0, 0.0, 0.0]
@@ -184,7 +184,7 @@ class Still:
             "robot": {"name": "still"},
             "time_step_s": 0.01,
             "task": {
-                "name": "pick_place",
+                "name": "cell",
                 "control_period_s": PERIOD,
                 "time_limit_s": 10.0,
                 "observation": {"vectors": arm("x")},
@@ -198,25 +198,32 @@ class Still:
         self.cell = scenario.cell
         self.servo = Servo(self.cell["robot"], PERIOD)
         self.x, self.v, self.ticks = self.cell["robot"]["home_rad"][0], 0.0, 0
-        thing = self.cell["object"]
-        readback = {key: self.cell[key] for key in ("friction", "table_friction", "gravity_m_s2")} | {
-            "mass_kg": thing["mass_kg"],
-            "centre_of_mass": thing["centre_of_mass"],
-            "parts": [part["primitive"] for part in thing["parts"]],
-            "object_pose": thing["pose"],
+        readback = {
+            "friction": self.cell["friction"],
+            "table_friction": table_friction(self.cell),
+            "pad_friction": self.cell["friction"],
+            "gravity_m_s2": self.cell["gravity_m_s2"],
+            "stiffness_nm_rad": self.cell["robot"]["stiffness_nm_rad"],
+            "grip_force_n": 30.0,
+            "grip_threshold_m": None,
+            "objects": [
+                {key: thing[key] for key in ("mass_kg", "centre_of_mass", "pose")}
+                | {"parts": [part["primitive"] for part in thing["parts"]]}
+                for thing in self.cell["objects"]
+            ],
             "fixtures": [
                 {"fixture": i, "primitive": fixture["primitive"], "pose": fixture["pose"], "motion": fixture["motion"]}
                 for i, fixture in enumerate(self.cell["fixtures"])
             ],
         }
-        return {"observation": self.observation(), "readback": readback, "sight": self.sight()}
+        return {"observation": self.observation(), "readback": readback, "sight": self.sight(0)}
 
     def step(self, action):
         self.servo.command(action.numbers)
         sights = []
         for k in range(1, 6):
             (self.x,), (self.v,) = self.servo.targets(k / 5)
-            sights.append(self.sight())
+            sights.append(self.sight(action.object))
         self.ticks += 1
         return {
             "observation": self.observation(),
@@ -231,15 +238,10 @@ class Still:
     def observation(self):
         return arm_observation(self.ticks * PERIOD, [self.x], [self.v], 0.08, self.tool())
 
-    def sight(self):
-        return {
-            "fingers": [None, None],
-            "body_on_object": False,
-            "object_on_fixture": True,
-            "collision": None,
-            "peak_force_n": None,
-            "object_pose": self.cell["object"]["pose"],
-            "object_velocity": {"linear_m_s": [0.0] * 3, "angular_rad_s": [0.0] * 3},
+    def sight(self, index):
+        still = {"linear_m_s": [0.0] * 3, "angular_rad_s": [0.0] * 3}
+        return Touches(len(self.cell["objects"])).sight(index) | {
+            "objects": [{"pose": thing["pose"]} | still for thing in self.cell["objects"]],
             "tool_pose": self.tool(),
             "opening_m": 0.08,
         }

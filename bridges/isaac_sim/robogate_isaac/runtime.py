@@ -9,7 +9,7 @@ from isaacsim.core.version import get_version
 from omni.physx import get_physx_simulation_interface
 from pxr import PhysicsSchemaTools
 
-from .stage import OBJECT, ROBOT, SCENE, Cell
+from .stage import ROBOT, SCENE, Cell, object_path
 
 
 def version():
@@ -36,11 +36,14 @@ class Runtime:
         )
         self._time_step = time_step_s
         self._arm = SingleArticulation(ROBOT, name="robot", reset_xform_properties=False)
-        self._object = SingleRigidPrim(OBJECT, name="object", reset_xform_properties=False)
+        self._objects = [
+            SingleRigidPrim(object_path(i), name=f"object_{i}", reset_xform_properties=False)
+            for i in range(len(cell["objects"]))
+        ]
         self._tool = SingleRigidPrim(f"{ROBOT}/{tool_body}", name="tool", reset_xform_properties=False)
         # This runs a step, which is undone below.
         self._world.reset()
-        for prim in (self._arm, self._object, self._tool):
+        for prim in (self._arm, *self._objects, self._tool):
             prim.initialize()
         drives, gripper = cell["robot"], cell["robot"]["gripper"]
         names = [*drives["joints"], *gripper["finger_joints"]]
@@ -48,10 +51,10 @@ class Runtime:
         start = [*drives["home_rad"], *[0.5 * gripper["opening_m"]] * len(gripper["finger_joints"])]
         self._arm.set_joint_positions(np.array(start), joint_indices=self._dofs)
         self._arm.set_joint_velocities(np.zeros(len(start)), joint_indices=self._dofs)
-        place = cell["object"]["pose"]
-        self._object.set_world_pose(np.array(place["position"]), np.array(place["orientation"]))
-        self._object.set_linear_velocity(np.zeros(3))
-        self._object.set_angular_velocity(np.zeros(3))
+        for prim, thing in zip(self._objects, cell["objects"]):
+            prim.set_world_pose(np.array(thing["pose"]["position"]), np.array(thing["pose"]["orientation"]))
+            prim.set_linear_velocity(np.zeros(3))
+            prim.set_angular_velocity(np.zeros(3))
         self._physx = get_physx_simulation_interface()
 
     def step(self, positions, velocities):
@@ -66,36 +69,48 @@ class Runtime:
             self._arm.get_joint_velocities(joint_indices=self._dofs).tolist(),
         )
 
-    def object(self):
-        """Pose, velocity of the centre of mass, angular velocity."""
-        return _pose(self._object), self._object.get_linear_velocity().tolist(), self._object.get_angular_velocity().tolist()
+    def objects(self):
+        """For each object its pose, the velocity of its centre of mass, and its angular velocity."""
+        return [
+            (_pose(prim), prim.get_linear_velocity().tolist(), prim.get_angular_velocity().tolist())
+            for prim in self._objects
+        ]
 
     def tool_body(self):
         """Pose of the body that carries the tool centre point."""
         return _pose(self._tool)
 
     def contacts(self):
-        """Pairs of paths of bodies in contact in the last step, and the normal force between them (N)."""
-        headers, points = self._physx.get_contact_report()
+        """Pairs of paths of bodies in contact in the last step, the normal force between them (N), and the total force on the first
+        one."""
+        headers, points, anchors = self._physx.get_full_contact_report()
         for header in headers:
             first, count = header.contact_data_offset, header.num_contact_data
-            impulse = 0.0
+            normal, total = 0.0, np.zeros(3)
             for point in points[first : first + count]:
-                n, push = point.normal, point.impulse
-                impulse += abs(n.x * push.x + n.y * push.y + n.z * push.z)
+                push = _vector(point.impulse)
+                normal += abs(float(_vector(point.normal) @ push))
+                total += push
+            first, count = header.friction_anchors_offset, header.num_friction_anchors_data
+            for anchor in anchors[first : first + count]:
+                total += _vector(anchor.impulse)
             # A contact within the margin that does not touch has no force.
-            if impulse > 0.0:
-                yield _path(header.actor0), _path(header.actor1), impulse / self._time_step
+            if normal > 0.0:
+                force = (total / self._time_step).tolist()
+                yield _path(header.actor0), _path(header.actor1), normal / self._time_step, force
 
-    def mass(self):
-        """Mass (kg) and centre of mass of the object in PhysX."""
-        position, _ = self._object.get_com()
-        return float(self._object.get_mass()), np.asarray(position).reshape(3).tolist()
+    def masses(self):
+        """Mass (kg) and centre of mass of each object in PhysX."""
+        return [(float(prim.get_mass()), np.asarray(prim.get_com()[0]).reshape(3).tolist()) for prim in self._objects]
 
     def gravity(self):
         """Downward gravity (m/s^2) of the physics scene."""
         direction, magnitude = self._world.get_physics_context().get_gravity()
         return -float(direction[2]) * float(magnitude)
+
+
+def _vector(three):
+    return np.array([three.x, three.y, three.z])
 
 
 def _pose(prim):

@@ -12,8 +12,10 @@ from robogate_bridge import (
     Touches,
     arm_observation,
     combined,
+    is_table,
+    object_state,
+    parallel_jaw,
     physics_hello,
-    turned,
     unit,
 )
 
@@ -49,19 +51,19 @@ class Isaac:
             if drives["tcp_site"] not in self._robot.sites:
                 raise Problem("setup", f"the robot's model has no site {drives['tcp_site']!r}")
             body, self._tcp = self._robot.sites[drives["tcp_site"]]
-            if not any(fixture["kind"] == "table" for fixture in cell["fixtures"]):
+            if not any(is_table(fixture) for fixture in cell["fixtures"]):
                 raise Problem("setup", "the cell has no table")
             runtime = self._make(self._robot, cell, TIME_STEP_S, body)
             self._servo = Servo(drives, CONTROL_PERIOD_S)
-            self._fingers = Fingers(drives["gripper"], TIME_STEP_S)
+            self._fingers = Fingers(parallel_jaw(cell), TIME_STEP_S)
             self._movers = [(i, Motion(fixture)) for i, fixture in enumerate(cell["fixtures"]) if fixture["motion"]]
-            names = [*drives["joints"], *drives["gripper"]["finger_joints"]]
+            names = [*drives["joints"], *parallel_jaw(cell)["finger_joints"]]
             self._damping = [(drive_of(name, drives)[1], self._own[name]) for name in names]
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as why:
             raise Problem("setup", f"Isaac Sim cannot build this cell: {type(why).__name__}: {why}") from why
         self._runtime, self._ticks, self._step_count = runtime, 0, 0
         # No force has acted yet.
-        return {"observation": self._observation(), "readback": self._readback(), "sight": self._sight(Touches())}
+        return {"observation": self._observation(), "readback": self._readback(), "sight": self._sight(0, Touches(len(cell["objects"])))}
 
     def step(self, action):
         self._servo.command(action.numbers)
@@ -74,10 +76,10 @@ class Isaac:
             for fixture, motion in self._movers:
                 self._runtime.cell.move(fixture, motion.position(self._step_count * TIME_STEP_S))
             self._runtime.step([*positions, *fingers], wanted)
-            touches = Touches()
-            for one, two, force in self._runtime.contacts():
-                touches.add(self._runtime.cell.part(one), self._runtime.cell.part(two), force)
-            sights.append(self._sight(touches))
+            touches = Touches(len(self._cell["objects"]))
+            for one, two, force, push in self._runtime.contacts():
+                touches.add(self._runtime.cell.part(one), self._runtime.cell.part(two), force, push)
+            sights.append(self._sight(action.object, touches))
         self._ticks += 1
         return {
             "observation": self._observation(),
@@ -88,8 +90,9 @@ class Isaac:
 
     def state_hash(self):
         positions, velocities = self._runtime.joints()
-        pose, linear, angular = self._runtime.object()
-        state = [*positions, *velocities, *pose["position"], *pose["orientation"], *linear, *angular]
+        state = [*positions, *velocities]
+        for pose, linear, angular in self._runtime.objects():
+            state += [*pose["position"], *pose["orientation"], *linear, *angular]
         bits = blake2b(struct.pack(f"<{len(state)}d", *state), digest_size=8).digest()
         return int.from_bytes(bits, "little")
 
@@ -109,31 +112,35 @@ class Isaac:
         time_s, opening = self._ticks * CONTROL_PERIOD_S, self._opening()
         return arm_observation(time_s, positions[:arm], velocities[:arm], opening, self._tool_pose())
 
-    def _sight(self, touches):
-        pose, (u, v, w), (a, b, c) = self._runtime.object()
-        pose = {**pose, "orientation": unit(pose["orientation"])}
+    def _sight(self, index, touches):
         # PhysX stores the velocity of the centre of mass.
-        x, y, z = turned(pose["orientation"], self._cell["object"]["centre_of_mass"])
-        return touches.sight() | {
-            "object_pose": pose,
-            "object_velocity": {"linear_m_s": [u - (b * z - c * y), v - (c * x - a * z), w - (a * y - b * x)],
-                                "angular_rad_s": [a, b, c]},
-            "tool_pose": self._tool_pose(),
-            "opening_m": self._opening(),
-        }
+        objects = [
+            object_state({**pose, "orientation": unit(pose["orientation"])}, linear, angular, thing["centre_of_mass"])
+            for (pose, linear, angular), thing in zip(self._runtime.objects(), self._cell["objects"])
+        ]
+        return touches.sight(index) | {"objects": objects, "tool_pose": self._tool_pose(), "opening_m": self._opening()}
 
     def _readback(self):
         runtime = self._runtime
-        friction, table_friction = runtime.cell.friction()
-        mass, centre = runtime.mass()
-        pose, _, _ = runtime.object()
+        friction, table, pads = runtime.cell.friction()
+        arm, fingers = runtime.cell.stiffness()
+        objects = [
+            {
+                "mass_kg": mass,
+                "centre_of_mass": centre,
+                "parts": runtime.cell.parts(i),
+                "pose": {**pose, "orientation": unit(pose["orientation"])},
+            }
+            for i, ((mass, centre), (pose, _, _)) in enumerate(zip(runtime.masses(), runtime.objects()))
+        ]
         return {
             "friction": friction,
-            "table_friction": table_friction,
+            "table_friction": table,
+            "pad_friction": pads,
             "gravity_m_s2": runtime.gravity(),
-            "mass_kg": mass,
-            "centre_of_mass": centre,
-            "parts": runtime.cell.parts(),
-            "object_pose": {**pose, "orientation": unit(pose["orientation"])},
+            "stiffness_nm_rad": arm,
+            "grip_force_n": self._fingers.lead_m * sum(fingers) / len(fingers),
+            "grip_threshold_m": None,
+            "objects": objects,
             "fixtures": runtime.cell.fixtures(),
         }

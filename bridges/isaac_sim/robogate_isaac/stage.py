@@ -1,15 +1,15 @@
 """A cell as a USD stage, with the schemas of UsdPhysics and, as plain attributes, of PhysX. It needs no module of Isaac Sim: any
 USD tool can open the authored stage."""
 
-from math import degrees, radians
+from math import degrees, radians, sqrt
 
 import mujoco
 import numpy as np
 from pxr import Gf, Sdf, UsdGeom, UsdPhysics, UsdShade
-from robogate_bridge import Part, Problem, combined, turned
+from robogate_bridge import Part, Problem, combined, is_table, parallel_jaw, table_friction, turned
 
 ROBOT = "/World/robot"
-OBJECT = "/World/object"
+OBJECTS = "/World/objects"
 FIXTURES = "/World/fixtures"
 MATERIALS = "/World/materials"
 SCENE = "/physicsScene"
@@ -28,7 +28,8 @@ class Cell:
         self._materials()
         self._add_robot()
         self._add_fixtures()
-        self._add_object()
+        for i, thing in enumerate(cell["objects"]):
+            self._add_object(object_path(i), thing)
 
     def _scene(self, time_step_s):
         scene = UsdPhysics.Scene.Define(self._stage, SCENE)
@@ -44,13 +45,14 @@ class Cell:
         _set(prim, "physxScene:timeStepsPerSecond", Sdf.ValueTypeNames.UInt, round(1.0 / time_step_s))
 
     def _materials(self):
-        """Sets the friction. The object has its own coefficient. PhysX multiplies the coefficients of two shapes, so all others
-        have 1, and a table with its own friction has the ratio."""
-        friction, table = self._cell["friction"], self._cell["table_friction"]
-        if friction == 0.0 and table != 0.0:
-            raise Problem("setup", "PhysX multiplies coefficients, so an object without friction cannot have friction on the table")
-        own = {"object": friction, "other": 1.0, "table": table / friction if friction else 1.0}
-        for name, coefficient in own.items():
+        """Sets the friction. PhysX multiplies the coefficients of two shapes, so the objects have the square root of theirs, and all
+        others have what gives the requested product."""
+        friction = self._cell["friction"]
+        own = {"other": friction, "table": table_friction(self._cell), "pad": parallel_jaw(self._cell)["pad_friction"]}
+        if friction == 0.0 and any(own.values()):
+            raise Problem("setup", "PhysX multiplies coefficients, so objects without friction cannot have friction on the table or the pads")
+        root = sqrt(friction)
+        for name, coefficient in {"object": root, **{name: mu / root if root else 1.0 for name, mu in own.items()}}.items():
             material = UsdShade.Material.Define(self._stage, f"{MATERIALS}/{name}")
             held = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
             held.CreateStaticFrictionAttr(coefficient)
@@ -78,7 +80,8 @@ class Cell:
             # The weight of the arm itself is compensated, as in the controller of a real arm.
             _set(link, "physxRigidBody:disableGravity", Sdf.ValueTypeNames.Bool, True)
             for i, shape in enumerate(body.shapes):
-                self._collider(f"{path}/shape_{i}", shape.kind, shape.size, shape.pose, "other")
+                material = "pad" if body.name in gripper["finger_bodies"] else "other"
+                self._collider(f"{path}/shape_{i}", shape.kind, shape.size, shape.pose, material)
             if body.parent is None:
                 # The base stands on the table, so its contacts with fixtures are ignored.
                 filtered = UsdPhysics.FilteredPairsAPI.Apply(link).CreateFilteredPairsRel()
@@ -132,26 +135,24 @@ class Cell:
         UsdGeom.Scope.Define(self._stage, FIXTURES)
         for i, fixture in enumerate(self._cell["fixtures"]):
             path = f"{FIXTURES}/fixture_{i}"
-            table = fixture["kind"] == "table"
             body = UsdGeom.Xform.Define(self._stage, path)
             _place(body, fixture["pose"])
             if fixture["motion"] is not None:
                 held = UsdPhysics.RigidBodyAPI.Apply(body.GetPrim())
                 held.CreateKinematicEnabledAttr(True)
             still = {"position": [0.0, 0.0, 0.0], "orientation": [1.0, 0.0, 0.0, 0.0]}
-            self._collider(f"{path}/shape", *_sizes(fixture["primitive"]), still, "table" if table else "other")
+            self._collider(f"{path}/shape", *_sizes(fixture["primitive"]), still, "table" if is_table(fixture) else "other")
 
-    def _add_object(self):
-        thing = self._cell["object"]
+    def _add_object(self, path, thing):
         moments, axes = principal(thing["inertia_kg_m2"])
-        prim = self._rigid(OBJECT, thing["pose"], thing["mass_kg"], thing["centre_of_mass"], moments, axes)
+        prim = self._rigid(path, thing["pose"], thing["mass_kg"], thing["centre_of_mass"], moments, axes)
         _set(prim, "physxRigidBody:linearDamping", Sdf.ValueTypeNames.Float, 0.0)
         _set(prim, "physxRigidBody:angularDamping", Sdf.ValueTypeNames.Float, 0.0)
         _set(prim, "physxRigidBody:sleepThreshold", Sdf.ValueTypeNames.Float, 0.0)
         _set(prim, "physxRigidBody:solverPositionIterationCount", Sdf.ValueTypeNames.Int, 32)
         _set(prim, "physxRigidBody:solverVelocityIterationCount", Sdf.ValueTypeNames.Int, 4)
         for i, part in enumerate(thing["parts"]):
-            self._collider(f"{OBJECT}/shape_{i}", *_sizes(part["primitive"]), part["pose"], "object")
+            self._collider(f"{path}/shape_{i}", *_sizes(part["primitive"]), part["pose"], "object")
 
     def _rigid(self, path, pose, mass, centre, inertia, axes):
         body = UsdGeom.Xform.Define(self._stage, path)
@@ -198,11 +199,10 @@ class Cell:
 
     def part(self, path):
         """The owner of the rigid body or fixture at this path. None for any other path."""
-        if path == OBJECT or path.startswith(f"{OBJECT}/"):
-            return Part("object")
-        root, _, rest = path.partition(f"{FIXTURES}/fixture_")
-        if not root and rest:
-            return Part("fixture", fixture=int(rest.split("/")[0]))
+        for kind, prefix in (("object", f"{OBJECTS}/object_"), ("fixture", f"{FIXTURES}/fixture_")):
+            root, _, rest = path.partition(prefix)
+            if not root and rest:
+                return Part(kind, index=int(rest.split("/")[0]))
         root, _, rest = path.partition(f"{ROBOT}/")
         if root or not rest:
             return None
@@ -210,16 +210,27 @@ class Cell:
         return Part("robot", body, fingers.index(body) if body in fingers else None)
 
     def friction(self):
-        """Friction coefficients of the object with everything but the table, and with the table."""
+        """Friction coefficients of the objects with everything but the table and the pads, with the table, and with the pads."""
         held = {
             name: UsdPhysics.MaterialAPI(self._stage.GetPrimAtPath(f"{MATERIALS}/{name}")).GetStaticFrictionAttr().Get()
-            for name in ("object", "other", "table")
+            for name in ("object", "other", "table", "pad")
         }
-        return held["object"] * held["other"], held["object"] * held["table"]
+        return tuple(held["object"] * held[name] for name in ("other", "table", "pad"))
 
-    def parts(self):
-        """The object's primitives."""
-        return [_primitive(self._stage, f"{OBJECT}/shape_{i}") for i in range(len(self._cell["object"]["parts"]))]
+    def parts(self, index):
+        """The primitives of an object."""
+        count = len(self._cell["objects"][index]["parts"])
+        return [_primitive(self._stage, f"{object_path(index)}/shape_{i}") for i in range(count)]
+
+    def stiffness(self):
+        """Stiffness of the drives of the arm, in Nm/rad, and of the fingers, in N/m."""
+        arm, fingers = self._cell["robot"]["joints"], parallel_jaw(self._cell)["finger_joints"]
+        return [self._gain(name, "angular") for name in arm], [self._gain(name, "linear") for name in fingers]
+
+    def _gain(self, joint, kind):
+        prim = self._stage.GetPrimAtPath(f"{ROBOT}/joints/{joint}")
+        unit = 1.0 if kind == "linear" else radians(1.0)
+        return UsdPhysics.DriveAPI(prim, kind).GetStiffnessAttr().Get() / unit
 
     def fixtures(self):
         """The fixtures in their current state."""
@@ -237,6 +248,11 @@ class Cell:
                 "motion": fixture["motion"] if driven else None,
             })
         return out
+
+
+def object_path(index):
+    """The path of an object."""
+    return f"{OBJECTS}/object_{index}"
 
 
 def drive_of(joint, drives):

@@ -58,21 +58,26 @@ class Fakes:
         return self.stage
 
     # omni.physx's simulation interface
-    def get_contact_report(self):
+    def get_full_contact_report(self):
         scene = UsdPhysics.Scene(self.stage.GetPrimAtPath("/physicsScene"))
-        mass = UsdPhysics.MassAPI(self.stage.GetPrimAtPath("/World/object")).GetMassAttr().Get()
-        weight = mass * scene.GetGravityMagnitudeAttr().Get()
-        headers, points = [], []
-        # Two contact points share the weight.
-        contacts = [("/World/object", "/World/fixtures/fixture_0", [weight / 2, weight / 2]), *self.more_contacts]
+        headers, points, anchors, contacts = [], [], [], []
+        for path in self.objects:
+            mass = UsdPhysics.MassAPI(self.stage.GetPrimAtPath(path)).GetMassAttr().Get()
+            weight = mass * scene.GetGravityMagnitudeAttr().Get()
+            # Two contact points share the weight.
+            contacts.append((path, "/World/fixtures/fixture_0", [weight / 2, weight / 2]))
+        contacts += self.more_contacts
         for one, two, forces in contacts:
             header = SimpleNamespace(actor0=self._number(one), actor1=self._number(two),
-                                     contact_data_offset=len(points), num_contact_data=len(forces))
+                                     contact_data_offset=len(points), num_contact_data=len(forces),
+                                     friction_anchors_offset=len(anchors), num_friction_anchors_data=1)
+            # A lateral force of 0.5 N.
+            anchors.append(SimpleNamespace(impulse=SimpleNamespace(x=0.5 * self.dt, y=0.0, z=0.0)))
             headers.append(header)
             for force in forces:
                 up = SimpleNamespace(x=0.0, y=0.0, z=1.0)
-                points.append(SimpleNamespace(normal=up, impulse=SimpleNamespace(x=9.0, y=0.0, z=-force * self.dt)))
-        return headers, points
+                points.append(SimpleNamespace(normal=up, impulse=SimpleNamespace(x=0.0, y=0.0, z=force * self.dt)))
+        return headers, points, anchors
 
     def _number(self, path):
         number = abs(hash(path))
@@ -105,7 +110,8 @@ class Fakes:
             def reset(self, soft=False):
                 fakes.begin()
                 # It runs a step, in which the object falls a little.
-                fakes.object[2] -= GRAVITY_SAG
+                for place, _ in fakes.objects.values():
+                    place[2] -= GRAVITY_SAG
                 fakes.ready = True
 
             def step(self, render=True, update_fabric=False):
@@ -167,12 +173,13 @@ class Fakes:
                 assert fakes.ready
 
             def get_world_pose(self):
-                if self.path == "/World/object":
-                    return fakes.object.astype(np.float32), fakes.turn.astype(np.float32)
+                if self.path in fakes.objects:
+                    place, turn = fakes.objects[self.path]
+                    return place.astype(np.float32), turn.astype(np.float32)
                 return fakes.link(self.path)
 
             def set_world_pose(self, position=None, orientation=None):
-                fakes.object, fakes.turn = np.array(position), np.array(orientation)
+                fakes.objects[self.path] = (np.array(position), np.array(orientation))
 
             def set_linear_velocity(self, velocity):
                 assert velocity.shape == (3,)
@@ -201,10 +208,13 @@ class Fakes:
         self.joints = {str(joint.GetRelationship("physics:body1").GetTargets()[0]): joint for joint in joints}
         moving = sorted((prim.GetName() for prim in joints if not prim.IsA(UsdPhysics.FixedJoint)), reverse=True)
         self.q, self.v = {name: 0.0 for name in moving}, {name: 0.0 for name in moving}
-        place = UsdGeom.Xformable(self.stage.GetPrimAtPath("/World/object")).GetLocalTransformation()
-        turn = place.ExtractRotationQuat()
-        self.object = np.array(place.ExtractTranslation())
-        self.turn = np.array([turn.GetReal(), *turn.GetImaginary()])
+        self.objects = {}
+        for prim in self.stage.GetPrimAtPath("/World/objects").GetChildren():
+            place = UsdGeom.Xformable(prim).GetLocalTransformation()
+            turn = place.ExtractRotationQuat()
+            self.objects[str(prim.GetPath())] = (
+                np.array(place.ExtractTranslation()), np.array([turn.GetReal(), *turn.GetImaginary()])
+            )  # fmt: skip
 
     def write(self, into, values, indices):
         names = list(into)

@@ -41,7 +41,8 @@ def cell():
         "gravity_m_s2": 6.0,
         "friction": 0.4,
         "table_friction": 0.1,
-        "object": {
+        "objects": [{
+            "name": "object",
             "parts": [
                 {"primitive": {"kind": "box", "half": [0.03, 0.02, 0.01]},
                  "pose": {"position": [0.0, 0.0, -0.015], "orientation": UP}},
@@ -54,7 +55,15 @@ def cell():
             "mass_kg": 0.25,
             "centre_of_mass": [0.004, 0.0, -0.003],
             "inertia_kg_m2": [[2e-4, 1e-5, 0.0], [1e-5, 1e-4, 0.0], [0.0, 0.0, 1.5e-4]],
-        },
+        }, {
+            "name": "other",
+            "parts": [{"primitive": {"kind": "box", "half": [0.02, 0.02, 0.02]},
+                       "pose": {"position": [0.0, 0.0, 0.0], "orientation": UP}}],
+            "pose": {"position": [0.4, -0.1, 0.02], "orientation": UP},
+            "mass_kg": 0.5,
+            "centre_of_mass": [0.0, 0.0, 0.0],
+            "inertia_kg_m2": [[1e-4, 0.0, 0.0], [0.0, 1e-4, 0.0], [0.0, 0.0, 1e-4]],
+        }],
         "fixtures": [
             {"name": "table", "kind": "table", "primitive": {"kind": "box", "half": [0.4, 0.7, 0.02]}, "pose": table,
              "motion": None},
@@ -75,7 +84,8 @@ def cell():
             "tcp_site": "tcp",
             "gripper": {"kind": "parallel_jaw", "finger_joints": ["finger_joint1", "finger_joint2"],
                         "finger_bodies": ["left_finger", "right_finger"], "opening_m": 0.08,
-                        "finger_speed_m_s": 0.05, "force_n": 30.0, "stiffness_n_m": 10000.0, "damping_ns_m": 50.0},
+                        "finger_speed_m_s": 0.05, "force_n": 30.0, "stiffness_n_m": 10000.0, "damping_ns_m": 50.0,
+                        "pad_friction": 0.6},
         },
         "visual": {},
     }  # fmt: skip
@@ -130,7 +140,7 @@ class TheStage(unittest.TestCase):
             self.assertAlmostEqual((250.0 + 1.0) * (damped(0.7, 250.0, 1.0) - v), 250.0 * (0.7 - v) - 1.0 * v)
 
     def test_inertia_is_preserved(self):
-        inertia = np.array(cell()["object"]["inertia_kg_m2"])
+        inertia = np.array(cell()["objects"][0]["inertia_kg_m2"])
         moments, (w, x, y, z) = principal(inertia)
         turn = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
                          [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
@@ -142,7 +152,7 @@ class TheStage(unittest.TestCase):
         self.assertEqual(len(base.GetFilteredPairsRel().GetTargets()), 3)
         root = self.stage.GetPrimAtPath("/World/robot")
         self.assertFalse(root.GetAttribute("physxArticulation:enabledSelfCollisions").Get())
-        for path in ("/World/object", "/World/robot/hand"):
+        for path in ("/World/objects/object_1", "/World/robot/hand"):
             # The schemas of PhysX are not part of USD, so only their names are checked.
             schemas = self.stage.GetPrimAtPath(path).GetMetadata("apiSchemas").GetAddedOrExplicitItems()
             self.assertIn("PhysxContactReportAPI", schemas)
@@ -152,7 +162,7 @@ class TheStage(unittest.TestCase):
 
     def test_every_shape_has_a_physics_material(self):
         shapes = [prim for prim in self.stage.Traverse() if prim.HasAPI(UsdPhysics.CollisionAPI)]
-        self.assertEqual(len(shapes), 18 + 3 + 3)
+        self.assertEqual(len(shapes), 18 + 3 + 4)
         for prim in shapes:
             material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
             self.assertTrue(material.GetPrim().HasAPI(UsdPhysics.MaterialAPI), prim.GetPath())
@@ -167,12 +177,16 @@ class TheServer(unittest.TestCase):
         _, reply = begun()
         self.assertTrue(reply["ok"], reply)
         world, read = cell(), reply["readback"]
-        for key, value in (("friction", 0.4), ("table_friction", 0.1), ("gravity_m_s2", 6.0), ("mass_kg", 0.25)):
-            self.assertAlmostEqual(read[key], value, places=6, msg=key)
-        np.testing.assert_allclose(read["centre_of_mass"], world["object"]["centre_of_mass"], atol=1e-8)
-        np.testing.assert_allclose(read["object_pose"]["position"], world["object"]["pose"]["position"], atol=1e-7)
-        for got, part in zip(read["parts"], world["object"]["parts"], strict=True):
-            self.assertEqual(got, part["primitive"])
+        for key, value in (("friction", 0.4), ("table_friction", 0.1), ("gravity_m_s2", 6.0),
+                           ("pad_friction", 0.6), ("grip_force_n", 30.0)):
+            self.assertAlmostEqual(read[key], value, places=5, msg=key)
+        np.testing.assert_allclose(read["stiffness_nm_rad"], world["robot"]["stiffness_nm_rad"], rtol=1e-6)
+        for held, thing in zip(read["objects"], world["objects"], strict=True):
+            self.assertAlmostEqual(held["mass_kg"], thing["mass_kg"], places=6)
+            np.testing.assert_allclose(held["centre_of_mass"], thing["centre_of_mass"], atol=1e-8)
+            np.testing.assert_allclose(held["pose"]["position"], thing["pose"]["position"], atol=1e-7)
+            for got, part in zip(held["parts"], thing["parts"], strict=True):
+                self.assertEqual(got, part["primitive"])
         for i, (got, want) in enumerate(zip(read["fixtures"], world["fixtures"], strict=True)):
             self.assertEqual((got["fixture"], got["motion"]), (i, want["motion"]))
             self.assertEqual(got["primitive"], want["primitive"])
@@ -199,8 +213,8 @@ class TheServer(unittest.TestCase):
     def test_contacts_are_summed_by_owner(self):
         server, _ = begun()
         FAKES.more_contacts = [
-            ("/World/robot/left_finger", "/World/object", [10.0, 5.0]),
-            ("/World/object", "/World/robot/right_finger", [12.0]),
+            ("/World/robot/left_finger", "/World/objects/object_0", [10.0, 5.0]),
+            ("/World/objects/object_0", "/World/robot/right_finger", [12.0]),
             ("/World/robot/link5", "/World/fixtures/fixture_1", [3.0]),
             ("/World/robot/hand", "/World/fixtures/fixture_2", [0.0]),
         ]
@@ -211,6 +225,15 @@ class TheServer(unittest.TestCase):
         self.assertAlmostEqual(sight["collision"]["force_n"], 3.0)
         self.assertAlmostEqual(sight["peak_force_n"], 15.0)
         self.assertFalse(sight["body_on_object"])
+
+    def test_support_has_the_friction(self):
+        server, _ = begun()
+        FAKES.more_contacts = [("/World/objects/object_0", "/World/objects/object_1", [2.0])]
+        action = {"action_space": "joint_position", "actions": [[*HOME, -1.0]]}
+        for tick, (index, up) in enumerate(((0, 0.25 * 6.0 + 2.0), (1, 0.5 * 6.0 - 2.0))):
+            sight = ask(server, "step", tick=tick, object=index, **action)["steps"][0]["sights"][-1]
+            self.assertEqual((sight["object"], sight["object_on_fixture"]), (index, True))
+            np.testing.assert_allclose(sight["support_n"], [1.0 if index == 0 else 0.0, 0.0, up], atol=1e-5)
 
     def test_moving_fixtures_move(self):
         server, _ = begun()
@@ -229,7 +252,7 @@ class TheServer(unittest.TestCase):
         self.assertEqual(len(set(runs[0])), 5)
 
     def test_rejects_unsupported_cells(self):
-        for broken in ({"object": {}}, {"fixtures": []}, {"friction": 0.0}, {"robot": cell()["robot"] | {"tcp_site": "no"}}):
+        for broken in ({"objects": [{}]}, {"fixtures": []}, {"friction": 0.0}, {"robot": cell()["robot"] | {"tcp_site": "no"}}):
             _, reply = begun(cell() | broken)
             self.assertEqual(reply["error"]["kind"], "setup", reply)
 

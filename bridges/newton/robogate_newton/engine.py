@@ -4,7 +4,7 @@ from hashlib import blake2b
 
 import newton
 import numpy as np
-from robogate_bridge import Motion, Problem, Touches, combined, turned
+from robogate_bridge import Motion, Problem, Touches, combined, object_state
 
 from .world import pose, primitive
 
@@ -48,7 +48,7 @@ class Engine:
         raise NotImplementedError
 
     def friction(self):
-        """Friction coefficients of the object with the robot, and with the table."""
+        """Friction coefficients of the objects with everything but the table and the pads, with the table, and with the pads."""
         raise NotImplementedError
 
     def trouble(self):
@@ -85,40 +85,43 @@ class Engine:
     def tool_pose(self):
         return combined(self._pose(self.world.tcp_body), self.world.tcp_pose)
 
-    def sight(self, touches=None):
-        """The sight of this time step."""
+    def sight(self, index, touches=None):
+        """The sight of this time step, for a gripper that acts on this object."""
         touches = touches or self.touches()
-        body = self.world.object_body
-        place = self._pose(body)
-        twist = self._views[id(self.state)]["body_qd"][body].tolist()
-        # Newton stores the velocity of the centre of mass.
-        x, y, z = turned(place["orientation"], self._cell["object"]["centre_of_mass"])
-        (u, v, w), (a, b, c) = twist[:3], twist[3:]
-        return touches.sight() | {
-            "object_pose": place,
-            "object_velocity": {"linear_m_s": [u - (b * z - c * y), v - (c * x - a * z), w - (a * y - b * x)],
-                                "angular_rad_s": [a, b, c]},
-            "tool_pose": self.tool_pose(),
-            "opening_m": self.opening(),
-        }
+        twists = self._views[id(self.state)]["body_qd"]
+        objects = []
+        for body, thing in zip(self.world.object_bodies, self._cell["objects"]):
+            # Newton stores the velocity of the centre of mass.
+            twist = twists[body].tolist()
+            objects.append(object_state(self._pose(body), twist[:3], twist[3:], thing["centre_of_mass"]))
+        return touches.sight(index) | {"objects": objects, "tool_pose": self.tool_pose(), "opening_m": self.opening()}
 
     def first_sight(self):
         """The sight of the start, before any force has acted."""
         self._move_geometry()
-        touches = Touches()
+        touches = Touches(len(self.world.object_bodies))
         for one, two in self._geometry.touching():
             touches.add(one, two, 0.0)
-        return self.sight(touches)
+        return self.sight(0, touches)
 
     def clearance(self):
         self._move_geometry()
         return self._geometry.clearance()
 
-    def readback(self):
-        """The readback: Newton's values of the cell."""
+    def readback(self, lead_m):
+        """The readback: Newton's values of the cell. The targets of the fingers are ahead of them by at most `lead_m` metres."""
         model, world = self.world.model, self.world
-        body = world.object_body
-        friction, table_friction = self.friction()
+        friction, table_friction, pad_friction = self.friction()
+        stiffness = model.joint_target_ke.numpy()
+        objects = [
+            {
+                "mass_kg": float(model.body_mass.numpy()[body]),
+                "centre_of_mass": model.body_com.numpy()[body].tolist(),
+                "parts": [primitive(model, shape) for shape in shapes],
+                "pose": self._pose(body),
+            }
+            for body, shapes in zip(world.object_bodies, world.object_shapes)
+        ]
         fixtures = []
         for i, shape in enumerate(world.fixture_shapes):
             held = int(model.shape_body.numpy()[shape])
@@ -130,11 +133,12 @@ class Engine:
         return {
             "friction": friction,
             "table_friction": table_friction,
+            "pad_friction": pad_friction,
             "gravity_m_s2": -float(model.gravity.numpy()[0][2]),
-            "mass_kg": float(model.body_mass.numpy()[body]),
-            "centre_of_mass": model.body_com.numpy()[body].tolist(),
-            "parts": [primitive(model, shape) for shape in world.object_shapes],
-            "object_pose": self._pose(body),
+            "stiffness_nm_rad": stiffness[world.arm].tolist(),
+            "grip_force_n": lead_m * float(stiffness[world.fingers].mean()),
+            "grip_threshold_m": None,
+            "objects": objects,
             "fixtures": fixtures,
         }
 

@@ -35,7 +35,7 @@ def example_cell(robot, shape="box", size_m=0.05, mass_kg=0.3, friction=0.8, at=
         "control_period_s": 0.05,
         "gravity_m_s2": 9.81,
         "friction": friction,
-        "table_friction": friction,
+        "table_friction": None,
         "contact": {
             "patch_radius_m": 5e-3,
             "rolling_m": 5e-4,
@@ -44,20 +44,25 @@ def example_cell(robot, shape="box", size_m=0.05, mass_kg=0.3, friction=0.8, at=
             "limit_impedance": [0.99, 0.999, 1e-4],
             "driven_mass_kg": 1e3,
         },
-        "object": {
-            "parts": [{"primitive": primitive, "pose": {"position": [0.0, 0.0, 0.0], "orientation": UP}}],
-            "pose": {"position": [*at, half], "orientation": UP},
-            "mass_kg": mass_kg,
-            "centre_of_mass": [0.0, 0.0, 0.0],
-            "inertia_kg_m2": np.diag(inertia * mass_kg * half * half).tolist(),
-        },
+        "objects": [
+            {
+                "name": "object",
+                "parts": [{"primitive": primitive, "pose": {"position": [0.0, 0.0, 0.0], "orientation": UP}}],
+                "pose": {"position": [*at, half], "orientation": UP},
+                "mass_kg": mass_kg,
+                "centre_of_mass": [0.0, 0.0, 0.0],
+                "inertia_kg_m2": np.diag(inertia * mass_kg * half * half).tolist(),
+                "color": "#c83c28",
+            }
+        ],
         "fixtures": [table, *fixtures],
         "robot": {key: arm[key] for key in drives}
         | {
             "name": robot.name,
             "sha256": robot.sha256,
             "position_limit_rad": [model.joint(name).range.tolist() for name in arm["joints"]],
-            "gripper": {key: gripper[key] for key in jaw} | {"force_n": force_n or gripper["force_n"]},
+            "gripper": {key: gripper[key] for key in jaw} | {"force_n": force_n or gripper["force_n"], "pad_friction": friction},
+            "scales": {"stiffness": 1.0, "grip_force": 1.0, "pad_friction": 1.0},
         },
         "visual": {},
     }

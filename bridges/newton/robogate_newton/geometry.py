@@ -8,26 +8,27 @@ LIMIT_M = 0.25
 
 
 class Geometry:
-    """Robot, fixtures and object as shapes without physics."""
+    """Robot, fixtures and objects as shapes without physics."""
 
     def __init__(self, robot, cell):
         spec = mujoco.MjSpec.from_file(str(robot.model))
         fingers = cell["robot"]["gripper"]["finger_bodies"]
-        for name, things in (("fixture", cell["fixtures"]), ("object", cell["object"]["parts"])):
-            parent = spec.worldbody.add_body(name="robogate/object") if name == "object" else spec.worldbody
-            for i, thing in enumerate(things):
-                self._shape(parent.add_geom(name=f"robogate/{name}/{i}"), thing)
-        thing = spec.body("robogate/object")
-        thing.pos, thing.quat = cell["object"]["pose"]["position"], cell["object"]["pose"]["orientation"]
+        for i, fixture in enumerate(cell["fixtures"]):
+            self._shape(spec.worldbody.add_geom(name=f"robogate/fixture/{i}"), fixture)
+        for i, thing in enumerate(cell["objects"]):
+            body = spec.worldbody.add_body(name=f"robogate/object/{i}")
+            body.pos, body.quat = thing["pose"]["position"], thing["pose"]["orientation"]
+            for k, part in enumerate(thing["parts"]):
+                self._shape(body.add_geom(name=f"robogate/object/{i}/{k}"), part)
         self._model = model = spec.compile()
         self._data = mujoco.MjData(model)
-        self._robot, self._fixtures, self._object = [], [], []
+        self._robot, self._fixtures, self._objects = [], [], []
         for geom in range(model.ngeom):
             name, body = model.geom(geom).name, int(model.geom_bodyid[geom])
             if name.startswith("robogate/fixture/"):
-                self._fixtures.append((geom, Part("fixture", fixture=int(name.rsplit("/", 1)[-1]))))
+                self._fixtures.append((geom, Part("fixture", index=int(name.rsplit("/", 1)[-1]))))
             elif name.startswith("robogate/object/"):
-                self._object.append((geom, Part("object")))
+                self._objects.append((geom, Part("object", index=int(name.split("/")[2]))))
             elif model.geom_contype[geom] or model.geom_conaffinity[geom]:
                 word = model.body(body).name
                 finger = fingers.index(word) if word in fingers else None
@@ -67,13 +68,13 @@ class Geometry:
     def touching(self):
         """Pairs of parts that overlap, one of which belongs to the robot."""
         for geom, part, moves in self._robot:
-            for other, met in [*self._object, *(self._fixtures if moves else ())]:
+            for other, met in [*self._objects, *(self._fixtures if moves else ())]:
                 if self._apart(geom, other) <= 0.0:
                     if mujoco.mj_geomDistance(self._model, self._data, geom, other, 1e-3, None) <= 0.0:
                         yield part, met
 
     def _apart(self, geom, other):
-        """A lower bound of the distance between a shape and a fixture or part of the object."""
+        """A lower bound of the distance between a shape and a fixture or part of an object."""
         model, data = self._model, self._data
         away = data.geom_xpos[geom] - data.geom_xpos[other]
         x, y, z = (away @ data.geom_xmat[other].reshape(3, 3)).tolist()

@@ -45,12 +45,14 @@ class MujocoEngine(Engine):
         self._solver.step(self.state, self.after, self.control, None, self.time_step_s)
 
     def touches(self):
-        touches, contact = Touches(), self._data.contact
+        touches, contact = Touches(len(self.world.object_bodies)), self._data.contact
         for i, ((one, two), row) in enumerate(zip(contact.geom.tolist(), contact.efc_address.tolist())):
             # A contact within the margin that does not touch has no constraint.
             if row >= 0:
                 mujoco.mj_contactForce(self._model, self._data, i, self._force)
-                touches.add(self._parts[one], self._parts[two], float(self._force[0]))
+                # The rows of the frame are its axes. The force acts on the second shape.
+                push = (-self._force[:3] @ contact.frame[i].reshape(3, 3)).tolist()
+                touches.add(self._parts[one], self._parts[two], float(self._force[0]), push)
         return touches
 
     def friction(self):
@@ -58,10 +60,10 @@ class MujocoEngine(Engine):
             geom = self._geom[shape]
             return float(self._model.geom_friction[geom][0]), int(self._model.geom_priority[geom])
 
-        own, own_priority = held(self.world.object_shapes[0])
-        table, table_priority = held(self.world.table_shape)
+        own, own_priority = held(self.world.object_shapes[0][0])
         # The geometry with the higher priority determines the contact parameters.
-        return own, table if table_priority > own_priority else own
+        others = (held(shape) for shape in (self.world.table_shape, self.world.pad_shape))
+        return own, *(other if priority > own_priority else own for other, priority in others)
 
     def trouble(self):
         for kind, warning in enumerate(self._data.warning):

@@ -1,7 +1,7 @@
 """The cell in Newton as a simulator of the bridge: the server computes physics, and RoboGate scores the episode."""
 
 import newton
-from robogate_bridge import CONTROL_PERIOD_S, Action, Fingers, Problem, Scenario, Servo, arm_observation, physics_hello
+from robogate_bridge import CONTROL_PERIOD_S, Action, Fingers, Problem, Scenario, Servo, arm_observation, parallel_jaw, physics_hello
 
 from . import __version__
 from .geometry import Geometry
@@ -43,12 +43,12 @@ class Newton:
             world = self._workshop.build(cell)
             engine = self._kind(world, Geometry(self._robot, cell), cell, self._time_step)
             self._servo = Servo(cell["robot"], CONTROL_PERIOD_S)
-            self._fingers = Fingers(cell["robot"]["gripper"], self._time_step)
+            self._fingers = Fingers(parallel_jaw(cell), self._time_step)
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as why:
             raise Problem("setup", f"Newton cannot build this cell: {type(why).__name__}: {why}") from why
         self._ticks = 0
         self._engine = engine
-        return {"observation": self._observation(), "readback": engine.readback(), "sight": engine.first_sight()}
+        return {"observation": self._observation(), "readback": engine.readback(self._fingers.lead_m), "sight": engine.first_sight()}
 
     def step(self, action):
         engine = self._engine
@@ -57,7 +57,7 @@ class Newton:
         for k in range(1, self._steps + 1):
             positions, velocities = self._servo.targets(k / self._steps)
             engine.advance(positions, velocities, self._fingers.target(action.close, engine.opening()))
-            sights.append(engine.sight())
+            sights.append(engine.sight(action.object))
         self._ticks += 1
         engine.check()
         return {

@@ -62,10 +62,13 @@ class SteelEngine(Engine):
         for views in self._views.values():
             # The weight of the arm itself is compensated, as in the controller of a real arm.
             views["body_f"][world.robot_bodies, :3] = -mass[world.robot_bodies, None] * gravity
-        ball = all(part["primitive"]["kind"] == "sphere" for part in self._cell["object"]["parts"])
-        self._inertia = float(model.body_inertia.numpy()[world.object_body][0, 0]) if ball else None
+        inertia = model.body_inertia.numpy()
+        # Index, body and moment of inertia of each ball.
+        self._balls = [
+            (i, body, float(inertia[body][0, 0])) for i, body in enumerate(world.object_bodies) if world.balls[i]
+        ]
         self._rolling = Contact.of(self._cell).rolling_m
-        self._pressed = 0.0
+        self._pressed = [0.0] * len(world.object_bodies)
         self._graphs = []
 
     def integrate(self):
@@ -77,39 +80,39 @@ class SteelEngine(Engine):
                         before, after, self.control, self._contacts, self.time_step_s, observables=self._seen
                     )
                 self._graphs.append(capture.graph)
-        if self._inertia is not None:
-            self._resist_rolling()
+        self._resist_rolling()
         wp.capture_launch(self._graphs[self.steps % 2])
 
     def touches(self):
-        touches, parts = Touches(), self.world.parts
+        touches, parts = Touches(len(self.world.object_bodies)), self.world.parts
         n = min(int(self._count[0]), CONTACTS)
         one, two = (shapes[:n].tolist() for shapes in self._pair)
-        normal_forces = np.abs((self._normal[:n] * self._force[:n, :3]).sum(axis=1)).tolist()
-        for a, b, force in zip(one, two, normal_forces):
+        pushes = self._force[:n, :3]
+        normal_forces = np.abs((self._normal[:n] * pushes).sum(axis=1)).tolist()
+        for a, b, force, push in zip(one, two, normal_forces, pushes.astype(float).tolist()):
             # A contact within the margin that does not touch has no force.
             if force > 0.0:
-                touches.add(parts[a], parts[b], force)
+                touches.add(parts[a], parts[b], force, push)
         self._pressed = touches.on_object_n
         return touches
 
     def friction(self):
         # Steel uses the mean of the two shapes' coefficients.
         held, world = self.world.model.shape_material_mu.numpy().astype(float), self.world
-        own = held[world.object_shapes[0]]
-        pad = next(shape for shape, part in enumerate(world.parts) if part is not None and part.finger is not None)
-        return float(0.5 * (own + held[pad])), float(0.5 * (own + held[world.table_shape]))
+        own = float(held[world.object_shapes[0][0]])
+        return own, *(0.5 * (own + float(held[shape])) for shape in (world.table_shape, world.pad_shape))
 
     def trouble(self):
         return f"more than {CONTACTS} contacts or {ROWS} rows" if self._overflow.any() else None
 
     def _resist_rolling(self):
-        """Rolling friction of a sphere, which Steel lacks: a moment against the rotation, at most the one that stops it."""
-        views, body = self._views[id(self.state)], self.world.object_body
-        turning = views["body_qd"][body, 3:].astype(float)
-        speed = float(np.linalg.norm(turning))
-        moment = np.zeros(3)
-        if self._pressed > 0.0 and speed > 0.0:
-            most = self._inertia * speed / self.time_step_s
-            moment = turning * (-min(self._rolling * self._pressed, most) / speed)
-        views["body_f"][body, 3:] = moment
+        """Rolling friction of spheres, which Steel lacks: a moment against the rotation, at most the one that stops it."""
+        views = self._views[id(self.state)]
+        for i, body, inertia in self._balls:
+            turning = views["body_qd"][body, 3:].astype(float)
+            speed = float(np.linalg.norm(turning))
+            moment = np.zeros(3)
+            if self._pressed[i] > 0.0 and speed > 0.0:
+                most = inertia * speed / self.time_step_s
+                moment = turning * (-min(self._rolling * self._pressed[i], most) / speed)
+            views["body_f"][body, 3:] = moment

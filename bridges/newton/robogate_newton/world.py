@@ -1,4 +1,4 @@
-"""A cell as a Newton model: the robot from its MJCF file, the object, the fixtures."""
+"""A cell as a Newton model: the robot from its MJCF file, the objects, the fixtures."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ import newton
 import numpy as np
 import warp as wp
 from newton.solvers import SolverMuJoCo, SolverSteel
-from robogate_bridge import Contact, Part, Problem, unit
+from robogate_bridge import Contact, Part, Problem, is_table, parallel_jaw, table_friction, unit
 
 # MuJoCo's defaults for midpoint and power of solimp. They follow the impedance of a cell.
 IMPEDANCE_SHAPE = (0.5, 2.0)
@@ -40,10 +40,13 @@ class World:
     arm: list[int]
     fingers: list[int]
     robot_bodies: list[int]
-    object_body: int
-    object_shapes: list[int]
+    # For each object its body, its shapes, and whether it is a ball.
+    object_bodies: list[int]
+    object_shapes: list[list[int]]
+    balls: list[bool]
     fixture_shapes: list[int]
     table_shape: int
+    pad_shape: int
     movers: list[Mover]
     # The tool centre point: its body, and its pose in the body's frame.
     tcp_body: int
@@ -52,7 +55,7 @@ class World:
 
 class Workshop:
     """Builds worlds for one robot. `friction_is_mean` means that the solver uses the mean of two shapes' coefficients;
-    otherwise the object's coefficient is used. `gap` (m) is the distance below which the solver considers two shapes."""
+    otherwise the objects' coefficient is used. `gap` (m) is the distance below which the solver considers two shapes."""
 
     def __init__(self, robot, friction_is_mean, gap):
         self._robot = robot
@@ -76,7 +79,7 @@ class Workshop:
 
     def build(self, cell):
         """The world of a cell, with the arm at home and the gripper open."""
-        drives, gripper = cell["robot"], cell["robot"]["gripper"]
+        drives, gripper = cell["robot"], parallel_jaw(cell)
         contact = Contact.of(cell)
         builder = self._builder()
         # A copied builder brings its own gravity.
@@ -108,7 +111,8 @@ class Workshop:
         for body in range(len(bodies)):
             self._set(builder, "mujoco:gravcomp", body, 1.0)
 
-        friction, table_friction = cell["friction"], cell["table_friction"]
+        friction, table, pads = cell["friction"], table_friction(cell), gripper["pad_friction"]
+        rolls = any(_rolls(thing) for thing in cell["objects"])
         parts: list[Part | None] = []
         static = self._static(builder)
         for shape in range(robot_shapes):
@@ -117,6 +121,12 @@ class Workshop:
             self._set(builder, "mujoco:geom_priority", shape, 0)
             body = bodies[builder.shape_body[shape]]
             finger = gripper["finger_bodies"].index(body) if body in gripper["finger_bodies"] else None
+            if finger is not None and pads != friction:
+                mu = builder.shape_material_mu[shape] = self._own(pads, friction)
+                builder.shape_material_mu_torsional[shape] = contact.torsional(mu)
+                builder.shape_material_mu_rolling[shape] = contact.rolling_m
+                for name, value in _contact(contact, 3, rolls).items():
+                    self._set(builder, name, shape, value)
             collides = builder.shape_flags[shape] & newton.ShapeFlags.COLLIDE_SHAPES
             parts.append(Part("robot", body, finger) if collides else None)
 
@@ -132,30 +142,27 @@ class Workshop:
                 )
                 movers.append(Mover(i, body, q, qd, fixture["motion"]))
                 place = wp.transform_identity()
-            own = table_friction != friction and fixture["kind"] == "table"
-            # This gives the requested mean with the object's coefficient. It may be negative; the mean is not.
-            mean = 2.0 * table_friction - friction if own else friction
-            mu = mean if self._friction_is_mean else (table_friction if own else friction)
-            priority = 2 if own else 0
-            shape = self._shape(builder, contact, fixture["primitive"], body, place, mu, priority, balls(cell))
+            own = table != friction and is_table(fixture)
+            mu, priority = (self._own(table, friction), 2) if own else (friction, 0)
+            shape = self._shape(builder, contact, fixture["primitive"], body, place, mu, priority, rolls)
             fixture_shapes.append(shape)
-            parts.append(Part("fixture", fixture=i))
+            parts.append(Part("fixture", index=i))
 
-        # The object.
-        thing = cell["object"]
-        object_body = builder.add_body(
-            xform=transform(thing["pose"]), com=wp.vec3(*thing["centre_of_mass"]), mass=thing["mass_kg"],
-            inertia=wp.mat33(np.array(thing["inertia_kg_m2"], dtype=np.float32)), lock_inertia=True,
-        )
-        self._set(builder, "steel:rigid_body_angular_damping", object_body, 0.0)
-        object_shapes = []
-        for part in thing["parts"]:
-            ball = part["primitive"]["kind"] == "sphere"
-            place = transform(part["pose"])
-            object_shapes.append(
-                self._shape(builder, contact, part["primitive"], object_body, place, friction, 1, ball)
+        object_bodies, object_shapes = [], []
+        for i, thing in enumerate(cell["objects"]):
+            body = builder.add_body(
+                xform=transform(thing["pose"]), com=wp.vec3(*thing["centre_of_mass"]), mass=thing["mass_kg"],
+                inertia=wp.mat33(np.array(thing["inertia_kg_m2"], dtype=np.float32)), lock_inertia=True,
             )
-            parts.append(Part("object"))
+            self._set(builder, "steel:rigid_body_angular_damping", body, 0.0)
+            object_bodies.append(body)
+            object_shapes.append([])
+            for part in thing["parts"]:
+                ball = part["primitive"]["kind"] == "sphere"
+                place = transform(part["pose"])
+                shape = self._shape(builder, contact, part["primitive"], body, place, friction, 1, ball)
+                object_shapes[-1].append(shape)
+                parts.append(Part("object", index=i))
 
         pairs = self._pairs(parts, static)
         allowed = set(pairs)
@@ -168,9 +175,10 @@ class Workshop:
         tcp = next((s for s, l in enumerate(builder.shape_label) if l.rsplit("/", 1)[-1] == drives["tcp_site"]), None)
         if tcp is None:
             raise Problem("setup", f"the robot's model has no site {drives['tcp_site']!r}")
-        table = next((i for i, fixture in enumerate(cell["fixtures"]) if fixture["kind"] == "table"), None)
-        if table is None:
-            raise Problem("setup", "the cell has no table")
+        flat = next((shape for shape, fixture in zip(fixture_shapes, cell["fixtures"]) if is_table(fixture)), None)
+        pad = next((shape for shape, part in enumerate(parts) if part is not None and part.finger is not None), None)
+        if flat is None or pad is None:
+            raise Problem("setup", "the cell has no table" if flat is None else "the fingers have no shapes")
         return World(
             model=model,
             parts=parts,
@@ -178,14 +186,21 @@ class Workshop:
             arm=arm,
             fingers=fingers,
             robot_bodies=list(range(len(bodies))),
-            object_body=object_body,
+            object_bodies=object_bodies,
             object_shapes=object_shapes,
+            balls=[all(_is_ball(part) for part in thing["parts"]) for thing in cell["objects"]],
             fixture_shapes=fixture_shapes,
-            table_shape=fixture_shapes[table],
+            table_shape=flat,
+            pad_shape=pad,
             movers=movers,
             tcp_body=builder.shape_body[tcp],
             tcp_pose=pose(builder.shape_transform[tcp]),
         )
+
+    def _own(self, friction, objects):
+        """The coefficient of a shape that has this friction against the objects, whose coefficient is `objects`."""
+        # This gives the requested mean. It may be negative; the mean is not.
+        return 2.0 * friction - objects if self._friction_is_mean else friction
 
     def _coordinate(self, builder, joint):
         for index, label in enumerate(builder.joint_label):
@@ -211,7 +226,8 @@ class Workshop:
 
     @staticmethod
     def _pairs(parts, static):
-        """Pairs that may collide: robot and object, robot and fixtures (except its base), object and fixtures."""
+        """Pairs that may collide: robot and objects, robot and fixtures (except its base), objects with fixtures and with each
+        other."""
         out = []
         for a, one in enumerate(parts):
             for b in range(a + 1, len(parts)):
@@ -220,7 +236,8 @@ class Workshop:
                     continue
                 kinds = {one.kind, other.kind}
                 base = one.kind == "robot" and a in static
-                if len(kinds) == 2 and not (base and "fixture" in kinds):
+                different = len(kinds) == 2 or (one.kind == "object" and one != other)
+                if different and not (base and "fixture" in kinds):
                     out.append((a, b))
         return out
 
@@ -229,15 +246,7 @@ class Workshop:
         config.density, config.gap, config.margin = 0.0, self._gap, 0.0
         config.mu, config.mu_torsional, config.mu_rolling = mu, contact.torsional(mu), contact.rolling_m
         config.collision_filter_parent = False
-        custom = {}
-        if priority:
-            custom = {
-                "mujoco:geom_priority": priority,
-                "mujoco:condim": 6 if rolls else 4,
-                "mujoco:solref": solref(contact),
-                "mujoco:solref_mode": SOLREF_AS_IT_IS,
-                "mujoco:geom_solimp": solimp(contact.impedance),
-            }
+        custom = _contact(contact, priority, rolls) if priority else {}
         more = {"xform": place, "cfg": config, "custom_attributes": custom}
         match primitive["kind"]:
             case "box":
@@ -261,9 +270,24 @@ def solimp(impedance):
     return wp.types.vector(5, float)(*impedance, *IMPEDANCE_SHAPE)
 
 
-def balls(cell):
-    """Whether the object has a spherical part, so that it can roll."""
-    return any(part["primitive"]["kind"] == "sphere" for part in cell["object"]["parts"])
+def _contact(contact, priority, rolls):
+    """MuJoCo's attributes of a shape that takes precedence in a contact."""
+    return {
+        "mujoco:geom_priority": priority,
+        "mujoco:condim": 6 if rolls else 4,
+        "mujoco:solref": solref(contact),
+        "mujoco:solref_mode": SOLREF_AS_IT_IS,
+        "mujoco:geom_solimp": solimp(contact.impedance),
+    }
+
+
+def _is_ball(part):
+    return part["primitive"]["kind"] == "sphere"
+
+
+def _rolls(thing):
+    """Whether an object has a spherical part, so that it can roll."""
+    return any(_is_ball(part) for part in thing["parts"])
 
 
 def transform(pose):

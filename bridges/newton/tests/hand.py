@@ -72,14 +72,14 @@ class Hand:
 
     def grasp(self, height=None):
         """Moves from home to the object and closes the gripper."""
-        x, y, z = self.cell["object"]["pose"]["position"]
+        x, y, z = self.cell["objects"][0]["pose"]["position"]
         self.go([x, y, 0.2], 1.0)
         self.go([x, y, z if height is None else height], 0.8)
         self.closed = True
         self.wait(1.0)
 
     def lift(self, seconds=1.0):
-        x, y, _ = self.cell["object"]["pose"]["position"]
+        x, y, _ = self.cell["objects"][0]["pose"]["position"]
         self.go([x, y, 0.2], seconds)
         self.wait(0.5)
 
@@ -89,4 +89,4 @@ class Hand:
 
     @property
     def object(self):
-        return np.array(self.sight["object_pose"]["position"])
+        return np.array(self.sight["objects"][0]["pose"]["position"])

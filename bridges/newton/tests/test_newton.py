@@ -18,7 +18,7 @@ wp.config.log_level = wp.LOG_WARNING
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from hand import Chain, Hand  # noqa: E402
-from robogate_bridge import Client, Problem, Refused, Server, codec  # noqa: E402
+from robogate_bridge import Action, Client, Problem, Refused, Server, codec  # noqa: E402
 from robogate_newton.example import UP, example_cell  # noqa: E402
 from robogate_newton.robot import Robot  # noqa: E402
 from robogate_newton.simulator import ENGINES, Newton  # noqa: E402
@@ -66,17 +66,54 @@ class ThePhysics(unittest.TestCase):
                 hand.lift()
                 self.assertEqual(hand.object[2] > 0.19, share > 1.0, hand.object)
 
+    def test_pads_have_their_own_friction(self):
+        # As above, with the friction of the pads only: the object has another coefficient.
+        mass, force = 0.5, 15.0
+        law = mass * G / (2.0 * force)
+        for solver, (pads, other, holds) in product(ENGINES, ((1.3, 0.5, True), (0.7, 2.0, False))):
+            with self.subTest(solver=solver, pads=pads):
+                cell = example_cell(FRANKA, mass_kg=mass, friction=other * law, force_n=force)
+                cell["robot"]["gripper"]["pad_friction"] = pads * law
+                hand = Hand(SIMULATORS[solver], CHAIN, cell)
+                hand.grasp()
+                hand.lift()
+                self.assertEqual(hand.object[2] > 0.19, holds, hand.object)
+
+    def test_stacks_carry_their_weight(self):
+        # Three cubes stand on each other, and a fourth one beside them. The gripper may act on any of them.
+        for solver in ENGINES:
+            with self.subTest(solver=solver):
+                cell = example_cell(FRANKA, at=(0.5, 0.2), mass_kg=0.2)
+                (first,) = cell["objects"]
+                places = ([0.5, 0.2, 0.025], [0.505, 0.2, 0.075], [0.51, 0.2, 0.125], [0.5, -0.2, 0.025])
+                cell["objects"] = [
+                    first | {"name": f"object_{i}", "pose": {"position": list(place), "orientation": UP}}
+                    for i, place in enumerate(places)
+                ]
+                hand = Hand(SIMULATORS[solver], CHAIN, cell)
+                self.assertEqual(len(hand.start["readback"]["objects"]), 4)
+                hand.wait(1.0)
+                for index in range(4):
+                    action = Action("joint_position", list(hand.joints), -1.0, index)
+                    sight = hand.simulator.step(action)["sights"][-1]
+                    for state, place in zip(sight["objects"], places):
+                        np.testing.assert_allclose(state["pose"]["position"], place, atol=1e-3)
+                    # The force of what is below minus that of what is above is the weight.
+                    np.testing.assert_allclose(sight["support_n"], [0.0, 0.0, 0.2 * G], atol=0.1)
+                    self.assertTrue(sight["object_on_fixture"])
+                    self.assertEqual((sight["object"], sight["fingers"]), (index, [None, None]))
+
     def test_free_fall(self):
         # The solvers' integrators give h - g t (t + dt) / 2.
         for solver, gravity in product(ENGINES, (9.81, 3.7)):
             with self.subTest(solver=solver, gravity=gravity):
                 cell = example_cell(FRANKA, at=(0.6, 0.3)) | {"gravity_m_s2": gravity}
-                cell["object"]["pose"]["position"][2] = 1.0
+                cell["objects"][0]["pose"]["position"][2] = 1.0
                 hand = Hand(SIMULATORS[solver], CHAIN, cell)
                 hand.wait(0.3)
                 fallen = 0.5 * gravity * 0.3 * (0.3 + SIMULATORS[solver].hello()["time_step_s"])
                 self.assertAlmostEqual(hand.object[2], 1.0 - fallen, delta=2e-5)
-                self.assertAlmostEqual(hand.sight["object_velocity"]["linear_m_s"][2], -gravity * 0.3, delta=1e-4)
+                self.assertAlmostEqual(hand.sight["objects"][0]["linear_m_s"][2], -gravity * 0.3, delta=1e-4)
 
     def test_kinematics_match_mujoco(self):
         for solver in ENGINES:
@@ -103,7 +140,8 @@ class ThePhysics(unittest.TestCase):
         ]
         cell = example_cell(FRANKA, mass_kg=0.123, friction=0.37, at=(0.47, 0.05), fixtures=more)
         cell |= {"gravity_m_s2": 6.0, "table_friction": 0.11}
-        thing = cell["object"]
+        cell["robot"]["gripper"]["pad_friction"] = 0.52
+        (thing,) = cell["objects"]
         thing["centre_of_mass"] = [0.004, 0.0, -0.003]
         thing["parts"] = [
             {"primitive": {"kind": "box", "half": [0.03, 0.02, 0.01]}, "pose": {"position": [0, 0, -0.015],
@@ -115,11 +153,15 @@ class ThePhysics(unittest.TestCase):
                 read = Hand(SIMULATORS[solver], CHAIN, cell).start["readback"]
                 for key in ("friction", "table_friction", "gravity_m_s2"):
                     self.assertAlmostEqual(read[key], cell[key], delta=1e-6 * cell[key], msg=key)
-                self.assertAlmostEqual(read["mass_kg"], 0.123, delta=1e-7)
-                np.testing.assert_allclose(read["centre_of_mass"], thing["centre_of_mass"], atol=1e-8)
-                self.assertSame(read["object_pose"], thing["pose"])
-                self.assertEqual(len(read["parts"]), 2)
-                for got, part in zip(read["parts"], thing["parts"]):
+                self.assertAlmostEqual(read["pad_friction"], 0.52, delta=1e-6)
+                self.assertAlmostEqual(read["grip_force_n"], 30.0, delta=1e-4)
+                np.testing.assert_allclose(read["stiffness_nm_rad"], cell["robot"]["stiffness_nm_rad"], rtol=1e-6)
+                (held,) = read["objects"]
+                self.assertAlmostEqual(held["mass_kg"], 0.123, delta=1e-7)
+                np.testing.assert_allclose(held["centre_of_mass"], thing["centre_of_mass"], atol=1e-8)
+                self.assertSame(held["pose"], thing["pose"])
+                self.assertEqual(len(held["parts"]), 2)
+                for got, part in zip(held["parts"], thing["parts"]):
                     self.assertSame(got, part["primitive"])
                 self.assertEqual([one["fixture"] for one in read["fixtures"]], [0, 1, 2, 3])
                 for got, want in zip(read["fixtures"], cell["fixtures"]):
@@ -208,7 +250,7 @@ class ThePhysics(unittest.TestCase):
                 hand = begun(solver, "sphere", fixtures=[pusher])
                 hand.wait(3.0)
                 self.assertGreater(hand.object[1], 0.03)
-                self.assertLess(np.linalg.norm(hand.sight["object_velocity"]["linear_m_s"]), 0.005)
+                self.assertLess(np.linalg.norm(hand.sight["objects"][0]["linear_m_s"]), 0.005)
 
     def test_names_the_collision(self):
         wall = fixture("obstacle", {"kind": "box", "half": [0.03, 0.03, 0.1]}, [0.5, 0.2, 0.1])
@@ -267,7 +309,7 @@ class TheServer(unittest.TestCase):
                     self.assertEqual(hello["robot"]["sha256"], FRANKA.sha256)
                     cell = example_cell(FRANKA)
                     home = cell["robot"]["home_rad"]
-                    for broken in ({}, cell | {"object": {}}, cell | {"fixtures": []}):
+                    for broken in ({}, cell | {"objects": [{}]}, cell | {"fixtures": []}):
                         with self.assertRaises(Refused) as refused:
                             client.reset(cell=broken | {"control_period_s": 0.05})
                         self.assertEqual(refused.exception.kind, "setup")

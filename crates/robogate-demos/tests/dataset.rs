@@ -10,7 +10,7 @@ use parquet::record::RowAccessor;
 use robogate_core::{Action, Command, Fault, Image, Observation, Policy, Pose, Seed, TaskInstance, TaskSpec, vectors};
 use robogate_demos::{Dataset, DatasetError, Demonstration, Recorder};
 use robogate_physics::{Engine, MujocoEngine, built_in_robot};
-use robogate_tasks::ArmTask;
+use robogate_tasks::ArmDeclaration;
 use robogate_tasks::pick_place::PickPlace;
 use robogate_tasks::pick_place::spec::{Briefing, spec};
 

@@ -4,8 +4,9 @@ use std::any::Any;
 
 use nalgebra::{Isometry3, Vector3};
 use robogate_core::{ContactPoint, Fault};
+use serde::{Deserialize, Serialize};
 
-use crate::{Chain, Motion, Primitive, Robot, Scene};
+use crate::{Chain, Motion, Primitive, Robot, Scene, plain};
 
 /// A rigid-body engine that holds one robot and, after [`Engine::load`], one scene.
 pub trait Engine: Any {
@@ -290,26 +291,29 @@ pub struct Readback {
 }
 
 /// A free body other than the object, as read from an engine.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FreeBodyRead {
     /// Mass in kilograms.
     pub mass_kg: f64,
     /// Centre of mass in the body's frame, in metres.
+    #[serde(with = "plain")]
     pub centre_of_mass: Vector3<f64>,
     /// The body's parts.
     pub parts: Vec<Primitive>,
     /// The pose.
+    #[serde(with = "plain")]
     pub pose: Isometry3<f64>,
 }
 
 /// A fixture, as read from an engine.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FixtureRead {
     /// The index in the scene.
     pub fixture: usize,
     /// The shape; `None` if it is not a primitive.
     pub primitive: Option<Primitive>,
     /// The pose.
+    #[serde(with = "plain")]
     pub pose: Isometry3<f64>,
     /// The motion, if it moves.
     pub motion: Option<Motion>,

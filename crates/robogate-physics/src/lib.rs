@@ -30,6 +30,7 @@ mod motion;
 #[cfg(feature = "mujoco")]
 pub mod mujoco;
 mod named_files;
+mod plain;
 mod plant;
 mod primitive;
 #[cfg(feature = "rapier")]
@@ -66,6 +67,7 @@ pub use model::MujocoModel;
 pub use motion::Motion;
 #[cfg(feature = "mujoco")]
 pub use mujoco::{MujocoEngine, load_mujoco};
+pub use plain::exact_isometry;
 pub use plant::{ArmState, GripperState, Plant, StepView, grip_force, state_hash};
 pub use primitive::{Part, Primitive};
 #[cfg(feature = "rapier")]

@@ -1,17 +1,20 @@
 //! Mass properties of bodies made of primitives.
 
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
 
-use crate::Part;
+use crate::{Part, plain};
 
 /// Mass, centre of mass and inertia of a rigid body, in its own frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct MassProperties {
     /// Mass in kilograms.
     pub mass_kg: f64,
     /// Centre of mass, in metres.
+    #[serde(rename = "centre_of_mass", with = "plain")]
     pub centre: Vector3<f64>,
     /// Inertia about the centre of mass along the body's axes, in kg m^2.
+    #[serde(rename = "inertia_kg_m2", with = "plain")]
     pub inertia: Matrix3<f64>,
 }
 

@@ -1,11 +1,15 @@
 //! Prescribed motion of a fixture.
 
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use crate::plain;
 
 /// A straight path at constant speed within a time window. Before and after it the body does not move.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Motion {
     /// Velocity in the base frame, in m/s.
+    #[serde(rename = "velocity_m_s", with = "plain")]
     pub velocity: Vector3<f64>,
     /// Start of the motion, in seconds of simulated time.
     pub starts_s: f64,

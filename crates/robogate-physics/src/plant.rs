@@ -101,16 +101,31 @@ impl<E: Engine> Plant<E> {
         self
     }
 
+    /// Replaces grip force and law of the suction cup from the next [`Plant::load`] on. Without a grip force it is the
+    /// robot's own.
+    ///
+    /// # Errors
+    /// If the gripper cannot hold the grip force.
+    pub fn set_gripper(&mut self, grip_force_n: Option<f64>, law: SuctionLaw) -> Result<(), String> {
+        self.grip_force_n = grip_force(&self.engine.robot().settings.gripper, grip_force_n)?;
+        self.suction_law = law;
+        Ok(())
+    }
+
+    /// The free body that the gripper acts on.
+    pub fn selected(&self) -> usize {
+        self.drives.as_ref().map_or(0, |drives| drives.selected)
+    }
+
     /// Grip force in newtons: of each pad, or of the cup along its axis.
     pub fn grip_force_n(&self) -> f64 {
         self.grip_force_n
     }
 
-    /// The grip force that acts, as a multiple of [`Self::grip_force_n`]. `None` before [`Plant::load`].
-    pub fn grip_force_scale(&self) -> Option<f64> {
-        let drives = self.drives.as_ref()?;
-        let acting = drives.suction.as_ref().map_or(drives.grip_force_n, Suction::force_n);
-        Some(acting / self.grip_force_n)
+    /// The grip force that acts in this scene, in newtons: that of [`Self::grip_force_n`] before [`Plant::load`].
+    pub fn acting_force_n(&self) -> f64 {
+        let acting = |drives: &Drives| drives.suction.as_ref().map_or(drives.grip_force_n, Suction::force_n);
+        self.drives.as_ref().map_or(self.grip_force_n, acting)
     }
 
     /// Number of engine time steps in a control period.

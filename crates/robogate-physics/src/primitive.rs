@@ -3,6 +3,8 @@
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
 
+use crate::plain;
+
 /// A convex primitive, centred at its own origin.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
@@ -60,10 +62,11 @@ impl Primitive {
 }
 
 /// A primitive at its place in a rigid body.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Part {
     /// The primitive.
     pub primitive: Primitive,
     /// The pose in the body's frame.
+    #[serde(with = "plain")]
     pub pose: Isometry3<f64>,
 }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 #[cfg(any(feature = "mujoco", feature = "rapier"))]
 use crate::friction::Against;
-use crate::{Color, MassProperties, Motion, Part, Primitive, Visual};
+use crate::{Color, MassProperties, Motion, Part, Primitive, Visual, plain};
 
 /// Standard gravity on Earth, in m/s^2.
 pub const GRAVITY: f64 = 9.81;
@@ -83,35 +83,40 @@ impl GripperUnit {
 }
 
 /// A further body that moves freely.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FreeBody {
     /// The name in recordings.
     pub name: String,
     /// Its parts and mass.
+    #[serde(flatten)]
     pub object: Object,
     /// The pose at the start.
+    #[serde(with = "plain")]
     pub pose: Isometry3<f64>,
     /// The colour in camera images.
+    #[serde(with = "plain")]
     pub color: Color,
 }
 
 /// A rigid body that moves freely: its parts about its own origin, and its mass.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Object {
     /// The parts.
     pub parts: Vec<Part>,
     /// Mass, centre of mass and inertia.
+    #[serde(flatten)]
     pub mass: MassProperties,
 }
 
 /// A body that stands still or follows a prescribed motion. Contact of the robot with it is a collision.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Fixture {
     /// The name in contact reports.
     pub name: String,
     /// The role in the scene.
     pub kind: FixtureKind,
     /// The shape, and its pose in the base frame at the start.
+    #[serde(flatten)]
     pub part: Part,
     /// The motion, if it moves. An engine drives it, and it pushes the object.
     pub motion: Option<Motion>,

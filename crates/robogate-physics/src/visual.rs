@@ -2,8 +2,12 @@
 
 use std::fmt;
 
+use serde::{Deserialize, Serialize};
+
+use crate::plain;
+
 /// Appearance of a scene.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Visual {
     /// Illuminance on the table, in lux.
     pub lighting_lux: f64,
@@ -14,8 +18,10 @@ pub struct Visual {
     /// Material of the table's top.
     pub table_material: TableMaterial,
     /// Colour of the background behind the table.
+    #[serde(with = "plain")]
     pub background_color: Color,
-    /// Colour of the object.
+    /// Colour of the object. In messages it is part of the object.
+    #[serde(skip, default = "object_color")]
     pub object_color: Color,
     /// Fraction of the light that passes through the object, from 0 to below 1.
     pub object_transparency: f64,
@@ -29,14 +35,20 @@ impl Default for Visual {
             camera_pitch_rad: 0.0,
             table_material: TableMaterial::Wood,
             background_color: Color([0xb8, 0xbc, 0xc0]),
-            object_color: Color([0xc8, 0x3c, 0x28]),
+            object_color: object_color(),
             object_transparency: 0.0,
         }
     }
 }
 
+/// The colour of an object that has none of its own.
+fn object_color() -> Color {
+    Color([0xc8, 0x3c, 0x28])
+}
+
 /// Material of a table's top. It has no effect on friction.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum TableMaterial {
     /// Varnished wood.
     Wood,

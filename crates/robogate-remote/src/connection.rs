@@ -128,13 +128,17 @@ impl Connection {
         self.requester.request(frames, self.timeouts.step)
     }
 
-    /// Run one action. Returns the result of its control period and the checked observation.
+    /// Run one action, with a gripper that acts on this object. Returns the result of its control period and the checked
+    /// observation.
     pub(crate) fn run<S: DeserializeOwned>(
         &mut self,
         action_space: ActionKind,
         action: Vec<f64>,
+        object: Option<usize>,
     ) -> Result<(Period<S>, Observation), RequestError> {
-        let (mut period, _) = self.run_ahead(action_space, action, 0)?;
+        let request =
+            StepRequest { tick: self.tick, action_space, actions: vec![action], ahead: 0, object, packed: false };
+        let (mut period, _) = self.send_step(request)?;
         let observation = self.advance(&mut period)?;
         Ok((period, observation))
     }
@@ -147,7 +151,22 @@ impl Connection {
         action: Vec<f64>,
         ahead: u32,
     ) -> Result<(Period<S>, Vec<Period<S>>), RequestError> {
-        let request = StepRequest { tick: self.tick, action_space, actions: vec![action], ahead, packed: ahead > 0 };
+        let request = StepRequest {
+            tick: self.tick,
+            action_space,
+            actions: vec![action],
+            ahead,
+            object: None,
+            packed: ahead > 0,
+        };
+        self.send_step(request)
+    }
+
+    fn send_step<S: DeserializeOwned>(
+        &mut self,
+        request: StepRequest,
+    ) -> Result<(Period<S>, Vec<Period<S>>), RequestError> {
+        let ahead = request.ahead;
         let (reply, frames): (StepReply<S>, _) = self.request_with_frames("step", request)?;
         let mut steps = reply.steps;
         match reply.packed {

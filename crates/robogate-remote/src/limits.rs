@@ -3,7 +3,7 @@
 use robogate_zmtp::Limits;
 
 /// Version of the protocol.
-pub const VERSION: u64 = 2;
+pub const VERSION: u64 = 3;
 /// Maximum size of a header, in bytes.
 pub const HEADER_BYTES: usize = 4 << 20;
 /// Maximum width or height of an image, in pixels.

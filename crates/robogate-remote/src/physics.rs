@@ -47,8 +47,9 @@ pub trait RemoteTask {
         observation: &Observation,
     ) -> Result<Start, Fault>;
 
-    /// Joint positions (rad) that the server has to reach at the end of the next control period.
-    fn command(&mut self, action: &Action) -> Result<Vec<f64>, Fault>;
+    /// Joint positions (rad) that the server has to reach at the end of the next control period, and the object that the
+    /// gripper acts on from now on. `None` keeps it.
+    fn command(&mut self, action: &Action) -> Result<(Vec<f64>, Option<usize>), Fault>;
 
     /// Score a control period. `samples` has one entry for each time step.
     fn score(
@@ -93,11 +94,7 @@ impl<T: RemoteTask> Session for PhysicsSession<T> {
     fn reset(&mut self, connection: &mut Connection, scenario: &Scenario) -> Result<Start, RequestError> {
         let Self(task) = self;
         let cell = task.resolve(scenario).map_err(RequestError::Local)?;
-        // A server that resolves scenarios itself declares the parameters that it needs.
-        let declared = |name: &str| connection.hello().task.parameter(name).is_some();
-        let requested = scenario.requested.iter().filter(|(name, _)| declared(name));
-        let wanted: Assignment = requested.map(|(name, value)| (name.into(), value.clone())).collect();
-        let request = reset_request(scenario, &wanted, Some(cell))?;
+        let request = reset_request(scenario, &Assignment::default(), Some(cell))?;
         let reply: ResetReply<T::Readback, T::Sample> = connection.begin(request)?;
         let observation = reply.observation.checked(&connection.hello().task, 0.0).map_err(violation)?;
         let (Some(readback), Some(sample)) = (reply.readback, reply.sample) else {
@@ -108,10 +105,10 @@ impl<T: RemoteTask> Session for PhysicsSession<T> {
 
     fn step(&mut self, connection: &mut Connection, action: &Action) -> Result<Step, RequestError> {
         let Self(task) = self;
-        let mut numbers = task.command(action).map_err(RequestError::Local)?;
+        let (mut numbers, object) = task.command(action).map_err(RequestError::Local)?;
         numbers.extend(gripper_number(connection.hello().task.action.gripper, action.gripper));
         let expected = connection.hello().steps_per_period();
-        let (period, observation) = connection.run::<T::Sample>(ActionKind::JointPosition, numbers)?;
+        let (period, observation) = connection.run::<T::Sample>(ActionKind::JointPosition, numbers, object)?;
         let samples = period.samples.unwrap_or_default();
         if samples.len() != expected {
             let got = samples.len();

@@ -16,6 +16,8 @@ use super::message::{
 
 /// What a [`Server`] makes available: an environment with its own task, or physics only.
 pub trait Host {
+    /// The cell that a host for physics sets up; [`IgnoredAny`] for a host that scores itself.
+    type Cell: DeserializeOwned;
     /// Properties of the cell as read back from the engine; [`Empty`] for a host that scores itself.
     type Readback: Serialize;
     /// Physical state after one time step; [`Empty`] for a host that scores itself.
@@ -24,8 +26,15 @@ pub trait Host {
     /// Identity and capabilities.
     fn hello(&self) -> &Hello;
 
-    /// Set up a scenario.
-    fn reset(&mut self, scenario: &Scenario) -> Result<ResetReply<Self::Readback, Self::Sample>, Fault>;
+    /// Set up a scenario. A host for physics gets its cell.
+    fn reset(
+        &mut self,
+        scenario: &Scenario,
+        cell: Option<Self::Cell>,
+    ) -> Result<ResetReply<Self::Readback, Self::Sample>, Fault>;
+
+    /// Choose the object that the gripper acts on. Only called if the host does not score itself.
+    fn select(&mut self, _object: usize) {}
 
     /// Run one control period. `action` is one that the task of [`Host::hello`] takes.
     fn step(&mut self, action: &Action) -> Result<Period<Self::Sample>, Fault>;
@@ -58,6 +67,7 @@ impl EnvironmentHost {
 }
 
 impl Host for EnvironmentHost {
+    type Cell = IgnoredAny;
     type Readback = Empty;
     type Sample = Empty;
 
@@ -65,7 +75,7 @@ impl Host for EnvironmentHost {
         &self.hello
     }
 
-    fn reset(&mut self, scenario: &Scenario) -> Result<ResetReply<Empty, Empty>, Fault> {
+    fn reset(&mut self, scenario: &Scenario, _: Option<IgnoredAny>) -> Result<ResetReply<Empty, Empty>, Fault> {
         let start = self.environment.reset(scenario)?;
         let draws = self.environment.draws(scenario)?;
         Ok(ResetReply {
@@ -207,7 +217,7 @@ impl<H: Host> Server<H> {
     }
 
     fn reset(&mut self, header: &[u8], episode: u64) -> Frames {
-        let request: ResetRequest<IgnoredAny> = read(header)?;
+        let request: ResetRequest<H::Cell> = read(header)?;
         let hello = self.host.hello();
         if request.parameters.len() > limits::PARAMETERS {
             return reject(ErrorKind::BadRequest, format!("more than {} parameters", limits::PARAMETERS));
@@ -233,7 +243,7 @@ impl<H: Host> Server<H> {
         let requested = from_wire(&request.parameters, &Assignment::default());
         let seed = Seed::campaign(request.seed).episode(request.index);
         let scenario = Scenario { index: request.index, seed, requested };
-        let start = self.host.reset(&scenario).map_err(|fault| ErrorReply::from(&fault))?;
+        let start = self.host.reset(&scenario, request.cell).map_err(|fault| ErrorReply::from(&fault))?;
         let frames = reply(episode, start)?;
         self.running = Some(Running { episode, tick: 0, state_hash: None });
         Ok(frames)
@@ -248,10 +258,16 @@ impl<H: Host> Server<H> {
         if !(1..=limits::ACTIONS).contains(&request.actions.len()) {
             return reject(ErrorKind::BadRequest, format!("a step must have 1 to {} actions", limits::ACTIONS));
         }
+        if request.object.is_some() && self.host.hello().scores_itself {
+            return reject(ErrorKind::BadRequest, "this server has its own task, which chooses the object");
+        }
         // All actions are checked before one is run: a rejected request has no effect.
         let task = &self.host.hello().task;
         let actions = request.actions.iter().map(|numbers| decode_action(task, request.action_space, numbers));
         let actions: Vec<Action> = actions.collect::<Result<_, _>>()?;
+        if let Some(object) = request.object {
+            self.host.select(object);
+        }
         let mut steps = Vec::with_capacity(actions.len());
         for action in &actions {
             let step = self.host.step(action).map_err(|fault| {

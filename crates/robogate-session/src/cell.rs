@@ -14,9 +14,8 @@ use robogate_physics::{
 };
 use robogate_remote::message::{self, Hello};
 use robogate_remote::{Pool, RemotePhysics};
-use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
-use robogate_tasks::pick_place::{PickPlace, remote};
-use robogate_tasks::{ArmTask, Rig};
+use robogate_tasks::claims::{Bench, Setup, Workbench};
+use robogate_tasks::{ArmTask, Rig, remote};
 use serde::{Deserialize, Serialize};
 
 use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
@@ -100,7 +99,6 @@ impl Cell {
             bail!("setting `{setting}` has no effect: the gripper of {} is {}", robot.name(), gripper.description());
         }
         if let Some(pool) = &pool {
-            task.physics_only().map_err(|why| anyhow!("--task {} cannot run with --simulator: {why}", task.name()))?;
             let hello = pool.hello();
             servers::check_robot(hello, &robot, &identity(&robot.files()?))?;
             settings.engine = servers::engine(hello).name;
@@ -178,43 +176,27 @@ impl Cell {
         self.task.unit_space(&self.robot.settings.gripper)
     }
 
-    /// Rejects a space with a parameter that the task, the gripper or the servers do not have.
+    /// Rejects a space with a parameter that the task or the gripper does not have.
     pub fn check_space(&self, space: &ParameterSpace) -> anyhow::Result<()> {
         let name = || format!("space {}", space.name());
-        self.check_known(space).with_context(name)?;
-        self.task.check_space(space, &self.robot.settings.gripper).map_err(|why| anyhow!(why)).with_context(name)?;
+        self.task
+            .parameters()
+            .check_space(space, Some(&self.robot.settings.gripper))
+            .map_err(|why| anyhow!(why))
+            .with_context(name)?;
         check_declared(self.environment()?.task(), space).with_context(name)
     }
 
-    /// Rejects a suite with a parameter that the task, the gripper or the servers do not have.
+    /// Rejects a suite with a parameter that the task or the gripper does not have.
     pub fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
         let name = || format!("suite {}", suite.name());
-        self.check_known(suite.space()).with_context(name)?;
-        match &*self.task.check_suite(suite, &self.robot.settings.gripper) {
+        match &*self.task.parameters().check_suite(suite, Some(&self.robot.settings.gripper)) {
             [] => check_declared(self.environment()?.task(), suite.space()).with_context(name),
             [misfit] => bail!("suite {}: {misfit}", suite.name()),
             misfits => {
                 let lines: Vec<String> = misfits.iter().map(|misfit| format!("\n  {misfit}")).collect();
                 bail!("suite {}: {} problems{}", suite.name(), misfits.len(), lines.concat())
             }
-        }
-    }
-
-    /// Checks that the servers can apply these parameters.
-    fn check_known(&self, space: &ParameterSpace) -> anyhow::Result<()> {
-        let Some(pool) = &self.pool else { return Ok(()) };
-        let task = &pool.hello().task;
-        let applies = |name: &str| remote::is_local(name) || task.parameter(name).is_some();
-        match space.parameters().iter().find(|parameter| !applies(&parameter.name)) {
-            Some(parameter) => {
-                let known: Vec<&str> = task.parameters.iter().map(|parameter| &*parameter.name).collect();
-                bail!(
-                    "the simulator cannot apply the parameter `{}`. Expected one of: {}",
-                    parameter.name,
-                    known.join(", ")
-                )
-            }
-            None => Ok(()),
         }
     }
 
@@ -255,7 +237,10 @@ impl Cell {
 
     fn task_for(&self, setup: &Setup, chain: Chain) -> anyhow::Result<CellTask> {
         let sha256 = identity(&self.robot.files()?);
-        CellTask::new(setup, chain, sha256, self.picture_px)
+        let task = self.task.with(&setup.settings).map_err(|why| anyhow!(why))?;
+        task.remote(setup.robot.clone(), chain, Some(sha256), [self.picture_px; 2])
+            .map(CellTask)
+            .map_err(|why| anyhow!(why))
     }
 
     /// Creates an environment of the cell.
@@ -297,23 +282,23 @@ impl Cell {
 
     /// Creates the engine as a server that only computes physics.
     pub fn physics_host(&self) -> anyhow::Result<PhysicsHost> {
-        self.task
-            .physics_only()
-            .map_err(|why| anyhow!("--physics-only cannot be used with --task {}: {why}", self.task.name()))?;
+        if let Some((setting, _)) = self.chosen.iter().next() {
+            bail!(
+                "--set {setting} has no effect with --physics-only: the client sends all settings with each cell\n\
+                 Hint: use --set where the client starts"
+            );
+        }
         if self.settings.renderer.is_some() {
             bail!("--renderer egl cannot be used with --physics-only: such a server has no cameras");
-        }
-        if self.robot.settings.gripper.cup().is_some() {
-            bail!("--physics-only supports parallel grippers only: {} has a suction cup", self.robot.name());
         }
         let mut hello = self.hello()?;
         hello.scores_itself = false;
         hello.space = None;
         hello.task.action.spaces.truncate(1);
         hello.task.observation.cameras.clear();
-        hello.task.parameters.retain(|parameter| remote::is_for_engines(&parameter.name));
-        let task = PickPlace::of(&self.chosen).map_err(|why| anyhow!(why))?;
-        let host = remote::PhysicsHost::new(self.engine(&self.setup())?, task).map_err(|why| anyhow!(why))?;
+        // All of them act through the cells that clients send.
+        hello.task.parameters.clear();
+        let host = remote::PhysicsHost::new(self.engine(&self.setup())?).map_err(|why| anyhow!(why))?;
         Ok(PhysicsHost::new(hello, host))
     }
 
@@ -382,5 +367,12 @@ impl Workbench for Cell {
         }
         let bench = || anyhow::Ok((self.make(setup)?, self.task.controller(setup.robot.clone(), self.chain(setup)?)));
         bench().map_err(|e| format!("{e:#}"))
+    }
+
+    fn engine(&self) -> Result<Box<dyn Engine>, String> {
+        if self.pool.is_some() {
+            return Err("this claim needs an engine in this process: leave out --simulator".to_owned());
+        }
+        Cell::engine(self, &self.setup()).map_err(|e| format!("{e:#}"))
     }
 }

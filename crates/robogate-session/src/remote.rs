@@ -10,14 +10,11 @@ use robogate_core::{
     Start, Step, TaskSpec,
 };
 use robogate_dictionary::provenance;
-use robogate_physics::{Chain, Engine, GripperCommand, Robot};
+use robogate_physics::{Engine, GripperCommand, Robot};
 use robogate_remote::message::{Hello, ObservationMessage, Period, ResetReply};
 use robogate_remote::{Host, Listener, Pool, PoolError, RemoteTask, Timeouts};
-use robogate_tasks::pick_place::claims::Setup;
-use robogate_tasks::pick_place::remote::{
-    self as cell_remote, Cell, RemotePeriod, RemotePickPlace, RemoteReadback, RemoteSight,
-};
-use robogate_tasks::pick_place::{CONTROL_PERIOD_S, PickPlace};
+use robogate_tasks::pick_place::CONTROL_PERIOD_S;
+use robogate_tasks::remote::{self as cell_remote, Cell, RemoteArm, RemotePeriod, RemoteReadback, RemoteSight};
 use robogate_zmtp::Address;
 
 use crate::environments::{Interpreter, Servers};
@@ -90,7 +87,7 @@ fn pool_error(error: PoolError) -> Failure {
 pub(crate) fn check_robot(hello: &Hello, robot: &Robot, sha256: &str) -> anyhow::Result<()> {
     let name = robot.name();
     let Some(theirs) = &hello.robot else {
-        bail!("the simulator declares no robot, but pick_place needs {name}");
+        bail!("the simulator declares no robot, but this task needs {name}");
     };
     match &theirs.sha256 {
         Some(other) if other != sha256 => {
@@ -140,20 +137,7 @@ pub(crate) fn is_engine(hello: &Hello, recorded: &provenance::Engine) -> bool {
 }
 
 /// The built-in task, for servers that compute its physics.
-pub struct CellTask(RemotePickPlace);
-
-impl CellTask {
-    /// The task of this setup for a robot with this file hash, with images of this width and height in pixels.
-    ///
-    /// # Errors
-    /// Settings that the task does not accept, or a suction cup, whose hold must be decided in every time step.
-    pub fn new(setup: &Setup, chain: Chain, sha256: String, picture_px: usize) -> anyhow::Result<Self> {
-        let task = PickPlace::of(&setup.settings).map_err(|why| anyhow!(why))?;
-        RemotePickPlace::new(task, setup.robot.clone(), chain, Some(sha256), [picture_px; 2])
-            .map(Self)
-            .map_err(|why| anyhow!(why))
-    }
-}
+pub struct CellTask(pub(crate) RemoteArm);
 
 impl RemoteTask for CellTask {
     type Cell = Cell;
@@ -189,7 +173,7 @@ impl RemoteTask for CellTask {
         self.0.start(readback, sample, observation)
     }
 
-    fn command(&mut self, action: &Action) -> Result<Vec<f64>, Fault> {
+    fn command(&mut self, action: &Action) -> Result<(Vec<f64>, Option<usize>), Fault> {
         self.0.command(action)
     }
 
@@ -230,6 +214,7 @@ impl PhysicsHost {
 }
 
 impl Host for PhysicsHost {
+    type Cell = Cell;
     type Readback = RemoteReadback;
     type Sample = RemoteSight;
 
@@ -237,8 +222,9 @@ impl Host for PhysicsHost {
         &self.hello
     }
 
-    fn reset(&mut self, scenario: &Scenario) -> Result<ResetReply<RemoteReadback, RemoteSight>, Fault> {
-        let (readback, sample, observation) = self.engine.reset(scenario)?;
+    fn reset(&mut self, _: &Scenario, cell: Option<Cell>) -> Result<ResetReply<RemoteReadback, RemoteSight>, Fault> {
+        let cell = cell.ok_or_else(|| Fault::new(FaultKind::Setup, "no cell"))?;
+        let (readback, sample, observation) = self.engine.reset(&cell)?;
         Ok(ResetReply {
             observation: ObservationMessage::from(&observation),
             instance: None,
@@ -248,6 +234,10 @@ impl Host for PhysicsHost {
             sample: Some(sample),
             proposed: None,
         })
+    }
+
+    fn select(&mut self, object: usize) {
+        self.engine.select(object);
     }
 
     fn step(&mut self, action: &Action) -> Result<Period<RemoteSight>, Fault> {

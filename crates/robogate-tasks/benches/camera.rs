@@ -70,9 +70,9 @@ fn at_home(robot: &Robot, settings: Vec<(&'static str, Value)>) -> (Scene, Postu
     for (parameter, value) in settings {
         requested.set(parameter, value);
     }
-    let parameters = SceneParameters::from_assignment(&requested, None).unwrap();
+    let parameters = SceneParameters::from_assignment(&requested, &robot.settings.gripper).unwrap();
     let placement = Placement::from_name(&parameters.placement).unwrap();
-    let scene = pick_place::scene(&parameters, &placement, &mut Seed::campaign(1).stream("obstacles")).unwrap();
+    let scene = pick_place::scene(&parameters, &placement, 1.0, &mut Seed::campaign(1).stream("obstacles")).unwrap();
     let posture = Posture {
         joints: robot.settings.arm.home_rad.clone(),
         opening_m: robot.settings.gripper.jaw().map(|jaw| jaw.opening_m),

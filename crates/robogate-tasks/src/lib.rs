@@ -17,7 +17,8 @@ pub mod stacking;
 
 #[cfg(feature = "mujoco")]
 pub use arm::ArmWorlds;
-pub use arm::{ArmEnvironment, ArmSettings, ArmTask, Rig};
+pub use arm::{ArmDeclaration, ArmEnvironment, ArmSettings, ArmTask, Parameters, Rig};
+pub use arm::{claims, remote};
 pub use random::Random;
 pub use self_contained::SelfContained;
 pub use spaces::{built_in_space, built_in_spaces};

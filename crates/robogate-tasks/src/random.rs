@@ -94,7 +94,7 @@ mod tests {
     use robogate_physics::built_in_robot;
 
     use super::*;
-    use crate::pick_place::spec::{TOOL_DELTA, spec};
+    use crate::pick_place::spec::spec;
 
     fn episode(task: &TaskSpec, seed: Seed) -> Vec<Action> {
         let mut policy = Random::new();
@@ -112,7 +112,7 @@ mod tests {
         let x: Vec<f64> = actions
             .iter()
             .map(|action| match action.command {
-                Command::ToolDelta { translation_m: [x, ..], .. } => x / TOOL_DELTA.0,
+                Command::ToolDelta { translation_m: [x, ..], .. } => x / 0.02,
                 _ => f64::NAN,
             })
             .collect();

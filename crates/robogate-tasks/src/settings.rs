@@ -3,10 +3,25 @@
 use robogate_core::{Allowed, Assignment, SettingSpec, Value};
 use robogate_physics::SuctionLaw;
 
+/// The unit with which a name ends; empty without one.
+pub(crate) const fn unit_of(name: &str) -> &'static str {
+    match name.as_bytes() {
+        [.., b'_', b'm', b'_', b's'] => "m/s",
+        [.., b'_', b'r', b'a', b'd', b'_', b's'] => "rad/s",
+        [.., b'_', b'm'] => "m",
+        [.., b'_', b's'] => "s",
+        [.., b'_', b'n'] => "N",
+        [.., b'_', b'k', b'g'] => "kg",
+        [.., b'_', b'r', b'a', b'd'] => "rad",
+        [.., b'_', b'l', b'u', b'x'] => "lux",
+        _ => "",
+    }
+}
+
 /// One setting of the task `T`.
 pub(crate) struct SettingRow<T: 'static> {
+    /// The name, which ends with the unit.
     pub(crate) name: &'static str,
-    pub(crate) unit: &'static str,
     pub(crate) meaning: &'static str,
     pub(crate) field: Field<T>,
 }
@@ -53,12 +68,11 @@ impl<T> SettingRow<T> {
     /// A number in a range.
     pub(crate) const fn number(
         name: &'static str,
-        unit: &'static str,
         meaning: &'static str,
         range: [f64; 2],
         field: fn(&mut T) -> &mut f64,
     ) -> Self {
-        Self { name, unit, meaning, field: Field::Number(range, field) }
+        Self { name, meaning, field: Field::Number(range, field) }
     }
 
     /// The time limit of an episode in control periods of this duration in seconds, at most a day.
@@ -66,7 +80,6 @@ impl<T> SettingRow<T> {
         const DAY_S: f64 = 86_400.0;
         Self {
             name: "time_limit_s",
-            unit: "s",
             meaning: "Time limit of an episode, in simulated seconds.",
             field: Field::Periods(period_s, (DAY_S / period_s).round() as u32, field),
         }
@@ -78,7 +91,7 @@ impl<T> SettingRow<T> {
         meaning: &'static str,
         field: fn(&mut T) -> &mut dyn Choice,
     ) -> Self {
-        Self { name, unit: "", meaning, field: Field::Choice(field) }
+        Self { name, meaning, field: Field::Choice(field) }
     }
 }
 
@@ -110,7 +123,7 @@ impl<T: Clone + Default> SettingRow<T> {
     fn spec(&self, task: &mut T) -> SettingSpec {
         SettingSpec {
             name: self.name.into(),
-            unit: self.unit.to_owned(),
+            unit: unit_of(self.name).to_owned(),
             meaning: self.meaning.to_owned(),
             allowed: self.allowed(task),
             default: self.value(&mut T::default()),
@@ -128,9 +141,11 @@ impl<T: Clone + Default> SettingRow<T> {
             (Field::Choice(_), _) => {}
         }
         match &self.field {
-            Field::Periods(period_s, ..) if !is_whole(number(value) / period_s) => {
-                Err(format!("setting `{}` = {value}: expected a multiple of {period_s} {}", self.name, self.unit))
-            }
+            Field::Periods(period_s, ..) if !is_whole(number(value) / period_s) => Err(format!(
+                "setting `{}` = {value}: expected a multiple of {period_s} {}",
+                self.name,
+                unit_of(self.name)
+            )),
             _ => Ok(()),
         }
     }

@@ -59,6 +59,22 @@ fn giving_up_ends_an_episode_early() {
     }
 }
 
+/// The expert that moves the tool in small steps succeeds where everything is nominal.
+#[test]
+fn tool_experts_succeed() {
+    for task in TASKS {
+        for robot in ["franka", "ur5e", "ur3e"] {
+            let mut environment = environment(task, robot);
+            let mut expert = task.tool_expert(EngineKind::Mujoco.robot(robot).robot);
+            expert.check(robogate_core::Environment::task(&environment)).unwrap();
+            for index in 0..2 {
+                let episode = rollout(&mut environment, &mut *expert, &scenario(index, &[]));
+                assert_eq!(episode.outcome, Outcome::Success, "{} on {robot}: {episode:#?}", task.name());
+            }
+        }
+    }
+}
+
 #[test]
 fn unit_parameters_are_applied() {
     let fingers = [

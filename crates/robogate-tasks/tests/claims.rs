@@ -11,14 +11,9 @@ use common::EngineKind;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Assignment, FailureMode, Outcome, ParameterSpace, Scenario, Seed, Suite, Value, rollout};
 use robogate_physics::{FixtureKind, Gripper, JointTargets, Scene, built_in_robot};
-use robogate_tasks::pick_place::claims::{self, ClaimResult, Setup, Workbench};
-use robogate_tasks::pick_place::{self, Placement, SceneParameters, Shape, built_in_space};
-
-fn confirm(result: Result<ClaimResult, String>) {
-    let result = result.unwrap();
-    println!("{}\n  {}", result.claim, result.figures.join("\n  "));
-    assert!(result.holds, "{result:#?}");
-}
+use robogate_tasks::ArmDeclaration;
+use robogate_tasks::claims::{Setup, Workbench};
+use robogate_tasks::pick_place::{self, PickPlace, Placement, SceneParameters, Shape, built_in_space};
 
 fn space(name: &str) -> Arc<ParameterSpace> {
     Arc::new(ParameterSpace::from_toml(built_in_space(name).unwrap()).unwrap())
@@ -31,9 +26,9 @@ fn scenario(parameters: &[(&str, Value)]) -> Scenario {
 
 fn scene(on: EngineKind, robot: &str, parameters: &[(&str, Value)]) -> Scene {
     let gripper = &on.robot(robot).robot.settings.gripper;
-    let parameters = SceneParameters::from_assignment(&scenario(parameters).requested, Some(gripper)).unwrap();
+    let parameters = SceneParameters::from_assignment(&scenario(parameters).requested, gripper).unwrap();
     let placement = Placement::from_name(&parameters.placement).unwrap();
-    pick_place::scene(&parameters, &placement, &mut Seed::campaign(1).episode(0).stream("obstacles")).unwrap()
+    pick_place::scene(&parameters, &placement, 1.0, &mut Seed::campaign(1).episode(0).stream("obstacles")).unwrap()
 }
 
 fn assert_same(a: &Isometry3<f64>, b: &Isometry3<f64>) {
@@ -147,36 +142,36 @@ of_every_engine! {
     }
 
     fn holding_friction_follows_coulombs_law(on: EngineKind) {
-        confirm(claims::coulomb(&on.franka(), &[3.0]));
+        on.franka().confirm("coulomb", 36);
     }
 
     fn wide_object_is_never_picked(on: EngineKind) {
-        confirm(claims::opening(&on.franka(), on.episodes(28)));
+        on.franka().confirm("opening", on.episodes(28));
     }
 
     fn easy_region_is_easy(on: EngineKind) {
-        confirm(claims::easy_region(&on.franka(), on.episodes(140)));
+        on.franka().confirm("easy_region", on.episodes(140));
     }
 
     fn round_objects_stay_in_the_hand(on: EngineKind) {
-        confirm(claims::no_creep(&on.franka(), on.episodes(56)));
+        on.franka().confirm("no_creep", on.episodes(56));
     }
 
     fn half_time_step_changes_few_outcomes(on: EngineKind) {
-        confirm(claims::time_step(&on.franka(), &space("franka"), on.episodes(200)));
+        on.franka().confirm("time_step", on.episodes(200));
     }
 
     fn episodes_do_not_depend_on_order(on: EngineKind) {
-        confirm(claims::repeatable(&on.franka(), &space("franka"), on.episodes(40)));
+        on.franka().confirm("repeatable", on.episodes(40));
     }
 
     fn joint_limits_are_kept(on: EngineKind) {
-        confirm(claims::joint_limits(&on.franka(), on.episodes(28)));
+        on.franka().confirm("joint_limits", on.episodes(28));
     }
 
     fn position_jitter_reduces_success(on: EngineKind) {
-        confirm(claims::position_jitter(&on.franka(), on.episodes(28)));
-        confirm(claims::position_jitter(&on.ur5e(), on.episodes(28)));
+        on.franka().confirm("position_jitter", on.episodes(28));
+        on.ur5e().confirm("position_jitter", on.episodes(28));
     }
 
     /// Checks that an object at rest loads the cup with its weight m g, and bends the lip by m g times the lateral
@@ -311,27 +306,27 @@ of_every_engine! {
     }
 
     fn vacuum_cup_lifts_up_to_its_force(on: EngineKind) {
-        confirm(claims::vacuum_limit(&on.ur5e()));
+        on.ur5e().confirm("vacuum_limit", 0);
     }
 
     fn lifted_mass_grows_with_cup_area(on: EngineKind) {
-        confirm(claims::cup_area(&on.ur5e()));
+        on.ur5e().confirm("cup_area", 0);
     }
 
     fn lifted_mass_falls_with_gravity(on: EngineKind) {
-        confirm(claims::gravity(&on.ur5e()));
+        on.ur5e().confirm("gravity", 0);
     }
 
     fn surface_gripper_never_reports_grip_loss(on: EngineKind) {
-        confirm(claims::surface_keeps(&on.ur5e(), &space("ur"), on.episodes(80)));
+        on.ur5e().confirm("surface_keeps", on.episodes(80));
     }
 
     fn easy_region_is_easy_for_cup(on: EngineKind) {
-        confirm(claims::easy_region(&on.ur5e(), on.episodes(56)));
+        on.ur5e().confirm("easy_region", on.episodes(56));
     }
 
     fn cup_episodes_do_not_depend_on_order(on: EngineKind) {
-        confirm(claims::repeatable(&on.ur5e(), &space("ur-wide"), on.episodes(30)));
+        on.ur5e().confirm("repeatable", on.episodes(30));
     }
 
     fn ur3e_reaches_its_own_workspace(on: EngineKind) {
@@ -455,7 +450,7 @@ of_every_engine! {
 #[test]
 fn parameter_of_other_gripper_is_rejected() {
     let gripper = |robot| built_in_robot(robot).unwrap().settings.gripper;
-    SceneParameters::check_space(&space("ur-wide"), Some(&gripper("ur5e"))).unwrap();
-    let error = SceneParameters::check_space(&space("ur"), Some(&gripper("franka"))).unwrap_err().to_string();
+    PickPlace::DEFAULT.parameters().check_space(&space("ur-wide"), Some(&gripper("ur5e"))).unwrap();
+    let error = PickPlace::DEFAULT.parameters().check_space(&space("ur"), Some(&gripper("franka"))).unwrap_err();
     assert!(error.contains("grip_threshold_m") && error.contains("parallel jaw"), "{error}");
 }

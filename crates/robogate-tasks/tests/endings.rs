@@ -11,7 +11,7 @@ use robogate_core::{
     Action, Assignment, Episode, FailureMode, Fault, GAVE_UP, Observation, Outcome, Policy, Scenario, Seed,
     TaskInstance, TaskSpec, Value, is_feasible, rollout, rollout_with,
 };
-use robogate_tasks::pick_place::claims::{Bench, Workbench};
+use robogate_tasks::claims::{Bench, Workbench};
 use robogate_tasks::pick_place::spec::{Briefing, JAM, MISPLACED};
 use robogate_tasks::pick_place::{ModeSet, PickPlace, Placement, Shape};
 use robogate_tasks::{ArmSettings, ArmTask};
@@ -19,7 +19,7 @@ use robogate_tasks::{ArmSettings, ArmTask};
 fn bench(task: PickPlace) -> Bench {
     let cell = EngineKind::Mujoco.franka();
     let settings = task.settings().into_iter().filter_map(|spec| Some((spec.name, spec.value?))).collect();
-    let setup = robogate_tasks::pick_place::claims::Setup { settings, ..cell.setup() };
+    let setup = robogate_tasks::claims::Setup { settings, ..cell.setup() };
     cell.bench(&setup).unwrap()
 }
 

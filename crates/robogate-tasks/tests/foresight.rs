@@ -11,7 +11,7 @@ use robogate_physics::Engine;
 use robogate_physics::MujocoEngine;
 #[cfg(feature = "rapier")]
 use robogate_physics::RapierEngine;
-use robogate_tasks::pick_place::claims::Workbench;
+use robogate_tasks::claims::Workbench;
 use robogate_tasks::pick_place::spec::phases;
 use robogate_tasks::pick_place::{PickPlace, Placement, Scripted};
 use robogate_tasks::{ArmTask, Rig};

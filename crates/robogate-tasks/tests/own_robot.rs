@@ -108,9 +108,9 @@ fn menagerie_robot_picks_and_places() {
 
 /// An image of the last link at home, from 35 cm beside it.
 fn wrist_from_the_side(robot: &Robot) -> Image {
-    let parameters = SceneParameters::default();
+    let parameters = SceneParameters::nominal();
     let placement = Placement::from_name(&parameters.placement).unwrap();
-    let scene = scene(&parameters, &placement, &mut Seed::campaign(1).stream("obstacles")).unwrap();
+    let scene = scene(&parameters, &placement, 1.0, &mut Seed::campaign(1).stream("obstacles")).unwrap();
     let mut cameras = Cameras::new(robot).unwrap();
     cameras.set_up(&scene);
     let engine = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).unwrap();

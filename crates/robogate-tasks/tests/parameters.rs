@@ -3,17 +3,21 @@
 
 mod common;
 
+use std::sync::Arc;
+
 use common::EngineKind;
 use nalgebra::{Isometry3, Vector3};
 use robogate_core::{
-    Allowed, Assignment, ContactPoint, Environment, Fault, FaultKind, Scenario, Seed, Value, check_applied,
+    Allowed, Assignment, ContactPoint, Environment, Fault, FaultKind, ParameterSpec, Scenario, Seed, Value,
+    check_applied,
 };
 use robogate_physics::{
     Chain, Engine, EngineBuild, FixtureKind, JointTargets, Primitive, Readback, Robot, Scene, Touches, Wrench,
 };
-use robogate_tasks::pick_place::claims::Workbench;
-use robogate_tasks::pick_place::{ActsOn, ParameterRow, PickPlace, parameters};
-use robogate_tasks::{ArmTask, Rig};
+use robogate_tasks::insertion::Insertion;
+use robogate_tasks::pick_place::PickPlace;
+use robogate_tasks::stacking::Stacking;
+use robogate_tasks::{ArmEnvironment, ArmTask, Rig};
 
 fn engines() -> Vec<EngineKind> {
     vec![
@@ -24,19 +28,23 @@ fn engines() -> Vec<EngineKind> {
     ]
 }
 
-/// A robot with the gripper that the parameter needs.
-fn robot_for(row: &ParameterRow) -> &'static str {
-    if row.acts_on == ActsOn::Cup { "ur5e" } else { "franka" }
+const TASKS: [&dyn ArmTask; 3] = [&PickPlace::DEFAULT, &Stacking::DEFAULT, &Insertion::DEFAULT];
+
+/// Robots with every kind of gripper.
+const ROBOTS: [&str; 2] = ["franka", "ur5e"];
+
+fn environment(on: EngineKind, task: &dyn ArmTask, robot: &str) -> ArmEnvironment {
+    task.on(on.robot(robot).engine(), Rig { picture_px: [16; 2], ..Rig::default() }).unwrap()
 }
 
 /// A value other than the nominal one.
-fn unusual(row: &ParameterRow) -> Value {
+fn unusual(row: &ParameterSpec) -> Value {
     let inside = |low: f64, high: f64| low + 0.37 * (high - low);
-    match row.allowed() {
+    match row.allowed.clone() {
         Allowed::Continuous { low, high } => Value::Number(inside(low, high)),
         Allowed::Integer { low, high } => Value::Integer(inside(low as f64, high as f64) as i64),
         Allowed::Categorical { choices, open } => {
-            let nominal = row.nominal().unwrap().to_string();
+            let nominal = row.nominal.clone().unwrap().to_string();
             match choices.into_iter().find(|choice| **choice != *nominal) {
                 Some(choice) => Value::Category(choice),
                 None => {
@@ -49,47 +57,56 @@ fn unusual(row: &ParameterRow) -> Value {
 }
 
 /// A scenario with this value, and with the other parameters that it needs to take effect.
-fn scenario(row: &ParameterRow, value: Value) -> Scenario {
+fn scenario(name: &str, value: Value) -> Scenario {
     let mut requested = Assignment::default();
-    if row.name.starts_with("disturbance_") {
+    if name.starts_with("disturbance_") {
         requested.set("disturbance_speed_m_s", Value::Number(0.2));
     }
-    if row.name == "obstacle_gap_m" {
+    if name == "obstacle_gap_m" {
         requested.set("obstacles", Value::Integer(4));
     }
-    requested.set(row.name, value);
+    requested.set(name, value);
     Scenario { index: 3, seed: Seed::campaign(1).episode(3), requested }
 }
 
 #[test]
 fn rows_are_applied_and_read_back() {
-    for on in engines() {
-        for row in parameters() {
-            let cell = on.robot(robot_for(row));
-            let (mut simulator, _) = cell.bench(&cell.setup()).unwrap();
+    for (on, (task, robot)) in engines().into_iter().flat_map(|on| pairs().map(move |pair| (on, pair))) {
+        let mut simulator = environment(on, task, robot);
+        for row in Arc::clone(simulator.task()).parameters.iter().filter(|row| fits(row, robot)) {
             let value = unusual(row);
-            assert_ne!(Some(&value), row.nominal().as_ref(), "{}", row.name);
-            let scenario = scenario(row, value.clone());
-            let start = simulator.reset(&scenario).unwrap_or_else(|fault| panic!("{on:?} {}: {fault}", row.name));
-            check_applied(&scenario.requested, &start.applied).unwrap_or_else(|fault| panic!("{on:?}: {fault}"));
-            assert!(start.applied.get(row.name).is_some(), "{}", row.name);
+            assert_ne!(Some(&value), row.nominal.as_ref(), "{}", row.name);
+            let scenario = scenario(&row.name, value.clone());
+            let what = format!("{on:?} {} {robot} {}", task.name(), row.name);
+            let start = simulator.reset(&scenario).unwrap_or_else(|fault| panic!("{what}: {fault}"));
+            check_applied(&scenario.requested, &start.applied).unwrap_or_else(|fault| panic!("{what}: {fault}"));
+            assert!(start.applied.get(&row.name).is_some(), "{what}");
         }
     }
+}
+
+fn pairs() -> impl Iterator<Item = (&'static dyn ArmTask, &'static str)> {
+    TASKS.into_iter().flat_map(|task| ROBOTS.map(|robot| (task, robot)))
+}
+
+/// A UR has no seventh joint.
+fn fits(row: &ParameterSpec, robot: &str) -> bool {
+    robot == "franka" || &*row.name != "unit_bias_7_rad"
 }
 
 /// Tests the readers with the same seed and other values.
 #[test]
 fn numbers_are_read_over_their_range() {
-    let on = engines()[0];
-    for row in parameters() {
-        let cell = on.robot(robot_for(row));
-        let (mut simulator, _) = cell.bench(&cell.setup()).unwrap();
-        let Allowed::Continuous { low, high } = row.allowed() else { continue };
-        for share in [0.0, 0.11, 0.5, 0.8] {
-            let scenario = scenario(row, Value::Number(low + share * (high - low)));
-            // Some offsets move the object off the table, and some gaps leave no room.
-            let Ok(start) = simulator.reset(&scenario) else { continue };
-            check_applied(&scenario.requested, &start.applied).unwrap();
+    for (task, robot) in pairs() {
+        let mut simulator = environment(engines()[0], task, robot);
+        for row in Arc::clone(simulator.task()).parameters.iter().filter(|row| fits(row, robot)) {
+            let Allowed::Continuous { low, high } = row.allowed else { continue };
+            for share in [0.0, 0.11, 0.5, 0.8] {
+                let scenario = scenario(&row.name, Value::Number(low + share * (high - low)));
+                // Some offsets move the object off the table, some gaps leave no room, and some forces are too large.
+                let Ok(start) = simulator.reset(&scenario) else { continue };
+                check_applied(&scenario.requested, &start.applied).unwrap();
+            }
         }
     }
 }
@@ -244,8 +261,7 @@ fn tampered_scene_is_not_applied() {
     ];
     for on in engines() {
         for (name, value, change) in &cases {
-            let row = parameters().iter().find(|row| row.name == *name).unwrap();
-            let scenario = scenario(row, value.clone());
+            let scenario = scenario(name, value.clone());
             let engine = Tampered { engine: on.franka().engine(), change: *change };
             let mut simulator = PickPlace::default().on(Box::new(engine), Rig::default()).unwrap();
             let start = simulator.reset(&scenario).unwrap();
@@ -259,8 +275,18 @@ fn tampered_scene_is_not_applied() {
 
 #[test]
 fn every_parameter_is_documented() {
-    let page = include_str!("../../../docs/parameters.md");
-    for row in parameters() {
-        assert!(page.contains(&format!("`{}`", row.name)), "docs/parameters.md does not describe {}", row.name);
+    let pages = [
+        include_str!("../../../docs/parameters.md"),
+        include_str!("../../../docs/stacking.md"),
+        include_str!("../../../docs/insertion.md"),
+    ];
+    for (task, page) in TASKS.into_iter().zip(pages) {
+        for robot in ROBOTS {
+            for row in &environment(engines()[0], task, robot).task().parameters {
+                let known = |page: &str| page.contains(&format!("`{}`", row.name));
+                // Those of every task are described with those of pick and place.
+                assert!(known(page) || known(pages[0]), "no page describes {} of {}", row.name, task.name());
+            }
+        }
     }
 }

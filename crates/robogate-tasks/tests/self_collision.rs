@@ -17,9 +17,10 @@ fn engine(robot: &Robot) -> MujocoEngine {
 
 /// The default scene without table and obstacles, which would stop the arm first.
 fn scene(robot: &Robot) -> Scene {
-    let parameters = SceneParameters::from_assignment(&Assignment::default(), Some(&robot.settings.gripper)).unwrap();
+    let parameters = SceneParameters::from_assignment(&Assignment::default(), &robot.settings.gripper).unwrap();
     let placement = Placement::from_name(&parameters.placement).unwrap();
-    let mut scene = pick_place::scene(&parameters, &placement, &mut Seed::campaign(1).stream("obstacles")).unwrap();
+    let mut scene =
+        pick_place::scene(&parameters, &placement, 1.0, &mut Seed::campaign(1).stream("obstacles")).unwrap();
     scene.fixtures.clear();
     scene
 }

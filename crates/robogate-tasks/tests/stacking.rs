@@ -4,74 +4,23 @@
 #[macro_use]
 mod common;
 
-use common::{EngineKind, episodes, let_run, outcome, scenario};
-use nalgebra::Isometry3;
+use common::{EngineKind, episodes, outcome, scenario};
 use robogate_core::{Assignment, Domain, ParameterSpace, Scenario, Seed, Value};
-use robogate_physics::{
-    Color, Engine, Fixture, FreeBody, GRAVITY, GripperUnit, MassProperties, Object, Part, Primitive, Scene, Visual,
-};
-use robogate_tasks::ArmTask;
+use robogate_tasks::ArmDeclaration;
 use robogate_tasks::stacking::Stacking;
-use robogate_tasks::stacking::statics::{Level, margin};
-
-/// Edge of the cubes, in metres.
-const SIZE: f64 = 0.05;
-
-/// A stack of cubes at these offsets (fractions of the size) with these masses (kg), as a scene.
-fn stack(offsets: &[f64], masses: &[f64]) -> Scene {
-    let parts = vec![Part { primitive: Primitive::Box { half: [0.5 * SIZE; 3] }, pose: Isometry3::identity() }];
-    let body = |level: usize| FreeBody {
-        name: format!("cube_{level}"),
-        object: Object { mass: MassProperties::homogeneous(&parts, masses[level]), parts: parts.clone() },
-        pose: Isometry3::translation(0.55 + offsets[level] * SIZE, 0.2, (level as f64 + 0.5) * SIZE),
-        color: Color([90; 3]),
-    };
-    let bottom = body(0);
-    Scene {
-        object: bottom.object,
-        object_pose: bottom.pose,
-        others: (1..offsets.len()).map(body).collect(),
-        friction: 0.6,
-        table_friction: None,
-        arm_stiffness: 1.0,
-        gripper: GripperUnit::default(),
-        fixtures: vec![Fixture::table()],
-        gravity: GRAVITY,
-        marker: None,
-        visual: Visual::default(),
-    }
-}
-
-/// Whether a stack stands after 3 s.
-fn stands(engine: &mut dyn Engine, scene: &Scene) -> bool {
-    let_run(engine, scene, 3.0);
-    let at_rest = |(body, (_, start)): (usize, (&Object, &Isometry3<f64>))| {
-        (engine.free_body(body).translation.vector - start.translation.vector).norm() < 0.2 * SIZE
-    };
-    scene.free_bodies().enumerate().all(at_rest)
-}
 
 of_every_engine! {
-    /// Stacks stand exactly where statics says so, up to 2 % of the size around the limit.
+    /// The arm builds the stacks of the second claim.
     fn overhang_obeys_statics(on: EngineKind) {
-        let mut engine = on.robot("franka").engine();
-        let pairs = [0.0, 0.3, 0.45, 0.47, 0.53, 0.6].map(|x| (vec![0.0, x], vec![0.2; 2]));
-        let triples = [0.1, 0.25, 0.31, 0.36, 0.45].map(|x| (vec![0.0, x, 2.0 * x], vec![0.2; 3]));
-        // From the top, offsets of 1/2 and 1/4 are the limit of equal parts. A counterweight extends the overhang.
-        let others = [
-            (vec![0.0, 0.23, 0.69], vec![0.2; 3]),
-            (vec![0.0, 0.29, 0.77], vec![0.2; 3]),
-            (vec![0.0, 0.6, 0.2], vec![0.2; 3]),
-            (vec![0.0, 0.6, 0.2], vec![0.2, 0.2, 0.04]),
-        ];
-        for (offsets, masses) in pairs.into_iter().chain(triples).chain(others) {
-            let levels: Vec<Level> = offsets
-                .iter()
-                .zip(&masses)
-                .map(|(x, mass)| Level { at: [x * SIZE, 0.0], mass_kg: *mass })
-                .collect();
-            let expected = margin(&levels, SIZE) > 0.0;
-            assert_eq!(stands(&mut *engine, &stack(&offsets, &masses)), expected, "{offsets:?} {masses:?}");
+        on.franka().with(&Stacking::DEFAULT).confirm("statics", 0);
+        on.franka().with(&Stacking::DEFAULT).confirm("overhang", 0);
+        on.ur5e().with(&Stacking::DEFAULT).confirm("overhang", 0);
+    }
+
+    fn easy_region_is_easy(on: EngineKind) {
+        for robot in ["franka", "ur5e"] {
+            on.robot(robot).with(&Stacking::DEFAULT).confirm("easy_region", on.episodes(12));
+            on.robot(robot).with(&Stacking::DEFAULT).confirm("joint_limits", on.episodes(4));
         }
     }
 

@@ -11,8 +11,9 @@ use robogate_core::{
     Spread, Suite, TaskInstance, TaskSpec, Value, rollout,
 };
 use robogate_physics::{TableMaterial, built_in_robot};
-use robogate_tasks::pick_place::claims::{Bench, Workbench};
-use robogate_tasks::pick_place::{Placement, check_suite};
+use robogate_tasks::ArmDeclaration;
+use robogate_tasks::claims::{Bench, Workbench};
+use robogate_tasks::pick_place::{PickPlace, Placement};
 
 /// The default seed of a campaign.
 const SEED: u64 = 2026;
@@ -99,7 +100,9 @@ fn values_fill_their_ranges() {
 
 #[test]
 fn every_parameter_is_accepted() {
-    let misfits = check_suite(&suite(), Some(&built_in_robot("franka").unwrap().settings.gripper));
+    let misfits = PickPlace::DEFAULT
+        .parameters()
+        .check_suite(&suite(), Some(&built_in_robot("franka").unwrap().settings.gripper));
     assert!(misfits.is_empty(), "{misfits:?}");
 }
 
@@ -109,12 +112,14 @@ fn problems_are_reported_with_their_scenarios() {
         .replace("mass_kg = 0.3\n", "mass_kg = 0.3\nhumidity = 0.5\n")
         .replace("friction = 0.1,", "friction = 11.0,")
         .replace("\"#f0f0f0\", \"#e8e0d0\"", "\"white\", \"#e8e0d0\"");
-    let misfits =
-        check_suite(&Suite::from_toml(&text).unwrap(), Some(&built_in_robot("franka").unwrap().settings.gripper));
-    let messages: Vec<String> = misfits.iter().map(ToString::to_string).collect();
+    let gripper = built_in_robot("franka").unwrap().settings.gripper;
+    let messages = PickPlace::DEFAULT.parameters().check_suite(&Suite::from_toml(&text).unwrap(), Some(&gripper));
     assert_eq!(messages.len(), 3, "{messages:?}");
     let find = |what: &str| messages.iter().find(|message| message.contains(what)).unwrap();
-    assert!(find("friction").starts_with("scenario `slippery_surface-1`: parameter `friction` = 11 is out of range"));
+    assert!(
+        find("friction")
+            .starts_with("scenario `slippery_surface-1`: parameter `friction` = 11: expected a number from 0 to 10")
+    );
     assert!(find("humidity").starts_with("scenario `standard_objects-1` and 67 more: unknown parameter `humidity`"));
     assert!(find("white").starts_with("scenario `color-5`: parameter `object_color`: unknown value `white`"));
 }

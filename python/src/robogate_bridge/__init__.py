@@ -4,7 +4,22 @@ A simulator is a class with the methods of `Simulator`. `serve` does the rest: t
 and replies, and the typed errors. `Client` sends requests to a server, such as `robogate serve`.
 """
 
-from .cell import CONTROL_PERIOD_S, Contact, Motion, Part, Touches, arm_observation, combined, physics_hello, turned, unit
+from .cell import (
+    CONTROL_PERIOD_S,
+    Contact,
+    Motion,
+    Part,
+    Touches,
+    arm_observation,
+    combined,
+    is_table,
+    object_state,
+    parallel_jaw,
+    physics_hello,
+    table_friction,
+    turned,
+    unit,
+)
 from .client import Client, Refused, Unanswered
 from .errors import Problem
 from .identity import robot_sha256, state_hash
@@ -32,11 +47,15 @@ __all__ = [
     "Unanswered",
     "arm_observation",
     "combined",
+    "is_table",
+    "object_state",
+    "parallel_jaw",
     "physics_hello",
     "robot_sha256",
     "serve",
     "state_hash",
+    "table_friction",
     "turned",
     "unit",
 ]
-__version__ = "0.2.0"
+__version__ = "0.3.0"

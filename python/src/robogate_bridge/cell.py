@@ -10,7 +10,7 @@ TIME_LIMIT_S = 15.0
 
 
 def physics_hello(server, engine, robot, time_step_s):
-    """Returns the reply to `hello` of a server that computes physics for RoboGate's pick-and-place cell.
+    """Returns the reply to `hello` of a server that computes physics for any task of RoboGate's cell.
 
     `server` and `engine` are the maps of the protocol. `robot` has a name, a hash and joints. No parameters are declared, because
     all of them act through the cell, which contains the values after all random draws.
@@ -21,8 +21,8 @@ def physics_hello(server, engine, robot, time_step_s):
         "robot": {"name": robot.name, "sha256": robot.sha256},
         "time_step_s": time_step_s,
         "task": {
-            "name": "pick_place",
-            "instruction": "compute the physics of a pick-and-place cell",
+            "name": "cell",
+            "instruction": "compute the physics of a cell",
             "control_period_s": CONTROL_PERIOD_S,
             "time_limit_s": TIME_LIMIT_S,
             "observation": {
@@ -60,9 +60,9 @@ class Contact:
     # Radius of the disc, under uniform pressure, whose torsional friction is used.
     patch_radius_m: float
     rolling_m: float
-    # Time constants of the object's contacts and of joint end stops, at critical damping.
+    # Time constants of the objects' contacts and of joint end stops, at critical damping.
     time_constant_s: float
-    # MuJoCo's constraint impedance (the first three numbers of solimp), of the object's contacts and of joint end stops.
+    # MuJoCo's constraint impedance (the first three numbers of solimp), of the objects' contacts and of joint end stops.
     impedance: list[float]
     limit_impedance: list[float]
     # Mass of a moving fixture.
@@ -80,7 +80,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class Part:
-    """The owner of a shape: the `robot` (its body, and finger if any), the `object`, or a `fixture` (by its index).
+    """The owner of a shape: the `robot` (its body, and finger if any), an `object` or a `fixture` (by its index).
 
     The fixed base of the robot has no contacts with fixtures: leave such contacts out.
     """
@@ -88,52 +88,61 @@ class Part:
     kind: str
     body: str = ""
     finger: int | None = None
-    fixture: int = -1
+    index: int = -1
 
 
 class Touches:
     """Sums the contacts of one time step. Two bodies may touch at several points; the total force between them
     counts."""
 
-    def __init__(self):
-        self._fingers = [None, None]
-        self._body_on_object = False
-        self._object_on_fixture = False
+    def __init__(self, objects):
+        """Creates sums without a contact, for this number of objects."""
+        self._fingers = [[None, None] for _ in range(objects)]
+        self._body_on_object = [False] * objects
+        self._supported = [False] * objects
+        self._support = [[0.0, 0.0, 0.0] for _ in range(objects)]
         self._forces = {}
-        self.on_object_n = 0.0
+        # Sum of the normal forces on each object, in newtons.
+        self.on_object_n = [0.0] * objects
 
-    def add(self, one, two, force):
-        """Adds a contact of two parts with its normal force in newtons. It is ignored if a part is None."""
-        if one is None or two is None or one.kind == two.kind:
+    def add(self, one, two, force, push=(0.0, 0.0, 0.0)):
+        """Adds a contact of two parts with its normal force in newtons, and the total force `push` on the first part along the
+        axes of the base frame. It is ignored if a part is None."""
+        if one is None or two is None or one == two or (one.kind == two.kind and one.kind != "object"):
             return
-        if two.kind == "robot" or (one.kind == "fixture" and two.kind == "object"):
+        for part, other, sign in ((one, two, 1.0), (two, one, -1.0)):
+            if part.kind != "object":
+                continue
+            self.on_object_n[part.index] += force
+            if other.kind != "robot":
+                self._supported[part.index] = True
+                self._support[part.index] = [s + sign * p for s, p in zip(self._support[part.index], push)]
+        if two.kind == "robot":
             one, two = two, one
-        if "object" in (one.kind, two.kind):
-            self.on_object_n += force
-        if one.kind == "object":
-            self._object_on_fixture = True
+        if one.kind != "robot":
             return
-        fixture = None
-        if two.kind == "fixture":
-            fixture = two.fixture
-        elif one.finger is None:
-            self._body_on_object = True
-        else:
-            self._fingers[one.finger] = (self._fingers[one.finger] or 0.0) + force
-        pair = (one.body, fixture)
+        if two.kind == "object":
+            if one.finger is None:
+                self._body_on_object[two.index] = True
+            else:
+                fingers = self._fingers[two.index]
+                fingers[one.finger] = (fingers[one.finger] or 0.0) + force
+        pair = (one.body, two)
         self._forces[pair] = self._forces.get(pair, 0.0) + force
 
-    def sight(self):
-        """The part of a sight that depends on contacts."""
-        hits = [(force, pair) for pair, force in self._forces.items() if pair[1] is not None]
+    def sight(self, index=0):
+        """The part of a sight that depends on contacts, for a gripper that acts on this object."""
+        hits = [(force, pair) for pair, force in self._forces.items() if pair[1].kind == "fixture"]
         collision = None
         if hits:
             force, (body, fixture) = max(hits, key=lambda hit: hit[0])
-            collision = {"robot_body": body, "fixture": fixture, "force_n": force}
+            collision = {"robot_body": body, "fixture": fixture.index, "force_n": force}
         return {
-            "fingers": list(self._fingers),
-            "body_on_object": self._body_on_object,
-            "object_on_fixture": self._object_on_fixture,
+            "object": index,
+            "fingers": list(self._fingers[index]),
+            "body_on_object": self._body_on_object[index],
+            "object_on_fixture": self._supported[index],
+            "support_n": list(self._support[index]),
             "collision": collision,
             "peak_force_n": max(self._forces.values(), default=None),
         }
@@ -167,6 +176,36 @@ def turned(quaternion, vector):
     a, b, c = vector
     tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
     return [a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx]
+
+
+def object_state(pose, velocity, spin, centre):
+    """The state of an object, from the velocity of its centre of mass (m/s) and its angular velocity (rad/s), both along the axes
+    of the base frame. `centre` is the centre of mass in the object's frame."""
+    x, y, z = turned(pose["orientation"], centre)
+    (u, v, w), (a, b, c) = velocity, spin
+    return {
+        "pose": pose,
+        "linear_m_s": [u - (b * z - c * y), v - (c * x - a * z), w - (a * y - b * x)],
+        "angular_rad_s": [a, b, c],
+    }
+
+
+def table_friction(cell):
+    """Friction coefficient of the objects against the table and the receptacles."""
+    return cell["friction"] if cell["table_friction"] is None else cell["table_friction"]
+
+
+def is_table(fixture):
+    """Whether the objects have the table's friction coefficient against a fixture."""
+    return fixture["kind"] in ("table", "receptacle")
+
+
+def parallel_jaw(cell):
+    """The gripper of a cell for a server that supports two sliding fingers only. Raises a `Problem` for any other."""
+    gripper = cell["robot"]["gripper"]
+    if gripper["kind"] != "parallel_jaw" or gripper["finger_joints"] is None:
+        raise Problem("setup", "this server supports grippers with two sliding fingers only")
+    return gripper
 
 
 def combined(one, two):

@@ -39,12 +39,14 @@ class Client:
         self.episode, self.tick = secrets.randbits(63) + 1, 0
         return self._ask("reset", self.episode, index=index, seed=seed, parameters=parameters or {}, cell=cell)[0]
 
-    def step(self, actions, action_space="tool_delta"):
-        """Run the actions, one for each control period. Returns the steps: fewer than actions if the episode ended."""
+    def step(self, actions, action_space="tool_delta", choose=None):
+        """Run the actions, one for each control period. Returns the steps: fewer than actions if the episode ended. `choose` is the
+        index of the object that the gripper acts on from now on, for a server that only computes physics."""
         if actions and not isinstance(actions[0], (list, tuple)):
             actions = [actions]
         rows = [[float(x) for x in action] for action in actions]
-        reply, _ = self._ask("step", self.episode, tick=self.tick, action_space=action_space, actions=rows)
+        more = {} if choose is None else {"object": choose}
+        reply, _ = self._ask("step", self.episode, tick=self.tick, action_space=action_space, actions=rows, **more)
         self.tick += len(reply["steps"])
         return reply["steps"]
 

@@ -4,7 +4,7 @@ from math import isfinite
 
 import msgpack
 
-VERSION = 2
+VERSION = 3
 MAX_HEADER = 4 << 20
 MAX_MESSAGE = 64 << 20
 MAX_NESTING = 16

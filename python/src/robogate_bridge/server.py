@@ -55,11 +55,13 @@ class Action:
 
     `space` is one of the task's action spaces. `numbers` are joint positions (rad or m), six numbers from -1 to 1 for
     `tool_delta`, or the numbers of the task's own vector. `gripper` is from -1 (open) to 1 (close); None without a gripper.
+    `object` is the index of the object that the gripper acts on, for a server that only computes physics.
     """
 
     space: str
     numbers: list[float]
     gripper: float | None = None
+    object: int = 0
 
     @property
     def close(self):
@@ -173,6 +175,8 @@ class Server:
         # The episode whose motion is recorded.
         self._recorded: int | None = None
         self._tick = 0
+        # The object that the gripper acts on, and the number of objects, for a server that only computes physics.
+        self._object, self._objects = 0, 0
         # Whether a policy of this server proposes the actions of the episode.
         self._proposes = False
         # An error in a control period that no request has asked for yet.
@@ -224,6 +228,7 @@ class Server:
         scenario = Scenario(index, seed, requested, self._cell(request), nominal | requested, policy, record_s)
         self._over()
         self._last = self._recorded = None
+        self._object, self._objects = 0, 0 if scenario.cell is None else _count(scenario.cell.get("objects"))
         answer = self._simulator.reset(scenario)
         fields = {"observation": shape.observation(shape.entry(answer, "observation", "reset"), self._task, 0.0)}
         if self._hello["scores_itself"]:
@@ -245,8 +250,10 @@ class Server:
             raise self._waiting
         if _u64(request, "tick") != self._tick:
             raise Problem("bad_request", f"the request is for tick {request['tick']}. Expected tick {self._tick}")
-        steps = []
-        for action in self._actions(request):
+        steps, actions = [], self._actions(request)
+        self._choose(request)
+        for action in actions:
+            action.object = self._object
             steps.append(self._period_of(action, len(steps)))
             if steps[-1].get("ending") is not None:
                 return {"steps": steps}, []
@@ -508,6 +515,15 @@ class Server:
             raise Problem("setup", f"the control period of this server is {self._period} s")
         return cell
 
+    def _choose(self, request):
+        """Choose the object that the gripper acts on from now on."""
+        if request.get("object") is None:
+            return
+        chosen = _u64(request, "object")
+        if self._scores or chosen >= self._objects:
+            raise Problem("bad_request", "object must be the index of an object of the cell")
+        self._object = chosen
+
     def _actions(self, request):
         kind, actions = request.get("action_space"), request.get("actions")
         if not isinstance(kind, str) or kind not in self._spaces:
@@ -544,6 +560,10 @@ def _u64(request, key):
     if type(value) is not int or not 0 <= value <= codec.MAX_NUMBER:
         raise Problem("bad_request", f"{key} must be an integer from 0 to 2^64 - 1")
     return value
+
+
+def _count(objects):
+    return len(objects) if isinstance(objects, list) else 0
 
 
 def _optional_u64(request, key):

@@ -54,6 +54,11 @@ class Fingers:
         self._step = gripper["finger_speed_m_s"] * time_step
         self._target = self._goal
 
+    @property
+    def lead_m(self):
+        """Distance by which a target is ahead of a finger that presses, in metres."""
+        return self._lead
+
     def target(self, close, opening):
         """Computes the target of the next time step, for an open or close command, with the pads `opening` (m) apart."""
         goal = -self._goal if close else self._goal

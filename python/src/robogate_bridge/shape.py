@@ -138,13 +138,19 @@ def motion(value, where):
 
 def readback(value):
     w = "readback"
-    out = {
-        key: number(entry(value, key, w), f"{w}.{key}")
-        for key in ("friction", "table_friction", "gravity_m_s2", "mass_kg")
-    }
-    out["centre_of_mass"] = numbers(entry(value, "centre_of_mass", w), 3, f"{w}.centre_of_mass")
-    out["parts"] = [primitive(part, f"{w}.parts[{i}]") for i, part in enumerate(entry(value, "parts", w))]
-    out["object_pose"] = pose(entry(value, "object_pose", w), f"{w}.object_pose")
+    out = {key: number(entry(value, key, w), f"{w}.{key}") for key in ("friction", "table_friction", "gravity_m_s2", "grip_force_n")}
+    out |= {key: optional(entry(value, key, w), f"{w}.{key}") for key in ("pad_friction", "grip_threshold_m")}
+    stiffness = entry(value, "stiffness_nm_rad", w)
+    out["stiffness_nm_rad"] = [number(x, f"{w}.stiffness_nm_rad[{i}]") for i, x in enumerate(stiffness)]
+    out["objects"] = []
+    for i, thing in enumerate(entry(value, "objects", w)):
+        at = f"{w}.objects[{i}]"
+        out["objects"].append({
+            "mass_kg": number(entry(thing, "mass_kg", at), f"{at}.mass_kg"),
+            "centre_of_mass": numbers(entry(thing, "centre_of_mass", at), 3, f"{at}.centre_of_mass"),
+            "parts": [primitive(part, f"{at}.parts[{k}]") for k, part in enumerate(entry(thing, "parts", at))],
+            "pose": pose(entry(thing, "pose", at), f"{at}.pose"),
+        })
     out["fixtures"] = []
     for i, fixture in enumerate(entry(value, "fixtures", w)):
         at = f"{w}.fixtures[{i}]"
@@ -162,29 +168,47 @@ def sight(value, where="sight"):
     fingers = entry(value, "fingers", where)
     if len(fingers) != 2:
         raise wrong(f"{where}.fingers", "two entries")
-    collision = entry(value, "collision", where)
-    if collision is not None:
-        at = f"{where}.collision"
-        collision = {
-            "robot_body": text(entry(collision, "robot_body", at), f"{at}.robot_body"),
-            "fixture": integer(entry(collision, "fixture", at), f"{at}.fixture"),
-            "force_n": number(entry(collision, "force_n", at), f"{at}.force_n"),
-        }
-    velocity = entry(value, "object_velocity", where)
-    at = f"{where}.object_velocity"
     return {
+        "object": integer(entry(value, "object", where), f"{where}.object"),
         "fingers": [optional(force, f"{where}.fingers") for force in fingers],
         "body_on_object": flag(entry(value, "body_on_object", where), f"{where}.body_on_object"),
         "object_on_fixture": flag(entry(value, "object_on_fixture", where), f"{where}.object_on_fixture"),
-        "collision": collision,
+        "support_n": numbers(entry(value, "support_n", where), 3, f"{where}.support_n"),
+        "collision": _collision(entry(value, "collision", where), f"{where}.collision"),
         "peak_force_n": optional(entry(value, "peak_force_n", where), f"{where}.peak_force_n"),
-        "object_pose": pose(entry(value, "object_pose", where), f"{where}.object_pose"),
-        "object_velocity": {
-            "linear_m_s": numbers(entry(velocity, "linear_m_s", at), 3, f"{at}.linear_m_s"),
-            "angular_rad_s": numbers(entry(velocity, "angular_rad_s", at), 3, f"{at}.angular_rad_s"),
-        },
+        "objects": [_state(state, f"{where}.objects[{i}]") for i, state in enumerate(entry(value, "objects", where))],
         "tool_pose": pose(entry(value, "tool_pose", where), f"{where}.tool_pose"),
         "opening_m": optional(entry(value, "opening_m", where), f"{where}.opening_m"),
+        "cup": _cup(value.get("cup"), f"{where}.cup"),
+    }
+
+
+def _collision(value, where):
+    if value is None:
+        return None
+    fixture, other = value.get("fixture"), value.get("other_body")
+    return {
+        "robot_body": text(entry(value, "robot_body", where), f"{where}.robot_body"),
+        "fixture": None if fixture is None else integer(fixture, f"{where}.fixture"),
+        "other_body": None if other is None else text(other, f"{where}.other_body"),
+        "force_n": number(entry(value, "force_n", where), f"{where}.force_n"),
+    }
+
+
+def _state(value, where):
+    return {
+        "pose": pose(entry(value, "pose", where), f"{where}.pose"),
+        "linear_m_s": numbers(entry(value, "linear_m_s", where), 3, f"{where}.linear_m_s"),
+        "angular_rad_s": numbers(entry(value, "angular_rad_s", where), 3, f"{where}.angular_rad_s"),
+    }
+
+
+def _cup(value, where):
+    if value is None:
+        return None
+    return {
+        "holding": flag(entry(value, "holding", where), f"{where}.holding"),
+        "travel_m": number(entry(value, "travel_m", where), f"{where}.travel_m"),
     }
 
 

@@ -143,8 +143,10 @@ impl<'a> Checker<'a> {
         action_space: ActionKind,
         numbers: Vec<f64>,
     ) -> Result<IgnoredAny, RequestError> {
-        self.connection
-            .request("step", StepRequest { tick, action_space, actions: vec![numbers], ahead: 0, packed: false })
+        self.connection.request(
+            "step",
+            StepRequest { tick, action_space, actions: vec![numbers], ahead: 0, object: None, packed: false },
+        )
     }
 
     /// Check that the episode continues after a request that was rejected.

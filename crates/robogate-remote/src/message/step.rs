@@ -22,6 +22,9 @@ pub struct StepRequest {
     /// Largest number of further control periods that the server may run with the actions of its own policy.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub ahead: u32,
+    /// The object that the gripper acts on from now on, for a server that does not score itself. `None` keeps it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub object: Option<usize>,
     /// Whether the client reads these control periods as arrays in frames of their own.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub packed: bool,

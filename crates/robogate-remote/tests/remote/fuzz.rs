@@ -29,6 +29,7 @@ fn fuzzed_requests_get_a_reply() {
         action_space: ActionKind::JointPosition,
         actions: vec![vec![0.1, 0.2, 0.3, 1.0]; 2],
         ahead: 0,
+        object: None,
         packed: false,
     };
     let reset = request("reset", reset);
@@ -82,6 +83,7 @@ fn fuzzed_replies_are_finite_or_refused() {
         action_space: ActionKind::JointPosition,
         actions: vec![vec![0.1; 4]; 3],
         ahead: 0,
+        object: None,
         packed: false,
     };
     let requests = [request("hello", Empty {}), request("reset", reset), request("step", steps)];

@@ -17,11 +17,13 @@ use crate::toy::{Creep, PERIOD, hello, joint_positions, scenario, task};
 /// Time steps in a control period.
 const STEPS: usize = 5;
 
-/// Joints that reach any commanded position immediately. A sample is the sum of their positions.
+/// Joints that reach any commanded position immediately. A sample is the sum of their positions and of the number of the
+/// object that the gripper acts on.
 struct ToyPhysics {
     hello: Hello,
     joints: Vec<f64>,
     tick: u32,
+    object: usize,
 }
 
 fn physics_hello() -> Hello {
@@ -32,13 +34,13 @@ fn physics_hello() -> Hello {
     task.observation.vectors.truncate(1);
     task.measures.clear();
     task.failure_modes.clear();
-    task.parameters.retain(|parameter| &*parameter.name == "mass_kg");
+    task.parameters.clear();
     hello
 }
 
 impl ToyPhysics {
     fn new() -> Self {
-        Self { hello: physics_hello(), joints: vec![0.0; 3], tick: 0 }
+        Self { hello: physics_hello(), joints: vec![0.0; 3], tick: 0, object: 0 }
     }
 
     fn observation(&self) -> ObservationMessage {
@@ -50,6 +52,8 @@ impl ToyPhysics {
 }
 
 impl Host for ToyPhysics {
+    /// The mass of the object.
+    type Cell = f64;
     type Readback = f64;
     type Sample = f64;
 
@@ -57,10 +61,9 @@ impl Host for ToyPhysics {
         &self.hello
     }
 
-    fn reset(&mut self, scenario: &Scenario) -> Result<ResetReply<f64, f64>, Fault> {
-        (self.joints, self.tick) = (vec![0.0; 3], 0);
-        let mass = scenario.requested.number("mass_kg").unwrap_or(1.0);
-        let (readback, sample) = (Some(mass), Some(0.0));
+    fn reset(&mut self, _: &Scenario, cell: Option<f64>) -> Result<ResetReply<f64, f64>, Fault> {
+        (self.joints, self.tick, self.object) = (vec![0.0; 3], 0, 0);
+        let (readback, sample) = (cell, Some(0.0));
         Ok(ResetReply {
             observation: self.observation(),
             instance: None,
@@ -70,6 +73,10 @@ impl Host for ToyPhysics {
             sample,
             proposed: None,
         })
+    }
+
+    fn select(&mut self, object: usize) {
+        self.object = object;
     }
 
     fn step(&mut self, action: &Action) -> Result<Period<f64>, Fault> {
@@ -85,7 +92,7 @@ impl Host for ToyPhysics {
             measures: None,
             ending: None,
             events: None,
-            samples: Some(vec![self.joints.iter().sum(); STEPS]),
+            samples: Some(vec![self.joints.iter().sum::<f64>() + self.object as f64; STEPS]),
             clearance_m: None,
             proposed: None,
         })
@@ -106,7 +113,7 @@ fn reach() -> Reach {
 }
 
 impl RemoteTask for Reach {
-    type Cell = &'static str;
+    type Cell = f64;
     type Readback = f64;
     type Sample = f64;
 
@@ -121,8 +128,8 @@ impl RemoteTask for Reach {
         }
     }
 
-    fn resolve(&mut self, _: &Scenario) -> Result<&'static str, Fault> {
-        Ok("an empty cell")
+    fn resolve(&mut self, scenario: &Scenario) -> Result<f64, Fault> {
+        Ok(scenario.requested.number("mass_kg").unwrap_or(1.0))
     }
 
     fn start(&mut self, readback: f64, _: &f64, observation: &Observation) -> Result<Start, Fault> {
@@ -132,9 +139,13 @@ impl RemoteTask for Reach {
         Ok(Start { instance: TaskInstance::default(), observation: observation.clone(), applied })
     }
 
-    fn command(&mut self, action: &Action) -> Result<Vec<f64>, Fault> {
+    fn command(&mut self, action: &Action) -> Result<(Vec<f64>, Option<usize>), Fault> {
         match &action.command {
-            Command::JointPosition(joints) => Ok(joints.clone()),
+            Command::JointPosition(joints) => {
+                // A gripper that closes at home acts on another object.
+                let chooses = action.gripper > Some(0.0) && joints.iter().all(|q| q.abs() < 1e-9);
+                Ok((joints.clone(), chooses.then_some(1)))
+            }
             _ => Err(Fault::new(FaultKind::BadAction, "expected joint positions")),
         }
     }
@@ -179,6 +190,16 @@ fn tasks_score_reported_physics() {
         // Each of three joints moves 0.01 rad per control period, so the sum exceeds 0.16 rad after six periods.
         assert!((episode.time_s - 6.0 * PERIOD).abs() < 1e-9, "{}", episode.time_s);
     }
+}
+
+/// A gripper that closes at home chooses object 1, whose number is part of the samples.
+#[test]
+fn tasks_choose_the_object() {
+    let server = Running::start_host(ToyPhysics::new, unchanged);
+    let mut simulator = RemotePhysics::new(pool(&server), reach()).unwrap();
+    simulator.reset(&scenario(0)).unwrap();
+    assert_eq!(simulator.step(&joint_positions(vec![0.0; 3], Action::OPEN)).unwrap().ending, None);
+    assert!(simulator.step(&joint_positions(vec![0.0; 3], Action::CLOSE)).unwrap().ending.is_some());
 }
 
 #[test]

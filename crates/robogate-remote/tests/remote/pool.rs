@@ -301,17 +301,17 @@ fn undeclared_measures_are_reported_once() {
 }
 
 #[test]
-fn version_1_servers_are_rejected() {
+fn older_servers_are_rejected() {
     let server = Running::start(hello(), |_, _, mut reply| {
-        let detail = "this server speaks version 1 of the protocol".to_owned();
+        let detail = "this server speaks version 2 of the protocol".to_owned();
         let error = Some(ErrorReply { kind: ErrorKind::BadRequest, detail });
-        reply[0] = encode(&Envelope { v: 1, episode: 0, ok: false, error }).unwrap();
+        reply[0] = encode(&Envelope { v: 2, episode: 0, ok: false, error }).unwrap();
         Some(reply)
     });
     let why = Pool::connect(std::slice::from_ref(&server.address), timeouts(), Box::new(|_| {})).err().unwrap();
     let why = why.to_string();
     assert!(why.ends_with(
-        "the server uses protocol version 1, but this robogate uses version 2. Upgrade the server (bridges/common of \
+        "the server uses protocol version 2, but this robogate uses version 3. Upgrade the server (bridges/common of \
          this release)"
     ), "{why}");
 }

@@ -17,7 +17,7 @@ use crate::environments::Servers;
 use crate::failure::{Failure, OrFailure};
 use crate::latency::without_latency;
 use crate::policy_source::{DeclaredPolicy, PolicySource, without_profile};
-use crate::registry::{self, CELL_TASK};
+use crate::registry;
 use crate::remote::{self, Simulators};
 
 use super::recorded::franka;
@@ -53,16 +53,6 @@ pub(crate) struct Launched {
 }
 
 impl EnvironmentSource {
-    /// The declarations of all built-in tasks except the default one.
-    pub fn declared_tasks() -> Result<Vec<Arc<TaskSpec>>, Failure> {
-        let arms = registry::ARM_TASKS.iter().filter(|task| task.name() != CELL_TASK).map(|task| {
-            let settings = CellSettings::of(task.name(), &franka());
-            Cell::new(settings, Assignment::default(), None).map(|cell| Self::Cell(Box::new(cell)))
-        });
-        let arms = arms.map(|source| source.and_then(|source: Self| source.task()));
-        arms.chain(registry::TASKS.iter().map(|task| Ok(task.task()))).collect::<Result<_, _>>().or_setup()
-    }
-
     /// The same environment with the settings of the paper, if it is a task of the paper.
     pub fn like_the_paper(mut self) -> anyhow::Result<Self> {
         if let Self::Cell(cell) = &mut self {
@@ -162,12 +152,7 @@ impl EnvironmentSource {
         Ok(match self {
             Self::Cell(cell) => {
                 let policy: Box<dyn Policy> = match arm {
-                    Arm::ToolDelta | Arm::OscPose | Arm::ToolPose => {
-                        match cell.task().tool_expert(cell.robot().clone()) {
-                            Some(expert) => expert,
-                            None => return Ok(None),
-                        }
-                    }
+                    Arm::ToolDelta | Arm::OscPose | Arm::ToolPose => cell.task().tool_expert(cell.robot().clone()),
                     Arm::JointPositions | Arm::JointDeltas => cell.controller()?,
                     Arm::Vector => return Ok(None),
                 };

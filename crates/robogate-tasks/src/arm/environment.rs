@@ -120,7 +120,7 @@ impl Environment for ArmEnvironment {
             engine: &plant.engine.read_back()?,
             visual: &visual,
             grip_threshold_m: plant.grip_threshold_m(),
-            grip_force_scale: plant.grip_force_scale(),
+            grip_force_scale: Some(plant.acting_force_n() / plant.grip_force_n()),
         };
         judge.start(scenario, resolved, &found, plant.engine.touches(), plant.arm_state())
     }

@@ -12,6 +12,7 @@ use robogate_core::{Better, DrawSpec, FeatureSpec, Measures, Word};
 use robogate_physics::{Chain, Gripper, GripperUnit, Robot};
 
 use super::Stage;
+use crate::settings::unit_of;
 
 /// Position, then rotation vector of a displacement.
 const TOOL: [(&str, &str, &str); 6] = [
@@ -136,15 +137,38 @@ pub(crate) fn drawn(specs: &[DrawSpec], values: impl IntoIterator<Item = Option<
     specs.iter().map(|spec| spec.name).zip(values.into_iter().map(|value| value.map(|x| x + 0.0))).collect()
 }
 
-/// A feature.
-pub(crate) const fn feature(
-    name: &'static str,
-    unit: &'static str,
-    better: Better,
-    meaning: &'static str,
-) -> FeatureSpec {
-    FeatureSpec { name, unit, meaning, better }
+/// A feature, whose name ends with its unit.
+pub(crate) const fn feature(name: &'static str, better: Better, meaning: &'static str) -> FeatureSpec {
+    FeatureSpec { name, unit: unit_of(name), meaning, better }
 }
+
+/// The features of a task, then those of its gripper.
+pub(crate) const fn joined<const A: usize, const B: usize, const N: usize>(
+    task: &[FeatureSpec; A],
+    gripper: &[FeatureSpec; B],
+) -> [FeatureSpec; N] {
+    let mut all = [const { feature("", Better::Neither, "") }; N];
+    let mut i = 0;
+    while i < N {
+        let FeatureSpec { name, better, meaning, .. } = if i < A { &task[i] } else { &gripper[i - A] };
+        all[i] = feature(name, *better, meaning);
+        i += 1;
+    }
+    all
+}
+
+/// Features of a grasp that every task has.
+pub(crate) const OPENING_CLEARANCE: FeatureSpec = feature(
+    "opening_clearance_m",
+    Better::Higher,
+    "Smallest free space on the tighter side of a part between the open fingers.",
+);
+pub(crate) const LIP_MARGIN: FeatureSpec =
+    feature("lip_margin_m", Better::Higher, "Smallest distance from the lip of the cup to the nearer edge of a part.");
+pub(crate) const GAP_MARGIN: FeatureSpec =
+    feature("gap_margin_m", Better::Higher, "Grip threshold minus the largest gap between the lip and a part.");
+pub(crate) const PRESS_MARGIN: FeatureSpec =
+    feature("press_margin_m", Better::Higher, "Smallest gap between the lip and a part.");
 
 /// The largest force with which a gripper holds a part against its weight, in newtons: the friction of two pads with this coefficient,
 /// or the suction of a cup, with the deviations of this unit.

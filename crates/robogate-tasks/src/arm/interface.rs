@@ -4,7 +4,7 @@ use robogate_core::{ActionSpace, ActionSpec, GripperKind, Observation, Pose, Vec
 use robogate_physics::{ArmState, Gripper, Robot};
 
 /// The unit of a tool delta: metres along, and radians about, each axis (paper, section 7.1).
-pub const TOOL_DELTA: (f64, f64) = (0.02, 0.05);
+const TOOL_DELTA: (f64, f64) = (0.02, 0.05);
 
 /// The vectors that a policy observes on this robot.
 pub(crate) fn observed_vectors(robot: &Robot) -> Vec<VectorSpec> {

@@ -1,7 +1,7 @@
 //! The judge: resolves scenarios, adds encoder errors, converts actions to joint commands and reports the outcome.
 //!
 //! The same judge serves an engine in this process ([`super::ArmEnvironment`]) and in another one
-//! ([`crate::pick_place::remote`]), with the same random draws, read-back and referee.
+//! ([`super::remote`]), with the same random draws, read-back and referee.
 
 use std::sync::Arc;
 
@@ -10,9 +10,7 @@ use robogate_core::{
     Action, Assignment, CameraSpec, Contact, Ending, FEASIBLE, Fault, FaultKind, Foresight, Infeasibility, Observation,
     Scenario, Start, Step, TaskSpec,
 };
-use robogate_physics::{
-    ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Steering, StepView, Touches, Wrench, pose,
-};
+use robogate_physics::{ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Steering, StepView, Touches, pose};
 
 use super::rules::{Bodies, Found, Resolved, Rules, Sight, Trial};
 use super::settings::on_gripper;
@@ -67,6 +65,7 @@ impl Judge {
         let settings = settings.filter_map(|spec| on_gripper(spec, &robot.settings.gripper, grip_force_n));
         let task = TaskSpec {
             time_limit_s: rules.arm().time_limit_s,
+            parameters: rules.parameters().specs(&robot.settings.gripper),
             settings: settings.collect(),
             ..rules.spec(&robot, cameras)
         };
@@ -265,7 +264,7 @@ impl Bodies for Box<dyn Engine> {
         self.free_body_velocity(body)
     }
 
-    fn support(&self) -> Wrench {
-        Engine::support(&**self)
+    fn support(&self) -> Vector3<f64> {
+        Engine::support(&**self).force
     }
 }

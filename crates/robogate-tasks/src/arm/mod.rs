@@ -4,21 +4,25 @@
 //! A task adds its scene, its rules for an outcome, its parameters and its plan. Its rules make it an [`ArmTask`].
 
 mod cameras;
+pub mod claims;
 mod environment;
 mod feasibility;
 mod film;
 mod foresight;
 #[cfg(all(test, feature = "mujoco"))]
+#[path = "../../tests/support/foresight.rs"]
 mod foresight_tests;
 mod grip;
 mod interface;
 mod judge;
 mod layout;
+pub mod remote;
 mod rules;
 mod script;
 mod settings;
 mod table;
 mod task;
+mod tool_expert;
 mod words;
 #[cfg(feature = "mujoco")]
 mod worlds;
@@ -29,21 +33,21 @@ pub(crate) use environment::{GRIP_THRESHOLD_M, cameras, show};
 pub(crate) use feasibility::{Load, cannot_carry, out_of_reach};
 pub(crate) use film::Film;
 pub(crate) use foresight::{
-    Memo, Posture, bias_draws, compliance, components, draw, drawn, feature, holding_n, in_hand, log_ratio, tool_draws,
-    within_quarter,
+    GAP_MARGIN, LIP_MARGIN, Memo, OPENING_CLEARANCE, PRESS_MARGIN, Posture, bias_draws, compliance, components, draw,
+    drawn, feature, holding_n, in_hand, joined, log_ratio, tool_draws, within_quarter,
 };
 pub(crate) use grip::{Grip, GripChange, is_still, still, touching};
-pub use interface::TOOL_DELTA;
 pub(crate) use interface::{action_spec, observation, observed_vectors};
 pub(crate) use judge::{CLEARANCE_LIMIT_M, Judge};
 pub(crate) use layout::{disc_point, encoder_bias, within_reach};
 pub(crate) use rules::{Bodies, Found, Record, Resolved, Rules, Sight, Trial};
-pub(crate) use script::{FREE, Planner, Script, Stage, grasp_height, nearest, tool_down};
+pub(crate) use script::{FREE, Planner, Script, Stage, carry_yaw, cup_yaw, grasp_height, nearest, tool_down};
 pub use settings::ArmSettings;
-pub(crate) use settings::{HasSettings, OnArm, rows};
-pub(crate) use table::{Access, Acting, InSurroundings, Row, Surroundings, applied, decode, scale, specs};
-pub use task::ArmTask;
+pub(crate) use settings::{HasSettings, OnArm, on_arm, rows};
+pub(crate) use table::{Access, Acting, InSurroundings, Needs, Row, Surroundings, Table, Words, scale};
 pub(crate) use task::drives_task;
+pub use task::{ArmDeclaration, ArmTask, Parameters};
+pub(crate) use tool_expert::{FINELY, FREELY, ToolExpert, Way};
 #[cfg(feature = "mujoco")]
 pub use worlds::ArmWorlds;
 pub(crate) use words::{base_spec, briefing, common_measures, instance, measure, mode, not_a_briefing};

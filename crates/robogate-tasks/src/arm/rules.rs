@@ -4,31 +4,15 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Vector3};
 use robogate_core::{
-    Assignment, CameraSpec, FailureMode, Fault, Foresight, Infeasibility, Measures, ParameterSpace, Policy, Scenario,
-    Suite, TaskInstance, TaskSpec,
+    Assignment, CameraSpec, FailureMode, Fault, Foresight, Infeasibility, Measures, Scenario, TaskInstance, TaskSpec,
 };
-use robogate_physics::{Chain, Collision, Gripper, GripperCommand, Readback, Robot, Scene, StepView, Visual, Wrench};
+use robogate_physics::{Chain, Collision, GripperCommand, Readback, Robot, Scene, StepView, Visual};
 
-use super::OnArm;
+use super::{ArmDeclaration, OnArm};
 
 /// The rules of a task. With [`super::HasSettings`] they make it an [`super::ArmTask`].
-pub(crate) trait Rules: OnArm + Send + Sync {
-    /// The name on the command line, as in the declaration.
-    fn name(&self) -> &'static str;
-
-    /// A short description.
-    fn summary(&self) -> &'static str;
-
-    /// The name of the parameter space for a robot with this gripper.
-    fn space(&self, gripper: &Gripper) -> &'static str;
-
-    /// The name of the distribution of units of a robot with this gripper.
-    fn unit_space(&self, gripper: &Gripper) -> &'static str;
-
-    /// The name of the built-in suite.
-    fn suite(&self) -> &'static str;
-
-    /// The task specification for this robot with these cameras.
+pub(crate) trait Rules: OnArm + ArmDeclaration {
+    /// The task specification for this robot with these cameras, without parameters and settings.
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec;
 
     /// Resolves a scenario for this robot, whose gripper holds with `grip_force_n` newtons. All random draws are done.
@@ -43,49 +27,6 @@ pub(crate) trait Rules: OnArm + Send + Sync {
     /// The reason why no policy can complete a scenario with this robot, whose gripper holds with `grip_force_n`
     /// newtons. A scenario that cannot be decoded has no reason here: its reset reports the problem.
     fn infeasibility(&self, requested: &Assignment, robot: &Robot, grip_force_n: f64) -> Option<Infeasibility>;
-
-    /// The problems of a space with this gripper that the declared ranges do not show.
-    ///
-    /// # Errors
-    /// The first problem.
-    fn check_space(&self, _space: &ParameterSpace, _gripper: &Gripper) -> Result<(), String> {
-        Ok(())
-    }
-
-    /// As [`Self::check_space`], all problems of a suite.
-    fn check_suite(&self, _suite: &Suite, _gripper: &Gripper) -> Vec<String> {
-        Vec::new()
-    }
-
-    /// The name of the parameter space of demonstrations with this gripper.
-    fn demonstration_space(&self, gripper: &Gripper) -> &'static str {
-        self.space(gripper)
-    }
-
-    /// The part that the gripper picks first, for demonstrations: position of its centre and edge, in metres.
-    ///
-    /// # Errors
-    /// A setup fault if the details are not those of this task.
-    fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault>;
-
-    /// The controller that moves the tool in small steps. `None` if the task has none.
-    fn tool_expert(&self, _robot: Robot) -> Option<Box<dyn Policy>> {
-        None
-    }
-
-    /// The reason why engines that only compute physics cannot run the task.
-    ///
-    /// # Errors
-    /// The reason.
-    fn physics_only(&self) -> Result<(), &'static str>;
-
-    /// The settings of the published paper, if the task is in it, for this gripper.
-    fn published(&self, _gripper: &Gripper) -> Assignment {
-        Assignment::default()
-    }
-
-    /// The scripted controller for a robot with these kinematics.
-    fn scripted(&self, robot: Robot, chain: Chain) -> Box<dyn Policy>;
 }
 
 /// Everything about an episode that is fixed before it starts.
@@ -110,7 +51,7 @@ pub(crate) struct Found<'a> {
     pub(crate) visual: &'a Visual,
     /// Threshold of the suction cup, in metres; `None` without a cup.
     pub(crate) grip_threshold_m: Option<f64>,
-    /// Grip force as a multiple of the robot's setting; `None` if the engine is in another process.
+    /// Grip force as a multiple of that of the settings.
     pub(crate) grip_force_scale: Option<f64>,
 }
 
@@ -158,8 +99,8 @@ pub(crate) trait Bodies {
     /// Linear (m/s) and angular (rad/s) velocity of a free body.
     fn velocity(&self, body: usize) -> (Vector3<f64>, Vector3<f64>);
 
-    /// Force and torque of the fixtures on the selected body.
-    fn support(&self) -> Wrench;
+    /// Force of the fixtures and the other free bodies on the selected body, in newtons, along the axes of the base frame.
+    fn support(&self) -> Vector3<f64>;
 }
 
 /// The state that a referee gets after one time step.

@@ -203,12 +203,50 @@ impl<'a> Planner<'a> {
         nearest(self.chain, &self.robot.settings.arm.home_rad, poses)
     }
 
+    /// Joint positions at the end of the plan so far, in radians.
+    pub(crate) fn at(&self) -> &[f64] {
+        &self.at
+    }
+
+    /// The yaw of the tool over (x, y) for a square part, in radians, and the joint positions there: among `first` and its
+    /// quarter turns the one with the smallest largest joint motion from home.
+    ///
+    /// # Errors
+    /// If no pose is in reach.
+    pub(crate) fn over(&self, [x, y]: [f64; 2], height: f64, first: f64) -> Result<(f64, Vec<f64>), Unreachable> {
+        let yaws = [0, 1, 2, 3].map(|k| first + f64::from(k) * std::f64::consts::FRAC_PI_2);
+        let (chosen, joints) = self.nearest(&yaws.map(|yaw| tool_down([x, y, height], yaw)))?;
+        Ok((yaws[chosen], joints))
+    }
+
+    /// The first yaw of a tool that grasps a square part without a yaw at (x, y), in radians. A cup can have any yaw: its yaw
+    /// follows the arm's base.
+    pub(crate) fn square_yaw(&self, at: [f64; 2]) -> f64 {
+        match &self.robot.settings.gripper {
+            Gripper::ParallelJaw(_) => 0.0,
+            Gripper::Suction(_) => cup_yaw(self.robot, self.chain, at),
+        }
+    }
+
     /// Height of the tool above the underside of an upright part of this height (m) in the grasp. For fingers it is the
     /// part's centre, but high enough to keep the fingertips off the table and the palm off the part. For a cup it is
     /// just above the part.
     pub(crate) fn grasp_height(&self, height: f64) -> f64 {
         grasp_height(&self.robot.settings.gripper, height)
     }
+}
+
+/// The yaw of a cup over (x, y) that keeps the wrist posture of the arm's home position, in radians.
+pub(crate) fn cup_yaw(robot: &Robot, chain: &Chain, at: [f64; 2]) -> f64 {
+    let home = &robot.settings.arm.home_rad;
+    let axis = chain.tcp_at(home).rotation * Vector3::x();
+    carry_yaw(chain, home, axis.y.atan2(axis.x), at)
+}
+
+/// The yaw of a tool at (x, y) that has `yaw` at `joints`, in radians. It follows the arm's base, which keeps the wrist posture.
+pub(crate) fn carry_yaw(chain: &Chain, joints: &[f64], yaw: f64, [x, y]: [f64; 2]) -> f64 {
+    let from = chain.tcp_at(joints).translation.vector;
+    yaw + y.atan2(x) - from.y.atan2(from.x)
 }
 
 /// As [`Planner::grasp_height`], for this gripper.

@@ -30,6 +30,28 @@ pub(crate) trait OnArm {
     fn arm_mut(&mut self) -> &mut ArmSettings;
 }
 
+/// Implements [`OnArm`] and `Default` for a task with the field `arm` and the constant `DEFAULT`.
+macro_rules! on_arm {
+    ($task:ty) => {
+        impl Default for $task {
+            fn default() -> Self {
+                Self::DEFAULT
+            }
+        }
+
+        impl $crate::arm::OnArm for $task {
+            fn arm(&self) -> &$crate::arm::ArmSettings {
+                &self.arm
+            }
+
+            fn arm_mut(&mut self) -> &mut $crate::arm::ArmSettings {
+                &mut self.arm
+            }
+        }
+    };
+}
+pub(crate) use on_arm;
+
 /// A task with a table of settings.
 pub(crate) trait HasSettings: OnArm + Clone + Default + Sized {
     /// Every setting: those of the arm, and those of the task.
@@ -46,7 +68,6 @@ pub(crate) fn rows<T: OnArm>(own: impl IntoIterator<Item = SettingRow<T>>) -> Ve
         SettingRow::time_limit(CONTROL_PERIOD_S, |task: &mut T| &mut task.arm_mut().time_limit_s),
         SettingRow {
             name: GRIP_FORCE,
-            unit: "N",
             meaning: "Normal force of each pad of the gripper.",
             field: Field::OfRobot([0.0, 1e4], |task: &mut T| &mut task.arm_mut().grip_force_n),
         },

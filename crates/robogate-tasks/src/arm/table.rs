@@ -1,44 +1,60 @@
 //! Parameter tables: one row per parameter, with its range, setter and reader.
 
-use robogate_core::{Allowed, Assignment, Fault, FaultKind, ParameterSpec, Scenario, Value, Word};
+use std::collections::BTreeMap;
+
+use robogate_core::{
+    Allowed, Assignment, Domain, Fault, FaultKind, ParameterSpace, ParameterSpec, Scenario, Spread, Suite, Value, Word,
+};
 use robogate_physics::{Gripper, GripperUnit, Robot, Visual};
 
-use super::{Found, encoder_bias};
+use super::{Found, Parameters, encoder_bias};
+use crate::settings::unit_of;
 
-/// One parameter of a task with the settings `S`.
-pub(crate) struct Row<S: 'static> {
+/// One parameter of a task with the settings `S`, whose applied value is interpreted with `C`.
+pub(crate) struct Row<S: 'static, C: 'static = S> {
+    /// The name, which ends with the unit.
     pub(crate) name: &'static str,
-    pub(crate) unit: &'static str,
     pub(crate) meaning: &'static str,
     /// The source of the applied value.
     pub(crate) read_from: &'static str,
     /// The family of perturbations that it belongs to.
     pub(crate) family: Option<&'static str>,
-    /// Whether the gripper must have pads.
-    pub(crate) needs_pads: bool,
-    pub(crate) access: Access<S>,
+    pub(crate) needs: Needs,
+    pub(crate) access: Access<S, C>,
 }
 
+/// The gripper that a parameter needs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Needs {
+    Any,
+    Pads,
+    Cup,
+}
+
+type Read<C, T> = fn(&Acting<'_, C>) -> T;
+
 /// How a parameter is set and read.
-pub(crate) enum Access<S: 'static> {
-    Number {
-        range: [f64; 2],
-        nominal: f64,
-        set: fn(&mut S, f64),
-        read: fn(&Acting<'_, S>) -> f64,
-    },
-    Word {
-        choices: &'static [&'static str],
-        nominal: &'static str,
-        set: fn(&mut S, &str),
-        read: fn(&Acting<'_, S>) -> String,
-    },
+pub(crate) enum Access<S: 'static, C: 'static = S> {
+    /// A number. Without a nominal value it is unset, as the meaning says.
+    Number { range: [f64; 2], nominal: Option<f64>, set: fn(&mut S, f64), read: Read<C, f64> },
+    /// A count.
+    Integer { range: [usize; 2], nominal: usize, set: fn(&mut S, usize), read: Read<C, usize> },
+    /// A word. `set` returns `None` for an unknown one.
+    Word { words: Words, nominal: &'static str, set: fn(&mut S, &str) -> Option<()>, read: Read<C, String> },
+}
+
+/// The accepted words of a parameter.
+pub(crate) struct Words {
+    pub(crate) choices: fn() -> Vec<&'static str>,
+    /// The pattern of further accepted words.
+    pub(crate) form: Option<&'static str>,
 }
 
 /// The components that act in an episode after its setup.
-pub(crate) struct Acting<'a, S> {
-    /// The settings, to interpret the state: which direction a draw has, which part a pose belongs to.
-    pub(crate) settings: &'a S,
+pub(crate) struct Acting<'a, C> {
+    /// What interprets the state: which direction a draw has, which part a pose belongs to.
+    pub(crate) settings: &'a C,
+    pub(crate) around: &'a Surroundings,
     /// The state from which values are read.
     pub(crate) found: &'a Found<'a>,
     /// Bias of each encoder, in radians.
@@ -46,7 +62,7 @@ pub(crate) struct Acting<'a, S> {
 }
 
 /// Parameters of the arm and the light, which every task has.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Surroundings {
     /// Largest encoder bias, in radians.
     pub(crate) encoder_bias_rad: f64,
@@ -61,6 +77,8 @@ pub(crate) struct Surroundings {
     /// For each joint, a number from -1 to 1: the fraction of the encoder bias.
     pub(crate) encoders: Vec<f64>,
 }
+
+const ENCODERS: &str = "the biases of the encoders";
 
 /// The names of the constant biases, for the joints from the base on.
 const UNIT_BIASES: [&str; 7] = [
@@ -97,40 +115,53 @@ impl Surroundings {
 
 /// The settings of a task, which contain those of arm and light.
 pub(crate) trait InSurroundings {
-    fn around(&self) -> &Surroundings;
     fn around_mut(&mut self) -> &mut Surroundings;
 }
 
-impl<S: InSurroundings> Row<S> {
-    /// The bias of the encoders.
-    pub(crate) const fn encoder_bias() -> Self {
+impl<S: InSurroundings + 'static, C: 'static> Row<S, C> {
+    /// The parameters of every task, after its own ones.
+    const COMMON: &'static [Self] = &[
+        Self::lighting(),
+        Self::unit_bias::<0>(),
+        Self::unit_bias::<1>(),
+        Self::unit_bias::<2>(),
+        Self::unit_bias::<3>(),
+        Self::unit_bias::<4>(),
+        Self::unit_bias::<5>(),
+        Self::unit_bias::<6>(),
+        Self::grip_force_scale(),
+        Self::pad_friction_scale(),
+        Self::camera_roll(),
+        Self::camera_pitch(),
+    ];
+
+    /// The bias of the encoders, under this name and with this largest value (rad).
+    pub(crate) const fn encoder_bias(name: &'static str, most: f64) -> Self {
         Self::number(
-            "encoder_bias_rad",
-            "rad",
+            name,
             "Largest encoder bias: each joint's encoder has a constant bias, drawn uniformly between minus and plus this value.",
-            "the biases of the encoders",
-            ([0.0, 0.1], 0.0),
+            ENCODERS,
+            ([0.0, most], 0.0),
             |s, x| s.around_mut().encoder_bias_rad = x,
             |a| {
-                let units = a.settings.around().unit_bias_rad;
+                let units = a.around.unit_bias_rad;
                 let drawn: Vec<f64> = a.bias.iter().zip(units).map(|(bias, unit)| bias - unit).collect();
-                scale(&a.settings.around().encoders, &drawn)
+                scale(&a.around.encoders, &drawn)
             },
         )
         .in_family("encoders")
     }
 
     /// The constant bias of the encoder of joint `J`, counted from 0.
-    pub(crate) const fn unit_bias<const J: usize>() -> Self {
+    const fn unit_bias<const J: usize>() -> Self {
         Self::number(
             UNIT_BIASES[J],
-            "rad",
-            "Constant bias of this joint's encoder (counted from the base): measured minus true position. It is added to that of `encoder_bias_rad`.",
-            "the biases of the encoders",
+            "Constant bias of this joint's encoder (counted from the base): measured minus true position. It is added to the drawn one.",
+            ENCODERS,
             ([-0.1, 0.1], 0.0),
             |s, x| s.around_mut().unit_bias_rad[J] = x,
             |a| {
-                let Surroundings { encoder_bias_rad, encoders, .. } = a.settings.around();
+                let Surroundings { encoder_bias_rad, encoders, .. } = a.around;
                 let drawn = encoders.get(J).map(|fraction| encoder_bias_rad * fraction);
                 a.bias.get(J).zip(drawn).map_or(f64::NAN, |(bias, drawn)| bias - drawn)
             },
@@ -139,10 +170,9 @@ impl<S: InSurroundings> Row<S> {
     }
 
     /// The force of the gripper.
-    pub(crate) const fn grip_force_scale() -> Self {
+    const fn grip_force_scale() -> Self {
         Self::number(
             "grip_force_scale",
-            "",
             "Force of the pads, or vacuum of the cup, as a multiple of the robot's setting.",
             "the drive of the gripper",
             ([0.05, 2.0], 1.0),
@@ -153,24 +183,27 @@ impl<S: InSurroundings> Row<S> {
     }
 
     /// The friction of the pads, for a gripper that has them.
-    pub(crate) const fn pad_friction_scale() -> Self {
+    const fn pad_friction_scale() -> Self {
         let row = Self::number(
             "pad_friction_scale",
-            "",
             "Friction coefficient of the parts against the pads, as a multiple of that against the gripper.",
             "the contact of the pads",
             ([0.05, 2.0], 1.0),
             |s, x| s.around_mut().gripper.pad_friction_scale = x,
-            |a| a.found.engine.pad_friction.map_or(f64::NAN, |pads| pads / a.found.engine.friction),
+            |a| match (a.found.engine.pad_friction, a.found.engine.friction) {
+                // A multiple of no friction cannot be read, and has no effect.
+                (Some(pads), others) if pads.abs() + others.abs() <= 0.0 => a.around.gripper.pad_friction_scale,
+                (Some(pads), others) => pads / others,
+                (None, _) => f64::NAN,
+            },
         );
-        Self { needs_pads: true, ..row.in_family("gripper") }
+        Self { needs: Needs::Pads, ..row.in_family("gripper") }
     }
 
     /// The rotation of the cameras about their lines of sight.
-    pub(crate) const fn camera_roll() -> Self {
+    const fn camera_roll() -> Self {
         Self::number(
             "camera_roll_rad",
-            "rad",
             "Rotation of each camera about its line of sight, from its nominal pose.",
             "the cameras",
             ([-0.5, 0.5], 0.0),
@@ -181,10 +214,9 @@ impl<S: InSurroundings> Row<S> {
     }
 
     /// The upward tilt of the cameras.
-    pub(crate) const fn camera_pitch() -> Self {
+    const fn camera_pitch() -> Self {
         Self::number(
             "camera_pitch_rad",
-            "rad",
             "Upward tilt of each camera from its nominal pose.",
             "the cameras",
             ([-0.5, 0.5], 0.0),
@@ -195,10 +227,9 @@ impl<S: InSurroundings> Row<S> {
     }
 
     /// The illuminance on the table.
-    pub(crate) const fn lighting() -> Self {
+    const fn lighting() -> Self {
         Self::number(
             "lighting_lux",
-            "lux",
             "Illuminance on the table.",
             "the cameras",
             ([1.0, 1e5], 500.0),
@@ -210,112 +241,221 @@ impl<S: InSurroundings> Row<S> {
 }
 
 /// The scale of draws that gives these displacements: the component along the largest draw. `NaN` if another
-/// displacement disagrees by more than a micrometre or microradian.
+/// displacement disagrees by more than a micrometre or microradian, or a millionth of a larger one.
 pub(crate) fn scale(draws: &[f64], displacements: &[f64]) -> f64 {
     let largest = (0..draws.len()).max_by(|a, b| draws[*a].abs().total_cmp(&draws[*b].abs())).unwrap_or_default();
-    let scale = displacements[largest] / draws[largest];
-    let agrees = draws.iter().zip(displacements).all(|(draw, found)| (draw * scale - found).abs() < 1e-6);
-    if agrees { scale } else { f64::NAN }
+    let scale = displacements.get(largest).map_or(f64::NAN, |displacement| displacement / draws[largest]);
+    let agrees =
+        draws.iter().zip(displacements).all(|(draw, found)| (draw * scale - found).abs() < 1e-6 * found.abs().max(1.0));
+    if agrees && draws.len() == displacements.len() { scale } else { f64::NAN }
 }
 
-/// The parameters as a task declares them for a robot with this gripper.
-pub(crate) fn specs<S>(rows: &[Row<S>], gripper: &Gripper) -> Vec<ParameterSpec> {
-    rows.iter().filter(|row| !row.needs_pads || gripper.jaw().is_some()).map(Row::spec).collect()
-}
+/// A value computed from doubles equals the request within this relative distance.
+const ROUNDING: f64 = 1e-9;
 
-/// The settings of a scenario. Parameters that it does not name are nominal.
-///
-/// # Errors
-/// A setup fault for an unknown parameter or a value out of its range.
-pub(crate) fn decode<S: Default>(rows: &[Row<S>], requested: &Assignment) -> Result<S, Fault> {
-    let setup = |why: String| Fault::new(FaultKind::Setup, why);
-    let mut settings = S::default();
-    for row in rows {
-        match &row.access {
-            Access::Number { nominal, set, .. } => set(&mut settings, *nominal),
-            Access::Word { nominal, set, .. } => set(&mut settings, nominal),
-        }
+/// The parameters of a task: its own rows, then those of every task.
+pub(crate) struct Table<S: 'static, C: 'static = S>(pub(crate) &'static [Row<S, C>]);
+
+impl<S: InSurroundings + Default + 'static, C: 'static> Table<S, C> {
+    fn rows(&self) -> impl Iterator<Item = &'static Row<S, C>> {
+        self.0.iter().chain(Row::COMMON)
     }
-    for (name, value) in requested.iter() {
-        let row = rows.iter().find(|row| row.name == name).ok_or_else(|| {
-            let known: Vec<&str> = rows.iter().map(|row| row.name).collect();
-            setup(format!("unknown parameter `{name}`. Expected one of: {}", known.join(", ")))
+
+    /// The row of a parameter, for a robot with this gripper if one is given.
+    fn row(&self, name: &str, gripper: Option<&Gripper>) -> Result<&'static Row<S, C>, String> {
+        let row = self.rows().find(|row| row.name == name).ok_or_else(|| {
+            let known: Vec<&str> = self.rows().map(|row| row.name).collect();
+            format!("unknown parameter `{name}`. Expected one of: {}", known.join(", "))
         })?;
-        row.spec().accepts(value).map_err(setup)?;
-        match (&row.access, value) {
-            (Access::Number { set, .. }, Value::Number(x)) => set(&mut settings, *x),
-            (Access::Number { set, .. }, Value::Integer(n)) => set(&mut settings, *n as f64),
-            (Access::Word { set, .. }, Value::Category(word)) => set(&mut settings, word),
-            // `accepts` has rejected all other kinds.
-            _ => {}
+        match gripper.filter(|gripper| !row.applies_to(gripper)) {
+            Some(gripper) => {
+                let gripper = gripper.description();
+                Err(format!("parameter `{name}` does not apply to this robot: its gripper is {gripper}"))
+            }
+            None => Ok(row),
         }
     }
-    Ok(settings)
-}
 
-/// The applied values of the requested parameters.
-pub(crate) fn applied<S>(rows: &[Row<S>], requested: &Assignment, acting: &Acting<'_, S>) -> Assignment {
-    let mut applied = Assignment::default();
-    for (name, value) in requested.iter() {
-        let Some(row) = rows.iter().find(|row| row.name == name) else { continue };
-        let read = match (&row.access, value) {
-            (Access::Number { read, .. }, Value::Integer(_)) => {
-                let x = read(acting);
-                // An integer request is returned as an integer.
-                if (x - x.round()).abs() < 1e-6 { Value::Integer(x.round() as i64) } else { Value::Number(x) }
-            }
-            (Access::Number { read, .. }, _) => Value::Number(read(acting)),
-            (Access::Word { read, .. }, _) => Value::Category(read(acting).into()),
-        };
-        applied.set(name, read);
+    /// The settings of a scenario. Parameters that it does not name are nominal.
+    ///
+    /// # Errors
+    /// A setup fault for an unknown parameter, a value that it does not accept, or a gripper that does not have it.
+    pub(crate) fn decode(&self, requested: &Assignment, gripper: &Gripper) -> Result<S, Fault> {
+        let mut settings = self.nominal();
+        for (name, value) in requested.iter() {
+            let row = self.row(name, Some(gripper));
+            row.and_then(|row| row.set(&mut settings, value)).map_err(|why| Fault::new(FaultKind::Setup, why))?;
+        }
+        Ok(settings)
     }
-    applied
+
+    /// The nominal settings.
+    pub(crate) fn nominal(&self) -> S {
+        let mut settings = S::default();
+        self.rows().for_each(|row| row.set_nominal(&mut settings));
+        settings
+    }
+
+    /// The applied values of the requested parameters.
+    pub(crate) fn applied(&self, requested: &Assignment, acting: &Acting<'_, C>) -> Assignment {
+        // A name without a row was rejected when the scenario was decoded.
+        let read = |(name, value): (&str, &Value)| {
+            let row = self.rows().find(|row| row.name == name)?;
+            Some((name.into(), row.read(acting, value)))
+        };
+        requested.iter().filter_map(read).collect()
+    }
+
+    /// The reason why a value of a parameter is not accepted, for a robot with this gripper if one is given.
+    pub(crate) fn accepts(&self, name: &str, value: &Value, gripper: Option<&Gripper>) -> Result<(), String> {
+        self.row(name, gripper)?.set(&mut S::default(), value)
+    }
+
+    /// As [`Self::accepts`], for all values of a domain.
+    fn accepts_all(&self, name: &str, domain: &Domain, gripper: Option<&Gripper>) -> Result<(), String> {
+        let row = self.row(name, gripper)?;
+        if let (Access::Integer { .. }, Domain::Continuous { .. }) = (&row.access, domain) {
+            return Err(format!("parameter `{name}` has a value of the wrong kind. Expected an integer"));
+        }
+        domain.extremes().iter().try_for_each(|value| row.set(&mut S::default(), value))
+    }
 }
 
-impl<S> Row<S> {
+impl<S: InSurroundings + Default, C> Parameters for Table<S, C> {
+    fn specs(&self, gripper: &Gripper) -> Vec<ParameterSpec> {
+        self.rows().filter(|row| row.applies_to(gripper)).map(Row::spec).collect()
+    }
+
+    fn knows(&self, name: &str) -> bool {
+        self.rows().any(|row| row.name == name)
+    }
+
+    fn check_space(&self, space: &ParameterSpace, gripper: Option<&Gripper>) -> Result<(), String> {
+        let mut parameters = space.parameters().iter();
+        parameters.try_for_each(|parameter| self.accepts_all(&parameter.name, &parameter.domain, gripper))
+    }
+
+    fn check_suite(&self, suite: &Suite, gripper: Option<&Gripper>) -> Vec<String> {
+        let mut found: BTreeMap<(String, String), Vec<&str>> = BTreeMap::new();
+        for case in suite.cases() {
+            for (name, spread) in &case.parameters {
+                let checked = match spread {
+                    Spread::Fixed(value) => self.accepts(name, value, gripper),
+                    Spread::Drawn(domain) => self.accepts_all(name, domain, gripper),
+                };
+                if let Err(problem) = checked {
+                    found.entry((name.to_string(), problem)).or_default().push(&case.id);
+                }
+            }
+        }
+        let line = |((_, problem), cases): ((String, String), Vec<&str>)| match cases[..] {
+            [first] => format!("scenario `{first}`: {problem}"),
+            _ => format!("scenario `{}` and {} more: {problem}", cases[0], cases.len() - 1),
+        };
+        found.into_iter().map(line).collect()
+    }
+}
+
+impl<S, C> Row<S, C> {
     /// A parameter that is a number.
     pub(crate) const fn number(
         name: &'static str,
-        unit: &'static str,
         meaning: &'static str,
         read_from: &'static str,
         (range, nominal): ([f64; 2], f64),
         set: fn(&mut S, f64),
-        read: fn(&Acting<'_, S>) -> f64,
+        read: Read<C, f64>,
     ) -> Self {
-        Self {
-            name,
-            unit,
-            meaning,
-            read_from,
-            family: None,
-            needs_pads: false,
-            access: Access::Number { range, nominal, set, read },
-        }
+        let access = Access::Number { range, nominal: Some(nominal), set, read };
+        Self::new(name, meaning, read_from, access)
+    }
+
+    pub(crate) const fn new(
+        name: &'static str,
+        meaning: &'static str,
+        read_from: &'static str,
+        access: Access<S, C>,
+    ) -> Self {
+        Self { name, meaning, read_from, family: None, needs: Needs::Any, access }
     }
 
     pub(crate) const fn in_family(self, family: &'static str) -> Self {
         Self { family: Some(family), ..self }
     }
 
+    /// Whether the parameter applies to a robot with this gripper.
+    fn applies_to(&self, gripper: &Gripper) -> bool {
+        match self.needs {
+            Needs::Any => true,
+            Needs::Pads => gripper.jaw().is_some(),
+            Needs::Cup => gripper.cup().is_some(),
+        }
+    }
+
     fn spec(&self) -> ParameterSpec {
         let (allowed, nominal) = match &self.access {
             Access::Number { range: [low, high], nominal, .. } => {
-                (Allowed::Continuous { low: *low, high: *high }, Value::Number(*nominal))
+                (Allowed::Continuous { low: *low, high: *high }, nominal.map(Value::Number))
             }
-            Access::Word { choices, nominal, .. } => {
-                let choices = choices.iter().map(|word| (*word).into()).collect();
-                (Allowed::Categorical { choices, open: false }, Value::Category((*nominal).into()))
+            Access::Integer { range: [low, high], nominal, .. } => {
+                let allowed = Allowed::Integer { low: *low as i64, high: *high as i64 };
+                (allowed, Some(Value::Integer(*nominal as i64)))
+            }
+            Access::Word { words, nominal, .. } => {
+                let choices = (words.choices)().into_iter().map(Into::into).collect();
+                let allowed = Allowed::Categorical { choices, open: words.form.is_some() };
+                (allowed, Some(Value::Category((*nominal).into())))
             }
         };
         ParameterSpec {
             name: self.name.into(),
-            unit: self.unit.to_owned(),
+            unit: unit_of(self.name).to_owned(),
             meaning: self.meaning.to_owned(),
             allowed,
-            nominal: Some(nominal),
+            nominal,
             read_from: self.read_from.to_owned(),
             family: self.family.map(Word::constant),
+        }
+    }
+
+    fn set_nominal(&self, settings: &mut S) {
+        match &self.access {
+            Access::Number { nominal, set, .. } => nominal.iter().for_each(|x| set(settings, *x)),
+            Access::Integer { nominal, set, .. } => set(settings, *nominal),
+            // A test checks that every nominal word is known.
+            Access::Word { nominal, set, .. } => set(settings, nominal).unwrap_or_default(),
+        }
+    }
+
+    fn set(&self, settings: &mut S, value: &Value) -> Result<(), String> {
+        self.spec().accepts(value)?;
+        match (&self.access, value) {
+            (Access::Number { set, .. }, Value::Number(x)) => set(settings, *x),
+            (Access::Number { set, .. }, Value::Integer(n)) => set(settings, *n as f64),
+            (Access::Integer { set, .. }, Value::Number(x)) => set(settings, *x as usize),
+            (Access::Integer { set, .. }, Value::Integer(n)) => set(settings, *n as usize),
+            (Access::Word { words, set, .. }, Value::Category(word)) => set(settings, word).ok_or_else(|| {
+                let (choices, form) = ((words.choices)().join(", "), words.form.unwrap_or_default());
+                format!("parameter `{}`: unknown value `{word}`. Expected {form}, such as {choices}", self.name)
+            })?,
+            // `accepts` has rejected all other kinds.
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// The applied value, of the same kind as the requested one.
+    fn read(&self, acting: &Acting<'_, C>, requested: &Value) -> Value {
+        let number = |x: f64| match requested {
+            Value::Integer(_) if (x - x.round()).abs() < 1e-6 => Value::Integer(x.round() as i64),
+            // A value that follows from several others has fewer digits than the request.
+            Value::Number(wanted) if (x - wanted).abs() < ROUNDING * wanted.abs().max(1e-3) => Value::Number(*wanted),
+            _ => Value::Number(x),
+        };
+        match &self.access {
+            Access::Number { read, .. } => number(read(acting)),
+            Access::Integer { read, .. } => number(read(acting) as f64),
+            Access::Word { read, .. } => Value::Category(read(acting).into()),
         }
     }
 }

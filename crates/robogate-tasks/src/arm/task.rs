@@ -5,7 +5,7 @@ use std::num::NonZeroUsize;
 use std::sync::Arc;
 
 use robogate_core::{
-    Assignment, Environment, Fault, ParameterSpace, Policy, SettingSpec, Suite, TaskInstance, TaskSpec,
+    Assignment, Environment, Fault, ParameterSpace, ParameterSpec, Policy, SettingSpec, Suite, TaskInstance, TaskSpec,
 };
 #[cfg(feature = "mujoco")]
 use robogate_physics::MujocoEngine;
@@ -13,15 +13,18 @@ use robogate_physics::MujocoEngine;
 use robogate_physics::worlds::Member;
 use robogate_physics::{Chain, Engine, Gripper, Robot};
 
+use super::claims::{self, Claim};
+use super::remote::RemoteArm;
 use super::rules::Rules;
 use super::settings::has_effect;
 #[cfg(feature = "mujoco")]
 use super::ArmWorlds;
 use super::{ArmEnvironment, HasSettings, Rig};
 use crate::settings::{setting_specs, with_settings};
+use crate::spaces;
 
-/// A built-in task for an arm in the cell. The user chooses robot and engine.
-pub trait ArmTask: Send + Sync {
+/// What a task for an arm declares itself.
+pub trait ArmDeclaration: Send + Sync {
     /// The name on the command line, as in the declaration.
     fn name(&self) -> &'static str;
 
@@ -29,25 +32,25 @@ pub trait ArmTask: Send + Sync {
     fn summary(&self) -> &'static str;
 
     /// The name of the parameter space for a robot with this gripper.
-    fn space(&self, gripper: &Gripper) -> &'static str;
+    fn space(&self, _gripper: &Gripper) -> &'static str {
+        self.name()
+    }
 
     /// The name of the distribution of units of a robot with this gripper.
-    fn unit_space(&self, gripper: &Gripper) -> &'static str;
+    fn unit_space(&self, gripper: &Gripper) -> &'static str {
+        spaces::unit_space(gripper)
+    }
 
     /// The name of the task's built-in suite.
     fn suite(&self) -> &'static str;
 
-    /// The problems of a space with this gripper that the declared ranges do not show.
-    ///
-    /// # Errors
-    /// The first problem.
-    fn check_space(&self, space: &ParameterSpace, gripper: &Gripper) -> Result<(), String>;
-
-    /// As [`Self::check_space`], all problems of a suite.
-    fn check_suite(&self, suite: &Suite, gripper: &Gripper) -> Vec<String>;
+    /// The parameters.
+    fn parameters(&self) -> &'static dyn Parameters;
 
     /// The name of the parameter space of demonstrations with this gripper.
-    fn demonstration_space(&self, gripper: &Gripper) -> &'static str;
+    fn demonstration_space(&self, gripper: &Gripper) -> &'static str {
+        self.space(gripper)
+    }
 
     /// The part that the gripper picks first, for demonstrations: position of its centre and edge, in metres.
     ///
@@ -55,14 +58,45 @@ pub trait ArmTask: Send + Sync {
     /// A setup fault if the details are not those of this task.
     fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault>;
 
-    /// The controller that moves the tool in small steps. `None` if the task has none.
-    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>>;
+    /// The claims about the physics of this task with this gripper.
+    fn own_claims(&self, gripper: &Gripper) -> Vec<Claim>;
 
-    /// The reason why engines that only compute physics cannot run the task.
+    /// The settings of the published paper for this gripper. Empty if the task is not in it.
+    fn published(&self, _gripper: &Gripper) -> Assignment {
+        Assignment::default()
+    }
+
+    /// The scripted controller for a robot with these kinematics.
+    fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy>;
+
+    /// The controller that moves the tool in small steps.
+    fn tool_expert(&self, robot: Robot) -> Box<dyn Policy>;
+}
+
+/// The parameters of a task for an arm.
+pub trait Parameters: Sync {
+    /// Their declarations for a robot with this gripper.
+    fn specs(&self, gripper: &Gripper) -> Vec<ParameterSpec>;
+
+    /// Whether there is a parameter of this name, with any gripper.
+    fn knows(&self, name: &str) -> bool;
+
+    /// Checks that every parameter of a space is accepted over its whole range, with this gripper or with any.
     ///
     /// # Errors
-    /// The reason.
-    fn physics_only(&self) -> Result<(), &'static str>;
+    /// The first problem.
+    fn check_space(&self, space: &ParameterSpace, gripper: Option<&Gripper>) -> Result<(), String>;
+
+    /// As [`Self::check_space`], all problems of a suite. Each names the scenarios that have it.
+    fn check_suite(&self, suite: &Suite, gripper: Option<&Gripper>) -> Vec<String>;
+}
+
+/// A built-in task for an arm in the cell. The user chooses robot and engine.
+pub trait ArmTask: ArmDeclaration {
+    /// The claims about the physics with this gripper.
+    fn claims(&self, gripper: &Gripper) -> Vec<Claim> {
+        self.own_claims(gripper).into_iter().chain(claims::COMMON).collect()
+    }
 
     /// The settings, with the values of this task.
     fn settings(&self) -> Vec<SettingSpec>;
@@ -71,9 +105,6 @@ pub trait ArmTask: Send + Sync {
     fn has_effect(&self, setting: &str, gripper: &Gripper) -> bool {
         has_effect(setting, gripper)
     }
-
-    /// The settings of the published paper for this gripper. Empty if the task is not in it.
-    fn published(&self, gripper: &Gripper) -> Assignment;
 
     /// The same task with these values of its settings.
     ///
@@ -104,65 +135,27 @@ pub trait ArmTask: Send + Sync {
     fn worlds(&self, engine: MujocoEngine, rig: Rig, member: Member, slots: NonZeroUsize)
     -> Result<ArmWorlds, String>;
 
-    /// The scripted controller for a robot with these kinematics.
-    fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy>;
+    /// The task on an engine in another process, for this robot with these kinematics and the file hash `sha256`, with
+    /// images of this width and height in pixels.
+    ///
+    /// # Errors
+    /// If the gripper cannot apply the grip force.
+    fn remote(
+        &self,
+        robot: Robot,
+        chain: Chain,
+        sha256: Option<String>,
+        picture_px: [usize; 2],
+    ) -> Result<RemoteArm, String>;
 }
 
 impl<R: Rules + HasSettings + 'static> ArmTask for R {
-    fn name(&self) -> &'static str {
-        Rules::name(self)
-    }
-
-    fn summary(&self) -> &'static str {
-        Rules::summary(self)
-    }
-
-    fn space(&self, gripper: &Gripper) -> &'static str {
-        Rules::space(self, gripper)
-    }
-
-    fn unit_space(&self, gripper: &Gripper) -> &'static str {
-        Rules::unit_space(self, gripper)
-    }
-
-    fn suite(&self) -> &'static str {
-        Rules::suite(self)
-    }
-
-    fn check_space(&self, space: &ParameterSpace, gripper: &Gripper) -> Result<(), String> {
-        Rules::check_space(self, space, gripper)
-    }
-
-    fn check_suite(&self, suite: &Suite, gripper: &Gripper) -> Vec<String> {
-        Rules::check_suite(self, suite, gripper)
-    }
-
-    fn demonstration_space(&self, gripper: &Gripper) -> &'static str {
-        Rules::demonstration_space(self, gripper)
-    }
-
-    fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault> {
-        Rules::first_part(self, instance)
-    }
-
-    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>> {
-        Rules::tool_expert(self, robot)
-    }
-
-    fn physics_only(&self) -> Result<(), &'static str> {
-        Rules::physics_only(self)
-    }
-
     fn settings(&self) -> Vec<SettingSpec> {
         setting_specs(&R::rows(), self)
     }
 
-    fn published(&self, gripper: &Gripper) -> Assignment {
-        Rules::published(self, gripper)
-    }
-
     fn with(&self, settings: &Assignment) -> Result<Arc<dyn ArmTask>, String> {
-        Ok(Arc::new(with_settings(Rules::name(self), &R::rows(), self, settings)?))
+        Ok(Arc::new(with_settings(self.name(), &R::rows(), self, settings)?))
     }
 
     fn on(&self, engine: Box<dyn Engine>, rig: Rig) -> Result<ArmEnvironment, String> {
@@ -180,8 +173,14 @@ impl<R: Rules + HasSettings + 'static> ArmTask for R {
         ArmWorlds::new(self, engine, rig, member, slots)
     }
 
-    fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
-        self.scripted(robot, chain)
+    fn remote(
+        &self,
+        robot: Robot,
+        chain: Chain,
+        sha256: Option<String>,
+        picture_px: [usize; 2],
+    ) -> Result<RemoteArm, String> {
+        RemoteArm::new(self, (robot, chain), sha256, picture_px)
     }
 }
 

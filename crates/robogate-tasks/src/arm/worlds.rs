@@ -9,7 +9,7 @@ use robogate_core::{
     Action, BatchEnvironment, Ending, Fault, FaultKind, Foresight, Image, Scenario, Start, Step, TaskSpec,
 };
 use robogate_physics::worlds::{Member, Period, StepReport, World};
-use robogate_physics::{ArmState, Engine, GripperCommand, MujocoEngine, Scene, Wrench, grip_force, state_hash};
+use robogate_physics::{ArmState, Engine, GripperCommand, MujocoEngine, Scene, grip_force, state_hash};
 
 use super::judge::Judge;
 use super::rules::{Bodies, Found, Rules};
@@ -197,7 +197,7 @@ impl Bodies for StepReport {
         self.velocity(body)
     }
 
-    fn support(&self) -> Wrench {
-        self.support()
+    fn support(&self) -> Vector3<f64> {
+        self.support().force
     }
 }

@@ -24,7 +24,9 @@ use robogate_physics::{Bellows, Chain, Gripper, GripperCommand, Robot, Unreachab
 use super::NAME;
 use super::parts::{DEPTH_M, HEAD_HEIGHT_M, SHAFT_M};
 use super::spec::{Briefing, phases};
-use crate::arm::{CONTROL_PERIOD_S, FREE, Planner, Posture, Script, compliance, drives_task, tool_down};
+use crate::arm::{
+    CONTROL_PERIOD_S, FINELY, FREE, FREELY, Planner, Posture, Script, Way, compliance, drives_task, tool_down,
+};
 
 /// Height of the peg's tip above the block before the search, in metres.
 const ABOVE_M: f64 = 0.006;
@@ -168,24 +170,12 @@ impl Scripted {
         use GripperCommand::{Close, Open};
         let ([x, y, _], [hx, hy, hz]) = (briefing.peg.position, briefing.hole.position);
         let tool = tool_height(&self.robot.settings.gripper);
-        let quarter = |first: f64, k: u8| first + f64::from(k) * std::f64::consts::FRAC_PI_2;
         // The peg is square, so the tool may be rotated by quarters.
-        let first = match self.robot.settings.gripper {
-            Gripper::ParallelJaw(_) => 0.0,
-            Gripper::Suction(_) => {
-                let home = self.chain.tcp_at(&self.robot.settings.arm.home_rad);
-                let axis = home.rotation * Vector3::x();
-                axis.y.atan2(axis.x) + y.atan2(x) - home.translation.y.atan2(home.translation.x)
-            }
-        };
-        let above: Vec<_> = (0..4).map(|k| tool_down([x, y, TRANSIT_HEIGHT_M], quarter(first, k))).collect();
-        let (chosen, joints) = planner.nearest(&above)?;
-        let yaw = quarter(first, chosen as u8);
+        let (yaw, joints) = planner.over([x, y], TRANSIT_HEIGHT_M, planner.square_yaw([x, y]))?;
         planner.swing(phases::PICK, joints, Open);
         planner.straight(phases::PICK, &[tool_down([x, y, tool], yaw)], FREE, Open)?;
         planner.grip(phases::PICK, Close);
-        let over: Vec<_> = (0..4).map(|k| tool_down([hx, hy, TRANSIT_HEIGHT_M], quarter(yaw, k))).collect();
-        let turned = quarter(yaw, planner.nearest(&over)?.0 as u8);
+        let (turned, _) = planner.over([hx, hy], TRANSIT_HEIGHT_M, yaw)?;
         let goals = [
             tool_down([x, y, TRANSIT_HEIGHT_M], yaw),
             tool_down([hx, hy, TRANSIT_HEIGHT_M], turned),
@@ -194,6 +184,25 @@ impl Scripted {
         planner.straight(phases::PICK, &goals, CARRY, Close)?;
         Ok(goals[2].rotation)
     }
+}
+
+/// The way of a tool that moves in small steps. It does not feel its way, so it needs a peg and a hole at their places.
+pub(super) fn way(robot: &Robot, instance: &TaskInstance) -> Result<Way, Fault> {
+    let briefing = Briefing::of(instance)?;
+    let gripper = &robot.settings.gripper;
+    let ([x, y, _], [hx, hy, hz]) = (briefing.peg.position, briefing.hole.position);
+    let tool = tool_height(gripper);
+    let mut way = Way::for_square(gripper);
+    way.go(phases::PICK, [x, y, TRANSIT_HEIGHT_M], &FREELY, false);
+    way.go(phases::PICK, [x, y, tool], &FINELY, false);
+    way.grip(phases::PICK, true);
+    way.go(phases::PICK, [x, y, TRANSIT_HEIGHT_M], &FREELY, true);
+    way.go(phases::PICK, [hx, hy, TRANSIT_HEIGHT_M], &FREELY, true);
+    way.go(phases::TOUCH, [hx, hy, hz + ABOVE_M + tool], &FINELY, true);
+    way.go(phases::INSERT, [hx, hy, hz - DEPTH_M + SEATED_M + tool], &FINELY, true);
+    way.grip(phases::RELEASE, false);
+    way.go(phases::RELEASE, [hx, hy, TRANSIT_HEIGHT_M], &FREELY, false);
+    Ok(way)
 }
 
 /// Height of the tool above the peg's tip in the grasp, in metres.

@@ -14,8 +14,8 @@ use super::scene::{GRIP_FRICTION, nominal_poses, settings};
 use super::spec::Briefing;
 use super::whitney;
 use crate::arm::{
-    GRIP_THRESHOLD_M, Posture, bias_draws, components, draw, drawn, feature, holding_n, in_hand, log_ratio, tool_draws,
-    within_quarter,
+    GAP_MARGIN, GRIP_THRESHOLD_M, LIP_MARGIN, OPENING_CLEARANCE, PRESS_MARGIN, Posture, bias_draws, components, draw,
+    drawn, feature, holding_n, in_hand, joined, log_ratio, tool_draws, within_quarter,
 };
 
 /// Longest time of a search, in seconds: longer than an episode.
@@ -39,86 +39,58 @@ pub(super) fn draw_specs(joints: usize) -> Vec<DrawSpec> {
         .collect()
 }
 
-const ENTRY: FeatureSpec =
-    feature("entry_offset_m", "m", Better::Lower, "Distance of the peg's tip from the middle of the mouth on arrival.");
-const CHAMFER: FeatureSpec = feature(
-    "chamfer_margin_m",
-    "m",
-    Better::Higher,
-    "Half of the clearance plus the chamfer, minus the offset of the tip along the worse side of the hole.",
-);
-const SEARCH: FeatureSpec =
-    feature("search_time_s", "s", Better::Lower, "Time of the spiral from its centre to the hole, at most 60 s.");
-const TILT: FeatureSpec =
-    feature("relative_tilt_rad", "rad", Better::Lower, "Angle between the axes of peg and hole on arrival.");
-const YAW: FeatureSpec = feature(
-    "yaw_offset_rad",
-    "rad",
-    Better::Lower,
-    "Rotation of the peg in the hole about its axis, to the nearest fit.",
-);
-const FIT: FeatureSpec = feature(
-    "fit_margin_m",
-    "m",
-    Better::Higher,
-    "Clearance minus what tilt and rotation need for the full depth, without bending the arm.",
-);
-const BINDING: FeatureSpec = feature(
-    "binding_margin",
-    "",
-    Better::Higher,
-    "Logarithm of the insertion force over the friction of the walls that straighten the peg.",
-);
-const WEDGING: FeatureSpec =
-    feature("wedging_depth_m", "m", Better::Lower, "Depth down to which the peg can wedge: friction times width.");
-const GRIP: FeatureSpec = feature(
-    "grip_margin",
-    "",
-    Better::Higher,
-    "Logarithm of the holding force over the larger one of insertion force and weight of the carried peg.",
-);
+/// The features with any gripper.
+const ANY: [FeatureSpec; 9] = [
+    feature("entry_offset_m", Better::Lower, "Distance of the peg's tip from the middle of the mouth on arrival."),
+    feature(
+        "chamfer_margin_m",
+        Better::Higher,
+        "Half of the clearance plus the chamfer, minus the offset of the tip along the worse side of the hole.",
+    ),
+    feature("search_time_s", Better::Lower, "Time of the spiral from its centre to the hole, at most 60 s."),
+    feature("relative_tilt_rad", Better::Lower, "Angle between the axes of peg and hole on arrival."),
+    feature("yaw_offset_rad", Better::Lower, "Rotation of the peg in the hole about its axis, to the nearest fit."),
+    feature(
+        "fit_margin_m",
+        Better::Higher,
+        "Clearance minus what tilt and rotation need for the full depth, without bending the arm.",
+    ),
+    feature(
+        "binding_margin",
+        Better::Higher,
+        "Logarithm of the insertion force over the friction of the walls that straighten the peg.",
+    ),
+    feature("wedging_depth_m", Better::Lower, "Depth down to which the peg can wedge: friction times width."),
+    feature(
+        "grip_margin",
+        Better::Higher,
+        "Logarithm of the holding force over the larger one of insertion force and weight of the carried peg.",
+    ),
+];
 
 /// The features for fingers.
-static FINGERS: [FeatureSpec; 11] = [
-    ENTRY,
-    CHAMFER,
-    SEARCH,
-    TILT,
-    YAW,
-    FIT,
-    BINDING,
-    WEDGING,
-    GRIP,
-    feature(
-        "opening_clearance_m",
-        "m",
-        Better::Higher,
-        "Free space on the tighter side of the peg's head between the open fingers.",
-    ),
-    feature("head_overlap_m", "m", Better::Higher, "Distance from the grasp point to the nearer edge of the head."),
-];
+static FINGERS: [FeatureSpec; 11] = joined(
+    &ANY,
+    &[
+        OPENING_CLEARANCE,
+        feature("head_overlap_m", Better::Higher, "Distance from the grasp point to the nearer edge of the head."),
+    ],
+);
 
 /// The features for a suction cup.
-static CUP: [FeatureSpec; 13] = [
-    ENTRY,
-    CHAMFER,
-    SEARCH,
-    TILT,
-    YAW,
-    FIT,
-    BINDING,
-    WEDGING,
-    GRIP,
-    feature(
-        "bending_margin",
-        "",
-        Better::Higher,
-        "Logarithm of the force at the tip that the cup's moment allows over the force that straightens the peg.",
-    ),
-    feature("lip_margin_m", "m", Better::Higher, "Distance from the lip of the cup to the nearer edge of the head."),
-    feature("gap_margin_m", "m", Better::Higher, "Grip threshold minus the gap between the lip and the head."),
-    feature("press_margin_m", "m", Better::Higher, "Gap between the lip and the head."),
-];
+static CUP: [FeatureSpec; 13] = joined(
+    &ANY,
+    &[
+        feature(
+            "bending_margin",
+            Better::Higher,
+            "Logarithm of the force at the tip that the cup's moment allows over the force that straightens the peg.",
+        ),
+        LIP_MARGIN,
+        GAP_MARGIN,
+        PRESS_MARGIN,
+    ],
+);
 
 /// The knowledge about episodes of insertion on one robot.
 pub(super) struct InsertionForesight {

@@ -2,6 +2,7 @@
 //!
 //! [`whitney`] has the limits of wedging and jamming that the physics is verified against, [`parts`] the geometry.
 
+mod claims;
 mod controller;
 mod foresight;
 mod parameters;
@@ -11,7 +12,7 @@ mod scene;
 mod spec;
 pub mod whitney;
 
-use crate::arm::{ArmSettings, HasSettings, OnArm, rows};
+use crate::arm::{ArmSettings, HasSettings, on_arm, rows};
 use crate::settings::SettingRow;
 
 /// The task's name.
@@ -46,54 +47,36 @@ impl Insertion {
     };
 }
 
-impl Default for Insertion {
-    fn default() -> Self {
-        Self::DEFAULT
-    }
-}
-
-impl OnArm for Insertion {
-    fn arm(&self) -> &ArmSettings {
-        &self.arm
-    }
-
-    fn arm_mut(&mut self) -> &mut ArmSettings {
-        &mut self.arm
-    }
-}
+on_arm!(Insertion);
 
 impl HasSettings for Insertion {
     fn rows() -> Vec<SettingRow<Self>> {
         rows([
             SettingRow::number(
                 "seat_tolerance_m",
-                "m",
                 "The peg is seated if its tip is within this distance of the full depth.",
                 [1e-4, 0.02],
                 |task: &mut Self| &mut task.seat_tolerance_m,
             ),
             SettingRow::number(
                 "stuck_force_n",
-                "N",
                 "A peg without progress is stuck if it is pressed with at least this force along the hole's axis.",
                 [0.1, 1e4],
                 |task| &mut task.stuck_force_n,
             ),
             SettingRow::number(
                 "stuck_duration_s",
-                "s",
                 "A peg is stuck after this time of pressing without progress.",
                 [0.01, 3600.0],
                 |task| &mut task.stuck_duration_s,
             ),
             SettingRow::number(
                 "jam_force_n",
-                "N",
                 "A peg that is pressed with more than this force along the hole's axis is jammed.",
                 [0.1, 1e6],
                 |task| &mut task.jam_force_n,
             ),
-            SettingRow::number("jam_duration_s", "s", "Duration of pressing that is a jam.", [1e-3, 3600.0], |task| {
+            SettingRow::number("jam_duration_s", "Duration of pressing that is a jam.", [1e-3, 3600.0], |task| {
                 &mut task.jam_duration_s
             }),
         ])

@@ -4,7 +4,7 @@ use nalgebra::Isometry3;
 use robogate_physics::{FixtureKind, Primitive, Readback};
 
 use super::parts;
-use crate::arm::{Acting, InSurroundings, Row, Surroundings};
+use crate::arm::{Acting, InSurroundings, Row, Surroundings, Table};
 
 /// The decoded parameters of a scenario, and its draws.
 #[derive(Debug, Clone, Default)]
@@ -28,10 +28,6 @@ pub(super) struct Settings {
 }
 
 impl InSurroundings for Settings {
-    fn around(&self) -> &Surroundings {
-        &self.around
-    }
-
     fn around_mut(&mut self) -> &mut Surroundings {
         &mut self.around
     }
@@ -96,11 +92,12 @@ fn peg_jitter(acting: &Acting<'_, Settings>) -> f64 {
     scale(acting.settings.shift[0], [at.x - x, at.y - y])
 }
 
+type Parameter = Row<Settings>;
+
 /// Every parameter of the task.
-pub(super) static ROWS: [Row<Settings>; 22] = [
-    Row::<Settings>::number(
+pub(super) static TABLE: Table<Settings> = Table(&[
+    Parameter::number(
         "clearance_m",
-        "m",
         "Difference of the widths of hole and peg; the policy is told.",
         "the shapes and poses of walls and shaft in the engine",
         ([0.0002, 0.003], 0.001),
@@ -108,9 +105,8 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         clearance,
     )
     .in_family("hole"),
-    Row::<Settings>::number(
+    Parameter::number(
         "chamfer_m",
-        "m",
         "Width of the 45 degree chamfer of the hole; the policy is told.",
         "the shapes and poses of the block's parts in the engine",
         ([0.0, 0.004], 0.001),
@@ -118,9 +114,8 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         |a| of_block(a, a.settings.chamfer_m),
     )
     .in_family("hole"),
-    Row::<Settings>::number(
+    Parameter::number(
         "width_m",
-        "m",
         "Width of the peg's square shaft.",
         "the shaft's shape in the engine",
         ([0.015, 0.04], 0.03),
@@ -128,9 +123,8 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         width,
     )
     .in_family("peg"),
-    Row::<Settings>::number(
+    Parameter::number(
         "mass_kg",
-        "kg",
         "Mass of the peg.",
         "the peg's mass in the engine",
         ([0.02, 2.0], 0.2),
@@ -138,9 +132,8 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         |a| a.found.engine.mass_kg,
     )
     .in_family("peg"),
-    Row::<Settings>::number(
+    Parameter::number(
         "friction",
-        "",
         "Coulomb friction coefficient of the peg against block and table.",
         "the contacts' friction in the engine",
         ([0.01, 2.0], 0.2),
@@ -148,9 +141,8 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         |a| a.found.engine.table_friction,
     )
     .in_family("peg"),
-    Row::<Settings>::number(
+    Parameter::number(
         "arm_stiffness",
-        "",
         "Stiffness of the arm's servos as a multiple of the robot's own; the policy is told.",
         "the servos' stiffness in the engine",
         ([0.05, 2.0], 0.25),
@@ -158,9 +150,8 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         |a| a.found.engine.arm_stiffness.unwrap_or(f64::NAN),
     )
     .in_family("arm"),
-    Row::<Settings>::number(
+    Parameter::number(
         "hole_jitter_m",
-        "m",
         "Radius of the disc from which the hole's offset from its place is drawn; the policy is not told.",
         "the poses of the block's parts in the engine",
         ([0.0, 0.01], 0.0),
@@ -168,9 +159,8 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         |a| of_block(a, a.settings.hole_jitter_m),
     )
     .in_family("hole"),
-    Row::<Settings>::number(
+    Parameter::number(
         "hole_tilt_rad",
-        "rad",
         "Largest tilt of the hole's axis, about an axis in a random direction; the policy is not told.",
         "the poses of the block's parts in the engine",
         ([0.0, 0.05], 0.0),
@@ -178,9 +168,8 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         |a| of_block(a, a.settings.hole_tilt_rad),
     )
     .in_family("hole"),
-    Row::<Settings>::number(
+    Parameter::number(
         "peg_jitter_m",
-        "m",
         "Radius of the disc from which the peg's offset from its place is drawn; the policy is not told.",
         "the peg's pose in the engine",
         ([0.0, 0.03], 0.0),
@@ -188,17 +177,5 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         peg_jitter,
     )
     .in_family("peg"),
-    Row::encoder_bias(),
-    Row::lighting(),
-    Row::unit_bias::<0>(),
-    Row::unit_bias::<1>(),
-    Row::unit_bias::<2>(),
-    Row::unit_bias::<3>(),
-    Row::unit_bias::<4>(),
-    Row::unit_bias::<5>(),
-    Row::unit_bias::<6>(),
-    Row::grip_force_scale(),
-    Row::pad_friction_scale(),
-    Row::camera_roll(),
-    Row::camera_pitch(),
-];
+    Parameter::encoder_bias("encoder_bias_rad", 0.1),
+]);

@@ -17,11 +17,11 @@ use nalgebra::{Isometry3, Point3};
 use robogate_core::{Assignment, FailureMode, Measures};
 use robogate_physics::{GRAVITY, GripperCommand};
 
-use super::parameters::{ROWS, Settings};
+use super::parameters::{Settings, TABLE};
 use super::parts::DEPTH_M;
 use super::spec::{COLLISION, DEPTH, DROPPED, DURATION, JAM, LATERAL, MISSED, PRESS, WEDGE};
 use super::{Insertion, whitney};
-use crate::arm::{Acting, Found, Grip, GripChange, Record, Sight, Trial, applied, still, touching};
+use crate::arm::{Acting, Found, Grip, GripChange, Record, Sight, Trial, still, touching};
 
 /// The tip must be at its seat for this long, in seconds.
 const SEAT_S: f64 = 0.1;
@@ -143,7 +143,7 @@ impl Referee {
 
 impl Trial for Referee {
     fn applied(&self, requested: &Assignment, found: &Found<'_>, bias: &[f64]) -> Assignment {
-        applied(&ROWS, requested, &Acting { settings: &self.settings, found, bias })
+        TABLE.applied(requested, &Acting { settings: &self.settings, around: &self.settings.around, found, bias })
     }
 
     fn at_rest(&self) -> bool {
@@ -208,7 +208,7 @@ impl Referee {
         // On its way up from the table, the peg still touches it.
         let near = (sight.view.object.translation.vector - self.mouth.translation.vector).xy().norm();
         if sight.view.touches.object_on_fixture && near < 2.0 * self.settings.width_m {
-            let force = self.mouth.inverse_transform_vector(&sight.bodies.support().force);
+            let force = self.mouth.inverse_transform_vector(&sight.bodies.support());
             press = if held { force.z } else { (force.z - GRAVITY * self.settings.mass_kg).max(0.0) };
             self.press_n = Some(self.press_n.unwrap_or(0.0).max(force.z));
             self.lateral_n = Some(self.lateral_n.unwrap_or(0.0).max(force.xy().norm()));

@@ -8,18 +8,19 @@ use robogate_core::{
 };
 use robogate_physics::{Chain, Fixture, GRAVITY, Gripper, Robot, Scene};
 
-use super::controller::Scripted;
+use super::claims::CLAIMS;
+use super::controller::{self, Scripted};
 use super::foresight::InsertionForesight;
-use super::parameters::{ROWS, Settings};
+use super::parameters::{Settings, TABLE};
 use super::parts::{self, DEPTH_M, HEAD_HEIGHT_M, HEAD_M, SHAFT_M};
 use super::referee::Referee;
 use super::spec::{self, Briefing};
 use super::{Insertion, NAME};
+use crate::arm::claims::Claim;
 use crate::arm::{
-    GRIP_THRESHOLD_M, Load, Resolved, Rules, cannot_carry, decode, disc_point, encoder_bias, instance, out_of_reach,
-    within_reach,
+    ArmDeclaration, GRIP_THRESHOLD_M, Load, Parameters, Resolved, Rules, ToolExpert, cannot_carry, disc_point,
+    encoder_bias, instance, out_of_reach, within_reach,
 };
-use crate::spaces::unit_space;
 
 /// Nominal positions (x, y) of peg and hole, in metres.
 const PLACES: [[f64; 2]; 2] = [[0.42, -0.14], [0.48, 0.14]];
@@ -27,7 +28,7 @@ const PLACES: [[f64; 2]; 2] = [[0.42, -0.14], [0.48, 0.14]];
 /// Friction coefficient of the peg against the gripper: rubber pads or a rubber lip.
 pub(super) const GRIP_FRICTION: f64 = 0.8;
 
-impl Rules for Insertion {
+impl ArmDeclaration for Insertion {
     fn name(&self) -> &'static str {
         NAME
     }
@@ -36,16 +37,12 @@ impl Rules for Insertion {
         "insert a peg into a hole with a small clearance with a robot arm"
     }
 
-    fn space(&self, _: &Gripper) -> &'static str {
-        NAME
-    }
-
-    fn unit_space(&self, gripper: &Gripper) -> &'static str {
-        unit_space(gripper)
-    }
-
     fn suite(&self) -> &'static str {
         "insertion-40"
+    }
+
+    fn parameters(&self) -> &'static dyn Parameters {
+        &TABLE
     }
 
     fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault> {
@@ -53,22 +50,26 @@ impl Rules for Insertion {
         Ok([x, y, z + SHAFT_M + 0.5 * HEAD_HEIGHT_M, HEAD_M])
     }
 
-    fn physics_only(&self) -> Result<(), &'static str> {
-        Err(
-            "the protocol carries neither the stiffness of the servos nor the forces on the peg, and insertion needs both",
-        )
+    fn own_claims(&self, _: &Gripper) -> Vec<Claim> {
+        CLAIMS.to_vec()
     }
 
-    fn scripted(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
+    fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
         Box::new(Scripted::new(robot, chain))
     }
 
+    fn tool_expert(&self, robot: Robot) -> Box<dyn Policy> {
+        Box::new(ToolExpert::new(NAME, controller::way, robot))
+    }
+}
+
+impl Rules for Insertion {
     fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Arc<dyn Foresight> {
         Arc::new(InsertionForesight::new(robot, chain, grip_force_n))
     }
 
     fn infeasibility(&self, requested: &Assignment, robot: &Robot, grip_force_n: f64) -> Option<Infeasibility> {
-        let settings: Settings = decode(&ROWS, requested).ok()?;
+        let settings: Settings = TABLE.decode(requested, &robot.settings.gripper).ok()?;
         let load = Load {
             width_m: Some(settings.width_m),
             // The head may rest on the pads.
@@ -111,7 +112,7 @@ impl Rules for Insertion {
 /// # Errors
 /// A setup fault if the scenario cannot be set up.
 pub(super) fn settings(scenario: &Scenario, robot: &Robot) -> Result<Settings, Fault> {
-    let mut settings: Settings = decode(&ROWS, &scenario.requested)?;
+    let mut settings: Settings = TABLE.decode(&scenario.requested, &robot.settings.gripper)?;
     settings.places = within_reach(robot, PLACES);
     let mut stream = scenario.seed.stream("part-jitter");
     for shift in &mut settings.shift {
@@ -151,7 +152,7 @@ impl Settings {
     }
 
     /// The scene.
-    fn scene(&self) -> Scene {
+    pub(super) fn scene(&self) -> Scene {
         let mut fixtures = vec![Fixture::table()];
         fixtures.extend(parts::block(&self.mouth(), self.width_m + self.clearance_m, self.chamfer_m));
         Scene {

@@ -4,9 +4,8 @@ use robogate_core::{Better, CameraSpec, FailureMode, Fault, Pose, Severity, Task
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
-use super::parameters::ROWS;
 use super::{NAME, foresight};
-use crate::arm::{base_spec, briefing, common_measures, measure, mode, specs};
+use crate::arm::{base_spec, briefing, common_measures, measure, mode};
 
 /// The peg is pressed and does not move, and another direction of the load would move it.
 pub(super) const JAM: FailureMode = FailureMode::constant("jam");
@@ -69,7 +68,6 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         .chain(common_measures())
         .collect(),
         phases: phases::ALL.to_vec(),
-        parameters: specs(&ROWS, &robot.settings.gripper),
         ..base_spec(NAME, robot, cameras)
     }
 }

@@ -59,21 +59,18 @@ impl Pendulum {
             SettingRow::time_limit(CONTROL_PERIOD_S, |task: &mut Self| &mut task.time_limit_s),
             SettingRow::number(
                 "tolerance_rad",
-                "rad",
                 "The pole is upright within this angle.",
                 [1e-3, FALLEN_RAD],
                 |task: &mut Self| &mut task.tolerance_rad,
             ),
             SettingRow::number(
                 "hold_s",
-                "s",
                 "The episode succeeds after the pole has been upright for this long.",
                 [CONTROL_PERIOD_S, 3600.0],
                 |task| &mut task.hold_s,
             ),
             SettingRow::number(
                 "speed_limit_rad_s",
-                "rad/s",
                 "The largest speed of the pole that the bench allows.",
                 [0.1, 1000.0],
                 |task| &mut task.speed_limit_rad_s,

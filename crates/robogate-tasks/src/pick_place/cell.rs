@@ -3,16 +3,17 @@
 use robogate_core::{Fault, FaultKind, Pose, Scenario};
 use robogate_physics::{Robot, Scene};
 
-use super::scene::{scaled_scene, target};
+use super::scene::{scene, target};
 use super::spec::Briefing;
 use super::{PickPlace, Placement, SceneParameters};
+use crate::arm::encoder_bias;
 
 /// Distance around the target that obstacles leave free, and the default tolerance, in metres (paper, section 4.3).
 pub(crate) const TOLERANCE_M: f64 = 0.03;
 
 /// Everything about an episode that is fixed before it starts.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ResolvedCell {
+pub(crate) struct ResolvedCell {
     pub(crate) parameters: SceneParameters,
     /// Scale of the workspace about the robot's base.
     pub(crate) scale: f64,
@@ -23,25 +24,23 @@ pub struct ResolvedCell {
     pub(crate) target: [f64; 3],
     /// Bias of each joint's encoder: measured minus true position, in radians.
     pub(crate) bias: Vec<f64>,
-    pub(crate) draws: Draws,
-}
-
-/// The episode's random draws before scaling by parameters.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Draws {
     /// From the unit disc: the direction and fraction of the position jitter.
     pub(crate) jitter: [f64; 2],
-    /// From -1 to 1 for each joint: the fraction of the largest encoder bias.
-    pub(crate) encoders: Vec<f64>,
+}
+
+/// The cell of an episode and what the policy is told about it.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Told {
+    pub(crate) cell: ResolvedCell,
+    pub(crate) briefing: Briefing,
 }
 
 impl ResolvedCell {
     /// Resolves the cell of a scenario for this robot under these rules. The result depends only on these inputs.
-    pub fn new(scenario: &Scenario, robot: &Robot, rules: &PickPlace) -> Result<Self, Fault> {
+    pub(crate) fn new(scenario: &Scenario, robot: &Robot, rules: &PickPlace) -> Result<Self, Fault> {
         let setup = |why: String| Fault::new(FaultKind::Setup, why);
         let gripper = &robot.settings.gripper;
-        let parameters =
-            SceneParameters::from_assignment(&scenario.requested, Some(gripper)).map_err(|e| setup(e.to_string()))?;
+        let mut parameters = SceneParameters::from_assignment(&scenario.requested, gripper)?;
         let placement = Placement::from_name(&parameters.placement)
             .ok_or_else(|| setup(format!("unknown placement `{}`", parameters.placement)))?;
         let scale = rules.workspace_scale(robot);
@@ -52,32 +51,16 @@ impl ResolvedCell {
         let (sin, cos) = jitter.between(0.0, std::f64::consts::TAU).sin_cos();
         let standing = placement.moved([off * cos, off * sin]);
         let mut obstacles = scenario.seed.stream("obstacles");
-        let scene = scaled_scene(&parameters, &standing, scale, &mut obstacles).map_err(setup)?;
+        let scene = scene(&parameters, &standing, scale, &mut obstacles).map_err(setup)?;
         let [x, y] = target(scale);
         let target = [x, y, 0.5 * parameters.size_m];
-        let joints = &robot.settings.arm.joints;
-        let encoders = |bound: f64| {
-            let mut stream = scenario.seed.stream("encoder-bias");
-            joints.iter().map(|_| stream.between(-bound, bound)).collect()
-        };
-        let fixed = parameters.encoder_bias_rad;
-        if let Some(joint) = (joints.len()..fixed.len()).find(|joint| fixed[*joint].abs() > 0.0) {
-            let (joint, count) = (joint + 1, joints.len());
-            return Err(setup(format!("unit_bias_{joint}_rad: the arm has {count} joints")));
-        }
-        let mut bias: Vec<f64> = encoders(parameters.ik_noise_rad);
-        bias.iter_mut().zip(&fixed).for_each(|(bias, fixed)| *bias += fixed);
-        let draws = Draws { jitter: [fraction * cos, fraction * sin], encoders: encoders(1.0) };
-        Ok(Self { parameters, scale, placement, scene, target, bias, draws })
-    }
-
-    /// The scene that an engine loads.
-    pub fn scene(&self) -> &Scene {
-        &self.scene
+        let bias = parameters.around.bias(scenario, robot)?;
+        parameters.around.encoders = encoder_bias(scenario, robot, 1.0);
+        Ok(Self { parameters, scale, placement, scene, target, bias, jitter: [fraction * cos, fraction * sin] })
     }
 
     /// The briefing that the policy receives.
-    pub fn briefing(&self) -> Briefing {
+    pub(crate) fn briefing(&self) -> Briefing {
         let size = self.parameters.size_m;
         Briefing {
             shape: self.parameters.shape.as_str().to_owned(),

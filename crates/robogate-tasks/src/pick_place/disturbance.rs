@@ -11,7 +11,7 @@ const FLOAT: f64 = 1e-3;
 
 /// A box that crosses the table in a straight line, from the parameters `disturbance_...`. It moves like the pusher of
 /// a conveyor: nothing stops it, and it pushes objects in its path.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Disturbance {
     /// Speed in m/s. At 0 there is no box.
     pub speed_m_s: f64,
@@ -44,8 +44,10 @@ impl Disturbance {
         })
     }
 
-    /// The disturbance that corresponds to this pose and motion.
-    fn of(pose: &Isometry3<f64>, motion: &Motion) -> Self {
+    /// The disturbance as read from an engine. `body` is the pose and motion of the engine's moving body.
+    pub(crate) fn read(self, body: Option<(&Isometry3<f64>, &Motion)>) -> Self {
+        // Without a body the other values have no effect.
+        let Some((pose, motion)) = body else { return Self { speed_m_s: 0.0, ..self } };
         let speed_m_s = motion.velocity.norm();
         Self {
             speed_m_s,
@@ -53,15 +55,6 @@ impl Disturbance {
             from: [pose.translation.x, pose.translation.y],
             heading_rad: motion.velocity.y.atan2(motion.velocity.x),
             travel_m: speed_m_s * (motion.ends_s - motion.starts_s),
-        }
-    }
-
-    /// The disturbance as read from an engine. `body` is the pose and motion of the engine's moving body.
-    pub(crate) fn read(self, body: Option<(&Isometry3<f64>, &Motion)>) -> Self {
-        match body {
-            Some((pose, motion)) => Self::of(pose, motion),
-            // Without a body the other values have no effect.
-            None => Self { speed_m_s: 0.0, ..self },
         }
     }
 }

@@ -19,7 +19,7 @@ pub(crate) fn infeasibility(
     suction: SuctionLaw,
 ) -> Option<Infeasibility> {
     let gripper = &robot.settings.gripper;
-    let parameters = SceneParameters::from_assignment(requested, Some(gripper)).ok()?;
+    let parameters = SceneParameters::from_assignment(requested, gripper).ok()?;
     let placement = Placement::from_name(&parameters.placement)?.scaled(scale).moved(parameters.offset_m);
     // The other shapes may rest on the pads.
     let vertical = matches!(parameters.shape, Shape::Box | Shape::Cylinder) && parameters.pad_friction() < 1.0;
@@ -27,7 +27,7 @@ pub(crate) fn infeasibility(
         width_m: narrowest(parameters.shape, parameters.friction).map(|width| width * parameters.size_m),
         friction: vertical.then(|| parameters.pad_friction()),
         weight_n: parameters.mass_kg * GRAVITY * parameters.gravity_scale,
-        force_scale: parameters.gripper.force_scale,
+        force_scale: parameters.around.gripper.force_scale,
     };
     out_of_reach(robot, "target", target(scale), 0.0)
         .or_else(|| out_of_reach(robot, "part", placement.position, parameters.position_jitter_m))

@@ -10,7 +10,10 @@ use robogate_physics::{Chain, FixtureKind, GRAVITY, Gripper, Robot, isometry};
 use super::cell::ResolvedCell;
 use super::scripted::{CARRY_ACCELERATION_M_S2, Scripted, grasp_height};
 use super::{PickPlace, Shape, parameters};
-use crate::arm::{Memo, Posture, bias_draws, components, draw, drawn, feature, log_ratio, tool_draws};
+use crate::arm::{
+    GAP_MARGIN, LIP_MARGIN, Memo, OPENING_CLEARANCE, PRESS_MARGIN, Posture, bias_draws, components, draw, drawn,
+    feature, log_ratio, tool_draws,
+};
 
 /// Sizes are rounded to this step for the planned grasp, in metres.
 const SIZE_STEP_M: f64 = 0.005;
@@ -35,7 +38,7 @@ pub(super) fn draw_specs(joints: usize) -> Vec<DrawSpec> {
     ]
     .into_iter()
     .filter_map(|(name, meaning)| draw(name, "m", meaning));
-    let positions = (1..=parameters::most_obstacles()).flat_map(|obstacle| {
+    let positions = (1..=parameters::MOST_OBSTACLES).flat_map(|obstacle| {
         ["x", "y"].into_iter().filter_map(move |axis| {
             let meaning = format!("Position of the centre of obstacle {obstacle} along {axis}.");
             draw(&format!("obstacle_{obstacle}_{axis}_m"), "m", meaning)
@@ -49,99 +52,72 @@ pub(super) fn draw_specs(joints: usize) -> Vec<DrawSpec> {
         .collect()
 }
 
+const REACH: FeatureSpec =
+    feature("reach_margin_m", Better::Higher, "Reach of the arm minus the distance of the object from the base.");
+
+const OBSTACLE: FeatureSpec = feature(
+    "obstacle_clearance_m",
+    Better::Higher,
+    "Horizontal distance from the displaced tool to the nearest obstacle.",
+);
+
 /// The features for fingers.
 static FINGERS: [FeatureSpec; 14] = [
-    feature(
-        "grip_margin",
-        "",
-        Better::Higher,
-        "Logarithm of the friction force over the force that carries the object.",
-    ),
+    feature("grip_margin", Better::Higher, "Logarithm of the friction force over the force that carries the object."),
     feature(
         "torque_margin",
-        "",
         Better::Higher,
         "Logarithm of the friction torque of the pads over the moment of the weight.",
     ),
-    feature(
-        "opening_clearance_m",
-        "m",
-        Better::Higher,
-        "Free space on the tighter side of the object between the open fingers.",
-    ),
+    OPENING_CLEARANCE,
     feature(
         "pad_overlap_m",
-        "m",
         Better::Higher,
         "Distance from the grasp point to the nearer edge of the object, across the fingers.",
     ),
-    feature("table_clearance_m", "m", Better::Higher, "Height of the fingertips above the table in the grasp."),
-    feature("reach_margin_m", "m", Better::Higher, "Reach of the arm minus the distance of the object from the base."),
-    feature(
-        "obstacle_clearance_m",
-        "m",
-        Better::Higher,
-        "Horizontal distance from the displaced tool to the nearest obstacle.",
-    ),
+    feature("table_clearance_m", Better::Higher, "Height of the fingertips above the table in the grasp."),
+    REACH,
+    OBSTACLE,
     feature(
         "obstacle_height_over_tool_m",
-        "m",
         Better::Lower,
         "Height of the nearest obstacle above the tool in the grasp.",
     ),
     feature(
         "obstacle_along_closing_m",
-        "m",
         Better::Neither,
         "Distance of the nearest obstacle along the closing direction.",
     ),
     feature(
         "closing_offset_m",
-        "m",
         Better::Lower,
         "Distance of the object from the middle of the fingers, along the closing direction.",
     ),
-    feature(
-        "across_offset_m",
-        "m",
-        Better::Lower,
-        "Distance of the object from the middle of the fingers, across them.",
-    ),
-    feature("height_offset_m", "m", Better::Neither, "Displacement of the tool out of the tool, which is down."),
-    feature("tilt_closing_rad", "rad", Better::Lower, "Tilt of the tool about the direction across the fingers."),
-    feature("yaw_offset_rad", "rad", Better::Lower, "Rotation of the tool about its axis."),
+    feature("across_offset_m", Better::Lower, "Distance of the object from the middle of the fingers, across them."),
+    feature("height_offset_m", Better::Neither, "Displacement of the tool out of the tool, which is down."),
+    feature("tilt_closing_rad", Better::Lower, "Tilt of the tool about the direction across the fingers."),
+    feature("yaw_offset_rad", Better::Lower, "Rotation of the tool about its axis."),
 ];
 
 /// The features for a suction cup.
 static CUP: [FeatureSpec; 9] = [
-    feature(
-        "grip_margin",
-        "",
-        Better::Higher,
-        "Logarithm of the holding force over the force that carries the object.",
-    ),
+    feature("grip_margin", Better::Higher, "Logarithm of the holding force over the force that carries the object."),
     feature(
         "torque_margin",
-        "",
         Better::Higher,
         "Logarithm of the holding torque of the cup over the moment of the weight.",
     ),
-    feature("lip_margin_m", "m", Better::Higher, "Distance from the lip of the cup to the nearer edge of the object."),
-    feature("gap_margin_m", "m", Better::Higher, "Grip threshold minus the gap between the lip and the object."),
-    feature("press_margin_m", "m", Better::Higher, "Gap between the lip and the object."),
-    feature("reach_margin_m", "m", Better::Higher, "Reach of the arm minus the distance of the object from the base."),
-    feature(
-        "obstacle_clearance_m",
-        "m",
-        Better::Higher,
-        "Horizontal distance from the displaced tool to the nearest obstacle.",
-    ),
-    feature("lateral_offset_m", "m", Better::Lower, "Horizontal distance of the cup from the planned grasp point."),
-    feature("tilt_rad", "rad", Better::Lower, "Angle of the tool's axis to the vertical."),
+    LIP_MARGIN,
+    GAP_MARGIN,
+    PRESS_MARGIN,
+    REACH,
+    OBSTACLE,
+    feature("lateral_offset_m", Better::Lower, "Horizontal distance of the cup from the planned grasp point."),
+    feature("tilt_rad", Better::Lower, "Angle of the tool's axis to the vertical."),
 ];
 
 /// The knowledge about episodes of pick and place on one robot.
-pub struct PickPlaceForesight {
+pub(super) struct PickPlaceForesight {
     robot: Robot,
     rules: PickPlace,
     chain: Chain,
@@ -263,7 +239,7 @@ impl PickPlaceForesight {
         let clearance = nearest.as_ref().map_or(FAR_M, |near| near.distance_m.min(FAR_M));
         match &self.robot.settings.gripper {
             Gripper::ParallelJaw(jaw) => {
-                let force = 2.0 * p.pad_friction() * self.grip_force_n * p.gripper.force_scale;
+                let force = 2.0 * p.pad_friction() * self.grip_force_n * p.around.gripper.force_scale;
                 let width = p.size_m * if p.shape == Shape::Irregular { 0.76 } else { 1.0 };
                 let closing = lateral.y.abs();
                 let over = nearest.as_ref().map_or(-FAR_M, |near| near.height_m - tool.translation.z);
@@ -314,8 +290,7 @@ impl Foresight for PickPlaceForesight {
         let outlook = self.outlook(scenario)?;
         let bias = outlook.cell.bias.iter().copied().map(Some);
         let tool = components(outlook.grasp.as_ref().map(|(_, off)| off));
-        let jitter =
-            outlook.cell.draws.jitter.map(|fraction| Some(fraction * outlook.cell.parameters.position_jitter_m));
+        let jitter = outlook.cell.jitter.map(|fraction| Some(fraction * outlook.cell.parameters.position_jitter_m));
         let near = self.nearest(&outlook);
         let nearest = [near.as_ref().map(|near| near.distance_m), near.as_ref().map(|near| near.height_m)];
         let obstacles = outlook.cell.scene.fixtures.iter().filter(|fixture| fixture.kind == FixtureKind::Obstacle);

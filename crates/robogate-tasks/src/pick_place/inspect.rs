@@ -85,7 +85,7 @@ pub fn inspect(robot: &str) -> Inspection {
 
 /// Runs the trial episode.
 fn trial(robot: Robot) -> Result<TrialEpisode, String> {
-    let nominal = SceneParameters::default();
+    let nominal = SceneParameters::nominal();
     let (part_m, carried_n) = match &robot.settings.gripper {
         Gripper::ParallelJaw(jaw) => {
             (nominal.size_m.min(OPENING_SHARE * jaw.opening_m), 2.0 * nominal.friction * jaw.force_n)

@@ -4,9 +4,10 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_physics::{MassProperties, Object, Part, Primitive};
 
 /// The object shapes. Each fits a cube of the object's size and is grasped across its y axis.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Shape {
     /// A cube.
+    #[default]
     Box,
     /// An upright cylinder with equal height and diameter.
     Cylinder,

@@ -24,14 +24,13 @@ use nalgebra::{Isometry3, UnitQuaternion};
 use robogate_core::{Assignment, FailureMode, Measures};
 use robogate_physics::{GripperCommand, GripperState};
 
-use super::cell::ResolvedCell;
-use super::parameters::ReadbackContext;
+use super::cell::Told;
+use super::parameters::TABLE;
 use super::spec::{
-    Briefing, COLLISION, GRASP_MISS, GRIP_LOSS, JAM, MIN_CLEARANCE, MISPLACED, PEAK_CONTACT_FORCE, SLIP,
-    TARGET_DISTANCE,
+    COLLISION, GRASP_MISS, GRIP_LOSS, JAM, MIN_CLEARANCE, MISPLACED, PEAK_CONTACT_FORCE, SLIP, TARGET_DISTANCE,
 };
 use super::{ModeSet, PickPlace};
-use crate::arm::{CLEARANCE_LIMIT_M, Found, Grip, GripChange, Record, Sight, Trial, is_still, touching};
+use crate::arm::{Acting, CLEARANCE_LIMIT_M, Found, Grip, GripChange, Record, Sight, Trial, is_still, touching};
 
 /// The object is at rest below this speed, in m/s ...
 const REST_SPEED: f64 = 0.01;
@@ -66,8 +65,7 @@ struct Measured {
 
 /// The referee of one episode.
 pub(super) struct Referee {
-    cell: ResolvedCell,
-    briefing: Briefing,
+    told: Told,
     rules: PickPlace,
     grip_force: f64,
     grip: Grip,
@@ -86,11 +84,10 @@ pub(super) struct Referee {
 
 impl Referee {
     /// The referee of an episode in this cell, for a gripper that holds with `grip_force_n` newtons.
-    pub(super) fn new(cell: ResolvedCell, briefing: Briefing, rules: PickPlace, grip_force_n: f64) -> Self {
-        let grip_force = grip_force_n * cell.parameters.gripper.force_scale;
+    pub(super) fn new(told: Told, rules: PickPlace, grip_force_n: f64) -> Self {
+        let grip_force = grip_force_n * told.cell.parameters.around.gripper.force_scale;
         Self {
-            cell,
-            briefing,
+            told,
             rules,
             grip_force,
             grip: Grip::new(grip_force),
@@ -148,7 +145,7 @@ impl Referee {
         }
         let object = &sight.view.object;
         let distance = self.distance(object);
-        let angle = self.cell.parameters.shape.angle_between(&object.rotation, &UnitQuaternion::identity());
+        let angle = self.told.cell.parameters.shape.angle_between(&object.rotation, &UnitQuaternion::identity());
         let aligned = self.rules.orientation_limit_rad().is_none_or(|most| angle <= most);
         let placed = distance <= self.rules.tolerance_m && aligned;
         if first || placed {
@@ -211,14 +208,17 @@ impl Referee {
     }
 
     fn distance(&self, object: &Isometry3<f64>) -> f64 {
-        let [x, y, _] = self.cell.target;
+        let [x, y, _] = self.told.cell.target;
         (object.translation.x - x).hypot(object.translation.y - y)
     }
 }
 
 impl Trial for Referee {
-    fn applied(&self, requested: &Assignment, found: &Found<'_>, _: &[f64]) -> Assignment {
-        ReadbackContext { cell: &self.cell, found, briefing: &self.briefing }.applied(requested)
+    fn applied(&self, requested: &Assignment, found: &Found<'_>, bias: &[f64]) -> Assignment {
+        TABLE.applied(
+            requested,
+            &Acting { settings: &self.told, around: &self.told.cell.parameters.around, found, bias },
+        )
     }
 
     fn observe(&mut self, sight: &Sight<'_>) {
@@ -259,7 +259,7 @@ impl Trial for Referee {
                 self.record.end(Some(GRIP_LOSS), sight.time, None);
             }
             Some(GripChange::Released) => {
-                let height = view.object.translation.z - self.cell.target[2];
+                let height = view.object.translation.z - self.told.cell.target[2];
                 let what = if cup { "suction off" } else { "gripper opens" };
                 self.record.note(format!("{what}, object {:.0} mm above the table", 1e3 * height.max(0.0)));
                 self.released = Some(Released { height, calm_since: None, rested: false });

@@ -36,23 +36,19 @@ pub(crate) fn target(scale: f64) -> [f64; 2] {
     TARGET.map(|x| x * scale)
 }
 
-/// Builds the scene of these parameters with the object at `placement`. `stream` samples the obstacles.
+/// Builds the scene of these parameters with the object at `placement`, and with target and obstacles in a workspace of this
+/// scale. `stream` samples the obstacles.
 ///
 /// # Errors
 /// If the object is not on the table, or there is no room for the obstacles.
-pub fn scene(parameters: &SceneParameters, placement: &Placement, stream: &mut Stream) -> Result<Scene, String> {
-    scaled_scene(parameters, placement, 1.0, stream)
-}
-
-/// Builds a scene as [`scene`], with target and obstacles in a workspace of this scale.
-pub(crate) fn scaled_scene(
+pub fn scene(
     parameters: &SceneParameters,
     placement: &Placement,
     scale: f64,
     stream: &mut Stream,
 ) -> Result<Scene, String> {
     let target = target(scale);
-    let object = parameters.object();
+    let object = parameters.shape.object(parameters.size_m, parameters.mass_kg, parameters.com_offset);
     let half = 0.5 * parameters.size_m;
     let mut fixtures = vec![Fixture::table()];
     let [x, y] = placement.position;
@@ -84,11 +80,11 @@ pub(crate) fn scaled_scene(
         friction: parameters.friction,
         table_friction: parameters.table_friction,
         arm_stiffness: 1.0,
-        gripper: parameters.gripper,
+        gripper: parameters.around.gripper,
         fixtures,
         gravity: GRAVITY * parameters.gravity_scale,
         marker: Some(target),
-        visual: parameters.visual,
+        visual: parameters.visual(),
         object,
     })
 }
@@ -135,11 +131,11 @@ mod tests {
                 obstacles: 5,
                 size_m: 0.12,
                 placement: Placement::NAMES[index as usize % 14].to_owned(),
-                ..SceneParameters::default()
+                ..SceneParameters::nominal()
             };
             let placement = Placement::from_name(&parameters.placement).unwrap();
             let mut stream = Seed::campaign(1).episode(index).stream("obstacles");
-            let scene = scene(&parameters, &placement, &mut stream).unwrap();
+            let scene = scene(&parameters, &placement, 1.0, &mut stream).unwrap();
             assert_eq!(scene.fixtures.len(), 6);
             for (i, fixture) in scene.fixtures.iter().enumerate().skip(1) {
                 let at = fixture.part.pose.translation.vector;

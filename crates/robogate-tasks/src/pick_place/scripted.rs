@@ -11,18 +11,20 @@
 use std::f64::consts::PI;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use robogate_core::{Action, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec};
-use robogate_physics::trajectory::{ToolLimit, joint_path, straight_path};
+use robogate_core::{Action, Fault, Observation, Policy, Pose, Seed, TaskInstance, TaskSpec};
+use robogate_physics::trajectory::ToolLimit;
 use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
 use super::Shape;
 use super::spec::{Briefing, phases};
-use crate::arm::{CONTROL_PERIOD_S, FREE, Script, Stage, nearest, tool_down};
+use crate::arm::{
+    CONTROL_PERIOD_S, FREE, FREELY, Planner, Script, Stage, Way, carry_yaw, cup_yaw, drives_task, nearest, tool_down,
+};
 
 /// Height of the tool above the table on transit paths, in metres: the carried object passes over the highest obstacle.
-pub(super) const TRANSIT_HEIGHT_M: f64 = 0.25;
+const TRANSIT_HEIGHT_M: f64 = 0.25;
 /// Height of the object above the table at its release, in metres.
-pub(super) const RELEASE_ROOM_M: f64 = 0.003;
+const RELEASE_ROOM_M: f64 = 0.003;
 /// Limits of motion with the object in hand. They are low, so that weight and not acceleration decides whether it
 /// slips.
 const CARRY: ToolLimit = ToolLimit { speed: 0.6, acceleration: CARRY_ACCELERATION_M_S2 };
@@ -53,17 +55,13 @@ impl Scripted {
     /// Candidate yaws of the tool for an object with this `yaw`. For fingers these are the symmetric yaws of the
     /// object. A cup is symmetric in all yaws: its yaw follows the arm's base, which keeps the wrist posture.
     fn grasp_yaws(&self, task: &Briefing, at: &[f64; 3], yaw: f64) -> Vec<f64> {
-        let home = &self.robot.settings.arm.home_rad;
         match &self.robot.settings.gripper {
             Gripper::ParallelJaw(_) => {
                 let symmetry = Shape::from_name(&task.shape).map_or(PI, Shape::grasp_symmetry);
                 let count = (2.0 * PI / symmetry).round() as usize;
                 (0..count).map(|k| yaw + k as f64 * symmetry).collect()
             }
-            Gripper::Suction(_) => {
-                let x = self.chain.tcp_at(home).rotation * Vector3::x();
-                vec![self.carry_yaw(home, x.y.atan2(x.x), at)]
-            }
+            Gripper::Suction(_) => vec![cup_yaw(&self.robot, &self.chain, [at[0], at[1]])],
         }
     }
 
@@ -88,64 +86,31 @@ impl Scripted {
         self.chain.inverse(&goal, &above, &self.robot.settings.arm.home_rad)
     }
 
-    fn plan(&self, task: &Briefing) -> Result<Vec<Stage>, (Vec<Stage>, Unreachable)> {
-        let mut plan = Vec::new();
-        match self.fill(task, &mut plan) {
-            Ok(()) => Ok(plan),
-            Err(unreachable) => Err((plan, unreachable)),
-        }
-    }
-
-    fn fill(&self, task: &Briefing, plan: &mut Vec<Stage>) -> Result<(), Unreachable> {
+    fn plan(&self, planner: &mut Planner<'_>, task: &Briefing) -> Result<(), Unreachable> {
         use GripperCommand::{Close, Open};
-        let arm = &self.robot.settings.arm;
-        let (home, period) = (&arm.home_rad, CONTROL_PERIOD_S);
-        let straight = |from: &[f64], to, limit| straight_path(&self.chain, from, &to, home, arm, limit, period);
-        let stage = |phase, path, gripper, settles| Stage { phase, path, gripper, settles };
-
         let object_yaw = yaw_of(task);
         let rotated = |yaw| self.rotated_offset(task, yaw);
         let object = &offset_by(&task.object_pose.position, rotated(object_yaw));
         let (yaw, above) = self.choose_grasp(task, object, object_yaw)?;
-        plan.push(stage(phases::APPROACH_ABOVE, joint_path(home, &above, arm, period), Open, false));
+        planner.swing(phases::APPROACH_ABOVE, above, Open);
 
         let height = grasp_height(&self.robot, &task.object_extent_m);
         let speed = task.approach_speed_m_s.unwrap_or(FREE.speed);
-        let path = straight(&above, Self::above(object, height, yaw), ToolLimit { speed, ..FREE })?;
-        let down = end_of(&path, &above);
-        plan.push(stage(phases::DESCEND, path, Open, false));
-        plan.push(stage(phases::GRASP, vec![down.clone()], Close, true));
-
-        let path = straight(&down, Self::above(object, TRANSIT_HEIGHT_M, yaw), CARRY)?;
-        let up = end_of(&path, &down);
-        plan.push(stage(phases::LIFT, path, Close, false));
+        planner.straight(phases::DESCEND, &[Self::above(object, height, yaw)], ToolLimit { speed, ..FREE }, Open)?;
+        planner.grip(phases::GRASP, Close);
+        planner.straight(phases::LIFT, &[Self::above(object, TRANSIT_HEIGHT_M, yaw)], CARRY, Close)?;
 
         // Across to the target, with the smallest rotation of the tool.
         let goal = &task.target_pose.position;
-        let mut placed = self.carry_yaw(&up, yaw, goal);
+        let mut placed = carry_yaw(&self.chain, planner.at(), yaw, [goal[0], goal[1]]);
         if task.orientation_tolerance_rad.is_some() {
             placed = aligned(placed, yaw - object_yaw, Shape::from_name(&task.shape));
         }
         let target = &offset_by(goal, rotated(object_yaw + placed - yaw));
-        let yaw = placed;
-        let mut path = straight(&up, Self::above(target, TRANSIT_HEIGHT_M, yaw), CARRY)?;
-        let across = end_of(&path, &up);
-        let place = height + RELEASE_ROOM_M;
-        let lowered = straight(&across, Self::above(target, place, yaw), CARRY)?;
-        let lowered_end = end_of(&lowered, &across);
-        path.extend(lowered);
-        plan.push(stage(phases::MOVE_TO_TARGET, path, Close, false));
-
-        plan.push(stage(phases::RELEASE, vec![lowered_end.clone()], Open, true));
-        let away = straight(&lowered_end, Self::above(target, TRANSIT_HEIGHT_M, yaw), FREE)?;
-        plan.push(stage(phases::RELEASE, away, Open, false));
-        Ok(())
-    }
-
-    /// Yaw of the tool at the target. It follows the arm's base, which keeps the wrist posture.
-    fn carry_yaw(&self, joints: &[f64], yaw: f64, target: &[f64; 3]) -> f64 {
-        let from = self.chain.tcp_at(joints).translation.vector;
-        yaw + target[1].atan2(target[0]) - from.y.atan2(from.x)
+        let [over, down] = [TRANSIT_HEIGHT_M, height + RELEASE_ROOM_M].map(|z| Self::above(target, z, placed));
+        planner.straight(phases::MOVE_TO_TARGET, &[over, down], CARRY, Close)?;
+        planner.grip(phases::RELEASE, Open);
+        planner.straight(phases::RELEASE, &[over], FREE, Open)
     }
 }
 
@@ -168,7 +133,7 @@ pub(super) fn grasp_height(robot: &Robot, extent: &[f64; 3]) -> f64 {
 }
 
 /// Horizontal offset from the object's centre to the grasp point, in the object's frame, in metres.
-pub(super) fn grasp_offset(robot: &Robot, task: &Briefing) -> Vector3<f64> {
+fn grasp_offset(robot: &Robot, task: &Briefing) -> Vector3<f64> {
     match (&robot.settings.gripper, Shape::from_name(&task.shape)) {
         (Gripper::Suction(_), Some(shape)) => {
             let [x, y] = shape.top(task.object_extent_m[0]);
@@ -176,6 +141,26 @@ pub(super) fn grasp_offset(robot: &Robot, task: &Briefing) -> Vector3<f64> {
         }
         _ => Vector3::zeros(),
     }
+}
+
+/// The way of a tool that moves in small steps.
+pub(super) fn way(robot: &Robot, instance: &TaskInstance) -> Result<Way, Fault> {
+    let task = &Briefing::of(instance)?;
+    let yaw = yaw_of(task);
+    let symmetry = Shape::from_name(&task.shape).map_or(PI, Shape::grasp_symmetry);
+    let offset = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * grasp_offset(robot, task);
+    let over = |pose: &Pose, height: f64| [pose.position[0] + offset.x, pose.position[1] + offset.y, height];
+    let grasp = grasp_height(robot, &task.object_extent_m);
+    let mut way = Way::new(&robot.settings.gripper, yaw, symmetry);
+    way.go(phases::APPROACH_ABOVE, over(&task.object_pose, TRANSIT_HEIGHT_M), &FREELY, false);
+    way.go(phases::DESCEND, over(&task.object_pose, grasp), &FREELY, false);
+    way.grip(phases::GRASP, true);
+    way.go(phases::LIFT, over(&task.object_pose, TRANSIT_HEIGHT_M), &FREELY, true);
+    way.go(phases::MOVE_TO_TARGET, over(&task.target_pose, TRANSIT_HEIGHT_M), &FREELY, true);
+    way.go(phases::MOVE_TO_TARGET, over(&task.target_pose, grasp + RELEASE_ROOM_M), &FREELY, true);
+    way.grip(phases::RELEASE, false);
+    way.go(phases::RELEASE, over(&task.target_pose, TRANSIT_HEIGHT_M), &FREELY, false);
+    Ok(way)
 }
 
 /// The yaw of the tool nearest to `placed` at which the object has the orientation of the target, all in radians.
@@ -190,30 +175,19 @@ fn aligned(placed: f64, in_hand: f64, shape: Option<Shape>) -> f64 {
     in_hand + turn * ((placed - in_hand) / turn).round()
 }
 
-/// The last point of a path, or `start` if it is empty.
-fn end_of(path: &[Vec<f64>], start: &[f64]) -> Vec<f64> {
-    path.last().map_or_else(|| start.to_vec(), Clone::clone)
-}
-
 impl Policy for Scripted {
     fn check(&self, task: &TaskSpec) -> Result<(), String> {
-        let joints = task.action.joints();
-        if task.name != super::NAME || joints != Some(&*self.robot.settings.arm.joints) {
-            return Err(format!(
-                "the scripted controller drives pick_place on {}, not {}",
-                self.robot.name(),
-                task.name
-            ));
-        }
-        Ok(())
+        drives_task(super::NAME, &self.robot, task)
     }
 
     fn reset(&mut self, _: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {
         let task = &Briefing::of(instance)?;
+        let mut planner = Planner::new(&self.robot, &self.chain, CONTROL_PERIOD_S);
         // If a pose is out of reach, the controller runs the reachable part of its plan and then waits. This is a failure
         // of the controller (a timeout), not a fault of the simulator.
-        let mut plan = self.plan(task).unwrap_or_else(|(begun, _)| begun);
-        if plan.is_empty() {
+        let reachable = self.plan(&mut planner, task);
+        let mut plan = planner.finish();
+        if reachable.is_err() && plan.is_empty() {
             let path = vec![self.robot.settings.arm.home_rad.clone()];
             let gripper = GripperCommand::Open;
             plan.push(Stage { phase: phases::APPROACH_ABOVE, path, gripper, settles: false });

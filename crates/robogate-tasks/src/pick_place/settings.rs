@@ -2,14 +2,12 @@
 
 use std::f64::consts::PI;
 
-use robogate_core::Assignment;
 use robogate_physics::Robot;
 
-use super::NAME;
 use super::cell::TOLERANCE_M;
 use super::scene::workspace_scale;
-use crate::arm::{ArmSettings, HasSettings, OnArm, rows};
-use crate::settings::{Choice, SettingRow, with_settings};
+use crate::arm::{ArmSettings, HasSettings, on_arm, rows};
+use crate::settings::{Choice, SettingRow};
 
 /// Pick and place with its settings.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -98,20 +96,6 @@ impl PickPlace {
         workspace: Workspace::Scaled,
     };
 
-    /// The task with these values of its settings.
-    ///
-    /// # Errors
-    /// A setting that the task does not have, or a value that it does not accept.
-    pub fn of(settings: &Assignment) -> Result<Self, String> {
-        with_settings(NAME, &Self::rows(), &Self::DEFAULT, settings)
-    }
-
-    /// The same task with the modes and the workspace of the paper.
-    #[must_use]
-    pub fn like_the_paper(self) -> Self {
-        Self { modes: ModeSet::Paper, workspace: Workspace::Paper, ..self }
-    }
-
     /// The scale of this robot's workspace about its base.
     pub(crate) fn workspace_scale(&self, robot: &Robot) -> f64 {
         match self.workspace {
@@ -126,48 +110,31 @@ impl PickPlace {
     }
 }
 
-impl Default for PickPlace {
-    fn default() -> Self {
-        Self::DEFAULT
-    }
-}
-
-impl OnArm for PickPlace {
-    fn arm(&self) -> &ArmSettings {
-        &self.arm
-    }
-
-    fn arm_mut(&mut self) -> &mut ArmSettings {
-        &mut self.arm
-    }
-}
+on_arm!(PickPlace);
 
 impl HasSettings for PickPlace {
     fn rows() -> Vec<SettingRow<Self>> {
         rows([
             SettingRow::number(
                 "tolerance_m",
-                "m",
                 "Largest horizontal distance of the part from its target.",
                 [1e-4, 0.3],
                 |task: &mut Self| &mut task.tolerance_m,
             ),
             SettingRow::number(
                 "orientation_tolerance_rad",
-                "rad",
                 "Largest angle of the part at the target. A half turn accepts every orientation.",
                 [1e-3, PI],
                 |task| &mut task.orientation_tolerance_rad,
             ),
             SettingRow::number(
                 "jam_force_n",
-                "N",
                 "The robot presses if a contact force is above this. The grip force is added while it holds \
                  the part.",
                 [0.1, 1e6],
                 |task| &mut task.jam_force_n,
             ),
-            SettingRow::number("jam_duration_s", "s", "Duration of pressing that is a jam.", [1e-3, 3600.0], |task| {
+            SettingRow::number("jam_duration_s", "Duration of pressing that is a jam.", [1e-3, 3600.0], |task| {
                 &mut task.jam_duration_s
             }),
             SettingRow::choice(

@@ -6,9 +6,7 @@ use robogate_core::{
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
-use super::{ModeSet, PickPlace, foresight, parameters};
-pub use crate::arm::TOOL_DELTA;
-pub(crate) use crate::arm::observation;
+use super::{ModeSet, PickPlace, foresight};
 use crate::arm::{base_spec, briefing, common_measures, instance, measure, mode};
 
 /// The gripper closed without the object.
@@ -54,7 +52,6 @@ pub mod phases {
 
 /// The task specification for this robot with these cameras under these rules.
 pub fn spec(robot: &Robot, cameras: Vec<CameraSpec>, rules: &PickPlace) -> TaskSpec {
-    let gripper = &robot.settings.gripper;
     TaskSpec {
         version: 2,
         instruction: "pick up the part and place it at the target".to_owned(),
@@ -62,7 +59,6 @@ pub fn spec(robot: &Robot, cameras: Vec<CameraSpec>, rules: &PickPlace) -> TaskS
         measures: measures(),
         draws: foresight::draw_specs(robot.settings.arm.joints.len()),
         phases: phases::ALL.to_vec(),
-        parameters: parameters::specs(gripper),
         ..base_spec(super::NAME, robot, cameras)
     }
 }

@@ -3,42 +3,70 @@
 use std::sync::Arc;
 
 use robogate_core::{
-    Assignment, CameraSpec, Fault, Foresight, Infeasibility, ParameterSpace, Policy, Scenario, Suite, TaskInstance,
-    TaskSpec, Value,
+    Assignment, CameraSpec, Fault, Foresight, Infeasibility, Policy, Scenario, TaskInstance, TaskSpec, Value,
 };
 use robogate_physics::{Chain, Gripper, Robot, SuctionLaw};
 
-use super::cell::ResolvedCell;
+use super::cell::{ResolvedCell, Told};
+use super::foresight::PickPlaceForesight;
+use super::parameters::TABLE;
 use super::referee::Referee;
 use super::spec::{Briefing, spec};
-use super::{
-    NAME, PickPlace, PickPlaceForesight, SUMMARY, SceneParameters, Scripted, ToolExpert, check_suite, default_space,
-    feasibility,
-};
-use crate::arm::{self, Resolved};
-use crate::spaces::unit_space;
+use super::{NAME, PickPlace, Scripted, claims, feasibility, scripted};
+use crate::arm::claims::Claim;
+use crate::arm::{ArmDeclaration, Parameters, Resolved, Rules, ToolExpert};
 
-impl arm::Rules for PickPlace {
+impl ArmDeclaration for PickPlace {
     fn name(&self) -> &'static str {
         NAME
     }
 
     fn summary(&self) -> &'static str {
-        SUMMARY
+        "pick a part from a table with a robot arm and place it at a target"
     }
 
     fn space(&self, gripper: &Gripper) -> &'static str {
-        default_space(gripper)
-    }
-
-    fn unit_space(&self, gripper: &Gripper) -> &'static str {
-        unit_space(gripper)
+        if gripper.cup().is_some() { "ur" } else { "franka" }
     }
 
     fn suite(&self) -> &'static str {
         "industrial-68"
     }
 
+    fn parameters(&self) -> &'static dyn Parameters {
+        &TABLE
+    }
+
+    fn demonstration_space(&self, _: &Gripper) -> &'static str {
+        "learned"
+    }
+
+    fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault> {
+        let briefing = Briefing::of(instance)?;
+        let [x, y, z] = briefing.object_pose.position;
+        Ok([x, y, z, briefing.object_extent_m[0]])
+    }
+
+    fn own_claims(&self, gripper: &Gripper) -> Vec<Claim> {
+        claims::claims(gripper)
+    }
+
+    fn published(&self, gripper: &Gripper) -> Assignment {
+        let word = |name: &str, word: &str| (name.into(), Value::Category(word.into()));
+        let cup = gripper.cup().map(|_| word("suction", SuctionLaw::Surface.as_str()));
+        [word("failure_modes", "paper"), word("workspace", "paper")].into_iter().chain(cup).collect()
+    }
+
+    fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
+        Box::new(Scripted::new(robot, chain))
+    }
+
+    fn tool_expert(&self, robot: Robot) -> Box<dyn Policy> {
+        Box::new(ToolExpert::new(NAME, scripted::way, robot))
+    }
+}
+
+impl Rules for PickPlace {
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         spec(robot, cameras, self)
     }
@@ -53,7 +81,7 @@ impl arm::Rules for PickPlace {
             grip_threshold_m: cell.parameters.grip_threshold_m,
             bias: cell.bias.clone(),
             instance: briefing.instance(),
-            trial: Box::new(Referee::new(cell, briefing, *self, grip_force_n)),
+            trial: Box::new(Referee::new(Told { cell, briefing }, *self, grip_force_n)),
         })
     }
 
@@ -63,41 +91,5 @@ impl arm::Rules for PickPlace {
 
     fn infeasibility(&self, requested: &Assignment, robot: &Robot, grip_force_n: f64) -> Option<Infeasibility> {
         feasibility::infeasibility(requested, robot, self.workspace_scale(robot), grip_force_n, self.arm.suction)
-    }
-
-    fn check_space(&self, space: &ParameterSpace, gripper: &Gripper) -> Result<(), String> {
-        SceneParameters::check_space(space, Some(gripper)).map_err(|error| error.to_string())
-    }
-
-    fn check_suite(&self, suite: &Suite, gripper: &Gripper) -> Vec<String> {
-        check_suite(suite, Some(gripper)).iter().map(ToString::to_string).collect()
-    }
-
-    fn demonstration_space(&self, _: &Gripper) -> &'static str {
-        "learned"
-    }
-
-    fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault> {
-        let briefing = Briefing::of(instance)?;
-        let [x, y, z] = briefing.object_pose.position;
-        Ok([x, y, z, briefing.object_extent_m[0]])
-    }
-
-    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>> {
-        Some(Box::new(ToolExpert::new(robot)))
-    }
-
-    fn physics_only(&self) -> Result<(), &'static str> {
-        Ok(())
-    }
-
-    fn published(&self, gripper: &Gripper) -> Assignment {
-        let word = |name: &str, word: &str| (name.into(), Value::Category(word.into()));
-        let cup = gripper.cup().map(|_| word("suction", SuctionLaw::Surface.as_str()));
-        [word("failure_modes", "paper"), word("workspace", "paper")].into_iter().chain(cup).collect()
-    }
-
-    fn scripted(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
-        Box::new(Scripted::new(robot, chain))
     }
 }

@@ -2,16 +2,20 @@
 
 use robogate_core::{Action, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec};
 use robogate_physics::trajectory::ToolLimit;
-use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
+use robogate_physics::{Chain, GripperCommand, Robot, Unreachable};
 
 use super::NAME;
 use super::spec::{Briefing, phases};
-use crate::arm::{CONTROL_PERIOD_S, FREE, Planner, Posture, Script, drives_task, tool_down};
+use crate::arm::{
+    CONTROL_PERIOD_S, FINELY, FREE, FREELY, Planner, Posture, Script, Way, drives_task, grasp_height, tool_down,
+};
 
 /// Height of the tool above the table on transit paths, in metres: a carried part passes over a stack of two.
 const TRANSIT_HEIGHT_M: f64 = 0.25;
 /// Height of a part above the part below it at its release, in metres.
 pub(super) const RELEASE_ROOM_M: f64 = 0.003;
+/// Height above a release from which a tool that moves in small steps goes finely, in metres.
+const APPROACH_M: f64 = 0.01;
 /// Limits of motion with a part in the hand, low enough that it does not slip.
 pub(super) const CARRY: ToolLimit = ToolLimit { speed: 0.5, acceleration: 1.2 };
 /// Limits of the last part of the way down onto the stack.
@@ -45,21 +49,15 @@ impl Scripted {
         use GripperCommand::{Close, Open};
         let [x, y, _] = briefing.parts[briefing.order[level]].position;
         let grasp = planner.grasp_height(briefing.size_m);
-        let above: Vec<_> = self.yaws([x, y]).into_iter().map(|yaw| tool_down([x, y, TRANSIT_HEIGHT_M], yaw)).collect();
-        let (chosen, joints) = planner.nearest(&above)?;
-        let yaw = self.yaws([x, y])[chosen];
+        let (yaw, joints) = planner.over([x, y], TRANSIT_HEIGHT_M, planner.square_yaw([x, y]))?;
         planner.swing(phases::APPROACH, joints, Open);
         planner.straight(phases::APPROACH, &[tool_down([x, y, grasp], yaw)], FREE, Open)?;
         planner.grip(phases::GRASP, Close);
 
-        let [x0, y0, _] = briefing.parts[briefing.order[0]].position;
-        let steps = level as f64;
-        let place = [x0 + steps * briefing.offset_m[0], y0 + steps * briefing.offset_m[1]];
-        // Cubes are equal after a quarter rotation.
-        let quarters: Vec<f64> = (0..4).map(|k| yaw + f64::from(k) * std::f64::consts::FRAC_PI_2).collect();
+        let (steps, place) = (level as f64, briefing.place(level));
         let at = |height: f64, yaw: f64| tool_down([place[0], place[1], height], yaw);
-        let over: Vec<_> = quarters.iter().map(|yaw| at(TRANSIT_HEIGHT_M, *yaw)).collect();
-        let turned = quarters[planner.nearest(&over)?.0];
+        // Cubes are equal after a quarter rotation.
+        let (turned, _) = planner.over(place, TRANSIT_HEIGHT_M, yaw)?;
         let down = steps * briefing.size_m + grasp + RELEASE_ROOM_M;
         let lifted = tool_down([x, y, TRANSIT_HEIGHT_M], yaw);
         planner.straight(phases::CARRY, &[lifted, at(TRANSIT_HEIGHT_M, turned)], CARRY, Close)?;
@@ -67,20 +65,29 @@ impl Scripted {
         planner.grip(phases::RELEASE, Open);
         planner.straight(phases::RELEASE, &[at(TRANSIT_HEIGHT_M, turned)], FREE, Open)
     }
+}
 
-    /// Yaws of the tool with which the robot can grasp a part at (x, y). A cup can have any yaw: its yaw follows the arm's
-    /// base, which keeps the wrist posture.
-    fn yaws(&self, [x, y]: [f64; 2]) -> Vec<f64> {
-        let quarters = |first: f64| (0..4).map(|k| first + f64::from(k) * std::f64::consts::FRAC_PI_2).collect();
-        match &self.robot.settings.gripper {
-            Gripper::ParallelJaw(_) => quarters(0.0),
-            Gripper::Suction(_) => {
-                let home = self.chain.tcp_at(&self.robot.settings.arm.home_rad);
-                let axis = home.rotation * nalgebra::Vector3::x();
-                quarters(axis.y.atan2(axis.x) + y.atan2(x) - home.translation.y.atan2(home.translation.x))
-            }
-        }
+/// The way of a tool that moves in small steps.
+pub(super) fn way(robot: &Robot, instance: &TaskInstance) -> Result<Way, Fault> {
+    let briefing = Briefing::of(instance)?;
+    let gripper = &robot.settings.gripper;
+    let grasp = grasp_height(gripper, briefing.size_m);
+    let mut way = Way::for_square(gripper);
+    for level in 1..briefing.order.len() {
+        let [x, y, _] = briefing.parts[briefing.order[level]].position;
+        let [u, v] = briefing.place(level);
+        let down = level as f64 * briefing.size_m + grasp + RELEASE_ROOM_M;
+        way.go(phases::APPROACH, [x, y, TRANSIT_HEIGHT_M], &FREELY, false);
+        way.go(phases::APPROACH, [x, y, grasp], &FREELY, false);
+        way.grip(phases::GRASP, true);
+        way.go(phases::CARRY, [x, y, TRANSIT_HEIGHT_M], &FREELY, true);
+        way.go(phases::CARRY, [u, v, TRANSIT_HEIGHT_M], &FREELY, true);
+        way.go(phases::CARRY, [u, v, down + APPROACH_M], &FREELY, true);
+        way.go(phases::CARRY, [u, v, down], &FINELY, true);
+        way.grip(phases::RELEASE, false);
+        way.go(phases::RELEASE, [u, v, TRANSIT_HEIGHT_M], &FREELY, false);
     }
+    Ok(way)
 }
 
 impl Policy for Scripted {

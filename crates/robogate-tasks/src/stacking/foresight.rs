@@ -12,8 +12,8 @@ use super::parameters::{PARTS, Settings};
 use super::scene::{briefing, settings};
 use super::statics::{self, Level};
 use crate::arm::{
-    GRIP_THRESHOLD_M, Memo, Posture, bias_draws, components, draw, drawn, feature, grasp_height, holding_n, in_hand,
-    log_ratio, tool_draws, within_quarter,
+    GAP_MARGIN, GRIP_THRESHOLD_M, LIP_MARGIN, Memo, OPENING_CLEARANCE, PRESS_MARGIN, Posture, bias_draws, components,
+    draw, drawn, feature, grasp_height, holding_n, in_hand, joined, log_ratio, tool_draws, within_quarter,
 };
 
 /// Sizes and overhangs are rounded to this step for the planned postures, in metres. It changes a displacement by less than 0.1 mm.
@@ -37,74 +37,48 @@ pub(super) fn draw_specs(joints: usize) -> Vec<DrawSpec> {
     bias_draws(joints).chain(tools).chain(parts).collect()
 }
 
-const PLACE: FeatureSpec = feature(
-    "place_margin_m",
-    "m",
-    Better::Higher,
-    "Tolerance minus the largest distance of a part from its place on the part below.",
-);
-const STABILITY: FeatureSpec = feature(
-    "stability_margin_m",
-    "m",
-    Better::Higher,
-    "Smallest distance from the line of gravity of the parts above a face to the edge of that face.",
-);
-const ROTATION: FeatureSpec = feature(
-    "turn_rad",
-    "rad",
-    Better::Lower,
-    "Largest rotation of a part against the part below, to the nearest quarter of a turn.",
-);
-const TILT: FeatureSpec = feature("tilt_rad", "rad", Better::Lower, "Largest tilt of a part at its release.");
-const ROOM: FeatureSpec =
-    feature("release_room_m", "m", Better::Neither, "Smallest height of a part above the part below at its release.");
-const GRIP: FeatureSpec = feature(
-    "grip_margin",
-    "",
-    Better::Higher,
-    "Logarithm of the holding force over the force that carries the heavier part.",
-);
+/// The features with any gripper.
+const ANY: [FeatureSpec; 6] = [
+    feature(
+        "place_margin_m",
+        Better::Higher,
+        "Tolerance minus the largest distance of a part from its place on the part below.",
+    ),
+    feature(
+        "stability_margin_m",
+        Better::Higher,
+        "Smallest distance from the line of gravity of the parts above a face to the edge of that face.",
+    ),
+    feature(
+        "turn_rad",
+        Better::Lower,
+        "Largest rotation of a part against the part below, to the nearest quarter of a turn.",
+    ),
+    feature("tilt_rad", Better::Lower, "Largest tilt of a part at its release."),
+    feature("release_room_m", Better::Neither, "Smallest height of a part above the part below at its release."),
+    feature(
+        "grip_margin",
+        Better::Higher,
+        "Logarithm of the holding force over the force that carries the heavier part.",
+    ),
+];
 
 /// The features for fingers.
-static FINGERS: [FeatureSpec; 9] = [
-    PLACE,
-    STABILITY,
-    ROTATION,
-    TILT,
-    ROOM,
-    GRIP,
-    feature(
-        "opening_clearance_m",
-        "m",
-        Better::Higher,
-        "Smallest free space on the tighter side of a part between the open fingers.",
-    ),
-    feature(
-        "pad_overlap_m",
-        "m",
-        Better::Higher,
-        "Smallest distance from the grasp point to the nearer edge of the part, across the fingers.",
-    ),
-    feature("table_clearance_m", "m", Better::Higher, "Smallest height of the fingertips above the table in a grasp."),
-];
+static FINGERS: [FeatureSpec; 9] = joined(
+    &ANY,
+    &[
+        OPENING_CLEARANCE,
+        feature(
+            "pad_overlap_m",
+            Better::Higher,
+            "Smallest distance from the grasp point to the nearer edge of the part, across the fingers.",
+        ),
+        feature("table_clearance_m", Better::Higher, "Smallest height of the fingertips above the table in a grasp."),
+    ],
+);
 
 /// The features for a suction cup.
-static CUP: [FeatureSpec; 9] = [
-    PLACE,
-    STABILITY,
-    ROTATION,
-    TILT,
-    ROOM,
-    GRIP,
-    feature(
-        "lip_margin_m",
-        "m",
-        Better::Higher,
-        "Smallest distance from the lip of the cup to the nearer edge of a part.",
-    ),
-    feature("gap_margin_m", "m", Better::Higher, "Grip threshold minus the largest gap between the lip and a part."),
-    feature("press_margin_m", "m", Better::Higher, "Smallest gap between the lip and a part."),
-];
+static CUP: [FeatureSpec; 9] = joined(&ANY, &[LIP_MARGIN, GAP_MARGIN, PRESS_MARGIN]);
 
 /// One for grasp and one for release of each part that is moved, from the bottom up.
 type Moves<T> = [[T; 2]; 2];

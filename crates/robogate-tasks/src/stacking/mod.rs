@@ -3,6 +3,7 @@
 //! Three equal cubes stand on the table. The first one of the order stays where it is; the arm stacks the other two on
 //! it. [`statics`] has the limits of overhang that the physics is verified against.
 
+mod claims;
 mod controller;
 mod foresight;
 mod parameters;
@@ -11,7 +12,7 @@ mod scene;
 mod spec;
 pub mod statics;
 
-use crate::arm::{ArmSettings, HasSettings, OnArm, rows};
+use crate::arm::{ArmSettings, HasSettings, on_arm, rows};
 use crate::settings::SettingRow;
 
 /// The task's name.
@@ -33,35 +34,19 @@ impl Stacking {
     pub const DEFAULT: Self = Self { arm: ArmSettings::lasting(30.0), tolerance_m: 0.01, tilt_limit_rad: 0.262 };
 }
 
-impl Default for Stacking {
-    fn default() -> Self {
-        Self::DEFAULT
-    }
-}
-
-impl OnArm for Stacking {
-    fn arm(&self) -> &ArmSettings {
-        &self.arm
-    }
-
-    fn arm_mut(&mut self) -> &mut ArmSettings {
-        &mut self.arm
-    }
-}
+on_arm!(Stacking);
 
 impl HasSettings for Stacking {
     fn rows() -> Vec<SettingRow<Self>> {
         rows([
             SettingRow::number(
                 "tolerance_m",
-                "m",
                 "Largest horizontal distance of a part from its place on the part below.",
                 [1e-4, 0.05],
                 |task: &mut Self| &mut task.tolerance_m,
             ),
             SettingRow::number(
                 "tilt_limit_rad",
-                "rad",
                 "A part of the stack has toppled beyond this angle.",
                 [0.01, 1.5],
                 |task| &mut task.tilt_limit_rad,

@@ -2,7 +2,7 @@
 
 use robogate_physics::{GRAVITY, Readback};
 
-use crate::arm::{Access, Acting, InSurroundings, Row, Surroundings, scale};
+use crate::arm::{Access, Acting, InSurroundings, Row, Surroundings, Table, Words, scale};
 
 /// The orders in which the parts can be stacked, from the bottom up.
 pub(super) const ORDERS: [&str; 6] = ["abc", "acb", "bac", "bca", "cab", "cba"];
@@ -33,10 +33,6 @@ pub(super) struct Settings {
 }
 
 impl InSurroundings for Settings {
-    fn around(&self) -> &Surroundings {
-        &self.around
-    }
-
     fn around_mut(&mut self) -> &mut Surroundings {
         &mut self.around
     }
@@ -104,29 +100,28 @@ fn order(acting: &Acting<'_, Settings>) -> String {
     }
 }
 
+type Parameter = Row<Settings>;
+
 /// Every parameter of the task.
-pub(super) static ROWS: [Row<Settings>; 22] = [
-    Row {
-        name: "order",
-        unit: "",
-        meaning: "Order of the parts in the stack, from the bottom up. The first part stays where it is.",
-        read_from: "the parts' poses in the engine",
-        family: Some("stack"),
-        needs_pads: false,
-        access: Access::Word {
-            choices: &ORDERS,
+pub(super) static TABLE: Table<Settings> = Table(&[
+    Parameter::new(
+        "order",
+        "Order of the parts in the stack, from the bottom up. The first part stays where it is.",
+        "the parts' poses in the engine",
+        Access::Word {
+            words: Words { choices: || ORDERS.into(), form: None },
             nominal: "abc",
             set: |s, word| {
-                for (level, letter) in s.order.iter_mut().zip(word.chars()) {
-                    *level = PARTS.iter().position(|part| *part == letter).unwrap_or_default();
-                }
+                let part = |letter| PARTS.iter().position(|part| *part == letter);
+                s.order = word.chars().map(part).collect::<Option<Vec<_>>>()?.try_into().ok()?;
+                Some(())
             },
             read: order,
         },
-    },
-    Row::<Settings>::number(
+    )
+    .in_family("stack"),
+    Parameter::number(
         "overhang",
-        "",
         "Offset of each part from the part below it along x, as a fraction of its size; the policy is told.",
         "the offset in the referee",
         ([0.0, 0.6], 0.0),
@@ -134,9 +129,8 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         |a| a.settings.overhang,
     )
     .in_family("stack"),
-    Row::<Settings>::number(
+    Parameter::number(
         "size_m",
-        "m",
         "Edge of each part.",
         "the parts' shapes in the engine",
         ([0.03, 0.07], 0.05),
@@ -144,9 +138,8 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         size,
     )
     .in_family("parts"),
-    Row::<Settings>::number(
+    Parameter::number(
         "mass_kg",
-        "kg",
         "Mass of the part at the bottom.",
         "the part's mass in the engine",
         ([0.01, 5.0], 0.2),
@@ -154,9 +147,8 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         |a| mass_at(a, 0),
     )
     .in_family("parts"),
-    Row::<Settings>::number(
+    Parameter::number(
         "mass_step",
-        "",
         "Mass of each part as a multiple of the part below it.",
         "the parts' masses in the engine",
         ([0.25, 4.0], 1.0),
@@ -164,9 +156,8 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         mass_step,
     )
     .in_family("parts"),
-    Row::<Settings>::number(
+    Parameter::number(
         "friction",
-        "",
         "Coulomb friction coefficient of the parts against everything they touch.",
         "the contacts' friction in the engine",
         ([0.01, 10.0], 0.8),
@@ -174,18 +165,16 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         |a| if a.found.engine.friction == a.found.engine.table_friction { a.found.engine.friction } else { f64::NAN },
     )
     .in_family("parts"),
-    Row::<Settings>::number(
+    Parameter::number(
         "gravity_scale",
-        "",
         "Gravity as a multiple of 9.81 m/s^2.",
         "gravity in the engine",
         ([0.1, 3.0], 1.0),
         |s, x| s.gravity_scale = x,
         |a| a.found.engine.gravity / GRAVITY,
     ),
-    Row::<Settings>::number(
+    Parameter::number(
         "position_jitter_m",
-        "m",
         "Radius of the disc from which each part's offset from its place is drawn; the policy is not told.",
         "the parts' poses in the engine",
         ([0.0, 0.03], 0.0),
@@ -193,9 +182,8 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         position_jitter,
     )
     .in_family("layout"),
-    Row::<Settings>::number(
+    Parameter::number(
         "yaw_jitter_rad",
-        "rad",
         "Largest rotation of each part about the vertical, in both directions; the policy is not told.",
         "the parts' poses in the engine",
         ([0.0, 0.7], 0.0),
@@ -203,17 +191,5 @@ pub(super) static ROWS: [Row<Settings>; 22] = [
         yaw_jitter,
     )
     .in_family("layout"),
-    Row::encoder_bias(),
-    Row::lighting(),
-    Row::unit_bias::<0>(),
-    Row::unit_bias::<1>(),
-    Row::unit_bias::<2>(),
-    Row::unit_bias::<3>(),
-    Row::unit_bias::<4>(),
-    Row::unit_bias::<5>(),
-    Row::unit_bias::<6>(),
-    Row::grip_force_scale(),
-    Row::pad_friction_scale(),
-    Row::camera_roll(),
-    Row::camera_pitch(),
-];
+    Parameter::encoder_bias("encoder_bias_rad", 0.1),
+]);

@@ -18,10 +18,10 @@ use robogate_core::{Assignment, Measures};
 use robogate_physics::GripperCommand;
 
 use super::Stacking;
-use super::parameters::{PARTS, ROWS, Settings};
+use super::parameters::{PARTS, Settings, TABLE};
 use super::spec::{COLLISION, DROPPED, MARGIN, MISPLACED, MISSED, OFFSET, PEAK_FORCE, SLIP, TOPPLED};
 use super::statics::{self, Level};
-use crate::arm::{Acting, Bodies, Found, Grip, GripChange, Record, Sight, Trial, applied, still, touching};
+use crate::arm::{Acting, Bodies, Found, Grip, GripChange, Record, Sight, Trial, still, touching};
 
 /// A part is dropped if it is released more than this above its resting height, in metres.
 const DROP_M: f64 = 0.03;
@@ -192,7 +192,7 @@ fn tilt(part: &Isometry3<f64>) -> f64 {
 
 impl Trial for Referee {
     fn applied(&self, requested: &Assignment, found: &Found<'_>, bias: &[f64]) -> Assignment {
-        applied(&ROWS, requested, &Acting { settings: &self.settings, found, bias })
+        TABLE.applied(requested, &Acting { settings: &self.settings, around: &self.settings.around, found, bias })
     }
 
     fn select(&mut self, command: GripperCommand, tcp: &Isometry3<f64>, bodies: &dyn Bodies) -> Option<usize> {

@@ -10,16 +10,18 @@ use robogate_physics::{
     Chain, Color, Fixture, FreeBody, GRAVITY, Gripper, MassProperties, Object, Part, Primitive, Robot, Scene, Visual,
 };
 
-use super::controller::Scripted;
+use super::claims::CLAIMS;
+use super::controller::{self, Scripted};
 use super::foresight::StackingForesight;
-use super::parameters::{PARTS, ROWS, Settings};
+use super::parameters::{PARTS, Settings, TABLE};
 use super::referee::Referee;
 use super::spec::{self, Briefing};
 use super::{NAME, Stacking};
+use crate::arm::claims::Claim;
 use crate::arm::{
-    GRIP_THRESHOLD_M, Load, Resolved, Rules, cannot_carry, decode, disc_point, encoder_bias, out_of_reach, within_reach,
+    ArmDeclaration, GRIP_THRESHOLD_M, Load, Parameters, Resolved, Rules, ToolExpert, cannot_carry, disc_point,
+    encoder_bias, out_of_reach, within_reach,
 };
-use crate::spaces::unit_space;
 
 /// Nominal positions (x, y) of the parts, in metres. A hand that grasps one of them has room beside the others.
 const PLACES: [[f64; 2]; 3] = [[0.42, -0.16], [0.56, 0.0], [0.42, 0.16]];
@@ -27,7 +29,7 @@ const PLACES: [[f64; 2]; 3] = [[0.42, -0.16], [0.56, 0.0], [0.42, 0.16]];
 /// Colours of the parts.
 const COLORS: [Color; 3] = [Color([200, 60, 40]), Color([58, 110, 165]), Color([222, 170, 60])];
 
-impl Rules for Stacking {
+impl ArmDeclaration for Stacking {
     fn name(&self) -> &'static str {
         NAME
     }
@@ -36,16 +38,12 @@ impl Rules for Stacking {
         "stack two parts on a third one with a robot arm, in a given order and with a given offset"
     }
 
-    fn space(&self, _: &Gripper) -> &'static str {
-        NAME
-    }
-
-    fn unit_space(&self, gripper: &Gripper) -> &'static str {
-        unit_space(gripper)
-    }
-
     fn suite(&self) -> &'static str {
         "stacking-40"
+    }
+
+    fn parameters(&self) -> &'static dyn Parameters {
+        &TABLE
     }
 
     fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault> {
@@ -54,20 +52,26 @@ impl Rules for Stacking {
         Ok([x, y, z, briefing.size_m])
     }
 
-    fn physics_only(&self) -> Result<(), &'static str> {
-        Err("the protocol carries one free part, and stacking has three")
+    fn own_claims(&self, _: &Gripper) -> Vec<Claim> {
+        CLAIMS.to_vec()
     }
 
-    fn scripted(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
+    fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
         Box::new(Scripted::new(robot, chain))
     }
 
+    fn tool_expert(&self, robot: Robot) -> Box<dyn Policy> {
+        Box::new(ToolExpert::new(NAME, controller::way, robot))
+    }
+}
+
+impl Rules for Stacking {
     fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Arc<dyn Foresight> {
         Arc::new(StackingForesight::new(robot, chain, grip_force_n, self.tolerance_m))
     }
 
     fn infeasibility(&self, requested: &Assignment, robot: &Robot, grip_force_n: f64) -> Option<Infeasibility> {
-        let settings: Settings = decode(&ROWS, requested).ok()?;
+        let settings: Settings = TABLE.decode(requested, &robot.settings.gripper).ok()?;
         // The first part of the order stays where it is.
         let heaviest = settings.mass(1).max(settings.mass(2));
         let pads = settings.friction * settings.around.gripper.pad_friction_scale;
@@ -116,7 +120,7 @@ pub(super) fn briefing(settings: &Settings, tolerance_m: f64) -> Briefing {
 /// # Errors
 /// A setup fault if the scenario cannot be set up.
 pub(super) fn settings(scenario: &Scenario, robot: &Robot) -> Result<Settings, Fault> {
-    let mut settings: Settings = decode(&ROWS, &scenario.requested)?;
+    let mut settings: Settings = TABLE.decode(&scenario.requested, &robot.settings.gripper)?;
     settings.places = within_reach(robot, PLACES);
     let mut stream = scenario.seed.stream("part-jitter");
     for part in 0..PARTS.len() {

@@ -4,9 +4,8 @@ use robogate_core::{Better, CameraSpec, FailureMode, Fault, Pose, Severity, Task
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
-use super::parameters::ROWS;
 use super::{NAME, foresight};
-use crate::arm::{base_spec, briefing, common_measures, instance, measure, mode, not_a_briefing, specs};
+use crate::arm::{base_spec, briefing, common_measures, instance, measure, mode, not_a_briefing};
 
 /// A part that stood on another one fell off it or tipped over.
 pub(super) const TOPPLED: FailureMode = FailureMode::constant("toppled");
@@ -66,7 +65,6 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         .chain(common_measures())
         .collect(),
         phases: vec![phases::APPROACH, phases::GRASP, phases::CARRY, phases::RELEASE],
-        parameters: specs(&ROWS, &robot.settings.gripper),
         ..base_spec(NAME, robot, cameras)
     }
 }
@@ -87,6 +85,12 @@ pub(super) struct Briefing {
 }
 
 impl Briefing {
+    /// Nominal position (x, y) of the part at a level of the stack, in metres.
+    pub(super) fn place(&self, level: usize) -> [f64; 2] {
+        let [x, y, _] = self.parts[self.order[0]].position;
+        [x + level as f64 * self.offset_m[0], y + level as f64 * self.offset_m[1]]
+    }
+
     /// The briefing as the details of an episode.
     pub(super) fn instance(&self) -> TaskInstance {
         let [first, second, third] = self.order.map(|part| ["a", "b", "c"][part]);

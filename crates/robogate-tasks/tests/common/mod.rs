@@ -1,18 +1,20 @@
 //! Test cells: a robot in an engine.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test fails by panicking, and prints its figures")]
 #![allow(dead_code, unused_macros, reason = "each test binary uses only some items")]
 
 use std::path::Path;
+use std::sync::Arc;
 
+use robogate_core::ParameterSpace;
 use robogate_core::{Assignment, Episode, Outcome, Scenario, Seed, Value, rollout};
 #[cfg(feature = "mujoco")]
 use robogate_physics::MujocoEngine;
 #[cfg(feature = "rapier")]
 use robogate_physics::RapierEngine;
-use robogate_physics::{Engine, JointTargets, Robot, Scene};
-use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
-use robogate_tasks::pick_place::{PickPlace, Scripted};
-use robogate_tasks::{ArmTask, Rig};
+use robogate_physics::{Engine, Robot};
+use robogate_tasks::claims::{Bench, Setup, Workbench};
+use robogate_tasks::pick_place::PickPlace;
+use robogate_tasks::{ArmTask, Rig, built_in_space};
 
 /// Creates one test per claim and engine.
 macro_rules! of_every_engine {
@@ -44,7 +46,7 @@ impl EngineKind {
     /// A robot of the repository in this engine, by folder name.
     pub(crate) fn robot(self, name: &str) -> TestCell {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/robots").join(name);
-        TestCell { on: self, robot: Robot::from_folder(&folder).unwrap() }
+        TestCell { on: self, robot: Robot::from_folder(&folder).unwrap(), task: &PickPlace::DEFAULT }
     }
 
     pub(crate) fn franka(self) -> TestCell {
@@ -85,16 +87,32 @@ impl EngineKind {
     }
 }
 
-/// A robot in an engine.
+/// A robot in an engine, with a task.
 pub(crate) struct TestCell {
     pub(crate) on: EngineKind,
     pub(crate) robot: Robot,
+    pub(crate) task: &'static dyn ArmTask,
 }
 
 impl TestCell {
     /// The engine without the task.
     pub(crate) fn engine(&self) -> Box<dyn Engine> {
         self.on.engine(self.robot.clone(), self.on.time_step()).unwrap()
+    }
+
+    /// The same robot with this task.
+    pub(crate) fn with(self, task: &'static dyn ArmTask) -> Self {
+        Self { task, ..self }
+    }
+
+    /// Checks a claim of the task with this number of episodes, in the default space.
+    pub(crate) fn confirm(&self, name: &str, episodes: usize) {
+        let gripper = &self.robot.settings.gripper;
+        let claim = self.task.claims(gripper).into_iter().find(|claim| claim.name == name).unwrap();
+        let space = ParameterSpace::from_toml(built_in_space(self.task.space(gripper)).unwrap()).unwrap();
+        let result = claim.check(self, &Arc::new(space), episodes).unwrap();
+        println!("{}\n  {}", result.claim, result.figures.join("\n  "));
+        assert!(result.holds, "{result:#?}");
     }
 }
 
@@ -105,18 +123,13 @@ impl Workbench for TestCell {
 
     fn bench(&self, setup: &Setup) -> Result<Bench, String> {
         let engine = self.on.engine(setup.robot.clone(), setup.time_step_s)?;
-        let policy = Scripted::new(setup.robot.clone(), engine.chain().clone());
-        Ok((PickPlace::of(&setup.settings)?.environment(engine, Rig::default())?, Box::new(policy)))
+        let policy = self.task.controller(setup.robot.clone(), engine.chain().clone());
+        Ok((self.task.with(&setup.settings)?.environment(engine, Rig::default())?, policy))
     }
-}
 
-/// Lets a scene run for this time in seconds, with the arm at home and its fingers open.
-pub(crate) fn let_run(engine: &mut dyn Engine, scene: &Scene, seconds: f64) {
-    let home = engine.robot().settings.arm.home_rad.clone();
-    engine.load(scene, &home).unwrap();
-    let targets = JointTargets { velocities: vec![0.0; home.len()], positions: home, finger: 0.04 };
-    (0..(seconds / engine.time_step()) as usize).for_each(|_| engine.advance(&targets));
-    engine.health().unwrap();
+    fn engine(&self) -> Result<Box<dyn Engine>, String> {
+        Ok(TestCell::engine(self))
+    }
 }
 
 /// A scenario of the campaign with seed 5.

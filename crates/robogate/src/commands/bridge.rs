@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use clap::{Args, Subcommand};
 use robogate_remote::conformance::{Report, check, scenarios};
-use robogate_remote::{Connection, PhysicsSession, RequestError, ScoredSession};
+use robogate_remote::{Connection, PhysicsSession, RemoteTask, RequestError, ScoredSession, Session};
 use robogate_zmtp::Address;
 use serde_json::json;
 
@@ -61,29 +61,24 @@ impl BridgeCheck {
         let timeouts = self.environment.choice().simulators.timeouts();
         let failed = |why: RequestError| anyhow::Error::new(why).context(self.address.to_string());
         let hello = Connection::open(self.address.clone(), timeouts).map_err(failed).or_broken()?.hello().clone();
-        let task = hello.task.clone();
-        let space = match (&self.space, &hello.space) {
-            (Some(wanted), _) => Some(named_space(wanted).or_usage()?),
-            (None, Some(space)) => Some(space.clone()),
-            (None, None) => None,
-        };
-        let (cell, base) = if hello.scores_itself {
-            (None, self.environment.choice().parameters()?)
+        let (mut session, task, declared, base): (Box<dyn Session>, _, _, _) = if hello.scores_itself {
+            let parameters = self.environment.choice().parameters()?;
+            (Box::new(ScoredSession::default()), hello.task, hello.space, parameters)
         } else {
+            // A physics server knows no task. All parameters act through the cell.
             let (cell, parameters) = self.environment.choice().cell_and_parameters()?;
-            (Some(cell), parameters)
+            let remote = cell.remote_task().or_usage()?;
+            let (task, space) = ((**remote.task()).clone(), named_space(cell.default_space()).or_usage()?);
+            (Box::new(PhysicsSession(remote)), task, Some(space), parameters)
+        };
+        let space = match &self.space {
+            Some(wanted) => Some(named_space(wanted).or_usage()?),
+            None => declared,
         };
         let scenarios =
             scenarios(&task, space.map(Arc::new).as_ref(), &base, SCENARIOS).map_err(anyhow::Error::msg).or_usage()?;
         note(format_args!("checking {} ...", self.address));
-        let report = match cell {
-            None => check(&self.address, timeouts, &scenarios, &mut ScoredSession::default()),
-            Some(cell) => {
-                let mut session = PhysicsSession(cell.remote_task().or_usage()?);
-                check(&self.address, timeouts, &scenarios, &mut session)
-            }
-        };
-        let report = report.map_err(failed).or_broken()?;
+        let report = check(&self.address, timeouts, &scenarios, &mut *session).map_err(failed).or_broken()?;
         let tried: Vec<&str> = scenarios.first().into_iter().flat_map(|s| s.requested.iter().map(|p| p.0)).collect();
         if self.json {
             self.print_json(&report, &tried)

@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use clap::{Args, Subcommand};
-use robogate_tasks::pick_place::claims::{self, ClaimResult, Workbench};
+use robogate_tasks::claims::Claim;
 use serde_json::json;
 
 use crate::arguments::EnvironmentArguments;
 use crate::exit::{DONE, Exit, FAIL, OrExit};
 use crate::terminal::{bold, line, note};
-use robogate_session::{CELL_TASK, named_space};
+use robogate_session::named_space;
 
 /// Check claims by experiment.
 #[derive(Debug, Args)]
@@ -20,15 +20,15 @@ pub(crate) struct Check {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Check the physics: limits of the gripper, easy region, time step, repeatability, joint limits
+    /// Check the physics of a task: limits of gripper and parts, easy region, time step, repeatability, joint limits
     Physics(Physics),
 }
 
-/// Run the full physics experiments, which take about three minutes. The robot's gripper determines which claims apply.
+/// Run the full physics experiments of a task, which take minutes. The robot's gripper determines which claims apply.
 #[derive(Debug, Args)]
 struct Physics {
-    /// Check only these claims; default: all that apply
-    #[arg(value_name = "CLAIM", value_parser = CLAIMS)]
+    /// Check only these claims; default: all of the task for this gripper
+    #[arg(value_name = "CLAIM")]
     claims: Vec<String>,
     #[command(flatten)]
     environment: EnvironmentArguments,
@@ -36,25 +36,6 @@ struct Physics {
     #[arg(long)]
     json: bool,
 }
-
-/// The names of the claims.
-const CLAIMS: [&str; 12] = [
-    "coulomb",
-    "opening",
-    "no_creep",
-    "vacuum_limit",
-    "cup_area",
-    "gravity",
-    "surface_keeps",
-    "position_jitter",
-    "easy_region",
-    "time_step",
-    "repeatable",
-    "joint_limits",
-];
-
-/// The name and the experiment of a claim.
-type Experiment<'a> = (&'static str, &'a dyn Fn() -> Result<ClaimResult, String>);
 
 impl Check {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
@@ -67,51 +48,28 @@ impl Physics {
     fn execute(&self) -> Result<u8, Exit> {
         let cell = &self.environment.choice().cell()?;
         let space = Arc::new(named_space(cell.default_space()).or_usage()?);
-        let fingers: &[Experiment<'_>] = &[
-            ("coulomb", &|| claims::coulomb(cell, &[2.0, 4.0, 7.0])),
-            ("opening", &|| claims::opening(cell, 140)),
-            ("no_creep", &|| claims::no_creep(cell, 140)),
-        ];
-        let suction: &[Experiment<'_>] = &[
-            ("vacuum_limit", &|| claims::vacuum_limit(cell)),
-            ("cup_area", &|| claims::cup_area(cell)),
-            ("gravity", &|| claims::gravity(cell)),
-            ("surface_keeps", &|| claims::surface_keeps(cell, &space, 300)),
-        ];
-        let parts: &[Experiment<'_>] = &[
-            ("position_jitter", &|| claims::position_jitter(cell, 140)),
-            ("easy_region", &|| claims::easy_region(cell, 700)),
-            ("joint_limits", &|| claims::joint_limits(cell, 70)),
-        ];
-        let any: &[Experiment<'_>] = &[
-            ("time_step", &|| claims::time_step(cell, &space, 500)),
-            ("repeatable", &|| claims::repeatable(cell, &space, 200)),
-        ];
-        let (task, gripper) = (cell.task().name(), &cell.setup().robot.settings.gripper);
-        // The other claims set the parameters of pick_place.
-        let own: [&[Experiment<'_>]; 2] = match gripper.cup() {
-            _ if task != CELL_TASK => [&[]; 2],
-            Some(_) => [suction, parts],
-            None => [fingers, parts],
-        };
-        let experiments = || own.into_iter().flatten().chain(any);
-        if let Some(claim) = self.claims.iter().find(|claim| experiments().all(|(name, _)| name != claim)) {
-            let gripper = gripper.description();
-            return Err(anyhow::anyhow!("the claim {claim} does not apply to {task} with {gripper}")).or_usage();
+        let gripper = &cell.robot().settings.gripper;
+        let claims = cell.task().claims(gripper);
+        if let Some(unknown) = self.claims.iter().find(|name| claims.iter().all(|claim| claim.name != **name)) {
+            let known: Vec<&str> = claims.iter().map(|claim| claim.name).collect();
+            let (task, gripper) = (cell.task().name(), gripper.description());
+            return Err(anyhow::anyhow!(
+                "{task} has no claim `{unknown}` for {gripper}. Expected one of: {}",
+                known.join(", ")
+            ))
+            .or_usage();
         }
+        let chosen = |claim: &Claim| self.claims.is_empty() || self.claims.iter().any(|name| name == claim.name);
         let mut found = Vec::new();
-        for (name, experiment) in experiments() {
-            if !self.claims.is_empty() && !self.claims.iter().any(|claim| claim == name) {
-                continue;
-            }
-            note(format_args!("running {name} ..."));
-            let result = experiment().map_err(anyhow::Error::msg).or_broken()?;
+        for claim in claims.into_iter().filter(chosen) {
+            note(format_args!("running {} ...", claim.name));
+            let result = claim.check(cell, &space, claim.episodes).map_err(anyhow::Error::msg).or_broken()?;
             if !self.json {
                 let verdict = if result.holds { "holds" } else { "FAILS" };
                 line(format_args!("{} {}", bold(verdict), result.claim));
                 result.figures.iter().for_each(|figure| line(format_args!("      {figure}")));
             }
-            found.push((name, result));
+            found.push((claim.name, result));
         }
         if self.json {
             let claims: Vec<_> = found

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use crate::exit::{DONE, Exit, OrExit, USAGE};
 use crate::terminal::{bold, dim, line, note};
-use robogate_session::{EnvironmentSource, check_declared};
+use robogate_session::{ARM_TASKS, TASKS, check_declared};
 
 /// List, show and check suites.
 #[derive(Debug, Args)]
@@ -141,11 +141,13 @@ fn misfits(suite: &Suite) -> Result<Vec<String>, Exit> {
         return Ok(Vec::new());
     }
     let parameters = suite.space().parameters();
-    let own = || robogate_tasks::pick_place::check_suite(suite, None).iter().map(ToString::to_string).collect();
     let unknown = |known: &dyn Fn(&str) -> bool| parameters.iter().filter(|p| !known(&p.name)).count();
-    let of_cell = unknown(&|name| robogate_tasks::pick_place::parameters().iter().any(|row| row.name == name));
-    let mut best: (usize, Vec<String>) = (of_cell, own());
-    for task in EnvironmentSource::declared_tasks()? {
+    let arms = ARM_TASKS
+        .iter()
+        .map(|task| (unknown(&|name| task.parameters().knows(name)), task.parameters().check_suite(suite, None)));
+    // The first of equals.
+    let mut best = arms.min_by_key(|(missing, _)| *missing).unwrap_or((usize::MAX, Vec::new()));
+    for task in TASKS.iter().map(|task| task.task()) {
         let missing = unknown(&|name| task.parameter(name).is_some());
         if missing < best.0 {
             let problem = check_declared(&task, suite.space()).err();

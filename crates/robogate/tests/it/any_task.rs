@@ -135,28 +135,9 @@ fn arm_tasks_pass_through_the_verbs() {
     verb("run --task stacking --robot ur5e --set grip_force_n=10 -n 2 --out c", 2, &["no effect", "suction cup"]);
     verb("run --task stacking --renderer egl --engine rapier -n 2 --out d", 2, &["--renderer egl"]);
     verb("run --task stacking --engine none -n 2 --out e", 2, &["no such engine"]);
-}
-
-/// The verbs that need the robot of the cell work for every task, or the task says why not.
-#[test]
-fn verbs_of_the_cell_take_every_arm_task() {
-    let dir = TempDir::new().unwrap();
-    let at = dir.path();
-    let verb = |arguments: &str, code: i32, parts: &[&str]| verb(at, arguments, code, parts);
-    let refused = [None, Some("three"), Some("stiffness")];
-    for (task, physics) in ["pick_place", "stacking", "insertion"].into_iter().zip(refused) {
-        verb(&format!("demos --task {task} -n 2 --size 16 --all --out {task}-demos"), 0, &["2 episodes"]);
-        verb(&format!("snapshot --task {task} --size 32 --out {task}-pictures"), 0, &["front"]);
-        if let Some(why) = physics {
-            verb(&format!("serve --task {task} --physics-only --bind tcp://127.0.0.1:*"), 2, &["--physics-only", why]);
-            verb(&format!("check physics coulomb --task {task}"), 2, &["does not apply"]);
-        }
-        let fleet = "fleet --units 1 --rounds 1 --fixed --requirements default";
-        verb(&format!("{fleet} --task {task} --out {task}-fleet"), 0, &[]);
-        let result = fs::read_to_string(at.join(format!("{task}-fleet/fleet-result.json"))).unwrap();
-        assert!(result.contains("unit_bias_1_rad") && result.contains("grip_force_scale"), "{task}");
-    }
     verb("demos --task pendulum -n 2 --out none", 2, &["a built-in task for an arm: pick_place, stacking, insertion"]);
+    verb("check physics coulomb --task stacking", 2, &["stacking has no claim `coulomb`", "overhang"]);
+    verb("serve --physics-only --set jam_force_n=50", 2, &["--set jam_force_n has no effect", "client"]);
 }
 
 /// The default design is active. Its gate uses the episodes that no model chose, and other designs can be chosen.

@@ -89,7 +89,6 @@ fn python_script_drives_the_cell() {
 fn wrong_usage_starts_nothing() {
     assert_exit(&["serve", "--bind", "tcp://0.0.0.0:*"], 2, &["other machines", "--allow-remote"]);
     assert_exit(&["serve", "--bind", "127.0.0.1:1"], 2, &["tcp://127.0.0.1:5570"]);
-    assert_exit(&["serve", "--robot", "ur5e", "--physics-only"], 2, &["suction"]);
     assert_exit(&["run", "--simulator", "tcp://127.0.0.1:1"], 5, &["cannot reach tcp://127.0.0.1:1"]);
     assert_exit(&["bridge", "check", "tcp://127.0.0.1:1"], 5, &["cannot reach"]);
     let server = Server::start(&["--robot", "ur5e"]);

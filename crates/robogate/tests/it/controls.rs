@@ -23,7 +23,7 @@ use crate::harness::{robogate, text};
 use crate::openpi::{actions, serve};
 
 /// A server that keeps the hand where it is.
-fn idle() -> String {
+pub(crate) fn idle() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("ws://{}", listener.local_addr().unwrap());
     let answer = actions(50, 7, |_, j| if j == 6 { -1.0 } else { 0.0 });

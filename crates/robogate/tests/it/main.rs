@@ -2,6 +2,8 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod any_task;
+#[cfg(all(feature = "mujoco", feature = "rapier"))]
+mod arm_table;
 mod bridge;
 #[cfg(feature = "mujoco")]
 #[expect(unreachable_pub, reason = "a module of a test")]

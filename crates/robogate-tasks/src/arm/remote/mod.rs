@@ -1,29 +1,29 @@
-//! The task on an engine in another process, which only simulates the physics.
+//! Tasks for an arm on an engine in another process, which only simulates the physics.
 //!
-//! [`RemotePickPlace`] sends the whole [`Cell`] to the engine and scores the episode from the engine's reports, with
-//! the same code as for an engine in this process. [`PhysicsHost`] is the other side: a built-in engine that sets up a
-//! cell and reports.
+//! [`RemoteArm`] sends the whole [`Cell`] to the engine and scores the episode from the engine's reports, with the same
+//! code as for an engine in this process. [`PhysicsHost`] is the other side: a built-in engine that sets up a cell and
+//! reports.
 
 mod cell;
 mod host;
 mod report;
 
-pub use cell::{Cell, CellContact, CellFixture, CellGripper, CellMotion, CellObject, CellPart, CellRobot, CellVisual};
+pub(crate) use cell::Grasping;
+pub use cell::{Cell, CellContact, CellGripper, CellRobot, CellScales};
 pub use host::PhysicsHost;
-pub use report::{RemoteCollision, RemoteFixture, RemotePeriod, RemoteReadback, RemoteSight, RemoteVelocity};
+pub use report::{RemoteCollision, RemoteCup, RemotePeriod, RemoteReadback, RemoteSight, RemoteState};
 
 use std::sync::Arc;
 
-use nalgebra::{Isometry3, Vector3};
 use robogate_camera::{Cameras, Posture};
 use robogate_core::{
     Action, Assignment, Ending, Fault, FaultKind, Foresight, Image, Infeasibility, Observation, Scenario, Start, Step,
     TaskSpec,
 };
-use robogate_physics::{ArmState, Chain, Fixture, Gripper, Robot, StepView, Wrench, grip_force, isometry};
+use robogate_physics::{ArmState, Chain, Fixture, Robot, SuctionLaw, grip_force, isometry};
 
-use crate::arm::{Bodies, Found, Judge, Resolved, camera_specs, cameras, render, show};
-use crate::pick_place::{ActsOn, PickPlace, parameters};
+use super::{Found, HasSettings, Judge, Resolved, Rules, camera_specs, cameras, render, show};
+use report::{Expected, Seen};
 
 /// Largest distance between the reported tool pose and the tool pose computed from the reported joint positions at the
 /// start, in metres. Beyond this the engine has a different robot ...
@@ -31,50 +31,48 @@ const TOOL_OFF_M: f64 = 2e-3;
 /// ... and the largest angle, in radians.
 const TOOL_OFF_RAD: f64 = 0.02;
 
-/// The task on an engine of another process.
-pub struct RemotePickPlace {
+/// A task for an arm on an engine of another process.
+pub struct RemoteArm {
     judge: Judge,
     sha256: Option<String>,
     grip_force_n: f64,
-    cell: Option<(Scenario, Resolved)>,
+    suction: SuctionLaw,
+    resolved: Option<(Scenario, Resolved)>,
     /// The cell's fixtures.
     fixtures: Vec<Fixture>,
-    /// Names of the robot's bodies that were reported so far.
-    bodies: Vec<String>,
+    expected: Expected,
     /// The cameras, or the reason why the robot cannot be rendered.
     cameras: Result<Cameras, String>,
-    /// The last reported positions.
-    seen: Option<Posture>,
+    /// The last reported state, with the positions that cameras show.
+    last: Option<(Seen, Posture)>,
 }
 
-impl RemotePickPlace {
-    /// The task with these settings on this robot with the file hash `sha256`, with images of this width and height in
-    /// pixels.
+impl RemoteArm {
+    /// The task on this robot with the file hash `sha256`, with images of this width and height in pixels.
     ///
     /// # Errors
-    /// If the gripper is a suction cup, because its hold must be decided in every time step.
-    pub fn new(
-        task: PickPlace,
-        robot: Robot,
-        chain: Chain,
+    /// If the gripper cannot apply the grip force of the settings.
+    pub(crate) fn new<T: Rules + HasSettings + 'static>(
+        task: &T,
+        (robot, chain): (Robot, Chain),
         sha256: Option<String>,
         picture_px: [usize; 2],
     ) -> Result<Self, String> {
-        if let Gripper::Suction(_) = robot.settings.gripper {
-            return Err(format!("{} has a suction cup, which is supported by the built-in engines only", robot.name()));
-        }
-        let grip_force_n = grip_force(&robot.settings.gripper, task.arm.grip_force_n)?;
+        let settings = task.arm();
+        let grip_force_n = grip_force(&robot.settings.gripper, settings.grip_force_n)?;
+        let expected = Expected { has_cup: robot.settings.gripper.cup().is_some(), ..Expected::default() };
         let cameras = cameras(&robot, picture_px);
         let specs = camera_specs(&cameras);
         Ok(Self {
-            judge: Judge::new(&task, (robot, chain), grip_force_n, specs),
+            judge: Judge::new(task, (robot, chain), grip_force_n, specs),
             sha256,
             grip_force_n,
-            cell: None,
+            suction: settings.suction,
+            resolved: None,
             fixtures: Vec::new(),
-            bodies: Vec::new(),
+            expected,
             cameras,
-            seen: None,
+            last: None,
         })
     }
 
@@ -94,25 +92,33 @@ impl RemotePickPlace {
     }
 
     /// The cell that the engine must set up for this scenario.
+    ///
+    /// # Errors
+    /// A setup fault if the scenario cannot be set up.
     pub fn resolve(&mut self, scenario: &Scenario) -> Result<Cell, Fault> {
-        self.seen = None;
+        self.last = None;
         let resolved = self.judge.resolve(scenario)?;
+        let grasping =
+            Grasping { force_n: self.grip_force_n, law: self.suction, threshold_m: resolved.grip_threshold_m };
         let (robot, chain) = (self.judge.robot(), self.judge.chain());
-        let cell = Cell::new(&resolved.scene, robot, chain, self.grip_force_n, self.sha256.clone())
-            .map_err(|why| Fault::new(FaultKind::Setup, why))?;
+        let cell = Cell::new(&resolved.scene, robot, chain, grasping, self.sha256.clone());
         self.fixtures.clone_from(&resolved.scene.fixtures);
-        self.cell = Some((scenario.clone(), resolved));
+        (self.expected.objects, self.expected.fixtures) = (cell.objects.len(), cell.fixtures.len());
+        self.resolved = Some((scenario.clone(), resolved));
         Ok(cell)
     }
 
     /// Starts the episode from the engine's report of the cell. `observation` has no encoder bias.
+    ///
+    /// # Errors
+    /// A setup fault if the engine has another robot, or the robot starts in contact.
     pub fn start(
         &mut self,
         held: RemoteReadback,
         sight: &RemoteSight,
         observation: &Observation,
     ) -> Result<Start, Fault> {
-        let Some((scenario, resolved)) = self.cell.take() else {
+        let Some((scenario, resolved)) = self.resolved.take() else {
             return Err(Fault::new(FaultKind::Setup, "no cell is set up"));
         };
         let tool = observation
@@ -129,22 +135,33 @@ impl RemotePickPlace {
             );
             return Err(Fault::new(FaultKind::Setup, detail));
         }
-        self.bodies.clear();
-        let (touches, seen) = sight.read(self.fixtures.len(), &mut self.bodies, 0.0)?;
+        self.expected.bodies.clear();
+        let seen = sight.read(&mut self.expected, 0.0)?;
         let visual = show(&mut self.cameras, &resolved.scene);
-        self.seen = Some(self.posture(observation, seen.object));
-        let engine = held.into();
-        // Suction cups and deviations of the gripper are supported only by an engine in this process.
-        let found = Found { engine: &engine, visual: &visual, grip_threshold_m: None, grip_force_scale: None };
-        self.judge.start(&scenario, resolved, &found, &touches, arm_state(observation))
+        let (grip_threshold_m, grip_force_scale) = (held.grip_threshold_m, Some(held.grip_force_n / self.grip_force_n));
+        let own = &self.judge.robot().settings.arm.stiffness_nm_rad;
+        let engine = held.read(own);
+        let found = Found { engine: &engine, visual: &visual, grip_threshold_m, grip_force_scale };
+        let start = self.judge.start(&scenario, resolved, &found, &seen.touches, arm_state(observation))?;
+        self.see(seen, observation);
+        Ok(start)
     }
 
-    /// Joint positions (rad) to which the engine must drive the arm in the next control period.
-    pub fn command(&mut self, action: &Action) -> Result<Vec<f64>, Fault> {
-        self.judge.command(action)
+    /// The command of the next control period for this action: joint positions (rad) to which the engine must drive the arm,
+    /// and the object that the gripper acts on from now on. `None` keeps the present one.
+    ///
+    /// # Errors
+    /// If no episode is running, or the action cannot be carried out.
+    pub fn command(&mut self, action: &Action) -> Result<(Vec<f64>, Option<usize>), Fault> {
+        let joints = self.judge.command(action)?;
+        let object = self.last.as_ref().and_then(|(seen, _)| self.judge.select(&seen.tcp, seen));
+        Ok((joints, object))
     }
 
     /// Scores a control period from the reports of its time steps.
+    ///
+    /// # Errors
+    /// A fault if a report does not fit the cell.
     pub fn finish(
         &mut self,
         sights: &[RemoteSight],
@@ -153,15 +170,13 @@ impl RemotePickPlace {
         state_hash: u64,
     ) -> Result<Step, Fault> {
         for (k, sight) in sights.iter().enumerate() {
-            let share = (k + 1) as f64 / sights.len() as f64;
-            let (touches, seen) = sight.read(self.fixtures.len(), &mut self.bodies, share)?;
-            let view = seen.with(&touches);
-            self.judge.observe(&view, &OneObject(&view));
+            let seen = sight.read(&mut self.expected, (k + 1) as f64 / sights.len() as f64)?;
+            self.judge.observe(&seen.view(), &seen);
             if k + 1 == sights.len() {
-                self.seen = Some(self.posture(observation, seen.object));
+                self.see(seen, observation);
             }
         }
-        let bodies = &self.bodies;
+        let bodies = &self.expected.bodies;
         let name = |body: usize| bodies.get(body).cloned().unwrap_or_default();
         let clearance =
             clearance_m.filter(|clearance| self.judge.clearance_bound().is_some_and(|bound| *clearance < bound));
@@ -179,14 +194,18 @@ impl RemotePickPlace {
     }
 
     /// Renders the last reported positions.
+    ///
+    /// # Errors
+    /// If no episode is running, or the robot cannot be rendered.
     pub fn render(&self) -> Result<Vec<Image>, Fault> {
-        let Some(seen) = &self.seen else {
+        let Some((_, posture)) = &self.last else {
             return Err(Fault::new(FaultKind::Setup, "no episode is running"));
         };
-        render(&self.cameras, |_| seen.clone())
+        render(&self.cameras, |_| posture.clone())
     }
 
-    fn posture(&self, observation: &Observation, object: Isometry3<f64>) -> Posture {
+    /// Keeps the last reported state.
+    fn see(&mut self, seen: Seen, observation: &Observation) {
         let fixture = |fixture: &Fixture| {
             let mut pose = fixture.part.pose;
             if let Some(motion) = &fixture.motion {
@@ -194,42 +213,17 @@ impl RemotePickPlace {
             }
             pose
         };
-        Posture {
+        let mut poses = seen.objects.iter().map(|(pose, _)| *pose);
+        let posture = Posture {
             joints: observation.joint_positions().to_vec(),
             opening_m: observation.gripper_opening_m(),
-            cup_travel_m: 0.0,
-            object,
-            others: Vec::new(),
+            cup_travel_m: seen.cup_travel_m,
+            object: poses.next().unwrap_or_default(),
+            others: poses.collect(),
             fixtures: self.fixtures.iter().map(fixture).collect(),
-        }
+        };
+        self.last = Some((seen, posture));
     }
-}
-
-/// The only free body of the protocol. Engines of other processes report no support.
-struct OneObject<'a>(&'a StepView<'a>);
-
-impl Bodies for OneObject<'_> {
-    fn pose(&self, _: usize) -> Isometry3<f64> {
-        self.0.object
-    }
-
-    fn velocity(&self, _: usize) -> (Vector3<f64>, Vector3<f64>) {
-        self.0.velocity
-    }
-
-    fn support(&self) -> Wrench {
-        Wrench::ZERO
-    }
-}
-
-/// Whether a parameter acts in this process (on encoders, policy or cameras), so the engine need not apply it.
-pub fn is_local(parameter: &str) -> bool {
-    parameters().iter().any(|row| row.name == parameter && row.acts_on.is_local())
-}
-
-/// Whether an engine in another process may have a parameter.
-pub fn is_for_engines(parameter: &str) -> bool {
-    parameters().iter().any(|row| row.name == parameter && row.acts_on == ActsOn::Engine)
 }
 
 fn arm_state(observation: &Observation) -> ArmState {

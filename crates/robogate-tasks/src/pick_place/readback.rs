@@ -1,39 +1,26 @@
 //! Readers of applied values. They use the state that acts in the episode, never the request.
 //!
 //! If a parameter scales a random draw (encoder bias, position jitter), the reader divides the acting value by the
-//! draw. The request is used for two purposes only: to interpret the state (the shape to which a size refers), and to
-//! round a computed value if both differ by less than the resolution of the state.
+//! draw. The request is used only to interpret the state: the shape to which a size refers.
 
 use nalgebra::{Isometry3, Vector2};
 use robogate_physics::{FixtureKind, FixtureRead, GRAVITY, Primitive, isometry};
 
-use crate::arm::Found;
-use crate::pick_place::cell::{ResolvedCell, TOLERANCE_M};
-use crate::pick_place::scene::target;
-use crate::pick_place::spec::Briefing;
-use crate::pick_place::{Disturbance, Placement, Shape};
+use super::cell::{TOLERANCE_M, Told};
+use super::scene::target;
+use super::{Disturbance, Placement, Shape};
+use crate::arm::Acting;
 
 /// Poses within this distance (m) and angle (rad) are equal. Engines may store poses in single precision.
 const POSE_TOLERANCE: f64 = 1e-6;
 
-/// A value computed from doubles equals the request within this distance, in metres or radians.
-const ROUNDING: f64 = 1e-12;
+type Context<'a> = Acting<'a, Told>;
 
-/// All components that act in an episode after its setup.
-pub(crate) struct ReadbackContext<'a> {
-    /// The resolved cell, with the encoder biases of the episode.
-    pub(crate) cell: &'a ResolvedCell,
-    /// The state from which values are read.
-    pub(crate) found: &'a Found<'a>,
-    /// The briefing that the policy receives.
-    pub(crate) briefing: &'a Briefing,
-}
-
-impl ReadbackContext<'_> {
+impl Acting<'_, Told> {
     /// The engine's fixtures of this kind that match the cell exactly in pose and shape.
     fn fixtures(&self, kind: FixtureKind) -> impl Iterator<Item = &FixtureRead> {
         self.found.engine.fixtures.iter().filter(move |read| {
-            self.cell.scene.fixtures.get(read.fixture).is_some_and(|fixture| {
+            self.settings.cell.scene.fixtures.get(read.fixture).is_some_and(|fixture| {
                 fixture.kind == kind
                     && read.primitive.is_some_and(|primitive| same_primitive(&fixture.part.primitive, &primitive))
                     && same_pose(&fixture.part.pose, &read.pose)
@@ -43,21 +30,21 @@ impl ReadbackContext<'_> {
 
     /// The object's position relative to the requested placement without offset and jitter, in metres (x, y).
     fn displacement(&self) -> Vector2<f64> {
-        let nominal = Placement::from_name(&self.cell.parameters.placement);
-        let nominal = nominal.map_or([f64::NAN; 2], |placement| placement.scaled(self.cell.scale).position);
+        let nominal = Placement::from_name(&self.settings.cell.parameters.placement);
+        let nominal = nominal.map_or([f64::NAN; 2], |placement| placement.scaled(self.settings.cell.scale).position);
         self.found.engine.object.translation.vector.xy() - Vector2::from(nominal)
     }
 
     /// The displacement of the object by the position jitter, in metres (x, y).
     fn jitter(&self) -> Vector2<f64> {
-        Vector2::from(self.cell.draws.jitter) * self.cell.parameters.position_jitter_m
+        Vector2::from(self.settings.cell.jitter) * self.settings.cell.parameters.position_jitter_m
     }
 
     /// Whether the engine has the object at this placement, with offset and jitter.
     fn stands_at(&self, placement: &Placement) -> bool {
-        let placement = placement.scaled(self.cell.scale);
-        let placement = placement.moved(self.cell.parameters.offset_m).moved(self.jitter().into());
-        let pose = placement.pose(self.cell.parameters.size_m);
+        let placement = placement.scaled(self.settings.cell.scale);
+        let placement = placement.moved(self.settings.cell.parameters.offset_m).moved(self.jitter().into());
+        let pose = placement.pose(self.settings.cell.parameters.size_m);
         same_pose(&isometry(&pose.position, &pose.orientation), &self.found.engine.object)
     }
 }
@@ -74,50 +61,48 @@ fn same_primitive(a: &Primitive, b: &Primitive) -> bool {
 }
 
 /// The size for which the requested shape has the engine's first part.
-pub(super) fn size(context: &ReadbackContext<'_>) -> f64 {
-    let unit = context.cell.parameters.shape.object(1.0, 1.0, 0.0);
+pub(super) fn size(context: &Context<'_>) -> f64 {
+    let unit = context.settings.cell.parameters.shape.object(1.0, 1.0, 0.0);
     let extent = |part: &Primitive| part.half_extent()[0];
     context.found.engine.parts.first().map_or(f64::NAN, extent) / extent(&unit.parts[0].primitive)
 }
 
-pub(super) fn com_offset(context: &ReadbackContext<'_>) -> f64 {
-    context.cell.parameters.shape.com_offset_of(size(context), &context.found.engine.centre_of_mass)
+pub(super) fn com_offset(context: &Context<'_>) -> f64 {
+    context.settings.cell.parameters.shape.com_offset_of(size(context), &context.found.engine.centre_of_mass)
 }
 
 /// The shape whose parts the engine has.
-pub(super) fn shape(context: &ReadbackContext<'_>) -> String {
+pub(super) fn shape(context: &Context<'_>) -> String {
     let read = &context.found.engine.parts;
     let same = |shape: &Shape| {
-        let parts = shape.object(context.cell.parameters.size_m, 1.0, 0.0).parts;
+        let parts = shape.object(context.settings.cell.parameters.size_m, 1.0, 0.0).parts;
         parts.len() == read.len() && parts.iter().zip(read).all(|(part, read)| same_primitive(&part.primitive, read))
     };
     Shape::ALL.into_iter().find(same).map_or_else(|| format!("{read:?}"), |shape| shape.as_str().to_owned())
 }
 
-pub(super) fn gravity_scale(context: &ReadbackContext<'_>) -> f64 {
+pub(super) fn gravity_scale(context: &Context<'_>) -> f64 {
     context.found.engine.gravity / GRAVITY
 }
 
 /// The placement of the object in the engine, or its position if no placement matches.
-pub(super) fn placement(context: &ReadbackContext<'_>) -> String {
-    let requested = context.cell.parameters.placement.as_str();
+pub(super) fn placement(context: &Context<'_>) -> String {
+    let requested = context.settings.cell.parameters.placement.as_str();
     let stands = |name: &&str| Placement::from_name(name).is_some_and(|placement| context.stands_at(&placement));
     let found = std::iter::once(requested).chain(Placement::NAMES).find(stands);
     found.map_or_else(|| format!("{:.6?}", context.found.engine.object.translation.vector.as_slice()), str::to_owned)
 }
 
 /// The offset of the object from its placement, in metres.
-pub(super) fn offset(context: &ReadbackContext<'_>) -> [f64; 2] {
-    let read: [f64; 2] = (context.displacement() - context.jitter()).into();
-    let requested = context.cell.parameters.offset_m;
-    [0, 1].map(|axis| if (read[axis] - requested[axis]).abs() < ROUNDING { requested[axis] } else { read[axis] })
+pub(super) fn offset(context: &Context<'_>) -> [f64; 2] {
+    (context.displacement() - context.jitter()).into()
 }
 
 /// The radius of the disc from which the object's displacement was sampled. `NaN` if the direction of the displacement,
 /// or the object's height or yaw, is wrong.
-pub(super) fn position_jitter(context: &ReadbackContext<'_>) -> f64 {
-    let parameters = &context.cell.parameters;
-    let draw = Vector2::from(context.cell.draws.jitter);
+pub(super) fn position_jitter(context: &Context<'_>) -> f64 {
+    let parameters = &context.settings.cell.parameters;
+    let draw = Vector2::from(context.settings.cell.jitter);
     let displacement = context.displacement() - Vector2::from(parameters.offset_m);
     let radius = displacement.dot(&draw) / draw.norm_squared();
     let requested = parameters.position_jitter_m;
@@ -129,55 +114,21 @@ pub(super) fn position_jitter(context: &ReadbackContext<'_>) -> f64 {
     if (displacement - draw * radius).norm() < POSE_TOLERANCE { radius } else { f64::NAN }
 }
 
-/// The bound of the episode's encoder biases. `NaN` if they do not match this episode's draws.
-pub(super) fn encoder_bias(context: &ReadbackContext<'_>) -> f64 {
-    let draws = &context.cell.draws.encoders;
-    let fixed = &context.cell.parameters.encoder_bias_rad;
-    // The biases of the unit, which do not change between episodes, are added to those of the episode.
-    let biases: Vec<f64> =
-        context.cell.bias.iter().enumerate().map(|(j, bias)| bias - fixed.get(j).unwrap_or(&0.0)).collect();
-    let requested = context.cell.parameters.ik_noise_rad;
-    // Least squares over the joints.
-    let product: f64 = biases.iter().zip(draws).map(|(bias, draw)| bias * draw).sum();
-    let estimate = product / draws.iter().map(|draw| draw * draw).sum::<f64>();
-    let bound = if (estimate - requested).abs() < ROUNDING { requested } else { estimate };
-    let drawn = biases.iter().zip(draws).all(|(bias, draw)| (bias - bound * draw).abs() < ROUNDING);
-    if drawn && biases.len() == draws.len() { bound } else { f64::NAN }
-}
-
-/// The constant bias of the encoder of joint `J`, in radians. `NaN` if the robot has no such joint.
-pub(super) fn unit_bias<const J: usize>(context: &ReadbackContext<'_>) -> f64 {
-    let (bias, draw) = (context.cell.bias.get(J), context.cell.draws.encoders.get(J));
-    let (Some(bias), Some(draw)) = (bias, draw) else { return f64::NAN };
-    let read = bias - context.cell.parameters.ik_noise_rad * draw;
-    let requested = context.cell.parameters.encoder_bias_rad[J];
-    if (read - requested).abs() < ROUNDING { requested } else { read }
-}
-
-/// Friction against the pads as a multiple of that against everything else. `NaN` without pads.
-pub(super) fn pad_friction_scale(context: &ReadbackContext<'_>) -> f64 {
-    match (context.found.engine.pad_friction, context.found.engine.friction) {
-        // A multiple of no friction cannot be read, and has no effect.
-        (Some(pads), others) if pads.abs() + others.abs() <= 0.0 => context.cell.parameters.gripper.pad_friction_scale,
-        (Some(pads), others) => pads / others,
-        (None, _) => f64::NAN,
-    }
-}
-
-pub(super) fn obstacles(context: &ReadbackContext<'_>) -> usize {
+pub(super) fn obstacles(context: &Context<'_>) -> usize {
     context.fixtures(FixtureKind::Obstacle).count()
 }
 
-pub(super) fn occluders(context: &ReadbackContext<'_>) -> usize {
+pub(super) fn occluders(context: &Context<'_>) -> usize {
     context.fixtures(FixtureKind::Occluder).count()
 }
 
 /// The requested gap if all obstacles of the engine respect it, otherwise the smallest actual gap.
-pub(super) fn obstacle_gap(context: &ReadbackContext<'_>) -> f64 {
+pub(super) fn obstacle_gap(context: &Context<'_>) -> f64 {
     let object = context.found.engine.object.translation.vector.xy();
     let half_diagonal = 0.5 * size(context) * std::f64::consts::SQRT_2;
-    let areas = [(object, half_diagonal), (Vector2::from(target(context.cell.scale)), half_diagonal + TOLERANCE_M)];
-    let scene = &context.cell.scene;
+    let areas =
+        [(object, half_diagonal), (Vector2::from(target(context.settings.cell.scale)), half_diagonal + TOLERANCE_M)];
+    let scene = &context.settings.cell.scene;
     let obstacles =
         context.found.engine.fixtures.iter().filter(|read| {
             scene.fixtures.get(read.fixture).is_some_and(|fixture| fixture.kind == FixtureKind::Obstacle)
@@ -187,7 +138,7 @@ pub(super) fn obstacle_gap(context: &ReadbackContext<'_>) -> f64 {
         let radius = read.primitive.map_or(f64::NAN, footprint);
         areas.map(|(centre, area)| (at - centre).norm() - area - radius)
     });
-    let requested = context.cell.parameters.obstacle_gap_m;
+    let requested = context.settings.cell.parameters.obstacle_gap_m;
     let keeps = |gap: &f64| *gap >= requested - POSE_TOLERANCE;
     gaps.filter(|gap| !keeps(gap)).reduce(f64::min).unwrap_or(requested)
 }
@@ -201,9 +152,9 @@ fn footprint(primitive: Primitive) -> f64 {
 }
 
 /// The disturbance in the engine.
-pub(super) fn disturbance(context: &ReadbackContext<'_>) -> Disturbance {
+pub(super) fn disturbance(context: &Context<'_>) -> Disturbance {
     let mover = context.fixtures(FixtureKind::Disturbance).find_map(|read| Some((&read.pose, read.motion.as_ref()?)));
-    context.cell.parameters.disturbance.read(mover)
+    context.settings.cell.parameters.disturbance.read(mover)
 }
 
 #[cfg(test)]
@@ -212,7 +163,11 @@ mod tests {
     use robogate_physics::{GripperUnit, Readback, built_in_robot};
 
     use super::*;
+    use crate::arm::Found;
     use crate::pick_place::PickPlace;
+    use crate::pick_place::cell::ResolvedCell;
+    use crate::pick_place::parameters::TABLE;
+    use crate::pick_place::spec::Briefing;
 
     /// The readback of an engine with exactly the cell's scene.
     fn faithful(cell: &ResolvedCell) -> Readback {
@@ -253,8 +208,9 @@ mod tests {
         let (engine, visual) = (faithful(&cell), cell.scene.visual);
         let grip_force_scale = Some(cell.scene.gripper.force_scale);
         let found = Found { engine: &engine, visual: &visual, grip_threshold_m, grip_force_scale };
-        let context = ReadbackContext { cell: &cell, found: &found, briefing: &briefing };
-        check_applied(&scenario.requested, &context.applied(&scenario.requested))
+        let (bias, told) = (cell.bias.clone(), Told { cell, briefing });
+        let acting = Acting { settings: &told, around: &told.cell.parameters.around, found: &found, bias: &bias };
+        check_applied(&scenario.requested, &TABLE.applied(&scenario.requested, &acting))
     }
 
     fn assert_not_applied(checked: Result<(), Fault>) {
