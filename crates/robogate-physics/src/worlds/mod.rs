@@ -8,6 +8,8 @@
 
 mod member;
 mod server;
+#[cfg(test)]
+mod tests;
 mod world;
 
 pub use member::{Member, Simulator};
