@@ -8,7 +8,8 @@ use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 
 use robogate_core::{
-    Episode, Outcome, ParameterSpace, Policy, Sampler, Scenario, Seed, SinglePolicies, rollout, rollout_all, samplers,
+    Episode, Outcome, ParameterSpace, Policy, Sampler, Scenario, Seed, SinglePolicies, Value, rollout,
+    rollout_all, samplers,
 };
 use robogate_physics::worlds::{Member, Server, Simulator};
 use robogate_physics::{MujocoEngine, built_in_robot};
@@ -24,14 +25,11 @@ struct Process {
 
 impl Process {
     /// `None` without the Python.
-    fn start(deterministic: bool) -> Option<Self> {
+    fn start() -> Option<Self> {
         let python = robogate_testing::path("ROBOGATE_WARP_PYTHON", "a Python with mujoco-warp")?;
         let folder = tempfile::tempdir().unwrap();
         let mut command = Command::new(python);
-        command.args(["-m", "robogate_worlds", "--device", "cpu"]);
-        if deterministic {
-            command.arg("--deterministic");
-        }
+        command.args(["-m", "robogate_worlds", "--device", "cpu", "--deterministic"]);
         command.env("PYTHONPATH", Path::new(env!("CARGO_MANIFEST_DIR")).join("../../python/src"));
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let (requests, replies) = (child.stdin.take().unwrap(), BufReader::new(child.stdout.take().unwrap()));
@@ -66,15 +64,17 @@ fn controller(task: &dyn ArmTask) -> Box<dyn Policy> {
     task.controller(robot, chain)
 }
 
+/// Scenarios with boxes: worlds of one topology, so that the simulator compiles and steps one model.
 fn scenarios(task: &dyn ArmTask, count: usize) -> Vec<Scenario> {
     let gripper = built_in_robot("franka").unwrap().settings.gripper;
     let space = Arc::new(ParameterSpace::from_toml(built_in_space(task.space(&gripper)).unwrap()).unwrap());
-    let design = samplers::Uniform.design(&space, count, Seed::campaign(5).stream("worlds")).unwrap();
+    let design = samplers::Uniform.design(&space, 40 * count, Seed::campaign(5).stream("worlds")).unwrap();
     let scenario = |i: usize| {
         let index = i as u64;
         Scenario { index, seed: Seed::campaign(5).episode(index), requested: design.assignment(i).unwrap() }
     };
-    (0..design.len()).map(scenario).collect()
+    let is_box = |scenario: &Scenario| scenario.requested.get("shape").is_none_or(|shape| shape.to_string() == "box");
+    (0..design.len()).map(scenario).filter(is_box).take(count).collect()
 }
 
 fn single(task: &dyn ArmTask, scenarios: &[Scenario]) -> Vec<Episode> {
@@ -83,21 +83,21 @@ fn single(task: &dyn ArmTask, scenarios: &[Scenario]) -> Vec<Episode> {
     scenarios.iter().map(|scenario| rollout(&mut *environment, &mut *policy, scenario)).collect()
 }
 
-/// Compares outcomes and applied parameters of this many episodes.
-fn compare(task: &dyn ArmTask, count: usize) {
-    let Some(process) = Process::start(false) else { return };
-    let scenarios = scenarios(task, count);
-    let (many, one) = (process.episodes(task, &scenarios, count), single(task, &scenarios));
+#[test]
+fn worlds_agree_with_mujoco() {
+    let Some(process) = Process::start() else { return };
+    let limit = |name: &str| (name.into(), Value::Number(5.0));
+    let task = PickPlace::DEFAULT.with(&[limit("time_limit_s")].into_iter().collect()).unwrap();
+    let scenarios = scenarios(&*task, 8);
+    let (many, one) = (process.episodes(&*task, &scenarios, 8), single(&*task, &scenarios));
     for (many, one) in many.iter().zip(&one) {
-        println!("{} {:?} {:.3} {} | {:?} {:.3} {}", one.scenario.index, one.outcome, one.time_s, one.ticks, many.outcome, many.time_s, many.ticks);
+        println!("{:?} after {} periods; in many worlds {:?} after {}", one.outcome, one.ticks, many.outcome, many.ticks);
         assert!(!matches!(many.outcome, Outcome::Invalid(_)), "{:?}", many.outcome);
         assert_eq!(many.applied, one.applied);
     }
     let differ = many.iter().zip(&one).filter(|(many, one)| many.outcome != one.outcome).count();
-    assert!(differ <= count / 8, "{differ} of {count} outcomes differ");
-}
-
-#[test]
-fn picking_in_many_worlds_agrees_with_mujoco() {
-    compare(&PickPlace::DEFAULT, 16);
+    assert!(differ <= 1, "{differ} of {} outcomes differ", one.len());
+    assert!(one.iter().any(|episode| episode.outcome != one[0].outcome), "all outcomes are equal");
+    // An episode depends neither on its slot nor on the worlds beside it. Fewer slots also refill worlds.
+    assert_eq!(process.episodes(&*task, &scenarios[..3], 2), many[..3]);
 }
