@@ -216,7 +216,7 @@ fn workspace(chain: &Chain, home: &[f64], scale: f64, positions: &[[f64; 2]]) ->
 }
 
 /// The scene of the trial: a table with a 5 cm box at the workspace centre.
-fn trial_scene() -> Scene {
+pub(crate) fn trial_scene() -> Scene {
     let [x, y] = WORKSPACE_CENTRE;
     let parts = vec![Part { primitive: Primitive::Box { half: [0.025; 3] }, pose: Isometry3::identity() }];
     Scene {

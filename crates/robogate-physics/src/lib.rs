@@ -46,6 +46,8 @@ pub mod suction;
 pub mod trajectory;
 mod unrest;
 mod visual;
+#[cfg(feature = "mujoco")]
+pub mod worlds;
 
 #[cfg(feature = "mujoco")]
 pub use draft::{Draft, draft};
@@ -66,7 +68,7 @@ pub use motion::Motion;
 #[cfg(feature = "mujoco")]
 pub use mujoco::{MujocoEngine, load_mujoco};
 pub use plain::exact_isometry;
-pub use plant::{ArmState, GripperState, Plant, StepView, grip_force};
+pub use plant::{ArmState, GripperState, Plant, StepView, grip_force, state_hash};
 pub use primitive::{Part, Primitive};
 #[cfg(feature = "rapier")]
 pub use rapier::RapierEngine;

@@ -152,18 +152,7 @@ impl<E: Engine> Plant<E> {
             let cup = SuctionCup { vacuum_pa: cup.vacuum_pa * force_scale, ..cup.clone() };
             Suction::new(self.suction_law, cup, grip_threshold_m, scene.friction, step)
         });
-        if let Some(jaw) = gripper.jaw()
-            && self.grip_force_n * force_scale > jaw.force_limit_n
-        {
-            return Err(Fault::new(
-                FaultKind::Setup,
-                format!(
-                    "the grip force of {:.1} N is above the gripper's limit of {:.1} N",
-                    self.grip_force_n * force_scale,
-                    jaw.force_limit_n
-                ),
-            ));
-        }
+        let grip_force_n = unit_grip_force(gripper, self.grip_force_n, force_scale)?;
         self.engine.load(scene, &home)?;
         self.drives = Some(Drives {
             servo: Servo::at_rest(&home, self.control_period_s),
@@ -171,7 +160,7 @@ impl<E: Engine> Plant<E> {
             suction,
             parts: scene.free_bodies().map(|(object, _)| object.parts.clone()).collect(),
             selected: 0,
-            grip_force_n: self.grip_force_n * force_scale,
+            grip_force_n,
             unrest: Unrest::default(),
         });
         Ok(())
@@ -239,32 +228,51 @@ impl<E: Engine> Plant<E> {
             observe(&self.engine, &StepView::of(&self.engine, holding, fraction));
         }
         self.drives = Some(drives);
-        if let Some(frequency) = restless {
-            return Err(Fault::new(
-                FaultKind::Diverged,
-                format!(
-                    "the fingers oscillate at {frequency:.0} Hz while the command to the gripper does not change: the model of the hand is unstable. Check it with `robogate robots check`"
-                ),
-            ));
-        }
+        restless.map_or(Ok(()), |frequency| Err(unrest(frequency)))?;
         self.engine.health()
     }
 
     /// The true state of arm and gripper.
     pub fn arm_state(&self) -> ArmState {
-        ArmState {
-            joint_positions: self.engine.joint_positions(),
-            joint_velocities: self.engine.joint_velocities(),
-            opening_m: self.engine.opening(),
-        }
+        ArmState::of(&self.engine)
     }
 
     /// A hash of the engine's full state.
     pub fn state_hash(&self) -> u64 {
-        // FNV-1a over 64-bit words.
-        let mut hash = 0xcbf2_9ce4_8422_2325_u64;
-        self.engine.state_bits(&mut |bits| hash = (hash ^ bits).wrapping_mul(0x0000_0100_0000_01b3).rotate_left(5));
-        hash
+        state_hash(&self.engine)
+    }
+}
+
+/// A hash of an engine's full state.
+pub fn state_hash(engine: &impl Engine) -> u64 {
+    // FNV-1a over 64-bit words.
+    let mut hash = 0xcbf2_9ce4_8422_2325_u64;
+    engine.state_bits(&mut |bits| hash = (hash ^ bits).wrapping_mul(0x0000_0100_0000_01b3).rotate_left(5));
+    hash
+}
+
+/// The fault of fingers that oscillate at this frequency, in hertz.
+pub(crate) fn unrest(frequency: f64) -> Fault {
+    Fault::new(
+        FaultKind::Diverged,
+        format!(
+            "the fingers oscillate at {frequency:.0} Hz while the command to the gripper does not change: the model of the hand is unstable. Check it with `robogate robots check`"
+        ),
+    )
+}
+
+/// The grip force in newtons of a unit whose force is `scale` times `grip_force_n`.
+///
+/// # Errors
+/// If it is above the gripper's limit.
+pub(crate) fn unit_grip_force(gripper: &Gripper, grip_force_n: f64, scale: f64) -> Result<f64, Fault> {
+    let force = grip_force_n * scale;
+    match gripper.jaw() {
+        Some(jaw) if force > jaw.force_limit_n => Err(Fault::new(
+            FaultKind::Setup,
+            format!("the grip force of {force:.1} N is above the gripper's limit of {:.1} N", jaw.force_limit_n),
+        )),
+        _ => Ok(force),
     }
 }
 
@@ -277,6 +285,17 @@ pub struct ArmState {
     pub joint_velocities: Vec<f64>,
     /// Opening between the pads, in metres; `None` without fingers.
     pub opening_m: Option<f64>,
+}
+
+impl ArmState {
+    /// The state in an engine.
+    pub fn of(engine: &impl Engine) -> Self {
+        Self {
+            joint_positions: engine.joint_positions(),
+            joint_velocities: engine.joint_velocities(),
+            opening_m: engine.opening(),
+        }
+    }
 }
 
 /// The grip force in newtons: the gripper's setting, or `wanted` if the gripper can apply it.

@@ -37,6 +37,12 @@ impl Servo {
         }
     }
 
+    /// The control points of the spline, oldest first.
+    #[cfg(feature = "mujoco")]
+    pub(crate) fn control_points(&self) -> [&[f64]; 3] {
+        [&self.older, &self.newer, &self.newest]
+    }
+
     /// Writes the target positions (rad) and velocities (rad/s) at the fraction `u` in (0, 1] of the control period.
     pub fn targets(&self, u: f64, positions: &mut [f64], velocities: &mut [f64]) {
         let (a, b, c) = (0.5 * (1.0 - u) * (1.0 - u), 0.5 + u * (1.0 - u), 0.5 * u * u);

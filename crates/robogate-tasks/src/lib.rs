@@ -15,6 +15,8 @@ mod settings;
 mod spaces;
 pub mod stacking;
 
+#[cfg(feature = "mujoco")]
+pub use arm::ArmWorlds;
 pub use arm::{ArmDeclaration, ArmEnvironment, ArmSettings, ArmTask, Parameters, Rig};
 pub use arm::{claims, remote};
 pub use random::Random;

@@ -9,6 +9,7 @@ mod contacts;
 pub(crate) mod damping;
 mod inspection;
 pub(crate) mod links;
+pub(crate) mod numbers;
 mod scene;
 pub(crate) mod sweep;
 

@@ -74,6 +74,20 @@ impl Judge {
         Self { rules, robot, chain, grip_force_n, task: Arc::new(task), foresight, episode: None }
     }
 
+    /// Another judge of the same task, without an episode.
+    #[cfg(feature = "mujoco")]
+    pub(crate) fn another(&self) -> Self {
+        Self {
+            rules: Arc::clone(&self.rules),
+            robot: self.robot.clone(),
+            chain: self.chain.clone(),
+            grip_force_n: self.grip_force_n,
+            task: Arc::clone(&self.task),
+            foresight: Arc::clone(&self.foresight),
+            episode: None,
+        }
+    }
+
     /// The task.
     pub(crate) fn task(&self) -> &Arc<TaskSpec> {
         &self.task

@@ -24,6 +24,8 @@ mod table;
 mod task;
 mod tool_expert;
 mod words;
+#[cfg(feature = "mujoco")]
+mod worlds;
 
 pub(crate) use cameras::{camera_specs, posture, render};
 pub use environment::{ArmEnvironment, CONTROL_PERIOD_S, Rig};
@@ -46,4 +48,6 @@ pub(crate) use table::{Access, Acting, InSurroundings, Needs, Row, Surroundings,
 pub(crate) use task::drives_task;
 pub use task::{ArmDeclaration, ArmTask, Parameters};
 pub(crate) use tool_expert::{FINELY, FREELY, ToolExpert, Way};
+#[cfg(feature = "mujoco")]
+pub use worlds::ArmWorlds;
 pub(crate) use words::{base_spec, briefing, common_measures, instance, measure, mode, not_a_briefing};

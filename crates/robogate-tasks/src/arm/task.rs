@@ -1,16 +1,24 @@
 //! A task for an arm, as the command selects it.
 
+#[cfg(feature = "mujoco")]
+use std::num::NonZeroUsize;
 use std::sync::Arc;
 
 use robogate_core::{
     Assignment, Environment, Fault, ParameterSpace, ParameterSpec, Policy, SettingSpec, Suite, TaskInstance, TaskSpec,
 };
+#[cfg(feature = "mujoco")]
+use robogate_physics::MujocoEngine;
+#[cfg(feature = "mujoco")]
+use robogate_physics::worlds::Member;
 use robogate_physics::{Chain, Engine, Gripper, Robot};
 
 use super::claims::{self, Claim};
 use super::remote::RemoteArm;
 use super::rules::Rules;
 use super::settings::has_effect;
+#[cfg(feature = "mujoco")]
+use super::ArmWorlds;
 use super::{ArmEnvironment, HasSettings, Rig};
 use crate::settings::{setting_specs, with_settings};
 use crate::spaces;
@@ -119,6 +127,14 @@ pub trait ArmTask: ArmDeclaration {
     /// As [`Self::environment`].
     fn on(&self, engine: Box<dyn Engine>, rig: Rig) -> Result<ArmEnvironment, String>;
 
+    /// Creates an environment of many worlds in a simulator, with this many slots.
+    ///
+    /// # Errors
+    /// As [`Self::environment`], or if the robot has a part that such worlds cannot simulate.
+    #[cfg(feature = "mujoco")]
+    fn worlds(&self, engine: MujocoEngine, rig: Rig, member: Member, slots: NonZeroUsize)
+    -> Result<ArmWorlds, String>;
+
     /// The task on an engine in another process, for this robot with these kinematics and the file hash `sha256`, with
     /// images of this width and height in pixels.
     ///
@@ -144,6 +160,17 @@ impl<R: Rules + HasSettings + 'static> ArmTask for R {
 
     fn on(&self, engine: Box<dyn Engine>, rig: Rig) -> Result<ArmEnvironment, String> {
         ArmEnvironment::new(self, engine, rig)
+    }
+
+    #[cfg(feature = "mujoco")]
+    fn worlds(
+        &self,
+        engine: MujocoEngine,
+        rig: Rig,
+        member: Member,
+        slots: NonZeroUsize,
+    ) -> Result<ArmWorlds, String> {
+        ArmWorlds::new(self, engine, rig, member, slots)
     }
 
     fn remote(

@@ -1,0 +1,103 @@
+//! Tests of many worlds in MuJoCo Warp, on its CPU device, against MuJoCo in this process.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::io::BufReader;
+use std::num::NonZeroUsize;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+
+use robogate_core::{
+    Episode, Outcome, ParameterSpace, Policy, Sampler, Scenario, Seed, SinglePolicies, Value, rollout,
+    rollout_all, samplers,
+};
+use robogate_physics::worlds::{Member, Server, Simulator};
+use robogate_physics::{MujocoEngine, built_in_robot};
+use robogate_tasks::pick_place::PickPlace;
+use robogate_tasks::{ArmTask, Rig, built_in_space};
+
+/// A simulator process, which ends with this value.
+struct Process {
+    child: Child,
+    simulator: Arc<Simulator>,
+    _folder: tempfile::TempDir,
+}
+
+impl Process {
+    /// `None` without the Python.
+    fn start() -> Option<Self> {
+        let python = robogate_testing::path("ROBOGATE_WARP_PYTHON", "a Python with mujoco-warp")?;
+        let folder = tempfile::tempdir().unwrap();
+        let mut command = Command::new(python);
+        command.args(["-m", "robogate_worlds", "--device", "cpu", "--deterministic"]);
+        command.env("PYTHONPATH", Path::new(env!("CARGO_MANIFEST_DIR")).join("../../python/src"));
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+        let (requests, replies) = (child.stdin.take().unwrap(), BufReader::new(child.stdout.take().unwrap()));
+        let server = Server::new(Box::new(requests), Box::new(replies), folder.path().to_owned()).unwrap();
+        Some(Self { child, simulator: Arc::new(Simulator::new(server)), _folder: folder })
+    }
+
+    /// Episodes of a task in this many slots.
+    fn episodes(&self, task: &dyn ArmTask, scenarios: &[Scenario], slots: usize) -> Vec<Episode> {
+        let slots = NonZeroUsize::new(slots).unwrap();
+        let member = Member::join(Arc::clone(&self.simulator));
+        let mut environment = task.worlds(engine(), Rig::default(), member, slots).unwrap();
+        let policies = (0..slots.get()).map(|_| controller(task)).collect();
+        rollout_all(&mut environment, &mut SinglePolicies::new(policies), scenarios)
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn engine() -> MujocoEngine {
+    MujocoEngine::new(built_in_robot("franka").unwrap(), MujocoEngine::TIME_STEP_S).unwrap()
+}
+
+fn controller(task: &dyn ArmTask) -> Box<dyn Policy> {
+    let robot = built_in_robot("franka").unwrap();
+    let chain = robogate_physics::Engine::chain(&engine()).clone();
+    task.controller(robot, chain)
+}
+
+/// Scenarios with boxes: worlds of one topology, so that the simulator compiles and steps one model.
+fn scenarios(task: &dyn ArmTask, count: usize) -> Vec<Scenario> {
+    let gripper = built_in_robot("franka").unwrap().settings.gripper;
+    let space = Arc::new(ParameterSpace::from_toml(built_in_space(task.space(&gripper)).unwrap()).unwrap());
+    let design = samplers::Uniform.design(&space, 40 * count, Seed::campaign(5).stream("worlds")).unwrap();
+    let scenario = |i: usize| {
+        let index = i as u64;
+        Scenario { index, seed: Seed::campaign(5).episode(index), requested: design.assignment(i).unwrap() }
+    };
+    let is_box = |scenario: &Scenario| scenario.requested.get("shape").is_none_or(|shape| shape.to_string() == "box");
+    (0..design.len()).map(scenario).filter(is_box).take(count).collect()
+}
+
+fn single(task: &dyn ArmTask, scenarios: &[Scenario]) -> Vec<Episode> {
+    let mut environment = task.environment(Box::new(engine()), Rig::default()).unwrap();
+    let mut policy = controller(task);
+    scenarios.iter().map(|scenario| rollout(&mut *environment, &mut *policy, scenario)).collect()
+}
+
+#[test]
+fn worlds_agree_with_mujoco() {
+    let Some(process) = Process::start() else { return };
+    let limit = |name: &str| (name.into(), Value::Number(5.0));
+    let task = PickPlace::DEFAULT.with(&[limit("time_limit_s")].into_iter().collect()).unwrap();
+    let scenarios = scenarios(&*task, 8);
+    let (many, one) = (process.episodes(&*task, &scenarios, 8), single(&*task, &scenarios));
+    for (many, one) in many.iter().zip(&one) {
+        println!("{:?} after {} periods; in many worlds {:?} after {}", one.outcome, one.ticks, many.outcome, many.ticks);
+        assert!(!matches!(many.outcome, Outcome::Invalid(_)), "{:?}", many.outcome);
+        assert_eq!(many.applied, one.applied);
+    }
+    let differ = many.iter().zip(&one).filter(|(many, one)| many.outcome != one.outcome).count();
+    assert!(differ <= 1, "{differ} of {} outcomes differ", one.len());
+    assert!(one.iter().any(|episode| episode.outcome != one[0].outcome), "all outcomes are equal");
+    // An episode depends neither on its slot nor on the worlds beside it. Fewer slots also refill worlds.
+    assert_eq!(process.episodes(&*task, &scenarios[..3], 2), many[..3]);
+}
