@@ -77,12 +77,28 @@ impl EnvironmentChoice {
         }
         let pool = self.simulators.connect()?;
         if let Some(pool) = pool.as_ref().filter(|pool| pool.hello().scores_itself) {
+            let served = &pool.hello().task.name;
+            if self.task != CELL_TASK && *served != *self.task {
+                return Err(anyhow!(
+                    "--task {} cannot be used with --simulator: the server has its own task, {served}\nHint: leave out --task, \
+                     or start a server that computes physics only",
+                    self.task
+                ))
+                .or_request();
+            }
             let remote = RemoteSource { pool: Arc::clone(pool), robot: self.robot().to_owned(), launched: None };
             return Ok((EnvironmentSource::Remote(remote), self.parameters()?));
         }
         let Some(arm) = registry::arm_task(&self.task) else {
             let task = registry::task(&self.task).or_request()?;
             self.refuse_cell_options(&self.task)?;
+            if pool.is_some() {
+                let task = &self.task;
+                return Err(anyhow!(
+                    "--simulator cannot be used with {task}, which has its own engine\nHint: leave it out"
+                ))
+                .or_request();
+            }
             let (chosen, rest) = self.settings_among(&task.settings()).or_request()?;
             let task = task.with(&chosen).map_err(|why| anyhow!("--set: {why}")).or_request()?;
             return Ok((EnvironmentSource::BuiltIn(Box::new(task)), rest));

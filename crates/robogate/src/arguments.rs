@@ -15,8 +15,8 @@ use robogate_zmtp::Address;
 /// The arguments that select the environment.
 #[derive(Debug, Args)]
 pub(crate) struct EnvironmentArguments {
-    /// Choose the built-in task (see `robogate list`)
-    #[arg(long, value_name = "TASK", default_value = CELL_TASK, conflicts_with = "addresses")]
+    /// Choose the built-in task (see `robogate list`). With --simulator, the server must compute physics only
+    #[arg(long, value_name = "TASK", default_value = CELL_TASK)]
     task: String,
     /// Run in this environment: FAMILY:NAME of a bundled one (see `robogate list environments`), gymnasium:ID, or your own as
     /// FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE

@@ -231,6 +231,18 @@ fn insertion_has_every_verb() {
     every_verb("insertion");
 }
 
+/// A task is chosen for a server that computes physics, and not for one that has its own.
+#[test]
+fn servers_with_a_task_keep_it() {
+    let dir = TempDir::new().unwrap();
+    let scored = Server::start(&["--task", "stacking"]);
+    let line = |address: &str, task: &str| format!("run --task {task} --simulator {address} -n 2 --out x");
+    verb(dir.path(), &line(&scored.address, "insertion"), 2, &["--task insertion", "its own task, stacking"]);
+    let physics = Server::start(&["--physics-only"]);
+    verb(dir.path(), &line(&physics.address, "pendulum"), 2, &["--simulator cannot be used with pendulum"]);
+    assert!(!dir.path().join("x").exists());
+}
+
 #[test]
 fn newton_runs_every_task() {
     for task in ["pick_place", "stacking", "insertion"] {
