@@ -249,7 +249,8 @@ mod tests {
     #[test]
     fn servers_can_declare_the_length() {
         let profile = Arc::new(Profile::from_toml(Profile::built_in("pi05-droid").unwrap()).unwrap());
-        let length = |declared: Json| with_declared_length(Arc::clone(&profile), &declared, LENGTH).map(|p| p.chunk.length);
+        let length =
+            |declared: Json| with_declared_length(Arc::clone(&profile), &declared, LENGTH).map(|p| p.chunk.length);
         assert_eq!(length(serde_json::json!({})), Ok(Some(15)));
         assert_eq!(length(serde_json::json!({"action_horizon": 16})), Ok(Some(16)));
         assert_eq!(length(serde_json::json!({"action_horizon": "many"})), Ok(Some(15)));

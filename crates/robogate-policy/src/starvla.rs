@@ -50,11 +50,14 @@ impl StarVla {
 /// Check the metadata of a server.
 fn check(declared: &Json, unnorm_key: Option<&str>) -> Result<(), PolicyError> {
     if declared.get(LENGTH).is_none() {
-        let found = format!("the server sends no `{LENGTH}` on connection, which is typical of openpi (dialect openpi)");
+        let found =
+            format!("the server sends no `{LENGTH}` on connection, which is typical of openpi (dialect openpi)");
         return Err(PolicyError::WrongDialect { expected: "starvla", found });
     }
-    let known: Option<Vec<&str>> =
-        declared.get("available_unnorm_keys").and_then(Json::as_array).map(|keys| keys.iter().filter_map(Json::as_str).collect());
+    let known: Option<Vec<&str>> = declared
+        .get("available_unnorm_keys")
+        .and_then(Json::as_array)
+        .map(|keys| keys.iter().filter_map(Json::as_str).collect());
     match (known, unnorm_key) {
         (Some(known), Some(key)) if !known.contains(&key) => Err(PolicyError::Mismatch(format!(
             "the server has no statistics of `{key}` (dialect.unnorm_key). Expected one of: {}",
@@ -132,7 +135,8 @@ mod tests {
         let asked = capture.msgpack();
         let Some(ValueRef::Array(examples)) = msgpack::get(&asked, "examples") else { panic!("no examples") };
         let Some(ValueRef::Array(images)) = msgpack::get(&examples[0], "image") else { panic!("no images") };
-        let images = images.iter().map(|image| (String::new(), msgpack::read_array("capture", image).unwrap())).collect();
+        let images =
+            images.iter().map(|image| (String::new(), msgpack::read_array("capture", image).unwrap())).collect();
         let query = Query { images, ..query(&examples[0], "pick up the black bowl") };
         assert_eq!(msgpack::encode(&request(&query, None)), capture.bytes);
     }

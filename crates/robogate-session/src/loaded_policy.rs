@@ -49,7 +49,8 @@ fn name(kind: &str, path: &Path) -> String {
     let mut telling = parts.filter(|part| !GENERIC.contains(part) && !part.bytes().all(|byte| byte.is_ascii_digit()));
     let kind = kind.trim_end_matches(':');
     let found = telling.next().unwrap_or(kind);
-    let plain: String = found.chars().map(|c| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' }).take(48).collect();
+    let plain: String =
+        found.chars().map(|c| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' }).take(48).collect();
     // These names mean other policies.
     if ["random", "scripted"].contains(&&*plain) { format!("{kind}-{plain}") } else { plain }
 }
@@ -72,6 +73,11 @@ mod tests {
     fn other_policies_are_left_alone() {
         assert_eq!(LoadedPolicy::of("ws://127.0.0.1:8000").unwrap(), None);
         assert_eq!(LoadedPolicy::of("expert").unwrap(), None);
-        assert!(LoadedPolicy::of("lerobot:/no/such/folder").unwrap_err().to_string().contains("download a model of a hub first"));
+        assert!(
+            LoadedPolicy::of("lerobot:/no/such/folder")
+                .unwrap_err()
+                .to_string()
+                .contains("download a model of a hub first")
+        );
     }
 }

@@ -360,7 +360,8 @@ impl PolicyChoice {
         let loaded = self.policy.as_deref().map_or(Ok(None), LoadedPolicy::of).or_request()?;
         match (&loaded, &self.profile) {
             (Some(loaded), Some(_)) => {
-                Err(anyhow!("--profile cannot be used with --policy {}\nHint: leave out --profile", loaded.from)).or_request()
+                Err(anyhow!("--profile cannot be used with --policy {}\nHint: leave out --profile", loaded.from))
+                    .or_request()
             }
             _ => Ok(loaded),
         }

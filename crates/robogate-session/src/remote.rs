@@ -65,8 +65,13 @@ impl Simulators {
     pub fn launch(&self, environment: &str) -> Result<(Arc<Pool>, Arc<Servers>), Failure> {
         let interpreter = Interpreter::choose(self.python.as_deref(), environment).or_request()?;
         note(format_args!("starting {environment} in {}", interpreter.path().display()));
-        let (servers, address) =
-            Servers::start(environment.to_owned(), self.loads.as_ref(), self.python.clone(), interpreter, self.timeouts())?;
+        let (servers, address) = Servers::start(
+            environment.to_owned(),
+            self.loads.as_ref(),
+            self.python.clone(),
+            interpreter,
+            self.timeouts(),
+        )?;
         let pool = Pool::connect(&[address], self.timeouts(), listener()).map_err(pool_error)?;
         if !pool.hello().deterministic {
             note(format_args!(

@@ -39,7 +39,10 @@ pub fn repeats(subject: &Subject, scenarios: &[Scenario]) -> Result<Option<Repea
         subject.start_servers(PROCESSES)?;
     }
     let random = || -> Result<_, Failure> {
-        Ok(Worker { environment: subject.environment_source().environment().or_broken()?, policy: Box::new(Random::new()) })
+        Ok(Worker {
+            environment: subject.environment_source().environment().or_broken()?,
+            policy: Box::new(Random::new()),
+        })
     };
     let declared = matches!(subject.policy_source(), Some(PolicySource::Declared(_)));
     let own = || subject.worker().or_broken();
@@ -68,7 +71,8 @@ fn both(
     if policy.check(environment.task()).is_err() {
         return Ok(None);
     }
-    let once: Vec<_> = scenarios.iter().map(|scenario| run(&mut *environment, &mut *policy, scenario, periods)).collect();
+    let once: Vec<_> =
+        scenarios.iter().map(|scenario| run(&mut *environment, &mut *policy, scenario, periods)).collect();
     let fresh_process = source.pool.len() > 1;
     if let (true, Some(scenario)) = (fresh_process, scenarios.first()) {
         // It keeps its server while an episode runs, so the second worker has another one.

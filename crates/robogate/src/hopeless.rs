@@ -108,9 +108,10 @@ impl First {
                 "{none}, and all have the same trajectory: neither seeds nor parameters nor the policy's observations have an effect"
             ));
         }
-        let (least, most) = self.endings.iter().fold((ticks, ticks), |(least, most), (_, ticks, _)| {
-            (least.min(*ticks), most.max(*ticks))
-        });
+        let (least, most) = self
+            .endings
+            .iter()
+            .fold((ticks, ticks), |(least, most), (_, ticks, _)| (least.min(*ticks), most.max(*ticks)));
         (all(&|(other, ..)| *other == mode) && most - least <= 1).then(|| {
             format!(
                 "{none}, and all end in the same way: {mode} after {most} control periods. Watch one with `robogate replay`, and \

@@ -98,7 +98,9 @@ impl EnvironmentSource {
                 let found = self.policies().iter().find(|policy| policy.name == wanted.environment);
                 if found.is_none() {
                     if let Some(from) = &wanted.from {
-                        bail!("--policy {from}: only an environment in Python loads it\nHint: name the environment with --env");
+                        bail!(
+                            "--policy {from}: only an environment in Python loads it\nHint: name the environment with --env"
+                        );
                     }
                     let known: Vec<&str> = self.policies().iter().map(|policy| &*policy.name).collect();
                     if known.is_empty() {
@@ -119,7 +121,9 @@ impl EnvironmentSource {
             && !wanted.version.is_empty()
             && wanted.version != found.version
         {
-            bail!("the policy {from} is not the one of the run: its files have changed\nHint: name the recorded ones with --policy");
+            bail!(
+                "the policy {from} is not the one of the run: its files have changed\nHint: name the recorded ones with --policy"
+            );
         }
         let declared = |policy: &HostedPolicy| {
             let (environment, version) = (policy.name.clone(), policy.version.clone());

@@ -100,7 +100,8 @@ impl Subject {
     /// A request that does not fit, or an environment or policy that does not start.
     pub fn of(environment: &EnvironmentChoice, policy: &PolicyChoice) -> Result<Self, Failure> {
         let location = PolicyLocation::default();
-        Self::new(environment.clone().with_policy(policy)?.environment()?, policy.source_at(&location)?)?.with_statistics(&policy.statistics)
+        Self::new(environment.clone().with_policy(policy)?.environment()?, policy.source_at(&location)?)?
+            .with_statistics(&policy.statistics)
     }
 
     /// A suite of `scenarios` scenarios that are sampled with `seed` from the environment's own space.

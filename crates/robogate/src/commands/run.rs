@@ -206,7 +206,8 @@ impl Run {
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
-        let environment = self.environment.choice().with_policy(&self.policy.choice())?.environment_of(suite.as_ref())?;
+        let environment =
+            self.environment.choice().with_policy(&self.policy.choice())?.environment_of(suite.as_ref())?;
         let environment = if papers { environment.like_the_paper().or_broken()? } else { environment };
         let policy = self.policy.choice().source_at(&self.location.choice())?;
         self.location.choice().check_used(policy.as_ref())?;

@@ -160,7 +160,8 @@ fn episodes_that_do_not_repeat_are_named() {
     assert!(text.replace("\n        ", " ").contains(late), "{text}");
     let judged = fs::read_to_string(bench.at("worn/gate.md")).unwrap();
     assert!(judged.contains(late), "{judged}");
-    let refused = "the policies cannot be compared episode by episode: in the run of steer, episodes depend on the order";
+    let refused =
+        "the policies cannot be compared episode by episode: in the run of steer, episodes depend on the order";
     bench.robogate("gate --env worn.py --against random", 2, &[refused]);
     bench.robogate("gate --env worn.py --baseline worn", 2, &[refused]);
 

@@ -89,7 +89,8 @@ impl Gate {
     /// controls included.
     fn prepare(&self) -> Result<Prepared, Exit> {
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
-        let environment = self.environment.choice().with_policy(&self.policy.choice())?.environment_of(suite.as_ref())?;
+        let environment =
+            self.environment.choice().with_policy(&self.policy.choice())?.environment_of(suite.as_ref())?;
         let policy = self.policy.choice().source_at(&self.location())?;
         // With --against, the key can be that of the other policy.
         if self.against.is_none() {
@@ -211,8 +212,7 @@ impl Gate {
     /// The policy of `--against`.
     fn rival(&self, prepared: &Prepared) -> Result<Option<Rival>, Exit> {
         let Some(policy) = &self.against else { return Ok(None) };
-        let policy =
-            PolicyChoice::of(policy, self.against_profile.as_deref()).with_map_of(&self.policy.choice());
+        let policy = PolicyChoice::of(policy, self.against_profile.as_deref()).with_map_of(&self.policy.choice());
         let source = policy.source_at(&self.location())?;
         let environment = self.environment.choice().with_policy(&policy)?.environment()?;
         let subject = Subject::new(environment, source)?;
