@@ -123,7 +123,9 @@ fn decode<T>(
     let Some(found) = text("message_type") else {
         return Err(PolicyError::WrongDialect {
             expected: "xpolicylab",
-            found: "the WebSocket server sends a map without `message_type`, which is typical of openpi (dialect openpi)".to_owned(),
+            found:
+                "the WebSocket server sends a map without `message_type`, which is typical of openpi (dialect openpi)"
+                    .to_owned(),
         });
     };
     if found == "error" {
@@ -146,7 +148,8 @@ fn actions(payload: &ValueRef<'_>, keys: &[String]) -> Result<Chunk, PolicyError
         let mut row = Vec::new();
         for key in keys {
             let part = msgpack::get(action, key).ok_or_else(|| {
-                let known = msgpack::entries(action).unwrap_or_default().iter().filter_map(|(key, _)| msgpack::name(key));
+                let known =
+                    msgpack::entries(action).unwrap_or_default().iter().filter_map(|(key, _)| msgpack::name(key));
                 let known: Vec<&str> = known.take(8).collect();
                 wrong(format!("an action has no `{key}` (dialect.action_keys). It has: {}", known.join(", ")))
             })?;

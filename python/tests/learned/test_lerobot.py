@@ -105,6 +105,8 @@ def of_lerobot(config, folder, index):
 class LeRobot(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
+        # As in a process of the command: the last bits of a network depend on the number of threads.
+        torch.set_num_threads(1)
         cls.place = tempfile.TemporaryDirectory()
         cls.folder = Path(cls.place.name) / "act"
         cls.environment = find(ENVIRONMENT)

@@ -58,12 +58,16 @@ fn of_profile(subject: &Subject, suite: &Suite, episodes: u32, seed: u64) -> Res
     }
     let source = subject.environment_source();
     let scenarios = scenarios(source, suite, episodes, seed);
-    if let (EnvironmentSource::Remote(_), Some(scenario), false) = (source, scenarios.first(), profile.cameras.is_empty()) {
+    if let (EnvironmentSource::Remote(_), Some(scenario), false) =
+        (source, scenarios.first(), profile.cameras.is_empty())
+    {
         let mut environment = source.environment_for(profile, map.map(|map| &**map)).or_usage()?;
         let problems = picture_problems(&mut *environment, scenario).or_broken()?;
         if let Some(problem) = problems.first() {
-            return Err(anyhow!("{problem}\nHint: `robogate policy check` with the same options shows what the policy receives"))
-                .or_usage();
+            return Err(anyhow!(
+                "{problem}\nHint: `robogate policy check` with the same options shows what the policy receives"
+            ))
+            .or_usage();
         }
     }
     note(format_args!("controls of the profile {}: {episodes} episodes each", profile.name));

@@ -18,9 +18,7 @@ use crate::commands::probe::{Probes, probe};
 use crate::exit::{DONE, Exit, FAIL, OrExit};
 use crate::interface;
 use crate::terminal::{bold, foreign, line, note};
-use robogate_session::{
-    EnvironmentSource, connect, nominal, picture_problems, policy_error, profile, task_map,
-};
+use robogate_session::{EnvironmentSource, connect, nominal, picture_problems, policy_error, profile, task_map};
 
 /// Check a policy.
 #[derive(Debug, Args)]
@@ -163,7 +161,9 @@ impl Check {
             } else {
                 if !profile.cameras.is_empty() {
                     let shown = picture_problems(&mut *environment, &nominal());
-                    found.problems.extend(shown.unwrap_or_else(|fault| vec![format!("the cameras cannot be rendered: {fault}")]));
+                    found
+                        .problems
+                        .extend(shown.unwrap_or_else(|fault| vec![format!("the cameras cannot be rendered: {fault}")]));
                 }
                 found.probes = probe(&profile, &bound, &mut *environment)?;
                 found.problems.append(&mut found.probes.problems);

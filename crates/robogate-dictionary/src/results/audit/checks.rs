@@ -36,7 +36,9 @@ fn needless(check: Check, table: &Table<'_>) -> Option<&'static str> {
     }
     match check {
         Check::DuplicateInitialStates => Some("episodes of RoboGate with equal parameters differ in their own seeds"),
-        Check::BatchArtefacts => Some("each episode of RoboGate has its own seed, and a gate runs some of them twice in another order"),
+        Check::BatchArtefacts => {
+            Some("each episode of RoboGate has its own seed, and a gate runs some of them twice in another order")
+        }
         Check::RepeatedSeeds if table.seed.is_empty() => {
             Some("RoboGate derives the seed of each episode from `seed` and `index`")
         }
