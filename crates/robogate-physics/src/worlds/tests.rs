@@ -1,5 +1,4 @@
 //! Tests against a simulator that does no physics: it answers requests and fills tables.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeMap;
 use std::fs::File;
