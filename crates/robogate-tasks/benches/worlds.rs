@@ -202,9 +202,9 @@ fn pairs(what: &str, one: &[Episode], two: &[Episode]) {
 }
 
 fn main() {
-    let given = std::env::args().skip(1).filter_map(|argument| {
-        argument.split_once('=').map(|(name, value)| (name.to_owned(), value.to_owned()))
-    });
+    let given = std::env::args()
+        .skip(1)
+        .filter_map(|argument| argument.split_once('=').map(|(name, value)| (name.to_owned(), value.to_owned())));
     let arguments = Arguments(given.collect());
     if arguments.0.is_empty() {
         println!("no arguments: nothing is measured (see scripts/throughput_gpu.sh)");

@@ -8,8 +8,8 @@ use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 
 use robogate_core::{
-    Episode, Outcome, ParameterSpace, Policy, Sampler, Scenario, Seed, SinglePolicies, Value, rollout,
-    rollout_all, samplers,
+    Episode, Outcome, ParameterSpace, Policy, Sampler, Scenario, Seed, SinglePolicies, Value, rollout, rollout_all,
+    samplers,
 };
 use robogate_physics::worlds::{Member, Server, Simulator};
 use robogate_physics::{MujocoEngine, built_in_robot};
@@ -91,12 +91,15 @@ fn worlds_agree_with_mujoco() {
     let scenarios = scenarios(&*task, 8);
     let (many, one) = (process.episodes(&*task, &scenarios, 8), single(&*task, &scenarios));
     for (many, one) in many.iter().zip(&one) {
-        println!("{:?} after {} periods; in many worlds {:?} after {}", one.outcome, one.ticks, many.outcome, many.ticks);
+        println!(
+            "{:?} after {} periods; in many worlds {:?} after {}",
+            one.outcome, one.ticks, many.outcome, many.ticks
+        );
         assert!(!matches!(many.outcome, Outcome::Invalid(_)), "{:?}", many.outcome);
         assert_eq!(many.applied, one.applied);
+        // One of these scenarios ends with a collision: an obstacle that stands elsewhere changes it.
+        assert_eq!(many.outcome, one.outcome);
     }
-    let differ = many.iter().zip(&one).filter(|(many, one)| many.outcome != one.outcome).count();
-    assert!(differ <= 1, "{differ} of {} outcomes differ", one.len());
     assert!(one.iter().any(|episode| episode.outcome != one[0].outcome), "all outcomes are equal");
     // An episode depends neither on its slot nor on the worlds beside it. Fewer slots also refill worlds.
     assert_eq!(process.episodes(&*task, &scenarios[..3], 2), many[..3]);

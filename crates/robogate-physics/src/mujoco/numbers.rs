@@ -103,7 +103,10 @@ impl MujocoEngine {
             _ => None,
         };
         if let Some(what) = lacks {
-            let why = format!("{} has {what}, which many worlds at once cannot simulate. Use --engine mujoco", self.robot.name());
+            let why = format!(
+                "{} has {what}, which many worlds at once cannot simulate. Use --engine mujoco",
+                self.robot.name()
+            );
             return Err(Fault::new(FaultKind::Setup, why));
         }
         let kinds = loaded.kinds.iter().map(|kind| match *kind {

@@ -233,7 +233,8 @@ impl State {
                     Ok(place) => place,
                     Err(entry) => {
                         let topology = entry.numbers.topology;
-                        let place = self.place(&entry, &command, demand.get(&topology).copied().unwrap_or(1), &mut resets)?;
+                        let place =
+                            self.place(&entry, &command, demand.get(&topology).copied().unwrap_or(1), &mut resets)?;
                         demand.entry(topology).and_modify(|left| *left -= 1);
                         self.server.write(place.group, "numbers", place.world, &entry.numbers.values)?;
                         place

@@ -1,5 +1,4 @@
 //! Tests against a simulator that does no physics: it answers requests and fills tables.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -75,9 +74,15 @@ fn create(request: &Value, groups: &mut BTreeMap<u64, (File, usize, usize)>) -> 
     let fields = engine.numbers().fields;
     let width: usize = fields.iter().map(|(_, count)| count).sum();
     let (mut layout, mut offset) = (serde_json::Map::new(), 0);
-    for (name, row) in
-        [("numbers", width), ("held", width), ("command", 28), ("reports", STEPS * REPORT), ("qpos", 16), ("qvel", 15), ("lost", 1)]
-    {
+    for (name, row) in [
+        ("numbers", width),
+        ("held", width),
+        ("command", 28),
+        ("reports", STEPS * REPORT),
+        ("qpos", 16),
+        ("qvel", 15),
+        ("lost", 1),
+    ] {
         layout.insert(name.to_owned(), json!({"offset": offset, "shape": [worlds, row]}));
         offset += worlds * row;
     }
@@ -107,12 +112,26 @@ fn step(request: &Value, groups: &BTreeMap<u64, (File, usize, usize)>, flaw: Fla
         let (file, worlds, width) = &groups[&group.as_u64().unwrap()];
         let mut report = [0.0_f32; REPORT];
         // Nothing touches; tool and object have unit rotations.
-        for (i, value) in [(1, -1.0), (2, -1.0), (4, -1.0), (5, -1.0), (6, -1.0), (7, -1.0), (11, 1.0), (15, 1.0), (19, 1.0), (31, 1.0)] {
+        for (i, value) in [
+            (1, -1.0),
+            (2, -1.0),
+            (4, -1.0),
+            (5, -1.0),
+            (6, -1.0),
+            (7, -1.0),
+            (11, 1.0),
+            (15, 1.0),
+            (19, 1.0),
+            (31, 1.0),
+        ] {
             report[i] = value;
         }
         let bytes: Vec<u8> = report.repeat(STEPS * worlds).iter().flat_map(|x| x.to_le_bytes()).collect();
         file.write_all_at(&bytes, 4 * (worlds * (2 * width + 28)) as u64).unwrap();
-        let lost: Vec<u8> = vec![if flaw == Flaw::Overflow { 8.0_f32 } else { 0.0 }; *worlds].iter().flat_map(|x| x.to_le_bytes()).collect();
+        let lost: Vec<u8> = vec![if flaw == Flaw::Overflow { 8.0_f32 } else { 0.0 }; *worlds]
+            .iter()
+            .flat_map(|x| x.to_le_bytes())
+            .collect();
         file.write_all_at(&lost, 4 * (worlds * (2 * width + 28 + STEPS * REPORT + 31)) as u64).unwrap();
     }
 }
@@ -168,7 +187,8 @@ fn fixtures_keep_their_numbers() {
     let fixtures = [obstacle("a", part(CAN, 0.4, 0.2)), obstacle("b", part(BOX, 0.6, -0.2))];
     let world = World::new(&mut engine, &scene(&fixtures), 30.0, 0.05).unwrap();
     let found = world.read_back(&engine).unwrap();
-    let mut read: Vec<(usize, Option<Primitive>)> = found.fixtures.iter().map(|it| (it.fixture, it.primitive)).collect();
+    let mut read: Vec<(usize, Option<Primitive>)> =
+        found.fixtures.iter().map(|it| (it.fixture, it.primitive)).collect();
     read.sort_by_key(|(fixture, _)| *fixture);
     assert_eq!(read, [(0, Some(Fixture::table().part.primitive)), (1, Some(CAN)), (2, Some(BOX))]);
     let poses = world.fixture_poses(&engine);

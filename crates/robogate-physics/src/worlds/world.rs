@@ -8,8 +8,8 @@ use crate::mujoco::numbers::Stage;
 use crate::plant::{unit_grip_force, unrest};
 use crate::unrest::Unrest;
 use crate::{
-    Collision, Engine, Fixture, FixtureKind, GripperCommand, GripperState, Hit, MujocoEngine, Part, Primitive, Readback,
-    Scene, Servo, StepView, Touches, Wrench, isometry,
+    Collision, Engine, Fixture, FixtureKind, GripperCommand, GripperState, Hit, MujocoEngine, Part, Primitive,
+    Readback, Scene, Servo, StepView, Touches, Wrench, isometry,
 };
 
 /// Numbers of a report before those of the free bodies, and of each free body.
@@ -158,7 +158,11 @@ impl World {
         let steps_per_period = (period_s / engine.time_step()).round() as usize;
         Ok(Self {
             stage: None,
-            entry: Some(Entry { plan: engine.plan(steps_per_period)?, numbers: engine.numbers(), model: engine.model_bytes() }),
+            entry: Some(Entry {
+                plan: engine.plan(steps_per_period)?,
+                numbers: engine.numbers(),
+                model: engine.model_bytes(),
+            }),
             place: None,
             servo: Servo::at_rest(&home, period_s),
             unrest: Unrest::default(),
@@ -229,8 +233,10 @@ impl World {
         let settings = &engine.robot().settings;
         self.servo.command(joints, &settings.arm, engine.chain());
         let mut row: Vec<f64> = self.servo.control_points().concat();
-        let (open, stiffness, speed) =
-            settings.gripper.jaw().map_or((0.0, 1.0, 0.0), |jaw| (jaw.opening_m, jaw.stiffness_n_m, jaw.finger_speed_m_s));
+        let (open, stiffness, speed) = settings
+            .gripper
+            .jaw()
+            .map_or((0.0, 1.0, 0.0), |jaw| (jaw.opening_m, jaw.stiffness_n_m, jaw.finger_speed_m_s));
         let (goal, grip) = match gripper {
             GripperCommand::Open => (0.5 * open, 0.0),
             GripperCommand::Close => (-0.5 * open, 1.0),
@@ -304,10 +310,7 @@ impl World {
         StepReport {
             opening: at(0),
             touches,
-            tcp: Isometry3::from_parts(
-                Translation3::from(vector(8)),
-                UnitQuaternion::from_rotation_matrix(&turn),
-            ),
+            tcp: Isometry3::from_parts(Translation3::from(vector(8)), UnitQuaternion::from_rotation_matrix(&turn)),
             support: Wrench { force: vector(20), torque: vector(23) },
             bodies: bodies.collect(),
             selected: self.selected,

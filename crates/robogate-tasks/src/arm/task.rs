@@ -13,12 +13,12 @@ use robogate_physics::MujocoEngine;
 use robogate_physics::worlds::Member;
 use robogate_physics::{Chain, Engine, Gripper, Robot};
 
+#[cfg(feature = "mujoco")]
+use super::ArmWorlds;
 use super::claims::{self, Claim};
 use super::remote::RemoteArm;
 use super::rules::Rules;
 use super::settings::has_effect;
-#[cfg(feature = "mujoco")]
-use super::ArmWorlds;
 use super::{ArmEnvironment, HasSettings, Rig};
 use crate::settings::{setting_specs, with_settings};
 use crate::spaces;
@@ -132,8 +132,7 @@ pub trait ArmTask: ArmDeclaration {
     /// # Errors
     /// As [`Self::environment`], or if the robot has a part that such worlds cannot simulate.
     #[cfg(feature = "mujoco")]
-    fn worlds(&self, engine: MujocoEngine, rig: Rig, member: Member, slots: NonZeroUsize)
-    -> Result<ArmWorlds, String>;
+    fn worlds(&self, engine: MujocoEngine, rig: Rig, member: Member, slots: NonZeroUsize) -> Result<ArmWorlds, String>;
 
     /// The task on an engine in another process, for this robot with these kinematics and the file hash `sha256`, with
     /// images of this width and height in pixels.
@@ -163,13 +162,7 @@ impl<R: Rules + HasSettings + 'static> ArmTask for R {
     }
 
     #[cfg(feature = "mujoco")]
-    fn worlds(
-        &self,
-        engine: MujocoEngine,
-        rig: Rig,
-        member: Member,
-        slots: NonZeroUsize,
-    ) -> Result<ArmWorlds, String> {
+    fn worlds(&self, engine: MujocoEngine, rig: Rig, member: Member, slots: NonZeroUsize) -> Result<ArmWorlds, String> {
         ArmWorlds::new(self, engine, rig, member, slots)
     }
 

@@ -52,7 +52,8 @@ impl ArmWorlds {
         let cameras = cameras(engine.robot(), rig.picture_px);
         let (robot, chain) = (engine.robot().clone(), engine.chain().clone());
         let judge = Judge::new(task, (robot, chain), grip_force_n, camera_specs(&cameras));
-        let mut all: Vec<Slot> = (1..slots.get()).map(|_| Slot { judge: judge.another(), world: None, scene: None }).collect();
+        let mut all: Vec<Slot> =
+            (1..slots.get()).map(|_| Slot { judge: judge.another(), world: None, scene: None }).collect();
         all.push(Slot { judge, world: None, scene: None });
         Ok(Self { engine, member, slots: all, grip_force_n, cameras })
     }
