@@ -26,10 +26,13 @@ struct Process {
 impl Process {
     /// `None` without the Python.
     fn start() -> Option<Self> {
-        let python = robogate_testing::path("ROBOGATE_WARP_PYTHON", "a Python with mujoco-warp")?;
+        let python = robogate_testing::path("ROBOGATE_NEWTON_PYTHON", "a Python with mujoco-warp, as Newton has it")?;
+        // Compiled kernels are kept where the tests of Newton keep theirs.
+        let kernels = python.parent().unwrap().parent().unwrap().join("kernels");
         let folder = tempfile::tempdir().unwrap();
         let mut command = Command::new(python);
         command.args(["-m", "robogate_worlds", "--device", "cpu", "--deterministic"]);
+        command.env("WARP_CACHE_PATH", kernels);
         command.env("PYTHONPATH", Path::new(env!("CARGO_MANIFEST_DIR")).join("../../python/src"));
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let (requests, replies) = (child.stdin.take().unwrap(), BufReader::new(child.stdout.take().unwrap()));
