@@ -87,6 +87,7 @@ fn single(task: &dyn ArmTask, scenarios: &[Scenario]) -> Vec<Episode> {
 }
 
 #[test]
+#[ignore = "takes minutes on Warp's CPU device: scripts/worlds.sh runs it"]
 fn worlds_agree_with_mujoco() {
     let Some(process) = Process::start() else { return };
     let limit = |name: &str| (name.into(), Value::Number(5.0));
