@@ -51,9 +51,10 @@ fn name(kind: &str, path: &Path) -> String {
     let found = telling.next().unwrap_or(kind);
     let plain: String =
         found.chars().map(|c| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' }).take(48).collect();
-    let plain = plain.trim_start_matches('-').to_owned();
+    let plain = plain.trim_start_matches('-');
+    let plain = if plain.is_empty() { kind } else { plain };
     // These names mean other policies.
-    if ["random", "scripted"].contains(&&*plain) { format!("{kind}-{plain}") } else { plain }
+    if ["random", "scripted"].contains(&plain) { format!("{kind}-{plain}") } else { plain.to_owned() }
 }
 
 #[cfg(test)]
