@@ -51,8 +51,10 @@ fn name(kind: &str, path: &Path) -> String {
     let found = telling.next().unwrap_or(kind);
     let plain: String =
         found.chars().map(|c| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' }).take(48).collect();
+    let plain = plain.trim_start_matches('-');
+    let plain = if plain.is_empty() { kind } else { plain };
     // These names mean other policies.
-    if ["random", "scripted"].contains(&&*plain) { format!("{kind}-{plain}") } else { plain }
+    if ["random", "scripted"].contains(&plain) { format!("{kind}-{plain}") } else { plain.to_owned() }
 }
 
 #[cfg(test)]
@@ -66,6 +68,7 @@ mod tests {
         assert_eq!(named("/runs/diffusion/checkpoints/020000/pretrained_model"), "diffusion");
         assert_eq!(named("/models/tqc.v2.zip"), "tqc-v2");
         assert_eq!(named("/models/random"), "lerobot-random");
+        assert_eq!(named("/tmp/.cache"), "cache");
         assert_eq!(named("/"), "lerobot");
     }
 

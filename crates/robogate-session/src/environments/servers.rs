@@ -66,7 +66,7 @@ impl Servers {
             for reply in requests {
                 let mut command = python.command("serve");
                 command.args(["--child", &name]);
-                command.args(loads.iter().flat_map(|policy| ["--policy", policy]));
+                command.args(loads.iter().map(|policy| format!("--policy={policy}")));
                 // Without a receiver the process is dropped, which closes its standard input.
                 let _ = reply.send(command.spawn());
             }
