@@ -16,7 +16,7 @@ fn sought(elsewhere: f64, pocket: bool) -> Analysis {
     let around = [0.3, 0.5];
     let row = |i: u64| {
         let mut requested = point(&space, i);
-        let chosen = i % 3 == 0;
+        let chosen = i.is_multiple_of(3);
         let at =
             |salt: u64| if chosen { around[0] + (around[1] - around[0]) * unit(i, salt) } else { unit(i, salt + 9) };
         let (friction, mass) = (at(50), at(51));
