@@ -7,7 +7,7 @@ use std::sync::Arc;
 use anyhow::{Context, anyhow, bail};
 use robogate_core::{Assignment, SettingSpec, Suite};
 use robogate_dictionary::{CellPlace, RendererRecord, hex};
-use robogate_physics::is_folder;
+use robogate_physics::{built_in_robots, is_folder};
 use sha2::{Digest, Sha256};
 
 use crate::cell::{Cell, default_place};
@@ -86,7 +86,11 @@ impl EnvironmentChoice {
                 ))
                 .or_request();
             }
-            let remote = RemoteSource { pool: Arc::clone(pool), robot: self.robot().to_owned(), launched: None };
+            // The scripted controller has the robot that the server declares, unless the user names a folder of it.
+            let declared = pool.hello().robot.as_ref().map(|robot| robot.name.clone());
+            let declared = declared.filter(|name| built_in_robots().any(|known| known == name));
+            let robot = self.robot.clone().or(declared).unwrap_or_else(|| self.robot().to_owned());
+            let remote = RemoteSource { pool: Arc::clone(pool), robot, launched: None };
             return Ok((EnvironmentSource::Remote(remote), self.parameters()?));
         }
         let Some(arm) = registry::arm_task(&self.task) else {

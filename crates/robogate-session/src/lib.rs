@@ -21,8 +21,8 @@ mod loaded_policy;
 mod lost_episodes;
 mod notice;
 mod origin;
-mod policy_record;
 mod pictures;
+mod policy_record;
 mod policy_source;
 mod registry;
 mod remote;
@@ -46,8 +46,8 @@ pub use loaded_policy::LoadedPolicy;
 pub use lost_episodes::{Outage, RunsLostAgain};
 pub use notice::TARGET as NOTICES;
 pub use origin::{Origin, is_remote, register, register_copy};
-pub use policy_record::POLICY;
 pub use pictures::picture_problems;
+pub use policy_record::POLICY;
 pub use policy_source::{
     ExternalSource, PolicyAccess, PolicyChoice, PolicyLocation, PolicySource, connect, mapped, policy_error, profile,
     task_map, without_profile,

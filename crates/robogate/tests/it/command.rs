@@ -259,9 +259,12 @@ fn wrong_suites_are_usage_errors() {
     write("{ id = \"a\", friction = 20.0, glare = 1.0 }, { id = \"b\", friction = 0.1, glare = 1.0 }");
     assert_usage(
         &["check", "suite", &suite],
-        &["`friction` = 20 is out of range", "unknown parameter `glare`", "2 problems"],
+        &["`friction` = 20: expected a number from 0 to 10", "unknown parameter `glare`", "2 problems"],
     );
-    assert_usage(&["run", "--suite", &suite], &["`friction` = 20 is out of range", "unknown parameter `glare`"]);
+    assert_usage(
+        &["run", "--suite", &suite],
+        &["`friction` = 20: expected a number from 0 to 10", "unknown parameter `glare`"],
+    );
     write("{ id = \"a\" }, { id = \"a\" }");
     assert_usage(&["check", "suite", &suite], &["scenario id `a` is used twice"]);
     assert_usage(&["run", "--suite", "industrial-67"], &["unknown suite `industrial-67`", "industrial-68"]);
