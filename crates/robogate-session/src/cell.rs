@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, anyhow, bail};
 use robogate_camera::SIZE_PX;
-use robogate_core::{Assignment, Environment, ParameterSpace, Policy, Scenario, Seed, Suite, TaskInstance};
+use robogate_core::{Assignment, Environment, ParameterSpace, Policy, Scenario, Seed, Suite, TaskInstance, Value};
 use robogate_demos::Recorder;
 use robogate_dictionary::{CellPlace, provenance, robot_sha256};
 use robogate_physics::{
@@ -234,7 +234,12 @@ impl Cell {
             bail!("`robogate serve` serves built-in environments only\nHint: leave out --simulator");
         }
         let (engine, robot) = self.provenance()?;
-        let task = (**self.environment()?.task()).clone();
+        let mut environment = self.environment()?;
+        let mut task = (**environment.task()).clone();
+        // Not every arm has a seventh joint. What cannot be read back is not declared.
+        let applied = environment.reset(&nominal())?.applied;
+        let is_missing = |name: &str| matches!(applied.get(name), Some(Value::Number(x)) if !x.is_finite());
+        task.parameters.retain(|parameter| !is_missing(&parameter.name));
         Ok(Hello {
             robot: Some(message::Robot { name: robot.name, sha256: robot.sha256 }),
             time_step_s: Some(self.settings.time_step_s),

@@ -93,7 +93,7 @@ fn wrong_usage_starts_nothing() {
     assert_exit(&["check", "bridge", "tcp://127.0.0.1:1"], 5, &["cannot reach"]);
     let server = Server::start(&["--robot", "ur5e"]);
     let address = server.address.as_str();
-    assert_exit(&["run", "--simulator", address], 2, &["another robot", "--robot"]);
+    assert_exit(&["run", "--simulator", address, "--robot", "franka"], 2, &["another robot", "--robot"]);
     assert_exit(&["run", "--simulator", address, "--engine", "mujoco"], 2, &["cannot be used with"]);
     let twice = format!("{address},{address}");
     assert_exit(&["run", "--robot", "ur5e", "--simulator", &twice], 2, &["twice"]);
