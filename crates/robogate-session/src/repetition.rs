@@ -67,17 +67,20 @@ fn both(
     periods: usize,
     worker: impl Fn() -> Result<Worker, Failure>,
 ) -> Result<Option<Repeats>, Failure> {
-    let Worker { mut environment, mut policy } = worker()?;
+    let mut first = worker()?;
+    let Worker { environment, policy } = &mut first;
     if policy.check(environment.task()).is_err() {
         return Ok(None);
     }
     let once: Vec<_> =
-        scenarios.iter().map(|scenario| run(&mut *environment, &mut *policy, scenario, periods)).collect();
+        scenarios.iter().map(|scenario| run(&mut **environment, &mut **policy, scenario, periods)).collect();
     let fresh_process = source.pool.len() > 1;
     if let (true, Some(scenario)) = (fresh_process, scenarios.first()) {
         // It keeps its server while an episode runs, so the second worker has another one.
         let _ = environment.reset(scenario);
     }
+    // A worker whose episode was cut short keeps its server too. The only one must be free for the second worker.
+    let _kept = fresh_process.then_some(first);
     let Worker { environment: mut other, policy: mut again } = worker()?;
     let mut twice: Vec<_> =
         scenarios.iter().rev().map(|scenario| run(&mut *other, &mut *again, scenario, periods)).collect();
