@@ -20,7 +20,7 @@ names, rows = rows[0], rows[1:]
 
 table = pyarrow.parquet.read_table(path)
 metadata = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
-assert metadata["robogate.schema_version"] == "3.0", metadata
+assert metadata["robogate.schema_version"] == "4.0", metadata
 assert metadata["robogate.dataset_hash"] == dataset_hash
 provenance = json.loads(metadata["robogate.provenance"])
 assert provenance["robot"]["name"] == "franka", provenance

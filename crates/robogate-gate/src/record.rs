@@ -27,6 +27,9 @@ pub enum Population {
         sha256: String,
         /// Number of scenarios.
         cases: u64,
+        /// Whether each round draws new points of a space, whose name this is. The figures are then those of the space.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        fresh: bool,
     },
     /// The distribution that the rows were sampled from.
     Drawn {
@@ -79,6 +82,10 @@ impl Population {
     /// The estimand in a few sentences.
     pub fn estimand(&self) -> String {
         match self {
+            Self::Suite { name, cases, fresh: true, .. } => format!(
+                "Each figure is that of episodes sampled from {name}, of which each round draws {cases} new points. It applies to this \
+                 distribution only. Gates with the same seed draw the same points: repeating one gives no new evidence."
+            ),
             Self::Suite { name, cases, .. } => format!(
                 "Each figure is the mean over the {cases} scenarios of {name} with equal weights, over fresh seeds. It applies \
                  to this mix of scenarios only. Gates with the same seed run the same scenarios: repeating one gives no new \
@@ -115,6 +122,7 @@ impl Population {
 impl fmt::Display for Population {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (what, name, sha256) = match self {
+            Self::Suite { name, sha256, fresh: true, .. } => ("space", name, sha256),
             Self::Suite { name, sha256, .. } => ("suite", name, sha256),
             Self::Drawn { space, sha256 } => ("space", space, sha256),
             Self::Imported { sha256, cases, .. } => {
@@ -294,11 +302,9 @@ fn population(provenance: &Provenance, trials: &[Trial]) -> Result<(Population, 
         Some(SuitePlan { rounds, sha256, suite }) => {
             let cases = suite.cases().len() as u64;
             let episodes = Some(rounds.saturating_mul(cases));
-            if suite.is_fresh() {
-                return Ok((Population::Drawn { space: suite.name().to_owned(), sha256 }, episodes));
-            }
-            let name = format!("{} {}", suite.name(), suite.version());
-            (Population::Suite { name, sha256, cases }, episodes)
+            let fresh = suite.is_fresh();
+            let name = if fresh { suite.name().to_owned() } else { format!("{} {}", suite.name(), suite.version()) };
+            (Population::Suite { name, sha256, cases, fresh }, episodes)
         }
         None => (space_or_cases(provenance, trials), None),
     })

@@ -56,7 +56,7 @@ pub(crate) fn print(evaluation: &Evaluation) {
     for text in new_cases(evaluation).into_iter().chain(feasible_part(evaluation)) {
         wrapped(&text);
     }
-    if let Population::Suite { .. } = evaluation.population {
+    if let Population::Suite { fresh: false, .. } = evaluation.population {
         wrapped(
             "The rate of `robogate run` differs: it is that over a whole parameter space, not over these chosen scenarios.",
         );

@@ -225,20 +225,20 @@ fn other_schemas_are_rejected() {
         let at = bytes.windows(key.len()).position(|window| window == key).unwrap() + key.len();
         let mut changed = bytes.clone();
         // Thrift's compact protocol: a field header, then the length of the text, then the text.
-        assert_eq!(&changed[at + 2..at + 5], b"3.0");
+        assert_eq!(&changed[at + 2..at + 5], b"4.0");
         changed[at + 2..at + 5].copy_from_slice(version.as_bytes());
         fs::write(&path, changed).unwrap();
         Dictionary::open(&path)
     };
-    let newer = with_version("4.0").unwrap_err();
-    assert!(matches!(newer, DictionaryError::OtherSchema { found: SchemaVersion { major: 4, minor: 0 }, .. }));
+    let newer = with_version("5.0").unwrap_err();
+    assert!(matches!(newer, DictionaryError::OtherSchema { found: SchemaVersion { major: 5, minor: 0 }, .. }));
     assert!(newer.to_string().contains("upgrade robogate"), "{newer}");
-    for version in ["2.2", "1.0", "0.9"] {
+    for version in ["3.0", "1.0", "0.9"] {
         let older = with_version(version).unwrap_err().to_string();
         assert!(older.contains(&format!("its schema version is {version}. Expected 4.0")), "{older}");
         assert!(older.contains("run the campaign again"), "{older}");
     }
-    let minor = with_version("3.7").unwrap();
+    let minor = with_version("4.7").unwrap();
     assert_eq!(minor.entries().filter(Result::is_ok).count(), 3);
     assert!(with_version("1-0").is_err());
 }

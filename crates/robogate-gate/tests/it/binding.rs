@@ -54,7 +54,7 @@ struct Run {
 impl Run {
     /// A run of this policy (the value of `world.policy`) that was asked for a success rate of 90 %.
     fn of(policy: serde_json::Value) -> Self {
-        let policy = Some(serde_json::from_value(policy).unwrap());
+        let policy: Option<PolicyRecord> = serde_json::from_value(policy).unwrap();
         let space = ParameterSpace::from_toml(
             "name = 'test'\n[[parameter]]\nname = 'mass_kg'\nkind = 'continuous'\nlow = 0.1\nhigh = 2.0\n",
         );

@@ -48,7 +48,7 @@ pub(crate) fn suite(cases: u64, endings: impl IntoIterator<Item = Ending>) -> Re
         .zip(0..)
         .map(|(ending, index)| Trial { label: label(index % cases), ..trial(index, ending) })
         .collect();
-    let population = Population::Suite { name: "test-suite".to_owned(), sha256: "5".repeat(64), cases };
+    let population = Population::Suite { name: "test-suite".to_owned(), sha256: "5".repeat(64), cases, fresh: false };
     record(population, trials)
 }
 

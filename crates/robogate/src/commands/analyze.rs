@@ -183,9 +183,9 @@ fn conditions(analysis: &Analysis) {
     }
     heading("Where it fails, by condition");
     for of in failing {
+        line(format_args!("  {}", condition(of)));
         line(format_args!(
-            "  {:<44} {:>8} episodes  {:>7} ({})  elsewhere {:>7}  p {}",
-            condition(of),
+            "    {:>8} episodes  {:>7} ({})  elsewhere {:>7}  p {}",
             grouped(of.inside.n),
             percent_or_dash(of.inside.rate),
             interval(of.inside.wilson_95),

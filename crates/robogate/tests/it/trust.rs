@@ -285,10 +285,15 @@ fn changed_programs_are_refused() {
     bench.expect("run --space learned --plan plan.toml --policy small.onnx --profile small.toml --out own", 0, &[]);
     fs::write(bench.at("small.onnx"), "not a network").unwrap();
     let parts = ["is not the one of the run", "SHA-256"];
-    bench.expect("replay own 0 --trust", 2, &parts);
     bench.expect("resume own", 2, &parts);
+    // The run has a copy, which must be the recorded network too.
+    bench.expect("replay own 0", 0, &["its copy is used", "identical to the recorded episode"]);
+    fs::write(bench.at("own/policy/small.onnx"), "not a network").unwrap();
+    bench.expect("replay own 0 --trust", 2, &parts);
     // The same for the file of an environment: nothing is imported.
-    let world = json!({ "environment": bench.at("mine.py").display().to_string() + ":make", "sha256": "0".repeat(64) });
+    let name = bench.at("mine.py").display().to_string() + ":make";
+    let place = json!({ "kind": "python", "environment": name, "sha256": "0".repeat(64) });
+    let world = json!({ "version": 1, "place": place });
     verb(bench.dir.path(), &format!("{RUN} honest"), 0, &[]);
     forge(&bench.at("honest"), &bench.at("theirs"), &world);
     for option in ["--trust", "--env mine.py:make"] {
