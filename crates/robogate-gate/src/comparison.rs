@@ -122,7 +122,7 @@ pub fn check_pairing(other: &Record, this: &Record, planned: Planned, margin: f6
 /// # Errors
 /// [`GateError::Unpaired`] if an environment does not repeat its episodes.
 pub fn check_repeats(records: &[&Record]) -> Result<(), GateError> {
-    records.into_iter().try_for_each(|record| {
+    records.iter().try_for_each(|record| {
         let repeats = record.controls.as_ref().and_then(|controls| controls.repeats);
         let why = repeats.and_then(|repeats| repeats.unpaired());
         why.map_or(Ok(()), |why| Err(GateError::Unpaired { policy: record.policy.clone(), why }))

@@ -81,7 +81,7 @@ fn changed_provenance_is_rejected() {
         ("robot", |p| p.robot.name = "ur5e".to_owned()),
         ("robot files", |p| p.robot.sha256 = Some("00".to_owned())),
         ("policy", |p| p.policy = "acts".to_owned()),
-        ("world.place.kind", |p| p.world = Some(World::new(Place::SelfContained))),
+        ("world.place.engine", |p| p.world = Some(World::new(Place::SelfContained))),
         ("platform", |p| p.platform = None),
         ("C library", |p| p.platform.as_mut().unwrap().libc = Some("glibc 2.31".to_owned())),
         ("CPU features", |p| p.platform.as_mut().unwrap().cpu = Some(Vec::new())),

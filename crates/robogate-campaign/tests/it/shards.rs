@@ -482,7 +482,7 @@ fn other_settings_are_rejected_by_name() {
         ("engine build", |_, p| p.engine.build_sha256 = Some("00".to_owned())),
         ("robot files", |_, p| p.robot.sha256 = Some("00".to_owned())),
         ("policy", |_, p| p.policy = "acts".to_owned()),
-        ("world.place.kind", |_, p| p.world = Some(World::new(Place::SelfContained))),
+        ("world.place.engine", |_, p| p.world = Some(World::new(Place::SelfContained))),
         ("platform", |_, p| p.platform = None),
         ("C library", |_, p| p.platform.as_mut().unwrap().libc = Some("glibc 2.31".to_owned())),
         ("source files of robogate", |_, p| p.build.as_mut().unwrap().source_sha256 = "00".to_owned()),
