@@ -60,7 +60,7 @@ fn analyze_writes_to_stdout() {
     let output = robogate(&["analyze", &file, "--json"]);
     assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(0), ""));
     let document: Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(document["version"], 3);
+    assert_eq!(document["version"], 4);
     assert_eq!(document["success"]["rate"]["n"], 200);
     assert_refused(&["analyze", &path(&dir, "nowhere")], &["nowhere"]);
     assert_refused(&["analyze", &file, "--target", "1.2"], &["1.2", "between 0 and 1"]);
