@@ -234,20 +234,7 @@ impl Cell {
             bail!("`robogate serve` serves built-in environments only\nHint: leave out --simulator");
         }
         let (engine, robot) = self.provenance()?;
-        let mut environment = self.environment()?;
-        let mut task = (**environment.task()).clone();
-        // Not every arm has a seventh joint. What cannot be set and read back is not declared.
-        task.parameters.retain(|parameter| {
-            let Some(value) = &parameter.nominal else { return true };
-            let mut scenario = nominal();
-            scenario.requested.set(&*parameter.name, value.clone());
-            let applied = environment.reset(&scenario).map(|start| start.applied.get(&parameter.name).cloned());
-            match applied {
-                Ok(Some(Value::Number(x))) => x.is_finite(),
-                Ok(_) => true,
-                Err(_) => false,
-            }
-        });
+        let task = (**self.environment()?.task()).clone();
         Ok(Hello {
             robot: Some(message::Robot { name: robot.name, sha256: robot.sha256 }),
             time_step_s: Some(self.settings.time_step_s),
