@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, anyhow, bail};
 use robogate_camera::SIZE_PX;
-use robogate_core::{Assignment, Environment, ParameterSpace, Policy, Scenario, Seed, Suite, TaskInstance, Value};
+use robogate_core::{Assignment, Environment, ParameterSpace, Policy, Scenario, Seed, Suite, TaskInstance};
 use robogate_demos::Recorder;
 use robogate_dictionary::{CellPlace, provenance, robot_sha256};
 use robogate_physics::{
