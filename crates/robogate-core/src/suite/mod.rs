@@ -110,7 +110,7 @@ impl Suite {
     /// parameters jointly has no such suite: a suite samples each parameter by itself.
     ///
     /// # Errors
-    /// For such a space, and for one that is no space of a suite.
+    /// A space whose parameters are sampled together, or one that a suite cannot have.
     pub fn fresh(space: &ParameterSpace, scenarios: usize) -> Result<Self, SuiteError> {
         if let Some(joint) = space.correlations().first() {
             let names: Vec<&str> = joint.parameters.iter().map(|name| &**name).collect();

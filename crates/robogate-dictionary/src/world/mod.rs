@@ -43,7 +43,7 @@ impl World {
         Self { version: WORLD_VERSION, place, policy: None, execution: None, controls: None }
     }
 
-    /// The same world, whatever the versions of installed packages are: other versions may compute the same episodes.
+    /// This record without the versions of installed packages, to compare two records: other versions can compute the same episodes.
     pub fn without_packages(&self) -> Self {
         let mut world = self.clone();
         if let Place::Python(python) = &mut world.place {

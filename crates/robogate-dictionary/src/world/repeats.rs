@@ -30,7 +30,7 @@ impl Repeats {
         if self.fresh_process { "the order or the process" } else { "the order" }
     }
 
-    /// Why the episodes are no evidence. `None` if their starts repeat.
+    /// Why the episodes cannot be used as evidence. `None` if each seed gives the same start again.
     pub fn failure(&self) -> Option<String> {
         let Self { episodes, other_start, .. } = self;
         (*other_start > 0).then(|| {
