@@ -146,7 +146,7 @@ class Recordings(unittest.TestCase):
         server = Server(Adapter(Environment(make=Press, task=Task(name="press", time_limit_s=100.0))))
 
         def answer(op, episode=7, **keys):
-            header, *frames = server.answer([codec.encode({"v": 2, "op": op, "episode": episode, **keys})])
+            header, *frames = server.answer([codec.encode({"v": codec.VERSION, "op": op, "episode": episode, **keys})])
             return codec.decode(header), frames
 
         self.assertTrue(answer("hello", 0)[0]["records_motion"])
