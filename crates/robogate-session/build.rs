@@ -1,5 +1,6 @@
 //! Computes the hash of the source files that results depend on, so that builds with different physics can be told apart.
 
+use std::env;
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -12,7 +13,9 @@ const FILES: [&str; 2] = ["Cargo.lock", "Cargo.toml"];
 const FOLDERS: [&str; 2] = ["assets", "python/src"];
 
 fn main() -> io::Result<()> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    // Read when the script runs, because a compiled script may be kept while its folder moves.
+    let package = env::var_os("CARGO_MANIFEST_DIR").ok_or(io::ErrorKind::NotFound)?;
+    let root = Path::new(&package).join("../..");
     let mut crates: Vec<PathBuf> =
         fs::read_dir(root.join("crates"))?.map(|entry| Ok(entry?.path().join("src"))).collect::<io::Result<_>>()?;
     crates.retain(|folder| folder.is_dir());
