@@ -2,10 +2,12 @@
 
 use std::error::Error;
 use std::fmt;
-use std::io;
+use std::io::{self, ErrorKind};
 
 use robogate_campaign::RunError;
+use robogate_campaign::shards::ShardError;
 use robogate_gate::GateError;
+use robogate_gate::evidence::EvidenceError;
 use robogate_physics::RobotError;
 
 /// An error that ends what was asked for.
@@ -73,6 +75,48 @@ impl From<GateError> for Failure {
             _ => FailureKind::Request,
         };
         Self { kind, error: error.into() }
+    }
+}
+
+impl From<ShardError> for Failure {
+    fn from(error: ShardError) -> Self {
+        let infrastructure = match error {
+            ShardError::Run(error) => return error.into(),
+            ShardError::Name(_)
+            | ShardError::SingleRun { .. }
+            | ShardError::NotInShards { .. }
+            | ShardError::OtherCount { .. }
+            | ShardError::PlanChanged { .. }
+            | ShardError::ForeignFile { .. }
+            | ShardError::OtherPlan { .. }
+            | ShardError::Misnamed { .. }
+            | ShardError::OtherRun { .. } => false,
+            // Shards are missing, damaged or contradictory.
+            ShardError::Store { .. }
+            | ShardError::Damaged { .. }
+            | ShardError::DamagedResult { .. }
+            | ShardError::Conflict { .. }
+            | ShardError::Contradicted { .. }
+            | ShardError::NotChosen { .. }
+            | ShardError::Missing { .. } => true,
+        };
+        Self::broken_if(infrastructure, error)
+    }
+}
+
+impl From<EvidenceError> for Failure {
+    fn from(error: EvidenceError) -> Self {
+        let infrastructure = match &error {
+            EvidenceError::Io { source, .. } => source.kind() != ErrorKind::NotFound,
+            EvidenceError::Random(_) => true,
+            _ => false,
+        };
+        match error {
+            EvidenceError::Gate(error) => error.into(),
+            EvidenceError::Dictionary(error) => GateError::Dictionary(error).into(),
+            EvidenceError::Contradicts(_) => Self { kind: FailureKind::Evidence, error: error.into() },
+            error => Self::broken_if(infrastructure, error),
+        }
     }
 }
 

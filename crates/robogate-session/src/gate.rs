@@ -11,9 +11,13 @@ use robogate_gate::{
     Against, Asked, AskedAgainst, Evaluation, GateError, Mode, Question, Record, Requirements, Sampling, Trial, Verdict,
 };
 
+use crate::arms::Arms;
+use crate::compared::{built_in_baseline, judged};
+use crate::controls::{CONTROL_EPISODES, run_controls};
 use crate::failure::{Failure, OrFailure};
 use crate::notice::warning;
 use crate::rival::Rival;
+use crate::rounds::Rounds;
 use crate::subject::Subject;
 use crate::workers::Workers;
 
@@ -35,24 +39,28 @@ pub struct GateRequest {
     pub seed: u64,
     /// The non-inferiority margin of a comparison with another policy, as a fraction.
     pub margin: f64,
+    /// The number of episodes of each control of an external policy. With 0, neither controls run nor the episodes that run twice.
+    pub controls: u32,
 }
 
 impl GateRequest {
     /// A request with the default requirements and seed.
     pub fn of(suite: Suite) -> Self {
         let requirements = "default".to_owned();
-        Self { suite, requirements, rounds: None, fixed: false, seed: DEFAULT_SEED, margin: MARGIN }
+        let controls = CONTROL_EPISODES;
+        Self { suite, requirements, rounds: None, fixed: false, seed: DEFAULT_SEED, margin: MARGIN, controls }
     }
 
     /// Decides whether the policy of `subject` may run, from episodes in the new folder `folder`. With `rival`, both policies run
-    /// the same scenarios, round by round, and the evaluation compares them. Controls of an external policy do not run.
+    /// the same scenarios, round by round, and the evaluation compares them. If a control fails, no
+    /// other episode runs.
     ///
     /// # Errors
     /// A request that the task cannot meet, or infrastructure. A campaign that `workers` stops is an error too; its episodes
     /// are kept.
     pub fn decide(
         &self,
-        subject: &Subject,
+        subject: Subject,
         rival: Option<Subject>,
         folder: &Path,
         workers: Workers<'_>,
@@ -62,6 +70,13 @@ impl GateRequest {
         subject.check_suite(&self.suite).or_request()?;
         let (rounds, sampling) = rounds_and_sampling(&self.suite, &requirements, self.rounds, self.fixed);
         let plan = Plan::of_suite(self.suite.clone(), u64::from(rounds), self.seed);
+        let controls = run_controls(&subject, &self.suite, self.controls, self.seed)?;
+        let failed = controls.as_ref().is_some_and(|controls| controls.failure().is_some());
+        let subject = match &controls {
+            Some(controls) => subject.with_controls(controls),
+            None => subject,
+        };
+        let provenance = subject.provenance(self.suite.space().clone())?;
         // The rows of the other policy do not exist yet.
         let unwritten =
             |_: &Subject| AskedAgainst { path: String::new(), dataset_sha256: String::new(), margin: self.margin };
@@ -73,43 +88,29 @@ impl GateRequest {
             sampling,
             real: None,
         };
-        let provenance = subject.provenance(self.suite.space().clone())?;
+        let record = begun(&with_plan(&provenance, &plan)?, &asked)?;
+        asked.baseline = built_in_baseline(&record);
+        if rival.is_some() {
+            robogate_gate::check_repeats(&[&record])?;
+        }
+        if failed {
+            // Episodes would say nothing about the policy.
+            return Ok(Question { against: None, ..question(&asked, None) }.evaluate(&record)?);
+        }
         let provenance = Provenance { question_sha256: Some(asked.sha256()), ..provenance };
         let planned = with_plan(&provenance, &plan)?;
-        let mut record = begun(&planned, &asked)?;
-        let mut rival = rival.map(|rival| Rival::new(rival, &planned, workers.threads)).transpose()?;
-        let (mut trouble, mut broken) = (None, None);
-        let question_file = asked.clone();
+        let rival = rival.map(|rival| Rival::new(rival, &planned, workers.threads)).transpose()?;
         subject.register(folder, &provenance);
-        let completion = workers.carry(folder, subject, events, |executor, events| {
-            let mut with_question = |event: &Event| {
-                // The folder exists and contains the plan; no episode has run yet.
-                if let Event::Started { .. } = event {
-                    write_question(folder, &question_file);
-                }
-                events(event);
-            };
-            let mut after = |round: &Round<'_>| {
-                if let Some(Err(error)) = rival.as_mut().map(|rival| rival.run(folder, round)) {
-                    broken = Some(error);
-                    return ControlFlow::Break(());
-                }
-                let other = rival.as_ref().map(Rival::record);
-                Look { asked: &asked, other, record: &mut record, trouble: &mut trouble }.after(round)
-            };
-            robogate_campaign::start_in_rounds(folder, &plan, provenance, executor, &mut with_question, &mut after)
+        let arms = Arms::of(folder, &plan, &provenance.space, &subject)?;
+        let mut rounds = Rounds::new(folder, asked, rival, None, record);
+        let completion = workers.carry(folder, &subject, events, |executor, events| {
+            rounds.run(&plan, provenance, arms, executor, &|| {}, events)
         })?;
-        if let Some(error) = broken {
-            return Err(error);
-        }
-        if let Some(error) = trouble {
-            return Err(error.into());
-        }
         if let Completion::Interrupted { done, episodes } = completion {
             return Err(anyhow::anyhow!("stopped after {done} of {episodes} episodes")).or_broken();
         }
-        let other = rival.map(|rival| rival.finish(folder, &mut asked)).transpose()?;
-        let record = Record::of(&Dictionary::open(&folder.join(DICTIONARY)).or_broken()?)?;
+        let (asked, other) = rounds.end(&completion)?;
+        let record = judged(&Dictionary::open(&folder.join(DICTIONARY)).or_broken()?, &asked)?;
         Ok(question(&asked, other.as_ref()).evaluate(&record)?)
     }
 }

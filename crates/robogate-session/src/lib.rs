@@ -10,16 +10,22 @@
 mod arms;
 mod cell;
 mod checkpoint_statistics;
+mod compared;
+mod controls;
 pub mod duration;
 mod environment_choice;
 mod environments;
 mod failure;
 pub mod families;
+mod fleet;
 mod gate;
+mod hopeless;
 mod latency;
 mod loaded_policy;
 mod lost_episodes;
 mod notice;
+#[cfg(feature = "object-store")]
+mod object_store;
 mod origin;
 mod pictures;
 mod policy_record;
@@ -29,18 +35,28 @@ mod remote;
 mod renderer;
 mod reopening;
 mod repetition;
+mod rerun;
 mod rival;
+mod rounds;
+mod sharded;
+mod source;
+mod store;
 mod subject;
 pub mod text;
+mod twins;
 mod workers;
 
 pub use arms::{ArmKind, Arms, rounds_of, space_of};
 pub use cell::{Cell, engine, identity, nominal, robot, robot_files};
 pub use checkpoint_statistics::CheckpointStatistics;
+pub use compared::{built_in_baseline, compared_with, judged};
+pub use controls::{CONTROL_EPISODES, run_controls};
 pub use environment_choice::EnvironmentChoice;
 pub use environments::{BUNDLED, ENVIRONMENT, Interpreter, Servers, installed, installed_marker};
 pub use failure::{Failure, FailureKind, OrFailure, chain};
+pub use fleet::{FleetEnd, FleetPlan, FleetRequest, OnUnit, is_fleet, unit_space};
 pub use gate::{GateRequest, Look, MARGIN, begun, question, rounds_and_sampling, with_plan, write_question};
+pub use hopeless::{Reaction, Watched};
 pub use latency::{LatencyChoice, WantedLatency, describe, execution_mode};
 pub use loaded_policy::LoadedPolicy;
 pub use lost_episodes::{Outage, RunsLostAgain};
@@ -58,10 +74,17 @@ pub use registry::{
 pub use remote::{CellTask, PhysicsHost, Simulators};
 pub use reopening::{Permit, Program, Reopening, Trust};
 pub use repetition::repeats;
+pub use rerun::{Rerun, rerun};
 pub use rival::Rival;
+pub use rounds::{Rounds, ruled_out};
+pub use sharded::{Knowledge, ShardedCampaign};
+pub use source::open_source;
+pub use store::{create_store, open_store};
 pub use subject::{
-    BuiltIn, EnvironmentSource, Subject, check_declared, named_space, programs, recorded_robot, starts_processes,
+    BuiltIn, EnvironmentSource, Subject, check_declared, named_space, named_suite, programs, recorded_robot,
+    starts_processes,
 };
+pub use twins::twins_of;
 pub use workers::{Workers, guarded};
 
 /// The SHA-256 of the source files that results depend on.

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::fmt::Display;
+use std::path::Path;
 
 use robogate_stats::format::is_deceptive;
 
@@ -36,4 +37,24 @@ pub fn escaped(text: &str, kept: impl Fn(&str) -> Option<usize>) -> Cow<'_, str>
         rest = tail;
     }
     Cow::Owned(safe)
+}
+
+/// A path as one word of a shell command.
+pub fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let plain = |c: char| c.is_ascii_alphanumeric() || "_-./:,@%+=".contains(c);
+    if !text.is_empty() && text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_become_shell_words() {
+        assert_eq!(quoted(Path::new("/data/run-1")), "/data/run-1");
+        assert_eq!(quoted(Path::new("my run")), "'my run'");
+        assert_eq!(quoted(Path::new("it's")), "'it'\\''s'");
+        assert_eq!(quoted(Path::new("$HOME")), "'$HOME'");
+    }
 }

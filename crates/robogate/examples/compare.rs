@@ -14,7 +14,7 @@ fn main() -> anyhow::Result<()> {
     let request = GateRequest { rounds: Some(2), ..GateRequest::of(subject.sampled_suite(32, 1)?) };
     let folder = tempfile::tempdir()?;
     let workers = Workers { threads: None, stop: &AtomicBool::new(false) };
-    let evaluation = request.decide(&subject, Some(rival), folder.path(), workers, &mut |_| {})?;
+    let evaluation = request.decide(subject, Some(rival), folder.path(), workers, &mut |_| {})?;
     let comparison = evaluation.comparison.context("both policies ran")?;
     let (better, worse) = (comparison.only_this, comparison.only_other);
     println!("only the first policy succeeded in {better} scenarios, only {} in {worse}", comparison.policy);

@@ -2,6 +2,10 @@
 
 use std::fmt;
 
+use robogate_campaign::RunError;
+use robogate_campaign::shards::ShardError;
+use robogate_gate::GateError;
+use robogate_gate::evidence::EvidenceError;
 use robogate_session::{Failure, FailureKind, OrFailure, chain};
 
 pub(crate) use robogate::exit_codes::{FAIL, INFRASTRUCTURE, INTERRUPTED, INVALID, PASS as DONE, USAGE};
@@ -29,6 +33,19 @@ impl From<Failure> for Exit {
         Self { code, error: failure.error }
     }
 }
+
+/// Errors of the library's parts have the kind that the library gives them.
+macro_rules! by_kind {
+    ($($error:ty),*) => {$(
+        impl From<$error> for Exit {
+            fn from(error: $error) -> Self {
+                Failure::from(error).into()
+            }
+        }
+    )*};
+}
+
+by_kind!(RunError, ShardError, GateError, EvidenceError);
 
 /// Converts an error to an [`Exit`] with the exit code of its class.
 pub(crate) trait OrExit<T> {

@@ -10,18 +10,13 @@ mod compliance;
 mod exit;
 mod film;
 mod grouped;
-mod hopeless;
 #[cfg(feature = "mujoco")]
 mod inspection;
 mod interface;
 mod number;
-#[cfg(feature = "object-store")]
-mod object_store;
 mod picture;
 mod place;
 mod progress;
-mod sharded;
-mod source;
 mod summary;
 mod terminal;
 mod transfer_view;

@@ -1,13 +1,10 @@
-//! Where a campaign in shards is kept: a folder, or a prefix of an object store.
+//! Paths among the arguments.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 use clap::builder::{PathBufValueParser, TypedValueParser};
-use robogate_campaign::folder::PLAN;
-use robogate_campaign::shards::{DirectoryStore, ShardStore};
 
-use crate::commands::run;
 use crate::exit::{Exit, OrExit};
 
 pub(crate) use robogate_session::is_remote;
@@ -52,42 +49,4 @@ pub(crate) fn check_local(out: &Path) -> Result<(), Exit> {
         .or_usage();
     }
     Ok(())
-}
-
-/// Opens the store of an existing campaign.
-pub(crate) fn open(dir: &Path) -> Result<Box<dyn ShardStore>, Exit> {
-    if is_remote(dir) { remote(dir) } else { Ok(Box::new(DirectoryStore::new(dir))) }
-}
-
-/// Opens the store of a campaign that may be new. It must be empty or contain a plan.
-pub(crate) fn create(dir: &Path) -> Result<Box<dyn ShardStore>, Exit> {
-    if !is_remote(dir) {
-        let store = DirectoryStore::new(dir);
-        store.check_free().map_err(run::exit)?;
-        return Ok(Box::new(store));
-    }
-    let store = remote(dir)?;
-    let names = store.list("").or_broken()?;
-    match names.first() {
-        Some(name) if !names.iter().any(|name| name == PLAN) => {
-            Err(anyhow!("{} is not empty (it contains `{name}`) and is not a robogate run", dir.display())).or_usage()
-        }
-        _ => Ok(store),
-    }
-}
-
-#[cfg(feature = "object-store")]
-fn remote(dir: &Path) -> Result<Box<dyn ShardStore>, Exit> {
-    let store = crate::object_store::ObjectPrefix::open(&dir.to_string_lossy()).or_usage()?;
-    Ok(Box::new(store))
-}
-
-#[cfg(not(feature = "object-store"))]
-fn remote(dir: &Path) -> Result<Box<dyn ShardStore>, Exit> {
-    Err(anyhow!(
-        "{}: this build of robogate has no object stores\nHint: use a folder, the Python package robogate-eval, or a build with \
-         --features object-store",
-        dir.display()
-    ))
-    .or_usage()
 }

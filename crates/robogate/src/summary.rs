@@ -15,7 +15,8 @@ use serde_json::json;
 use crate::active_model;
 use crate::commands::analyze::by_influence;
 use crate::commands::report::PAGE;
-use crate::terminal::{bar, bold, dim, foreign, grouped, line, percent, quoted, wrapped};
+use crate::terminal::{bar, bold, dim, foreign, grouped, line, percent, wrapped};
+use robogate_session::text::quoted;
 
 /// A bin with fewer valid episodes than this is shown dimmed, because its rate is imprecise.
 const FEW: u64 = 20;

@@ -3,7 +3,6 @@
 use std::fmt::{self, Display};
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{self, ErrorKind, IsTerminal, Write};
-use std::path::Path;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -286,24 +285,9 @@ pub(crate) fn bar(share: f64, width: usize) -> String {
     format!("{text}{}", " ".repeat(width - used))
 }
 
-/// A path as one word of a shell command.
-pub(crate) fn quoted(path: &Path) -> String {
-    let text = path.display().to_string();
-    let plain = |c: char| c.is_ascii_alphanumeric() || "_-./:,@%+=".contains(c);
-    if !text.is_empty() && text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn paths_become_shell_words() {
-        assert_eq!(quoted(Path::new("/data/run-1")), "/data/run-1");
-        assert_eq!(quoted(Path::new("my run")), "'my run'");
-        assert_eq!(quoted(Path::new("it's")), "'it'\\''s'");
-        assert_eq!(quoted(Path::new("$HOME")), "'$HOME'");
-    }
 
     #[test]
     fn control_characters_are_escaped() {

@@ -38,7 +38,7 @@ pub use environment::EnvironmentSource;
 pub(crate) use environment::RemoteSource;
 pub use recorded::{programs, recorded_robot, starts_processes};
 pub(crate) use spaces::assignment;
-pub use spaces::{check_declared, named_space};
+pub use spaces::{check_declared, named_space, named_suite};
 
 /// The subject of a run: a policy in an environment.
 pub struct Subject {

@@ -3,11 +3,13 @@
 use std::path::Path;
 
 use anyhow::{Context, anyhow, bail};
-use robogate_core::{Assignment, ParameterSpace, TaskSpec};
+use robogate_campaign::{BUILT_IN_SUITES, built_in_suite};
+use robogate_core::{Assignment, ParameterSpace, Suite, TaskSpec};
 use robogate_dictionary::read_text;
 use robogate_tasks::built_in_space;
 
-use crate::registry::{self};
+use crate::failure::{Failure, OrFailure};
+use crate::registry;
 use crate::text::foreign;
 
 /// Finds a parameter space by its name or file.
@@ -23,6 +25,26 @@ pub fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
             .with_context(|| format!("cannot read {wanted}"))
             .and_then(|text| ParameterSpace::from_toml(&text).with_context(|| wanted.to_owned())),
     }
+}
+
+/// Finds a suite by its name or file.
+///
+/// # Errors
+/// A name or file that is no suite.
+pub fn named_suite(wanted: &str) -> Result<Suite, Failure> {
+    if let Some(suite) = built_in_suite(wanted) {
+        return suite.or_broken();
+    }
+    let file = Path::new(wanted);
+    if !file.exists() {
+        let known: Vec<&str> = BUILT_IN_SUITES.iter().map(|(name, _)| *name).collect();
+        let known = known.join(", ");
+        return Err(anyhow!("unknown suite `{wanted}`. Expected a file, or one of: {known}")).or_request();
+    }
+    read_text(file)
+        .with_context(|| format!("cannot read {wanted}"))
+        .and_then(|text| Suite::from_toml(&text).with_context(|| wanted.to_owned()))
+        .or_request()
 }
 
 /// Parses parameters given as NAME=VALUE.

@@ -13,9 +13,10 @@ use robogate_stats::format::{counted, p_value, percent_or_dash};
 
 use crate::commands::report::evidence;
 use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
-use crate::source::open_source;
-use crate::terminal::{self, bar, bold, dim, grouped, line, percent, quoted, wrapped};
+use crate::terminal::{self, bar, bold, dim, grouped, line, percent, wrapped};
 use crate::twins::{self, NominalArguments};
+use robogate_session::open_source;
+use robogate_session::text::quoted;
 
 /// Analyze a dictionary: where the policy fails, the effects of the parameters, and their confidence intervals.
 #[derive(Debug, Args)]

@@ -17,9 +17,9 @@ use crate::arguments::ReopeningArguments;
 use crate::commands::analyze::{Groups, heading, interval};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::place;
-use crate::source::open_source;
 use crate::terminal::{bar, bold, dim, grouped, line, note, percent, wrapped};
 use crate::watch;
+use robogate_session::open_source;
 
 /// Compare dictionaries of different robots, policies or simulators, and find where all of them fail.
 #[derive(Debug, Args)]

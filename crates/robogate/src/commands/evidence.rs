@@ -1,6 +1,5 @@
 //! `robogate evidence`: writes a verdict as a folder that others can check.
 
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -10,17 +9,16 @@ use robogate_campaign::folder::LOST;
 use robogate_core::TaskSpec;
 use robogate_dictionary::{Place, PolicyRecord, Provenance, World};
 use robogate_gate::evidence::{
-    Content, Documents, EvidenceError, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write,
+    Content, Documents, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write,
 };
-use robogate_gate::{Asked, GateError, Record, Sampling};
+use robogate_gate::{Asked, Record, Sampling};
 
-use crate::commands::gate::{built_in_baseline, open_requirements, real_evidence_for, refused};
+use crate::commands::gate::{open_requirements, real_evidence_for};
 use crate::compliance;
-use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::exit::{Exit, OrExit};
 use crate::place;
-use crate::source::open_source;
 use crate::terminal::{foreign, line, note};
-use robogate_session::{ENVIRONMENT, POLICY, recorded_robot, register_copy};
+use robogate_session::{ENVIRONMENT, POLICY, built_in_baseline, open_source, recorded_robot, register_copy};
 
 /// Judge a run and write a folder with everything that the verdict depends on, so that others can check it.
 ///
@@ -85,7 +83,7 @@ impl Evidence {
             .or_usage();
         }
         let provenance = source.dictionary().provenance();
-        let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
+        let asked = source.folder().map_or(Ok(None), Asked::of)?;
         let mut others = Vec::new();
         let files = [
             (Role::Plan, "plan.json"),
@@ -157,8 +155,8 @@ impl Evidence {
             documents: self.compliance.then_some(compliance::documents as Documents),
         };
         // Read before the evaluation, so that an unusable key is reported early.
-        let key = self.key.as_deref().map(PrivateKey::read).transpose().map_err(evidence_error)?;
-        let manifest = write(&self.out, &ingredients, key.as_ref()).map_err(evidence_error)?;
+        let key = self.key.as_deref().map(PrivateKey::read).transpose()?;
+        let manifest = write(&self.out, &ingredients, key.as_ref())?;
         source.folder().into_iter().for_each(|folder| register_copy(&self.out, folder, provenance));
         line(format_args!("{}: {}", manifest.verdict, foreign(&manifest.because)));
         let signed = manifest.signer.map_or("unsigned".to_owned(), |keyid| format!("signed by key {keyid}"));
@@ -186,7 +184,7 @@ impl Evidence {
         let baseline = match (&self.baseline, asked) {
             (Some(file), _) => return Ok(Some(Content::File(file.clone()))),
             (None, Some(asked)) => asked.baseline.clone(),
-            (None, None) => built_in_baseline(&Record::of(source.dictionary()).map_err(refused)?),
+            (None, None) => built_in_baseline(&Record::of(source.dictionary())?),
         };
         Ok(baseline.map(|baseline| Content::Bytes(baseline.to_json().into_bytes())))
     }
@@ -205,7 +203,7 @@ impl Evidence {
         };
         let path = Path::new(&against.path);
         let now = open_source(path)?;
-        if Record::of(now.dictionary()).map_err(refused)?.dataset_sha256 != against.dataset_sha256 {
+        if Record::of(now.dictionary())?.dataset_sha256 != against.dataset_sha256 {
             return Err(anyhow::anyhow!(
                 "{} has changed since the gate ran. Expected the dataset that it was compared with",
                 against.path
@@ -226,20 +224,6 @@ impl Evidence {
             Some(Count::Sequential) => Ok(Sampling::Sequential),
             None => Ok(recorded),
         }
-    }
-}
-
-/// Gives an error its exit code. Errors of the gate keep theirs; errors of the operating system are infrastructure.
-pub(crate) fn evidence_error(error: EvidenceError) -> Exit {
-    match error {
-        EvidenceError::Gate(error) => refused(error),
-        EvidenceError::Dictionary(error) => refused(GateError::Dictionary(error)),
-        EvidenceError::Io { ref source, .. } if source.kind() == ErrorKind::NotFound => {
-            Exit { code: USAGE, error: error.into() }
-        }
-        EvidenceError::Io { .. } | EvidenceError::Random(_) => Exit { code: INFRASTRUCTURE, error: error.into() },
-        EvidenceError::Contradicts(_) => Exit { code: INVALID, error: error.into() },
-        _ => Exit { code: USAGE, error: error.into() },
     }
 }
 

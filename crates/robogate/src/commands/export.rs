@@ -14,7 +14,8 @@ use robogate_stats::format::counted;
 
 use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
-use crate::terminal::{note, quoted};
+use crate::terminal::note;
+use robogate_session::text::quoted;
 use robogate_session::{Reopening, Subject, starts_processes};
 
 /// Write a failure dictionary as CSV, JSON Lines or the published JSON, or as Parquet with its hidden draws.

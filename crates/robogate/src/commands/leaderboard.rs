@@ -8,10 +8,10 @@ use robogate_core::TaskSpec;
 use robogate_gate::{Asked, Baseline, Leaderboard, Record, Requirements, Sampling};
 use robogate_report::{leaderboard_html, leaderboard_markdown};
 
-use crate::commands::gate::{built_in_baseline, open_requirements, refused};
+use crate::commands::gate::open_requirements;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
-use crate::source::open_source;
 use crate::terminal::{bar, bold, dim, foreign, line, note, percent};
+use robogate_session::{built_in_baseline, open_source};
 
 /// Rank policies that ran the same scenarios, by the paper's confidence score.
 #[derive(Debug, Args)]
@@ -60,7 +60,7 @@ impl Rank {
                 return Err(why).or_usage();
             }
             // A gate that tests after each round may have stopped at any of them.
-            let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
+            let asked = source.folder().map_or(Ok(None), Asked::of)?;
             let is_gate = source.dictionary().provenance().question_sha256.is_some();
             let unknown = if is_gate { Sampling::Sequential } else { Sampling::Fixed };
             entries.push((name, record, asked.map_or(unknown, |asked| asked.sampling)));

@@ -8,7 +8,7 @@ use robogate_campaign::BUILT_IN_SUITES;
 use robogate_core::{Allowed, SettingSpec};
 use robogate_physics::built_in_robots;
 use robogate_policy::Profile;
-use robogate_session::{ARM_TASKS, ENGINES, POLICIES, TASKS, spaces, tasks};
+use robogate_session::{ARM_TASKS, ENGINES, POLICIES, TASKS, named_suite, spaces, tasks};
 use serde_json::{Map, Value, json};
 
 use crate::commands::{env, policy, robots, suites};
@@ -62,7 +62,7 @@ impl List {
             return Err(anyhow!("--python applies to `robogate list environments`\nHint: leave it out")).or_usage();
         }
         match (self.kind, name) {
-            (Some(Kind::Suites), Some(name)) => return suites::show(&suites::find(name)?, json),
+            (Some(Kind::Suites), Some(name)) => return suites::show(&named_suite(name)?, json),
             (Some(Kind::Profiles), name) => return policy::profiles(name, json),
             (_, Some(name)) => {
                 return Err(anyhow!(

@@ -9,7 +9,7 @@ use robogate_stats::format::counted;
 
 use crate::arguments::TrustArguments;
 use crate::commands::matrix;
-use crate::commands::shard::open;
+use crate::commands::shard::{merge, open};
 use crate::exit::{Exit, OrExit};
 use crate::place;
 use crate::progress::Progress;
@@ -58,6 +58,6 @@ impl Merge {
             Event::Started { .. } => {}
             event => progress.hear(event),
         };
-        campaign.merge(out, &mut show, &Reopening::trusting(self.trust.choice()), self.json)
+        merge(campaign, out, &mut show, &Reopening::trusting(self.trust.choice()), self.json)
     }
 }

@@ -3,14 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use robogate_campaign::shards::{OpenRound, Shard, ShardRound};
+use robogate_campaign::shards::{OpenRound, Shard, ShardError, ShardRound};
 use serde_json::{Value, json};
 
 use crate::arguments::TrustArguments;
-use crate::commands::shard::{exit, open};
+use crate::commands::shard::open;
 use crate::commands::{matrix, status};
 use crate::exit::{DONE, Exit};
-use crate::terminal::{line, note, quoted};
+use crate::terminal::{line, note};
+use robogate_session::text::quoted;
 use robogate_session::{Trust, programs};
 
 /// Show which shards of a campaign are committed, and their outcomes so far; or print the next ones as commands.
@@ -68,13 +69,13 @@ pub(crate) fn next_shards(dir: &Path, trust: Trust) -> Result<NextShards, Exit> 
     if let Some(OpenRound { round, missing }) = &open {
         if *round == ShardRound::Boundary {
             // The first worker would compute it as well. Here it is computed once.
-            shards.boundary().map_err(exit)?;
+            shards.boundary()?;
         }
         // The user of this call lets other machines start what the plan names.
         let provenance = &shards.settings().provenance;
         let trusted = !programs(provenance)?.is_empty() && trust.covers(dir, provenance);
         for index in missing {
-            let shard = Shard::new(*index, shards.shards()).map_err(|error| exit(error.into()))?;
+            let shard = Shard::new(*index, shards.shards()).map_err(ShardError::from)?;
             let (name, out) = (shard.to_string(), dir.display().to_string());
             let mut command = ["robogate", "run", "--shard", &name, "--out", &out].map(str::to_owned).to_vec();
             if trusted {

@@ -8,7 +8,6 @@ use robogate_campaign::Plan;
 use robogate_dictionary::Provenance;
 use robogate_gate::evidence::{PrivateKey, REGISTRATION, REGISTRATION_KEY, list_of, register};
 
-use crate::commands::evidence::evidence_error;
 use crate::exit::{Exit, OrExit};
 use crate::terminal::{note, warning};
 
@@ -27,7 +26,7 @@ pub(crate) struct Registered {
 impl Registrar {
     /// Reads the private key.
     pub(crate) fn new(file: &Path) -> Result<Self, Exit> {
-        let key = PrivateKey::read(file).map_err(evidence_error)?;
+        let key = PrivateKey::read(file)?;
         Ok(Self { key, file: file.to_owned() })
     }
 
@@ -36,7 +35,7 @@ impl Registrar {
         // The provenance as the run records it.
         let plan_json = serde_json::to_value(plan).or_broken()?;
         let recorded = Provenance { plan: plan_json, seed: plan.seed, ..provenance.clone() };
-        let (envelope, number) = register(&self.key, &self.file, &recorded).map_err(evidence_error)?;
+        let (envelope, number) = register(&self.key, &self.file, &recorded)?;
         note(format_args!(
             "registered as number {number} of key {}, in {}",
             self.key.public().id(),

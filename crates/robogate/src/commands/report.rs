@@ -15,11 +15,10 @@ use crate::commands::analyze::{Groups, analyse, options};
 use crate::commands::gate;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::place;
-use crate::source::open_source;
 use crate::terminal::{line, note};
-use crate::twins::{self, NominalArguments};
+use crate::twins::NominalArguments;
 use crate::watch::{self, Frames, Moment};
-use robogate_session::{Reopening, Subject};
+use robogate_session::{Reopening, Subject, open_source, twins_of};
 
 /// Write a run or a dictionary as one page: where the policy fails, what to do, and the confidence intervals.
 #[derive(Debug, Args)]
@@ -158,7 +157,7 @@ pub(crate) fn page(
     let watch = watch::watch(&source, &analysis, &opening, Moment::EndOfRun(subject), frames).or_broken()?;
     let pairs = pair_counts(&source, &analysis).or_broken()?;
     let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
-    let twins = twins::of_folder(dir, &source, sampling)?;
+    let twins = twins_of(dir, &source, sampling)?;
     let active = active_model::of_run(dir);
     let additions = Additions {
         evaluation: evaluation.as_ref(),

@@ -10,7 +10,7 @@ use crate::arguments::ReopeningArguments;
 use crate::commands::run::How;
 use crate::commands::{fleet, gate};
 use crate::exit::{Exit, OrExit};
-use robogate_session::{Arms, Reopening, Subject};
+use robogate_session::{Arms, Reopening, Subject, is_fleet};
 
 /// Resume an interrupted campaign.
 #[derive(Debug, Args)]
@@ -26,7 +26,7 @@ pub(crate) struct Resume {
 impl Resume {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let opening = Reopening { continues: true, ..self.opening.choice() };
-        if fleet::is_fleet(&self.dir) {
+        if is_fleet(&self.dir) {
             return fleet::resume(&self.dir, &opening, &self.how);
         }
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;

@@ -20,17 +20,20 @@ use robogate_report::Watch;
 use robogate_stats::format::counted;
 
 use crate::arguments::{EnvironmentArguments, LatencyArguments, LocationArguments, PolicyArguments, TrustArguments};
-use crate::commands::{shard, suites};
+use crate::commands::shard;
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
-use crate::hopeless::{Reaction, Watched};
 use crate::number::at_least_one;
 use crate::place;
 use crate::progress::Progress;
 use crate::summary;
-use crate::terminal::{Screen, grouped, note, percent, quoted, warning};
+use crate::terminal::{Screen, grouped, note, percent, warning};
 use crate::twins;
 use crate::watch::Frames;
-use robogate_session::{Arms, Failure, Outage, PolicySource, Reopening, Subject, Workers, describe, families, guarded};
+use robogate_session::text::quoted;
+use robogate_session::{
+    Arms, Outage, PolicySource, Reaction, Reopening, Subject, Watched, Workers, describe, families, guarded,
+    named_suite,
+};
 
 /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain.
 #[derive(Debug, Args)]
@@ -192,7 +195,7 @@ impl Run {
             let Settings { plan, provenance, .. } = if place::is_remote(dir) {
                 shard::open(dir)?.shards().settings().clone()
             } else {
-                robogate_campaign::settings(dir).map_err(exit)?
+                robogate_campaign::settings(dir)?
             };
             let opening =
                 Reopening::with(self.trust.choice(), &self.environment.choice().simulators, &self.location.choice());
@@ -205,7 +208,7 @@ impl Run {
         // runs use the physical vacuum law and every mode.
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
-        let suite = self.suite.as_deref().map(suites::find).transpose()?;
+        let suite = self.suite.as_deref().map(named_suite).transpose()?;
         let environment =
             self.environment.choice().with_policy(&self.policy.choice())?.environment_of(suite.as_ref())?;
         let environment = if papers { environment.like_the_paper().or_broken()? } else { environment };
@@ -302,7 +305,7 @@ impl Run {
     /// The plan and its parameter space.
     fn plan_and_space(&self, subject: &Subject) -> Result<(Plan, ParameterSpace), Exit> {
         if let Some(name) = &self.suite {
-            let suite = suites::find(name)?;
+            let suite = named_suite(name)?;
             subject.check_suite(&suite).or_usage()?;
             self.latency.choice().check_suite(suite.space()).or_usage()?;
             let space = suite.space().clone();
@@ -375,17 +378,6 @@ impl How {
         work(Workers { threads: self.threads, stop: &stop })
     }
 
-    /// Runs at most `episodes` episodes with `work` and shows their progress. Episodes that an unavailable server lost run
-    /// again. Also returns the outage that has stopped the execution, if there was one.
-    pub(crate) fn guarded<T>(
-        &self,
-        subject: &Subject,
-        episodes: u64,
-        work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<T, RunError>,
-    ) -> Result<(T, Option<Outage>), Exit> {
-        self.with_workers(|workers| workers.with_pool(subject, |pool| shown(pool, episodes, work)))
-    }
-
     /// Runs a campaign in `dir` with `work` and shows its progress.
     pub(crate) fn carry(
         &self,
@@ -432,7 +424,8 @@ impl How {
     }
 }
 
-/// Like [`How::guarded`], on threads that exist.
+/// Runs at most `episodes` episodes on `pool` with `work` and shows their progress. Episodes that an unavailable server lost run
+/// again. Also returns the outage that has stopped the execution, if there was one.
 pub(crate) fn shown<T>(
     pool: &dyn Executor,
     episodes: u64,
@@ -521,11 +514,6 @@ pub(crate) fn write_report(
             None
         }
     }
-}
-
-/// Gives an error of a campaign its exit code: usage if the user can correct it, infrastructure otherwise.
-pub(crate) fn exit(error: RunError) -> Exit {
-    Failure::from(error).into()
 }
 
 /// Prints the subject of the run.

@@ -1,22 +1,24 @@
 //! `robogate run --shard`: runs shards of a campaign.
 
+use std::io::ErrorKind;
 use std::path::Path;
 
-use anyhow::anyhow;
+use anyhow::{Context, anyhow};
 use robogate_campaign::shards::{
     Assignment, Commit, Shard, ShardEnd, ShardError, ShardResult, ShardRound, ShardSet, ShardTask, Shards,
 };
-use robogate_campaign::{Executor, OutcomeCounts, Plan};
+use robogate_campaign::{Event, Executor, OutcomeCounts, Plan};
 use robogate_dictionary::Provenance;
 use robogate_stats::format::counted;
 use serde_json::json;
 
-use crate::commands::run::{self, How, introduce, shown};
-use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, OrExit, USAGE};
-use crate::place;
-use crate::sharded::Campaign;
-use crate::terminal::{grouped, line, note, quoted};
-use robogate_session::Subject;
+use crate::commands::gate;
+use crate::commands::report::PAGE;
+use crate::commands::run::{How, conclude, introduce, shown, write_report};
+use crate::exit::{DONE, Exit, INTERRUPTED, OrExit};
+use crate::terminal::{grouped, line, note};
+use robogate_session::text::quoted;
+use robogate_session::{Reopening, ShardedCampaign, Subject, create_store, open_store};
 
 /// Runs `shards` of the open round of the campaign in `dir`, and commits each at its end.
 pub(crate) fn run(
@@ -28,7 +30,7 @@ pub(crate) fn run(
     how: &How,
 ) -> Result<u8, Exit> {
     introduce(&provenance, plan.seed);
-    let campaign = Campaign::of(begin(dir, shards.of(), plan, provenance, &[])?)?;
+    let campaign = ShardedCampaign::of(begin(dir, shards.of(), plan, provenance, &[])?)?;
     let mut worker = Worker { dir, campaign, shards: shards.iter(), round: None, subject, json: how.json };
     worker.choose()?;
     // Servers start only if an episode has to run.
@@ -53,7 +55,7 @@ pub(crate) fn run(
 /// Works on the shards of one command, one after the other.
 struct Worker<'a, I> {
     dir: &'a Path,
-    campaign: Campaign,
+    campaign: ShardedCampaign,
     /// The shards that are left.
     shards: I,
     /// The round of these shards: the one that is open when the command starts.
@@ -65,14 +67,14 @@ struct Worker<'a, I> {
 impl<I: Iterator<Item = Shard>> Worker<'_, I> {
     /// Chooses the points of the next round, if it can be chosen now.
     fn choose(&self) -> Result<(), Exit> {
-        self.campaign.choose(&|| Ok(self.subject.foresight()?))
+        Ok(self.campaign.choose(&|| self.subject.foresight())?)
     }
 
     /// The next shard whose episodes have to run.
     fn next(&mut self) -> Result<Option<(Shard, Box<ShardTask>)>, Exit> {
         while let Some(shard) = self.shards.next() {
-            let assignment = self.campaign.assign(shard.index()).inspect_err(|exit| {
-                if let Some(ShardError::Contradicted { .. }) = exit.error.downcast_ref() {
+            let assignment = self.campaign.assign(shard.index()).inspect_err(|failure| {
+                if let Some(ShardError::Contradicted { .. }) = failure.error.downcast_ref() {
                     self.report(shard, "conflict", self.round, None);
                 }
             })?;
@@ -89,7 +91,7 @@ impl<I: Iterator<Item = Shard>> Worker<'_, I> {
             self.round = open;
             match assignment {
                 Assignment::Choose { round } => {
-                    return Err(exit(ShardError::NotChosen { dir: self.dir.to_owned(), round }));
+                    return Err(ShardError::NotChosen { dir: self.dir.to_owned(), round }.into());
                 }
                 Assignment::Complete => {
                     note("nothing to do: all rounds are complete");
@@ -125,7 +127,7 @@ impl<I: Iterator<Item = Shard>> Worker<'_, I> {
                     // A scheduler must not run the shard again: it would find the committed one.
                     self.report(shard, "conflict", Some(result.round()), Some(result.outcomes()));
                 }
-                return Err(exit(error));
+                return Err(error.into());
             }
         };
         self.report(shard, state, Some(result.round()), Some(result.outcomes()));
@@ -173,7 +175,7 @@ fn begin(
     provenance: Provenance,
     documents: &[(&str, &[u8])],
 ) -> Result<Shards, Exit> {
-    Shards::begin_with(place::create(dir)?, shards, plan, provenance, documents).map_err(exit)
+    Shards::begin_with(create_store(dir)?, shards, plan, provenance, documents).map_err(Exit::from)
 }
 
 /// Runs the episodes of a shard. `None` if the user stopped it.
@@ -196,31 +198,32 @@ fn finish(task: &ShardTask, pool: &dyn Executor) -> Result<Option<ShardResult>, 
 }
 
 /// Opens the campaign in shards in `dir`.
-pub(crate) fn open(dir: &Path) -> Result<Campaign, Exit> {
-    Campaign::of(Shards::open(place::open(dir)?).map_err(exit)?)
+pub(crate) fn open(dir: &Path) -> Result<ShardedCampaign, Exit> {
+    Ok(ShardedCampaign::of(Shards::open(open_store(dir)?)?)?)
 }
 
-/// Gives an error its exit code: usage if arguments or files do not belong together, infrastructure if shards are
-/// missing, damaged or contradictory.
-pub(crate) fn exit(error: ShardError) -> Exit {
-    let code = match error {
-        ShardError::Run(error) => return run::exit(error),
-        ShardError::Name(_)
-        | ShardError::SingleRun { .. }
-        | ShardError::NotInShards { .. }
-        | ShardError::OtherCount { .. }
-        | ShardError::PlanChanged { .. }
-        | ShardError::ForeignFile { .. }
-        | ShardError::OtherPlan { .. }
-        | ShardError::Misnamed { .. }
-        | ShardError::OtherRun { .. } => USAGE,
-        ShardError::Store { .. }
-        | ShardError::Damaged { .. }
-        | ShardError::DamagedResult { .. }
-        | ShardError::Conflict { .. }
-        | ShardError::Contradicted { .. }
-        | ShardError::NotChosen { .. }
-        | ShardError::Missing { .. } => INFRASTRUCTURE,
-    };
-    Exit { code, error: error.into() }
+/// Merges a campaign in shards into `out`, with the pages of the run and its arms.
+pub(crate) fn merge(
+    mut campaign: ShardedCampaign,
+    out: &Path,
+    events: &mut dyn FnMut(&Event),
+    opening: &Reopening,
+    json: bool,
+) -> Result<u8, Exit> {
+    let completion = campaign.merge(out, events, opening)?;
+    for arm in campaign.merge_arms(out, &completion, opening)? {
+        write_report(&arm, None, None);
+        // The page of an earlier merge lacks this arm.
+        let page = out.join(PAGE);
+        match std::fs::remove_file(&page) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                return Err(error).with_context(|| format!("cannot replace {}", page.display())).or_broken();
+            }
+            _ => {}
+        }
+    }
+    match campaign.question(out) {
+        Some((asked, other)) => gate::finish(out, asked, other, completion, None, json),
+        None => conclude(out, &completion, None, json),
+    }
 }

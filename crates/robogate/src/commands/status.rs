@@ -7,7 +7,8 @@ use robogate_campaign::shards::{RoundState, RoundStatus, ShardStatus};
 use crate::commands::shard::open;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::summary::outcomes_in_one_line;
-use crate::terminal::{bold, grouped, line, note, quoted};
+use crate::terminal::{bold, grouped, line, note};
+use robogate_session::text::quoted;
 
 /// Prints which shards are committed, and their outcomes so far.
 pub(crate) fn print(dir: &Path, json: bool) -> Result<u8, Exit> {

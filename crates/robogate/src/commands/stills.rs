@@ -10,12 +10,11 @@ use robogate_campaign::{DEFAULT_SEED, Worker, WorkerFactory, recorded};
 use robogate_core::{Assignment, Image, Scenario, Seed, Start, Suite};
 use serde_json::json;
 
-use crate::commands::suites;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::picture;
 use crate::place;
 use crate::terminal::{foreign, line, note};
-use robogate_session::{Reopening, Subject};
+use robogate_session::{Reopening, Subject, named_suite};
 
 /// Default width and height of an image, in pixels.
 const ON_SHEET_PX: usize = 144;
@@ -82,7 +81,7 @@ impl Pictures<'_> {
     pub(crate) fn of_scenario(&self, subject: Subject, set: &Assignment) -> Result<u8, Exit> {
         let subject = subject.with_pictures_of(self.size());
         let times = self.times()?;
-        let suite = self.stills.suite.as_deref().map(suites::find).transpose()?;
+        let suite = self.stills.suite.as_deref().map(named_suite).transpose()?;
         if let Some(suite) = &suite {
             subject.check_suite(suite).or_usage()?;
         }

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use anyhow::{Context, anyhow};
-use robogate_campaign::{BUILT_IN_SUITES, built_in_suite, suite_sha256};
+use anyhow::Context;
+use robogate_campaign::{BUILT_IN_SUITES, suite_sha256};
 use robogate_core::{Case, Domain, Spread, Suite, SuiteError};
 use robogate_dictionary::read_text;
 use serde_json::{Value, json};
@@ -119,22 +119,6 @@ fn misfits(suite: &Suite) -> Result<Vec<String>, Exit> {
         }
     }
     Ok(best.1)
-}
-
-/// Finds a suite by its name or file.
-pub(crate) fn find(name: &str) -> Result<Suite, Exit> {
-    if let Some(suite) = built_in_suite(name) {
-        return suite.or_broken();
-    }
-    let file = Path::new(name);
-    if !file.exists() {
-        let known: Vec<&str> = BUILT_IN_SUITES.iter().map(|(name, _)| *name).collect();
-        let known = known.join(", ");
-        let why = anyhow!("unknown suite `{name}`. Expected a file, or one of: {known}");
-        return Err(why).or_usage();
-    }
-    let suite = Suite::from_toml(&read(file).or_usage()?).with_context(|| file.display().to_string()).or_usage()?;
-    Ok(suite)
 }
 
 fn read(file: &Path) -> anyhow::Result<String> {

@@ -13,10 +13,10 @@ use robogate_stats::format::{counted, fixed, percent_range, range};
 use crate::commands::analyze::{heading, interval};
 use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
-use crate::source::open_source;
 use crate::summary::influential;
 use crate::terminal::{bold, dim, line, note, percent, wrapped};
 use crate::transfer_view::TransferView;
+use robogate_session::open_source;
 
 /// Estimate the success rate of the real robot from a simulation and a few real trials.
 ///

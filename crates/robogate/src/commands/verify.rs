@@ -10,10 +10,10 @@ use robogate_stats::format::counted;
 use serde::Serialize;
 
 use crate::arguments::ReopeningArguments;
-use crate::commands::rerun::{Rerun, rerun};
 use crate::compliance;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::terminal::{bold, foreign, grouped, indented, line, note, percent};
+use robogate_session::{Rerun, rerun};
 
 /// Verify a folder of evidence: every file, the signatures, and the verdict recomputed from the rows.
 ///

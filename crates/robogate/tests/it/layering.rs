@@ -28,6 +28,7 @@ const MAY_USE: &[(&str, Option<&[&str]>)] = &[
     (
         "robogate-session",
         Some(&[
+            "robogate-analysis",
             "robogate-camera",
             "robogate-campaign",
             "robogate-core",

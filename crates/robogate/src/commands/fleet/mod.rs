@@ -7,31 +7,25 @@
 //! DIR/fleet.md, fleet.html the same for people
 //! ```
 
-mod plan;
 mod result;
-mod units;
 
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
-use anyhow::{Context, anyhow};
 use clap::Args;
-use robogate_campaign::DEFAULT_SEED;
-use robogate_core::{ParameterSpace, Suite, SuiteError};
-use robogate_gate::{Baseline, Mode, Record, Requirements, Sampling};
+use robogate_campaign::{DEFAULT_SEED, Event};
+use robogate_gate::{Evaluation, FleetUnit, Verdict};
 
 use crate::arguments::{AccessArguments, EnvironmentArguments, LatencyArguments, PolicyArguments};
-use crate::commands::gate::{built_in_baseline, open_requirements, refused};
-use crate::commands::run::{How, free_folder, introduce};
-use crate::commands::suites;
-use crate::exit::{Exit, OrExit};
+use crate::commands::gate::answer_files;
+use crate::commands::run::{How, free_folder, interrupted, introduce};
+use crate::exit::Exit;
 use crate::place;
-use crate::terminal::{grouped, note};
-use plan::{FleetPlan, VERSION};
-use robogate_session::{PolicyLocation, Reopening, Subject, named_space};
-
-/// The number of scenarios that are sampled from a space.
-const SAMPLED_SCENARIOS: usize = 64;
+use crate::progress::Progress;
+use crate::terminal::{grouped, note, percent};
+use robogate_session::{
+    FleetEnd, FleetPlan, FleetRequest, PolicyLocation, Reopening, Subject, named_suite, unit_space,
+};
 
 /// Estimate the share of a robot's units that meet the requirements, and find what distinguishes the others.
 ///
@@ -91,10 +85,7 @@ pub(crate) struct FleetOf {
 
 impl FleetOf {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        if let Some(share) = self.share.filter(|share| !(0.0..=1.0).contains(share)) {
-            return Err(anyhow!("--share {share}: expected a fraction from 0 to 1")).or_usage();
-        }
-        let suite = self.suite.as_deref().map(suites::find).transpose()?;
+        let suite = self.suite.as_deref().map(named_suite).transpose()?;
         let environment = self.environment.choice().environment_of(suite.as_ref())?;
         let location = PolicyLocation { at: None, access: self.access.choice() };
         let policy = self.policy.choice().source_at(&location)?;
@@ -102,83 +93,23 @@ impl FleetOf {
         let subject = Subject::new(environment, policy)?;
         let subject = subject.with_statistics(&self.policy.choice().statistics)?;
         let suite = match (suite, subject.own_suite()) {
-            (None, Some(own)) if self.space.is_none() => Some(suites::find(own)?),
+            (None, Some(own)) if self.space.is_none() => Some(named_suite(own)?),
             (suite, _) => suite,
         };
-        let unit_space = self.unit_space(&subject, suite.as_ref())?;
+        let unit_space = unit_space(&subject, self.unit_space.as_deref(), suite.as_ref())?;
         let subject = subject.with_latency(&self.latency.choice().varied_by(&unit_space))?;
-        let plan = self.plan(&subject, suite, unit_space)?;
-        let dir = match &self.out {
-            Some(dir) => dir.clone(),
-            None => free_folder(&format!("fleet-{}-{}", subject.label(), self.seed)),
-        };
-        subject.register(&dir, &plan.provenance);
-        plan.begin(&dir)?;
-        units::judge(&dir, &plan, &subject, &self.how)
-    }
-
-    fn unit_space(&self, subject: &Subject, suite: Option<&Suite>) -> Result<ParameterSpace, Exit> {
-        match (&self.unit_space, subject.own_unit_space()) {
-            (Some(name), _) => named_space(name).or_usage(),
-            (None, Some(own)) => {
-                let space = named_space(own).or_usage()?;
-                match suite {
-                    Some(suite) => without_varied(&space, suite).or_usage(),
-                    None => Ok(space),
-                }
-            }
-            (None, None) => Err(anyhow!(
-                "this environment has no distribution of units\nHint: write one as a parameter space and give it with \
-                 --unit-space FILE (docs/guides/fleet.md)"
-            ))
-            .or_usage(),
-        }
-    }
-
-    fn plan(&self, subject: &Subject, suite: Option<Suite>, unit_space: ParameterSpace) -> Result<FleetPlan, Exit> {
-        let requirements = open_requirements(&self.requirements, subject.task())?;
-        if requirements.check_real(None).is_err() {
-            return Err(anyhow!(
-                "--requirements {}: no unit can meet a requirement on `real:success`, because a fleet has no trials of the real \
-                 robot\nHint: leave this requirement out, and judge it with `robogate gate --real FILE`",
-                self.requirements
-            ))
-            .or_usage();
-        }
-        let suite = match suite {
-            Some(suite) => suite,
-            None => {
-                let space = scenario_space(subject, self.space.as_deref(), &unit_space).or_usage()?;
-                Suite::sampled(&Arc::new(space), SAMPLED_SCENARIOS, self.seed)
-                    .map_err(anyhow::Error::from)
-                    .or_usage()?
-            }
-        };
-        let rounds = self.rounds.unwrap_or(requirements.budget.rounds);
-        let fixed = self.fixed || requirements.mode == Mode::Point;
-        let sampling = if fixed { Sampling::Fixed } else { Sampling::Sequential };
-        let provenance = subject.provenance(suite.space().clone())?;
-        let plan = FleetPlan {
-            version: VERSION,
+        let request = FleetRequest {
             units: self.units,
-            seed: self.seed,
-            rounds,
-            sampling,
-            required_share: self.share,
-            unit_space,
             suite,
-            requirements,
-            baseline: None,
-            provenance,
+            space: self.space.clone(),
+            requirements: self.requirements.clone(),
+            baseline: self.baseline.clone(),
+            share: self.share,
+            rounds: self.rounds,
+            fixed: self.fixed,
+            seed: self.seed,
         };
-        let baseline = self.baseline(&plan.nominal_record()?, &plan.requirements)?;
-        let plan = FleetPlan { baseline, ..plan };
-        // All units are checked before anything runs.
-        for unit in plan.all_units() {
-            let unit = unit.or_usage()?;
-            let suite = &unit.suite(&plan).map_err(|error| misfit(&plan.unit_space, &error)).or_usage()?;
-            subject.check_suite(suite).with_context(|| format!("unit {}", unit.number)).or_usage()?;
-        }
+        let plan = request.plan(&subject, unit_space)?;
         introduce(&plan.provenance, plan.seed);
         note(format_args!(
             "{} units from {}, each judged on at most {} rounds of {} scenarios ({}) by the requirements `{}`",
@@ -189,66 +120,60 @@ impl FleetOf {
             plan.suite.name(),
             plan.requirements.name
         ));
-        Ok(plan)
+        let dir = match &self.out {
+            Some(dir) => dir.clone(),
+            None => free_folder(&format!("fleet-{}-{}", subject.label(), self.seed)),
+        };
+        subject.register(&dir, &plan.provenance);
+        plan.begin(&dir)?;
+        judge(&dir, &plan, &subject, &self.how)
     }
-
-    fn baseline(&self, record: &Record, requirements: &Requirements) -> Result<Option<Baseline>, Exit> {
-        match &self.baseline {
-            Some(path) => Baseline::open(path).map(Some).map_err(refused),
-            None => Ok(built_in_baseline(record).filter(|_| requirements.needs_baseline())),
-        }
-    }
-}
-
-/// The space of the scenarios: that of the environment or `wanted`, without the parameters of the units.
-fn scenario_space(subject: &Subject, wanted: Option<&str>, units: &ParameterSpace) -> anyhow::Result<ParameterSpace> {
-    without(&subject.space(wanted)?, |name| units.position(name).is_some())
-        .context("the parameters of the units are left out of the scenarios")
-}
-
-/// A built-in space of units without the parameters that the suite varies: they belong to its scenarios. The user did not choose
-/// the space, so this is a note and not an error.
-fn without_varied(space: &ParameterSpace, suite: &Suite) -> anyhow::Result<ParameterSpace> {
-    let names = space.parameters().iter().map(|parameter| &*parameter.name);
-    let varied: Vec<&str> = names.filter(|name| suite.varies(name)).collect();
-    if varied.is_empty() {
-        return Ok(space.clone());
-    }
-    note(format_args!(
-        "left out of the units, because the scenarios of {} vary them: {} (--unit-space chooses other parameters)",
-        suite.name(),
-        varied.join(", ")
-    ));
-    without(space, |name| varied.contains(&name)).context("the suite varies parameters of the units")
-}
-
-/// A space without some of its parameters and their correlations.
-fn without(space: &ParameterSpace, left_out: impl Fn(&str) -> bool) -> anyhow::Result<ParameterSpace> {
-    let kept: Vec<_> = space.parameters().iter().filter(|parameter| !left_out(&parameter.name)).cloned().collect();
-    let correlations =
-        space.correlations().iter().filter(|c| !c.parameters.iter().any(|name| left_out(name))).cloned().collect();
-    ParameterSpace::new(space.name(), kept)
-        .with_context(|| format!("space {}", space.name()))?
-        .with_correlations(correlations)
-        .map_err(Into::into)
-}
-
-/// The error for units whose parameters do not suit the scenarios.
-fn misfit(units: &ParameterSpace, error: &SuiteError) -> anyhow::Error {
-    anyhow!(
-        "{}: {error}\nHint: leave these parameters out of the file of --unit-space, or choose a suite that does not vary them",
-        units.name()
-    )
-}
-
-/// Whether `dir` contains a fleet.
-pub(crate) fn is_fleet(dir: &Path) -> bool {
-    dir.join(plan::PLAN).is_file()
 }
 
 /// Continues an interrupted fleet.
 pub(crate) fn resume(dir: &Path, opening: &Reopening, how: &How) -> Result<u8, Exit> {
     let plan = FleetPlan::open(dir)?;
     let subject = Subject::recorded(&plan.provenance, Some(dir), opening)?;
-    units::judge(dir, &plan, &subject, how)
+    judge(dir, &plan, &subject, how)
+}
+
+/// Judges the units that are not finished, and writes the result.
+fn judge(dir: &Path, plan: &FleetPlan, subject: &Subject, how: &How) -> Result<u8, Exit> {
+    let mut progress = Progress::new();
+    // A bar for each unit suits a terminal. A log gets one line for each unit.
+    let shown = std::io::stderr().is_terminal();
+    let mut events = |event: &Event| {
+        if shown || matches!(event, Event::Warning { .. }) {
+            progress.hear(event);
+        }
+    };
+    let mut on_unit = |folder: &Path, unit: &FleetUnit, evaluation: &Evaluation| {
+        tell(plan, unit);
+        answer_files(folder, evaluation, None)
+    };
+    let end = how.with_workers(|workers| Ok(plan.judge(dir, subject, workers, &mut events, &mut on_unit)?))?;
+    match end {
+        FleetEnd::Judged(units) => result::write(dir, plan, units, how.json),
+        FleetEnd::Interrupted { judged, done, episodes, .. } => {
+            note(format_args!("{judged} of {} units are judged; of the next one:", plan.units));
+            Ok(interrupted(dir, done, episodes))
+        }
+    }
+}
+
+/// Prints the result of a unit.
+fn tell(plan: &FleetPlan, unit: &FleetUnit) {
+    let verdict = match unit.verdict {
+        Verdict::Pass => "meets the requirements",
+        Verdict::Fail => "violates them",
+        Verdict::Inconclusive => "is undecided",
+        Verdict::Invalid => "has no valid episode",
+    };
+    let rate = if unit.valid > 0 { percent(unit.successes as f64 / unit.valid as f64) } else { "-".to_owned() };
+    note(format_args!(
+        "unit {} of {} {verdict}: {rate} success in {} episodes",
+        unit.unit,
+        plan.units,
+        grouped(unit.episodes)
+    ));
 }

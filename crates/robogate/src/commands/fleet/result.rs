@@ -8,9 +8,10 @@ use robogate_dictionary::TaskIdentity;
 use robogate_gate::{Fleet, FleetSubject, FleetUnit, Verdict};
 use robogate_report::{fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share};
 
-use super::plan::FleetPlan;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
-use crate::terminal::{bold, dim, line, note, quoted, wrapped};
+use crate::terminal::{bold, dim, line, note, wrapped};
+use robogate_session::FleetPlan;
+use robogate_session::text::quoted;
 
 /// The files of the result.
 const FILES: [&str; 3] = ["fleet-result.json", "fleet.md", "fleet.html"];

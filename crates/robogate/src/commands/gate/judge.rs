@@ -8,14 +8,12 @@ use robogate_analysis::Source;
 use robogate_gate::{Asked, Evaluation, Question, RealEvidence, Record, Requirements, Sampling};
 use robogate_stats::format::counted;
 
-use super::question::{Other, compared_with, judged, open_requirements, real_evidence_for, refused};
-use super::verdict::{show, write_answer};
+use super::question::{Other, open_requirements, real_evidence_for};
+use super::verdict::{answer_files, show};
 use super::{Gate, baseline};
 use crate::exit::{Exit, OrExit};
-use crate::source::open_source;
 use crate::terminal::note;
-use crate::twins;
-use robogate_session::{MARGIN, question};
+use robogate_session::{MARGIN, compared_with, judged, open_source, question, twins_of};
 
 impl Gate {
     /// Judges a finished run.
@@ -24,8 +22,8 @@ impl Gate {
         if let Some(file) = &self.write_baseline {
             baseline::write(&source, file)?;
         }
-        let mut record = Record::of(source.dictionary()).map_err(refused)?;
-        let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
+        let mut record = Record::of(source.dictionary())?;
+        let asked = source.folder().map_or(Ok(None), Asked::of)?;
         // A run that was tested after each round stays a sequential test, also if it is judged again.
         let sampling = asked.as_ref().map_or(Sampling::Fixed, |asked| asked.sampling);
         let requirements = match (&self.requirements, &asked) {
@@ -54,11 +52,11 @@ impl Gate {
             against: other.against(margin),
             sampling,
         };
-        let mut evaluation = question.evaluate(&record).map_err(refused)?;
+        let mut evaluation = question.evaluate(&record)?;
         evaluation.twins = self.nominal.twins(&source, sampling)?;
         if let Some(out) = &self.out {
             fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display())).or_broken()?;
-            write_answer(out, &evaluation, None)?;
+            answer_files(out, &evaluation, None)?;
         }
         show(run, self.out.as_deref(), &evaluation, source.dictionary().provenance(), self.how.json)
     }
@@ -117,10 +115,10 @@ fn described(real: Option<&RealEvidence>) -> String {
 
 /// The evaluation of the gate that a run's folder belongs to. `None` for a run without a gate.
 pub(crate) fn evaluation_of(folder: &Path, source: &Source) -> Result<Option<Evaluation>, Exit> {
-    let Some(asked) = Asked::of(folder).map_err(refused)? else { return Ok(None) };
-    let record = judged(source, &asked)?;
+    let Some(asked) = Asked::of(folder)? else { return Ok(None) };
+    let record = judged(source.dictionary(), &asked)?;
     let other = compared_with(&asked)?.map(|(_, record)| record);
-    let mut evaluation = question(&asked, other.as_ref()).evaluate(&record).map_err(refused)?;
-    evaluation.twins = twins::of_folder(folder, source, asked.sampling)?;
+    let mut evaluation = question(&asked, other.as_ref()).evaluate(&record)?;
+    evaluation.twins = twins_of(folder, source, asked.sampling)?;
     Ok(Some(evaluation))
 }

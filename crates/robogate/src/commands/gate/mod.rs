@@ -1,12 +1,11 @@
 //! `robogate gate`: decides whether a policy may run.
 //!
-//! `start` prepares a gate and runs its suite, `rounds` asks the question after each round, `judge` asks it about a finished run, and
-//! `verdict` writes and prints the answer.
+//! `start` prepares a gate and runs its suite, `judge` asks the question about a finished run, and `verdict` writes and prints the
+//! answer.
 
 mod baseline;
 mod judge;
 mod question;
-mod rounds;
 mod start;
 mod verdict;
 
@@ -16,16 +15,15 @@ use anyhow::anyhow;
 use clap::Args;
 
 use crate::arguments::{AccessArguments, EnvironmentArguments, LatencyArguments, PolicyArguments};
-use crate::commands::controls;
 use crate::commands::run::How;
 use crate::exit::{Exit, OrExit};
 use crate::twins::NominalArguments;
-use robogate_session::PolicyLocation;
+use robogate_session::{CONTROL_EPISODES, PolicyLocation};
 
 pub(crate) use judge::evaluation_of;
-pub(crate) use question::{built_in_baseline, compared_with, open_requirements, real_evidence_for, refused};
-pub(crate) use rounds::resume;
-pub(crate) use verdict::{finish, ruled_out, write_answer};
+pub(crate) use question::{open_requirements, real_evidence_for};
+pub(crate) use start::resume;
+pub(crate) use verdict::{answer_files, finish};
 
 /// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run.
 ///
@@ -94,7 +92,7 @@ pub(crate) struct Gate {
     /// Set the number of episodes of each control of an external policy: the environment's expert, the expert through
     /// the profile, and random actions of the model. 0 skips the controls, and the result says so; it also skips the
     /// episodes that run twice, in another process and order
-    #[arg(long, value_name = "N", default_value_t = controls::EPISODES)]
+    #[arg(long, value_name = "N", default_value_t = CONTROL_EPISODES)]
     controls: u32,
     /// Set the seed of the rounds
     #[arg(long, value_name = "S")]

@@ -3,30 +3,18 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
+use robogate_analysis::Finding;
 use robogate_analysis::transfer::Transfer;
-use robogate_analysis::{Finding, Source};
 use robogate_core::TaskSpec;
 use robogate_core::budget::Budget;
 use robogate_dictionary::{Provenance, read_text};
 use robogate_gate::evidence::PolicyBinding;
-use robogate_gate::{Against, Asked, Baseline, GateError, RealEvidence, RealStratum, Record, Requirements};
+use robogate_gate::{Against, Baseline, RealEvidence, RealStratum, Record, Requirements};
 
 use super::Gate;
 use crate::exit::{Exit, OrExit};
-use crate::source::open_source;
 use crate::terminal::note;
-use robogate_session::Failure;
-
-/// The built-in baselines.
-const BASELINES: [&str; 1] = [include_str!("../../../../../assets/baselines/franka-industrial-68.json")];
-
-/// Finds the built-in baseline for these scenarios and this robot.
-pub(crate) fn built_in_baseline(record: &Record) -> Option<Baseline> {
-    BASELINES
-        .iter()
-        .filter_map(|text| Baseline::from_json(text).ok())
-        .find(|baseline| baseline.population.is_that_of(&record.population) && baseline.robot == record.robot)
-}
+use robogate_session::{built_in_baseline, open_source};
 
 /// A baseline's figures, and the run that they came from if it can be compared episode by episode.
 pub(super) struct Other {
@@ -58,30 +46,14 @@ impl Gate {
             return Ok(Other { baseline: built_in_baseline(record), record: None });
         };
         if self.against_run().is_none() {
-            let baseline = Baseline::open(path).map_err(refused)?;
+            let baseline = Baseline::open(path)?;
             return Ok(Other { baseline: Some(baseline), record: None });
         }
         let source = open_source(path)?;
-        let a = Record::of(source.dictionary()).map_err(refused)?;
-        let baseline = Baseline::of(&a).map_err(refused)?;
+        let a = Record::of(source.dictionary())?;
+        let baseline = Baseline::of(&a)?;
         Ok(Other { baseline: Some(baseline), record: Some((path.clone(), a)) })
     }
-}
-
-/// Opens the run that the gate compares with. Returns an error if it has changed since.
-pub(crate) fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, Exit> {
-    let Some(against) = &asked.against else { return Ok(None) };
-    let path = PathBuf::from(&against.path);
-    let source = open_source(&path)?;
-    let record = Record::of(source.dictionary()).map_err(refused)?;
-    if record.dataset_sha256 != against.dataset_sha256 {
-        return Err(anyhow!(
-            "{} has changed since this gate started. Expected the dataset that it was compared with",
-            against.path
-        ))
-        .or_usage();
-    }
-    Ok(Some((path, record)))
 }
 
 /// Reads the trials of the real robot from the file of `robogate transfer --out`.
@@ -120,7 +92,7 @@ fn real_evidence(path: &Path) -> Result<RealEvidence, Exit> {
 /// Reads the trials of the real robot for a run with this provenance. They must be about its task, robot and policy.
 pub(crate) fn real_evidence_for(path: &Path, provenance: &Provenance) -> Result<RealEvidence, Exit> {
     let real = real_evidence(path)?;
-    real.check_subject(&Record::begun(provenance).map_err(refused)?).map_err(refused)?;
+    real.check_subject(&Record::begun(provenance)?)?;
     let both = real.policy_sha256.is_some() && provenance.policy_sha256().is_some();
     if !both && PolicyBinding::of(provenance) != PolicyBinding::BuiltIn {
         note(format_args!(
@@ -133,18 +105,7 @@ pub(crate) fn real_evidence_for(path: &Path, provenance: &Provenance) -> Result<
     Ok(real)
 }
 
-/// The episodes of a run, with the trials of the real robot that its gate was asked about.
-pub(super) fn judged(source: &Source, asked: &Asked) -> Result<Record, Exit> {
-    let record = Record::of(source.dictionary()).map_err(refused)?;
-    Ok(Record { real: asked.real.clone(), ..record })
-}
-
 /// Opens built-in requirements or a file.
 pub(crate) fn open_requirements(name_or_path: &str, task: &TaskSpec) -> Result<Requirements, Exit> {
-    Requirements::open(name_or_path, task).map_err(refused)
-}
-
-/// Adds the exit code to an error of the gate: usage if the user can correct the request, invalid if there is no evidence.
-pub(crate) fn refused(error: GateError) -> Exit {
-    Failure::from(error).into()
+    Requirements::open(name_or_path, task).map_err(Exit::from)
 }

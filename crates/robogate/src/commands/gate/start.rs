@@ -5,25 +5,25 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
-use robogate_campaign::{DEFAULT_SEED, Event, Plan, Round};
+use robogate_campaign::{DEFAULT_SEED, Plan, Settings};
 use robogate_core::Suite;
 use robogate_dictionary::{Label, Provenance};
 use robogate_gate::{Asked, AskedAgainst, GatePlan, PairPlan, Planned, Question, Record, Requirements, Sampling};
 use robogate_stats::format::counted;
 
 use super::Gate;
-use super::question::{Other, open_requirements, real_evidence_for, refused};
-use super::rounds::Rounds;
-use super::verdict::{show, write_answer};
+use super::question::{Other, open_requirements, real_evidence_for};
+use super::verdict::{answer_files, finish, show};
 use crate::answer;
 use crate::commands::register::{Registered, Registrar, free};
-use crate::commands::run::{free_folder, introduce};
-use crate::commands::{controls, shard, suites};
+use crate::commands::run::{How, free_folder, introduce};
+use crate::commands::shard;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
 use crate::terminal::{line, note};
 use robogate_session::{
-    Arms, MARGIN, PolicyChoice, Rival, Subject, families, rounds_and_sampling, with_plan, write_question,
+    Arms, MARGIN, PolicyChoice, Reopening, Rival, Rounds, Subject, families, named_suite, rounds_and_sampling,
+    run_controls, with_plan,
 };
 
 /// The number of scenarios of a suite that is sampled from a space.
@@ -86,7 +86,7 @@ impl Gate {
     /// Finds everything that the gate depends on. Questions that cannot be decided are reported before anything runs, the
     /// controls included.
     fn prepare(&self) -> Result<Prepared, Exit> {
-        let suite = self.suite.as_deref().map(suites::find).transpose()?;
+        let suite = self.suite.as_deref().map(named_suite).transpose()?;
         let environment =
             self.environment.choice().with_policy(&self.policy.choice())?.environment_of(suite.as_ref())?;
         let policy = self.policy.choice().source_at(&self.location())?;
@@ -123,21 +123,20 @@ impl Gate {
         plan.twins |= self.twins;
         plan.check(suite.space()).or_usage()?;
         let planned = with_plan(&subject.provenance(suite.space().clone())?, &plan)?;
-        let mut record = Record::begun(&planned).map_err(refused)?;
+        let mut record = Record::begun(&planned)?;
         record.real = self.real.as_deref().map(|file| real_evidence_for(file, &planned)).transpose()?;
         // A plan runs nothing, and may precede the trials.
         if !self.plan {
-            requirements.check_real(record.real.as_ref()).map_err(refused)?;
+            requirements.check_real(record.real.as_ref())?;
         }
         let other = self.other(&record)?;
-        let expected = GatePlan::of(&requirements, other.baseline.as_ref(), &labels, sampling, u64::from(rounds))
-            .map_err(refused)?;
+        let expected = GatePlan::of(&requirements, other.baseline.as_ref(), &labels, sampling, u64::from(rounds))?;
         let margin = self.margin.unwrap_or(MARGIN);
         if let Some((_, a)) = &other.record {
             let planned = Planned { seed: plan.seed, rounds: u64::from(rounds), sampling, alpha: requirements.alpha() };
-            robogate_gate::check_pairing(a, &record, planned, margin).map_err(refused)?;
+            robogate_gate::check_pairing(a, &record, planned, margin)?;
         }
-        let controls = if self.plan { None } else { controls::run(&subject, &suite, self.controls, seed)? };
+        let controls = if self.plan { None } else { run_controls(&subject, &suite, self.controls, seed)? };
         let subject = match &controls {
             Some(controls) => subject.with_controls(controls),
             None => subject,
@@ -147,7 +146,7 @@ impl Gate {
         record.controls = planned.controls().cloned();
         let compared = other.record.is_some() || self.against.is_some();
         if compared {
-            robogate_gate::check_repeats(&[&record]).map_err(refused)?;
+            robogate_gate::check_repeats(&[&record])?;
         }
         Ok(Prepared {
             subject,
@@ -169,8 +168,8 @@ impl Gate {
     /// The suite of the arguments, or that of the task, or one sampled from the environment's space.
     fn suite(&self, subject: &Subject) -> Result<Suite, Exit> {
         match (&self.suite, &self.space, subject.own_suite()) {
-            (Some(name), _, _) => suites::find(name),
-            (None, None, Some(own)) if self.family.is_empty() => suites::find(own),
+            (Some(name), _, _) => Ok(named_suite(name)?),
+            (None, None, Some(own)) if self.family.is_empty() => Ok(named_suite(own)?),
             (None, space, _) => {
                 let space = subject
                     .space(space.as_deref())
@@ -196,7 +195,7 @@ impl Gate {
         let pairs = match self.against {
             Some(_) => {
                 let (alpha, per_round) = (prepared.requirements.alpha(), prepared.scenarios as u64);
-                Some(PairPlan::of(prepared.margin, alpha, per_round, prepared.rounds).map_err(refused)?)
+                Some(PairPlan::of(prepared.margin, alpha, per_round, prepared.rounds)?)
             }
             None => None,
         };
@@ -248,12 +247,12 @@ impl Gate {
             against: None,
             sampling: asked.sampling,
         };
-        let evaluation = question.evaluate(&prepared.record).map_err(refused)?;
+        let evaluation = question.evaluate(&prepared.record)?;
         // The store of a campaign in shards has no place for an answer without one.
         let local = Some(dir).filter(|dir| !place::is_remote(dir));
         if let Some(dir) = local {
             fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
-            write_answer(dir, &evaluation, None)?;
+            answer_files(dir, &evaluation, None)?;
         }
         show(dir, local, &evaluation, &prepared.planned, self.how.json)
     }
@@ -301,32 +300,31 @@ impl Gate {
             None => None,
         };
         let arms = Arms::of(&dir, &plan, &provenance.space, &subject)?;
-        let question = asked.clone();
-        let mut rounds = Rounds {
-            dir: &dir,
-            asked,
-            rival,
-            other: other.record.map(|(_, record)| record),
-            record,
-            trouble: None,
-            broken: None,
-        };
+        let mut rounds = Rounds::new(&dir, asked, rival, other.record.map(|(_, record)| record), record);
         let completion = self.how.carry(&dir, &subject, |executor, events| {
-            let mut with_question = |event: &Event| {
-                // The folder exists and contains the plan; no episode has run yet.
-                if let Event::Started { .. } = event {
-                    write_question(&dir, &question);
-                    registration.iter().for_each(|registration| registration.write(&dir));
-                }
-                events(event);
-            };
-            let mut after = |round: &Round<'_>| rounds.after(round);
-            let completion =
-                robogate_campaign::start_in_rounds(&dir, &plan, provenance, executor, &mut with_question, &mut after)?;
-            rounds.worthwhile(arms, &completion).after(completion, executor, events)
+            let begun = || registration.iter().for_each(|registration| registration.write(&dir));
+            rounds.run(&plan, provenance, arms, executor, &begun, events)
         })?;
-        rounds.end(completion, &subject, self.how.json)
+        let (asked, other) = rounds.end(&completion)?;
+        finish(&dir, &asked, other.as_ref(), completion, Some(&subject), self.how.json)
     }
+}
+
+/// Resumes an interrupted gate.
+pub(crate) fn resume(
+    dir: &Path,
+    asked: Asked,
+    subject: &Subject,
+    settings: Settings,
+    opening: &Reopening,
+    how: &How,
+) -> Result<u8, Exit> {
+    let mut rounds = Rounds::resumed(dir, asked, &settings, opening, how.threads)?;
+    let arms = Arms::of(dir, &settings.plan, &settings.provenance.space, subject)?;
+    let provenance = subject.provenance(settings.provenance.space)?;
+    let completion = how.carry(dir, subject, |executor, events| rounds.resume(&provenance, arms, executor, events))?;
+    let (asked, other) = rounds.end(&completion)?;
+    finish(dir, &asked, other.as_ref(), completion, Some(subject), how.json)
 }
 
 impl Prepared {

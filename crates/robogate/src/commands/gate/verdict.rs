@@ -7,20 +7,20 @@ use anyhow::Context;
 use robogate_analysis::Source;
 use robogate_campaign::Completion;
 use robogate_dictionary::Provenance;
-use robogate_gate::{Asked, Evaluation, GateError, Record, Verdict};
+use robogate_gate::{Asked, Evaluation, Record, Verdict};
 use robogate_report::{Watch, evaluation_markdown_with, junit};
 use robogate_stats::format::counted;
 
-use super::question::{judged, refused};
 use crate::answer;
 use crate::benchmark;
 use crate::commands::run::{interrupted, write_report};
 use crate::exit::{Exit, OrExit};
 use crate::summary::influential;
-use crate::terminal::{line, note, quoted};
+use crate::terminal::{line, note};
 use crate::twins;
 use crate::watch::Frames;
-use robogate_session::{Subject, question};
+use robogate_session::text::quoted;
+use robogate_session::{Failure, Subject, judged, question, twins_of};
 
 /// The files of the evaluation in a run's folder.
 const ANSWER: [&str; 3] = ["gate.json", "gate.md", "gate.junit.xml"];
@@ -33,7 +33,6 @@ pub(crate) fn finish(
     dir: &Path,
     asked: &Asked,
     other: Option<&Record>,
-    trouble: Option<GateError>,
     completion: Completion,
     subject: Option<&Subject>,
     json: bool,
@@ -41,20 +40,17 @@ pub(crate) fn finish(
     if let Completion::Interrupted { done, episodes } = completion {
         return Ok(interrupted(dir, done, episodes));
     }
-    if let Some(error) = trouble {
-        return Err(refused(error));
-    }
     let frames = Frames { folder: dir.join(FRAMES), link: FRAMES.to_owned() };
     let (analysis, watch) = write_report(dir, Some(&frames), subject).unzip();
     // The evaluation uses the rows on disk, and not those that were seen during the run.
     let source = Source::open(dir).or_broken()?;
-    let record = judged(&source, asked)?;
-    let mut evaluation = question(asked, other).evaluate(&record).map_err(refused)?;
-    evaluation.twins = twins::of_folder(dir, &source, asked.sampling)?;
+    let record = judged(source.dictionary(), asked)?;
+    let mut evaluation = question(asked, other).evaluate(&record)?;
+    evaluation.twins = twins_of(dir, &source, asked.sampling)?;
     if let Some(twins) = &evaluation.twins {
         twins::write(dir, twins)?;
     }
-    write_answer(dir, &evaluation, watch.flatten().as_ref())?;
+    answer_files(dir, &evaluation, watch.flatten().as_ref())?;
     let code = show(dir, Some(dir), &evaluation, source.dictionary().provenance(), json)?;
     if let Some(analysis) = analysis.filter(|_| !json) {
         influential(&analysis.effects, "Most influential parameters");
@@ -62,19 +58,13 @@ pub(crate) fn finish(
     Ok(code)
 }
 
-/// Whether the finished gate in `dir` stopped because a pass is ruled out. Its control arms do not run.
-pub(crate) fn ruled_out(dir: &Path, asked: &Asked, other: Option<&Record>) -> Result<bool, Exit> {
-    let source = Source::open(dir).or_broken()?;
-    let record = judged(&source, asked)?;
-    Ok(question(asked, other).evaluate(&record).map_err(refused)?.ruled_out.is_some())
-}
-
 /// Writes the files of the evaluation into the folder of a run.
-pub(crate) fn write_answer(dir: &Path, evaluation: &Evaluation, watch: Option<&Watch>) -> Result<(), Exit> {
+pub(crate) fn answer_files(dir: &Path, evaluation: &Evaluation, watch: Option<&Watch>) -> Result<(), Failure> {
     let texts = [evaluation.to_json(), evaluation_markdown_with(evaluation, watch), junit(evaluation)];
     for (name, text) in ANSWER.iter().zip(texts) {
         let path = dir.join(name);
-        fs::write(&path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
+        let written = fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()));
+        robogate_session::OrFailure::or_broken(written)?;
     }
     Ok(())
 }

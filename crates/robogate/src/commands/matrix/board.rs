@@ -11,13 +11,13 @@ use robogate_report::{leaderboards_html, leaderboards_markdown};
 use serde_json::{Value, json};
 
 use super::sweep::SweepPlan;
-use crate::commands::gate::{built_in_baseline, open_requirements};
+use crate::commands::gate::open_requirements;
 use crate::commands::leaderboard::print;
+use crate::commands::run::write_report;
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit};
-use crate::source::open_source;
 use crate::terminal::{line, warning};
-use robogate_session::{Reopening, Trust};
+use robogate_session::{Reopening, Trust, built_in_baseline, open_source};
 
 /// The pages in the folder of a sweep.
 const PAGES: [&str; 2] = ["leaderboard.html", "leaderboard.md"];
@@ -33,7 +33,11 @@ pub(crate) fn merge(dir: &Path, plan: &SweepPlan, trust: Trust, as_json: bool) -
                 warning(format_args!("{}: {message}", run.name));
             }
         };
-        let merged = shard::open(&folder).and_then(|campaign| campaign.merge_quietly(&folder, &mut events, &opening));
+        let merged = shard::open(&folder).and_then(|mut campaign| {
+            campaign.merge(&folder, &mut events, &opening)?;
+            write_report(&folder, None, None);
+            Ok(())
+        });
         if let Err(exit) = merged {
             warning(format_args!("{}: {exit}", run.name));
             failed.push(run.name.clone());

@@ -14,8 +14,9 @@ use super::sweep::{SweepPlan, SweepRun};
 use crate::commands::plan::{NextShard, next_shards};
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit};
-use crate::terminal::{bold, grouped, line, note, quoted};
+use crate::terminal::{bold, grouped, line, note};
 use robogate_session::Trust;
+use robogate_session::text::quoted;
 
 impl SweepRun {
     /// The arguments of `robogate run`.

@@ -13,10 +13,10 @@ use robogate_monitor::domain::{self, Risk, RiskTerm, Validated};
 use robogate_monitor::{Baseline, Count, ModeCounts, Reference};
 
 use crate::commands::analyze::analyse;
-use crate::commands::gate::{open_requirements, real_evidence_for, refused};
+use crate::commands::gate::{open_requirements, real_evidence_for};
 use crate::exit::{DONE, Exit, INVALID, OrExit};
-use crate::source::open_source;
 use crate::terminal::{grouped, line, note};
+use robogate_session::open_source;
 
 /// An end of a suite's or an import's range counts as validated if an episode came this close to it, as a share of the range.
 const NEAR: f64 = 0.02;
@@ -157,7 +157,7 @@ impl ReferenceOf {
     /// The smallest success rate that the gate of this run accepts: with trials of the real robot the limit on its rate, if
     /// there is one, and otherwise the larger limit of simulation and real robot. `None` if its requirements have no limit.
     fn required_success(&self, source: &Source) -> Result<Option<f64>, Exit> {
-        let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
+        let asked = source.folder().map_or(Ok(None), Asked::of)?;
         let requirements = match (&self.requirements, asked) {
             (None, Some(asked)) => asked.requirements,
             (name, _) => {

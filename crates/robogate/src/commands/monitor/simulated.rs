@@ -12,8 +12,8 @@ use robogate_report::replay_page;
 use super::Referred;
 use crate::commands::view::Player;
 use crate::exit::{Exit, OrExit};
-use crate::source::open_source;
 use crate::terminal::note;
+use robogate_session::open_source;
 
 /// The largest number of episodes of a run that cycles are compared with.
 const MOST_EPISODES: usize = 200_000;

@@ -10,11 +10,10 @@ use robogate_campaign::{Follower, Progress, settings};
 use robogate_dictionary::{Entry, Provenance};
 use serde_json::{Value, json};
 
-use crate::commands::shard;
 use crate::exit::{Exit, OrExit};
 use crate::place;
-use crate::source::open_source;
 use crate::terminal::{foreign, note};
+use robogate_session::{open_source, open_store};
 
 /// All runs with their episodes.
 pub(super) struct Board {
@@ -216,7 +215,7 @@ fn reopened(path: &Path, before: &Follower) -> Result<Follower, Exit> {
 fn open(path: &Path) -> Result<(Feed, Provenance, Option<u64>), Exit> {
     let in_shards = place::is_remote(path) || path.join(LAYOUT).is_file() && !path.join(DICTIONARY).is_file();
     if in_shards {
-        let follower = Follower::of_shards(Shards::open(place::open(path)?).map_err(shard::exit)?);
+        let follower = Follower::of_shards(Shards::open(open_store(path)?)?);
         return Ok(campaign(follower));
     }
     if path.join(PLAN).is_file() {

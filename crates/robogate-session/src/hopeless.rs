@@ -8,7 +8,7 @@ use robogate_campaign::{ExecuteError, Executor, LostEpisode};
 use robogate_core::{Episode, FailureMode, Foresight, Outcome, Scenario};
 use robogate_stats::format::percent;
 
-use crate::terminal::warning;
+use crate::notice::warning;
 
 /// Number of valid episodes after which a run without a success is looked at.
 const FIRST: usize = 20;
@@ -17,7 +17,7 @@ const CLIPPED: &str = "clipped_actions";
 
 /// What happens to such a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Reaction {
+pub enum Reaction {
     /// It stops.
     Stop,
     /// It goes on with a warning.
@@ -25,7 +25,7 @@ pub(crate) enum Reaction {
 }
 
 /// An executor that looks at the first episodes.
-pub(crate) struct Watched<'a> {
+pub struct Watched<'a> {
     executor: &'a dyn Executor,
     reaction: Reaction,
     first: RefCell<First>,
@@ -42,13 +42,14 @@ struct First {
 }
 
 impl<'a> Watched<'a> {
-    pub(crate) fn new(executor: &'a dyn Executor, reaction: Reaction) -> Self {
+    /// Looks at the episodes of `executor`.
+    pub fn new(executor: &'a dyn Executor, reaction: Reaction) -> Self {
         let (first, diagnosis, ended) = (RefCell::default(), RefCell::default(), Cell::default());
         Self { executor, reaction, first, diagnosis, ended }
     }
 
     /// Why the run was stopped, if it was.
-    pub(crate) fn stopped(self) -> Option<String> {
+    pub fn stopped(self) -> Option<String> {
         self.diagnosis.into_inner()
     }
 

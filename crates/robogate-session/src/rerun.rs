@@ -1,4 +1,4 @@
-//! `robogate verify --rerun K`: runs randomly chosen rows of evidence again.
+//! Runs randomly chosen rows of evidence again.
 
 use std::path::Path;
 
@@ -9,42 +9,45 @@ use robogate_dictionary::{Dictionary, Provenance, World};
 use robogate_gate::evidence::{Problem, random_positions};
 use serde::Serialize;
 
-use crate::commands::evidence::evidence_error;
-use crate::exit::{Exit, OrExit};
-use robogate_session::{Reopening, Subject};
+use crate::failure::{Failure, OrFailure};
+use crate::reopening::Reopening;
+use crate::subject::Subject;
 
 /// The rows in the folder of evidence.
 const ROWS: &str = "dictionary.parquet";
 
 /// The result of running rows again.
 #[derive(Debug, Serialize)]
-pub(crate) struct Rerun {
+pub struct Rerun {
     /// The number of rows that could have been chosen.
-    pub(crate) of: u64,
+    pub of: u64,
     /// The indices of the rows that ran again, all with the same outcome.
-    pub(crate) rows: Vec<u64>,
+    pub rows: Vec<u64>,
     /// How many of them also have the same measures and trajectory, bit for bit.
-    pub(crate) identical: u64,
+    pub identical: u64,
     /// How many other chosen rows were lost to an unavailable server when they were recorded, which need not happen again.
-    pub(crate) lost: u64,
+    pub lost: u64,
     /// Whether the mathematical functions differ from those of the run, so that last bits differ.
-    pub(crate) other_maths: bool,
+    pub other_maths: bool,
 }
 
 impl Rerun {
     /// The share of invented rows that this number of rows detects with 95 % probability.
-    pub(crate) fn detects(&self) -> f64 {
+    pub fn detects(&self) -> f64 {
         1.0 - 0.05_f64.powf(1.0 / self.rows.len().max(1) as f64)
     }
 }
 
 /// Checks that the rows are those of the plan, and runs `k` of them again. A difference is a problem of the evidence.
-pub(crate) fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result<Rerun, Problem>, Exit> {
-    let dictionary = Dictionary::open(&folder.join(ROWS)).or_usage()?;
+///
+/// # Errors
+/// Rows that were not simulated, another build or machine, or an environment that does not start.
+pub fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result<Rerun, Problem>, Failure> {
+    let dictionary = Dictionary::open(&folder.join(ROWS)).or_request()?;
     let recorded = dictionary.provenance();
     if recorded.source.is_some() {
         return Err(anyhow!("--rerun: the rows were imported, so they cannot be run again\nHint: leave out --rerun"))
-            .or_usage();
+            .or_request();
     }
     let subject = Subject::recorded(recorded, Some(folder), opening)?;
     let here = subject.provenance(recorded.space.clone())?;
@@ -54,7 +57,7 @@ pub(crate) fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result
     let world = |provenance: &Provenance| provenance.world.as_ref().map(World::without_packages);
     if world(&here) != world(recorded) {
         let reason = "the policy or the environment differs from the recorded one: another file, or its server declares something else";
-        return Err(anyhow!("--rerun: {reason}\nHint: name the judged policy with --policy")).or_usage();
+        return Err(anyhow!("--rerun: {reason}\nHint: name the judged policy with --policy")).or_request();
     }
     let wrong = |reason: String| Ok(Err(Problem::new(ROWS, reason)));
     if let Err(error) = check_rows(recorded, subject.foresight()?, dictionary.entries()) {
@@ -62,15 +65,15 @@ pub(crate) fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result
     }
     let mut indices = Vec::new();
     for entry in dictionary.entries() {
-        indices.push(entry.or_usage()?.index());
+        indices.push(entry.or_request()?.index());
     }
-    let chosen = random_positions(indices.len() as u64, k).map_err(evidence_error)?;
+    let chosen = random_positions(indices.len() as u64, k)?;
     let mut rows: Vec<u64> = chosen.iter().filter_map(|at| indices.get(*at as usize).copied()).collect();
     let chosen = rows.len();
     let mut identical = 0;
     let mut worker = subject.worker().or_broken()?;
     for entry in dictionary.entries() {
-        let entry = entry.or_usage()?;
+        let entry = entry.or_request()?;
         if rows.binary_search(&entry.index()).is_err() {
             continue;
         }
@@ -116,13 +119,13 @@ fn entry_index(episode: &robogate_core::Episode) -> u64 {
 }
 
 /// Rejects a setup in which the same episodes can have other bits.
-fn same_setup(recorded: &Provenance, here: &Provenance, other_maths: bool) -> Result<(), Exit> {
+fn same_setup(recorded: &Provenance, here: &Provenance, other_maths: bool) -> Result<(), Failure> {
     let same = |name: &str, equal: bool, was: String, is: String| {
         if equal {
             return Ok(());
         }
         let hint = "Hint: run the verification with the build, library and platform of the run";
-        Err(anyhow!("--rerun: the rows were made with another {name}: {was}, here {is}\n  {hint}")).or_usage()
+        Err(anyhow!("--rerun: the rows were made with another {name}: {was}, here {is}\n  {hint}")).or_request()
     };
     let text = |value: &Option<String>| value.clone().unwrap_or_else(|| "unknown".to_owned());
     same("version of robogate", recorded.tool == here.tool, recorded.tool.version.clone(), here.tool.version.clone())?;

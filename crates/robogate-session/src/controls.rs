@@ -8,12 +8,15 @@ use robogate_core::{Assignment, Outcome, Policy, Scenario, Seed, Suite, rollout}
 use robogate_dictionary::{ControlProblem, ControlResult, Controls};
 use robogate_policy::{Profile, RandomModel, TaskMap, ThroughProfile, Unmapped, compare_mappings};
 
-use crate::exit::{Exit, OrExit};
-use crate::terminal::note;
-use robogate_session::{EnvironmentSource, Subject, mapped, picture_problems, repeats};
+use crate::failure::{Failure, OrFailure};
+use crate::notice::note;
+use crate::pictures::picture_problems;
+use crate::policy_source::mapped;
+use crate::repetition::repeats;
+use crate::subject::{EnvironmentSource, Subject};
 
 /// The default number of episodes of each control.
-pub(crate) const EPISODES: u32 = 5;
+pub const CONTROL_EPISODES: u32 = 5;
 
 /// The number of episodes of the gate that run twice before it, in other processes.
 const REPEATED: u64 = 3;
@@ -23,7 +26,10 @@ const REPEATED: u64 = 3;
 ///
 /// In the built-in cell the episodes are nominal scenarios. In other environments they are scenarios of the suite, evenly
 /// spaced. Their seeds are not those of the gate.
-pub(crate) fn run(subject: &Subject, suite: &Suite, episodes: u32, seed: u64) -> Result<Option<Controls>, Exit> {
+///
+/// # Errors
+/// A profile that does not fit, pictures that show nothing, or an environment that does not start.
+pub fn run_controls(subject: &Subject, suite: &Suite, episodes: u32, seed: u64) -> Result<Option<Controls>, Failure> {
     let repeated = if episodes == 0 { None } else { repeats(subject, &sample(suite, seed))? };
     let controls = of_profile(subject, suite, episodes, seed)?;
     Ok(match repeated {
@@ -40,10 +46,10 @@ fn sample(suite: &Suite, seed: u64) -> Vec<Scenario> {
 }
 
 /// Runs the controls of a policy with a profile.
-fn of_profile(subject: &Subject, suite: &Suite, episodes: u32, seed: u64) -> Result<Option<Controls>, Exit> {
+fn of_profile(subject: &Subject, suite: &Suite, episodes: u32, seed: u64) -> Result<Option<Controls>, Failure> {
     let Some(profile) = subject.policy_source().and_then(|source| source.profile()) else { return Ok(None) };
     let map = subject.policy_source().and_then(|source| source.map());
-    let reference = profile.published().or_usage()?;
+    let reference = profile.published().or_request()?;
     let mut controls = Controls { reference: reference.name.clone(), ..Controls::default() };
     if episodes == 0 {
         "They were skipped with --controls 0.".clone_into(&mut controls.without);
@@ -61,13 +67,13 @@ fn of_profile(subject: &Subject, suite: &Suite, episodes: u32, seed: u64) -> Res
     if let (EnvironmentSource::Remote(_), Some(scenario), false) =
         (source, scenarios.first(), profile.cameras.is_empty())
     {
-        let mut environment = source.environment_for(profile, map.map(|map| &**map)).or_usage()?;
+        let mut environment = source.environment_for(profile, map.map(|map| &**map)).or_request()?;
         let problems = picture_problems(&mut *environment, scenario).or_broken()?;
         if let Some(problem) = problems.first() {
             return Err(anyhow!(
                 "{problem}\nHint: `robogate policy check` with the same options shows what the policy receives"
             ))
-            .or_usage();
+            .or_request();
         }
     }
     note(format_args!("controls of the profile {}: {episodes} episodes each", profile.name));
@@ -88,7 +94,7 @@ fn of_profile(subject: &Subject, suite: &Suite, episodes: u32, seed: u64) -> Res
     }
     controls.expert = Some(known);
     if let Some(worker) = expert()? {
-        controls.positive = Some(measure(through(worker, profile, &reference, map).or_usage()?, &scenarios));
+        controls.positive = Some(measure(through(worker, profile, &reference, map).or_request()?, &scenarios));
     }
     controls.negative = expert()?.map(|worker| {
         let policy = mapped(Box::new(RandomModel::new(profile)), &Arc::new(profile.clone()), map);
@@ -139,7 +145,7 @@ fn measure(worker: Worker, scenarios: &[Scenario]) -> ControlResult {
             Outcome::Success => result.successes += 1,
             Outcome::Invalid(fault) => {
                 result.invalid += 1;
-                note(format_args!("note: an episode of a control is invalid: {fault}"));
+                note(format_args!("an episode of a control is invalid: {fault}"));
                 continue;
             }
             Outcome::Failure(_) => {}

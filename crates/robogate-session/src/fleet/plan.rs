@@ -12,8 +12,8 @@ use robogate_dictionary::Provenance;
 use robogate_gate::{Asked, Baseline, Record, Requirements, Sampling};
 use serde::{Deserialize, Serialize};
 
-use crate::commands::gate::refused;
-use crate::exit::{Exit, OrExit};
+use crate::failure::{Failure, OrFailure};
+use crate::gate::with_plan;
 
 /// The plan in the folder of a fleet.
 pub(super) const PLAN: &str = "fleet.json";
@@ -23,26 +23,29 @@ pub(super) const VERSION: u32 = 1;
 /// Everything that the results of a fleet depend on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct FleetPlan {
-    pub(super) version: u32,
+pub struct FleetPlan {
+    /// The version of the format.
+    pub version: u32,
     /// The number of units.
-    pub(super) units: u32,
+    pub units: u32,
     /// The seed of units and episodes.
-    pub(super) seed: u64,
+    pub seed: u64,
     /// The maximum number of rounds of each unit.
-    pub(super) rounds: u32,
+    pub rounds: u32,
     /// Whether a unit stops as soon as its verdict is certain.
-    pub(super) sampling: Sampling,
-    pub(super) required_share: Option<f64>,
+    pub sampling: Sampling,
+    /// The share of units that must meet the requirements, 0 to 1.
+    pub required_share: Option<f64>,
     /// The distribution of the unit parameters.
-    pub(super) unit_space: ParameterSpace,
+    pub unit_space: ParameterSpace,
     /// The scenarios, without the parameters of the units.
-    pub(super) suite: Suite,
-    pub(super) requirements: Requirements,
+    pub suite: Suite,
+    /// The requirements on each unit.
+    pub requirements: Requirements,
     /// The baseline of relative requirements: the nominal robot on the same scenarios.
-    pub(super) baseline: Option<Baseline>,
+    pub baseline: Option<Baseline>,
     /// Environment and policy.
-    pub(super) provenance: Provenance,
+    pub provenance: Provenance,
 }
 
 /// One unit: its parameters, and the seed of its episodes. They depend only on the seed of the fleet and the number.
@@ -82,14 +85,17 @@ impl FleetPlan {
     }
 
     /// The record of the scenarios without the parameters of a unit.
-    pub(super) fn nominal_record(&self) -> Result<Record, Exit> {
+    ///
+    /// # Errors
+    /// A suite that cannot be judged.
+    pub fn nominal_record(&self) -> Result<Record, Failure> {
         let plan = Plan::of_suite(self.suite.clone(), u64::from(self.rounds), self.seed);
         begun(&plan, &self.provenance)
     }
 
     /// The campaign of a unit.
-    pub(super) fn campaign(&self, unit: &Unit) -> Result<UnitCampaign, Exit> {
-        let suite = unit.suite(self).map_err(|error| anyhow!("unit {}: {error}", unit.number)).or_usage()?;
+    pub(super) fn campaign(&self, unit: &Unit) -> Result<UnitCampaign, Failure> {
+        let suite = unit.suite(self).map_err(|error| anyhow!("unit {}: {error}", unit.number)).or_request()?;
         let space = suite.space().clone();
         let plan = Plan::of_suite(suite, u64::from(self.rounds), unit.seed);
         let provenance = Provenance { space, ..self.provenance.clone() };
@@ -110,7 +116,10 @@ impl FleetPlan {
     }
 
     /// Writes the plan to a new folder, or checks that it is that of the folder.
-    pub(super) fn begin(&self, dir: &Path) -> Result<(), Exit> {
+    ///
+    /// # Errors
+    /// A folder with something else, or that cannot be written.
+    pub fn begin(&self, dir: &Path) -> Result<(), Failure> {
         let text = serde_json::to_string_pretty(self).or_broken()? + "\n";
         let path = dir.join(PLAN);
         if path.is_file() {
@@ -125,7 +134,7 @@ impl FleetPlan {
                 dir.display(),
                 dir.display()
             ))
-            .or_usage();
+            .or_request();
         }
         if let Some(name) = fs::read_dir(dir).ok().and_then(|mut entries| entries.next()?.ok()) {
             return Err(anyhow!(
@@ -133,7 +142,7 @@ impl FleetPlan {
                 dir.display(),
                 name.file_name().display()
             ))
-            .or_usage();
+            .or_request();
         }
         fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
         let part = dir.join(format!(".{PLAN}.part"));
@@ -144,14 +153,17 @@ impl FleetPlan {
     }
 
     /// Reads the plan of a fleet.
-    pub(super) fn open(dir: &Path) -> Result<Self, Exit> {
+    ///
+    /// # Errors
+    /// A file that cannot be read or that is not such a plan.
+    pub fn open(dir: &Path) -> Result<Self, Failure> {
         let path = dir.join(PLAN);
-        let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+        let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display())).or_request()?;
         let plan: Self = serde_json::from_str(&text)
             .with_context(|| format!("{}: not the plan of a fleet", path.display()))
-            .or_usage()?;
+            .or_request()?;
         if plan.version != VERSION {
-            return Err(anyhow!("{} has version {}, expected {VERSION}", path.display(), plan.version)).or_usage();
+            return Err(anyhow!("{} has version {}, expected {VERSION}", path.display(), plan.version)).or_request();
         }
         Ok(plan)
     }
@@ -169,7 +181,6 @@ impl Unit {
     }
 }
 
-fn begun(plan: &Plan, provenance: &Provenance) -> Result<Record, Exit> {
-    let planned = Provenance { plan: serde_json::to_value(plan).or_broken()?, ..provenance.clone() };
-    Record::begun(&planned).map_err(refused)
+fn begun(plan: &Plan, provenance: &Provenance) -> Result<Record, Failure> {
+    Ok(Record::begun(&with_plan(provenance, plan)?)?)
 }
