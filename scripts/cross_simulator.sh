@@ -11,7 +11,7 @@ for engine in mujoco rapier; do
     if [ -f "$out/$engine/plan.json" ]; then
         "$robogate" resume "$out/$engine"
     else
-        "$robogate" run --engine "$engine" --plan docs/results/cross-simulator.toml --out "$out/$engine"
+        "$robogate" run --engine "$engine" --space franka --set tolerance_m=0.03 --set contact_force_limit_n=1000000 --plan docs/results/cross-simulator.toml --out "$out/$engine"
     fi
 done
 "$robogate" compare --paired "$out"/{mujoco,rapier} --html "$out/comparison.html" --md "$out/comparison.md"

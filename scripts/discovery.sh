@@ -18,12 +18,21 @@ fi
 robogate=$BUILT/robogate
 mkdir -p "$out"
 
+# The cell of the paper for its task: tolerance and space.
+paper=() space_of_paper=()
+if [ "$task" = pick_place ]; then
+    paper=(--set tolerance_m=0.03 --set contact_force_limit_n=1000000)
+    case $robot in ur*) space_of_paper=(--space ur) ;; *) space_of_paper=(--space franka) ;; esac
+fi
+
 # campaign NAME ARGUMENT...: runs, resumes or keeps a campaign.
 campaign() {
     local dir="$out/$robot-$1"
     shift
+    local own=("${space_of_paper[@]}")
+    case " $* " in *" --space "* | *" --suite "*) own=() ;; esac
     [ -f "$dir/summary.json" ] && return
-    if [ -f "$dir/plan.json" ]; then "$robogate" resume "$dir" >/dev/null; else "$robogate" run --task "$task" --robot "$robot" --out "$dir" "$@" >/dev/null; fi
+    if [ -f "$dir/plan.json" ]; then "$robogate" resume "$dir" >/dev/null; else "$robogate" run --task "$task" --robot "$robot" "${paper[@]}" "${own[@]}" --out "$dir" "$@" >/dev/null; fi
 }
 
 # A plan with one uniform stage and independent points.

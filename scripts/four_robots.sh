@@ -12,9 +12,9 @@ for robot in ur3e ur5e ur10e franka; do
         "$robogate" resume "$out/$robot"
         continue
     fi
-    # The paper's surface gripper; the Franka has fingers.
-    suction=(--set suction=surface)
-    [ "$robot" = franka ] && suction=()
-    "$robogate" run --robot "$robot" --plan docs/results/four-robots.toml "${suction[@]}" --out "$out/$robot"
+    # The paper's spaces and tolerance, and its surface gripper; the Franka has fingers.
+    paper=(--set tolerance_m=0.03 --set contact_force_limit_n=1000000 --space ur --set suction=surface)
+    [ "$robot" = franka ] && paper=(--set tolerance_m=0.03 --set contact_force_limit_n=1000000 --space franka)
+    "$robogate" run --robot "$robot" --plan docs/results/four-robots.toml "${paper[@]}" --out "$out/$robot"
 done
 "$robogate" compare "$out"/{ur3e,ur5e,ur10e,franka} --html "$out/comparison.html" --md "$out/comparison.md"

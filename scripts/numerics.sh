@@ -43,7 +43,7 @@ PYTHON
 if [ "${1:-}" = --write ]; then
     write=1
 fi
-step "franka" episodes franka -n 300 --design two-stage
+step "the Franka in the cell of the paper" episodes franka -n 300 --design two-stage --space franka --set tolerance_m=0.03 --set contact_force_limit_n=1000000
 for suite in industrial-68 stacking-40 insertion-40; do
     case $suite in
         stacking-40) task=stacking ;;
@@ -54,7 +54,7 @@ for suite in industrial-68 stacking-40 insertion-40; do
     step "$suite, Rapier" episodes "$suite-rapier" --suite "$suite" --task "$task" --engine rapier
 done
 for robot in ur3e ur5e ur10e; do
-    step "$robot" episodes "$robot" -n 100 --design two-stage --robot "$robot"
+    step "$robot" episodes "$robot" -n 100 --design two-stage --robot "$robot" --space ur --set tolerance_m=0.03 --set contact_force_limit_n=1000000
 done
 for task in stacking insertion; do
     step "$task" episodes "$task" -n 60 --design two-stage --task "$task"

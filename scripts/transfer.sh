@@ -15,14 +15,14 @@ campaign() { # name, seed, episodes, further arguments of `robogate run`
     if [ -f "$out/$1/plan.json" ]; then
         "$robogate" resume "$out/$1"
     else
-        "$robogate" run --plan "$plan" --out "$out/$1" "${@:4}"
+        "$robogate" run --set tolerance_m=0.03 --set contact_force_limit_n=1000000 --plan "$plan" --out "$out/$1" "${@:4}"
     fi
 }
 
-campaign simulation 11 2000
+campaign simulation 11 2000 --space franka
 campaign altered 12 1000 --space docs/results/transfer-altered.toml
-campaign rapier 13 1000 --engine rapier
-campaign delayed 14 1000 --latency fixed:10ms
+campaign rapier 13 1000 --space franka --engine rapier
+campaign delayed 14 1000 --space franka --latency fixed:10ms
 example() { cargo run --release --locked -p robogate-analysis --example transfer -- "$@"; }
 example | tee "$out/synthetic.md"
 example "$out"/{simulation,altered,rapier,delayed} | tee "$out/surrogate.md"

@@ -22,7 +22,7 @@ make() {
     if [ -f "$dir/plan.json" ]; then
         "$ROBOGATE" resume "$dir" > /dev/null
     else
-        "$ROBOGATE" run --plan "$plan" --space learned --policy assets/policies/learned.onnx --profile learned "$@" --out "$dir" > /dev/null
+        "$ROBOGATE" run --plan "$plan" --space learned --set tolerance_m=0.03 --set contact_force_limit_n=1000000 --policy assets/policies/learned.onnx --profile learned "$@" --out "$dir" > /dev/null
     fi
 }
 

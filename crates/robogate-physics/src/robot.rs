@@ -95,6 +95,9 @@ pub struct Arm {
     pub reach_m: f64,
     /// Published payload, in kilograms.
     pub payload_kg: f64,
+    /// Contact force at which the robot's own supervision stops it, in newtons. Tasks take it as the largest accepted force.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub collision_force_n: Option<f64>,
 }
 
 /// The gripper.
@@ -454,7 +457,9 @@ impl RobotSettings {
                 problem(format!("the pose of site `{}` is not finite", site.name), "give metres and radians");
             }
         }
-        let arm = [("arm.reach_m", arm.reach_m), ("arm.payload_kg", arm.payload_kg)];
+        let force_n = arm.collision_force_n.unwrap_or(1.0);
+        let arm =
+            [("arm.reach_m", arm.reach_m), ("arm.payload_kg", arm.payload_kg), ("arm.collision_force_n", force_n)];
         for (key, value) in arm.into_iter().chain(self.gripper.quantities()) {
             if !value.is_finite() || value <= 0.0 {
                 problem(

@@ -132,9 +132,18 @@ impl Cell {
         self.pool.as_ref().and_then(|pool| NonZeroUsize::new(pool.len()))
     }
 
-    /// The name of the parameter space of the task for this robot.
-    pub fn default_space(&self) -> &'static str {
-        self.task.space(&self.robot.settings.gripper)
+    /// The parameter space of the task for this robot.
+    ///
+    /// # Errors
+    /// A robot without room for a range.
+    pub fn own_space(&self) -> anyhow::Result<ParameterSpace> {
+        let space = named_space(self.task.space(&self.robot.settings.gripper))?;
+        Ok(self.task.fitted(space, &self.robot)?)
+    }
+
+    /// The name of the parameter space of the paper for this robot, if the task is from there.
+    pub fn published_space(&self) -> Option<&'static str> {
+        self.task.published_space(&self.robot.settings.gripper)
     }
 
     /// The name of the distribution of this robot's units.
@@ -238,7 +247,7 @@ impl Cell {
         Ok(Hello {
             robot: Some(message::Robot { name: robot.name, sha256: robot.sha256 }),
             time_step_s: Some(self.settings.time_step_s),
-            space: Some(named_space(self.default_space())?),
+            space: Some(self.own_space()?),
             ..hello_of(task, engine)
         })
     }

@@ -5,7 +5,9 @@ use robogate_physics::Gripper;
 /// The paper's Franka parameter space, as TOML.
 pub const FRANKA_SPACE: &str = include_str!("../../../assets/spaces/franka.toml");
 
-const SPACES: [(&str, &str); 9] = [
+const SPACES: [(&str, &str); 11] = [
+    ("cell", include_str!("../../../assets/spaces/cell.toml")),
+    ("cup-cell", include_str!("../../../assets/spaces/cup-cell.toml")),
     ("franka", FRANKA_SPACE),
     ("franka-graspable", include_str!("../../../assets/spaces/franka-graspable.toml")),
     ("ur", include_str!("../../../assets/spaces/ur.toml")),

@@ -4,7 +4,7 @@ use robogate_gate::{Evaluation, GatePlan, Metric, Mode, PairPlan, Population, Sa
 use robogate_report::{RequirementRow, feasible_part, how_judged, new_cases, sign, what_next};
 use robogate_stats::format::{counted, number};
 
-use crate::terminal::{Styled, bold, dim, foreign, grouped, line, longest_line, percent, styled};
+use crate::terminal::{Styled, bold, dim, foreign, grouped, is_verbose, line, longest_line, percent, styled};
 use crate::twins;
 
 /// Prints the evaluation.
@@ -42,28 +42,31 @@ pub(crate) fn print(evaluation: &Evaluation) {
     }
     line("");
     counts(evaluation);
-    if !next.is_empty() && !stopped {
-        line(bold(format_args!("  {next}")));
-    }
     if let Some(outside) = evaluation.outside_range.as_ref().filter(|outside| outside.episodes > 0) {
         line(format_args!("  {outside}"));
     }
     for text in evaluation.controls.iter().flat_map(robogate_gate::Controls::lines) {
         wrapped(&text);
     }
-    wrapped(&how_judged(evaluation));
-    wrapped(&evaluation.estimand);
-    for text in new_cases(evaluation).into_iter().chain(feasible_part(evaluation)) {
-        wrapped(&text);
-    }
-    if let Population::Suite { fresh: false, .. } = evaluation.population {
-        wrapped(
-            "The rate of `robogate run` differs: it is that over a whole parameter space, not over these chosen scenarios.",
-        );
+    if is_verbose() {
+        wrapped(&how_judged(evaluation));
+        wrapped(&evaluation.estimand);
+        for text in new_cases(evaluation).into_iter().chain(feasible_part(evaluation)) {
+            wrapped(&text);
+        }
+        if let Population::Suite { fresh: false, .. } = evaluation.population {
+            wrapped(
+                "The rate of `robogate run` differs: it is that over a whole parameter space, not over these chosen scenarios.",
+            );
+        }
     }
     groups(evaluation);
     evaluation.twins.iter().for_each(twins::print);
     score(evaluation);
+    if !next.is_empty() && !stopped {
+        line("");
+        line(bold(format_args!("  {next}")));
+    }
 }
 
 fn counts(evaluation: &Evaluation) {
@@ -86,9 +89,12 @@ fn counts(evaluation: &Evaluation) {
     }
 }
 
+/// Groups of scenarios that are shown.
+const MAX_GROUPS: usize = 5;
+
 /// Prints the scenario groups that contain failures or invalid episodes.
 fn groups(evaluation: &Evaluation) {
-    let troubled: Vec<_> = evaluation.groups.iter().filter(|g| !g.endings.is_empty()).collect();
+    let mut troubled: Vec<_> = evaluation.groups.iter().filter(|g| !g.endings.is_empty()).collect();
     if evaluation.groups.is_empty() {
         return;
     }
@@ -97,7 +103,14 @@ fn groups(evaluation: &Evaluation) {
         line(format_args!("  All episodes of all {} scenario groups succeeded.", evaluation.groups.len()));
         return;
     }
-    line(bold("  Scenario groups with failures or invalid episodes"));
+    let all = troubled.len();
+    if !is_verbose() {
+        // The worst first.
+        troubled.sort_by_key(|group| std::cmp::Reverse((group.valid - group.successes, group.endings.len())));
+        troubled.truncate(MAX_GROUPS);
+    }
+    let which = if troubled.len() < all { format!(", the first {MAX_GROUPS} of {all}") } else { String::new() };
+    line(bold(format_args!("  Scenario groups with failures or invalid episodes{which}")));
     let wide = troubled.iter().map(|g| g.category.len() + g.group.len() + 1).max().unwrap_or(0);
     for group in &troubled {
         let name = format!("{}/{}", group.category, group.group);
@@ -123,6 +136,9 @@ fn score(evaluation: &Evaluation) {
         String::new()
     };
     line(bold(format_args!("  Confidence score {points:.1} of 100{bounds}")));
+    if !is_verbose() {
+        return;
+    }
     for term in &score.terms {
         let figure = term.value.map_or_else(String::new, |x| value(term.term.metric, x));
         let against = term.baseline.map_or_else(String::new, |x| format!("baseline {}", value(term.term.metric, x)));

@@ -41,6 +41,9 @@ struct Arguments {
     /// Print results, warnings and errors only: no progress and no notes
     #[arg(long, short, global = true)]
     quiet: bool,
+    /// Print the details of a result too: stages, tables by parameter, how it was judged, all groups of scenarios
+    #[arg(long, short, global = true)]
+    verbose: bool,
     #[command(subcommand)]
     verb: Verb,
 }
@@ -113,6 +116,9 @@ fn main() -> ExitCode {
     terminal::show_notices();
     if arguments.quiet {
         terminal::be_quiet();
+    }
+    if arguments.verbose {
+        terminal::be_verbose();
     }
     // A panic has been reported by the hook.
     let Ok(result) = catch_unwind(AssertUnwindSafe(|| execute(arguments.verb))) else {

@@ -5,7 +5,8 @@ use std::path::Path;
 use robogate_analysis::{Analysis, Effects, MarginalEffect};
 use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{
-    BoundaryReport, DrawnFrom, Estimate, OutcomeCounts, Population, Sought, Stage, StageSummary, SuiteSummary, Summary,
+    BoundaryReport, DrawnFrom, GroupSummary, OutcomeCounts, Population, Sought, Stage, StageSummary, SuiteSummary,
+    Summary,
 };
 use robogate_gate::Twins;
 use robogate_report::{ActiveModel, Headline, low_side};
@@ -15,7 +16,7 @@ use serde_json::json;
 use crate::active_model;
 use crate::commands::analyze::by_influence;
 use crate::commands::report::PAGE;
-use crate::terminal::{bar, bold, dim, foreign, grouped, line, percent, wrapped};
+use crate::terminal::{bar, bold, dim, foreign, grouped, is_verbose, line, percent, wrapped};
 use robogate_session::text::quoted;
 
 /// A bin with fewer valid episodes than this is shown dimmed, because its rate is imprecise.
@@ -36,38 +37,18 @@ pub(crate) fn json(
     Ok(())
 }
 
-/// Prints the summary for people.
+/// Prints the summary for people: one rate, where the policy fails, and what to do. `--verbose` adds the rest.
 pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryReport>, analysis: Option<&Analysis>) {
     line("");
-    if summary.stages.iter().any(|stage| stage.stage == Stage::Active) {
-        weighted(&summary.estimate);
-    }
+    headline_rate(summary);
+    summary.stages.iter().for_each(excluded);
     if let Some(found) = &summary.sought {
         sought(found);
     }
-    for stage in &summary.stages {
-        rate(stage, &summary.sampler);
-    }
-    summary.stages.iter().for_each(relation);
-    for stage in &summary.stages {
-        failures(stage);
-    }
-    if let Some(analysis) = analysis {
-        headline(analysis);
-        influential(&analysis.effects, "Most influential parameters");
-        // The report lists all of them.
-        let significant =
-            |effect: &&MarginalEffect| analysis.effects.significant().any(|of| of.parameter == effect.parameter);
-        by_influence(analysis).filter(significant).take(2).for_each(marginal_effect);
-    }
-    if let Some(suite) = &summary.suite {
-        groups(suite);
-    }
-    if let Some(report) = boundary {
-        found(report);
+    if let Some(outside) = summary.outside_range.as_ref().filter(|outside| outside.episodes > 0) {
+        line(outside);
     }
     if let Some(again) = &summary.run_again {
-        line("");
         line(format_args!(
             "{} ran again after {}, the first because of {}",
             counted(again.episodes, "episode"),
@@ -75,11 +56,71 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
             foreign(&again.first_fault)
         ));
     }
-    if let Some(outside) = summary.outside_range.as_ref().filter(|outside| outside.episodes > 0) {
-        line(outside);
+    if let Some(analysis) = analysis {
+        headline(analysis);
+    }
+    if let Some(suite) = &summary.suite {
+        groups(suite);
+    }
+    other_populations(summary);
+    if is_verbose() {
+        details(dir, summary, boundary, analysis);
+    }
+    files(dir, summary);
+}
+
+/// Prints what the headline leaves out.
+fn details(dir: &Path, summary: &Summary, boundary: Option<&BoundaryReport>, analysis: Option<&Analysis>) {
+    line("");
+    line(bold("Stages"));
+    for stage in &summary.stages {
+        rate(stage, &summary.sampler);
+        feasible(stage);
+    }
+    summary.stages.iter().for_each(relation);
+    for stage in &summary.stages {
+        failures(stage);
+    }
+    if let Some(analysis) = analysis {
+        influential(&analysis.effects, "Most influential parameters");
+        // The report lists all of them.
+        let significant =
+            |effect: &&MarginalEffect| analysis.effects.significant().any(|of| of.parameter == effect.parameter);
+        by_influence(analysis).filter(significant).take(2).for_each(marginal_effect);
+    }
+    if let Some(report) = boundary {
+        found(report);
     }
     active_model::of_run(dir).iter().for_each(model);
-    files(dir, summary);
+}
+
+/// The rate that the run is about: that over its population from all episodes.
+fn headline_rate(summary: &Summary) {
+    let samples_a_space = summary.stages.iter().any(|stage| stage.population == Population::OperatingSpace);
+    match (summary.estimate.success_rate, summary.stages.as_slice()) {
+        (Some(rate), stages) if samples_a_space && stages.len() > 1 => {
+            let [low, high] = summary.estimate.interval_95;
+            line(format_args!(
+                "{}  over the operating space, 95 % interval {} to {}; {}",
+                bold(format_args!("success {:>6}", percent(rate))),
+                percent(low),
+                percent(high),
+                counted(summary.episodes, "episode")
+            ));
+        }
+        (_, stages) => stages.iter().for_each(|stage| rate(stage, &summary.sampler)),
+    }
+}
+
+/// Rates over parts of the population.
+fn other_populations(summary: &Summary) {
+    let parts = || summary.stages.iter().filter(|stage| stage.population != Population::FocusedDesign);
+    if is_verbose() || !parts().any(|stage| stage.feasible.as_ref().is_some_and(|part| part.valid < stage.valid)) {
+        return;
+    }
+    line("");
+    line(bold("Other populations"));
+    parts().for_each(feasible);
 }
 
 /// Formats the counts of an unfinished campaign in one line.
@@ -116,11 +157,14 @@ fn rate(stage: &StageSummary, sampler: &str) {
         )),
         None => line(format_args!("success      -  {of}: no valid episode, so no estimate")),
     }
-    if stage.population == Population::OperatingSpace {
+    if is_verbose() && stage.population == Population::OperatingSpace {
         let conservative = if sampler == "uniform" { "" } else { ", conservative for this design" };
         line(dim(format_args!("                 each parameter uniform on its scale; Wilson interval{conservative}")));
     }
-    feasible(stage);
+}
+
+/// The invalid episodes of a stage.
+fn excluded(stage: &StageSummary) {
     if stage.invalid > 0 {
         let kinds: Vec<String> = stage.faults.iter().map(|f| format!("{} {}", f.episodes, f.fault)).collect();
         line(format_args!(
@@ -128,19 +172,6 @@ fn rate(stage: &StageSummary, sampler: &str) {
             counted(stage.invalid, "invalid episode"),
             if stage.invalid == 1 { "is" } else { "are" },
             kinds.join(", ")
-        ));
-    }
-}
-
-/// The success rate from all episodes of an active design.
-fn weighted(estimate: &Estimate) {
-    let [low, high] = estimate.interval_95;
-    if let Some(rate) = estimate.success_rate {
-        line(format_args!(
-            "{}  over the operating space: all episodes by their weights, 95 % interval {} to {}",
-            bold(format_args!("success {:>6}", percent(rate))),
-            percent(low),
-            percent(high)
         ));
     }
 }
@@ -226,13 +257,35 @@ fn widest<'a>(names: impl Iterator<Item = &'a str>, least: usize) -> usize {
     names.map(|name| name.chars().count()).fold(least, usize::max)
 }
 
+/// Groups of a suite that are shown.
+const MAX_GROUPS: usize = 6;
+
 fn groups(suite: &SuiteSummary) {
     line("");
     let rounds = if suite.rounds == 1 { "1 round".to_owned() } else { format!("{} rounds", grouped(suite.rounds)) };
     line(bold(format_args!("{} {}, {rounds}", suite.name, suite.version)));
-    let names: Vec<String> = suite.groups.iter().map(|group| format!("{} / {}", group.category, group.group)).collect();
+    let troubled = |group: &&GroupSummary| group.outcomes.success < group.outcomes.total();
+    let all = suite.groups.len();
+    let mut groups: Vec<&GroupSummary> = suite.groups.iter().filter(|group| is_verbose() || troubled(group)).collect();
+    if groups.is_empty() {
+        line(format_args!("  all episodes of all {all} scenario groups succeeded"));
+        return;
+    }
+    if !is_verbose() {
+        // The worst first.
+        groups.sort_by(|a, b| a.success_rate.unwrap_or(0.0).total_cmp(&b.success_rate.unwrap_or(0.0)));
+        let left_out = groups.len().saturating_sub(MAX_GROUPS);
+        groups.truncate(MAX_GROUPS);
+        if left_out > 0 {
+            line(dim(format_args!(
+                "  the {MAX_GROUPS} weakest of {} groups with failures; --verbose lists all",
+                left_out + MAX_GROUPS
+            )));
+        }
+    }
+    let names: Vec<String> = groups.iter().map(|group| format!("{} / {}", group.category, group.group)).collect();
     let wide = widest(names.iter().map(String::as_str), 40);
-    for (group, name) in suite.groups.iter().zip(names) {
+    for (group, name) in groups.into_iter().zip(names) {
         let OutcomeCounts { success, invalid, .. } = group.outcomes;
         let rate = group.success_rate.map_or_else(|| "-".to_owned(), percent);
         let invalid = if invalid > 0 { format!(", {} invalid", grouped(invalid)) } else { String::new() };
@@ -245,7 +298,7 @@ fn groups(suite: &SuiteSummary) {
 }
 
 /// Where the policy fails and what to do, as in the report.
-fn headline(analysis: &Analysis) {
+pub(crate) fn headline(analysis: &Analysis) {
     let headline = Headline::of(analysis);
     for (title, lines) in [("Where it fails", &headline.where_it_fails), ("What to do", &headline.what_to_do)] {
         if !lines.is_empty() {
@@ -368,15 +421,11 @@ fn decimals_of(x: f64) -> usize {
 }
 
 fn files(dir: &Path, summary: &Summary) {
-    let dictionary = dir.join(DICTIONARY);
+    let (run, hash) = (quoted(dir), &summary.dataset_hash);
     line("");
-    line(format_args!("{} {}", bold("Failure dictionary"), dictionary.display()));
-    line(format_args!("  {}, dataset {}", counted(summary.episodes, "episode"), &summary.dataset_hash));
-    line(format_args!("{} {}", bold("Report"), dir.join(PAGE).display()));
-    line(bold("Next"));
-    let run = quoted(dir);
-    line(format_args!("  robogate replay {run} 0        replay one episode"));
-    line(format_args!("  robogate export {run} out.csv  export the rows for a spreadsheet"));
+    line(format_args!("{}  {}, dataset {}", bold("rows   "), dir.join(DICTIONARY).display(), hash));
+    line(format_args!("{}  {}", bold("report "), dir.join(PAGE).display()));
+    line(format_args!("{}  robogate view {run}", bold("next   ")));
 }
 
 #[cfg(test)]

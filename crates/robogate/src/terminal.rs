@@ -21,6 +21,8 @@ const LONGEST_LINE: usize = 100;
 
 /// Whether stderr shows nothing but warnings and errors.
 static QUIET: AtomicBool = AtomicBool::new(false);
+/// Whether results have their details.
+static VERBOSE: AtomicBool = AtomicBool::new(false);
 /// The live view of this process, once there is one.
 static SCREEN: OnceLock<MultiProgress> = OnceLock::new();
 /// The first error of stdout, if there was one.
@@ -29,6 +31,16 @@ static STDOUT_ERROR: OnceLock<io::Error> = OnceLock::new();
 /// Shows warnings, errors and results only.
 pub(crate) fn be_quiet() {
     QUIET.store(true, Ordering::Relaxed);
+}
+
+/// Shows the details of results.
+pub(crate) fn be_verbose() {
+    VERBOSE.store(true, Ordering::Relaxed);
+}
+
+/// Whether results have their details.
+pub(crate) fn is_verbose() -> bool {
+    VERBOSE.load(Ordering::Relaxed)
 }
 
 /// The live view on stderr. Other lines on stderr are written above it.

@@ -8,7 +8,7 @@ mod page;
 mod twins;
 mod verdict;
 
-use robogate_gate::{Evaluation, Metric, Mode, NextBudget, RequirementResult, Sampling, Status};
+use robogate_gate::{Evaluation, Metric, Mode, NextBudget, RequirementResult, Sampling, Status, Verdict};
 
 pub use fleet::{fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share};
 pub use junit::junit;
@@ -130,6 +130,9 @@ pub fn what_next(evaluation: &Evaluation) -> String {
             count(of.with_fault),
             of.first
         );
+    }
+    if evaluation.verdict != Verdict::Inconclusive {
+        return String::new();
     }
     let undecided = evaluation.results.iter().filter_map(|result| Some((result, NextBudget::of(result, evaluation)?)));
     let hardest = undecided.min_by(|a, b| a.1.at_observed.total_cmp(&b.1.at_observed));

@@ -382,9 +382,7 @@ fn advise(analysis: &Analysis, advice: &Advice) -> String {
             labels(parameters)
         ),
         Advice::Replay { episode } => {
-            format!(
-                "Replay the failures that the risk model does not explain, starting with episode {episode} (listed below)."
-            )
+            format!("Replay the failures that the risk model does not explain, starting with episode {episode}.")
         }
     }
 }

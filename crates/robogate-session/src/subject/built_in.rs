@@ -9,7 +9,7 @@ use robogate_policy::Arm;
 use robogate_remote::message::{self, Hello};
 use robogate_tasks::SelfContained;
 
-use super::spaces::{check_declared, named_space};
+use super::spaces::check_declared;
 use crate::cell::{self, Cell};
 
 /// A built-in task that is ready to run.
@@ -82,7 +82,7 @@ impl BuiltIn for Cell {
     }
 
     fn space(&self) -> anyhow::Result<ParameterSpace> {
-        named_space(self.default_space())
+        self.own_space()
     }
 
     fn check_space(&self, space: &ParameterSpace) -> anyhow::Result<()> {

@@ -219,6 +219,11 @@ impl Subject {
         Some(self.cell()?.task().suite())
     }
 
+    /// The name of the parameter space of the paper, if the environment is a task of the paper.
+    pub fn published_space(&self) -> Option<&'static str> {
+        self.cell()?.published_space()
+    }
+
     /// The distribution of the units of the robot, if it is known.
     pub fn own_unit_space(&self) -> Option<&'static str> {
         Some(self.cell()?.unit_space())

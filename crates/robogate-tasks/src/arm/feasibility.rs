@@ -1,7 +1,7 @@
 //! Conditions that every policy needs: necessary conditions of geometry and statics, never those of one controller.
 
 use robogate_core::Infeasibility;
-use robogate_physics::{Gripper, Robot, SuctionLaw};
+use robogate_physics::{GRAVITY, Gripper, Robot, SuctionLaw};
 
 /// What a gripper must carry.
 #[derive(Debug, Clone, Copy)]
@@ -28,15 +28,19 @@ pub(crate) fn out_of_reach(robot: &Robot, what: &str, [x, y]: [f64; 2], nearer_m
     far.then(|| reason(&format!("the {what} is out of the arm's reach"), format!("{reach_m:.2} m")))
 }
 
-/// The reason why the gripper cannot carry this load. Its pads press with `grip_force_n` each.
+/// The reason why the robot cannot carry this load. The pads of its hand press with `grip_force_n` each.
 pub(crate) fn cannot_carry(
-    gripper: &Gripper,
+    robot: &Robot,
     load: &Load,
     grip_force_n: f64,
     suction: SuctionLaw,
 ) -> Option<Infeasibility> {
     let Load { width_m, friction, weight_n, force_scale } = *load;
-    match gripper {
+    let payload_kg = robot.settings.arm.payload_kg;
+    if weight_n > payload_kg * GRAVITY {
+        return Some(reason("the part is heavier than the arm's payload", format!("{payload_kg} kg")));
+    }
+    match &robot.settings.gripper {
         Gripper::ParallelJaw(jaw) if width_m.is_some_and(|width| width > jaw.opening_m) => {
             Some(reason("the part is wider than the gripper opening", format!("{:.0} mm", 1e3 * jaw.opening_m)))
         }

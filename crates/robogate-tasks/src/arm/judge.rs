@@ -8,13 +8,14 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Vector3};
 use robogate_core::{
     Action, Assignment, CameraSpec, Contact, Ending, FEASIBLE, Fault, FaultKind, Foresight, Infeasibility, Observation,
-    Scenario, Start, Step, TaskSpec,
+    Scenario, Severity, Start, Step, TaskSpec,
 };
 use robogate_physics::{ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Steering, StepView, Touches, pose};
 
+use super::forces::{self, Forces, STRUCK};
 use super::rules::{Bodies, Found, Resolved, Rules, Sight, Trial};
-use super::settings::on_gripper;
-use super::{CONTROL_PERIOD_S, HasSettings, observation};
+use super::settings::on_robot;
+use super::{CONTROL_PERIOD_S, HasSettings, mode, observation};
 use crate::settings::setting_specs;
 
 /// Largest clearance that is measured, in metres.
@@ -32,6 +33,8 @@ pub(crate) struct Judge {
     robot: Robot,
     chain: Chain,
     grip_force_n: f64,
+    /// The limit of contact forces, in newtons. `None` without one.
+    force_limit_n: Option<f64>,
     task: Arc<TaskSpec>,
     foresight: Arc<dyn Foresight>,
     episode: Option<Episode>,
@@ -40,6 +43,7 @@ pub(crate) struct Judge {
 /// The running episode.
 struct Episode {
     trial: Box<dyn Trial>,
+    forces: Forces,
     bias: Vec<f64>,
     fixtures: Vec<Fixture>,
     steering: Steering,
@@ -62,16 +66,23 @@ impl Judge {
         cameras: Vec<CameraSpec>,
     ) -> Self {
         let settings = setting_specs(&T::rows(), rules).into_iter();
-        let settings = settings.filter_map(|spec| on_gripper(spec, &robot.settings.gripper, grip_force_n));
-        let task = TaskSpec {
+        let settings = settings.filter_map(|spec| on_robot(spec, &robot, grip_force_n));
+        let force_limit_n = rules.limits_forces().then(|| forces::limit_n(&robot, rules.arm().contact_force_limit_n));
+        let mut task = TaskSpec {
             time_limit_s: rules.arm().time_limit_s,
             parameters: rules.parameters().specs(&robot.settings.gripper),
             settings: settings.collect(),
             ..rules.spec(&robot, cameras)
         };
+        if let Some(limit_n) = force_limit_n {
+            let meaning =
+                format!("A contact of the robot had more than {limit_n} N, or more than that and the grip force.");
+            // Before the timeout, which is always last.
+            task.failure_modes.insert(task.failure_modes.len() - 1, mode(STRUCK, Severity::Critical, &meaning));
+        }
         let foresight = rules.foresight(&robot, &chain, grip_force_n);
         let rules = Arc::new(rules.clone());
-        Self { rules, robot, chain, grip_force_n, task: Arc::new(task), foresight, episode: None }
+        Self { rules, robot, chain, grip_force_n, force_limit_n, task: Arc::new(task), foresight, episode: None }
     }
 
     /// Another judge of the same task, without an episode.
@@ -82,6 +93,7 @@ impl Judge {
             robot: self.robot.clone(),
             chain: self.chain.clone(),
             grip_force_n: self.grip_force_n,
+            force_limit_n: self.force_limit_n,
             task: Arc::clone(&self.task),
             foresight: Arc::clone(&self.foresight),
             episode: None,
@@ -133,6 +145,7 @@ impl Judge {
         let applied = trial.applied(&scenario.requested, found, &bias);
         let mut episode = Episode {
             trial,
+            forces: Forces::new(self.force_limit_n, self.grip_force_n),
             bias,
             fixtures: scene.fixtures,
             steering: Steering::default(),
@@ -167,7 +180,9 @@ impl Judge {
     pub(crate) fn observe(&mut self, view: &StepView<'_>, bodies: &dyn Bodies) {
         let Some(episode) = &mut self.episode else { return };
         let time = (episode.ticks as f64 + view.fraction) * CONTROL_PERIOD_S;
-        episode.trial.observe(&Sight { time, command: episode.gripper, view, bodies });
+        let sight = Sight { time, command: episode.gripper, view, bodies };
+        episode.trial.observe(&sight);
+        episode.forces.feel(&sight, episode.trial.record());
     }
 
     /// The clearance (m) at or above which no measure changes. `None` if the task does not measure it.
@@ -204,6 +219,7 @@ impl Judge {
             Ending { failure: ruling.failure, time_s: ruling.time_s, contact }
         });
         let mut measures = episode.trial.measures();
+        episode.forces.measure(&mut measures);
         measures.set(FEASIBLE, Some(episode.feasible));
         let step = Step {
             observation,

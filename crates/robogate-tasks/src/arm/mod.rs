@@ -8,6 +8,7 @@ pub mod claims;
 mod environment;
 mod feasibility;
 mod film;
+mod forces;
 mod foresight;
 #[cfg(all(test, feature = "mujoco"))]
 #[path = "../../tests/support/foresight.rs"]

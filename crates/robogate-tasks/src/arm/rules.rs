@@ -15,6 +15,11 @@ pub(crate) trait Rules: OnArm + ArmDeclaration {
     /// The task specification for this robot with these cameras, without parameters and settings.
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec;
 
+    /// Whether a contact with too much force is a failure.
+    fn limits_forces(&self) -> bool {
+        true
+    }
+
     /// Resolves a scenario for this robot, whose gripper holds with `grip_force_n` newtons. All random draws are done.
     ///
     /// # Errors

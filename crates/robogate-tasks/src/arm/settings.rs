@@ -1,9 +1,9 @@
 //! The settings of every task for an arm.
 
 use robogate_core::{Allowed, SettingSpec, Value};
-use robogate_physics::{Gripper, SuctionLaw};
+use robogate_physics::{Gripper, Robot, SuctionLaw};
 
-use super::CONTROL_PERIOD_S;
+use super::{CONTROL_PERIOD_S, forces};
 use crate::settings::{Field, SettingRow};
 
 /// The settings of every task for an arm.
@@ -15,12 +15,14 @@ pub struct ArmSettings {
     pub grip_force_n: Option<f64>,
     /// How a suction cup holds a part.
     pub suction: SuctionLaw,
+    /// Contact force above which a contact is a failure, in newtons. `None` for the robot's own.
+    pub contact_force_limit_n: Option<f64>,
 }
 
 impl ArmSettings {
     /// The default settings of a task with this time limit in seconds.
     pub(crate) const fn lasting(time_limit_s: f64) -> Self {
-        Self { time_limit_s, grip_force_n: None, suction: SuctionLaw::Vacuum }
+        Self { time_limit_s, grip_force_n: None, suction: SuctionLaw::Vacuum, contact_force_limit_n: None }
     }
 }
 
@@ -61,6 +63,8 @@ pub(crate) trait HasSettings: OnArm + Clone + Default + Sized {
 /// Names of the settings that depend on the gripper.
 const GRIP_FORCE: &str = "grip_force_n";
 const SUCTION: &str = "suction";
+/// Name of the setting that depends on the arm.
+const FORCE_LIMIT: &str = "contact_force_limit_n";
 
 /// The settings of the arm, and `own` ones.
 pub(crate) fn rows<T: OnArm>(own: impl IntoIterator<Item = SettingRow<T>>) -> Vec<SettingRow<T>> {
@@ -77,6 +81,12 @@ pub(crate) fn rows<T: OnArm>(own: impl IntoIterator<Item = SettingRow<T>>) -> Ve
              their limits (vacuum).",
             |task: &mut T| &mut task.arm_mut().suction,
         ),
+        SettingRow {
+            name: FORCE_LIMIT,
+            meaning: "A contact of the robot with more force is a failure (struck). The force of a gripper that closes is \
+                      added. Default: `collision_force_n` of the robot's file, or 150 N.",
+            field: Field::OfRobot([1.0, 1e6], |task: &mut T| &mut task.arm_mut().contact_force_limit_n),
+        },
     ];
     arm.into_iter().chain(own).collect()
 }
@@ -89,10 +99,18 @@ pub(crate) fn has_effect(setting: &str, gripper: &Gripper) -> bool {
     }
 }
 
-/// The declaration of a setting for a gripper that holds with `grip_force_n` newtons. `None` if it has no effect there.
-pub(crate) fn on_gripper(spec: SettingSpec, gripper: &Gripper, grip_force_n: f64) -> Option<SettingSpec> {
+/// The declaration of a setting for a robot whose gripper holds with `grip_force_n` newtons. `None` if it has no effect there.
+pub(crate) fn on_robot(spec: SettingSpec, robot: &Robot, grip_force_n: f64) -> Option<SettingSpec> {
+    let gripper = &robot.settings.gripper;
     match gripper.jaw() {
         _ if !has_effect(&spec.name, gripper) => None,
+        _ if *spec.name == *FORCE_LIMIT => {
+            let chosen = match &spec.value {
+                Some(Value::Number(newtons)) => Some(*newtons),
+                _ => None,
+            };
+            Some(SettingSpec { value: Some(Value::Number(forces::limit_n(robot, chosen))), ..spec })
+        }
         Some(jaw) if *spec.name == *GRIP_FORCE => Some(SettingSpec {
             allowed: Allowed::Continuous { low: 0.0, high: jaw.force_limit_n },
             value: Some(Value::Number(grip_force_n)),

@@ -5,7 +5,8 @@ use std::num::NonZeroUsize;
 use std::sync::Arc;
 
 use robogate_core::{
-    Assignment, Environment, Fault, ParameterSpace, ParameterSpec, Policy, SettingSpec, Suite, TaskInstance, TaskSpec,
+    Assignment, Environment, Fault, ParameterSpace, ParameterSpec, Policy, SettingSpec, SpaceError, Suite,
+    TaskInstance, TaskSpec,
 };
 #[cfg(feature = "mujoco")]
 use robogate_physics::MujocoEngine;
@@ -34,6 +35,19 @@ pub trait ArmDeclaration: Send + Sync {
     /// The name of the parameter space for a robot with this gripper.
     fn space(&self, _gripper: &Gripper) -> &'static str {
         self.name()
+    }
+
+    /// The same space with ends that suit this robot.
+    ///
+    /// # Errors
+    /// Ends that are no range.
+    fn fitted(&self, space: ParameterSpace, _robot: &Robot) -> Result<ParameterSpace, SpaceError> {
+        Ok(space)
+    }
+
+    /// The name of the parameter space of the paper for a robot with this gripper, if the task is from there.
+    fn published_space(&self, _gripper: &Gripper) -> Option<&'static str> {
+        None
     }
 
     /// The name of the distribution of units of a robot with this gripper.

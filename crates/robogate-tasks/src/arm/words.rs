@@ -7,6 +7,7 @@ use robogate_core::{
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
+use super::forces::PEAK_CONTACT_FORCE;
 use super::{CONTROL_PERIOD_S, action_spec, observed_vectors};
 
 /// The specification that every task on this robot with these cameras extends.
@@ -53,9 +54,10 @@ pub(crate) fn mode(name: FailureMode, severity: Severity, meaning: &str) -> Fail
     FailureModeSpec { name, meaning: meaning.to_owned(), severity, published_as: None }
 }
 
-/// Measures that every task on an arm has: whether a scenario is feasible, and when the policy gave up.
-pub(crate) fn common_measures() -> [MeasureSpec; 2] {
+/// Measures that every task on an arm has: the largest contact force, whether a scenario is feasible, and when the policy gave up.
+pub(crate) fn common_measures() -> [MeasureSpec; 3] {
     [
+        measure(PEAK_CONTACT_FORCE, "N", Better::Lower, "Largest normal force between the robot and anything."),
         measure(FEASIBLE, "", Better::Neither, "1 if some policy may complete the scenario, 0 if none can."),
         measure(GAVE_UP, "s", Better::Neither, "Time at which the policy gave up."),
     ]

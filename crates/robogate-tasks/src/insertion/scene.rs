@@ -80,7 +80,7 @@ impl Rules for Insertion {
         let [peg, hole] = within_reach(robot, PLACES);
         out_of_reach(robot, "hole", hole, settings.hole_jitter_m)
             .or_else(|| out_of_reach(robot, "peg", peg, settings.peg_jitter_m))
-            .or_else(|| cannot_carry(&robot.settings.gripper, &load, grip_force_n, self.arm.suction))
+            .or_else(|| cannot_carry(robot, &load, grip_force_n, self.arm.suction))
     }
 
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {

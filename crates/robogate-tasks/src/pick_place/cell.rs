@@ -8,8 +8,8 @@ use super::spec::Briefing;
 use super::{PickPlace, Placement, SceneParameters};
 use crate::arm::encoder_bias;
 
-/// Distance around the target that obstacles leave free, and the default tolerance, in metres (paper, section 4.3).
-pub(crate) const TOLERANCE_M: f64 = 0.03;
+/// Distance around the target that obstacles leave free, in metres: the tolerance of the paper (section 4.3).
+pub(crate) const TARGET_ROOM_M: f64 = 0.03;
 
 /// Everything about an episode that is fixed before it starts.
 #[derive(Debug, Clone, PartialEq)]
@@ -67,7 +67,7 @@ impl ResolvedCell {
             object_extent_m: [size; 3],
             object_pose: self.placement.pose(size),
             target_pose: Pose::upright(self.target, 0.0),
-            tolerance_m: TOLERANCE_M,
+            tolerance_m: super::PickPlace::DEFAULT.tolerance_m,
             orientation_tolerance_rad: None,
             approach_speed_m_s: self.parameters.approach_speed_m_s,
         }

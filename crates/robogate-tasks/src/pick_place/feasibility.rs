@@ -31,7 +31,7 @@ pub(crate) fn infeasibility(
     };
     out_of_reach(robot, "target", target(scale), 0.0)
         .or_else(|| out_of_reach(robot, "part", placement.position, parameters.position_jitter_m))
-        .or_else(|| cannot_carry(gripper, &load, grip_force_n, suction))
+        .or_else(|| cannot_carry(robot, &load, grip_force_n, suction))
 }
 
 /// The smallest distance between two contacts that can hold the shape, as a fraction of its size. `None` without a useful
@@ -90,6 +90,7 @@ mod tests {
             check("franka", &[("friction", Value::Number(friction)), ("mass_kg", Value::Number(mass))])
         };
         assert_eq!(of(0.2, 1.2), None);
+        assert_eq!(of(0.9, 3.1), Some("the part is heavier than the arm's payload (3 kg)".to_owned()));
         assert_eq!(of(0.2, 1.3), Some("the part is heavier than friction can carry (30 N for each pad)".to_owned()));
     }
 }

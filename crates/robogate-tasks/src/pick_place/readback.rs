@@ -6,7 +6,7 @@
 use nalgebra::{Isometry3, Vector2};
 use robogate_physics::{FixtureKind, FixtureRead, GRAVITY, Primitive, isometry};
 
-use super::cell::{TOLERANCE_M, Told};
+use super::cell::{TARGET_ROOM_M, Told};
 use super::scene::target;
 use super::{Disturbance, Placement, Shape};
 use crate::arm::Acting;
@@ -127,7 +127,7 @@ pub(super) fn obstacle_gap(context: &Context<'_>) -> f64 {
     let object = context.found.engine.object.translation.vector.xy();
     let half_diagonal = 0.5 * size(context) * std::f64::consts::SQRT_2;
     let areas =
-        [(object, half_diagonal), (Vector2::from(target(context.settings.cell.scale)), half_diagonal + TOLERANCE_M)];
+        [(object, half_diagonal), (Vector2::from(target(context.settings.cell.scale)), half_diagonal + TARGET_ROOM_M)];
     let scene = &context.settings.cell.scene;
     let obstacles =
         context.found.engine.fixtures.iter().filter(|read| {

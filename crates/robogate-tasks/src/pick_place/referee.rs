@@ -26,9 +26,7 @@ use robogate_physics::{GripperCommand, GripperState};
 
 use super::cell::Told;
 use super::parameters::TABLE;
-use super::spec::{
-    COLLISION, GRASP_MISS, GRIP_LOSS, JAM, MIN_CLEARANCE, MISPLACED, PEAK_CONTACT_FORCE, SLIP, TARGET_DISTANCE,
-};
+use super::spec::{COLLISION, GRASP_MISS, GRIP_LOSS, JAM, MIN_CLEARANCE, MISPLACED, SLIP, TARGET_DISTANCE};
 use super::{ModeSet, PickPlace};
 use crate::arm::{Acting, CLEARANCE_LIMIT_M, Found, Grip, GripChange, Record, Sight, Trial, is_still, touching};
 
@@ -57,7 +55,6 @@ struct Released {
 /// The measured values so far. `None` without a measurement.
 #[derive(Debug, Clone, Copy, Default)]
 struct Measured {
-    peak_contact_force_n: Option<f64>,
     slip_m: Option<f64>,
     min_clearance_m: Option<f64>,
     target_distance_m: Option<f64>,
@@ -188,10 +185,6 @@ impl Referee {
     fn measure(&mut self, sight: &Sight<'_>) {
         let (view, over) = (sight.view, self.record.is_over());
         self.measured.target_distance_m = Some(self.distance(&view.object));
-        if let Some(force) = view.touches.peak_force {
-            let peak = self.measured.peak_contact_force_n.get_or_insert(0.0);
-            *peak = peak.max(force);
-        }
         if let (Some(in_hand), Some(slip)) = (self.grip.in_hand(), &mut self.measured.slip_m)
             && touching(view)
             && !over
@@ -269,15 +262,8 @@ impl Trial for Referee {
     }
 
     fn measures(&self) -> Measures {
-        let Measured { peak_contact_force_n, slip_m, min_clearance_m, target_distance_m } = self.measured;
-        [
-            (PEAK_CONTACT_FORCE, peak_contact_force_n),
-            (SLIP, slip_m),
-            (MIN_CLEARANCE, min_clearance_m),
-            (TARGET_DISTANCE, target_distance_m),
-        ]
-        .into_iter()
-        .collect()
+        let Measured { slip_m, min_clearance_m, target_distance_m } = self.measured;
+        [(SLIP, slip_m), (MIN_CLEARANCE, min_clearance_m), (TARGET_DISTANCE, target_distance_m)].into_iter().collect()
     }
 
     fn record(&mut self) -> &mut Record {

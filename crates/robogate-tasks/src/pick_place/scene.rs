@@ -6,7 +6,7 @@ use robogate_physics::{
     Fixture, FixtureKind, GRAVITY, Part, Primitive, Scene, TABLE_CENTRE, TABLE_HALF, WORKSPACE_CENTRE, isometry,
 };
 
-use super::cell::TOLERANCE_M;
+use super::cell::TARGET_ROOM_M;
 use super::{Placement, SceneParameters, occluder};
 
 /// The target on the table, in metres. It is outside the circle of the obstacles.
@@ -61,7 +61,7 @@ pub fn scene(
     // The object may be rotated, so its footprint is bounded by the circle around its square.
     let mut taken = vec![
         (placement.position, half * std::f64::consts::SQRT_2 + room),
-        (target, half * std::f64::consts::SQRT_2 + TOLERANCE_M + room),
+        (target, half * std::f64::consts::SQRT_2 + TARGET_ROOM_M + room),
     ];
     taken.extend(occluder::footprints(&panels));
     for i in 1..=parameters.obstacles {

@@ -4,7 +4,6 @@ use std::f64::consts::PI;
 
 use robogate_physics::Robot;
 
-use super::cell::TOLERANCE_M;
 use super::scene::workspace_scale;
 use crate::arm::{ArmSettings, HasSettings, on_arm, rows};
 use crate::settings::{Choice, SettingRow};
@@ -88,7 +87,7 @@ impl PickPlace {
     /// The task with its default settings.
     pub const DEFAULT: Self = Self {
         arm: ArmSettings::lasting(15.0),
-        tolerance_m: TOLERANCE_M,
+        tolerance_m: 0.01,
         jam_force_n: 100.0,
         jam_duration_s: 0.05,
         orientation_tolerance_rad: PI,

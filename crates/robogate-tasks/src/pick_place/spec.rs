@@ -21,7 +21,6 @@ pub const JAM: FailureMode = FailureMode::constant("jam");
 pub const MISPLACED: FailureMode = FailureMode::constant("misplaced");
 
 /// Largest normal force between any body of the robot and another body, in newtons.
-pub const PEAK_CONTACT_FORCE: Word = Word::constant("peak_contact_force_n");
 /// Largest displacement of the object relative to the hand since it was held, in metres.
 pub const SLIP: Word = Word::constant("slip_m");
 /// Smallest distance between the robot and anything other than the object, in metres.
@@ -95,9 +94,9 @@ fn failure_modes(rules: &PickPlace) -> Vec<FailureModeSpec> {
 }
 
 fn measures() -> Vec<MeasureSpec> {
-    let [feasible, gave_up] = common_measures();
+    let [peak_force, feasible, gave_up] = common_measures();
     vec![
-        measure(PEAK_CONTACT_FORCE, "N", Better::Lower, "Largest normal force between the robot and anything."),
+        peak_force,
         measure(SLIP, "m", Better::Lower, "Largest displacement of the part in the hand since it was held."),
         measure(MIN_CLEARANCE, "m", Better::Higher, "Smallest distance between the robot and anything but the part."),
         feasible,

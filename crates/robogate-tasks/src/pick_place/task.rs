@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use robogate_core::{
-    Assignment, CameraSpec, Fault, Foresight, Infeasibility, Policy, Scenario, TaskInstance, TaskSpec, Value,
+    Assignment, CameraSpec, Domain, Fault, Foresight, Infeasibility, Parameter, ParameterSpace, Policy, Scenario,
+    SpaceError, TaskInstance, TaskSpec, Value,
 };
 use robogate_physics::{Chain, Gripper, Robot, SuctionLaw};
 
@@ -12,7 +13,7 @@ use super::foresight::PickPlaceForesight;
 use super::parameters::TABLE;
 use super::referee::Referee;
 use super::spec::{Briefing, spec};
-use super::{NAME, PickPlace, Scripted, claims, feasibility, scripted};
+use super::{ModeSet, NAME, PickPlace, Scripted, claims, feasibility, scripted};
 use crate::arm::claims::Claim;
 use crate::arm::{ArmDeclaration, Parameters, Resolved, Rules, ToolExpert};
 
@@ -26,7 +27,35 @@ impl ArmDeclaration for PickPlace {
     }
 
     fn space(&self, gripper: &Gripper) -> &'static str {
-        if gripper.cup().is_some() { "ur" } else { "franka" }
+        if gripper.cup().is_some() { "cup-cell" } else { "cell" }
+    }
+
+    fn fitted(&self, space: ParameterSpace, robot: &Robot) -> Result<ParameterSpace, SpaceError> {
+        /// The largest part, as a fraction of the opening of the hand.
+        const FILLED: f64 = 15.0 / 16.0;
+        /// The largest part in any hand, in metres.
+        const LARGEST_M: f64 = 0.12;
+        let opening_m = robot.settings.gripper.jaw().map(|jaw| jaw.opening_m);
+        let payload_kg = robot.settings.arm.payload_kg;
+        let limited = |parameter: &Parameter| {
+            let mut parameter = parameter.clone();
+            if let Domain::Continuous { low, high, .. } = &mut parameter.domain {
+                let most = match (&*parameter.name, opening_m) {
+                    ("size_m", Some(opening_m)) => LARGEST_M.min(FILLED * opening_m),
+                    ("mass_kg", _) => high.min(payload_kg),
+                    _ => return parameter,
+                };
+                // The ends keep at least their ratio.
+                *low = low.min(most * (*low / *high));
+                *high = most;
+            }
+            parameter
+        };
+        ParameterSpace::new(space.name(), space.parameters().iter().map(limited).collect())
+    }
+
+    fn published_space(&self, gripper: &Gripper) -> Option<&'static str> {
+        Some(if gripper.cup().is_some() { "ur" } else { "franka" })
     }
 
     fn suite(&self) -> &'static str {
@@ -54,7 +83,8 @@ impl ArmDeclaration for PickPlace {
     fn published(&self, gripper: &Gripper) -> Assignment {
         let word = |name: &str, word: &str| (name.into(), Value::Category(word.into()));
         let cup = gripper.cup().map(|_| word("suction", SuctionLaw::Surface.as_str()));
-        [word("failure_modes", "paper"), word("workspace", "paper")].into_iter().chain(cup).collect()
+        let tolerance = ("tolerance_m".into(), Value::Number(0.03));
+        [word("failure_modes", "paper"), word("workspace", "paper"), tolerance].into_iter().chain(cup).collect()
     }
 
     fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
@@ -67,6 +97,11 @@ impl ArmDeclaration for PickPlace {
 }
 
 impl Rules for PickPlace {
+    fn limits_forces(&self) -> bool {
+        // The paper has no such mode.
+        self.modes == ModeSet::All
+    }
+
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         spec(robot, cameras, self)
     }

@@ -19,7 +19,7 @@ use robogate_physics::GripperCommand;
 
 use super::Stacking;
 use super::parameters::{PARTS, Settings, TABLE};
-use super::spec::{COLLISION, DROPPED, MARGIN, MISPLACED, MISSED, OFFSET, PEAK_FORCE, SLIP, TOPPLED};
+use super::spec::{COLLISION, DROPPED, MARGIN, MISPLACED, MISSED, OFFSET, SLIP, TOPPLED};
 use super::statics::{self, Level};
 use crate::arm::{Acting, Bodies, Found, Grip, GripChange, Record, Sight, Trial, still, touching};
 
@@ -47,7 +47,6 @@ pub(crate) struct Referee {
     record: Record,
     offset_m: Option<f64>,
     margin_m: Option<f64>,
-    peak_force_n: Option<f64>,
     slip_m: Option<f64>,
     /// Whether the parts hardly move and the gripper is open.
     still: bool,
@@ -76,7 +75,6 @@ impl Referee {
             record: Record::default(),
             offset_m: None,
             margin_m: None,
-            peak_force_n: None,
             slip_m: None,
             still: false,
         }
@@ -174,9 +172,6 @@ impl Referee {
     }
 
     fn measure(&mut self, sight: &Sight<'_>) {
-        if let Some(force) = sight.view.touches.peak_force {
-            self.peak_force_n = Some(self.peak_force_n.unwrap_or(0.0).max(force));
-        }
         if let Some(in_hand) = self.grip.in_hand().filter(|_| touching(sight.view)) {
             let now = sight.view.tcp.inverse() * sight.view.object;
             let slip = (now.translation.vector - in_hand.translation.vector).norm();
@@ -257,9 +252,7 @@ impl Trial for Referee {
     }
 
     fn measures(&self) -> Measures {
-        [(OFFSET, self.offset_m), (MARGIN, self.margin_m), (PEAK_FORCE, self.peak_force_n), (SLIP, self.slip_m)]
-            .into_iter()
-            .collect()
+        [(OFFSET, self.offset_m), (MARGIN, self.margin_m), (SLIP, self.slip_m)].into_iter().collect()
     }
 
     fn record(&mut self) -> &mut Record {

@@ -85,7 +85,7 @@ impl Rules for Stacking {
         within_reach(robot, PLACES)
             .into_iter()
             .find_map(far)
-            .or_else(|| cannot_carry(&robot.settings.gripper, &load, grip_force_n, self.arm.suction))
+            .or_else(|| cannot_carry(robot, &load, grip_force_n, self.arm.suction))
     }
 
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {

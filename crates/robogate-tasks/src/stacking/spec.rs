@@ -22,8 +22,6 @@ pub(super) const COLLISION: FailureMode = FailureMode::constant("collision");
 pub(super) const OFFSET: Word = Word::constant("stack_offset_m");
 /// Smallest distance from the line of gravity to an edge of support, in metres.
 pub(super) const MARGIN: Word = Word::constant("stability_margin_m");
-/// Largest normal force between any body of the robot and another body, in newtons.
-pub(super) const PEAK_FORCE: Word = Word::constant("peak_contact_force_n");
 /// Largest displacement of a part in the hand since it was held, in metres.
 pub(super) const SLIP: Word = Word::constant("slip_m");
 
@@ -58,7 +56,6 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
                 Better::Higher,
                 "Smallest distance from the line of gravity of the parts above a face to the edge of that face.",
             ),
-            measure(PEAK_FORCE, "N", Better::Lower, "Largest normal force between the robot and anything."),
             measure(SLIP, "m", Better::Lower, "Largest displacement of a part in the hand since it was held."),
         ]
         .into_iter()

@@ -48,7 +48,7 @@ impl BridgeCheck {
             // A physics server knows no task. All parameters act through the cell.
             let (cell, parameters) = self.environment.choice().cell_and_parameters()?;
             let remote = cell.remote_task().or_usage()?;
-            let (task, space) = ((**remote.task()).clone(), named_space(cell.default_space()).or_usage()?);
+            let (task, space) = ((**remote.task()).clone(), cell.own_space().or_usage()?);
             (Box::new(PhysicsSession(remote)), task, Some(space), parameters)
         };
         let space = match &self.space {

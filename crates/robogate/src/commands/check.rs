@@ -12,7 +12,6 @@ use crate::commands::bridge::BridgeCheck;
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, FAIL, OrExit};
 use crate::terminal::{bold, line, note};
-use robogate_session::named_space;
 
 /// Check the physics of the cell, a simulator server, or the file of a suite.
 #[derive(Debug, Args)]
@@ -63,7 +62,7 @@ impl Check {
 impl Physics {
     fn execute(&self) -> Result<u8, Exit> {
         let cell = &self.environment.choice().cell()?;
-        let space = Arc::new(named_space(cell.default_space()).or_usage()?);
+        let space = Arc::new(cell.own_space().or_usage()?);
         let gripper = &cell.robot().settings.gripper;
         let claims = cell.task().claims(gripper);
         if let Some(unknown) = self.claims.iter().find(|name| claims.iter().all(|claim| claim.name != **name)) {

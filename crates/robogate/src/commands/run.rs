@@ -116,7 +116,7 @@ struct Given(Vec<String>);
 impl Given {
     /// The arguments of `run` that do not affect the results of a campaign. clap reports the arguments of the whole command as
     /// well.
-    const WITHOUT_EFFECT: [&str; 15] = [
+    const WITHOUT_EFFECT: [&str; 16] = [
         "out",
         "shard",
         "divide",
@@ -124,6 +124,7 @@ impl Given {
         "json",
         "goes_on",
         "quiet",
+        "verbose",
         "addresses",
         "timeout_s",
         "python",
@@ -206,8 +207,7 @@ impl Run {
         }
         // The surface gripper, four failure modes and one workspace for all robots belong to the paper preset. All other
         // runs use the physical vacuum law and every mode.
-        let papers =
-            self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
+        let papers = self.is_the_papers();
         let suite = self.suite.as_deref().map(named_suite).transpose()?;
         let environment =
             self.environment.choice().with_policy(&self.policy.choice())?.environment_of(suite.as_ref())?;
@@ -290,6 +290,11 @@ impl Run {
         })
     }
 
+    /// Whether this is a campaign of the paper.
+    fn is_the_papers(&self) -> bool {
+        self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper)
+    }
+
     /// Rejects arguments that need another one. clap does not require an argument that conflicts with a given one: it would
     /// accept and ignore the rounds in `--rounds 5 -n 100`.
     fn check_required(&self) -> Result<(), Exit> {
@@ -313,8 +318,11 @@ impl Run {
             plan.check(&space).or_usage()?;
             return Ok((plan, space));
         }
-        let space =
-            subject.space(self.space.as_deref()).and_then(|space| self.latency.choice().added_to(space)).or_usage()?;
+        let papers = if self.is_the_papers() { subject.published_space() } else { None };
+        let space = subject
+            .space(self.space.as_deref().or(papers))
+            .and_then(|space| self.latency.choice().added_to(space))
+            .or_usage()?;
         let mut plan = match &self.plan {
             Some(file) => Plan::load(file).or_usage()?,
             None => {

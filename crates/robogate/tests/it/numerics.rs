@@ -21,6 +21,10 @@ fn robogate(arguments: &[&str]) {
     assert_done(&robogate_in(&root, arguments));
 }
 
+/// The cell of the paper: its space and its tolerance, without a limit of contact forces.
+const FRANKA: [&str; 6] = ["--space", "franka", "--set", "tolerance_m=0.03", "--set", "contact_force_limit_n=1000000"];
+const UR: [&str; 6] = ["--space", "ur", "--set", "tolerance_m=0.03", "--set", "contact_force_limit_n=1000000"];
+
 /// Runs `run` with these arguments and compares its rows with the recorded ones.
 fn compare(name: &str, arguments: &[&str]) {
     let dir = TempDir::new().unwrap();
@@ -67,8 +71,14 @@ fn cells(line: &str) -> Vec<&str> {
 }
 
 #[test]
-fn franka_defaults() {
-    compare("franka", &["-n", "300"]);
+fn the_papers_cell() {
+    compare("franka", &[&["-n", "300"], &FRANKA[..]].concat());
+}
+
+#[test]
+fn default_cell() {
+    compare("cell", &["-n", "60"]);
+    compare("cup-cell", &["-n", "60", "--robot", "ur5e"]);
 }
 
 #[test]
@@ -79,29 +89,30 @@ fn industrial_suite() {
 #[test]
 fn three_universal_robots() {
     for robot in ["ur3e", "ur5e", "ur10e"] {
-        compare(robot, &["-n", "30", "--robot", robot]);
+        compare(robot, &[&["-n", "30", "--robot", robot], &UR[..]].concat());
     }
 }
 
 #[test]
 fn paper_suction_law() {
-    compare("ur5e-surface", &["-n", "15", "--robot", "ur5e", "--set", "suction=surface"]);
+    compare("ur5e-surface", &[&["-n", "15", "--robot", "ur5e", "--set", "suction=surface"], &UR[..]].concat());
 }
 
 #[test]
 fn rapier_engine() {
-    compare("rapier", &["-n", "30", "--engine", "rapier"]);
+    compare("rapier", &[&["-n", "30", "--engine", "rapier"], &FRANKA[..]].concat());
 }
 
 #[test]
 fn random_policy() {
-    compare("random", &["-n", "12", "--policy", "random"]);
+    compare("random", &[&["-n", "12", "--policy", "random"], &FRANKA[..]].concat());
 }
 
 /// The library of networks has wider vectors with AVX-512, which change the order of its sums.
 #[test]
 fn network_with_cameras() {
     let network = ["--space", "learned", "--policy", "assets/policies/learned.onnx", "--profile", "learned"];
+    let network = [&network[..], &FRANKA[2..]].concat();
     let wide = Platform::here().with_networks() != Platform::here();
     compare(if wide { "learned" } else { "learned-avx2" }, &[&["-n", "12"], &network[..]].concat());
 }

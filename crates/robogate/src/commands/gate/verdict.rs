@@ -15,7 +15,7 @@ use crate::answer;
 use crate::benchmark;
 use crate::commands::run::{interrupted, write_report};
 use crate::exit::{Exit, OrExit};
-use crate::summary::influential;
+use crate::summary::headline;
 use crate::terminal::{line, note};
 use crate::twins;
 use crate::watch::Frames;
@@ -52,8 +52,8 @@ pub(crate) fn finish(
     }
     answer_files(dir, &evaluation, watch.flatten().as_ref())?;
     let code = show(dir, Some(dir), &evaluation, source.dictionary().provenance(), json)?;
-    if let Some(analysis) = analysis.filter(|_| !json) {
-        influential(&analysis.effects, "Most influential parameters");
+    if let Some(analysis) = analysis.filter(|_| !json && evaluation.verdict != Verdict::Pass) {
+        headline(&analysis);
     }
     Ok(code)
 }
