@@ -59,6 +59,12 @@ export CARGO_INCREMENTAL=0
 SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct)}
 export SOURCE_DATE_EPOCH
 
+# Completions and man pages are the same for every architecture.
+rm -rf python/pages
+for what in bash zsh fish man; do
+    cargo run --quiet --package robogate --locked -- --quiet completions "$what" --out "python/pages/$what"
+done
+
 for architecture in "$@"; do
     triple=$architecture-unknown-linux-gnu
     rm -rf python/licenses

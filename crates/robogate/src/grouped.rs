@@ -7,8 +7,8 @@ use clap::Command;
 /// The verbs by purpose, as the help lists them.
 const GROUPS: [(&str, &[&str]); 6] = [
     ("Judge a policy", &["run", "gate", "resume", "compare", "leaderboard", "matrix", "fleet"]),
-    ("Look at results", &["analyze", "report", "view", "replay", "import", "export", "audit"]),
-    ("Bring your own", &["env", "policy", "robots", "check", "serve", "demos", "list"]),
+    ("Look at results", &["runs", "analyze", "report", "view", "replay", "import", "export", "audit"]),
+    ("Bring your own", &["env", "policy", "robots", "check", "serve", "demos", "list", "completions"]),
     ("Show that it holds", &["evidence", "verify", "keys"]),
     ("Use many machines", &["plan", "merge"]),
     ("Real robots", &["transfer", "monitor"]),

@@ -64,6 +64,8 @@ enum Verb {
     Matrix(commands::matrix::Matrix),
     /// Estimate the share of a robot's units that meet the requirements, and find what distinguishes the others
     Fleet(commands::fleet::FleetOf),
+    /// List the runs below a folder: when, what, verdict, success rate and size
+    Runs(commands::runs::Runs),
     /// Analyze a run or a dictionary: where the policy fails, effects of the parameters, confidence intervals
     Analyze(commands::analyze::Analyze),
     /// Write a run or a dictionary as one page: HTML, Markdown or JSON
@@ -92,6 +94,8 @@ enum Verb {
     Demos(commands::demos::Demos),
     /// List what this build contains: tasks, settings, engines, robots, policies, profiles, environments, spaces, suites
     List(commands::list::List),
+    /// Write the completions of a shell, or man pages
+    Completions(commands::completions::Completions),
     /// Write a folder with everything that a verdict depends on, so that others can check it
     Evidence(commands::evidence::Evidence),
     /// Verify a folder of evidence: files, signatures, and the verdict recomputed from the rows
@@ -163,6 +167,7 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Leaderboard(verb) => verb.execute(),
         Verb::Matrix(verb) => verb.execute(),
         Verb::Fleet(verb) => verb.execute(),
+        Verb::Runs(verb) => verb.execute(),
         Verb::Analyze(verb) => verb.execute(),
         Verb::Report(verb) => verb.execute(),
         Verb::View(verb) => verb.execute(),
@@ -177,6 +182,7 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Serve(verb) => verb.execute(),
         Verb::Demos(verb) => verb.execute(),
         Verb::List(verb) => verb.execute(),
+        Verb::Completions(verb) => verb.execute(),
         Verb::Evidence(verb) => verb.execute(),
         Verb::Verify(verb) => verb.execute(),
         Verb::Keys(verb) => verb.execute(),

@@ -7,14 +7,15 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Vector3};
 use robogate_core::{
-    Action, Assignment, CameraSpec, Contact, Ending, FEASIBLE, Fault, FaultKind, Foresight, Infeasibility, Observation,
-    Scenario, Severity, Start, Step, TaskSpec,
+    Action, Assignment, CameraSpec, Contact, Ending, FEASIBLE, FailureMode, FailureModeSpec, Fault, FaultKind,
+    Foresight, Infeasibility, Observation, Scenario, Severity, Start, Step, TaskSpec,
 };
 use robogate_physics::{ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Steering, StepView, Touches, pose};
 
 use super::forces::{self, Forces, STRUCK};
 use super::rules::{Bodies, Found, Resolved, Rules, Sight, Trial};
 use super::settings::on_robot;
+use super::table::is_of_missing_joint;
 use super::{CONTROL_PERIOD_S, HasSettings, mode, observation};
 use crate::settings::setting_specs;
 
@@ -68,9 +69,12 @@ impl Judge {
         let settings = setting_specs(&T::rows(), rules).into_iter();
         let settings = settings.filter_map(|spec| on_robot(spec, &robot, grip_force_n));
         let force_limit_n = rules.limits_forces().then(|| forces::limit_n(&robot, rules.arm().contact_force_limit_n));
+        let joints = robot.settings.arm.joints.len();
+        let mut parameters = rules.parameters().specs(&robot.settings.gripper);
+        parameters.retain(|parameter| !is_of_missing_joint(&parameter.name, joints));
         let mut task = TaskSpec {
             time_limit_s: rules.arm().time_limit_s,
-            parameters: rules.parameters().specs(&robot.settings.gripper),
+            parameters,
             settings: settings.collect(),
             ..rules.spec(&robot, cameras)
         };
@@ -78,7 +82,9 @@ impl Judge {
             let meaning =
                 format!("A contact of the robot had more than {limit_n} N, or more than that and the grip force.");
             // Before the timeout, which is always last.
-            task.failure_modes.insert(task.failure_modes.len() - 1, mode(STRUCK, Severity::Critical, &meaning));
+            let struck = mode(STRUCK, Severity::Critical, &meaning);
+            let struck = FailureModeSpec { published_as: Some(FailureMode::TIMEOUT), ..struck };
+            task.failure_modes.insert(task.failure_modes.len() - 1, struck);
         }
         let foresight = rules.foresight(&robot, &chain, grip_force_n);
         let rules = Arc::new(rules.clone());

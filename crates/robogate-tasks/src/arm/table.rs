@@ -91,6 +91,11 @@ const UNIT_BIASES: [&str; 7] = [
     "unit_bias_7_rad",
 ];
 
+/// Whether a parameter belongs to a joint that an arm with this number of joints does not have.
+pub(crate) fn is_of_missing_joint(name: &str, joints: usize) -> bool {
+    UNIT_BIASES.iter().skip(joints).any(|bias| *bias == name)
+}
+
 impl Surroundings {
     /// The bias of each encoder in the episode of this scenario, in radians.
     ///

@@ -10,6 +10,7 @@ mod bridge;
 mod browser;
 #[cfg(feature = "mujoco")]
 mod command;
+mod completions;
 mod compliance;
 mod contributing;
 mod controls;
@@ -36,6 +37,7 @@ mod openpi;
 #[cfg(all(feature = "mujoco", feature = "rapier"))]
 mod pages;
 mod policy;
+mod runs;
 mod settings;
 mod shards;
 mod signatures;

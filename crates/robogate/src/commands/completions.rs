@@ -1,0 +1,65 @@
+//! `robogate completions`: completions of the shell, and man pages.
+
+use std::fs;
+use std::io;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::{Args, CommandFactory, ValueEnum};
+use clap_complete::Shell;
+
+use crate::exit::{DONE, Exit, OrExit};
+use crate::place;
+use crate::terminal::note;
+
+/// Write the completions of a shell, or man pages, for a package or a profile.
+///
+/// bash: `robogate completions bash > ~/.local/share/bash-completion/completions/robogate`
+#[derive(Debug, Args)]
+pub(crate) struct Completions {
+    /// What to write
+    #[arg(value_enum)]
+    what: What,
+    /// Write to this folder; default: stdout. Man pages need it, because they are several files
+    #[arg(long, value_name = "DIR", value_parser = place::local(), required_if_eq("what", "man"))]
+    out: Option<PathBuf>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum What {
+    Bash,
+    Zsh,
+    Fish,
+    Man,
+}
+
+impl Completions {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let mut command = crate::Arguments::command();
+        let shell = match self.what {
+            What::Bash => Shell::Bash,
+            What::Zsh => Shell::Zsh,
+            What::Fish => Shell::Fish,
+            What::Man => {
+                let out = self.out.as_deref().unwrap_or_else(|| std::path::Path::new("."));
+                fs::create_dir_all(out)
+                    .and_then(|()| clap_mangen::generate_to(command, out))
+                    .with_context(|| format!("cannot write the man pages into {}", out.display()))
+                    .or_unwritable()?;
+                note(format_args!("man pages: {}", out.display()));
+                return Ok(DONE);
+            }
+        };
+        match &self.out {
+            None => clap_complete::generate(shell, &mut command, "robogate", &mut io::stdout()),
+            Some(out) => {
+                let written = fs::create_dir_all(out)
+                    .and_then(|()| clap_complete::generate_to(shell, &mut command, "robogate", out))
+                    .with_context(|| format!("cannot write into {}", out.display()))
+                    .or_unwritable()?;
+                note(format_args!("completions: {}", written.display()));
+            }
+        }
+        Ok(DONE)
+    }
+}
