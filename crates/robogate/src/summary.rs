@@ -1,5 +1,7 @@
 //! The summary at the end of a campaign.
 
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use robogate_analysis::{Analysis, Effects, MarginalEffect};
@@ -41,6 +43,7 @@ pub(crate) fn json(
 pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryReport>, analysis: Option<&Analysis>) {
     line("");
     headline_rate(summary);
+    all_failures(summary);
     summary.stages.iter().for_each(excluded);
     if let Some(found) = &summary.sought {
         sought(found);
@@ -109,6 +112,22 @@ fn headline_rate(summary: &Summary) {
             ));
         }
         (_, stages) => stages.iter().for_each(|stage| rate(stage, &summary.sampler)),
+    }
+}
+
+/// The failures of all stages by mode, the most frequent first.
+fn all_failures(summary: &Summary) {
+    let mut modes: BTreeMap<&str, u64> = BTreeMap::new();
+    for mode in summary.stages.iter().flat_map(|stage| &stage.failure_modes) {
+        *modes.entry(mode.mode.as_str()).or_default() += mode.episodes;
+    }
+    let mut modes: Vec<(&str, u64)> = modes.into_iter().filter(|(_, episodes)| *episodes > 0).collect();
+    modes.sort_by_key(|(_, episodes)| Reverse(*episodes));
+    let failures: u64 = modes.iter().map(|(_, episodes)| episodes).sum();
+    if failures > 0 {
+        let modes: Vec<String> =
+            modes.iter().map(|(mode, episodes)| format!("{mode} {}", grouped(*episodes))).collect();
+        line(format_args!("                 {}: {}", counted(failures, "failure"), modes.join(", ")));
     }
 }
 
@@ -238,7 +257,7 @@ fn failures(stage: &StageSummary) {
         }
     )));
     let mut modes = stage.failure_modes.clone();
-    modes.sort_by_key(|mode| std::cmp::Reverse(mode.episodes));
+    modes.sort_by_key(|mode| Reverse(mode.episodes));
     let wide = widest(modes.iter().map(|mode| mode.mode.as_str()), 12);
     for mode in modes {
         let share = mode.share_of_failures.unwrap_or(0.0);

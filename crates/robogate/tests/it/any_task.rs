@@ -147,7 +147,7 @@ fn designs_of_the_pendulum() {
     let at = dir.path();
     let verb = |arguments: &str, code: i32, parts: &[&str]| verb(at, arguments, code, parts);
     let run = "run --task pendulum -n 200 --seed 3";
-    verb(&format!("{run} --out a"), 0, &["all episodes by their weights", "Risk model"]);
+    verb(&format!("{run} --verbose --out a"), 0, &["over the operating space", "Risk model"]);
     verb("export a rows.csv", 0, &[]);
     let rows = fs::read_to_string(at.join("rows.csv")).unwrap();
     let header: Vec<&str> = rows.lines().next().unwrap().split(',').collect();

@@ -316,7 +316,7 @@ fn active_shards_equal_single_run() {
     verb(at, &format!("{run} --divide 2"), 0, &["120 episodes in 2 shards"]);
     assert!(run_all_shards(at, "run") >= 6);
     verb(at, "plan run", 0, &["120 of 120 episodes", "active-0"]);
-    verb(at, "merge run", 0, &["Risk model"]);
+    verb(at, "merge run --verbose", 0, &["Risk model"]);
     assert!(files(&at.join("run")) == files(&one.path().join("run")));
     // A worker that is killed after it commits the last shard chooses nothing. The merge does it then.
     let last = fs::read_dir(at.join("run/shards")).unwrap().map(|entry| entry.unwrap().path());
