@@ -62,6 +62,7 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/serving/offer.py"),
     embedded!("robogate_eval/serving/process.py"),
     embedded!("robogate_eval/serving/rendering.py"),
+    embedded!("robogate_eval/serving/sandbox.py"),
     embedded!("robogate_eval/serving/scoring.py"),
     embedded!("robogate_eval/serving/spaces.py"),
     embedded!("robogate_eval/serving/timing.py"),

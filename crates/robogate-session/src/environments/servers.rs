@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::io;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
-use std::process::Child;
 use std::sync::mpsc::{self, Sender};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::{self, JoinHandle};
@@ -20,7 +19,7 @@ use super::python::{Interpreter, readable};
 use crate::failure::{Failure, OrFailure};
 use crate::loaded_policy::LoadedPolicy;
 use crate::notice::note;
-use crate::text::indented;
+use crate::text::{foreign, indented};
 
 /// The servers of one environment. They end when this value is dropped, and when this process ends in any way: a server
 /// ends with its standard input, and on Linux with the thread that started it.
@@ -32,7 +31,7 @@ pub struct Servers {
     timeouts: Timeouts,
     /// Requests to the thread that starts processes. A server ends with the thread that started it, so this must not be
     /// a worker, which may end earlier.
-    starter: Option<Sender<Sender<io::Result<Child>>>>,
+    starter: Option<Sender<Sender<io::Result<Process>>>>,
     thread: Option<JoinHandle<()>>,
     running: Mutex<BTreeMap<usize, Process>>,
     /// The last output of a server that was shown to the user.
@@ -45,6 +44,9 @@ pub struct Servers {
 #[derive(Deserialize)]
 struct Ready {
     listening: String,
+    /// What the sandbox refused so far.
+    #[serde(default)]
+    refused: Vec<String>,
     #[serde(flatten)]
     imported: Imported,
 }
@@ -59,16 +61,15 @@ impl Servers {
         interpreter: Interpreter,
         timeouts: Timeouts,
     ) -> Result<(Arc<Self>, Address), Failure> {
-        let (starter, requests) = mpsc::channel::<Sender<io::Result<Child>>>();
+        let (starter, requests) = mpsc::channel::<Sender<io::Result<Process>>>();
         let (name, python) = (environment.clone(), interpreter.clone());
         let loads = loads.map(LoadedPolicy::argument);
         let thread = thread::spawn(move || {
             for reply in requests {
-                let mut command = python.command("serve");
-                command.args(["--child", &name]);
-                command.args(loads.iter().map(|policy| format!("--policy={policy}")));
-                // Without a receiver the process is dropped, which closes its standard input.
-                let _ = reply.send(command.spawn());
+                let policy = loads.as_ref().map(|policy| format!("--policy={policy}"));
+                let arguments: Vec<&str> = ["--child", &name].into_iter().chain(policy.as_deref()).collect();
+                // Without a receiver the process is dropped, which ends it.
+                let _ = reply.send(python.start("serve", &arguments));
             }
         });
         let (starter, thread) = (Some(starter), Some(thread));
@@ -126,13 +127,16 @@ impl Servers {
     /// Starts a server and waits until it is ready.
     fn launch(&self, position: usize) -> Result<Address, Failure> {
         let broken = || anyhow!("the thread that starts servers has ended");
-        let (reply, child) = mpsc::channel();
+        let (reply, started) = mpsc::channel();
         self.starter.as_ref().ok_or_else(broken).or_broken()?.send(reply).map_err(|_| broken()).or_broken()?;
-        let child = child.recv().map_err(|_| broken()).or_broken()?;
-        let mut process = Process::new(child.map_err(|why| self.interpreter.unusable(&why)).or_request()?);
+        let started = started.recv().map_err(|_| broken()).or_broken()?;
+        let mut process = started.map_err(|why| self.interpreter.unusable(&why)).or_request()?;
         match process.answer(&self.environment, &self.timeouts) {
             Ok(line) => {
                 let ready = serde_json::from_str::<Ready>(&line).ok();
+                for refused in ready.iter().flat_map(|ready| &ready.refused).filter(|_| position == 0) {
+                    note(format_args!("the sandbox refused {} to {}", self.environment, foreign(refused)));
+                }
                 let imported = ready.as_ref().map(|ready| ready.imported.clone()).unwrap_or_default();
                 let address = ready.and_then(|ready| ready.listening.parse().ok());
                 let wrong =

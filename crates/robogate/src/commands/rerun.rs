@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use crate::commands::evidence::evidence_error;
 use crate::exit::{Exit, OrExit};
-use robogate_session::{Reopening, Subject};
+use robogate_session::{Reopening, Subject, is_own};
 
 /// The rows in the folder of evidence.
 const ROWS: &str = "dictionary.parquet";
@@ -46,7 +46,12 @@ pub(crate) fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result
         return Err(anyhow!("--rerun: the rows were imported, so they cannot be run again\nHint: leave out --rerun"))
             .or_usage();
     }
-    let subject = Subject::recorded(recorded, Some(folder), opening)?;
+    let mut opening = opening.clone();
+    if !is_own(folder, recorded) {
+        // The user may have named the program, or may trust the author, but did not write it.
+        opening.simulators.sandbox.get_or_insert(true);
+    }
+    let subject = Subject::recorded(recorded, Some(folder), &opening)?;
     let here = subject.provenance(recorded.space.clone())?;
     let other_maths =
         matches!((&recorded.platform, &here.platform), (Some(was), Some(is)) if was.differs_in_maths_only(is));

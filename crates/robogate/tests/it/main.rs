@@ -23,6 +23,8 @@ mod fuzz;
 mod gate;
 mod generated;
 mod harness;
+#[cfg(all(target_os = "linux", feature = "mujoco"))]
+mod isolation;
 mod layering;
 mod library;
 mod local_policies;

@@ -17,6 +17,7 @@ import robogate_bridge
 
 from .adapter import Adapter
 from .environment import Environment, Task, as_environment
+from . import sandbox
 from .imported import imported
 from .knobs import Knob
 
@@ -115,7 +116,10 @@ def serve_child(name: str, policy: str | None = None) -> None:
     adapter = child_adapter(child, name, policy)
     _keep()
     # The check before the first episode has called `reset` and `step`, which import what an environment needs later.
-    robogate_bridge.serve(adapter, "tcp://127.0.0.1:*", ready=lambda address: child.answer(json.dumps({"listening": address} | imported())))
+    def ready(address: str) -> None:
+        child.answer(json.dumps({"listening": address, "refused": sandbox.refused} | imported()))
+
+    robogate_bridge.serve(adapter, "tcp://127.0.0.1:*", ready=ready, listener=sandbox.listener())
 
 
 def child_adapter(child: Child, name: str, policy: str | None = None) -> Adapter:
@@ -124,6 +128,7 @@ def child_adapter(child: Child, name: str, policy: str | None = None) -> Adapter
     from .rendering import choose_library
 
     choose_library()
+    sandbox.watch()
     child.doing("import")
     environment = find(name)
     return Adapter(environment if policy is None else with_policy(environment, policy), child.doing)
