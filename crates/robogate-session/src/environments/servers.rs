@@ -31,13 +31,20 @@ pub struct Servers {
     timeouts: Timeouts,
     /// Requests to the thread that starts processes. A server ends with the thread that started it, so this must not be
     /// a worker, which may end earlier.
-    starter: Option<Sender<Sender<io::Result<Process>>>>,
+    starter: Option<Sender<Request>>,
     thread: Option<JoinHandle<()>>,
     running: Mutex<BTreeMap<usize, Process>>,
     /// The last output of a server that was shown to the user.
     shown: Mutex<String>,
     /// What the first server has imported.
     imported: OnceLock<Imported>,
+}
+
+/// A request to start a process.
+struct Request {
+    /// Whether its environment runs an episode first, which shows what it uses.
+    first: bool,
+    reply: Sender<io::Result<Process>>,
 }
 
 /// The line that a server prints when it is ready.
@@ -61,13 +68,15 @@ impl Servers {
         interpreter: Interpreter,
         timeouts: Timeouts,
     ) -> Result<(Arc<Self>, Address), Failure> {
-        let (starter, requests) = mpsc::channel::<Sender<io::Result<Process>>>();
+        let (starter, requests) = mpsc::channel::<Request>();
         let (name, python) = (environment.clone(), interpreter.clone());
         let loads = loads.map(LoadedPolicy::argument);
         let thread = thread::spawn(move || {
-            for reply in requests {
+            for Request { first, reply } in requests {
                 let policy = loads.as_ref().map(|policy| format!("--policy={policy}"));
-                let arguments: Vec<&str> = ["--child", &name].into_iter().chain(policy.as_deref()).collect();
+                let first = first.then_some("--first");
+                let arguments: Vec<&str> =
+                    ["--child", &name].into_iter().chain(first).chain(policy.as_deref()).collect();
                 // Without a receiver the process is dropped, which ends it.
                 let _ = reply.send(python.start("serve", &arguments));
             }
@@ -128,7 +137,8 @@ impl Servers {
     fn launch(&self, position: usize) -> Result<Address, Failure> {
         let broken = || anyhow!("the thread that starts servers has ended");
         let (reply, started) = mpsc::channel();
-        self.starter.as_ref().ok_or_else(broken).or_broken()?.send(reply).map_err(|_| broken()).or_broken()?;
+        let request = Request { first: position == 0, reply };
+        self.starter.as_ref().ok_or_else(broken).or_broken()?.send(request).map_err(|_| broken()).or_broken()?;
         let started = started.recv().map_err(|_| broken()).or_broken()?;
         let mut process = started.map_err(|why| self.interpreter.unusable(&why)).or_request()?;
         match process.answer(&self.environment, &self.timeouts) {
@@ -142,8 +152,7 @@ impl Servers {
                 let wrong =
                     || anyhow!("{}: its server printed `{}` instead of an address", self.environment, line.trim_end());
                 let address = address.ok_or_else(wrong).or_broken()?;
-                let files = imported.files();
-                if self.imported.get_or_init(|| imported).files() != files {
+                if !imported.agrees_with(self.imported.get_or_init(|| imported.clone())) {
                     let why = "its files have changed during the run, so its servers do not run the same code";
                     return Err(anyhow!(
                         "{}: {why}\nHint: restore the files and resume, or start a new run",

@@ -20,7 +20,7 @@ pub(crate) struct Limits {
 }
 
 impl Limits {
-    /// For the compilation and the check of a robot's model. The largest models of the MuJoCo Menagerie need 0.3 GiB and 3 s.
+    /// For the compilation and the check of a robot's model.
     pub(crate) const MODEL: Self =
         Self { memory_bytes: 4 << 30, processor_s: 120, wall: Duration::from_secs(300), file_bytes: 1 << 30 };
 
@@ -79,5 +79,20 @@ pub(crate) fn wait(child: &mut Child, limit: Duration) -> std::io::Result<Option
         }
         thread::sleep(pause);
         pause = (2 * pause).min(Duration::from_millis(20));
+    }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn processes_that_hang_are_ended() {
+        let began = Instant::now();
+        let mut child = Command::new("sleep").arg("600").spawn().unwrap();
+        assert_eq!(wait(&mut child, Duration::from_millis(50)).unwrap(), None);
+        assert!(began.elapsed() < Duration::from_secs(60));
+        // It is gone: its status was read.
+        assert!(child.try_wait().unwrap().is_some());
     }
 }

@@ -137,3 +137,20 @@ fn unusable(model: &Path, status: Option<ExitStatus>) -> anyhow::Error {
         memory_bytes >> 30
     )
 }
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn crashes_name_the_model() {
+        let crashed = std::process::Command::new("sh").args(["-c", "kill -SEGV $$"]).status().unwrap();
+        let model = Path::new("arm/model.xml");
+        let text = unusable(model, Some(crashed)).to_string();
+        assert!(
+            text.starts_with("arm/model.xml: the process that compiled this model ended with signal: 11"),
+            "{text}"
+        );
+        assert!(unusable(model, None).to_string().contains("did not end within 300 s"));
+    }
+}

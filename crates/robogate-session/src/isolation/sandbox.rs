@@ -53,8 +53,7 @@ const OF_THE_SYSTEM: &[&str] = &[
 ];
 
 /// Environment variables that the process keeps: others may contain keys. Those that the command sets are added.
-const KEPT: &[&str] =
-    &["PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "MUJOCO_GL", "PYOPENGL_PLATFORM", "LD_LIBRARY_PATH"];
+const KEPT: &[&str] = &["PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "MUJOCO_GL", "PYOPENGL_PLATFORM"];
 
 /// The environment variable that tells Python what it may do, as JSON.
 const TOLD: &str = "ROBOGATE_SANDBOX";
@@ -73,6 +72,8 @@ pub(crate) struct Rights {
 pub(crate) struct Sandbox {
     python: PathBuf,
     read: Vec<PathBuf>,
+    /// MuJoCo's graphics library, if the user chose none: there is no display.
+    graphics: String,
 }
 
 /// A temporary folder of one process. It is removed when this value is dropped.
@@ -110,17 +111,20 @@ impl Sandbox {
     /// # Errors
     /// The kernel has no sandbox, or a folder that the environment needs contains the user's keys.
     pub(crate) fn of(environment: &str, loads: Option<&LoadedPolicy>, python: &mut Command) -> anyhow::Result<Self> {
-        /// Prints the interpreter and the folders from which it imports.
-        const ABOUT: &str = "import json, sys; sys.path[:] = [path for path in sys.path if path]; \
-                             print(json.dumps([sys.executable, [sys.prefix, sys.base_prefix, sys.exec_prefix, *sys.path]]))";
+        /// Prints the interpreter, the folders from which it imports, and MuJoCo's graphics library: the search for it starts
+        /// processes, as does the import of MuJoCo's library for windows.
+        const ABOUT: &str = "import json, sys; sys.path[:] = [path for path in sys.path if path]; from ctypes.util import find_library; \
+                             print(json.dumps([sys.executable, [sys.prefix, sys.base_prefix, sys.exec_prefix, *sys.path], \
+                             'egl' if find_library('EGL') else 'osmesa' if find_library('OSMesa') else 'disable']))";
         if !is_parent() {
             return Err(anyhow!("only the command `robogate` starts a sandbox"));
         }
         kernel::available()?;
         let output = python.args(["-c", ABOUT]).stdin(Stdio::null()).output();
         let output = output.with_context(|| format!("cannot start {}", python.get_program().display()))?;
-        let (executable, imports): (PathBuf, Vec<PathBuf>) = serde_json::from_slice(&output.stdout)
-            .with_context(|| format!("{} does not tell its folders", python.get_program().display()))?;
+        let (executable, imports, graphics): (PathBuf, Vec<PathBuf>, String) =
+            serde_json::from_slice(&output.stdout)
+                .with_context(|| format!("{} does not tell its folders", python.get_program().display()))?;
         let mut own = Vec::new();
         if let Some((file, _)) = file_and_attribute(environment) {
             own.push(Path::new(file).parent().unwrap_or(Path::new("")).join("."));
@@ -144,7 +148,7 @@ impl Sandbox {
                 folder.display()
             ));
         }
-        Ok(Self { python: executable, read })
+        Ok(Self { python: executable, read, graphics })
     }
 
     /// The command that runs in the sandbox, with its folder for temporary files.
@@ -154,7 +158,7 @@ impl Sandbox {
         let told = serde_json::to_string(&rights)?;
         let mut inside = this_program().map_err(io::Error::other)?;
         inside.arg(PYTHON).arg(&told).arg(&self.python).args(command.get_args());
-        inside.env_clear();
+        inside.env_clear().env("MUJOCO_GL", &self.graphics);
         inside.envs(KEPT.iter().filter_map(|name| Some((name, std::env::var_os(name)?))));
         inside.envs(command.get_envs().filter_map(|(name, value)| Some((name, value?))));
         inside.env(TOLD, told).env("PYTHONDONTWRITEBYTECODE", "1");

@@ -26,18 +26,10 @@ fn large_models_end_a_child() {
         format!("<texture name=\"t{number}\" type=\"2d\" builtin=\"flat\" width=\"8192\" height=\"8192\"/>")
     };
     robot(&dir.path().join("large"), &format!("<asset>{}</asset>", (0..300).map(texture).collect::<String>()));
-    for line in [
-        "run --robot large -n 1 --out run",
-        "run --robot large -n 1 --out run --task stacking",
-        "robots check large",
-        "robots init large/franka.xml --force",
-        "serve --robot large",
-        "check --robot large",
-    ] {
+    // `robots init` would also read a model that is in no robot's folder.
+    for line in ["run --robot large -n 1 --out run", "robots init large/franka.xml --force"] {
         let arguments: Vec<&str> = line.split(' ').collect();
-        let printed = assert_exit_in(dir.path(), &arguments, 2, &["large"]);
-        let reasons = ["the process that compiled this model ended with", "Could not allocate memory", "out of memory"];
-        assert!(reasons.iter().any(|reason| printed.contains(reason)), "{line}: {printed}");
+        assert_exit_in(dir.path(), &arguments, 2, &["large/", "ould not allocate memory"]);
     }
     assert!(!dir.path().join("run").exists());
 }
@@ -122,7 +114,7 @@ fn refused_attempts_are_named() {
     // The same again without Python's functions, which tell what is refused.
     let attempts = format!(
         r#"
-import ctypes, os, socket, sys
+import ctypes, os, socket, sys, tempfile
 key, mark = {key:?}, {mark:?}
 def tries(what):
     try:
@@ -147,7 +139,7 @@ said += [
     library.chmod(key.encode(), 0o777),
     library.syscall(425, 8, 0),
 ]
-open(os.path.join(os.environ["TMPDIR"], "own"), "w").write("x")
+tempfile.TemporaryFile().write(b"x")
 print("SAID", said, os.environ.get("SECRET_TOKEN"), file=sys.stderr)
 raise RuntimeError("the end of the attempts")
 "#,
@@ -211,4 +203,55 @@ fn evidence_of_others_runs_in_the_sandbox() {
     fs::copy(bench.at("world/line.py"), bench.at("line.py")).unwrap();
     let line = format!("run --env line.py:environment --python {python} -n 1 --out other --sandbox");
     bench.expect("state", &line, 2, &["contains your home folder or your keys", "a folder of their own"]);
+}
+
+/// A run is bound to the files that its environment opens and to the modules that it imports until the end of an episode.
+#[test]
+fn opened_files_are_part_of_an_environment() {
+    let Some(bench) = Bench::new() else { return };
+    let late = "        if self.t >= 20:\n            import late\n        return np.array([self.x]), 0.0";
+    let code = ENVIRONMENT.replace("        return np.array([self.x]), 0.0", late);
+    assert_ne!(code, ENVIRONMENT);
+    let opens = r#"
+import json, os, mujoco
+here = os.path.dirname(os.path.abspath(__file__))
+json.load(open(os.path.join(here, "data/settings.json")))
+mujoco.MjModel.from_xml_path(os.path.join(here, "model/world.xml"))
+open(os.path.join(here, "data/log.txt"), "a").write("started\n")
+open(os.path.join(here, "data/log.txt")).read()
+"#;
+    for folder in ["world/data", "world/model"] {
+        fs::create_dir(bench.at(folder)).unwrap();
+    }
+    fs::write(bench.at("world/line.py"), opens.to_owned() + &code).unwrap();
+    fs::write(bench.at("world/late.py"), "\n").unwrap();
+    fs::write(bench.at("world/data/settings.json"), "{}\n").unwrap();
+    fs::write(bench.at("world/data/unused.json"), "{}\n").unwrap();
+    fs::write(bench.at("world/model/world.xml"), "<mujoco><include file=\"parts.xml\"/></mujoco>\n").unwrap();
+    let parts = "<mujoco><worldbody><geom size=\"1\"/></worldbody></mujoco>\n";
+    fs::write(bench.at("world/model/parts.xml"), parts).unwrap();
+    let python = bench.python.display().to_string();
+    let run = format!("run --env world/line.py:environment --python {python} -n 8 --seed 3 --threads 2 --out run");
+    bench.expect("state", &run, 0, &[]);
+    let plan: serde_json::Value = serde_json::from_slice(&fs::read(bench.at("run/plan.json")).unwrap()).unwrap();
+    let files = plan["provenance"]["world"]["place"]["files"].as_object().unwrap();
+    let used = ["data/settings.json", "late.py", "line.py", "model/parts.xml", "model/world.xml"];
+    assert_eq!(files.keys().collect::<Vec<_>>(), used);
+    assert_eq!(fs::read_to_string(bench.at("run/environment/model/parts.xml")).unwrap(), parts);
+    for name in ["data/settings.json", "late.py", "model/parts.xml"] {
+        let file = bench.at("world").join(name);
+        let before = fs::read_to_string(&file).unwrap();
+        fs::write(&file, before.clone() + "\n").unwrap();
+        let reason = format!("the environment's file {name} has changed since the run");
+        bench.expect("state", &format!("resume run --python {python}"), 2, &[&reason]);
+        bench.expect(
+            "elsewhere",
+            &format!("replay run 3 --env world/line.py:environment --python {python}"),
+            2,
+            &[&reason],
+        );
+        fs::write(&file, before).unwrap();
+    }
+    fs::write(bench.at("world/data/unused.json"), "[]\n").unwrap();
+    bench.expect("state", &format!("replay run 3 --python {python}"), 0, &["identical to the recorded episode"]);
 }

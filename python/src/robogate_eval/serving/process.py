@@ -20,6 +20,7 @@ from .environment import Environment, Task, as_environment
 from . import sandbox
 from .imported import imported
 from .knobs import Knob
+from .opened import Opened
 
 # Linux: signal that this process gets when the thread that started it ends.
 PR_SET_PDEATHSIG = 1
@@ -107,17 +108,23 @@ class Child:
             os.write(2, f"It was here when it was ended (most recent call last):\n{stack}".encode())
 
 
-def serve_child(name: str, policy: str | None = None) -> None:
+def serve_child(name: str, policy: str | None = None, first: bool = False) -> None:
     """Serve the environment of this name to the parent process: `robogate run --env`. The answer is its address. `policy` is one to
-    load beside its own (`with_policy`)."""
+    load beside its own (`with_policy`). The `first` server of the user's own environment runs one episode before, which shows what
+    the environment imports and opens."""
+    from ..environments import own_folder
+
     child = Child()
     # Ctrl-C reaches all processes of the terminal. The parent finishes its episodes and then closes the standard input.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    folder = own_folder(name)
+    opened = Opened(folder) if folder else None
     adapter = child_adapter(child, name, policy)
+    if first and folder:
+        adapter.rehearse(child.doing)
     _keep()
-    # The check before the first episode has called `reset` and `step`, which import what an environment needs later.
     def ready(address: str) -> None:
-        child.answer(json.dumps({"listening": address, "refused": sandbox.refused} | imported()))
+        child.answer(json.dumps({"listening": address, "refused": sandbox.refused} | imported(opened)))
 
     robogate_bridge.serve(adapter, "tcp://127.0.0.1:*", ready=ready, listener=sandbox.listener())
 
