@@ -1,5 +1,6 @@
 //! The summary at the end of a campaign.
 
+use std::cmp::Reverse;
 use std::path::Path;
 
 use robogate_analysis::{Analysis, Effects, MarginalEffect};
@@ -81,6 +82,9 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
     files(dir, summary);
 }
 
+/// Most failure modes in one line. An environment of another author may invent a mode for each episode.
+const MODES_IN_LINE: usize = 12;
+
 /// Formats the counts of an unfinished campaign in one line.
 pub(crate) fn outcomes_in_one_line(counts: &OutcomeCounts) -> String {
     let mut text = match counts.success_rate() {
@@ -91,8 +95,16 @@ pub(crate) fn outcomes_in_one_line(counts: &OutcomeCounts) -> String {
     if counts.invalid > 0 {
         text += &format!(" · INVALID {}", grouped(counts.invalid));
     }
-    for (mode, count) in &counts.failures {
-        text += &format!(" · {mode} {}", grouped(*count));
+    let mut failures: Vec<_> = counts.failures.iter().collect();
+    if failures.len() > MODES_IN_LINE {
+        failures.sort_by_key(|(_, count)| Reverse(**count));
+    }
+    for (mode, count) in failures.iter().take(MODES_IN_LINE) {
+        text += &format!(" · {mode} {}", grouped(**count));
+    }
+    if let Some(others) = failures.get(MODES_IN_LINE..).filter(|others| !others.is_empty()) {
+        let episodes = others.iter().map(|(_, count)| **count).sum();
+        text += &format!(" · {} other modes {}", others.len(), grouped(episodes));
     }
     text
 }

@@ -255,3 +255,20 @@ open(os.path.join(here, "data/log.txt")).read()
     fs::write(bench.at("world/data/unused.json"), "[]\n").unwrap();
     bench.expect("state", &format!("replay run 3 --python {python}"), 0, &["identical to the recorded episode"]);
 }
+
+/// A killed process leaves files under temporary names. The next command that works in the folder removes them.
+#[test]
+fn unfinished_files_are_removed() {
+    let dir = TempDir::new().unwrap();
+    let run = ["run", "--task", "pendulum", "-n", "20", "--design", "uniform", "--seed", "3", "--out", "run"];
+    assert_exit_in(dir.path(), &run, 0, &[]);
+    let at = |name: &str| dir.path().join("run").join(name);
+    for name in [".dictionary.parquet.part", ".summary.json.part", "notes.part", ".notes"] {
+        fs::write(at(name), "cut").unwrap();
+    }
+    assert_exit_in(dir.path(), &["resume", "run"], 0, &[]);
+    let left = |name: &str| at(name).exists();
+    assert!(!left(".dictionary.parquet.part") && !left(".summary.json.part"));
+    // Files of others stay.
+    assert!(left("notes.part") && left(".notes"));
+}
