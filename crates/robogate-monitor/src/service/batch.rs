@@ -65,7 +65,7 @@ impl Batch {
     }
 
     /// The same batch from a sender in a network, now.
-    pub(super) fn from_sender(self, name: &str) -> Self {
+    pub(super) fn sent_by(self, name: &str) -> Self {
         Self { sender: Some((name.to_owned(), Instant::now())), ..self }
     }
 

@@ -128,7 +128,7 @@ impl Handle {
 
     /// The same for the lines of a sender in a network.
     pub(super) fn take_from(&self, sender: &str, batch: &[u8]) -> Result<Taken, String> {
-        self.take_parsed(Batch::parse(batch).map_err(|error| error.to_string())?.from_sender(sender))
+        self.take_parsed(Batch::parse(batch).map_err(|error| error.to_string())?.sent_by(sender))
     }
 
     fn take_parsed(&self, batch: Batch) -> Result<Taken, String> {

@@ -462,7 +462,7 @@ async fn cycles(server: &Server, request: Request<Incoming>) -> Reply {
         Ok(Err(error)) => return refusal(StatusCode::PAYLOAD_TOO_LARGE, error),
         Err(error) => return refusal(StatusCode::INTERNAL_SERVER_ERROR, error),
     };
-    match ask(server, |reply| Job::Cycles { batch: batch.from_sender(&sender), reply }).await {
+    match ask(server, |reply| Job::Cycles { batch: batch.sent_by(&sender), reply }).await {
         Ok(taken) => {
             if let Ok(mut last) = server.health.lock() {
                 *last = (Instant::now(), Ok(()));

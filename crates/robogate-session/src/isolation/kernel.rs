@@ -90,6 +90,8 @@ fn ruleset() -> Result<RulesetCreated, RulesetError> {
 }
 
 type Calls = BTreeMap<i64, Vec<SeccompRule>>;
+/// An argument of a system call by its position, how it is compared, and with what.
+type Condition = (u8, SeccompCmpOp, u64);
 
 /// System calls that do not exist for the process: the C library uses an older one instead, whose arguments can be checked.
 fn unknown() -> Calls {
@@ -185,7 +187,7 @@ fn refused() -> anyhow::Result<Calls> {
     let (own, thread) = (u64::from(id()), libc::CLONE_THREAD as u64);
     let fast_open = libc::MSG_FASTOPEN as u64;
     let other = |argument: u8| [(argument, SeccompCmpOp::Ne, 0), (argument, SeccompCmpOp::Ne, own)];
-    let conditional: [(i64, &[(u8, SeccompCmpOp, u64)]); 8] = [
+    let conditional: [(i64, &[Condition]); 8] = [
         // A new process. Threads are allowed.
         (libc::SYS_clone, &[(0, SeccompCmpOp::MaskedEq(thread), 0)]),
         // Signals and limits of other processes.
