@@ -52,6 +52,9 @@ impl Folder {
             },
             Err(_) => None,
         };
+        if lock.is_some() {
+            remove_unfinished(&dir);
+        }
         Ok(Self { dir, _lock: lock })
     }
 
@@ -105,6 +108,19 @@ impl Folder {
     pub(crate) fn remove(&self, name: &str) -> Result<(), RunError> {
         let path = self.path(name);
         fs::remove_file(&path).and_then(|()| sync(&self.dir)).map_err(RunError::io(&path, "remove"))
+    }
+}
+
+/// Removes the files that a killed process did not complete. No other process works in the locked folder.
+fn remove_unfinished(dir: &Path) {
+    for name in names(dir).unwrap_or_default() {
+        if name.starts_with('.')
+            && name.ends_with(".part")
+            && fs::symlink_metadata(dir.join(&name)).is_ok_and(|it| it.is_file())
+        {
+            // What cannot be removed is overwritten by the next attempt.
+            let _ = fs::remove_file(dir.join(name));
+        }
     }
 }
 

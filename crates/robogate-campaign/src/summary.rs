@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use robogate_core::{FEASIBLE, FailureMode, FaultKind, Outcome, OutsideRange, ParameterSpace, TaskSpec, is_feasible};
-use robogate_dictionary::Entry;
+use robogate_dictionary::{Entry, Provenance};
 use robogate_stats::Confidence;
 use robogate_stats::weighted::hajek;
 use robogate_stats::weighted_events::event_rate;
@@ -12,7 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::suite::Groups;
-use crate::{Bins, MarginalEffect, OutcomeCounts, Plan, PlanError, RunAgain, Stage, SuiteSummary};
+use crate::{Bins, MarginalEffect, OutcomeCounts, Plan, PlanError, RowsError, RunAgain, RunError, Stage, SuiteSummary};
 
 /// Campaign summary.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -48,6 +48,30 @@ pub struct Summary {
 impl Summary {
     /// The version of the file format that is written, and the newest one that is read.
     pub const VERSION: u32 = 2;
+
+    /// The summary of the rows of a complete campaign. Episodes that ran again are not known from them.
+    ///
+    /// # Errors
+    /// The provenance contains no plan of a campaign, or a row cannot be read.
+    pub fn of_rows<E>(
+        provenance: &Provenance,
+        dataset_hash: String,
+        rows: impl Iterator<Item = Result<Entry, E>>,
+    ) -> Result<Self, RowsError>
+    where
+        RowsError: From<E>,
+    {
+        let plan: Plan = serde_json::from_value(provenance.plan.clone()).map_err(RowsError::NoPlan)?;
+        plan.check(&provenance.space).map_err(RunError::from)?;
+        let mut summing = Summing::new(&plan, &provenance.task, &provenance.space).map_err(RunError::from)?;
+        let mut episodes = 0;
+        for row in rows {
+            summing.add(&row?);
+            episodes += 1;
+        }
+        let rounds = plan.suite.as_ref().map_or(0, |suite| episodes / suite.scenarios().max(1));
+        Ok(summing.finish(&plan, rounds, dataset_hash))
+    }
 }
 
 /// A success rate with its confidence interval.
@@ -200,6 +224,9 @@ pub(crate) struct Summing {
     bins: Bins,
     outside_range: Option<OutsideRange>,
     task: Arc<TaskSpec>,
+    /// The number of episodes of the uniform stage.
+    uniform_episodes: u64,
+    has_suite: bool,
 }
 
 impl Summing {
@@ -223,10 +250,18 @@ impl Summing {
             bins: Bins::of(plan, space)?,
             outside_range: OutsideRange::of(task),
             task: Arc::clone(task),
+            uniform_episodes: plan.uniform.episodes,
+            has_suite: plan.suite.is_some(),
         })
     }
 
-    pub(crate) fn add(&mut self, stage: Stage, entry: &Entry) {
+    pub(crate) fn add(&mut self, entry: &Entry) {
+        let stage = match entry.index() {
+            _ if self.has_suite => Stage::Suite,
+            index if index < self.uniform_episodes => Stage::Uniform,
+            _ if self.is_active => Stage::Active,
+            _ => Stage::Boundary,
+        };
         let outcome = &entry.episode.outcome;
         match stage {
             Stage::Uniform => {

@@ -476,7 +476,7 @@ impl RobotSettings {
 }
 
 /// A problem of a robot, with a hint.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Problem {
     /// The problem and the affected input.
     pub what: String,

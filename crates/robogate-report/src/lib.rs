@@ -29,7 +29,9 @@ pub use gate::{
     fleet_headline, fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html, leaderboard_markdown,
     leaderboards_html, leaderboards_markdown, new_cases, sign, verdict_html, what_next,
 };
-pub use html::{comparison_html, comparison_html_with, explorer_page, html, html_with, replay_page, transfer_html};
+pub use html::{
+    comparison_html, comparison_html_with, explorer_page, html, html_with, replay_page, script_data, transfer_html,
+};
 pub use json::{
     AnalysisReport, ComparisonReport, TransferReport, analysis_json, analysis_json_with, comparison_json, transfer_json,
 };

@@ -17,6 +17,7 @@ use robogate_remote::{Pool, RemotePhysics};
 use robogate_tasks::claims::{Bench, Setup, Workbench};
 use robogate_tasks::{ArmTask, Rig, remote};
 
+use crate::isolation;
 use crate::registry::{self, ENGINES, EngineEntry};
 use crate::remote::{self as servers, CellTask, PhysicsHost};
 use crate::renderer;
@@ -60,6 +61,9 @@ impl Cell {
     ) -> anyhow::Result<Self> {
         let task = arm_task(task, &chosen)?;
         let robot = robot(&settings.robot)?;
+        // The kinematics of a remote engine are read by the default one.
+        let compiler = if pool.is_some() { &ENGINES[0] } else { EngineEntry::find(&settings.engine)? };
+        isolation::check_model(&robot, compiler)?;
         let gripper = &robot.settings.gripper;
         if let Some((setting, _)) = chosen.iter().find(|(setting, _)| !task.has_effect(setting, gripper)) {
             bail!("setting `{setting}` has no effect: the gripper of {} is {}", robot.name(), gripper.description());
@@ -70,8 +74,6 @@ impl Cell {
             settings.engine = servers::engine(hello).name;
             settings.time_step_s = hello.time_step_s.unwrap_or_default();
             settings.physics_servers = true;
-        } else {
-            EngineEntry::find(&settings.engine)?;
         }
         if let Some(record) = &settings.renderer {
             renderer::check(record, &settings.engine, pool.is_some())?;

@@ -72,6 +72,11 @@ pub(crate) fn of(folder: &Path, provenance: &Provenance) -> Option<Origin> {
     notes.filter(|note| note.programs_sha256 == wanted).map(|note| Origin { python: note.python }).next()
 }
 
+/// Whether this user made the run in `folder` on this machine.
+pub fn is_own(folder: &Path, provenance: &Provenance) -> bool {
+    of(folder, provenance).is_some()
+}
+
 fn write(folder: &Path, noted: &Note) -> io::Result<()> {
     let path = path(folder)?;
     let known = fs::read_to_string(&path).unwrap_or_default();
@@ -121,6 +126,11 @@ fn resolved(folder: &Path) -> io::Result<PathBuf> {
         }
     }
     Ok(absolute)
+}
+
+/// The folder with the user's keys and notes, if it can be found.
+pub(crate) fn state_folder() -> Option<PathBuf> {
+    state().ok()
 }
 
 /// The state folder: `ROBOGATE_STATE_DIR`, else `$XDG_STATE_HOME/robogate`, else `~/.local/state/robogate`.

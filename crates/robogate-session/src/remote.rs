@@ -33,6 +33,8 @@ pub struct Simulators {
     /// The Python interpreter of an environment that this process starts. `None` for that of `robogate env setup`, otherwise
     /// the active `python3`.
     pub python: Option<PathBuf>,
+    /// Whether these processes run in a sandbox. `None` for the choice of the verb: only evidence of others runs in it.
+    pub sandbox: Option<bool>,
     /// A policy that the processes of the environment load.
     pub loads: Option<LoadedPolicy>,
 }
@@ -40,7 +42,7 @@ pub struct Simulators {
 impl Default for Simulators {
     /// No remote simulator.
     fn default() -> Self {
-        Self { addresses: Vec::new(), python: None, timeout_s: 30.0, loads: None }
+        Self { addresses: Vec::new(), python: None, timeout_s: 30.0, sandbox: None, loads: None }
     }
 }
 
@@ -61,7 +63,11 @@ impl Simulators {
     /// Start the first server of an environment, and connect to it.
     pub fn launch(&self, environment: &str) -> Result<(Arc<Pool>, Arc<Servers>), Failure> {
         let interpreter = Interpreter::choose(self.python.as_deref(), environment).or_request()?;
-        note(format_args!("starting {environment} in {}", interpreter.path().display()));
+        let sandboxed = self.sandbox == Some(true);
+        let interpreter =
+            if sandboxed { interpreter.sandboxed(environment, self.loads.as_ref()).or_request()? } else { interpreter };
+        let place = if sandboxed { ", in the sandbox" } else { "" };
+        note(format_args!("starting {environment} in {}{place}", interpreter.path().display()));
         let (servers, address) = Servers::start(
             environment.to_owned(),
             self.loads.as_ref(),

@@ -10,6 +10,7 @@ use robogate_gate::evidence::{Problem, random_positions};
 use serde::Serialize;
 
 use crate::failure::{Failure, OrFailure};
+use crate::origin::is_own;
 use crate::reopening::Reopening;
 use crate::subject::Subject;
 
@@ -49,7 +50,12 @@ pub fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result<Rerun,
         return Err(anyhow!("--rerun: the rows were imported, so they cannot be run again\nHint: leave out --rerun"))
             .or_request();
     }
-    let subject = Subject::recorded(recorded, Some(folder), opening)?;
+    let mut opening = opening.clone();
+    if !is_own(folder, recorded) {
+        // The user may have named the program, or may trust the author, but did not write it.
+        opening.simulators.sandbox.get_or_insert(true);
+    }
+    let subject = Subject::recorded(recorded, Some(folder), &opening)?;
     let here = subject.provenance(recorded.space.clone())?;
     let other_maths =
         matches!((&recorded.platform, &here.platform), (Some(was), Some(is)) if was.differs_in_maths_only(is));

@@ -87,6 +87,18 @@ pub(crate) struct SimulatorArguments {
     /// Choose the Python interpreter of --env; default: that of `robogate env setup`, otherwise the active python3
     #[arg(long, value_name = "PATH")]
     python: Option<PathBuf>,
+    /// Run the Python process of --env, and a policy in it, in a sandbox of Linux (SECURITY.md): it reads only its own files and
+    /// packages, writes only to a temporary folder, and has no network and no other processes; default: on for `verify --rerun` of
+    /// evidence that you did not make, otherwise off
+    #[arg(long, value_name = "on|off", num_args = 0..=1, default_missing_value = "on", require_equals = true)]
+    sandbox: Option<Switch>,
+}
+
+/// A switch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Switch {
+    On,
+    Off,
 }
 
 impl SimulatorArguments {
@@ -96,6 +108,7 @@ impl SimulatorArguments {
             addresses: self.addresses.clone(),
             timeout_s: self.timeout_s,
             python: self.python.clone(),
+            sandbox: self.sandbox.map(|switch| switch == Switch::On),
             loads: None,
         }
     }

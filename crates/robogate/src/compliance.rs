@@ -7,7 +7,9 @@
 use std::path::Path;
 
 use anyhow::Context;
+use robogate_campaign::Summary;
 use robogate_core::SettingSpec;
+use robogate_core::budget::Budget;
 use robogate_dictionary::{Dictionary, Provenance, Tool};
 use robogate_gate::Evaluation;
 use robogate_gate::evidence::{EnvironmentBinding, MANIFEST, Manifest, PolicyBinding, Problem, Role};
@@ -17,6 +19,8 @@ use serde_json::{Value, json};
 
 /// The list of components.
 const SBOM: &str = "compliance/sbom.cdx.json";
+/// The components that the rows identify.
+const JUDGED: [&str; 4] = ["policy", "robot", "episodes", "simulator"];
 /// The exact versions that this build could link.
 const LOCK: &str = include_str!("../../../Cargo.lock");
 
@@ -33,8 +37,8 @@ pub(crate) fn documents(evaluation: &Evaluation, provenance: &Provenance) -> Vec
     .into()
 }
 
-/// Documents in verified evidence that differ from those of its evaluation, and `false` if another version wrote them, so
-/// that they could not be compared. The list of components describes the build that wrote it and is not compared.
+/// The summary and the documents in verified evidence that differ from those of its rows, and `false` if another version wrote
+/// them, so that they could not be compared.
 pub(crate) fn check(folder: &Path) -> anyhow::Result<(Vec<Problem>, bool)> {
     let read = |name: &str| {
         let path = folder.join(name);
@@ -42,7 +46,8 @@ pub(crate) fn check(folder: &Path) -> anyhow::Result<(Vec<Problem>, bool)> {
     };
     let manifest: Manifest = serde_json::from_slice(&read(MANIFEST)?)?;
     let of = |role: Role| manifest.files.iter().filter(move |file| file.role == role);
-    if of(Role::Compliance).next().is_none() {
+    let derived = [Role::Compliance, Role::Summary];
+    if !manifest.files.iter().any(|file| derived.contains(&file.role)) {
         return Ok((Vec::new(), true));
     }
     if manifest.tool != Tool::robogate() {
@@ -51,15 +56,81 @@ pub(crate) fn check(folder: &Path) -> anyhow::Result<(Vec<Problem>, bool)> {
     let file = |role: Role| of(role).next().map(|file| file.path.as_str()).context("a file is missing in the manifest");
     let evaluation: Evaluation = serde_json::from_slice(&read(file(Role::Evaluation)?)?)?;
     let dictionary = Dictionary::open(&folder.join(file(Role::Dictionary)?))?;
-    let expected = documents(&evaluation, dictionary.provenance());
     let mut problems = Vec::new();
-    for listed in of(Role::Compliance).filter(|listed| listed.path != SBOM) {
-        let written = expected.iter().find(|(name, _)| *name == listed.path);
-        if written.map(|(_, bytes)| bytes) != Some(&read(&listed.path)?) {
-            problems.push(Problem::new(&*listed.path, "differs from the document of the evaluation"));
-        }
+    for listed in of(Role::Summary) {
+        let reason = other_summary(&dictionary, &read(&listed.path)?);
+        problems.extend(reason.map(|reason| Problem::new(&*listed.path, reason)));
+    }
+    let expected = documents(&evaluation, dictionary.provenance());
+    for listed in of(Role::Compliance) {
+        let (found, written) = (read(&listed.path)?, expected.iter().find(|(name, _)| *name == listed.path));
+        let reason = match written {
+            Some((_, bytes)) if *bytes == found => None,
+            Some((name, bytes)) if name == SBOM => other_components(bytes, &found),
+            _ => Some("differs from the document of the evaluation".to_owned()),
+        };
+        problems.extend(reason.map(|reason| Problem::new(&*listed.path, reason)));
     }
     Ok((problems, true))
+}
+
+/// What differs in a summary from that of the rows. Rows do not show which episodes ran again.
+fn other_summary(dictionary: &Dictionary, found: &[u8]) -> Option<String> {
+    let mut stated: Value = match Budget::FILE.json(found) {
+        Ok(stated) => stated,
+        Err(why) => return Some(format!("not JSON: {why}")),
+    };
+    stated.as_object_mut()?.remove("run_again");
+    let hash = dictionary.dataset_hash().to_owned();
+    let derived = match Summary::of_rows(dictionary.provenance(), hash, dictionary.entries()) {
+        Ok(summary) => json!(summary),
+        Err(why) => return Some(format!("there is no summary of the rows: {why}")),
+    };
+    first_difference(&derived, &stated).map(|(field, was, is)| format!("`{field}` is {is}, but the rows give {was}"))
+}
+
+/// What differs in a list of components. The packages of another build are not known here.
+fn other_components(derived: &[u8], found: &[u8]) -> Option<String> {
+    let read = |bytes: &[u8]| Budget::FILE.json::<Value>(bytes).map_err(|why| format!("not JSON: {why}"));
+    let (derived, mut stated) = match (read(derived), read(found)) {
+        (Ok(derived), Ok(stated)) => (derived, stated),
+        (Err(why), _) | (_, Err(why)) => return Some(why),
+    };
+    if derived["metadata"] == stated["metadata"] {
+        return first_difference(&derived, &stated)
+            .map(|(field, was, is)| format!("`{field}` is {is}. Expected {was}, as in the rows and in Cargo.lock"))
+            .or_else(|| Some("differs from the same list in its layout".to_owned()));
+    }
+    let judged = |list: &Value| {
+        let components = list["components"].as_array().cloned().unwrap_or_default();
+        let of_the_rows = |one: &Value| JUDGED.iter().any(|name| one["bom-ref"] == *name);
+        Value::Array(components.into_iter().filter(of_the_rows).collect())
+    };
+    stated = judged(&stated);
+    first_difference(&judged(&derived), &stated)
+        .map(|(field, was, is)| format!("the component `{field}` is {is}, but the rows give {was}"))
+}
+
+/// The first field whose values differ: its path, and both values as short texts.
+fn first_difference(one: &Value, other: &Value) -> Option<(String, String, String)> {
+    let below = |key: String, one: &Value, other: &Value| {
+        first_difference(one, other).map(|(path, was, is)| {
+            let path = if path.is_empty() { key.clone() } else { format!("{key}.{path}") };
+            (path, was, is)
+        })
+    };
+    let found = match (one, other) {
+        _ if one == other => return None,
+        (Value::Object(a), Value::Object(b)) => {
+            a.keys().chain(b.keys()).find_map(|key| below(key.clone(), &one[key], &other[key]))
+        }
+        (Value::Array(a), Value::Array(b)) => {
+            (0..a.len().max(b.len())).find_map(|at| below(at.to_string(), &one[at], &other[at]))
+        }
+        _ => None,
+    };
+    let short = |value: &Value| value.to_string().chars().take(80).collect::<String>();
+    found.or_else(|| Some((String::new(), short(one), short(other))))
 }
 
 /// What identifies the judged system, as names and values.

@@ -28,6 +28,7 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use robogate_core::guard::{is_guarded, message};
+use robogate_session::Entered;
 
 use crate::exit::OrExit;
 
@@ -114,8 +115,12 @@ enum Verb {
 
 fn main() -> ExitCode {
     std::panic::set_hook(Box::new(panicked));
+    let arguments = match robogate_session::enter(std::env::args_os().collect()) {
+        Entered::Command(arguments) => arguments,
+        Entered::Done(code) => return code,
+    };
     commands::matrix::end_with_parent();
-    let matches = grouped::by_purpose(Arguments::command()).get_matches();
+    let matches = grouped::by_purpose(Arguments::command()).get_matches_from(arguments);
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|why| why.exit());
     terminal::show_notices();
     if arguments.quiet {

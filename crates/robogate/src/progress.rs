@@ -13,6 +13,8 @@ use robogate_session::duration::in_words;
 
 /// Number of failures in the live view.
 pub(crate) const LAST_FAILURES: usize = 3;
+/// Longest line about a failure, in characters. The text of a fault comes from another program.
+const LONGEST: usize = 400;
 /// The shortest and the longest bar, in columns.
 const BAR: [usize; 2] = [8, 40];
 /// Columns beside the bar: stage, counts, rate and time left.
@@ -140,7 +142,8 @@ impl Live {
         }
         let cause =
             fault.map_or_else(|| format!("at {time_s:.2} s"), |fault| foreign(fault.lines().next().unwrap_or("")));
-        self.failures.push_front(format!("#{index} {} {cause}", foreign(outcome)));
+        let line: String = format!("#{index} {} {cause}", foreign(outcome)).chars().take(LONGEST).collect();
+        self.failures.push_front(line);
         self.failures.truncate(LAST_FAILURES);
         let lines = self.below.iter().skip(1).zip(&self.failures);
         lines.for_each(|(line, text)| line.set_message(text.clone()));

@@ -142,6 +142,9 @@ fn other_populations(summary: &Summary) {
     parts().for_each(feasible);
 }
 
+/// Most failure modes in one line. An environment of another author may invent a mode for each episode.
+const MODES_IN_LINE: usize = 12;
+
 /// Formats the counts of an unfinished campaign in one line.
 pub(crate) fn outcomes_in_one_line(counts: &OutcomeCounts) -> String {
     let mut text = match counts.success_rate() {
@@ -152,8 +155,16 @@ pub(crate) fn outcomes_in_one_line(counts: &OutcomeCounts) -> String {
     if counts.invalid > 0 {
         text += &format!(" · INVALID {}", grouped(counts.invalid));
     }
-    for (mode, count) in &counts.failures {
-        text += &format!(" · {mode} {}", grouped(*count));
+    let mut failures: Vec<_> = counts.failures.iter().collect();
+    if failures.len() > MODES_IN_LINE {
+        failures.sort_by_key(|(_, count)| Reverse(**count));
+    }
+    for (mode, count) in failures.iter().take(MODES_IN_LINE) {
+        text += &format!(" · {mode} {}", grouped(**count));
+    }
+    if let Some(others) = failures.get(MODES_IN_LINE..).filter(|others| !others.is_empty()) {
+        let episodes = others.iter().map(|(_, count)| **count).sum();
+        text += &format!(" · {} other modes {}", others.len(), grouped(episodes));
     }
     text
 }

@@ -588,8 +588,10 @@ def serve(
     bind: str = "tcp://127.0.0.1:5570",
     allow_remote: bool = False,
     ready: Callable[[str], None] = _announce,
+    listener: int | None = None,
 ) -> None:
-    """Serve until interrupted. `tcp://127.0.0.1:*` takes a free port.
+    """Serve until interrupted. `tcp://127.0.0.1:*` takes a free port. `listener` is the descriptor of a socket that listens already: a
+    process in a sandbox cannot create one.
 
     Calls `ready` with the address, which by default prints one line of JSON, `{"listening": "tcp://..."}`. An address that other
     machines can reach requires `allow_remote`: the protocol has no authentication.
@@ -611,6 +613,8 @@ def serve(
             signal.signal(name, _stop)
     try:
         try:
+            if listener is not None:
+                socket.setsockopt(zmq.USE_FD, listener)
             socket.bind(bind)
         except zmq.ZMQError as why:
             raise SystemExit(f"cannot listen on {bind}: {why.strerror}") from None

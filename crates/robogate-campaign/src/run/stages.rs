@@ -312,15 +312,11 @@ impl<'a> Run<'a> {
         let mut summing = Summing::new(plan, &self.settings.provenance.task, &self.space)?;
         for entry in self.journal.ordered() {
             let entry = entry?;
-            let stage = match &plan.suite {
-                // An earlier process may have run more rounds, if its closure decided differently.
-                Some(suite) if entry.index() >= rounds * suite.scenarios() => break,
-                Some(_) => Stage::Suite,
-                None if entry.index() < plan.uniform.episodes => Stage::Uniform,
-                None if plan.active.is_some() => Stage::Active,
-                None => Stage::Boundary,
-            };
-            summing.add(stage, &entry);
+            // An earlier process may have run more rounds, if its closure decided differently.
+            if plan.suite.as_ref().is_some_and(|suite| entry.index() >= rounds * suite.scenarios()) {
+                break;
+            }
+            summing.add(&entry);
             writer.push(&entry)?;
         }
         let summary = summing.finish(plan, rounds, writer.finish()?.dataset_hash);

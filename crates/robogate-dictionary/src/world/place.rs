@@ -66,8 +66,8 @@ pub struct PythonPlace {
     /// SHA-256 (hex) of the file in that name, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sha256: Option<String>,
-    /// The files of modules outside of installed packages that it imported until its first step: SHA-256 (hex) by the name of the
-    /// module as a path (`helpers.py`).
+    /// The files of modules outside of installed packages that it imported until the end of its first episode, and the files in its
+    /// folder that it opened: SHA-256 (hex) by the name of the module as a path (`helpers.py`) or by the path (`model/arm.xml`).
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub files: BTreeMap<String, String>,
     /// The versions of the installed packages that it imported.

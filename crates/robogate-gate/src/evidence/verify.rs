@@ -69,6 +69,9 @@ pub enum Signed {
 ///
 /// With `trusted`, the folder must be signed by that key. Returns all problems, each with its file.
 pub fn verify(folder: &Path, trusted: Option<&PublicKey>) -> Result<Verified, Vec<Problem>> {
+    if let Some(trusted) = trusted {
+        check_signatures(folder, trusted)?;
+    }
     let mut problems = Vec::new();
     let manifest = match manifest_of(folder) {
         Ok(manifest) => manifest,
@@ -76,17 +79,6 @@ pub fn verify(folder: &Path, trusted: Option<&PublicKey>) -> Result<Verified, Ve
     };
     let statements = statements_of(&manifest);
     let (signed, key) = check_key(folder, &manifest, trusted, &mut problems);
-    // No other file of a folder that the trusted key did not sign is read.
-    if trusted.is_some() {
-        for name in statements.iter().filter(|_| manifest.signer.is_some()) {
-            if let Some(Err(reason)) = key.as_ref().map(|key| signed_body(folder, name, key)) {
-                problems.push(Problem::new(name.as_str(), reason));
-            }
-        }
-        if !problems.is_empty() {
-            return Err(problems);
-        }
-    }
     check_files(folder, &manifest, &statements, &mut problems);
     let evaluation = check_facts(folder, &manifest, &mut problems);
     let sha256 = facts::sha256(manifest.to_json().as_bytes());
@@ -143,6 +135,43 @@ pub fn verify(folder: &Path, trusted: Option<&PublicKey>) -> Result<Verified, Ve
 fn statements_of(manifest: &Manifest) -> [String; 2] {
     let ending = if manifest.signer.is_some() { SIGNED_ENDING } else { BARE_ENDING };
     [TEST_RESULT, ATTESTATION].map(|name| format!("{name}{ending}"))
+}
+
+/// Checks that the trusted key signed the statements, and that they are about these bytes of the manifest. No other file of a folder
+/// that this key did not sign is read.
+fn check_signatures(folder: &Path, trusted: &PublicKey) -> Result<(), Vec<Problem>> {
+    let names = [TEST_RESULT, ATTESTATION].map(|name| format!("{name}{SIGNED_ENDING}"));
+    if !folder.join(MANIFEST).exists() {
+        // The error of the manifest says what is expected.
+        return manifest_of(folder).map(drop).map_err(|problem| vec![problem]);
+    }
+    if names.iter().map(String::as_str).chain([SIGNER]).all(|name| !folder.join(name).exists()) {
+        let reason = format!("unsigned, but a signature by key {} is required", trusted.id());
+        return Err(vec![Problem::new(MANIFEST, reason)]);
+    }
+    let signer = read(folder, SIGNER).and_then(|text| PublicKey::from_pem(&text).map_err(|error| error.to_string()));
+    let wrong = match signer {
+        Ok(key) if key == *trusted => None,
+        Ok(key) => Some(format!("the evidence is signed by key {}. Expected the given key {}", key.id(), trusted.id())),
+        Err(reason) => Some(reason),
+    };
+    if let Some(reason) = wrong {
+        return Err(vec![Problem::new(SIGNER, reason)]);
+    }
+    let mut problems = Vec::new();
+    let sha256 = read(folder, MANIFEST).map(|text| facts::sha256(text.as_bytes()));
+    let sha256 = sha256.map_err(|reason| vec![Problem::new(MANIFEST, reason)])?;
+    for name in &names {
+        match signed_body(folder, name, trusted) {
+            Ok(body) if statement::manifest_sha256(&body).is_some_and(|stated| stated != sha256) => {
+                let reason = format!("its SHA-256 is {sha256}, but {name} states another one: one of them was changed");
+                problems.push(Problem::new(MANIFEST, reason));
+            }
+            Ok(_) => {}
+            Err(reason) => problems.push(Problem::new(name.as_str(), reason)),
+        }
+    }
+    if problems.is_empty() { Ok(()) } else { Err(problems) }
 }
 
 fn read(folder: &Path, name: &str) -> Result<String, String> {

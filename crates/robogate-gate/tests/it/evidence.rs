@@ -260,6 +260,21 @@ fn forged_evidence_needs_the_key() {
     }
 }
 
+/// Nothing of a folder is parsed before the signature is checked: neither a manifest nor requirements can exhaust the verifier.
+#[test]
+fn signature_is_checked_first() {
+    let run = run(30);
+    let folder = run.evidence("e", Some(&key()));
+    let other = PrivateKey::from_seed([8; 32]).public();
+    let bomb = "[".repeat(1 << 20);
+    fs::write(folder.join("manifest.json"), &bomb).unwrap();
+    fs::write(folder.join("requirements.toml"), &bomb).unwrap();
+    let problems = verify(&folder, Some(&other)).unwrap_err();
+    assert_eq!(problems.iter().map(|problem| &*problem.file).collect::<Vec<_>>(), ["signer.pub.pem"]);
+    let text = about(verify(&folder, Some(&key().public())), "manifest.json");
+    assert!(text.contains("one of them was changed") && !text.contains("JSON"), "{text}");
+}
+
 #[test]
 fn changed_verdicts_are_detected_unsigned() {
     let run = run(40);

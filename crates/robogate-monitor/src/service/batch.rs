@@ -3,6 +3,8 @@
 //! A body of 16 MB takes much longer to parse than to refuse. It is parsed on the thread that received it, and work and
 //! memory are bounded: by the number of lines, and by the number of malformed lines after which the rest is not read.
 
+use std::time::Instant;
+
 use super::intake::Refused;
 use crate::Cycle;
 
@@ -31,6 +33,8 @@ pub struct Batch {
     pub(super) problems: Vec<Refused>,
     /// Its length in bytes.
     pub(super) bytes: usize,
+    /// Who sent it over a network, and when it arrived.
+    pub(super) sender: Option<(String, Instant)>,
 }
 
 impl Batch {
@@ -58,6 +62,11 @@ impl Batch {
             }
         }
         Ok(batch)
+    }
+
+    /// The same batch from a sender in a network, now.
+    pub(super) fn sent_by(self, name: &str) -> Self {
+        Self { sender: Some((name.to_owned(), Instant::now())), ..self }
     }
 
     fn refuse(&mut self, line: u64, mut because: String) {

@@ -123,7 +123,15 @@ impl Handle {
     /// # Errors
     /// The reason why no cycle was accepted, as text.
     pub fn take(&self, batch: Vec<u8>) -> Result<Taken, String> {
-        let batch = Batch::parse(&batch).map_err(|error| error.to_string())?;
+        self.take_parsed(Batch::parse(&batch).map_err(|error| error.to_string())?)
+    }
+
+    /// The same for the lines of a sender in a network.
+    pub(super) fn take_from(&self, sender: &str, batch: &[u8]) -> Result<Taken, String> {
+        self.take_parsed(Batch::parse(batch).map_err(|error| error.to_string())?.sent_by(sender))
+    }
+
+    fn take_parsed(&self, batch: Batch) -> Result<Taken, String> {
         match self.wait(|reply| Job::Cycles { batch, reply }) {
             Ok(Ok(taken)) => Ok(taken),
             Ok(Err(problem)) => Err(problem.because),

@@ -21,7 +21,7 @@
 //! an unfinished head gives its place to a new connection. Bodies are parsed on other threads.
 
 use std::convert::Infallible;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -239,9 +239,10 @@ impl Drop for Open {
 
 async fn converse(server: &Arc<Server>, stream: TcpStream, connection: Connection, ending: &mut watch::Receiver<bool>) {
     let _ = stream.set_nodelay(true);
-    let close = Arc::clone(&connection.close);
+    let (close, address) = (Arc::clone(&connection.close), connection.address());
     let open = Arc::new(Open { server: Arc::clone(server), connection: Mutex::new((connection, false)) });
-    let service = service_fn(|request| {
+    let service = service_fn(|mut request: Request<Incoming>| {
+        request.extensions_mut().insert(address);
         let open = Arc::clone(&open);
         async move {
             let allowed = open.with(|peers, (connection, busy)| {
@@ -447,6 +448,7 @@ fn status_of(problem: &Problem) -> StatusCode {
 }
 
 async fn cycles(server: &Server, request: Request<Incoming>) -> Reply {
+    let sender = request.extensions().get::<IpAddr>().map_or_else(|| "http".to_owned(), IpAddr::to_string);
     let mut held = Held { bytes: 0, of: server };
     let body = read(request.into_body(), &mut held);
     let body = match tokio::time::timeout(Duration::from_secs_f64(server.settings.body_s), body).await {
@@ -460,7 +462,7 @@ async fn cycles(server: &Server, request: Request<Incoming>) -> Reply {
         Ok(Err(error)) => return refusal(StatusCode::PAYLOAD_TOO_LARGE, error),
         Err(error) => return refusal(StatusCode::INTERNAL_SERVER_ERROR, error),
     };
-    match ask(server, |reply| Job::Cycles { batch, reply }).await {
+    match ask(server, |reply| Job::Cycles { batch: batch.sent_by(&sender), reply }).await {
         Ok(taken) => {
             if let Ok(mut last) = server.health.lock() {
                 *last = (Instant::now(), Ok(()));

@@ -13,13 +13,17 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+use std::time::Instant;
 
 use serde::Serialize;
 
 use super::batch::{Batch, LISTED, TooManyLines};
 use super::nearest::Episodes;
+use super::newcomers::Newcomers;
+use super::senders::{Found, Senders, Trouble};
+use super::settings::ServiceSettings;
 use super::store::{Kept, Store, StoreError};
-use crate::{Alarm, Cycle, Monitor, TooManyRecipes};
+use crate::{Alarm, Cycle, Monitor};
 
 /// Number of cycles of a recipe after which its state is written.
 const STATE_EVERY: u64 = 5_000;
@@ -52,6 +56,8 @@ pub struct Taken {
     pub late: u64,
     /// Accepted cycles outside the validated region.
     pub outside: u64,
+    /// How often ids are missing between accepted cycles.
+    pub gaps: u64,
     /// Number of refused cycles.
     pub refused: u64,
     /// The first hundred refusals.
@@ -83,6 +89,7 @@ impl Taken {
         self.out_of_order += other.out_of_order;
         self.late += other.late;
         self.outside += other.outside;
+        self.gaps += other.gaps;
         self.refused += other.refused;
     }
 }
@@ -111,6 +118,8 @@ pub struct Intake {
     unwritten: Vec<Alarm>,
     /// The sum of all results since the start.
     totals: Taken,
+    senders: Senders,
+    newcomers: Newcomers,
     /// Simulated episodes, to compare cycles with: those of one recipe, and under `None` those of all others.
     episodes: BTreeMap<Option<String>, Arc<Episodes>>,
 }
@@ -122,6 +131,12 @@ impl Intake {
     pub fn with_episodes(mut self, recipe: Option<String>, episodes: Arc<Episodes>) -> Self {
         self.episodes.insert(recipe, episodes);
         self
+    }
+
+    /// The same intake with another limit on the new recipes of each sender in a network.
+    #[must_use]
+    pub fn with_new_recipes_per_hour(self, most: u32) -> Self {
+        Self { newcomers: Newcomers::new(most), ..self }
     }
 
     /// The simulated episodes of a recipe.
@@ -159,6 +174,8 @@ impl Intake {
             newest,
             unwritten: Vec::new(),
             totals: Taken::default(),
+            senders: Senders::default(),
+            newcomers: Newcomers::new(ServiceSettings::default().new_recipes_per_hour),
             episodes: BTreeMap::new(),
         })
     }
@@ -192,12 +209,20 @@ impl Intake {
     }
 
     /// Writes one batch into the transaction.
-    fn keep(&self, batch: Batch, fresh: &mut Fresh) -> Result<Taken, StoreError> {
-        let Batch { cycles, malformed, problems, .. } = batch;
+    fn keep(&mut self, batch: Batch, fresh: &mut Fresh) -> Result<Taken, StoreError> {
+        let Batch { cycles, malformed, problems, sender, .. } = batch;
+        if let Some(first) = problems.first() {
+            let sender = sender.as_ref().map_or("the feed", |(name, _)| name).to_owned();
+            let time_s = self.newest_time.values().copied().fold(0.0, f64::max);
+            let because = format!("{malformed} lines are no cycles; line {}: {}", first.line, first.because);
+            let (place, recipe) = (format!("line {}", first.line), "*".to_owned());
+            fresh.found.push(Found { trouble: Trouble::Refused, sender, recipe, place, time_s, because });
+        }
         let mut taken = Taken { refused: malformed, refusals: problems, ..Taken::default() };
         for (line, cycle, text) in cycles {
-            if let Err(full) = self.has_room(&cycle.recipe, fresh) {
-                taken.refuse(line, full.to_string());
+            if let Err(because) = self.has_room(&cycle.recipe, sender.as_ref(), fresh) {
+                fresh.found.push(Found::of(Trouble::Refused, &cycle, because.clone()));
+                taken.refuse(line, because);
                 continue;
             }
             match self.store.add(&cycle, &text)? {
@@ -207,7 +232,9 @@ impl Intake {
                 }
                 Kept::Same => taken.duplicates += 1,
                 Kept::Other => {
-                    taken.refuse(line, format!("the id `{}` is already stored with other content", cycle.id))
+                    let because = format!("the id `{}` is already stored with other content", cycle.id);
+                    fresh.found.push(Found::of(Trouble::Restarted, &cycle, because.clone()));
+                    taken.refuse(line, because);
                 }
             }
         }
@@ -217,9 +244,12 @@ impl Intake {
     }
 
     /// Checks that a recipe can be monitored, including the new recipes of this commit.
-    fn has_room(&self, recipe: &str, fresh: &mut Fresh) -> Result<(), TooManyRecipes> {
+    fn has_room(&mut self, recipe: &str, sender: Option<&(String, Instant)>, fresh: &mut Fresh) -> Result<(), String> {
         if self.monitor.recipe(recipe).is_none() && !fresh.recipes.contains(recipe) {
-            self.monitor.has_room(recipe, fresh.recipes.len())?;
+            self.monitor.has_room(recipe, fresh.recipes.len()).map_err(|full| full.to_string())?;
+            if let Some((sender, now)) = sender {
+                self.newcomers.admit(sender, recipe, *now).map_err(|many| many.to_string())?;
+            }
             fresh.recipes.insert(recipe.to_owned());
         }
         Ok(())
@@ -228,12 +258,14 @@ impl Intake {
     /// Passes the cycles that are now on disk to the detectors.
     fn hear(&mut self, mut taken: Vec<Taken>, fresh: Fresh) -> Result<Vec<Taken>, StoreError> {
         let mut alarms: Vec<Alarm> = Vec::new();
-        let mut fresh = fresh.cycles.into_iter();
+        let Fresh { cycles, found, .. } = fresh;
+        let mut fresh = cycles.into_iter();
         let mut due = BTreeSet::new();
         for taken in &mut taken {
             for (seq, cycle) in fresh.by_ref().take(taken.accepted as usize) {
                 self.clock(&cycle, taken);
                 self.newest = seq;
+                taken.gaps += u64::from(self.senders.accept(&cycle, &mut |alarm| alarms.push(alarm)));
                 // There is space: it was checked before the write.
                 if let Ok(judged) = self.monitor.observe(&cycle, &mut |alarm| alarms.push(alarm)) {
                     taken.outside += u64::from(judged.outside == Some(true));
@@ -244,6 +276,7 @@ impl Intake {
             }
             self.totals.add(taken);
         }
+        found.into_iter().for_each(|found| self.senders.raise(found, &mut |alarm| alarms.push(alarm)));
         // Everything below follows from the cycles on disk. If it cannot be written now, a restart writes it.
         self.unwritten.append(&mut alarms);
         if !self.unwritten.is_empty() {
@@ -357,6 +390,8 @@ struct Fresh {
     cycles: Vec<(u64, Cycle)>,
     /// New recipes.
     recipes: BTreeSet<String>,
+    /// Problems of senders.
+    found: Vec<Found>,
 }
 
 /// Records that a recipe processed a cycle. Returns the number of cycles since its state was written.

@@ -98,7 +98,7 @@ impl Broker {
 /// message.
 fn keep(engine: &Handle, message: &Publish, end: &AtomicBool, problem: &impl Fn(&str)) -> bool {
     while !end.load(Ordering::Acquire) {
-        match engine.take(message.payload.to_vec()) {
+        match engine.take_from("mqtt", &message.payload) {
             Ok(taken) => {
                 // The cycle would be refused again, so it is reported and the message is acknowledged.
                 if let Some(first) = taken.refusals.first() {

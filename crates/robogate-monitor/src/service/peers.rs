@@ -40,6 +40,13 @@ pub(super) struct Connection {
     pub(super) close: Arc<Notify>,
 }
 
+impl Connection {
+    /// The address of the client.
+    pub(super) fn address(&self) -> IpAddr {
+        self.address
+    }
+}
+
 impl Peers {
     /// Accepts a connection. `None` if the limits are reached and no connection waits.
     pub(super) fn connect(&mut self, address: IpAddr, settings: &HttpSettings) -> Option<Connection> {

@@ -19,6 +19,8 @@ pub struct ServiceSettings {
     pub http: HttpSettings,
     /// A cycle that is older than the newest of its robot by more than this is late, in seconds of the sender's clock.
     pub late_after_s: f64,
+    /// How many new recipes a client of HTTP or MQTT may add in an hour, at once or one by one. Further ones are refused.
+    pub new_recipes_per_hour: u32,
 }
 
 impl ServiceSettings {
@@ -30,6 +32,7 @@ impl ServiceSettings {
         self.detectors.check()?;
         let HttpSettings { requests_per_s, head_s, body_s, answer_s, connection_s, .. } = self.http;
         for (setting, value, low, high, range) in [
+            ("new_recipes_per_hour", self.new_recipes_per_hour.into(), 1.0, 1e9, "from 1 to 1e9"),
             ("late_after_s", self.late_after_s, 0.0, 1e9, "from 0 to 1e9"),
             ("http.requests_per_s", requests_per_s, 0.1, 1e6, "from 0.1 to 1e6"),
             ("http.head_s", head_s, 0.1, 3_600.0, "from 0.1 to 3600"),
@@ -57,6 +60,7 @@ impl Default for ServiceSettings {
             store: StoreSettings::default(),
             http: HttpSettings::default(),
             late_after_s: 3_600.0,
+            new_recipes_per_hour: 200,
         }
     }
 }

@@ -221,6 +221,49 @@ impl Store {
         .collect()
     }
 
+    /// All recipes with the numbers of their stored cycles.
+    ///
+    /// # Errors
+    /// If SQLite failed.
+    pub fn recipe_counts(&self) -> Result<Vec<(String, u64)>, StoreError> {
+        let mut all = self.connection.prepare(
+            "SELECT name, (SELECT COUNT(*) FROM cycles WHERE recipe = name) FROM
+             (SELECT name FROM recipes UNION SELECT DISTINCT recipe FROM cycles) ORDER BY name",
+        )?;
+        let rows = all.query_map([], |row| Ok((row.get(0)?, row.get::<_, i64>(1)?.cast_unsigned())))?;
+        Ok(rows.collect::<Result<_, _>>()?)
+    }
+
+    /// Removes a recipe with its cycles and its state. Alarms stay. Returns the number of cycles.
+    ///
+    /// # Errors
+    /// If SQLite failed. Nothing was removed.
+    pub fn remove_recipe(&self, name: &str) -> Result<u64, StoreError> {
+        let mut removed = 0;
+        self.together(|| {
+            removed = self.connection.execute("DELETE FROM cycles WHERE recipe = ?1", [name])? as u64;
+            self.connection.execute("DELETE FROM recipes WHERE name = ?1", [name])?;
+            Ok(())
+        })?;
+        Ok(removed)
+    }
+
+    /// Gives all cycles of a recipe to another one. The next start computes its state from the stored cycles of both. Returns the
+    /// number of moved cycles.
+    ///
+    /// # Errors
+    /// If SQLite failed. Nothing was changed.
+    pub fn merge_recipe(&self, from: &str, into: &str) -> Result<u64, StoreError> {
+        let mut moved = 0;
+        self.together(|| {
+            let sql = "UPDATE cycles SET recipe = ?2, body = json_set(body, '$.recipe', ?2) WHERE recipe = ?1";
+            moved = self.connection.execute(sql, [from, into])? as u64;
+            self.connection.execute("DELETE FROM recipes WHERE name IN (?1, ?2)", [from, into])?;
+            Ok(())
+        })?;
+        Ok(moved)
+    }
+
     /// Calls `process` with each cycle that is not in its recipe's state, in order.
     pub(super) fn unprocessed(&self, mut process: impl FnMut(u64, &Cycle)) -> Result<(), StoreError> {
         let mut all = self.connection.prepare(

@@ -349,3 +349,27 @@ fn one_episode_is_recomputed_at_a_time() {
     assert_eq!([get(service.address, "/replay").0, get(service.address, "/v1/replay?run=0&index=0").0], [404, 404]);
     service.end();
 }
+
+/// A client that invents names uses up its own share of the recipes only.
+#[test]
+fn new_recipes_of_a_client_are_limited() {
+    let folder = tempfile::tempdir().unwrap();
+    let intake = intake(&folder.path().join("monitor.db"), StoreSettings::default()).with_new_recipes_per_hour(20);
+    let service = Service::with(intake, HttpSettings::default(), None, |_| {});
+    let named = |n: u32, recipe: &str| {
+        json!({ "id": format!("c{n}"), "robot": "a", "recipe": recipe, "time_s": 1_760_000_000 + n, "success": true })
+            .to_string()
+    };
+    let invented: String = (0..1_000).map(|n| named(n, &format!("invented-{n}")) + "\n").collect();
+    let (status, taken) = post(service.address, "/v1/cycles", &invented, None);
+    assert_eq!((status, &taken["accepted"], &taken["refused"]), (422, &json!(20), &json!(980)));
+    assert!(taken["refusals"][0]["because"].as_str().unwrap().contains("may add 20 recipes in an hour"), "{taken}");
+    // Known recipes are accepted as before, and the lines of the user's own feed are not limited.
+    assert_eq!(post(service.address, "/v1/cycles", &named(2_000, "invented-3"), None).1["accepted"], 1);
+    let own = service.engine.handle().take(named(3_000, "bracket").into_bytes()).unwrap();
+    assert_eq!((own.accepted, own.refused), (1, 0));
+    let (_, status) = get(service.address, "/v1/status");
+    let status: serde_json::Value = serde_json::from_str(&status).unwrap();
+    assert!(status["alarms"].as_array().unwrap().iter().any(|alarm| alarm["metric"] == "sender"), "{status}");
+    service.end();
+}

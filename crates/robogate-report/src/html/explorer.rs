@@ -3,7 +3,7 @@
 use maud::{DOCTYPE, PreEscaped, html};
 
 use super::policy;
-use super::prose::prose;
+use super::prose::{prose, script_data};
 use super::watch::VIEWER;
 
 /// The explorer, bundled from web/src/explorer/main.js. It uses the viewer of the script before it.
@@ -23,8 +23,8 @@ pub fn explorer_page(runs: &str, data: Option<(&str, &str)>) -> (String, String)
             noscript { p.text { "The explorer needs JavaScript." } }
         }
         @if let Some((episodes, reel)) = data {
-            script type="application/json" id="explorer-data" { (PreEscaped(episodes)) }
-            script type="application/json" id="explorer-reel" { (PreEscaped(reel)) }
+            script type="application/json" id="explorer-data" { (PreEscaped(script_data(episodes))) }
+            script type="application/json" id="explorer-reel" { (PreEscaped(script_data(reel))) }
         }
         script { (PreEscaped(VIEWER)) }
         script { (PreEscaped(SCRIPT)) }

@@ -13,6 +13,7 @@ use robogate_analysis::transfer::Transfer;
 use robogate_analysis::{Analysis, Comparison};
 
 pub use explorer::explorer_page;
+pub use prose::script_data;
 pub(crate) use prose::{prose, rich};
 pub use replay::replay_page;
 

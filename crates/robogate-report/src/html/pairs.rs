@@ -6,6 +6,8 @@ use robogate_analysis::labels::{label_and_unit, mode_label};
 use robogate_replay::packed_integers;
 use serde_json::json;
 
+use super::prose::script_data;
+
 /// The script of the map, bundled from web/src/pairs.js.
 const SCRIPT: &str = include_str!("pairs.js");
 
@@ -29,7 +31,7 @@ pub(super) fn pairs(of: &PairCounts) -> Markup {
         "outcomes": of.outcomes.iter().map(|outcome| mode_label(outcome)).collect::<Vec<_>>(),
         "success": of.outcomes.iter().position(|outcome| outcome == "success"),
     });
-    let data = data.to_string().replace('<', "\\u003c");
+    let data = script_data(&data.to_string());
     html! {
         details.pairs data-pairs hidden { summary { "Map of any two parameters" } }
         script type="application/json" id="pairs" { (PreEscaped(data)) }

@@ -2,7 +2,7 @@
 
 use maud::{Markup, PreEscaped, html};
 
-use super::prose::{prose, rich};
+use super::prose::{prose, rich, script_data};
 use crate::watch::{Watch, WatchItem};
 
 /// The viewer with three.js, bundled from web/src/replays.js.
@@ -46,7 +46,7 @@ pub(super) fn scripts(watch: Option<&Watch>) -> Markup {
     let reel = watch.filter(|watch| watch.is_recorded()).and_then(|watch| watch.reel.as_ref());
     html! {
         @if let Some(reel) = reel {
-            script type="application/json" id="reel" { (PreEscaped(&reel.json)) }
+            script type="application/json" id="reel" { (PreEscaped(script_data(&reel.json))) }
             script { (PreEscaped(VIEWER)) }
         }
     }

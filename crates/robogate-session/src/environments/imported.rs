@@ -1,4 +1,4 @@
-//! What the Python process of an environment has imported.
+//! What the Python process of an environment has imported, and opened in its own folder.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -20,10 +20,10 @@ pub const ENVIRONMENT: &str = "environment";
 const MOST_FILES: usize = 1_000;
 const MOST_BYTES: u64 = 64 << 20;
 
-/// What the process has imported until the first step of its environment.
+/// What the process has imported until the end of its first episode, with the files that it opened in the folder of its environment.
 #[derive(Debug, Clone, Default, Deserialize)]
 pub(crate) struct Imported {
-    /// The files of modules outside of installed packages.
+    /// The files of modules outside of installed packages, and the files that the environment opened beside them.
     #[serde(default)]
     files: Vec<ImportedFile>,
     /// The installed packages, with their versions.
@@ -33,7 +33,7 @@ pub(crate) struct Imported {
 
 #[derive(Debug, Clone, Deserialize)]
 struct ImportedFile {
-    /// The name of the module as a path.
+    /// The name of the module as a path, or the path in the folder of the environment.
     name: String,
     path: PathBuf,
     sha256: String,
@@ -43,6 +43,12 @@ impl Imported {
     /// The digests of the files, by their names.
     pub(crate) fn files(&self) -> BTreeMap<String, String> {
         self.files.iter().map(|file| (file.name.clone(), file.sha256.clone())).collect()
+    }
+
+    /// Whether another process runs the same code: it may have imported or opened other files, but none with another content.
+    pub(crate) fn agrees_with(&self, other: &Self) -> bool {
+        let theirs = other.files();
+        self.files.iter().all(|file| theirs.get(&file.name).is_none_or(|sha256| *sha256 == file.sha256))
     }
 
     /// Copies the files into the folder of a run. An error is a note: the digests are recorded.
@@ -92,9 +98,9 @@ impl Imported {
         let now = self.files();
         let (changed, why) = match recorded.files.iter().find(|(name, sha256)| now.get(*name) != Some(*sha256)) {
             Some((name, _)) if now.contains_key(name) => (name, "has changed since the run"),
-            Some((name, _)) => (name, "is not imported now"),
+            Some((name, _)) => (name, "is not used now"),
             None => match now.keys().find(|name| !recorded.files.contains_key(*name)) {
-                Some(name) => (name, "was not imported in the run"),
+                Some(name) => (name, "was not used in the run"),
                 None => return Ok(()),
             },
         };

@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 use robogate_remote::Timeouts;
 use serde::Deserialize;
 
+use crate::isolation::Scratch;
 use crate::notice::note;
 
 /// How long a process may take to end after its standard input was closed.
@@ -96,10 +97,12 @@ pub(crate) struct Process {
     output: Output,
     reader: Option<JoinHandle<()>>,
     lines: Receiver<String>,
+    /// Its folder for temporary files in the sandbox. It is removed after the process has ended.
+    _scratch: Option<Scratch>,
 }
 
 impl Process {
-    pub(crate) fn new(mut child: Child) -> Self {
+    pub(crate) fn new(mut child: Child, scratch: Option<Scratch>) -> Self {
         let output = Output::default();
         let reader = child.stderr.take().map(|stream| {
             let output = Arc::clone(&output);
@@ -117,7 +120,7 @@ impl Process {
                 }
             });
         }
-        Self { child, output, reader, lines }
+        Self { child, output, reader, lines, _scratch: scratch }
     }
 
     /// Waits for the first line that is not about what the process does. An environment that hangs is ended.
@@ -237,7 +240,7 @@ mod tests {
     fn shell(script: &str) -> Process {
         let mut command = Command::new("sh");
         command.args(["-c", script]).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        Process::new(command.spawn().unwrap())
+        Process::new(command.spawn().unwrap(), None)
     }
 
     fn timeouts() -> Timeouts {

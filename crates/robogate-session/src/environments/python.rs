@@ -1,6 +1,7 @@
 //! The Python interpreter of an environment.
 
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -11,6 +12,8 @@ use serde::de::DeserializeOwned;
 use super::package;
 use super::process::{NoAnswer, Process};
 use crate::failure::{Failure, OrFailure};
+use crate::isolation::Sandbox;
+use crate::loaded_policy::LoadedPolicy;
 
 /// Exit code of `python -m robogate_eval.environments` for an error that the user can correct.
 const PYTHON_USAGE: i32 = 2;
@@ -46,6 +49,8 @@ pub struct Interpreter {
     python_path: OsString,
     /// The folder of the embedded package.
     package: PathBuf,
+    /// The sandbox of its processes, if they run in one.
+    sandbox: Option<Sandbox>,
 }
 
 impl Interpreter {
@@ -72,7 +77,24 @@ impl Interpreter {
         let before = std::env::var_os("PYTHONPATH").unwrap_or_default();
         let folders =
             std::env::split_paths(&before).filter(|folder| !folder.as_os_str().is_empty()).chain([package.clone()]);
-        Ok(Self { python, python_path: std::env::join_paths(folders).context("PYTHONPATH")?, package })
+        Ok(Self { python, python_path: std::env::join_paths(folders).context("PYTHONPATH")?, package, sandbox: None })
+    }
+
+    /// The same interpreter, whose processes run this environment and policy in a sandbox.
+    pub fn sandboxed(mut self, environment: &str, loads: Option<&LoadedPolicy>) -> anyhow::Result<Self> {
+        let mut python = Command::new(&self.python);
+        python.env("PYTHONPATH", &self.python_path);
+        self.sandbox = Some(Sandbox::of(environment, loads, &mut python)?);
+        Ok(self)
+    }
+
+    /// Starts the command `python -m robogate_eval.environments VERB ARGUMENTS`.
+    pub(crate) fn start(&self, verb: &str, arguments: &[impl AsRef<OsStr>]) -> io::Result<Process> {
+        let mut command = self.command(verb);
+        command.args(arguments);
+        let Some(sandbox) = &self.sandbox else { return Ok(Process::new(command.spawn()?, None)) };
+        let (mut inside, scratch) = sandbox.around(&command)?;
+        Ok(Process::new(inside.spawn()?, Some(scratch)))
     }
 
     /// The path of the interpreter.
@@ -111,8 +133,7 @@ impl Interpreter {
         arguments: &[&str],
         timeouts: &Timeouts,
     ) -> Result<T, Failure> {
-        let child = self.command(verb).args(arguments).spawn().map_err(|why| self.unusable(&why)).or_request()?;
-        let mut process = Process::new(child);
+        let mut process = self.start(verb, arguments).map_err(|why| self.unusable(&why)).or_request()?;
         let what = arguments.first().unwrap_or(&verb);
         let line = process.answer(what, timeouts).map_err(|why| {
             let how = match (&why.late, why.status) {
@@ -145,10 +166,16 @@ impl NoAnswer {
     }
 }
 
-/// The message of a Python process for the user: its own error if it reported one, otherwise all of its output.
+/// The message of a Python process for the user: its own error if it reported one, with what the sandbox refused,
+/// otherwise all of its output.
 pub(crate) fn readable(output: &str) -> String {
     match output.rfind("error: ").filter(|at| *at == 0 || output.as_bytes().get(at - 1) == Some(&b'\n')) {
-        Some(at) => output.get(at + "error: ".len()..).unwrap_or_default().trim_end().to_owned(),
+        Some(at) => {
+            let (before, own) = output.split_at(at);
+            let refused = before.lines().filter(|line| line.starts_with("sandbox: "));
+            let own = own.trim_start_matches("error: ").trim_end();
+            std::iter::once(own).chain(refused).collect::<Vec<_>>().join("\n")
+        }
         None => output.trim_end().to_owned(),
     }
 }
@@ -166,6 +193,7 @@ mod tests {
     #[test]
     fn own_error_is_shown_alone() {
         assert_eq!(readable("warning: old\nerror: no such task\nHint: another\n"), "no such task\nHint: another");
+        assert_eq!(readable("sandbox: refused to x\nlow\nerror: no"), "no\nsandbox: refused to x");
         assert_eq!(readable("Traceback:\nValueError: error: x\n"), "Traceback:\nValueError: error: x");
     }
 }

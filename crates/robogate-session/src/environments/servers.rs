@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::io;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
-use std::process::Child;
 use std::sync::mpsc::{self, Sender};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::{self, JoinHandle};
@@ -20,7 +19,7 @@ use super::python::{Interpreter, readable};
 use crate::failure::{Failure, OrFailure};
 use crate::loaded_policy::LoadedPolicy;
 use crate::notice::note;
-use crate::text::indented;
+use crate::text::{foreign, indented};
 
 /// The servers of one environment. They end when this value is dropped, and when this process ends in any way: a server
 /// ends with its standard input, and on Linux with the thread that started it.
@@ -32,7 +31,7 @@ pub struct Servers {
     timeouts: Timeouts,
     /// Requests to the thread that starts processes. A server ends with the thread that started it, so this must not be
     /// a worker, which may end earlier.
-    starter: Option<Sender<Sender<io::Result<Child>>>>,
+    starter: Option<Sender<Request>>,
     thread: Option<JoinHandle<()>>,
     running: Mutex<BTreeMap<usize, Process>>,
     /// The last output of a server that was shown to the user.
@@ -41,10 +40,20 @@ pub struct Servers {
     imported: OnceLock<Imported>,
 }
 
+/// A request to start a process.
+struct Request {
+    /// Whether its environment runs an episode first, which shows what it uses.
+    first: bool,
+    reply: Sender<io::Result<Process>>,
+}
+
 /// The line that a server prints when it is ready.
 #[derive(Deserialize)]
 struct Ready {
     listening: String,
+    /// What the sandbox refused so far.
+    #[serde(default)]
+    refused: Vec<String>,
     #[serde(flatten)]
     imported: Imported,
 }
@@ -59,16 +68,17 @@ impl Servers {
         interpreter: Interpreter,
         timeouts: Timeouts,
     ) -> Result<(Arc<Self>, Address), Failure> {
-        let (starter, requests) = mpsc::channel::<Sender<io::Result<Child>>>();
+        let (starter, requests) = mpsc::channel::<Request>();
         let (name, python) = (environment.clone(), interpreter.clone());
         let loads = loads.map(LoadedPolicy::argument);
         let thread = thread::spawn(move || {
-            for reply in requests {
-                let mut command = python.command("serve");
-                command.args(["--child", &name]);
-                command.args(loads.iter().map(|policy| format!("--policy={policy}")));
-                // Without a receiver the process is dropped, which closes its standard input.
-                let _ = reply.send(command.spawn());
+            for Request { first, reply } in requests {
+                let policy = loads.as_ref().map(|policy| format!("--policy={policy}"));
+                let first = first.then_some("--first");
+                let arguments: Vec<&str> =
+                    ["--child", &name].into_iter().chain(first).chain(policy.as_deref()).collect();
+                // Without a receiver the process is dropped, which ends it.
+                let _ = reply.send(python.start("serve", &arguments));
             }
         });
         let (starter, thread) = (Some(starter), Some(thread));
@@ -126,20 +136,23 @@ impl Servers {
     /// Starts a server and waits until it is ready.
     fn launch(&self, position: usize) -> Result<Address, Failure> {
         let broken = || anyhow!("the thread that starts servers has ended");
-        let (reply, child) = mpsc::channel();
-        self.starter.as_ref().ok_or_else(broken).or_broken()?.send(reply).map_err(|_| broken()).or_broken()?;
-        let child = child.recv().map_err(|_| broken()).or_broken()?;
-        let mut process = Process::new(child.map_err(|why| self.interpreter.unusable(&why)).or_request()?);
+        let (reply, started) = mpsc::channel();
+        let request = Request { first: position == 0, reply };
+        self.starter.as_ref().ok_or_else(broken).or_broken()?.send(request).map_err(|_| broken()).or_broken()?;
+        let started = started.recv().map_err(|_| broken()).or_broken()?;
+        let mut process = started.map_err(|why| self.interpreter.unusable(&why)).or_request()?;
         match process.answer(&self.environment, &self.timeouts) {
             Ok(line) => {
                 let ready = serde_json::from_str::<Ready>(&line).ok();
+                for refused in ready.iter().flat_map(|ready| &ready.refused).filter(|_| position == 0) {
+                    note(format_args!("the sandbox refused {} to {}", self.environment, foreign(refused)));
+                }
                 let imported = ready.as_ref().map(|ready| ready.imported.clone()).unwrap_or_default();
                 let address = ready.and_then(|ready| ready.listening.parse().ok());
                 let wrong =
                     || anyhow!("{}: its server printed `{}` instead of an address", self.environment, line.trim_end());
                 let address = address.ok_or_else(wrong).or_broken()?;
-                let files = imported.files();
-                if self.imported.get_or_init(|| imported).files() != files {
+                if !imported.agrees_with(self.imported.get_or_init(|| imported.clone())) {
                     let why = "its files have changed during the run, so its servers do not run the same code";
                     return Err(anyhow!(
                         "{}: {why}\nHint: restore the files and resume, or start a new run",

@@ -7,7 +7,11 @@ use std::path::PathBuf;
 #[cfg(feature = "mujoco")]
 use anyhow::{Context, anyhow};
 use clap::{Args, Subcommand};
+#[cfg(feature = "mujoco")]
+use robogate_physics::is_folder;
 use robogate_physics::{Gripper, RobotSettings, built_in_robot, built_in_robots};
+#[cfg(feature = "mujoco")]
+use robogate_session::in_child;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, OrExit};
@@ -113,6 +117,11 @@ pub(crate) fn facts(settings: &RobotSettings) -> serde_json::Value {
 impl Check {
     #[cfg(feature = "mujoco")]
     fn execute(&self) -> Result<u8, Exit> {
+        if is_folder(&self.robot)
+            && let Some(code) = in_child(Path::new(&self.robot))?
+        {
+            return Ok(code);
+        }
         Ok(crate::inspection::show(&self.robot, self.json))
     }
 
@@ -129,6 +138,9 @@ impl Check {
 impl Init {
     #[cfg(feature = "mujoco")]
     fn execute(&self) -> Result<u8, Exit> {
+        if let Some(code) = in_child(&self.model)? {
+            return Ok(code);
+        }
         let folder = self.model.canonicalize().ok().and_then(|model| model.parent().map(Path::to_owned));
         let folder = folder.with_context(|| format!("{}: no such file", self.model.display())).or_usage()?;
         let file = folder.join("robot.toml");

@@ -72,7 +72,7 @@ impl Verify {
             let (problems, compared) = compliance::check(&self.evidence).or_broken()?;
             if !compared {
                 note(
-                    "another version of robogate wrote the compliance pack; only the hashes of its documents were checked",
+                    "another version of robogate wrote the summary and the compliance pack; only their hashes were checked",
                 );
             }
             checked = if problems.is_empty() { Ok(verified) } else { Err(problems) };

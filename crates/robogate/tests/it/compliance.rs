@@ -84,10 +84,55 @@ fn forged_documents_are_found() {
         others: others.map(|file| (file.role, file.path.clone(), Content::File(at(&file.path)))).collect(),
         documents: Some(|_, _| vec![("compliance/verdict.html".to_owned(), b"<h1>PASS</h1>".to_vec())]),
     };
+    let others = forged.others.clone();
     // Consistent in all hashes and statements: only the document itself shows that it is not that of the evaluation.
     write(&dir.path().join("forged"), &forged, None).unwrap();
     let printed = robogate(dir.path(), "verify forged", 4);
     assert!(printed.contains("compliance/verdict.html: differs from the document of the evaluation"), "{printed}");
+
+    // The summary of other rows, and lists of components without one, or about another policy.
+    let summary = fs::read_to_string(at("summary.json")).unwrap();
+    let better = summary.replacen("\"successes\": ", "\"successes\": 1", 1);
+    assert_ne!(summary, better);
+    let others = others.into_iter().map(|(role, path, content)| match role {
+        Role::Summary => (role, path, Content::Bytes(better.clone().into_bytes())),
+        _ => (role, path, content),
+    });
+    let forged = Ingredients { others: others.collect(), documents: None, ..forged };
+    write(&dir.path().join("better"), &forged, None).unwrap();
+    let printed = robogate(dir.path(), "verify better", 4);
+    assert!(
+        printed.contains("summary.json: `stages.0.successes` is 1") && printed.contains("the rows give"),
+        "{printed}"
+    );
+
+    let honest = Ingredients {
+        others: manifest
+            .files
+            .iter()
+            .filter(|file| kept(file.role))
+            .map(|file| (file.role, file.path.clone(), Content::File(at(&file.path))))
+            .collect(),
+        ..forged
+    };
+    let listed = fs::read_to_string(at("compliance/sbom.cdx.json")).unwrap();
+    let source = robogate_session::SOURCE_SHA256;
+    let lists = [
+        (listed.replace("\"name\": \"serde\"", "\"name\": \"serde2\""), "`components."),
+        (
+            listed.replace("\"name\": \"mujoco\"", "\"name\": \"mujoco2\"").replace(source, "of another build"),
+            "the rows give",
+        ),
+    ];
+    for (number, (list, reason)) in lists.into_iter().enumerate() {
+        assert_ne!(list, listed);
+        let name = format!("list-{number}");
+        let path = "compliance/sbom.cdx.json".to_owned();
+        let others = honest.others.iter().cloned().chain([(Role::Compliance, path, Content::Bytes(list.into_bytes()))]);
+        write(&dir.path().join(&name), &Ingredients { others: others.collect(), ..honest.clone() }, None).unwrap();
+        let printed = robogate(dir.path(), &format!("verify {name}"), 4);
+        assert!(printed.contains("compliance/sbom.cdx.json: ") && printed.contains(reason), "{printed}");
+    }
 }
 
 #[test]

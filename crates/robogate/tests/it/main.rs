@@ -1,6 +1,10 @@
 //! End-to-end tests of the command, and tests of the repository as a whole.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+/// Counts the memory that readers of untrusted files need.
+#[global_allocator]
+static MEMORY: robogate_testing::CountingAllocator = robogate_testing::CountingAllocator;
+
 mod any_task;
 #[cfg(all(feature = "mujoco", feature = "rapier"))]
 mod arm_table;
@@ -8,6 +12,8 @@ mod bridge;
 #[cfg(feature = "mujoco")]
 #[expect(unreachable_pub, reason = "a module of a test")]
 mod browser;
+#[cfg(feature = "mujoco")]
+mod budgets;
 #[cfg(feature = "mujoco")]
 mod command;
 mod completions;
@@ -24,6 +30,8 @@ mod fuzz;
 mod gate;
 mod generated;
 mod harness;
+#[cfg(all(target_os = "linux", feature = "mujoco"))]
+mod isolation;
 mod layering;
 mod library;
 mod local_policies;

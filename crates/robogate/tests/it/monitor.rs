@@ -233,3 +233,68 @@ fn simulation_prints_a_json_document() {
     assert_eq!(promised, [&Value::Null, &json!(2_000.0), &Value::Null, &json!(50_000.0)]);
     assert_eq!(robogate(&["monitor", "simulate", "--rate", "1.5"]).status.code(), Some(2));
 }
+
+/// A counter of a controller restarts: its cycles have known ids with another content, and none of them reaches the detectors.
+#[test]
+fn restarted_counters_are_an_alarm() {
+    let dir = tempfile::tempdir().unwrap();
+    let line = |id: u32, i: u32, success: bool| {
+        let cycle = json!({
+            "id": format!("cell-1/{id}"), "robot": "cell-1", "recipe": "bracket", "time_s": 1_795_254_000 + 4 * i, "success": success,
+        });
+        format!("{cycle}\n")
+    };
+    let alarms = |lines: String| {
+        fs::write(dir.path().join("cycles.jsonl"), lines).unwrap();
+        let output = robogate(&["monitor", "serve", &path(&dir, "cycles.jsonl")]);
+        let alarms: Vec<Value> = text(&output.stdout).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        (output.status.code(), alarms)
+    };
+    let good: String = (0..300).map(|i| line(i, i, true)).collect();
+    assert_eq!(alarms(good.clone()), (Some(0), Vec::new()));
+
+    let (code, raised) = alarms(good.clone() + &(0..300).map(|i| line(i, 300 + i, i % 2 == 0)).collect::<String>());
+    assert_eq!((code, raised.len()), (Some(1), 1), "{raised:?}");
+    assert_eq!((&raised[0]["metric"], &raised[0]["level"]), (&json!("sender"), &json!("critical")));
+    assert!(raised[0]["what"].as_str().unwrap().contains("the id `cell-1/0` is already stored"), "{raised:?}");
+
+    let (code, raised) = alarms(good.clone() + &line(320, 320, true));
+    assert_eq!((code, raised.len()), (Some(1), 1), "{raised:?}");
+    assert!(raised[0]["what"].as_str().unwrap().contains("20 ids are missing"), "{raised:?}");
+
+    let (code, raised) = alarms(good + "nonsense\n");
+    assert_eq!((code, raised.len()), (Some(1), 1), "{raised:?}");
+    assert!(raised[0]["what"].as_str().unwrap().contains("line 301"), "{raised:?}");
+}
+
+#[test]
+fn recipes_are_listed_removed_and_merged() {
+    let dir = tempfile::tempdir().unwrap();
+    let lines: String = (0..60_u32)
+        .map(|i| {
+            let recipe = ["bracket", "Bracket", "invented"][i as usize % 3];
+            let cycle = json!({ "id": format!("c{i}x"), "robot": "a", "recipe": recipe, "time_s": 1_795_254_000 + i, "success": true });
+            format!("{cycle}\n")
+        })
+        .collect();
+    fs::write(dir.path().join("cycles.jsonl"), &lines).unwrap();
+    let serve = "monitor serve cycles.jsonl --store monitor.db";
+    verb(dir.path(), serve, 0, &["60 cycles accepted"]);
+    let list = || verb(dir.path(), "monitor recipes list monitor.db --json", 0, &[]);
+    let counts = |text: String| {
+        let document: Value = serde_json::from_str(&text).unwrap();
+        let recipes = document["recipes"].as_array().unwrap().clone();
+        let pair = |one: &Value| (one["recipe"].as_str().unwrap().to_owned(), one["cycles"].as_u64().unwrap());
+        recipes.iter().map(pair).collect::<Vec<_>>()
+    };
+    let named = |name: &str, n: u64| (name.to_owned(), n);
+    assert_eq!(counts(list()), [named("Bracket", 20), named("bracket", 20), named("invented", 20)]);
+    verb(dir.path(), "monitor recipes remove monitor.db invented", 0, &["removed invented with 20 cycles"]);
+    verb(dir.path(), "monitor recipes remove monitor.db invented", 2, &["invented: no such recipe"]);
+    verb(dir.path(), "monitor recipes merge monitor.db Bracket bracket", 0, &["moved 20 cycles of Bracket to bracket"]);
+    verb(dir.path(), "monitor recipes list other.db", 2, &["no such store"]);
+    assert_eq!(counts(list()), [named("bracket", 40)]);
+    // The next start knows the merged recipe, and the removed one is new again.
+    verb(dir.path(), serve, 1, &["20 cycles accepted, 20 duplicates", "20 refused"]);
+    assert_eq!(counts(list()), [named("bracket", 40), named("invented", 20)]);
+}

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
+use robogate_campaign::Summary;
 use robogate_core::{FailureMode, Fault, FaultKind, Outcome};
 use robogate_dictionary::{Dictionary, Entry, write_parquet};
 use tempfile::TempDir;
@@ -147,6 +148,14 @@ fn easier_requirements_are_reported_first() {
     assert!(first.starts_with("verification passed: verdict pass (REASKED: requirements differ"), "{first}");
 }
 
+/// Writes the summary of the rows of a run, as a careful forger does.
+fn summarise(gate: &Gate) {
+    let dictionary = Dictionary::open(Path::new(&gate.path("run/dictionary.parquet"))).unwrap();
+    let hash = dictionary.dataset_hash().to_owned();
+    let summary = Summary::of_rows(dictionary.provenance(), hash, dictionary.entries()).unwrap();
+    fs::write(gate.path("run/summary.json"), serde_json::to_vec(&summary).unwrap()).unwrap();
+}
+
 #[test]
 fn invented_rows_are_found() {
     let gate = Gate::new();
@@ -167,7 +176,12 @@ fn invented_rows_are_found() {
     let evidence = gate.path("evidence");
     let arguments = ["evidence", &gate.path("run"), &evidence];
     assert!(Command::new(env!("CARGO_BIN_EXE_robogate")).args(arguments).output().unwrap().status.code() != Some(2));
-    // The folder is consistent, and only the episodes themselves show that it is false.
+    let printed = run(&["verify", &evidence], 4);
+    assert!(printed.contains("summary.json: `dataset_hash` is"), "{printed}");
+    // With a summary of these rows the folder is consistent, and only the episodes themselves show that it is false.
+    summarise(&gate);
+    fs::remove_dir_all(&evidence).unwrap();
+    assert!(Command::new(env!("CARGO_BIN_EXE_robogate")).args(arguments).output().unwrap().status.code() != Some(2));
     run(&["verify", &evidence], 0);
     let printed = run(&["verify", &evidence, "--rerun", "1"], 4);
     assert!(printed.contains("is not what happens"), "{printed}");
@@ -187,6 +201,7 @@ fn rows_that_were_made_invalid_are_found() {
         Ok(row)
     };
     write_parquet(Path::new(&path), &provenance, rows.into_iter().map(hidden)).unwrap();
+    summarise(&gate);
     let evidence = gate.path("evidence");
     let arguments = ["evidence", &gate.path("run"), &evidence];
     assert!(Command::new(env!("CARGO_BIN_EXE_robogate")).args(arguments).output().unwrap().status.code() != Some(2));

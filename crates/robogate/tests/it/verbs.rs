@@ -242,6 +242,7 @@ fn hostile_names_are_inert() {
     let rows: String = (0..120).map(|i| format!("{},0.{:03},{name}{}\n", i % 3 == 0, i * 7 % 997, i % 2)).collect();
     fs::write(&table, format!("success,mass_kg,{name}\n{rows}")).unwrap();
     let [one, other, page] = ["one.parquet", "other.parquet", "page.html"].map(|file| path(&dir, file));
+    let explorer = path(&dir, "explorer.html");
     let mapping = path(&dir, "mapping.toml");
     fs::write(&mapping, format!("[parameters]\nmass_kg = \"mass_kg\"\nkind = {}\n", json!(name))).unwrap();
     let named = ["--policy", name, "--robot", name, "--simulator", name, "--mapping", &mapping];
@@ -254,6 +255,7 @@ fn hostile_names_are_inert() {
         vec!["report", &one, "--out", &page],
         vec!["report", &one, "--format", "md", "--out", "-"],
         vec!["compare", &one, &other],
+        vec!["view", &one, "--export", &explorer],
         vec!["report", name],
         vec!["run", "--task", name],
         vec!["gate", "--requirements", name],
@@ -269,4 +271,9 @@ fn hostile_names_are_inert() {
     let text = fs::read_to_string(&page).unwrap();
     assert!(text.contains("&lt;img src=x"), "the name is not on the page");
     assert!(!text.contains(hidden) && !text.contains("<img src=x"));
+    // The scripts of this page read its names from JSON, which can also write these characters as escapes.
+    let text = fs::read_to_string(&explorer).unwrap();
+    let data = &text[text.find("application/json").unwrap()..];
+    assert!(data.contains("[32mok\u{fffd}2J\u{fffd}ssap"), "the name is not on the page");
+    assert!(!data.contains(hidden) && !data.contains("\\u001b[32m") && !data.contains("<img src=x"));
 }

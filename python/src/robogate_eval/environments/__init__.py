@@ -91,6 +91,21 @@ def find(name: str) -> Environment:
     return _own(module, rest, name)
 
 
+def own_folder(name: str) -> Path | None:
+    """The folder of the user's own environment of this name: that of its file or module. None for a bundled or registered one."""
+    if ".py" in name and (file := Path(name[: name.index(".py") + 3])).is_file():
+        return file.resolve().parent
+    first = name.removeprefix("gymnasium:").partition(":")[0]
+    if ":" not in name.removeprefix("gymnasium:") or first in families() or first == "lerobot":
+        return None
+    _from_here()
+    try:
+        found = importlib.util.find_spec(first)
+    except (ImportError, ValueError):
+        return None
+    return Path(found.origin).resolve().parent if found and found.origin and Path(found.origin).is_file() else None
+
+
 def with_policy(environment: Environment, named: str) -> Environment:
     """The environment with a further policy, `NAME=lerobot:FOLDER` or `NAME=sb3:FILE`, as its first."""
     from ..policies import declared

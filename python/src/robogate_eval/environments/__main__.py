@@ -25,6 +25,7 @@ def main() -> None:
     serve.add_argument("--bind", default="tcp://127.0.0.1:5570", help="address; tcp://127.0.0.1:* takes a free port")
     serve.add_argument("--policy", help="NAME=lerobot:FOLDER or NAME=sb3:FILE: a policy to load beside the environment's own")
     serve.add_argument("--child", action="store_true", help="serve the parent process: take a free port, and end with the standard input")
+    serve.add_argument("--first", action="store_true", help="run one episode before, which shows what the environment imports and opens")
     describe = verbs.add_parser("describe", help="print the declaration of an environment to the parent process, as JSON after lines about progress")
     describe.add_argument("name")
     requirements = verbs.add_parser("requirements", help="print the pinned requirements of a family, as pip reads them")
@@ -66,7 +67,7 @@ def _serve(arguments: argparse.Namespace) -> None:
     from ..serving import process
 
     if arguments.child:
-        process.serve_child(arguments.name, arguments.policy)
+        process.serve_child(arguments.name, arguments.policy, arguments.first)
     else:
         environment = find(arguments.name)
         process.serve(environment if arguments.policy is None else with_policy(environment, arguments.policy), bind=arguments.bind)

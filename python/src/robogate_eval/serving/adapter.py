@@ -191,6 +191,23 @@ class Adapter:
             doing("step")
             ending = self.step(Action("vector", random.uniform(self._actions.low, self._actions.high).tolist()))["ending"]
 
+    def rehearse(self, doing: Callable[[str], None]) -> None:
+        """Run one episode with the first declared policy, otherwise with random actions: so the process imports and opens what any episode
+        does. An error is left to the episodes."""
+        from robogate_bridge import Scenario
+
+        policy = next(iter(self._environment.policies), None)
+        generator = np.random.default_rng(0)
+        try:
+            doing("reset")
+            reply = self.reset(Scenario(index=0, seed=0, parameters={}, policy=policy))
+            while reply.get("ending") is None:
+                numbers = generator.uniform(self._actions.low, self._actions.high).tolist()
+                doing("step")
+                reply = self.step(Action("vector", reply.get("proposed", {"action": numbers})["action"]))
+        except Exception as error:
+            print(f"the episode before the first one ended with {type(error).__name__}: {error}", file=sys.stderr)
+
     # Episodes
 
     def reset(self, scenario: Any) -> dict:

@@ -13,15 +13,17 @@ import sys
 import sysconfig
 from pathlib import Path
 
+from .opened import Opened
+
 # The folder of this package where the command unpacked it. The command identifies these files itself.
 EMBEDDED = "ROBOGATE_EMBEDDED_PACKAGE"
 
 
-def imported() -> dict:
-    """The imported `files` outside of the standard library and of installed packages, and the `packages`.
+def imported(opened: Opened | None = None) -> dict:
+    """The imported `files` outside of the standard library and of installed packages, with those that were `opened`, and the `packages`.
 
-    A file has the `name` of its module as a path (`helpers.py`, `cell/__init__.py`), which is the same on every machine, its `path`,
-    and its `sha256`. A package has name and version.
+    A file has the `name` of its module as a path (`helpers.py`, `cell/__init__.py`), or its path in the folder of the environment
+    (`meshes/link.stl`), which is the same on every machine, its `path`, and its `sha256`. A package has name and version.
     """
     installed = _folders(site.getsitepackages() if hasattr(site, "getsitepackages") else [], site.getusersitepackages(), *_paths("purelib", "platlib"))
     skipped = (*_folders(*_paths("stdlib", "platstdlib")), *_folders(os.environ.get(EMBEDDED, "")))
@@ -34,8 +36,20 @@ def imported() -> dict:
         if _is_below(path, installed):
             tops.add(name.partition(".")[0])
         elif not _is_below(path, skipped):
-            files.append({"name": _name(name, module, path), "path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()})
+            files.append({"name": _name(name, module, path), "path": str(path), "sha256": _digest(path)})
+    known = {file["path"] for file in files}
+    for path in opened.files() if opened else []:
+        if path not in known and not _is_below(Path(path), (*installed, *skipped)):
+            files.append({"name": opened.name(path), "path": path, "sha256": _digest(path)})
     return {"files": files, "packages": _packages(tops)}
+
+
+def _digest(path: str | Path) -> str:
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while part := file.read(1 << 20):
+            digest.update(part)
+    return digest.hexdigest()
 
 
 def _paths(*names: str) -> list[str]:

@@ -17,8 +17,10 @@ import robogate_bridge
 
 from .adapter import Adapter
 from .environment import Environment, Task, as_environment
+from . import sandbox
 from .imported import imported
 from .knobs import Knob
+from .opened import Opened
 
 # Linux: signal that this process gets when the thread that started it ends.
 PR_SET_PDEATHSIG = 1
@@ -106,16 +108,25 @@ class Child:
             os.write(2, f"It was here when it was ended (most recent call last):\n{stack}".encode())
 
 
-def serve_child(name: str, policy: str | None = None) -> None:
+def serve_child(name: str, policy: str | None = None, first: bool = False) -> None:
     """Serve the environment of this name to the parent process: `robogate run --env`. The answer is its address. `policy` is one to
-    load beside its own (`with_policy`)."""
+    load beside its own (`with_policy`). The `first` server of the user's own environment runs one episode before, which shows what
+    the environment imports and opens."""
+    from ..environments import own_folder
+
     child = Child()
     # Ctrl-C reaches all processes of the terminal. The parent finishes its episodes and then closes the standard input.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    folder = own_folder(name)
+    opened = Opened(folder) if folder else None
     adapter = child_adapter(child, name, policy)
+    if first and folder:
+        adapter.rehearse(child.doing)
     _keep()
-    # The check before the first episode has called `reset` and `step`, which import what an environment needs later.
-    robogate_bridge.serve(adapter, "tcp://127.0.0.1:*", ready=lambda address: child.answer(json.dumps({"listening": address} | imported())))
+    def ready(address: str) -> None:
+        child.answer(json.dumps({"listening": address, "refused": sandbox.refused} | imported(opened)))
+
+    robogate_bridge.serve(adapter, "tcp://127.0.0.1:*", ready=ready, listener=sandbox.listener())
 
 
 def child_adapter(child: Child, name: str, policy: str | None = None) -> Adapter:
@@ -124,6 +135,7 @@ def child_adapter(child: Child, name: str, policy: str | None = None) -> Adapter
     from .rendering import choose_library
 
     choose_library()
+    sandbox.watch()
     child.doing("import")
     environment = find(name)
     return Adapter(environment if policy is None else with_policy(environment, policy), child.doing)

@@ -1,5 +1,6 @@
 //! `robogate monitor`: detects drift of deployed robots.
 
+mod recipes;
 mod reference;
 mod serve;
 mod simulate;
@@ -30,6 +31,8 @@ enum Verb {
     Serve(serve::Serve),
     /// Simulate false-alarm rates and detection delays
     Simulate(simulate::Simulate),
+    /// List, remove or merge the recipes in a store
+    Recipes(recipes::Recipes),
     /// Write the reference file of a run: baseline, envelope and risk model
     Reference(reference::ReferenceOf),
 }
@@ -39,6 +42,7 @@ impl Monitor {
         match &self.verb {
             Verb::Serve(serve) => serve.execute(),
             Verb::Simulate(simulate) => simulate.execute(),
+            Verb::Recipes(recipes) => recipes.execute(),
             Verb::Reference(reference) => reference.execute(),
         }
     }

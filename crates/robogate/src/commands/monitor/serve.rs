@@ -35,7 +35,8 @@ const LONGEST_LINE: usize = 1 << 20;
 ///
 /// Cycles come from a file or pipe (JSON Lines), by HTTP (POST /v1/cycles) or by MQTT. Alarms go to stdout as JSON
 /// Lines, and optionally to webhooks and MQTT. Acknowledged cycles are in the store. With only a file or pipe, the
-/// command ends with it: exit code 1 if a critical alarm of a detector is active, 4 if there was no cycle.
+/// command ends with it: exit code 1 if a critical alarm of a detector is active, if lines were refused or if ids are missing,
+/// 4 if there was no cycle.
 #[derive(Debug, Args)]
 pub(super) struct Serve {
     /// Read cycles from this file or pipe as JSON Lines, - for stdin
@@ -96,6 +97,7 @@ impl Serve {
         };
         let monitor = Monitor::new(settings.detectors).or_usage()?;
         let mut intake = Intake::open(store.or_broken()?, monitor, settings.late_after_s).or_broken()?;
+        intake = intake.with_new_recipes_per_hour(settings.new_recipes_per_hour);
         let mut replays = None;
         if self.listen.is_some() {
             let simulated = simulated(self.episodes.as_deref(), &referred)?;
@@ -130,7 +132,12 @@ impl Serve {
                 End::Feed(Ok(taken)) => {
                     say(&taken);
                     if !serves {
-                        code = if taken.accepted + taken.duplicates == 0 { INVALID } else { exit_code(&engine) };
+                        code = match taken.accepted + taken.duplicates {
+                            0 => INVALID,
+                            // The detectors did not see all cycles.
+                            _ if taken.refused + taken.gaps > 0 => FAIL,
+                            _ => exit_code(&engine),
+                        };
                         break;
                     }
                 }
@@ -306,12 +313,13 @@ fn take(engine: &Handle, batch: Vec<u8>, wait: bool) -> Result<Taken, String> {
 
 fn say(taken: &Taken) {
     note(format_args!(
-        "{} cycles accepted, {} duplicates, {} out of order ({} late), {} outside the validated region, {} refused",
+        "{} cycles accepted, {} duplicates, {} out of order ({} late), {} outside the validated region, {} gaps, {} refused",
         grouped(taken.accepted),
         grouped(taken.duplicates),
         grouped(taken.out_of_order),
         grouped(taken.late),
         grouped(taken.outside),
+        grouped(taken.gaps),
         grouped(taken.refused)
     ));
 }

@@ -65,7 +65,7 @@ pub(super) fn write(
         "models": models,
         "episodes": episodes,
     });
-    let data = document.to_string().replace('<', "\\u003c");
+    let data = document.to_string();
     let names: Vec<&str> = board.runs.iter().map(|run| run.name.as_str()).collect();
     let (html, _) = explorer_page(&names.join(", "), Some((&data, &reel.json)));
     std::fs::write(file, &html).with_context(|| format!("cannot write {}", file.display())).or_broken()?;

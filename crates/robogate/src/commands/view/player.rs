@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use robogate_replay::reel;
+use robogate_report::script_data;
 use serde_json::json;
 
 use super::board::Board;
@@ -100,6 +101,6 @@ impl Player {
             document
         });
         let twin = twin.unwrap_or_default();
-        Ok(format!("{{\"twin\":{twin},\"reel\":{}}}", reel(&recorded).json).into_bytes())
+        Ok(script_data(&format!("{{\"twin\":{twin},\"reel\":{}}}", reel(&recorded).json)).into_bytes())
     }
 }

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use robogate_monitor::service::{HttpError, LocalReply, LocalRequest, random_token, serve_local};
-use robogate_report::explorer_page;
+use robogate_report::{explorer_page, script_data};
 use serde_json::{Value, json};
 
 use super::board::Board;
@@ -159,6 +159,5 @@ fn no_run(run: u64) -> LocalReply {
 }
 
 fn bytes(document: &Value) -> Vec<u8> {
-    // Strings and finite numbers always serialise.
-    serde_json::to_vec(document).unwrap_or_default()
+    script_data(&document.to_string()).into_bytes()
 }

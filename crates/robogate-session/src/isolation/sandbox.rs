@@ -1,0 +1,181 @@
+//! The sandbox of a Python process: what it may read, where it may write, and how it starts.
+//!
+//! The process that becomes Python restricts itself first ([`super::kernel`]). Python then tells which of its operations were
+//! refused (`robogate_eval/serving/sandbox.py`), so that an error can name them.
+
+use std::ffi::{OsStr, OsString};
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use anyhow::{Context, anyhow};
+use serde::{Deserialize, Serialize};
+
+use super::limits::this_program;
+use super::{PYTHON, is_parent, kernel};
+use crate::environment_choice::file_and_attribute;
+use crate::environments::BUNDLED;
+use crate::loaded_policy::LoadedPolicy;
+use crate::origin;
+
+/// Files and folders of the system that any program may need. None of them contains a secret.
+const OF_THE_SYSTEM: &[&str] = &[
+    "/usr",
+    "/bin",
+    "/sbin",
+    "/lib",
+    "/lib32",
+    "/lib64",
+    "/proc",
+    "/sys",
+    "/dev/null",
+    "/dev/zero",
+    "/dev/full",
+    "/dev/random",
+    "/dev/urandom",
+    "/etc/alternatives",
+    "/etc/fonts",
+    "/etc/glvnd",
+    "/etc/group",
+    "/etc/hosts",
+    "/etc/ld.so.cache",
+    "/etc/ld.so.conf",
+    "/etc/ld.so.conf.d",
+    "/etc/localtime",
+    "/etc/mime.types",
+    "/etc/nsswitch.conf",
+    "/etc/os-release",
+    "/etc/passwd",
+    "/etc/ssl/certs",
+    "/etc/timezone",
+];
+
+/// Environment variables that the process keeps: others may contain keys. Those that the command sets are added.
+const KEPT: &[&str] = &["PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "MUJOCO_GL", "PYOPENGL_PLATFORM"];
+
+/// The environment variable that tells Python what it may do, as JSON.
+const TOLD: &str = "ROBOGATE_SANDBOX";
+
+/// What a process in the sandbox may do.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct Rights {
+    /// Files and folders that it may read.
+    pub(super) read: Vec<PathBuf>,
+    /// The folder that it may also change.
+    pub(super) write: PathBuf,
+}
+
+/// The sandbox of the processes of one environment.
+#[derive(Debug, Clone)]
+pub(crate) struct Sandbox {
+    python: PathBuf,
+    read: Vec<PathBuf>,
+    /// MuJoCo's graphics library, if the user chose none: there is no display.
+    graphics: String,
+}
+
+/// A temporary folder of one process. It is removed when this value is dropped.
+#[derive(Debug)]
+pub(crate) struct Scratch(PathBuf);
+
+impl Scratch {
+    fn new() -> io::Result<Self> {
+        static NEXT: AtomicU64 = AtomicU64::new(0);
+        loop {
+            let number = NEXT.fetch_add(1, Ordering::Relaxed);
+            let folder = std::env::temp_dir().join(format!("robogate-sandbox-{}-{number}", std::process::id()));
+            let mut builder = fs::DirBuilder::new();
+            #[cfg(unix)]
+            std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+            match builder.create(&folder) {
+                Err(why) if why.kind() == io::ErrorKind::AlreadyExists => {}
+                made => return made.and_then(|()| folder.canonicalize()).map(Self),
+            }
+        }
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        // A file that is left is in the folder for temporary files.
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+impl Sandbox {
+    /// The sandbox of an environment by its name, with the policy that its processes load. `python` runs a program in its interpreter
+    /// outside of the sandbox.
+    ///
+    /// # Errors
+    /// The kernel has no sandbox, or a folder that the environment needs contains the user's keys.
+    pub(crate) fn of(environment: &str, loads: Option<&LoadedPolicy>, python: &mut Command) -> anyhow::Result<Self> {
+        /// Prints the interpreter, the folders from which it imports, and MuJoCo's graphics library: the search for it starts
+        /// processes, as does the import of MuJoCo's library for windows.
+        const ABOUT: &str = "import json, sys; sys.path[:] = [path for path in sys.path if path]; from ctypes.util import find_library; \
+                             print(json.dumps([sys.executable, [sys.prefix, sys.base_prefix, sys.exec_prefix, *sys.path], \
+                             'egl' if find_library('EGL') else 'osmesa' if find_library('OSMesa') else 'disable']))";
+        if !is_parent() {
+            return Err(anyhow!("only the command `robogate` starts a sandbox"));
+        }
+        kernel::available()?;
+        let output = python.args(["-c", ABOUT]).stdin(Stdio::null()).output();
+        let output = output.with_context(|| format!("cannot start {}", python.get_program().display()))?;
+        let (executable, imports, graphics): (PathBuf, Vec<PathBuf>, String) =
+            serde_json::from_slice(&output.stdout)
+                .with_context(|| format!("{} does not tell its folders", python.get_program().display()))?;
+        let mut own = Vec::new();
+        if let Some((file, _)) = file_and_attribute(environment) {
+            own.push(Path::new(file).parent().unwrap_or(Path::new("")).join("."));
+        } else if environment.matches(':').count() > usize::from(environment.starts_with("gymnasium:"))
+            && !BUNDLED.iter().any(|family| environment.split(':').next() == Some(family))
+        {
+            // A module of this name may be in the current folder.
+            own.push(PathBuf::from("."));
+        }
+        own.extend(loads.and_then(|policy| policy.from.split_once(':')).map(|(_, path)| PathBuf::from(path)));
+        let folders = imports.into_iter().chain(own).filter_map(|folder| folder.canonicalize().ok());
+        let mut read: Vec<PathBuf> = OF_THE_SYSTEM.iter().map(PathBuf::from).chain(folders).collect();
+        read.sort();
+        read.dedup();
+        let private = [std::env::var_os("HOME").map(PathBuf::from), origin::state_folder()];
+        let private: Vec<PathBuf> = private.into_iter().flatten().filter_map(|path| path.canonicalize().ok()).collect();
+        if let Some(folder) = read.iter().find(|folder| private.iter().any(|private| private.starts_with(folder))) {
+            return Err(anyhow!(
+                "--sandbox: the environment would have to read {}, which contains your home folder or your keys\n\
+                 Hint: put the files of the environment into a folder of their own",
+                folder.display()
+            ));
+        }
+        Ok(Self { python: executable, read, graphics })
+    }
+
+    /// The command that runs in the sandbox, with its folder for temporary files.
+    pub(crate) fn around(&self, command: &Command) -> io::Result<(Command, Scratch)> {
+        let scratch = Scratch::new()?;
+        let rights = Rights { read: self.read.clone(), write: scratch.0.clone() };
+        let told = serde_json::to_string(&rights)?;
+        let mut inside = this_program().map_err(io::Error::other)?;
+        inside.arg(PYTHON).arg(&told).arg(&self.python).args(command.get_args());
+        inside.env_clear().env("MUJOCO_GL", &self.graphics);
+        inside.envs(KEPT.iter().filter_map(|name| Some((name, std::env::var_os(name)?))));
+        inside.envs(command.get_envs().filter_map(|(name, value)| Some((name, value?))));
+        inside.env(TOLD, told).env("PYTHONDONTWRITEBYTECODE", "1");
+        inside.envs(["HOME", "TMPDIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME"].map(|name| (name, scratch.0.as_os_str())));
+        inside.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        Ok((inside, scratch))
+    }
+}
+
+/// Restricts this process and turns it into Python. Returns only what went wrong.
+pub(super) fn become_python(told: &OsStr, python: &OsString, arguments: &[OsString]) -> anyhow::Error {
+    let rights = told.to_str().context("its rights are not UTF-8").and_then(|text| Ok(serde_json::from_str(text)?));
+    let rights: Rights = match rights {
+        Ok(rights) => rights,
+        Err(why) => return why,
+    };
+    let mut command = Command::new(python);
+    command.args(arguments);
+    kernel::become_restricted(&rights, command)
+}
