@@ -17,6 +17,7 @@ mod number;
 mod picture;
 mod place;
 mod progress;
+mod project;
 mod summary;
 mod terminal;
 mod transfer_view;
@@ -94,6 +95,8 @@ enum Verb {
     Demos(commands::demos::Demos),
     /// List what this build contains: tasks, settings, engines, robots, policies, profiles, environments, spaces, suites
     List(commands::list::List),
+    /// Show the settings of the project file `robogate.toml`, and where each value comes from
+    Config(commands::config::Config),
     /// Write the completions of a shell, or man pages
     Completions(commands::completions::Completions),
     /// Write a folder with everything that a verdict depends on, so that others can check it
@@ -115,7 +118,16 @@ enum Verb {
 fn main() -> ExitCode {
     std::panic::set_hook(Box::new(panicked));
     commands::matrix::end_with_parent();
-    let matches = grouped::by_purpose(Arguments::command()).get_matches();
+    let mut command = grouped::by_purpose(Arguments::command());
+    command.build();
+    let (line, settings) = match project::completed(&command, std::env::args_os().collect()).or_usage() {
+        Ok(completed) => completed,
+        Err(exit) => {
+            terminal::error(&exit);
+            return ExitCode::from(exit.code);
+        }
+    };
+    let matches = command.get_matches_from(line);
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|why| why.exit());
     terminal::show_notices();
     if arguments.quiet {
@@ -123,6 +135,10 @@ fn main() -> ExitCode {
     }
     if arguments.verbose {
         terminal::be_verbose();
+    }
+    if !settings.is_empty() {
+        let arguments: Vec<&str> = settings.iter().flat_map(|s| s.arguments.iter().map(String::as_str)).collect();
+        terminal::note(format_args!("{}: {}", project::FILE, arguments.join(" ")));
     }
     // A panic has been reported by the hook.
     let Ok(result) = catch_unwind(AssertUnwindSafe(|| execute(arguments.verb))) else {
@@ -182,6 +198,7 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Serve(verb) => verb.execute(),
         Verb::Demos(verb) => verb.execute(),
         Verb::List(verb) => verb.execute(),
+        Verb::Config(verb) => verb.execute(),
         Verb::Completions(verb) => verb.execute(),
         Verb::Evidence(verb) => verb.execute(),
         Verb::Verify(verb) => verb.execute(),

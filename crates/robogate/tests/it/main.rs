@@ -37,6 +37,7 @@ mod openpi;
 #[cfg(all(feature = "mujoco", feature = "rapier"))]
 mod pages;
 mod policy;
+mod project;
 mod runs;
 mod settings;
 mod shards;
