@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Draws the pictures of README.md again: a campaign in the terminal, a gate that fails, its replay, and the explorer.
+"""Draws the pictures of README.md and the guides again: a campaign in the terminal, a gate that fails, its replay, and the explorer.
 
     cargo build && python3 scripts/pictures.py
     python3 scripts/pictures.py --only verdict twin
@@ -29,8 +29,8 @@ GATE = ["gate", "--set", "grip_force_n=14", "--seed", "1", "--out", "gate"]
 # The expert of Meta-World fails in some of these episodes.
 ENVIRONMENT = ["run", "--env", "metaworld:push-v3", "-n", "40", "--seed", "5", "--out", "environment", "--python"]
 RUN, RUN_FOLDER = "robogate run --quiet", "runs/franka-quick-2026"
-# Lines of the terminal: the rates, where it fails, what to do, and the most influential parameters.
-RUN_LINES = 49
+# Lines of the terminal: the rate, where it fails, and what to do.
+RUN_LINES = 26
 # Seconds of simulated time between two frames of the animation, frames per second, and frames of rest at its end.
 STEP_S, FPS, REST = 0.16, 10, 12
 # The height of the window. All pictures fit into it: a page is not laid out again for a picture.

@@ -17,6 +17,7 @@ mod number;
 mod picture;
 mod place;
 mod progress;
+mod project;
 mod summary;
 mod terminal;
 mod transfer_view;
@@ -95,6 +96,8 @@ enum Verb {
     Demos(commands::demos::Demos),
     /// List what this build contains: tasks, settings, engines, robots, policies, profiles, environments, spaces, suites
     List(commands::list::List),
+    /// Show the settings of the project file `robogate.toml`, and where each value comes from
+    Config(commands::config::Config),
     /// Write the completions of a shell, or man pages
     Completions(commands::completions::Completions),
     /// Write a folder with everything that a verdict depends on, so that others can check it
@@ -120,7 +123,16 @@ fn main() -> ExitCode {
         Entered::Done(code) => return code,
     };
     commands::matrix::end_with_parent();
-    let matches = grouped::by_purpose(Arguments::command()).get_matches_from(arguments);
+    let mut command = grouped::by_purpose(Arguments::command());
+    command.build();
+    let (line, settings) = match project::completed(&command, arguments).or_usage() {
+        Ok(completed) => completed,
+        Err(exit) => {
+            terminal::error(&exit);
+            return ExitCode::from(exit.code);
+        }
+    };
+    let matches = command.get_matches_from(line);
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|why| why.exit());
     terminal::show_notices();
     if arguments.quiet {
@@ -128,6 +140,10 @@ fn main() -> ExitCode {
     }
     if arguments.verbose {
         terminal::be_verbose();
+    }
+    if !settings.is_empty() {
+        let arguments: Vec<&str> = settings.iter().flat_map(|s| s.arguments.iter().map(String::as_str)).collect();
+        terminal::note(format_args!("{}: {}", project::FILE, arguments.join(" ")));
     }
     // A panic has been reported by the hook.
     let Ok(result) = catch_unwind(AssertUnwindSafe(|| execute(arguments.verb))) else {
@@ -187,6 +203,7 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Serve(verb) => verb.execute(),
         Verb::Demos(verb) => verb.execute(),
         Verb::List(verb) => verb.execute(),
+        Verb::Config(verb) => verb.execute(),
         Verb::Completions(verb) => verb.execute(),
         Verb::Evidence(verb) => verb.execute(),
         Verb::Verify(verb) => verb.execute(),

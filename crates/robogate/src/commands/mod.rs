@@ -6,6 +6,7 @@ pub(crate) mod bridge;
 pub(crate) mod check;
 pub(crate) mod compare;
 pub(crate) mod completions;
+pub(crate) mod config;
 pub(crate) mod demos;
 pub(crate) mod env;
 pub(crate) mod evidence;

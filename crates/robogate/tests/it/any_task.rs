@@ -19,7 +19,11 @@ fn pendulum_passes_through_every_verb() {
     let at = dir.path();
     let verb = |arguments: &str, code: i32, parts: &[&str]| verb(at, arguments, code, parts);
     verb("list", 0, &["pick_place", "pendulum"]);
-    verb("run --task pendulum -n 120 --seed 3 --threads 2 --out a", 0, &["pendulum in mujoco", "fell", "overspeed"]);
+    verb(
+        "run --task pendulum -n 120 --seed 3 --threads 2 --out a --verbose",
+        0,
+        &["pendulum in mujoco", "fell", "overspeed"],
+    );
     verb("run --task pendulum -n 120 --seed 3 --threads 1 --out b", 0, &[]);
     let rows = |name: &str| fs::read(at.join(name).join("dictionary.parquet")).unwrap();
     assert!(rows("a") == rows("b"), "rows depend on the number of threads");

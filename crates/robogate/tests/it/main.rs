@@ -45,6 +45,7 @@ mod openpi;
 #[cfg(all(feature = "mujoco", feature = "rapier"))]
 mod pages;
 mod policy;
+mod project;
 mod runs;
 mod settings;
 mod shards;

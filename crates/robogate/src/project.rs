@@ -1,0 +1,168 @@
+//! The project file: settings of `run`, `gate` and `fleet` that need not be repeated on every command line.
+//!
+//! Its keys are the options of these verbs. A key at the top applies to every verb that has the option, and one in a table such as
+//! `[gate]` to this verb. What the command line says comes first. Other verbs do not read the file: it could name a program, and a
+//! folder that somebody else made is no reason to start it.
+
+use std::ffi::OsString;
+use std::path::Path;
+
+use anyhow::{Context, anyhow, bail};
+use clap::{Arg, ArgAction, Command};
+use robogate_core::budget::Budget;
+use robogate_dictionary::read_text;
+use toml::{Table, Value};
+
+/// The name of the file, in the current folder.
+pub(crate) const FILE: &str = "robogate.toml";
+
+/// The verbs that read it.
+pub(crate) const VERBS: [&str; 3] = ["run", "gate", "fleet"];
+
+/// One setting of the file for a verb.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Setting {
+    /// The option, without dashes.
+    pub(crate) option: String,
+    /// The arguments that it stands for.
+    pub(crate) arguments: Vec<String>,
+    /// Where it is in the file: at the top, or in the table of the verb.
+    pub(crate) place: String,
+}
+
+/// The settings of the file in this folder. `None` without the file.
+pub(crate) fn read(folder: &Path) -> anyhow::Result<Option<Table>> {
+    let path = folder.join(FILE);
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let text = read_text(&path).with_context(|| format!("cannot read {FILE}"))?;
+    Budget::FILE.toml(&text).map(Some).with_context(|| FILE.to_owned())
+}
+
+/// The settings of the file for one verb.
+///
+/// # Errors
+/// A key that is no option of any of the verbs, or a value that is none.
+pub(crate) fn settings(command: &Command, table: &Table, verb: &str) -> anyhow::Result<Vec<Setting>> {
+    let mut found: Vec<Setting> = Vec::new();
+    for (key, value) in table {
+        match value {
+            Value::Table(own) if VERBS.contains(&key.as_str()) => {
+                // The tables of the other verbs are checked too.
+                for (option_key, value) in own {
+                    let option = option(command, &[key], option_key)?;
+                    let setting = Setting {
+                        option: name(option),
+                        arguments: arguments(option, value)?,
+                        place: format!("[{key}]"),
+                    };
+                    if key == verb {
+                        found.retain(|other| other.option != setting.option);
+                        found.push(setting);
+                    }
+                }
+            }
+            _ => {
+                // A key at the top must belong to one of the verbs, and need not belong to this one.
+                let any = option(command, &VERBS, key)?;
+                let Ok(option) = option(command, &[verb], key) else { continue };
+                let name = name(any);
+                if found.iter().all(|setting| setting.option != name) {
+                    found.push(Setting { option: name, arguments: arguments(option, value)?, place: "top".to_owned() });
+                }
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// The command line with the settings of the project file in the current folder, if its verb reads it, and what was added.
+pub(crate) fn completed(command: &Command, line: Vec<OsString>) -> anyhow::Result<(Vec<OsString>, Vec<Setting>)> {
+    let Some(at) = line.iter().skip(1).position(|word| !word.to_string_lossy().starts_with('-')) else {
+        return Ok((line, Vec::new()));
+    };
+    let verb = line.get(at + 1).map(|word| word.to_string_lossy().into_owned()).unwrap_or_default();
+    let given: Vec<String> = line
+        .iter()
+        .filter_map(|word| word.to_str()?.strip_prefix("--"))
+        .map(|word| word.split('=').next().unwrap_or_default().to_owned())
+        .collect();
+    let has = |option: &str| given.iter().any(|given| given == option);
+    // A shard belongs to a plan that exists, and help starts nothing.
+    if !VERBS.contains(&verb.as_str()) || ["shard", "help"].iter().any(|option| has(option)) {
+        return Ok((line, Vec::new()));
+    }
+    let Some(table) = read(Path::new("."))? else { return Ok((line, Vec::new())) };
+    let own = command.find_subcommand(&verb).context("the verb is unknown")?;
+    let mut settings = settings(command, &table, &verb)?;
+    settings.retain(|setting| {
+        let Some(argument) = own.get_arguments().find(|argument| name(argument) == setting.option) else {
+            return false;
+        };
+        let short = argument.get_short().map(|short| format!("-{short}"));
+        let is_short = |word: &OsString| short.as_ref().is_some_and(|short| word.to_string_lossy().starts_with(short));
+        let conflicts = own.get_arg_conflicts_with(argument);
+        !has(&setting.option) && !line.iter().any(is_short) && !conflicts.into_iter().any(|other| has(&name(other)))
+    });
+    let (before, after) = line.split_at((at + 2).min(line.len()));
+    let added = settings.iter().flat_map(|setting| setting.arguments.iter().map(OsString::from));
+    Ok((before.iter().cloned().chain(added).chain(after.iter().cloned()).collect(), settings))
+}
+
+fn name(argument: &Arg) -> String {
+    argument.get_long().unwrap_or(argument.get_id().as_str()).to_owned()
+}
+
+/// The option of one of these verbs with this name.
+fn option<'a>(command: &'a Command, verbs: &[&str], key: &str) -> anyhow::Result<&'a Arg> {
+    let wanted = key.replace('_', "-");
+    let options = || {
+        let verbs = verbs.iter().filter_map(|verb| command.find_subcommand(verb));
+        verbs.flat_map(Command::get_arguments).filter(|argument| argument.get_long().is_some())
+    };
+    options().find(|argument| name(argument) == wanted).ok_or_else(|| {
+        let near = options().map(name).max_by(|a, b| likeness(a, &wanted).total_cmp(&likeness(b, &wanted)));
+        let hint = near.filter(|near| likeness(near, &wanted) > 0.6).map(|near| format!(" Did you mean `{near}`?"));
+        anyhow!("{FILE}: `{key}` is no option of {}.{}", verbs.join(", "), hint.unwrap_or_default())
+    })
+}
+
+/// How alike two words are, from 0 to 1: the share of their pairs of neighbouring letters that they have in common (Dice).
+fn likeness(one: &str, other: &str) -> f64 {
+    let pairs = |word: &str| word.as_bytes().windows(2).map(<[u8]>::to_vec).collect::<Vec<_>>();
+    let (a, mut b) = (pairs(one), pairs(other));
+    let all = a.len() + b.len();
+    let mut common = 0;
+    for pair in a {
+        if let Some(at) = b.iter().position(|other| *other == pair) {
+            b.swap_remove(at);
+            common += 1;
+        }
+    }
+    if all == 0 { 0.0 } else { 2.0 * f64::from(common) / all as f64 }
+}
+
+/// The arguments that a value stands for.
+fn arguments(option: &Arg, value: &Value) -> anyhow::Result<Vec<String>> {
+    let flag = format!("--{}", name(option));
+    let is_flag = matches!(option.get_action(), ArgAction::SetTrue);
+    Ok(match value {
+        Value::Boolean(on) if is_flag => {
+            if *on {
+                vec![flag]
+            } else {
+                Vec::new()
+            }
+        }
+        _ if is_flag => bail!("{FILE}: `{}` is true or false", name(option)),
+        Value::Array(values) => {
+            let each: anyhow::Result<Vec<Vec<String>>> = values.iter().map(|value| arguments(option, value)).collect();
+            each?.concat()
+        }
+        Value::String(text) => vec![format!("{flag}={text}")],
+        Value::Integer(number) => vec![format!("{flag}={number}")],
+        Value::Float(number) => vec![format!("{flag}={number}")],
+        _ => bail!("{FILE}: `{}`: expected a text, a number, or a list of them", name(option)),
+    })
+}
