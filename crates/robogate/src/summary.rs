@@ -460,7 +460,22 @@ fn files(dir: &Path, summary: &Summary) {
 
 #[cfg(test)]
 mod tests {
-    use super::decimals_of;
+    use robogate_campaign::OutcomeCounts;
+    use robogate_core::{FailureMode, Outcome};
+
+    use super::{decimals_of, outcomes_in_one_line};
+
+    /// An environment may invent a failure mode for each episode.
+    #[test]
+    fn lines_of_outcomes_are_bounded() {
+        let mut counts = OutcomeCounts::default();
+        for n in 0..1_000 {
+            counts.add(&Outcome::Failure(FailureMode::from_foreign(&format!("mode-{n}"))));
+        }
+        counts.add(&Outcome::Failure(FailureMode::from_foreign("mode-999")));
+        let line = outcomes_in_one_line(&counts);
+        assert!(line.contains("mode-999 2") && line.contains("988 other modes 988") && line.len() < 400, "{line}");
+    }
 
     /// The ends of a narrow range differ in the digits that are shown.
     #[test]

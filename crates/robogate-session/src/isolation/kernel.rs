@@ -36,7 +36,7 @@ pub(super) fn available() -> anyhow::Result<()> {
     ruleset().map(drop).map_err(|_| {
         anyhow!(
             "this kernel has no sandbox: it needs Linux 6.2 or newer with Landlock\nHint: run it in a virtual machine or on another \
-             machine. --sandbox off runs it with all your rights"
+             machine. --sandbox=off runs it with all your rights"
         )
     })
 }

@@ -52,11 +52,11 @@ pub enum Entered {
 pub fn enter(mut arguments: Vec<OsString>) -> Entered {
     match &*arguments {
         [_, child, engine, folder] if child == MODEL => {
-            let _ = ROLE.set(Role::Child);
+            become_child();
             Entered::Done(model::compile(engine, folder))
         }
         [_, child, ..] if child == COMMAND => {
-            let _ = ROLE.set(Role::Child);
+            become_child();
             if let Err(why) = Limits::MODEL.set() {
                 let _ = writeln!(std::io::stderr(), "error: {why:#}");
                 return Entered::Done(ExitCode::FAILURE);
@@ -74,6 +74,14 @@ pub fn enter(mut arguments: Vec<OsString>) -> Entered {
             Entered::Command(arguments)
         }
     }
+}
+
+/// Makes this process a child, which ends with its parent.
+fn become_child() {
+    let _ = ROLE.set(Role::Child);
+    #[cfg(target_os = "linux")]
+    // Without it, a parent that was killed leaves a child, which its limits end.
+    let _ = nix::sys::prctl::set_pdeathsig(nix::sys::signal::Signal::SIGKILL);
 }
 
 /// Whether this process may start children.

@@ -6,7 +6,7 @@
 use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{ExitCode, ExitStatus, Stdio};
 use std::sync::{Mutex, PoisonError};
 use std::thread;
@@ -60,9 +60,7 @@ pub(crate) fn check_model(robot: &Robot, engine: &EngineEntry) -> anyhow::Result
         serde_json::from_slice(&answer).context("cannot read what the process that compiles the model reports")?;
     match answer {
         Answer::Compiles => {}
-        Answer::Problems(problems) => {
-            return Err(RobotError::Invalid { path: folder.join("robot.toml"), problems }.into());
-        }
+        Answer::Problems { path, problems } => return Err(RobotError::Invalid { path, problems }.into()),
         Answer::Engine(why) => return Err(RobotError::Engine { why }.into()),
     }
     PASSED.lock().unwrap_or_else(PoisonError::into_inner).insert(files);
@@ -74,7 +72,7 @@ pub(crate) fn check_model(robot: &Robot, engine: &EngineEntry) -> anyhow::Result
 #[serde(rename_all = "snake_case")]
 enum Answer {
     Compiles,
-    Problems(Vec<Problem>),
+    Problems { path: PathBuf, problems: Vec<Problem> },
     Engine(String),
 }
 
@@ -93,7 +91,7 @@ pub(super) fn compile(engine: &OsString, folder: &OsString) -> ExitCode {
             }
             Answer::Compiles
         }
-        Err(RobotError::Invalid { problems, .. }) => Answer::Problems(problems),
+        Err(RobotError::Invalid { path, problems }) => Answer::Problems { path, problems },
         Err(other) => Answer::Engine(other.to_string()),
     };
     match serde_json::to_writer(std::io::stdout(), &answer) {

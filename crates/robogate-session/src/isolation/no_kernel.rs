@@ -8,7 +8,7 @@ use super::sandbox::Rights;
 
 /// Checks that the kernel has the sandbox.
 pub(super) fn available() -> anyhow::Result<()> {
-    Err(anyhow!("only Linux has the sandbox\nHint: --sandbox off runs it with all your rights"))
+    Err(anyhow!("only Linux has the sandbox\nHint: --sandbox=off runs it with all your rights"))
 }
 
 /// Restricts nothing, and starts nothing.

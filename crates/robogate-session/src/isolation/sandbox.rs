@@ -3,6 +3,7 @@
 //! The process that becomes Python restricts itself first ([`super::kernel`]). Python then tells which of its operations were
 //! refused (`robogate_eval/serving/sandbox.py`), so that an error can name them.
 
+use std::collections::BTreeMap;
 use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::io;
@@ -72,8 +73,8 @@ pub(crate) struct Rights {
 pub(crate) struct Sandbox {
     python: PathBuf,
     read: Vec<PathBuf>,
-    /// MuJoCo's graphics library, if the user chose none: there is no display.
-    graphics: String,
+    /// Environment variables that select the libraries for graphics, if the user chose none: there is no display.
+    graphics: BTreeMap<String, String>,
 }
 
 /// A temporary folder of one process. It is removed when this value is dropped.
@@ -111,18 +112,25 @@ impl Sandbox {
     /// # Errors
     /// The kernel has no sandbox, or a folder that the environment needs contains the user's keys.
     pub(crate) fn of(environment: &str, loads: Option<&LoadedPolicy>, python: &mut Command) -> anyhow::Result<Self> {
-        /// Prints the interpreter, the folders from which it imports, and MuJoCo's graphics library: the search for it starts
-        /// processes, as does the import of MuJoCo's library for windows.
-        const ABOUT: &str = "import json, sys; sys.path[:] = [path for path in sys.path if path]; from ctypes.util import find_library; \
-                             print(json.dumps([sys.executable, [sys.prefix, sys.base_prefix, sys.exec_prefix, *sys.path], \
-                             'egl' if find_library('EGL') else 'osmesa' if find_library('OSMesa') else 'disable']))";
+        /// Prints the interpreter, the folders from which it imports, and the libraries for graphics: their search starts processes.
+        const ABOUT: &str = r"
+import importlib.util, json, os, sys
+from ctypes.util import find_library
+sys.path[:] = [path for path in sys.path if path]
+graphics = {'MUJOCO_GL': 'egl' if find_library('EGL') else 'osmesa' if find_library('OSMesa') else 'disable'}
+glfw = importlib.util.find_spec('glfw')
+windows = os.path.join(os.path.dirname(glfw.origin), 'x11', 'libglfw.so') if glfw and glfw.origin else ''
+if os.path.isfile(windows):
+    graphics['PYGLFW_LIBRARY'] = windows
+print(json.dumps([sys.executable, [sys.prefix, sys.base_prefix, sys.exec_prefix, *sys.path], graphics]))
+";
         if !is_parent() {
             return Err(anyhow!("only the command `robogate` starts a sandbox"));
         }
         kernel::available()?;
         let output = python.args(["-c", ABOUT]).stdin(Stdio::null()).output();
         let output = output.with_context(|| format!("cannot start {}", python.get_program().display()))?;
-        let (executable, imports, graphics): (PathBuf, Vec<PathBuf>, String) =
+        let (executable, imports, graphics): (PathBuf, Vec<PathBuf>, BTreeMap<String, String>) =
             serde_json::from_slice(&output.stdout)
                 .with_context(|| format!("{} does not tell its folders", python.get_program().display()))?;
         let mut own = Vec::new();
@@ -158,7 +166,7 @@ impl Sandbox {
         let told = serde_json::to_string(&rights)?;
         let mut inside = this_program().map_err(io::Error::other)?;
         inside.arg(PYTHON).arg(&told).arg(&self.python).args(command.get_args());
-        inside.env_clear().env("MUJOCO_GL", &self.graphics);
+        inside.env_clear().envs(&self.graphics);
         inside.envs(KEPT.iter().filter_map(|name| Some((name, std::env::var_os(name)?))));
         inside.envs(command.get_envs().filter_map(|(name, value)| Some((name, value?))));
         inside.env(TOLD, told).env("PYTHONDONTWRITEBYTECODE", "1");
