@@ -89,7 +89,7 @@ impl RequirementRow {
         let mut notes = Vec::new();
         match result.status {
             Status::NoEvidence => notes.push("no episode gives evidence".to_owned()),
-            Status::Undecided => notes.extend(NextBudget::of(result, evaluation).map(|next| chance(&next))),
+            Status::Undecided => notes.extend(result.next.as_ref().map(chance)),
             Status::Met | Status::Violated => {}
         }
         if result.invalid > 0 && result.status != Status::NoEvidence {
@@ -131,7 +131,7 @@ pub fn what_next(evaluation: &Evaluation) -> String {
             of.first
         );
     }
-    let undecided = evaluation.results.iter().filter_map(|result| Some((result, NextBudget::of(result, evaluation)?)));
+    let undecided = evaluation.results.iter().filter_map(|result| Some((result, result.next?)));
     let hardest = undecided.min_by(|a, b| a.1.at_observed.total_cmp(&b.1.at_observed));
     hardest.map_or_else(String::new, |(result, next)| {
         format!("`{}`: {}. The episodes of this run may not be counted again.", result.id, chance(&next))
