@@ -16,7 +16,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::comparison::{Against, Comparison};
-use crate::figure::{Extremes, figure};
+use crate::figure::{Extremes, applies, figure};
 use crate::next_budget::NextBudget;
 use crate::requirement_test::{How, success_interval, test};
 use crate::rounds::Rounds;
@@ -173,6 +173,9 @@ pub struct Evaluation {
     pub estimand: String,
     /// How the number of episodes was chosen.
     pub sampling: Sampling,
+    /// The largest number of rounds, if it was fixed before the first: the tests then end earlier.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub planned_rounds: Option<u64>,
     /// Numbers of episodes.
     pub counts: Counts,
     /// The requirements.
@@ -390,6 +393,7 @@ impl Question<'_> {
             population: record.population.clone(),
             estimand: record.population.estimand_of(counts.valid, distinct),
             sampling,
+            planned_rounds: how.budget,
             counts,
             requirements: requirements.clone(),
             baseline: self.baseline.cloned(),
@@ -454,6 +458,7 @@ impl Question<'_> {
         if counts.episodes > 0 && all.clone().next().is_none() {
             return Err(GateError::NoSuchScope { id, scope: scope.to_string(), known: known(rounds.trials()) });
         }
+        let all = all.filter(|trial| applies(requirement.metric, trial));
         let (valid, invalid, figure) = figure(requirement.metric, all, requirement.range());
         let mut result = RequirementResult {
             id,

@@ -20,7 +20,7 @@ use robogate_stats::compare::{at_least, at_most};
 use robogate_stats::stratified::{self, Strata, ln_pooled_above, ln_pooled_below};
 use robogate_stats::{Confidence, Interval, Trials, clopper_pearson};
 
-use crate::figure::{Tally, happened, value};
+use crate::figure::{Tally, applies, happened, value};
 use crate::{Bound, GateError, Metric, Requirement, Sampling, Sense, Trial};
 
 /// Both p-values, and the interval at error α on each side.
@@ -55,6 +55,16 @@ pub(crate) fn test(
     how: How,
 ) -> Result<Tested, GateError> {
     let metric = requirement.metric;
+    // Without its failures a round of a suite is not complete. A bet of zero on them keeps the argument about complete rounds
+    // (`robogate_stats::anytime`), which the pooled e-process and the test of a mean use; the other tests need complete rounds.
+    let is_part = matches!(metric, Metric::CycleTime(_));
+    let part: Vec<Vec<&Trial>>;
+    let (rounds, how) = if is_part {
+        part = rounds.iter().map(|round| round.iter().copied().filter(|trial| applies(metric, trial)).collect()).collect();
+        (part.as_slice(), How { suite: false, ..how })
+    } else {
+        (rounds, how)
+    };
     if metric.is_mean() {
         return mean(requirement, bound, rounds, how);
     }

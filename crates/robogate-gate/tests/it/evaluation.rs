@@ -405,3 +405,30 @@ fn undecided_requirement_states_a_probability() {
     let text = found.to_json();
     assert!(text.contains("over_interval") && !text.contains("decided_at"), "{text}");
 }
+
+#[test]
+// Timeouts last 15 s and drops end early. Neither is a cycle time.
+fn cycle_time_is_that_of_successes() {
+    for (statistic, ceiling) in [("cycle_time_s", "ceiling = 15.0\n"), ("cycle_time_s:p90", "")] {
+        let gate = requirements(&format!(
+            "name = \"t\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"{statistic}\"\nat_most = 6.0\n{ceiling}"
+        ));
+        let mut record = suite(20, times(400, &Ending::Success));
+        for (at, trial) in record.trials.iter_mut().enumerate() {
+            trial.time_s = Some(4.0 + 0.1 * (at % 7) as f64);
+            if at % 3 == 0 {
+                (trial.ending, trial.time_s) = (Ending::Failure(None), Some(if at % 2 == 0 { 15.0 } else { 0.5 }));
+            }
+        }
+        for (sampling, planned) in [(Sampling::Fixed, None), (Sampling::Sequential, Some(400))] {
+            record.planned = planned;
+            let found = judge(&gate, &record, sampling);
+            let result = &found.results[0];
+            assert_eq!((result.status, result.valid, result.invalid), (Status::Met, 266, 0), "{statistic} {result:?}");
+            let observed = result.figure.observed.unwrap();
+            assert!((4.0..=4.6).contains(&observed), "{observed}");
+        }
+        record.trials.iter_mut().for_each(|trial| trial.ending = Ending::Failure(None));
+        assert_eq!(judge(&gate, &record, Sampling::Fixed).results[0].status, Status::NoEvidence);
+    }
+}
