@@ -60,7 +60,8 @@ pub(crate) fn test(
     let is_part = matches!(metric, Metric::CycleTime(_));
     let part: Vec<Vec<&Trial>>;
     let (rounds, how) = if is_part {
-        part = rounds.iter().map(|round| round.iter().copied().filter(|trial| applies(metric, trial)).collect()).collect();
+        part =
+            rounds.iter().map(|round| round.iter().copied().filter(|trial| applies(metric, trial)).collect()).collect();
         (part.as_slice(), How { suite: false, ..how })
     } else {
         (rounds, how)
@@ -117,11 +118,7 @@ fn rate(metric: Metric, limit: Bound, bound: Bound, rounds: &[Vec<&Trial>], how:
         Sense::AtLeast => [interval.low, interval.high],
         Sense::AtMost => [1.0 - interval.high, 1.0 - interval.low],
     };
-    Tested {
-        p_met: ln_met.min(0.0).exp(),
-        p_violated: ln_violated.min(0.0).exp(),
-        interval: Some(interval),
-    }
+    Tested { p_met: ln_met.min(0.0).exp(), p_violated: ln_violated.min(0.0).exp(), interval: Some(interval) }
 }
 
 /// ln of both p-values and the interval of a suite, whose scenarios are strata.

@@ -49,7 +49,9 @@ fn crossing(step: &[f64], boundary: &[u64]) -> f64 {
 // For a fixed mean, the extreme distributions of a sum of independent results have rates 0, 1 and one other value (Hoeffding
 // 1956). No error of theirs exceeds that of equal rates.
 fn unequal_rates_do_not_raise_the_error() {
-    for (m, rounds, p0) in [(30, 10, 0.5), (30, 10, 0.9), (30, 10, 0.08), (50, 12, 0.95), (24, 8, 0.98), (68, 20, 0.02), (68, 20, 0.92)] {
+    for (m, rounds, p0) in
+        [(30, 10, 0.5), (30, 10, 0.9), (30, 10, 0.08), (50, 12, 0.95), (24, 8, 0.98), (68, 20, 0.02), (68, 20, 0.92)]
+    {
         let budget = Budget { per_round: m, rounds };
         let boundary = budget.boundary(p0, 0.05);
         let equal = crossing(&round(m, 0, 0, p0), &boundary);

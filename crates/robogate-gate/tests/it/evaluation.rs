@@ -375,7 +375,9 @@ fn groups_use_the_method_of_the_requirements() {
     let gate = requirements(
         "name = \"t\"\nmode = \"confidence\"\nconfidence = 0.975\n[[requirement]]\nmetric = \"success\"\nat_least = 0.5\n",
     );
-    for (sampling, planned) in [(Sampling::Fixed, None), (Sampling::Sequential, None), (Sampling::Sequential, Some(40 * 8))] {
+    for (sampling, planned) in
+        [(Sampling::Fixed, None), (Sampling::Sequential, None), (Sampling::Sequential, Some(40 * 8))]
+    {
         let mut record = suite(40, times(160, &Ending::Success));
         for trial in record.trials.iter_mut().step_by(3) {
             trial.ending = Ending::Failure(None);
@@ -392,7 +394,8 @@ fn groups_use_the_method_of_the_requirements() {
 
 #[test]
 fn undecided_requirement_states_a_probability() {
-    let gate = requirements("name = \"t\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.9\n");
+    let gate =
+        requirements("name = \"t\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.9\n");
     let mut record = suite(20, times(80, &Ending::Success));
     record.trials.iter_mut().step_by(12).for_each(|trial| trial.ending = Ending::Failure(None));
     record.planned = Some(80);
