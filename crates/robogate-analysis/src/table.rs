@@ -362,6 +362,13 @@ fn fresh_suite(plan: &serde_json::Value) -> bool {
 }
 
 /// The numbers of case, category and group of each row. `None` unless each row names a case.
+/// The words of a column in all rows. `None` if a row has none.
+pub(crate) fn words(dictionary: &Dictionary, column: &str) -> Result<Option<Vec<String>>, DictionaryError> {
+    let (levels, codes) = categories(dictionary, column)?;
+    let word = |code: &Option<u32>| levels.get((*code)? as usize).map(ToString::to_string);
+    Ok(codes.iter().map(word).collect::<Option<Vec<String>>>().filter(|words| !words.is_empty()))
+}
+
 fn cases(dictionary: &Dictionary) -> Result<Option<Vec<[u32; 3]>>, DictionaryError> {
     let (_, case) = categories(dictionary, "case")?;
     if case.is_empty() || case.iter().any(Option::is_none) {

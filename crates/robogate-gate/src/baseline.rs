@@ -7,7 +7,7 @@ use robogate_dictionary::{Tool, read_text};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::figure::figure;
+use crate::figure::{applies, figure};
 use crate::rounds::Rounds;
 use crate::{GateError, Metric, Population, Record};
 
@@ -64,8 +64,8 @@ impl Baseline {
             return Err(GateError::EmptyBaseline);
         }
         let figures = Metric::of_task(&record.task).into_iter().filter_map(|metric| {
-            let (_, _, extremes) =
-                figure(metric, rounds.trials(), [Some(0.0).filter(|_| metric == Metric::MEAN_CYCLE_TIME), None]);
+            let range = [Some(0.0).filter(|_| metric == Metric::MEAN_CYCLE_TIME), None];
+            let (_, _, extremes) = figure(metric, rounds.trials().filter(|trial| applies(metric, trial)), range);
             extremes.observed.map(|value| BaselineFigure { metric, value })
         });
         Ok(Self {

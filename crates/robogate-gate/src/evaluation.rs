@@ -12,13 +12,13 @@ use std::collections::BTreeSet;
 use robogate_core::{OutsideRange, TaskSpec, is_feasible};
 use robogate_dictionary::{Controls, Label, TaskIdentity};
 use robogate_stats::multiplicity::holm;
-use robogate_stats::{Confidence, Trials, clopper_pearson, wilson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::comparison::{Against, Comparison};
-use crate::figure::{Extremes, figure};
-use crate::requirement_test::{How, anytime_interval, test};
+use crate::figure::{Extremes, applies, figure};
+use crate::next_budget::NextBudget;
+use crate::requirement_test::{How, success_interval, test};
 use crate::rounds::Rounds;
 use crate::ruled_out::RuledOut;
 use crate::scope::{Scope, expand};
@@ -107,9 +107,9 @@ pub struct RequirementResult {
     pub p_violated: Option<f64>,
     /// The status of the requirement.
     pub status: Status,
-    /// Number of episodes of the run at which the requirement would be decided if the observed figure stayed the same.
-    /// `None` if it is decided, or if the number is unreasonably large.
-    pub decided_at_episodes: Option<u64>,
+    /// The probability that a new gate of the same size decides. `None` if the requirement is decided or is not on a rate.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub next: Option<NextBudget>,
 }
 
 /// Success rate of one scenario group. It is informative and does not affect the verdict.
@@ -125,8 +125,8 @@ pub struct GroupResult {
     pub invalid: u64,
     /// Number of successes.
     pub successes: u64,
-    /// 95 % interval of the success rate: exact (Clopper-Pearson) for a fixed number of episodes, and valid at any stopping time
-    /// (e-process, 2.5 % on each side) for a sequential gate.
+    /// 95 % interval of the success rate by the method of the requirements, with 2.5 % on each side: exact (Clopper-Pearson) for a
+    /// fixed number of episodes, and that of the sequential test for others. It holds for any outcome of the invalid episodes.
     pub interval_95: [f64; 2],
     /// How the other episodes ended, the most frequent first.
     pub endings: Vec<EndingCount>,
@@ -173,6 +173,9 @@ pub struct Evaluation {
     pub estimand: String,
     /// How the number of episodes was chosen.
     pub sampling: Sampling,
+    /// The largest number of rounds, if it was fixed before the first: the tests then end earlier.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub planned_rounds: Option<u64>,
     /// Numbers of episodes.
     pub counts: Counts,
     /// The requirements.
@@ -202,9 +205,6 @@ pub struct Evaluation {
     pub groups: Vec<GroupResult>,
     /// The confidence score. `None` if the requirements define none.
     pub score: Option<ConfidenceScore>,
-    /// Number of episodes at which the gate would decide if the observed figures stayed the same. `None` if it has
-    /// decided, or if the number is unreasonably large.
-    pub decided_at_episodes: Option<u64>,
     /// The controls of the gate. `None` if it ran none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub controls: Option<Controls>,
@@ -229,25 +229,31 @@ pub struct FeasibleRate {
     pub successes: u64,
     /// The share of the valid episodes that is feasible.
     pub share: f64,
-    /// Wilson's 95 % interval of the success rate. [0, 1] without a feasible episode.
+    /// 95 % interval of the success rate by the method of the requirements. [0, 1] without a feasible episode.
     pub interval_95: [f64; 2],
 }
 
 impl FeasibleRate {
-    fn of<'a>(trials: impl Iterator<Item = &'a Trial>) -> Option<Self> {
-        let (mut all, mut valid, mut successes) = (0_u64, 0_u64, 0_u64);
-        for trial in trials.filter(|trial| trial.ending.is_valid()) {
-            all += 1;
-            let feasible = is_feasible(&trial.measures)?;
-            valid += u64::from(feasible);
-            successes += u64::from(feasible && trial.ending == Ending::Success);
+    fn of(rounds: &Rounds<'_>, how: How) -> Option<Self> {
+        let valid = |trial: &&Trial| trial.ending.is_valid();
+        let all = rounds.trials().filter(valid).count();
+        let mut part = Vec::with_capacity(rounds.rounds.len());
+        for round in &rounds.rounds {
+            let mut feasible = Vec::new();
+            for trial in round.iter().copied().filter(valid) {
+                if is_feasible(&trial.measures)? {
+                    feasible.push(trial);
+                }
+            }
+            part.push(feasible);
         }
-        let interval = wilson(Trials::new(successes, valid).unwrap_or(Trials::NONE), Confidence::P95);
+        let valid = part.iter().map(Vec::len).sum::<usize>();
+        let successes = part.iter().flatten().filter(|trial| trial.ending == Ending::Success).count() as u64;
         (all > 0).then(|| Self {
-            valid,
+            valid: valid as u64,
             successes,
             share: valid as f64 / all as f64,
-            interval_95: [interval.low, interval.high],
+            interval_95: success_interval(&part, how),
         })
     }
 
@@ -287,7 +293,7 @@ pub struct Question<'a> {
 
 impl Evaluation {
     /// The version of the format.
-    pub const FORMAT: u32 = 2;
+    pub const FORMAT: u32 = 3;
 
     /// Whether the trials of the real robot violate a requirement. No further episode changes that.
     pub fn is_violated_by_trials(&self) -> bool {
@@ -348,7 +354,6 @@ impl Question<'_> {
             suite: rounds.suite,
             mixed: rounds.suite || record.population.repeated_cases().is_some(),
             budget: budget(record, sampling),
-            steps: counts.rounds.unwrap_or(episodes),
         };
         let mut results = asked
             .iter()
@@ -372,10 +377,10 @@ impl Question<'_> {
             }
             _ => None,
         };
-        let mut decided_at_episodes = when(verdict, &results);
         if let Some(ruled_out) = &ruled_out {
             because = ruled_out.because(counts, comparison.as_ref());
-            decided_at_episodes = None;
+        } else if requirements.mode == Mode::Confidence {
+            results.iter_mut().for_each(|result| result.next = NextBudget::of(result, counts, how));
         }
         Ok(Evaluation {
             format: Evaluation::FORMAT,
@@ -388,19 +393,19 @@ impl Question<'_> {
             population: record.population.clone(),
             estimand: record.population.estimand_of(counts.valid, distinct),
             sampling,
+            planned_rounds: how.budget,
             counts,
             requirements: requirements.clone(),
             baseline: self.baseline.cloned(),
             real: record.real.clone(),
             dropped,
             distinct_trajectories: distinct,
-            feasible: FeasibleRate::of(rounds.trials()),
+            feasible: FeasibleRate::of(&rounds, how),
             new_cases: NewCases::of(&record.population, &rounds.trials().collect::<Vec<&Trial>>()),
             results,
             comparison,
-            groups: groups(rounds.trials(), sampling),
+            groups: groups(&rounds, how),
             score: ConfidenceScore::of(&requirements.score, self.baseline, rounds.rounds.iter().flatten().copied()),
-            decided_at_episodes,
             controls: record.controls.clone(),
             ruled_out,
             outside_range: outside_range(record, &rounds),
@@ -453,6 +458,7 @@ impl Question<'_> {
         if counts.episodes > 0 && all.clone().next().is_none() {
             return Err(GateError::NoSuchScope { id, scope: scope.to_string(), known: known(rounds.trials()) });
         }
+        let all = all.filter(|trial| applies(requirement.metric, trial));
         let (valid, invalid, figure) = figure(requirement.metric, all, requirement.range());
         let mut result = RequirementResult {
             id,
@@ -466,7 +472,7 @@ impl Question<'_> {
             p_met: None,
             p_violated: None,
             status: if valid == 0 { Status::NoEvidence } else { Status::Undecided },
-            decided_at_episodes: None,
+            next: None,
         };
         if valid == 0 {
             return Ok(result);
@@ -486,9 +492,6 @@ impl Question<'_> {
                 result.interval = tested.interval;
                 result.p_met = Some(tested.p_met);
                 result.p_violated = Some(tested.p_violated);
-                let per_step = counts.episodes as f64 / how.steps.max(1) as f64;
-                result.decided_at_episodes =
-                    tested.decided_at_steps.map(|steps| (steps as f64 * per_step).round() as u64);
             }
         }
         Ok(result)
@@ -513,7 +516,7 @@ impl Question<'_> {
             p_met: None,
             p_violated: None,
             status: if real.is_none() { Status::NoEvidence } else { Status::Undecided },
-            decided_at_episodes: None,
+            next: None,
         };
         match (real, mode, figure.observed) {
             (Some(_), Mode::Point, Some(rate)) => {
@@ -556,9 +559,6 @@ impl Question<'_> {
         for (i, result) in results.iter_mut().enumerate() {
             if !point && result.status != Status::NoEvidence {
                 result.status = status(i);
-            }
-            if result.status != Status::Undecided {
-                result.decided_at_episodes = None;
             }
         }
         if let Some(comparison) = comparison
@@ -635,21 +635,6 @@ fn conclude(counts: Counts, results: &[RequirementResult], comparison: Option<&C
     }
 }
 
-/// When the gate would decide: at the first expected violation, or when the last requirement is expected to be met.
-fn when(verdict: Verdict, results: &[RequirementResult]) -> Option<u64> {
-    if verdict != Verdict::Inconclusive {
-        return None;
-    }
-    let towards_fail =
-        |f: &&RequirementResult| f.status == Status::Undecided && f.figure.observed.is_some_and(|x| !f.bound.holds(x));
-    let failing = results.iter().filter(towards_fail).filter_map(|f| f.decided_at_episodes).min();
-    let open: Vec<&RequirementResult> = results.iter().filter(|f| f.status != Status::Met).collect();
-    failing.or_else(|| {
-        let all: Option<Vec<u64>> = open.iter().map(|f| f.decided_at_episodes).collect();
-        all?.into_iter().max()
-    })
-}
-
 /// The categories and groups of the episodes.
 pub(crate) fn known<'a>(trials: impl Iterator<Item = &'a Trial>) -> String {
     let mut words: Vec<String> = Vec::new();
@@ -667,40 +652,35 @@ pub(crate) fn known<'a>(trials: impl Iterator<Item = &'a Trial>) -> String {
     }
 }
 
-fn groups<'a>(trials: impl Iterator<Item = &'a Trial>, sampling: Sampling) -> Vec<GroupResult> {
-    let mut found: Vec<(&Label, Vec<&Trial>)> = Vec::new();
-    for trial in trials {
+fn groups<'a>(rounds: &Rounds<'a>, how: How) -> Vec<GroupResult> {
+    let mut found: Vec<&Label> = Vec::new();
+    let same = |a: &Label, b: &Label| (&a.category, &a.group) == (&b.category, &b.group);
+    for trial in rounds.trials() {
         let label = &trial.label;
-        if label.category.is_none() && label.group.is_none() {
-            continue;
-        }
-        let same = |(known, _): &&mut (&Label, Vec<&Trial>)| {
-            (&known.category, &known.group) == (&label.category, &label.group)
-        };
-        match found.iter_mut().find(same) {
-            Some((_, trials)) => trials.push(trial),
-            None => found.push((label, vec![trial])),
+        if (label.category.is_some() || label.group.is_some()) && !found.iter().any(|known| same(known, label)) {
+            found.push(label);
         }
     }
-    found.into_iter().map(|(label, trials)| group(label, &trials, sampling)).collect()
+    let of = |label: &Label| {
+        let part = |round: &Vec<&'a Trial>| -> Vec<&'a Trial> {
+            round.iter().copied().filter(|trial| same(&trial.label, label)).collect()
+        };
+        group(label, &rounds.rounds.iter().map(part).collect::<Vec<Vec<&Trial>>>(), how)
+    };
+    found.into_iter().map(of).collect()
 }
 
-fn group(label: &Label, trials: &[&Trial], sampling: Sampling) -> GroupResult {
+fn group(label: &Label, rounds: &[Vec<&Trial>], how: How) -> GroupResult {
+    let trials: Vec<&Trial> = rounds.iter().flatten().copied().collect();
     let valid = trials.iter().filter(|trial| trial.ending.is_valid()).count() as u64;
-    let successes = trials.iter().filter(|trial| trial.ending == Ending::Success).count() as u64;
-    let counts = Trials::new(successes, valid).unwrap_or(Trials::NONE);
-    let interval = match sampling {
-        Sampling::Fixed => clopper_pearson(counts, Confidence::P95),
-        Sampling::Sequential => anytime_interval(counts, Confidence::P95.tail()),
-    };
     GroupResult {
         category: label.category.clone().unwrap_or_default(),
         group: label.group.clone().unwrap_or_default(),
         valid,
         invalid: trials.len() as u64 - valid,
-        successes,
-        interval_95: [interval.low, interval.high],
-        endings: endings(trials),
+        successes: trials.iter().filter(|trial| trial.ending == Ending::Success).count() as u64,
+        interval_95: success_interval(rounds, how),
+        endings: endings(&trials),
     }
 }
 

@@ -35,6 +35,12 @@ pub(crate) fn happened(metric: Metric, bound: Bound, trial: &Trial) -> Option<bo
     }
 }
 
+/// Whether a metric applies to a trial. A failure has no cycle time: a timeout lasts as long as its limit allows, and a drop ends
+/// early. Invalid episodes could have been successes.
+pub(crate) fn applies(metric: Metric, trial: &Trial) -> bool {
+    !matches!((metric, &trial.ending), (Metric::CycleTime(_), Ending::Failure(_)))
+}
+
 /// The duration or measure of a valid trial. `None` if it has none.
 pub(crate) fn value(metric: Metric, trial: &Trial) -> Option<f64> {
     let value = match metric {

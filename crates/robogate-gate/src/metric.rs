@@ -15,14 +15,14 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 /// | `success` | share of episodes that succeed |
 /// | `failure:<mode>` | share of episodes that fail in this way |
 /// | `failure_count:<mode>` | number of episodes that fail in this way, for point comparisons only |
-/// | `cycle_time_s`, `cycle_time_s:p95` | mean or quantile of the duration in simulated seconds, for all endings |
+/// | `cycle_time_s`, `cycle_time_s:p95` | mean or quantile of the duration of successful episodes, in simulated seconds |
 /// | `real:success` | success rate of the real robot, from its trials and a simulation |
 /// | `measure:<name>`, `measure:<name>:p95` | mean or quantile of a measure of the task |
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Metric {
     /// Share of episodes that succeed.
     Success,
-    /// Duration of an episode with any ending, in simulated seconds.
+    /// Duration of a successful episode, in simulated seconds.
     CycleTime(Statistic),
     /// Number of episodes that fail in this way.
     FailureCount(FailureMode),

@@ -9,7 +9,8 @@ use robogate_stats::operating::{RateTest, Schedule, characteristics};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Evaluation, Mode, RequirementResult, Sampling, Sense, Status};
+use crate::requirement_test::How;
+use crate::{Counts, Metric, RequirementResult, Sampling, Sense, Status};
 
 /// The probability that a new gate of the same size decides an undecided requirement on a rate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -24,18 +25,19 @@ pub struct NextBudget {
 
 impl NextBudget {
     /// `None` for a requirement that is decided or is not on a rate, and without an interval.
-    pub fn of(result: &RequirementResult, evaluation: &Evaluation) -> Option<Self> {
+    pub(crate) fn of(result: &RequirementResult, counts: Counts, how: How) -> Option<Self> {
         let (metric, limit) = (result.requirement.metric, result.bound.limit);
         let is_rate = !metric.is_mean() && metric.quantile().is_none() && (0.0..=1.0).contains(&limit);
-        if result.status != Status::Undecided || evaluation.requirements.mode != Mode::Confidence || !is_rate {
+        // A new gate does not repeat the trials of the real robot.
+        let is_rate = is_rate && metric != Metric::RealSuccess;
+        if result.status != Status::Undecided || !is_rate {
             return None;
         }
         let good = |rate: f64| if result.bound.sense == Sense::AtLeast { rate } else { 1.0 - rate };
         let [low, high] = result.interval?;
-        let alpha = evaluation.requirements.alpha();
-        let test = RateTest { at_least: good(limit), alpha, beta: alpha / evaluation.results.len().max(1) as f64 };
+        let test = RateTest { at_least: good(limit), alpha: how.alpha, beta: how.beta };
         let episodes = result.valid + result.invalid;
-        let schedule = match (evaluation.sampling, evaluation.counts.rounds) {
+        let schedule = match (how.sampling, counts.rounds) {
             (Sampling::Sequential, Some(rounds)) if rounds > 0 => {
                 Schedule::Budget(Budget { per_round: episodes / rounds, rounds })
             }

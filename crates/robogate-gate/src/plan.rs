@@ -119,6 +119,10 @@ impl GatePlan {
                 let bound = requirement.bound(requirements.mode, baseline)?;
                 let schedule = match sampling {
                     Sampling::Fixed => Schedule::Fixed { n: per_round * rounds },
+                    // Only successful episodes have a cycle time, so the number of values is not known before.
+                    Sampling::Sequential if matches!(requirement.metric, Metric::CycleTime(_)) => {
+                        Schedule::Rounds { per_round, rounds }
+                    }
                     Sampling::Sequential => Schedule::Budget(Budget { per_round, rounds }),
                 };
                 demand(requirement, bound, requirements.mode, alpha, beta, per_round, schedule, baseline)

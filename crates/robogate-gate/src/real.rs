@@ -158,6 +158,6 @@ impl RealEvidence {
         let (above, below) = (p_above(strata, bound.limit), p_below(strata, bound.limit));
         let (p_met, p_violated) = if bound.sense == Sense::AtLeast { (above, below) } else { (below, above) };
         let interval = bounds(strata, alpha);
-        Tested { p_met, p_violated, interval: Some([interval.low, interval.high]), decided_at_steps: None }
+        Tested { p_met, p_violated, interval: Some([interval.low, interval.high]) }
     }
 }

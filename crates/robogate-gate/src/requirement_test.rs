@@ -17,22 +17,19 @@ use std::collections::BTreeMap;
 use robogate_stats::bounded_mean::BoundedMean;
 use robogate_stats::budgeted::Budget;
 use robogate_stats::compare::{at_least, at_most};
-use robogate_stats::operating::{Answer, RateTest};
 use robogate_stats::stratified::{self, Strata, ln_pooled_above, ln_pooled_below};
 use robogate_stats::{Confidence, Interval, Trials, clopper_pearson};
 
-use crate::figure::{Tally, happened, value};
+use crate::figure::{Tally, applies, happened, value};
 use crate::{Bound, GateError, Metric, Requirement, Sampling, Sense, Trial};
 
-/// Both p-values, the interval at error α on each side, and when the requirement would be decided.
+/// Both p-values, and the interval at error α on each side.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Tested {
     pub(crate) p_met: f64,
     pub(crate) p_violated: f64,
     /// `None` for a quantile.
     pub(crate) interval: Option<[f64; 2]>,
-    /// Number of steps at which the requirement would be decided if the observed figure stayed the same.
-    pub(crate) decided_at_steps: Option<u64>,
 }
 
 /// The settings of a test.
@@ -49,12 +46,7 @@ pub(crate) struct How {
     pub(crate) mixed: bool,
     /// The largest number of rounds, if it was fixed before the first. The tests then end earlier.
     pub(crate) budget: Option<u64>,
-    /// Number of equal steps in which the episodes came: rounds of a suite, otherwise single episodes.
-    pub(crate) steps: u64,
 }
-
-/// Larger numbers of steps are not reported.
-const MOST_STEPS: u64 = 1_000_000;
 
 pub(crate) fn test(
     requirement: &Requirement,
@@ -63,6 +55,17 @@ pub(crate) fn test(
     how: How,
 ) -> Result<Tested, GateError> {
     let metric = requirement.metric;
+    // Without its failures a round of a suite is not complete. A bet of zero on them keeps the argument about complete rounds
+    // (`robogate_stats::anytime`), which the pooled e-process and the test of a mean use; the other tests need complete rounds.
+    let is_part = matches!(metric, Metric::CycleTime(_));
+    let part: Vec<Vec<&Trial>>;
+    let (rounds, how) = if is_part {
+        part =
+            rounds.iter().map(|round| round.iter().copied().filter(|trial| applies(metric, trial)).collect()).collect();
+        (part.as_slice(), How { suite: false, ..how })
+    } else {
+        (rounds, how)
+    };
     if metric.is_mean() {
         return mean(requirement, bound, rounds, how);
     }
@@ -115,12 +118,7 @@ fn rate(metric: Metric, limit: Bound, bound: Bound, rounds: &[Vec<&Trial>], how:
         Sense::AtLeast => [interval.low, interval.high],
         Sense::AtMost => [1.0 - interval.high, 1.0 - interval.low],
     };
-    Tested {
-        p_met: ln_met.min(0.0).exp(),
-        p_violated: ln_violated.min(0.0).exp(),
-        interval: Some(interval),
-        decided_at_steps: rate_decided_at(last, p0, how),
-    }
+    Tested { p_met: ln_met.min(0.0).exp(), p_violated: ln_violated.min(0.0).exp(), interval: Some(interval) }
 }
 
 /// ln of both p-values and the interval of a suite, whose scenarios are strata.
@@ -184,13 +182,12 @@ fn at_once(look: Look, p0: f64, how: How) -> (f64, f64, Interval) {
     (-above, -below, Interval { low, high })
 }
 
-/// The rates that the e-process does not exclude at error `alpha` on each side, at any stopping time.
-pub(crate) fn anytime_interval(trials: Trials, alpha: f64) -> Interval {
-    let Some(rate) = trials.rate() else { return Interval::UNIT };
-    let look = Look { worst: trials, best: trials };
-    let how =
-        How { sampling: Sampling::Sequential, alpha, beta: alpha, suite: false, mixed: false, budget: None, steps: 1 };
-    at_once(look, rate.clamp(1e-9, 1.0 - 1e-9), how).2
+/// 95 % interval of the success rate by the method of the requirements: exact for a fixed number of episodes, and that of the
+/// sequential test for others. It holds for any outcome of the invalid episodes.
+pub(crate) fn success_interval(rounds: &[Vec<&Trial>], how: How) -> [f64; 2] {
+    let alpha = Confidence::P95.tail();
+    let bound = Bound { sense: Sense::AtLeast, limit: 0.5 };
+    rate(Metric::Success, bound, bound, rounds, How { alpha, beta: alpha, ..how }).interval.unwrap_or([0.0, 1.0])
 }
 
 /// ln P(X >= k | p0), for episodes with different rates if `mixed`.
@@ -207,47 +204,6 @@ fn fixed_below(trials: Trials, p0: f64, mixed: bool) -> f64 {
     } else {
         binomial
     }
-}
-
-/// The number of steps at which the observed rates would decide. `None` if they lie on both sides of the limit.
-fn rate_decided_at(last: Look, p0: f64, how: How) -> Option<u64> {
-    let (worst, best) = (last.worst.rate()?, last.best.rate()?);
-    let per_step = last.worst.n() as f64 / how.steps.max(1) as f64;
-    let trials = |rate: f64, steps: u64| {
-        let n = (per_step * steps as f64).round() as u64;
-        // Rounded against the conclusion, so that the number is not too small.
-        let good = if worst > p0 { (rate * n as f64).floor() } else { (rate * n as f64).ceil() };
-        Trials::new((good as u64).min(n), n).unwrap_or(Trials::NONE)
-    };
-    let test = RateTest { at_least: p0, alpha: how.alpha, beta: how.beta };
-    let answers = |trials: Trials| match how.sampling {
-        Sampling::Fixed => test.fixed(trials),
-        Sampling::Sequential => test.look(trials),
-    } != Answer::Open;
-    if worst > p0 {
-        least(|r| answers(trials(worst, r)))
-    } else if best < p0 {
-        least(|r| answers(trials(best, r)))
-    } else {
-        None
-    }
-}
-
-/// The smallest number of steps at which `decided` holds, if it is not too large.
-fn least(decided: impl Fn(u64) -> bool) -> Option<u64> {
-    let mut high = 1;
-    while !decided(high) {
-        high *= 2;
-        if high > MOST_STEPS {
-            return None;
-        }
-    }
-    let mut low = high / 2;
-    while high - low > 1 {
-        let middle = low + (high - low) / 2;
-        if decided(middle) { high = middle } else { low = middle }
-    }
-    Some(high)
 }
 
 fn mean(requirement: &Requirement, bound: Bound, rounds: &[Vec<&Trial>], how: How) -> Result<Tested, GateError> {
@@ -294,28 +250,5 @@ fn mean(requirement: &Requirement, bound: Bound, rounds: &[Vec<&Trial>], how: Ho
         p_met: (-met).exp(),
         p_violated: (-violated).exp(),
         interval: Some([of_short.low + floor, of_long.high + floor]),
-        decided_at_steps: mean_decided_at(bound, &short, &long, ceiling, how),
     })
-}
-
-/// Repeats the observed episodes until they would decide, up to 100 times their number.
-fn mean_decided_at(bound: Bound, short: &[f64], long: &[f64], ceiling: f64, how: How) -> Option<u64> {
-    let average = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-    let (values, wanted, below) = if average(long) < bound.limit {
-        (long, if bound.sense == Sense::AtMost { how.alpha } else { how.beta }, true)
-    } else if average(short) > bound.limit {
-        (short, if bound.sense == Sense::AtMost { how.beta } else { how.alpha }, false)
-    } else {
-        return None;
-    };
-    let again = (100_000 / values.len().max(1)).clamp(2, 100);
-    let many: Vec<f64> = values.iter().copied().cycle().take(values.len() * again).collect();
-    let decided = |repeats: usize| {
-        let n = [repeats * values.len()];
-        BoundedMean::new(&many, &n, ceiling).is_ok_and(|mean| {
-            let ln = if below { mean.ln_evidence_below(bound.limit) } else { mean.ln_evidence_above(bound.limit) };
-            ln >= -wanted.ln()
-        })
-    };
-    (1..=again).find(|repeats| decided(*repeats)).map(|repeats| repeats as u64 * how.steps)
 }

@@ -201,7 +201,7 @@ impl Whole<'_> {
         [Sampling::Fixed, Sampling::Sequential]
             .into_iter()
             .map(|sampling| {
-                let how = How { sampling, steps: self.planned, ..self.how };
+                let how = How { sampling, ..self.how };
                 self.question.result(requirement.clone(), self.task, &rounds, counts, how)
             })
             .collect()

@@ -153,6 +153,7 @@ impl ConfidenceScore {
         let scored = terms.iter().map(|term| {
             let scope = Scope { category: term.category.as_deref(), group: None };
             let range = [Some(0.0).filter(|_| term.metric == Metric::MEAN_CYCLE_TIME), None];
+            // The paper's term of the cycle time counts all endings.
             let (_, _, extremes) = figure(term.metric, trials.clone().filter(|trial| scope.holds(trial)), range);
             let b = if term.scoring.needs_baseline() { baseline.and_then(|b| b.figure(term.metric)) } else { None };
             let full = 100.0 * term.weight;

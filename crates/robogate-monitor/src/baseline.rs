@@ -78,6 +78,15 @@ impl Count {
     pub fn trials(self) -> Option<Trials> {
         Trials::new(self.count, self.of).ok()
     }
+
+    /// The count of as many fewer cycles, at the same rate.
+    fn divided(self, by: f64) -> Self {
+        if by <= 1.0 {
+            return self;
+        }
+        let of = ((self.of as f64 / by) as u64).max(1);
+        Self { count: ((self.count as f64 / by).round() as u64).min(of), of }
+    }
 }
 
 /// An error in a baseline.
@@ -146,19 +155,21 @@ impl Baseline {
 
     /// The factors of a metric's detector, or the reason why it cannot run.
     pub fn factors(&self, metric: Metric, settings: &Settings) -> Result<Factors, &'static str> {
-        self.factors_at(metric, settings, 1.0)
+        self.factors_at(metric, settings, 1.0, 1.0)
     }
 
-    /// The factors, if the bound may use only a share of the error: that of one checkpoint of a learnt rate.
+    /// The factors, if the bound may use only a share of the error: that of one checkpoint of a learnt rate. If cycles depend on
+    /// each other, the baseline counts as many fewer as their `inflation`, and evidence is divided by it.
     pub(crate) fn factors_at(
         &self,
         metric: Metric,
         settings: &Settings,
         error_share: f64,
+        inflation: f64,
     ) -> Result<Factors, &'static str> {
         let alpha = settings.alpha() * error_share;
         let event = |count: Option<Count>, failures: bool| {
-            let trials = count.and_then(Count::trials).ok_or(LEARNING)?;
+            let trials = count.and_then(|count| count.divided(inflation).trials()).ok_or(LEARNING)?;
             factors::event(bound(trials, failures, alpha)).ok_or(ROOM)
         };
         match metric {
@@ -166,7 +177,8 @@ impl Baseline {
             Metric::Event(_) => event(settings.event(metric).and_then(|name| self.events.get(name)).copied(), false),
             Metric::CycleTime | Metric::CycleTimeSpread => {
                 self.cycle_times_s.as_ref().ok_or(LEARNING)?;
-                let binned = self.binned().ok_or("the baseline has too few cycle times, or all are equal")?;
+                let mut binned = self.binned().ok_or("the baseline has too few cycle times, or all are equal")?;
+                binned.n = ((binned.n as f64 / inflation) as usize).max(1);
                 let found = if metric == Metric::CycleTime { binned.location(alpha) } else { binned.spread(alpha) };
                 found.ok_or(ROOM)
             }

@@ -62,6 +62,12 @@ impl Factors {
         self.factors.get(at..at + k).unwrap_or_default()
     }
 
+    /// The factors with their logarithms divided by `inflation`, which is at least 1.
+    pub fn tempered(&self, inflation: f64) -> Self {
+        let factors = self.factors.iter().map(|e| e.powf(1.0 / inflation.max(1.0))).collect();
+        Self { weights: self.weights.clone(), factors }
+    }
+
     /// The largest expectation of any alternative's factor, for these probabilities of the symbols. The bound on false
     /// alarms requires at most 1.
     pub fn largest_expectation(&self, probabilities: &[f64]) -> f64 {

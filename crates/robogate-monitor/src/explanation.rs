@@ -1,10 +1,11 @@
 //! The texts of an alarm: the change, its start, the guarantee, and the likely causes.
 
-use robogate_stats::format::{count, number, percent};
+use robogate_stats::format::{count, fixed, number, percent};
 use robogate_stats::overdispersion::outliers;
 use robogate_stats::{Confidence, Trials, wilson};
 
 use crate::alarm::{Alarm, Happening, Level, Since};
+use crate::block_sums::Inflation;
 use crate::cycle::Cycle;
 use crate::detector::{ChangePoint, Factors, change_point};
 use crate::domain::Validated;
@@ -70,8 +71,14 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
     let after = kept.get(..found.map_or(kept.len(), |f| f.likeliest + 1)).unwrap_or(&kept);
     let what = what(recipe, metric, after, &cycle.robot, settings);
     let promise = count(settings.promise(level).round_ties_even() as u64);
+    let condition = match recipe.inflation(metric) {
+        None => "if each cycle is as likely to fail as in the baseline, whatever happened before it".to_owned(),
+        Some(found) => {
+            format!("but this is approximate here, because the guarantee needs independent cycles: {}", depends(found))
+        }
+    };
     let how_sure = format!(
-        "The evidence reached its limit of {}. Without a change, the mean number of cycles until the first {} of any metric is at least {promise}.",
+        "The evidence reached its limit of {}. Without a change, the mean number of cycles until the first {} of any metric is at least {promise}, {condition}.",
         count(settings.limit(metric, level).round_ties_even() as u64),
         match level {
             Level::Warning => "warning",
@@ -88,6 +95,15 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
     }
     let metric = metric.name(settings).into_owned();
     alarm(recipe, cycle, Happening::Raised, level, metric, what, how_sure, since, look_at)
+}
+
+/// How cycles depend on each other, in half a sentence.
+pub(crate) fn depends(found: Inflation) -> String {
+    format!(
+        "sums of {} cycles vary {} times as much as those of independent cycles, and the evidence is divided accordingly",
+        count(found.cycles),
+        fixed(found.ratio, 1)
+    )
 }
 
 /// Describes a cleared alarm of a detector: there was no further evidence.

@@ -46,6 +46,7 @@
 
 mod alarm;
 mod baseline;
+mod block_sums;
 mod cycle;
 pub mod detector;
 pub mod domain;
@@ -69,6 +70,7 @@ pub mod simulate;
 
 pub use alarm::{Alarm, Happening, Level, Since};
 pub use baseline::{Baseline, BaselineError, Count};
+pub use block_sums::Inflation;
 pub use cycle::{Cycle, CycleError, LONGEST_NAME, MOST_PARAMETERS, ParameterValue};
 pub use events::{EventSettings, MOST_EVENTS, default_events};
 pub use metric::Metric;

@@ -10,11 +10,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::alarm::{Alarm, Happening, Level};
 use crate::baseline::Baseline;
+use crate::block_sums::{BlockSums, Inflation};
 use crate::cycle::{Cycle, ParameterValue};
 use crate::detector::{Evidence, Factors};
 use crate::domain::{Domain, Judged, Validated};
 use crate::explanation;
-use crate::factors::Binned;
+use crate::factors::{Binned, risk_of};
 use crate::history::{History, Symbols};
 use crate::learning::{Learning, Tally};
 use crate::metric::Metric;
@@ -49,6 +50,12 @@ pub struct RecipeState {
     pub(crate) modes: ModeList,
     /// By the index of the metric.
     pub(crate) evidence: Vec<Option<[Evidence; 2]>>,
+    /// The sums of blocks of cycles, by the index of the metric. A store of an earlier version has none.
+    #[serde(default)]
+    sums: Vec<BlockSums>,
+    /// How the cycles depend on each other, by the index of the metric.
+    #[serde(default)]
+    pub(crate) inflation: Vec<Option<Inflation>>,
     /// The cycle after which each detector started.
     pub(crate) began: Vec<u64>,
     pub(crate) standing: Vec<[Option<Standing>; 2]>,
@@ -211,6 +218,8 @@ impl Recipe {
             events: Vec::new(),
             modes: ModeList::default(),
             evidence: Vec::new(),
+            sums: Vec::new(),
+            inflation: Vec::new(),
             began: Vec::new(),
             standing: Vec::new(),
             paper: None,
@@ -252,6 +261,9 @@ impl Recipe {
             state.history = History::new(settings.history_cycles as usize);
             (state.evidence, state.standing) = (vec![None; detectors], vec![[None; 2]; detectors]);
             state.began = vec![state.cycles; detectors];
+        }
+        if [state.sums.len(), state.inflation.len()] != [detectors; 2] {
+            (state.sums, state.inflation) = (vec![BlockSums::default(); detectors], vec![None; detectors]);
         }
         if !state.history.fits(settings.history_cycles as usize) {
             state.history = History::new(settings.history_cycles as usize);
@@ -310,7 +322,57 @@ impl Recipe {
             }
             _ => {
                 let share = self.state.learning.error_share(metric);
-                self.state.baseline.factors_at(metric, settings, share)
+                let inflation = self.inflation(metric).map_or(1.0, |found| found.ratio);
+                let factors = self.state.baseline.factors_at(metric, settings, share, inflation)?;
+                Ok(if inflation > 1.0 { factors.tempered(inflation) } else { factors })
+            }
+        }
+    }
+
+    /// How the cycles depend on each other in a metric. `None` if they may be independent.
+    pub fn inflation(&self, metric: Metric) -> Option<Inflation> {
+        // The failures of a robot come in the same batches and shifts as those of its recipe.
+        let of = if metric == Metric::Robot { Metric::Success } else { metric };
+        self.state.inflation.get(of.index()).copied().flatten()
+    }
+
+    /// Why the promise on false alarms is approximate: one sentence for each metric whose cycles depend on each other.
+    pub fn doubts(&self, settings: &Settings) -> Vec<String> {
+        let metrics = Metric::all(settings).filter(|metric| *metric != Metric::Robot);
+        let doubt = |metric: Metric| {
+            let depends = explanation::depends(self.inflation(metric)?);
+            Some(format!("The promise is approximate for the {}: {depends}.", metric.label(settings)))
+        };
+        metrics.filter_map(doubt).collect()
+    }
+
+    /// Adds the score of a cycle to the sums of blocks, and looks for dependence now and then.
+    fn add_to_sums(&mut self, symbols: &Symbols, settings: &Settings) {
+        const EVERY: u64 = 64;
+        let bins = self.binned.as_ref().map_or(1, |binned| binned.edges.len()).max(1);
+        for metric in Metric::all(settings).filter(|metric| !matches!(metric, Metric::FailureModes | Metric::Robot)) {
+            let Some(code) = symbols.code(metric) else { continue };
+            let rank = f64::from(code) / bins as f64;
+            let score = match metric {
+                Metric::CycleTime => rank,
+                Metric::CycleTimeSpread => (2.0 * rank - 1.0).abs(),
+                Metric::Risk => risk_of(code),
+                _ => f64::from(code),
+            };
+            let i = metric.index();
+            self.state.sums[i].add(score);
+            let (evidence, factors) = (self.state.evidence[i].as_ref(), self.factors[i].as_ref());
+            // A lasting change moves sums too. While there is evidence for one, the last estimate is kept.
+            if self.state.cycles.is_multiple_of(EVERY)
+                && is_quiet(evidence, factors, &self.state.standing[i], settings.limit(metric, Level::Warning))
+            {
+                let found = self.state.sums[i].inflation(self.state.inflation[i]);
+                if found != std::mem::replace(&mut self.state.inflation[i], found) {
+                    self.begin(metric, settings);
+                    if metric == Metric::Success {
+                        self.begin(Metric::Robot, settings);
+                    }
+                }
             }
         }
     }
@@ -345,6 +407,7 @@ impl Recipe {
                 None => {}
             }
         }
+        self.add_to_sums(&symbols, settings);
         self.learn(&symbols, settings);
         let observed =
             Observed { cycle: self.state.cycles, outside: judged.outside, by_detector: self.evidence_shares(settings) };
@@ -471,11 +534,12 @@ impl Recipe {
         let (state, factors) = (&mut self.state, &self.factors);
         let quiet = |metric: Metric| {
             let i = metric.index();
-            let both = state.evidence[i].as_ref().zip(factors[i].as_ref());
-            let level = Level::Warning;
-            let limit = QUIET * settings.limit(metric, level);
-            let standing = state.standing[i].iter().any(Option::is_some);
-            !standing && both.is_none_or(|(evidence, factors)| evidence[level as usize].value(factors) < limit)
+            is_quiet(
+                state.evidence[i].as_ref(),
+                factors[i].as_ref(),
+                &state.standing[i],
+                settings.limit(metric, Level::Warning),
+            )
         };
         state.learning.update(symbols, &mut state.baseline, &state.modes, settings, quiet, |metric| {
             learnt |= 1 << metric.index();
@@ -498,6 +562,8 @@ impl Recipe {
         self.state.evidence.iter_mut().flatten().flatten().for_each(Evidence::restart);
         self.state.standing.fill([None; 2]);
         self.state.began.fill(self.state.cycles);
+        // The sums contain the cycles of the cause.
+        self.state.sums.fill(BlockSums::default());
         self.state.outside.fill(OutsideTally::default());
         self.state.robots.values_mut().for_each(RobotState::forget);
     }
@@ -586,6 +652,19 @@ impl Recipe {
         let stands = |level: Level| all().any(|both| both[level as usize].is_some());
         Level::ALL.into_iter().rev().find(|level| stands(*level))
     }
+}
+
+/// Whether a metric has no alarm, and hardly any evidence for a change. `limit` is that of a warning.
+fn is_quiet(
+    evidence: Option<&[Evidence; 2]>,
+    factors: Option<&Factors>,
+    standing: &[Option<Standing>; 2],
+    limit: f64,
+) -> bool {
+    let weak = |(evidence, factors): (&[Evidence; 2], &Factors)| {
+        evidence[Level::Warning as usize].value(factors) < QUIET * limit
+    };
+    standing.iter().all(Option::is_none) && evidence.zip(factors).is_none_or(weak)
 }
 
 /// A hash of the settings of a recipe: FNV-1a over numbers and text. It is not cryptographic.

@@ -174,7 +174,7 @@ fn no_rate_needs_materially_more_episodes() {
 }
 
 #[test]
-#[ignore = "takes minutes: writes the tables of docs/results/gate-power.md"]
+#[ignore = "takes minutes: writes the tables of docs/results/gate-e-process.md"]
 fn full_tables() {
     let mut out = String::new();
     for (n, limit) in SUITES {

@@ -353,3 +353,43 @@ fn ties_are_ties() {
     assert!(tie.is_tie() && !tie.is_significant(), "{tie:?}");
     assert!((tie.interval_95[0] + tie.interval_95[1]).abs() < 1e-4, "{tie:?}");
 }
+
+#[test]
+// Two policies on the same scenarios and seeds, in the order in which their episodes ended, and one row is missing.
+fn imported_rows_are_paired_by_scenario_and_seed() {
+    use robogate_dictionary::results::{Mapping, import};
+
+    let dir = TempDir::new().unwrap();
+    let mut rows = Vec::new();
+    for (policy, better) in [("old", 0.0), ("new", 0.15)] {
+        for i in 0..60_u64 {
+            let success = unit(i, 1) < 0.2 + 0.6 * unit(i / 3, 2) + better;
+            rows.push((unit(i, 3 + policy.len() as u64), policy, i / 3, i % 3, u8::from(success)));
+        }
+    }
+    rows.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let lost = rows.iter().position(|row| row.1 == "old").unwrap();
+    rows.remove(lost);
+    let text: String = rows
+        .iter()
+        .map(|(_, policy, scenario, seed, success)| {
+            format!("{policy},s{scenario},{seed},{}.5,{success}\n", scenario * 7 % 20)
+        })
+        .collect();
+    let results = dir.path().join("results.csv");
+    std::fs::write(&results, format!("policy_id,scenario,seed,mass,success\n{text}")).unwrap();
+    let open = |policy: &str| {
+        let path = dir.path().join(format!("{policy}.parquet"));
+        let mut mapping = Mapping::default();
+        mapping.about.policy = Some(policy.to_owned());
+        import(&results, &path, None, &mapping).unwrap();
+        (Source::open(&path).unwrap(), path)
+    };
+    let found = Comparison::of(&[open("old"), open("new")], &paired()).unwrap();
+    let pair = &found.paired[0];
+    assert_eq!((pair.first.as_str(), pair.second.as_str(), pair.scenarios, pair.unpaired), ("old", "new", 59, 1));
+    assert_eq!(pair.paired_by, ["source_seed", "scenario"]);
+    assert_eq!(pair.first_only, 0, "the new policy solves what the old one solves");
+    assert!(pair.second_only > 3 && pair.clusters == Some(20), "{pair:?}");
+    assert!(pair.how_paired().unwrap().ends_with("1 row without a partner is left out."));
+}

@@ -24,6 +24,7 @@ mod numbers;
 mod outcome;
 mod parquet;
 mod plan;
+mod policies;
 mod role;
 mod survey;
 mod task;
@@ -36,7 +37,9 @@ use std::sync::Arc;
 use aggregates::Aggregates;
 pub use format::Format;
 pub use mapping::{About, Mapping};
-pub use names::groups_rows;
+pub use names::{groups_rows, names_scenario};
+use policies::Policies;
+pub use policies::policies;
 pub use role::Role;
 pub use survey::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED, only_identifies, recorded_seed};
 
@@ -62,7 +65,8 @@ type Sink<'a> = &'a mut dyn FnMut(&RawRow) -> Result<(), DictionaryError>;
 
 /// Imports the results in `from` as the dictionary `to`.
 ///
-/// If no format is given, it is recognised from the content. If a row is invalid, no file is written.
+/// If no format is given, it is recognised from the content. If a row is invalid, no file is written. Of rows of several policies
+/// ([`policies`]), those of the policy that the mapping names are imported.
 pub fn import(from: &Path, to: &Path, format: Option<Format>, mapping: &Mapping) -> Result<Imported, DictionaryError> {
     let format = format_of(from, format)?;
     if format == Format::Published {
@@ -81,18 +85,36 @@ pub fn import(from: &Path, to: &Path, format: Option<Format>, mapping: &Mapping)
         return Err(DictionaryError::results(from, "it is already a dictionary\nHint: use it without importing it"));
     }
     let mapped = mapping.roles.contains_key(&Role::Success);
-    let mapping = mapping.over(&format.mapping()).found_in(&columns(format, from));
+    let columns = columns(format, from);
+    let mut mapping = mapping.over(&format.mapping()).found_in(&columns);
+    let policies = Policies::of(format, from, &mapping, &columns)?;
+    let wanted = mapping.about.policy.clone();
+    let kept = policies.chosen(from, wanted.as_deref())?;
+    if mapping.about.policy.is_none() {
+        mapping.about.policy = policies.only();
+    }
     let mut aggregates = Aggregates::new(mapping.column(Role::Success), mapped);
     let mut survey = survey::Survey::new(from, &mapping);
-    let frame = read(format, from, &mut |row| {
+    let mut frame = read(format, from, &mut |row| {
+        if !policies.keeps(kept, row) {
+            return Ok(());
+        }
         aggregates.take(row);
         survey.row(row)
     })?;
     aggregates.check(from)?;
+    frame.notes.extend(policies.note(kept));
     let plan = survey.plan(format, &frame)?;
     let mut writer = DictionaryWriter::create(to, &plan.provenance)?;
     let mut words = Interner::default();
-    let again = read(format, from, &mut |row| writer.push(&plan.entry(row, &mut words)?))?;
+    let mut index = 0;
+    let again = read(format, from, &mut |row| {
+        if policies.keeps(kept, row) {
+            writer.push(&plan.entry(row, index, &mut words)?)?;
+            index += 1;
+        }
+        Ok(())
+    })?;
     if again.sha256 != frame.sha256 {
         return Err(changed(from));
     }

@@ -3,6 +3,7 @@
 use robogate_core::Better;
 
 use super::role::Role;
+use super::survey::only_identifies;
 
 /// The role that a column's name suggests, if no mapping assigns one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -119,7 +120,7 @@ const EPISODE_IDS: [&str; 25] = [
 ];
 
 /// Other names of the columns of roles, in the form of [`plain`]. The role's own name comes first.
-const SPELLINGS: [(Role, &[&str]); 4] = [
+const SPELLINGS: [(Role, &[&str]); 5] = [
     (
         Role::Success,
         &[
@@ -136,6 +137,7 @@ const SPELLINGS: [(Role, &[&str]); 4] = [
     (Role::Error, &["exception", "error_message", "traceback"]),
     (Role::Seed, &["episode_seed", "env_seed"]),
     (Role::FailureMode, &["failure_category"]),
+    (Role::Policy, &["policy_id", "policy_name", "model", "model_id", "model_name", "checkpoint", "checkpoint_name"]),
 ];
 
 /// Words that name what several episodes share, if nothing but a number or a prefix stands beside them.
@@ -181,6 +183,13 @@ pub fn groups_rows(name: &str) -> bool {
         shared += usize::from(SHARED.contains(&word));
         SHARED.contains(&word) || NUMBERS.contains(&word)
     }) && shared == 1
+}
+
+/// Whether the name says that the value identifies a scenario or its seed.
+pub fn names_scenario(name: &str) -> bool {
+    let plain = plain(name);
+    let has = |known: &[&str]| plain.split('_').any(|word| known.contains(&word.trim_end_matches(char::is_numeric)));
+    has(&["scenario", "scene", "case", "layout", "task", "instruction"]) || only_identifies(name) || has(&["seed"])
 }
 
 /// The name in lower case, with `_` for every other separator.

@@ -27,8 +27,8 @@ pub(super) struct Plan<'a> {
 }
 
 impl Plan<'_> {
-    pub(super) fn entry(&self, row: &RawRow, words: &mut Interner) -> Result<Entry, DictionaryError> {
-        let index = row.number;
+    /// The entry of a row. `index` is its number among the imported rows.
+    pub(super) fn entry(&self, row: &RawRow, index: u64, words: &mut Interner) -> Result<Entry, DictionaryError> {
         let parameters = self.provenance.space.parameters().iter().zip(&self.columns);
         let requested = parameters
             .filter_map(|(parameter, column)| {

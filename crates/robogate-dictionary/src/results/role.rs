@@ -19,11 +19,13 @@ pub enum Role {
     Category,
     /// The group of the case.
     Group,
+    /// The policy that acted. A dictionary has the rows of one policy.
+    Policy,
 }
 
 impl Role {
     /// Every role.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Success,
         Self::FailureMode,
         Self::CycleTime,
@@ -32,6 +34,7 @@ impl Role {
         Self::Case,
         Self::Category,
         Self::Group,
+        Self::Policy,
     ];
 
     /// The key in a mapping, and the default column name of the role.
@@ -45,6 +48,7 @@ impl Role {
             Self::Case => "case",
             Self::Category => "category",
             Self::Group => "group",
+            Self::Policy => "policy",
         }
     }
 

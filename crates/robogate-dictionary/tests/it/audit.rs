@@ -146,3 +146,56 @@ fn control_arm_repeats_seeds_on_purpose() {
     let checked = audit(&path, None, &mapping).unwrap();
     assert_eq!(checked.found(), 0, "{:?}", checked.checks);
 }
+
+/// A number without a pattern.
+fn mixed(i: u64) -> u64 {
+    let step = |x: u64| (x ^ (x >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    step(step(step((i + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)))) >> 33
+}
+
+/// Three policies on the same scenarios with the same five seeds. Scenarios and policies have their own rates.
+fn benchmark(scenario: impl Fn(u64) -> String) -> String {
+    let mut text = String::from("policy_id,scenario_id,mass,seed,success\n");
+    for (at, policy) in ["act", "pi0", "smolvla"].iter().enumerate() {
+        for i in 0..40_u64 {
+            for seed in 0..5_u64 {
+                let success = mixed((at as u64 * 40 + i) * 5 + seed) % 100 < 20 + 25 * at as u64 + 3 * (i % 10);
+                text += &format!("{policy},{},{}.5,{seed},{}\n", scenario(i), i % 8, u8::from(success));
+            }
+        }
+    }
+    text
+}
+
+#[test]
+fn designs_are_no_artefacts() {
+    // Scenarios in cycles of eight: a position in a batch of eight rows is one of them.
+    for scenario in [|i: u64| format!("s{i}"), |i: u64| format!("{}", i % 8)] {
+        let audit = of_text("design", &benchmark(scenario));
+        assert!(problems(&audit, Check::BatchArtefacts).is_empty(), "{:?}", result(&audit, Check::BatchArtefacts));
+    }
+    let audit = of_text("design-seeds", &benchmark(|i| format!("s{i}")));
+    for check in [Check::RepeatedSeeds, Check::DuplicateInitialStates, Check::DuplicateRows] {
+        assert!(matches!(result(&audit, check), CheckResult::Clear { .. }), "{:?}", result(&audit, check));
+    }
+    // The same rows once more are still found.
+    let text = benchmark(|i| format!("s{i}"));
+    let (head, rows) = text.split_once('\n').unwrap();
+    let twice = of_text("design-twice", &format!("{head}\n{rows}{rows}"));
+    assert_eq!(problems(&twice, Check::RepeatedSeeds)[0].count, 600);
+    assert_eq!(problems(&twice, Check::DuplicateRows)[0].count, 600);
+}
+
+#[test]
+fn batch_effects_are_found_within_scenarios() {
+    // Every fourth position fails more often, in each of 50 scenarios.
+    let rows: String = (0..400_u64)
+        .map(|i| {
+            let rate = if i % 4 == 3 { 25 } else { 75 };
+            format!("s{},{},{}\n", i / 8, i, u8::from(mixed(i) % 100 < rate))
+        })
+        .collect();
+    let audit = of_text("within", &format!("scenario,seed,success\n{rows}"));
+    let found = problems(&audit, Check::BatchArtefacts);
+    assert!(found[0].what.contains("position in a batch of 4 rows"), "{found:?}");
+}

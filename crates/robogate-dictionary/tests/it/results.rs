@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use robogate_core::{Fault, FaultKind, Outcome, Value};
-use robogate_dictionary::results::{Format, Mapping, import};
+use robogate_dictionary::results::{Format, Mapping, import, policies};
 use robogate_dictionary::{Dictionary, Entry, Label, Provenance, RowSampling, Source, Stopping, write_parquet};
 
 use crate::common::{Folder, entry, provenance};
@@ -503,4 +503,36 @@ fn layouts_of_other_tools_are_understood() {
     assert_eq!(words(&entries).iter().filter(|word| **word == "success").count(), 6);
     assert!(roles(&provenance).contains(&"Success_Rate: success".to_owned()));
     assert!(roles(&provenance).contains(&"Horizon: measure Horizon".to_owned()));
+}
+
+#[test]
+fn one_dictionary_has_one_policy() {
+    let folder = Folder::new("results-policies");
+    let path = folder.join("t.csv");
+    let rows: String = (0..12).map(|i| format!("{},{},{},{}\n", ["a", "b"][i % 2], i / 2, i % 3, i % 2)).collect();
+    fs::write(&path, format!("policy_id,seed,mass,success\n{rows}")).unwrap();
+    let mut mapping = Mapping::default();
+    assert_eq!(policies(&path, None, &mapping).unwrap(), ["a", "b"]);
+    let error = import(&path, &folder.join("d.parquet"), None, &mapping).unwrap_err().to_string();
+    assert!(
+        error.contains("column `policy_id` names 2 policies: `a`, `b`") && error.contains("--policy NAME"),
+        "{error}"
+    );
+    mapping.about.policy = Some("b".to_owned());
+    let (provenance, entries) = imported(&path, None, &mapping);
+    assert_eq!((provenance.policy.as_str(), words(&entries)), ("b", vec!["success"; 6]));
+    assert!(entries.iter().enumerate().all(|(at, entry)| entry.index() == at as u64));
+    assert!(provenance.space.parameters().iter().all(|parameter| &*parameter.name != "policy_id"));
+    assert!(source(&provenance).notes.iter().any(|note| note.contains("Rows of the policy `b`: 6 of 12")));
+    mapping.about.policy = Some("c".to_owned());
+    let error = import(&path, &folder.join("d.parquet"), None, &mapping).unwrap_err().to_string();
+    assert!(error.contains("and not `c`"), "{error}");
+    // The only policy of a file is its policy, and a given role comes first.
+    fs::write(&path, "model,seed,mass,success\npi0,1,2,1\npi0,2,3,0\n").unwrap();
+    assert_eq!(imported(&path, None, &Mapping::default()).0.policy, "pi0");
+    fs::write(&path, "model,seed,mass,success\nmug,1,2,1\nbowl,2,3,0\n").unwrap();
+    let mut mapping = Mapping::default();
+    mapping.add("parameter.model=model", "--map").unwrap();
+    let (provenance, entries) = imported(&path, None, &mapping);
+    assert_eq!((provenance.policy.as_str(), entries.len()), ("unknown", 2));
 }

@@ -149,6 +149,7 @@ function recipe(r) {
       el("span", { class: "dim" }, `${range(shown.interval_95)} in the last ${whole(shown.cycles)}; ` +
         `baseline ${r.baseline == null ? "being learnt" : percent(r.baseline)}; all ${whole(r.all.cycles)} cycles ${percent(r.all.rate)}` +
         (r.paper ? `; the paper's rule: ${r.paper}` : ""))),
+    ...r.dependence.map(text => el("div", { class: "warning" }, text)),
     ...r.detectors.map(detector), ...r.outside.map(outside), ...course(r));
 }
 function outside(o) {
@@ -300,7 +301,8 @@ function show() {
     choices("of-recipe", s.recipes.map(r => r.recipe).sort());
     choices("of-robot", [...robotsKnown].sort());
     $("promise").textContent = `Without a change, the mean number of cycles to a false warning is at least ${whole(s.promised_cycles[0])}, ` +
-      `to a false critical alarm at least ${whole(s.promised_cycles[1])}, over all metrics and recipes together. ` +
+      `to a false critical alarm at least ${whole(s.promised_cycles[1])}, over all metrics and recipes together, ` +
+      "if each cycle is as likely to fail as in the baseline, whatever happened before it. Recipes whose cycles depend on each other say so. " +
       "Bars show the evidence of a detector relative to its critical limit, on a logarithmic scale.";
     const name = $("of-recipe").value;
     fill("recipes", s.recipes.filter(r => !name || r.recipe === name), recipe, "No cycle has arrived yet.");

@@ -115,6 +115,8 @@ pub struct RecipeStatus {
     pub all: RateStatus,
     /// The success rate of the baseline. `None` while it is being learnt.
     pub baseline: Option<f64>,
+    /// Why the promise on false alarms is approximate, one sentence for each metric whose cycles depend on each other.
+    pub dependence: Vec<String>,
     /// Its detectors.
     pub detectors: Vec<DetectorStatus>,
     /// Cycles outside the validated region, by parameter, since the detectors started.
@@ -199,6 +201,7 @@ fn recipe_status(name: &str, recipe: &Recipe, settings: &Settings, charts: bool)
         window: RateStatus::of(recipe.window()),
         all: RateStatus::of(recipe.trials()),
         baseline: recipe.baseline().success_rate(),
+        dependence: recipe.doubts(settings),
         detectors: recipe.detectors(settings).into_iter().map(detector).collect(),
         outside: outside.collect(),
         charts: charts.then(|| Charts::of(recipe, settings)),

@@ -38,7 +38,7 @@ pub struct RequirementRow {
 impl RequirementRow {
     /// The rows of all requirements of an evaluation, with the comparison last.
     pub fn all(evaluation: &Evaluation) -> Vec<Self> {
-        let mut rows: Vec<Self> = evaluation.results.iter().map(|f| Self::of(f, evaluation)).collect();
+        let mut rows: Vec<Self> = evaluation.results.iter().map(Self::of).collect();
         if let Some(c) = &evaluation.comparison {
             let interval = if c.difference.is_some() {
                 format!("{} to {}", points(c.interval_95[0]), points(c.interval_95[1]))
@@ -68,7 +68,7 @@ impl RequirementRow {
         rows
     }
 
-    fn of(result: &RequirementResult, evaluation: &Evaluation) -> Self {
+    fn of(result: &RequirementResult) -> Self {
         let metric = result.requirement.metric;
         let text = |x: f64| value(metric, &result.unit, x);
         let scope = match (&result.requirement.category, &result.requirement.group) {
@@ -89,7 +89,7 @@ impl RequirementRow {
         let mut notes = Vec::new();
         match result.status {
             Status::NoEvidence => notes.push("no episode gives evidence".to_owned()),
-            Status::Undecided => notes.extend(NextBudget::of(result, evaluation).map(|next| chance(&next))),
+            Status::Undecided => notes.extend(result.next.as_ref().map(chance)),
             Status::Met | Status::Violated => {}
         }
         if result.invalid > 0 && result.status != Status::NoEvidence {
@@ -134,7 +134,7 @@ pub fn what_next(evaluation: &Evaluation) -> String {
     if evaluation.verdict != Verdict::Inconclusive {
         return String::new();
     }
-    let undecided = evaluation.results.iter().filter_map(|result| Some((result, NextBudget::of(result, evaluation)?)));
+    let undecided = evaluation.results.iter().filter_map(|result| Some((result, result.next?)));
     let hardest = undecided.min_by(|a, b| a.1.at_observed.total_cmp(&b.1.at_observed));
     hardest.map_or_else(String::new, |(result, next)| {
         format!("`{}`: {}. The episodes of this run may not be counted again.", result.id, chance(&next))
@@ -183,10 +183,11 @@ fn levels(evaluation: &Evaluation) -> String {
     let confidence = evaluation.requirements.confidence;
     let groups = match evaluation.sampling {
         Sampling::Fixed => "exact",
+        Sampling::Sequential if evaluation.planned_rounds.is_some() => "those of the same test",
         Sampling::Sequential => "valid at any number of episodes",
     };
     format!(
-        " Each of the two bounds of a requirement holds at {}, so both together are a {} interval. Intervals of groups are {groups}, at 95 %.",
+        " Each of the two bounds of a requirement holds at {}, so both together are a {} interval. The 95 % intervals of groups are {groups}.",
         percent(confidence),
         percent(2.0 * confidence - 1.0)
     )
@@ -202,6 +203,9 @@ fn test_used(evaluation: &Evaluation) -> String {
         ),
         (Mode::Confidence, Sampling::Sequential) if evaluation.counts.rounds.is_none() => format!(
             "Each requirement is tested at {percent} confidence by a test that is valid however the number of episodes was chosen. If it was fixed in advance, import with `--stopping fixed`: the exact test needs fewer episodes. A pass states that all requirements hold, a fail that at least one does not; each is wrong with a probability of at most {error}."
+        ),
+        (Mode::Confidence, Sampling::Sequential) if evaluation.planned_rounds.is_none() => format!(
+            "Each requirement is tested at {percent} confidence after each round, by a test that is valid for any number of rounds. A pass states that all requirements hold, a fail that at least one does not; each is wrong with a probability of at most {error}."
         ),
         (Mode::Confidence, Sampling::Sequential) => format!(
             "Each requirement is tested at {percent} confidence after each round, by a test for the number of rounds that was planned before the first (it assumes independent scenarios and fresh randomness in each round). A pass states that all requirements hold, a fail that at least one does not; each is wrong with a probability of at most {error}."

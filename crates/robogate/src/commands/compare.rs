@@ -235,6 +235,7 @@ fn differences(of: &Comparison) {
 fn paired(pair: &PairedComparison) {
     heading(format_args!("{} and {}, scenario by scenario", pair.first, pair.second));
     line(format_args!("  {} of {} scenarios are valid in both", grouped(pair.valid_pairs), grouped(pair.scenarios)));
+    pair.how_paired().iter().for_each(|text| wrapped(text));
     for (name, rate) in [(&pair.first, &pair.first_rate), (&pair.second, &pair.second_rate)] {
         line(format_args!(
             "  {} {:>7} {} {}",

@@ -2,14 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use clap::{Args, ValueEnum};
 use robogate_core::Word;
-use robogate_dictionary::results::{Format, Mapping, import};
+use robogate_dictionary::results::{Format, Mapping, import, policies};
 use robogate_dictionary::{RowSampling, Stopping, read_text};
 
 use crate::commands::export::require_absent;
-use crate::exit::{DONE, Exit, OrExit};
+use crate::exit::{DONE, Exit, OrExit, USAGE};
 use crate::place;
 use crate::terminal::{foreign, grouped, note};
 
@@ -17,8 +17,8 @@ use crate::terminal::{foreign, grouped, note};
 ///
 /// Reads LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON dictionaries, and tables with one
 /// row per episode: CSV, JSON Lines or Parquet, including those of `robogate export`. The table columns success,
-/// failure_mode, failure_type, cycle_time_s, error, seed, case, category and group are recognised by name, in any
-/// spelling. Columns whose name says reward, return, length or time are measures, and identifiers are not used. Every
+/// failure_mode, failure_type, cycle_time_s, error, seed, case, category, group and policy are recognised by name, in any
+/// spelling. Rows of several policies become one dictionary for each, OUT-POLICY.parquet. Columns whose name says reward, return, length or time are measures, and identifiers are not used. Every
 /// other column is a parameter, unless the mapping assigns it another role (`--map flag.jammed=jam_detected`). The
 /// command prints the role of each column. Every word is accepted as a failure mode. Episodes that ended with an error
 /// become invalid episodes, not failures.
@@ -42,7 +42,7 @@ pub(crate) struct Import {
     /// Set the name of the task
     #[arg(long)]
     task: Option<String>,
-    /// Set the name of the policy
+    /// Set the name of the policy; if a column names several policies, import the rows of this one
     #[arg(long)]
     policy: Option<String>,
     /// Set the name of the robot
@@ -109,12 +109,36 @@ impl From<Layout> for Format {
 
 impl Import {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        require_absent(&self.out)?;
         let mapping = self.mapping()?;
-        let imported = import(&self.results, &self.out, self.format.map(Format::from), &mapping).or_usage()?;
+        let format = self.format.map(Format::from);
+        let found = policies(&self.results, format, &mapping).or_usage()?;
+        if self.policy.is_some() || found.len() < 2 {
+            return self.import_one(&self.out, &mapping);
+        }
+        note(format_args!("{} policies, one dictionary for each", found.len()));
+        let of_each: Vec<(PathBuf, String)> = found.into_iter().map(|name| (beside(&self.out, &name), name)).collect();
+        if let Some(at) = (1..of_each.len()).find(|at| of_each[..*at].iter().any(|(path, _)| *path == of_each[*at].0)) {
+            let error = anyhow!(
+                "the policies give the same file name {}\nHint: import them one by one with --policy NAME",
+                of_each[at].0.display()
+            );
+            return Err(Exit { code: USAGE, error });
+        }
+        of_each.iter().try_for_each(|(path, _)| require_absent(path))?;
+        for (path, name) in of_each {
+            let mut mapping = mapping.clone();
+            mapping.about.policy = Some(name);
+            self.import_one(&path, &mapping)?;
+        }
+        Ok(DONE)
+    }
+
+    fn import_one(&self, out: &Path, mapping: &Mapping) -> Result<u8, Exit> {
+        require_absent(out)?;
+        let imported = import(&self.results, out, self.format.map(Format::from), mapping).or_usage()?;
         let source = imported.provenance.source.iter();
         let format = source.clone().map(|source| source.format.as_str()).next().unwrap_or_default();
-        note(format_args!("{}: {} rows from {format}", foreign(self.out.display()), grouped(imported.written.rows)));
+        note(format_args!("{}: {} rows from {format}", foreign(out.display()), grouped(imported.written.rows)));
         source.clone().flat_map(|source| &source.notes).for_each(|remark| note(format_args!("  {}", foreign(remark))));
         for column in source.clone().flat_map(|source| &source.columns) {
             let values = if column.values < imported.written.rows {
@@ -158,6 +182,15 @@ impl Import {
         }
         Ok(mapping)
     }
+}
+
+/// The dictionary of one of several policies, beside `out`.
+fn beside(out: &Path, policy: &str) -> PathBuf {
+    let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
+    let policy: String = policy.chars().map(plain).collect();
+    let stem = out.file_stem().unwrap_or_default().to_string_lossy();
+    let ending = out.extension().map_or_else(String::new, |ending| format!(".{}", ending.to_string_lossy()));
+    out.with_file_name(format!("{stem}-{policy}{ending}"))
 }
 
 /// The mapping of a file, completed with pairs of the command line.

@@ -3,6 +3,7 @@
 mod cross_table;
 mod disagreement;
 mod flips;
+mod keys;
 mod rows;
 
 use robogate_stats::clusters::paired_clusters;
@@ -32,6 +33,12 @@ pub struct PairedComparison {
     pub second: String,
     /// Scenarios that both ran.
     pub scenarios: u64,
+    /// The columns by which imported rows were paired: case, seed, otherwise all parameters. Absent for runs with the same design.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub paired_by: Vec<String>,
+    /// Imported rows of either dataset without a partner. They are excluded.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub unpaired: u64,
     /// Scenarios that are valid in both. All figures below apply to them.
     pub valid_pairs: u64,
     /// Both succeeded.
@@ -75,10 +82,26 @@ impl PairedComparison {
         self.adjusted_p <= ERROR
     }
 
+    /// How imported rows were paired, as a sentence. `None` for runs with the same design.
+    pub fn how_paired(&self) -> Option<String> {
+        let by = Some(self.paired_by.join(", ")).filter(|by| !by.is_empty())?;
+        let left_out = match self.unpaired {
+            0 => String::new(),
+            1 => " 1 row without a partner is left out.".to_owned(),
+            n => format!(" {n} rows without a partner are left out."),
+        };
+        Some(format!("Pairs are rows with the same {by}.{left_out}"))
+    }
+
     /// Whether both succeeded equally often.
     pub fn is_tie(&self) -> bool {
         self.valid_pairs > 0 && self.first_only == self.second_only
     }
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_zero(n: &u64) -> bool {
+    *n == 0
 }
 
 /// Scenarios that are invalid in one of the two.
@@ -136,6 +159,8 @@ fn compared(pairs: &PairedRows<'_>, pair: Option<(&str, &str)>, max_flips: usize
         first: pairs.first.name.clone(),
         second: pairs.second.name.clone(),
         scenarios: pairs.rows.len() as u64,
+        paired_by: pairs.by.clone(),
+        unpaired: pairs.unpaired,
         valid_pairs: counts.n(),
         both: counts.both,
         first_only: counts.first_only,

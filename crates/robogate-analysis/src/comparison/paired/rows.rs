@@ -1,10 +1,11 @@
 //! Pairs the rows of two datasets by scenario.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use robogate_dictionary::{Column, DictionaryError};
 use robogate_stats::compare::Pairs;
 
+use super::keys;
 use crate::comparison::dataset::Dataset;
 use crate::table::Ending;
 
@@ -38,6 +39,10 @@ pub(super) struct PairedRows<'a> {
     pub(super) first: &'a Dataset<'a>,
     pub(super) second: &'a Dataset<'a>,
     pub(super) rows: Vec<(usize, usize)>,
+    /// The columns that identify the scenarios of imported rows. Empty for equal designs.
+    pub(super) by: Vec<String>,
+    /// Rows of either dataset without a partner in the other one.
+    pub(super) unpaired: u64,
 }
 
 impl<'a> PairedRows<'a> {
@@ -52,10 +57,23 @@ impl<'a> PairedRows<'a> {
         two: &Design,
     ) -> Result<Self, String> {
         let (one, two) = (one.shared_with(first, second, two), two.shared_with(second, first, one));
-        match difference(first, &one, second, &two) {
-            Some(difference) => Err(difference),
-            None => Ok(Self { first, second, rows: one.rows.into_iter().zip(two.rows).collect() }),
+        let Some(difference) = difference(first, &one, second, &two) else {
+            let rows = one.rows.into_iter().zip(two.rows).collect();
+            return Ok(Self { first, second, rows, by: Vec::new(), unpaired: 0 });
+        };
+        // Tools number their episodes in their own order.
+        let imported = |dataset: &Dataset<'_>| dataset.provenance().source.is_some();
+        let keys =
+            if imported(first) && imported(second) { keys::common(first, &one.rows, second, &two.rows) } else { None };
+        let Some(keys::Keys { by, of }) = keys else { return Err(difference) };
+        let there: BTreeMap<&[String], usize> = of[1].iter().map(Vec::as_slice).zip(two.rows.iter().copied()).collect();
+        let pair = |(key, row): (&Vec<String>, &usize)| Some((*row, *there.get(key.as_slice())?));
+        let rows: Vec<(usize, usize)> = of[0].iter().zip(&one.rows).filter_map(pair).collect();
+        if rows.is_empty() {
+            return Err(format!("no row has the same {} in both", by.join(", ")));
         }
+        let unpaired = (one.rows.len() + two.rows.len() - 2 * rows.len()) as u64;
+        Ok(Self { first, second, rows, by, unpaired })
     }
 
     /// How the scenario ended in both datasets.

@@ -108,7 +108,12 @@ fn initial_states(table: &Table<'_>) -> Outcome {
         return Err("no column identifies the initial state, and no parameter has real values".to_owned());
     }
     let groups = grouped(table, |row| {
-        let state = if by_name { row.state.clone() } else { row.parameters.map(|hash| hash.to_string()) };
+        let state = if by_name {
+            row.state.clone()
+        } else {
+            // Parameters describe the scenario. Its seeds give different initial states.
+            row.parameters.map(|hash| format!("{hash} {}", row.seed.as_deref().unwrap_or_default()))
+        };
         state.map(|state| (row.place(), state))
     });
     let repeated: Vec<&Vec<usize>> = groups.values().filter(|rows| rows.len() > 1).collect();
@@ -247,7 +252,7 @@ fn seeds(table: &Table<'_>) -> Outcome {
     if table.seed.is_empty() {
         return Err("no column has the seed".to_owned());
     }
-    let groups = grouped(table, |row| Some((row.place(), row.seed.clone()?)));
+    let groups = grouped(table, |row| Some((row.scenario(), row.seed.clone()?)));
     let distinct: BTreeSet<&String> = groups.keys().map(|(_, seed)| seed).collect();
     let mut rows: Vec<usize> = groups.values().flat_map(|rows| rows.iter().skip(1)).copied().collect();
     rows.sort_unstable();
@@ -335,32 +340,40 @@ fn batches(table: &Table<'_>) -> Outcome {
     Ok((problems, names(&table.environment)))
 }
 
-/// Pearson's chi-square statistic of success by group, as a standard normal number (Wilson and Hilferty 1931). `None`
-/// with fewer than two groups, or if fewer than five successes and failures are expected per group.
+/// The chi-square statistic of success by group within scenarios, as a standard normal number (Mantel and Haenszel 1959; Wilson and
+/// Hilferty 1931). Scenarios and policies differ by design, so each row is compared with the rate of its own. `None` with fewer than
+/// two groups, or if fewer than five successes and failures are expected per group.
 fn dependence(table: &Table<'_>, group: impl Fn(usize, &AuditRow) -> Option<i64>) -> Option<f64> {
-    let mut counts: BTreeMap<i64, [f64; 2]> = BTreeMap::new();
-    for (at, row) in table.rows.iter().enumerate() {
-        if let (Some(success), Some(group)) = (row.success, group(at, row)) {
-            counts.entry(group).or_default()[usize::from(success)] += 1.0;
+    // Parameters that hardly ever repeat are no scenarios.
+    let scenarios = grouped(table, |row| Some(row.scenario()));
+    let repeated = 2 * scenarios.len() <= table.rows.len();
+    let strata = if repeated { scenarios.into_values() } else { places(table).into_values() };
+    // Rows, successes, expected successes and their variance in each group.
+    let mut counts: BTreeMap<i64, [f64; 4]> = BTreeMap::new();
+    for rows in strata {
+        let known: Vec<(i64, bool)> =
+            rows.into_iter().filter_map(|at| Some((group(at, &table.rows[at])?, table.rows[at].success?))).collect();
+        let rate = known.iter().filter(|(_, success)| *success).count() as f64 / known.len().max(1) as f64;
+        for (group, success) in known {
+            let count = counts.entry(group).or_default();
+            let row = [1.0, f64::from(u8::from(success)), rate, rate * (1.0 - rate)];
+            count.iter_mut().zip(row).for_each(|(sum, x)| *sum += x);
         }
     }
-    let total = |which: usize| counts.values().map(|count| count[which]).sum::<f64>();
-    let (failures, successes) = (total(0), total(1));
-    let (n, k) = (failures + successes, counts.len() as f64 - 1.0);
-    let enough = failures.min(successes) / counts.len().max(1) as f64 >= 5.0;
-    if k < 1.0 || !enough {
+    let (n, successes) = counts.values().fold((0.0, 0.0), |(n, k), count| (n + count[0], k + count[1]));
+    let k = counts.len() as f64 - 1.0;
+    let enough = f64::min(n - successes, successes) / counts.len().max(1) as f64 >= 5.0;
+    if k < 1.0 || !enough || counts.values().any(|count| count[3] < 1.0) {
         return None;
     }
-    let statistic: f64 = counts
-        .values()
-        .map(|count| {
-            let size = count[0] + count[1];
-            let (expected_0, expected_1) = (size * failures / n, size * successes / n);
-            (count[0] - expected_0).powi(2) / expected_0 + (count[1] - expected_1).powi(2) / expected_1
-        })
-        .sum();
+    let statistic: f64 = counts.values().map(|count| (count[1] - count[2]).powi(2) / count[3]).sum();
     let spread = 2.0 / (9.0 * k);
     Some(((statistic / k).cbrt() - (1.0 - spread)) / spread.sqrt())
+}
+
+/// The rows of each task, case and arm.
+fn places(table: &Table<'_>) -> BTreeMap<(String, Option<u64>), Vec<usize>> {
+    grouped(table, |row| Some((row.place(), None)))
 }
 
 /// Whether equal outcomes stand side by side within a task more often than chance allows: the runs test (Wald and
@@ -384,11 +397,10 @@ fn sorted_by_outcome(table: &Table<'_>) -> bool {
 
 /// The period with which the seeds repeat, and the repeated rows.
 fn seed_period(table: &Table<'_>) -> Option<(usize, Vec<usize>)> {
-    let seeds: Option<Vec<(&String, &String)>> =
-        table.rows.iter().map(|row| Some((&row.arm, row.seed.as_ref()?))).collect();
+    let seeds: Option<Vec<_>> = table.rows.iter().map(|row| Some((row.scenario(), row.seed.as_ref()?))).collect();
     let seeds = seeds?;
-    let first = *seeds.first()?;
-    let period = 1 + seeds.iter().skip(1).position(|seed| *seed == first)?;
+    let first = seeds.first()?;
+    let period = 1 + seeds.iter().skip(1).position(|seed| seed == first)?;
     // A period of one is a seed of the whole run, which the check of seeds reports.
     let repeats = period > 1 && (period..seeds.len()).all(|at| seeds[at] == seeds[at - period]);
     repeats.then(|| (period, (period..seeds.len()).collect()))

@@ -75,7 +75,7 @@ pub(super) struct AuditRow {
     pub(super) seed: Option<String>,
     /// Task and case.
     pub(super) case: String,
-    /// Category and group. The arms of a paired comparison share task and seed on purpose.
+    /// Category, group and policy. The arms of a paired comparison share task and seed on purpose.
     pub(super) arm: String,
     /// The number of the episode, within its case or in the file.
     pub(super) episode: Option<i64>,
@@ -85,6 +85,8 @@ pub(super) struct AuditRow {
     pub(super) state: Option<String>,
     /// Hash of all parameters.
     pub(super) parameters: Option<u64>,
+    /// Hash of the parameters that are numbers.
+    numbers: Option<u64>,
     /// Hash of all fields.
     pub(super) whole: u64,
 }
@@ -113,9 +115,15 @@ pub(super) struct Table<'a> {
 }
 
 impl AuditRow {
-    /// Task, case and arm: where a seed or the number of an episode is expected once.
+    /// Task, case and arm: where the number of an episode is expected once.
     pub(super) fn place(&self) -> String {
         format!("{}{}", self.case, self.arm)
+    }
+
+    /// Place and numbers of the scenario: where a seed is expected once. A design may run the same seeds in each of its scenarios.
+    /// A word may name the arm of a comparison, which is no other scenario.
+    pub(super) fn scenario(&self) -> (String, Option<u64>) {
+        (self.place(), self.numbers)
     }
 
     fn add_arm(&mut self, value: &Scalar) {
@@ -187,6 +195,8 @@ impl<'a> Table<'a> {
             }
         }
         row.parameters = (!parameters.is_empty()).then(|| hashed(&parameters));
+        parameters.retain(|(_, value)| matches!(value, Scalar::Integer(_) | Scalar::Number(_)));
+        row.numbers = (!parameters.is_empty()).then(|| hashed(&parameters));
         row.whole = hashed(&whole);
         self.rows.push(row);
         Ok(())
@@ -284,7 +294,7 @@ impl<'a> Table<'a> {
                 row.seed = Some(value.show());
                 return;
             }
-            Some(Role::Category | Role::Group) => {
+            Some(Role::Category | Role::Group | Role::Policy) => {
                 row.add_arm(value);
                 return;
             }

@@ -59,6 +59,7 @@ fn facts(pair: &PairedComparison) -> Vec<(String, String)> {
         ),
         ("Scenarios".to_owned(), format!("{}, {} valid in both", count(pair.scenarios), count(pair.valid_pairs))),
     ];
+    facts.extend(pair.how_paired().map(|text| ("Pairs".to_owned(), text)));
     if pair.invalid.either > 0 {
         facts.push((
             "Invalid".to_owned(),

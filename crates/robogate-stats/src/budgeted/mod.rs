@@ -2,10 +2,9 @@
 //!
 //! A test that is valid forever pays for looks that never come. With a known largest number of rounds, each one-sided test at
 //! error α is the union of two: the e-process of [`crate::stratified`] at a share of α, which ends clear cases after few rounds,
-//! and a boundary of Wang and Tsiatis (Δ = 0, that of O'Brien and Fleming) on exact binomial tails: after r of R rounds, the
-//! normal score of the tail probability is compared with c / √(r/R). The constant c is the smallest for which both together
-//! have an error of at most α at the limit. The probability is exact for equal rates: the distribution of the number of successes
-//! is propagated from round to round.
+//! and a boundary of the family of Wang and Tsiatis on exact binomial tails, whose shape is chosen for the limit (`shape`). Its
+//! constant c is the smallest for which both together have an error of at most α at the limit. The probability is exact for equal
+//! rates: the distribution of the number of successes is propagated from round to round.
 //!
 //! Conditions: looks only after complete rounds in which each scenario runs once; results are independent, with fresh
 //! randomness in each round; the largest number of rounds is fixed before the first. The e-process is valid for any rates of the
@@ -21,6 +20,10 @@ use robogate_maths::normal;
 use crate::compare::at_least;
 use crate::interval::{Interval, Trials};
 use crate::stratified::{Strata, bounds, ln_pooled_part_above};
+
+mod shape;
+
+use shape::Shape;
 
 /// The part of the error of the e-process.
 const EVIDENCE: f64 = 0.4;
@@ -44,13 +47,18 @@ impl Budget {
     /// The smallest number of successes after each round that shows "the rate is above `p0`" at error `alpha`. A number above
     /// that of the trials means that the round cannot show it.
     pub fn boundary(self, p0: f64, alpha: f64) -> Vec<u64> {
-        let tails = Tails::new(self, p0);
         let evidence = self.evidence_boundary(p0, EVIDENCE * alpha);
-        let union = |c: f64| tails.boundary(c).into_iter().zip(&evidence).map(|(a, b)| a.min(*b)).collect::<Vec<u64>>();
+        self.calibrated(p0, USED * alpha, Shape::of(self, p0), &Tails::new(self, p0), &evidence, 30)
+    }
+
+    /// The union of a boundary of `shape` and of the e-process, with an error of at most `error`.
+    fn calibrated(self, p0: f64, error: f64, shape: Shape, tails: &Tails, evidence: &[u64], steps: usize) -> Vec<u64> {
+        let union =
+            |c: f64| tails.boundary(c, shape).into_iter().zip(evidence).map(|(a, b)| a.min(*b)).collect::<Vec<u64>>();
         let (mut low, mut high) = (0.0, 9.0);
-        for _ in 0..30 {
+        for _ in 0..steps {
             let c = 0.5 * (low + high);
-            if self.crossing(p0, &union(c)) > USED * alpha { low = c } else { high = c }
+            if self.course(p0, &union(c)).0 > error { low = c } else { high = c }
         }
         union(high)
     }
@@ -63,9 +71,9 @@ impl Budget {
         if !(p0 > 0.0 && p0 < 1.0) {
             return by_evidence.min(0.0);
         }
-        let tails = Tails::new(self, p0);
-        let boundary = tails.boundary(self.score(looks, p0));
-        let mut alpha = self.crossing(p0, &boundary) / USED;
+        let shape = Shape::of(self, p0);
+        let boundary = Tails::new(self, p0).boundary(self.score(looks, p0, shape), shape);
+        let mut alpha = self.course(p0, &boundary).0 / USED;
         // The smallest error at which both tests together would reject: the e-process has a part of it.
         for _ in 0..40 {
             if alpha >= 1.0 {
@@ -83,7 +91,7 @@ impl Budget {
 
     /// The rates that the test does not exclude at error `alpha` on each side. Its lower end is at least `limit` if and only if
     /// the test shows that at this error. `above` and `below` are the scenarios after each look, with successes counted and with
-    /// failures counted.
+    /// failures counted. Each end is that of the test with the shape of its limit.
     pub fn bounds(self, above: &[Strata], below: &[Strata], alpha: f64, limit: f64) -> Interval {
         let by_evidence = bounds(above, below, EVIDENCE * alpha, limit);
         let low = self.end(above, alpha, limit, by_evidence.low);
@@ -94,8 +102,9 @@ impl Budget {
     fn end(self, strata: &[Strata], alpha: f64, limit: f64, by_evidence: f64) -> f64 {
         let looks: Vec<Trials> = strata.iter().map(Strata::trials).collect();
         let Some(rate) = looks.last().and_then(|trials| trials.rate()) else { return by_evidence };
+        let shape = Shape::of(self, limit);
         let rejected = |p: f64| {
-            let boundary = Tails::new(self, p).boundary(self.score(&looks, p));
+            let boundary = Tails::new(self, p).boundary(self.score(&looks, p, shape), shape);
             self.joint(p, &boundary, alpha) <= USED * alpha
         };
         let (mut low, mut high) = (by_evidence, rate.max(by_evidence));
@@ -113,14 +122,14 @@ impl Budget {
     fn joint(self, p0: f64, boundary: &[u64], alpha: f64) -> f64 {
         let evidence = self.evidence_boundary(p0, EVIDENCE * alpha);
         let union: Vec<u64> = boundary.iter().zip(&evidence).map(|(a, b)| (*a).min(*b)).collect();
-        self.crossing(p0, &union)
+        self.course(p0, &union).0
     }
 
-    /// The largest statistic of the looks: normal score times the square root of the share of rounds.
-    fn score(self, looks: &[Trials], p0: f64) -> f64 {
+    /// The largest statistic of the looks: normal score divided by the factor of the round.
+    fn score(self, looks: &[Trials], p0: f64, shape: Shape) -> f64 {
         let score = |trials: &Trials| {
             let tail = at_least(*trials, p0).exp().clamp(1e-300, 1.0 - 1e-12);
-            -normal::quantile(tail) * (trials.n() as f64 / (self.per_round * self.rounds) as f64).sqrt()
+            -normal::quantile(tail) / shape.factor(trials.n() / self.per_round.max(1), self.rounds)
         };
         looks.iter().map(score).fold(f64::NEG_INFINITY, f64::max)
     }
@@ -142,12 +151,14 @@ impl Budget {
             .collect()
     }
 
-    /// The probability that the number of successes reaches a boundary after any round, at equal rates `p`.
-    fn crossing(self, p: f64, boundary: &[u64]) -> f64 {
+    /// The probability that the number of successes reaches a boundary after any round, at equal rates `p`, and the expected
+    /// number of trials.
+    fn course(self, p: f64, boundary: &[u64]) -> (f64, f64) {
         let step = pmf(self.per_round, p);
         let (mut from, mut going) = (0_u64, vec![1.0]);
-        let mut crossed = 0.0;
+        let (mut crossed, mut trials) = (0.0, 0.0);
         for limit in boundary {
+            trials += (1.0 - crossed) * self.per_round as f64;
             let mut next = vec![0.0; going.len() + step.1.len() - 1];
             for (k, probability) in going.iter().enumerate() {
                 for (j, s) in step.1.iter().enumerate() {
@@ -166,7 +177,7 @@ impl Budget {
             }
             going = next;
         }
-        crossed
+        (crossed, trials)
     }
 }
 
@@ -201,14 +212,16 @@ impl Tails {
         Self { rounds: (1..=budget.rounds).map(tail).collect() }
     }
 
-    /// The smallest counts whose score reaches c / √t.
-    fn boundary(&self, c: f64) -> Vec<u64> {
-        let of = |(at, (first, tails)): (usize, &(u64, Vec<f64>))| {
-            let share = (at + 1) as f64 / self.rounds.len() as f64;
-            let level = normal::sf(c / share.sqrt()) * (1.0 + 1e-9);
-            first + tails.partition_point(|tail| *tail > level) as u64
-        };
-        self.rounds.iter().enumerate().map(of).collect()
+    /// The smallest counts whose scores reach c times the factor of their round.
+    fn boundary(&self, c: f64, shape: Shape) -> Vec<u64> {
+        let rounds = self.rounds.len() as u64;
+        (1..=rounds).map(|round| self.least(round, normal::sf(c * shape.factor(round, rounds)))).collect()
+    }
+
+    /// The smallest count after a round whose tail probability is at most `level`.
+    fn least(&self, round: u64, level: f64) -> u64 {
+        let Some((first, tails)) = self.rounds.get(round as usize - 1) else { return u64::MAX };
+        first + tails.partition_point(|tail| *tail > level * (1.0 + 1e-9)) as u64
     }
 }
 
@@ -221,7 +234,7 @@ mod tests {
     #[test]
     fn errors_use_the_level() {
         for p0 in [0.05, 0.5, 0.8, 0.92, 0.95, 0.98, 0.99] {
-            let error = GATE.crossing(p0, &GATE.boundary(p0, 0.05));
+            let error = GATE.course(p0, &GATE.boundary(p0, 0.05)).0;
             assert!(error <= 0.05 && error > 0.03, "{p0}: {error}");
         }
     }

@@ -1,0 +1,104 @@
+//! The policies of a table: a dictionary has the rows of one, so that its rate is that of a policy.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::{Format, Mapping, Role, columns, exported, format_of, read};
+use crate::DictionaryError;
+use crate::raw::{RawRow, Scalar};
+
+/// More values are not policies.
+const MOST_POLICIES: usize = 100;
+
+/// The column of the policy, and the number of rows of each.
+#[derive(Debug, Default)]
+pub(super) struct Policies {
+    column: Option<String>,
+    rows: BTreeMap<String, u64>,
+}
+
+/// The policies whose rows a file contains, sorted. Empty if no column names the policy.
+///
+/// # Errors
+/// If the file cannot be read, or has too many policies.
+pub fn policies(path: &Path, format: Option<Format>, mapping: &Mapping) -> Result<Vec<String>, DictionaryError> {
+    let format = format_of(path, format)?;
+    if format == Format::Published || exported::is_export(path, format) {
+        return Ok(Vec::new());
+    }
+    let columns = columns(format, path);
+    let mapping = mapping.over(&format.mapping()).found_in(&columns);
+    Ok(Policies::of(format, path, &mapping, &columns)?.rows.into_keys().collect())
+}
+
+impl Policies {
+    pub(super) fn of(
+        format: Format,
+        path: &Path,
+        mapping: &Mapping,
+        columns: &[String],
+    ) -> Result<Self, DictionaryError> {
+        let column = mapping.column(Role::Policy);
+        if mapping.names_parameter(column) || !columns.iter().any(|name| name == column) {
+            return Ok(Self::default());
+        }
+        let mut found = Self { column: Some(column.to_owned()), rows: BTreeMap::new() };
+        read(format, path, &mut |row| {
+            *found.rows.entry(found.name_of(row)).or_insert(0) += 1;
+            if found.rows.len() > MOST_POLICIES {
+                let reason = format!(
+                    "column `{column}` has more than {MOST_POLICIES} values, which are not policies\nHint: give it another role, for \
+                     example with --map parameter.{column}={column}"
+                );
+                return Err(DictionaryError::results(path, reason));
+            }
+            Ok(())
+        })?;
+        Ok(found)
+    }
+
+    fn name_of(&self, row: &RawRow) -> String {
+        match self.column.as_ref().and_then(|column| row.get(column)) {
+            None | Some(Scalar::Null) => String::new(),
+            Some(Scalar::Text(name)) => name.clone(),
+            Some(value) => value.show(),
+        }
+    }
+
+    /// The only policy.
+    pub(super) fn only(&self) -> Option<String> {
+        self.rows.keys().next().filter(|name| self.rows.len() == 1 && !name.is_empty()).cloned()
+    }
+
+    /// The policy whose rows are imported. `None` for all rows, if the file has one policy at most.
+    pub(super) fn chosen<'a>(&self, path: &Path, wanted: Option<&'a str>) -> Result<Option<&'a str>, DictionaryError> {
+        let several = self.rows.len() > 1;
+        match wanted {
+            Some(name) if several && self.rows.contains_key(name) => Ok(Some(name)),
+            _ if several => {
+                let names: Vec<String> = self.rows.keys().map(|name| format!("`{}`", name.escape_debug())).collect();
+                let lacks = wanted.map_or_else(String::new, |name| format!(", and not `{}`", name.escape_debug()));
+                let reason = format!(
+                    "column `{}` names {} policies: {}{lacks}. A dictionary has the rows of one\nHint: import each with --policy NAME",
+                    self.column.as_deref().unwrap_or_default(),
+                    names.len(),
+                    names.join(", ")
+                );
+                Err(DictionaryError::results(path, reason))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    /// Whether a row is imported.
+    pub(super) fn keeps(&self, chosen: Option<&str>, row: &RawRow) -> bool {
+        chosen.is_none_or(|name| self.name_of(row) == name)
+    }
+
+    /// What was left out, as a sentence.
+    pub(super) fn note(&self, chosen: Option<&str>) -> Option<String> {
+        let name = chosen?;
+        let (all, kept) = (self.rows.values().sum::<u64>(), self.rows.get(name).copied().unwrap_or(0));
+        Some(format!("Rows of the policy `{name}`: {kept} of {all}. Those of the other policies are left out."))
+    }
+}
