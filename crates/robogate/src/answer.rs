@@ -48,12 +48,12 @@ pub(crate) fn print(evaluation: &Evaluation) {
     for text in evaluation.controls.iter().flat_map(robogate_gate::Controls::lines) {
         wrapped(&text);
     }
+    // What the verdict is about is a part of it.
+    new_cases(evaluation).iter().for_each(|text| wrapped(text));
     if is_verbose() {
         wrapped(&how_judged(evaluation));
         wrapped(&evaluation.estimand);
-        for text in new_cases(evaluation).into_iter().chain(feasible_part(evaluation)) {
-            wrapped(&text);
-        }
+        feasible_part(evaluation).iter().for_each(|text| wrapped(text));
         if let Population::Suite { fresh: false, .. } = evaluation.population {
             wrapped(
                 "The rate of `robogate run` differs: it is that over a whole parameter space, not over these chosen scenarios.",

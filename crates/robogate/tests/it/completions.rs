@@ -38,6 +38,6 @@ fn every_verb_has_a_man_page() {
     for file in ["_robogate", "robogate.fish"] {
         let shell = if file.starts_with('_') { "zsh" } else { "fish" };
         assert_done(&robogate_in(dir.path(), &["completions", shell, "--out", "shells"]));
-        assert!(fs::read_to_string(dir.path().join("shells").join(file)).unwrap().contains("--requirements"));
+        assert!(fs::read_to_string(dir.path().join("shells").join(file)).unwrap().contains("requirements"));
     }
 }

@@ -113,7 +113,6 @@ const PICK_AND_PLACE: &[&str] = &[
     "grip_loss",
     "collision",
     "slip_m",
-    "peak_contact_force_n",
     "min_clearance_m",
     "target_distance_m",
     "APPROACH_ABOVE",

@@ -11,7 +11,7 @@ fn runs_are_listed_with_rate_and_verdict() {
     let robogate = |arguments: &[&str]| robogate_in(dir.path(), arguments);
     assert!(stdout(&robogate(&["runs"])).is_empty());
     assert_done(&robogate(&["run", "--task", "pendulum", "-n", "20", "--twins", "--out", "deep/er/one"]));
-    let gate = robogate(&["gate", "--task", "pendulum", "--rounds", "1", "--out", "two"]);
+    let gate = robogate(&["gate", "--task", "pendulum", "--fixed", "--rounds", "5", "--out", "two"]);
     std::fs::create_dir_all(dir.path().join("three")).unwrap();
     std::fs::copy(dir.path().join("two/plan.json"), dir.path().join("three/plan.json")).unwrap();
     let text = stdout(&robogate(&["runs"]));
