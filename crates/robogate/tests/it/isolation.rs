@@ -1,4 +1,5 @@
-//! Files of other authors are handled in child processes with limits: models of robots, and environments in the sandbox.
+//! Files of other authors are handled in child processes with limits: models of robots, and environments in
+//! the sandbox.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -238,7 +239,8 @@ os.execv(sys.argv[1], sys.argv[1:])
     bench.expect("state", &line, 2, &["contains your home folder or your keys", "a folder of their own"]);
 }
 
-/// A run is bound to the files that its environment opens and to the modules that it imports until the end of an episode.
+/// A run is bound to the files that its environment opens and to the modules that it imports until the end of
+/// an episode.
 #[test]
 fn opened_files_are_part_of_an_environment() {
     let Some(bench) = Bench::new() else { return };
@@ -289,7 +291,8 @@ open(os.path.join(here, "data/log.txt")).read()
     bench.expect("state", &format!("replay run 3 --python {python}"), 0, &["identical to the recorded episode"]);
 }
 
-/// A killed process leaves files under temporary names. The next command that works in the folder removes them.
+/// A killed process leaves files under temporary names. The next command that works in the folder removes
+/// them.
 #[test]
 fn unfinished_files_are_removed() {
     let dir = TempDir::new().unwrap();
