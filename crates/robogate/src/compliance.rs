@@ -1,8 +1,8 @@
 //! The compliance pack of evidence: the verdict as a page for filing and for CI, and the list of
 //! components behind it.
 //!
-//! All documents are functions of the evaluation, the provenance of the rows and this build, without a date. Evidence
-//! lists their hashes, and [`check`] writes them again and compares.
+//! All documents are functions of the evaluation, the provenance of the rows and this build, without a date.
+//! Evidence lists their hashes, and [`check`] writes them again and compares.
 
 use std::path::Path;
 
@@ -37,8 +37,8 @@ pub(crate) fn documents(evaluation: &Evaluation, provenance: &Provenance) -> Vec
     .into()
 }
 
-/// The summary and the documents in verified evidence that differ from those of its rows, and `false` if another version wrote
-/// them, so that they could not be compared.
+/// The summary and the documents in verified evidence that differ from those of its rows, and `false` if
+/// another version wrote them, so that they could not be compared.
 pub(crate) fn check(folder: &Path) -> anyhow::Result<(Vec<Problem>, bool)> {
     let read = |name: &str| {
         let path = folder.join(name);
@@ -163,7 +163,8 @@ fn origin(provenance: &Provenance) -> Vec<(String, String)> {
     facts.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
-/// The components behind the verdict as CycloneDX 1.5: what was judged, what judged it, and the Rust packages of this build.
+/// The components behind the verdict as CycloneDX 1.5: what was judged, what judged it, and the Rust packages
+/// of this build.
 fn sbom(evaluation: &Evaluation, provenance: &Provenance) -> Value {
     let Provenance { tool, engine, robot, policy, .. } = provenance;
     let mut components = vec![

@@ -1,4 +1,5 @@
-//! A limit on the new recipes of each sender: one that sends invented names must not use up the places of real recipes.
+//! A limit on the new recipes of each sender: one that sends invented names must not use up the places of
+//! real recipes.
 
 use std::collections::BTreeMap;
 use std::time::Instant;

@@ -1,7 +1,7 @@
 //! Alarms about the senders of cycles: what was refused, and what is missing.
 //!
-//! A refused cycle does not reach the detectors. A sender whose cycles are refused looks like one without failures, so this
-//! is an alarm of its own. Ids that count are also checked for cycles that never arrived.
+//! A refused cycle does not reach the detectors. A sender whose cycles are refused looks like one without
+//! failures, so this is an alarm of its own. Ids that count are also checked for cycles that never arrived.
 
 use std::collections::BTreeMap;
 

@@ -1,7 +1,8 @@
 //! The sandbox of Linux: Landlock restricts files, seccomp restricts system calls.
 //!
-//! Landlock cannot restrict everything. The rest is refused by number of the system call: sockets, processes, permissions of files,
-//! and what only administrators need. The server listens on a socket that exists before the restrictions, so it needs none.
+//! Landlock cannot restrict everything. The rest is refused by number of the system call: sockets, processes,
+//! permissions of files, and what only administrators need. The server listens on a socket that exists before
+//! the restrictions, so it needs none.
 
 use std::collections::BTreeMap;
 use std::net::TcpListener;
@@ -77,7 +78,8 @@ fn restrict(rights: &Rights) -> anyhow::Result<i32> {
     Ok(number)
 }
 
-/// Everything that Landlock can refuse. Newer kernels also refuse connections, and signals to other processes.
+/// Everything that Landlock can refuse. Newer kernels also refuse connections, and signals to other
+/// processes.
 fn ruleset() -> Result<RulesetCreated, RulesetError> {
     Ruleset::default()
         .set_compatibility(CompatLevel::HardRequirement)
@@ -93,7 +95,8 @@ type Calls = BTreeMap<i64, Vec<SeccompRule>>;
 /// An argument of a system call by its position, how it is compared, and with what.
 type Condition = (u8, SeccompCmpOp, u64);
 
-/// System calls that do not exist for the process: the C library uses an older one instead, whose arguments can be checked.
+/// System calls that do not exist for the process: the C library uses an older one instead, whose arguments
+/// can be checked.
 fn unknown() -> Calls {
     with_x32([(libc::SYS_clone3, Vec::new())].into())
 }

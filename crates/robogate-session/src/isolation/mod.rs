@@ -1,7 +1,8 @@
 //! Child processes of this program for work with files of other authors, with limits of the operating system.
 //!
-//! A child is the program itself with a first argument that [`enter`] recognises. It sets its own limits before it does
-//! anything else. A program that does not call [`enter`] has no children: its process does all work itself.
+//! A child is the program itself with a first argument that [`enter`] recognises. It sets its own limits
+//! before it does anything else. A program that does not call [`enter`] has no children: its process does all
+//! work itself.
 
 #[cfg(target_os = "linux")]
 mod kernel;
@@ -22,12 +23,15 @@ pub(crate) use model::check_model;
 pub use model::in_child;
 pub(crate) use sandbox::{Sandbox, Scratch};
 
-/// First argument of a child that compiles a robot's model: the name of the engine and the robot's folder follow.
+/// First argument of a child that compiles a robot's model: the name of the engine and the robot's folder
+/// follow.
 const MODEL: &str = "child-model";
-/// First argument of a child that runs a command under the limits of a model: the arguments of the command follow.
+/// First argument of a child that runs a command under the limits of a model: the arguments of the command
+/// follow.
 const COMMAND: &str = "child-command";
 
-/// First argument of a child that becomes Python in the sandbox: its rights, the interpreter and the arguments follow.
+/// First argument of a child that becomes Python in the sandbox: its rights, the interpreter and the
+/// arguments follow.
 const PYTHON: &str = "child-python";
 
 /// Whether this process may start children, or is one.
@@ -48,7 +52,8 @@ pub enum Entered {
     Done(ExitCode),
 }
 
-/// Finds out what this process is, and does the work of a child. Call it first in `main`, with all arguments of the process.
+/// Finds out what this process is, and does the work of a child. Call it first in `main`, with all arguments
+/// of the process.
 pub fn enter(mut arguments: Vec<OsString>) -> Entered {
     match &*arguments {
         [_, child, engine, folder] if child == MODEL => {

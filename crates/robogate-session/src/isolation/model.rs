@@ -1,7 +1,8 @@
 //! Compiles models of robots of other authors in a child first.
 //!
-//! MuJoCo parses a model in C++: a damaged or hostile one can end the process, or use all of its memory and time. The child
-//! does the same work on the same files before this process does, so what would happen here happens there.
+//! MuJoCo parses a model in C++: a damaged or hostile one can end the process, or use all of its memory and
+//! time. The child does the same work on the same files before this process does, so what would happen here
+//! happens there.
 
 use std::collections::BTreeSet;
 use std::ffi::OsString;
@@ -27,7 +28,8 @@ use crate::text::foreign;
 /// Longest report of a child, in bytes.
 const LONGEST_ANSWER: u64 = 1 << 20;
 
-/// Compiles the robot's model with this engine in a child, once for the same files. A built-in robot needs none.
+/// Compiles the robot's model with this engine in a child, once for the same files. A built-in robot needs
+/// none.
 ///
 /// # Errors
 /// The model cannot be compiled, or the child crashed or reached a limit.
@@ -100,8 +102,8 @@ pub(super) fn compile(engine: &OsString, folder: &OsString) -> ExitCode {
     }
 }
 
-/// Runs the command of this process again in a child under the limits, because it compiles this model, and returns its exit
-/// code. `None` in the child itself, which does the work.
+/// Runs the command of this process again in a child under the limits, because it compiles this model, and
+/// returns its exit code. `None` in the child itself, which does the work.
 ///
 /// # Errors
 /// The child crashed, or reached a limit.
@@ -113,7 +115,8 @@ pub fn in_child(model: &Path) -> Result<Option<u8>, Failure> {
     command.arg(COMMAND).args(std::env::args_os().skip(1));
     let mut child = command.spawn().context("cannot start a process that reads the robot's model").or_broken()?;
     let status = wait(&mut child, Limits::MODEL.wall).or_broken()?;
-    // MuJoCo ends a process with 1 after an error that it cannot report. The command does not, when it reads a model.
+    // MuJoCo ends a process with 1 after an error that it cannot report. The command does not, when it reads
+    // a model.
     let code = status.and_then(|status| status.code()).filter(|code| *code != 1);
     match code.and_then(|code| u8::try_from(code).ok()) {
         Some(code) => Ok(Some(code)),

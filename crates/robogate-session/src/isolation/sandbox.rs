@@ -1,7 +1,7 @@
 //! The sandbox of a Python process: what it may read, where it may write, and how it starts.
 //!
-//! The process that becomes Python restricts itself first ([`super::kernel`]). Python then tells which of its operations were
-//! refused (`robogate_eval/serving/sandbox.py`), so that an error can name them.
+//! The process that becomes Python restricts itself first ([`super::kernel`]). Python then tells which of its
+//! operations were refused (`robogate_eval/serving/sandbox.py`), so that an error can name them.
 
 use std::collections::BTreeMap;
 use std::ffi::{OsStr, OsString};
@@ -53,7 +53,8 @@ const OF_THE_SYSTEM: &[&str] = &[
     "/etc/timezone",
 ];
 
-/// Environment variables that the process keeps: others may contain keys. Those that the command sets are added.
+/// Environment variables that the process keeps: others may contain keys. Those that the command sets are
+/// added.
 const KEPT: &[&str] = &["PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "MUJOCO_GL", "PYOPENGL_PLATFORM"];
 
 /// The environment variable that tells Python what it may do, as JSON.
@@ -73,7 +74,8 @@ pub(crate) struct Rights {
 pub(crate) struct Sandbox {
     python: PathBuf,
     read: Vec<PathBuf>,
-    /// Environment variables that select the libraries for graphics, if the user chose none: there is no display.
+    /// Environment variables that select the libraries for graphics, if the user chose none: there is no
+    /// display.
     graphics: BTreeMap<String, String>,
 }
 
@@ -106,13 +108,14 @@ impl Drop for Scratch {
 }
 
 impl Sandbox {
-    /// The sandbox of an environment by its name, with the policy that its processes load. `python` runs a program in its interpreter
-    /// outside of the sandbox.
+    /// The sandbox of an environment by its name, with the policy that its processes load. `python` runs a
+    /// program in its interpreter outside of the sandbox.
     ///
     /// # Errors
     /// The kernel has no sandbox, or a folder that the environment needs contains the user's keys.
     pub(crate) fn of(environment: &str, loads: Option<&LoadedPolicy>, python: &mut Command) -> anyhow::Result<Self> {
-        /// Prints the interpreter, the folders from which it imports, and the libraries for graphics: their search starts processes.
+        /// Prints the interpreter, the folders from which it imports, and the libraries for graphics: their
+        /// search starts processes.
         const ABOUT: &str = r"
 import importlib.util, json, os, sys
 from ctypes.util import find_library

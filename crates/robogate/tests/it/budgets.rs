@@ -1,6 +1,7 @@
-//! Drives the readers of docs/reference/untrusted-input.md that no other test with counted memory covers beyond their limits: each
-//! refuses its input, names the limit, and reserves no more memory than a fixed bound. Parquet, CSV and archives are in
-//! `robogate-dictionary/tests/it/bombs.rs`, messages of policy servers and ONNX in the tests of `robogate-policy`.
+//! Drives the readers of docs/reference/untrusted-input.md that no other test with counted memory covers
+//! beyond their limits: each refuses its input, names the limit, and reserves no more memory than a fixed
+//! bound. Parquet, CSV and archives are in `robogate-dictionary/tests/it/bombs.rs`, messages of policy
+//! servers and ONNX in the tests of `robogate-policy`.
 
 use std::fs;
 use std::path::Path;
@@ -20,7 +21,8 @@ use tempfile::TempDir;
 /// Most memory that the refusal of an input may need, in bytes, in addition to twice the input.
 const MOST: usize = 8 << 20;
 
-/// Checks that a reader refuses an input of this size with a message that contains `part`, within the bound on memory.
+/// Checks that a reader refuses an input of this size with a message that contains `part`, within the bound
+/// on memory.
 #[track_caller]
 fn refused<T>(reader: &str, part: &str, bytes: usize, read: impl FnOnce() -> Result<T, String>) {
     let (result, peak) = peak_memory(|| read().map(drop));

@@ -1,4 +1,5 @@
-//! Files of other authors are handled in child processes with limits: models of robots, and environments in the sandbox.
+//! Files of other authors are handled in child processes with limits: models of robots, and environments in
+//! the sandbox.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -207,13 +208,39 @@ fn evidence_of_others_runs_in_the_sandbox() {
     assert!(printed.contains("with the same outcome, measures and trajectory"), "{printed}");
     let printed = bench.expect("elsewhere", &format!("{verify} --sandbox=off"), 0, &["rerun: 5 of 40 rows"]);
     assert!(!printed.contains("in the sandbox"), "{printed}");
+    // A kernel without the sandbox, as a filter of system calls shows it to the command: nothing is started.
+    const WITHOUT_LANDLOCK: &str = r#"
+import ctypes, os, struct, sys
+rules = [(0x20, 0, 0, 0), (0x15, 0, 1, 444), (0x06, 0, 0, 0x50000 | 38), (0x06, 0, 0, 0x7FFF0000)]
+code = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *rule) for rule in rules))
+class Program(ctypes.Structure):
+    _fields_ = [("rules", ctypes.c_ushort), ("code", ctypes.c_void_p)]
+libc = ctypes.CDLL(None, use_errno=True)
+assert libc.prctl(38, 1, 0, 0, 0) == 0
+assert libc.prctl(22, 2, ctypes.byref(Program(len(rules), ctypes.addressof(code))), 0, 0) == 0
+os.execv(sys.argv[1], sys.argv[1:])
+"#;
+    let without = |line: &str| {
+        let mut command = Command::new("python3");
+        command.args(["-c", WITHOUT_LANDLOCK, env!("CARGO_BIN_EXE_robogate")]).args(line.split(' '));
+        command.current_dir(&bench.dir).env_remove("PYTHONPATH").env("HOME", bench.at("home"));
+        command.env("ROBOGATE_CACHE_DIR", bench.at("cache")).env("ROBOGATE_STATE_DIR", bench.at("elsewhere"));
+        let output = command.output().unwrap();
+        (output.status.code(), text(&output))
+    };
+    let (code, printed) = without(&verify);
+    assert!(code == Some(2) && printed.contains("this kernel has no sandbox"), "{printed}");
+    assert!(printed.contains("--sandbox=off") && !printed.contains("starting "), "{printed}");
+    let (code, printed) = without(&format!("{verify} --sandbox=off"));
+    assert_eq!(code, Some(0), "{printed}");
     // The folder of the environment must not contain the user's home.
     fs::copy(bench.at("world/line.py"), bench.at("line.py")).unwrap();
     let line = format!("run --env line.py:environment --python {python} -n 1 --out other --sandbox");
     bench.expect("state", &line, 2, &["contains your home folder or your keys", "a folder of their own"]);
 }
 
-/// A run is bound to the files that its environment opens and to the modules that it imports until the end of an episode.
+/// A run is bound to the files that its environment opens and to the modules that it imports until the end of
+/// an episode.
 #[test]
 fn opened_files_are_part_of_an_environment() {
     let Some(bench) = Bench::new() else { return };
@@ -264,7 +291,8 @@ open(os.path.join(here, "data/log.txt")).read()
     bench.expect("state", &format!("replay run 3 --python {python}"), 0, &["identical to the recorded episode"]);
 }
 
-/// A killed process leaves files under temporary names. The next command that works in the folder removes them.
+/// A killed process leaves files under temporary names. The next command that works in the folder removes
+/// them.
 #[test]
 fn unfinished_files_are_removed() {
     let dir = TempDir::new().unwrap();

@@ -55,8 +55,12 @@ def _hook(rights: dict) -> Callable[[str, tuple], None]:
         writes = flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND)
         return write(path) if writes else read(path)
 
-    process = lambda *_: "start a process"  # noqa: E731
-    socket = lambda *_: "open a socket"  # noqa: E731
+    def process(*_: Any) -> str:
+        return "start a process"
+
+    def socket(*_: Any) -> str:
+        return "open a socket"
+
     told = {
         "open": opened,
         "os.listdir": read,

@@ -11,7 +11,8 @@ use serde_json::json;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::terminal::{foreign, grouped, line, note};
 
-/// List, remove or merge the recipes in a store. Stop `robogate monitor serve` first: one process uses a store.
+/// List, remove or merge the recipes in a store. Stop `robogate monitor serve` first: one process uses a
+/// store.
 #[derive(Debug, Args)]
 pub(super) struct Recipes {
     #[command(subcommand)]
