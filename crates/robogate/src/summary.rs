@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use robogate_analysis::{Analysis, Effects, MarginalEffect};
+use robogate_analysis::{Analysis, Effects, Finding, MarginalEffect};
 use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{
-    BoundaryReport, DrawnFrom, Estimate, OutcomeCounts, Population, Sought, Stage, StageSummary, SuiteSummary, Summary,
+    BoundaryReport, DrawnFrom, OutcomeCounts, Population, Sought, Stage, StageSummary, SuiteSummary, Summary,
 };
 use robogate_gate::Twins;
 use robogate_report::{ActiveModel, Headline, low_side};
@@ -26,8 +26,12 @@ pub(crate) fn json(
     summary: &Summary,
     boundary: Option<&BoundaryReport>,
     twins: Option<&Twins>,
+    analysis: Option<&Analysis>,
 ) -> serde_json::Result<()> {
     let mut document = json!({ "version": 1, "dir": dir, "summary": summary, "boundary": boundary });
+    if let (Some(document), Some((rate, interval_95))) = (document.as_object_mut(), headline_rate(summary, analysis)) {
+        document.insert("success".to_owned(), json!({ "rate": rate, "interval_95": interval_95 }));
+    }
     if let (Some(document), Some(twins)) = (document.as_object_mut(), twins) {
         document.insert("twins".to_owned(), serde_json::to_value(twins)?);
     }
@@ -38,14 +42,17 @@ pub(crate) fn json(
 /// Prints the summary for people.
 pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryReport>, analysis: Option<&Analysis>) {
     line("");
-    if summary.stages.iter().any(|stage| stage.stage == Stage::Active) {
-        weighted(&summary.estimate);
+    let weighting = analysis.and_then(|analysis| analysis.success.weighting.as_ref());
+    let is_weighted = matches!(weighting, Some(Finding::Estimated(_))) || is_active(summary);
+    let headline_rate = headline_rate(summary, analysis).filter(|_| is_weighted);
+    if let Some((rate, interval)) = headline_rate {
+        weighted(rate, interval);
     }
     if let Some(found) = &summary.sought {
         sought(found);
     }
     for stage in &summary.stages {
-        rate(stage, &summary.sampler);
+        rate(stage, &summary.sampler, headline_rate.is_some());
     }
     summary.stages.iter().for_each(relation);
     for stage in &summary.stages {
@@ -97,9 +104,10 @@ pub(crate) fn outcomes_in_one_line(counts: &OutcomeCounts) -> String {
     text
 }
 
-fn rate(stage: &StageSummary, sampler: &str) {
+fn rate(stage: &StageSummary, sampler: &str, is_part: bool) {
     let [low, high] = stage.interval_95;
     let of = match stage.population {
+        Population::OperatingSpace if is_part => "in the uniform part alone",
         Population::OperatingSpace => "over the operating space",
         Population::Suite => "over the suite (not an operating space)",
         Population::FocusedDesign => "in the focused design (not the operating space)",
@@ -131,17 +139,25 @@ fn rate(stage: &StageSummary, sampler: &str) {
     }
 }
 
-/// The success rate from all episodes of an active design.
-fn weighted(estimate: &Estimate) {
-    let [low, high] = estimate.interval_95;
-    if let Some(rate) = estimate.success_rate {
-        line(format_args!(
-            "{}  over the operating space: all episodes by their weights, 95 % interval {} to {}",
-            bold(format_args!("success {:>6}", percent(rate))),
-            percent(low),
-            percent(high)
-        ));
-    }
+fn is_active(summary: &Summary) -> bool {
+    summary.stages.iter().any(|stage| stage.stage == Stage::Active)
+}
+
+/// The success rate that the report leads with: that of all episodes by their weights, if a design chose some of them.
+fn headline_rate(summary: &Summary, analysis: Option<&Analysis>) -> Option<(f64, [f64; 2])> {
+    let of_analysis =
+        analysis.and_then(|analysis| Some((analysis.success.rate.rate?, analysis.success.rate.wilson_95)));
+    of_analysis.or_else(|| Some((summary.estimate.success_rate?, summary.estimate.interval_95)))
+}
+
+/// The success rate from all episodes of a design that chose some of them.
+fn weighted(rate: f64, [low, high]: [f64; 2]) {
+    line(format_args!(
+        "{}  over the operating space: all episodes by their weights, 95 % interval {} to {}",
+        bold(format_args!("success {:>6}", percent(rate))),
+        percent(low),
+        percent(high)
+    ));
 }
 
 /// The rate of the failure mode that the campaign sought.

@@ -63,7 +63,7 @@ impl<'a> PairedRows<'a> {
         };
         // Tools number their episodes in their own order.
         let imported = |dataset: &Dataset<'_>| {
-            dataset.provenance().source.as_ref().is_some_and(|source| source.format != "published")
+            dataset.provenance().source.as_ref().is_some_and(|source| source.format != "published_json")
         };
         let keys =
             if imported(first) && imported(second) { keys::common(first, &one.rows, second, &two.rows) } else { None };
