@@ -252,9 +252,13 @@ fn main() -> std::io::Result<()> {
          \"Found\" is the share of streams whose page and alarms say at the end that cycles depend on each other.\n\n\
          | stream | false criticals, plain | standard error | false criticals, monitor | standard error | found |\n|---|---|---|---|---|---|\n"
     );
+    let mut above = Vec::new();
     for world in &WORLDS {
         let Result { plain, now, found } = simulate(world);
         let (plain, now) = (Mean::of(&plain, 0), Mean::of(&now, 0));
+        if now.mean - 2.0 * now.se > promised {
+            above.push(world.name);
+        }
         let _ = writeln!(
             out,
             "| {} | {:.2} | {:.2} | {:.2} | {:.2} | {:.0} % |",
@@ -268,8 +272,10 @@ fn main() -> std::io::Result<()> {
     }
     let _ = writeln!(
         out,
-        "\nDelay from a lasting drop after 10,000 independent cycles to the first critical alarm of the failure rate, in cycles:\n\n\
-         | failure rate after the drop | plain | standard error | monitor | standard error | ratio |\n|---|---|---|---|---|---|"
+        "\nSignificantly above the promise, although the page and the alarms say that it is approximate: {}.\n\n\
+         Delay from a lasting drop after 10,000 independent cycles to the first critical alarm of the failure rate, in cycles:\n\n\
+         | failure rate after the drop | plain | standard error | monitor | standard error | ratio |\n|---|---|---|---|---|---|",
+        if above.is_empty() { "no row".to_owned() } else { above.join("; ") }
     );
     for to in [0.07, 0.08, 0.10, 0.15] {
         let [plain, now] = delays(to);

@@ -2,8 +2,8 @@
 //!
 //! Blocks have 1, 2, 4, ... cycles. The variance of their sums, divided by their length and by the variance of single cycles, is 1
 //! for independent cycles. It grows with the length if neighbouring cycles are alike: retries, batches of parts, shifts, a
-//! temperature that follows the day. The largest ratio that is surely above 1 is the inflation. It is estimated while there is no
-//! evidence for a change, because a lasting change moves sums too.
+//! temperature that follows the day. The largest ratio that is surely above 1 is the inflation. A lasting change moves sums too, but
+//! it raises an alarm long before it looks like dependence. While an alarm is active, only blocks of up to 64 cycles are used.
 //!
 //! Evidence of a detector is raised to the power 1 / inflation. For independent cycles the bound on false alarms still holds, by
 //! Jensen's inequality. For dependent ones it holds approximately: the sum of the logarithms then has the variance for which the
@@ -16,9 +16,11 @@ use serde::{Deserialize, Serialize};
 const SCALES: usize = 13;
 /// Blocks from which a length is tested.
 const FEWEST: u32 = 5;
-/// The normal score above which a ratio is surely above 1 (p = 1e-7): it is tested again and again.
-const SURE: f64 = 5.2;
-/// The steps of an inflation, so that detectors are seldom rebuilt.
+/// Shorter blocks hardly feel a lasting change.
+const SHORT: usize = 6;
+/// The normal score above which a ratio counts as above 1 (p = 3e-5): it is tested again and again.
+const SURE: f64 = 4.0;
+/// The steps of an inflation, so that detectors are seldom rebuilt. One step more covers that longer blocks vary more.
 const STEP: f64 = 1.25;
 
 /// Sums of blocks of all lengths.
@@ -50,7 +52,7 @@ impl Scale {
 pub struct Inflation {
     /// Length of the blocks, in cycles that report the metric.
     pub cycles: u64,
-    /// The variance of their sums, relative to that of independent cycles. Rounded up to steps of 25 %.
+    /// The variance of their sums, relative to that of independent cycles. Rounded up to steps of 25 %, and one step more.
     pub ratio: f64,
 }
 
@@ -74,15 +76,23 @@ impl BlockSums {
     /// of its length.
     pub(crate) fn inflation(&self, known: Option<Inflation>) -> Option<Inflation> {
         let lacks = |known: &Inflation| u64::from(self.scales[0].blocks) < u64::from(FEWEST) * known.cycles;
-        known.filter(lacks).or_else(|| self.largest())
+        known.filter(lacks).or_else(|| self.largest(SCALES))
     }
 
-    fn largest(&self) -> Option<Inflation> {
+    /// The inflation while an alarm is active: the known one, or a larger one of short blocks.
+    pub(crate) fn inflation_in_alarm(&self, known: Option<Inflation>) -> Option<Inflation> {
+        let ratio = |of: Option<Inflation>| of.map_or(1.0, |of| of.ratio);
+        let found = self.largest(SHORT + 1);
+        if ratio(found) > ratio(known) { found } else { known }
+    }
+
+    fn largest(&self, scales: usize) -> Option<Inflation> {
         let single = self.scales[0].variance();
         if self.scales[0].blocks < FEWEST || single <= 0.0 {
             return None;
         }
-        let tested = self.scales.iter().zip(0_u32..).skip(1).take_while(|(scale, _)| scale.blocks >= FEWEST);
+        let tested =
+            self.scales.iter().take(scales).zip(0_u32..).skip(1).take_while(|(scale, _)| scale.blocks >= FEWEST);
         let found = tested.filter_map(|(scale, k)| {
             let length = 2.0_f64.powi(k as i32);
             let ratio = scale.variance() / (length * single);
@@ -95,7 +105,7 @@ impl BlockSums {
             (score > SURE).then_some((ratio, k))
         });
         let (ratio, k) = found.max_by(|a, b| a.0.total_cmp(&b.0))?;
-        Some(Inflation { cycles: 1 << k, ratio: STEP.powf((ratio.ln() / STEP.ln()).ceil().max(1.0)) })
+        Some(Inflation { cycles: 1 << k, ratio: STEP.powf((ratio.ln() / STEP.ln()).ceil().max(1.0) + 1.0) })
     }
 }
 

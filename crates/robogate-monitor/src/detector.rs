@@ -114,6 +114,12 @@ impl Evidence {
         self.0.iter().zip(&factors.weights).map(|(m, w)| m * w).sum()
     }
 
+    /// Divides the logarithms of the evidence, where there is any, because cycles depend on each other more than before. A smaller
+    /// inflation changes nothing.
+    pub(crate) fn divide(&mut self, by: f64) {
+        self.0.iter_mut().filter(|m| **m > 1.0 && by > 1.0).for_each(|m| *m = m.powf(1.0 / by));
+    }
+
     /// Resets the evidence to zero.
     pub fn restart(&mut self) {
         self.0.fill(0.0);

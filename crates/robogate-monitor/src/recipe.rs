@@ -361,19 +361,29 @@ impl Recipe {
             };
             let i = metric.index();
             self.state.sums[i].add(score);
-            let (evidence, factors) = (self.state.evidence[i].as_ref(), self.factors[i].as_ref());
-            // A lasting change moves sums too. While there is evidence for one, the last estimate is kept.
-            if self.state.cycles.is_multiple_of(EVERY)
-                && is_quiet(evidence, factors, &self.state.standing[i], settings.limit(metric, Level::Warning))
-            {
-                let found = self.state.sums[i].inflation(self.state.inflation[i]);
-                if found != std::mem::replace(&mut self.state.inflation[i], found) {
-                    self.begin(metric, settings);
-                    if metric == Metric::Success {
-                        self.begin(Metric::Robot, settings);
-                    }
-                }
+            if !self.state.cycles.is_multiple_of(EVERY) {
+                continue;
             }
+            let (sums, known) = (&self.state.sums[i], self.state.inflation[i]);
+            let stands = self.state.standing[i].iter().any(Option::is_some);
+            let found = if stands { sums.inflation_in_alarm(known) } else { sums.inflation(known) };
+            if found != known {
+                self.state.inflation[i] = found;
+                let ratio = |of: Option<Inflation>| of.map_or(1.0, |of| of.ratio);
+                self.divide(metric, ratio(found) / ratio(known), settings);
+            }
+        }
+    }
+
+    /// Rebuilds a metric's detector for another inflation, and divides the evidence so far.
+    fn divide(&mut self, metric: Metric, by: f64, settings: &Settings) {
+        let i = metric.index();
+        self.state.evidence[i].iter_mut().flatten().for_each(|evidence| evidence.divide(by));
+        self.begin(metric, settings);
+        if metric == Metric::Success {
+            let robots = self.state.robots.values_mut().filter_map(|robot| robot.evidence.as_mut());
+            robots.flatten().for_each(|evidence| evidence.divide(by));
+            self.begin(Metric::Robot, settings);
         }
     }
 
@@ -534,12 +544,11 @@ impl Recipe {
         let (state, factors) = (&mut self.state, &self.factors);
         let quiet = |metric: Metric| {
             let i = metric.index();
-            is_quiet(
-                state.evidence[i].as_ref(),
-                factors[i].as_ref(),
-                &state.standing[i],
-                settings.limit(metric, Level::Warning),
-            )
+            let both = state.evidence[i].as_ref().zip(factors[i].as_ref());
+            let level = Level::Warning;
+            let limit = QUIET * settings.limit(metric, level);
+            let standing = state.standing[i].iter().any(Option::is_some);
+            !standing && both.is_none_or(|(evidence, factors)| evidence[level as usize].value(factors) < limit)
         };
         state.learning.update(symbols, &mut state.baseline, &state.modes, settings, quiet, |metric| {
             learnt |= 1 << metric.index();
@@ -652,19 +661,6 @@ impl Recipe {
         let stands = |level: Level| all().any(|both| both[level as usize].is_some());
         Level::ALL.into_iter().rev().find(|level| stands(*level))
     }
-}
-
-/// Whether a metric has no alarm, and hardly any evidence for a change. `limit` is that of a warning.
-fn is_quiet(
-    evidence: Option<&[Evidence; 2]>,
-    factors: Option<&Factors>,
-    standing: &[Option<Standing>; 2],
-    limit: f64,
-) -> bool {
-    let weak = |(evidence, factors): (&[Evidence; 2], &Factors)| {
-        evidence[Level::Warning as usize].value(factors) < QUIET * limit
-    };
-    standing.iter().all(Option::is_none) && evidence.zip(factors).is_none_or(weak)
 }
 
 /// A hash of the settings of a recipe: FNV-1a over numbers and text. It is not cryptographic.

@@ -4,7 +4,7 @@ use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use robogate_analysis::{Analysis, Effects, MarginalEffect};
+use robogate_analysis::{Analysis, Effects, Finding, MarginalEffect};
 use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{
     BoundaryReport, DrawnFrom, GroupSummary, OutcomeCounts, Population, Sought, Stage, StageSummary, SuiteSummary,
@@ -30,8 +30,12 @@ pub(crate) fn json(
     summary: &Summary,
     boundary: Option<&BoundaryReport>,
     twins: Option<&Twins>,
+    analysis: Option<&Analysis>,
 ) -> serde_json::Result<()> {
     let mut document = json!({ "version": 1, "dir": dir, "summary": summary, "boundary": boundary });
+    if let (Some(document), Some((rate, interval_95))) = (document.as_object_mut(), leading_rate(summary, analysis)) {
+        document.insert("success".to_owned(), json!({ "rate": rate, "interval_95": interval_95 }));
+    }
     if let (Some(document), Some(twins)) = (document.as_object_mut(), twins) {
         document.insert("twins".to_owned(), serde_json::to_value(twins)?);
     }
@@ -42,7 +46,7 @@ pub(crate) fn json(
 /// Prints the summary for people: one rate, where the policy fails, and what to do. `--verbose` adds the rest.
 pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryReport>, analysis: Option<&Analysis>) {
     line("");
-    headline_rate(summary);
+    headline_rate(summary, analysis);
     all_failures(summary);
     summary.stages.iter().for_each(excluded);
     if let Some(found) = &summary.sought {
@@ -77,7 +81,7 @@ fn details(dir: &Path, summary: &Summary, boundary: Option<&BoundaryReport>, ana
     line("");
     line(bold("Stages"));
     for stage in &summary.stages {
-        rate(stage, &summary.sampler);
+        rate(stage, &summary.sampler, summary.stages.len() > 1);
         feasible(stage);
     }
     summary.stages.iter().for_each(relation);
@@ -97,21 +101,27 @@ fn details(dir: &Path, summary: &Summary, boundary: Option<&BoundaryReport>, ana
     active_model::of_run(dir).iter().for_each(model);
 }
 
+/// The rate that the report leads with: that of all episodes by their weights, if a design chose some of them.
+fn leading_rate(summary: &Summary, analysis: Option<&Analysis>) -> Option<(f64, [f64; 2])> {
+    let of_analysis =
+        analysis.and_then(|analysis| Some((analysis.success.rate.rate?, analysis.success.rate.wilson_95)));
+    of_analysis.or_else(|| Some((summary.estimate.success_rate?, summary.estimate.interval_95)))
+}
+
 /// The rate that the run is about: that over its population from all episodes.
-fn headline_rate(summary: &Summary) {
-    let samples_a_space = summary.stages.iter().any(|stage| stage.population == Population::OperatingSpace);
-    match (summary.estimate.success_rate, summary.stages.as_slice()) {
-        (Some(rate), stages) if samples_a_space && stages.len() > 1 => {
-            let [low, high] = summary.estimate.interval_95;
-            line(format_args!(
-                "{}  over the operating space, 95 % interval {} to {}; {}",
-                bold(format_args!("success {:>6}", percent(rate))),
-                percent(low),
-                percent(high),
-                counted(summary.episodes, "episode")
-            ));
-        }
-        (_, stages) => stages.iter().for_each(|stage| rate(stage, &summary.sampler)),
+fn headline_rate(summary: &Summary, analysis: Option<&Analysis>) {
+    let weighting = analysis.and_then(|analysis| analysis.success.weighting.as_ref());
+    let is_active = summary.stages.iter().any(|stage| stage.stage == Stage::Active);
+    let is_weighted = is_active || matches!(weighting, Some(Finding::Estimated(_)));
+    match leading_rate(summary, analysis).filter(|_| is_weighted) {
+        Some((rate, [low, high])) => line(format_args!(
+            "{}  over the operating space, 95 % interval {} to {}; {}",
+            bold(format_args!("success {:>6}", percent(rate))),
+            percent(low),
+            percent(high),
+            counted(summary.episodes, "episode")
+        )),
+        None => summary.stages.iter().for_each(|stage| rate(stage, &summary.sampler, false)),
     }
 }
 
@@ -169,9 +179,10 @@ pub(crate) fn outcomes_in_one_line(counts: &OutcomeCounts) -> String {
     text
 }
 
-fn rate(stage: &StageSummary, sampler: &str) {
+fn rate(stage: &StageSummary, sampler: &str, is_part: bool) {
     let [low, high] = stage.interval_95;
     let of = match stage.population {
+        Population::OperatingSpace if is_part => "in the uniform part alone",
         Population::OperatingSpace => "over the operating space",
         Population::Suite => "over the suite (not an operating space)",
         Population::FocusedDesign => "in the focused design (not the operating space)",

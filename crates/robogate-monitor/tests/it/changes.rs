@@ -42,7 +42,10 @@ fn each_change_raises_its_own_alarm() {
         let since = critical.since.unwrap();
         assert!(since.cycles_95[0] <= 1_001 && 1_001 <= since.cycles_95[1], "{metric:?} {since:?}");
         assert!(since.times_95_s[0] <= since.time_s && since.time_s <= since.times_95_s[1]);
-        assert!(!critical.look_at.is_empty() && critical.how_sure.contains("at least 50,000."));
+        assert!(
+            !critical.look_at.is_empty()
+                && critical.how_sure.contains("at least 50,000, if each cycle is as likely to fail")
+        );
         // A warning of another metric may occur by chance, once in 2,000 cycles on average; a critical alarm hardly
         // ever. Distances from the middle of the baseline also grow when the location moves.
         let beside =

@@ -466,7 +466,7 @@ pub(crate) fn conclude(dir: &Path, completion: &Completion, subject: Option<&Sub
             }
             let analysis = write_report(dir, None, subject).map(|(analysis, _)| analysis);
             if json {
-                summary::json(dir, summary, boundary.as_deref(), twins.as_ref()).or_broken()?;
+                summary::json(dir, summary, boundary.as_deref(), twins.as_ref(), analysis.as_ref()).or_broken()?;
             } else {
                 summary::print(dir, summary, boundary.as_deref(), analysis.as_ref());
                 twins.iter().for_each(twins::print);

@@ -62,7 +62,9 @@ impl<'a> PairedRows<'a> {
             return Ok(Self { first, second, rows, by: Vec::new(), unpaired: 0 });
         };
         // Tools number their episodes in their own order.
-        let imported = |dataset: &Dataset<'_>| dataset.provenance().source.is_some();
+        let imported = |dataset: &Dataset<'_>| {
+            dataset.provenance().source.as_ref().is_some_and(|source| source.format != "published_json")
+        };
         let keys =
             if imported(first) && imported(second) { keys::common(first, &one.rows, second, &two.rows) } else { None };
         let Some(keys::Keys { by, of }) = keys else { return Err(difference) };
