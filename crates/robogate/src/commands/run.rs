@@ -116,7 +116,7 @@ struct Given(Vec<String>);
 impl Given {
     /// The arguments of `run` that do not affect the results of a campaign. clap reports the arguments of the whole command as
     /// well.
-    const WITHOUT_EFFECT: [&str; 16] = [
+    const WITHOUT_EFFECT: [&str; 17] = [
         "out",
         "shard",
         "divide",
@@ -124,6 +124,7 @@ impl Given {
         "json",
         "goes_on",
         "quiet",
+        "sandbox",
         "verbose",
         "addresses",
         "timeout_s",
