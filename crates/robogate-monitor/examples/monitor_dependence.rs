@@ -1,6 +1,6 @@
 //! Writes docs/results/monitor-dependence.md: false alarms of the monitor where cycles depend on each other.
 //!
-//! `cargo run --release -p robogate-monitor --example dependence -- "27 November 2026" docs/results/monitor-dependence.md`
+//! `cargo run --release -p robogate-monitor --example monitor_dependence -- "27 November 2026" docs/results/monitor-dependence.md`
 
 use std::fmt::Write as _;
 
@@ -244,7 +244,7 @@ fn main() -> std::io::Result<()> {
     let promised = CYCLES as f64 / Settings::default().critical_cycles;
     let mut out = format!(
         "# The monitor where cycles depend on each other\n\n\
-         {date}. `cargo run --release -p robogate-monitor --example dependence -- \"{date}\" docs/results/monitor-dependence.md` writes \
+         {date}. `cargo run --release -p robogate-monitor --example monitor_dependence -- \"{date}\" docs/results/monitor-dependence.md` writes \
          this page. All seeds are fixed; each row has {STREAMS} streams of {CYCLES} cycles without a lasting change.\n\n\
          The mean failure rate is 5 %, with a baseline of 9,500 of 10,000. The default settings promise at most {promised} false critical \
          alarms per stream, if cycles are independent. \"Plain\" detectors ignore dependence, as before. The monitor\n\
