@@ -16,6 +16,10 @@ use robogate_tasks::pick_place::spec::{Briefing, JAM, MISPLACED};
 use robogate_tasks::pick_place::{ModeSet, PickPlace, Placement, Shape};
 use robogate_tasks::{ArmSettings, ArmTask};
 
+/// The task without a limit of contact forces.
+const UNLIMITED: PickPlace =
+    PickPlace { arm: ArmSettings { contact_force_limit_n: Some(1e6), ..PickPlace::DEFAULT.arm }, ..PickPlace::DEFAULT };
+
 fn bench(task: PickPlace) -> Bench {
     let cell = EngineKind::Mujoco.franka();
     let settings = task.settings().into_iter().filter_map(|spec| Some((spec.name, spec.value?))).collect();
@@ -64,8 +68,29 @@ impl<F: Fn(&mut Briefing)> Policy for Changed<F> {
 }
 
 #[test]
-fn pressing_on_a_wide_part_is_a_jam() {
+fn coming_down_on_a_wide_part_is_a_hit() {
     let (mut environment, mut policy) = bench(PickPlace::DEFAULT);
+    let mut events = Vec::new();
+    let episode = rollout_with(&mut *environment, &mut *policy, &scenario(0, &wide()), &mut |tick| {
+        events.extend(tick.step.events.iter().cloned());
+    });
+    assert_eq!(episode.outcome, Outcome::Failure(FailureMode::constant("struck")));
+    assert!(episode.time_s < 5.0 && episode.measures.get("peak_contact_force_n").unwrap() > 150.0);
+    assert!(events.iter().any(|event| event.starts_with("struck: contact force")), "{events:?}");
+}
+
+/// The pads press with nearly the limit, and lose their allowance only when they have let go.
+#[test]
+fn strong_grip_is_no_hit() {
+    let arm = ArmSettings { grip_force_n: Some(65.0), contact_force_limit_n: Some(60.0), ..PickPlace::DEFAULT.arm };
+    let episode = run(&mut bench(PickPlace { arm, ..PickPlace::DEFAULT }), &scenario(0, &[]));
+    assert_eq!(episode.outcome, Outcome::Success);
+    assert!(episode.measures.get("peak_contact_force_n").unwrap() > 60.0);
+}
+
+#[test]
+fn pressing_on_a_wide_part_is_a_jam() {
+    let (mut environment, mut policy) = bench(UNLIMITED);
     let mut events = Vec::new();
     let episode = rollout_with(&mut *environment, &mut *policy, &scenario(0, &wide()), &mut |tick| {
         events.extend(tick.step.events.iter().cloned());
@@ -85,8 +110,8 @@ fn pressing_on_a_wide_part_is_a_jam() {
 #[test]
 fn limits_of_a_jam_are_settings() {
     for task in [
-        PickPlace { jam_force_n: 1e4, ..PickPlace::DEFAULT },
-        PickPlace { jam_duration_s: 14.9, ..PickPlace::DEFAULT },
+        PickPlace { jam_force_n: 1e4, ..UNLIMITED },
+        PickPlace { jam_duration_s: 14.9, ..UNLIMITED },
         PickPlace { modes: ModeSet::Paper, ..PickPlace::DEFAULT },
     ] {
         let episode = run(&mut bench(task), &scenario(0, &wide()));
@@ -104,7 +129,7 @@ fn paper_modes_are_the_published_ones() {
     let published: Vec<FailureMode> = modes(ModeSet::Paper).into_iter().map(|(mode, _)| mode).collect();
     assert_eq!(published.len(), 4);
     assert!(modes(ModeSet::All).iter().all(|(_, mode)| published.contains(mode)));
-    assert_eq!(modes(ModeSet::All).len(), 6);
+    assert_eq!(modes(ModeSet::All).len(), 7);
 }
 
 #[test]
@@ -135,16 +160,16 @@ fn episode_waits_for_the_moving_box() {
         ("disturbance_y_m", Value::Number(-1.0)),
         ("disturbance_travel_m", Value::Number(0.1)),
     ];
-    let episode = run(&mut bench(PickPlace::DEFAULT), &scenario(0, &[&wide()[..], &moving].concat()));
+    let episode = run(&mut bench(UNLIMITED), &scenario(0, &[&wide()[..], &moving].concat()));
     assert_eq!(episode.outcome, Outcome::Failure(JAM));
     assert!((181..200).contains(&episode.ticks), "{} control periods", episode.ticks);
 }
 
 #[test]
 fn ending_early_changes_no_outcome() {
-    let (mut environment, policy) = bench(PickPlace::DEFAULT);
+    let (mut environment, policy) = bench(UNLIMITED);
     let mut patient = Changed { inner: policy, change: |_: &mut Briefing| {}, hides: true };
-    let mut early = bench(PickPlace::DEFAULT);
+    let mut early = bench(UNLIMITED);
     for index in 0..12 {
         let pairs = [
             ("size_m", Value::Number(0.03 + 0.007 * index as f64)),

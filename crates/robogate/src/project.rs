@@ -13,6 +13,8 @@ use robogate_core::budget::Budget;
 use robogate_dictionary::read_text;
 use toml::{Table, Value};
 
+use crate::commands::matrix::CHILD;
+
 /// The name of the file, in the current folder.
 pub(crate) const FILE: &str = "robogate.toml";
 
@@ -77,37 +79,50 @@ pub(crate) fn settings(command: &Command, table: &Table, verb: &str) -> anyhow::
     Ok(found)
 }
 
-/// The command line with the settings of the project file in the current folder, if its verb reads it, and what was added.
+/// The command line with the settings of the project file in the current folder, if its verb reads it, and what was added. A setting
+/// that the command line has, or that contradicts it, is left out.
 pub(crate) fn completed(command: &Command, line: Vec<OsString>) -> anyhow::Result<(Vec<OsString>, Vec<Setting>)> {
     let Some(at) = line.iter().skip(1).position(|word| !word.to_string_lossy().starts_with('-')) else {
         return Ok((line, Vec::new()));
     };
-    let verb = line.get(at + 1).map(|word| word.to_string_lossy().into_owned()).unwrap_or_default();
-    let given: Vec<String> = line
-        .iter()
-        .filter_map(|word| word.to_str()?.strip_prefix("--"))
-        .map(|word| word.split('=').next().unwrap_or_default().to_owned())
-        .collect();
-    let has = |option: &str| given.iter().any(|given| given == option);
-    // A shard belongs to a plan that exists, and help starts nothing.
-    if !VERBS.contains(&verb.as_str()) || ["shard", "help"].iter().any(|option| has(option)) {
+    let (before, after) = line.split_at(at + 2);
+    let verb = before.last().map(|word| word.to_string_lossy().into_owned()).unwrap_or_default();
+    let Some(own) = command.find_subcommand(&verb).filter(|_| VERBS.contains(&verb.as_str())) else {
+        return Ok((line, Vec::new()));
+    };
+    let given: Vec<&Arg> =
+        own.get_arguments().filter(|argument| after.iter().any(|word| names(word, argument))).collect();
+    // A shard belongs to a plan that exists, the runs of a sweep have all their options, and help starts nothing.
+    let asks = |option: &str| given.iter().any(|argument| name(argument) == option);
+    if asks("shard") || asks("help") || std::env::var_os(CHILD).is_some() {
         return Ok((line, Vec::new()));
     }
     let Some(table) = read(Path::new("."))? else { return Ok((line, Vec::new())) };
-    let own = command.find_subcommand(&verb).context("the verb is unknown")?;
     let mut settings = settings(command, &table, &verb)?;
     settings.retain(|setting| {
         let Some(argument) = own.get_arguments().find(|argument| name(argument) == setting.option) else {
             return false;
         };
-        let short = argument.get_short().map(|short| format!("-{short}"));
-        let is_short = |word: &OsString| short.as_ref().is_some_and(|short| word.to_string_lossy().starts_with(short));
-        let conflicts = own.get_arg_conflicts_with(argument);
-        !has(&setting.option) && !line.iter().any(is_short) && !conflicts.into_iter().any(|other| has(&name(other)))
+        // Only one of two options need declare that they contradict each other.
+        let contradicts =
+            |one: &Arg, other: &Arg| own.get_arg_conflicts_with(one).iter().any(|of| of.get_id() == other.get_id());
+        !given.iter().any(|other| {
+            other.get_id() == argument.get_id() || contradicts(argument, other) || contradicts(other, argument)
+        })
     });
-    let (before, after) = line.split_at((at + 2).min(line.len()));
     let added = settings.iter().flat_map(|setting| setting.arguments.iter().map(OsString::from));
     Ok((before.iter().cloned().chain(added).chain(after.iter().cloned()).collect(), settings))
+}
+
+/// Whether a word of the command line gives this option: `--name`, `--name=value`, or a letter of `-abc`.
+fn names(word: &OsString, argument: &Arg) -> bool {
+    let word = word.to_string_lossy();
+    match word.strip_prefix("--") {
+        Some(long) => argument.get_long().is_some_and(|name| long.split('=').next() == Some(name)),
+        None => {
+            word.strip_prefix('-').is_some_and(|letters| argument.get_short().is_some_and(|of| letters.contains(of)))
+        }
+    }
 }
 
 fn name(argument: &Arg) -> String {

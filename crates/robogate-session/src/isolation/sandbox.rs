@@ -117,9 +117,11 @@ impl Sandbox {
         /// Prints the interpreter, the folders from which it imports, and the libraries for graphics: their
         /// search starts processes.
         const ABOUT: &str = r"
-import importlib.util, json, os, sys
-from ctypes.util import find_library
+import sys
+# The first entry is the current folder, whose json.py would run here.
 sys.path[:] = [path for path in sys.path if path]
+import importlib.util, json, os
+from ctypes.util import find_library
 graphics = {'MUJOCO_GL': 'egl' if find_library('EGL') else 'osmesa' if find_library('OSMesa') else 'disable'}
 glfw = importlib.util.find_spec('glfw')
 windows = os.path.join(os.path.dirname(glfw.origin), 'x11', 'libglfw.so') if glfw and glfw.origin else ''

@@ -3,6 +3,7 @@
 use robogate_core::{FailureMode, Measures, Word};
 use robogate_physics::{GripperCommand, Robot};
 
+use super::grip::touching;
 use super::rules::{Record, Sight};
 
 /// A contact with too much force.
@@ -24,22 +25,26 @@ pub(crate) struct Forces {
     limit_n: Option<f64>,
     /// Normal force of each pad, in newtons.
     grip_force_n: f64,
+    /// Whether the gripper closes or holds, or has not let go yet.
+    grips: bool,
     peak_n: Option<f64>,
 }
 
 impl Forces {
     /// Before the first step. The pads press with `grip_force_n` newtons each.
     pub(crate) fn new(limit_n: Option<f64>, grip_force_n: f64) -> Self {
-        Self { limit_n, grip_force_n, peak_n: None }
+        Self { limit_n, grip_force_n, grips: false, peak_n: None }
     }
 
-    /// Observes one time step. A contact above the limit ends the episode, however short it is. The force of a gripper that
-    /// closes is added to the limit.
+    /// Observes one time step. A contact above the limit ends the episode, however short it is. While the gripper closes, holds or
+    /// lets go, its force is added to the limit.
     pub(crate) fn feel(&mut self, sight: &Sight<'_>, record: &mut Record) {
-        let Some(force) = sight.view.touches.peak_force else { return };
-        self.peak_n = Some(self.peak_n.unwrap_or(0.0).max(force));
+        let force = sight.view.touches.peak_force;
+        self.peak_n = force.map_or(self.peak_n, |force| Some(self.peak_n.unwrap_or(0.0).max(force)));
         let Some(limit_n) = self.limit_n else { return };
-        let grip = if sight.command == GripperCommand::Close { self.grip_force_n } else { 0.0 };
+        self.grips = sight.command == GripperCommand::Close || self.grips && touching(sight.view);
+        let grip = if self.grips { self.grip_force_n } else { 0.0 };
+        let Some(force) = force else { return };
         if force > limit_n + grip && !record.is_over() {
             record.note(format!("struck: contact force {force:.0} N"));
             record.end(Some(STRUCK), sight.time, sight.view.touches.collision);

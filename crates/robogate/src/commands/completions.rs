@@ -1,7 +1,6 @@
 //! `robogate completions`: completions of the shell, and man pages.
 
 use std::fs;
-use std::io;
 use std::path::PathBuf;
 
 use anyhow::Context;
@@ -10,7 +9,7 @@ use clap_complete::Shell;
 
 use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
-use crate::terminal::note;
+use crate::terminal::{line, note};
 
 /// Write the completions of a shell, or man pages, for a package or a profile.
 ///
@@ -51,7 +50,12 @@ impl Completions {
             }
         };
         match &self.out {
-            None => clap_complete::generate(shell, &mut command, "robogate", &mut io::stdout()),
+            None => {
+                // The generator does not expect a reader that leaves early.
+                let mut script = Vec::new();
+                clap_complete::generate(shell, &mut command, "robogate", &mut script);
+                line(String::from_utf8_lossy(&script).trim_end());
+            }
             Some(out) => {
                 let written = fs::create_dir_all(out)
                     .and_then(|()| clap_complete::generate_to(shell, &mut command, "robogate", out))

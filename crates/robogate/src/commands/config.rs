@@ -56,7 +56,10 @@ impl Config {
                             Some((name, value)) if name == flag => value,
                             _ => "true",
                         });
-                        (values.collect::<Vec<_>>().join(", "), format!("{FILE} {}", setting.place))
+                        let values = values.collect::<Vec<_>>().join(", ");
+                        // A flag that is switched off stands for no argument.
+                        let value = if values.is_empty() { "false".to_owned() } else { values };
+                        (value, format!("{FILE} {}", setting.place))
                     }
                     None if defaults.is_empty() || argument.get_action().takes_values() == false => continue,
                     None => (

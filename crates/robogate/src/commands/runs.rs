@@ -1,13 +1,14 @@
 //! `robogate runs`: the runs below a folder.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use anyhow::anyhow;
 use clap::Args;
 use robogate_campaign::Summary;
 use robogate_stats::format::percent_range;
 use serde_json::json;
 
-use crate::exit::{DONE, Exit};
+use crate::exit::{DONE, Exit, OrExit};
 use crate::terminal::{bold, dim, grouped, line, note, percent};
 use robogate_session::{Run, runs_below, utc};
 
@@ -34,6 +35,10 @@ struct Row {
 
 impl Runs {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        if !self.folder.is_dir() {
+            return Err(anyhow!("{} is not a folder\nHint: name the folder of the runs", self.folder.display()))
+                .or_usage();
+        }
         let runs = runs_below(&self.folder);
         if self.json {
             let runs: Vec<_> = runs.iter().map(document).collect();
@@ -44,7 +49,7 @@ impl Runs {
             note(format_args!("no runs below {}\nnext: robogate run", self.folder.display()));
             return Ok(DONE);
         }
-        let rows: Vec<Row> = runs.iter().map(|run| self.row(run)).collect();
+        let rows: Vec<Row> = runs.iter().map(row).collect();
         let wide = |cell: fn(&Row) -> &str| rows.iter().map(|row| cell(row).chars().count()).max().unwrap_or(0);
         let [folder, what, verdict, rate] =
             [wide(|r| &r.folder), wide(|r| &r.what), wide(|r| &r.verdict), wide(|r| &r.rate)];
@@ -62,26 +67,26 @@ impl Runs {
         note("times are UTC; look at one: robogate view FOLDER");
         Ok(DONE)
     }
+}
 
-    fn row(&self, run: &Run) -> Row {
-        let folder = run.folder.strip_prefix(&self.folder).unwrap_or(&run.folder);
-        let estimate = run.summary.as_ref().map(|summary| &summary.estimate);
-        let rate = estimate.and_then(|estimate| Some((estimate.success_rate?, estimate.interval_95)));
-        let verdict = match (&run.summary, run.verdict) {
-            (_, Some(verdict)) => verdict.as_str(),
-            (None, None) => "unfinished",
-            (Some(_), None) => "-",
-        };
-        let on = if run.robot == run.task { String::new() } else { format!(" on {}", run.robot) };
-        Row {
-            folder: folder.display().to_string(),
-            started: utc(run.started_s),
-            what: format!("{}{on}, {}", run.task, run.policy),
-            verdict: verdict.to_owned(),
-            rate: rate
-                .map_or_else(|| "-".to_owned(), |(rate, ci)| format!("{} ({})", percent(rate), percent_range(ci))),
-            episodes: run.summary.as_ref().map_or_else(|| "-".to_owned(), |summary| grouped(summary.episodes)),
-        }
+fn row(run: &Run) -> Row {
+    let folder = run.folder.strip_prefix(".").unwrap_or(&run.folder);
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let estimate = run.summary.as_ref().map(|summary| &summary.estimate);
+    let rate = estimate.and_then(|estimate| Some((estimate.success_rate?, estimate.interval_95)));
+    let verdict = match (&run.summary, run.verdict) {
+        (_, Some(verdict)) => verdict.as_str(),
+        (None, None) => "unfinished",
+        (Some(_), None) => "-",
+    };
+    let on = if run.robot == run.task { String::new() } else { format!(" on {}", run.robot) };
+    Row {
+        folder: folder.display().to_string(),
+        started: utc(run.started_s),
+        what: format!("{}{on}, {}", run.task, run.policy),
+        verdict: verdict.to_owned(),
+        rate: rate.map_or_else(|| "-".to_owned(), |(rate, ci)| format!("{} ({})", percent(rate), percent_range(ci))),
+        episodes: run.summary.as_ref().map_or_else(|| "-".to_owned(), |summary| grouped(summary.episodes)),
     }
 }
 

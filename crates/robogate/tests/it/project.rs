@@ -48,6 +48,12 @@ fn wrong_keys_are_named() {
         assert_eq!(output.status.code(), Some(2), "{text}");
         assert!(stderr(&output).contains(why), "{text}: {}", stderr(&output));
     }
+    // A key that contradicts the command line is left out, whichever of the two options declares it.
+    write("[run]\nn = 8\npreset = 'quick'\ntask = 'pendulum'\n[gate]\nsuite = 'stacking-40'\nseed = 3\n");
+    verb(dir.path(), "run -qn 4 --out c", 0, &["4 episodes"]);
+    fs::write(dir.path().join("plan.toml"), "[uniform]\nepisodes = 5\n").unwrap();
+    verb(dir.path(), "run --plan plan.toml --out d", 0, &["8 episodes"]);
+    verb(dir.path(), "gate --run c --requirements paper", 2, &["pick_place"]);
     // `twins` of another verb does not matter here.
     write("[gate]\nrounds = 2\n");
     verb(dir.path(), "run --task pendulum -n 4 --out a", 0, &[]);

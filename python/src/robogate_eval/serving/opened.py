@@ -49,7 +49,7 @@ class Opened:
     def _note(self, path: str, writes: bool) -> None:
         # Most files are elsewhere: links are resolved only for those that may be here.
         full = os.path.realpath(path)
-        if full.startswith(self.folder + os.sep) and not full.endswith((".py", ".pyc")) and len(self._read) < MOST:
+        if full.startswith(self.folder + os.sep) and not full.endswith(".pyc") and len(self._read) < MOST:
             (self._written if writes else self._read).add(full)
 
     def _watch_mujoco(self, mujoco: ModuleType) -> None:

@@ -28,7 +28,7 @@ use crate::terminal::{grouped, line, note};
 use sweep::{Sweep, SweepPlan, VERSION};
 
 pub(crate) use board::merge;
-pub(crate) use run::{end_with_parent, next, status};
+pub(crate) use run::{CHILD, end_with_parent, next, status};
 
 /// The plan of a sweep in its folder.
 const PLAN: &str = "sweep.json";

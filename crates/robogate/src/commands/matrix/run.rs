@@ -38,7 +38,7 @@ impl SweepRun {
 }
 
 /// The environment variable that makes a campaign end with the process of its sweep.
-const CHILD: &str = "ROBOGATE_CHILD_OF_SWEEP";
+pub(crate) const CHILD: &str = "ROBOGATE_CHILD_OF_SWEEP";
 
 /// Lets the system interrupt this process when the process of its sweep ends in any way, if it belongs to a sweep.
 pub(crate) fn end_with_parent() {
