@@ -76,7 +76,7 @@ fn recorded_foresight(shards: &Shards, opening: &Reopening) -> Result<Knowledge,
         return Ok(None);
     }
     let subject = Subject::recorded_environment(provenance, Some(&shards.dir()), opening)?;
-    Ok(subject.foresight()?)
+    subject.foresight()
 }
 
 impl ShardedCampaign {

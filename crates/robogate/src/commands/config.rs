@@ -61,7 +61,7 @@ impl Config {
                         let value = if values.is_empty() { "false".to_owned() } else { values };
                         (value, format!("{FILE} {}", setting.place))
                     }
-                    None if defaults.is_empty() || argument.get_action().takes_values() == false => continue,
+                    None if defaults.is_empty() || !argument.get_action().takes_values() => continue,
                     None => (
                         defaults.iter().map(|v| v.to_string_lossy()).collect::<Vec<_>>().join(", "),
                         "default".to_owned(),
