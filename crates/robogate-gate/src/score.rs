@@ -3,16 +3,18 @@
 //! C = 100 Σ wᵢ sᵢ, with weights and terms as data ([`ScoreTerm`]). It summarises observed figures and has no error
 //! bound, so the verdict does not depend on it. The cycle-time term 1 - |Δt/t_base| is limited to 0, because it would
 //! be negative beyond twice the baseline. The paper's baseline term max(0, 1 + ΔSR) exceeds 1 if a policy is better
-//! than its baseline, and the score may then exceed 100. Requirements can limit the term to 1 as well. where a policy
-//! is better than its baseline; a set of requirements may ask for the term cut off at 1 as well.
+//! than its baseline, and the score may then exceed 100. Requirements can limit the term to 1 as well.
+//!
+//! The cycle time is that of the successes, as in the baseline. The paper also scores policies that never succeed, by
+//! the durations of their failures. So does this score.
 
 use robogate_stats::Interval;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::figure::{Extremes, figure};
+use crate::figure::{Extremes, applies, figure};
 use crate::scope::Scope;
-use crate::{Baseline, GateError, Metric, Trial};
+use crate::{Baseline, Ending, GateError, Metric, Trial};
 
 /// One term of the score, as data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -153,8 +155,10 @@ impl ConfidenceScore {
         let scored = terms.iter().map(|term| {
             let scope = Scope { category: term.category.as_deref(), group: None };
             let range = [Some(0.0).filter(|_| term.metric == Metric::MEAN_CYCLE_TIME), None];
-            // The paper's term of the cycle time counts all endings.
-            let (_, _, extremes) = figure(term.metric, trials.clone().filter(|trial| scope.holds(trial)), range);
+            let in_scope = trials.clone().filter(|trial| scope.holds(trial));
+            let never = !in_scope.clone().any(|trial| trial.ending == Ending::Success);
+            let counted = in_scope.filter(|trial| never || applies(term.metric, trial));
+            let (_, _, extremes) = figure(term.metric, counted, range);
             let b = if term.scoring.needs_baseline() { baseline.and_then(|b| b.figure(term.metric)) } else { None };
             let full = 100.0 * term.weight;
             let range = term.scoring.range(&extremes, b).unwrap_or(Interval::UNIT);

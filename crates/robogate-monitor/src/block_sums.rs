@@ -72,6 +72,12 @@ impl BlockSums {
         }
     }
 
+    /// Whether it is time to look for dependence again: after every 64 scores.
+    pub(crate) fn is_due(&self) -> bool {
+        const EVERY: u32 = 64;
+        self.scales[0].blocks.is_multiple_of(EVERY)
+    }
+
     /// The largest inflation. `None` if no length shows any. The one that was known before is kept until there are as many blocks
     /// of its length.
     pub(crate) fn inflation(&self, known: Option<Inflation>) -> Option<Inflation> {

@@ -348,7 +348,6 @@ impl Recipe {
 
     /// Adds the score of a cycle to the sums of blocks, and looks for dependence now and then.
     fn add_to_sums(&mut self, symbols: &Symbols, settings: &Settings) {
-        const EVERY: u64 = 64;
         let bins = self.binned.as_ref().map_or(1, |binned| binned.edges.len()).max(1);
         for metric in Metric::all(settings).filter(|metric| !matches!(metric, Metric::FailureModes | Metric::Robot)) {
             let Some(code) = symbols.code(metric) else { continue };
@@ -361,10 +360,10 @@ impl Recipe {
             };
             let i = metric.index();
             self.state.sums[i].add(score);
-            if !self.state.cycles.is_multiple_of(EVERY) {
+            let (sums, known) = (&self.state.sums[i], self.state.inflation[i]);
+            if !sums.is_due() {
                 continue;
             }
-            let (sums, known) = (&self.state.sums[i], self.state.inflation[i]);
             let stands = self.state.standing[i].iter().any(Option::is_some);
             let found = if stands { sums.inflation_in_alarm(known) } else { sums.inflation(known) };
             if found != known {
@@ -770,6 +769,23 @@ mod tests {
         let learnt = recipe.baseline().failure_modes.clone().unwrap();
         assert_eq!((learnt.of("jammed"), learnt.of("spilled"), learnt.total()), (3, 1, 4));
         assert_eq!(recipe.state().modes.code("burnt"), recipe.state().modes.code(OTHER_MODE));
+    }
+
+    #[test]
+    fn dependence_is_found_in_metrics_of_every_second_cycle() {
+        let settings = Settings::default();
+        let dropped = Metric::all(&settings).find(|metric| metric.name(&settings) == "event:drop").unwrap();
+        let mut recipe = Recipe::new("x", &settings);
+        let mut cycle = Cycle { success: true, failure_mode: None, ..failed("timeout") };
+        for i in 0..2_000_u32 {
+            // Drops in batches of 16 reports. The recipe has an odd number of cycles at each report.
+            cycle.events.clear();
+            if i % 2 == 0 {
+                cycle.events.insert("drop".to_owned(), i / 32 % 2 == 1);
+            }
+            recipe.observe(&cycle, &settings, &mut |_| {});
+        }
+        assert_eq!(recipe.inflation(dropped).map(|found| found.cycles), Some(16));
     }
 
     #[test]

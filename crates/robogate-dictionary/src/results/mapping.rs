@@ -144,6 +144,11 @@ impl Mapping {
         self.measures.values().any(|named| named == column)
     }
 
+    /// Whether the mapping leaves this column out.
+    pub(super) fn ignores(&self, column: &str) -> bool {
+        self.ignore.iter().any(|ignored| ignored == column)
+    }
+
     /// Whether the mapping names this column for anything.
     pub(super) fn names(&self, column: &str) -> bool {
         let mut named =

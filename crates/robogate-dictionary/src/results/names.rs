@@ -137,7 +137,8 @@ const SPELLINGS: [(Role, &[&str]); 5] = [
     (Role::Error, &["exception", "error_message", "traceback"]),
     (Role::Seed, &["episode_seed", "env_seed"]),
     (Role::FailureMode, &["failure_category"]),
-    (Role::Policy, &["policy_id", "policy_name", "model", "model_id", "model_name", "checkpoint", "checkpoint_name"]),
+    // `model` alone is often the model of an object.
+    (Role::Policy, &["policy_id", "policy_name", "model_id", "model_name", "checkpoint", "checkpoint_name"]),
 ];
 
 /// Words that name what several episodes share, if nothing but a number or a prefix stands beside them.
@@ -311,5 +312,7 @@ mod tests {
         assert_eq!(find(Role::Success, &["success_rate", "Success"]).as_deref(), Some("Success"));
         assert_eq!(find(Role::Success, &["Success", "success"]).as_deref(), Some("success"));
         assert_eq!(find(Role::CycleTime, &["cycle_time"]), None, "its unit is unknown");
+        assert_eq!(find(Role::Policy, &["model", "Checkpoint"]).as_deref(), Some("Checkpoint"));
+        assert_eq!(find(Role::Policy, &["model", "mass"]), None, "it can be the model of an object");
     }
 }

@@ -20,7 +20,7 @@ pub(super) struct Policies {
 /// The policies whose rows a file contains, sorted. Empty if no column names the policy.
 ///
 /// # Errors
-/// If the file cannot be read, or has too many policies.
+/// If the file cannot be read, has too many policies, or only some of its rows name one.
 pub fn policies(path: &Path, format: Option<Format>, mapping: &Mapping) -> Result<Vec<String>, DictionaryError> {
     let format = format_of(path, format)?;
     if format == Format::Published || exported::is_export(path, format) {
@@ -39,12 +39,24 @@ impl Policies {
         columns: &[String],
     ) -> Result<Self, DictionaryError> {
         let column = mapping.column(Role::Policy);
-        if mapping.names_parameter(column) || !columns.iter().any(|name| name == column) {
+        if mapping.names_parameter(column) || mapping.ignores(column) || !columns.iter().any(|name| name == column) {
             return Ok(Self::default());
         }
         let mut found = Self { column: Some(column.to_owned()), rows: BTreeMap::new() };
+        let mut unnamed: Option<DictionaryError> = None;
         read(format, path, &mut |row| {
-            *found.rows.entry(found.name_of(row)).or_insert(0) += 1;
+            let name = found.name_of(row);
+            if name.trim().is_empty() {
+                unnamed.get_or_insert_with(|| {
+                    let reason = format!(
+                        "names no policy, although other rows name one\nHint: fill it in, or leave the column out with \
+                         --map ignore={column}"
+                    );
+                    row.wrong(path, column, reason)
+                });
+                return Ok(());
+            }
+            *found.rows.entry(name).or_insert(0) += 1;
             if found.rows.len() > MOST_POLICIES {
                 let reason = format!(
                     "column `{column}` has more than {MOST_POLICIES} values, which are not policies\nHint: give it another role, for \
@@ -54,7 +66,11 @@ impl Policies {
             }
             Ok(())
         })?;
-        Ok(found)
+        match unnamed {
+            Some(error) if !found.rows.is_empty() => Err(error),
+            // A column without any value names no policy.
+            _ => Ok(found),
+        }
     }
 
     fn name_of(&self, row: &RawRow) -> String {
@@ -67,7 +83,7 @@ impl Policies {
 
     /// The only policy.
     pub(super) fn only(&self) -> Option<String> {
-        self.rows.keys().next().filter(|name| self.rows.len() == 1 && !name.is_empty()).cloned()
+        self.rows.keys().next().filter(|_| self.rows.len() == 1).cloned()
     }
 
     /// The policy whose rows are imported. `None` for all rows, if the file has one policy at most.

@@ -223,9 +223,7 @@ impl<'a> Survey<'a> {
         if self.mapping.parameters.is_some() {
             return self.mapping.names_parameter(name);
         }
-        !self.has_role(name)
-            && !self.mapping.ignore.iter().any(|ignored| ignored == name)
-            && names::suggested(name) != Suggested::Identifier
+        !self.has_role(name) && !self.mapping.ignores(name) && names::suggested(name) != Suggested::Identifier
     }
 
     /// Returns the space, the provenance, and the conversion from rows to entries.
@@ -291,13 +289,15 @@ impl<'a> Survey<'a> {
     /// The roles of the columns that are neither parameters nor measures.
     fn roles_of_others(&self) -> Vec<SourceColumn> {
         let role_of = |column: &str| {
-            let role = Role::ALL.into_iter().find(|role| self.mapping.column(*role) == column);
+            let ignored = self.mapping.ignores(column);
+            let mut of_column = Role::ALL.into_iter().filter(|role| self.mapping.column(*role) == column);
+            let role = of_column.find(|role| *role != Role::Policy || !ignored);
             let flag = self.results.flags.iter().find(|flag| flag.column.as_deref() == Some(column));
             match (role, flag) {
                 (Some(role), _) => role.as_str().replace('_', " "),
                 (None, Some(flag)) => format!("flag of {}", flag.mode),
                 _ if self.results.has(column) => Role::FailureMode.as_str().replace('_', " "),
-                _ if self.mapping.ignore.iter().any(|ignored| ignored == column) => "not used, as requested".to_owned(),
+                _ if ignored => "not used, as requested".to_owned(),
                 _ if names::suggested(column) == Suggested::Identifier => "identifier, not used".to_owned(),
                 _ => "not used".to_owned(),
             }

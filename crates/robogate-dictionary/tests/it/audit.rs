@@ -147,6 +147,22 @@ fn control_arm_repeats_seeds_on_purpose() {
     assert_eq!(checked.found(), 0, "{:?}", checked.checks);
 }
 
+#[test]
+fn tiny_environments_do_not_hide_a_dependence() {
+    // Of four environments with 100 episodes each, one fails more often. A fifth has two episodes.
+    let rate = |env: u64| if env == 3 { 25 } else { 75 };
+    let row = |i: u64, env: u64| format!("{env},{i},{}\n", u8::from(mixed(i) % 100 < rate(env)));
+    let rows: String = (0..400).map(|i| row(i, i % 4)).chain((400..402).map(|i| row(i, 9))).collect();
+    let audit = of_text("tiny", &format!("env_id,seed,success\n{rows}"));
+    let found = problems(&audit, Check::BatchArtefacts);
+    assert!(found.iter().any(|problem| problem.what.starts_with("Success depends on the environment")), "{found:?}");
+    // Nothing is left if all are tiny.
+    let rows: String = (0..12).map(|i| row(i, i % 6)).collect();
+    let audit = of_text("all-tiny", &format!("env_id,seed,success\n{rows}"));
+    let left = result(&audit, Check::BatchArtefacts);
+    assert!(matches!(left, CheckResult::NotPossible { .. }), "{left:?}");
+}
+
 /// A number without a pattern.
 fn mixed(i: u64) -> u64 {
     let step = |x: u64| (x ^ (x >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

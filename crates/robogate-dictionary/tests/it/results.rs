@@ -528,11 +528,39 @@ fn one_dictionary_has_one_policy() {
     let error = import(&path, &folder.join("d.parquet"), None, &mapping).unwrap_err().to_string();
     assert!(error.contains("and not `c`"), "{error}");
     // The only policy of a file is its policy, and a given role comes first.
-    fs::write(&path, "model,seed,mass,success\npi0,1,2,1\npi0,2,3,0\n").unwrap();
+    fs::write(&path, "checkpoint,seed,mass,success\npi0,1,2,1\npi0,2,3,0\n").unwrap();
     assert_eq!(imported(&path, None, &Mapping::default()).0.policy, "pi0");
-    fs::write(&path, "model,seed,mass,success\nmug,1,2,1\nbowl,2,3,0\n").unwrap();
+    fs::write(&path, "checkpoint,seed,mass,success\nmug,1,2,1\nbowl,2,3,0\n").unwrap();
     let mut mapping = Mapping::default();
-    mapping.add("parameter.model=model", "--map").unwrap();
+    mapping.add("parameter.model=checkpoint", "--map").unwrap();
     let (provenance, entries) = imported(&path, None, &mapping);
+    assert_eq!((provenance.policy.as_str(), entries.len()), ("unknown", 2));
+    // A column `model` can name objects.
+    fs::write(&path, "model,seed,mass,success\nmug,1,2,1\nbowl,2,3,0\n").unwrap();
+    let (provenance, entries) = imported(&path, None, &Mapping::default());
+    assert_eq!((provenance.policy.as_str(), entries.len()), ("unknown", 2));
+    assert!(!roles(&provenance).contains(&"model: policy".to_owned()), "{:?}", roles(&provenance));
+}
+
+#[test]
+fn rows_without_policy_are_refused() {
+    let rows = "policy,mass,success\na,1,1\n,2,0\nb,3,1\n,4,1\n";
+    let error = refused("no-policy.csv", rows, &Mapping::default());
+    assert!(error.contains("row 1, column `policy`: a missing value names no policy"), "{error}");
+    assert!(error.contains("Hint: fill it in, or leave the column out with --map ignore=policy"), "{error}");
+    let folder = Folder::new("results-no-policy");
+    let path = folder.join("t.csv");
+    fs::write(&path, rows).unwrap();
+    assert_eq!(policies(&path, None, &Mapping::default()).unwrap_err().to_string().lines().count(), 2);
+    // As the hint says.
+    let mut mapping = Mapping::default();
+    mapping.add("ignore=policy", "--map").unwrap();
+    assert!(policies(&path, None, &mapping).unwrap().is_empty());
+    let (provenance, entries) = imported(&path, None, &mapping);
+    assert_eq!((provenance.policy.as_str(), entries.len()), ("unknown", 4));
+    assert!(roles(&provenance).contains(&"policy: not used, as requested".to_owned()), "{:?}", roles(&provenance));
+    // A column without any value names no policy.
+    fs::write(&path, "policy,mass,success\n,1,1\n,2,0\n").unwrap();
+    let (provenance, entries) = imported(&path, None, &Mapping::default());
     assert_eq!((provenance.policy.as_str(), entries.len()), ("unknown", 2));
 }

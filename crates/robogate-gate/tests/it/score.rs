@@ -1,5 +1,5 @@
 use robogate_core::FailureMode;
-use robogate_gate::{ConfidenceScore, Ending, Question, Record, Requirements, Sampling};
+use robogate_gate::{Baseline, ConfidenceScore, Ending, Question, Record, Requirements, Sampling};
 
 use crate::common::{baseline, failed, invalid, suite, task, times};
 
@@ -56,6 +56,22 @@ fn one_collision_limits_score_to_75() {
     let endings = times(67, &Ending::Success).chain([failed(FailureMode::constant("collision"))]);
     let one = score(&suite(68, endings));
     assert!(one.points.unwrap() < 75.0 && one.points.unwrap() > 74.0);
+}
+
+#[test]
+fn policy_against_itself_has_all_points_of_cycle_time() {
+    // Failures that end early or late are no cycle times, neither here nor in the baseline.
+    let mode = FailureMode::constant("grasp_miss");
+    let mut record = suite(68, times(60, &Ending::Success).chain(times(8, &failed(mode))));
+    record.trials.iter_mut().skip(60).for_each(|trial| trial.time_s = Some(30.0));
+    let requirements = Requirements::open("paper", &task()).unwrap();
+    let itself = Baseline::of(&record).unwrap();
+    let question =
+        Question { requirements: &requirements, baseline: Some(&itself), against: None, sampling: Sampling::Fixed };
+    let score = question.evaluate(&record).unwrap().score.unwrap();
+    let term = &score.terms[1];
+    assert!((term.value.unwrap() - 4.1).abs() < 1e-9 && term.value == term.baseline, "{term:?}");
+    assert_eq!((points(&score)[1], points(&score)[4]), (20.0, 10.0));
 }
 
 #[test]

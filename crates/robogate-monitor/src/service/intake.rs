@@ -211,13 +211,15 @@ impl Intake {
     /// Writes one batch into the transaction.
     fn keep(&mut self, batch: Batch, fresh: &mut Fresh) -> Result<Taken, StoreError> {
         let Batch { cycles, malformed, problems, sender, .. } = batch;
+        let from = sender.as_ref().map_or("the feed", |(name, _)| name).to_owned();
         if let Some(first) = problems.first() {
-            let sender = sender.as_ref().map_or("the feed", |(name, _)| name).to_owned();
+            let sender = from.clone();
             let time_s = self.newest_time.values().copied().fold(0.0, f64::max);
             let because = format!("{malformed} lines are no cycles; line {}: {}", first.line, first.because);
             let (place, recipe) = (format!("line {}", first.line), "*".to_owned());
             fresh.found.push(Found { trouble: Trouble::Refused, sender, recipe, place, time_s, because });
         }
+        fresh.from.push(from);
         let mut taken = Taken { refused: malformed, refusals: problems, ..Taken::default() };
         for (line, cycle, text) in cycles {
             if let Err(because) = self.has_room(&cycle.recipe, sender.as_ref(), fresh) {
@@ -258,14 +260,14 @@ impl Intake {
     /// Passes the cycles that are now on disk to the detectors.
     fn hear(&mut self, mut taken: Vec<Taken>, fresh: Fresh) -> Result<Vec<Taken>, StoreError> {
         let mut alarms: Vec<Alarm> = Vec::new();
-        let Fresh { cycles, found, .. } = fresh;
+        let Fresh { cycles, from, found, .. } = fresh;
         let mut fresh = cycles.into_iter();
         let mut due = BTreeSet::new();
-        for taken in &mut taken {
+        for (taken, from) in taken.iter_mut().zip(&from) {
             for (seq, cycle) in fresh.by_ref().take(taken.accepted as usize) {
                 self.clock(&cycle, taken);
                 self.newest = seq;
-                taken.gaps += u64::from(self.senders.accept(&cycle, &mut |alarm| alarms.push(alarm)));
+                taken.gaps += u64::from(self.senders.accept(&cycle, from, &mut |alarm| alarms.push(alarm)));
                 // There is space: it was checked before the write.
                 if let Ok(judged) = self.monitor.observe(&cycle, &mut |alarm| alarms.push(alarm)) {
                     taken.outside += u64::from(judged.outside == Some(true));
@@ -388,6 +390,8 @@ impl Intake {
 struct Fresh {
     /// New cycles with their numbers.
     cycles: Vec<(u64, Cycle)>,
+    /// Who sent each batch: an address, `mqtt` or `the feed`.
+    from: Vec<String>,
     /// New recipes.
     recipes: BTreeSet<String>,
     /// Problems of senders.

@@ -86,9 +86,9 @@ pub(super) struct Senders {
 }
 
 impl Senders {
-    /// Follows an accepted cycle. Returns whether cycles before it are missing.
-    pub(super) fn accept(&mut self, cycle: &Cycle, emit: &mut dyn FnMut(Alarm)) -> bool {
-        self.clear(cycle, emit);
+    /// Follows an accepted cycle that `from` sent. Returns whether cycles before it are missing.
+    pub(super) fn accept(&mut self, cycle: &Cycle, from: &str, emit: &mut dyn FnMut(Alarm)) -> bool {
+        self.clear(cycle, from, emit);
         let Some((prefix, number)) = counted(&cycle.id) else { return false };
         if self.counters.len() >= MOST_SENDERS && !self.counters.contains_key(&cycle.robot) {
             return false;
@@ -130,7 +130,8 @@ impl Senders {
         }
         let Found { trouble, sender, recipe, place, time_s, because } = found;
         let alarm = Alarm {
-            id: format!("{METRIC}/{sender}/{trouble:?}/{place}"),
+            // Lines of different batches have the same numbers.
+            id: format!("{METRIC}/{sender}/{trouble:?}/{place}/{time_s}"),
             happening: Happening::Raised,
             level: trouble.level(),
             recipe,
@@ -148,13 +149,16 @@ impl Senders {
         self.active.insert(key, (alarm, 0));
     }
 
-    /// Counts an accepted cycle for the active alarms of its robot.
-    fn clear(&mut self, cycle: &Cycle, emit: &mut dyn FnMut(Alarm)) {
+    /// Counts an accepted cycle for the active alarms of its robot, and of `from`, who sent it.
+    fn clear(&mut self, cycle: &Cycle, from: &str, emit: &mut dyn FnMut(Alarm)) {
+        const TROUBLES: [Trouble; 3] = [Trouble::Restarted, Trouble::Refused, Trouble::Gap];
         if self.active.is_empty() {
             return;
         }
-        for trouble in [Trouble::Restarted, Trouble::Refused, Trouble::Gap] {
-            let key = (cycle.robot.clone(), trouble);
+        let robot = cycle.robot.as_str();
+        let of_sender = TROUBLES.map(|trouble| (from, trouble)).into_iter().filter(|_| from != robot);
+        for (name, trouble) in TROUBLES.map(|trouble| (robot, trouble)).into_iter().chain(of_sender) {
+            let key = (name.to_owned(), trouble);
             let Some((_, since)) = self.active.get_mut(&key) else { continue };
             *since += 1;
             if *since >= CLEAR_AFTER
@@ -166,7 +170,7 @@ impl Senders {
                     recipe: cycle.recipe.clone(),
                     cycle_id: cycle.id.clone(),
                     time_s: cycle.time_s,
-                    what: format!("the last {CLEAR_AFTER} cycles of {} were accepted", cycle.robot),
+                    what: format!("the last {CLEAR_AFTER} cycles of {name} were accepted"),
                     look_at: Vec::new(),
                     ..raised
                 });
@@ -193,7 +197,7 @@ mod tests {
     fn alarms(ids: impl IntoIterator<Item = String>) -> Vec<Alarm> {
         let (mut senders, mut all) = (Senders::default(), Vec::new());
         for id in ids {
-            senders.accept(&cycle(&id), &mut |alarm| all.push(alarm));
+            senders.accept(&cycle(&id), "the feed", &mut |alarm| all.push(alarm));
         }
         all
     }
@@ -220,5 +224,25 @@ mod tests {
             [Happening::Raised, Happening::Cleared]
         );
         assert_ne!(found[0].id, found[1].id);
+    }
+
+    #[test]
+    fn alarms_about_malformed_lines_are_cleared_by_their_sender() {
+        let malformed = |sender: &str| {
+            let because = "2 lines are no cycles".to_owned();
+            let (sender, place) = (sender.to_owned(), "line 1".to_owned());
+            Found { trouble: Trouble::Refused, sender, recipe: "*".to_owned(), place, time_s: 1.0, because }
+        };
+        let (mut senders, mut all) = (Senders::default(), Vec::new());
+        for sender in ["10.0.0.7", "10.0.0.8"] {
+            senders.raise(malformed(sender), &mut |alarm| all.push(alarm));
+        }
+        for n in 0..CLEAR_AFTER {
+            senders.accept(&cycle(&format!("a/{n}")), "10.0.0.7", &mut |alarm| all.push(alarm));
+        }
+        let happenings: Vec<_> = all.iter().map(|alarm| (alarm.happening, alarm.robot.as_str())).collect();
+        let raised = |sender| (Happening::Raised, sender);
+        assert_eq!(happenings, [raised("10.0.0.7"), raised("10.0.0.8"), (Happening::Cleared, "10.0.0.7")]);
+        assert!(all[2].what.contains("the last 1000 cycles of 10.0.0.7"), "{}", all[2].what);
     }
 }

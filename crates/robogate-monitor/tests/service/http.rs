@@ -285,6 +285,21 @@ fn malformed_bodies_do_not_delay_others() {
     service.end();
 }
 
+/// An alarm about malformed lines ends with good ones, so that it does not hide the next.
+#[test]
+fn alarms_about_malformed_lines_are_cleared() {
+    let (_folder, service) = open();
+    let to = service.address;
+    assert_eq!(post(to, "/v1/cycles", "nonsense\n", None).0, 422);
+    assert_eq!(post(to, "/v1/cycles", &cycles(0..1_000, 0.05), None).0, 200);
+    assert_eq!(post(to, "/v1/cycles", "nonsense\n", None).0, 422);
+    let alarms = service.engine.handle().status().unwrap().alarms;
+    let of_sender = alarms.iter().rev().filter(|alarm| alarm["metric"] == "sender");
+    let happenings: Vec<&str> = of_sender.map(|alarm| alarm["happening"].as_str().unwrap()).collect();
+    assert_eq!(happenings, ["raised", "cleared", "raised"]);
+    service.end();
+}
+
 /// Each new connection takes the place of the unfinished head that has waited longest.
 #[test]
 fn unfinished_heads_lock_nobody_out() {

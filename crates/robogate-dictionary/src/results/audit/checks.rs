@@ -341,8 +341,10 @@ fn batches(table: &Table<'_>) -> Outcome {
 }
 
 /// The chi-square statistic of success by group within scenarios, as a standard normal number (Mantel and Haenszel 1959; Wilson and
-/// Hilferty 1931). Scenarios and policies differ by design, so each row is compared with the rate of its own. `None` with fewer than
-/// two groups, or if fewer than five successes and failures are expected per group.
+/// Hilferty 1931). Scenarios and policies differ by design, so each row is compared with the rate of its own.
+///
+/// The smallest groups are left out until each has a variance of 1, and five successes and failures are expected per group. `None`
+/// if fewer than two groups are left.
 fn dependence(table: &Table<'_>, group: impl Fn(usize, &AuditRow) -> Option<i64>) -> Option<f64> {
     // Parameters that hardly ever repeat are no scenarios.
     let scenarios = grouped(table, |row| Some(row.scenario()));
@@ -360,13 +362,24 @@ fn dependence(table: &Table<'_>, group: impl Fn(usize, &AuditRow) -> Option<i64>
             count.iter_mut().zip(row).for_each(|(sum, x)| *sum += x);
         }
     }
-    let (n, successes) = counts.values().fold((0.0, 0.0), |(n, k), count| (n + count[0], k + count[1]));
-    let k = counts.len() as f64 - 1.0;
-    let enough = f64::min(n - successes, successes) / counts.len().max(1) as f64 >= 5.0;
-    if k < 1.0 || !enough || counts.values().any(|count| count[3] < 1.0) {
+    let mut groups: Vec<[f64; 4]> = counts.into_values().collect();
+    let all: f64 = groups.iter().map(|group| group[0]).sum();
+    groups.sort_by(|a, b| b[3].total_cmp(&a[3]));
+    let (mut rows, mut successes, mut kept) = (0.0_f64, 0.0_f64, 0);
+    for (n, group) in (1_u32..).zip(&groups) {
+        (rows, successes) = (rows + group[0], successes + group[2]);
+        // Sums of rates are rounded.
+        if group[3] >= 1.0 && f64::min(successes, rows - successes) >= 5.0 * f64::from(n) - 1e-6 {
+            kept = n;
+        }
+    }
+    groups.truncate(kept as usize);
+    if groups.len() < 2 {
         return None;
     }
-    let statistic: f64 = counts.values().map(|count| (count[1] - count[2]).powi(2) / count[3]).sum();
+    let statistic: f64 = groups.iter().map(|group| (group[1] - group[2]).powi(2) / group[3]).sum();
+    // The mean of the statistic. It is the number of groups minus 1 if none is left out.
+    let k = groups.len() as f64 - groups.iter().map(|group| group[0]).sum::<f64>() / all;
     let spread = 2.0 / (9.0 * k);
     Some(((statistic / k).cbrt() - (1.0 - spread)) / spread.sqrt())
 }

@@ -355,7 +355,7 @@ impl<'a> Table<'a> {
                 self.length.insert(name.to_owned());
                 row.length = number.or(row.length);
             }
-            Suggested::Parameter if !self.mapping.ignore.iter().any(|ignored| ignored == name) => {
+            Suggested::Parameter if !self.mapping.ignores(name) => {
                 self.continuous |= matches!(value, Scalar::Number(x) if x.fract().abs() > 0.0);
                 self.parameters.insert(name.to_owned());
                 parameters.push((name, value));
