@@ -16,7 +16,7 @@ pub(super) fn map_title(map: &PairMap) -> String {
 pub(super) fn map_zones(map: &PairMap) -> String {
     let zones = map.zones;
     format!(
-        "{} of {} cells are significantly safe (70 % or more), {} in danger (30 % or less) and {} between.",
+        "{} of {} cells are significantly at 70 % or more, {} at 30 % or less and {} between.",
         zones.safe,
         map.cells.len(),
         zones.danger,

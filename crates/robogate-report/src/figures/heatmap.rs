@@ -245,12 +245,7 @@ fn legend(svg: &mut Svg, y: f64, boundary: Boundary<'_>) {
     svg.text("s", Anchor::Start, [from + w * STEPS as f64 + 7.0, y + 10.0], "100 % success");
     svg.rect("r5", [LEFT, y + 21.0, 22.0, 12.0]);
     mark(svg, [LEFT + 22.0, y + 21.0]);
-    svg.text(
-        "s",
-        Anchor::Start,
-        [LEFT + 29.0, y + 31.0],
-        "the zone of the cell (safe, boundary, danger) is significant",
-    );
+    svg.text("s", Anchor::Start, [LEFT + 29.0, y + 31.0], "at 70 % or more, at 30 % or less, or between: significant");
     if let Some((class, text)) = boundary.legend() {
         svg.rect("band", [LEFT, y + 42.0, 22.0, 12.0]);
         svg.line(class, [LEFT, y + 48.0, LEFT + 22.0, y + 48.0]);

@@ -4,21 +4,16 @@ use maud::Markup;
 use robogate_analysis::Rate;
 use robogate_stats::format::{percent, percent_range};
 
-use super::ZONES;
 use super::svg::{Anchor, Scale, Svg};
 
-/// Draws the success rate on a line from 0 to 100 %, with its interval, its bounds and the zones.
+/// Draws the success rate on a line from 0 to 100 %, with its interval and its bounds. It has no zones: which rate is sufficient is
+/// the user's decision.
 pub(crate) fn rate_scale(rate: &Rate, bounds: Option<[f64; 2]>) -> Markup {
-    let mut svg = Svg::new(360.0, 84.0);
+    let mut svg = Svg::new(360.0, 62.0);
     let x = Scale::linear([0.0, 1.0], [6.0, 354.0]);
-    let y = 34.0;
-    for (class, from, to, text) in
-        [("zd", 0.0, ZONES[0], "danger"), ("zb", ZONES[0], ZONES[1], "boundary"), ("zs", ZONES[1], 1.0, "safe")]
-    {
-        svg.rect(class, [x.at(from), y, x.at(to) - x.at(from) - 1.5, 14.0]);
-        svg.text("s d", Anchor::Middle, [x.at(0.5 * (from + to)), y - 8.0], text);
-    }
-    for tick in [0.0, 0.3, 0.5, 0.7, 1.0] {
+    let y = 12.0;
+    svg.rect("zb", [x.at(0.0), y, x.at(1.0) - x.at(0.0), 14.0]);
+    for tick in [0.0, 0.25, 0.5, 0.75, 1.0] {
         let anchor = match tick {
             t if t <= 0.0 => Anchor::Start,
             t if t >= 1.0 => Anchor::End,

@@ -27,7 +27,7 @@ pub(super) fn section(analysis: &Analysis) -> Section {
     blocks.push(Block::Text(
         "Strongest influence on success first. Dots are observed rates with Wilson intervals. The curve is a logistic model of the \
          parameter and its square with its 95 % band. The vertical line is where success crosses 50 %, with its interval from \
-         1,000 bootstrap replicates. Dotted lines separate danger (30 %), boundary and safe (70 %)."
+         1,000 bootstrap replicates. Dotted lines mark 30 % and 70 %."
             .to_owned(),
     ));
     let mut ranked: Vec<&MarginalEffect> = effects.iter().collect();
