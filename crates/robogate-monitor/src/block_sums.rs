@@ -2,7 +2,7 @@
 //!
 //! Blocks have 1, 2, 4, ... cycles. The variance of their sums, divided by their length and by the variance of single cycles, is 1
 //! for independent cycles. It grows with the length if neighbouring cycles are alike: retries, batches of parts, shifts, a
-//! temperature that follows the day. The largest ratio that is surely above 1 is the inflation. A lasting change moves sums too, but
+//! temperature that follows the day. The largest ratio that is significantly above 1 is the inflation. A lasting change moves sums too, but
 //! it raises an alarm long before it looks like dependence. While an alarm is active, only blocks of up to 64 cycles are used.
 //!
 //! Evidence of a detector is raised to the power 1 / inflation. For independent cycles the bound on false alarms still holds, by

@@ -72,7 +72,9 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
     let what = what(recipe, metric, after, &cycle.robot, settings);
     let promise = count(settings.promise(level).round_ties_even() as u64);
     let condition = match recipe.inflation(metric) {
-        None => "if each cycle is as likely to fail as in the baseline, whatever happened before it".to_owned(),
+        None => {
+            "if each cycle is as likely to fail as in the baseline, independently of the cycles before it".to_owned()
+        }
         Some(found) => {
             format!("but this is approximate here, because the guarantee needs independent cycles: {}", depends(found))
         }

@@ -60,7 +60,7 @@ fn one_collision_limits_score_to_75() {
 
 #[test]
 fn policy_against_itself_has_all_points_of_cycle_time() {
-    // Failures that end early or late are no cycle times, neither here nor in the baseline.
+    // A failure has no cycle time, neither here nor in the baseline, however early or late it ends.
     let mode = FailureMode::constant("grasp_miss");
     let mut record = suite(68, times(60, &Ending::Success).chain(times(8, &failed(mode))));
     record.trials.iter_mut().skip(60).for_each(|trial| trial.time_s = Some(30.0));

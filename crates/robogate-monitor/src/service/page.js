@@ -302,7 +302,7 @@ function show() {
     choices("of-robot", [...robotsKnown].sort());
     $("promise").textContent = `Without a change, the mean number of cycles to a false warning is at least ${whole(s.promised_cycles[0])}, ` +
       `to a false critical alarm at least ${whole(s.promised_cycles[1])}, over all metrics and recipes together, ` +
-      "if each cycle is as likely to fail as in the baseline, whatever happened before it. Recipes whose cycles depend on each other say so. " +
+      "if each cycle is as likely to fail as in the baseline, independently of the cycles before it. Recipes whose cycles depend on each other say so. " +
       "Bars show the evidence of a detector relative to its critical limit, on a logarithmic scale.";
     const name = $("of-recipe").value;
     fill("recipes", s.recipes.filter(r => !name || r.recipe === name), recipe, "No cycle has arrived yet.");

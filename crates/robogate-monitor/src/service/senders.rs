@@ -51,7 +51,7 @@ impl Trouble {
 #[derive(Debug, Clone)]
 pub(super) struct Found {
     pub(super) trouble: Trouble,
-    /// The robot, or the sender of a line that is no cycle.
+    /// The robot, or the sender of a line that is not a cycle.
     pub(super) sender: String,
     pub(super) recipe: String,
     /// The id of the cycle, or the number of the line.
@@ -211,7 +211,7 @@ mod tests {
         // Times and random numbers do not count.
         assert_eq!(alarms((0..100).map(|n| format!("{}", 1_795_254_000 + 4 * n))), []);
         assert_eq!(alarms((0..100_u64).map(|n| format!("a/{}", n.wrapping_mul(2_654_435_761) % 1_000))), []);
-        // A cycle that arrives late is no gap.
+        // A cycle that arrives late is not a gap.
         assert_eq!(alarms((0..30).chain([12]).chain(30..40).map(|n| format!("a/{n}"))), []);
         assert_eq!(alarms([format!("a/{}", "9".repeat(30)), "a".to_owned(), String::new()]), []);
     }
@@ -229,7 +229,7 @@ mod tests {
     #[test]
     fn alarms_about_malformed_lines_are_cleared_by_their_sender() {
         let malformed = |sender: &str| {
-            let because = "2 lines are no cycles".to_owned();
+            let because = "2 lines are not cycles".to_owned();
             let (sender, place) = (sender.to_owned(), "line 1".to_owned());
             Found { trouble: Trouble::Refused, sender, recipe: "*".to_owned(), place, time_s: 1.0, because }
         };

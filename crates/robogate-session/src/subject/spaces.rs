@@ -30,7 +30,7 @@ pub fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
 /// Finds a suite by its name or file.
 ///
 /// # Errors
-/// A name or file that is no suite.
+/// A name or file that is not a suite.
 pub fn named_suite(wanted: &str) -> Result<Suite, Failure> {
     if let Some(suite) = built_in_suite(wanted) {
         return suite.or_broken();

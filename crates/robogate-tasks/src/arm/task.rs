@@ -40,7 +40,7 @@ pub trait ArmDeclaration: Send + Sync {
     /// The same space with ends that suit this robot.
     ///
     /// # Errors
-    /// Ends that are no range.
+    /// Ends that do not form a range.
     fn fitted(&self, space: ParameterSpace, _robot: &Robot) -> Result<ParameterSpace, SpaceError> {
         Ok(space)
     }

@@ -35,7 +35,7 @@ class Opened:
         sys.meta_path.insert(0, _AfterImport("mujoco", self._watch_mujoco))
 
     def files(self) -> list[str]:
-        """The paths of the files that were read and not written. A file that the environment writes is no part of it."""
+        """The paths of the files that were read and not written. A file that the environment writes is not part of it."""
         return sorted(path for path in self._read - self._written if os.path.isfile(path))
 
     def name(self, path: str) -> str:

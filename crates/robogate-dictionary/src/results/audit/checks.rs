@@ -346,7 +346,7 @@ fn batches(table: &Table<'_>) -> Outcome {
 /// The smallest groups are left out until each has a variance of 1, and five successes and failures are expected per group. `None`
 /// if fewer than two groups are left.
 fn dependence(table: &Table<'_>, group: impl Fn(usize, &AuditRow) -> Option<i64>) -> Option<f64> {
-    // Parameters that hardly ever repeat are no scenarios.
+    // Parameters that hardly ever repeat do not identify scenarios.
     let scenarios = grouped(table, |row| Some(row.scenario()));
     let repeated = 2 * scenarios.len() <= table.rows.len();
     let strata = if repeated { scenarios.into_values() } else { places(table).into_values() };

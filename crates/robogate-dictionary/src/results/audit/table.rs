@@ -121,7 +121,7 @@ impl AuditRow {
     }
 
     /// Place and numbers of the scenario: where a seed is expected once. A design may run the same seeds in each of its scenarios.
-    /// A word may name the arm of a comparison, which is no other scenario.
+    /// A word may name the arm of a comparison, which does not make another scenario.
     pub(super) fn scenario(&self) -> (String, Option<u64>) {
         (self.place(), self.numbers)
     }
