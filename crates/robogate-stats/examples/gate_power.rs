@@ -5,11 +5,14 @@
 //! Exact operating characteristics by recursion, for equal rates of the scenarios, beside the fixed-size test of the same budget
 //! and Wald's bound; a scan of unequal rates; and live gates with all parts of the evidence.
 
+#[path = "../tests/support/recursion.rs"]
+mod recursion;
+
 use std::fmt::Write as _;
 
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
-use robogate_maths::beta::ln_binomial_pmf;
+use recursion::{crossing, round};
 use robogate_stats::budgeted::Budget;
 use robogate_stats::operating::{Characteristic, RateTest, Schedule, characteristics};
 use robogate_stats::stratified::Strata;
@@ -121,39 +124,6 @@ fn power(out: &mut String) {
     );
 }
 
-/// The probabilities of the number of successes of a round: some scenarios always succeed, some never, the others are equal.
-fn round(always: u64, never: u64, rate: f64) -> Vec<f64> {
-    let others = BUDGET.per_round - always - never;
-    let mut masses = vec![0.0; BUDGET.per_round as usize + 1];
-    for k in 0..=others {
-        let mass = match rate {
-            r if r <= 0.0 => f64::from(u8::from(k == 0)),
-            r if r >= 1.0 => f64::from(u8::from(k == others)),
-            r => ln_binomial_pmf(k as f64, others as f64, r).exp(),
-        };
-        masses[(always + k) as usize] += mass;
-    }
-    masses
-}
-
-/// The probability of reaching a boundary.
-fn crossing(step: &[f64], boundary: &[u64]) -> f64 {
-    let (mut going, mut crossed) = (vec![1.0], 0.0);
-    for limit in boundary {
-        let mut next = vec![0.0; going.len() + step.len() - 1];
-        for (k, probability) in going.iter().enumerate().filter(|(_, p)| **p > 1e-16) {
-            for (j, s) in step.iter().enumerate().filter(|(_, s)| **s > 1e-16) {
-                next[k + j] += probability * s;
-            }
-        }
-        for probability in next.iter_mut().skip(*limit as usize) {
-            crossed += std::mem::take(probability);
-        }
-        going = next;
-    }
-    crossed
-}
-
 fn unequal(out: &mut String) {
     out.push_str(
         "## Scenarios with unequal rates\n\n\
@@ -168,13 +138,13 @@ fn unequal(out: &mut String) {
         for p0 in [limit, 1.0 - limit] {
             let boundary = BUDGET.boundary(p0, 0.05);
             let m = BUDGET.per_round;
-            let equal = crossing(&round(0, 0, p0), &boundary);
+            let equal = crossing(&round(m, 0, 0, p0), &boundary);
             let mut worst = (equal, "equal".to_owned());
             for always in (0..m).step_by(2) {
                 for never in (0..4).chain((4..m).step_by(2)).filter(|never| always + never < m) {
                     let rate = (m as f64 * p0 - always as f64) / (m - always - never) as f64;
                     if (0.0..=1.0).contains(&rate) && always + never > 0 {
-                        let error = crossing(&round(always, never, rate), &boundary);
+                        let error = crossing(&round(m, always, never, rate), &boundary);
                         if error > worst.0 + 1e-9 {
                             worst = (error, format!("{always} always, {never} never, others {rate:.3}"));
                         }
