@@ -28,7 +28,7 @@ struct Arm {
 
 /// The kind of an arm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ArmKind {
+pub(crate) enum ArmKind {
     /// The nominal twin of each episode.
     Nominal,
     /// For each episode, one with each declared family of perturbations alone.
@@ -37,10 +37,10 @@ pub enum ArmKind {
 
 impl ArmKind {
     /// Every kind.
-    pub const ALL: [Self; 2] = [Self::Nominal, Self::Families];
+    pub(crate) const ALL: [Self; 2] = [Self::Nominal, Self::Families];
 
     /// The folder of the arm in that of its campaign.
-    pub fn folder(self) -> &'static str {
+    pub(crate) fn folder(self) -> &'static str {
         match self {
             Self::Nominal => NOMINAL,
             Self::Families => FAMILIES,
@@ -48,7 +48,7 @@ impl ArmKind {
     }
 
     /// The name of the arm in messages.
-    pub fn as_str(self) -> &'static str {
+    pub(crate) fn as_str(self) -> &'static str {
         match self {
             Self::Nominal => "control arm",
             Self::Families => "arm of one family each",
@@ -67,7 +67,7 @@ impl ArmKind {
     ///
     /// # Errors
     /// A space that the arm cannot have.
-    pub fn plan(
+    pub(crate) fn plan(
         self,
         plan: &Plan,
         space: &Arc<ParameterSpace>,
@@ -84,10 +84,10 @@ impl ArmKind {
 impl Arms {
     /// The arms of a campaign in `dir`. None if its plan has no twins.
     pub fn of(dir: &Path, plan: &Plan, space: &ParameterSpace, subject: &Subject) -> Result<Self, Failure> {
-        let mut arms = Vec::new();
         if !plan.twins {
-            return Ok(Self(arms));
+            return Ok(Self::none());
         }
+        let mut arms = Vec::new();
         let rounds = plan.suite.as_ref().map_or_else(|| plan.episodes(), |stage| stage.rounds);
         let space = space.clone().into();
         for kind in ArmKind::ALL {
@@ -100,19 +100,24 @@ impl Arms {
         Ok(Self(arms))
     }
 
+    /// No arms.
+    pub(crate) fn none() -> Self {
+        Self(Vec::new())
+    }
+
     /// Whether the campaign has no arms.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
     /// No arms, with a note.
-    pub fn left_out(self) -> Self {
+    pub(crate) fn left_out(self) -> Self {
         let names: Vec<&str> = self.0.iter().map(|arm| arm.kind.as_str()).collect();
         note(format_args!(
             "the {} does not run, because the invalid episodes rule out a pass",
             names.join(" and the ")
         ));
-        Self(Vec::new())
+        Self::none()
     }
 
     /// Runs or resumes the arms after their campaign. A campaign that was stopped has no arms yet.
@@ -145,13 +150,13 @@ impl Arms {
 ///
 /// # Errors
 /// A plan without a suite.
-pub fn space_of(plan: &Plan) -> Result<ParameterSpace, Failure> {
+pub(crate) fn space_of(plan: &Plan) -> Result<ParameterSpace, Failure> {
     let space = plan.suite.as_ref().map(|stage| stage.suite.space().clone());
     space.ok_or_else(|| anyhow!("the arm has no suite")).or_broken()
 }
 
 /// The rounds of the suite that ran, or the episodes of a campaign without a suite.
-pub fn rounds_of(summary: &Summary) -> u64 {
+pub(crate) fn rounds_of(summary: &Summary) -> u64 {
     summary.suite.as_ref().map_or(summary.episodes, |suite| suite.rounds)
 }
 

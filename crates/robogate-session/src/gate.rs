@@ -137,7 +137,7 @@ pub fn with_plan(provenance: &Provenance, plan: &Plan) -> Result<Provenance, Fai
 }
 
 /// Writes the question beside the plan. Without it, an interrupted gate cannot continue.
-pub fn write_question(dir: &Path, asked: &Asked) {
+pub(crate) fn write_question(dir: &Path, asked: &Asked) {
     if let Err(error) = write_atomically(dir, Asked::FILE, asked.to_json().as_bytes()) {
         let file = dir.join(Asked::FILE);
         warning(format_args!("cannot write {}: {error}. `robogate resume` needs it", file.display()));

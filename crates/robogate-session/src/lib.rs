@@ -48,7 +48,7 @@ pub mod text;
 mod twins;
 mod workers;
 
-pub use arms::{ArmKind, Arms, rounds_of, space_of};
+pub use arms::Arms;
 pub use cell::{Cell, engine, identity, nominal, robot, robot_files};
 pub use checkpoint_statistics::CheckpointStatistics;
 pub use compared::{built_in_baseline, compared_with, judged};
@@ -57,14 +57,14 @@ pub use environment_choice::EnvironmentChoice;
 pub use environments::{BUNDLED, ENVIRONMENT, Interpreter, Servers, installed, installed_marker};
 pub use failure::{Failure, FailureKind, OrFailure, chain};
 pub use fleet::{FleetEnd, FleetPlan, FleetRequest, OnUnit, is_fleet, unit_space};
-pub use gate::{GateRequest, Look, MARGIN, begun, question, rounds_and_sampling, with_plan, write_question};
+pub use gate::{GateRequest, Look, MARGIN, begun, question, rounds_and_sampling, with_plan};
 pub use hopeless::{Reaction, Watched};
 pub use isolation::{Entered, enter, in_child};
 pub use latency::{LatencyChoice, WantedLatency, describe, execution_mode};
 pub use loaded_policy::LoadedPolicy;
 pub use lost_episodes::{Outage, RunsLostAgain};
 pub use notice::TARGET as NOTICES;
-pub use origin::{Origin, is_own, is_remote, register, register_copy};
+pub use origin::{Origin, is_remote, register, register_copy};
 pub use pictures::picture_problems;
 pub use policy_record::POLICY;
 pub use policy_source::{
@@ -81,7 +81,7 @@ pub use rerun::{Rerun, rerun};
 pub use rival::Rival;
 pub use rounds::{Rounds, ruled_out};
 pub use runs::{Run, runs_below, utc};
-pub use sharded::{Knowledge, ShardedCampaign};
+pub use sharded::ShardedCampaign;
 pub use source::open_source;
 pub use store::{create_store, open_store};
 pub use subject::{

@@ -73,7 +73,7 @@ pub(crate) fn of(folder: &Path, provenance: &Provenance) -> Option<Origin> {
 }
 
 /// Whether this user made the run in `folder` on this machine.
-pub fn is_own(folder: &Path, provenance: &Provenance) -> bool {
+pub(crate) fn is_own(folder: &Path, provenance: &Provenance) -> bool {
     of(folder, provenance).is_some()
 }
 

@@ -66,7 +66,7 @@ fn not_planned(path: &Path, reason: &str) -> Failure {
 }
 
 /// What the task knows about episodes before they run. `None` if it knows nothing.
-pub type Knowledge = Option<Arc<dyn Foresight>>;
+type Knowledge = Option<Arc<dyn Foresight>>;
 
 /// The knowledge of the environment of a run. The policy, whose server may be gone, is not needed.
 fn recorded_foresight(shards: &Shards, opening: &Reopening) -> Result<Knowledge, Failure> {

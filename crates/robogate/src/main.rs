@@ -142,7 +142,7 @@ fn main() -> ExitCode {
         terminal::be_verbose();
     }
     if !settings.is_empty() {
-        let arguments: Vec<&str> = settings.iter().flat_map(|s| s.arguments.iter().map(String::as_str)).collect();
+        let arguments: Vec<String> = settings.iter().flat_map(project::Setting::arguments).collect();
         terminal::note(format_args!("{}: {}", project::FILE, arguments.join(" ")));
     }
     // A panic has been reported by the hook.

@@ -2,7 +2,7 @@
 //!
 //! Its keys are the options of these verbs. A key at the top applies to every verb that has the option, and one in a table such as
 //! `[gate]` to this verb. What the command line says comes first. Other verbs do not read the file: it could name a program, and a
-//! folder that somebody else made is no reason to start it.
+//! folder that somebody else made must not start it.
 
 use std::ffi::OsString;
 use std::path::Path;
@@ -26,10 +26,38 @@ pub(crate) const VERBS: [&str; 3] = ["run", "gate", "fleet"];
 pub(crate) struct Setting {
     /// The option, without dashes.
     pub(crate) option: String,
-    /// The arguments that it stands for.
-    pub(crate) arguments: Vec<String>,
+    /// Its values: one, or several for an option that is given several times.
+    pub(crate) values: Vec<String>,
+    /// Whether the option takes no value.
+    is_flag: bool,
     /// Where it is in the file: at the top, or in the table of the verb.
     pub(crate) place: String,
+}
+
+impl Setting {
+    /// The setting of an option.
+    ///
+    /// # Errors
+    /// A value of another kind than the option has.
+    fn new(option: &Arg, value: &Value, place: String) -> anyhow::Result<Self> {
+        let (name, is_flag) = (name(option), matches!(option.get_action(), ArgAction::SetTrue));
+        let values = match value {
+            Value::Boolean(on) if is_flag => vec![on.to_string()],
+            _ if is_flag => bail!("{FILE}: `{name}` is true or false"),
+            Value::Array(values) => values.iter().map(|value| text(&name, value)).collect::<anyhow::Result<_>>()?,
+            value => vec![text(&name, value)?],
+        };
+        Ok(Self { option: name, values, is_flag, place })
+    }
+
+    /// The arguments that it stands for. A flag that is switched off stands for none.
+    pub(crate) fn arguments(&self) -> Vec<String> {
+        match self.is_flag {
+            true if self.values.iter().all(|on| on == "false") => Vec::new(),
+            true => vec![format!("--{}", self.option)],
+            false => self.values.iter().map(|value| format!("--{}={value}", self.option)).collect(),
+        }
+    }
 }
 
 /// The settings of the file in this folder. `None` without the file.
@@ -45,7 +73,7 @@ pub(crate) fn read(folder: &Path) -> anyhow::Result<Option<Table>> {
 /// The settings of the file for one verb.
 ///
 /// # Errors
-/// A key that is no option of any of the verbs, or a value that is none.
+/// A key that is not an option of any of the verbs, or a value of another kind than the option has.
 pub(crate) fn settings(command: &Command, table: &Table, verb: &str) -> anyhow::Result<Vec<Setting>> {
     let mut found: Vec<Setting> = Vec::new();
     for (key, value) in table {
@@ -53,12 +81,7 @@ pub(crate) fn settings(command: &Command, table: &Table, verb: &str) -> anyhow::
             Value::Table(own) if VERBS.contains(&key.as_str()) => {
                 // The tables of the other verbs are checked too.
                 for (option_key, value) in own {
-                    let option = option(command, &[key], option_key)?;
-                    let setting = Setting {
-                        option: name(option),
-                        arguments: arguments(option, value)?,
-                        place: format!("[{key}]"),
-                    };
+                    let setting = Setting::new(option(command, &[key], option_key)?, value, format!("[{key}]"))?;
                     if key == verb {
                         found.retain(|other| other.option != setting.option);
                         found.push(setting);
@@ -67,11 +90,11 @@ pub(crate) fn settings(command: &Command, table: &Table, verb: &str) -> anyhow::
             }
             _ => {
                 // A key at the top must belong to one of the verbs, and need not belong to this one.
-                let any = option(command, &VERBS, key)?;
+                option(command, &VERBS, key)?;
                 let Ok(option) = option(command, &[verb], key) else { continue };
-                let name = name(any);
-                if found.iter().all(|setting| setting.option != name) {
-                    found.push(Setting { option: name, arguments: arguments(option, value)?, place: "top".to_owned() });
+                let setting = Setting::new(option, value, "top".to_owned())?;
+                if found.iter().all(|other| other.option != setting.option) {
+                    found.push(setting);
                 }
             }
         }
@@ -110,7 +133,7 @@ pub(crate) fn completed(command: &Command, line: Vec<OsString>) -> anyhow::Resul
             other.get_id() == argument.get_id() || contradicts(argument, other) || contradicts(other, argument)
         })
     });
-    let added = settings.iter().flat_map(|setting| setting.arguments.iter().map(OsString::from));
+    let added = settings.iter().flat_map(Setting::arguments).map(OsString::from);
     Ok((before.iter().cloned().chain(added).chain(after.iter().cloned()).collect(), settings))
 }
 
@@ -139,7 +162,7 @@ fn option<'a>(command: &'a Command, verbs: &[&str], key: &str) -> anyhow::Result
     options().find(|argument| name(argument) == wanted).ok_or_else(|| {
         let near = options().map(name).max_by(|a, b| likeness(a, &wanted).total_cmp(&likeness(b, &wanted)));
         let hint = near.filter(|near| likeness(near, &wanted) > 0.6).map(|near| format!(" Did you mean `{near}`?"));
-        anyhow!("{FILE}: `{key}` is no option of {}.{}", verbs.join(", "), hint.unwrap_or_default())
+        anyhow!("{FILE}: `{key}` is not an option of {}.{}", verbs.join(", "), hint.unwrap_or_default())
     })
 }
 
@@ -158,26 +181,12 @@ fn likeness(one: &str, other: &str) -> f64 {
     if all == 0 { 0.0 } else { 2.0 * f64::from(common) / all as f64 }
 }
 
-/// The arguments that a value stands for.
-fn arguments(option: &Arg, value: &Value) -> anyhow::Result<Vec<String>> {
-    let flag = format!("--{}", name(option));
-    let is_flag = matches!(option.get_action(), ArgAction::SetTrue);
+/// A value as the command line has it.
+fn text(option: &str, value: &Value) -> anyhow::Result<String> {
     Ok(match value {
-        Value::Boolean(on) if is_flag => {
-            if *on {
-                vec![flag]
-            } else {
-                Vec::new()
-            }
-        }
-        _ if is_flag => bail!("{FILE}: `{}` is true or false", name(option)),
-        Value::Array(values) => {
-            let each: anyhow::Result<Vec<Vec<String>>> = values.iter().map(|value| arguments(option, value)).collect();
-            each?.concat()
-        }
-        Value::String(text) => vec![format!("{flag}={text}")],
-        Value::Integer(number) => vec![format!("{flag}={number}")],
-        Value::Float(number) => vec![format!("{flag}={number}")],
-        _ => bail!("{FILE}: `{}`: expected a text, a number, or a list of them", name(option)),
+        Value::String(text) => text.clone(),
+        Value::Integer(number) => number.to_string(),
+        Value::Float(number) => number.to_string(),
+        _ => bail!("{FILE}: `{option}`: expected a text, a number, or a list of them"),
     })
 }

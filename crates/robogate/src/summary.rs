@@ -1,7 +1,6 @@
 //! The summary at the end of a campaign.
 
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use robogate_analysis::{Analysis, Effects, Finding, MarginalEffect};
@@ -48,8 +47,8 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
     line("");
     headline_rate(summary, analysis);
     // Counts of episodes that a design chose are not those of the operating space.
-    if summary.stages.len() == 1 {
-        all_failures(summary);
+    if let [stage] = summary.stages.as_slice() {
+        failures_in_one_line(stage);
     }
     summary.stages.iter().for_each(excluded);
     if let Some(found) = &summary.sought {
@@ -128,18 +127,14 @@ fn headline_rate(summary: &Summary, analysis: Option<&Analysis>) {
     }
 }
 
-/// The failures of all stages by mode, the most frequent first.
-fn all_failures(summary: &Summary) {
-    let mut modes: BTreeMap<&str, u64> = BTreeMap::new();
-    for mode in summary.stages.iter().flat_map(|stage| &stage.failure_modes) {
-        *modes.entry(mode.mode.as_str()).or_default() += mode.episodes;
-    }
-    let mut modes: Vec<(&str, u64)> = modes.into_iter().filter(|(_, episodes)| *episodes > 0).collect();
-    modes.sort_by_key(|(_, episodes)| Reverse(*episodes));
-    let failures: u64 = modes.iter().map(|(_, episodes)| episodes).sum();
+/// The failures of a stage by mode, the most frequent first.
+fn failures_in_one_line(stage: &StageSummary) {
+    let mut modes: Vec<_> = stage.failure_modes.iter().filter(|mode| mode.episodes > 0).collect();
+    modes.sort_by_key(|mode| Reverse(mode.episodes));
+    let failures: u64 = modes.iter().map(|mode| mode.episodes).sum();
     if failures > 0 {
         let modes: Vec<String> =
-            modes.iter().map(|(mode, episodes)| format!("{mode} {}", grouped(*episodes))).collect();
+            modes.iter().map(|mode| format!("{} {}", mode.mode.as_str(), grouped(mode.episodes))).collect();
         line(format_args!("                 {}: {}", counted(failures, "failure"), modes.join(", ")));
     }
 }

@@ -1,17 +1,18 @@
 //! Runs the gates of all units.
 
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 use robogate_campaign::folder::{DICTIONARY, PLAN};
-use robogate_campaign::{Completion, Event, Executor, Round, RunError};
+use robogate_campaign::{Completion, Event, Executor};
 use robogate_dictionary::Dictionary;
-use robogate_gate::{Evaluation, FleetUnit, GateError, Record};
+use robogate_gate::{Evaluation, FleetUnit, Record};
 
 use super::plan::{FleetPlan, Unit, UnitCampaign};
+use crate::arms::Arms;
 use crate::failure::{Failure, OrFailure};
-use crate::gate::{Look, question, write_question};
+use crate::gate::question;
+use crate::rounds::Rounds;
 use crate::subject::Subject;
 use crate::workers::{Workers, guarded};
 
@@ -76,45 +77,24 @@ impl FleetPlan {
             let folder = dir.join(unit.folder());
             let campaign = self.campaign(unit)?;
             subject.register(&folder, &campaign.provenance);
-            let (completion, trouble) = run(&folder, &campaign, executor, events)?;
+            let UnitCampaign { plan, asked, provenance, record } = campaign;
+            let mut rounds = Rounds::new(&folder, asked, None, None, record);
+            let completion = if folder.join(PLAN).is_file() {
+                rounds.resume(&provenance, Arms::none(), executor, events)?
+            } else {
+                rounds.run(&plan, provenance, Arms::none(), executor, &|| {}, events)?
+            };
             if let Completion::Interrupted { done, episodes } = completion {
                 return Ok(FleetEnd::Interrupted { judged: judged.len(), unit: folder, done, episodes });
             }
-            if let Some(error) = trouble {
-                return Err(error.into());
-            }
+            let (asked, _) = rounds.end(&completion)?;
             // From the rows on disk.
             let record = Record::of(&Dictionary::open(&folder.join(DICTIONARY)).or_broken()?)?;
-            let evaluation = question(&campaign.asked, None).evaluate(&record)?;
+            let evaluation = question(&asked, None).evaluate(&record)?;
             let unit = FleetUnit::of(u64::from(unit.number), unit.seed, &unit.parameters, &evaluation);
             on_unit(&folder, &unit, &evaluation)?;
             judged.push(unit);
         }
         Ok(FleetEnd::Judged(judged))
     }
-}
-
-/// Runs or continues the gate of a unit. Also returns the error that stopped it, if there was one.
-fn run(
-    dir: &Path,
-    campaign: &UnitCampaign,
-    executor: &dyn Executor,
-    events: &mut dyn FnMut(&Event),
-) -> Result<(Completion, Option<GateError>), RunError> {
-    let UnitCampaign { plan, asked, provenance, record } = campaign;
-    let (mut record, mut trouble) = (record.clone(), None);
-    let mut look = Look { asked, other: None, record: &mut record, trouble: &mut trouble };
-    let mut after = |round: &Round<'_>| -> ControlFlow<()> { look.after(round) };
-    let mut events = |event: &Event| {
-        if let Event::Started { .. } = event {
-            write_question(dir, asked);
-        }
-        events(event);
-    };
-    let completion = if dir.join(PLAN).is_file() {
-        robogate_campaign::resume_in_rounds(dir, provenance, executor, &mut events, &mut after)?
-    } else {
-        robogate_campaign::start_in_rounds(dir, plan, provenance.clone(), executor, &mut events, &mut after)?
-    };
-    Ok((completion, trouble))
 }

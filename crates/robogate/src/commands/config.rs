@@ -50,17 +50,7 @@ impl Config {
                 let own = settings.iter().find(|setting| setting.option == option);
                 let defaults = argument.get_default_values();
                 let (value, from) = match own {
-                    Some(setting) => {
-                        let flag = format!("--{option}");
-                        let values = setting.arguments.iter().map(|of| match of.split_once('=') {
-                            Some((name, value)) if name == flag => value,
-                            _ => "true",
-                        });
-                        let values = values.collect::<Vec<_>>().join(", ");
-                        // A flag that is switched off stands for no argument.
-                        let value = if values.is_empty() { "false".to_owned() } else { values };
-                        (value, format!("{FILE} {}", setting.place))
-                    }
+                    Some(setting) => (setting.values.join(", "), format!("{FILE} {}", setting.place)),
                     None if defaults.is_empty() || !argument.get_action().takes_values() => continue,
                     None => (
                         defaults.iter().map(|v| v.to_string_lossy()).collect::<Vec<_>>().join(", "),

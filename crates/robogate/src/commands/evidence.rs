@@ -11,9 +11,9 @@ use robogate_dictionary::{Place, PolicyRecord, Provenance, World};
 use robogate_gate::evidence::{
     Content, Documents, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write,
 };
-use robogate_gate::{Asked, Record, Sampling};
+use robogate_gate::{Asked, Record, Requirements, Sampling};
 
-use crate::commands::gate::{open_requirements, real_evidence_for};
+use crate::commands::gate::real_evidence_for;
 use crate::compliance;
 use crate::exit::{Exit, OrExit};
 use crate::place;
@@ -171,7 +171,7 @@ impl Evidence {
     fn requirements(&self, task: &TaskSpec, asked: Option<&Asked>) -> Result<Content, Exit> {
         match (&self.requirements, asked) {
             (Some(file), _) if Path::new(file).is_file() => Ok(Content::File(file.into())),
-            (Some(name), _) => Ok(Content::Bytes(open_requirements(name, task)?.to_toml().into_bytes())),
+            (Some(name), _) => Ok(Content::Bytes(Requirements::open(name, task)?.to_toml().into_bytes())),
             (None, Some(asked)) => Ok(Content::Bytes(asked.requirements.to_toml().into_bytes())),
             (None, None) => Err(anyhow::anyhow!(
                 "this run was not made by `robogate gate`, so it has no requirements\nHint: choose them with --requirements default, paper, or a file"

@@ -8,7 +8,6 @@ use robogate_core::TaskSpec;
 use robogate_gate::{Asked, Baseline, Leaderboard, Record, Requirements, Sampling};
 use robogate_report::{leaderboard_html, leaderboard_markdown};
 
-use crate::commands::gate::open_requirements;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::terminal::{bar, bold, dim, foreign, line, note, percent};
 use robogate_session::{built_in_baseline, open_source};
@@ -97,12 +96,12 @@ impl Rank {
 
     fn requirements_for(&self, task: &TaskSpec) -> Result<Requirements, Exit> {
         if let Some(name) = &self.requirements {
-            return open_requirements(name, task);
+            return Ok(Requirements::open(name, task)?);
         }
-        let paper = open_requirements("paper", task)?;
+        let paper = Requirements::open("paper", task)?;
         match paper.task.as_deref().is_none_or(|name| task.name == name) {
             true => Ok(paper),
-            false => open_requirements("default", task),
+            false => Ok(Requirements::open("default", task)?),
         }
     }
 }

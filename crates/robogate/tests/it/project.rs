@@ -41,7 +41,7 @@ fn wrong_keys_are_named() {
         ("requirments = 'x'", "Did you mean `requirements`?"),
         ("[gate]\ntwins = 3", "`twins` is true or false"),
         ("task = ", "robogate.toml"),
-        ("[run]\nrequirements = 'x'", "`requirements` is no option of run"),
+        ("[run]\nrequirements = 'x'", "`requirements` is not an option of run"),
     ] {
         write(text);
         let output = robogate_in(dir.path(), &["run", "--task", "pendulum", "-n", "4"]);

@@ -8,7 +8,7 @@ use robogate_analysis::Source;
 use robogate_gate::{Asked, Evaluation, Question, RealEvidence, Record, Requirements, Sampling};
 use robogate_stats::format::counted;
 
-use super::question::{Other, open_requirements, real_evidence_for};
+use super::question::{Other, real_evidence_for};
 use super::verdict::{answer_files, show};
 use super::{Gate, baseline};
 use crate::exit::{Exit, OrExit};
@@ -28,7 +28,7 @@ impl Gate {
         let sampling = asked.as_ref().map_or(Sampling::Fixed, |asked| asked.sampling);
         let requirements = match (&self.requirements, &asked) {
             (None, Some(asked)) => asked.requirements.clone(),
-            (name, _) => open_requirements(name.as_deref().unwrap_or("default"), &record.task)?,
+            (name, _) => Requirements::open(name.as_deref().unwrap_or("default"), &record.task)?,
         };
         let other = match &asked {
             Some(asked) if self.baseline.is_none() => {

@@ -21,7 +21,7 @@ use crate::twins::NominalArguments;
 use robogate_session::{CONTROL_EPISODES, PolicyLocation};
 
 pub(crate) use judge::evaluation_of;
-pub(crate) use question::{open_requirements, real_evidence_for};
+pub(crate) use question::real_evidence_for;
 pub(crate) use start::resume;
 pub(crate) use verdict::{answer_files, finish};
 

@@ -5,11 +5,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use robogate_analysis::Finding;
 use robogate_analysis::transfer::Transfer;
-use robogate_core::TaskSpec;
 use robogate_core::budget::Budget;
 use robogate_dictionary::{Provenance, read_text};
 use robogate_gate::evidence::PolicyBinding;
-use robogate_gate::{Against, Baseline, RealEvidence, RealStratum, Record, Requirements};
+use robogate_gate::{Against, Baseline, RealEvidence, RealStratum, Record};
 
 use super::Gate;
 use crate::exit::{Exit, OrExit};
@@ -103,9 +102,4 @@ pub(crate) fn real_evidence_for(path: &Path, provenance: &Provenance) -> Result<
         ));
     }
     Ok(real)
-}
-
-/// Opens built-in requirements or a file.
-pub(crate) fn open_requirements(name_or_path: &str, task: &TaskSpec) -> Result<Requirements, Exit> {
-    Requirements::open(name_or_path, task).map_err(Exit::from)
 }

@@ -12,7 +12,7 @@ use robogate_gate::{Asked, AskedAgainst, GatePlan, PairPlan, Planned, Question, 
 use robogate_stats::format::counted;
 
 use super::Gate;
-use super::question::{Other, open_requirements, real_evidence_for};
+use super::question::{Other, real_evidence_for};
 use super::verdict::{answer_files, finish, show};
 use crate::answer;
 use crate::commands::register::{Registered, Registrar, free};
@@ -98,7 +98,7 @@ impl Gate {
         let subject =
             subject.with_statistics(&self.policy.choice().statistics)?.with_latency(&self.latency.choice())?;
         let wanted = self.requirements.as_deref().unwrap_or("default");
-        let requirements = open_requirements(wanted, subject.task())?;
+        let requirements = Requirements::open(wanted, subject.task())?;
         let suite = self.suite(&subject)?;
         if self.suite.is_some() {
             self.latency.choice().check_suite(suite.space()).or_usage()?;

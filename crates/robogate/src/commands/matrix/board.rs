@@ -6,12 +6,11 @@ use std::path::Path;
 use anyhow::{Context, anyhow};
 use robogate_campaign::Event;
 use robogate_campaign::folder::SUMMARY;
-use robogate_gate::{Baseline, Leaderboard, Metric, Record, Sampling, ScoreTerm, Scoring};
+use robogate_gate::{Baseline, Leaderboard, Metric, Record, Requirements, Sampling, ScoreTerm, Scoring};
 use robogate_report::{leaderboards_html, leaderboards_markdown};
 use serde_json::{Value, json};
 
 use super::sweep::SweepPlan;
-use crate::commands::gate::open_requirements;
 use crate::commands::leaderboard::print;
 use crate::commands::run::write_report;
 use crate::commands::shard;
@@ -111,7 +110,7 @@ fn board(group: &[(String, Record, Sampling)], requirements: Option<&str>) -> Re
         };
         return Leaderboard::of(group, &[success], None).or_usage();
     };
-    let requirements = open_requirements(name, &first.task)?;
+    let requirements = Requirements::open(name, &first.task)?;
     // Relative terms compare with the first policy, unless the suite has a baseline.
     let baseline = match built_in_baseline(first) {
         Some(baseline) => baseline,

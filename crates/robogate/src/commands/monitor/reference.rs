@@ -8,12 +8,12 @@ use clap::Args;
 use robogate_analysis::{Analysis, AnalysisOptions, Finding, Population, RiskModel, Source};
 use robogate_core::{Domain, Parameter};
 use robogate_dictionary::{Column, Dictionary, DictionaryError};
-use robogate_gate::{Asked, Metric, RealEvidence};
+use robogate_gate::{Asked, Metric, RealEvidence, Requirements};
 use robogate_monitor::domain::{self, Risk, RiskTerm, Validated};
 use robogate_monitor::{Baseline, Count, ModeCounts, Reference};
 
 use crate::commands::analyze::analyse;
-use crate::commands::gate::{open_requirements, real_evidence_for};
+use crate::commands::gate::real_evidence_for;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::terminal::{grouped, line, note};
 use robogate_session::open_source;
@@ -161,7 +161,7 @@ impl ReferenceOf {
         let requirements = match (&self.requirements, asked) {
             (None, Some(asked)) => asked.requirements,
             (name, _) => {
-                open_requirements(name.as_deref().unwrap_or("default"), &source.dictionary().provenance().task)?
+                Requirements::open(name.as_deref().unwrap_or("default"), &source.dictionary().provenance().task)?
             }
         };
         let limit = |metric: Metric| {
