@@ -57,7 +57,7 @@ for robot in ur3e ur5e ur10e; do
     step "$robot" episodes "$robot" -n 100 --design two-stage --robot "$robot" --space ur --set tolerance_m=0.03 --set contact_force_limit_n=1000000
 done
 for task in stacking insertion; do
-    step "$task" episodes "$task" -n 60 --design two-stage --task "$task"
-    step "$task on the UR5e" episodes "$task-ur5e" -n 40 --design two-stage --task "$task" --robot ur5e
+    step "$task" episodes "$task" -n 60 --design two-stage --task "$task" --set contact_force_limit_n=1000000
+    step "$task on the UR5e" episodes "$task-ur5e" -n 40 --design two-stage --task "$task" --robot ur5e --set contact_force_limit_n=1000000
 done
 finish
