@@ -47,6 +47,8 @@ mod subject;
 pub mod text;
 mod twins;
 mod workers;
+#[cfg(feature = "mujoco")]
+mod worlds;
 
 pub use arms::Arms;
 pub use cell::{Cell, engine, identity, nominal, robot, robot_files};
