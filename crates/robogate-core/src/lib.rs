@@ -32,6 +32,7 @@ mod scenario;
 mod seed;
 mod setting;
 mod space;
+pub mod stress;
 mod suite;
 mod task;
 mod trajectory;

@@ -65,6 +65,13 @@ impl Stream {
         (self.bits() >> 11) as f64 * SCALE
     }
 
+    /// Draws a standard normal number (Box and Muller 1958).
+    pub fn normal(&mut self) -> f64 {
+        // 1 - u is in (0, 1].
+        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
+        radius * (std::f64::consts::TAU * self.uniform()).cos()
+    }
+
     /// Draws a uniform number in [low, high).
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.uniform()

@@ -1,7 +1,5 @@
 //! Random displacement of the tool during a demonstration.
 
-use std::f64::consts::TAU;
-
 use nalgebra::Vector3;
 use robogate_core::{Seed, Stream};
 
@@ -36,16 +34,10 @@ impl Push {
     pub fn next(&mut self, period_s: f64, height_m: f64) -> Vector3<f64> {
         let keep = (-period_s / MEMORY_S).exp();
         let fresh = self.sigma_m * (1.0 - keep * keep).sqrt();
-        self.goal = self.goal.map(|x| keep * x + fresh * normal(&mut self.stream));
+        self.goal = self.goal.map(|x| keep * x + fresh * self.stream.normal());
         self.now += (self.goal - self.now) * FOLLOW;
         self.now * ((height_m - FREE_BELOW_M) / GROWS_OVER_M).clamp(0.0, 1.0)
     }
-}
-
-/// Draws a standard normal number (Box and Muller).
-fn normal(stream: &mut Stream) -> f64 {
-    let radius = (-2.0 * (1.0 - stream.uniform()).ln()).sqrt();
-    radius * (TAU * stream.uniform()).cos()
 }
 
 #[cfg(test)]

@@ -6,10 +6,11 @@ use std::time::Instant;
 use anyhow::{anyhow, bail};
 use robogate_campaign::Worker;
 use robogate_core::latency::{Execution, ExecutionMode, LATENCY_PARAMETER, Latency, MOST_LATENCY_S};
-use robogate_core::{Assignment, Domain, Fault, Parameter, ParameterSpace, Scale, Scenario, Seed};
+use robogate_core::{Assignment, Domain, Fault, Parameter, ParameterSpace, Scale, Scenario, Seed, TaskSpec};
 
 use crate::duration;
 use crate::notice::note;
+use crate::stress::{self, StressChoice};
 
 /// Requests whose latency is measured, after one that is not.
 const MEASURED: usize = 30;
@@ -21,6 +22,8 @@ pub struct LatencyChoice {
     pub latency: Option<WantedLatency>,
     /// What the robot does while the policy computes. `None` for the default.
     pub execution: Option<ExecutionMode>,
+    /// What else varies between environment and policy.
+    pub stress: StressChoice,
 }
 
 /// A latency as the user gives it.
@@ -107,8 +110,16 @@ impl LatencyChoice {
         Ok(Some(Execution { latency, mode }))
     }
 
-    /// The space with the parameter of this choice, if they vary the latency over a range.
-    pub fn added_to(&self, space: ParameterSpace) -> anyhow::Result<ParameterSpace> {
+    /// The space with the parameters of this choice for this task: those of the stress, and the latency if it varies over a range.
+    pub fn added_to(&self, space: ParameterSpace, task: &TaskSpec) -> anyhow::Result<ParameterSpace> {
+        let space = match self.stress.stress()? {
+            Some(stress) => stress::with_parameters(space, &stress, task)?,
+            None => space,
+        };
+        self.with_latency(space)
+    }
+
+    fn with_latency(&self, space: ParameterSpace) -> anyhow::Result<ParameterSpace> {
         let range = match &self.latency {
             Some(WantedLatency::Varied(range)) => range,
             _ => return Ok(space),
@@ -150,21 +161,28 @@ impl LatencyChoice {
                 "--latency varied: the scenarios of a suite are fixed\nHint: use --latency varied with a suite that has \
                  the parameter `{LATENCY_PARAMETER}`, or a space"
             ),
-            Some(WantedLatency::Varied(None)) => self.added_to(space.clone()).map(drop),
+            Some(WantedLatency::Varied(None)) => self.with_latency(space.clone()).map(drop),
             _ => Ok(()),
+        }?;
+        let lacking =
+            self.stress.stress()?.filter(|stress| stress.parameters.iter().all(|name| space.position(name).is_none()));
+        if lacking.is_some() {
+            bail!(
+                "--stress: the scenarios of a suite are fixed, and these have no parameter of stress\nHint: choose a space with --space"
+            );
         }
+        Ok(())
     }
 }
 
-/// The space without the latency, which the environment itself does not have. `None` if nothing is left.
-pub(crate) fn without_latency(space: &ParameterSpace) -> anyhow::Result<Option<ParameterSpace>> {
-    let others = space.parameters().iter().filter(|parameter| &*parameter.name != LATENCY_PARAMETER);
+/// The space without the parameters that this test finds, which the environment itself does not have. `None` if nothing is left.
+pub(crate) fn without(space: &ParameterSpace, is_own: impl Fn(&str) -> bool) -> anyhow::Result<Option<ParameterSpace>> {
+    let others = space.parameters().iter().filter(|parameter| !is_own(&parameter.name));
     let others: Vec<Parameter> = others.cloned().collect();
     if others.is_empty() {
         return Ok(None);
     }
-    let of_others = |name: &str| name != LATENCY_PARAMETER;
-    let correlations = space.correlations().iter().filter(|c| c.parameters.iter().all(|name| of_others(name)));
+    let correlations = space.correlations().iter().filter(|c| c.parameters.iter().all(|name| !is_own(name)));
     let correlations = correlations.cloned().collect();
     Ok(Some(ParameterSpace::new(space.name(), others)?.with_correlations(correlations)?))
 }
@@ -231,10 +249,12 @@ mod tests {
     #[test]
     fn latency_is_an_ordinary_parameter() {
         let space = crate::subject::named_space("learned").unwrap();
-        let arguments = LatencyChoice { latency: Some(WantedLatency::Varied(Some([0.0, 0.5]))), execution: None };
-        let varied = arguments.added_to(space.clone()).unwrap();
+        let latency = Some(WantedLatency::Varied(Some([0.0, 0.5])));
+        let arguments = LatencyChoice { latency, ..LatencyChoice::default() };
+        let varied = arguments.with_latency(space.clone()).unwrap();
         assert_eq!(varied.len(), space.len() + 1);
-        assert!(arguments.added_to(varied.clone()).is_err());
-        assert_eq!(without_latency(&varied).unwrap().unwrap().parameters(), space.parameters());
+        assert!(arguments.with_latency(varied.clone()).is_err());
+        let rest = without(&varied, |name| name == LATENCY_PARAMETER).unwrap().unwrap();
+        assert_eq!(rest.parameters(), space.parameters());
     }
 }

@@ -43,6 +43,7 @@ mod runs;
 mod sharded;
 mod source;
 mod store;
+mod stress;
 mod subject;
 pub mod text;
 mod twins;
@@ -86,6 +87,7 @@ pub use runs::{Run, runs_below, utc};
 pub use sharded::ShardedCampaign;
 pub use source::open_source;
 pub use store::{create_store, open_store};
+pub use stress::StressChoice;
 pub use subject::{
     BuiltIn, EnvironmentSource, Subject, check_declared, named_space, named_suite, programs, recorded_robot,
     starts_processes,

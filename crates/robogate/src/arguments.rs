@@ -8,7 +8,7 @@ use robogate_core::latency::ExecutionMode;
 use robogate_dictionary::RendererRecord;
 use robogate_session::{
     CELL_TASK, CheckpointStatistics, ENGINES, EnvironmentChoice, LatencyChoice, PolicyAccess, PolicyChoice,
-    PolicyLocation, Reopening, Simulators, Trust, WantedLatency, duration, execution_mode,
+    PolicyLocation, Reopening, Simulators, StressChoice, Trust, WantedLatency, duration, execution_mode,
 };
 use robogate_zmtp::Address;
 
@@ -227,12 +227,20 @@ pub(crate) struct LatencyArguments {
     /// overlap (overlapping chunks, after real-time chunking); default: hold
     #[arg(long, value_name = "MODE", value_parser = execution_mode)]
     execution: Option<ExecutionMode>,
+    /// Vary what the policy receives and what the robot executes, for any environment (docs/guides/stress.md): all, images, state,
+    /// actions, language, or single parameters such as noise or delayed_frames. Adds them to the space
+    #[arg(long, value_name = "WHAT", value_delimiter = ',')]
+    stress: Vec<String>,
+    /// Read other wordings of the instruction from this file, one in each line, for --stress language
+    #[arg(long, value_name = "FILE")]
+    wordings: Option<PathBuf>,
 }
 
 impl LatencyArguments {
     /// Latency and execution of these arguments.
     pub(crate) fn choice(&self) -> LatencyChoice {
-        LatencyChoice { latency: self.latency.clone(), execution: self.execution }
+        let stress = StressChoice { wanted: self.stress.clone(), wordings: self.wordings.clone() };
+        LatencyChoice { latency: self.latency.clone(), execution: self.execution, stress }
     }
 }
 

@@ -281,7 +281,7 @@ impl<P: Policy + ?Sized> Policy for Delayed<P> {
         self.tick = 0;
         self.period_s = task.control_period_s;
         self.stream = stream(seed);
-        self.hold = Hold { last: None, spec: task.action.clone() };
+        self.hold = Hold::of(task);
         self.left = 0;
         self.policy.reset(task, instance, seed)
     }
@@ -310,19 +310,24 @@ impl<P: Policy + ?Sized> Policy for Delayed<P> {
 
 /// Commands that hold the robot's position.
 #[derive(Debug, Default)]
-struct Hold {
+pub(crate) struct Hold {
     last: Option<Action>,
     spec: ActionSpec,
 }
 
 impl Hold {
+    /// Before the first command for this task.
+    pub(crate) fn of(task: &TaskSpec) -> Self {
+        Self { last: None, spec: task.action.clone() }
+    }
+
     /// The command while the robot waits.
     ///
     /// A tool stays at its last commanded pose, joints at their last commanded positions, or at the measured ones before
     /// the first action. In a vector, a number whose bounds are symmetric about 0 is a velocity, a change or an effort,
     /// and becomes 0. Any other number is a position and keeps its last value. The gripper keeps its last command, and is
     /// open before the first one.
-    fn action(&self, observation: &Observation) -> Action {
+    pub(crate) fn action(&self, observation: &Observation) -> Action {
         let command = match &self.last {
             Some(Action { command: Command::JointPosition(joints), .. }) => Command::JointPosition(joints.clone()),
             Some(Action { command: Command::Vector(numbers), .. }) => Command::Vector(self.vector(Some(numbers))),
@@ -353,7 +358,7 @@ impl Hold {
 const STILL: Command = Command::ToolDelta { translation_m: [0.0; 3], rotation_rad: [0.0; 3] };
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::super::ExecutionMode;
     use super::super::draws::REQUESTS;
     use super::*;
@@ -395,7 +400,8 @@ mod tests {
         }
     }
 
-    fn task() -> TaskSpec {
+    /// A task whose command is one number.
+    pub(crate) fn task() -> TaskSpec {
         let vector = ActionSpace::Vector { names: vec!["x".to_owned()], low: vec![-99.0], high: vec![99.0] };
         TaskSpec {
             name: Word::constant("test"),

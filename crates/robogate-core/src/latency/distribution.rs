@@ -105,20 +105,13 @@ impl Latency {
         let sample = match self {
             Self::Fixed { seconds } => *seconds,
             Self::Uniform { low_s, high_s } => stream.between(*low_s, *high_s),
-            Self::Normal { mean_s, sd_s } => mean_s + sd_s * normal(stream),
+            Self::Normal { mean_s, sd_s } => mean_s + sd_s * stream.normal(),
             Self::Gamma { mean_s, sd_s } => gamma(stream, (mean_s / sd_s).powi(2)) * sd_s * sd_s / mean_s,
             Self::Measured { samples_s } => samples_s.get(stream.below(samples_s.len())).copied().unwrap_or_default(),
             Self::Parameter => parameter_s,
         };
         sample.clamp(0.0, MOST_LATENCY_S)
     }
-}
-
-/// A standard normal number (Box and Muller 1958).
-fn normal(stream: &mut Stream) -> f64 {
-    // 1 - u is in (0, 1].
-    let radius = (-2.0 * (1.0 - stream.uniform()).ln()).sqrt();
-    radius * (std::f64::consts::TAU * stream.uniform()).cos()
 }
 
 /// A gamma number with this shape and scale 1 (Marsaglia and Tsang 2000; shapes below 1 with their boost).
@@ -130,7 +123,7 @@ fn gamma(stream: &mut Stream, shape: f64) -> f64 {
     let d = shape - 1.0 / 3.0;
     let c = 1.0 / (9.0 * d).sqrt();
     loop {
-        let x = normal(stream);
+        let x = stream.normal();
         let v = (1.0 + c * x).powi(3);
         if v > 0.0 && (1.0 - stream.uniform()).ln() < 0.5 * x * x + d - d * v + d * v.ln() {
             return d * v;

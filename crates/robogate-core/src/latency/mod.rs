@@ -16,6 +16,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Allowed, ParameterSpec, Value, Word};
 
+pub(crate) use adapter::Hold;
+#[cfg(test)]
+pub(crate) use adapter::tests::task as number_task;
 pub use adapter::{with_declarations, with_latency};
 pub use distribution::{Latency, LatencyError};
 

@@ -6,6 +6,7 @@ mod policy;
 mod repeats;
 
 use robogate_core::latency::Execution;
+use robogate_core::stress::Stress;
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize, de::Error};
 
@@ -32,6 +33,9 @@ pub struct World {
     /// The latency of the policy. Absent if the world waits for its actions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub execution: Option<Execution>,
+    /// What varied between environment and policy. Absent if nothing did.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stress: Option<Stress>,
     /// The controls of the gate that started the run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub controls: Option<Controls>,
@@ -40,7 +44,7 @@ pub struct World {
 impl World {
     /// The scripted controller in this place.
     pub fn new(place: Place) -> Self {
-        Self { version: WORLD_VERSION, place, policy: None, execution: None, controls: None }
+        Self { version: WORLD_VERSION, place, policy: None, execution: None, stress: None, controls: None }
     }
 
     /// This record without the versions of installed packages, to compare two records: other versions can compute the same episodes.

@@ -20,8 +20,10 @@ impl EnvironmentBinding {
     /// The environment of these rows.
     pub fn of(provenance: &Provenance) -> Self {
         // The policy is bound on its own, and controls are results.
-        let world =
-            provenance.world.as_ref().map(|world| json!({ "place": world.place, "execution": world.execution }));
+        let world = provenance
+            .world
+            .as_ref()
+            .map(|world| json!({ "place": world.place, "execution": world.execution, "stress": world.stress }));
         let identity: Value = json!({
             "task": TaskIdentity::of(&provenance.task),
             "world": world,

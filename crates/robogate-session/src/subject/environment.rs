@@ -14,10 +14,11 @@ use robogate_remote::{Pool, RemoteEnvironment};
 use crate::cell::{Cell, FRANKA, default_place};
 use crate::environments::Servers;
 use crate::failure::{Failure, OrFailure};
-use crate::latency::without_latency;
+use crate::latency::without;
 use crate::policy_source::{DeclaredPolicy, PolicySource, without_profile};
 use crate::registry;
 use crate::remote::{self, Simulators};
+use crate::stress::is_stress;
 
 use super::built_in::BuiltIn;
 use super::spaces::{check_declared, named_space};
@@ -194,8 +195,8 @@ impl EnvironmentSource {
     }
 
     /// Finds a parameter space by its name or file. `None` gives that of the environment. If the latency `varies`, the space
-    /// may contain it.
-    pub fn space(&self, wanted: Option<&str>, varies: bool) -> anyhow::Result<ParameterSpace> {
+    /// may contain it; with `stress`, parameters of stress too.
+    pub fn space(&self, wanted: Option<&str>, varies: bool, stress: bool) -> anyhow::Result<ParameterSpace> {
         let space = match (wanted, self) {
             (Some(wanted), _) => named_space(wanted)?,
             (None, Self::BuiltIn(built_in)) => built_in.space()?,
@@ -216,7 +217,10 @@ impl EnvironmentSource {
         {
             bail!("space {}: the parameter `{LATENCY_PARAMETER}` needs the option --latency varied", space.name());
         }
-        let own = if varies { without_latency(&space)? } else { Some(space.clone()) };
+        if let Some(unused) = space.parameters().iter().find(|parameter| !stress && is_stress(&parameter.name)) {
+            bail!("space {}: the parameter `{}` needs the option --stress", space.name(), unused.name);
+        }
+        let own = without(&space, |name| (varies && name == LATENCY_PARAMETER) || is_stress(name))?;
         match (self, own) {
             (_, None) => {}
             (Self::BuiltIn(built_in), Some(own)) => built_in.check_space(&own)?,

@@ -16,6 +16,7 @@ use robogate_campaign::{Worker, WorkerFactory};
 #[cfg(feature = "mujoco")]
 use robogate_core::SinglePolicies;
 use robogate_core::latency::{Execution, LATENCY_PARAMETER, Latency, with_declarations, with_latency};
+use robogate_core::stress::{Stress, with_stress};
 use robogate_core::{
     Environment, Fault, FaultKind, Foresight, InfeasibleShare, ParameterSpace, Policy, SpaceFeasibility, Suite,
     TaskSpec,
@@ -29,13 +30,14 @@ use crate::cell::{Cell, nominal};
 use crate::checkpoint_statistics::CheckpointStatistics;
 use crate::environment_choice::EnvironmentChoice;
 use crate::failure::{Failure, OrFailure};
-use crate::latency::{LatencyChoice, without_latency};
+use crate::latency::{LatencyChoice, without};
 use crate::notice::{note, warning};
 use crate::origin;
 use crate::policy_source::{PolicyChoice, PolicyLocation, PolicySource};
 use crate::registry::CELL_TASK;
 #[cfg(feature = "mujoco")]
 use crate::registry::ManyWorlds;
+use crate::stress::is_stress;
 use robogate_stats::format::percent;
 
 pub use built_in::BuiltIn;
@@ -54,6 +56,8 @@ pub struct Subject {
     task: Arc<TaskSpec>,
     /// The latency of the policy. `None` if the world waits for it.
     execution: Option<Execution>,
+    /// What else varies between environment and policy.
+    stress: Option<Stress>,
     /// The controls of the gate, as its runs record them.
     controls: Option<Controls>,
     /// The folder of the robot as the run records it, if the user named another one with the same files.
@@ -72,7 +76,8 @@ impl Subject {
             Some(profile) => with_range_measures(&task, profile),
             None => task,
         };
-        let subject = Self { environment, policy, task, execution: None, controls: None, recorded_robot: None };
+        let subject =
+            Self { environment, policy, task, execution: None, stress: None, controls: None, recorded_robot: None };
         let ready = match &subject.policy {
             // The environment declares it for its own task.
             Some(PolicySource::Declared(_)) => return Ok(subject),
@@ -152,7 +157,23 @@ impl Subject {
     /// The same subject with the latency of these arguments. A latency that is to be measured is measured now.
     pub fn with_latency(self, arguments: &LatencyChoice) -> Result<Self, Failure> {
         let execution = arguments.execution(|| self.worker()).or_request()?;
-        self.executed(execution)
+        self.executed(execution)?.stressed(arguments.stress.stress().or_request()?)
+    }
+
+    fn stressed(mut self, stress: Option<Stress>) -> Result<Self, Failure> {
+        if let (Some(_), Some(PolicySource::Declared(policy))) = (&stress, &self.policy) {
+            return Err(anyhow!(
+                "--stress: the environment runs the policy {} itself, so nothing can be changed between the two\nHint: leave out \
+                 --stress, or serve the policy and name its address",
+                policy.environment
+            ))
+            .or_request();
+        }
+        if let Some(stress) = &stress {
+            self.task = stress.declared_in(&self.task);
+        }
+        self.stress = stress;
+        Ok(self)
     }
 
     /// Notes that this user starts a run of this subject in `folder`.
@@ -213,8 +234,8 @@ impl Subject {
 
     /// What the task knows about episodes before they run. `None` if it knows nothing.
     pub fn foresight(&self) -> Result<Option<Arc<dyn Foresight>>, Failure> {
-        // Parameter and draws of a latency belong to an adapter, which needs a policy.
-        if self.execution.is_some() {
+        // Parameter and draws of a latency belong to an adapter, which needs a policy. So do those of stress.
+        if self.execution.is_some() || self.stress.is_some() {
             return Ok(self.worker().or_broken()?.environment.foresight());
         }
         Ok(self.environment.environment().or_broken()?.foresight())
@@ -335,16 +356,19 @@ impl Subject {
     /// Finds a parameter space by its name or file. `None` gives that of the environment.
     pub fn space(&self, wanted: Option<&str>) -> anyhow::Result<ParameterSpace> {
         let latency_s = self.execution.as_ref().is_some_and(|execution| execution.latency == Latency::Parameter);
-        self.environment.space(wanted, latency_s)
+        self.environment.space(wanted, latency_s, self.stress.is_some())
     }
 
     /// Rejects a suite with a parameter that the environment does not have.
     pub fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
-        let varies = suite.space().position(LATENCY_PARAMETER).is_some();
+        let of_adapter =
+            |name: &str| (name == LATENCY_PARAMETER || is_stress(name)) && self.task.parameter(name).is_some();
         match &self.environment {
-            // A built-in task does not know the latency.
-            EnvironmentSource::BuiltIn(built_in) if varies && self.task.parameter(LATENCY_PARAMETER).is_some() => {
-                without_latency(suite.space())?.map_or(Ok(()), |space| built_in.check_space(&space))
+            // A built-in task does not know latency and stress.
+            EnvironmentSource::BuiltIn(built_in)
+                if suite.space().parameters().iter().any(|parameter| of_adapter(&parameter.name)) =>
+            {
+                without(suite.space(), of_adapter)?.map_or(Ok(()), |space| built_in.check_space(&space))
             }
             EnvironmentSource::BuiltIn(built_in) => built_in.check_suite(suite),
             EnvironmentSource::Remote(_) => {
@@ -363,8 +387,8 @@ impl Subject {
             robot.clone_from(recorded);
         }
         let policy = self.policy.as_ref().map(PolicySource::record).transpose().or_broken()?;
-        let (execution, controls) = (self.execution.clone(), self.controls.clone());
-        let world = Some(World { policy, execution, controls, ..World::new(place) });
+        let (execution, stress, controls) = (self.execution.clone(), self.stress.clone(), self.controls.clone());
+        let world = Some(World { policy, execution, stress, controls, ..World::new(place) });
         let runs_network = self.policy.as_ref().is_some_and(PolicySource::is_network);
         let platform = if runs_network { Platform::here().with_networks() } else { Platform::here() };
         Ok(Provenance {
@@ -410,11 +434,12 @@ impl Subject {
     pub(crate) fn slots(&self, threads: NonZeroUsize) -> Result<Option<NonZeroUsize>, Failure> {
         let Some((cell, many)) = self.many_worlds() else { return Ok(None) };
         let counted = self.policy.as_ref().and_then(PolicySource::profile).and_then(RangeCounts::of).is_some();
-        let lacks = match (&self.execution, counted) {
-            (Some(_), _) => Some("--latency"),
-            (None, true) => Some("a policy with ranges of its checkpoint"),
-            (None, false) => None,
-        };
+        let lacks = [
+            (self.execution.is_some(), "--latency"),
+            (self.stress.is_some(), "--stress"),
+            (counted, "a policy with ranges of its checkpoint"),
+        ];
+        let lacks = lacks.into_iter().find_map(|(has, what)| has.then_some(what));
         if let Some(what) = lacks {
             let engine = &cell.settings().engine;
             return Err(anyhow!("--engine {engine} cannot be used with {what}\nHint: use --engine mujoco"))
@@ -468,12 +493,14 @@ impl WorkerFactory for Subject {
             Some((profile, counts)) => Box::new(RangeMeasures::new(environment, profile, counts)),
             None => environment,
         };
-        Ok(match &self.execution {
-            None => Worker { environment, policy },
-            Some(execution) => {
-                let (environment, policy) = with_latency(environment, policy, execution.clone());
-                Worker { environment, policy }
-            }
-        })
+        let (environment, policy) = match &self.execution {
+            None => (environment, policy),
+            Some(execution) => with_latency(environment, policy, execution.clone()),
+        };
+        let (environment, policy) = match &self.stress {
+            None => (environment, policy),
+            Some(stress) => with_stress(environment, policy, stress),
+        };
+        Ok(Worker { environment, policy })
     }
 }

@@ -33,6 +33,10 @@ fn world(provenance: &Provenance) -> Result<&World, Failure> {
     if let Some(execution) = &world.execution {
         execution.latency.check().context("plan.json: provenance.world.execution is not valid").or_request()?;
     }
+    if let Some(stress) = &world.stress {
+        let valid = stress.check().map_err(|why| anyhow!("plan.json: provenance.world.stress is not valid: {why}"));
+        valid.or_request()?;
+    }
     Ok(world)
 }
 
@@ -130,7 +134,7 @@ impl Subject {
     ) -> Result<Self, Failure> {
         let Permit { environment: permitted, robot: permitted_robot, location, mut simulators } =
             opening.permit(folder, provenance, &programs_of(&world))?;
-        let World { mut place, policy, execution, controls, .. } = world;
+        let World { mut place, policy, execution, stress, controls, .. } = world;
         let policy = policy.as_ref().map(PolicySource::recorded).transpose()?;
         simulators.loads = policy.as_ref().map_or(Ok(None), |policy| policy.loaded(&location)).or_request()?;
         let mut recorded_robot = None;
@@ -225,7 +229,7 @@ impl Subject {
             }
             None => location.unused().map(|()| None)?,
         };
-        let subject = Self::new(environment, policy)?.executed(execution)?;
+        let subject = Self::new(environment, policy)?.executed(execution)?.stressed(stress)?;
         Ok(Self { controls, recorded_robot, ..subject })
     }
 }

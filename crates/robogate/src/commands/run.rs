@@ -327,7 +327,7 @@ impl Run {
         let papers = if self.is_the_papers() { subject.published_space() } else { None };
         let space = subject
             .space(self.space.as_deref().or(papers))
-            .and_then(|space| self.latency.choice().added_to(space))
+            .and_then(|space| self.latency.choice().added_to(space, subject.task()))
             .or_usage()?;
         let mut plan = match &self.plan {
             Some(file) => Plan::load(file).or_usage()?,

@@ -50,6 +50,7 @@ mod runs;
 mod settings;
 mod shards;
 mod signatures;
+mod stress;
 mod terminal;
 #[cfg(all(target_os = "linux", feature = "mujoco", feature = "onnx"))]
 mod trust;

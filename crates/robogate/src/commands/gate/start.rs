@@ -173,7 +173,7 @@ impl Gate {
             (None, space, _) => {
                 let space = subject
                     .space(space.as_deref())
-                    .and_then(|space| self.latency.choice().added_to(space))
+                    .and_then(|space| self.latency.choice().added_to(space, subject.task()))
                     .or_usage()?;
                 if !self.family.is_empty() {
                     return families::suite(&self.family, &space, subject.task(), SAMPLED_SCENARIOS).or_usage();
