@@ -18,6 +18,18 @@ pub enum Guarantee {
     NoFalseElimination,
 }
 
+impl Guarantee {
+    /// The error of the test of one pair, on both sides together, if `error` is that of the whole contest. Equal policies divide it
+    /// evenly, and of two unequal ones the better one is eliminated even less often.
+    pub fn error_of_pair(self, policies: usize, error: f64) -> f64 {
+        let n = policies.max(2) as f64;
+        match self {
+            Self::BestStays => 2.0 * error / (n - 1.0),
+            Self::NoFalseElimination => 2.0 * error / (n * (n - 1.0)),
+        }
+    }
+}
+
 /// The blocks of a contest.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Schedule {
@@ -81,14 +93,7 @@ impl Elimination {
             return Err(ContestError::Policies(policies));
         }
         check(schedule.per_look.saturating_mul(schedule.looks), error)?;
-        let others = policies as f64 - 1.0;
-        // The error of a pair, on both sides together. Equal policies divide it evenly, and of two unequal ones the better one is
-        // eliminated even less often.
-        let of_pair = match guarantee {
-            Guarantee::BestStays => 2.0 * error / others,
-            Guarantee::NoFalseElimination => 2.0 * error / (others * policies as f64),
-        };
-        let boundary = Boundary::new(schedule.per_look, schedule.looks, of_pair.min(error * 2.0));
+        let boundary = Boundary::new(schedule.per_look, schedule.looks, guarantee.error_of_pair(policies, error));
         Ok(Self {
             guarantee,
             schedule,
