@@ -11,6 +11,7 @@
 //! | how long does that take, and how often is it right? | [`Duel::expected`], [`Elimination::expected`] |
 //! | how far are the policies apart, at any time? | [`Duel::interval`], [`Elimination::table`] |
 //! | does one policy meet a limit? | [`crate::operating::Boundaries::new`] with a budget of one trial per round, then [`look`] |
+//! | the same with predictions of a simulation? | [`Predicted::new`], then [`Predicted::trial`] after each trial |
 //!
 //! [`look`]: crate::operating::Boundaries::look
 //!
@@ -28,11 +29,13 @@ mod duel;
 mod elimination;
 mod intervals;
 mod lattice;
+mod predicted;
 
 pub use boundary::EXACT_BLOCKS;
 pub use duel::{Decision, Duel, ExpectedDuel, Truth};
 pub use elimination::{Dropped, Elimination, ExpectedContest, Guarantee, Schedule};
 pub use intervals::PairInterval;
+pub use predicted::Predicted;
 
 /// The most blocks that a contest can have.
 pub const MOST_BLOCKS: u64 = 1_000_000;
@@ -51,6 +54,9 @@ pub enum ContestError {
     /// An error probability outside (0, 0.5).
     #[error("an error probability of {0}. Expected a number between 0 and 0.5")]
     Error(f64),
+    /// A limit or a prediction that is not a rate.
+    #[error("{0} is not a rate. Expected a number from 0 to 1, and a limit between them")]
+    Rate(f64),
     /// A block with another number of outcomes.
     #[error("a block with {found} outcomes. Expected {expected}, one for each policy")]
     Outcomes {
