@@ -15,6 +15,8 @@ const SHARES: [f64; 8] = [0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0];
 const CHECKED: u32 = 50;
 /// No test ends before this part of the looks: very early looks use error and rarely decide.
 const FIRST: f64 = 0.2;
+/// Δ beyond [`EXACT_BLOCKS`]: a simulation can afford a few more blocks for an early end.
+const LARGE: f64 = 0.4;
 /// Above this limit of the statistic nothing is left.
 const UNREACHED: f64 = 9.0;
 
@@ -31,19 +33,20 @@ impl Boundary {
     /// The smallest limits whose error on both sides together, over all looks, is at most `error`.
     pub(super) fn new(per_look: u64, looks: u64, error: f64) -> Self {
         let every = every(per_look * looks, looks);
+        let shape = if per_look * looks <= EXACT_BLOCKS { shape(looks) } else { LARGE };
         let unit = |look: u64| {
             let t = look as f64 / looks as f64;
             let is_used = t >= FIRST && look % every == 0;
-            if is_used { t.powf(shape(looks) - 0.5) } else { f64::INFINITY }
+            if is_used { t.powf(shape - 0.5) } else { f64::INFINITY }
         };
         let mut boundary = Self { per_look, units: (1..=looks).map(unit).collect(), constant: UNREACHED };
         let (mut low, mut high) = (0.5, UNREACHED);
-        for _ in 0..20 {
+        for _ in 0..16 {
             boundary.constant = 0.5 * (low + high);
-            if boundary.error(&SHARES) > error { low = boundary.constant } else { high = boundary.constant }
+            if boundary.exceeds(error, &SHARES) { low = boundary.constant } else { high = boundary.constant }
         }
         boundary.constant = high;
-        while boundary.is_exact() && boundary.constant < UNREACHED && boundary.error(&checked()) > error {
+        while boundary.is_exact() && boundary.constant < UNREACHED && boundary.exceeds(error, &checked()) {
             boundary.constant *= 1.001;
         }
         boundary
@@ -62,7 +65,12 @@ impl Boundary {
         self.blocks() <= EXACT_BLOCKS
     }
 
-    /// The largest error over the given shares of blocks with a winner.
+    /// Whether the error exceeds a limit for any of the given shares of blocks with a winner.
+    fn exceeds(&self, limit: f64, shares: &[f64]) -> bool {
+        if self.is_exact() { shares.iter().any(|d| self.error(&[*d]) > limit) } else { self.error(&[]) > limit }
+    }
+
+    /// The largest error over the given shares of blocks with a winner. Brownian motion has one error for all.
     fn error(&self, shares: &[f64]) -> f64 {
         if !self.is_exact() {
             let every = every(self.blocks(), self.looks());
@@ -81,7 +89,7 @@ impl Boundary {
             if n % self.per_look != 0 {
                 At::Open
             } else if self.is_reached(n / self.per_look, ahead, behind) {
-                At::First
+                At::Leader
             } else if futile(n, ahead, behind) {
                 At::Neither
             } else {
@@ -98,8 +106,16 @@ impl Boundary {
 
     /// Whether a look shows that the policy that won `ahead` blocks is better than the one that won `behind`.
     pub(super) fn is_reached(&self, look: u64, ahead: u64, behind: u64) -> bool {
-        let limit = self.limit(look);
-        ahead > behind && limit < f64::INFINITY && self.statistic(ahead, behind) >= limit - 1e-9
+        let limit = self.limit(look) - 1e-9;
+        if ahead <= behind || limit >= UNREACHED {
+            return false;
+        }
+        if self.is_exact() {
+            // The square of the statistic, without a root for each cell of the recursion.
+            let lead = (ahead - behind) as f64;
+            return lead * lead >= limit * limit * (ahead + behind) as f64;
+        }
+        self.statistic(ahead, behind) >= limit
     }
 
     fn statistic(&self, ahead: u64, behind: u64) -> f64 {

@@ -23,10 +23,8 @@ impl Step {
 pub(super) enum At {
     /// They go on.
     Open,
-    /// They end for the first policy.
-    First,
-    /// They end for the second policy.
-    Second,
+    /// They end for the policy that leads.
+    Leader,
     /// They end without a winner.
     Neither,
 }
@@ -48,7 +46,7 @@ const NEGLIGIBLE: f64 = 1e-18;
 /// Propagates the distribution over `blocks` blocks, with a look after each of them.
 ///
 /// `at(n, ahead, behind)` is asked about each cell after block n with ahead >= behind, where ahead is the number of blocks that the
-/// leading policy won. Its answer [`At::First`] means an end for the leading policy.
+/// leading policy won.
 pub(super) fn course(blocks: u64, step: Step, mut at: impl FnMut(u64, u64, u64) -> At) -> Course {
     let size = blocks as usize + 1;
     let index = |s: usize, b: usize| s * (s + 1) / 2 + b;
@@ -57,34 +55,42 @@ pub(super) fn course(blocks: u64, step: Step, mut at: impl FnMut(u64, u64, u64) 
     let same = (1.0 - step.first - step.second).max(0.0);
     let mut out = Course::default();
     let mut going = 1.0;
+    // The first and the last b of each s that runs have reached and not left; empty if the first is larger.
+    let mut reached = vec![(usize::MAX, 0_usize); size];
+    reached[0] = (0, 0);
     for n in 1..=blocks {
         out.blocks += going;
         going = 0.0;
         for s in (0..=n as usize).rev() {
-            for b in (0..=s).rev() {
+            let (mut first, mut last) = reached[s];
+            if let Some((before, until)) = s.checked_sub(1).map(|s| reached[s]).filter(|(from, to)| from <= to) {
+                (first, last) = (first.min(before), last.max(until + 1));
+            }
+            let mut still = (usize::MAX, 0);
+            for b in (first..=last).rev() {
                 let mut here = mass[index(s, b)] * same;
                 if s > 0 {
                     // From s - 1 winners so far: this block was won by the first, or by the second.
                     here += if b > 0 { mass[index(s - 1, b - 1)] * step.first } else { 0.0 };
                     here += if b < s { mass[index(s - 1, b)] * step.second } else { 0.0 };
                 }
+                mass[index(s, b)] = 0.0;
                 if here < NEGLIGIBLE {
-                    mass[index(s, b)] = 0.0;
                     continue;
                 }
-                let (b, a) = (b as u64, (s - b) as u64);
-                let end = match at(n, b.max(a), b.min(a)) {
-                    At::First if b < a => At::Second,
-                    end => end,
-                };
-                match end {
-                    At::Open => going += here,
-                    At::First => out.first += here,
-                    At::Second => out.second += here,
+                let (won, lost) = (b as u64, (s - b) as u64);
+                match at(n, won.max(lost), won.min(lost)) {
+                    At::Open => {
+                        going += here;
+                        mass[index(s, b)] = here;
+                        still = (still.0.min(b), still.1.max(b));
+                    }
+                    At::Leader if won > lost => out.first += here,
+                    At::Leader => out.second += here,
                     At::Neither => {}
                 }
-                mass[index(s, b as usize)] = if end == At::Open { here } else { 0.0 };
             }
+            reached[s] = still;
         }
     }
     out
@@ -100,7 +106,7 @@ mod tests {
     fn counts_are_trinomial() {
         let step = Step { first: 0.3, second: 0.1 };
         let last = |n: u64, ahead: u64, behind: u64| match (n, ahead, behind) {
-            (12, 5, 2) => At::First,
+            (12, 5, 2) => At::Leader,
             _ => At::Open,
         };
         let found = course(12, step, last);

