@@ -36,7 +36,7 @@ impl Boundary {
         let shape = if per_look * looks <= EXACT_BLOCKS { shape(looks) } else { LARGE };
         let unit = |look: u64| {
             let t = look as f64 / looks as f64;
-            let is_used = t >= FIRST && look % every == 0;
+            let is_used = t >= FIRST && look.is_multiple_of(every);
             if is_used { t.powf(shape - 0.5) } else { f64::INFINITY }
         };
         let mut boundary = Self { per_look, units: (1..=looks).map(unit).collect(), constant: UNREACHED };
@@ -86,7 +86,7 @@ impl Boundary {
     /// The probability of each end, if also those runs end without a winner for which `futile(n, ahead, behind)` holds.
     pub(super) fn course(&self, step: Step, futile: impl Fn(u64, u64, u64) -> bool) -> Course {
         course(self.blocks(), step, |n, ahead, behind| {
-            if n % self.per_look != 0 {
+            if !n.is_multiple_of(self.per_look) {
                 At::Open
             } else if self.is_reached(n / self.per_look, ahead, behind) {
                 At::Leader
