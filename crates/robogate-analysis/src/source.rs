@@ -95,6 +95,17 @@ impl Source {
         }
     }
 
+    /// Imports results of another tool into a scratch file.
+    ///
+    /// # Errors
+    /// Results that cannot be read, or that name several policies if the mapping does not choose one.
+    pub fn import(path: &Path, mapping: &results::Mapping) -> Result<Self, AnalysisError> {
+        let scratch = Scratch::new();
+        results::import(path, &scratch.0, None, mapping)?;
+        let dictionary = Dictionary::open(&scratch.0)?;
+        Ok(Self { dictionary, folder: None, boundary: None, _scratch: Some(scratch) })
+    }
+
     /// The dictionary.
     pub fn dictionary(&self) -> &Dictionary {
         &self.dictionary

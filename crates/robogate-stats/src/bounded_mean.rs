@@ -17,7 +17,7 @@
 use crate::interval::Interval;
 
 /// Number of bet sizes: 0.99, halved repeatedly.
-const STAKES: u32 = 12;
+pub(crate) const STAKES: u32 = 12;
 
 /// A value outside its stated bounds.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -89,7 +89,7 @@ impl<'a> BoundedMean<'a> {
             for &x in self.values.get(from..to).unwrap_or_default() {
                 let gain = (m - side(x / self.ceiling)) / (1.0 - m);
                 for (ln, i) in capital.iter_mut().zip(0..) {
-                    *ln += (0.99 * 0.5_f64.powi(i) * gain).ln_1p();
+                    *ln += (stake(i) * gain).ln_1p();
                 }
             }
             from = to.max(from);
@@ -99,13 +99,18 @@ impl<'a> BoundedMean<'a> {
     }
 }
 
-fn ln_mean_exp(values: &[f64]) -> f64 {
+/// The fraction of the possible loss that a gambler bets.
+pub(crate) fn stake(i: i32) -> f64 {
+    0.99 * 0.5_f64.powi(i)
+}
+
+pub(crate) fn ln_mean_exp(values: &[f64]) -> f64 {
     let top = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     top + (values.iter().map(|v| (v - top).exp()).sum::<f64>() / values.len() as f64).ln()
 }
 
 /// The largest m in [0, 1] up to which `open` holds everywhere. 1 if it always holds.
-fn boundary(open: impl Fn(f64) -> bool) -> f64 {
+pub(crate) fn boundary(open: impl Fn(f64) -> bool) -> f64 {
     if open(1.0) {
         return 1.0;
     }

@@ -86,6 +86,11 @@ fn limit(error: f64, looks: u64) -> f64 {
 
 /// The probability that the motion crosses z (k/K)^(Δ - 1/2) √k at one of the looks k = 1, ..., K.
 fn crossing(z: f64, looks: u64, shape: f64) -> f64 {
+    crosses(looks, |look| z * (look as f64 / looks as f64).powf(shape - 0.5))
+}
+
+/// The probability that the motion, divided by √k, reaches `limit(k)` at one of the looks k = 1, ..., K.
+pub(crate) fn crosses(looks: u64, limit: impl Fn(u64) -> f64) -> f64 {
     // Below this, a path does not return to the boundary within the remaining looks.
     let lowest = -7.0 * (looks as f64).sqrt();
     let reach = (7.0 / STEP) as i64;
@@ -95,7 +100,7 @@ fn crossing(z: f64, looks: u64, shape: f64) -> f64 {
     let mut going: Vec<f64> = Vec::new();
     let mut crossed = 0.0;
     for look in 1..=looks {
-        let top = z * (look as f64 / looks as f64).powf(shape - 0.5) * (look as f64).sqrt();
+        let top = limit(look) * (look as f64).sqrt();
         let size = usize::try_from(place(top + 7.0)).unwrap_or(0) + 1;
         let mut next = vec![0.0; size];
         if look == 1 {

@@ -31,6 +31,7 @@
 //! | the same, with a known largest number of looks? | [`budgeted`] |
 //! | how often does such a gate pass or fail? | [`operating`] |
 //! | which share of the units of a fleet meets the requirements, and what do the others have in common? | [`unit_share`], [`max_statistic`] |
+//! | which of two policies is better, or which of several the best, block by block? | [`contest`] |
 //! | may B replace A? | [`non_inferiority`], [`group_sequential`] after each round |
 //! | what is the estimate for the operating space if the rows were sampled elsewhere? | [`weighted`] |
 //! | the same for a rare event? | [`weighted_events`] |
@@ -47,6 +48,7 @@ pub mod budgeted;
 pub mod calibration;
 pub mod clusters;
 pub mod compare;
+pub mod contest;
 pub mod correlation;
 pub mod crossed;
 pub mod difference;

@@ -6,7 +6,7 @@ use clap::Command;
 
 /// The verbs by purpose, as the help lists them.
 const GROUPS: [(&str, &[&str]); 6] = [
-    ("Judge a policy", &["run", "gate", "resume", "compare", "leaderboard", "matrix", "fleet"]),
+    ("Judge a policy", &["run", "gate", "resume", "compare", "rank", "leaderboard", "matrix", "fleet"]),
     ("Look at results", &["runs", "analyze", "report", "view", "replay", "import", "export", "audit"]),
     ("Bring your own", &["env", "policy", "robots", "check", "serve", "demos", "list", "config", "completions"]),
     ("Show that it holds", &["evidence", "verify", "keys"]),

@@ -60,6 +60,8 @@ enum Verb {
     Resume(commands::resume::Resume),
     /// Compare robots, policies or simulators, and find where all of them fail
     Compare(commands::compare::Compare),
+    /// Find the best of several policies: all run the same scenarios, and worse ones leave after each round
+    Rank(commands::rank::Rank),
     /// Rank policies that ran the same scenarios
     Leaderboard(commands::leaderboard::Rank),
     /// Run policies x tasks x robots x engines as one resumable plan, and rank the policies on one page
@@ -185,6 +187,7 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Gate(verb) => verb.execute(),
         Verb::Resume(verb) => verb.execute(),
         Verb::Compare(verb) => verb.execute(),
+        Verb::Rank(verb) => verb.execute(),
         Verb::Leaderboard(verb) => verb.execute(),
         Verb::Matrix(verb) => verb.execute(),
         Verb::Fleet(verb) => verb.execute(),

@@ -70,7 +70,9 @@ pub(crate) fn check_distinct(sources: &[(Source, PathBuf)]) -> Result<(), Compar
     for (i, (source, path)) in sources.iter().enumerate() {
         for (other, before) in &sources[..i] {
             let (one, two) = (source.dictionary(), other.dictionary());
-            if !one.is_empty() && one.dataset_hash() == two.dataset_hash() {
+            // Two policies may have the same outcomes in the same scenarios.
+            let same_policy = one.provenance().policy == two.provenance().policy;
+            if !one.is_empty() && same_policy && one.dataset_hash() == two.dataset_hash() {
                 return Err(ComparisonError::SameTwice { first: before.clone(), second: path.clone() });
             }
         }

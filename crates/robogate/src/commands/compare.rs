@@ -130,12 +130,12 @@ impl Compare {
     }
 }
 
-fn exit(error: ComparisonError) -> Exit {
+pub(super) fn exit(error: ComparisonError) -> Exit {
     let broken = matches!(error, ComparisonError::Analysis(AnalysisError::Io { .. }));
     Exit { code: if broken { INFRASTRUCTURE } else { USAGE }, error: error.into() }
 }
 
-fn write(file: &Path, text: &str) -> Result<(), Exit> {
+pub(super) fn write(file: &Path, text: &str) -> Result<(), Exit> {
     std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display())).or_broken()?;
     note(format_args!("{}: {} KB", file.display(), text.len().div_ceil(1024)));
     Ok(())

@@ -23,6 +23,7 @@ pub(crate) mod monitor;
 pub(crate) mod plan;
 pub(crate) mod policy;
 mod probe;
+pub(crate) mod rank;
 pub(crate) mod register;
 pub(crate) mod replay;
 pub(crate) mod report;

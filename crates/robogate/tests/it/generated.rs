@@ -44,6 +44,7 @@ fn schemas_are_up_to_date() {
         ("evaluation", schema_for!(robogate_gate::Evaluation)),
         ("leaderboard", schema_for!(robogate_gate::Leaderboard)),
         ("fleet", schema_for!(robogate_gate::Fleet)),
+        ("ranking", schema_for!(robogate_gate::Ranking)),
     ] {
         let text = serde_json::to_string_pretty(&schema).unwrap() + "\n";
         check(&format!("schemas/{name}.schema.json"), &text);

@@ -46,6 +46,7 @@ mod openpi;
 mod pages;
 mod policy;
 mod project;
+mod rank;
 mod runs;
 mod settings;
 mod shards;

@@ -1,0 +1,220 @@
+//! A ranking: which of several policies is the best, and which of them cannot be distinguished from it.
+
+use robogate_stats::anytime::Bounds;
+use robogate_stats::contest::{Elimination, Guarantee, PairInterval};
+use robogate_stats::interval::Confidence;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::Verdict;
+
+/// What the error probability of a ranking bounds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum RankingGuarantee {
+    /// The best policy is dropped at most this often. One of several equally good policies may be dropped.
+    BestStays,
+    /// Any policy that is as good as the best one is dropped at most this often.
+    NoFalseElimination,
+}
+
+impl RankingGuarantee {
+    /// The guarantee of the test.
+    pub fn of_test(self) -> Guarantee {
+        match self {
+            Self::BestStays => Guarantee::BestStays,
+            Self::NoFalseElimination => Guarantee::NoFalseElimination,
+        }
+    }
+
+    /// The guarantee as a sentence.
+    pub fn sentence(self, error: f64) -> String {
+        let percent = robogate_stats::format::percent(error);
+        match self {
+            Self::BestStays => format!("The best policy is dropped in at most {percent} of such contests."),
+            Self::NoFalseElimination => {
+                format!("A policy that is as good as the best one is dropped in at most {percent} of such contests.")
+            }
+        }
+    }
+}
+
+/// Where the episodes of a ranking come from.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum RankingDesign {
+    /// All policies run the same scenarios in rounds, and worse ones leave.
+    Rounds {
+        /// Scenarios of a round.
+        scenarios: u64,
+        /// Rounds that ran.
+        rounds: u64,
+        /// The largest number of rounds, fixed before the first.
+        most_rounds: u64,
+    },
+    /// Finished results, tested once.
+    Results,
+}
+
+/// A policy that was dropped.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct DroppedPolicy {
+    /// A policy that is better.
+    pub by: String,
+    /// The round, counted from 1. Absent for finished results.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub round: Option<u64>,
+}
+
+/// A policy of a ranking.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RankedPolicy {
+    /// Its name in this ranking.
+    pub name: String,
+    /// The folder or file of its episodes.
+    pub run: String,
+    /// Valid episodes.
+    pub valid: u64,
+    /// Invalid episodes. They are left out of every rate and difference.
+    pub invalid: u64,
+    /// Successes among the valid episodes.
+    pub successes: u64,
+    /// The success rate. Absent without a valid episode.
+    pub rate: Option<f64>,
+    /// The 95 % interval of the rate. For rounds, it holds at any time the contest may end.
+    pub interval_95: [f64; 2],
+    /// How it was dropped. Absent if it is in the best set.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dropped: Option<DroppedPolicy>,
+}
+
+/// The difference of two policies.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RankedPair {
+    /// The first policy.
+    pub first: String,
+    /// The second policy.
+    pub second: String,
+    /// Scenarios that are valid for both. 0 for independent results.
+    pub pairs: u64,
+    /// Clusters that the interval counts, if rows depend on each other.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clusters: Option<u64>,
+    /// First rate minus second.
+    pub difference: f64,
+    /// Its interval at 95 % for all pairs together. For rounds, it also holds after every round simultaneously.
+    pub interval_95: [f64; 2],
+}
+
+/// A ranking as one versioned document.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Ranking {
+    /// Version of the format.
+    pub format: u32,
+    /// The scenarios or results, in words.
+    pub scenarios: String,
+    /// Where the episodes come from.
+    pub design: RankingDesign,
+    /// What the error bounds.
+    pub guarantee: RankingGuarantee,
+    /// The error probability, over all pairs and rounds.
+    pub error: f64,
+    /// The best set: the policies that cannot be distinguished from the best.
+    pub best: Vec<String>,
+    /// The policies by their rate, the best set first.
+    pub policies: Vec<RankedPolicy>,
+    /// The differences of all pairs.
+    pub differences: Vec<RankedPair>,
+}
+
+impl Ranking {
+    /// The version of the format.
+    pub const FORMAT: u32 = 1;
+
+    /// The ranking after the rounds of a contest. `policies` are the names and folders of the policies, with their invalid episodes.
+    pub fn of_rounds(
+        scenarios: String,
+        design: RankingDesign,
+        (guarantee, error): (RankingGuarantee, f64),
+        policies: &[(String, String, u64)],
+        contest: &Elimination,
+    ) -> Self {
+        let name = |at: usize| policies.get(at).map(|(name, ..)| name.clone()).unwrap_or_default();
+        let ranked = (0..).zip(policies).map(|(at, (name_of, run, invalid))| {
+            let trials = contest.trials(at);
+            let mut bounds = Bounds::new(Confidence::P95.tail());
+            bounds.look(trials);
+            RankedPolicy {
+                name: name_of.clone(),
+                run: run.clone(),
+                valid: trials.n(),
+                invalid: *invalid,
+                successes: trials.successes(),
+                rate: trials.rate(),
+                interval_95: [bounds.interval().low, bounds.interval().high],
+                dropped: contest.dropped(at).map(|out| DroppedPolicy { by: name(out.by), round: Some(out.look) }),
+            }
+        });
+        let pair = |pair: PairInterval| RankedPair {
+            first: name(pair.first),
+            second: name(pair.second),
+            pairs: pair.blocks,
+            clusters: None,
+            difference: pair.difference,
+            interval_95: [pair.interval.low, pair.interval.high],
+        };
+        let differences = contest.table(Confidence::P95).into_iter().map(pair).collect();
+        Self::new(scenarios, design, (guarantee, error), ranked.collect(), differences)
+    }
+
+    /// A ranking of these policies.
+    pub fn new(
+        scenarios: String,
+        design: RankingDesign,
+        (guarantee, error): (RankingGuarantee, f64),
+        mut policies: Vec<RankedPolicy>,
+        differences: Vec<RankedPair>,
+    ) -> Self {
+        let rate = |policy: &RankedPolicy| policy.rate.unwrap_or(-1.0);
+        policies
+            .sort_by(|a, b| a.dropped.is_some().cmp(&b.dropped.is_some()).then_with(|| rate(b).total_cmp(&rate(a))));
+        let best =
+            policies.iter().filter(|policy| policy.dropped.is_none()).map(|policy| policy.name.clone()).collect();
+        Self { format: Self::FORMAT, scenarios, design, guarantee, error, best, policies, differences }
+    }
+
+    /// Pass if one policy is the best, inconclusive if several are left, and invalid if a policy has no valid episode.
+    pub fn verdict(&self) -> Verdict {
+        match self.best.len() {
+            _ if self.policies.iter().any(|policy| policy.valid == 0) => Verdict::Invalid,
+            1 => Verdict::Pass,
+            _ => Verdict::Inconclusive,
+        }
+    }
+
+    /// The answer in one sentence.
+    pub fn headline(&self) -> String {
+        match &*self.best {
+            [best] => format!("{best} is the best of {} policies", self.policies.len()),
+            best => format!("{} of {} policies cannot be distinguished from the best", best.len(), self.policies.len()),
+        }
+    }
+
+    /// The names of the two policies with the highest ranks, and the rate of the first minus that of the second with its interval.
+    pub fn first_difference(&self) -> Option<(String, [f64; 3])> {
+        let [first, second, ..] = &*self.policies else { return None };
+        let of = |a: &RankedPolicy, b: &RankedPolicy| {
+            self.differences.iter().find(|pair| pair.first == a.name && pair.second == b.name)
+        };
+        let numbers = match of(first, second) {
+            Some(pair) => [pair.difference, pair.interval_95[0], pair.interval_95[1]],
+            None => of(second, first).map(|pair| [-pair.difference, -pair.interval_95[1], -pair.interval_95[0]])?,
+        };
+        Some((format!("{} - {}", first.name, second.name), numbers))
+    }
+
+    /// The document as JSON text.
+    pub fn to_json(&self) -> String {
+        serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
+    }
+}

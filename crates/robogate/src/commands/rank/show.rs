@@ -1,0 +1,65 @@
+//! Prints a ranking.
+
+use robogate_gate::{RankedPolicy, Ranking};
+use robogate_stats::format::{percent_or_dash, percent_range, points, points_range};
+
+use crate::exit::Exit;
+use crate::terminal::{bold, dim, grouped, line, wrapped};
+
+/// Policies in the table of the terminal. `--json` has all of them.
+const MOST_ROWS: usize = 14;
+/// Columns of a name.
+const NAME: usize = 24;
+
+/// Prints the ranking, and returns the exit code.
+pub(super) fn show(ranking: &Ranking, json: bool) -> Result<u8, Exit> {
+    if json {
+        line(ranking.to_json().trim_end());
+    } else {
+        print(ranking);
+    }
+    Ok(ranking.verdict().exit_code())
+}
+
+fn print(ranking: &Ranking) {
+    line(bold(ranking.headline()));
+    line(dim(&ranking.scenarios));
+    line("");
+    line(dim(format_args!("  {:<NAME$} {:>7}  {:<18} {:>8}  state", "policy", "rate", "95 % interval", "episodes")));
+    for policy in ranking.policies.iter().take(MOST_ROWS) {
+        let text = format!(
+            "  {:<NAME$} {:>7}  {:<18} {:>8}  {}",
+            policy.name.chars().take(NAME).collect::<String>(),
+            percent_or_dash(policy.rate),
+            percent_range(policy.interval_95),
+            grouped(policy.valid),
+            state(policy)
+        );
+        if policy.dropped.is_some() { line(dim(text)) } else { line(text) }
+    }
+    if let Some(more @ 1..) = ranking.policies.len().checked_sub(MOST_ROWS) {
+        line(dim(format_args!("  and {more} more, all of them with --json")));
+    }
+    line("");
+    if let Some((names, [difference, low, high])) = ranking.first_difference() {
+        let all = ranking.differences.len();
+        let together = if all > 1 { format!(" for all {all} pairs together") } else { String::new() };
+        let (difference, range) = (points(difference), points_range([low, high]));
+        wrapped(&format!("{names}: {difference} points, {range} (95 %{together})."));
+    }
+    wrapped(&ranking.guarantee.sentence(ranking.error));
+    let invalid: u64 = ranking.policies.iter().map(|policy| policy.invalid).sum();
+    if invalid > 0 {
+        wrapped(&format!("{} invalid episodes are left out of every rate and difference.", grouped(invalid)));
+    }
+}
+
+fn state(policy: &RankedPolicy) -> String {
+    match &policy.dropped {
+        None => "best set".to_owned(),
+        Some(out) => match out.round {
+            Some(round) => format!("dropped after round {round}: {} is better", out.by),
+            None => format!("{} is better", out.by),
+        },
+    }
+}
