@@ -86,11 +86,18 @@ pub fn answer(study: &Study) -> Answer {
         (Verdict::Best(arm), _) => {
             verdict = "best";
             best = Some(name(arm));
-            format!("{} is better than {}.", name(arm), if arms.len() == 2 { name(1 - arm) } else { "all others".into() })
+            format!(
+                "{} is better than {}.",
+                name(arm),
+                if arms.len() == 2 { name(1 - arm) } else { "all others".into() }
+            )
         }
         (_, Question::AtLeast(limit)) => {
             verdict = "not_shown";
-            format!("Not shown: the trials show neither that the rate is at least {0} nor that it is below {0}.", significant(limit, 4))
+            format!(
+                "Not shown: the trials show neither that the rate is at least {0} nor that it is below {0}.",
+                significant(limit, 4)
+            )
         }
         (_, Question::Better | Question::Best) => {
             verdict = "not_shown";
@@ -109,7 +116,10 @@ pub fn answer(study: &Study) -> Answer {
     notes.extend(void_notes(&arms, decision.withheld));
     let told = study.attempts().iter().filter(|attempt| attempt.told).count() as u64;
     if told > 0 {
-        notes.push(format!("A script was told the policy of {}. Blinding depends on what it showed.", counted(told, "trial")));
+        notes.push(format!(
+            "A script was told the policy of {}. Blinding depends on what it showed.",
+            counted(told, "trial")
+        ));
     }
     let corrections: u64 = study.attempts().iter().map(|attempt| attempt.corrections).sum();
     if corrections > 0 {

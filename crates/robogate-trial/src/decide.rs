@@ -113,7 +113,9 @@ impl Judge {
         match &self.test {
             Test::Limit(boundaries) => {
                 let count = |favoured: bool| {
-                    Trials::count(blocks.iter().filter_map(|block| block.against(|_| favoured).first().copied().flatten()))
+                    Trials::count(
+                        blocks.iter().filter_map(|block| block.against(|_| favoured).first().copied().flatten()),
+                    )
                 };
                 let plain = Trials::count(blocks.iter().filter_map(|block| block.success.first().copied().flatten()));
                 if plain.n() == 0 {

@@ -2,9 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::{
-    Command, Event, Journal, Measured, Moment, Plan, Problem, Record, Secret, Study, VoidBy,
-};
+use crate::{Command, Event, Journal, Measured, Moment, Plan, Problem, Record, Secret, Study, VoidBy};
 
 /// Name of the plan in the folder of a study.
 pub const PLAN: &str = "plan.json";
@@ -91,13 +89,9 @@ impl Folder {
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn fault(&mut self, code: &str, reason: &str) -> Result<(), Problem> {
-        if self.study.phase() != crate::Phase::Running || self.study.code() != code {
-            return Ok(());
-        }
-        let event =
-            Event::Void { code: code.to_owned(), reason: reason.to_owned(), by: VoidBy::Infrastructure };
-        self.append(Moment::now(), "", event)
+    pub fn fault(&mut self, reason: &str) -> Result<(), Problem> {
+        let code = self.study.code().to_owned();
+        self.append(Moment::now(), "", Event::Void { code, reason: reason.to_owned(), by: VoidBy::Infrastructure })
     }
 
     /// Records what the switch measured.

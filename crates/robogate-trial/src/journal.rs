@@ -102,7 +102,10 @@ impl Journal {
         let mac = self.secret.mac(format!("{}{text}", self.last).as_bytes());
         let line = format!("{{\"record\":{text}{BETWEEN}{mac}\"}}\n");
         if line.len() > LONGEST {
-            return Err(Problem::Refused(format!("the record has {} bytes. At most {LONGEST} are accepted", line.len())));
+            return Err(Problem::Refused(format!(
+                "the record has {} bytes. At most {LONGEST} are accepted",
+                line.len()
+            )));
         }
         if let Err(error) = self.file.write_all(line.as_bytes()).and_then(|()| self.file.sync_data()) {
             self.broken = true;
@@ -136,7 +139,11 @@ fn head(folder: &Path) -> Result<Option<(u64, String)>, Problem> {
         Err(error) => return Err(Problem::File { path, reason: error.to_string() }),
     };
     let parsed = text.trim_end().split_once(' ').and_then(|(n, mac)| Some((n.parse().ok()?, mac.to_owned())));
-    parsed.map(Some).ok_or_else(|| Problem::Changed { path, line: 1, reason: "it is not the head of a journal".to_owned() })
+    parsed.map(Some).ok_or_else(|| Problem::Changed {
+        path,
+        line: 1,
+        reason: "it is not the head of a journal".to_owned(),
+    })
 }
 
 /// Reads and checks a journal.

@@ -77,7 +77,9 @@ fn setups(plan: &Plan, secret: &Secret) -> Result<Vec<Setup>, Problem> {
                 .map_err(|error| Problem::Plan(error.to_string()))?;
             let point = |i: usize| {
                 let values = space.parameters().iter().zip(design.coded(i).unwrap_or_default());
-                values.map(|(parameter, coded)| (parameter.name.to_string(), rounded(&parameter.domain, *coded))).collect()
+                values
+                    .map(|(parameter, coded)| (parameter.name.to_string(), rounded(&parameter.domain, *coded)))
+                    .collect()
             };
             (0..blocks).map(point).collect()
         }

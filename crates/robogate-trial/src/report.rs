@@ -101,8 +101,10 @@ fn policies(out: &mut String, answer: &Answer) {
         "median reply, ms",
     ];
     table(out, &header, rows);
-    out.push_str("<p class=\"note\">The intervals describe complete blocks as if their number had been fixed. The answer above \
-                  accounts for the stopping rule.</p>");
+    out.push_str(
+        "<p class=\"note\">The intervals describe complete blocks as if their number had been fixed. The answer above \
+                  accounts for the stopping rule.</p>",
+    );
 }
 
 /// The trials in their order, one row of dots for each policy.
@@ -110,7 +112,10 @@ fn order(out: &mut String, study: &Study) {
     heading(out, "Order of the trials");
     let (arms, attempts) = (study.plan.arms.len(), study.attempts());
     let (width, height) = (16 * attempts.len() + 8, 22 * arms + 8);
-    let _ = write!(out, "<svg viewBox=\"0 0 {width} {height}\" width=\"{width}\" role=\"img\" aria-label=\"order of the trials\">");
+    let _ = write!(
+        out,
+        "<svg viewBox=\"0 0 {width} {height}\" width=\"{width}\" role=\"img\" aria-label=\"order of the trials\">"
+    );
     for (at, attempt) in attempts.iter().enumerate() {
         let planned = study.planned(attempt);
         let (class, word) = match attempt.success() {

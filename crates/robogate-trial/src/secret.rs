@@ -104,7 +104,10 @@ pub fn write_private(path: &Path, text: &str) -> Result<(), Problem> {
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
     let write = |mut file: File| file.write_all(text.as_bytes()).and_then(|()| file.sync_all());
-    options.open(path).and_then(write).map_err(|error| Problem::File { path: path.to_owned(), reason: error.to_string() })
+    options
+        .open(path)
+        .and_then(write)
+        .map_err(|error| Problem::File { path: path.to_owned(), reason: error.to_string() })
 }
 
 #[cfg(test)]

@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::decide::Judge;
 use crate::{
-    BlockResults, Codes, Decision, Event, Measured, Moment, Outcome, Plan, Planned, Problem, Record, Secret, VoidBy, order,
+    BlockResults, Codes, Decision, Event, Measured, Moment, Outcome, Plan, Planned, Problem, Record, Secret, VoidBy,
+    order,
 };
 
 /// Longest note or reason, in bytes.
@@ -187,7 +188,11 @@ impl Study {
     pub fn phase(&self) -> Phase {
         match self.attempts.last() {
             Some(last) if last.void.is_none() && last.result.is_none() => {
-                if last.stopped { Phase::Stopped } else { Phase::Running }
+                if last.stopped {
+                    Phase::Stopped
+                } else {
+                    Phase::Running
+                }
             }
             _ if self.next().is_none() => Phase::Finished,
             _ if self.paused => Phase::Paused,

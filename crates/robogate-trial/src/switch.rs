@@ -108,9 +108,9 @@ impl Switch {
         settings: SwitchSettings,
         fault: impl Fn(Fault) + Send + Sync + 'static,
     ) -> Result<Self, Problem> {
-        let failed =
-            |error: std::io::Error| Problem::Listen { address: listen.to_string(), reason: error.to_string() };
-        let distances = servers.iter().map(|server| distance(*server, settings.connect)).collect::<Result<Vec<_>, _>>()?;
+        let failed = |error: std::io::Error| Problem::Listen { address: listen.to_string(), reason: error.to_string() };
+        let distances =
+            servers.iter().map(|server| distance(*server, settings.connect)).collect::<Result<Vec<_>, _>>()?;
         let farthest = distances.iter().copied().max().unwrap_or_default();
         let added = distances.into_iter().map(|own| farthest - own).collect();
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
@@ -194,7 +194,8 @@ fn distance(server: SocketAddr, limit: Duration) -> Result<Duration, Problem> {
         std::net::TcpStream::connect_timeout(&server, limit).map(|_| begin.elapsed().as_secs_f64())
     };
     let times: Result<Vec<f64>, _> = (0..PROBES).map(|_| probe()).collect();
-    let times = times.map_err(|error| Problem::Plan(format!("no policy server accepts a connection at {server}: {error}")))?;
+    let times =
+        times.map_err(|error| Problem::Plan(format!("no policy server accepts a connection at {server}: {error}")))?;
     Ok(Duration::from_secs_f64(median(times).unwrap_or_default()))
 }
 
@@ -325,13 +326,7 @@ async fn forward(mut from: ReadHalf<'_>, mut to: WriteHalf<'_>, asked: &Asked) {
     let _ = to.shutdown().await;
 }
 
-async fn backward(
-    mut from: ReadHalf<'_>,
-    mut to: WriteHalf<'_>,
-    asked: &Asked,
-    shared: &Shared,
-    arm: usize,
-) {
+async fn backward(mut from: ReadHalf<'_>, mut to: WriteHalf<'_>, asked: &Asked, shared: &Shared, arm: usize) {
     let mut chunk = vec![0; CHUNK];
     while let Ok(bytes @ 1..) = from.read(&mut chunk).await {
         let since = at(asked).take();

@@ -10,7 +10,18 @@ use crate::{Answer, JOURNAL, Problem, SUCCESS, Study};
 
 /// Columns beside the properties of the set-ups. A property cannot have one of these names.
 pub(crate) const COLUMNS: [&str; 12] = [
-    SUCCESS, "failure_mode", "cycle_time_s", "policy", "case", "operator", "day", "index", "code", "stage", "measured", "notes",
+    SUCCESS,
+    "failure_mode",
+    "cycle_time_s",
+    "policy",
+    "case",
+    "operator",
+    "day",
+    "index",
+    "code",
+    "stage",
+    "measured",
+    "notes",
 ];
 /// The failure mode of a trial that was declared invalid after its end.
 const INVALID_AFTER: &str = "invalid_after_stop";
@@ -81,8 +92,7 @@ pub(crate) fn day(unix_ms: u64) -> String {
 /// If the journal cannot be read.
 pub fn provenance(folder: &Path, study: &Study, answer: &Answer, csv: &str) -> Result<String, Problem> {
     let path = folder.join(JOURNAL);
-    let journal =
-        std::fs::read(&path).map_err(|error| Problem::File { path, reason: error.to_string() })?;
+    let journal = std::fs::read(&path).map_err(|error| Problem::File { path, reason: error.to_string() })?;
     let document = json!({
         "version": 1,
         "task": study.plan.task,

@@ -112,9 +112,7 @@ async fn respond(service: Arc<Service>, request: Request<Incoming>) -> Reply {
         (&Method::GET, "/page.js") => reply(StatusCode::OK, "text/javascript; charset=utf-8", SCRIPT),
         (&Method::GET, "/page.css") => reply(StatusCode::OK, "text/css; charset=utf-8", STYLE),
         (&Method::GET, "/v1/state") => answer(move || Ok(service.state())).await,
-        (&Method::GET, "/v1/policy") => {
-            answer(move || Ok(json!({ "policy": service.policy()? }).to_string())).await
-        }
+        (&Method::GET, "/v1/policy") => answer(move || Ok(json!({ "policy": service.policy()? }).to_string())).await,
         (&Method::POST, "/v1/do") => {
             let body = Limited::new(request.into_body(), MOST_BYTES).collect();
             match tokio::time::timeout(SLOWEST, body).await {

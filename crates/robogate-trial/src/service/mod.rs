@@ -107,7 +107,9 @@ impl Service {
             setup: study.current().map(|planned| planned.setup.clone()).unwrap_or_default(),
             trial: finished + 1,
             most_trials: study.plan.most_trials(),
-            elapsed_s: running.filter(|_| phase == Phase::Running).and_then(|one| Moment::now().seconds_since(&one.start)),
+            elapsed_s: running
+                .filter(|_| phase == Phase::Running)
+                .and_then(|one| Moment::now().seconds_since(&one.start)),
             duration_s: running.and_then(|one| one.duration_s),
             connections: self.switch.as_ref().filter(|_| phase == Phase::Running).map(Switch::connections),
             modes: words(&study.plan.modes),
@@ -116,7 +118,10 @@ impl Service {
             last: before
                 .filter(|_| study.unblinded().is_none())
                 .and_then(|one| Some(Last { code: &one.code, result: one.result.as_ref()? })),
-            repeated: before.filter(|one| one.is_repeated()).and_then(|one| one.void.as_ref()).map(|void| void.0.as_str()),
+            repeated: before
+                .filter(|one| one.is_repeated())
+                .and_then(|one| one.void.as_ref())
+                .map(|void| void.0.as_str()),
         };
         // Strings and finite numbers always serialise.
         serde_json::to_string(&state).unwrap_or_default()
@@ -153,11 +158,17 @@ impl Service {
         Ok(new)
     }
 
-    /// Ends a trial whose server failed.
+    /// Ends a trial whose server failed. A fault of an earlier trial has no effect.
+    ///
+    /// # Errors
+    /// If the journal cannot be written.
     pub fn fault(&self, fault: &Fault) -> Result<(), Problem> {
-        let measured = self.switch.as_ref().map(Switch::close);
         let mut folder = self.folder();
-        folder.fault(&fault.code, &fault.reason)?;
+        if folder.study().phase() != Phase::Running || folder.study().code() != fault.code {
+            return Ok(());
+        }
+        let measured = self.switch.as_ref().map(Switch::close);
+        folder.fault(&fault.reason)?;
         measured.map_or(Ok(()), |measured| folder.measured(&fault.code, measured))
     }
 

@@ -51,6 +51,8 @@ mod settings;
 mod shards;
 mod signatures;
 mod terminal;
+#[cfg(all(target_os = "linux", feature = "mujoco"))]
+mod trial;
 #[cfg(all(target_os = "linux", feature = "mujoco", feature = "onnx"))]
 mod trust;
 mod twins;

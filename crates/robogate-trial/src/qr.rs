@@ -1,0 +1,157 @@
+//! A QR code of a short text, so that a phone need not type the address of the page.
+//!
+//! Byte mode, error correction level L, versions 1 to 5, mask 0. Source: ISO/IEC 18004:2015.
+
+/// Data and error correction codewords of versions 1 to 5 at level L, which have one block.
+const BLOCKS: [(usize, usize); 5] = [(19, 7), (34, 10), (55, 15), (80, 20), (108, 26)];
+/// The format information of level L with mask 0, with its error correction.
+const FORMAT: u32 = 0b111_0111_1100_0100;
+
+/// The modules of a code, row by row. `true` is dark. `None` if the text has more than 106 bytes.
+pub fn qr(text: &str) -> Option<Vec<Vec<bool>>> {
+    // Mode and length need 12 bits.
+    let version = BLOCKS.iter().position(|(data, _)| text.len() + 2 <= *data)?;
+    let (data, corrections) = BLOCKS[version];
+    let mut bits = vec![false, true, false, false];
+    let mut push = |byte: u8| bits.extend((0..8).rev().map(|at| byte >> at & 1 == 1));
+    push(text.len() as u8);
+    text.bytes().for_each(&mut push);
+    bits.resize(8 * (text.len() + 2), false);
+    let mut codewords: Vec<u8> =
+        bits.chunks(8).map(|byte| byte.iter().fold(0, |sum, bit| sum << 1 | u8::from(*bit))).collect();
+    let padding = data - codewords.len();
+    codewords.extend([0xec, 0x11].into_iter().cycle().take(padding));
+    codewords.extend(correction(&codewords, corrections));
+    Some(placed(&codewords, 21 + 4 * version))
+}
+
+/// The product in GF(256) with the polynomial of QR codes, 0x11d.
+fn product(a: u8, b: u8) -> u8 {
+    (0..8).rev().fold(0, |sum: u8, at| {
+        let doubled = sum << 1 ^ if sum & 0x80 != 0 { 0x1d } else { 0 };
+        doubled ^ if b >> at & 1 == 1 { a } else { 0 }
+    })
+}
+
+/// The Reed-Solomon codewords of `data`.
+fn correction(data: &[u8], count: usize) -> Vec<u8> {
+    let mut generator = vec![0; count];
+    generator[count - 1] = 1;
+    let mut root = 1;
+    for _ in 0..count {
+        for at in 0..count {
+            generator[at] = product(generator[at], root) ^ generator.get(at + 1).copied().unwrap_or(0);
+        }
+        root = product(root, 2);
+    }
+    let mut rest = vec![0; count];
+    for byte in data {
+        let factor = byte ^ rest.remove(0);
+        rest.push(0);
+        rest.iter_mut().zip(&generator).for_each(|(rest, term)| *rest ^= product(*term, factor));
+    }
+    rest
+}
+
+/// Places patterns, format and codewords on a square of `size` modules.
+fn placed(codewords: &[u8], size: usize) -> Vec<Vec<bool>> {
+    let mut modules: Vec<Vec<Option<bool>>> = vec![vec![None; size]; size];
+    let ring = |from: usize, centre: usize| from.abs_diff(centre);
+    for (row, column) in [(3, 3), (3, size - 4), (size - 4, 3)] {
+        // The finder pattern with its light border.
+        for y in 0..size {
+            for x in 0..size {
+                let distance = ring(y, row).max(ring(x, column));
+                if distance <= 4 {
+                    modules[y][x] = Some(distance != 2 && distance != 4);
+                }
+            }
+        }
+    }
+    for at in 8..size - 8 {
+        modules[6][at] = Some(at % 2 == 0);
+        modules[at][6] = Some(at % 2 == 0);
+    }
+    if size > 21 {
+        for y in size - 9..size - 4 {
+            for x in size - 9..size - 4 {
+                modules[y][x] = Some(ring(y, size - 7).max(ring(x, size - 7)) != 1);
+            }
+        }
+    }
+    for at in 0..15 {
+        let bit = Some(FORMAT >> at & 1 == 1);
+        let (along, across) = match at {
+            0..6 => (at, size - 1 - at),
+            6..8 => (at + 1, size - 1 - at),
+            _ => (size - 15 + at, if at == 8 { 7 } else { 14 - at }),
+        };
+        modules[along][8] = bit;
+        modules[8][across] = bit;
+    }
+    modules[size - 8][8] = Some(true);
+    let mut bits = codewords.iter().flat_map(|byte| (0..8).rev().map(move |at| byte >> at & 1 == 1));
+    let mut up = true;
+    // Pairs of columns from the right; the column of the timing pattern is skipped.
+    for right in (0..size).rev().step_by(2).map(|column| if column < 7 { column.saturating_sub(1) } else { column }) {
+        for step in 0..size {
+            let y = if up { size - 1 - step } else { step };
+            for x in [right, right.wrapping_sub(1)] {
+                if let Some(module @ None) = modules[y].get_mut(x) {
+                    *module = Some(bits.next().unwrap_or(false) ^ ((y + x) % 2 == 0));
+                }
+            }
+        }
+        up = !up;
+    }
+    modules.into_iter().map(|row| row.into_iter().map(|module| module == Some(true)).collect()).collect()
+}
+
+/// The code as text: two rows of modules per line, dark modules as spaces, for terminals with a dark background.
+pub fn qr_text(modules: &[Vec<bool>]) -> String {
+    let size = modules.len();
+    let light = |y: usize, x: usize| {
+        let inside = |at: usize| at.checked_sub(2).filter(|at| *at < size);
+        !inside(y).zip(inside(x)).is_some_and(|(y, x)| modules[y][x])
+    };
+    let mut out = String::new();
+    for y in (0..size + 4).step_by(2) {
+        out.extend((0..size + 4).map(|x| match (light(y, x), y + 1 < size + 4 && light(y + 1, x)) {
+            (true, true) => '█',
+            (true, false) => '▀',
+            (false, true) => '▄',
+            (false, false) => ' ',
+        }));
+        out.push('\n');
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The rows of the same codes by segno 1.6 (Python), as hexadecimal numbers.
+    #[test]
+    fn codes_are_those_of_segno() {
+        let address = "http://192.168.0.17:7390/#token=0123456789abcdef0123456789abcdef";
+        let small = "1fc57f 104141 17545d 17415d 174b5d 104e41 1fd57f 001400 1df5c4 1a82aa 184ae5 002fb8 154ae5 001846 1fd513 105044 175955 1746aa 175aed 1053ba 1fd6ef";
+        let large = "1fc966e7f 104733641 175d5505d 174e6675d 174466e5d 104833341 1fd55557f 001deec00 \
+                     1df6aa9c4 04868886d 036811041 0b32aad9a 0161aab41 0133880e5 19df0099b 1905ddafa \
+                     107e88c63 0f8288465 05c89904b 083a99e0a 18e14ce6b 0c378cc69 17d3444ff 0f05bb86a \
+                     11d64cdf8 00160cd1f 1fd89575f 105a3ff1a 17550cdf9 174b8cd9a 17534cf93 1059c89fa \
+                     1fde4cd23";
+        for (text, rows) in [("A", small), (address, large)] {
+            let modules = qr(text).unwrap();
+            let found: Vec<String> = modules
+                .iter()
+                .map(|row| format!("{:x}", row.iter().fold(0_u64, |sum, module| sum << 1 | u64::from(*module))))
+                .collect();
+            let rows: Vec<&str> = rows.split_whitespace().map(|row| row.trim_start_matches('0')).collect();
+            assert_eq!(found, rows);
+        }
+        assert_eq!(qr(&"x".repeat(106)).unwrap().len(), 37);
+        assert!(qr(&"x".repeat(107)).is_none());
+        assert_eq!(qr_text(&qr("A").unwrap()).lines().count(), 13);
+    }
+}
