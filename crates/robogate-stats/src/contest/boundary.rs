@@ -22,27 +22,28 @@ const UNREACHED: f64 = 9.0;
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Boundary {
     per_look: u64,
-    looks: u64,
-    /// Only every n-th look is used, because the recursion has at most [`MOST_LOOKS`].
-    every: u64,
-    delta: f64,
+    /// The limit after each look, in units of the constant. Infinite where no test ends.
+    units: Vec<f64>,
     constant: f64,
 }
 
 impl Boundary {
     /// The smallest limits whose error on both sides together, over all looks, is at most `error`.
     pub(super) fn new(per_look: u64, looks: u64, error: f64) -> Self {
-        let blocks = per_look.saturating_mul(looks);
-        let every = if blocks <= EXACT_BLOCKS { 1 } else { looks.div_ceil(MOST_LOOKS).max(1) };
-        let mut boundary = Self { per_look, looks, every, delta: shape(looks), constant: UNREACHED };
+        let every = every(per_look * looks, looks);
+        let unit = |look: u64| {
+            let t = look as f64 / looks as f64;
+            let is_used = t >= FIRST && look % every == 0;
+            if is_used { t.powf(shape(looks) - 0.5) } else { f64::INFINITY }
+        };
+        let mut boundary = Self { per_look, units: (1..=looks).map(unit).collect(), constant: UNREACHED };
         let (mut low, mut high) = (0.5, UNREACHED);
         for _ in 0..20 {
             boundary.constant = 0.5 * (low + high);
             if boundary.error(&SHARES) > error { low = boundary.constant } else { high = boundary.constant }
         }
         boundary.constant = high;
-        let all: Vec<f64> = (1..=CHECKED).map(|i| f64::from(i) / f64::from(CHECKED)).collect();
-        while boundary.is_exact() && boundary.constant < UNREACHED && boundary.error(&all) > error {
+        while boundary.is_exact() && boundary.constant < UNREACHED && boundary.error(&checked()) > error {
             boundary.constant *= 1.001;
         }
         boundary
@@ -50,7 +51,11 @@ impl Boundary {
 
     /// All blocks.
     pub(super) fn blocks(&self) -> u64 {
-        self.per_look * self.looks
+        self.per_look * self.looks()
+    }
+
+    fn looks(&self) -> u64 {
+        self.units.len() as u64
     }
 
     fn is_exact(&self) -> bool {
@@ -60,8 +65,8 @@ impl Boundary {
     /// The largest error over the given shares of blocks with a winner.
     fn error(&self, shares: &[f64]) -> f64 {
         if !self.is_exact() {
-            let used = self.looks / self.every;
-            return 2.0 * crosses(used, |look| self.limit(look * self.every).min(UNREACHED));
+            let every = every(self.blocks(), self.looks());
+            return 2.0 * crosses(self.looks() / every, |look| self.limit(look * every).min(UNREACHED));
         }
         let of = |d: &f64| {
             let found = self.course(Step::equal(*d), |_, _, _| false);
@@ -87,14 +92,14 @@ impl Boundary {
 
     /// The limit of the statistic at a look, numbered from 1.
     fn limit(&self, look: u64) -> f64 {
-        let t = look as f64 / self.looks as f64;
-        let is_used = t >= FIRST && look % self.every == 0 && look <= self.looks;
-        if is_used { self.constant * t.powf(self.delta - 0.5) } else { f64::INFINITY }
+        let unit = usize::try_from(look).ok().and_then(|look| self.units.get(look.wrapping_sub(1)));
+        self.constant * unit.copied().unwrap_or(f64::INFINITY)
     }
 
     /// Whether a look shows that the policy that won `ahead` blocks is better than the one that won `behind`.
     pub(super) fn is_reached(&self, look: u64, ahead: u64, behind: u64) -> bool {
-        ahead > behind && self.statistic(ahead, behind) >= self.limit(look) - 1e-9
+        let limit = self.limit(look);
+        ahead > behind && limit < f64::INFINITY && self.statistic(ahead, behind) >= limit - 1e-9
     }
 
     fn statistic(&self, ahead: u64, behind: u64) -> f64 {
@@ -114,8 +119,18 @@ impl Boundary {
             if ahead == behind { 0.0 } else { self.statistic(ahead, behind) / unit.limit(at) }
         };
         let constant = (1..).zip(looks).map(of).fold(0.0, f64::max);
-        if constant <= 0.5 { 1.0 } else { Self { constant, ..self.clone() }.error(&SHARES).min(1.0) }
+        if constant <= 0.5 { 1.0 } else { Self { constant, ..self.clone() }.error(&checked()).min(1.0) }
     }
+}
+
+/// Every how many looks one is used: the recursion of Brownian motion has at most [`MOST_LOOKS`].
+fn every(blocks: u64, looks: u64) -> u64 {
+    if blocks <= EXACT_BLOCKS { 1 } else { looks.div_ceil(MOST_LOOKS) }
+}
+
+/// Shares of blocks with a winner in small steps.
+fn checked() -> Vec<f64> {
+    (1..=CHECKED).map(|i| f64::from(i) / f64::from(CHECKED)).collect()
 }
 
 /// (ahead - behind) / √(ahead + behind), and 0 without winners.

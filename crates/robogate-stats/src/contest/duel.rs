@@ -150,3 +150,76 @@ impl Duel {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_hold_for_every_share_of_differences() {
+        for blocks in [1, 6, 20, 52] {
+            let duel = Duel::new(blocks, 0.05).unwrap();
+            let mut largest = 0.0_f64;
+            for i in 1..=97 {
+                let found = duel.boundary.course(Step::equal(f64::from(i) / 97.0), |_, _, _| false);
+                largest = largest.max(found.first + found.second);
+            }
+            assert!(largest <= 0.0502, "{blocks} blocks: {largest}");
+            assert!(blocks < 20 || largest > 0.045, "{blocks} blocks: {largest}");
+        }
+    }
+
+    #[test]
+    fn correlation_and_futility_never_raise_the_error() {
+        let duel = Duel::new(52, 0.05).unwrap();
+        for rate in [0.3, 0.6, 0.9] {
+            for correlation in [-1.0, -0.3, 0.0, 0.5, 0.9] {
+                let found = duel.expected(Truth { first: rate, second: rate, correlation });
+                assert!(found.first_better + found.second_better <= 0.05, "{rate} {correlation}: {found:?}");
+            }
+        }
+    }
+
+    // 60 % against 90 %: a fixed number of blocks needs 42 for 90 % power.
+    #[test]
+    fn clear_differences_end_early() {
+        let duel = Duel::new(52, 0.05).unwrap();
+        let truth = |correlation| Truth { first: 0.6, second: 0.9, correlation };
+        let (apart, together) = (duel.expected(truth(0.0)), duel.expected(truth(0.3)));
+        assert!(apart.second_better >= 0.9 && apart.blocks <= 31.5, "{apart:?}");
+        assert!(together.second_better >= 0.98 && together.blocks <= 28.0, "{together:?}");
+        let equal = duel.expected(Truth { first: 0.75, second: 0.75, correlation: 0.0 });
+        assert!(equal.blocks <= 30.0 && equal.no_difference >= 0.95, "{equal:?}");
+    }
+
+    #[test]
+    fn decisions_and_p_values_agree() {
+        let mut duel = Duel::new(40, 0.05).unwrap();
+        let mut at = 0;
+        while duel.decision() == Decision::GoOn {
+            assert!(duel.p_value() > 0.05);
+            at += 1;
+            duel.block(at % 5 == 0, true);
+        }
+        assert_eq!(duel.decision(), Decision::SecondBetter);
+        assert!(duel.p_value() <= 0.05 && at < 20, "{} after {at}", duel.p_value());
+        assert!(duel.interval(Confidence::P95).high < 0.2);
+        // A decision is final.
+        assert_eq!(duel.block(true, false), Decision::SecondBetter);
+    }
+
+    #[test]
+    fn equal_outcomes_end_without_a_difference() {
+        let mut duel = Duel::new(40, 0.05).unwrap();
+        let blocks = (1..).find(|_| duel.block(true, true) != Decision::GoOn);
+        assert_eq!((blocks, duel.decision()), (Some(14), Decision::NoDifferenceShown));
+        assert!((duel.p_value() - 1.0).abs() < 1e-12 && duel.interval(Confidence::P95).contains(0.0));
+    }
+
+    #[test]
+    fn unusable_plans_are_rejected() {
+        assert_eq!(Duel::new(0, 0.05), Err(ContestError::Blocks(0)));
+        assert_eq!(Duel::new(10, 0.7), Err(ContestError::Error(0.7)));
+        assert!(Duel::new(10, f64::NAN).is_err());
+    }
+}

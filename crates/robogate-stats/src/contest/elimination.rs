@@ -140,7 +140,7 @@ impl Elimination {
     fn beaten(&self, policy: usize, left: &[usize]) -> Option<Dropped> {
         let shown = |other: usize| {
             let won = self.won(other, policy);
-            self.boundary.is_reached(self.at, won.first, won.second).then_some(won.first - won.second)
+            self.boundary.is_reached(self.at, won.first, won.second).then(|| won.first - won.second)
         };
         let others = left.iter().filter(|other| **other != policy);
         let by = others.filter_map(|&other| shown(other).map(|lead| (lead, other))).max_by_key(|(lead, _)| *lead)?.1;
@@ -276,4 +276,79 @@ impl Elimination {
 /// The place of the pair i < j in a list of pairs.
 fn place(i: usize, j: usize) -> usize {
     j * (j - 1) / 2 + i
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn contest(guarantee: Guarantee) -> Elimination {
+        Elimination::new(3, Schedule { per_look: 10, looks: 6 }, guarantee, 0.05).unwrap()
+    }
+
+    /// Ten blocks: the first policy always succeeds, the second in nine blocks, the third in `third`.
+    fn round(third: usize) -> Vec<Vec<Option<bool>>> {
+        (0..10).map(|i| vec![Some(true), Some(i != 3), Some(i < third)]).collect()
+    }
+
+    #[test]
+    fn clearly_worse_policy_leaves() {
+        let mut contest = contest(Guarantee::BestStays);
+        assert_eq!(contest.look(&round(2)).unwrap(), []);
+        let out = contest.look(&round(2)).unwrap();
+        assert_eq!(out, [Dropped { policy: 2, by: 0, look: 2 }]);
+        assert_eq!((contest.best_set(), contest.is_over()), (vec![0, 1], false));
+        // Its later outcomes are ignored.
+        contest.look(&round(10)).unwrap();
+        assert_eq!(contest.trials(2), Trials::new(4, 20).unwrap());
+        let table = contest.table(Confidence::P95);
+        assert_eq!(table.iter().map(|pair| pair.blocks).collect::<Vec<_>>(), [30, 20, 20]);
+        assert!((table[1].difference - 0.8).abs() < 1e-12 && table[1].interval.low > 0.0, "{table:?}");
+        assert!(table[0].interval.contains(0.0));
+    }
+
+    #[test]
+    fn stronger_guarantee_needs_more_blocks() {
+        let after = |guarantee| {
+            let mut contest = contest(guarantee);
+            (1..=6).find(|_| !contest.look(&round(8)).unwrap().is_empty())
+        };
+        let (best, every) = (after(Guarantee::BestStays), after(Guarantee::NoFalseElimination));
+        assert!(best.is_some() && best < every.or(Some(7)), "{best:?} {every:?}");
+    }
+
+    #[test]
+    fn invalid_trials_are_left_out() {
+        let mut contest = contest(Guarantee::BestStays);
+        let mut blocks = round(5);
+        blocks[0][2] = None;
+        blocks[1][0] = None;
+        contest.look(&blocks).unwrap();
+        assert_eq!((contest.trials(0).n(), contest.trials(1).n(), contest.trials(2).n()), (9, 10, 9));
+        let table = contest.table(Confidence::P95);
+        assert_eq!(table.iter().map(|pair| pair.blocks).collect::<Vec<_>>(), [9, 8, 9]);
+        let short = contest.look(&[vec![Some(true)]]);
+        assert_eq!(short, Err(ContestError::Outcomes { expected: 3, found: 1 }));
+    }
+
+    #[test]
+    fn simulated_errors_hold() {
+        for (guarantee, rates) in [(Guarantee::BestStays, [0.7; 3]), (Guarantee::NoFalseElimination, [0.7; 3])] {
+            let found = contest(guarantee).expected(&rates, 0.3, 2_000, 5).unwrap();
+            let error = if guarantee == Guarantee::BestStays { found.best_dropped } else { found.any_best_dropped };
+            assert!(error <= 0.06, "{guarantee:?}: {found:?}");
+        }
+        let found = contest(Guarantee::BestStays).expected(&[0.9, 0.5, 0.5], 0.0, 500, 6).unwrap();
+        assert!(found.best_alone > 0.95 && found.trials < 130.0 && found.left < 1.1, "{found:?}");
+    }
+
+    #[test]
+    fn unusable_contests_are_rejected() {
+        let of = |policies, looks| {
+            Elimination::new(policies, Schedule { per_look: 10, looks }, Guarantee::BestStays, 0.05).map(|_| ())
+        };
+        assert_eq!(of(1, 5), Err(ContestError::Policies(1)));
+        assert_eq!(of(2, 0), Err(ContestError::Blocks(0)));
+        assert!(of(2, u64::MAX).is_err());
+    }
 }
