@@ -14,7 +14,7 @@ pub const FORMAT: u32 = 1;
 /// Most policies of a study.
 pub const MOST_ARMS: usize = 12;
 /// Most blocks of a study.
-pub const MOST_BLOCKS: u64 = 2_000;
+pub const MOST_BLOCKS: u64 = 500;
 /// Most set-ups of a list.
 const MOST_SETUPS: usize = 100_000;
 

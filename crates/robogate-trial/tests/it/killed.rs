@@ -7,9 +7,9 @@ use std::process::{Command as Process, Stdio};
 use std::time::Duration;
 
 use robogate_core::Seed;
-use robogate_trial::{Command, Folder, Phase};
+use robogate_trial::{Command, Folder, Phase, Question, Secret};
 
-use crate::{result, study_of_two};
+use crate::{plan, result};
 
 /// Names the folder for the process that is killed.
 const FOLDER: &str = "ROBOGATE_TEST_STUDY";
@@ -39,8 +39,9 @@ fn child() {
 
 #[test]
 fn killed_writers_lose_nothing() {
-    let (dir, folder) = study_of_two(2_000);
-    drop(folder);
+    let dir = tempfile::tempdir().unwrap();
+    let secret = Secret::draw().unwrap();
+    Folder::create(dir.path(), &plan(Question::AtLeast(0.5), &["a"], 500, &secret), &secret).unwrap();
     let stream = &mut Seed::campaign(1).stream("kills");
     let mut acknowledged = BTreeSet::new();
     for _ in 0..60 {

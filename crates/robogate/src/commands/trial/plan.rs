@@ -48,7 +48,7 @@ pub(super) struct PlanOf {
     /// Take task, robot, failure modes, phases as stages, and the space from this run
     #[arg(long, value_name = "RUN")]
     sim: Option<PathBuf>,
-    /// Choose the largest number of blocks (1 to 2,000); default: 100 for one policy, 52 for two, 90 for more
+    /// Choose the largest number of blocks (1 to 500); default: 100 for one policy, 52 for two, 90 for more
     #[arg(long, value_name = "N")]
     blocks: Option<u64>,
     /// Choose the probability of a wrong claim over all looks, above 0 and below 0.5
@@ -70,7 +70,7 @@ pub(super) struct PlanOf {
     #[arg(long, value_name = "A,B,...", value_delimiter = ',')]
     operators: Vec<String>,
     /// State the minutes that a change of the set-up, one trial with its reset, and one session take: 4,2,120
-    #[arg(long, value_name = "CHANGE,TRIAL,SESSION", value_delimiter = ',', num_args = 3)]
+    #[arg(long, value_name = "CHANGE,TRIAL,SESSION", value_delimiter = ',')]
     minutes: Vec<f64>,
     /// Sign the plan with this private key from `robogate keys new`
     #[arg(long, value_name = "FILE")]
@@ -138,7 +138,8 @@ impl PlanOf {
                 }
                 Some(Time { change_min: *change_min, trial_min: *trial_min, session_min: *session_min })
             }
-            _ => None,
+            [] => None,
+            _ => return Err(anyhow!("--minutes: expected three numbers, such as 4,2,120")).or_usage(),
         };
         let blocks = self.blocks.unwrap_or(match question {
             Question::AtLeast(_) => 100,

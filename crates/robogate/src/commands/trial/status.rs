@@ -10,7 +10,7 @@ use robogate_trial::{Folder, Phase};
 use serde_json::json;
 
 use super::{StudyArgument, exit, plan};
-use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::exit::{DONE, Exit, INVALID};
 use crate::terminal::line;
 
 /// Check the records of a study and show its progress.
