@@ -37,7 +37,7 @@ pub use secret::{Secret, random_token, write_private};
 pub use service::{Service, serve};
 pub use study::{Attempt, Command, Phase, Study};
 pub use switch::{Fault, Switch, SwitchSettings};
-pub use table::{csv_of, provenance};
+pub use table::{csv_of, mapping, provenance};
 
 /// The result of a trial that succeeded, on pages and in files.
 pub const SUCCESS: &str = "success";

@@ -1,5 +1,6 @@
 //! The plan of a study: question, population, rules. It is public and does not change after the first trial.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use robogate_core::{ParameterSpace, Word};
@@ -39,6 +40,9 @@ pub struct Plan {
     /// Stages of the task in order. A failure names the last one that was reached.
     #[serde(default)]
     pub stages: Vec<Word>,
+    /// Name of a number that the operator measures, with its unit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measure: Option<Word>,
     /// Operators. Empty: any name.
     #[serde(default)]
     pub operators: Vec<String>,
@@ -214,7 +218,7 @@ impl Plan {
         if !fits {
             return wrong(format!("{arms} policies do not fit the question {:?}", self.question));
         }
-        let names: std::collections::BTreeSet<&str> = self.arms.iter().map(|arm| arm.name.as_str()).collect();
+        let names: BTreeSet<&str> = self.arms.iter().map(|arm| arm.name.as_str()).collect();
         if names.len() != arms || names.contains("") {
             return wrong("each policy needs a name of its own".to_owned());
         }
@@ -232,9 +236,13 @@ impl Plan {
         if empty {
             return wrong("the population is empty".to_owned());
         }
-        let columns = self.population.columns();
-        if let Some(name) = columns.iter().find(|name| crate::table::COLUMNS.contains(&name.as_str())) {
-            return wrong(format!("a set-up cannot have a property `{name}`: results have a column of this name"));
+        let mut columns = self.population.columns();
+        columns.extend(self.measure.map(|measure| measure.as_str().to_owned()));
+        let mut known: BTreeSet<&str> = crate::table::COLUMNS.into_iter().collect();
+        if let Some(name) = columns.iter().find(|name| !known.insert(name)) {
+            return wrong(format!(
+                "`{name}` names two columns of the results\nHint: rename the property of the set-ups"
+            ));
         }
         let mut buttons: Vec<Word> = self.modes.iter().chain(&self.stages).copied().collect();
         buttons.sort_unstable();

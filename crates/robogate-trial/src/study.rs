@@ -340,6 +340,9 @@ impl Study {
     /// Refuses results that contradict themselves or the plan.
     fn check(&self, result: &Outcome) -> Result<(), Problem> {
         check_text("notes", &result.notes, false)?;
+        if result.measured.is_some() && self.plan.measure.is_none() {
+            return Err(refused("the plan declares no measured number".to_owned()));
+        }
         if result.measured.is_some_and(|number| !number.is_finite()) {
             return Err(refused("the measured number is not finite".to_owned()));
         }

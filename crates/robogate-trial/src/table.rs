@@ -2,27 +2,16 @@
 
 use std::path::Path;
 
+use robogate_core::Word;
 use robogate_dictionary::hex;
 use serde_json::json;
 use sha2::{Digest, Sha256};
 
 use crate::{Answer, JOURNAL, Problem, SUCCESS, Study};
 
-/// Columns beside the properties of the set-ups. A property cannot have one of these names.
-pub(crate) const COLUMNS: [&str; 12] = [
-    SUCCESS,
-    "failure_mode",
-    "cycle_time_s",
-    "policy",
-    "case",
-    "operator",
-    "day",
-    "index",
-    "code",
-    "stage",
-    "measured",
-    "notes",
-];
+/// Columns beside the properties of the set-ups and the measure. None of these can have one of the names.
+pub(crate) const COLUMNS: [&str; 10] =
+    [SUCCESS, "failure_mode", "cycle_time_s", "policy", "case", "operator", "day", "index", "id", "stage"];
 /// The failure mode of a trial that was declared invalid after its end.
 const INVALID_AFTER: &str = "invalid_after_stop";
 
@@ -30,11 +19,8 @@ const INVALID_AFTER: &str = "invalid_after_stop";
 /// its end is a failure.
 pub fn csv_of(study: &Study, policy: Option<usize>) -> String {
     let columns = study.plan.population.columns();
-    let [fixed @ .., _, _] = &COLUMNS;
-    let (with_stage, with_number) = (!study.plan.stages.is_empty(), study.attempts().iter().any(has_number));
-    let mut header: Vec<&str> = fixed[..9].to_vec();
-    header.extend(with_stage.then_some("stage"));
-    header.extend(with_number.then_some("measured"));
+    let mut header = COLUMNS.to_vec();
+    header.extend(study.plan.measure.map(Word::as_str));
     header.extend(columns.iter().map(String::as_str));
     let mut writer = csv::Writer::from_writer(Vec::new());
     // Writing to memory cannot fail.
@@ -61,17 +47,27 @@ pub fn csv_of(study: &Study, policy: Option<usize>) -> String {
             day(attempt.start.unix_ms),
             index.to_string(),
             attempt.code.clone(),
+            result.stage.map_or("", |stage| stage.as_str()).to_owned(),
         ];
-        row.extend(with_stage.then(|| result.stage.map_or("", |stage| stage.as_str()).to_owned()));
-        row.extend(with_number.then(|| number(result.measured)));
+        row.extend(study.plan.measure.map(|_| number(result.measured)));
         row.extend(planned.setup.iter().map(|(_, value)| value.clone()));
         let _ = writer.write_record(&row);
     }
     String::from_utf8(writer.into_inner().unwrap_or_default()).unwrap_or_default()
 }
 
-fn has_number(attempt: &crate::Attempt) -> bool {
-    attempt.result.as_ref().is_some_and(|result| result.measured.is_some())
+/// The mapping with which `robogate import` reads the CSV file: what the columns mean, and how the number of trials was chosen.
+pub fn mapping(study: &Study) -> String {
+    let quoted = |text: &str| serde_json::to_string(text).unwrap_or_default();
+    let measures =
+        study.plan.measure.map_or_else(String::new, |name| format!("[measures]\n{0} = {0:?}\n", name.as_str()));
+    let task = Word::nearest(&study.plan.task).map_or("task", Word::as_str);
+    format!(
+        "ignore = [\"index\", \"id\", \"stage\"]\n{measures}[about]\ntask = {}\nrobot = {}\nsimulator = \"real\"\n\
+         sampling = \"observed\"\nstopping = \"monitored\"\n",
+        quoted(task),
+        quoted(&study.plan.robot)
+    )
 }
 
 /// The date (UTC) of a time, as YYYY-MM-DD. Source: Howard Hinnant, "chrono-Compatible Low-Level Date Algorithms".

@@ -61,6 +61,8 @@ struct State<'a> {
     connections: Option<u64>,
     modes: Vec<&'a str>,
     stages: Vec<&'a str>,
+    /// The name of the number that is measured.
+    measure: Option<&'a str>,
     operators: &'a [String],
     /// The last trial with its result, which can still be corrected.
     last: Option<Last<'a>>,
@@ -114,6 +116,7 @@ impl Service {
             connections: self.switch.as_ref().filter(|_| phase == Phase::Running).map(Switch::connections),
             modes: words(&study.plan.modes),
             stages: words(&study.plan.stages),
+            measure: study.plan.measure.as_ref().map(|measure| measure.as_str()),
             operators: &study.plan.operators,
             last: before
                 .filter(|_| study.unblinded().is_none())

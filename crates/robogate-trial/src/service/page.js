@@ -11,8 +11,11 @@ let correcting = false;
 let busy = false;
 let shown = "";
 let clockAt = 0;
+let before = ""; // The set-up of the last trial.
 
 const words = (name) => name.replaceAll("_", " ");
+
+const blocked = () => busy || localStorage.getItem("waiting") !== null;
 
 function alarm(text) {
   $("alarm").textContent = text;
@@ -104,7 +107,7 @@ function button(text, kind, press) {
   made.type = "button";
   made.textContent = text;
   made.className = kind;
-  made.disabled = busy;
+  made.disabled = blocked();
   made.addEventListener("click", press);
   return made;
 }
@@ -131,17 +134,20 @@ function draw() {
     return;
   }
   tick();
-  const now = JSON.stringify([state.phase, state.code, state.connections, state.last, state.repeated, picked, operator, busy, correcting]);
+  const now = JSON.stringify([state.phase, state.code, state.connections, state.last, state.repeated, picked, operator, blocked(), correcting]);
   if (now === shown) {
     return;
   }
   shown = now;
   const { phase, code } = state;
+  if (phase === "running") {
+    before = JSON.stringify(state.setup);
+  }
   const live = phase !== "finished";
   $("count").textContent = live ? `Trial ${state.trial} of at most ${state.most_trials}` : "Study";
   $("pause").hidden = phase !== "ready" && phase !== "paused";
   $("pause").textContent = phase === "paused" ? "Go on" : "Pause";
-  $("pause").disabled = busy;
+  $("pause").disabled = blocked();
   $("entry").hidden = Boolean(operator);
   $("trial").hidden = !operator;
   $("operators").replaceChildren(...state.operators.map((name) => button(name, "", () => enter(name))));
@@ -149,7 +155,7 @@ function draw() {
   const result = phase === "stopped" || correcting;
   $("code").textContent = correcting ? `Correct ${state.last.code}` : live ? `Trial ${code}` : "The study has ended";
   const say = {
-    ready: "Make this set-up, then press Start.",
+    ready: JSON.stringify(state.setup) === before ? "Restore the same set-up, then press Start." : "Make this set-up, then press Start.",
     running: "The robot runs.",
     stopped: "What happened?",
     paused: "Paused.",
@@ -179,14 +185,16 @@ function draw() {
   choices("outcomes", ["success", ...state.modes], "outcome");
   choices("stages", state.stages, "stage");
   $("reached").hidden = !state.stages.length || !picked.outcome || picked.outcome === "success";
+  $("measure").hidden = !state.measure;
+  $("measure").firstElementChild.textContent = `${words(state.measure || "")} (optional)`;
   $("why").hidden = !correcting;
-  $("send").disabled = busy || !picked.outcome;
+  $("send").disabled = blocked() || !picked.outcome;
   $("voiding").hidden = phase !== "running" && (phase !== "stopped" || correcting);
   $("voidsay").textContent =
     phase === "running"
       ? "Something outside of the robot disturbs this trial: declare it invalid now, before Stop. It is repeated."
       : "Declared invalid now, after Stop, this trial counts as a failure.";
-  $("void").disabled = busy;
+  $("void").disabled = blocked();
   $("correct").hidden = !state.last || correcting || phase === "running" || phase === "stopped";
 }
 

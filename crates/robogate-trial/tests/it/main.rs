@@ -22,6 +22,7 @@ fn plan(question: Question, names: &[&str], blocks: u64, secret: &Secret) -> Pla
         robot: "robot".to_owned(),
         modes: ["dropped", "missed"].iter().map(word).collect(),
         stages: ["reach", "grasp"].iter().map(word).collect(),
+        measure: Some(Word::new("peak_force_n").unwrap()),
         operators: Vec::new(),
         blocks,
         error: 0.05,

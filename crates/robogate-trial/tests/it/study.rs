@@ -32,7 +32,9 @@ fn clear_winner_ends_the_study() {
     let csv = csv_of(&study, None);
     assert_eq!(csv.lines().count(), trials + 1);
     assert!(
-        csv.starts_with("success,failure_mode,cycle_time_s,policy,case,operator,day,index,code,stage,setup\n"),
+        csv.starts_with(
+            "success,failure_mode,cycle_time_s,policy,case,operator,day,index,id,stage,peak_force_n,setup\n"
+        ),
         "{csv}"
     );
     let losers = csv_of(&study, Some(0));

@@ -36,7 +36,7 @@ fn one_policy_passes_by_commands() {
     assert_done(&robogate_in(folder, &["keys", "new", "team.key"]));
     let plan = run(
         folder,
-        "trial plan study --policy mine --at-least 0.7 --blocks 30 --setups parts.csv --modes dropped --minutes 4,2,120 --key team.key",
+        "trial plan study --policy mine --at-least 0.7 --blocks 30 --setups parts.csv --modes dropped --measure peak_force_n --minutes 4,2,120 --key team.key",
     );
     for part in
         ["At most 30 trials in 30 blocks", "Expected number of trials", "true rates 0.7:", "sessions", "Plan SHA-256"]
@@ -59,7 +59,7 @@ fn one_policy_passes_by_commands() {
     assert!((8..=20).contains(&trials), "{trials}");
     let csv = fs::read_to_string(folder.join("study/trials.csv")).unwrap();
     assert!(csv.lines().next().unwrap().ends_with(",mass_kg,shape"), "{csv}");
-    run(folder, "import study/trials.csv trials.parquet --stopping monitored --simulator real --robot arm --task pick");
+    run(folder, "import study/trials.csv trials.parquet --mapping study/trials.toml");
     assert!(run(folder, "analyze trials.parquet").contains("100"));
 
     // A changed label, and a changed plan.
@@ -202,7 +202,7 @@ fn better_policy_wins_on_a_phone() {
     assert!(stderr(&output).contains("report.html"));
     let answer: Value = serde_json::from_str(&fs::read_to_string(folder.join("out/trials.json")).unwrap()).unwrap();
     assert_eq!(answer["answer"]["trials"], trials);
-    run(folder, "import out/trials.csv both.parquet --stopping monitored --simulator real --robot arm --task pick");
+    run(folder, "import out/trials.csv both.parquet --mapping out/trials.toml");
     let compared = robogate_in(folder, &["compare", "both-alpha-policy.parquet", "both-beta-policy.parquet"]);
     assert_done(&compared);
     browser.open(folder.join("out/report.html"));

@@ -66,6 +66,9 @@ pub(super) struct PlanOf {
     /// List the stages of the task in order; default: the phases of --sim, or none
     #[arg(long, value_name = "A,B,...", value_delimiter = ',')]
     stages: Vec<String>,
+    /// Name a number that the operator may measure in each trial, with its unit, such as peak_force_n
+    #[arg(long, value_name = "NAME")]
+    measure: Option<String>,
     /// List the operators; default: each operator enters a name
     #[arg(long, value_name = "A,B,...", value_delimiter = ',')]
     operators: Vec<String>,
@@ -155,6 +158,7 @@ impl PlanOf {
             robot: named(&self.robot, known.map(|known| known.robot.name.as_str()), "robot"),
             modes,
             stages,
+            measure: self.measure.as_ref().map(|name| Word::new(name).context("--measure")).transpose().or_usage()?,
             operators: self.operators.clone(),
             blocks,
             error: self.error,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate::exit_codes::INCONCLUSIVE;
-use robogate_trial::{Folder, answer, csv_of, provenance, report};
+use robogate_trial::{Folder, answer, csv_of, mapping, provenance, report};
 
 use super::{StudyArgument, exit};
 use crate::exit::{DONE, Exit, FAIL, OrExit};
@@ -36,8 +36,8 @@ impl Unblind {
 pub(super) struct Report {
     #[command(flatten)]
     study: StudyArgument,
-    /// Write report.html, trials.csv, one CSV for each of several policies, and trials.json to this folder; default: that of the
-    /// study
+    /// Write report.html, trials.csv, one CSV for each of several policies, trials.toml (the mapping for `import`) and trials.json
+    /// to this folder; default: that of the study
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print the answer as one versioned JSON document
@@ -60,6 +60,7 @@ impl Report {
         let mut files = vec![
             ("report.html".to_owned(), report(&study, &answer)),
             ("trials.json".to_owned(), provenance(folder, &study, &answer, &csv).map_err(exit)?),
+            ("trials.toml".to_owned(), mapping(&study)),
             ("trials.csv".to_owned(), csv),
         ];
         if study.plan.arms.len() > 1 {
