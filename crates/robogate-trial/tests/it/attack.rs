@@ -98,3 +98,22 @@ fn best_of_four_is_found() {
     assert!(right >= 75 && lost <= 5, "right {right}, best eliminated {lost}");
     assert!(trials <= 100 * 230, "{} trials on average", trials / 100);
 }
+
+/// The figures of docs/results/trials.md.
+#[test]
+#[ignore = "takes minutes"]
+fn attacks_on_many_studies() {
+    let secret = Secret::draw().unwrap();
+    let judge = Judge::new(&plan(Question::Better, &["a", "b"], 100, &secret)).unwrap();
+    for (rate, share) in [(0.7, 0.0), (0.7, 0.4), (0.7, 0.8), (0.7, 1.0), (0.9, 0.8), (0.5, 0.8)] {
+        let wins = wins(&judge, 2, 100, rate, share, 5_000);
+        println!("two policies, rate {rate}, {share} of the failures invalid: {wins}");
+        assert!(wins <= 0.056);
+    }
+    let limit = Judge::new(&plan(Question::AtLeast(0.8), &["a"], 100, &secret)).unwrap();
+    for share in [0.0, 0.8] {
+        let wins = wins(&limit, 1, 100, 0.8, share, 5_000);
+        println!("limit 0.8, {share} of the failures invalid: {wins}");
+        assert!(wins <= 0.056);
+    }
+}
