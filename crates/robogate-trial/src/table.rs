@@ -59,8 +59,9 @@ pub fn csv_of(study: &Study, policy: Option<usize>) -> String {
 /// The mapping with which `robogate import` reads the CSV file: what the columns mean, and how the number of trials was chosen.
 pub fn mapping(study: &Study) -> String {
     let quoted = |text: &str| serde_json::to_string(text).unwrap_or_default();
-    let measures =
-        study.plan.measure.map_or_else(String::new, |name| format!("[measures]\n{0} = {0:?}\n", name.as_str()));
+    let has_number = |attempt: &crate::Attempt| attempt.result.as_ref().is_some_and(|result| result.measured.is_some());
+    let measure = study.plan.measure.filter(|_| study.attempts().iter().any(has_number));
+    let measures = measure.map_or_else(String::new, |name| format!("[measures]\n{0} = {0:?}\n", name.as_str()));
     let task = Word::nearest(&study.plan.task).map_or("task", Word::as_str);
     format!(
         "ignore = [\"index\", \"id\", \"stage\"]\n{measures}[about]\ntask = {}\nrobot = {}\nsimulator = \"real\"\n\

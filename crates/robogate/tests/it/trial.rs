@@ -25,7 +25,7 @@ fn trial(folder: &Path, success: impl Fn(&str) -> bool) {
     let policy = run(folder, "trial next study --policy");
     run(folder, &format!("trial record study stop --code {code}"));
     let result = if success(policy.trim()) { "success" } else { "dropped" };
-    run(folder, &format!("trial record study result --code {code} --result {result} --id r-{code}"));
+    run(folder, &format!("trial record study result --code {code} --result {result} --measured 4.5 --id r-{code}"));
 }
 
 #[test]
