@@ -53,32 +53,24 @@ fn correction(data: &[u8], count: usize) -> Vec<u8> {
     rest
 }
 
+/// The module of a finder, timing or alignment pattern. `None` elsewhere.
+fn pattern(y: usize, x: usize, size: usize) -> Option<bool> {
+    let distance = |row: usize, column: usize| y.abs_diff(row).max(x.abs_diff(column));
+    let finder = distance(3, 3).min(distance(3, size - 4)).min(distance(size - 4, 3));
+    let alignment = distance(size - 7, size - 7);
+    match (finder, alignment) {
+        // With its light border.
+        (0..=4, _) => Some(finder != 2 && finder != 4),
+        _ if y == 6 || x == 6 => Some((x + y).is_multiple_of(2)),
+        (_, 0..=2) if size > 21 => Some(alignment != 1),
+        _ => None,
+    }
+}
+
 /// Places patterns, format and codewords on a square of `size` modules.
 fn placed(codewords: &[u8], size: usize) -> Vec<Vec<bool>> {
-    let mut modules: Vec<Vec<Option<bool>>> = vec![vec![None; size]; size];
-    let ring = |from: usize, centre: usize| from.abs_diff(centre);
-    for (row, column) in [(3, 3), (3, size - 4), (size - 4, 3)] {
-        // The finder pattern with its light border.
-        for y in 0..size {
-            for x in 0..size {
-                let distance = ring(y, row).max(ring(x, column));
-                if distance <= 4 {
-                    modules[y][x] = Some(distance != 2 && distance != 4);
-                }
-            }
-        }
-    }
-    for at in 8..size - 8 {
-        modules[6][at] = Some(at % 2 == 0);
-        modules[at][6] = Some(at % 2 == 0);
-    }
-    if size > 21 {
-        for y in size - 9..size - 4 {
-            for x in size - 9..size - 4 {
-                modules[y][x] = Some(ring(y, size - 7).max(ring(x, size - 7)) != 1);
-            }
-        }
-    }
+    let row = |y| (0..size).map(|x| pattern(y, x, size)).collect();
+    let mut modules: Vec<Vec<Option<bool>>> = (0..size).map(row).collect();
     for at in 0..15 {
         let bit = Some(FORMAT >> at & 1 == 1);
         let (along, across) = match at {
@@ -98,7 +90,7 @@ fn placed(codewords: &[u8], size: usize) -> Vec<Vec<bool>> {
             let y = if up { size - 1 - step } else { step };
             for x in [right, right.wrapping_sub(1)] {
                 if let Some(module @ None) = modules[y].get_mut(x) {
-                    *module = Some(bits.next().unwrap_or(false) ^ ((y + x) % 2 == 0));
+                    *module = Some(bits.next().unwrap_or(false) ^ (y + x).is_multiple_of(2));
                 }
             }
         }

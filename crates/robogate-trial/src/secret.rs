@@ -28,7 +28,6 @@ impl std::fmt::Debug for Secret {
 }
 
 /// Random bytes of the operating system.
-#[expect(clippy::disallowed_methods, reason = "a secret must not be predictable")]
 fn random<const N: usize>() -> Result<[u8; N], Problem> {
     let mut bytes = [0; N];
     getrandom::fill(&mut bytes).map_err(|error| Problem::Random(error.to_string()))?;
