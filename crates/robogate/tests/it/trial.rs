@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpStream;
+use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
@@ -207,4 +207,43 @@ fn better_policy_wins_on_a_phone() {
     assert_done(&compared);
     browser.open(folder.join("out/report.html"));
     assert!(browser.evaluate("document.body.innerText").as_str().unwrap().contains("Order of the trials"));
+}
+
+/// A server with the dialect openpi that declares this number.
+fn policy_server(chunk: u64) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    std::thread::spawn(move || {
+        for stream in listener.incoming() {
+            let Ok(mut socket) = tungstenite::accept(stream.unwrap()) else { continue };
+            let entries =
+                vec![("action_horizon".into(), chunk.into()), ("checkpoint".into(), format!("step-{chunk}").into())];
+            let mut bytes = Vec::new();
+            rmpv::encode::write_value(&mut bytes, &rmpv::Value::Map(entries)).unwrap();
+            if socket.send(tungstenite::Message::binary(bytes)).is_ok() {
+                drop(socket.read());
+            }
+        }
+    });
+    address
+}
+
+#[test]
+fn servers_with_other_metadata_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path();
+    run(folder, "trial plan study --policy one --policy other --count 3");
+    let [eight, sixteen] = [8, 16].map(policy_server);
+    let (one, other) = (format!("one={eight}"), format!("other={sixteen}"));
+    let serve =
+        ["trial", "serve", "study", "--listen", "127.0.0.1:0", "--robot", "127.0.0.1:0", "--profile", "pi0-libero"];
+    let wrong = [&serve[..], &["--server", &one, "--server", &other]].concat();
+    assert_exit_in(folder, &wrong, 2, &["the servers declare different properties", "\"action_horizon\":16"]);
+    let unknown = [&serve[..], &["--server", &one, "--server", &one]].concat();
+    assert_exit_in(folder, &unknown, 2, &["expected one for each policy"]);
+    assert_eq!(
+        fs::read_to_string(folder.join("study/journal.jsonl")).unwrap().lines().count(),
+        1,
+        "no trial has started"
+    );
 }

@@ -8,9 +8,12 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use clap::Args;
+use robogate_policy::declared;
+use robogate_session::profile;
 use robogate_trial::{
     Folder, Plan, Problem, Service, Switch, SwitchSettings, qr, qr_text, random_token, serve, write_private,
 };
+use serde_json::Value;
 
 use super::{StudyArgument, exit};
 use crate::exit::{DONE, Exit, OrExit};
@@ -35,6 +38,10 @@ pub(super) struct Serve {
     /// Accept connections of the robot at this address
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:7391", requires = "server")]
     robot: SocketAddr,
+    /// Connect to each server with this profile first, and refuse servers that contradict it or declare different inputs, outputs
+    /// or rates
+    #[arg(long, value_name = "NAME|FILE", requires = "server")]
+    profile: Option<String>,
     /// End a trial as a fault of infrastructure if a server takes longer for a reply, in seconds
     #[arg(long, value_name = "S", default_value_t = 30.0, requires = "server")]
     reply_timeout: f64,
@@ -119,6 +126,9 @@ impl Serve {
         if addresses.len() != servers.len() {
             return Err(anyhow!("--server: a name is not a policy of the plan")).or_usage();
         }
+        if let Some(wanted) = &self.profile {
+            check_declared(wanted, &addresses)?;
+        }
         let settings =
             SwitchSettings { reply: Duration::from_secs_f64(self.reply_timeout), ..SwitchSettings::default() };
         let report = move |fault| {
@@ -126,6 +136,32 @@ impl Serve {
             let _ = faults.send(fault);
         };
         Switch::start(self.robot, addresses, settings, report).map(Some).map_err(exit)
+    }
+}
+
+/// Refuses servers that declare different inputs, outputs or rates.
+fn check_declared(wanted: &str, servers: &[SocketAddr]) -> Result<(), Exit> {
+    let profile = profile(wanted).or_usage()?;
+    let mut first = None;
+    for server in servers {
+        let found = declared(&server.to_string(), &profile).with_context(|| format!("--server {server}")).or_usage()?;
+        let found = without_names(found);
+        let expected = first.get_or_insert_with(|| found.clone());
+        if found != *expected {
+            return Err(anyhow!("the servers declare different properties: {expected} and {found}")).or_usage();
+        }
+    }
+    Ok(())
+}
+
+/// Metadata without texts that are values of their own: names of checkpoints and versions may differ.
+fn without_names(declared: Value) -> Value {
+    match declared {
+        Value::Object(entries) => {
+            let kept = entries.into_iter().filter(|(_, value)| !value.is_string());
+            Value::Object(kept.map(|(key, value)| (key, without_names(value))).collect())
+        }
+        other => other,
     }
 }
 
