@@ -134,6 +134,8 @@ pub struct Study {
     /// The records of requests with an identifier.
     known: BTreeMap<String, Event>,
     judge: Judge,
+    /// Blocks that the decision is about.
+    judged: usize,
     decision: Decision,
 }
 
@@ -160,6 +162,7 @@ impl Study {
             unblinded: None,
             known: BTreeMap::new(),
             judge,
+            judged: 0,
             decision,
         })
     }
@@ -408,8 +411,10 @@ impl Study {
             Event::Told { code } => self.change(code, |attempt| attempt.told = true),
             Event::Unblind { early, .. } => self.unblinded = Some(*early),
         }
-        if matches!(record.event, Event::Result { .. } | Event::Void { .. } | Event::Correct { .. }) {
-            self.decision = self.judge.decision(&self.blocks());
+        let blocks = self.blocks();
+        if blocks.len() != self.judged || matches!(record.event, Event::Correct { .. }) {
+            self.judged = blocks.len();
+            self.decision = self.judge.decision(&blocks);
         }
     }
 

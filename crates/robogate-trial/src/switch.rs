@@ -11,7 +11,7 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::io::{AsyncReadExt, AsyncWriteExt, Interest};
 use tokio::net::tcp::{ReadHalf, WriteHalf};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{oneshot, watch};
@@ -229,10 +229,11 @@ impl Drop for Open<'_> {
 async fn connection(mut client: TcpStream, shared: &Shared) {
     let mut routes = shared.route.subscribe();
     let begun = async { routes.wait_for(|route| route.to.is_some()).await.map(|route| route.clone()) };
-    let Ok(Ok(Route { generation, to: Some((code, arm)) })) = tokio::time::timeout(shared.settings.hold, begun).await
-    else {
-        return;
+    let begun = tokio::select! {
+        begun = tokio::time::timeout(shared.settings.hold, begun) => begun,
+        () = closed(&client) => return,
     };
+    let Ok(Ok(Route { generation, to: Some((code, arm)) })) = begun else { return };
     // Counted before the route is looked at again: whoever changes it afterwards waits for this connection.
     let open = {
         let mut counts = shared.counts();
@@ -287,6 +288,18 @@ async fn connection(mut client: TcpStream, shared: &Shared) {
     drop(open);
     if end == End::Hanging {
         fault("the policy server did not reply in time");
+    }
+}
+
+/// Returns once the robot has closed a connection that waits, so that it does not take the place of another one.
+async fn closed(client: &TcpStream) {
+    loop {
+        tokio::time::sleep(LOOK).await;
+        // A connection can always be written to, so this does not wait.
+        let ready = client.ready(Interest::READABLE | Interest::WRITABLE).await;
+        if ready.is_ok_and(|ready| ready.is_read_closed()) {
+            return;
+        }
     }
 }
 

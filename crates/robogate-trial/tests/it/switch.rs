@@ -123,3 +123,30 @@ fn hanging_servers_are_faults() {
     assert!(fault.code == "GONE" && fault.reason.contains("accepted no connection"), "{fault:?}");
     assert!(Switch::start(any(), vec![silent], settings, |_| {}).is_err(), "found at the start");
 }
+
+/// A robot that gives up and connects again many times before a trial does not use up the places.
+#[test]
+fn closed_connections_free_their_places() {
+    let switch =
+        Switch::start(any(), vec![server(b'a', false)], SwitchSettings::default(), |fault| panic!("{fault:?}"))
+            .unwrap();
+    for _ in 0..200 {
+        let mut robot = TcpStream::connect(switch.address()).unwrap();
+        // A robot that has sent its handshake.
+        let _ = robot.write_all(b"?");
+    }
+    // A connection without a place ends at once; one with a place waits for the trial.
+    let begin = Instant::now();
+    let mut waiting = loop {
+        let mut robot = TcpStream::connect(switch.address()).unwrap();
+        robot.set_read_timeout(Some(Duration::from_secs(1))).unwrap();
+        if robot.read(&mut [0]).is_err_and(|error| error.kind() == std::io::ErrorKind::WouldBlock) {
+            break robot;
+        }
+        assert!(begin.elapsed() < Duration::from_secs(60), "no connection has a place");
+    };
+    switch.open("T", 0);
+    waiting.set_read_timeout(None).unwrap();
+    assert_eq!(ask(&mut waiting).unwrap(), b'a');
+    switch.close();
+}
