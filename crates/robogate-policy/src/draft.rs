@@ -35,6 +35,17 @@ pub fn draft(url: &str, base: &Profile) -> Result<Draft, PolicyError> {
     from_metadata(connection.declared(), base)
 }
 
+/// What the server at `address` (HOST:PORT) declares about its inputs and outputs.
+///
+/// # Errors
+/// If the server cannot be reached with the dialect of the profile, or declares something that contradicts it.
+pub fn declared(address: &str, profile: &Profile) -> Result<Json, PolicyError> {
+    let url = format!("{}{address}", profile.dialect.scheme());
+    let access = Access::from_environment();
+    let connection = connection::connect_with(&url, profile, None, &access, profile.server.connect_s)?;
+    Ok(connection.declared().clone())
+}
+
 fn from_metadata(declared: &Json, base: &Profile) -> Result<Draft, PolicyError> {
     let mut profile = Profile { name: format!("{}-draft", base.name), reference: None, ..base.clone() };
     let mut open = Vec::new();

@@ -56,7 +56,7 @@ pub use array::{Array, Dtype, InvalidArray};
 pub use chunk::Chunk;
 pub use control::{RandomModel, ThroughProfile};
 pub use decoder::Decoder;
-pub use draft::{Draft, draft};
+pub use draft::{Draft, declared, draft};
 pub use encoder::{Encoder, outside_range, read_pose, state_numbers, state_sizes};
 pub use error::PolicyError;
 pub use external::ExternalPolicy;

@@ -11,7 +11,7 @@ const GROUPS: [(&str, &[&str]); 6] = [
     ("Bring your own", &["env", "policy", "robots", "check", "serve", "demos", "list", "config", "completions"]),
     ("Show that it holds", &["evidence", "verify", "keys"]),
     ("Use many machines", &["plan", "merge"]),
-    ("Real robots", &["transfer", "monitor"]),
+    ("Real robots", &["transfer", "trial", "monitor"]),
 ];
 
 /// The order of the parts of the help.

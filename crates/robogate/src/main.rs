@@ -114,6 +114,8 @@ enum Verb {
     Merge(commands::merge::Merge),
     /// Estimate the success rate of the real robot from a simulation and a few real trials
     Transfer(commands::transfer::TransferTo),
+    /// Plan, run and judge trials of the real robot: randomised, blinded, with as few trials as possible
+    Trial(commands::trial::Trial),
     /// Monitor deployed robots for drift, with a guaranteed false-alarm rate
     Monitor(commands::monitor::Monitor),
 }
@@ -214,6 +216,7 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Plan(verb) => verb.execute(),
         Verb::Merge(verb) => verb.execute(),
         Verb::Transfer(verb) => verb.execute(),
+        Verb::Trial(verb) => verb.execute(),
         Verb::Monitor(verb) => verb.execute(),
     }
 }

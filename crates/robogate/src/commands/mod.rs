@@ -37,5 +37,6 @@ mod status;
 mod stills;
 pub(crate) mod suites;
 pub(crate) mod transfer;
+pub(crate) mod trial;
 pub(crate) mod verify;
 pub(crate) mod view;

@@ -25,6 +25,7 @@ const MAY_USE: &[(&str, Option<&[&str]>)] = &[
     ("robogate-replay", Some(&["robogate-core"])),
     ("robogate-report", Some(&["robogate-stats", "robogate-replay", "robogate-analysis", "robogate-gate"])),
     ("robogate-monitor", Some(&["robogate-core", "robogate-stats"])),
+    ("robogate-trial", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
     (
         "robogate-session",
         Some(&[

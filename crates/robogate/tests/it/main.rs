@@ -53,6 +53,8 @@ mod shards;
 mod signatures;
 mod stress;
 mod terminal;
+#[cfg(all(target_os = "linux", feature = "mujoco"))]
+mod trial;
 #[cfg(all(target_os = "linux", feature = "mujoco", feature = "onnx"))]
 mod trust;
 mod twins;

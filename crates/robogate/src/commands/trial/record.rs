@@ -1,0 +1,144 @@
+//! `robogate trial next` and `record`: trials of cells without a server.
+
+use clap::{Args, ValueEnum};
+use robogate_core::Word;
+use robogate_trial::{Command, Folder, Outcome, Phase, SUCCESS};
+use serde_json::json;
+
+use super::{StudyArgument, exit};
+use crate::exit::{DONE, Exit, OrExit};
+use crate::terminal::{foreign, line, note};
+
+/// Print the next trial: code and set-up.
+#[derive(Debug, Args)]
+pub(super) struct Next {
+    #[command(flatten)]
+    study: StudyArgument,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+    /// Print only the name of the policy of the running trial, for a script that starts it. The journal records this
+    #[arg(long, conflicts_with = "json")]
+    policy: bool,
+}
+
+impl Next {
+    pub(super) fn execute(&self) -> Result<u8, Exit> {
+        if self.policy {
+            line(Folder::open(&self.study.study).and_then(|mut folder| folder.tell()).map_err(exit)?);
+            return Ok(DONE);
+        }
+        let study = Folder::read(&self.study.study).map_err(exit)?;
+        let setup = study.current().map(|planned| planned.setup.clone()).unwrap_or_default();
+        let phase = study.phase();
+        if self.json {
+            let setup: serde_json::Map<String, serde_json::Value> =
+                setup.into_iter().map(|(name, value)| (name, value.into())).collect();
+            let code = (phase != Phase::Finished).then(|| study.code());
+            line(json!({ "version": 1, "phase": phase, "code": code, "setup": setup }));
+            return Ok(DONE);
+        }
+        match phase {
+            Phase::Finished => line("The study has ended."),
+            Phase::Paused => line("The study is paused."),
+            Phase::Ready => line(format_args!("Trial {}", study.code())),
+            Phase::Running => line(format_args!("Trial {} runs", study.code())),
+            Phase::Stopped => line(format_args!("Trial {} waits for its result", study.code())),
+        }
+        for (name, value) in setup {
+            line(format_args!("  {} = {}", foreign(name), foreign(value)));
+        }
+        Ok(DONE)
+    }
+}
+
+/// Record an event of a trial.
+#[derive(Debug, Args)]
+pub(super) struct RecordOf {
+    #[command(flatten)]
+    study: StudyArgument,
+    /// What happened
+    event: What,
+    /// Code of the trial, as `next` printed it
+    #[arg(long)]
+    code: Option<String>,
+    /// Who runs the trial; for `start`
+    #[arg(long)]
+    operator: Option<String>,
+    /// `success`, or the failure mode; for `result` and `correct`
+    #[arg(long)]
+    result: Option<String>,
+    /// The last stage that a failure reached
+    #[arg(long)]
+    stage: Option<String>,
+    /// A measured number, such as a force
+    #[arg(long, allow_negative_numbers = true)]
+    measured: Option<f64>,
+    /// Notes
+    #[arg(long, default_value = "")]
+    notes: String,
+    /// Why the trial is invalid, or corrected
+    #[arg(long, default_value = "")]
+    reason: String,
+    /// Identifier of this request: sent twice with the same one, it is recorded once
+    #[arg(long, default_value = "")]
+    id: String,
+}
+
+/// What happened.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum What {
+    /// The trial begins
+    Start,
+    /// The motion has ended
+    Stop,
+    /// The result is known
+    Result,
+    /// The trial is invalid: repeated before stop, a failure after it
+    Invalid,
+    /// The result of the last trial was wrong
+    Correct,
+    /// A pause begins
+    Pause,
+    /// A pause ends
+    Resume,
+}
+
+impl RecordOf {
+    pub(super) fn execute(&self) -> Result<u8, Exit> {
+        let command = self.command()?;
+        let mut folder = Folder::open(&self.study.study).map_err(exit)?;
+        let new = folder.command(&self.id, &command).map_err(exit)?;
+        note(if new { "recorded" } else { "recorded before, under the same identifier" });
+        Ok(DONE)
+    }
+
+    fn command(&self) -> Result<Command, Exit> {
+        let code = || given("--code", self.code.as_ref());
+        Ok(match self.event {
+            What::Start => Command::Start { code: code()?, operator: given("--operator", self.operator.as_ref())? },
+            What::Stop => Command::Stop { code: code()? },
+            What::Result => Command::Result { code: code()?, result: self.outcome()? },
+            What::Invalid => Command::Void { code: code()?, reason: self.reason.clone() },
+            What::Correct => Command::Correct { code: code()?, result: self.outcome()?, reason: self.reason.clone() },
+            What::Pause => Command::Pause,
+            What::Resume => Command::Resume,
+        })
+    }
+
+    fn outcome(&self) -> Result<Outcome, Exit> {
+        let result = given("--result", self.result.as_ref())?;
+        let word = |text: &String| Word::new(text).or_usage();
+        Ok(Outcome {
+            success: result == SUCCESS,
+            mode: Some(&result).filter(|result| *result != SUCCESS).map(word).transpose()?,
+            stage: self.stage.as_ref().map(word).transpose()?,
+            measured: self.measured,
+            notes: self.notes.clone(),
+        })
+    }
+}
+
+fn given(option: &str, value: Option<&String>) -> Result<String, Exit> {
+    value.cloned().ok_or_else(|| anyhow::anyhow!("this event needs {option}")).or_usage()
+}
