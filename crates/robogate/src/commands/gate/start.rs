@@ -100,9 +100,6 @@ impl Gate {
         let wanted = self.requirements.as_deref().unwrap_or("default");
         let requirements = Requirements::open(wanted, subject.task())?;
         let suite = self.suite(&subject)?;
-        if self.suite.is_some() {
-            self.latency.choice().check_suite(suite.space()).or_usage()?;
-        }
         subject.check_suite(&suite).or_usage()?;
         let (rounds, sampling) = rounds_and_sampling(&suite, &requirements, self.rounds, self.fixed);
         let labels: Vec<Label> = suite
@@ -167,9 +164,14 @@ impl Gate {
 
     /// The suite of the arguments, or that of the task, or one sampled from the environment's space.
     fn suite(&self, subject: &Subject) -> Result<Suite, Exit> {
+        let named = |name: &str| {
+            let suite = named_suite(name)?;
+            self.latency.choice().check_suite(suite.space()).or_usage()?;
+            Ok(suite)
+        };
         match (&self.suite, &self.space, subject.own_suite()) {
-            (Some(name), _, _) => Ok(named_suite(name)?),
-            (None, None, Some(own)) if self.family.is_empty() => Ok(named_suite(own)?),
+            (Some(name), _, _) => named(name),
+            (None, None, Some(own)) if self.family.is_empty() => named(own),
             (None, space, _) => {
                 let space = subject
                     .space(space.as_deref())

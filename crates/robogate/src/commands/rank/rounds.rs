@@ -115,19 +115,21 @@ impl Rank {
 
     /// The suite of the arguments, or that of the task, or new points of the environment's space in each round.
     fn suite_of(&self, subject: &Subject) -> Result<Suite, Exit> {
+        let named = |name: &str| {
+            let suite = named_suite(name)?;
+            self.latency.choice().check_suite(suite.space()).or_usage()?;
+            Ok::<_, Exit>(suite)
+        };
         let suite = match (&self.suite, &self.space, subject.own_suite()) {
-            (Some(name), _, _) => named_suite(name)?,
-            (None, None, Some(own)) => named_suite(own)?,
+            (Some(name), _, _) => named(name)?,
+            (None, None, Some(own)) => named(own)?,
             (None, space, _) => {
                 let space = subject.space(space.as_deref()).or_usage()?;
-                Suite::fresh(&self.latency.choice().added_to(space).or_usage()?, SAMPLED_SCENARIOS)
+                Suite::fresh(&self.latency.choice().added_to(space, subject.task()).or_usage()?, SAMPLED_SCENARIOS)
                     .map_err(anyhow::Error::from)
                     .or_usage()?
             }
         };
-        if self.suite.is_some() {
-            self.latency.choice().check_suite(suite.space()).or_usage()?;
-        }
         Ok(suite)
     }
 
