@@ -52,6 +52,8 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
+    /// Start with what you have: an environment, a policy, a robot, results or evidence; draft the files that are missing
+    Init(commands::init::Init),
     /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain
     Run(commands::run::Run),
     /// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run
@@ -181,6 +183,7 @@ fn panicked(panic: &PanicHookInfo<'_>) {
 
 fn execute(verb: Verb) -> Result<u8, exit::Exit> {
     match verb {
+        Verb::Init(verb) => verb.execute(),
         Verb::Run(verb) => verb.execute(),
         Verb::Gate(verb) => verb.execute(),
         Verb::Resume(verb) => verb.execute(),

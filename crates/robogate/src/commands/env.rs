@@ -312,7 +312,7 @@ fn domain(domain: &Domain) -> String {
 }
 
 /// A parameter space as a TOML file: the parameters of the default space, and all others as comments.
-fn space_file(hello: &Hello) -> String {
+pub(crate) fn space_file(hello: &Hello) -> String {
     let mut text = format!(
         "# What to vary in {}, and how far. Remove the # of a parameter to vary it too.\nname = \"{}\"\n",
         hello.task.name, hello.task.name

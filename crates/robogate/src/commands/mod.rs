@@ -14,6 +14,7 @@ pub(crate) mod export;
 pub(crate) mod fleet;
 pub(crate) mod gate;
 pub(crate) mod import;
+pub(crate) mod init;
 pub(crate) mod keys;
 pub(crate) mod leaderboard;
 pub(crate) mod list;
