@@ -161,7 +161,7 @@ mod tests {
     fn found(numbers: impl Fn(usize) -> [f64; 2]) -> String {
         let names = ["x".to_owned(), "gripper".to_owned()].to_vec();
         let space = ActionSpace::Vector { names, low: vec![-1.0, -1.0], high: vec![1.0, 1.0] };
-        let mut task = (*crate::registry::task("pendulum").unwrap().task().unwrap()).clone();
+        let mut task = (*crate::registry::task("pendulum").unwrap().task()).clone();
         task.action = ActionSpec { spaces: vec![space], gripper: None };
         let action = |at| Action { command: Command::Vector(numbers(at).to_vec()), gripper: None, phase: None };
         let trace: Vec<Action> = (0..100).map(action).collect();

@@ -53,7 +53,8 @@ pub fn requirements(wanted: &Wanted, task: &TaskSpec) -> anyhow::Result<(String,
         let (rate, episodes) = (1e-3 * thousandths, (SHOWS / (1e-3 * thousandths)).ceil());
         rounds = rounds.max((2.0 * episodes / PER_ROUND).ceil()).min(10_000.0);
         remarks.push(format!(
-            "at most {} collisions per thousand: it takes at least {} episodes without one to show this",
+            "at most {} collisions per thousand: it takes at least {} episodes without one to show this \
+             (`robogate gate --plan` prints how many)",
             number(thousandths),
             count(episodes as u64)
         ));
@@ -91,13 +92,16 @@ pub fn requirements(wanted: &Wanted, task: &TaskSpec) -> anyhow::Result<(String,
 
 #[cfg(test)]
 mod tests {
-    use robogate_core::{FailureModeSpec, Severity, Word};
-
     use super::*;
 
+    /// A task whose episodes end after 15 s, with these failure modes.
     fn task(modes: &[&str]) -> TaskSpec {
-        let mut task = (*robogate_tasks::pick_place::PickPlace::DEFAULT.task()).clone();
-        task.failure_modes.retain(|mode| modes.contains(&mode.name.as_str()));
+        let mut task = (*crate::registry::task("pendulum").unwrap().task()).clone();
+        let named = |name: &&str| {
+            let mode = FailureMode::new(name).unwrap();
+            robogate_core::FailureModeSpec { name: mode, ..task.failure_modes[0].clone() }
+        };
+        task.failure_modes = modes.iter().map(named).collect();
         task.time_limit_s = 15.0;
         task
     }

@@ -171,8 +171,7 @@ impl Init {
         let task = source.task().or_broken()?;
         if let Some(env) = &parts.env {
             line(format_args!("found     {}: the environment {}", foreign(env), foreign(task.name)));
-            let hello = source.hello().or_broken()?;
-            drafts.space(&hello);
+            source.declared().into_iter().for_each(|hello| drafts.space(hello));
         }
         line(format_args!("observes  {}", foreign(interface::observes(&task))));
         line(format_args!("takes     {}", foreign(interface::takes(&task))));
@@ -204,6 +203,7 @@ impl Init {
 fn episode(subject: &Subject) -> Result<u8, Exit> {
     let space = subject.space(None).or_usage()?;
     let suite = nominal_suite(subject.task(), &space).map_err(anyhow::Error::from).or_usage()?;
+    let space = suite.space().clone();
     let scenario = suite.scenario(Seed::campaign(DEFAULT_SEED), 0);
     let plan = Plan::of_suite(suite, 1, DEFAULT_SEED);
     let dir = free_folder("nominal");
