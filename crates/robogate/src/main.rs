@@ -5,6 +5,7 @@ mod answer;
 mod arguments;
 mod benchmark;
 mod canvas;
+mod changes;
 mod commands;
 mod compliance;
 mod exit;

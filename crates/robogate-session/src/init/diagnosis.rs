@@ -43,13 +43,19 @@ pub fn diagnosis(subject: &Subject, scenario: &Scenario) -> Result<Vec<String>, 
         let longer = TaskSpec { time_limit_s: LONGER * task.time_limit_s, ..(*task).clone() };
         let mut longer = Longer { inner: environment, task: Arc::new(longer) };
         let again = rollout(&mut longer, &mut *policy, scenario);
-        if again.outcome == Outcome::Success {
-            found.push(format!(
-                "The time limit is too short: the same episode succeeds after {} s, and the limit is {} s. Set a longer limit in the \
-                 task (`--set time_limit_s=...` in built-in tasks), or make the policy faster",
-                number(again.time_s),
-                number(task.time_limit_s)
-            ));
+        let limit = number(task.time_limit_s);
+        match again.outcome {
+            Outcome::Success => found.push(format!(
+                "The time limit is too short: the same episode succeeds after {} s, and the limit is {limit} s. Set a longer limit in \
+                 the task (`--set time_limit_s=...` in built-in tasks), or make the policy faster",
+                number(again.time_s)
+            )),
+            // An environment in another process ends its episodes itself.
+            Outcome::Invalid(_) => found.push(format!(
+                "The episode ended at its time limit of {limit} s. Raise `time_limit_s` in the Task of the environment to see whether \
+                 the policy only needs longer"
+            )),
+            Outcome::Failure(_) => {}
         }
     }
     if found.is_empty() {
@@ -170,6 +176,22 @@ mod tests {
         rollout.started(Err(Fault::new(FaultKind::Setup, "not run")));
         let episode = Episode { outcome: Outcome::Failure(FailureMode::TIMEOUT), ..rollout.finish() };
         of_actions(&trace, &episode, &task).join("\n")
+    }
+
+    /// The scripted controller of the cell needs about 4 s.
+    #[cfg(feature = "mujoco")]
+    #[test]
+    fn a_short_time_limit_is_found_by_a_longer_episode() {
+        let of = |limit: &str| {
+            let environment = crate::EnvironmentChoice {
+                set: vec![format!("time_limit_s={limit}")],
+                ..crate::EnvironmentChoice::default()
+            };
+            let subject = Subject::of(&environment, &crate::PolicyChoice::default()).unwrap();
+            diagnosis(&subject, &crate::cell::nominal()).unwrap().join("\n")
+        };
+        assert!(of("2").contains("The time limit is too short: the same episode succeeds after"), "{}", of("2"));
+        assert_eq!(of("15"), "");
     }
 
     #[test]
