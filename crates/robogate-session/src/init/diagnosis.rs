@@ -4,8 +4,7 @@ use std::sync::Arc;
 
 use robogate_campaign::{Worker, WorkerFactory};
 use robogate_core::{
-    Action, ActionSpec, Command, Environment, Episode, Fault, FaultKind, Outcome, Scenario, Start, Step, TaskSpec,
-    rollout, rollout_with,
+    Action, ActionSpec, Command, Episode, Fault, FaultKind, Outcome, Scenario, TaskSpec, rollout, rollout_with,
 };
 use robogate_stats::format::{number, percent};
 
@@ -17,14 +16,13 @@ use crate::subject::Subject;
 const AT_BOUNDS: f64 = 0.9;
 /// Share of the control periods in which the gripper changes between opening and closing, above which it is never at rest.
 const RESTLESS: f64 = 0.25;
-/// How much longer an episode may take to test whether the time limit is too short.
-const LONGER: f64 = 3.0;
 
-/// Runs an episode and says why it failed: one sentence for each finding, each followed by what to do. Empty if it succeeds.
+/// Runs an episode and says why it failed: one sentence for each finding, with what to do. Empty if it succeeds. `longer` is the same
+/// subject with more time, if its environment can be told so.
 ///
 /// # Errors
 /// An environment or a policy that does not start.
-pub fn diagnosis(subject: &Subject, scenario: &Scenario) -> Result<Vec<String>, Fault> {
+pub fn diagnosis(subject: &Subject, longer: Option<&Subject>, scenario: &Scenario) -> Result<Vec<String>, Fault> {
     let Worker { mut environment, mut policy } = subject.worker()?;
     let mut trace = Vec::new();
     let episode = rollout_with(&mut *environment, &mut *policy, scenario, &mut |tick| trace.push(tick.action.clone()));
@@ -40,22 +38,22 @@ pub fn diagnosis(subject: &Subject, scenario: &Scenario) -> Result<Vec<String>, 
     }
     found.extend(subject.missing_instruction());
     if mode.as_str() == "timeout" {
-        let longer = TaskSpec { time_limit_s: LONGER * task.time_limit_s, ..(*task).clone() };
-        let mut longer = Longer { inner: environment, task: Arc::new(longer) };
-        let again = rollout(&mut longer, &mut *policy, scenario);
         let limit = number(task.time_limit_s);
-        match again.outcome {
-            Outcome::Success => found.push(format!(
+        let again = longer.map(|longer| -> Result<Episode, Fault> {
+            let Worker { mut environment, mut policy } = longer.worker()?;
+            Ok(rollout(&mut *environment, &mut *policy, scenario))
+        });
+        match again.transpose()? {
+            Some(Episode { outcome: Outcome::Success, time_s, .. }) => found.push(format!(
                 "The time limit is too short: the same episode succeeds after {} s, and the limit is {limit} s. Set a longer limit in \
                  the task (`--set time_limit_s=...` in built-in tasks), or make the policy faster",
-                number(again.time_s)
+                number(time_s)
             )),
-            // An environment in another process ends its episodes itself.
-            Outcome::Invalid(_) => found.push(format!(
+            Some(_) => {}
+            None => found.push(format!(
                 "The episode ended at its time limit of {limit} s. Raise `time_limit_s` in the Task of the environment to see whether \
                  the policy only needs longer"
             )),
-            Outcome::Failure(_) => {}
         }
     }
     if found.is_empty() {
@@ -134,30 +132,6 @@ fn closes(action: &Action, spec: &ActionSpec) -> Option<bool> {
     Some(number > 0.5 * (low + high))
 }
 
-/// An environment whose episodes may take longer.
-struct Longer {
-    inner: Box<dyn Environment>,
-    task: Arc<TaskSpec>,
-}
-
-impl Environment for Longer {
-    fn task(&self) -> &Arc<TaskSpec> {
-        &self.task
-    }
-
-    fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
-        self.inner.reset(scenario)
-    }
-
-    fn step(&mut self, action: &Action) -> Result<Step, Fault> {
-        self.inner.step(action)
-    }
-
-    fn render(&mut self) -> Result<Vec<robogate_core::Image>, Fault> {
-        self.inner.render()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use robogate_core::{ActionSpace, FailureMode};
@@ -182,16 +156,14 @@ mod tests {
     #[cfg(feature = "mujoco")]
     #[test]
     fn a_short_time_limit_is_found_by_a_longer_episode() {
-        let of = |limit: &str| {
-            let environment = crate::EnvironmentChoice {
-                set: vec![format!("time_limit_s={limit}")],
-                ..crate::EnvironmentChoice::default()
-            };
-            let subject = Subject::of(&environment, &crate::PolicyChoice::default()).unwrap();
-            diagnosis(&subject, &crate::cell::nominal()).unwrap().join("\n")
+        let with = |limit: f64| {
+            let set = vec![format!("time_limit_s={limit}")];
+            let environment = crate::EnvironmentChoice { set, ..crate::EnvironmentChoice::default() };
+            Subject::of(&environment, &crate::PolicyChoice::default()).unwrap()
         };
-        assert!(of("2").contains("The time limit is too short: the same episode succeeds after"), "{}", of("2"));
-        assert_eq!(of("15"), "");
+        let of = |limit: f64| diagnosis(&with(limit), Some(&with(15.0)), &crate::cell::nominal()).unwrap().join("\n");
+        assert!(of(2.0).contains("The time limit is too short: the same episode succeeds after"), "{}", of(2.0));
+        assert_eq!(of(15.0), "");
     }
 
     #[test]

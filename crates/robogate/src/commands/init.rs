@@ -167,6 +167,7 @@ impl Init {
             ..EnvironmentChoice::default()
         };
         let mut policy = PolicyChoice { policy: parts.policy.clone(), ..PolicyChoice::default() };
+        let longer = environment.clone();
         let source = environment.with_policy(&policy)?.environment()?;
         let task = source.task().or_broken()?;
         if let Some(env) = &parts.env {
@@ -195,12 +196,20 @@ impl Init {
             return Ok(DONE);
         }
         let policy = policy.source_at(&PolicyLocation::default())?;
-        episode(&Subject::new(source, policy)?)
+        // Only a built-in task has a setting for its time limit.
+        let set = vec![format!("time_limit_s={}", LONGER * task.time_limit_s)];
+        let longer = parts.env.is_none().then(|| EnvironmentChoice { set, ..longer });
+        episode(&Subject::new(source, policy.clone())?, &|| {
+            longer.as_ref().and_then(|longer| Subject::new(longer.environment().ok()?, policy.clone()).ok())
+        })
     }
 }
 
-/// Runs one episode with nominal values, writes its page, and prints what follows.
-fn episode(subject: &Subject) -> Result<u8, Exit> {
+/// How much longer an episode may take to test whether its time limit is too short.
+const LONGER: f64 = 3.0;
+
+/// Runs one episode with nominal values, writes its page, and prints what follows. `longer` is the subject with more time.
+fn episode(subject: &Subject, longer: &dyn Fn() -> Option<Subject>) -> Result<u8, Exit> {
     let space = subject.space(None).or_usage()?;
     let suite = nominal_suite(subject.task(), &space).map_err(anyhow::Error::from).or_usage()?;
     let space = suite.space().clone();
@@ -235,7 +244,7 @@ fn episode(subject: &Subject) -> Result<u8, Exit> {
         );
         return Ok(DONE);
     }
-    for finding in diagnosis(subject, &scenario).map_err(anyhow::Error::from).or_broken()? {
+    for finding in diagnosis(subject, longer().as_ref(), &scenario).map_err(anyhow::Error::from).or_broken()? {
         line(format_args!("{} {}", bold("diagnosis"), foreign(finding)));
     }
     next(&format!("robogate replay {} 0", quoted(&dir)));
