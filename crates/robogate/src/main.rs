@@ -11,6 +11,7 @@ mod compliance;
 mod exit;
 mod film;
 mod grouped;
+mod help;
 #[cfg(feature = "mujoco")]
 mod inspection;
 mod interface;
@@ -28,6 +29,7 @@ mod watch;
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};
 use std::process::ExitCode;
 
+use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use robogate_core::guard::{is_guarded, message};
 use robogate_session::Entered;
@@ -135,7 +137,16 @@ fn main() -> ExitCode {
             return ExitCode::from(exit.code);
         }
     };
-    let matches = command.get_matches_from(line);
+    let matches = match command.try_get_matches_from_mut(line.clone()) {
+        Ok(matches) => matches,
+        Err(why) => match help::asked(&command, &line).filter(|_| why.kind() == ErrorKind::DisplayHelp) {
+            Some((verb, long)) => {
+                help::show(verb, long);
+                return ExitCode::SUCCESS;
+            }
+            None => why.exit(),
+        },
+    };
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|why| why.exit());
     terminal::show_notices();
     if arguments.quiet {

@@ -47,6 +47,8 @@ pub fn what_to_change(
         return Vec::new();
     }
     let mut changes = Vec::new();
+    // A policy that was changed must be judged on new scenarios.
+    let seed = analysis.provenance.seed.wrapping_add(1);
     let add = |changes: &mut Vec<Change>, text: String, command: String| changes.push(Change { text, command });
     // A requirement other than success says nothing about limits that raise success.
     let unmet = |metric: Metric| {
@@ -59,8 +61,9 @@ pub fn what_to_change(
         .find(|advice| matches!(advice, Advice::Operate { .. } | Advice::RunMore { .. } | Advice::NoBox { .. }));
     if let Some(advice) = limits.filter(|_| unmet(Metric::Success)) {
         let command = match advice {
-            Advice::Operate { .. } => "robogate gate --space LIMITED.toml --seed NEW".to_owned(),
-            Advice::RunMore { episodes, .. } => format!("robogate run -n {} --seed NEW", rounded_up(*episodes)),
+            _ if !analysis.subject.replayable => String::new(),
+            Advice::Operate { .. } => format!("robogate gate --space LIMITED.toml --seed {seed}"),
+            Advice::RunMore { episodes, .. } => format!("robogate run -n {} --seed {seed}", rounded_up(*episodes)),
             _ => String::new(),
         };
         add(&mut changes, advise(analysis, advice), command);
@@ -77,7 +80,8 @@ pub fn what_to_change(
                     "No parameter separates failures from successes in these episodes. A difference of 10 points needs about {}.",
                     counted(episodes, "episode")
                 );
-                add(&mut changes, text, format!("robogate run -n {episodes} --seed NEW"));
+                let command = format!("robogate run -n {episodes} --seed {seed}");
+                add(&mut changes, text, if analysis.subject.replayable { command } else { String::new() });
             }
         }
     }
@@ -98,15 +102,17 @@ pub fn what_to_change(
         );
     }
     changes.truncate(MOST);
-    if let Some((result, next)) = evaluation.results.iter().find_map(|result| Some((result, result.next?))) {
+    let undecided = evaluation.results.iter().find_map(|result| Some((result, result.next?)));
+    if let Some((result, next)) = undecided.filter(|_| evaluation.verdict == Verdict::Inconclusive) {
         let text = format!(
-            "`{}` is undecided. A new gate of {} decides it with a probability of {} if the observed rate is the true one.",
+            "`{}` is undecided. Another gate of {} decides it with a probability of {} if the observed rate is the true one. A larger \
+             one, with the same options:",
             result.id,
             counted(next.episodes, "episode"),
             percent(next.at_observed)
         );
         let rounds = 2 * u64::from(evaluation.requirements.budget.rounds);
-        add(&mut changes, text, format!("robogate gate --rounds {rounds} --seed NEW"));
+        add(&mut changes, text, format!("robogate gate --rounds {rounds} --seed {seed}"));
     }
     changes
 }
