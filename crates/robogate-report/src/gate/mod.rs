@@ -16,7 +16,7 @@ pub use fleet::{fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet
 pub use junit::junit;
 pub use leaderboard::{leaderboard_html, leaderboard_markdown, leaderboards_html, leaderboards_markdown};
 pub use markdown::{evaluation_markdown, evaluation_markdown_with};
-pub use page::verdict_html;
+pub use page::{evidence_html, verdict_html};
 pub use twins::TwinRow;
 pub(crate) use verdict::VerdictBlock;
 

@@ -302,7 +302,8 @@ fn allowed(allowed: &Allowed) -> String {
     }
 }
 
-fn domain(domain: &Domain) -> String {
+/// A range in words.
+pub(crate) fn domain(domain: &Domain) -> String {
     match domain {
         Domain::Continuous { low, high, scale: Scale::Log } => format!("{} to {}, log", number(*low), number(*high)),
         Domain::Continuous { low, high, .. } => format!("{} to {}", number(*low), number(*high)),
