@@ -24,6 +24,7 @@ mod watch;
 use robogate_analysis::PairCounts;
 use robogate_gate::{Evaluation, Twins};
 
+pub use figures::{FigureFile, figure_files};
 pub use gate::{
     Change, RequirementRow, TwinRow, evaluation_markdown, evaluation_markdown_with, evidence_html, feasible_part,
     fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html,

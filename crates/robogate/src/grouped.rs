@@ -8,7 +8,7 @@ use clap::Command;
 const GROUPS: [(&str, &[&str]); 7] = [
     ("Start", &["init"]),
     ("Judge a policy", &["run", "gate", "resume", "compare", "leaderboard", "matrix", "fleet"]),
-    ("Look at results", &["runs", "analyze", "report", "view", "replay", "import", "export", "audit"]),
+    ("Look at results", &["runs", "analyze", "report", "figure", "view", "replay", "import", "export", "audit"]),
     ("Bring your own", &["env", "policy", "robots", "check", "serve", "demos", "list", "config", "completions"]),
     ("Show that it holds", &["evidence", "verify", "keys"]),
     ("Use many machines", &["plan", "merge"]),

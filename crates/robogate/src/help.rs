@@ -54,7 +54,7 @@ const MEMBERS: [&[&str]; 4] = [
         "n", "preset", "plan", "rounds", "seed", "design", "fixed", "share", "twins", "controls", "margin", "target",
         "requests", "episodes",
     ],
-    &["out", "json", "html", "format", "gif", "mp4", "mcap", "png-strip", "sheet", "list", "force"],
+    &["out", "json", "html", "format", "gif", "mp4", "mcap", "png-strip", "sheet", "list", "force", "svg", "csv"],
 ];
 
 /// Most lines of `-h`.

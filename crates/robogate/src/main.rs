@@ -77,6 +77,8 @@ enum Verb {
     Analyze(commands::analyze::Analyze),
     /// Write a run or a dictionary as one page: HTML, Markdown or JSON
     Report(commands::report::Report),
+    /// Write a figure of the page of a run as SVG, and its data as CSV
+    Figure(commands::figure::FigureOf),
     /// Explore the episodes of one or several runs in the browser, also while they run
     View(commands::view::View),
     /// Replay one episode bit for bit and print its timeline, or render moments of an episode or a scenario
@@ -206,6 +208,7 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Runs(verb) => verb.execute(),
         Verb::Analyze(verb) => verb.execute(),
         Verb::Report(verb) => verb.execute(),
+        Verb::Figure(verb) => verb.execute(),
         Verb::View(verb) => verb.execute(),
         Verb::Replay(verb) => verb.execute(),
         Verb::Import(verb) => verb.execute(),

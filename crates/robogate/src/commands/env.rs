@@ -56,7 +56,7 @@ struct Inspect {
     #[arg(long = "simulator-timeout", value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
     timeout_s: f64,
     /// Write a parameter space with all knobs to this TOML file: those of the default space, and the others as comments
-    #[arg(long, value_name = "FILE")]
+    #[arg(long = "out", alias = "space", value_name = "FILE")]
     space: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]

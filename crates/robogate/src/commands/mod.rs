@@ -11,6 +11,7 @@ pub(crate) mod demos;
 pub(crate) mod env;
 pub(crate) mod evidence;
 pub(crate) mod export;
+pub(crate) mod figure;
 pub(crate) mod fleet;
 pub(crate) mod gate;
 pub(crate) mod import;
