@@ -109,7 +109,10 @@ type Line = (Option<String>, String);
 
 /// The parts of a command that a template renders, as lines.
 fn rendered(command: Command, template: &'static str) -> Vec<String> {
-    let text = command.help_template(template).max_term_width(COLUMNS[0]).render_long_help();
+    // The long form sets every option apart, which only descriptions of several paragraphs need.
+    let is_long = command.get_arguments().any(|arg| !arg.is_hide_set() && arg.get_long_help().is_some());
+    let mut command = command.help_template(template).max_term_width(COLUMNS[0]);
+    let text = if is_long { command.render_long_help() } else { command.render_help() };
     text.to_string().trim_end().lines().map(|line| line.trim_end().to_owned()).collect()
 }
 

@@ -233,7 +233,7 @@ fn failed_gate_says_what_to_change() {
     assert!(ranks.windows(2).all(|pair| at_of(pair[0]) < at_of(pair[1])), "{text}");
     assert!(text.lines().count() <= 25, "{text}");
     rows("noise", &|_, i| (i * 7919) % 10 < 3);
-    let power = ["No parameter separates failures from successes", "A difference of 10 points needs about"];
+    let power = ["No parameter separates failures from successes", "A difference of 10 points"];
     let text = verb(at, "gate --run noise.parquet --requirements r.toml", 1, &power);
     assert!(!text.contains("Operate within"), "{text}");
     rows("good", &|_, i| i % 100 == 0);
