@@ -87,6 +87,8 @@ fn environment_and_network_become_a_project() {
     assert!(requirements.contains("at_least = 0.8") && requirements.contains("at_most = 6.0"), "{requirements}");
     assert!(read(at, "space.toml").contains("drag") && at.join("runs/nominal/report.html").is_file());
     assert!(read(at, ".github/workflows/robogate.yml").contains("pip install \"$ROBOGATE_WHEEL\" gymnasium"));
+    let check = robogate(at, "policy check steering.onnx --requests 2", 0, &["no problems found"]).unwrap();
+    assert!(check.contains("robogate.toml: --env=env.py"), "{check}");
     // Nothing is replaced without --force, and nothing is started before that is known.
     robogate(at, init, 2, &["robogate.toml, requirements.toml", "--force"]);
     // The other verbs find all of it in the project file.
