@@ -68,7 +68,7 @@ fn group(option: &Arg) -> usize {
 }
 
 /// The options of a group, in the order of the table and then of the verb.
-fn options<'a>(command: &'a Command, of: usize) -> Vec<&'a Arg> {
+fn options(command: &Command, of: usize) -> Vec<&Arg> {
     let hidden = ["help", "version", "quiet", "verbose"];
     let shown = |arg: &&Arg| !arg.is_positional() && !arg.is_hide_set() && !hidden.contains(&arg.get_id().as_str());
     let mut found: Vec<&Arg> = command.get_arguments().filter(shown).filter(|arg| group(arg) == of).collect();

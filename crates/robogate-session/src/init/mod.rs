@@ -7,7 +7,7 @@ mod thing;
 use robogate_core::{Assignment, Domain, ParameterSpace, Suite, SuiteError, TaskSpec, Value};
 
 pub use diagnosis::diagnosis;
-pub use requirements::{Wanted, requirements};
+pub use requirements::{Wanted, collision_mode, requirements};
 pub use thing::Thing;
 
 /// One scenario with the nominal value of each parameter of the space; for a parameter without one, the middle of its range.

@@ -6,6 +6,7 @@ use anyhow::bail;
 use robogate_core::{FailureMode, TaskSpec};
 use robogate_gate::Requirements;
 use robogate_stats::format::{count, number};
+use robogate_tasks::pick_place::spec::COLLISION;
 
 /// What the user requires.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,6 +26,11 @@ const ROUNDS: f64 = 20.0;
 /// The number of episodes without an event that show a rate of at most p at 95 % is `-ln(0.05) / p`, for small rates.
 const SHOWS: f64 = 3.0;
 
+/// The failure mode for collisions, by its name.
+pub fn collision_mode(task: &TaskSpec) -> Option<FailureMode> {
+    task.modes().find(|mode| mode.as_str().contains(COLLISION.as_str()))
+}
+
 /// The file of these requirements (TOML), and remarks for the user.
 ///
 /// # Errors
@@ -40,9 +46,8 @@ pub fn requirements(wanted: &Wanted, task: &TaskSpec) -> anyhow::Result<(String,
         if !(0.0 < thousandths && thousandths < 1000.0) {
             bail!("--collisions-per-thousand: expected more than 0 and less than 1000: no number of episodes shows 0");
         }
-        let modes = || task.modes().map(FailureMode::as_str);
-        let Some(mode) = modes().find(|mode| mode.contains("collision")) else {
-            let known: Vec<&str> = modes().collect();
+        let Some(mode) = collision_mode(task) else {
+            let known: Vec<&str> = task.modes().map(FailureMode::as_str).collect();
             bail!(
                 "--collisions-per-thousand: the task {} declares no failure mode for collisions, but {}\nHint: declare the mode \
                  `collision` in the Task of the environment (docs/guides/environments.md), or leave the option out",
@@ -62,7 +67,7 @@ pub fn requirements(wanted: &Wanted, task: &TaskSpec) -> anyhow::Result<(String,
     }
     if let Some(limit) = cycle_time_s {
         let ceiling = task.time_limit_s;
-        if !(limit > 0.0) {
+        if limit <= 0.0 {
             bail!("--cycle-time: expected more than 0 s");
         }
         if limit < ceiling {

@@ -3,7 +3,6 @@
 mod ask;
 mod drafts;
 
-use std::io::{self, IsTerminal};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -15,7 +14,7 @@ use robogate_analysis::Source;
 use robogate_campaign::{Completion, DEFAULT_SEED, Plan};
 use robogate_core::{Outcome, Seed};
 use robogate_gate::evidence::{MANIFEST, Manifest};
-use robogate_session::init::{Thing, Wanted, diagnosis, nominal_suite};
+use robogate_session::init::{Thing, Wanted, collision_mode, diagnosis, nominal_suite};
 use robogate_session::text::quoted;
 use robogate_session::{EnvironmentChoice, PolicyChoice, PolicyLocation, Simulators, Subject, duration};
 use robogate_stats::format::number;
@@ -145,14 +144,13 @@ impl Init {
 
     /// The three figures, from the options or from questions on a terminal.
     fn wanted(&self, task: &robogate_core::TaskSpec) -> Result<Wanted, Exit> {
-        let collides = task.modes().any(|mode| mode.as_str().contains("collision"));
         let given = Wanted {
             success: self.success.unwrap_or(ask::SUCCESS),
             collisions: self.collisions_per_thousand,
             cycle_time_s: self.cycle_time.map(|time| time.as_secs_f64()),
         };
         let asks = self.success.is_none() && given.collisions.is_none() && given.cycle_time_s.is_none();
-        if asks && ask::can() { ask::wanted(collides).or_usage() } else { Ok(given) }
+        if asks && ask::can() { ask::wanted(collision_mode(task).is_some()).or_usage() } else { Ok(given) }
     }
 
     fn project(&self, parts: Parts, mut drafts: Drafts) -> Result<u8, Exit> {
@@ -198,7 +196,7 @@ impl Init {
         let policy = policy.source_at(&PolicyLocation::default())?;
         // Only a built-in task has a setting for its time limit.
         let set = vec![format!("time_limit_s={}", LONGER * task.time_limit_s)];
-        let longer = parts.env.is_none().then(|| EnvironmentChoice { set, ..longer });
+        let longer = parts.env.is_none().then_some(EnvironmentChoice { set, ..longer });
         episode(&Subject::new(source, policy.clone())?, &|| {
             longer.as_ref().and_then(|longer| Subject::new(longer.environment().ok()?, policy.clone()).ok())
         })
@@ -314,9 +312,4 @@ fn step(arguments: &[&str]) -> Result<(), Exit> {
         code,
         error: anyhow!("`robogate {}` found problems\nHint: correct them and repeat this command", words.join(" ")),
     })
-}
-
-/// Whether questions can be asked: the user sees them and can type.
-fn is_interactive() -> bool {
-    io::stdin().is_terminal() && io::stderr().is_terminal()
 }

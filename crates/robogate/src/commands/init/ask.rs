@@ -1,6 +1,6 @@
 //! The questions of `robogate init`, and the forms of their answers.
 
-use std::io::{self, Write as _};
+use std::io::{self, IsTerminal as _, Write as _};
 use std::path::Path;
 
 use anyhow::{anyhow, bail};
@@ -8,7 +8,6 @@ use robogate_core::budget::Budget;
 use robogate_policy::{Profile, dialects_at};
 use robogate_session::init::{Thing, Wanted};
 
-use super::is_interactive;
 use crate::terminal::{foreign, line};
 
 /// The required success rate where the user says none.
@@ -30,15 +29,15 @@ pub(super) fn figure(text: &str) -> Result<f64, String> {
     if number.is_finite() && number > 0.0 { Ok(number) } else { Err("expected a number above 0".to_owned()) }
 }
 
-/// Whether the user can be asked.
+/// Whether the user can be asked: sees questions and can type.
 pub(super) fn can() -> bool {
-    is_interactive()
+    io::stdin().is_terminal() && io::stderr().is_terminal()
 }
 
 /// Asks until the answer can be read. An empty answer is `None`.
 fn question<T>(text: &str, read: impl Fn(&str) -> Result<T, String>) -> anyhow::Result<Option<T>> {
     loop {
-        eprint!("{text} ");
+        write!(io::stderr(), "{text} ")?;
         io::stderr().flush()?;
         let mut answer = String::new();
         if io::stdin().read_line(&mut answer)? == 0 || answer.trim().is_empty() {
@@ -46,7 +45,7 @@ fn question<T>(text: &str, read: impl Fn(&str) -> Result<T, String>) -> anyhow::
         }
         match read(answer.trim()) {
             Ok(value) => return Ok(Some(value)),
-            Err(why) => eprintln!("  {why}"),
+            Err(why) => writeln!(io::stderr(), "  {why}")?,
         }
     }
 }
