@@ -269,17 +269,12 @@ mod tests {
                 assert!(line.chars().count() <= COLUMNS[0], "{}: {line}", verb.get_name());
             }
             // Both have every option, and the long one in the same groups.
-            for of in 0..GROUPS.len() {
+            for (of, group) in GROUPS.iter().enumerate() {
                 for arg in options(verb, of) {
                     let name = format!("--{}", arg.get_long().unwrap());
                     assert!(short.contains(&name) && long.contains(&name), "{}: {name}", verb.get_name());
                 }
-                assert_eq!(
-                    long.contains(&format!("{}:\n", GROUPS[of])),
-                    !options(verb, of).is_empty(),
-                    "{}",
-                    verb.get_name()
-                );
+                assert_eq!(long.contains(&format!("{group}:\n")), !options(verb, of).is_empty(), "{}", verb.get_name());
             }
         }
     }

@@ -97,6 +97,11 @@ fn environment_and_network_become_a_project() {
     let space = plan["provenance"]["space"].to_string();
     assert!(space.contains("drag") && !space.contains("noise"), "{space}");
 
+    // A network of other sizes, and a file that is none.
+    fs::copy(networks.join("small.onnx"), at.join("small.onnx")).unwrap();
+    robogate(at, "init env.py small.onnx --force", 2, &["takes the image front", "has no camera"]);
+    fs::write(at.join("text.onnx"), "not a network").unwrap();
+    robogate(at, "init env.py text.onnx --force", 2, &["it is a text file. Expected an ONNX model"]);
     // A failed episode gets a tested diagnosis: it succeeds if it may take longer.
     fs::write(at.join("env.py"), POINT.replace("time_limit_s=8.0", "time_limit_s=0.6")).unwrap();
     let again = format!("{init} --force");
