@@ -14,4 +14,4 @@ for engine in mujoco rapier; do
         "$robogate" run --engine "$engine" --space franka --set tolerance_m=0.03 --set contact_force_limit_n=1000000 --plan docs/results/cross-simulator.toml --out "$out/$engine"
     fi
 done
-"$robogate" compare --paired "$out"/{mujoco,rapier} --html "$out/comparison.html" --md "$out/comparison.md"
+"$robogate" compare --paired "$out"/{mujoco,rapier} --out "$out/comparison.html" --md "$out/comparison.md"

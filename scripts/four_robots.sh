@@ -17,4 +17,4 @@ for robot in ur3e ur5e ur10e franka; do
     [ "$robot" = franka ] && paper=(--set tolerance_m=0.03 --set contact_force_limit_n=1000000 --space franka)
     "$robogate" run --robot "$robot" --plan docs/results/four-robots.toml "${paper[@]}" --out "$out/$robot"
 done
-"$robogate" compare "$out"/{ur3e,ur5e,ur10e,franka} --html "$out/comparison.html" --md "$out/comparison.md"
+"$robogate" compare "$out"/{ur3e,ur5e,ur10e,franka} --out "$out/comparison.html" --md "$out/comparison.md"

@@ -195,7 +195,7 @@ def main():
             run(robogate, folder, [*ENVIRONMENT, arguments.python], 0)
         if "run" in only or "explorer" in only:
             lines = terminal_image.screen(RUN, 120, folder, f"{robogate}:{os.environ['PATH']}")
-            run(robogate, folder, ["view", RUN_FOLDER, "--export", "explorer.html", "--clips", "4"], 0)
+            run(robogate, folder, ["view", RUN_FOLDER, "--out", "explorer.html", "--clips", "4"], 0)
         if "run" in only:
             terminal_image.draw(IMAGES / "run.png", lines, 120, RUN_LINES)
             few_colours(IMAGES / "run.png")

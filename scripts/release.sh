@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Builds a release in target/release-files: for each architecture a wheel, a Debian package and an SBOM; the recipe of the container
-# image; SHA-256 sums of all files; a signature of the sums if a key is given.
+# Builds a release in target/release-files: for each architecture a wheel, a Debian package and an SBOM; a source distribution; the
+# recipe of the container image; SHA-256 sums of all files; a signature of the sums if a key is given.
 #
 # Usage: scripts/release.sh [ARCHITECTURE...]       x86_64 or aarch64; default: the architecture of this machine
 #
@@ -85,6 +85,9 @@ for architecture in "$@"; do
     scripts/release/sbom.py "$wheel" "$out/robogate-$architecture.cdx.json"
     CARGO_TARGET_DIR=$build cargo deb --quiet --package robogate --no-build --no-strip --target "$triple" --output "$out/"
 done
+
+scripts/release/sdist.py "$out"
+twine check --strict "$out"/*.whl "$out"/*.tar.gz
 
 cp deploy/Containerfile "$out/"
 hadolint "$out/Containerfile"

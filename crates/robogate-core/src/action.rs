@@ -116,6 +116,14 @@ impl ActionSpec {
         })
     }
 
+    /// The names of the numbers, if vectors are accepted.
+    pub fn vector_names(&self) -> Option<&[String]> {
+        self.spaces.iter().find_map(|space| match space {
+            ActionSpace::Vector { names, .. } => Some(&**names),
+            _ => None,
+        })
+    }
+
     /// The accepted kinds of command as text, for messages.
     pub fn kinds(&self) -> String {
         let kinds: Vec<&str> = self.spaces.iter().map(ActionSpace::as_str).collect();

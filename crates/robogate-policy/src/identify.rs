@@ -26,6 +26,12 @@ pub(crate) fn describe(url: &str, expected: &Dialect) -> Option<String> {
     })
 }
 
+/// The dialects that the server at an address may have. Empty if it is not identified.
+pub fn dialects_at(url: &str) -> &'static [&'static str] {
+    let address = url.split_once("://").and_then(|(_, rest)| rest.split('/').next());
+    address.and_then(probe).map_or(&[], |(_, dialects)| dialects)
+}
+
 /// A description of the server, and the dialects that it may have.
 fn probe(address: &str) -> Option<(&'static str, &'static [&'static str])> {
     let greeting = receive(address, None);

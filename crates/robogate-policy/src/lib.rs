@@ -60,8 +60,11 @@ pub use draft::{Draft, declared, draft};
 pub use encoder::{Encoder, outside_range, read_pose, state_numbers, state_sizes};
 pub use error::PolicyError;
 pub use external::ExternalPolicy;
+pub use identify::dialects_at;
 pub use map::{BoundMap, CameraPiece, MapRow, Mapped, Piece, Pieces, Slice, Source, TaskMap, Unmapped, map_table};
 pub use mapping::{MappingProblem, MappingStep, compare_mappings};
+#[cfg(feature = "onnx")]
+pub use onnx::{NetworkDraft, draft_network};
 pub use picture::Picture;
 pub use profile::{
     ActionForm, Arm, Axes, Camera, Chunking, Dialect, Filter, Fit, Frame, Gr00t, LeRobot, Memory, Orientation, Part,

@@ -24,10 +24,12 @@ mod watch;
 use robogate_analysis::PairCounts;
 use robogate_gate::{Evaluation, Twins};
 
+pub use figures::{FigureFile, figure_files};
 pub use gate::{
-    RequirementRow, TwinRow, evaluation_markdown, evaluation_markdown_with, feasible_part, fleet_drivers,
-    fleet_headline, fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html, leaderboard_markdown,
-    leaderboards_html, leaderboards_markdown, new_cases, sign, verdict_html, what_next,
+    Change, RequirementRow, TwinRow, evaluation_markdown, evaluation_markdown_with, evidence_html, feasible_part,
+    fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html,
+    leaderboard_markdown, leaderboards_html, leaderboards_markdown, new_cases, required_success, sign, verdict_html,
+    what_next, what_to_change,
 };
 pub use html::{
     comparison_html, comparison_html_with, explorer_page, html, html_with, replay_page, script_data, transfer_html,
@@ -46,6 +48,8 @@ pub use watch::{Strip, Watch, WatchItem};
 pub struct Additions<'a> {
     /// The evaluation of the gate that the run belongs to. Its verdict opens the page.
     pub evaluation: Option<&'a Evaluation>,
+    /// What to change, if the gate did not pass.
+    pub changes: &'a [Change],
     /// Episodes worth watching.
     pub watch: Option<&'a Watch>,
     /// Counts for a map of any two parameters.

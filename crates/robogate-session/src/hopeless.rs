@@ -13,7 +13,7 @@ use crate::notice::warning;
 /// Number of valid episodes after which a run without a success is looked at.
 const FIRST: usize = 20;
 /// The measure of an environment with policies: the share of the control periods with an action outside of its range.
-const CLIPPED: &str = "clipped_actions";
+pub(crate) const CLIPPED: &str = "clipped_actions";
 
 /// What happens to such a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

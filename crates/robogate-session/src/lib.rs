@@ -21,6 +21,7 @@ pub mod families;
 mod fleet;
 mod gate;
 mod hopeless;
+pub mod init;
 mod isolation;
 mod latency;
 mod loaded_policy;

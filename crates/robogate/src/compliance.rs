@@ -8,14 +8,16 @@ use std::path::Path;
 
 use anyhow::Context;
 use robogate_campaign::Summary;
-use robogate_core::SettingSpec;
 use robogate_core::budget::Budget;
+use robogate_core::{FailureMode, Parameter, ParameterSpec, SettingSpec};
 use robogate_dictionary::{Dictionary, Provenance, Tool};
-use robogate_gate::Evaluation;
 use robogate_gate::evidence::{EnvironmentBinding, MANIFEST, Manifest, PolicyBinding, Problem, Role};
-use robogate_report::{junit, verdict_html};
+use robogate_gate::{Evaluation, Metric};
+use robogate_report::{evidence_html, junit, verdict_html};
 use robogate_session::SOURCE_SHA256;
 use serde_json::{Value, json};
+
+use crate::commands::env::domain;
 
 /// The list of components.
 const SBOM: &str = "compliance/sbom.cdx.json";
@@ -24,7 +26,63 @@ const JUDGED: [&str; 4] = ["policy", "robot", "episodes", "simulator"];
 /// The exact versions that this build could link.
 const LOCK: &str = include_str!("../../../Cargo.lock");
 
-/// The documents: path in the evidence, and content.
+/// The first page of the evidence.
+const INDEX: &str = "index.html";
+
+/// The page of every evidence: path in the evidence, and content.
+pub(crate) fn index(evaluation: &Evaluation, provenance: &Provenance) -> Vec<(String, Vec<u8>)> {
+    let page = evidence_html(evaluation, &origin(provenance), ranges(provenance), unchecked(evaluation, provenance));
+    vec![(INDEX.to_owned(), page.into_bytes())]
+}
+
+/// The parameters of the space: name, range, unit and meaning.
+fn ranges(provenance: &Provenance) -> Vec<Vec<String>> {
+    let row = |parameter: &Parameter| {
+        let spec = provenance.task.parameter(&parameter.name);
+        let of = |text: fn(&ParameterSpec) -> String| spec.map(text).unwrap_or_default();
+        let name = parameter.name.to_string();
+        vec![name, domain(&parameter.domain), of(|spec| spec.unit.to_string()), of(|spec| spec.meaning.to_string())]
+    };
+    provenance.space.parameters().iter().map(row).collect()
+}
+
+/// What the verdict leaves open, in sentences.
+fn unchecked(evaluation: &Evaluation, provenance: &Provenance) -> Vec<String> {
+    let mut texts = Vec::new();
+    let limited = |mode: FailureMode| {
+        let of = |metric| matches!(metric, Metric::Failure(of) | Metric::FailureCount(of) if of == mode);
+        evaluation.requirements.requirement.iter().any(|one| of(one.metric))
+    };
+    let free: Vec<&str> = provenance.task.modes().filter(|mode| !limited(*mode)).map(FailureMode::as_str).collect();
+    if !free.is_empty() {
+        texts.push(format!("No requirement limits these failure modes alone: {}.", free.join(", ")));
+    }
+    texts.extend(
+        evaluation.dropped.iter().map(|one| format!("`{}` was not judged as written: {}.", one.id, one.because)),
+    );
+    if evaluation.controls.is_none() {
+        texts.push("No controls ran: an expert and random actions were not compared with the policy.".to_owned());
+    }
+    if PolicyBinding::of(provenance).sha256().is_none() {
+        texts.push(format!("The policy has no digest: {}.", PolicyBinding::of(provenance)));
+    }
+    if !EnvironmentBinding::of(provenance).simulator_build_known {
+        texts.push("The build of the simulator is as its server declares it.".to_owned());
+    }
+    if evaluation.counts.invalid > 0 {
+        texts.push(format!(
+            "{} invalid episodes have no outcome. The verdict holds for every outcome they could have had.",
+            evaluation.counts.invalid
+        ));
+    }
+    texts.push(
+        "Whether the simulation is like the real cell, unless trials of the real robot are part of the requirements."
+            .to_owned(),
+    );
+    texts
+}
+
+/// The index and the documents of the compliance pack: path in the evidence, and content.
 pub(crate) fn documents(evaluation: &Evaluation, provenance: &Provenance) -> Vec<(String, Vec<u8>)> {
     // A tree of strings and maps cannot fail to serialise.
     let sbom = serde_json::to_string_pretty(&sbom(evaluation, provenance)).unwrap_or_default() + "\n";
@@ -34,7 +92,9 @@ pub(crate) fn documents(evaluation: &Evaluation, provenance: &Provenance) -> Vec
         (SBOM, sbom.into_bytes()),
     ]
     .map(|(name, bytes)| (name.to_owned(), bytes))
-    .into()
+    .into_iter()
+    .chain(index(evaluation, provenance))
+    .collect()
 }
 
 /// The summary and the documents in verified evidence that differ from those of its rows, and `false` if

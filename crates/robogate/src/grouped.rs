@@ -5,9 +5,10 @@ use std::fmt::Write as _;
 use clap::Command;
 
 /// The verbs by purpose, as the help lists them.
-const GROUPS: [(&str, &[&str]); 6] = [
+const GROUPS: [(&str, &[&str]); 7] = [
+    ("Start", &["init"]),
     ("Judge a policy", &["run", "gate", "resume", "compare", "rank", "leaderboard", "matrix", "fleet"]),
-    ("Look at results", &["runs", "analyze", "report", "view", "replay", "import", "export", "audit"]),
+    ("Look at results", &["runs", "analyze", "report", "figure", "view", "replay", "import", "export", "audit"]),
     ("Bring your own", &["env", "policy", "robots", "check", "serve", "demos", "list", "config", "completions"]),
     ("Show that it holds", &["evidence", "verify", "keys"]),
     ("Use many machines", &["plan", "merge"]),

@@ -5,11 +5,13 @@ mod answer;
 mod arguments;
 mod benchmark;
 mod canvas;
+mod changes;
 mod commands;
 mod compliance;
 mod exit;
 mod film;
 mod grouped;
+mod help;
 #[cfg(feature = "mujoco")]
 mod inspection;
 mod interface;
@@ -27,6 +29,7 @@ mod watch;
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};
 use std::process::ExitCode;
 
+use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use robogate_core::guard::{is_guarded, message};
 use robogate_session::Entered;
@@ -52,6 +55,8 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
+    /// Start with what you have: an environment, a policy, a robot, results or evidence; draft the files that are missing
+    Init(commands::init::Init),
     /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain
     Run(commands::run::Run),
     /// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run
@@ -74,6 +79,8 @@ enum Verb {
     Analyze(commands::analyze::Analyze),
     /// Write a run or a dictionary as one page: HTML, Markdown or JSON
     Report(commands::report::Report),
+    /// Write a figure of the page of a run as SVG, and its data as CSV
+    Figure(commands::figure::FigureOf),
     /// Explore the episodes of one or several runs in the browser, also while they run
     View(commands::view::View),
     /// Replay one episode bit for bit and print its timeline, or render moments of an episode or a scenario
@@ -136,7 +143,16 @@ fn main() -> ExitCode {
             return ExitCode::from(exit.code);
         }
     };
-    let matches = command.get_matches_from(line);
+    let matches = match command.try_get_matches_from_mut(line.clone()) {
+        Ok(matches) => matches,
+        Err(why) => match help::asked(&command, &line).filter(|_| why.kind() == ErrorKind::DisplayHelp) {
+            Some((verb, long)) => {
+                help::show(verb, long);
+                return ExitCode::SUCCESS;
+            }
+            None => why.exit(),
+        },
+    };
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|why| why.exit());
     terminal::show_notices();
     if arguments.quiet {
@@ -185,6 +201,7 @@ fn panicked(panic: &PanicHookInfo<'_>) {
 
 fn execute(verb: Verb) -> Result<u8, exit::Exit> {
     match verb {
+        Verb::Init(verb) => verb.execute(),
         Verb::Run(verb) => verb.execute(),
         Verb::Gate(verb) => verb.execute(),
         Verb::Resume(verb) => verb.execute(),
@@ -196,6 +213,7 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Runs(verb) => verb.execute(),
         Verb::Analyze(verb) => verb.execute(),
         Verb::Report(verb) => verb.execute(),
+        Verb::Figure(verb) => verb.execute(),
         Verb::View(verb) => verb.execute(),
         Verb::Replay(verb) => verb.execute(),
         Verb::Import(verb) => verb.execute(),

@@ -1,4 +1,4 @@
-//! The project file: settings of `run`, `gate` and `fleet` that need not be repeated on every command line.
+//! The project file: settings of `run`, `gate`, `fleet` and `policy check` that need not be repeated on every command line.
 //!
 //! Its keys are the options of these verbs. A key at the top applies to every verb that has the option, and one in a table such as
 //! `[gate]` to this verb. What the command line says comes first. Other verbs do not read the file: it could name a program, and a
@@ -18,8 +18,8 @@ use crate::commands::matrix::CHILD;
 /// The name of the file, in the current folder.
 pub(crate) const FILE: &str = "robogate.toml";
 
-/// The verbs that read it.
-pub(crate) const VERBS: [&str; 3] = ["run", "gate", "fleet"];
+/// The verbs that read it: those that start the environment and the policy that the user chooses.
+pub(crate) const VERBS: [&str; 4] = ["run", "gate", "fleet", "policy check"];
 
 /// One setting of the file for a verb.
 #[derive(Debug, Clone, PartialEq)]
@@ -108,11 +108,17 @@ pub(crate) fn completed(command: &Command, line: Vec<OsString>) -> anyhow::Resul
     let Some(at) = line.iter().skip(1).position(|word| !word.to_string_lossy().starts_with('-')) else {
         return Ok((line, Vec::new()));
     };
-    let (before, after) = line.split_at(at + 2);
-    let verb = before.last().map(|word| word.to_string_lossy().into_owned()).unwrap_or_default();
-    let Some(own) = command.find_subcommand(&verb).filter(|_| VERBS.contains(&verb.as_str())) else {
+    let words = |count: usize| {
+        let words = line.iter().skip(at + 1).take(count).map(|word| word.to_string_lossy());
+        words.collect::<Vec<_>>().join(" ")
+    };
+    let Some((verb, count)) =
+        [1, 2].map(|count| (words(count), count)).into_iter().find(|(verb, _)| VERBS.contains(&&**verb))
+    else {
         return Ok((line, Vec::new()));
     };
+    let (before, after) = line.split_at(at + 1 + count);
+    let Some(own) = find(command, &verb) else { return Ok((line, Vec::new())) };
     let given: Vec<&Arg> =
         own.get_arguments().filter(|argument| after.iter().any(|word| names(word, argument))).collect();
     // A shard belongs to a plan that exists, the runs of a sweep have all their options, and help starts nothing.
@@ -152,11 +158,16 @@ fn name(argument: &Arg) -> String {
     argument.get_long().unwrap_or(argument.get_id().as_str()).to_owned()
 }
 
+/// The command of a verb, which may be below another one.
+pub(crate) fn find<'a>(command: &'a Command, verb: &str) -> Option<&'a Command> {
+    verb.split(' ').try_fold(command, |command, word| command.find_subcommand(word))
+}
+
 /// The option of one of these verbs with this name.
 fn option<'a>(command: &'a Command, verbs: &[&str], key: &str) -> anyhow::Result<&'a Arg> {
     let wanted = key.replace('_', "-");
     let options = || {
-        let verbs = verbs.iter().filter_map(|verb| command.find_subcommand(verb));
+        let verbs = verbs.iter().filter_map(|verb| find(command, verb));
         verbs.flat_map(Command::get_arguments).filter(|argument| argument.get_long().is_some())
     };
     options().find(|argument| name(argument) == wanted).ok_or_else(|| {

@@ -8,6 +8,7 @@
 //! A file may be damaged or hostile. Its structure and the memory that it needs are checked before the library runs any
 //! of it, and loading and inference run in a thread whose results are awaited until a deadline.
 
+mod draft;
 mod memory;
 mod scan;
 mod sizes;
@@ -31,6 +32,7 @@ use super::deadline::Deadline;
 use super::error::PolicyError;
 use super::profile::{Axes, Camera, Profile};
 use super::{chunk::Chunk, query::Query};
+pub use draft::{NetworkDraft, draft_network};
 use memory::Cell;
 use worker::{Worker, catch_panics};
 

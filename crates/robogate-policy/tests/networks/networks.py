@@ -208,6 +208,22 @@ def history(path):
     save(path, nodes, weights, inputs, [("actions", TensorProto.FLOAT, [1, 2, 8])])
 
 
+def steering(path):
+    """Three layers that steer the point of tests/it/init.py to its target: tanh(gain * (target - place) - damping * speed)."""
+    plane = np.kron(np.array([[-3.0], [-1.5], [3.0]]), np.eye(2)).astype(np.float32)
+    both = np.concatenate([plane, -plane], axis=1)
+    weights = {
+        "w1": both, "b1": np.zeros(4, np.float32), "w2": np.eye(4, dtype=np.float32), "b2": np.zeros(4, np.float32),
+        "w3": np.concatenate([np.eye(2), -np.eye(2)]).astype(np.float32), "b3": np.zeros(2, np.float32),
+    }
+    nodes = [
+        helper.make_node("Gemm", ["obs", "w1", "b1"], ["first"]), helper.make_node("Relu", ["first"], ["one"]),
+        helper.make_node("Gemm", ["one", "w2", "b2"], ["second"]), helper.make_node("Relu", ["second"], ["two"]),
+        helper.make_node("Gemm", ["two", "w3", "b3"], ["third"]), helper.make_node("Tanh", ["third"], ["action"]),
+    ]
+    save(path, nodes, weights, [("obs", TensorProto.FLOAT, ["batch", 6])], [("action", TensorProto.FLOAT, ["batch", 2])])
+
+
 def step_state(step):
     """Joints and gripper opening at an action."""
     joints = [0.05 * (step + 1) * (joint + 1) for joint in range(7)]
@@ -253,6 +269,7 @@ operators(HERE / "operators.onnx")
 recurrent(HERE / "gru.onnx", "GRU", 3, [("h0", "h1")])
 recurrent(HERE / "lstm.onnx", "LSTM", 4, [("h0", "h1"), ("c0", "c1"), ("n0", "n1")])
 history(HERE / "history.onnx")
+steering(HERE / "steering.onnx")
 expected = {name: answer(HERE / f"{name}.onnx", front=eighth, state=state) for name in ["small", "operators"]}
 for path in sorted(SHIPPED.glob("*.onnx")):
     expected[path.stem] = answer(path, front=middle, wrist=whole, state=state)

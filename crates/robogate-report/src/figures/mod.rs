@@ -2,6 +2,7 @@
 
 mod comparison;
 mod danger;
+mod export;
 mod failures;
 mod heatmap;
 mod marginal;
@@ -16,6 +17,7 @@ pub(crate) use comparison::{
     universal_zones,
 };
 pub(crate) use danger::danger_zones;
+pub use export::{FigureFile, figure_files};
 pub(crate) use failures::{failure_modes, mode_changes};
 pub(crate) use heatmap::{Boundary, drawable, heatmap};
 pub(crate) use marginal::marginal_effect;

@@ -1,5 +1,6 @@
 //! Gate evaluations for readers and for CI.
 
+mod changes;
 mod fleet;
 mod junit;
 mod leaderboard;
@@ -10,11 +11,12 @@ mod verdict;
 
 use robogate_gate::{Evaluation, Metric, Mode, NextBudget, RequirementResult, Sampling, Status, Verdict};
 
+pub use changes::{Change, required_success, what_to_change};
 pub use fleet::{fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share};
 pub use junit::junit;
 pub use leaderboard::{leaderboard_html, leaderboard_markdown, leaderboards_html, leaderboards_markdown};
 pub use markdown::{evaluation_markdown, evaluation_markdown_with};
-pub use page::verdict_html;
+pub use page::{evidence_html, verdict_html};
 pub use twins::TwinRow;
 pub(crate) use verdict::VerdictBlock;
 

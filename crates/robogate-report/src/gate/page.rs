@@ -12,6 +12,25 @@ use crate::html::{block, frame, prose};
 /// The evaluation as one self-contained HTML file without scripts. `origin` are names and values that identify what was
 /// judged: versions and digests. Equal evaluations and facts give equal bytes.
 pub fn verdict_html(evaluation: &Evaluation, origin: &[(String, String)]) -> String {
+    page(evaluation, origin, None)
+}
+
+/// The first page of a folder of evidence: [`verdict_html`], and what a reader needs who was not there. `ranges` are the parameters
+/// with their ranges, units and meanings, `unchecked` sentences on what was not checked.
+pub fn evidence_html(
+    evaluation: &Evaluation,
+    origin: &[(String, String)],
+    ranges: Vec<Vec<String>>,
+    unchecked: Vec<String>,
+) -> String {
+    page(evaluation, origin, Some((ranges, unchecked)))
+}
+
+fn page(
+    evaluation: &Evaluation,
+    origin: &[(String, String)],
+    filed: Option<(Vec<Vec<String>>, Vec<String>)>,
+) -> String {
     let word = match evaluation.verdict {
         Verdict::Pass => "PASS",
         Verdict::Fail => "FAIL",
@@ -28,7 +47,20 @@ pub fn verdict_html(evaluation: &Evaluation, origin: &[(String, String)]) -> Str
         sections.push(("Success by scenario group", vec![Block::Table(groups(evaluation))]));
     }
     let facts = origin.iter().cloned().chain([dataset]).collect();
+    let filed = filed.map(|(ranges, unchecked)| {
+        let columns = [("parameter", Short), ("range", Short), ("unit", Short), ("meaning", Text)];
+        let table = Table::new("", &columns, ranges);
+        sections.insert(1, ("Operating ranges", vec![Block::Table(table)]));
+        unchecked
+    });
     sections.push(("What was judged", vec![Block::Facts(facts)]));
+    if let Some(unchecked) = filed {
+        sections.push(("Limits of validity", vec![Block::List(validity(evaluation))]));
+        sections.push(("What was not checked", vec![Block::List(unchecked)]));
+        let check = "Run `robogate verify .` in this folder. It compares every file with the manifest, computes the verdict again from \
+                     the rows, and says who signed it. This page states no signature: anybody could have written one here.";
+        sections.push(("Signatures and trust", vec![Block::Text(check.to_owned())]));
+    }
     let body = html! {
         header.top {
             p.brand { b { "RoboGate" } " verdict of the gate" }
@@ -46,6 +78,30 @@ pub fn verdict_html(evaluation: &Evaluation, origin: &[(String, String)]) -> Str
         }
     };
     frame(&format!("{word}: {} on {}", evaluation.policy, evaluation.robot), &body, false)
+}
+
+/// What the verdict applies to, in sentences.
+fn validity(evaluation: &Evaluation) -> Vec<String> {
+    let requirements = &evaluation.requirements;
+    let population = &evaluation.population;
+    let mut texts = vec![
+        format!("The verdict applies to {population} within the operating ranges above. Nothing was tested outside of them."),
+        "It applies to the policy, the robot, the environment and the settings with the digests above. Any change needs a new gate."
+            .to_owned(),
+    ];
+    texts.push(match requirements.mode {
+        Mode::Confidence => format!(
+            "A pass, and a fail, is wrong in at most {} of gates like this one.",
+            percent(1.0 - requirements.confidence)
+        ),
+        Mode::Point => {
+            "The observed figures were compared with the limits: the verdict has no error probability.".to_owned()
+        }
+    });
+    if evaluation.real.is_none() {
+        texts.push("All episodes are simulated or imported as recorded: the verdict makes no statement about other real robots.".to_owned());
+    }
+    texts
 }
 
 fn subject(evaluation: &Evaluation) -> Vec<(String, String)> {

@@ -6,7 +6,7 @@ use maud::Markup;
 use robogate_gate::{Controls, Evaluation, Mode, Sampling, Status, Verdict};
 use robogate_stats::format::{count, counted, percent_range};
 
-use super::{RequirementRow, feasible_part, how_judged, sign, what_next};
+use super::{Change, RequirementRow, feasible_part, how_judged, sign, what_next};
 use crate::figures;
 use crate::markdown::escape_markdown;
 
@@ -22,6 +22,8 @@ pub(crate) struct VerdictBlock {
     pub(crate) requirements: Vec<VerdictRow>,
     /// The scenario groups with the lowest success rates. Empty if every group always succeeds.
     pub(crate) weakest: Vec<String>,
+    /// What to change, with commands. Empty for a gate that passed.
+    pub(crate) changes: Vec<Change>,
     /// The next step and its cost.
     pub(crate) next: String,
     /// The basis of the verdict.
@@ -41,7 +43,7 @@ pub(crate) struct VerdictRow {
 }
 
 impl VerdictBlock {
-    pub(crate) fn of(evaluation: &Evaluation) -> Self {
+    pub(crate) fn of(evaluation: &Evaluation, changes: &[Change]) -> Self {
         let mut bars: Vec<Option<Markup>> = evaluation.results.iter().map(figures::requirement_bar).collect();
         let rows = RequirementRow::all(evaluation);
         bars.resize(rows.len(), None);
@@ -61,6 +63,7 @@ impl VerdictBlock {
             because: because(evaluation, &requirements),
             requirements,
             weakest: weakest(evaluation),
+            changes: changes.to_vec(),
             next: next_step(evaluation),
             controls: evaluation.controls.as_ref().map(Controls::lines).unwrap_or_default(),
             outside_range: evaluation.outside_range.as_ref().map(ToString::to_string),
@@ -96,6 +99,13 @@ impl VerdictBlock {
             );
         }
         let _ = write!(out, "\n**Next step.** {}\n\n", escape_markdown(&self.next));
+        for (at, change) in self.changes.iter().enumerate() {
+            let command = if change.command.is_empty() { String::new() } else { format!(" `{}`", change.command) };
+            let _ = writeln!(out, "{}. {}{command}", at + 1, escape_markdown(&change.text));
+        }
+        if !self.changes.is_empty() {
+            out.push('\n');
+        }
         for line in self.weakest.iter().chain(&self.controls).chain(&self.outside_range) {
             let _ = writeln!(out, "- {}", escape_markdown(line));
         }

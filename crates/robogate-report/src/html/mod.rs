@@ -23,7 +23,7 @@ use crate::document::{
 };
 use crate::watch::Watch;
 
-const STYLE: &str = include_str!("style.css");
+pub(crate) const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("script.js");
 
 /// The analysis as one self-contained page. Equal analyses give equal bytes.

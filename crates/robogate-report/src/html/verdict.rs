@@ -26,6 +26,14 @@ pub(super) fn verdict(of: &VerdictBlock) -> Markup {
                 }
             }
             p.verdict-next { b { "Next step" } " " (rich(&of.next)) }
+            @if !of.changes.is_empty() {
+                p.verdict-head { "What to change" }
+                ol.verdict-weakest {
+                    @for change in &of.changes {
+                        li { (rich(&change.text)) @if !change.command.is_empty() { " " code { (prose(&change.command)) } } }
+                    }
+                }
+            }
             @if !of.weakest.is_empty() {
                 p.verdict-head { "Weakest scenarios" }
                 ul.verdict-weakest { @for line in &of.weakest { li { (rich(line)) } } }

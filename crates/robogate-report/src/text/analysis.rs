@@ -182,7 +182,7 @@ fn shown(power: &Power) -> String {
 }
 
 /// A number with two significant digits, rounded up.
-fn rounded_up(n: u64) -> u64 {
+pub(crate) fn rounded_up(n: u64) -> u64 {
     let mut unit = 1;
     while n / unit >= 100 {
         unit *= 10;
@@ -211,7 +211,7 @@ fn sought(found: &Finding<SoughtBox>) -> String {
 }
 
 /// The most frequent mode if a test supports it, otherwise the counts alone.
-fn main_modes(modes: &FailureModes) -> String {
+pub(crate) fn main_modes(modes: &FailureModes) -> String {
     let occurred = modes.modes.iter().filter(|m| m.failures > 0);
     let (unknown, mut by): (Vec<_>, Vec<_>) = occurred.partition(|m| m.is_unknown());
     if by.is_empty() {
@@ -342,7 +342,7 @@ fn operate(found: &SafeBox) -> String {
     )
 }
 
-fn advise(analysis: &Analysis, advice: &Advice) -> String {
+pub(crate) fn advise(analysis: &Analysis, advice: &Advice) -> String {
     let found = analysis.safe_box.estimated();
     match advice {
         Advice::ExplainInvalid => "Find out why every episode is invalid: see the faults under Sampling.".to_owned(),

@@ -7,6 +7,7 @@ mod comparison_limits;
 mod transfer;
 
 pub use analysis::{Headline, condition, low_side};
+pub(crate) use analysis::{advise, main_modes, rounded_up};
 pub use analysis_limits::limits;
 pub use comparison::ComparisonHeadline;
 pub use comparison_limits::comparison_limits;

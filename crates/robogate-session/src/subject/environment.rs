@@ -122,6 +122,14 @@ impl EnvironmentSource {
         Ok(found.map(declared).or(chosen))
     }
 
+    /// What an environment in another process declares. `None` for a built-in one.
+    pub fn declared(&self) -> Option<&Hello> {
+        match self {
+            Self::Remote(source) => Some(source.pool.hello()),
+            Self::BuiltIn(_) => None,
+        }
+    }
+
     /// The task.
     pub fn task(&self) -> anyhow::Result<Arc<TaskSpec>> {
         Ok(match self {

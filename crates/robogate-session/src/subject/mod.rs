@@ -90,21 +90,22 @@ impl Subject {
                 anyhow!("the policy {} cannot drive this environment: {why}{}", subject.policy_name(), subject.hint())
             })
             .or_request()?;
-        subject.note_missing_instruction();
+        subject.missing_instruction().into_iter().for_each(warning);
         Ok(subject)
     }
 
-    /// Warns if a model that understands language is told the name of the task, because the environment has no instruction.
-    fn note_missing_instruction(&self) {
+    /// A sentence about a model that understands language and is told the name of the task, because the environment has no
+    /// instruction.
+    pub(crate) fn missing_instruction(&self) -> Option<String> {
         let profile = self.policy.as_ref().and_then(PolicySource::profile);
         let told = self.task.instruction.trim();
         let listens = profile.is_some_and(|profile| profile.dialect.uses_language() && profile.instruction.is_none());
-        if listens && (told.is_empty() || told == self.task.name.as_str()) {
-            warning(format_args!(
+        (listens && (told.is_empty() || told == self.task.name.as_str())).then(|| {
+            format!(
                 "the environment has no instruction, so the policy is told `{told}`. Set `instruction` in a copy of the profile, or \
                  in the Task of the environment"
-            ));
-        }
+            )
+        })
     }
 
     /// The subject of these choices.

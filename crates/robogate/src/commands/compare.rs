@@ -37,7 +37,7 @@ pub(crate) struct Compare {
     #[arg(long)]
     json: bool,
     /// Write a self-contained HTML page to this file
-    #[arg(long, value_name = "FILE")]
+    #[arg(long = "out", alias = "html", value_name = "FILE")]
     html: Option<PathBuf>,
     /// Write a Markdown page to this file
     #[arg(long, value_name = "FILE")]
@@ -78,7 +78,7 @@ fn named_length(text: &str) -> Result<(String, f64), String> {
 impl Compare {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         self.check_twice()?;
-        place::check_different(("--html", self.html.as_deref()), ("--md", self.md.as_deref()))?;
+        place::check_different(("--out", self.html.as_deref()), ("--md", self.md.as_deref()))?;
         let open = |path: &PathBuf| open_source(path).map(|source| (source, path.clone()));
         let sources: Vec<(Source, PathBuf)> = self.dictionaries.iter().map(open).collect::<Result<_, _>>()?;
         let options = ComparisonOptions {

@@ -9,7 +9,7 @@ use crate::exit::{DONE, Exit, OrExit};
 use crate::project::{self, FILE, VERBS};
 use crate::terminal::{bold, dim, foreign, line, note};
 
-/// Show the settings of `run`, `gate` and `fleet` in a folder: those of its project file `robogate.toml`, and the defaults.
+/// Show the settings of `run`, `gate`, `fleet` and `policy check` in a folder: those of its project file `robogate.toml`, and the defaults.
 ///
 /// The keys of the file are the options of these verbs without dashes. A key at the top applies to all of them that have the option,
 /// and one in a table `[run]`, `[gate]` or `[fleet]` to that verb. An option on the command line comes first. Other verbs do not
@@ -45,7 +45,7 @@ impl Config {
             let settings =
                 table.as_ref().map(|table| project::settings(&command, table, verb)).transpose().or_usage()?;
             let settings = settings.unwrap_or_default();
-            for argument in command.find_subcommand(verb).into_iter().flat_map(clap::Command::get_arguments) {
+            for argument in project::find(&command, verb).into_iter().flat_map(clap::Command::get_arguments) {
                 let Some(option) = argument.get_long() else { continue };
                 let own = settings.iter().find(|setting| setting.option == option);
                 let defaults = argument.get_default_values();

@@ -56,7 +56,7 @@ struct Inspect {
     #[arg(long = "simulator-timeout", value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
     timeout_s: f64,
     /// Write a parameter space with all knobs to this TOML file: those of the default space, and the others as comments
-    #[arg(long, value_name = "FILE")]
+    #[arg(long = "out", alias = "space", value_name = "FILE")]
     space: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]
@@ -302,7 +302,8 @@ fn allowed(allowed: &Allowed) -> String {
     }
 }
 
-fn domain(domain: &Domain) -> String {
+/// A range in words.
+pub(crate) fn domain(domain: &Domain) -> String {
     match domain {
         Domain::Continuous { low, high, scale: Scale::Log } => format!("{} to {}, log", number(*low), number(*high)),
         Domain::Continuous { low, high, .. } => format!("{} to {}", number(*low), number(*high)),
@@ -312,7 +313,7 @@ fn domain(domain: &Domain) -> String {
 }
 
 /// A parameter space as a TOML file: the parameters of the default space, and all others as comments.
-fn space_file(hello: &Hello) -> String {
+pub(crate) fn space_file(hello: &Hello) -> String {
     let mut text = format!(
         "# What to vary in {}, and how far. Remove the # of a parameter to vary it too.\nname = \"{}\"\n",
         hello.task.name, hello.task.name

@@ -152,7 +152,7 @@ impl Evidence {
             sampling: self.sampling(asked.as_ref()).or_usage()?,
             reasked: self.reasked,
             others,
-            documents: self.compliance.then_some(compliance::documents as Documents),
+            documents: Some(if self.compliance { compliance::documents as Documents } else { compliance::index }),
         };
         // Read before the evaluation, so that an unusable key is reported early.
         let key = self.key.as_deref().map(PrivateKey::read).transpose()?;

@@ -53,7 +53,7 @@ struct Check {
     requests: u32,
     /// Draft a profile from what the server declares about its inputs and outputs (GR00T and RoboArena servers), and from
     /// --statistics, write it to this file, and check nothing. The rest is that of --profile
-    #[arg(long, value_name = "FILE", conflicts_with = "json")]
+    #[arg(long = "out", alias = "write", value_name = "FILE", conflicts_with = "json")]
     write: Option<PathBuf>,
     #[command(flatten)]
     statistics: StatisticsArguments,

@@ -4,13 +4,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::{Args, ValueEnum};
-use robogate_analysis::{Analysis, AnalysisOptions, DEFAULT_TARGET, Source, pair_counts};
+use robogate_analysis::{Analysis, AnalysisOptions, DEFAULT_TARGET, HERE, Source, pair_counts};
 use robogate_gate::evidence::MANIFEST;
 use robogate_gate::{Evaluation, Sampling};
-use robogate_report::{Additions, Watch, analysis_json_with, html_with, markdown_with};
+use robogate_report::{Additions, Change, Watch, analysis_json_with, html_with, markdown_with, required_success};
 
 use crate::active_model;
 use crate::arguments::ReopeningArguments;
+use crate::changes;
 use crate::commands::analyze::{Groups, analyse, options};
 use crate::commands::gate;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
@@ -35,9 +36,9 @@ pub(crate) struct Report {
     /// Map two more parameters; the first is on the vertical axis
     #[arg(long, num_args = 2, value_names = ["A", "B"])]
     pair: Vec<String>,
-    /// Set the success rate that the advice aims at, between 0 and 1
-    #[arg(long, value_name = "RATE", default_value_t = DEFAULT_TARGET)]
-    target: f64,
+    /// Set the success rate that the advice aims at, between 0 and 1; default: that of the gate's requirement, otherwise 0.9
+    #[arg(long, value_name = "RATE")]
+    target: Option<f64>,
     /// Leave out the recorded episodes
     #[arg(long)]
     no_replay: bool,
@@ -77,8 +78,9 @@ impl Report {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let source = open_source(&self.dictionary)?;
         let out = self.out(&source)?;
-        let analysis = analyse(&source, &self.dictionary, &options(&self.pair, self.target, &self.groups))?;
         let evaluation = source.folder().and_then(|folder| gate_of(folder, &source));
+        let target = self.target.unwrap_or_else(|| target_of(evaluation.as_ref()));
+        let analysis = analyse(&source, &self.dictionary, &options(&self.pair, target, &self.groups))?;
         // Markdown on stdout has no place for images.
         let frames = out.as_deref().filter(|_| matches!(self.format, Form::Md)).map(frames_beside);
         let watch = match self.format {
@@ -92,8 +94,10 @@ impl Report {
         let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
         let twins = self.nominal.twins(&source, sampling)?;
         let active = source.folder().and_then(active_model::of_run);
+        let changes = changes_of(&source, &analysis, evaluation.as_ref(), watch.as_ref());
         let additions = Additions {
             evaluation: evaluation.as_ref(),
+            changes: &changes,
             watch: shown(watch.as_ref()),
             pairs: Some(&pairs),
             twins: twins.as_ref(),
@@ -147,11 +151,12 @@ pub(crate) fn page(
 ) -> Result<(Analysis, Option<Watch>), Exit> {
     let out = dir.join(PAGE);
     let source = Source::open(dir).or_broken()?;
-    let analysis = analyse(&source, dir, &AnalysisOptions::default())?;
+    let evaluation = gate_of(dir, &source);
+    let target_rate = target_of(evaluation.as_ref());
+    let analysis = analyse(&source, dir, &AnalysisOptions { target_rate, ..AnalysisOptions::default() })?;
     if out.exists() {
         return Ok((analysis, None));
     }
-    let evaluation = gate_of(dir, &source);
     // The user of this call has just run the subject.
     let opening = subject.map_or_else(Reopening::none, |_| Reopening::trusted());
     let watch = watch::watch(&source, &analysis, &opening, Moment::EndOfRun(subject), frames).or_broken()?;
@@ -159,8 +164,10 @@ pub(crate) fn page(
     let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
     let twins = twins_of(dir, &source, sampling)?;
     let active = active_model::of_run(dir);
+    let changes = changes_of(&source, &analysis, evaluation.as_ref(), Some(&watch));
     let additions = Additions {
         evaluation: evaluation.as_ref(),
+        changes: &changes,
         watch: shown(Some(&watch)),
         pairs: Some(&pairs),
         twins: twins.as_ref(),
@@ -173,6 +180,21 @@ pub(crate) fn page(
         .with_context(|| format!("cannot write {}", out.display()))
         .or_broken()?;
     Ok((analysis, Some(watch)))
+}
+
+/// The success rate that the advice aims at.
+pub(crate) fn target_of(evaluation: Option<&Evaluation>) -> f64 {
+    evaluation.and_then(required_success).unwrap_or(DEFAULT_TARGET)
+}
+
+/// What to change, as the page says it.
+fn changes_of(
+    source: &Source,
+    analysis: &Analysis,
+    evaluation: Option<&Evaluation>,
+    watch: Option<&Watch>,
+) -> Vec<Change> {
+    evaluation.map_or_else(Vec::new, |evaluation| changes::of(source, analysis, evaluation, shown(watch), HERE))
 }
 
 /// The verdict of the gate that a run belongs to. A problem is a note, because the analysis does not depend on it.

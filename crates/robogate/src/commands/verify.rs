@@ -99,12 +99,15 @@ impl Verify {
                 Ok(verified) => {
                     tell(verified);
                     repeated.iter().for_each(tell_rerun);
+                    line(bold(foreign(trust(verified))));
                 }
                 Err(_) => {
                     line(bold("verification failed"));
                     problems.iter().for_each(|problem| {
                         line(format_args!("  {}: {}", foreign(&problem.file), indented(&problem.reason)))
                     });
+                    let why = problems.first().map_or("verification failed", |problem| &problem.file);
+                    line(bold(format_args!("Do not trust this evidence, because {} does not verify.", foreign(why))));
                 }
             }
         }
@@ -175,6 +178,29 @@ fn headline(verified: &Verified) -> String {
         other => format!(" ({other})"),
     };
     format!("verification passed: verdict {}{limits}", verified.verdict)
+}
+
+/// The last line: whether to trust the evidence, and why.
+fn trust(verified: &Verified) -> String {
+    let verdict = verified.verdict;
+    let not_yet = |why: String| format!("Do not trust this evidence yet, because {why}.");
+    match &verified.signed {
+        Signed::Unsigned => not_yet("it is unsigned: anybody could have made it".to_owned()),
+        Signed::ByUnknown { keyid } => not_yet(format!(
+            "you did not say whom to trust: compare the key {keyid} with that of its author, and give it with --key"
+        )),
+        Signed::ByTrusted { .. } if verified.question != QuestionBinding::AsAsked => {
+            not_yet("its question is not the one that the run was asked".to_owned())
+        }
+        Signed::ByTrusted { .. } if verified.registration.is_none() => format!(
+            "Trust the verdict {verdict} as far as you trust its signer, because it may be the best of several attempts: the run was \
+             not registered."
+        ),
+        Signed::ByTrusted { .. } => format!(
+            "Trust the verdict {verdict}, because the key that you gave signed it, the run was registered before its first episode, and \
+             the verdict follows from the rows."
+        ),
+    }
 }
 
 fn tell(verified: &Verified) {

@@ -149,6 +149,37 @@ fn page_states_the_verdict() {
     }
 }
 
+/// Every folder of evidence opens with a page for a reader who was not there, and `verify` ends with whether to trust it.
+#[test]
+fn evidence_has_a_first_page_and_a_last_line() {
+    let dir = pack();
+    robogate(dir.path(), "keys new author", 0);
+    robogate(dir.path(), "evidence run plain", 0);
+    robogate(dir.path(), "evidence run signed --key author", 0);
+    let page = fs::read_to_string(dir.path().join("plain/index.html")).unwrap();
+    assert_self_contained(&path(&dir, "plain/index.html"));
+    for part in [
+        "Operating ranges",
+        "mass_kg",
+        "Nothing was tested outside of them",
+        "No requirement limits these failure modes alone",
+        "robogate verify .",
+        "states no signature",
+    ] {
+        assert!(page.contains(part), "{part}: {page}");
+    }
+    let last = |line: &str, code: i32| {
+        robogate(dir.path(), line, code).lines().rfind(|line| !line.is_empty()).unwrap().to_owned()
+    };
+    assert!(last("verify plain", 0).contains("Do not trust this evidence yet, because it is unsigned"));
+    assert!(last("verify signed", 0).contains("Do not trust this evidence yet, because you did not say whom to trust"));
+    assert!(
+        last("verify signed --key author.pub", 0).contains("Trust the verdict pass as far as you trust its signer")
+    );
+    fs::write(dir.path().join("plain/index.html"), page.replace("PASS", "FAIL")).unwrap();
+    assert!(last("verify plain", 4).contains("Do not trust this evidence, because index.html does not verify."));
+}
+
 #[test]
 fn components_name_what_was_judged() {
     let dir = pack();

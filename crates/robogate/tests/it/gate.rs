@@ -1,11 +1,12 @@
 //! End-to-end tests of the gate as used on the command line and in CI: real physics, real files, exit codes.
 
+use std::fmt::Write;
 use std::fs;
 
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::{assert_exit, robogate, text};
+use crate::harness::{assert_exit, robogate, text, verb};
 
 const SUITE: &str = r#"
 schema = 1
@@ -194,4 +195,48 @@ fn imports_that_repeat_cases_apply_to_these_cases() {
     repeated(judge("settings", "friction", &|i| format!("0.{}5", i % 8)));
     let (found, _) = judge("single", "friction", &|i| format!("0.{}5", 10 + i));
     assert!(found["population"].get("cases").is_none() && found.get("new_cases").is_none(), "{found}");
+}
+
+/// A gate that did not pass says under which limits the requirement holds, which mode costs most and what separates failures; where
+/// nothing does, how many episodes would show a difference. Imported rows are enough.
+#[test]
+fn failed_gate_says_what_to_change() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    let rows = |name: &str, fails: &dyn Fn(f64, usize) -> bool| {
+        let mut text = "success,failure_mode,friction,mass\n".to_owned();
+        for i in 0..600_usize {
+            let unit = |step: usize| ((i * step + 13) % 601) as f64 / 601.0;
+            let (friction, failed) = (unit(37), fails(unit(37), i));
+            let mode = if !failed {
+                ""
+            } else if i % 9 == 0 {
+                "timeout"
+            } else {
+                "slip"
+            };
+            let _ = writeln!(text, "{},{mode},{friction},{}", !failed, unit(211));
+        }
+        fs::write(at.join(format!("{name}.csv")), text).unwrap();
+        verb(at, &format!("import {name}.csv {name}.parquet --sampling uniform --stopping fixed"), 0, &[]);
+    };
+    fs::write(
+        at.join("r.toml"),
+        "name = 'r'\nmode = 'confidence'\n[[requirement]]\nmetric = 'success'\nat_least = 0.85\n",
+    )
+    .unwrap();
+    rows("slippery", &|friction, _| friction < 0.3);
+    let text = verb(at, "gate --run slippery.parquet --requirements r.toml", 1, &["FAIL", "What to change"]);
+    let at_of = |part: &str| text.find(part).unwrap_or_else(|| panic!("{part:?} is not in {text}"));
+    let ranks =
+        ["Operate within friction at least 0.", "success is at least 85.0 %", "Costs most: slip", "Friction below 0."];
+    assert!(ranks.windows(2).all(|pair| at_of(pair[0]) < at_of(pair[1])), "{text}");
+    assert!(text.lines().count() <= 25, "{text}");
+    rows("noise", &|_, i| (i * 7919) % 10 < 3);
+    let power = ["No parameter separates failures from successes", "A difference of 10 points"];
+    let text = verb(at, "gate --run noise.parquet --requirements r.toml", 1, &power);
+    assert!(!text.contains("Operate within"), "{text}");
+    rows("good", &|_, i| i % 100 == 0);
+    let text = verb(at, "gate --run good.parquet --requirements r.toml", 0, &["PASS"]);
+    assert!(!text.contains("What to change"), "{text}");
 }

@@ -30,6 +30,8 @@ mod fuzz;
 mod gate;
 mod generated;
 mod harness;
+#[cfg(feature = "onnx")]
+mod init;
 #[cfg(all(target_os = "linux", feature = "mujoco"))]
 mod isolation;
 mod layering;

@@ -7,7 +7,7 @@ use std::process::Output;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::harness::{assert_refused, path, robogate, stderr, stdout};
+use crate::harness::{assert_done, assert_refused, path, robogate, stderr, stdout};
 
 /// A published dictionary in which episodes succeed above the friction `from`, and mass has a small effect.
 fn published(dir: &TempDir, robot: &str, rows: u32, from: f64) -> String {
@@ -88,6 +88,29 @@ fn report_writes_one_file() {
     assert_eq!(nowhere.status.code(), Some(5), "{}", stderr(&nowhere));
 }
 
+/// Each figure of the page is a file of its own, without variables, scripts or outer styles, with its data beside it.
+#[test]
+fn figures_are_files() {
+    let dir = TempDir::new().unwrap();
+    let file = published(&dir, "one", 400, 0.5);
+    let list = stdout(&robogate(&["figure", &file]));
+    let names: Vec<&str> = list.lines().filter_map(|line| line.split_whitespace().next()).collect();
+    assert!(names.len() >= 4, "{list}");
+    assert_eq!(names.iter().collect::<std::collections::BTreeSet<_>>().len(), names.len(), "{list}");
+    let (svg, csv) = (path(&dir, "f.svg"), path(&dir, "f.csv"));
+    for name in names {
+        assert_done(&robogate(&["figure", &file, name, "--svg", &svg, "--csv", &csv]));
+        let text = fs::read_to_string(&svg).unwrap();
+        let document = roxmltree::Document::parse(&text).unwrap_or_else(|why| panic!("{name}: {why}: {text}"));
+        assert!(document.root_element().has_tag_name(("http://www.w3.org/2000/svg", "svg")), "{name}");
+        assert!(!text.contains("var(") && text.contains("<style>"), "{name}: {text}");
+        let data = fs::read_to_string(&csv).unwrap();
+        assert!(data.lines().count() >= 2, "{name}: {data}");
+    }
+    assert_refused(&["figure", &file, "none"], &["no such figure", "Expected one of"]);
+    assert_refused(&["figure", &file, "none", "--svg", &svg, "--csv", &svg], &["--svg and --csv are the same file"]);
+}
+
 #[test]
 fn compare_writes_every_format() {
     let dir = TempDir::new().unwrap();
@@ -140,7 +163,7 @@ fn compare_rejects_invalid_arguments() {
     assert_refused(&["compare", &one, &two, "--danger", "40"], &["40", "(0, 1)"]);
     assert_refused(&["compare", &one, &two, "--names", "a"], &["1 names for 2"]);
     assert_refused(&["compare", &one, &two, "--pair", "friction", "colour"], &["`colour`", "friction"]);
-    assert_refused(&["compare", &one, &two, "--html", &two], &["would overwrite"]);
+    assert_refused(&["compare", &one, &two, "--out", &two], &["would overwrite"]);
     assert_refused(&["compare", &one, &path(&dir, "nowhere.json")], &["nowhere.json"]);
 }
 
@@ -205,8 +228,8 @@ fn transfer_writes_every_format() {
         &["--real and --out are the same file"],
     );
     assert_refused(
-        &["compare", &simulation, &trials, "--html", &page, "--md", &same],
-        &["--html and --md are the same file"],
+        &["compare", &simulation, &trials, "--out", &page, "--md", &same],
+        &["--out and --md are the same file"],
     );
     let arguments = ["transfer", "--sim", &simulation, "--real", &trials, "--html", &page, "--out", &file];
     let output = robogate(&arguments);

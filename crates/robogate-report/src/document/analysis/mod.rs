@@ -58,7 +58,7 @@ pub(crate) fn analysis_document(analysis: &Analysis, additions: &Additions<'_>) 
         .filter(|(_, lines)| !lines.is_empty())
         .collect(),
         sections: sections(analysis, additions),
-        verdict: additions.evaluation.map(VerdictBlock::of),
+        verdict: additions.evaluation.map(|evaluation| VerdictBlock::of(evaluation, additions.changes)),
     }
 }
 

@@ -4,15 +4,19 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::Context;
-use robogate_analysis::Source;
-use robogate_gate::{Asked, Evaluation, Question, RealEvidence, Record, Requirements, Sampling};
+use robogate_analysis::{AnalysisOptions, Source};
+use robogate_gate::{Asked, Evaluation, Question, RealEvidence, Record, Requirements, Sampling, Verdict};
 use robogate_stats::format::counted;
 
 use super::question::{Other, real_evidence_for};
 use super::verdict::{answer_files, show};
 use super::{Gate, baseline};
+use crate::changes;
+use crate::commands::analyze::analyse;
+use crate::commands::report::target_of;
 use crate::exit::{Exit, OrExit};
 use crate::terminal::note;
+use robogate_session::text::quoted;
 use robogate_session::{MARGIN, compared_with, judged, open_source, question, twins_of};
 
 impl Gate {
@@ -58,7 +62,14 @@ impl Gate {
             fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display())).or_broken()?;
             answer_files(out, &evaluation, None)?;
         }
-        show(run, self.out.as_deref(), &evaluation, source.dictionary().provenance(), self.how.json)
+        let code = show(run, self.out.as_deref(), &evaluation, source.dictionary().provenance(), self.how.json)?;
+        if !self.how.json && evaluation.verdict != Verdict::Pass {
+            let target_rate = target_of(Some(&evaluation));
+            let options = AnalysisOptions { target_rate, models: false, ..AnalysisOptions::default() };
+            let analysis = analyse(&source, run, &options)?;
+            changes::print(&changes::of(&source, &analysis, &evaluation, None, &quoted(run)));
+        }
+        Ok(code)
     }
 
     /// Prints one line for each part of the question that differs from the question of the run's gate.

@@ -13,9 +13,9 @@ use robogate_stats::format::counted;
 
 use crate::answer;
 use crate::benchmark;
+use crate::changes;
 use crate::commands::run::{interrupted, write_report};
 use crate::exit::{Exit, OrExit};
-use crate::summary::headline;
 use crate::terminal::{line, note};
 use crate::twins;
 use crate::watch::Frames;
@@ -50,10 +50,12 @@ pub(crate) fn finish(
     if let Some(twins) = &evaluation.twins {
         twins::write(dir, twins)?;
     }
-    answer_files(dir, &evaluation, watch.flatten().as_ref())?;
+    let watch = watch.flatten();
+    answer_files(dir, &evaluation, watch.as_ref())?;
     let code = show(dir, Some(dir), &evaluation, source.dictionary().provenance(), json)?;
-    if let Some(analysis) = analysis.filter(|_| !json && evaluation.verdict != Verdict::Pass) {
-        headline(&analysis);
+    if let Some(analysis) = analysis.filter(|_| !json) {
+        let watch = watch.as_ref().filter(|watch| !watch.items.is_empty());
+        changes::print(&changes::of(&source, &analysis, &evaluation, watch, &quoted(dir)));
     }
     Ok(code)
 }

@@ -26,7 +26,7 @@ const MOST_ROWS_OF_EXPORT: usize = 250_000;
 
 /// Explore the episodes of one or several runs: parallel coordinates, scatter plots, the model's map, and replays.
 ///
-/// Without --export the page is served on this machine until Ctrl-C, and a run in progress updates. The printed address
+/// Without --out the page is served on this machine until Ctrl-C, and a run in progress updates. The printed address
 /// contains a token, without which nobody reads the data.
 #[derive(Debug, Args)]
 pub(crate) struct View {
@@ -35,7 +35,7 @@ pub(crate) struct View {
     #[arg(required = true, value_name = "DIR")]
     runs: Vec<PathBuf>,
     /// Write one self-contained page to this file instead of serving
-    #[arg(long, value_name = "FILE")]
+    #[arg(long = "out", alias = "export", value_name = "FILE")]
     export: Option<PathBuf>,
     /// Choose the largest number of recorded episodes in the exported page (0 to 200); default: 12
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=200), requires = "export")]

@@ -1,0 +1,205 @@
+//! `robogate init` from the starting points of three users: an environment with a network, a robot as URDF, and evidence.
+
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use tempfile::TempDir;
+
+use crate::harness::{text, verb};
+
+/// A point that a policy steers to a target, in 40 lines. The network returns numbers from -1 to 1, and an action goes to 2.
+const POINT: &str = r#"
+import gymnasium, numpy as np
+from robogate_eval import Environment, Knob, Task
+
+class Point(gymnasium.Env):
+    observation_space = gymnasium.spaces.Box(-10.0, 10.0, (6,))
+    action_space = gymnasium.spaces.Box(-2.0, 2.0, (2,))
+    drag = 1.0
+
+    def reset(self, seed=None, options=None):
+        super().reset(seed=seed)
+        self.place, self.speed = np.zeros(2), np.zeros(2)
+        self.target = self.np_random.uniform(-1.0, 1.0, 2)
+        return self.observation(), {}
+
+    def observation(self):
+        return np.concatenate([self.place, self.speed, self.target])
+
+    def step(self, action):
+        self.speed += 0.05 * (2.0 * action - self.drag * self.speed)
+        self.place += 0.05 * self.speed
+        done = np.linalg.norm(self.target - self.place) < 0.05 and np.linalg.norm(self.speed) < 0.2
+        return self.observation(), 0.0, False, False, {"success": bool(done)}
+
+def set_drag(env, value):
+    env.drag = value
+
+environment = Environment(
+    make=Point,
+    task=Task(name="point", instruction="move to the target", control_period_s=0.05, time_limit_s=8.0),
+    knobs=[Knob("drag", set_drag, lambda env: env.drag, low=0.0, high=4.0, nominal=1.0)],
+    space={"drag": (0.5, 2.0)},
+)
+"#;
+
+fn robogate(dir: &Path, arguments: &str, code: i32, parts: &[&str]) -> Option<String> {
+    let python = robogate_testing::path("ROBOGATE_METAWORLD_PYTHON", "a Python with gymnasium, pyzmq and msgpack")?;
+    let mut command = Command::new(env!("CARGO_BIN_EXE_robogate"));
+    command.args(arguments.split(' ')).current_dir(dir).env("ROBOGATE_CACHE_DIR", dir.join("cache"));
+    if arguments.starts_with("init") {
+        command.args(["--python".as_ref(), python.as_os_str()]);
+    }
+    let output = command.output().unwrap();
+    let all = text(&output);
+    assert_eq!(output.status.code(), Some(code), "{arguments}: {all}");
+    for part in parts {
+        assert!(all.contains(part), "{arguments} does not say {part:?}: {all}");
+    }
+    Some(all)
+}
+
+fn read(dir: &Path, file: &str) -> String {
+    fs::read_to_string(dir.join(file)).unwrap()
+}
+
+/// The network and the environment fit by shape, its outputs are scaled to the bounds, and the project file serves the other verbs.
+#[test]
+fn environment_and_network_become_a_project() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    let networks = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robogate-policy/tests/networks");
+    fs::copy(networks.join("steering.onnx"), at.join("steering.onnx")).unwrap();
+    fs::write(at.join("env.py"), POINT).unwrap();
+    let init = "init env.py steering.onnx --success 80% --cycle-time 6s";
+    let found = ["takes obs [?, 6] F32; returns action [?, 2] F32", "ends with Tanh", "success after", "robogate gate"];
+    if robogate(at, init, 0, &found).is_none() {
+        return;
+    }
+    let (profile, map) = (read(at, "profile.toml"), read(at, "map.toml"));
+    assert!(
+        profile.contains("key = \"obs\"\nvectors = [\"observation\"]") && map.contains("scale = 2.0"),
+        "{profile}{map}"
+    );
+    let requirements = read(at, "requirements.toml");
+    assert!(requirements.contains("at_least = 0.8") && requirements.contains("at_most = 6.0"), "{requirements}");
+    assert!(read(at, "space.toml").contains("drag") && at.join("runs/nominal/report.html").is_file());
+    assert!(read(at, ".github/workflows/robogate.yml").contains("pip install \"$ROBOGATE_WHEEL\" gymnasium"));
+    let check = robogate(at, "policy check steering.onnx --requests 2", 0, &["no problems found"]).unwrap();
+    assert!(check.contains("robogate.toml: --env=env.py"), "{check}");
+    // Nothing is replaced without --force, and nothing is started before that is known.
+    robogate(at, init, 2, &["robogate.toml, requirements.toml", "--force"]);
+    // The other verbs find all of it in the project file.
+    robogate(at, "run -n 8 --threads 1 --out r", 0, &["steering policy", "8 episodes"]);
+    let plan: serde_json::Value = serde_json::from_str(&read(at, "r/plan.json")).unwrap();
+    let space = plan["provenance"]["space"].to_string();
+    assert!(space.contains("drag") && !space.contains("noise"), "{space}");
+
+    // A network of other sizes, and a file that is none.
+    fs::copy(networks.join("small.onnx"), at.join("small.onnx")).unwrap();
+    robogate(at, "init env.py small.onnx --force", 2, &["takes the image front", "has no camera"]);
+    fs::write(at.join("text.onnx"), "not a network").unwrap();
+    robogate(at, "init env.py text.onnx --force", 2, &["it is a text file. Expected an ONNX model"]);
+    // A failed episode gets a tested diagnosis: it succeeds if it may take longer.
+    fs::write(at.join("env.py"), POINT.replace("time_limit_s=8.0", "time_limit_s=0.6")).unwrap();
+    let again = format!("{init} --force");
+    robogate(
+        at,
+        &again,
+        1,
+        &["timeout after 0.6 s", "diagnosis", "ended at its time limit of 0.6 s", "no requirement on the cycle time"],
+    );
+    let silent = POINT.replace("{\"success\": bool(done)}", "{}");
+    fs::write(at.join("env.py"), silent).unwrap();
+    robogate(at, &again, 2, &["reports no success", "neither `success` nor `is_success`"]);
+}
+
+/// A URDF of an arm with two fingers becomes a robot that carries the payload, and a first episode in the built-in cell.
+#[cfg(feature = "mujoco")]
+#[test]
+fn urdf_becomes_a_robot_with_a_first_episode() {
+    let dir = TempDir::new().unwrap();
+    fs::create_dir(dir.path().join("arm")).unwrap();
+    fs::write(dir.path().join("arm/arm.urdf"), arm()).unwrap();
+    let line = "init arm/arm.urdf --payload 0.6 --success 90% --collisions-per-thousand 1";
+    let parts =
+        ["the model of a robot", "can be used", "3,000 episodes without one", "episode", "runs/nominal/report.html"];
+    let all = verb(dir.path(), line, 0, &parts);
+    assert!(all.contains("Guessed, because the model does not state it"), "{all}");
+    assert!(read(dir.path(), "arm/robot.toml").contains("payload_kg = 0.6"));
+    assert!(read(dir.path(), "robogate.toml").contains("robot = \"arm\""));
+    assert!(read(dir.path(), "requirements.toml").contains("failure:collision"));
+    verb(dir.path(), "gate --plan", 0, &["success rate at least 90.00 %", "rate of collision at most 0.10 %"]);
+}
+
+/// Evidence is described without a check, with the command that checks it. Results and runs get their next command too.
+#[test]
+fn evidence_and_results_get_their_next_command() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    verb(at, "run --task pendulum -n 40 --seed 3 --design uniform --out r", 0, &[]);
+    verb(at, "init r", 0, &["a run of the policy", "robogate gate --run r"]);
+    verb(at, "evidence r evidence --requirements default", 1, &[]);
+    verb(at, "init evidence", 0, &["evidence of a gate", "FAIL", "nothing yet", "robogate verify evidence"]);
+    assert!(!at.join("robogate.toml").exists(), "evidence needs no project");
+    fs::write(at.join("evidence/manifest.json"), "{}").unwrap();
+    verb(at, "init evidence", 2, &["not a manifest of evidence"]);
+    verb(at, "export r rows.csv", 0, &[]);
+    verb(
+        at,
+        "init rows.csv --success 90%",
+        0,
+        &["one row for each episode", "robogate gate --run rows.dictionary.parquet"],
+    );
+    verb(at, "gate --run rows.dictionary.parquet --requirements requirements.toml", 1, &["FAIL"]);
+    // Without an argument, the files of the folder are suggested. No question is asked of a script.
+    verb(at, "init", 2, &["name what you have", "Hint: robogate init rows.csv"]);
+    verb(at, "init nothing.py", 2, &["no such file or folder", "Expected an environment"]);
+}
+
+/// An arm of six joints that reaches 0.75 m, with a hand of two sliding fingers, as URDF.
+#[cfg(feature = "mujoco")]
+fn arm() -> String {
+    let link = |name: &str, mass: f64, shape: &str, z: f64| {
+        let inertia = 0.01 * mass;
+        format!(
+            "<link name=\"{name}\"><inertial><mass value=\"{mass}\"/><inertia ixx=\"{inertia}\" ixy=\"0\" ixz=\"0\" iyy=\"{inertia}\" \
+             iyz=\"0\" izz=\"{inertia}\"/></inertial><collision><origin xyz=\"0 0 {z}\"/><geometry>{shape}</geometry></collision></link>"
+        )
+    };
+    let joint = |name: &str, kind: &str, [parent, child]: [&str; 2], at: &str, rest: &str| {
+        format!(
+            "<joint name=\"{name}\" type=\"{kind}\"><parent link=\"{parent}\"/><child link=\"{child}\"/><origin xyz=\"{at}\"/>{rest}</joint>"
+        )
+    };
+    let links = [(2.0, 0.04, 0.06, 0.08), (3.0, 0.0, 0.05, 0.06), (3.0, 0.17, 0.04, 0.24), (2.0, 0.16, 0.035, 0.2)];
+    let links = links.into_iter().chain([(1.0, 0.0, 0.03, 0.02), (1.0, 0.05, 0.03, 0.02), (0.5, 0.04, 0.03, 0.01)]);
+    let joints =
+        [(0.12, 'z', 2.9), (0.06, 'y', 2.0), (0.36, 'y', 2.6), (0.3, 'z', 2.9), (0.03, 'y', 2.2), (0.06, 'z', 2.9)];
+    let mut text = "<robot name=\"arm\">".to_owned();
+    for (i, (mass, z, radius, length)) in links.enumerate() {
+        text += &link(&format!("l{i}"), mass, &format!("<cylinder radius=\"{radius}\" length=\"{length}\"/>"), z);
+    }
+    for (i, (z, axis, range)) in joints.into_iter().enumerate() {
+        let axis = if axis == 'z' { "0 0 1" } else { "0 1 0" };
+        let effort = if i < 3 { 150 } else { 30 };
+        let limits = format!(
+            "<axis xyz=\"{axis}\"/><limit lower=\"-{range}\" upper=\"{range}\" effort=\"{effort}\" velocity=\"2.5\"/>"
+        );
+        let ends = [&*format!("l{i}"), &*format!("l{}", i + 1)];
+        let _ = write!(text, "{}", joint(&format!("j{i}"), "revolute", ends, &format!("0 0 {z}"), &limits));
+    }
+    text += &link("hand", 0.5, "<box size=\"0.04 0.1 0.02\"/>", 0.06);
+    text += &joint("jh", "fixed", ["l6", "hand"], "0 0 0", "");
+    for (name, sign, mimic) in [("right", "-", ""), ("left", "", "<mimic joint=\"right\"/>")] {
+        let rest = format!(
+            "<axis xyz=\"0 {sign}1 0\"/><limit lower=\"0\" upper=\"0.04\" effort=\"100\" velocity=\"0.2\"/>{mimic}"
+        );
+        text += &link(&format!("{name}_finger"), 0.1, "<box size=\"0.02 0.01 0.05\"/>", 0.035);
+        let ends = ["hand", &*format!("{name}_finger")];
+        text += &joint(name, "prismatic", ends, &format!("0 {sign}0.005 0.07"), &rest);
+    }
+    text + "</robot>"
+}
