@@ -35,6 +35,8 @@ const MEMBERS: [&[&str]; 4] = [
         "cycle-time",
         "payload",
         "family",
+        "stress",
+        "wordings",
     ],
     &[
         "engine",
@@ -42,6 +44,7 @@ const MEMBERS: [&[&str]; 4] = [
         "python",
         "sandbox",
         "threads",
+        "in-flight",
         "policy-at",
         "wait",
         "store",

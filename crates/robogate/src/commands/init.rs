@@ -214,7 +214,7 @@ fn episode(subject: &Subject, longer: &dyn Fn() -> Option<Subject>) -> Result<u8
     let scenario = suite.scenario(Seed::campaign(DEFAULT_SEED), 0);
     let plan = Plan::of_suite(suite, 1, DEFAULT_SEED);
     let dir = free_folder("nominal");
-    let how = How { threads: NonZeroUsize::new(1), json: false, goes_on: true };
+    let how = How { threads: NonZeroUsize::new(1), in_flight: None, json: false, goes_on: true };
     let provenance = subject.provenance(space)?;
     subject.register(&dir, &provenance);
     note("one episode with nominal values");
