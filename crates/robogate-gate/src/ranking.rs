@@ -31,9 +31,9 @@ impl RankingGuarantee {
     pub fn sentence(self, error: f64) -> String {
         let percent = robogate_stats::format::percent(error);
         match self {
-            Self::BestStays => format!("The best policy is dropped in at most {percent} of such contests."),
+            Self::BestStays => format!("The best policy is dropped in at most {percent} of such rankings."),
             Self::NoFalseElimination => {
-                format!("A policy that is as good as the best one is dropped in at most {percent} of such contests.")
+                format!("A policy that is as good as the best one is dropped in at most {percent} of such rankings.")
             }
         }
     }

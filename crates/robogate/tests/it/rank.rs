@@ -66,6 +66,7 @@ fn worse_policies_leave_early() {
     let bytes = fs::read(at.join("a/scripted/dictionary.parquet")).unwrap();
     verb(at, &format!("{CONTEST} --threads 2 --out a"), 0, &[]);
     assert!(bytes == fs::read(at.join("a/scripted/dictionary.parquet")).unwrap());
+    assert_eq!(verb(at, "rank a", 0, &[]), printed);
     verb(at, &format!("{CONTEST} --threads 1 --out b"), 0, &[]);
     assert_eq!((&ranking, &ranking), (&answer(at, "a"), &answer(at, "b")));
     // Another contest does not continue in this folder.

@@ -23,10 +23,13 @@ use crate::exit::{Exit, OrExit};
 use crate::place;
 use robogate_session::CONTROL_EPISODES;
 
+/// The file of the answer in the folder of a contest.
+const ANSWER: &str = "ranking.json";
+
 /// Find the best of several policies: all run the same scenarios, and worse ones leave after each round.
 ///
 /// With runs or results files in place of policies, rank these: the rows are tested once, paired where scenario and seed agree. A
-/// results file with a column of the policy holds several of them.
+/// results file with a column of the policy holds several of them. The folder of a finished contest prints its answer again.
 ///
 /// Exit codes: 0 one policy is the best, 3 several cannot be distinguished from the best, 4 a policy has no valid episode.
 #[derive(Debug, Args)]

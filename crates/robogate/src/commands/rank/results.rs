@@ -2,14 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::anyhow;
+use anyhow::{Context, anyhow};
 use robogate_analysis::{Comparison, ComparisonOptions, Source};
+use robogate_core::budget::Budget;
+use robogate_dictionary::read_text;
 use robogate_dictionary::results::{Mapping, policies};
 use robogate_gate::{DroppedPolicy, RankedPair, RankedPolicy, Ranking, RankingDesign};
 use robogate_report::comparison_html_with;
 
-use super::Rank;
 use super::show::show;
+use super::{ANSWER, Rank};
 use crate::commands::compare;
 use crate::commands::import::open_mapping;
 use crate::exit::{Exit, OrExit};
@@ -20,6 +22,11 @@ impl Rank {
     pub(super) fn results(&self) -> Result<u8, Exit> {
         if !(self.error > 0.0 && self.error < 0.5) {
             return Err(anyhow!("--error {}: expected a number above 0 and below 0.5", self.error)).or_usage();
+        }
+        if let [one] = &*self.policies
+            && let Some(ranking) = finished(Path::new(one))?
+        {
+            return show(&ranking, self.how.json);
         }
         let mapping = open_mapping(None, &self.map)?;
         let mut sources = Vec::new();
@@ -87,6 +94,20 @@ impl Rank {
             pairs.collect(),
         )
     }
+}
+
+/// The ranking in the folder of a finished contest.
+fn finished(folder: &Path) -> Result<Option<Ranking>, Exit> {
+    let path = folder.join(ANSWER);
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let text = read_text(&path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+    let ranking: Ranking = Budget::FILE
+        .json(text.as_bytes())
+        .with_context(|| format!("{}: not a ranking\nHint: run the contest again", path.display()))
+        .or_usage()?;
+    Ok(Some(ranking))
 }
 
 /// How the results were compared, in one sentence.

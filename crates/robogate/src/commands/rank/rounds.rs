@@ -11,8 +11,8 @@ use robogate_gate::{Ranking, RankingDesign, Record};
 use robogate_stats::contest::{Dropped, Elimination};
 use robogate_stats::format::percent_or_dash;
 
-use super::Rank;
 use super::show::show;
+use super::{ANSWER, Rank};
 use crate::commands::run::{free_folder, introduce};
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
 use crate::terminal::{bold, dim, grouped, line, note, percent};
@@ -21,8 +21,6 @@ use robogate_session::{
     Contest, ContestEnd, Contestant, PolicyChoice, PolicyLocation, Subject, named_suite, run_controls, with_plan,
 };
 
-/// The file of the answer in the folder of a contest.
-const ANSWER: &str = "ranking.json";
 /// The number of scenarios of a suite that is sampled from a space.
 const SAMPLED_SCENARIOS: usize = 64;
 /// True rates of the best policy and of the others for which a plan is printed.

@@ -23,7 +23,7 @@ pub(super) fn show(ranking: &Ranking, json: bool) -> Result<u8, Exit> {
 
 fn print(ranking: &Ranking) {
     line(bold(ranking.headline()));
-    line(dim(&ranking.scenarios));
+    wrapped(&ranking.scenarios);
     line("");
     line(dim(format_args!("  {:<NAME$} {:>7}  {:<18} {:>8}  state", "policy", "rate", "95 % interval", "episodes")));
     for policy in ranking.policies.iter().take(MOST_ROWS) {
@@ -59,7 +59,7 @@ fn state(policy: &RankedPolicy) -> String {
         None => "best set".to_owned(),
         Some(out) => match out.round {
             Some(round) => format!("dropped after round {round}: {} is better", out.by),
-            None => format!("{} is better", out.by),
+            None => format!("dropped: {} is better", out.by),
         },
     }
 }
