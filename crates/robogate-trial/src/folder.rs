@@ -1,6 +1,6 @@
 //! The folder of a study on disk.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crate::{Command, Event, Journal, Measured, Moment, Plan, Problem, Record, Secret, Study, VoidBy};
 
@@ -12,7 +12,6 @@ pub const SECRET: &str = "secret.json";
 /// A study that is open for writing.
 #[derive(Debug)]
 pub struct Folder {
-    path: PathBuf,
     secret: Secret,
     journal: Journal,
     study: Study,
@@ -50,7 +49,7 @@ impl Folder {
         let (plan, secret) = parts(path)?;
         let (journal, records) = Journal::open(path, &secret, false)?;
         let study = replay(path, plan, &secret, &records)?;
-        Ok(Self { path: path.to_owned(), secret, journal, study })
+        Ok(Self { secret, journal, study })
     }
 
     /// Reads and checks a study, also while another process writes it.
@@ -66,11 +65,6 @@ impl Folder {
     /// The study.
     pub fn study(&self) -> &Study {
         &self.study
-    }
-
-    /// The folder.
-    pub fn path(&self) -> &Path {
-        &self.path
     }
 
     /// Executes a request. When this returns, it is on disk. Returns whether it is new: a request that is sent twice has one record.

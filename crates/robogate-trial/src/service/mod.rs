@@ -12,7 +12,6 @@
 
 mod http;
 
-use std::net::SocketAddr;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde::{Deserialize, Serialize};
@@ -84,11 +83,6 @@ impl Service {
 
     fn folder(&self) -> MutexGuard<'_, Folder> {
         self.folder.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// The address of the switch.
-    pub fn switch_address(&self) -> Option<SocketAddr> {
-        self.switch.as_ref().map(Switch::address)
     }
 
     /// The state as a JSON document.

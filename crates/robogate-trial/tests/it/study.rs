@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use robogate_core::Word;
 use robogate_trial::{
-    Command, Folder, JOURNAL, Moment, Outcome, Phase, Problem, Question, Secret, Service, Study, Verdict, VoidBy,
-    answer, csv_of, order, provenance, report,
+    Command, Fault, Folder, JOURNAL, Moment, Outcome, Phase, Problem, Question, Secret, Service, Study, Verdict,
+    VoidBy, answer, csv_of, order, provenance, report,
 };
 
 use crate::{plan, result, study_of_two, trial};
@@ -217,4 +217,29 @@ fn changed_plans_are_found() {
     assert!(matches!(Folder::read(dir.path()), Err(Problem::Changed { .. })));
     std::fs::write(&path, text).unwrap();
     assert_eq!(Folder::read(dir.path()).unwrap().attempts().len(), 1);
+}
+
+/// A trial whose server failed is repeated, and a fault that arrives late ends no other trial.
+#[test]
+fn server_faults_end_their_trial() {
+    let (dir, folder) = study_of_two(10);
+    let service = Service::new(folder, None, "t".repeat(32), "s".repeat(32));
+    let state = || serde_json::from_str::<serde_json::Value>(&service.state()).unwrap();
+    let start = |id: &str| {
+        let code = state()["code"].as_str().unwrap().to_owned();
+        let body = format!("{{\"id\":\"{id}\",\"do\":\"start\",\"code\":\"{code}\",\"operator\":\"Ada\"}}");
+        assert!(service.execute(body.as_bytes()).unwrap());
+        code
+    };
+    let fault =
+        |code: &str| Fault { code: code.to_owned(), reason: "the policy server did not reply in time".to_owned() };
+    let first = start("a");
+    service.fault(&fault(&first)).unwrap();
+    assert_eq!((&state()["phase"], &state()["repeated"]), (&"ready".into(), &fault("").reason.into()));
+    let second = start("b");
+    service.fault(&fault(&first)).unwrap();
+    assert_eq!((&state()["phase"], &state()["code"]), (&"running".into(), &second.into()));
+    let study = Folder::read(dir.path()).unwrap();
+    assert!(matches!(study.attempts()[0].void, Some((_, VoidBy::Infrastructure))));
+    assert_eq!(study.attempts()[0].planned, study.attempts()[1].planned);
 }
