@@ -44,7 +44,8 @@ mod sharded;
 mod source;
 mod store;
 mod subject;
-pub mod text;
+pub mod task_folder;
+mod text;
 mod twins;
 mod workers;
 

@@ -2,7 +2,7 @@
 
 use robogate_core::{Domain, ParameterSpace};
 
-use super::hint::hint;
+use robogate_core::hint;
 use super::{Plan, PlanError, Range};
 use crate::{Bins, suite_sha256};
 
