@@ -225,6 +225,11 @@ impl Cell {
             .map_err(|why| anyhow!(why))
     }
 
+    /// The robot's kinematics.
+    pub(crate) fn kinematics(&self) -> anyhow::Result<Chain> {
+        self.chain(&self.setup())
+    }
+
     /// Creates an environment of the cell.
     pub fn environment(&self) -> anyhow::Result<Box<dyn Environment>> {
         self.make(&self.setup())

@@ -90,6 +90,11 @@ impl FileTask {
         self.model.skills.is_some()
     }
 
+    /// The number of its stages.
+    pub fn stages(&self) -> usize {
+        self.model.stages.len()
+    }
+
     /// The problems of the task that need no simulation: conditions that cannot hold or that hold at the start, places out of
     /// reach.
     pub fn lint(&self, robot: &Robot, chain: &Chain) -> Vec<Problem> {

@@ -35,6 +35,7 @@ pub(crate) mod shard;
 mod status;
 mod stills;
 pub(crate) mod suites;
+pub(crate) mod tasks;
 pub(crate) mod transfer;
 pub(crate) mod verify;
 pub(crate) mod view;
