@@ -76,7 +76,7 @@ pub(super) struct Now<'a> {
     pub(super) starts: &'a [Vector3<f64>],
     /// The part in the hand.
     pub(super) held: Option<usize>,
-    /// Whether each part was lost or released in the air.
+    /// Whether each part was lost, or fell after its release.
     pub(super) dropped: &'a [bool],
 }
 

@@ -237,17 +237,25 @@ impl<'a> Plan<'a> {
         }
     }
 
-    /// Where the tool is at a place, in metres. At the origin of a part it is where it grasps the part.
+    /// Where the tool is at a place, in metres. At the origin of a free part it is where it grasps the part. A cup takes a free
+    /// part from above, at any place.
     fn target(&self, place: &Place) -> Vector3<f64> {
         let at = (self.frame(place.on) * Translation3::from(place.point)).translation.vector;
         let gripper = &self.robot.settings.gripper;
-        match place.on {
-            Frame::Part(of) if place.close_rad.is_none() && place.point == Vector3::zeros() => {
-                let [low, high] = heights(&self.model.parts[of].shapes);
-                at + Vector3::new(0.0, 0.0, low + grasp_height(gripper, high - low))
-            }
-            _ => at,
+        let Frame::Part(of) = place.on else { return at };
+        let (shapes, origin) = (&self.model.parts[of].shapes, place.point == Vector3::zeros());
+        let free = self.numbers.parts[of].joint.is_none();
+        if !free || gripper.jaw().is_some() && !origin {
+            return at;
         }
+        let over = |part: &&robogate_physics::Part| {
+            let local = part.pose.inverse_transform_point(&place.point.into());
+            let half = part.primitive.half_extent();
+            origin || local.x.abs() <= half[0] && local.y.abs() <= half[1]
+        };
+        let under: Vec<_> = shapes.iter().filter(over).copied().collect();
+        let [low, high] = heights(if under.is_empty() { shapes } else { &under });
+        Vector3::new(at.x, at.y, at.z - place.point.z + low + grasp_height(gripper, high - low))
     }
 
     /// The yaws (rad) of a tool that points down and closes at a place.

@@ -13,6 +13,8 @@ use crate::arm::{Acting, Bodies, Found, Grip, GripChange, Record, Sight, Trial, 
 
 /// The robot touched a fixture that it may not touch, or itself.
 pub(super) const COLLISION: FailureMode = FailureMode::constant("collision");
+/// A part is dropped if it falls by more than this after its release, in metres.
+const FALL_M: f64 = 0.02;
 /// Number of stages that were reached.
 pub(super) const STAGES: Word = Word::constant("stages");
 
@@ -27,6 +29,8 @@ pub(super) struct Referee {
     grip: Grip,
     selected: usize,
     dropped: Vec<bool>,
+    /// Height at which each part was released, in metres.
+    released_m: Vec<Option<f64>>,
     memory: Vec<f64>,
     reached: usize,
     measured: Vec<Option<f64>>,
@@ -47,6 +51,7 @@ impl Referee {
             starts: None,
             selected: 0,
             dropped: vec![false; model.parts.len()],
+            released_m: vec![None; model.parts.len()],
             memory: vec![f64::INFINITY; model.slots],
             reached: 0,
             measured: vec![None; model.measures.len()],
@@ -80,7 +85,10 @@ impl Referee {
     fn follow_grip(&mut self, sight: &Sight<'_>) {
         let name = &self.model.parts[self.selected].name;
         match self.grip.observe(sight.command, sight.time, sight.view) {
-            Some(GripChange::Closes) => self.record.note("gripper closes"),
+            Some(GripChange::Closes) => {
+                self.released_m[self.selected] = None;
+                self.record.note("gripper closes");
+            }
             Some(GripChange::Held) => self.record.note(format!("{name} held")),
             // Closing without a part is no failure here: a closed gripper can push.
             Some(GripChange::Missed) | None => {}
@@ -90,10 +98,12 @@ impl Referee {
             }
             Some(GripChange::Released) => {
                 self.record.note(format!("{name} released"));
-                // In the air, it falls.
-                let rests = sight.view.touches.object_on_fixture || self.numbers.parts[self.selected].joint.is_some();
-                self.dropped[self.selected] |= !rests;
+                self.released_m[self.selected] = Some(sight.view.object.translation.z);
             }
+        }
+        for (of, released) in self.released_m.iter().enumerate() {
+            let falls = |height: f64| sight.bodies.pose(of).translation.z < height - FALL_M;
+            self.dropped[of] |= self.numbers.parts[of].joint.is_none() && released.is_some_and(falls);
         }
     }
 }
