@@ -52,23 +52,21 @@ fn nominal(index: u64) -> robogate_core::Scenario {
 #[test]
 fn experts_solve_shipped_tasks() {
     const EPISODES: u64 = 20;
-    let mut worst = 0;
+    let mut failures = Vec::new();
     for (name, robots) in SHIPPED {
         let task = shipped(name);
         for of in robots {
             let mut environment = environment(&task, of);
             let mut expert = expert(&task, &environment, of);
-            let mut failures = Vec::new();
-            for index in 0..EPISODES {
-                let episode = rollout(&mut environment, &mut *expert, &nominal(index));
-                if episode.outcome != Outcome::Success {
-                    failures.push(format!("{index}: {:?} at {:.2} s {:?}", episode.outcome, episode.time_s, episode.measures));
-                }
+            let mut outcomes = (0..EPISODES).map(|index| rollout(&mut environment, &mut *expert, &nominal(index)).outcome);
+            let failed = outcomes.by_ref().filter(|outcome| *outcome != Outcome::Success).count() as u64;
+            println!("{name} on {of}: {} of {EPISODES} nominal episodes succeed", EPISODES - failed);
+            if failed * 20 > EPISODES {
+                failures.push((name, *of, failed));
             }
-            println!("{name} on {of}: {} of {EPISODES} succeed {failures:#?}", EPISODES - failures.len() as u64);
-            worst = worst.max(failures.len() as u64);
         }
     }
+    assert_eq!(failures, []);
 }
 
 /// Every parameter is set to both ends of its range and read back.
@@ -274,20 +272,4 @@ fn episodes_repeat_bit_for_bit() {
         rollout(&mut environment, &mut *expert, &scenario)
     };
     assert_eq!(run(), run());
-}
-
-#[test]
-fn zz_debug() {
-    let name = std::env::var("DEBUG_TASK").unwrap_or("door".to_owned());
-    let of = std::env::var("DEBUG_ROBOT").unwrap_or("franka".to_owned());
-    let task = shipped(&name);
-    let mut environment = environment(&task, &of);
-    environment.record_trajectory(Some(0.1));
-    let mut expert = expert(&task, &environment, &of);
-    let episode = rollout(&mut environment, &mut *expert, &nominal(0));
-    println!("{:?} {:?} {:?}", episode.outcome, episode.contact, episode.measures);
-    let film = environment.take_trajectory().unwrap();
-    for frame in film.frames.iter().step_by(2).chain(film.frames.last()) {
-        println!("{:.2} {:?}", frame.time_s, frame.contacts.iter().map(|c| (c.position.map(|x| (1e3*x).round()), c.force_n.map(|x| x.round()))).collect::<Vec<_>>());
-    }
 }
