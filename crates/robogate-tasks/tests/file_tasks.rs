@@ -58,7 +58,8 @@ fn experts_solve_shipped_tasks() {
         for of in robots {
             let mut environment = environment(&task, of);
             let mut expert = expert(&task, &environment, of);
-            let mut outcomes = (0..EPISODES).map(|index| rollout(&mut environment, &mut *expert, &nominal(index)).outcome);
+            let mut outcomes =
+                (0..EPISODES).map(|index| rollout(&mut environment, &mut *expert, &nominal(index)).outcome);
             let failed = outcomes.by_ref().filter(|outcome| *outcome != Outcome::Success).count() as u64;
             println!("{name} on {of}: {} of {EPISODES} nominal episodes succeed", EPISODES - failed);
             if failed * 20 > EPISODES {
@@ -83,7 +84,12 @@ fn parameters_act_in_the_engine() {
                 let scenario = scenario(3, &[(&*parameter.name, value)]);
                 let start = environment.reset(&scenario).unwrap();
                 check_applied(&scenario.requested, &start.applied).unwrap();
-                assert_eq!(start.applied.get(&parameter.name), Some(&Value::Number(value)), "{name}: {}", parameter.name);
+                assert_eq!(
+                    start.applied.get(&parameter.name),
+                    Some(&Value::Number(value)),
+                    "{name}: {}",
+                    parameter.name
+                );
             }
         }
     }
@@ -118,6 +124,23 @@ fn doing_nothing_is_a_timeout() {
         assert_eq!(episode.outcome, Outcome::Failure(FailureMode::TIMEOUT), "{name}");
         assert_eq!(episode.measures.get("stages"), Some(0.0), "{name}");
     }
+}
+
+/// Rapier simulates free parts. A body on a joint is refused with the reason.
+#[cfg(feature = "rapier")]
+#[test]
+fn rapier_runs_tasks_without_joints() {
+    let on = |name: &str| {
+        let cell = EngineKind::Rapier.robot("franka");
+        let task = shipped(name);
+        let mut environment = task.on(cell.engine(), Rig { picture_px: [16; 2], ..Rig::default() }).unwrap();
+        let mut expert = expert(&task, &environment, "franka");
+        rollout(&mut environment, &mut *expert, &scenario(0, &[]))
+    };
+    let lid = on("lid");
+    assert_eq!((&lid.outcome, lid.measures.get("stages")), (&Outcome::Success, Some(2.0)));
+    let Outcome::Invalid(fault) = on("drawer").outcome else { panic!("the drawer runs") };
+    assert!(fault.to_string().contains("Use --engine mujoco"), "{fault}");
 }
 
 #[test]
@@ -193,10 +216,22 @@ fn problems_have_lines_and_hints() {
     let valid = text("drawer");
     for (from, to, expected) in [
         ("[success]", "[succes]", "unknown key `succes`: did you mean `success`?"),
-        ("joint(drawer) > {opening_m} and", "jiont(drawer) > {opening_m} and", "unknown word `jiont`: did you mean `joint`?"),
-        ("joint(drawer) > {opening_m} and", "joint(drawr) > {opening_m} and", "unknown part `drawr`: did you mean `drawer`?"),
+        (
+            "joint(drawer) > {opening_m} and",
+            "jiont(drawer) > {opening_m} and",
+            "unknown word `jiont`: did you mean `joint`?",
+        ),
+        (
+            "joint(drawer) > {opening_m} and",
+            "joint(drawr) > {opening_m} and",
+            "unknown part `drawr`: did you mean `drawer`?",
+        ),
         ("joint(drawer) > {opening_m} and", "joint(drawer) > 3 kg and", "the sides do not fit: a length"),
-        ("joint(drawer) > {opening_m} and", "joint(drawer) > {opening} and", "unknown parameter `opening`: did you mean `opening_m`?"),
+        (
+            "joint(drawer) > {opening_m} and",
+            "joint(drawer) > {opening} and",
+            "unknown parameter `opening`: did you mean `opening_m`?",
+        ),
         ("joint(drawer) > {opening_m} and", "joint(drawer) and", "`joint` is not a condition"),
         ("\"open the drawer by {opening_m}\"", "\"open by {openning_m}\"", "unknown parameter `openning_m`"),
         ("damping = \"10 N s/m\"", "damping = \"10 kg\"", "`10 kg` does not fit. Expected a quantity in N s/m"),

@@ -15,7 +15,8 @@ use nalgebra::{Isometry3, Vector3};
 use robogate_campaign::{Executor, ThreadPool, Worker, WorkerFactory};
 use robogate_core::{ContactPoint, Design, Fault, ParameterSpace, Sampler, Scenario, Seed, rollout, samplers};
 use robogate_physics::{
-    Chain, Engine, EngineBuild, JointTargets, MujocoEngine, Readback, Robot, Scene, Side, Touches, Wrench, built_in_robot,
+    Chain, Engine, EngineBuild, JointTargets, MujocoEngine, Readback, Robot, Scene, Side, Touches, Wrench,
+    built_in_robot,
 };
 use robogate_tasks::pick_place::{FRANKA_SPACE, PickPlace, Scripted};
 use robogate_tasks::{ArmTask, Rig};

@@ -8,7 +8,10 @@ use clap::Command;
 const GROUPS: [(&str, &[&str]); 6] = [
     ("Judge a policy", &["run", "gate", "resume", "compare", "leaderboard", "matrix", "fleet"]),
     ("Look at results", &["runs", "analyze", "report", "view", "replay", "import", "export", "audit"]),
-    ("Bring your own", &["env", "policy", "robots", "tasks", "check", "serve", "demos", "list", "config", "completions"]),
+    (
+        "Bring your own",
+        &["env", "policy", "robots", "tasks", "check", "serve", "demos", "list", "config", "completions"],
+    ),
     ("Show that it holds", &["evidence", "verify", "keys"]),
     ("Use many machines", &["plan", "merge"]),
     ("Real robots", &["transfer", "monitor"]),

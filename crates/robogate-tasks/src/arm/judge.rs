@@ -10,7 +10,9 @@ use robogate_core::{
     Action, Assignment, CameraSpec, Contact, Ending, FEASIBLE, FailureMode, FailureModeSpec, Fault, FaultKind,
     Foresight, Infeasibility, Observation, Scenario, Severity, Start, Step, TaskSpec,
 };
-use robogate_physics::{ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Side, Steering, StepView, Touches, pose};
+use robogate_physics::{
+    ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Side, Steering, StepView, Touches, pose,
+};
 
 use super::forces::{self, Forces, STRUCK};
 use super::rules::{Bodies, Found, Resolved, Rules, Sight, Trial};

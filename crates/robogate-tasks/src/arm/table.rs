@@ -1,8 +1,6 @@
 //! Parameter tables: one row per parameter, with its range, setter and reader.
 
-use robogate_core::{
-    Allowed, Assignment, Domain, Fault, FaultKind, ParameterSpec, Scenario, Value, Word,
-};
+use robogate_core::{Allowed, Assignment, Domain, Fault, FaultKind, ParameterSpec, Scenario, Value, Word};
 use robogate_physics::{Gripper, GripperUnit, Robot, Visual};
 
 use super::{Found, Parameters, encoder_bias};

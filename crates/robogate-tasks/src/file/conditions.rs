@@ -25,6 +25,18 @@ pub(super) enum Body {
     Fixture(std::ops::Range<usize>),
 }
 
+impl Body {
+    /// Its shapes in the scene.
+    fn sides(&self) -> impl Iterator<Item = Side> {
+        let (side, shapes): (fn(usize) -> Side, _) = match self {
+            Self::Robot => (|_| Side::Robot, 0..1),
+            Self::Part(of) => (Side::Body, *of..of + 1),
+            Self::Fixture(shapes) => (Side::Fixture, shapes.clone()),
+        };
+        shapes.map(side)
+    }
+}
+
 /// A number during an episode.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Value {
@@ -100,14 +112,9 @@ impl Now<'_> {
 
     /// Force between two bodies, in newtons. `None` if they do not touch.
     pub(super) fn force(&self, one: &Body, other: &Body) -> Option<f64> {
-        let sides = |body: &Body| match body {
-            Body::Robot => vec![Side::Robot],
-            Body::Part(of) => vec![Side::Body(*of)],
-            Body::Fixture(shapes) => shapes.clone().map(Side::Fixture).collect(),
-        };
         let mut sum = None;
-        for one in sides(one) {
-            for other in sides(other) {
+        for one in one.sides() {
+            for other in other.sides() {
                 if let Some(force) = self.bodies().force_between(one, other) {
                     *sum.get_or_insert(0.0) += force;
                 }
@@ -354,9 +361,7 @@ impl Compiler<'_> {
             ("at_rest", [part]) => Ok(Condition::AtRest(names.part(part)?)),
             ("inside", [place, region]) => Ok(Condition::Inside(names.place(place)?, names.region(region)?)),
             ("on", [part, body]) => Ok(Condition::On(names.part(part)?, names.body(body)?, names.place(body)?)),
-            ("upright", [part]) => {
-                Ok(Condition::Less(Value::Tilt(names.part(part)?), Value::Constant(UPRIGHT_RAD)))
-            }
+            ("upright", [part]) => Ok(Condition::Less(Value::Tilt(names.part(part)?), Value::Constant(UPRIGHT_RAD))),
             ("once", [condition]) => Ok(Condition::Once(self.boxed(condition)?, self.slot())),
             _ => Err(misuse(at, name, &CONDITIONS, &VALUES, "a condition")),
         }

@@ -7,12 +7,12 @@ use robogate_core::{Action, Fault, Observation, Policy, Seed, TaskInstance, Task
 use robogate_physics::trajectory::ToolLimit;
 use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
+use super::Briefing;
 use super::conditions::{Compiler, Value};
 use super::model::{Model, heights};
 use super::numbers::{Draws, Frame, Layout, Numbers, Place};
 use super::syntax::{Node, What, Wrong};
 use super::units::Dimension;
-use super::Briefing;
 use crate::arm::{CONTROL_PERIOD_S, FREE, Planner, Script, compliance, cup_yaw, drives_task, grasp_height, tool_down};
 
 /// Acceleration limit of a tool that holds or pushes something, in m/s^2.
@@ -80,9 +80,7 @@ pub(super) fn skill(compiler: &mut Compiler<'_>, node: &Node) -> Result<Skill, W
     let names = compiler.names;
     let mut length = |node: &Node| compiler.constant(node, Dimension::LENGTH);
     let what = match (&**name, &arguments[..]) {
-        ("approach", [place, height]) => {
-            Motion::Approach(names.place(place)?, length(height)?, GripperCommand::Open)
-        }
+        ("approach", [place, height]) => Motion::Approach(names.place(place)?, length(height)?, GripperCommand::Open),
         ("reach", [place, height]) => Motion::Approach(names.place(place)?, length(height)?, GripperCommand::Close),
         ("move", [place, height, speed @ ..]) if speed.len() < 2 => {
             Motion::Move(names.place(place)?, length(height)?, optional(compiler, speed, Dimension::SPEED)?)
@@ -361,13 +359,7 @@ impl<'a> Plan<'a> {
     }
 
     /// Brings the part in the hand to a height above a place, with the yaw of the place or a quarter turn of it.
-    fn carry(
-        &mut self,
-        phase: Word,
-        place: &Place,
-        height: f64,
-        speed: Option<&Value>,
-    ) -> Result<(), Unreachable> {
+    fn carry(&mut self, phase: Word, place: &Place, height: f64, speed: Option<&Value>) -> Result<(), Unreachable> {
         let frame = self.frame(place.on) * Translation3::from(place.point);
         let goal = frame.translation.vector + Vector3::new(0.0, 0.0, height);
         let part = self.in_hand.map_or_else(Isometry3::identity, |(_, in_tool)| in_tool);

@@ -52,8 +52,7 @@ pub const FILE: &str = "task.toml";
 const TEXT: &str = "task_toml";
 
 /// Colours of parts that state none, in turn.
-const COLORS: [Color; 4] =
-    [Color([58, 110, 165]), Color([200, 60, 40]), Color([222, 170, 60]), Color([96, 150, 90])];
+const COLORS: [Color; 4] = [Color([58, 110, 165]), Color([200, 60, 40]), Color([222, 170, 60]), Color([96, 150, 90])];
 
 /// How often starts in regions are drawn until no two parts overlap.
 const MOST_DRAWS: usize = 1000;

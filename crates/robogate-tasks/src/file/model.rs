@@ -167,7 +167,8 @@ struct Reading<'a, 'b> {
 impl Reading<'_, '_> {
     fn model(mut self, document: &Document, text: &str) -> Option<Model> {
         if document.format.text != FORMAT {
-            self.problems.of(&document.format, format!("unknown format `{}`. Expected `{FORMAT}`", document.format.text));
+            self.problems
+                .of(&document.format, format!("unknown format `{}`. Expected `{FORMAT}`", document.format.text));
         }
         self.check_sizes(document);
         let name = self.word(&document.name);
@@ -556,7 +557,8 @@ impl Reading<'_, '_> {
         };
         let unit = unit_of(name.as_str());
         if !unit.is_empty() && unit != dimension.unit() {
-            let is = if dimension == Dimension::NONE { "has no unit".into() } else { format!("is in {}", dimension.unit()) };
+            let is =
+                if dimension == Dimension::NONE { "has no unit".into() } else { format!("is in {}", dimension.unit()) };
             self.problems.of(&table.name, format!("`{name}` ends with the unit {unit}, but its value {is}"));
         }
         Some(ParameterModel {
@@ -574,9 +576,8 @@ impl Reading<'_, '_> {
     /// What a path sets, and the dimension of its values.
     fn target(&self, path: &str) -> Result<(Target, Dimension), String> {
         let (owner, rest) = path.split_once('.').unwrap_or((path, ""));
-        let unknown = |known: &[&str]| {
-            format!("`{owner}` has no `{rest}`: {}", robogate_core::hint(rest, known.iter().copied()))
-        };
+        let unknown =
+            |known: &[&str]| format!("`{owner}` has no `{rest}`: {}", robogate_core::hint(rest, known.iter().copied()));
         const PLACED: [&str; 4] = ["at.x", "at.y", "at.z", "yaw"];
         let placed = PLACED.iter().position(|name| *name == rest);
         let length = |which: usize| if which == YAW { Dimension::ANGLE } else { Dimension::LENGTH };
@@ -601,16 +602,13 @@ impl Reading<'_, '_> {
                     "mass" => Ok((Target::Part(of, PartTarget::Mass), Dimension::MASS)),
                     "spread" => Ok((Target::Part(of, PartTarget::Spread), Dimension::LENGTH)),
                     "spin" => Ok((Target::Part(of, PartTarget::Spin), Dimension::ANGLE)),
-                    "joint.damping" => {
-                        of_joint(PartTarget::Damping, &|joint| force.times(Dimension::TIME).over(joint))
-                    }
+                    "joint.damping" => of_joint(PartTarget::Damping, &|joint| force.times(Dimension::TIME).over(joint)),
                     "joint.friction" => of_joint(PartTarget::DryFriction, &|_| force),
                     "joint.stiffness" => of_joint(PartTarget::Stiffness, &|joint| force.over(joint)),
                     "joint.start" => of_joint(PartTarget::Start, &|joint| joint),
                     "joint.rest" => of_joint(PartTarget::Rest, &|joint| joint),
                     _ => {
-                        let joint =
-                            ["joint.damping", "joint.friction", "joint.stiffness", "joint.start", "joint.rest"];
+                        let joint = ["joint.damping", "joint.friction", "joint.stiffness", "joint.start", "joint.rest"];
                         Err(unknown(&[&PLACED[..], &["mass", "spread", "spin"], &joint].concat()))
                     }
                 }
@@ -671,7 +669,10 @@ fn measure(
             "min" => value(compiler, Measured::Min),
             "final" => value(compiler, Measured::Final),
             "first" => Ok((Measured::First(compiler.condition(&node)?), Dimension::TIME)),
-            _ => Err((0, format!("found `{how}`. Expected `max VALUE`, `min VALUE`, `final VALUE` or `first CONDITION`"))),
+            _ => Err((
+                0,
+                format!("found `{how}`. Expected `max VALUE`, `min VALUE`, `final VALUE` or `first CONDITION`"),
+            )),
         }
     });
     let (of, dimension) = match parsed {
@@ -708,7 +709,8 @@ pub(super) fn heights(shapes: &[Part]) -> [f64; 2] {
         let reach = part.pose.rotation.to_rotation_matrix().matrix().row(2).transpose().abs().dot(&half);
         [part.pose.translation.z - reach, part.pose.translation.z + reach]
     };
-    shapes.iter().map(of).fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], [bottom, top]| {
-        [low.min(bottom), high.max(top)]
-    })
+    shapes
+        .iter()
+        .map(of)
+        .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], [bottom, top]| [low.min(bottom), high.max(top)])
 }

@@ -47,11 +47,8 @@ fn name(node: &Node) -> Result<&str, Wrong> {
 }
 
 fn unknown<'a>(at: usize, what: &str, name: &str, known: impl Iterator<Item = &'a str> + Clone) -> Wrong {
-    let hint = if known.clone().next().is_some() {
-        robogate_core::hint(name, known)
-    } else {
-        "the file has none".to_owned()
-    };
+    let hint =
+        if known.clone().next().is_some() { robogate_core::hint(name, known) } else { "the file has none".to_owned() };
     (at, format!("unknown {what} `{name}`: {hint}"))
 }
 
@@ -66,9 +63,7 @@ impl Names {
 
     /// The index of a part.
     pub(super) fn part_named(&self, at: usize, wanted: &str) -> Result<usize, Wrong> {
-        self.part_names()
-            .position(|name| name == wanted)
-            .ok_or_else(|| unknown(at, "part", wanted, self.part_names()))
+        self.part_names().position(|name| name == wanted).ok_or_else(|| unknown(at, "part", wanted, self.part_names()))
     }
 
     pub(super) fn part(&self, node: &Node) -> Result<usize, Wrong> {

@@ -41,8 +41,7 @@ impl Model {
     /// # Errors
     /// A setup fault for an unknown parameter or a value that is not accepted.
     pub(super) fn numbers(&self, requested: &Assignment, gripper: &Gripper) -> Result<Numbers, Fault> {
-        let (own, common): (Vec<_>, Vec<_>) =
-            requested.iter().partition(|(name, _)| self.parameter(name).is_some());
+        let (own, common): (Vec<_>, Vec<_>) = requested.iter().partition(|(name, _)| self.parameter(name).is_some());
         let common = common.into_iter().map(|(name, value)| (name.into(), value.clone())).collect();
         let around = COMMON.decode(&common, gripper)?.around;
         let mut numbers = Numbers { around, ..self.nominal.clone() };
@@ -64,12 +63,7 @@ impl Model {
     }
 
     /// The applied values of the requested parameters.
-    pub(super) fn applied(
-        &self,
-        requested: &Assignment,
-        acting: &Acting<'_, Numbers>,
-        draws: &[Draws],
-    ) -> Assignment {
+    pub(super) fn applied(&self, requested: &Assignment, acting: &Acting<'_, Numbers>, draws: &[Draws]) -> Assignment {
         let mut applied = COMMON.applied(requested, acting);
         for (name, value) in requested.iter() {
             let Some(index) = self.parameter(name) else { continue };
@@ -106,14 +100,7 @@ impl Model {
         Some(FixtureShape { index: fixture.range.start, pose: fixture.shapes.first()?.pose })
     }
 
-    fn read_part(
-        &self,
-        engine: &Readback,
-        numbers: &Numbers,
-        of: usize,
-        which: PartTarget,
-        draws: Draws,
-    ) -> f64 {
+    fn read_part(&self, engine: &Readback, numbers: &Numbers, of: usize, which: PartTarget, draws: Draws) -> f64 {
         let joint = engine.joints.iter().find(|(part, _)| *part == of).map(|(_, joint)| joint);
         let (mass_kg, pose) = match of.checked_sub(1).and_then(|other| engine.others.get(other)) {
             Some(FreeBodyRead { mass_kg, pose, .. }) => (*mass_kg, *pose),
@@ -121,7 +108,8 @@ impl Model {
         };
         let part = &numbers.parts[of];
         // The pose at the value 0 of its joint, in the frame of its fixture.
-        let at_zero = pose * joint.map_or_else(nalgebra::Isometry3::identity, |joint| joint.motion(joint.start)).inverse();
+        let at_zero =
+            pose * joint.map_or_else(nalgebra::Isometry3::identity, |joint| joint.motion(joint.start)).inverse();
         let placed = match self.parts[of].parent {
             Some(parent) => self.fixture_at(engine, parent).map(|frame| frame.inverse() * at_zero),
             None => Some(at_zero),

@@ -147,8 +147,10 @@ impl Trial for Referee {
         let parts = self.model.parts.len();
         self.still = self.grip.is_free() && sight.command == GripperCommand::Open && still(sight.bodies, parts);
         self.follow_grip(sight);
-        let starts =
-            self.starts.take().unwrap_or_else(|| (0..parts).map(|of| sight.bodies.pose(of).translation.vector).collect());
+        let starts = self
+            .starts
+            .take()
+            .unwrap_or_else(|| (0..parts).map(|of| sight.bodies.pose(of).translation.vector).collect());
         let now = Now {
             sight,
             layout: &self.layout,

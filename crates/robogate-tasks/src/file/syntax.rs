@@ -322,8 +322,10 @@ mod tests {
     fn operators_bind_as_documented() {
         for (text, expected) in [
             ("a or b and not c", "(a Or (b And !c))"),
-            ("joint(d.x) > 15 cm for 0.5 s and speed(d) < 2 cm/s",
-             "(((joint[d.x] Greater 0.15m) for 0.5s) And (speed[d] Less 0.02m/s))"),
+            (
+                "joint(d.x) > 15 cm for 0.5 s and speed(d) < 2 cm/s",
+                "(((joint[d.x] Greater 0.15m) for 0.5s) And (speed[d] Less 0.02m/s))",
+            ),
             ("x > {o} - 1 cm * 2", "(x Greater ({o} Minus (0.01m Times 2)))"),
             ("a(-3 deg, b) before c within 2 s of d", ""),
             ("(a or b) for 1 s", "((a Or b) for 1s)"),
@@ -339,7 +341,9 @@ mod tests {
 
     #[test]
     fn wrong_text_is_located() {
-        for (text, at) in [("a and", 5), ("f(a", 3), ("a b", 2), ("a & b", 2), ("{a", 0), ("3 < ", 4), ("a within 2 s", 12)] {
+        for (text, at) in
+            [("a and", 5), ("f(a", 3), ("a b", 2), ("a & b", 2), ("{a", 0), ("3 < ", 4), ("a within 2 s", 12)]
+        {
             assert_eq!(parse(text).unwrap_err().0, at, "{text}");
         }
         assert!(parse(&"(".repeat(100)).unwrap_err().1.contains("too deeply"));

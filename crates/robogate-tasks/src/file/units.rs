@@ -32,13 +32,12 @@ impl Dimension {
             return common.to_owned();
         }
         let plain = |sign: i8| {
-            let factors = ["m", "kg", "s", "rad"].into_iter().zip(self.0).filter_map(|(unit, exponent)| {
-                match sign * exponent {
+            let factors =
+                ["m", "kg", "s", "rad"].into_iter().zip(self.0).filter_map(|(unit, exponent)| match sign * exponent {
                     1 => Some(unit.to_owned()),
                     power @ 2.. => Some(format!("{unit}^{power}")),
                     _ => None,
-                }
-            });
+                });
             factors.collect::<Vec<_>>().join(" ")
         };
         let (above, below) = (plain(1), plain(-1));

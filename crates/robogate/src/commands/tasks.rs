@@ -91,7 +91,9 @@ impl Init {
         if file.exists() {
             return Err(anyhow!("{} exists\nHint: name another folder", file.display())).or_usage();
         }
-        fs::write(&file, task_folder::EXAMPLE).with_context(|| format!("cannot write {}", file.display())).or_broken()?;
+        fs::write(&file, task_folder::EXAMPLE)
+            .with_context(|| format!("cannot write {}", file.display()))
+            .or_broken()?;
         line(format_args!("{}", bold(file.display())));
         note(format_args!("next: robogate tasks check {}", self.folder.display()));
         Ok(DONE)
