@@ -50,6 +50,8 @@ mod runs;
 mod settings;
 mod shards;
 mod signatures;
+#[cfg(all(feature = "mujoco", feature = "rapier"))]
+mod task_files;
 mod terminal;
 #[cfg(all(target_os = "linux", feature = "mujoco", feature = "onnx"))]
 mod trust;
