@@ -45,7 +45,7 @@ mod source;
 mod store;
 mod subject;
 pub mod task_folder;
-mod text;
+pub mod text;
 mod twins;
 mod workers;
 

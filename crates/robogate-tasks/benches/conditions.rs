@@ -39,8 +39,7 @@ fn run(text: &str, index: u64) -> f64 {
     let engine = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).unwrap();
     let mut expert = task.controller(robot, engine.chain().clone());
     let mut environment = task.on(Box::new(engine), Rig::default()).unwrap();
-    let scenario =
-        Scenario { index, seed: Seed::campaign(1).episode(index), requested: Assignment::default() };
+    let scenario = Scenario { index, seed: Seed::campaign(1).episode(index), requested: Assignment::default() };
     let begun = processor_s();
     let episode = black_box(rollout(&mut environment, &mut *expert, &scenario));
     assert!((episode.time_s - 20.0).abs() < 1e-9, "{:?} at {} s", episode.outcome, episode.time_s);

@@ -308,3 +308,80 @@ fn episodes_repeat_bit_for_bit() {
     };
     assert_eq!(run(), run());
 }
+
+/// Two cubes start anywhere in a region, beside each other. The expert is told where, and brings one to the tray.
+const SORT: &str = "format = 'robogate-task/1'
+name = 'sort'
+instruction = 'put the red cube on the tray'
+time_limit = '20 s'
+[[fixture]]
+name = 'tray'
+at = '50, 20, 0.5 cm'
+shapes = [{ box = '14, 14, 1 cm' }]
+[[part]]
+name = 'red'
+at = '0, 0, 2.5 cm'
+start = 'source'
+spin = '40 deg'
+mass = '100 g'
+shapes = [{ box = '5, 5, 5 cm' }]
+[[part]]
+name = 'blue'
+at = '0, 0, 2.5 cm'
+start = 'source'
+mass = '100 g'
+shapes = [{ box = '5, 5, 5 cm' }]
+[[region]]
+name = 'source'
+at = '50, -12, 2.5 cm'
+size = '22, 30, 1 cm'
+[[region]]
+name = 'goal'
+in = 'tray'
+at = '0, 0, 3 cm'
+size = '10, 10, 2 cm'
+[success]
+when = 'inside(red, goal) and on(red, tray) and at_rest(red) and not held(red) for 0.2 s'
+[[failure]]
+name = 'disturbed'
+when = 'moved(blue) > 1 cm'
+[[failure]]
+name = 'dropped'
+when = 'dropped(red)'
+[expert]
+do = ['approach(red, 12 cm)', 'grasp(red)', 'lift(12 cm)', 'carry(goal, 8 cm)', 'carry(goal, 2 mm, 5 cm/s)', 'release()', 'lift(8 cm)']
+";
+
+#[test]
+fn starts_are_drawn_from_regions() {
+    let task = FileTask::read(SORT).unwrap();
+    let mut environment = environment(&task, "franka");
+    let mut expert = expert(&task, &environment, "franka");
+    let (mut places, mut solved) = (Vec::new(), 0);
+    for index in 0..12 {
+        let start = environment.reset(&scenario(index, &[])).unwrap();
+        let at = |part: &str| -> Vec<f64> {
+            let pose = &start.instance.details["parts"][part]["position"];
+            pose.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect()
+        };
+        let (red, blue) = (at("red"), at("blue"));
+        for part in [&red, &blue] {
+            assert!((part[0] - 0.5).abs() <= 0.11 && (part[1] + 0.12).abs() <= 0.15 && part[2] == 0.025, "{part:?}");
+        }
+        assert!((red[0] - blue[0]).hypot(red[1] - blue[1]) > 0.07, "{red:?} {blue:?}");
+        places.push(red[0].to_bits());
+        solved += u32::from(rollout(&mut environment, &mut *expert, &scenario(index, &[])).outcome == Outcome::Success);
+    }
+    places.sort_unstable();
+    places.dedup();
+    assert_eq!(places.len(), 12);
+    assert!(solved >= 10, "{solved} of 12");
+}
+
+#[test]
+fn crowded_region_is_a_setup_fault() {
+    let crowded = SORT.replace("size = '22, 30, 1 cm'", "size = '3, 3, 1 cm'");
+    let task = FileTask::read(&crowded).unwrap();
+    let fault = environment(&task, "franka").reset(&scenario(0, &[])).unwrap_err();
+    assert!(fault.to_string().contains("the parts do not fit beside each other"), "{fault}");
+}

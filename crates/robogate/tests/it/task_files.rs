@@ -41,7 +41,10 @@ fn record_contains_task() {
     fs::write(at.join("cell/task.toml"), &text).unwrap();
     verb(at, "run --task cell -n 6 --threads 1 --out one", 0, &[]);
     verb(at, "run --task cell -n 6 --threads 2 --out two", 0, &[]);
-    assert_eq!(fs::read(at.join("one/dictionary.parquet")).unwrap(), fs::read(at.join("two/dictionary.parquet")).unwrap());
+    assert_eq!(
+        fs::read(at.join("one/dictionary.parquet")).unwrap(),
+        fs::read(at.join("two/dictionary.parquet")).unwrap()
+    );
     fs::remove_dir_all(at.join("cell")).unwrap();
     verb(at, "replay one 3", 0, &["gripper closes"]);
     verb(at, "evidence one --out evidence", 0, &[]);
@@ -55,9 +58,21 @@ fn broken_tasks_are_usage_errors() {
     fs::create_dir(at.join("cell")).unwrap();
     let text = fs::read_to_string(Path::new(&shipped("drawer")).join("task.toml")).unwrap();
     for (from, to, expected) in [
-        ("joint(drawer) > {opening_m} and", "jiont(drawer) > {opening_m} and", "unknown word `jiont`: did you mean `joint`?"),
-        ("joint(drawer) > {opening_m} and speed(drawer) < 2 cm/s for 0.3 s", "joint(drawer) < 5 cm", "a policy that does nothing succeeds"),
-        ("when = \"speed(drawer) > 60 cm/s\"", "when = \"time() > 0.1 s\"", "a policy that does nothing ends with `flung_open`"),
+        (
+            "joint(drawer) > {opening_m} and",
+            "jiont(drawer) > {opening_m} and",
+            "unknown word `jiont`: did you mean `joint`?",
+        ),
+        (
+            "joint(drawer) > {opening_m} and speed(drawer) < 2 cm/s for 0.3 s",
+            "joint(drawer) < 5 cm",
+            "a policy that does nothing succeeds",
+        ),
+        (
+            "when = \"speed(drawer) > 60 cm/s\"",
+            "when = \"time() > 0.1 s\"",
+            "a policy that does nothing ends with `flung_open`",
+        ),
         ("pull(drawer, {opening_m} + 4 cm", "pull(drawer, {opening_m} - 6 cm", "the expert fails at nominal: timeout"),
         ("range = \"8, 18 cm\"", "range = \"8, 28 cm\"", "joint(drawer) is compared with 0.28"),
     ] {
@@ -67,7 +82,12 @@ fn broken_tasks_are_usage_errors() {
     }
     assert_exit_in(at, &["run", "--task", "./none", "-n", "1"], 2, &["--task ./none: no such folder"]);
     fs::remove_file(at.join("cell/task.toml")).unwrap();
-    assert_exit_in(at, &["run", "--task", "cell", "-n", "1"], 2, &["cannot read cell/task.toml", "robogate tasks init cell"]);
+    assert_exit_in(
+        at,
+        &["run", "--task", "cell", "-n", "1"],
+        2,
+        &["cannot read cell/task.toml", "robogate tasks init cell"],
+    );
     let rapier = ["run", "--task", &shipped("drawer"), "--engine", "rapier", "-n", "1"];
     assert_exit_in(at, &rapier, 5, &["Use --engine mujoco"]);
 }
