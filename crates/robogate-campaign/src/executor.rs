@@ -51,16 +51,24 @@ pub trait WorkerFactory: Sync {
     /// worlds at once, or a policy that answers many observations together, replaces them. A simulator may have fewer slots
     /// than requested. Returns a fault if no such worker can be created.
     fn batch_worker(&self, slots: NonZeroUsize) -> Result<BatchWorker, Fault> {
-        let (mut environments, mut policies) = (Vec::new(), Vec::new());
-        for _ in 0..slots.get() {
-            let Worker { environment, policy } = self.worker()?;
-            environments.push(environment);
-            policies.push(policy);
-        }
-        let environment = SingleEnvironments::new(environments)
-            .ok_or_else(|| Fault::new(FaultKind::Setup, "a worker needs at least one slot"))?;
-        Ok(BatchWorker { environment: Box::new(environment), policy: Box::new(SinglePolicies::new(policies)) })
+        single_workers(self, slots)
     }
+}
+
+/// A worker with this many slots, each with a worker of its own.
+///
+/// # Errors
+/// If a worker cannot be created.
+pub fn single_workers(factory: &(impl WorkerFactory + ?Sized), slots: NonZeroUsize) -> Result<BatchWorker, Fault> {
+    let (mut environments, mut policies) = (Vec::new(), Vec::new());
+    for _ in 0..slots.get() {
+        let Worker { environment, policy } = factory.worker()?;
+        environments.push(environment);
+        policies.push(policy);
+    }
+    let environment = SingleEnvironments::new(environments)
+        .ok_or_else(|| Fault::new(FaultKind::Setup, "a worker needs at least one slot"))?;
+    Ok(BatchWorker { environment: Box::new(environment), policy: Box::new(SinglePolicies::new(policies)) })
 }
 
 /// Runs the episodes of a stage: in threads of this process, each with one episode in progress ([`crate::ThreadPool`]) or

@@ -70,3 +70,14 @@ pub struct Part {
     #[serde(with = "plain")]
     pub pose: Isometry3<f64>,
 }
+
+impl Part {
+    /// How far below its body a part is that nothing can touch, in metres. Scenes that differ in their parts have the same topology with
+    /// such parts.
+    pub(crate) const OUT_OF_REACH_M: f64 = 200.0;
+
+    /// Whether it is a ball that something can touch. A ball needs rolling friction to come to rest.
+    pub(crate) fn rolls(&self) -> bool {
+        matches!(self.primitive, Primitive::Sphere { .. }) && self.pose.translation.z > -Self::OUT_OF_REACH_M
+    }
+}

@@ -3,12 +3,18 @@
 use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::Arc;
+#[cfg(feature = "mujoco")]
+use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, anyhow, bail};
 use robogate_camera::SIZE_PX;
+#[cfg(feature = "mujoco")]
+use robogate_core::BatchEnvironment;
 use robogate_core::{Assignment, Environment, ParameterSpace, Policy, Scenario, Seed, Suite, TaskInstance, TaskSpec};
 use robogate_demos::Recorder;
 use robogate_dictionary::{CellPlace, provenance, robot_sha256};
+#[cfg(feature = "mujoco")]
+use robogate_physics::MujocoEngine;
 use robogate_physics::{
     Chain, Engine, EngineBuild, Robot, RobotError, RobotFile, WORKSPACE_CENTRE, built_in_robot, is_folder,
 };
@@ -19,11 +25,13 @@ use robogate_tasks::file::FileTask;
 use robogate_tasks::{ArmTask, Rig, remote};
 
 use crate::isolation;
-use crate::registry::{self, ENGINES, EngineEntry};
+use crate::registry::{self, ENGINES, EngineEntry, ManyWorlds};
 use crate::remote::{self as servers, CellTask, PhysicsHost};
 use crate::renderer;
 use crate::subject::{check_declared, hello_of, named_space};
 use crate::text::foreign;
+#[cfg(feature = "mujoco")]
+use crate::worlds::Worlds;
 
 /// The robot of records that name none.
 pub(crate) const FRANKA: &str = "franka";
@@ -50,6 +58,9 @@ pub struct Cell {
     picture_px: usize,
     /// The servers, if the engine runs in them.
     pool: Option<Arc<Pool>>,
+    /// The simulator of many worlds, after its start.
+    #[cfg(feature = "mujoco")]
+    worlds: Mutex<Option<Arc<Worlds>>>,
 }
 
 impl Cell {
@@ -80,7 +91,16 @@ impl Cell {
         if let Some(record) = &settings.renderer {
             renderer::check(record, &settings.engine, pool.is_some())?;
         }
-        let mut cell = Self { task, chosen, settings, robot, picture_px: SIZE_PX, pool };
+        let mut cell = Self {
+            task,
+            chosen,
+            settings,
+            robot,
+            picture_px: SIZE_PX,
+            pool,
+            #[cfg(feature = "mujoco")]
+            worlds: Mutex::default(),
+        };
         if let Some(record) = &cell.settings.renderer {
             cell.settings.renderer = Some(renderer::open(record, &*cell.engine(&cell.setup())?)?.1);
         }
@@ -230,6 +250,32 @@ impl Cell {
         self.chain(&self.setup())
     }
 
+    /// Whether campaigns run in many worlds of one simulator.
+    pub(crate) fn many_worlds(&self) -> Option<ManyWorlds> {
+        if self.pool.is_some() { None } else { EngineEntry::find(&self.settings.engine).ok()?.worlds }
+    }
+
+    /// The simulator of many worlds, which is started if it does not run yet.
+    #[cfg(feature = "mujoco")]
+    pub(crate) fn worlds(&self, many: ManyWorlds) -> anyhow::Result<Arc<Worlds>> {
+        let mut worlds = self.worlds.lock().unwrap_or_else(PoisonError::into_inner);
+        if worlds.is_none() {
+            *worlds = Some(Arc::new(Worlds::start(many.deterministic)?));
+        }
+        worlds.clone().context("no simulator")
+    }
+
+    /// An environment with so many worlds.
+    #[cfg(feature = "mujoco")]
+    pub(crate) fn batch(&self, many: ManyWorlds, slots: NonZeroUsize) -> anyhow::Result<Box<dyn BatchEnvironment>> {
+        let setup = self.setup();
+        let engine = MujocoEngine::new(setup.robot, setup.time_step_s)?;
+        let rig = Rig { picture_px: [self.picture_px; 2], renderer: None };
+        let task = self.task.with(&setup.settings).map_err(|why| anyhow!(why))?;
+        let worlds = task.worlds(engine, rig, self.worlds(many)?.join()?, slots).map_err(|why| anyhow!(why))?;
+        Ok(Box::new(worlds))
+    }
+
     /// Creates an environment of the cell.
     pub fn environment(&self) -> anyhow::Result<Box<dyn Environment>> {
         self.make(&self.setup())
@@ -286,11 +332,23 @@ impl Cell {
         Ok(PhysicsHost::new(hello, host))
     }
 
+    /// The engine of this process, as records name it.
+    fn own_engine(&self) -> anyhow::Result<provenance::Engine> {
+        let own = engine(self.engine(&self.setup())?.build());
+        #[cfg(feature = "mujoco")]
+        if let Some(many) = self.many_worlds() {
+            // A replay runs in this process, on machines too that have no simulator of many worlds.
+            let version = self.worlds(many).ok().and_then(|worlds| worlds.version());
+            return Ok(provenance::Engine { name: self.settings.engine.clone(), version, ..own });
+        }
+        Ok(own)
+    }
+
     /// The engine and robot of the provenance.
     pub fn provenance(&self) -> anyhow::Result<(provenance::Engine, provenance::Robot)> {
         let engine = match &self.pool {
             Some(pool) => servers::engine(pool.hello()),
-            None => engine(self.engine(&self.setup())?.build()),
+            None => self.own_engine()?,
         };
         let arm = &self.robot.settings.arm;
         let [x, y] = WORKSPACE_CENTRE;

@@ -48,6 +48,8 @@ pub mod task_folder;
 pub mod text;
 mod twins;
 mod workers;
+#[cfg(feature = "mujoco")]
+mod worlds;
 
 pub use arms::Arms;
 pub use cell::{Cell, engine, identity, nominal, robot, robot_files};

@@ -23,18 +23,27 @@ use crate::text::foreign;
 /// The engines of the built-in cell; the first is the default.
 pub const ENGINES: &[EngineEntry] = &[
     #[cfg(feature = "mujoco")]
-    EngineEntry {
-        name: "mujoco",
-        time_step_s: MujocoEngine::TIME_STEP_S,
-        engine: |robot, time_step_s| Ok(Box::new(MujocoEngine::new(robot, time_step_s)?)),
-    },
+    MUJOCO,
     #[cfg(feature = "rapier")]
     EngineEntry {
         name: "rapier",
         time_step_s: RapierEngine::TIME_STEP_S,
         engine: |robot, time_step_s| Ok(Box::new(RapierEngine::new(robot, time_step_s)?)),
+        worlds: None,
     },
+    #[cfg(feature = "mujoco")]
+    EngineEntry { name: "warp", worlds: Some(ManyWorlds { deterministic: false }), ..MUJOCO },
+    #[cfg(feature = "mujoco")]
+    EngineEntry { name: "warp-deterministic", worlds: Some(ManyWorlds { deterministic: true }), ..MUJOCO },
 ];
+
+#[cfg(feature = "mujoco")]
+const MUJOCO: EngineEntry = EngineEntry {
+    name: "mujoco",
+    time_step_s: MujocoEngine::TIME_STEP_S,
+    engine: |robot, time_step_s| Ok(Box::new(MujocoEngine::new(robot, time_step_s)?)),
+    worlds: None,
+};
 
 const _: () = assert!(!ENGINES.is_empty(), "a build needs an engine: --features mujoco, rapier or both");
 
@@ -64,6 +73,15 @@ pub struct EngineEntry {
     pub time_step_s: f64,
     /// Creates the engine.
     pub engine: fn(Robot, f64) -> Result<Box<dyn Engine>, RobotError>,
+    /// Campaigns run in many worlds of MuJoCo Warp. A single episode, such as a replay, runs in `engine`.
+    pub worlds: Option<ManyWorlds>,
+}
+
+/// How many worlds are simulated.
+#[derive(Debug, Clone, Copy)]
+pub struct ManyWorlds {
+    /// Whether a rerun on the same card gives the same bytes.
+    pub deterministic: bool,
 }
 
 impl EngineEntry {

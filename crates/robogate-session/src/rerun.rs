@@ -56,6 +56,13 @@ pub fn rerun(folder: &Path, k: u64, opening: &Reopening) -> Result<Result<Rerun,
         opening.simulators.sandbox.get_or_insert(true);
     }
     let subject = Subject::recorded(recorded, Some(folder), &opening)?;
+    if let Some(engine) = subject.many_worlds_engine() {
+        return Err(anyhow!(
+            "--rerun: the rows were simulated in many worlds at once ({engine}), and a single episode has other bits\n\
+             Hint: leave out --rerun"
+        ))
+        .or_request();
+    }
     let here = subject.provenance(recorded.space.clone())?;
     let other_maths =
         matches!((&recorded.platform, &here.platform), (Some(was), Some(is)) if was.differs_in_maths_only(is));

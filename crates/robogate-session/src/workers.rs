@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::anyhow;
-use robogate_campaign::{Completion, Event, Executor, RunError, ThreadPool};
+use robogate_campaign::{BatchPool, Completion, Event, Executor, RunError};
 use robogate_risk::all_processors;
 
 use crate::failure::{Failure, OrFailure};
@@ -18,6 +18,8 @@ use crate::subject::Subject;
 pub struct Workers<'a> {
     /// How many episodes run at once. `None` for a number that fits the machine, the servers and the policy.
     pub threads: Option<NonZeroUsize>,
+    /// How many episodes are in progress at once. `None` for one in each thread, or as many as fit a simulator of many worlds.
+    pub in_flight: Option<NonZeroUsize>,
     /// Stops the campaign when another thread sets it. The episodes that run are finished.
     pub stop: &'a AtomicBool,
 }
@@ -30,7 +32,7 @@ impl Workers<'_> {
     pub fn with_pool<T, E: From<Failure>>(
         &self,
         subject: &Subject,
-        work: impl FnOnce(&ThreadPool<'_>) -> Result<T, E>,
+        work: impl FnOnce(&BatchPool<'_>) -> Result<T, E>,
     ) -> Result<T, E> {
         let cores = all_processors();
         let wanted = self.threads.or_else(|| subject.servers()).unwrap_or_else(|| subject.threads_on(cores));
@@ -39,7 +41,13 @@ impl Workers<'_> {
             note(format_args!("{threads} thread: the policy server keeps one state for all clients"));
         }
         subject.start_servers(threads)?;
-        work(&ThreadPool { factory: subject, threads, stop: self.stop })
+        let slots = match (self.in_flight, subject.slots(threads)?) {
+            _ if subject.at_most().is_some() => None,
+            (Some(in_flight), _) => NonZeroUsize::new(in_flight.get().div_ceil(threads.get())),
+            (None, many) => many,
+        };
+        let slots = slots.unwrap_or(NonZeroUsize::MIN);
+        work(&BatchPool { factory: subject, threads, slots, stop: self.stop })
     }
 
     /// Runs a campaign in the folder `dir` with `work`. Episodes that an unavailable server lost run again.

@@ -13,7 +13,7 @@ fn main() -> anyhow::Result<()> {
     let rival = Subject::of(&environment, &random)?;
     let request = GateRequest { rounds: Some(2), ..GateRequest::of(subject.sampled_suite(32, 1)?) };
     let folder = tempfile::tempdir()?;
-    let workers = Workers { threads: None, stop: &AtomicBool::new(false) };
+    let workers = Workers { threads: None, in_flight: None, stop: &AtomicBool::new(false) };
     let evaluation = request.decide(subject, Some(rival), folder.path(), workers, &mut |_| {})?;
     let comparison = evaluation.comparison.context("both policies ran")?;
     let (better, worse) = (comparison.only_this, comparison.only_other);

@@ -13,7 +13,7 @@ fn main() -> anyhow::Result<()> {
     let subject = Subject::of(&environment, &PolicyChoice::default())?;
     let request = GateRequest { rounds: Some(4), ..GateRequest::of(subject.sampled_suite(32, 1)?) };
     let folder = tempfile::tempdir()?;
-    let workers = Workers { threads: None, stop: &AtomicBool::new(false) };
+    let workers = Workers { threads: None, in_flight: None, stop: &AtomicBool::new(false) };
     let evaluation = request.decide(subject, None, folder.path(), workers, &mut |_| {})?;
     for result in &evaluation.results {
         println!("{}: {:?}", result.id, result.status);

@@ -76,6 +76,10 @@ class Group:
         self._target = wp.zeros(worlds, dtype=float)
         self._command = wp.zeros(self.tables.command.shape, dtype=float)
         self._reports = wp.zeros(self.tables.reports.shape, dtype=float)
+        # What the host reads after each period. Copies to such memory wait for nothing but the device.
+        pinned = wp.get_device().is_cuda
+        host = lambda array: wp.empty(array.shape, dtype=array.dtype, device="cpu", pinned=pinned)
+        self._results = [(array, host(array)) for array in (self._reports, self._d.qpos, self._d.qvel, self._d.overflow)]
         self._clock = wp.zeros(1, dtype=int)
         self._graph = None
         # Groups run beside each other on a GPU.
@@ -162,6 +166,8 @@ class Group:
                 self._one()
             else:
                 wp.capture_launch(self._graph)
+        for array, host in self._results:
+            wp.copy(host, array)
 
     def _reload(self):
         """Undoes a step."""
@@ -171,9 +177,11 @@ class Group:
 
     def finish(self):
         """Waits for the control period and writes its reports."""
-        tables, d = self.tables, self._d
-        with self._own_stream():
-            tables.reports[:] = self._reports.numpy()
-            tables.qpos[:] = d.qpos.numpy()
-            tables.qvel[:] = d.qvel.numpy()
-            tables.lost[:, 0] = d.overflow.numpy() & LOSSES
+        tables = self.tables
+        if self._stream:
+            wp.synchronize_stream(self._stream)
+        reports, qpos, qvel, overflow = (host.numpy() for _, host in self._results)
+        tables.reports[:] = reports
+        tables.qpos[:] = qpos
+        tables.qvel[:] = qvel
+        tables.lost[:, 0] = overflow & LOSSES

@@ -104,7 +104,7 @@ impl MujocoEngine {
         };
         if let Some(what) = lacks {
             let why = format!(
-                "{} has {what}, which many worlds at once cannot simulate. Use --engine mujoco",
+                "{} has {what}, which many worlds at once cannot simulate\nHint: use --engine mujoco",
                 self.robot.name()
             );
             return Err(Fault::new(FaultKind::Setup, why));

@@ -42,7 +42,7 @@ impl MujocoEngine {
             if let (true, Some(friction)) = (fixture.kind.has_table_friction(), scene.table_friction) {
                 geom.set_priority(2);
                 let mut parts = scene.free_bodies().flat_map(|(object, _)| &object.parts);
-                object_contact(geom, friction, parts.any(|part| matches!(part.primitive, Primitive::Sphere { .. })));
+                object_contact(geom, friction, parts.any(Part::rolls));
             }
         }
         // Free bodies collide with each other.
@@ -118,7 +118,7 @@ impl MujocoEngine {
     fn set_pad_friction(&self, spec: &mut MjSpec, scene: &Scene) {
         let Some(friction) = scene.gripper.pad_friction(scene.friction) else { return };
         let mut parts = scene.free_bodies().flat_map(|(object, _)| &object.parts);
-        let rolls = parts.any(|part| matches!(part.primitive, Primitive::Sphere { .. }));
+        let rolls = parts.any(Part::rolls);
         let bodies = self.robot.settings.gripper.jaw().map_or(&[][..], |jaw| &jaw.finger_bodies);
         set_finger_friction(spec.world_body_mut(), bodies, friction, rolls);
     }

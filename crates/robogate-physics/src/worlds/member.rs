@@ -61,10 +61,22 @@ struct Submission {
     worlds: Vec<Submitted>,
 }
 
+/// A world of a period: its place, which has its command, or what a new world needs.
 #[derive(Debug)]
-struct Submitted {
-    at: Result<Place, Box<Entry>>,
-    command: Vec<f32>,
+enum Submitted {
+    Placed(Place),
+    New(Box<Entry>, Vec<f32>),
+}
+
+/// Where the numbers of a world are.
+#[derive(Debug)]
+pub(super) struct Rows {
+    command: Row,
+    held: Row,
+    reports: Row,
+    qpos: Row,
+    qvel: Row,
+    lost: Row,
 }
 
 impl Simulator {
@@ -116,7 +128,7 @@ impl Member {
 
     /// Gives a world's place back.
     pub fn release(&mut self, world: &mut World) {
-        if let Some(place) = world.place.take() {
+        if let Some((place, _)) = world.place.take() {
             self.held.retain(|held| *held != place);
             self.simulator.lock().groups[place.group].0.push(place.world);
         }
@@ -128,30 +140,33 @@ impl Member {
     /// # Errors
     /// If the simulator is unavailable.
     pub fn exchange(&mut self, worlds: &mut [(&mut World, Vec<f32>)]) -> Result<Vec<Result<Period, Fault>>, Fault> {
-        let entries: Vec<Option<Vec<f32>>> =
-            worlds.iter().map(|(world, _)| world.entry.as_ref().map(|entry| entry.numbers.values.clone())).collect();
-        let submitted = worlds.iter_mut().map(|(world, command)| Submitted {
-            at: match (world.place, world.entry.take()) {
-                (_, Some(entry)) => Err(Box::new(entry)),
-                (Some(place), None) => Ok(place),
-                // It had no place after a failure: the simulator reports that it has no such world.
-                (None, None) => Ok(Place { group: usize::MAX, world: 0 }),
-            },
-            command: std::mem::take(command),
-        });
-        let submission = Submission { member: self.id, worlds: submitted.collect() };
-        let places = self.submit(submission)?;
-        let mut replies = Vec::with_capacity(worlds.len());
-        let state = self.simulator.lock();
-        let rows: Vec<Result<[Row; 5], Fault>> = places.iter().map(|place| state.rows(*place)).collect();
-        drop(state);
-        for (((world, _), place), (rows, entry)) in worlds.iter_mut().zip(&places).zip(rows.into_iter().zip(entries)) {
-            if world.place.replace(*place).is_none() {
-                self.held.push(*place);
-            }
-            replies.push(rows.and_then(|rows| read(&rows, entry.as_deref())));
+        let mut sent = Vec::with_capacity(worlds.len());
+        let mut submitted = Vec::with_capacity(worlds.len());
+        for (world, command) in worlds.iter_mut() {
+            sent.push(world.entry.as_ref().map(|entry| entry.numbers.values.clone()));
+            submitted.push(match (&world.place, world.entry.take()) {
+                (_, Some(entry)) => Submitted::New(Box::new(entry), std::mem::take(command)),
+                // Each thread writes its own commands. All of them do so at once.
+                (Some((place, rows)), None) => {
+                    rows.command.write(command)?;
+                    Submitted::Placed(*place)
+                }
+                (None, None) => {
+                    let why = "the simulator of many worlds: it failed in an earlier period";
+                    return Err(Fault::new(FaultKind::Unavailable, why));
+                }
+            });
         }
-        Ok(replies)
+        let places = self.submit(Submission { member: self.id, worlds: submitted })?;
+        for ((world, _), place) in worlds.iter_mut().zip(places).filter(|((world, _), _)| world.place.is_none()) {
+            world.place = Some((place, self.simulator.lock().rows(place)?));
+            self.held.push(place);
+        }
+        let read = |((world, _), sent): (&(&mut World, Vec<f32>), Option<Vec<f32>>)| match &world.place {
+            Some((_, rows)) => rows.read(sent.as_deref()),
+            None => Err(Fault::new(FaultKind::Unavailable, "the simulator of many worlds has no such world")),
+        };
+        Ok(worlds.iter().zip(sent).map(read).collect())
     }
 
     fn submit(&self, submission: Submission) -> Result<Vec<Place>, Fault> {
@@ -185,24 +200,26 @@ impl Drop for Member {
     }
 }
 
-/// Reads a world's period. A new world must have the numbers that it was sent.
-fn read([held, reports, qpos, qvel, lost]: &[Row; 5], sent: Option<&[f32]>) -> Result<Period, Fault> {
-    let mut numbers = Vec::new();
-    if let Some(sent) = sent {
-        held.read(&mut numbers)?;
-        let same = |(sent, held): (&f32, &f32)| sent.to_bits() == held.to_bits();
-        if sent.len() != numbers.len() || !sent.iter().zip(&numbers).all(same) {
-            let why = "the simulator of many worlds: the device does not have the numbers of the scene";
-            return Err(Fault::new(FaultKind::NotApplied, why));
+impl Rows {
+    /// Reads the period of the world. A new world must have the numbers that it was sent.
+    fn read(&self, sent: Option<&[f32]>) -> Result<Period, Fault> {
+        let mut numbers = Vec::new();
+        if let Some(sent) = sent {
+            self.held.read(&mut numbers)?;
+            let same = |(sent, held): (&f32, &f32)| sent.to_bits() == held.to_bits();
+            if sent.len() != numbers.len() || !sent.iter().zip(&numbers).all(same) {
+                let why = "the simulator of many worlds: the device does not have the numbers of the scene";
+                return Err(Fault::new(FaultKind::NotApplied, why));
+            }
         }
+        let mut period = Period::default();
+        self.reports.read(&mut period.reports)?;
+        self.qpos.read(&mut period.qpos)?;
+        self.qvel.read(&mut period.qvel)?;
+        self.lost.read(&mut numbers)?;
+        period.lost = numbers.first().map_or(0, |lost| *lost as u32);
+        Ok(period)
     }
-    let mut period = Period::default();
-    reports.read(&mut period.reports)?;
-    qpos.read(&mut period.qpos)?;
-    qvel.read(&mut period.qvel)?;
-    lost.read(&mut numbers)?;
-    period.lost = numbers.first().map_or(0, |lost| *lost as u32);
-    Ok(period)
 }
 
 impl State {
@@ -219,7 +236,7 @@ impl State {
     fn period(&mut self, submissions: Vec<Submission>) -> Result<Vec<Vec<Place>>, Fault> {
         let mut demand: BTreeMap<u64, usize> = BTreeMap::new();
         for world in submissions.iter().flat_map(|submission| &submission.worlds) {
-            if let Err(entry) = &world.at {
+            if let Submitted::New(entry, _) = world {
                 *demand.entry(entry.numbers.topology).or_default() += 1;
             }
         }
@@ -228,22 +245,20 @@ impl State {
         let mut places = Vec::new();
         for Submission { worlds, .. } in submissions {
             let mut own = Vec::with_capacity(worlds.len());
-            for Submitted { at, command } in worlds {
-                let place = match at {
-                    Ok(place) => place,
-                    Err(entry) => {
+            for world in worlds {
+                let place = match world {
+                    Submitted::Placed(place) => place,
+                    Submitted::New(entry, command) => {
                         let topology = entry.numbers.topology;
-                        let place =
-                            self.place(&entry, &command, demand.get(&topology).copied().unwrap_or(1), &mut resets)?;
-                        demand.entry(topology).and_modify(|left| *left -= 1);
-                        self.server.write(place.group, "numbers", place.world, &entry.numbers.values)?;
+                        let left = demand.entry(topology).or_insert(1);
+                        let wanted = *left;
+                        *left -= 1;
+                        let place = self.place(&entry, &command, wanted, &mut resets)?;
+                        self.server.row(place.group, "numbers", place.world)?.write(&entry.numbers.values)?;
+                        self.server.row(place.group, "command", place.world)?.write(&command)?;
                         place
                     }
                 };
-                if place.group >= self.groups.len() {
-                    return Err(Fault::new(FaultKind::Unavailable, "the simulator of many worlds has no such world"));
-                }
-                self.server.write(place.group, "command", place.world, &command)?;
                 if !running.contains(&place.group) {
                     running.push(place.group);
                 }
@@ -282,8 +297,8 @@ impl State {
                 self.groups.push(((0..worlds).rev().collect(), worlds));
                 // Worlds without an episode are stepped too: they begin like this one.
                 for world in 0..worlds {
-                    self.server.write(group, "numbers", world, values)?;
-                    self.server.write(group, "command", world, command)?;
+                    self.server.row(group, "numbers", world)?.write(values)?;
+                    self.server.row(group, "command", world)?.write(command)?;
                 }
                 resets.insert(group, (0..worlds).collect());
                 if let Some(topology) = self.topologies.get_mut(topology) {
@@ -300,8 +315,15 @@ impl State {
         Ok(Place { group, world })
     }
 
-    fn rows(&self, place: Place) -> Result<[Row; 5], Fault> {
-        let row = |table| self.server.place(place.group, table, place.world);
-        Ok([row("held")?, row("reports")?, row("qpos")?, row("qvel")?, row("lost")?])
+    fn rows(&self, place: Place) -> Result<Rows, Fault> {
+        let row = |table| self.server.row(place.group, table, place.world);
+        Ok(Rows {
+            command: row("command")?,
+            held: row("held")?,
+            reports: row("reports")?,
+            qpos: row("qpos")?,
+            qvel: row("qvel")?,
+            lost: row("lost")?,
+        })
     }
 }

@@ -166,32 +166,16 @@ impl Server {
         self.ask(&json!({"do": "step", "resets": resets, "groups": groups})).map(|Nothing {}| ())
     }
 
-    fn row(&self, group: usize, table: &str, world: usize) -> Result<(&Arc<File>, u64, usize), Fault> {
+    /// Where a world's row of a table is.
+    pub(super) fn row(&self, group: usize, table: &str, world: usize) -> Result<Row, Fault> {
         let Group { file, layout } = &self.groups[group];
         let table = layout.get(table).ok_or_else(|| unavailable(format_args!("it has no table {table}")))?;
         let width: usize = table.shape.iter().skip(1).product();
-        Ok((file, 4 * (table.offset + (world * width) as u64), width))
-    }
-
-    /// Writes a world's row of a table.
-    pub(super) fn write(&self, group: usize, table: &str, world: usize, numbers: &[f32]) -> Result<(), Fault> {
-        let (file, at, width) = self.row(group, table, world)?;
-        if numbers.len() != width {
-            let given = numbers.len();
-            return Err(unavailable(format_args!("{given} numbers for {table} of a world. Expected {width}")));
-        }
-        let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
-        file.write_all_at(&bytes, at).map_err(unavailable)
-    }
-
-    /// Where a world's row of a table is.
-    pub(super) fn place(&self, group: usize, table: &str, world: usize) -> Result<Row, Fault> {
-        let (file, at, width) = self.row(group, table, world)?;
-        Ok(Row { file: Arc::clone(file), at, width })
+        Ok(Row { file: Arc::clone(file), at: 4 * (table.offset + (world * width) as u64), width })
     }
 }
 
-/// A world's row of a table, which can be read without the connection.
+/// A world's row of a table, which can be used without the connection.
 #[derive(Debug, Clone)]
 pub(super) struct Row {
     file: Arc<File>,
@@ -200,6 +184,15 @@ pub(super) struct Row {
 }
 
 impl Row {
+    pub(super) fn write(&self, numbers: &[f32]) -> Result<(), Fault> {
+        if numbers.len() != self.width {
+            let (given, width) = (numbers.len(), self.width);
+            return Err(unavailable(format_args!("{given} numbers for a row of a world. Expected {width}")));
+        }
+        let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        self.file.write_all_at(&bytes, self.at).map_err(unavailable)
+    }
+
     pub(super) fn read(&self, numbers: &mut Vec<f32>) -> Result<(), Fault> {
         let mut bytes = vec![0; 4 * self.width];
         self.file.read_exact_at(&mut bytes, self.at).map_err(unavailable)?;

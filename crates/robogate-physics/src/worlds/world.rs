@@ -3,12 +3,12 @@
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Fault, FaultKind};
 
-use super::member::{Entry, Place};
+use super::member::{Entry, Place, Rows};
 use crate::mujoco::numbers::Stage;
 use crate::plant::{unit_grip_force, unrest};
 use crate::unrest::Unrest;
 use crate::{
-    Collision, Engine, Fixture, FixtureKind, GripperCommand, GripperState, Hit, MujocoEngine, Part, Primitive,
+    Collision, Engine, Fixture, FixtureKind, GripperCommand, GripperState, Hit, MujocoEngine, Object, Part, Primitive,
     Readback, Scene, Servo, StepView, Touches, Wrench, isometry,
 };
 
@@ -22,8 +22,41 @@ const NOT_FINITE: u32 = 4;
 
 /// Scenes with at most so many boxes and cylinders that stand still have the same topology, whatever they are.
 const SPARES: usize = 5;
-/// Spare fixtures are this far below the table, in metres.
-const SPARE_DEPTH_M: f64 = 100.0;
+/// Objects with at most so many boxes, cylinders and balls have the same topology: those that an object lacks are out of reach.
+const SPARE_PARTS: [usize; 3] = [2, 1, 1];
+/// Spare fixtures are this far below the table, in metres. Spare parts are twice as far below their object.
+const SPARE_DEPTH_M: f64 = 0.5 * Part::OUT_OF_REACH_M;
+
+/// The parts of an object by their kinds, with spare ones. Also returns the index of each in the object. `None` if there are too
+/// many.
+fn with_spare_parts(object: &Object) -> Option<(Object, Vec<Option<usize>>)> {
+    let kind = |primitive: &Primitive| match primitive {
+        Primitive::Box { .. } => 0,
+        Primitive::Cylinder { .. } => 1,
+        Primitive::Sphere { .. } => 2,
+    };
+    let (size, pose) = (1e-3, Isometry3::translation(0.0, 0.0, -Part::OUT_OF_REACH_M));
+    let spares = [
+        Primitive::Box { half: [size; 3] },
+        Primitive::Cylinder { radius: size, half_height: size },
+        Primitive::Sphere { radius: size },
+    ];
+    let (mut parts, mut order) = (Vec::new(), Vec::new());
+    for (own, (spare, count)) in spares.into_iter().zip(SPARE_PARTS).enumerate() {
+        let those = object.parts.iter().enumerate().filter(|(_, part)| kind(&part.primitive) == own);
+        let first = parts.len();
+        for (index, part) in those {
+            parts.push(part.clone());
+            order.push(Some(index));
+        }
+        if parts.len() > first + count {
+            return None;
+        }
+        parts.resize_with(first + count, || Part { primitive: spare, pose });
+        order.resize(first + count, None);
+    }
+    Some((Object { parts, ..object.clone() }, order))
+}
 
 /// The same scene with its fixtures in an order that depends on their kinds alone, and spare ones out of reach. Also returns the
 /// index in `scene` of each fixture.
@@ -57,7 +90,7 @@ pub struct World {
     stage: Option<Stage>,
     /// What the simulator needs, until it has it.
     pub(super) entry: Option<Entry>,
-    pub(super) place: Option<Place>,
+    pub(super) place: Option<(Place, Rows)>,
     servo: Servo,
     unrest: Unrest,
     grip_force_n: f64,
@@ -65,6 +98,8 @@ pub struct World {
     selected: usize,
     /// The index in the scene of each fixture of the world. `None` for a spare one.
     fixtures: Vec<Option<usize>>,
+    /// The same for the parts of the object. `None` if they are those of the scene.
+    parts: Option<Vec<Option<usize>>>,
     bodies: usize,
     steps_per_period: usize,
     steps: u64,
@@ -153,7 +188,13 @@ impl World {
     pub fn new(engine: &mut MujocoEngine, scene: &Scene, grip_force_n: f64, period_s: f64) -> Result<Self, Fault> {
         let home = engine.robot().settings.arm.home_rad.clone();
         let grip_force_n = unit_grip_force(&engine.robot().settings.gripper, grip_force_n, scene.gripper.force_scale)?;
-        let (same, fixtures) = with_spares(scene);
+        let (mut same, fixtures) = with_spares(scene);
+        // The shapes of a single object are drawn from the scenario. Those of several bodies belong to the task.
+        let parts = if scene.others.is_empty() { with_spare_parts(&scene.object) } else { None };
+        let parts = parts.map(|(object, order)| {
+            same.object = object;
+            order
+        });
         engine.load(&same, &home)?;
         let steps_per_period = (period_s / engine.time_step()).round() as usize;
         Ok(Self {
@@ -170,6 +211,7 @@ impl World {
             softness: scene.arm_stiffness.sqrt(),
             selected: 0,
             fixtures,
+            parts,
             bodies: engine.free_bodies(),
             steps_per_period,
             steps: 0,
@@ -198,6 +240,12 @@ impl World {
             read.fixture = fixture.unwrap_or_default();
             fixture.is_some()
         });
+        if let Some(order) = &self.parts {
+            let read = order.iter().zip(&found.parts).filter_map(|(index, part)| Some(((*index)?, *part)));
+            let mut read: Vec<(usize, Primitive)> = read.collect();
+            read.sort_by_key(|(index, _)| *index);
+            found.parts = read.into_iter().map(|(_, part)| part).collect();
+        }
         Ok(found)
     }
 

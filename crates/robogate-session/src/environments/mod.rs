@@ -12,4 +12,4 @@ pub use python::{Interpreter, installed, installed_marker};
 pub use servers::Servers;
 
 /// The families of bundled environments, as `robogate_eval.environments.FAMILIES` has them.
-pub const BUNDLED: [&str; 5] = ["metaworld", "fetch", "robosuite", "libero", "dm_control"];
+pub const BUNDLED: [&str; 6] = ["metaworld", "fetch", "robosuite", "libero", "dm_control", "warp"];

@@ -11,7 +11,7 @@ macro_rules! embedded {
     };
 }
 
-/// The files of the packages `robogate_eval` and `robogate_bridge` that a server needs, by their paths.
+/// The files of the packages `robogate_eval` `robogate_bridge` and `robogate_worlds` that a server needs, by their paths.
 const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/__init__.py"),
     embedded!("robogate_eval/_command.py"),
@@ -24,6 +24,7 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/environments/metaworld.py"),
     embedded!("robogate_eval/environments/robosuite.py"),
     embedded!("robogate_eval/environments/robosuite_world.py"),
+    embedded!("robogate_eval/environments/warp.py"),
     embedded!("robogate_eval/lerobot/__init__.py"),
     embedded!("robogate_eval/lerobot/policy.py"),
     embedded!("robogate_eval/lerobot/world.py"),
@@ -80,6 +81,11 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_bridge/server.py"),
     embedded!("robogate_bridge/servo.py"),
     embedded!("robogate_bridge/shape.py"),
+    embedded!("robogate_worlds/__init__.py"),
+    embedded!("robogate_worlds/__main__.py"),
+    embedded!("robogate_worlds/group.py"),
+    embedded!("robogate_worlds/kernels.py"),
+    embedded!("robogate_worlds/tables.py"),
 ];
 
 /// Writes the package below `cache`, unless it is there, and returns the folder to put on `PYTHONPATH`.

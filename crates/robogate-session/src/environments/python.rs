@@ -102,14 +102,21 @@ impl Interpreter {
         &self.python
     }
 
-    /// The command `python -m robogate_eval.environments VERB` with pipes for its input and output. Modules in the current folder
-    /// are not imported: another user's folder may contain a `numpy.py`.
+    /// The command `python -m robogate_eval.environments VERB` with pipes for its input and output.
     pub fn command(&self, verb: &str) -> Command {
+        let mut command = self.module("robogate_eval.environments");
+        command.arg(verb);
+        command
+    }
+
+    /// The command `python -m MODULE` with pipes for its input and output. Modules in the current folder are not imported: another
+    /// user's folder may contain a `numpy.py`.
+    pub(crate) fn module(&self, module: &str) -> Command {
         /// Python's option -P, which versions before 3.11 do not have.
         const RUN: &str = "import sys; sys.path[:] = [path for path in sys.path if path]; import runpy; \
-                           runpy.run_module('robogate_eval.environments', run_name='__main__', alter_sys=True)";
+                           runpy.run_module(sys.argv.pop(1), run_name='__main__', alter_sys=True)";
         let mut command = Command::new(&self.python);
-        command.args(["-u", "-c", RUN, verb]).env("PYTHONPATH", &self.python_path);
+        command.args(["-u", "-c", RUN, module]).env("PYTHONPATH", &self.python_path);
         command.env("ROBOGATE_EMBEDDED_PACKAGE", &self.package);
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         // There is a server for each worker. Threads of NumPy's libraries would only compete with the other servers.

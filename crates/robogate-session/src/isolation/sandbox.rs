@@ -84,11 +84,12 @@ pub(crate) struct Sandbox {
 pub(crate) struct Scratch(PathBuf);
 
 impl Scratch {
-    fn new() -> io::Result<Self> {
+    /// A new folder for this user alone.
+    pub(crate) fn below(parent: &Path) -> io::Result<Self> {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         loop {
             let number = NEXT.fetch_add(1, Ordering::Relaxed);
-            let folder = std::env::temp_dir().join(format!("robogate-sandbox-{}-{number}", std::process::id()));
+            let folder = parent.join(format!("robogate-{}-{number}", std::process::id()));
             let mut builder = fs::DirBuilder::new();
             #[cfg(unix)]
             std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
@@ -97,6 +98,11 @@ impl Scratch {
                 made => return made.and_then(|()| folder.canonicalize()).map(Self),
             }
         }
+    }
+
+    /// Its path.
+    pub(crate) fn path(&self) -> &Path {
+        &self.0
     }
 }
 
@@ -166,7 +172,7 @@ print(json.dumps([sys.executable, [sys.prefix, sys.base_prefix, sys.exec_prefix,
 
     /// The command that runs in the sandbox, with its folder for temporary files.
     pub(crate) fn around(&self, command: &Command) -> io::Result<(Command, Scratch)> {
-        let scratch = Scratch::new()?;
+        let scratch = Scratch::below(&std::env::temp_dir())?;
         let rights = Rights { read: self.read.clone(), write: scratch.0.clone() };
         let told = serde_json::to_string(&rights)?;
         let mut inside = this_program().map_err(io::Error::other)?;

@@ -10,7 +10,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, anyhow};
+#[cfg(feature = "mujoco")]
+use robogate_campaign::{BatchWorker, single_workers};
 use robogate_campaign::{Worker, WorkerFactory};
+#[cfg(feature = "mujoco")]
+use robogate_core::SinglePolicies;
 use robogate_core::latency::{Execution, LATENCY_PARAMETER, Latency, with_declarations, with_latency};
 use robogate_core::{
     Environment, Fault, FaultKind, Foresight, InfeasibleShare, ParameterSpace, Policy, SpaceFeasibility, Suite,
@@ -30,6 +34,8 @@ use crate::notice::{note, warning};
 use crate::origin;
 use crate::policy_source::{PolicyChoice, PolicyLocation, PolicySource};
 use crate::registry::CELL_TASK;
+#[cfg(feature = "mujoco")]
+use crate::registry::ManyWorlds;
 use robogate_stats::format::percent;
 
 pub use built_in::BuiltIn;
@@ -229,6 +235,12 @@ impl Subject {
         Some(self.cell()?.unit_space())
     }
 
+    /// The engine, if its campaigns run in many worlds at once.
+    pub fn many_worlds_engine(&self) -> Option<&str> {
+        let cell = self.cell()?;
+        cell.many_worlds().map(|_| &*cell.settings().engine)
+    }
+
     /// The cell, if the environment is a built-in task for an arm.
     fn cell(&self) -> Option<&Cell> {
         match &self.environment {
@@ -383,7 +395,56 @@ impl Subject {
     }
 }
 
+/// Many worlds of one simulator.
+#[cfg(feature = "mujoco")]
+impl Subject {
+    fn many_worlds(&self) -> Option<(&Cell, ManyWorlds)> {
+        let cell = self.cell()?;
+        Some((cell, cell.many_worlds()?))
+    }
+
+    /// How many episodes are in progress by default in each of these threads, if they run in many worlds.
+    ///
+    /// # Errors
+    /// A simulator that does not start, or a policy that cannot drive many worlds.
+    pub(crate) fn slots(&self, threads: NonZeroUsize) -> Result<Option<NonZeroUsize>, Failure> {
+        let Some((cell, many)) = self.many_worlds() else { return Ok(None) };
+        let counted = self.policy.as_ref().and_then(PolicySource::profile).and_then(RangeCounts::of).is_some();
+        let lacks = match (&self.execution, counted) {
+            (Some(_), _) => Some("--latency"),
+            (None, true) => Some("a policy with ranges of its checkpoint"),
+            (None, false) => None,
+        };
+        if let Some(what) = lacks {
+            let engine = &cell.settings().engine;
+            return Err(anyhow!("--engine {engine} cannot be used with {what}\nHint: use --engine mujoco"))
+                .or_request();
+        }
+        let worlds = cell.worlds(many).or_broken()?;
+        // A robot that they cannot simulate is refused before the first episode.
+        let first = cell.batch(many, NonZeroUsize::MIN).or_broken()?.reset(&[(0, &nominal())]);
+        first.into_iter().collect::<Result<Vec<_>, Fault>>().map_err(anyhow::Error::from).or_request()?;
+        Ok(NonZeroUsize::new(worlds.in_flight(threads.get()).div_ceil(threads.get())))
+    }
+}
+
+#[cfg(not(feature = "mujoco"))]
+impl Subject {
+    pub(crate) fn slots(&self, _: NonZeroUsize) -> Result<Option<NonZeroUsize>, Failure> {
+        Ok(None)
+    }
+}
+
 impl WorkerFactory for Subject {
+    #[cfg(feature = "mujoco")]
+    fn batch_worker(&self, slots: NonZeroUsize) -> Result<BatchWorker, Fault> {
+        let Some((cell, many)) = self.many_worlds() else { return single_workers(self, slots) };
+        let environment = cell.batch(many, slots);
+        let environment = environment.map_err(|why| Fault::new(FaultKind::Unavailable, format!("{why:#}")))?;
+        let policies = (0..slots.get()).map(|_| self.policy(None)).collect::<Result<_, _>>()?;
+        Ok(BatchWorker { environment, policy: Box::new(SinglePolicies::new(policies)) })
+    }
+
     fn worker(&self) -> Result<Worker, Fault> {
         if let (EnvironmentSource::Remote(source), Some(PolicySource::Declared(declared))) =
             (&self.environment, &self.policy)

@@ -153,7 +153,8 @@ impl Judge {
         let applied = trial.applied(&scenario.requested, found, &bias);
         let mut episode = Episode {
             trial,
-            forces: Forces::new(self.force_limit_n, self.grip_force_n),
+            // The gripper of this unit may be stronger than the model's.
+            forces: Forces::new(self.force_limit_n, found.grip_force_scale.unwrap_or(1.0) * self.grip_force_n),
             bias,
             fixtures: scene.fixtures,
             steering: Steering::default(),

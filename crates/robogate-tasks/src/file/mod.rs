@@ -264,7 +264,7 @@ impl ArmDeclaration for FileTask {
 
 impl Rules for FileTask {
     fn only_here(&self) -> Option<&'static str> {
-        Some("a task from a file runs on the engines of this process: leave out --simulator")
+        Some("a task from a file runs on an engine in this process: use --engine mujoco, without --simulator")
     }
 
     fn foresight(&self, _: &Robot, _: &Chain, _: f64) -> Option<Arc<dyn Foresight>> {

@@ -184,7 +184,11 @@ impl Replay {
                 let was = &settings.provenance;
                 let maths =
                     matches!((&was.platform, &now.platform), (Some(was), Some(is)) if was.differs_in_maths_only(is));
-                if maths {
+                if let Some(engine) = subject.many_worlds_engine() {
+                    line(format_args!(
+                        "  the run was made in many worlds at once ({engine}), and a replay runs in MuJoCo in this process: other bits"
+                    ));
+                } else if maths {
                     line(
                         "  the mathematical functions of the C library differ from those of the run, which changes last bits",
                     );

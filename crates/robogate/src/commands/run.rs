@@ -116,8 +116,9 @@ struct Given(Vec<String>);
 impl Given {
     /// The arguments of `run` that do not affect the results of a campaign. clap reports the arguments of the whole command as
     /// well.
-    const WITHOUT_EFFECT: [&str; 17] = [
+    const WITHOUT_EFFECT: [&str; 18] = [
         "out",
+        "in_flight",
         "shard",
         "divide",
         "threads",
@@ -178,6 +179,10 @@ pub(crate) struct How {
     /// four for each core, from 8 to 32, because most of the time is spent waiting. --env starts a server for each thread
     #[arg(long, value_name = "T", value_parser = at_least_one::<NonZeroUsize>)]
     pub(crate) threads: Option<NonZeroUsize>,
+    /// Set the number of episodes in progress at once, in all threads together; default: one in each thread. --engine warp: 2048 on a
+    /// GPU
+    #[arg(long, value_name = "N", value_parser = at_least_one::<NonZeroUsize>)]
+    pub(crate) in_flight: Option<NonZeroUsize>,
     /// Print the result as one JSON document
     #[arg(long)]
     pub(crate) json: bool,
@@ -384,7 +389,7 @@ impl How {
     /// Runs `work` on workers that Ctrl-C stops.
     pub(crate) fn with_workers<T>(&self, work: impl FnOnce(Workers<'_>) -> Result<T, Exit>) -> Result<T, Exit> {
         let stop = stop_on_signal()?;
-        work(Workers { threads: self.threads, stop: &stop })
+        work(Workers { threads: self.threads, in_flight: self.in_flight, stop: &stop })
     }
 
     /// Runs a campaign in `dir` with `work` and shows its progress.

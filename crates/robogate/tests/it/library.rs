@@ -19,7 +19,7 @@ fn gates_of_the_library_have_their_question() {
     let subject = Subject::of(&environment, &PolicyChoice::default()).unwrap();
     let rival = Subject::of(&environment, &random).unwrap();
     let request = GateRequest { rounds: Some(2), fixed: true, ..GateRequest::of(subject.sampled_suite(8, 1).unwrap()) };
-    let workers = Workers { threads: None, stop: &AtomicBool::new(false) };
+    let workers = Workers { threads: None, in_flight: None, stop: &AtomicBool::new(false) };
     let evaluation = request.decide(subject, Some(rival), &folder, workers, &mut |_| {}).unwrap();
     let asked = Asked::of(&folder).unwrap().unwrap();
     let dictionary = Dictionary::open(&folder.join(DICTIONARY)).unwrap();

@@ -38,7 +38,7 @@ from .family import Family, UnknownEnvironment, installed
 __all__ = ["Family", "UnknownEnvironment", "families", "find", "with_policy"]
 
 # The modules of this folder that define a `FAMILY`.
-FAMILIES = ("metaworld", "fetch", "robosuite", "libero", "dm_control")
+FAMILIES = ("metaworld", "fetch", "robosuite", "libero", "dm_control", "warp")
 
 
 def families() -> dict[str, Family]:
