@@ -73,6 +73,11 @@ impl Cell {
         pool: Option<Arc<Pool>>,
     ) -> anyhow::Result<Self> {
         let task = base.with(&chosen).map_err(|why| anyhow!(why))?;
+        if let Some(why) = task.only_here()
+            && (pool.is_some() || EngineEntry::find(&settings.engine)?.worlds.is_some())
+        {
+            bail!(why);
+        }
         let robot = robot(&settings.robot)?;
         // The kinematics of a remote engine are read by the default one.
         let compiler = if pool.is_some() { &ENGINES[0] } else { EngineEntry::find(&settings.engine)? };

@@ -290,7 +290,7 @@ fn lint_finds_what_can_never_happen() {
     let problems = of(&beyond, "franka");
     assert!(problems[0].contains("joint(drawer) is compared with 0.3, but it moves from 0 to 0.22"), "{problems:?}");
     let far = text("drawer").replacen("at = \"62, 0, 0 cm\"", "at = \"162, 0, 0 cm\"", 1);
-    let far = far.replacen("range = \"58, 66 cm\"", "range = \"158, 166 cm\"", 1);
+    let far = far.replacen("range = \"59, 65 cm\"", "range = \"159, 165 cm\"", 1);
     let problems = of(&far, "franka");
     assert!(problems[0].contains("the expert cannot reach the goal of skill 1 (`reach`)"), "{problems:?}");
 }

@@ -161,6 +161,10 @@ pub trait ArmTask: ArmDeclaration {
         has_effect(setting, gripper)
     }
 
+    /// Why only an engine of this process can simulate the task. `None` if worlds of a simulator and engines in other processes
+    /// can do so too.
+    fn only_here(&self) -> Option<&'static str>;
+
     /// The same task with these values of its settings.
     ///
     /// # Errors
@@ -208,6 +212,10 @@ impl<R: Rules + HasSettings + 'static> ArmTask for R {
         setting_specs(&R::rows(), self.defaults(), self)
     }
 
+    fn only_here(&self) -> Option<&'static str> {
+        Rules::only_here(self)
+    }
+
     fn with(&self, settings: &Assignment) -> Result<Arc<dyn ArmTask>, String> {
         Ok(Arc::new(with_settings(self.name(), &R::rows(), self, settings)?))
     }
@@ -218,9 +226,6 @@ impl<R: Rules + HasSettings + 'static> ArmTask for R {
 
     #[cfg(feature = "mujoco")]
     fn worlds(&self, engine: MujocoEngine, rig: Rig, member: Member, slots: NonZeroUsize) -> Result<ArmWorlds, String> {
-        if let Some(why) = self.only_here() {
-            return Err(why.to_owned());
-        }
         ArmWorlds::new(self, engine, rig, member, slots)
     }
 
@@ -231,9 +236,6 @@ impl<R: Rules + HasSettings + 'static> ArmTask for R {
         sha256: Option<String>,
         picture_px: [usize; 2],
     ) -> Result<RemoteArm, String> {
-        if let Some(why) = self.only_here() {
-            return Err(why.to_owned());
-        }
         RemoteArm::new(self, (robot, chain), sha256, picture_px)
     }
 }

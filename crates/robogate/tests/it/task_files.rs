@@ -47,7 +47,7 @@ fn record_contains_task() {
     );
     fs::remove_dir_all(at.join("cell")).unwrap();
     verb(at, "replay one 3", 0, &["gripper closes"]);
-    verb(at, "evidence one --out evidence", 0, &[]);
+    verb(at, "evidence one evidence --requirements default", 0, &[]);
     verb(at, "verify evidence", 0, &[]);
 }
 
@@ -89,7 +89,7 @@ fn broken_tasks_are_usage_errors() {
         &["cannot read cell/task.toml", "robogate tasks init cell"],
     );
     let rapier = ["run", "--task", &shipped("drawer"), "--engine", "rapier", "-n", "1"];
-    assert_exit_in(at, &rapier, 5, &["Use --engine mujoco"]);
+    assert_exit_in(at, &rapier, 2, &["Use --engine mujoco"]);
 }
 
 /// A task without an expert runs with a policy, and says so without one.
