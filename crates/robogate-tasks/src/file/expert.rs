@@ -1,5 +1,6 @@
 //! The expert: a script of skills, planned from what the policy is told.
 
+use std::f64::consts::{FRAC_PI_2, PI};
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
@@ -261,7 +262,6 @@ impl<'a> Plan<'a> {
         let x = self.frame(place.on).rotation * Vector3::x();
         let of_frame = x.y.atan2(x.x);
         let at = self.target(place);
-        use std::f64::consts::{FRAC_PI_2, PI};
         match (&self.robot.settings.gripper, place.close_rad) {
             (Gripper::Suction(_), _) => vec![cup_yaw(self.robot, self.chain, [at.x, at.y])],
             // Fingers close at a right angle to the yaw of the tool.
@@ -367,7 +367,7 @@ impl<'a> Plan<'a> {
         let now = self.tool() * part;
         let poses: Vec<_> = (0..4)
             .map(|turn| {
-                let by = yaw(&frame.rotation) + f64::from(turn) * std::f64::consts::FRAC_PI_2 - yaw(&now.rotation);
+                let by = yaw(&frame.rotation) + f64::from(turn) * FRAC_PI_2 - yaw(&now.rotation);
                 let rotation = UnitQuaternion::from_euler_angles(0.0, 0.0, by) * self.tool().rotation;
                 let offset = rotation * part.translation.vector;
                 Isometry3::from_parts(Translation3::from(goal - offset), rotation)

@@ -26,6 +26,9 @@ const MOST_PARTS: usize = 16;
 const MOST_SHAPES: usize = 128;
 const MOST_ENTRIES: usize = 64;
 
+/// The coordinates of a body in paths of parameters.
+const PLACED: [&str; 4] = ["at.x", "at.y", "at.z", "yaw"];
+
 /// Friction coefficient of the parts, if the file states none.
 const FRICTION: f64 = 0.7;
 
@@ -578,7 +581,6 @@ impl Reading<'_, '_> {
         let (owner, rest) = path.split_once('.').unwrap_or((path, ""));
         let unknown =
             |known: &[&str]| format!("`{owner}` has no `{rest}`: {}", robogate_core::hint(rest, known.iter().copied()));
-        const PLACED: [&str; 4] = ["at.x", "at.y", "at.z", "yaw"];
         let placed = PLACED.iter().position(|name| *name == rest);
         let length = |which: usize| if which == YAW { Dimension::ANGLE } else { Dimension::LENGTH };
         if owner == "scene" {
