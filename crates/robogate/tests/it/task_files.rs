@@ -31,7 +31,7 @@ fn guide_leads_to_verdict() {
     verb(dir.path(), "tasks init my_drawer", 2, &["task.toml exists", "Hint: name another folder"]);
 }
 
-/// The record of a run contains its task: a replay and a resume need no folder, and a changed file is another task.
+/// The record of a run contains its task: replay, evidence and rerun need no folder.
 #[test]
 fn record_contains_task() {
     let dir = TempDir::new().unwrap();
@@ -47,8 +47,8 @@ fn record_contains_task() {
     );
     fs::remove_dir_all(at.join("cell")).unwrap();
     verb(at, "replay one 3", 0, &["gripper closes"]);
-    verb(at, "evidence one evidence --requirements default", 0, &[]);
-    verb(at, "verify evidence", 0, &[]);
+    verb(at, "evidence one evidence --requirements default", 3, &[]);
+    verb(at, "verify evidence --rerun 2", 0, &["with the same outcome, measures and trajectory"]);
 }
 
 #[test]
