@@ -1,5 +1,5 @@
 //! Tasks from files: what is read, what is refused, and what the physics of the shipped tasks does.
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test fails by panicking, and prints its figures")]
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod common;
 

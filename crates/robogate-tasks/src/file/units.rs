@@ -163,7 +163,6 @@ pub(super) fn quantity(text: &str) -> Result<Quantity, String> {
 
 #[cfg(test)]
 mod tests {
-    #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
     use super::*;
 
     #[test]
