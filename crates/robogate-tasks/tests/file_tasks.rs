@@ -18,10 +18,10 @@ use common::{EngineKind, scenario};
 
 /// The shipped tasks with the robots that solve them.
 const SHIPPED: [(&str, &[&str]); 4] = [
-    ("drawer", &["franka", "ur5e"]),
-    ("button", &["franka", "ur5e"]),
-    ("door", &["franka", "ur5e"]),
-    ("lid", &["franka", "ur5e"]),
+    ("drawer", &["franka", "ur5e", "ur10e"]),
+    ("button", &["franka", "ur5e", "ur10e"]),
+    ("door", &["franka", "ur5e", "ur10e"]),
+    ("lid", &["franka", "ur5e", "ur10e"]),
 ];
 
 fn text(task: &str) -> String {
