@@ -13,7 +13,7 @@ use robogate_physics::{
 fn cube_at([x, y]: [f64; 2]) -> Scene {
     let parts = vec![Part { primitive: Primitive::Box { half: [0.025; 3] }, pose: Isometry3::identity() }];
     Scene {
-        object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts },
+        object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None },
         object_pose: Isometry3::translation(x, y, 0.025),
         others: Vec::new(),
         friction: 0.8,

@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Vector3};
 use robogate_core::{ContactPoint, Fault};
 use serde::{Deserialize, Serialize};
 
-use crate::{Chain, Motion, Primitive, Robot, Scene, plain};
+use crate::{Chain, Joint, Motion, Primitive, Robot, Scene, plain};
 
 /// A rigid-body engine that holds one robot and, after [`Engine::load`], one scene.
 pub trait Engine: Any {
@@ -95,6 +95,15 @@ pub trait Engine: Any {
     /// Wrench of the fixtures and the other free bodies on the object in the last step, about its centre of mass, along the
     /// axes of the base frame. Computed on request.
     fn support(&self) -> Wrench;
+
+    /// Value (m or rad) and speed of the joint of a body of the scene. `None` for a body that moves freely.
+    fn body_joint(&self, _body: usize) -> Option<[f64; 2]> {
+        None
+    }
+
+    /// Sum of the normal forces between two sides in the last step, in newtons. `None` if they do not touch. Computed on
+    /// request.
+    fn force_between(&self, one: Side, other: Side) -> Option<f64>;
 
     /// Contact points of the last step with their normal forces. Computed on request, because only viewers need them.
     fn contact_points(&self) -> Vec<ContactPoint>;
@@ -210,6 +219,14 @@ impl<E: Engine + ?Sized> Engine for Box<E> {
         (**self).support()
     }
 
+    fn body_joint(&self, body: usize) -> Option<[f64; 2]> {
+        (**self).body_joint(body)
+    }
+
+    fn force_between(&self, one: Side, other: Side) -> Option<f64> {
+        (**self).force_between(one, other)
+    }
+
     fn contact_points(&self) -> Vec<ContactPoint> {
         (**self).contact_points()
     }
@@ -288,6 +305,8 @@ pub struct Readback {
     pub others: Vec<FreeBodyRead>,
     /// The fixtures, in any order.
     pub fixtures: Vec<FixtureRead>,
+    /// The joints of bodies, by the body's index: axis and anchor of the scene, all numbers as they act in the engine.
+    pub joints: Vec<(usize, Joint)>,
 }
 
 /// A free body other than the object, as read from an engine.
@@ -343,6 +362,17 @@ pub struct Collision {
     pub hit: Hit,
     /// Normal force in newtons.
     pub force: f64,
+}
+
+/// What a contact is between.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    /// Any part of the robot.
+    Robot,
+    /// A body of the scene that moves freely or on a joint, by its index.
+    Body(usize),
+    /// A fixture, by its index in the scene.
+    Fixture(usize),
 }
 
 /// The body that the robot hit.

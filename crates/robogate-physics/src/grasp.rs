@@ -219,7 +219,7 @@ fn scene(tcp: &Isometry3<f64>, gripper: &Gripper, part_m: f64, mass_kg: f64) -> 
         motion: None,
     };
     Scene {
-        object: Object { mass: MassProperties::homogeneous(&parts, mass_kg), parts },
+        object: Object { mass: MassProperties::homogeneous(&parts, mass_kg), parts, joint: None },
         object_pose: Isometry3::from_parts(place, yaw),
         others: Vec::new(),
         friction: FRICTION,

@@ -20,6 +20,7 @@ mod gripper_command;
 mod includes;
 #[cfg(feature = "mujoco")]
 mod inspect;
+mod joint;
 mod kinematics;
 mod mass;
 #[cfg(feature = "mujoco")]
@@ -52,7 +53,7 @@ pub mod worlds;
 #[cfg(feature = "mujoco")]
 pub use draft::{Draft, draft};
 pub use engine::{
-    Collision, Engine, EngineBuild, FixtureRead, FreeBodyRead, Hit, JointTargets, Readback, Touches, Wrench,
+    Collision, Engine, EngineBuild, FixtureRead, FreeBodyRead, Hit, JointTargets, Readback, Side, Touches, Wrench,
 };
 pub use finger_motion::FingerMotion;
 #[cfg(feature = "mujoco")]
@@ -60,6 +61,7 @@ pub use grasp::Grasp;
 pub use gripper_command::GripperCommand;
 #[cfg(feature = "mujoco")]
 pub use inspect::{Inspection, Measured, inspect};
+pub use joint::{Joint, JointKind};
 pub use kinematics::{Chain, ChainJoint, Unreachable};
 pub use mass::MassProperties;
 #[cfg(feature = "mujoco")]

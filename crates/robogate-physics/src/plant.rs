@@ -158,7 +158,11 @@ impl<E: Engine> Plant<E> {
             servo: Servo::at_rest(&home, self.control_period_s),
             targets: JointTargets { velocities: vec![0.0; home.len()], positions: home, finger },
             suction,
-            parts: scene.free_bodies().map(|(object, _)| object.parts.clone()).collect(),
+            // A cup does not hold a body on a joint.
+            parts: scene
+                .free_bodies()
+                .map(|(object, _)| if object.joint.is_some() { Vec::new() } else { object.parts.clone() })
+                .collect(),
             selected: 0,
             grip_force_n,
             unrest: Unrest::default(),

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 #[cfg(any(feature = "mujoco", feature = "rapier"))]
 use crate::friction::Against;
-use crate::{Color, MassProperties, Motion, Part, Primitive, Visual, plain};
+use crate::{Color, Joint, MassProperties, Motion, Part, Primitive, Visual, plain};
 
 /// Standard gravity on Earth, in m/s^2.
 pub const GRAVITY: f64 = 9.81;
@@ -98,7 +98,7 @@ pub struct FreeBody {
     pub color: Color,
 }
 
-/// A rigid body that moves freely: its parts about its own origin, and its mass.
+/// A rigid body that moves freely or on a joint: its parts about its own origin, and its mass.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Object {
     /// The parts.
@@ -106,6 +106,10 @@ pub struct Object {
     /// Mass, centre of mass and inertia.
     #[serde(flatten)]
     pub mass: MassProperties,
+    /// The joint that holds it. Such a body touches the robot and bodies that move freely, and nothing else. `None` if it
+    /// moves freely.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub joint: Option<Joint>,
 }
 
 /// A body that stands still or follows a prescribed motion. Contact of the robot with it is a collision.

@@ -75,14 +75,34 @@ pub fn straight_path(
 ) -> Result<Vec<Vec<f64>>, Unreachable> {
     let start = chain.tcp_at(from);
     let distance = (to.translation.vector - start.translation.vector).norm();
-    let mut seconds = duration(distance, limit.speed, limit.acceleration);
+    let pose = |s: f64| {
+        let at = start.translation.vector.lerp(&to.translation.vector, s);
+        Isometry3::from_parts(Translation3::from(at), start.rotation.slerp(&to.rotation, s))
+    };
+    curved_path(chain, from, &pose, distance, rest, arm, limit, period)
+}
+
+/// As [`straight_path`], through the poses that `pose` gives for the shares 0 to 1 of a way of `length` metres.
+///
+/// # Errors
+/// As [`straight_path`].
+#[expect(clippy::too_many_arguments, reason = "a straight path with its poses and its length")]
+pub fn curved_path(
+    chain: &Chain,
+    from: &[f64],
+    pose: &dyn Fn(f64) -> Isometry3<f64>,
+    length: f64,
+    rest: &[f64],
+    arm: &Arm,
+    limit: ToolLimit,
+    period: f64,
+) -> Result<Vec<Vec<f64>>, Unreachable> {
+    let mut seconds = duration(length, limit.speed, limit.acceleration);
     loop {
         let ticks = (seconds / period).ceil().max(1.0) as usize;
         let mut path: Vec<Vec<f64>> = Vec::with_capacity(ticks);
         for k in 1..=ticks {
-            let s = min_jerk(k as f64 / ticks as f64);
-            let at = start.translation.vector.lerp(&to.translation.vector, s);
-            let goal = Isometry3::from_parts(Translation3::from(at), start.rotation.slerp(&to.rotation, s));
+            let goal = pose(min_jerk(k as f64 / ticks as f64));
             let near = path.last().map_or(from, Vec::as_slice);
             path.push(chain.inverse(&goal, near, rest)?);
         }
@@ -94,7 +114,7 @@ pub fn straight_path(
         seconds *= slower.max(1.05);
         if seconds > SLOWEST_S {
             // A joint that jumps between postures exceeds its limits for any duration.
-            let at = to.translation.vector.into();
+            let at = pose(1.0).translation.vector.into();
             return Err(Unreachable { position: at, position_error_m: 0.0, angle_error_rad: 0.0 });
         }
     }

@@ -10,7 +10,7 @@ use anyhow::{Context, anyhow, bail};
 use robogate_camera::SIZE_PX;
 #[cfg(feature = "mujoco")]
 use robogate_core::BatchEnvironment;
-use robogate_core::{Assignment, Environment, ParameterSpace, Policy, Scenario, Seed, Suite, TaskInstance};
+use robogate_core::{Assignment, Environment, ParameterSpace, Policy, Scenario, Seed, Suite, TaskInstance, TaskSpec};
 use robogate_demos::Recorder;
 use robogate_dictionary::{CellPlace, provenance, robot_sha256};
 #[cfg(feature = "mujoco")]
@@ -21,6 +21,7 @@ use robogate_physics::{
 use robogate_remote::message::{self, Hello};
 use robogate_remote::{Pool, RemotePhysics};
 use robogate_tasks::claims::{Bench, Setup, Workbench};
+use robogate_tasks::file::FileTask;
 use robogate_tasks::{ArmTask, Rig, remote};
 
 use crate::isolation;
@@ -28,6 +29,7 @@ use crate::registry::{self, ENGINES, EngineEntry, ManyWorlds};
 use crate::remote::{self as servers, CellTask, PhysicsHost};
 use crate::renderer;
 use crate::subject::{check_declared, hello_of, named_space};
+use crate::text::foreign;
 #[cfg(feature = "mujoco")]
 use crate::worlds::Worlds;
 
@@ -65,12 +67,17 @@ impl Cell {
     /// Reads the robot and sets the cell up once, so that problems are reported before a run starts. `chosen` are values
     /// of the task's settings.
     pub fn new(
-        task: &str,
+        base: &dyn ArmTask,
         mut settings: CellPlace,
         chosen: Assignment,
         pool: Option<Arc<Pool>>,
     ) -> anyhow::Result<Self> {
-        let task = arm_task(task, &chosen)?;
+        let task = base.with(&chosen).map_err(|why| anyhow!(why))?;
+        if let Some(why) = task.only_here()
+            && (pool.is_some() || EngineEntry::find(&settings.engine)?.worlds.is_some())
+        {
+            bail!(why);
+        }
         let robot = robot(&settings.robot)?;
         // The kinematics of a remote engine are read by the default one.
         let compiler = if pool.is_some() { &ENGINES[0] } else { EngineEntry::find(&settings.engine)? };
@@ -119,7 +126,7 @@ impl Cell {
     pub fn set_like_the_paper(&mut self) -> anyhow::Result<()> {
         let mut values = self.task.published(&self.robot.settings.gripper);
         self.chosen.iter().for_each(|(name, value)| values.set(name, value.clone()));
-        self.task = arm_task(self.task.name(), &values)?;
+        self.task = self.task.with(&values).map_err(|why| anyhow!(why))?;
         self.chosen = values;
         Ok(())
     }
@@ -159,6 +166,9 @@ impl Cell {
     /// # Errors
     /// A robot without room for a range.
     pub fn own_space(&self) -> anyhow::Result<ParameterSpace> {
+        if let Some(space) = self.task.brought_space() {
+            return Ok(space);
+        }
         let space = named_space(self.task.space(&self.robot.settings.gripper))?;
         Ok(self.task.fitted(space, &self.robot)?)
     }
@@ -238,6 +248,11 @@ impl Cell {
         task.remote(setup.robot.clone(), chain, Some(sha256), [self.picture_px; 2])
             .map(CellTask)
             .map_err(|why| anyhow!(why))
+    }
+
+    /// The robot's kinematics.
+    pub(crate) fn kinematics(&self) -> anyhow::Result<Chain> {
+        self.chain(&self.setup())
     }
 
     /// Whether campaigns run in many worlds of one simulator.
@@ -360,10 +375,26 @@ pub fn engine(build: EngineBuild) -> provenance::Engine {
     provenance::Engine { name: build.name.to_owned(), version: Some(build.version), build_sha256: build.sha256 }
 }
 
-/// The task with this name and these values of its settings.
-fn arm_task(name: &str, chosen: &Assignment) -> anyhow::Result<Arc<dyn ArmTask>> {
-    let task = registry::arm_task(name).ok_or_else(|| anyhow!("--task {name}: unknown task for an arm"))?;
-    task.with(chosen).map_err(|why| anyhow!(why))
+/// The task for an arm of a record: the file that the record contains, or the built-in one with its name.
+pub(crate) fn recorded_task(spec: &TaskSpec) -> anyhow::Result<Arc<dyn ArmTask>> {
+    match FileTask::recorded(spec) {
+        Some(Ok(task)) => Ok(Arc::new(task)),
+        Some(Err(problems)) => {
+            bail!("the recorded file of the task {} is not valid\n{}", foreign(spec.name.as_str()), listed(&problems))
+        }
+        None => registry::arm_task(spec.name.as_str())?
+            .ok_or_else(|| anyhow!("--task {}: unknown task for an arm", spec.name)),
+    }
+}
+
+/// Whether a task is one for an arm in the cell.
+pub(crate) fn is_cell(spec: &TaskSpec) -> bool {
+    FileTask::recorded(spec).is_some() || registry::ARM_TASKS.iter().any(|task| task.name() == spec.name.as_str())
+}
+
+/// The problems of a task's file, one after another.
+pub(crate) fn listed(problems: &[robogate_tasks::file::Problem]) -> String {
+    problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")
 }
 
 /// A scenario with nominal values only.

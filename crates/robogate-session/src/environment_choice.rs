@@ -93,7 +93,7 @@ impl EnvironmentChoice {
             let remote = RemoteSource { pool: Arc::clone(pool), robot, launched: None };
             return Ok((EnvironmentSource::Remote(remote), self.parameters()?));
         }
-        let Some(arm) = registry::arm_task(&self.task) else {
+        let Some(arm) = registry::arm_task(&self.task).or_request()? else {
             let task = registry::task(&self.task).or_request()?;
             self.refuse_cell_options(&self.task)?;
             if pool.is_some() {
@@ -108,7 +108,7 @@ impl EnvironmentChoice {
             return Ok((EnvironmentSource::BuiltIn(Box::new(task)), rest));
         };
         let (chosen, rest) = self.settings_among(&arm.settings()).or_request()?;
-        let cell = Cell::new(&self.task, self.place(), chosen, pool).or_setup()?;
+        let cell = Cell::new(&*arm, self.place(), chosen, pool).or_setup()?;
         Ok((EnvironmentSource::BuiltIn(Box::new(cell)), rest))
     }
 

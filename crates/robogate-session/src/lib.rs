@@ -47,6 +47,7 @@ mod source;
 mod store;
 mod stress;
 mod subject;
+pub mod task_folder;
 pub mod text;
 mod twins;
 mod workers;

@@ -2,7 +2,11 @@
 //!
 //! A new engine or task adds one line here. Robots, spaces and suites are files that their crates embed.
 
+use std::path::Path;
+use std::sync::Arc;
+
 use anyhow::anyhow;
+use robogate_core::Assignment;
 #[cfg(feature = "mujoco")]
 use robogate_physics::MujocoEngine;
 #[cfg(feature = "rapier")]
@@ -12,6 +16,9 @@ use robogate_tasks::insertion::Insertion;
 use robogate_tasks::pick_place::{self, PickPlace};
 use robogate_tasks::stacking::Stacking;
 use robogate_tasks::{ArmTask, SelfContained, built_in_spaces};
+
+use crate::task_folder;
+use crate::text::foreign;
 
 /// The engines of the built-in cell; the first is the default.
 pub const ENGINES: &[EngineEntry] = &[
@@ -94,14 +101,22 @@ impl EngineEntry {
     }
 }
 
-/// Finds a task for an arm by its name.
-pub fn arm_task(name: &str) -> Option<&'static dyn ArmTask> {
-    ARM_TASKS.iter().copied().find(|task| task.name() == name)
+/// Finds a task for an arm by its name, or reads it from its folder. `None` for another task.
+///
+/// # Errors
+/// Every problem of the folder.
+pub fn arm_task(wanted: &str) -> anyhow::Result<Option<Arc<dyn ArmTask>>> {
+    match ARM_TASKS.iter().find(|task| task.name() == wanted) {
+        Some(task) => task.with(&Assignment::default()).map(Some).map_err(|why| anyhow!(why)),
+        None if Path::new(wanted).is_dir() => Ok(Some(Arc::new(task_folder::read(Path::new(wanted))?))),
+        None if wanted.contains('/') => Err(anyhow!("--task {}: no such folder", foreign(wanted))),
+        None => Ok(None),
+    }
 }
 
 /// Whether robot and engine of a task can be chosen.
 pub fn has_robots(task: &str) -> bool {
-    arm_task(task).is_some()
+    matches!(arm_task(task), Ok(Some(_)))
 }
 
 /// Names and summaries of all tasks.

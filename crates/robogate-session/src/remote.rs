@@ -163,7 +163,7 @@ impl RemoteTask for CellTask {
     }
 
     fn foresight(&self) -> Option<Arc<dyn Foresight>> {
-        Some(self.0.foresight())
+        self.0.foresight()
     }
 
     fn accepts(&self, hello: &Hello) -> Result<(), String> {

@@ -5,6 +5,7 @@
 //! [`SelfContained`]. [`Random`] is a policy for any task with bounded actions.
 
 mod arm;
+pub mod file;
 pub mod insertion;
 #[cfg(feature = "mujoco")]
 pub mod pendulum;

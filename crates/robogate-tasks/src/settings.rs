@@ -95,7 +95,7 @@ impl<T> SettingRow<T> {
     }
 }
 
-impl<T: Clone + Default> SettingRow<T> {
+impl<T: Clone> SettingRow<T> {
     fn allowed(&self, task: &mut T) -> Allowed {
         match &self.field {
             Field::Number([low, high], _) | Field::OfRobot([low, high], _) => {
@@ -119,20 +119,20 @@ impl<T: Clone + Default> SettingRow<T> {
         }
     }
 
-    /// The declaration, with the value of this task.
-    fn spec(&self, task: &mut T) -> SettingSpec {
+    /// The declaration, with the default of `defaults` and the value of this task.
+    fn spec(&self, defaults: &mut T, task: &mut T) -> SettingSpec {
         SettingSpec {
             name: self.name.into(),
             unit: unit_of(self.name).to_owned(),
             meaning: self.meaning.to_owned(),
             allowed: self.allowed(task),
-            default: self.value(&mut T::default()),
+            default: self.value(defaults),
             value: self.value(task),
         }
     }
 
     fn set(&self, task: &mut T, value: &Value) -> Result<(), String> {
-        self.spec(task).accepts(value)?;
+        self.spec(&mut task.clone(), task).accepts(value)?;
         match (&self.field, value) {
             (Field::Choice(field), Value::Category(word)) => field(task).choose(word),
             (Field::Number(_, field) | Field::Periods(_, _, field), _) => *field(task) = number(value),
@@ -163,17 +163,17 @@ fn is_whole(number: f64) -> bool {
     (number - number.round()).abs() < 1e-6
 }
 
-/// The declarations of these settings, with the values of this task.
-pub(crate) fn setting_specs<T: Clone + Default>(rows: &[SettingRow<T>], task: &T) -> Vec<SettingSpec> {
+/// The declarations of these settings, with the defaults of `defaults` and the values of this task.
+pub(crate) fn setting_specs<T: Clone>(rows: &[SettingRow<T>], mut defaults: T, task: &T) -> Vec<SettingSpec> {
     let mut task = task.clone();
-    rows.iter().map(|row| row.spec(&mut task)).collect()
+    rows.iter().map(|row| row.spec(&mut defaults, &mut task)).collect()
 }
 
 /// The same task with these values of its settings.
 ///
 /// # Errors
 /// A setting that the task does not have, or a value that it does not accept. The error names what is accepted.
-pub(crate) fn with_settings<T: Clone + Default>(
+pub(crate) fn with_settings<T: Clone>(
     name: &str,
     rows: &[SettingRow<T>],
     task: &T,

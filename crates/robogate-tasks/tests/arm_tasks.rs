@@ -69,7 +69,7 @@ fn tool_experts_succeed() {
                 continue;
             }
             let mut environment = environment(task, robot);
-            let mut expert = task.tool_expert(EngineKind::Mujoco.robot(robot).robot);
+            let mut expert = task.tool_expert(EngineKind::Mujoco.robot(robot).robot).unwrap();
             expert.check(robogate_core::Environment::task(&environment)).unwrap();
             for index in 0..2 {
                 let episode = rollout(&mut environment, &mut *expert, &scenario(index, &[]));

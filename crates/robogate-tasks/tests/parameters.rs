@@ -12,7 +12,7 @@ use robogate_core::{
     check_applied,
 };
 use robogate_physics::{
-    Chain, Engine, EngineBuild, FixtureKind, JointTargets, Primitive, Readback, Robot, Scene, Touches, Wrench,
+    Chain, Engine, EngineBuild, FixtureKind, JointTargets, Primitive, Readback, Robot, Scene, Side, Touches, Wrench,
 };
 use robogate_tasks::insertion::Insertion;
 use robogate_tasks::pick_place::PickPlace;
@@ -165,6 +165,10 @@ impl Engine for Tampered {
 
     fn opening(&self) -> Option<f64> {
         self.engine.opening()
+    }
+
+    fn force_between(&self, one: Side, other: Side) -> Option<f64> {
+        self.engine.force_between(one, other)
     }
 
     fn select(&mut self, body: usize) {

@@ -69,7 +69,7 @@ impl Environment for Remote {
     }
 
     fn foresight(&self) -> Option<Arc<dyn Foresight>> {
-        Some(self.task.foresight())
+        self.task.foresight()
     }
 
     fn foregone_ending(&self) -> Option<Ending> {

@@ -15,7 +15,8 @@ use nalgebra::{Isometry3, Vector3};
 use robogate_campaign::{Executor, ThreadPool, Worker, WorkerFactory};
 use robogate_core::{ContactPoint, Design, Fault, ParameterSpace, Sampler, Scenario, Seed, rollout, samplers};
 use robogate_physics::{
-    Chain, Engine, EngineBuild, JointTargets, MujocoEngine, Readback, Robot, Scene, Touches, Wrench, built_in_robot,
+    Chain, Engine, EngineBuild, JointTargets, MujocoEngine, Readback, Robot, Scene, Side, Touches, Wrench,
+    built_in_robot,
 };
 use robogate_tasks::pick_place::{FRANKA_SPACE, PickPlace, Scripted};
 use robogate_tasks::{ArmTask, Rig};
@@ -135,6 +136,10 @@ impl Engine for Recorder {
     fn advance(&mut self, targets: &JointTargets) {
         self.tapes.borrow_mut().last_mut().unwrap().targets.push(targets.clone());
         self.inner.advance(targets);
+    }
+
+    fn force_between(&self, one: Side, other: Side) -> Option<f64> {
+        self.inner.force_between(one, other)
     }
 
     fn build(&self) -> EngineBuild {

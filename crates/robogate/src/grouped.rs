@@ -9,7 +9,10 @@ const GROUPS: [(&str, &[&str]); 7] = [
     ("Start", &["init"]),
     ("Judge a policy", &["run", "gate", "resume", "compare", "rank", "leaderboard", "matrix", "fleet"]),
     ("Look at results", &["runs", "analyze", "report", "figure", "view", "replay", "import", "export", "audit"]),
-    ("Bring your own", &["env", "policy", "robots", "check", "serve", "demos", "list", "config", "completions"]),
+    (
+        "Bring your own",
+        &["env", "policy", "robots", "tasks", "check", "serve", "demos", "list", "config", "completions"],
+    ),
     ("Show that it holds", &["evidence", "verify", "keys"]),
     ("Use many machines", &["plan", "merge"]),
     ("Real robots", &["transfer", "trial", "monitor"]),

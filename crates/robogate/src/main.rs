@@ -97,6 +97,8 @@ enum Verb {
     Policy(commands::policy::Policies),
     /// Check a robot, or draft one of your own from its model
     Robots(commands::robots::Robots),
+    /// Check a task of your own from a file, or start one from an example
+    Tasks(commands::tasks::Tasks),
     /// Check the physics of the cell, a simulator server, or the file of a suite
     Check(commands::check::Check),
     /// Serve a built-in environment over the bridge protocol
@@ -222,6 +224,7 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Env(verb) => verb.execute(),
         Verb::Policy(verb) => verb.execute(),
         Verb::Robots(verb) => verb.execute(),
+        Verb::Tasks(verb) => verb.execute(),
         Verb::Check(verb) => verb.execute(),
         Verb::Serve(verb) => verb.execute(),
         Verb::Demos(verb) => verb.execute(),

@@ -2,9 +2,9 @@
 
 use robogate_core::{Domain, ParameterSpace};
 
-use super::hint::hint;
 use super::{Plan, PlanError, Range};
 use crate::{Bins, suite_sha256};
+use robogate_core::hint;
 
 /// Largest number of points in one stage. More is probably a typing error: the table alone would not fit into memory.
 const MOST_EPISODES: u64 = 100_000_000;

@@ -5,7 +5,6 @@
 
 mod check;
 mod error;
-mod hint;
 mod preset;
 
 use std::path::Path;
@@ -17,7 +16,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{ActiveStage, SuiteStage};
-use hint::hint;
+use robogate_core::hint;
 
 pub use error::PlanError;
 pub use preset::Preset;

@@ -9,7 +9,7 @@ use robogate_core::{ContactBetween, ContactPoint, Fault};
 use super::{Kind, Loaded};
 use crate::engine::Collision;
 use crate::friction::{Against, Coefficients, Friction};
-use crate::{Hit, Touches, Wrench};
+use crate::{Hit, Side, Touches, Wrench};
 
 impl Loaded {
     /// The friction coefficients that act between the object and every body that it can touch.
@@ -101,6 +101,27 @@ impl Loaded {
             support.torque += axes * Vector3::new(twist, r1, r2) + arm.cross(&force);
         }
         support
+    }
+
+    /// Sum of the normal forces between two sides in the last step, in newtons. `None` if they do not touch.
+    pub(super) fn force_between(&self, one: Side, other: Side) -> Option<f64> {
+        let is = |geom: i32, side: Side| match (self.kinds[geom as usize], side) {
+            (Kind::Robot { .. }, Side::Robot) => true,
+            (Kind::Object(body), Side::Body(wanted)) => body == wanted,
+            (Kind::Fixture(fixture), Side::Fixture(wanted)) => fixture == wanted,
+            _ => false,
+        };
+        let mut sum = None;
+        for (i, contact) in self.data.contact().iter().enumerate() {
+            let [first, second] = [contact.geom1, contact.geom2];
+            if contact.efc_address < 0 || first < 0 || second < 0 {
+                continue;
+            }
+            if is(first, one) && is(second, other) || is(first, other) && is(second, one) {
+                *sum.get_or_insert(0.0) += self.data.contact_force(i)[0];
+            }
+        }
+        sum
     }
 
     /// The contact points of the last step with their normal forces.

@@ -8,6 +8,7 @@
 mod contacts;
 pub(crate) mod damping;
 mod inspection;
+mod joints;
 pub(crate) mod links;
 pub(crate) mod numbers;
 mod scene;
@@ -28,7 +29,7 @@ use crate::friction::Friction;
 use crate::robot_model::Built;
 use crate::{
     BELLOWS_JOINT, Chain, Engine, EngineBuild, FingerMotion, FixtureRead, FreeBodyRead, Hit, JointTargets, Motion,
-    Primitive, Readback, Robot, RobotError, Scene, Touches, Wrench, isometry, robot_model,
+    Primitive, Readback, Robot, RobotError, Scene, Side, Touches, Wrench, isometry, robot_model,
 };
 
 /// Contact masks (`contype`, `conaffinity`). The robot collides with object and fixtures, the object with fixtures. At first
@@ -38,6 +39,8 @@ pub(crate) const ROBOT: (i32, i32) = (1, 0);
 /// The masks of a robot whose links collide with each other.
 const ROBOT_WITH_ITSELF: (i32, i32) = (1, 1);
 const OBJECT: (i32, i32) = (2, 1);
+/// A body on a joint collides with the robot and with free bodies: its joint guides it through its fixtures.
+const JOINTED: (i32, i32) = (4, 3);
 const FIXTURE: (i32, i32) = (0, 3);
 
 /// Prefix of the names of fixtures and object in the compiled model, so that they differ from a robot's names.
@@ -114,7 +117,7 @@ struct Mover {
     motion: Motion,
 }
 
-/// A body that moves freely.
+/// A body that moves freely or on a joint.
 #[derive(Debug, Clone, Copy)]
 struct Free {
     body: usize,
@@ -340,6 +343,11 @@ impl Engine for MujocoEngine {
             }
         }
         let mut data = MjData::new(Box::new(model));
+        for (free, (object, _)) in free.iter().zip(scene.free_bodies()) {
+            if let Some(joint) = &object.joint {
+                data.qpos_mut()[free.qpos] = joint.start;
+            }
+        }
         for ((address, _), q) in arm.iter().zip(joints) {
             data.qpos_mut()[*address] = *q;
         }
@@ -420,6 +428,7 @@ impl Engine for MujocoEngine {
                 })
                 .collect(),
             fixtures,
+            joints: loaded.joints_read(),
         })
     }
 
@@ -565,12 +574,18 @@ impl Engine for MujocoEngine {
 
     fn free_body(&self, body: usize) -> Isometry3<f64> {
         let loaded = self.loaded();
+        if let Some(pose) = loaded.jointed_pose(body) {
+            return pose;
+        }
         let q = &loaded.data.qpos()[loaded.free[body].qpos..];
         isometry(&[q[0], q[1], q[2]], &[q[3], q[4], q[5], q[6]])
     }
 
     fn free_body_velocity(&self, body: usize) -> (Vector3<f64>, Vector3<f64>) {
         let loaded = self.loaded();
+        if let Some(velocity) = loaded.jointed_velocity(body) {
+            return velocity;
+        }
         let v = &loaded.data.qvel()[loaded.free[body].qvel..];
         (Vector3::new(v[0], v[1], v[2]), Vector3::new(v[3], v[4], v[5]))
     }
@@ -594,6 +609,14 @@ impl Engine for MujocoEngine {
 
     fn support(&self) -> Wrench {
         self.loaded().support()
+    }
+
+    fn body_joint(&self, body: usize) -> Option<[f64; 2]> {
+        self.loaded().jointed(body).map(|(_, _, state)| state)
+    }
+
+    fn force_between(&self, one: Side, other: Side) -> Option<f64> {
+        self.loaded().force_between(one, other)
     }
 
     fn contact_points(&self) -> Vec<ContactPoint> {

@@ -4,7 +4,7 @@ use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::{MjsBody, MjsGeom};
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion};
 
-use super::{FIXTURE, MujocoEngine, OBJECT, PREFIX, wxyz};
+use super::{FIXTURE, JOINTED, MujocoEngine, OBJECT, PREFIX, joints, wxyz};
 use crate::{Part, Primitive, Scene, contact};
 
 impl MujocoEngine {
@@ -13,6 +13,7 @@ impl MujocoEngine {
         spec.option_mut().gravity = [0.0, 0.0, -scene.gravity];
         self.set_stiffness(spec, scene.arm_stiffness);
         self.set_pad_friction(spec, scene);
+        let degrees = spec.compiler().degree();
         let world = spec.world_body_mut();
         for fixture in &scene.fixtures {
             let name = format!("{PREFIX}{}", fixture.name);
@@ -57,12 +58,16 @@ impl MujocoEngine {
             place(&Isometry3::from_parts(Translation3::from(mass.centre), UnitQuaternion::identity()), body.ipos_mut());
             let m: &Matrix3<f64> = &mass.inertia;
             *body.fullinertia_mut() = [m[(0, 0)], m[(1, 1)], m[(2, 2)], m[(0, 1)], m[(0, 2)], m[(1, 2)]];
-            body.add_free_joint().set_name(&name)?;
+            match &object.joint {
+                Some(joint) => joints::add(body, &name, joint, degrees),
+                None => body.add_free_joint().set_name(&name)?,
+            }
             for (i, part) in object.parts.iter().enumerate() {
                 let geom = body.add_geom().with_name(&format!("{name}_{i}"));
                 shape(geom, &part.primitive, &part.pose);
-                geom.set_contype(OBJECT.0);
-                geom.set_conaffinity(affinity);
+                let (contype, conaffinity) = if object.joint.is_some() { JOINTED } else { (OBJECT.0, affinity) };
+                geom.set_contype(contype);
+                geom.set_conaffinity(conaffinity);
                 geom.set_mass(0.0);
                 // The object's friction coefficient applies to all of its contacts.
                 geom.set_priority(1);

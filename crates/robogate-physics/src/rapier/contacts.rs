@@ -10,7 +10,7 @@ use super::{Kind, Loaded, SUBSTEPS};
 use crate::description::isometry;
 use crate::engine::Collision;
 use crate::friction::{Against, Coefficients, Friction};
-use crate::{Hit, Touches, Wrench, contact};
+use crate::{Hit, Side, Touches, Wrench, contact};
 
 impl Loaded {
     /// The friction coefficients that act between the object and every body that it can touch, by Rapier's rule.
@@ -139,6 +139,31 @@ impl Loaded {
         let shapes = &self.free[self.selected].1;
         let pairs = shapes.iter().flat_map(|shape| self.world.narrow_phase.contact_pairs_with(*shape));
         pairs.map(|pair| impulse(pair) / dt).sum()
+    }
+
+    /// Sum of the normal forces between two sides in the last step, in newtons. `None` if they do not touch.
+    pub(super) fn force_between(&self, one: Side, other: Side) -> Option<f64> {
+        let is = |handle: ColliderHandle, side: Side| {
+            let id = self.world.colliders.get(handle).map(|collider| collider.user_data as usize);
+            match (id.and_then(|id| self.colliders.get(id)).map(|(_, kind)| *kind), side) {
+                (Some(Kind::Robot { .. }), Side::Robot) => true,
+                (Some(Kind::Object(body)), Side::Body(wanted)) => body == wanted,
+                (Some(Kind::Fixture(fixture)), Side::Fixture(wanted)) => fixture == wanted,
+                _ => false,
+            }
+        };
+        let between = |pair: &&ContactPair| {
+            let (first, second) = (pair.collider1, pair.collider2);
+            is(first, one) && is(second, other) || is(first, other) && is(second, one)
+        };
+        let mut sum = None;
+        for pair in self.world.narrow_phase.contact_pairs().filter(between) {
+            let deepest = pair.find_deepest_contact().map(|(_, contact)| contact.dist);
+            if impulse(pair) > 0.0 || deepest.is_some_and(|dist| dist <= 0.0) {
+                *sum.get_or_insert(0.0) += impulse(pair) / self.world.integration_parameters.dt;
+            }
+        }
+        sum
     }
 
     /// The contact points of the last step with their normal forces.

@@ -46,6 +46,12 @@ struct Build<'a> {
 impl RapierEngine {
     /// Builds robot and scene with the arm at `joints` (rad) and the gripper open.
     pub(super) fn build_scene(&self, scene: &Scene, joints: &[f64]) -> Result<Loaded, Fault> {
+        if scene.free_bodies().any(|(object, _)| object.joint.is_some()) {
+            return Err(Fault::new(
+                FaultKind::Setup,
+                "the scene has a body on a joint, which the engine rapier does not simulate. Use --engine mujoco",
+            ));
+        }
         let mut build = Build {
             engine: self,
             scene,

@@ -23,7 +23,7 @@ use crate::description::{Description, isometry};
 use crate::friction::Friction;
 use crate::{
     Arm, Chain, Engine, EngineBuild, FixtureRead, FreeBodyRead, JointTargets, ParallelJaw, Problem, Readback, Robot,
-    RobotError, Scene, Touches, Wrench,
+    RobotError, Scene, Side, Touches, Wrench,
 };
 
 /// Number of solver substeps in a time step.
@@ -190,6 +190,7 @@ impl Engine for RapierEngine {
             object,
             others: (1..loaded.free.len()).map(free).collect(),
             fixtures,
+            joints: Vec::new(),
         })
     }
 
@@ -319,6 +320,10 @@ impl Engine for RapierEngine {
 
     fn support(&self) -> Wrench {
         self.loaded().support()
+    }
+
+    fn force_between(&self, one: Side, other: Side) -> Option<f64> {
+        self.loaded().force_between(one, other)
     }
 
     fn contact_points(&self) -> Vec<ContactPoint> {

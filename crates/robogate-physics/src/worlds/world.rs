@@ -46,7 +46,7 @@ fn with_spare_parts(object: &Object) -> Option<(Object, Vec<Option<usize>>)> {
         let those = object.parts.iter().enumerate().filter(|(_, part)| kind(&part.primitive) == own);
         let first = parts.len();
         for (index, part) in those {
-            parts.push(part.clone());
+            parts.push(*part);
             order.push(Some(index));
         }
         if parts.len() > first + count {

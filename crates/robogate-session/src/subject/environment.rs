@@ -11,12 +11,11 @@ use robogate_policy::{Arm, BoundMap, Profile, TaskMap};
 use robogate_remote::message::{Hello, HostedPolicy};
 use robogate_remote::{Pool, RemoteEnvironment};
 
-use crate::cell::{Cell, FRANKA, default_place};
+use crate::cell::{self, Cell, FRANKA, default_place};
 use crate::environments::Servers;
 use crate::failure::{Failure, OrFailure};
 use crate::latency::without;
 use crate::policy_source::{DeclaredPolicy, PolicySource, without_profile};
-use crate::registry;
 use crate::remote::{self, Simulators};
 use crate::stress::is_stress;
 
@@ -244,10 +243,10 @@ impl EnvironmentSource {
         match self {
             Self::BuiltIn(built_in) => built_in.controller(),
             // A remote environment may be a built-in cell. Its scripted controller runs in this process.
-            Self::Remote(source) if registry::arm_task(source.pool.hello().task.name.as_str()).is_some() => {
+            Self::Remote(source) if cell::is_cell(&source.pool.hello().task) => {
                 let hello = source.pool.hello();
                 let place = default_place(&absolute(&source.robot));
-                let cell = Cell::new(hello.task.name.as_str(), place, Assignment::default(), None)?;
+                let cell = Cell::new(&*cell::recorded_task(&hello.task)?, place, Assignment::default(), None)?;
                 remote::check_robot(hello, cell.robot(), &cell.robot_sha256()?)?;
                 cell.controller()
             }

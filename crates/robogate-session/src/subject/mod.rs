@@ -244,7 +244,7 @@ impl Subject {
 
     /// The name of the environment's own suite, if it has one.
     pub fn own_suite(&self) -> Option<&'static str> {
-        Some(self.cell()?.task().suite())
+        self.cell()?.task().suite()
     }
 
     /// The name of the parameter space of the paper, if the environment is a task of the paper.

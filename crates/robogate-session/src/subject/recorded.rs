@@ -215,7 +215,8 @@ impl Subject {
                 EnvironmentSource::Remote(RemoteSource { pool, robot: FRANKA.to_owned(), launched })
             }
             (Place::Cell(place), pool) => {
-                EnvironmentSource::BuiltIn(Box::new(Cell::new(task, place, chosen, pool).or_setup()?))
+                let task = cell::recorded_task(&provenance.task).or_request()?;
+                EnvironmentSource::BuiltIn(Box::new(Cell::new(&*task, place, chosen, pool).or_setup()?))
             }
             (Place::Servers { .. } | Place::Python(_), None) => {
                 return Err(anyhow!("--simulator ADDRESS is missing")).or_request();

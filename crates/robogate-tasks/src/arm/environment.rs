@@ -95,7 +95,7 @@ impl Environment for ArmEnvironment {
     }
 
     fn foresight(&self) -> Option<Arc<dyn Foresight>> {
-        Some(self.judge.foresight())
+        self.judge.foresight()
     }
 
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {

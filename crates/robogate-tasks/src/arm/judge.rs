@@ -10,7 +10,9 @@ use robogate_core::{
     Action, Assignment, CameraSpec, Contact, Ending, FEASIBLE, FailureMode, FailureModeSpec, Fault, FaultKind,
     Foresight, Infeasibility, Observation, Scenario, Severity, Start, Step, TaskSpec,
 };
-use robogate_physics::{ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Steering, StepView, Touches, pose};
+use robogate_physics::{
+    ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Side, Steering, StepView, Touches, pose,
+};
 
 use super::forces::{self, Forces, STRUCK};
 use super::rules::{Bodies, Found, Resolved, Rules, Sight, Trial};
@@ -37,7 +39,7 @@ pub(crate) struct Judge {
     /// The limit of contact forces, in newtons. `None` without one.
     force_limit_n: Option<f64>,
     task: Arc<TaskSpec>,
-    foresight: Arc<dyn Foresight>,
+    foresight: Option<Arc<dyn Foresight>>,
     episode: Option<Episode>,
 }
 
@@ -66,7 +68,7 @@ impl Judge {
         grip_force_n: f64,
         cameras: Vec<CameraSpec>,
     ) -> Self {
-        let settings = setting_specs(&T::rows(), rules).into_iter();
+        let settings = setting_specs(&T::rows(), rules.defaults(), rules).into_iter();
         let settings = settings.filter_map(|spec| on_robot(spec, &robot, grip_force_n));
         let force_limit_n = rules.limits_forces().then(|| forces::limit_n(&robot, rules.arm().contact_force_limit_n));
         let joints = robot.settings.arm.joints.len();
@@ -101,7 +103,7 @@ impl Judge {
             grip_force_n: self.grip_force_n,
             force_limit_n: self.force_limit_n,
             task: Arc::clone(&self.task),
-            foresight: Arc::clone(&self.foresight),
+            foresight: self.foresight.clone(),
             episode: None,
         }
     }
@@ -111,9 +113,9 @@ impl Judge {
         &self.task
     }
 
-    /// The knowledge about episodes before they run.
-    pub(crate) fn foresight(&self) -> Arc<dyn Foresight> {
-        Arc::clone(&self.foresight)
+    /// The knowledge about episodes before they run, if there is any.
+    pub(crate) fn foresight(&self) -> Option<Arc<dyn Foresight>> {
+        self.foresight.clone()
     }
 
     pub(crate) fn robot(&self) -> &Robot {
@@ -289,5 +291,13 @@ impl Bodies for Box<dyn Engine> {
 
     fn support(&self) -> Vector3<f64> {
         Engine::support(&**self).force
+    }
+
+    fn joint(&self, body: usize) -> Option<[f64; 2]> {
+        self.body_joint(body)
+    }
+
+    fn force_between(&self, one: Side, other: Side) -> Option<f64> {
+        Engine::force_between(&**self, one, other)
     }
 }

@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Vector3};
 use robogate_core::{
     Assignment, CameraSpec, FailureMode, Fault, Foresight, Infeasibility, Measures, Scenario, TaskInstance, TaskSpec,
 };
-use robogate_physics::{Chain, Collision, GripperCommand, Readback, Robot, Scene, StepView, Visual};
+use robogate_physics::{Chain, Collision, GripperCommand, Readback, Robot, Scene, Side, StepView, Visual};
 
 use super::{ArmDeclaration, OnArm};
 
@@ -26,8 +26,15 @@ pub(crate) trait Rules: OnArm + ArmDeclaration {
     /// A setup fault if the scenario cannot be set up.
     fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved, Fault>;
 
-    /// The draws and features of episodes on this robot, whose gripper holds with `grip_force_n` newtons.
-    fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Arc<dyn Foresight>;
+    /// Why only an engine of this process can simulate the task. `None` if worlds of a simulator and engines in other processes
+    /// can do so too.
+    fn only_here(&self) -> Option<&'static str> {
+        None
+    }
+
+    /// The draws and features of episodes on this robot, whose gripper holds with `grip_force_n` newtons. `None` without
+    /// draws and features.
+    fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Option<Arc<dyn Foresight>>;
 
     /// The reason why no policy can complete a scenario with this robot, whose gripper holds with `grip_force_n`
     /// newtons. A scenario that cannot be decoded has no reason here: its reset reports the problem.
@@ -106,6 +113,18 @@ pub(crate) trait Bodies {
 
     /// Force of the fixtures and the other free bodies on the selected body, in newtons, along the axes of the base frame.
     fn support(&self) -> Vector3<f64>;
+
+    /// Value (m or rad) and speed of the joint of a body. `None` for a body that moves freely, and for the bodies of tasks that
+    /// engines in other processes can simulate.
+    fn joint(&self, _body: usize) -> Option<[f64; 2]> {
+        None
+    }
+
+    /// Sum of the normal forces between two sides, in newtons. `None` if they do not touch, and where only the engines of this
+    /// process report it ([`Rules::only_here`]).
+    fn force_between(&self, _one: Side, _other: Side) -> Option<f64> {
+        None
+    }
 }
 
 /// The state that a referee gets after one time step.

@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Action, Command, Observation, Word};
-use robogate_physics::trajectory::{ToolLimit, joint_path, straight_path};
+use robogate_physics::trajectory::{ToolLimit, curved_path, joint_path, straight_path};
 use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
 /// A stage ends within this distance of its goal, in metres ...
@@ -187,6 +187,30 @@ impl<'a> Planner<'a> {
         self.at = at;
         self.stages.push(Stage { phase, path, gripper, settles: false });
         Ok(())
+    }
+
+    /// Appends a motion of the tool through the poses that `pose` gives for the shares 0 to 1 of a way of `length_m` metres.
+    ///
+    /// # Errors
+    /// If a pose is out of reach. The plan so far is kept.
+    pub(crate) fn along(
+        &mut self,
+        phase: Word,
+        pose: &dyn Fn(f64) -> Isometry3<f64>,
+        length_m: f64,
+        limit: ToolLimit,
+        gripper: GripperCommand,
+    ) -> Result<(), Unreachable> {
+        let arm = &self.robot.settings.arm;
+        let path = curved_path(self.chain, &self.at, pose, length_m, &arm.home_rad, arm, limit, self.control_period_s)?;
+        self.at = path.last().cloned().unwrap_or_else(|| self.at.clone());
+        self.stages.push(Stage { phase, path, gripper, settles: false });
+        Ok(())
+    }
+
+    /// Appends a stage that waits for a number of control periods.
+    pub(crate) fn wait(&mut self, phase: Word, periods: usize, gripper: GripperCommand) {
+        self.stages.push(Stage { phase, path: vec![self.at.clone(); periods], gripper, settles: false });
     }
 
     /// Appends a stage that waits until the gripper has carried out a command.

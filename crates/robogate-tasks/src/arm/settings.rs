@@ -30,6 +30,11 @@ impl ArmSettings {
 pub(crate) trait OnArm {
     fn arm(&self) -> &ArmSettings;
     fn arm_mut(&mut self) -> &mut ArmSettings;
+
+    /// The same task with the default of each setting.
+    fn defaults(&self) -> Self
+    where
+        Self: Sized;
 }
 
 /// Implements [`OnArm`] and `Default` for a task with the field `arm` and the constant `DEFAULT`.
@@ -49,13 +54,17 @@ macro_rules! on_arm {
             fn arm_mut(&mut self) -> &mut $crate::arm::ArmSettings {
                 &mut self.arm
             }
+
+            fn defaults(&self) -> Self {
+                Self::DEFAULT
+            }
         }
     };
 }
 pub(crate) use on_arm;
 
 /// A task with a table of settings.
-pub(crate) trait HasSettings: OnArm + Clone + Default + Sized {
+pub(crate) trait HasSettings: OnArm + Clone + Sized {
     /// Every setting: those of the arm, and those of the task.
     fn rows() -> Vec<SettingRow<Self>>;
 }

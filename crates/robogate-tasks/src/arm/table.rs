@@ -1,10 +1,6 @@
 //! Parameter tables: one row per parameter, with its range, setter and reader.
 
-use std::collections::BTreeMap;
-
-use robogate_core::{
-    Allowed, Assignment, Domain, Fault, FaultKind, ParameterSpace, ParameterSpec, Scenario, Spread, Suite, Value, Word,
-};
+use robogate_core::{Allowed, Assignment, Domain, Fault, FaultKind, ParameterSpec, Scenario, Value, Word};
 use robogate_physics::{Gripper, GripperUnit, Robot, Visual};
 
 use super::{Found, Parameters, encoder_bias};
@@ -310,20 +306,6 @@ impl<S: InSurroundings + Default + 'static, C: 'static> Table<S, C> {
         };
         requested.iter().filter_map(read).collect()
     }
-
-    /// The reason why a value of a parameter is not accepted, for a robot with this gripper if one is given.
-    pub(crate) fn accepts(&self, name: &str, value: &Value, gripper: Option<&Gripper>) -> Result<(), String> {
-        self.row(name, gripper)?.set(&mut S::default(), value)
-    }
-
-    /// As [`Self::accepts`], for all values of a domain.
-    fn accepts_all(&self, name: &str, domain: &Domain, gripper: Option<&Gripper>) -> Result<(), String> {
-        let row = self.row(name, gripper)?;
-        if let (Access::Integer { .. }, Domain::Continuous { .. }) = (&row.access, domain) {
-            return Err(format!("parameter `{name}` has a value of the wrong kind. Expected an integer"));
-        }
-        domain.extremes().iter().try_for_each(|value| row.set(&mut S::default(), value))
-    }
 }
 
 impl<S: InSurroundings + Default, C> Parameters for Table<S, C> {
@@ -335,29 +317,16 @@ impl<S: InSurroundings + Default, C> Parameters for Table<S, C> {
         self.rows().any(|row| row.name == name)
     }
 
-    fn check_space(&self, space: &ParameterSpace, gripper: Option<&Gripper>) -> Result<(), String> {
-        let mut parameters = space.parameters().iter();
-        parameters.try_for_each(|parameter| self.accepts_all(&parameter.name, &parameter.domain, gripper))
+    fn accepts(&self, name: &str, value: &Value, gripper: Option<&Gripper>) -> Result<(), String> {
+        self.row(name, gripper)?.set(&mut S::default(), value)
     }
 
-    fn check_suite(&self, suite: &Suite, gripper: Option<&Gripper>) -> Vec<String> {
-        let mut found: BTreeMap<(String, String), Vec<&str>> = BTreeMap::new();
-        for case in suite.cases() {
-            for (name, spread) in &case.parameters {
-                let checked = match spread {
-                    Spread::Fixed(value) => self.accepts(name, value, gripper),
-                    Spread::Drawn(domain) => self.accepts_all(name, domain, gripper),
-                };
-                if let Err(problem) = checked {
-                    found.entry((name.to_string(), problem)).or_default().push(&case.id);
-                }
-            }
+    fn accepts_all(&self, name: &str, domain: &Domain, gripper: Option<&Gripper>) -> Result<(), String> {
+        let row = self.row(name, gripper)?;
+        if let (Access::Integer { .. }, Domain::Continuous { .. }) = (&row.access, domain) {
+            return Err(format!("parameter `{name}` has a value of the wrong kind. Expected an integer"));
         }
-        let line = |((_, problem), cases): ((String, String), Vec<&str>)| match cases[..] {
-            [first] => format!("scenario `{first}`: {problem}"),
-            _ => format!("scenario `{}` and {} more: {problem}", cases[0], cases.len() - 1),
-        };
-        found.into_iter().map(line).collect()
+        domain.extremes().iter().try_for_each(|value| row.set(&mut S::default(), value))
     }
 }
 

@@ -1,12 +1,13 @@
 //! A task for an arm, as the command selects it.
 
+use std::collections::BTreeMap;
 #[cfg(feature = "mujoco")]
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 
 use robogate_core::{
-    Assignment, Environment, Fault, ParameterSpace, ParameterSpec, Policy, SettingSpec, SpaceError, Suite,
-    TaskInstance, TaskSpec,
+    Assignment, Domain, Environment, Fault, ParameterSpace, ParameterSpec, Policy, SettingSpec, SpaceError, Spread,
+    Suite, TaskInstance, TaskSpec, Value,
 };
 #[cfg(feature = "mujoco")]
 use robogate_physics::MujocoEngine;
@@ -30,7 +31,7 @@ pub trait ArmDeclaration: Send + Sync {
     fn name(&self) -> &'static str;
 
     /// A short description.
-    fn summary(&self) -> &'static str;
+    fn summary(&self) -> &str;
 
     /// The name of the parameter space for a robot with this gripper.
     fn space(&self, _gripper: &Gripper) -> &'static str {
@@ -55,11 +56,18 @@ pub trait ArmDeclaration: Send + Sync {
         spaces::unit_space(gripper)
     }
 
-    /// The name of the task's built-in suite.
-    fn suite(&self) -> &'static str;
+    /// The name of the task's built-in suite, if it has one.
+    fn suite(&self) -> Option<&'static str> {
+        None
+    }
+
+    /// The parameter space that the task brings itself, in place of a named one.
+    fn brought_space(&self) -> Option<ParameterSpace> {
+        None
+    }
 
     /// The parameters.
-    fn parameters(&self) -> &'static dyn Parameters;
+    fn parameters(&self) -> &dyn Parameters;
 
     /// The name of the parameter space of demonstrations with this gripper.
     fn demonstration_space(&self, gripper: &Gripper) -> &'static str {
@@ -83,26 +91,59 @@ pub trait ArmDeclaration: Send + Sync {
     /// The scripted controller for a robot with these kinematics.
     fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy>;
 
-    /// The controller that moves the tool in small steps.
-    fn tool_expert(&self, robot: Robot) -> Box<dyn Policy>;
+    /// The controller that moves the tool in small steps, if the task has one.
+    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>>;
 }
 
 /// The parameters of a task for an arm.
-pub trait Parameters: Sync {
+pub trait Parameters {
     /// Their declarations for a robot with this gripper.
     fn specs(&self, gripper: &Gripper) -> Vec<ParameterSpec>;
 
     /// Whether there is a parameter of this name, with any gripper.
     fn knows(&self, name: &str) -> bool;
 
+    /// Checks a value of a parameter, for a robot with this gripper if one is given.
+    ///
+    /// # Errors
+    /// The reason why it is not accepted.
+    fn accepts(&self, name: &str, value: &Value, gripper: Option<&Gripper>) -> Result<(), String>;
+
+    /// As [`Self::accepts`], for all values of a domain.
+    ///
+    /// # Errors
+    /// The first problem.
+    fn accepts_all(&self, name: &str, domain: &Domain, gripper: Option<&Gripper>) -> Result<(), String>;
+
     /// Checks that every parameter of a space is accepted over its whole range, with this gripper or with any.
     ///
     /// # Errors
     /// The first problem.
-    fn check_space(&self, space: &ParameterSpace, gripper: Option<&Gripper>) -> Result<(), String>;
+    fn check_space(&self, space: &ParameterSpace, gripper: Option<&Gripper>) -> Result<(), String> {
+        let mut parameters = space.parameters().iter();
+        parameters.try_for_each(|parameter| self.accepts_all(&parameter.name, &parameter.domain, gripper))
+    }
 
     /// As [`Self::check_space`], all problems of a suite. Each names the scenarios that have it.
-    fn check_suite(&self, suite: &Suite, gripper: Option<&Gripper>) -> Vec<String>;
+    fn check_suite(&self, suite: &Suite, gripper: Option<&Gripper>) -> Vec<String> {
+        let mut found: BTreeMap<(String, String), Vec<&str>> = BTreeMap::new();
+        for case in suite.cases() {
+            for (name, spread) in &case.parameters {
+                let checked = match spread {
+                    Spread::Fixed(value) => self.accepts(name, value, gripper),
+                    Spread::Drawn(domain) => self.accepts_all(name, domain, gripper),
+                };
+                if let Err(problem) = checked {
+                    found.entry((name.to_string(), problem)).or_default().push(&case.id);
+                }
+            }
+        }
+        let line = |((_, problem), cases): ((String, String), Vec<&str>)| match cases[..] {
+            [first] => format!("scenario `{first}`: {problem}"),
+            _ => format!("scenario `{}` and {} more: {problem}", cases[0], cases.len() - 1),
+        };
+        found.into_iter().map(line).collect()
+    }
 }
 
 /// A built-in task for an arm in the cell. The user chooses robot and engine.
@@ -119,6 +160,10 @@ pub trait ArmTask: ArmDeclaration {
     fn has_effect(&self, setting: &str, gripper: &Gripper) -> bool {
         has_effect(setting, gripper)
     }
+
+    /// Why only an engine of this process can simulate the task. `None` if worlds of a simulator and engines in other processes
+    /// can do so too.
+    fn only_here(&self) -> Option<&'static str>;
 
     /// The same task with these values of its settings.
     ///
@@ -164,7 +209,11 @@ pub trait ArmTask: ArmDeclaration {
 
 impl<R: Rules + HasSettings + 'static> ArmTask for R {
     fn settings(&self) -> Vec<SettingSpec> {
-        setting_specs(&R::rows(), self)
+        setting_specs(&R::rows(), self.defaults(), self)
+    }
+
+    fn only_here(&self) -> Option<&'static str> {
+        Rules::only_here(self)
     }
 
     fn with(&self, settings: &Assignment) -> Result<Arc<dyn ArmTask>, String> {

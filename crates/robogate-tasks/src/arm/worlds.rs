@@ -119,7 +119,7 @@ impl BatchEnvironment for ArmWorlds {
     }
 
     fn foresight(&self) -> Option<Arc<dyn Foresight>> {
-        Some(self.slots[0].judge.foresight())
+        self.slots[0].judge.foresight()
     }
 
     fn reset(&mut self, scenarios: &[(usize, &Scenario)]) -> Vec<Result<Start, Fault>> {

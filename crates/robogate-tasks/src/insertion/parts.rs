@@ -30,7 +30,7 @@ pub fn peg(width_m: f64, mass_kg: f64, lever_m: f64) -> Object {
     ];
     let mut mass = MassProperties::homogeneous(&parts, mass_kg);
     mass.centre.x += lever_m;
-    Object { parts, mass }
+    Object { parts, mass, joint: None }
 }
 
 /// A block with a hole of this width and chamfer (m) at `mouth`: four walls, each of a lower part, an upper part behind

@@ -33,15 +33,15 @@ impl ArmDeclaration for Insertion {
         NAME
     }
 
-    fn summary(&self) -> &'static str {
+    fn summary(&self) -> &str {
         "insert a peg into a hole with a small clearance with a robot arm"
     }
 
-    fn suite(&self) -> &'static str {
-        "insertion-40"
+    fn suite(&self) -> Option<&'static str> {
+        Some("insertion-40")
     }
 
-    fn parameters(&self) -> &'static dyn Parameters {
+    fn parameters(&self) -> &dyn Parameters {
         &TABLE
     }
 
@@ -58,14 +58,14 @@ impl ArmDeclaration for Insertion {
         Box::new(Scripted::new(robot, chain))
     }
 
-    fn tool_expert(&self, robot: Robot) -> Box<dyn Policy> {
-        Box::new(ToolExpert::new(NAME, controller::way, robot))
+    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>> {
+        Some(Box::new(ToolExpert::new(NAME, controller::way, robot)))
     }
 }
 
 impl Rules for Insertion {
-    fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Arc<dyn Foresight> {
-        Arc::new(InsertionForesight::new(robot, chain, grip_force_n))
+    fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Option<Arc<dyn Foresight>> {
+        Some(Arc::new(InsertionForesight::new(robot, chain, grip_force_n)))
     }
 
     fn infeasibility(&self, requested: &Assignment, robot: &Robot, grip_force_n: f64) -> Option<Infeasibility> {

@@ -145,7 +145,7 @@ impl SelfContained for Pendulum {
     }
 
     fn settings(&self) -> Vec<SettingSpec> {
-        setting_specs(&Self::rows(), self)
+        setting_specs(&Self::rows(), Self::DEFAULT, self)
     }
 
     fn with(&self, settings: &Assignment) -> Result<Arc<dyn SelfContained>, String> {

@@ -190,6 +190,7 @@ mod tests {
             object: scene.object_pose,
             others: Vec::new(),
             fixtures: fixtures.collect(),
+            joints: Vec::new(),
         }
     }
 

@@ -22,7 +22,7 @@ impl ArmDeclaration for PickPlace {
         NAME
     }
 
-    fn summary(&self) -> &'static str {
+    fn summary(&self) -> &str {
         "pick a part from a table with a robot arm and place it at a target"
     }
 
@@ -58,11 +58,11 @@ impl ArmDeclaration for PickPlace {
         Some(if gripper.cup().is_some() { "ur" } else { "franka" })
     }
 
-    fn suite(&self) -> &'static str {
-        "industrial-68"
+    fn suite(&self) -> Option<&'static str> {
+        Some("industrial-68")
     }
 
-    fn parameters(&self) -> &'static dyn Parameters {
+    fn parameters(&self) -> &dyn Parameters {
         &TABLE
     }
 
@@ -91,8 +91,8 @@ impl ArmDeclaration for PickPlace {
         Box::new(Scripted::new(robot, chain))
     }
 
-    fn tool_expert(&self, robot: Robot) -> Box<dyn Policy> {
-        Box::new(ToolExpert::new(NAME, scripted::way, robot))
+    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>> {
+        Some(Box::new(ToolExpert::new(NAME, scripted::way, robot)))
     }
 }
 
@@ -120,8 +120,8 @@ impl Rules for PickPlace {
         })
     }
 
-    fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Arc<dyn Foresight> {
-        Arc::new(PickPlaceForesight::new(robot, chain, grip_force_n, self))
+    fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Option<Arc<dyn Foresight>> {
+        Some(Arc::new(PickPlaceForesight::new(robot, chain, grip_force_n, self)))
     }
 
     fn infeasibility(&self, requested: &Assignment, robot: &Robot, grip_force_n: f64) -> Option<Infeasibility> {

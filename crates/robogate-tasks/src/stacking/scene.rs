@@ -34,15 +34,15 @@ impl ArmDeclaration for Stacking {
         NAME
     }
 
-    fn summary(&self) -> &'static str {
+    fn summary(&self) -> &str {
         "stack two parts on a third one with a robot arm, in a given order and with a given offset"
     }
 
-    fn suite(&self) -> &'static str {
-        "stacking-40"
+    fn suite(&self) -> Option<&'static str> {
+        Some("stacking-40")
     }
 
-    fn parameters(&self) -> &'static dyn Parameters {
+    fn parameters(&self) -> &dyn Parameters {
         &TABLE
     }
 
@@ -60,14 +60,14 @@ impl ArmDeclaration for Stacking {
         Box::new(Scripted::new(robot, chain))
     }
 
-    fn tool_expert(&self, robot: Robot) -> Box<dyn Policy> {
-        Box::new(ToolExpert::new(NAME, controller::way, robot))
+    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>> {
+        Some(Box::new(ToolExpert::new(NAME, controller::way, robot)))
     }
 }
 
 impl Rules for Stacking {
-    fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Arc<dyn Foresight> {
-        Arc::new(StackingForesight::new(robot, chain, grip_force_n, self.tolerance_m))
+    fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Option<Arc<dyn Foresight>> {
+        Some(Arc::new(StackingForesight::new(robot, chain, grip_force_n, self.tolerance_m)))
     }
 
     fn infeasibility(&self, requested: &Assignment, robot: &Robot, grip_force_n: f64) -> Option<Infeasibility> {
@@ -157,7 +157,11 @@ pub(super) fn scene(settings: &Settings) -> Scene {
         let level = settings.order.iter().position(|at| *at == part).unwrap_or_default();
         FreeBody {
             name: format!("part_{}", PARTS[part]),
-            object: Object { mass: MassProperties::homogeneous(&parts, settings.mass(level)), parts: parts.clone() },
+            object: Object {
+                mass: MassProperties::homogeneous(&parts, settings.mass(level)),
+                parts: parts.clone(),
+                joint: None,
+            },
             pose: settings.pose(part),
             color: COLORS[part],
         }

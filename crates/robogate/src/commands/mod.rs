@@ -38,6 +38,7 @@ pub(crate) mod shard;
 mod status;
 mod stills;
 pub(crate) mod suites;
+pub(crate) mod tasks;
 pub(crate) mod transfer;
 pub(crate) mod trial;
 pub(crate) mod verify;

@@ -208,6 +208,13 @@ fn fuzzed_robot_settings_are_read_or_refused() {
     texts("robot.toml", &valid, TOML, |text| RobotSettings::from_toml(text, Path::new("robot.toml")).is_ok());
 }
 
+#[test]
+fn fuzzed_tasks_are_read_or_refused() {
+    let valid: Vec<Vec<u8>> =
+        ["drawer", "lid"].iter().flat_map(|task| files(&format!("assets/tasks/{task}"), "task.toml")).collect();
+    texts("task.toml", &valid, TOML, |text| robogate_tasks::file::FileTask::read(text).is_ok());
+}
+
 /// A folder with a copy of the robot `name`, and the name of its model.
 fn robot(name: &str) -> (TempDir, PathBuf) {
     let dir = tempfile::tempdir().unwrap();

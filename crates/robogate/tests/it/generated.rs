@@ -26,6 +26,7 @@ fn schemas_are_up_to_date() {
         ("parameter-space", schema_for!(robogate_core::ParameterSpace)),
         ("suite", schema_for!(robogate_core::Suite)),
         ("task", schema_for!(robogate_core::TaskSpec)),
+        ("task-file", schema_for!(robogate_tasks::file::Document)),
         ("plan", schema_for!(robogate_campaign::Plan)),
         ("robot", schema_for!(robogate_physics::RobotSettings)),
         ("run-settings", schema_for!(robogate_campaign::Settings)),

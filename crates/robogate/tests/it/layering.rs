@@ -133,6 +133,7 @@ const MAY_NAME_THEM: &[&str] = &[
     "robogate-tasks/src/pick_place",
     "robogate-tasks/src/stacking",
     "robogate-tasks/src/insertion",
+    "robogate-tasks/src/file",
     "robogate-analysis/src/pick_place",
     "robogate-physics/src",
     "robogate-camera/src",

@@ -54,6 +54,8 @@ mod settings;
 mod shards;
 mod signatures;
 mod stress;
+#[cfg(all(feature = "mujoco", feature = "rapier"))]
+mod task_files;
 mod terminal;
 #[cfg(all(target_os = "linux", feature = "mujoco"))]
 mod trial;

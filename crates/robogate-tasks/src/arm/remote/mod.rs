@@ -77,7 +77,7 @@ impl RemoteArm {
     }
 
     /// The knowledge about episodes before they run.
-    pub fn foresight(&self) -> Arc<dyn Foresight> {
+    pub fn foresight(&self) -> Option<Arc<dyn Foresight>> {
         self.judge.foresight()
     }
 

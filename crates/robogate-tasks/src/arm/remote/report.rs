@@ -278,6 +278,7 @@ impl RemoteReadback {
             object,
             others: objects.collect(),
             fixtures: self.fixtures,
+            joints: Vec::new(),
         }
     }
 

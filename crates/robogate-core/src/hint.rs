@@ -1,7 +1,7 @@
 //! Suggestions for unknown names.
 
 /// The hint of an error about an unknown name: the nearest known name, or all of them.
-pub(super) fn hint<'a>(word: &str, known: impl Iterator<Item = &'a str> + Clone) -> String {
+pub fn hint<'a>(word: &str, known: impl Iterator<Item = &'a str> + Clone) -> String {
     let near = known
         .clone()
         .map(|candidate| {

@@ -1,0 +1,300 @@
+//! The file of a task, as it is written: keys and texts, without meaning.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+
+use robogate_core::{Better, Severity};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::{Deserialize, Deserializer};
+use toml::Spanned;
+
+/// A text of the file, and where it stands.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Text {
+    pub(super) text: String,
+    /// Its first byte in the file.
+    pub(super) at: usize,
+}
+
+impl<'de> Deserialize<'de> for Text {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let spanned = Spanned::<toml::Value>::deserialize(deserializer)?;
+        let at = spanned.span().start;
+        let text = match spanned.into_inner() {
+            toml::Value::String(text) => text,
+            number @ (toml::Value::Integer(_) | toml::Value::Float(_)) => number.to_string(),
+            other => {
+                let found = other.type_str();
+                return Err(serde::de::Error::custom(format!("found {found}. Expected a text in quotes or a number")));
+            }
+        };
+        Ok(Self { text, at })
+    }
+}
+
+impl JsonSchema for Text {
+    fn schema_name() -> Cow<'static, str> {
+        "Text".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "type": ["string", "number"],
+            "description": "A number, numbers with a unit such as `40, 30, 2 cm`, a name, or an expression."
+        })
+    }
+}
+
+/// A task for an arm in the cell, as a file.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Document {
+    /// The format: `robogate-task/1`.
+    pub(super) format: Text,
+    /// The name of the task: lower-case letters, digits and `_`.
+    pub(super) name: Text,
+    /// The version. Increase it when success, a failure or a measure changes its meaning.
+    #[serde(default = "one")]
+    pub(super) version: u32,
+    /// A short description.
+    #[serde(default)]
+    pub(super) summary: String,
+    /// The task in natural language. `{name}` is replaced by the value of a parameter.
+    pub(super) instruction: Text,
+    /// Time limit of an episode.
+    pub(super) time_limit: Text,
+    /// Properties of the whole scene.
+    #[serde(default)]
+    pub(super) scene: SceneTable,
+    /// Bodies that stand still. The table is always there: its top is the plane z = 0.
+    #[serde(default)]
+    pub(super) fixture: Vec<FixtureTable>,
+    /// Bodies that move freely or on a joint. At least one.
+    pub(super) part: Vec<PartTable>,
+    /// Boxes in space, for starts and conditions.
+    #[serde(default)]
+    pub(super) region: Vec<RegionTable>,
+    /// What varies between episodes.
+    #[serde(default)]
+    pub(super) parameter: Vec<ParameterTable>,
+    /// When the task is done.
+    pub(super) success: SuccessTable,
+    /// Failures. The first one that holds ends the episode.
+    #[serde(default)]
+    pub(super) failure: Vec<FailureTable>,
+    /// Stages in their order, for partial progress.
+    #[serde(default)]
+    pub(super) stage: Vec<StageTable>,
+    /// Numbers that are recorded for each episode.
+    #[serde(default)]
+    pub(super) measure: Vec<MeasureTable>,
+    /// A script that solves the task: the positive control.
+    pub(super) expert: Option<ExpertTable>,
+}
+
+fn one() -> u32 {
+    1
+}
+
+/// Properties of the whole scene.
+#[derive(Debug, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SceneTable {
+    /// Coulomb friction coefficient of the parts against everything. Default: 0.7.
+    pub(super) friction: Option<Text>,
+    /// Gravity. Default: 9.81 m/s^2.
+    pub(super) gravity: Option<Text>,
+}
+
+/// A body that stands still.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FixtureTable {
+    pub(super) name: Text,
+    /// Position in the frame of the robot's base: x, y, z. Default: 0.
+    pub(super) at: Option<Text>,
+    /// Roll, pitch and yaw about the fixed axes. Default: 0.
+    pub(super) rotation: Option<Text>,
+    /// The shapes.
+    pub(super) shapes: Vec<ShapeTable>,
+    /// Whether the robot may touch it. Otherwise a contact is the failure `collision`. Default: no.
+    #[serde(default)]
+    pub(super) touch: bool,
+}
+
+/// A convex shape of a body. Exactly one of box, cylinder and sphere.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ShapeTable {
+    /// The three edges.
+    #[serde(rename = "box")]
+    pub(super) cuboid: Option<Text>,
+    /// Diameter and height; the axis is z.
+    pub(super) cylinder: Option<Text>,
+    /// Diameter.
+    pub(super) sphere: Option<Text>,
+    /// Position of its centre in the frame of the body. Default: 0.
+    pub(super) at: Option<Text>,
+    /// Roll, pitch and yaw in the frame of the body. Default: 0.
+    pub(super) rotation: Option<Text>,
+}
+
+/// A body that moves freely or on a joint.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PartTable {
+    pub(super) name: Text,
+    /// Mass.
+    pub(super) mass: Text,
+    /// The fixture whose frame `at` and `rotation` refer to. Default: the robot's base.
+    #[serde(rename = "in")]
+    pub(super) parent: Option<Text>,
+    /// Position of its frame at the start, or where its joint has the value 0. Default: 0.
+    pub(super) at: Option<Text>,
+    /// Roll, pitch and yaw at the start. Default: 0.
+    pub(super) rotation: Option<Text>,
+    /// Radius of the disc from which the offset of its start is drawn. Default: 0.
+    pub(super) spread: Option<Text>,
+    /// Largest rotation about the vertical at the start, in both directions. Default: 0.
+    pub(super) spin: Option<Text>,
+    /// A region over whose area its start is drawn evenly. The policy is told where it is.
+    pub(super) start: Option<Text>,
+    /// The shapes, of equal density.
+    pub(super) shapes: Vec<ShapeTable>,
+    /// Named points in its frame.
+    #[serde(default)]
+    pub(super) points: BTreeMap<String, PointTable>,
+    /// The joint that holds it. Without one it moves freely.
+    pub(super) joint: Option<JointTable>,
+    /// Colour in images, as `#rrggbb`.
+    pub(super) color: Option<Text>,
+}
+
+/// A named point of a part.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PointTable {
+    /// Position in the frame of the part.
+    pub(super) at: Text,
+    /// Direction about the vertical in which fingers close there, from the x axis of the part. Default: 0.
+    pub(super) close: Option<Text>,
+}
+
+/// The joint of a part. Quantities of a slide are in m and N, those of a hinge in rad and N m.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct JointTable {
+    pub(super) kind: JointWord,
+    /// Direction in the frame of the part: x, y, z, -x, -y or -z.
+    pub(super) axis: Text,
+    /// A point of a hinge's axis in the frame of the part. Default: 0.
+    pub(super) anchor: Option<Text>,
+    /// Values of the two stops: `0, 25 cm`.
+    pub(super) range: Text,
+    /// Value at the start. Default: 0.
+    pub(super) start: Option<Text>,
+    /// Force per speed against the motion. Default: 0.
+    pub(super) damping: Option<Text>,
+    /// Dry friction. Default: 0.
+    pub(super) friction: Option<Text>,
+    /// Stiffness of a spring. Default: 0.
+    pub(super) stiffness: Option<Text>,
+    /// Value at which the spring has no force. Default: 0.
+    pub(super) rest: Option<Text>,
+}
+
+/// The kind of a joint.
+#[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum JointWord {
+    Hinge,
+    Slide,
+}
+
+/// A box in space.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RegionTable {
+    pub(super) name: Text,
+    /// The fixture or part that it moves with. Default: the robot's base.
+    #[serde(rename = "in")]
+    pub(super) parent: Option<Text>,
+    /// Position of its centre. Default: 0.
+    pub(super) at: Option<Text>,
+    /// The three edges.
+    pub(super) size: Text,
+}
+
+/// What varies between episodes.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ParameterTable {
+    /// The name, which ends with the SI unit: `drawer_mass_kg`.
+    pub(super) name: Text,
+    /// What it sets: `drawer.mass`, `drawer.at.y`, `drawer.joint.damping`. Without it, it is a number for the
+    /// instruction, the conditions and the expert.
+    pub(super) sets: Option<Text>,
+    /// Smallest and largest value: `0.5, 4 kg`.
+    pub(super) range: Text,
+    /// The nominal value. Default for one that sets something: the value in the file.
+    pub(super) nominal: Option<Text>,
+    /// The meaning, in one sentence.
+    #[serde(default)]
+    pub(super) meaning: String,
+    /// The family of perturbations that it belongs to.
+    pub(super) family: Option<Text>,
+    /// Whether the policy is told its value. Default: only if it sets nothing.
+    pub(super) told: Option<bool>,
+}
+
+/// When the task is done.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SuccessTable {
+    pub(super) when: Text,
+}
+
+/// A failure.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FailureTable {
+    pub(super) name: Text,
+    pub(super) when: Text,
+    #[serde(default)]
+    pub(super) severity: Severity,
+    /// What happened, in one sentence.
+    #[serde(default)]
+    pub(super) meaning: String,
+}
+
+/// A stage.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct StageTable {
+    pub(super) name: Text,
+    pub(super) when: Text,
+}
+
+/// A number that is recorded for each episode.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MeasureTable {
+    /// The name, which ends with the SI unit: `pull_n`.
+    pub(super) name: Text,
+    /// `max VALUE`, `min VALUE`, `final VALUE`, or `first CONDITION` for the time at which it first held.
+    pub(super) value: Text,
+    #[serde(default)]
+    pub(super) better: Better,
+    /// The meaning, in one sentence.
+    #[serde(default)]
+    pub(super) meaning: String,
+}
+
+/// A script that solves the task.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ExpertTable {
+    /// The skills, one after another.
+    #[serde(rename = "do")]
+    pub(super) skills: Vec<Text>,
+}

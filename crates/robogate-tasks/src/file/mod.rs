@@ -1,0 +1,342 @@
+//! Tasks for an arm from files: data that describes scene, parameters, conditions and an expert.
+//!
+//! A folder with `task.toml` is a task. [`FileTask`] reads the file once and compiles its conditions; then it is an
+//! [`crate::ArmTask`] like the built-in ones. The declaration of the task contains the text of the file, so that every record,
+//! and all evidence, contains the task. A file has no code, and its size is limited.
+
+mod conditions;
+mod document;
+mod expert;
+mod lint;
+mod model;
+mod names;
+mod numbers;
+mod parameters;
+mod problem;
+mod referee;
+mod syntax;
+mod units;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use nalgebra::Isometry3;
+use robogate_core::{
+    Assignment, Better, CameraSpec, FailureMode, Fault, FaultKind, Foresight, Infeasibility, ParameterSpace, Policy,
+    Pose, Scenario, Severity, Stream, TaskInstance, TaskSpec,
+};
+use robogate_physics::{
+    Chain, Color, Fixture, FixtureKind, FreeBody, Gripper, MassProperties, Object, Robot, Scene, Visual, pose,
+};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+pub use document::Document;
+pub use problem::Problem;
+
+use self::expert::Expert;
+use self::model::{Model, braces};
+use self::numbers::{Draws, Layout, Numbers};
+use self::referee::{COLLISION, Referee, STAGES};
+use crate::arm::claims::Claim;
+use crate::arm::{
+    ArmDeclaration, ArmSettings, GRIP_THRESHOLD_M, HasSettings, OnArm, Parameters, Resolved, Rules, base_spec,
+    briefing, common_measures, disc_point, encoder_bias, instance, measure, mode, rows,
+};
+use crate::settings::SettingRow;
+
+/// The name of the file in a task's folder.
+pub const FILE: &str = "task.toml";
+
+/// The key of the file's text in the details of a declaration.
+const TEXT: &str = "task_toml";
+
+/// Colours of parts that state none, in turn.
+const COLORS: [Color; 4] = [Color([58, 110, 165]), Color([200, 60, 40]), Color([222, 170, 60]), Color([96, 150, 90])];
+
+/// How often starts in regions are drawn until no two parts overlap.
+const MOST_DRAWS: usize = 1000;
+
+/// A task for an arm from a file.
+#[derive(Debug, Clone)]
+pub struct FileTask {
+    arm: ArmSettings,
+    model: Arc<Model>,
+}
+
+impl FileTask {
+    /// Reads a task from the text of its file.
+    ///
+    /// # Errors
+    /// Every problem that was found.
+    pub fn read(text: &str) -> Result<Self, Vec<Problem>> {
+        let model = Arc::new(Model::read(text)?);
+        Ok(Self { arm: ArmSettings::lasting(model.time_limit_s), model })
+    }
+
+    /// The task of a declaration that contains its file. `None` for another declaration.
+    pub fn recorded(spec: &TaskSpec) -> Option<Result<Self, Vec<Problem>>> {
+        spec.details.get(TEXT)?.as_str().map(Self::read)
+    }
+
+    /// The text of the file.
+    pub fn text(&self) -> &str {
+        &self.model.text
+    }
+
+    /// Whether the file has an expert.
+    pub fn has_expert(&self) -> bool {
+        self.model.skills.is_some()
+    }
+
+    /// The number of its stages.
+    pub fn stages(&self) -> usize {
+        self.model.stages.len()
+    }
+
+    /// The problems of the task that need no simulation: conditions that cannot hold or that hold at the start, places out of
+    /// reach.
+    pub fn lint(&self, robot: &Robot, chain: &Chain) -> Vec<Problem> {
+        lint::lint(&self.model, robot, chain)
+    }
+
+    /// The draws of an episode.
+    fn draws(&self, scenario: &Scenario, numbers: &Numbers) -> Result<Vec<Draws>, Fault> {
+        let model = &self.model;
+        let mut stream = scenario.seed.stream("part-jitter");
+        let mut draws: Vec<Draws> = model
+            .parts
+            .iter()
+            .map(|_| Draws { shift: disc_point(&mut stream), turn: stream.between(-1.0, 1.0), place: None })
+            .collect();
+        if model.parts.iter().all(|part| part.start.is_none()) {
+            return Ok(draws);
+        }
+        let mut stream = scenario.seed.stream("part-start");
+        for _ in 0..MOST_DRAWS {
+            self.draw_places(numbers, &mut draws, &mut stream);
+            if !self.overlaps(numbers, &draws) {
+                return Ok(draws);
+            }
+        }
+        Err(Fault::new(FaultKind::Setup, "the parts do not fit beside each other into the regions of their starts"))
+    }
+
+    fn draw_places(&self, numbers: &Numbers, draws: &mut [Draws], stream: &mut Stream) {
+        let layout = Layout::new(numbers, &self.model.parents(), draws);
+        for (part, draws) in self.model.parts.iter().zip(draws) {
+            let Some(region) = part.start else { continue };
+            let [x, y] = [0, 1].map(|axis| region.at[axis] + stream.between(-region.half[axis], region.half[axis]));
+            let frame = match region.on {
+                numbers::Frame::Fixture(of) => layout.fixtures[of],
+                _ => Isometry3::identity(),
+            };
+            let at = frame * nalgebra::Point3::new(x, y, region.at.z);
+            draws.place = Some([at.x, at.y]);
+        }
+    }
+
+    /// Whether circles around two free parts overlap.
+    fn overlaps(&self, numbers: &Numbers, draws: &[Draws]) -> bool {
+        let layout = Layout::new(numbers, &self.model.parents(), draws);
+        let radius = |index: usize| {
+            let reach = |part: &robogate_physics::Part| {
+                let [x, y, _] = part.primitive.half_extent();
+                part.pose.translation.vector.xy().norm() + x.hypot(y)
+            };
+            self.model.parts[index].shapes.iter().map(reach).fold(0.0, f64::max)
+        };
+        let near = |one: usize, other: usize| {
+            let off = layout.parts[one].translation.vector - layout.parts[other].translation.vector;
+            off.xy().norm() < radius(one) + radius(other)
+        };
+        let drawn = |index: usize| draws[index].place.is_some();
+        (0..draws.len()).any(|one| (0..one).any(|other| (drawn(one) || drawn(other)) && near(one, other)))
+    }
+
+    /// The scene with these numbers and poses.
+    fn scene(&self, numbers: &Numbers, layout: &Layout) -> Scene {
+        let model = &self.model;
+        let body = |index: usize| {
+            let (part, own) = (&model.parts[index], &numbers.parts[index]);
+            let mass = MassProperties::homogeneous(&part.shapes, own.mass_kg);
+            FreeBody {
+                name: part.name.clone(),
+                object: Object { parts: part.shapes.clone(), mass, joint: own.joint },
+                pose: layout.parts[index],
+                color: part.color.unwrap_or(COLORS[index % COLORS.len()]),
+            }
+        };
+        let mut fixtures = vec![Fixture::table()];
+        for (fixture, frame) in model.fixtures.iter().zip(&layout.fixtures) {
+            for (index, shape) in fixture.shapes.iter().enumerate() {
+                let name = match fixture.shapes.len() {
+                    1 => fixture.name.clone(),
+                    _ => format!("{}.{}", fixture.name, index + 1),
+                };
+                let part = robogate_physics::Part { pose: frame * shape.pose, ..*shape };
+                fixtures.push(Fixture { name, kind: FixtureKind::Receptacle, part, motion: None });
+            }
+        }
+        let FreeBody { object, pose: object_pose, color, .. } = body(0);
+        Scene {
+            object,
+            object_pose,
+            others: (1..model.parts.len()).map(body).collect(),
+            friction: numbers.friction,
+            table_friction: None,
+            arm_stiffness: 1.0,
+            gripper: numbers.around.gripper,
+            fixtures,
+            gravity: numbers.gravity,
+            marker: None,
+            visual: Visual { object_color: color, ..numbers.around.visual() },
+        }
+    }
+
+    fn instruction(&self, numbers: &Numbers) -> String {
+        let mut text = self.model.instruction.clone();
+        for name in braces(&self.model.instruction) {
+            let index = self.model.parameters.iter().position(|parameter| parameter.name.as_str() == name);
+            let Some(index) = index else { continue };
+            let unit = self.model.parameters[index].dimension.unit();
+            let shown = format!("{:.3}", numbers.values[index]);
+            let shown = shown.trim_end_matches('0').trim_end_matches('.');
+            text = text.replace(&format!("{{{name}}}"), format!("{shown} {unit}").trim_end());
+        }
+        text
+    }
+}
+
+impl OnArm for FileTask {
+    fn arm(&self) -> &ArmSettings {
+        &self.arm
+    }
+
+    fn arm_mut(&mut self) -> &mut ArmSettings {
+        &mut self.arm
+    }
+
+    fn defaults(&self) -> Self {
+        Self { arm: ArmSettings::lasting(self.model.time_limit_s), model: Arc::clone(&self.model) }
+    }
+}
+
+impl HasSettings for FileTask {
+    fn rows() -> Vec<SettingRow<Self>> {
+        rows([])
+    }
+}
+
+impl ArmDeclaration for FileTask {
+    fn name(&self) -> &'static str {
+        self.model.name.as_str()
+    }
+
+    fn summary(&self) -> &str {
+        &self.model.summary
+    }
+
+    fn brought_space(&self) -> Option<ParameterSpace> {
+        self.model.space()
+    }
+
+    fn parameters(&self) -> &dyn Parameters {
+        &*self.model
+    }
+
+    fn first_part(&self, _: &TaskInstance) -> Result<[f64; 4], Fault> {
+        Err(Fault::new(FaultKind::Setup, "a task from a file has no demonstrations with pushes"))
+    }
+
+    fn own_claims(&self, _: &Gripper) -> Vec<Claim> {
+        Vec::new()
+    }
+
+    fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
+        Box::new(Expert::new(Arc::clone(&self.model), robot, chain))
+    }
+
+    fn tool_expert(&self, _: Robot) -> Option<Box<dyn Policy>> {
+        None
+    }
+}
+
+impl Rules for FileTask {
+    fn only_here(&self) -> Option<&'static str> {
+        Some("a task from a file runs on an engine in this process: use --engine mujoco, without --simulator")
+    }
+
+    fn foresight(&self, _: &Robot, _: &Chain, _: f64) -> Option<Arc<dyn Foresight>> {
+        None
+    }
+
+    fn infeasibility(&self, _: &Assignment, _: &Robot, _: f64) -> Option<Infeasibility> {
+        None
+    }
+
+    fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
+        let model = &self.model;
+        let failures = model.failures.iter().map(|failure| mode(failure.mode, failure.severity, &failure.meaning));
+        let collision = mode(
+            COLLISION,
+            Severity::Critical,
+            "A link or finger of the robot touched itself, the table or a fixture that it may not touch.",
+        );
+        let timeout =
+            mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the success condition held.");
+        let own = model.measures.iter().map(|of| measure(of.name, &of.dimension.unit(), of.better, &of.meaning));
+        let stages: Vec<String> = model.stages.iter().map(|(name, _)| name.to_string()).collect();
+        let meaning = format!("Number of stages that were reached, in order: {}.", stages.join(", "));
+        let stages = (!stages.is_empty()).then(|| measure(STAGES, "", Better::Higher, &meaning));
+        TaskSpec {
+            version: model.version,
+            instruction: self.instruction(&model.nominal),
+            failure_modes: failures.chain([collision, timeout]).collect(),
+            measures: own.chain(stages).chain(common_measures()).collect(),
+            phases: expert::phases(model.skills.as_deref().unwrap_or_default()),
+            details: json!({ TEXT: model.text }),
+            ..base_spec(self.name(), robot, cameras)
+        }
+    }
+
+    fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved, Fault> {
+        let model = &self.model;
+        let mut numbers = model.numbers(&scenario.requested, &robot.settings.gripper)?;
+        numbers.around.encoders = encoder_bias(scenario, robot, 1.0);
+        let draws = self.draws(scenario, &numbers)?;
+        let layout = Layout::new(&numbers, &model.parents(), &draws);
+        let told = model.parameters.iter().zip(&numbers.values).filter(|(parameter, _)| parameter.told);
+        let starts = model.parts.iter().zip(&layout.parts).filter(|(part, _)| part.start.is_some());
+        let briefing = Briefing {
+            parameters: told.map(|(parameter, value)| (parameter.name.to_string(), *value)).collect(),
+            parts: starts.map(|(part, at)| (part.name.clone(), pose(at))).collect(),
+        };
+        Ok(Resolved {
+            scene: self.scene(&numbers, &layout),
+            grip_threshold_m: GRIP_THRESHOLD_M,
+            bias: numbers.around.bias(scenario, robot)?,
+            instance: instance(self.instruction(&numbers), &briefing),
+            trial: Box::new(Referee::new(Arc::clone(model), numbers, layout, draws, grip_force_n)),
+        })
+    }
+}
+
+/// Information that a policy may use about one episode.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+struct Briefing {
+    /// Values of the parameters that the policy is told.
+    parameters: BTreeMap<String, f64>,
+    /// Poses of the parts that start in a region.
+    parts: BTreeMap<String, Pose>,
+}
+
+impl Briefing {
+    /// Reads the briefing from the details of an episode.
+    ///
+    /// # Errors
+    /// A setup fault if the details are not those of this task.
+    fn of(model: &Model, instance: &TaskInstance) -> Result<Self, Fault> {
+        briefing(model.name.as_str(), instance)
+    }
+}

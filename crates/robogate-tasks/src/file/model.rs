@@ -1,0 +1,718 @@
+//! The meaning of a file: bodies, parameters, conditions and skills, with every name resolved.
+
+use nalgebra::Vector3;
+use robogate_core::budget::Budget;
+use robogate_core::{Better, FailureMode, Severity, Word};
+use robogate_physics::{Color, GRAVITY, Joint, JointKind, Part, Primitive};
+
+use super::conditions::{Compiler, Condition, Value};
+use super::document::{Document, JointTable, JointWord, ParameterTable, ShapeTable, Text};
+use super::expert::{self, Skill};
+use super::names::{Names, RESERVED, Region};
+use super::numbers::{Frame, Numbers, PartNumbers, PartTarget, Place, Placed, Target, YAW};
+use super::problem::{Problem, Problems};
+use super::syntax;
+use super::units::{Dimension, quantities};
+use crate::arm::CONTROL_PERIOD_S;
+use crate::settings::unit_of;
+
+/// The format that this program reads.
+pub(super) const FORMAT: &str = "robogate-task/1";
+
+/// The largest file. A file of 10 parts has about 10 kB.
+const BUDGET: Budget = Budget { bytes: 64 << 10, values: 1 << 16, depth: 8 };
+/// The largest number of parts, of shapes of all bodies, and of entries of other lists.
+const MOST_PARTS: usize = 16;
+const MOST_SHAPES: usize = 128;
+const MOST_ENTRIES: usize = 64;
+
+/// The coordinates of a body in paths of parameters.
+const PLACED: [&str; 4] = ["at.x", "at.y", "at.z", "yaw"];
+
+/// Friction coefficient of the parts, if the file states none.
+const FRICTION: f64 = 0.7;
+
+/// A task as a file describes it.
+#[derive(Debug)]
+pub(super) struct Model {
+    pub(super) name: Word,
+    pub(super) version: u32,
+    pub(super) summary: String,
+    pub(super) instruction: String,
+    pub(super) time_limit_s: f64,
+    pub(super) fixtures: Vec<FixtureModel>,
+    pub(super) parts: Vec<PartModel>,
+    pub(super) parameters: Vec<ParameterModel>,
+    /// The numbers of the file, with nominal values of the parameters.
+    pub(super) nominal: Numbers,
+    pub(super) success: Condition,
+    pub(super) failures: Vec<FailureModel>,
+    pub(super) stages: Vec<(Word, Condition)>,
+    pub(super) measures: Vec<MeasureModel>,
+    pub(super) skills: Option<Vec<Skill>>,
+    /// Number of slots in the memory of conditions.
+    pub(super) slots: usize,
+    /// Where conditions and parameters stand, for problems that are found later.
+    pub(super) lines: Lines,
+    /// The text of the file.
+    pub(super) text: String,
+}
+
+/// Where things stand in the file, as bytes.
+#[derive(Debug, Default)]
+pub(super) struct Lines {
+    pub(super) success: usize,
+    pub(super) failures: Vec<usize>,
+    pub(super) stages: Vec<usize>,
+    pub(super) expert: usize,
+}
+
+/// A body that stands still.
+#[derive(Debug)]
+pub(super) struct FixtureModel {
+    pub(super) name: String,
+    pub(super) shapes: Vec<Part>,
+    /// Indices of its shapes in the scene.
+    pub(super) range: std::ops::Range<usize>,
+    pub(super) touch: bool,
+}
+
+/// A body that moves.
+#[derive(Debug)]
+pub(super) struct PartModel {
+    pub(super) name: String,
+    pub(super) parent: Option<usize>,
+    pub(super) shapes: Vec<Part>,
+    pub(super) start: Option<Region>,
+    pub(super) color: Option<Color>,
+}
+
+/// A parameter.
+#[derive(Debug)]
+pub(super) struct ParameterModel {
+    pub(super) name: Word,
+    pub(super) target: Target,
+    pub(super) dimension: Dimension,
+    pub(super) range: [f64; 2],
+    pub(super) nominal: f64,
+    pub(super) meaning: String,
+    pub(super) family: Option<Word>,
+    pub(super) told: bool,
+}
+
+/// A failure.
+#[derive(Debug)]
+pub(super) struct FailureModel {
+    pub(super) mode: FailureMode,
+    pub(super) severity: Severity,
+    pub(super) meaning: String,
+    pub(super) when: Condition,
+}
+
+/// A measure.
+#[derive(Debug)]
+pub(super) struct MeasureModel {
+    pub(super) name: Word,
+    pub(super) meaning: String,
+    pub(super) better: Better,
+    pub(super) dimension: Dimension,
+    pub(super) of: Measured,
+}
+
+/// What a measure records.
+#[derive(Debug)]
+pub(super) enum Measured {
+    Max(Value),
+    Min(Value),
+    Final(Value),
+    First(Condition),
+}
+
+impl Model {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// Every problem that was found.
+    pub(super) fn read(text: &str) -> Result<Self, Vec<Problem>> {
+        let mut problems = Problems::new(text);
+        if let Err(error) = BUDGET.check_toml(text) {
+            problems.at(0, error.to_string(), "a task's file contains numbers and names, not data");
+            return Err(problems.found);
+        }
+        let document: Document = match toml::from_str(text) {
+            Ok(document) => document,
+            Err(error) => {
+                problems.syntax(&error);
+                return Err(problems.found);
+            }
+        };
+        let model = Reading { problems: &mut problems, names: Names::default() }.model(&document, text);
+        match model {
+            Some(model) if problems.found.is_empty() => Ok(model),
+            _ => {
+                problems.found.sort_by_key(|problem| problem.line);
+                Err(problems.found)
+            }
+        }
+    }
+
+    /// The frame that each part's position refers to.
+    pub(super) fn parents(&self) -> Vec<Option<usize>> {
+        self.parts.iter().map(|part| part.parent).collect()
+    }
+}
+
+struct Reading<'a, 'b> {
+    problems: &'a mut Problems<'b>,
+    names: Names,
+}
+
+impl Reading<'_, '_> {
+    fn model(mut self, document: &Document, text: &str) -> Option<Model> {
+        if document.format.text != FORMAT {
+            self.problems
+                .of(&document.format, format!("unknown format `{}`. Expected `{FORMAT}`", document.format.text));
+        }
+        self.check_sizes(document);
+        let name = self.word(&document.name);
+        let time_limit_s = self.time_limit(&document.time_limit);
+        let mut nominal = Numbers {
+            friction: self.optional(document.scene.friction.as_ref(), Dimension::NONE, [0.01, 10.0], FRICTION),
+            gravity: self.optional(document.scene.gravity.as_ref(), Dimension::ACCELERATION, [0.0, 30.0], GRAVITY),
+            ..Numbers::default()
+        };
+        let fixtures = self.fixtures(document, &mut nominal);
+        // Regions may be in parts, and parts may start in regions: names first.
+        let parts = self.parts(document, &mut nominal);
+        self.regions(document);
+        let parts = self.with_starts(document, parts);
+        let parameters = self.parameters(document, &mut nominal);
+        let mut compiler = Compiler { names: &self.names, slots: 0 };
+        let problems = &mut *self.problems;
+        let success = condition(problems, &mut compiler, &document.success.when);
+        let mut failures = Vec::new();
+        for failure in &document.failure {
+            let mode = mode(problems, &failure.name, &failures);
+            let when = condition(problems, &mut compiler, &failure.when);
+            if let (Some(mode), Some(when)) = (mode, when) {
+                let (severity, meaning) = (failure.severity, failure.meaning.clone());
+                failures.push(FailureModel { mode, severity, meaning, when });
+            }
+        }
+        let mut stages: Vec<(Word, Condition)> = Vec::new();
+        for stage in &document.stage {
+            let name = word(problems, &stage.name);
+            let when = condition(problems, &mut compiler, &stage.when);
+            if stages.iter().any(|(known, _)| Some(*known) == name) {
+                problems.of(&stage.name, format!("a second stage `{}`", stage.name.text));
+            }
+            stages.extend(name.zip(when));
+        }
+        let measures: Vec<_> =
+            document.measure.iter().filter_map(|of| measure(problems, &mut compiler, &of.name, of)).collect();
+        for (index, measure) in measures.iter().enumerate() {
+            if measures[..index].iter().any(|earlier| earlier.name == measure.name) {
+                problems.of(&document.measure[index].name, format!("a second measure `{}`", measure.name));
+            }
+        }
+        let skills = document.expert.as_ref().map(|expert| {
+            let read = |text: &Text| {
+                let skill = syntax::parse(&text.text).and_then(|node| expert::skill(&mut compiler, &node));
+                skill.map_err(|(at, why)| problems.at(within(text, at), why, "")).ok()
+            };
+            expert.skills.iter().filter_map(read).collect::<Vec<_>>()
+        });
+        let slots = compiler.slots;
+        check_instruction(problems, &self.names, &document.instruction);
+        let at = |texts: Vec<&Text>| texts.iter().map(|text| text.at).collect();
+        let lines = Lines {
+            success: document.success.when.at,
+            failures: at(document.failure.iter().map(|failure| &failure.when).collect()),
+            stages: at(document.stage.iter().map(|stage| &stage.when).collect()),
+            expert: document.expert.as_ref().and_then(|of| of.skills.first()).map_or(0, |skill| skill.at),
+        };
+        Some(Model {
+            name: name?,
+            version: document.version,
+            summary: document.summary.clone(),
+            instruction: document.instruction.text.clone(),
+            time_limit_s: time_limit_s?,
+            fixtures,
+            parts,
+            parameters,
+            nominal,
+            success: success?,
+            failures,
+            stages,
+            measures,
+            skills,
+            slots,
+            lines,
+            text: text.to_owned(),
+        })
+    }
+
+    fn check_sizes(&mut self, document: &Document) {
+        let shapes = document.fixture.iter().map(|fixture| &fixture.shapes);
+        let shapes = shapes.chain(document.part.iter().map(|part| &part.shapes)).map(Vec::len).sum();
+        let points = document.part.iter().map(|part| part.points.len()).sum();
+        for (what, count, most) in [
+            ("parts", document.part.len(), MOST_PARTS),
+            ("shapes", shapes, MOST_SHAPES),
+            ("points", points, MOST_ENTRIES),
+            ("regions", document.region.len(), MOST_ENTRIES),
+            ("parameters", document.parameter.len(), MOST_ENTRIES),
+            ("failures", document.failure.len(), MOST_ENTRIES),
+            ("stages", document.stage.len(), MOST_ENTRIES),
+            ("measures", document.measure.len(), MOST_ENTRIES),
+            ("skills", document.expert.as_ref().map_or(0, |expert| expert.skills.len()), MOST_ENTRIES),
+        ] {
+            if count > most {
+                self.problems.at(0, format!("the file has {count} {what}. At most {most} are accepted"), "");
+            }
+        }
+        if document.part.is_empty() {
+            self.problems.at(0, "the file has no part. Expected at least one `[[part]]`", "");
+        }
+    }
+
+    fn time_limit(&mut self, text: &Text) -> Option<f64> {
+        let seconds = self.number(text, Dimension::TIME, [CONTROL_PERIOD_S, 3600.0])?;
+        let periods = seconds / CONTROL_PERIOD_S;
+        if (periods - periods.round()).abs() > 1e-6 {
+            self.problems.of(text, format!("`{}`: expected a multiple of {CONTROL_PERIOD_S} s", text.text));
+        }
+        Some(seconds)
+    }
+
+    fn word(&mut self, text: &Text) -> Option<Word> {
+        word(self.problems, text)
+    }
+
+    /// A new name of a body or a region.
+    fn name(&mut self, text: &Text) -> String {
+        self.word(text);
+        let name = &text.text;
+        let names = &self.names;
+        let taken = names.fixtures.iter().map(|(name, _)| name).chain(names.parts.iter().map(|(name, _)| name));
+        let mut taken = taken.chain(names.regions.iter().map(|(name, _)| name));
+        if taken.any(|taken| taken == name) {
+            self.problems.of(text, format!("a second body or region `{name}`. Expected different names"));
+        }
+        if RESERVED.contains(&&**name) || name.contains('.') {
+            self.problems.of(text, format!("`{name}` has a meaning of its own. Expected another name"));
+        }
+        name.clone()
+    }
+
+    fn number(&mut self, text: &Text, dimension: Dimension, range: [f64; 2]) -> Option<f64> {
+        let [value] = self.problems.take(text, quantities::<1>(&text.text, dimension))?;
+        if !(range[0]..=range[1]).contains(&value) {
+            let (unit, [low, high]) = (dimension.unit(), range);
+            self.problems.of(text, format!("`{}` is out of range. Expected {low} to {high} {unit}", text.text));
+        }
+        Some(value)
+    }
+
+    fn optional(&mut self, text: Option<&Text>, dimension: Dimension, range: [f64; 2], or: f64) -> f64 {
+        text.and_then(|text| self.number(text, dimension, range)).unwrap_or(or)
+    }
+
+    fn triple(&mut self, text: Option<&Text>, dimension: Dimension) -> [f64; 3] {
+        let Some(text) = text else { return [0.0; 3] };
+        let found = self.problems.take(text, quantities(&text.text, dimension)).unwrap_or_default();
+        if dimension == Dimension::LENGTH && found.iter().any(|x: &f64| x.abs() > 10.0) {
+            self.problems.of(text, format!("`{}` is out of range. Expected at most 10 m", text.text));
+        }
+        found
+    }
+
+    fn placed(&mut self, at: Option<&Text>, rotation: Option<&Text>) -> Placed {
+        Placed { at: self.triple(at, Dimension::LENGTH), rotation: self.triple(rotation, Dimension::ANGLE) }
+    }
+
+    fn shape(&mut self, shape: &ShapeTable, owner: &Text) -> Option<Part> {
+        let pose = self.placed(shape.at.as_ref(), shape.rotation.as_ref()).pose();
+        let (text, primitive) = match (&shape.cuboid, &shape.cylinder, &shape.sphere) {
+            (Some(text), None, None) => {
+                let edges: [f64; 3] = self.problems.take(text, quantities(&text.text, Dimension::LENGTH))?;
+                (text, Primitive::Box { half: edges.map(|edge| 0.5 * edge) })
+            }
+            (None, Some(text), None) => {
+                let [diameter, height] = self.problems.take(text, quantities(&text.text, Dimension::LENGTH))?;
+                (text, Primitive::Cylinder { radius: 0.5 * diameter, half_height: 0.5 * height })
+            }
+            (None, None, Some(text)) => {
+                let [diameter] = self.problems.take(text, quantities(&text.text, Dimension::LENGTH))?;
+                (text, Primitive::Sphere { radius: 0.5 * diameter })
+            }
+            _ => {
+                self.problems.of(owner, "a shape of this body needs exactly one of `box`, `cylinder` and `sphere`");
+                return None;
+            }
+        };
+        if primitive.half_extent().iter().any(|half| !(5e-4..=2.5).contains(half)) {
+            self.problems.of(text, format!("`{}` is out of range. Expected 1 mm to 5 m", text.text));
+        }
+        Some(Part { primitive, pose })
+    }
+
+    fn shapes(&mut self, shapes: &[ShapeTable], owner: &Text) -> Vec<Part> {
+        if shapes.is_empty() {
+            self.problems.of(owner, format!("`{}` has no shapes. Expected at least one", owner.text));
+        }
+        shapes.iter().filter_map(|shape| self.shape(shape, owner)).collect()
+    }
+
+    fn fixtures(&mut self, document: &Document, nominal: &mut Numbers) -> Vec<FixtureModel> {
+        let mut fixtures = Vec::new();
+        // The table comes first.
+        let mut next = 1;
+        for table in &document.fixture {
+            let name = self.name(&table.name);
+            nominal.fixtures.push(self.placed(table.at.as_ref(), table.rotation.as_ref()));
+            let shapes = self.shapes(&table.shapes, &table.name);
+            let range = next..next + shapes.len();
+            next = range.end;
+            self.names.fixtures.push((name.clone(), range.clone()));
+            fixtures.push(FixtureModel { name, shapes, range, touch: table.touch });
+        }
+        fixtures
+    }
+
+    fn joint(&mut self, table: &JointTable) -> (Joint, Dimension) {
+        let (kind, dimension, force) = match table.kind {
+            JointWord::Hinge => (JointKind::Hinge, Dimension::ANGLE, Dimension::TORQUE),
+            JointWord::Slide => (JointKind::Slide, Dimension::LENGTH, Dimension::FORCE),
+        };
+        let axis = match &*table.axis.text {
+            "x" => Vector3::x(),
+            "y" => Vector3::y(),
+            "z" => Vector3::z(),
+            "-x" => -Vector3::x(),
+            "-y" => -Vector3::y(),
+            "-z" => -Vector3::z(),
+            other => {
+                self.problems.of(&table.axis, format!("unknown axis `{other}`. Expected x, y, z, -x, -y or -z"));
+                Vector3::z()
+            }
+        };
+        let range: [f64; 2] =
+            self.problems.take(&table.range, quantities(&table.range.text, dimension)).unwrap_or([-1.0, 1.0]);
+        if !(range[0] < range[1] && range.iter().all(|end| end.abs() <= 10.0)) {
+            let shown = &table.range.text;
+            self.problems.of(&table.range, format!("`{shown}`: expected the lower stop first, both within 10"));
+        }
+        let per_speed = force.times(Dimension::TIME).over(dimension);
+        let joint = Joint {
+            kind,
+            axis,
+            anchor: self.triple(table.anchor.as_ref(), Dimension::LENGTH).into(),
+            range,
+            start: self.optional(table.start.as_ref(), dimension, range, 0.0),
+            damping: self.optional(table.damping.as_ref(), per_speed, [0.0, 1e4], 0.0),
+            friction: self.optional(table.friction.as_ref(), force, [0.0, 1e3], 0.0),
+            stiffness: self.optional(table.stiffness.as_ref(), force.over(dimension), [0.0, 1e5], 0.0),
+            rest: self.optional(table.rest.as_ref(), dimension, [-10.0, 10.0], 0.0),
+        };
+        (joint, dimension)
+    }
+
+    fn parts(&mut self, document: &Document, nominal: &mut Numbers) -> Vec<PartModel> {
+        let mut parts = Vec::new();
+        for (index, table) in document.part.iter().enumerate() {
+            let name = self.name(&table.name);
+            let parent = table.parent.as_ref().and_then(|parent| self.frame(parent, false));
+            let placed = self.placed(table.at.as_ref(), table.rotation.as_ref());
+            let joint = table.joint.as_ref().map(|joint| self.joint(joint));
+            nominal.parts.push(PartNumbers {
+                placed,
+                mass_kg: self.number(&table.mass, Dimension::MASS, [1e-3, 100.0]).unwrap_or(1.0),
+                spread_m: self.optional(table.spread.as_ref(), Dimension::LENGTH, [0.0, 1.0], 0.0),
+                spin_rad: self.optional(table.spin.as_ref(), Dimension::ANGLE, [0.0, 3.2], 0.0),
+                joint: joint.map(|(joint, _)| joint),
+            });
+            for (point, of) in &table.points {
+                let place = Place {
+                    on: Frame::Part(index),
+                    point: self.triple(Some(&of.at), Dimension::LENGTH).into(),
+                    close_rad: of.close.as_ref().and_then(|text| self.number(text, Dimension::ANGLE, [-6.3, 6.3])),
+                };
+                if point.contains('.') {
+                    self.problems.of(&of.at, format!("`{point}` has a dot. Expected a name without one"));
+                }
+                self.names.points.insert(format!("{name}.{point}"), place);
+            }
+            let color = table.color.as_ref().and_then(|text| {
+                let color = Color::from_hex(&text.text);
+                self.problems.take(text, color.ok_or_else(|| format!("`{}`: expected #rrggbb", text.text)))
+            });
+            self.names.parts.push((name.clone(), joint.map(|(_, dimension)| dimension)));
+            let parent = match parent {
+                Some(Frame::Fixture(parent)) => Some(parent),
+                _ => None,
+            };
+            parts.push(PartModel { name, parent, shapes: self.shapes(&table.shapes, &table.name), start: None, color });
+        }
+        parts
+    }
+
+    /// The frame that `in` names: a fixture, or a part where `parts` allows it.
+    fn frame(&mut self, text: &Text, parts: bool) -> Option<Frame> {
+        match self.names.frame_named(0, &text.text) {
+            Ok(Frame::Part(_)) if !parts => {
+                self.problems.of(text, format!("`{}` is a part. Expected a fixture", text.text));
+                None
+            }
+            Ok(frame) => Some(frame),
+            Err((_, why)) => {
+                self.problems.of(text, why);
+                None
+            }
+        }
+    }
+
+    fn regions(&mut self, document: &Document) {
+        for table in &document.region {
+            let name = self.name(&table.name);
+            let on = table.parent.as_ref().and_then(|parent| self.frame(parent, true)).unwrap_or(Frame::World);
+            let at = self.triple(table.at.as_ref(), Dimension::LENGTH).into();
+            let half = self.triple(Some(&table.size), Dimension::LENGTH).map(|edge| 0.5 * edge);
+            if half.iter().any(|half| *half <= 0.0) {
+                self.problems.of(&table.size, format!("`{}`: expected three edges above 0", table.size.text));
+            }
+            self.names.regions.push((name, Region { on, at, half }));
+        }
+    }
+
+    fn with_starts(&mut self, document: &Document, mut parts: Vec<PartModel>) -> Vec<PartModel> {
+        for (table, part) in document.part.iter().zip(&mut parts) {
+            let Some(text) = &table.start else { continue };
+            match self.names.region_named(0, &text.text) {
+                Ok(Region { on: Frame::Part(_), .. }) => {
+                    self.problems.of(text, format!("the region `{}` moves with a part", text.text));
+                }
+                Ok(_) if table.joint.is_some() => {
+                    self.problems.of(text, "a part on a joint does not start in a region. Leave out `start`");
+                }
+                Ok(region) => part.start = Some(region),
+                Err((_, why)) => self.problems.of(text, why),
+            }
+        }
+        parts
+    }
+
+    fn parameters(&mut self, document: &Document, nominal: &mut Numbers) -> Vec<ParameterModel> {
+        let mut parameters: Vec<ParameterModel> = Vec::new();
+        for table in &document.parameter {
+            let Some(parameter) = self.parameter(table, nominal) else { continue };
+            if parameters.iter().any(|known| known.name == parameter.name) {
+                self.problems.of(&table.name, format!("a second parameter `{}`", parameter.name));
+            }
+            let sets = |target: Target| !matches!(target, Target::Value(_)) && target == parameter.target;
+            if let Some(other) = parameters.iter().find(|known| sets(known.target)) {
+                self.problems.of(&table.name, format!("`{}` and `{}` set the same", other.name, parameter.name));
+            }
+            if let Some(number) = parameter.target.number(nominal) {
+                *number = parameter.nominal;
+            }
+            nominal.values.push(parameter.nominal);
+            self.names.parameters.push((parameter.name.to_string(), parameter.dimension));
+            self.names.nominal.push(parameter.nominal);
+            parameters.push(parameter);
+        }
+        parameters
+    }
+
+    fn parameter(&mut self, table: &ParameterTable, nominal: &mut Numbers) -> Option<ParameterModel> {
+        let name = self.word(&table.name)?;
+        let (target, dimension) = match &table.sets {
+            Some(path) => {
+                let target = self.target(&path.text);
+                self.problems.take(path, target)?
+            }
+            None => {
+                // The unit of the range says what it is.
+                let last = table.range.text.rsplit(',').next().unwrap_or_default();
+                let found = super::units::quantity(last);
+                let dimension = self.problems.take(&table.range, found)?.dimension;
+                (Target::Value(dimension), dimension)
+            }
+        };
+        let range: [f64; 2] = self.problems.take(&table.range, quantities(&table.range.text, dimension))?;
+        if range[0] >= range[1] {
+            let shown = &table.range.text;
+            self.problems.of(&table.range, format!("`{shown}`: expected the smaller value first"));
+        }
+        let nominal = match (&table.nominal, target.number(nominal)) {
+            (Some(text), _) => self.number(text, dimension, range)?,
+            (None, Some(value)) if (range[0]..=range[1]).contains(value) => *value,
+            (None, Some(value)) => {
+                let (value, unit) = (*value, dimension.unit());
+                let why = format!("the value in the file, {value} {unit}, is outside of the range. Add `nominal`");
+                self.problems.of(&table.range, why);
+                return None;
+            }
+            (None, None) => {
+                self.problems.of(&table.name, format!("`{name}` sets nothing, so it needs `nominal`"));
+                return None;
+            }
+        };
+        let unit = unit_of(name.as_str());
+        if !unit.is_empty() && unit != dimension.unit() {
+            let is =
+                if dimension == Dimension::NONE { "has no unit".into() } else { format!("is in {}", dimension.unit()) };
+            self.problems.of(&table.name, format!("`{name}` ends with the unit {unit}, but its value {is}"));
+        }
+        Some(ParameterModel {
+            name,
+            target,
+            dimension,
+            range,
+            nominal,
+            meaning: table.meaning.clone(),
+            family: table.family.as_ref().and_then(|family| self.word(family)),
+            told: table.told.unwrap_or(table.sets.is_none()),
+        })
+    }
+
+    /// What a path sets, and the dimension of its values.
+    fn target(&self, path: &str) -> Result<(Target, Dimension), String> {
+        let (owner, rest) = path.split_once('.').unwrap_or((path, ""));
+        let unknown =
+            |known: &[&str]| format!("`{owner}` has no `{rest}`: {}", robogate_core::hint(rest, known.iter().copied()));
+        let placed = PLACED.iter().position(|name| *name == rest);
+        let length = |which: usize| if which == YAW { Dimension::ANGLE } else { Dimension::LENGTH };
+        if owner == "scene" {
+            return match rest {
+                "friction" => Ok((Target::Friction, Dimension::NONE)),
+                "gravity" => Ok((Target::Gravity, Dimension::ACCELERATION)),
+                _ => Err(unknown(&["friction", "gravity"])),
+            };
+        }
+        match (self.names.frame_named(0, owner).map_err(|(_, why)| why)?, placed) {
+            (Frame::Fixture(of), Some(which)) => Ok((Target::Fixture(of, which), length(which))),
+            (Frame::Part(of), Some(which)) => Ok((Target::Part(of, PartTarget::Placed(which)), length(which))),
+            (Frame::Part(of), None) => {
+                let joint = self.names.parts[of].1;
+                let force = if joint == Some(Dimension::ANGLE) { Dimension::TORQUE } else { Dimension::FORCE };
+                let of_joint = |which: PartTarget, dimension: &dyn Fn(Dimension) -> Dimension| {
+                    let joint = joint.ok_or_else(|| format!("part `{owner}` has no joint"))?;
+                    Ok((Target::Part(of, which), dimension(joint)))
+                };
+                match rest {
+                    "mass" => Ok((Target::Part(of, PartTarget::Mass), Dimension::MASS)),
+                    "spread" => Ok((Target::Part(of, PartTarget::Spread), Dimension::LENGTH)),
+                    "spin" => Ok((Target::Part(of, PartTarget::Spin), Dimension::ANGLE)),
+                    "joint.damping" => of_joint(PartTarget::Damping, &|joint| force.times(Dimension::TIME).over(joint)),
+                    "joint.friction" => of_joint(PartTarget::DryFriction, &|_| force),
+                    "joint.stiffness" => of_joint(PartTarget::Stiffness, &|joint| force.over(joint)),
+                    "joint.start" => of_joint(PartTarget::Start, &|joint| joint),
+                    "joint.rest" => of_joint(PartTarget::Rest, &|joint| joint),
+                    _ => {
+                        let joint = ["joint.damping", "joint.friction", "joint.stiffness", "joint.start", "joint.rest"];
+                        Err(unknown(&[&PLACED[..], &["mass", "spread", "spin"], &joint].concat()))
+                    }
+                }
+            }
+            _ => Err(unknown(&PLACED)),
+        }
+    }
+}
+
+/// A byte of the file: a byte of a text in it, after the quote.
+fn within(text: &Text, at: usize) -> usize {
+    // A text over several lines begins after its quotes; others are on one line.
+    text.at + text.text.get(..at).unwrap_or_default().len() + 1
+}
+
+fn word(problems: &mut Problems<'_>, text: &Text) -> Option<Word> {
+    let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
+    if !text.text.starts_with(|c: char| c.is_ascii_lowercase()) || !text.text.chars().all(plain) {
+        problems.of(text, format!("`{}`: expected a name of lower-case letters, digits and `_`", text.text));
+        return None;
+    }
+    problems.take(text, Word::new(&text.text).map_err(|why| why.to_string()))
+}
+
+fn condition(problems: &mut Problems<'_>, compiler: &mut Compiler<'_>, text: &Text) -> Option<Condition> {
+    let found = syntax::parse(&text.text).and_then(|node| compiler.condition(&node));
+    found.map_err(|(at, why)| problems.at(within(text, at), why, "")).ok()
+}
+
+fn mode(problems: &mut Problems<'_>, text: &Text, known: &[FailureModel]) -> Option<FailureMode> {
+    let name = word(problems, text)?;
+    if ["collision", "struck", "timeout"].contains(&name.as_str()) {
+        problems.of(text, format!("every task has the failure `{name}`. Expected another name"));
+        return None;
+    }
+    if known.iter().any(|failure| failure.mode.as_str() == name.as_str()) {
+        problems.of(text, format!("a second failure `{name}`"));
+    }
+    problems.take(text, FailureMode::new(name.as_str()).map_err(|why| why.to_string()))
+}
+
+fn measure(
+    problems: &mut Problems<'_>,
+    compiler: &mut Compiler<'_>,
+    name: &Text,
+    table: &super::document::MeasureTable,
+) -> Option<MeasureModel> {
+    let known = word(problems, name);
+    let text = &table.value;
+    let (how, rest) = text.text.split_once(' ').unwrap_or((&text.text, ""));
+    let offset = text.text.len() - rest.len();
+    let parsed = syntax::parse(rest).and_then(|node| {
+        let value = |compiler: &mut Compiler<'_>, of: fn(Value) -> Measured| {
+            compiler.value(&node).map(|(value, dimension)| (of(value), dimension))
+        };
+        match how {
+            "max" => value(compiler, Measured::Max),
+            "min" => value(compiler, Measured::Min),
+            "final" => value(compiler, Measured::Final),
+            "first" => Ok((Measured::First(compiler.condition(&node)?), Dimension::TIME)),
+            _ => Err((
+                0,
+                format!("found `{how}`. Expected `max VALUE`, `min VALUE`, `final VALUE` or `first CONDITION`"),
+            )),
+        }
+    });
+    let (of, dimension) = match parsed {
+        Ok(parsed) => parsed,
+        Err((at, why)) => {
+            problems.at(within(text, offset + at), why, "");
+            return None;
+        }
+    };
+    let unit = unit_of(known?.as_str());
+    if !unit.is_empty() && unit != dimension.unit() {
+        problems.of(name, format!("`{}` ends with the unit {unit}, but its value is {dimension}", name.text));
+    }
+    Some(MeasureModel { name: known?, meaning: table.meaning.clone(), better: table.better, dimension, of })
+}
+
+/// The names in braces of an instruction.
+pub(super) fn braces(text: &str) -> impl Iterator<Item = &str> {
+    text.split('{').skip(1).filter_map(|rest| rest.split_once('}')).map(|(name, _)| name)
+}
+
+fn check_instruction(problems: &mut Problems<'_>, names: &Names, text: &Text) {
+    for name in braces(&text.text) {
+        if let Err((_, why)) = names.parameter(0, name) {
+            problems.of(text, why);
+        }
+    }
+}
+
+/// The lowest and the highest point of shapes in the frame of their body, in metres.
+pub(super) fn heights(shapes: &[Part]) -> [f64; 2] {
+    let of = |part: &Part| {
+        let half = Vector3::from(part.primitive.half_extent());
+        let reach = part.pose.rotation.to_rotation_matrix().matrix().row(2).transpose().abs().dot(&half);
+        [part.pose.translation.z - reach, part.pose.translation.z + reach]
+    };
+    shapes
+        .iter()
+        .map(of)
+        .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], [bottom, top]| [low.min(bottom), high.max(top)])
+}

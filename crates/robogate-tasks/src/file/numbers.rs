@@ -1,0 +1,173 @@
+//! The numbers of a scene that parameters can set, and the poses that follow from them.
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use robogate_physics::Joint;
+
+use super::units::Dimension;
+use crate::arm::{InSurroundings, Surroundings};
+
+/// Every number of a scene that a parameter can set.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Numbers {
+    pub(super) fixtures: Vec<Placed>,
+    pub(super) parts: Vec<PartNumbers>,
+    pub(super) friction: f64,
+    pub(super) gravity: f64,
+    /// The value of each parameter.
+    pub(super) values: Vec<f64>,
+    /// What every task has.
+    pub(super) around: Surroundings,
+}
+
+impl InSurroundings for Numbers {
+    fn around_mut(&mut self) -> &mut Surroundings {
+        &mut self.around
+    }
+}
+
+/// Position (m), and roll, pitch and yaw (rad).
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Placed {
+    pub(super) at: [f64; 3],
+    pub(super) rotation: [f64; 3],
+}
+
+impl Placed {
+    pub(super) fn pose(&self) -> Isometry3<f64> {
+        let [roll, pitch, yaw] = self.rotation;
+        let [x, y, z] = self.at;
+        Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_euler_angles(roll, pitch, yaw))
+    }
+}
+
+/// The numbers of a part.
+#[derive(Debug, Clone)]
+pub(super) struct PartNumbers {
+    pub(super) placed: Placed,
+    pub(super) mass_kg: f64,
+    /// Radius of the disc of its start, in metres, and largest rotation, in radians.
+    pub(super) spread_m: f64,
+    pub(super) spin_rad: f64,
+    pub(super) joint: Option<Joint>,
+}
+
+/// What a parameter sets.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Target {
+    /// Nothing: it is a number of this dimension for conditions and expert.
+    Value(Dimension),
+    Friction,
+    Gravity,
+    /// The coordinate of a fixture: x, y, z, or its yaw.
+    Fixture(usize, usize),
+    Part(usize, PartTarget),
+}
+
+/// A number of a part.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum PartTarget {
+    /// x, y, z, or the yaw.
+    Placed(usize),
+    Mass,
+    Spread,
+    Spin,
+    Damping,
+    DryFriction,
+    Stiffness,
+    Start,
+    Rest,
+}
+
+/// The index of the yaw among x, y, z and yaw.
+pub(super) const YAW: usize = 3;
+
+impl Placed {
+    fn number(&mut self, which: usize) -> &mut f64 {
+        if which == YAW { &mut self.rotation[2] } else { &mut self.at[which] }
+    }
+}
+
+impl Target {
+    /// The number that it sets. `None` for a value, and for a joint that a part does not have.
+    pub(super) fn number(self, numbers: &mut Numbers) -> Option<&mut f64> {
+        match self {
+            Self::Value(_) => None,
+            Self::Friction => Some(&mut numbers.friction),
+            Self::Gravity => Some(&mut numbers.gravity),
+            Self::Fixture(of, which) => Some(numbers.fixtures[of].number(which)),
+            Self::Part(of, which) => {
+                let part = &mut numbers.parts[of];
+                match which {
+                    PartTarget::Placed(which) => Some(part.placed.number(which)),
+                    PartTarget::Mass => Some(&mut part.mass_kg),
+                    PartTarget::Spread => Some(&mut part.spread_m),
+                    PartTarget::Spin => Some(&mut part.spin_rad),
+                    PartTarget::Damping => part.joint.as_mut().map(|joint| &mut joint.damping),
+                    PartTarget::DryFriction => part.joint.as_mut().map(|joint| &mut joint.friction),
+                    PartTarget::Stiffness => part.joint.as_mut().map(|joint| &mut joint.stiffness),
+                    PartTarget::Start => part.joint.as_mut().map(|joint| &mut joint.start),
+                    PartTarget::Rest => part.joint.as_mut().map(|joint| &mut joint.rest),
+                }
+            }
+        }
+    }
+}
+
+/// The draws of a part's start.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Draws {
+    /// A point of the unit disc, and a number from -1 to 1.
+    pub(super) shift: [f64; 2],
+    pub(super) turn: f64,
+    /// Where it starts in its region, if it has one: x and y in metres in the frame of the base.
+    pub(super) place: Option<[f64; 2]>,
+}
+
+/// The poses of a scene.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Layout {
+    pub(super) fixtures: Vec<Isometry3<f64>>,
+    /// Poses of the parts at the start, or where their joints have the value 0.
+    pub(super) parts: Vec<Isometry3<f64>>,
+}
+
+impl Layout {
+    /// The poses of a scene with these numbers and these draws, whose parts are in the frames of these fixtures.
+    pub(super) fn new(numbers: &Numbers, parents: &[Option<usize>], draws: &[Draws]) -> Self {
+        let fixtures: Vec<_> = numbers.fixtures.iter().map(Placed::pose).collect();
+        let frame = |parent: Option<usize>| parent.map_or_else(Isometry3::identity, |parent| fixtures[parent]);
+        let parts = numbers.parts.iter().zip(parents).zip(draws);
+        let parts = parts.map(|((part, parent), draws)| {
+            let mut placed = part.placed;
+            placed.at[0] += part.spread_m * draws.shift[0];
+            placed.at[1] += part.spread_m * draws.shift[1];
+            placed.rotation[2] += part.spin_rad * draws.turn;
+            let mut pose = frame(*parent) * placed.pose();
+            if let Some([x, y]) = draws.place {
+                (pose.translation.x, pose.translation.y) = (x, y);
+            }
+            pose
+        });
+        let parts = parts.collect();
+        Self { fixtures, parts }
+    }
+}
+
+/// A place of a scene: the tool, or a point of a body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Place {
+    pub(super) on: Frame,
+    /// The point in the frame, in metres.
+    pub(super) point: Vector3<f64>,
+    /// Direction in which fingers close there, from the x axis of the part, in radians. `None` if any face will do.
+    pub(super) close_rad: Option<f64>,
+}
+
+/// What a place moves with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Frame {
+    World,
+    Tool,
+    Fixture(usize),
+    Part(usize),
+}

@@ -1,0 +1,106 @@
+//! Tasks from files: the guide, what a record contains, and what is refused.
+
+use std::fs;
+use std::path::Path;
+
+use tempfile::TempDir;
+
+use crate::harness::{assert_exit_in, robogate_in, text, verb};
+
+fn shipped(task: &str) -> String {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/tasks").join(task);
+    folder.canonicalize().unwrap().to_str().unwrap().to_owned()
+}
+
+/// The commands of docs/guides/task-files.md, from an empty folder to a verdict.
+#[test]
+fn guide_leads_to_verdict() {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/guides/task-files.md");
+    let page = fs::read_to_string(page).unwrap();
+    let commands = page.split("```sh\n").nth(1).unwrap().split("```").next().unwrap();
+    let dir = TempDir::new().unwrap();
+    let mut printed = Vec::new();
+    for command in commands.lines() {
+        let (command, comment) = command.split_once(" # ").unwrap_or((command, ""));
+        let code = comment.strip_prefix("exit code ").map_or(0, |code| code[..1].parse().unwrap());
+        let line = command.trim().strip_prefix("robogate ").unwrap();
+        printed.push(verb(dir.path(), line, code, &[]));
+    }
+    assert!(printed[1].contains("expert: 1 of 1 nominal episodes succeed"), "{}", printed[1]);
+    assert!(fs::read_to_string(dir.path().join("first.html")).unwrap().contains("open_drawer"));
+    verb(dir.path(), "tasks init my_drawer", 2, &["task.toml exists", "Hint: name another folder"]);
+}
+
+/// The record of a run contains its task: replay, evidence and rerun need no folder.
+#[test]
+fn record_contains_task() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    fs::create_dir(at.join("cell")).unwrap();
+    let text = fs::read_to_string(Path::new(&shipped("button")).join("task.toml")).unwrap();
+    fs::write(at.join("cell/task.toml"), &text).unwrap();
+    verb(at, "run --task cell -n 6 --threads 1 --out one", 0, &[]);
+    verb(at, "run --task cell -n 6 --threads 2 --out two", 0, &[]);
+    assert_eq!(
+        fs::read(at.join("one/dictionary.parquet")).unwrap(),
+        fs::read(at.join("two/dictionary.parquet")).unwrap()
+    );
+    fs::remove_dir_all(at.join("cell")).unwrap();
+    verb(at, "replay one 3", 0, &["gripper closes"]);
+    verb(at, "evidence one evidence --requirements default", 3, &[]);
+    verb(at, "verify evidence --rerun 2", 0, &["with the same outcome, measures and trajectory"]);
+}
+
+#[test]
+fn broken_tasks_are_usage_errors() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    fs::create_dir(at.join("cell")).unwrap();
+    let text = fs::read_to_string(Path::new(&shipped("drawer")).join("task.toml")).unwrap();
+    for (from, to, expected) in [
+        (
+            "joint(drawer) > {opening_m} and",
+            "jiont(drawer) > {opening_m} and",
+            "unknown word `jiont`: did you mean `joint`?",
+        ),
+        (
+            "joint(drawer) > {opening_m} and speed(drawer) < 2 cm/s for 0.3 s",
+            "joint(drawer) < 5 cm",
+            "a policy that does nothing succeeds",
+        ),
+        (
+            "when = \"speed(drawer) > 60 cm/s\"",
+            "when = \"time() > 0.1 s\"",
+            "a policy that does nothing ends with `flung_open`",
+        ),
+        ("pull(drawer, {opening_m} + 4 cm", "pull(drawer, {opening_m} - 6 cm", "the expert fails at nominal: timeout"),
+        ("range = \"8, 18 cm\"", "range = \"8, 28 cm\"", "joint(drawer) is compared with 0.28"),
+    ] {
+        assert!(text.contains(from), "{from}");
+        fs::write(at.join("cell/task.toml"), text.replacen(from, to, 1)).unwrap();
+        assert_exit_in(at, &["tasks", "check", "cell"], 2, &["cell/task.toml", expected]);
+    }
+    assert_exit_in(at, &["run", "--task", "./none", "-n", "1"], 2, &["--task ./none: no such folder"]);
+    fs::remove_file(at.join("cell/task.toml")).unwrap();
+    assert_exit_in(
+        at,
+        &["run", "--task", "cell", "-n", "1"],
+        2,
+        &["cannot read cell/task.toml", "robogate tasks init cell"],
+    );
+    let rapier = ["run", "--task", &shipped("drawer"), "--engine", "rapier", "-n", "1"];
+    assert_exit_in(at, &rapier, 2, &["Use --engine mujoco"]);
+}
+
+/// A task without an expert runs with a policy, and says so without one.
+#[test]
+fn expert_is_optional() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    fs::create_dir(at.join("cell")).unwrap();
+    let full = fs::read_to_string(Path::new(&shipped("button")).join("task.toml")).unwrap();
+    fs::write(at.join("cell/task.toml"), full.split("[expert]").next().unwrap()).unwrap();
+    let checked = robogate_in(at, &["tasks", "check", "cell"]);
+    assert!(text(&checked).contains("whether the task can be solved is not checked"), "{}", text(&checked));
+    assert_exit_in(at, &["run", "--task", "cell", "-n", "1"], 2, &["has no expert", "--policy"]);
+}
