@@ -21,6 +21,9 @@
 //! most the allowed one for every d, by exact recursion over (b, a) up to [`EXACT_BLOCKS`] blocks. Beyond, C is that of
 //! Brownian motion, and the statistic is the normal score of the exact binomial tail.
 //!
+//! If every look has the same scenarios, the tested difference is the mean over them. Scenarios whose differences have opposite signs
+//! then only reduce the variance of b - a.
+//!
 //! Sources: Wang and Tsiatis (1987), Biometrics 43; McNemar (1947), Psychometrika 12; Jennison and Turnbull (2000), Group
 //! Sequential Methods, chapter 12 (repeated tests of binary outcomes).
 
