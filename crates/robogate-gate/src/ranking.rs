@@ -27,6 +27,14 @@ impl RankingGuarantee {
         }
     }
 
+    /// The name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::BestStays => "best-stays",
+            Self::NoFalseElimination => "no-false-elimination",
+        }
+    }
+
     /// The guarantee as a sentence.
     pub fn sentence(self, error: f64) -> String {
         let percent = robogate_stats::format::percent(error);
@@ -54,6 +62,18 @@ pub enum RankingDesign {
     },
     /// Finished results, tested once.
     Results,
+}
+
+/// How the decisions of a ranking treat invalid episodes. Rates and differences leave them out in any case.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum InvalidEpisodes {
+    /// An invalid episode counts against each decision: as a success of the policy that would be dropped, and as a failure of the one
+    /// that would be better. The error holds for any reason of invalid episodes.
+    CountAgainst,
+    /// They are left out. The error holds only if the reason for an invalid episode does not depend on its policy.
+    #[default]
+    LeftOut,
 }
 
 /// A policy that was dropped.
@@ -119,6 +139,9 @@ pub struct Ranking {
     pub guarantee: RankingGuarantee,
     /// The error probability, over all pairs and rounds.
     pub error: f64,
+    /// How the decisions treat invalid episodes, which is a condition of the error.
+    #[serde(default)]
+    pub invalid_episodes: InvalidEpisodes,
     /// The best set: the policies that cannot be distinguished from the best.
     pub best: Vec<String>,
     /// The policies by their rate, the best set first.
@@ -180,7 +203,40 @@ impl Ranking {
             .sort_by(|a, b| a.dropped.is_some().cmp(&b.dropped.is_some()).then_with(|| rate(b).total_cmp(&rate(a))));
         let best =
             policies.iter().filter(|policy| policy.dropped.is_none()).map(|policy| policy.name.clone()).collect();
-        Self { format: Self::FORMAT, scenarios, design, guarantee, error, best, policies, differences }
+        let invalid_episodes = match design {
+            RankingDesign::Rounds { .. } => InvalidEpisodes::CountAgainst,
+            RankingDesign::Results => InvalidEpisodes::LeftOut,
+        };
+        Self {
+            format: Self::FORMAT,
+            scenarios,
+            design,
+            guarantee,
+            error,
+            invalid_episodes,
+            best,
+            policies,
+            differences,
+        }
+    }
+
+    /// The guarantee in words. If there are invalid episodes, also how the decisions treat them.
+    pub fn statement(&self) -> String {
+        let sentence = self.guarantee.sentence(self.error);
+        if self.policies.iter().all(|policy| policy.invalid == 0) {
+            return sentence;
+        }
+        let condition = match self.invalid_episodes {
+            InvalidEpisodes::CountAgainst => {
+                "An invalid episode counts as a failure of the policy that would be better, and as a success of the one that \
+                 would be dropped."
+            }
+            InvalidEpisodes::LeftOut => {
+                "This holds only if the reason for an invalid episode does not depend on its policy: the tests leave out \
+                 invalid episodes."
+            }
+        };
+        format!("{sentence} {condition}")
     }
 
     /// Pass if one policy is the best, inconclusive if several are left, and invalid if a policy has no valid episode.
@@ -216,5 +272,39 @@ impl Ranking {
     /// The document as JSON text.
     pub fn to_json(&self) -> String {
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ranking(design: RankingDesign, invalid: u64) -> Ranking {
+        let policy = RankedPolicy {
+            name: "a".to_owned(),
+            run: "runs/a".to_owned(),
+            valid: 10,
+            invalid,
+            successes: 5,
+            rate: Some(0.5),
+            interval_95: [0.2, 0.8],
+            dropped: None,
+        };
+        Ranking::new(String::new(), design, (RankingGuarantee::BestStays, 0.05), vec![policy], Vec::new())
+    }
+
+    #[test]
+    fn invalid_episodes_add_a_condition() {
+        let rounds = RankingDesign::Rounds { scenarios: 5, rounds: 2, most_rounds: 3 };
+        let plain = RankingGuarantee::BestStays.sentence(0.05);
+        assert_eq!(ranking(rounds.clone(), 0).statement(), plain);
+        assert!(ranking(rounds.clone(), 1).statement().contains("as a failure of the policy that would be better"));
+        assert!(ranking(RankingDesign::Results, 1).statement().contains("This holds only if"));
+        assert!(ranking(rounds, 0).to_json().contains("\"invalid_episodes\": \"count_against\""));
+        // A document without the field is from a version whose tests left out invalid episodes.
+        let old = ranking(RankingDesign::Results, 1);
+        let mut document = serde_json::json!(old);
+        document.as_object_mut().unwrap().remove("invalid_episodes").unwrap();
+        assert_eq!(serde_json::from_value::<Ranking>(document).unwrap(), old);
     }
 }

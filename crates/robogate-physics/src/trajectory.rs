@@ -97,8 +97,16 @@ pub fn curved_path(
     limit: ToolLimit,
     period: f64,
 ) -> Result<Vec<Vec<f64>>, Unreachable> {
+    // A joint that jumps between postures exceeds its limits for any duration.
+    let unreachable = || {
+        let position = pose(1.0).translation.vector.into();
+        Unreachable { position, position_error_m: 0.0, angle_error_rad: 0.0 }
+    };
     let mut seconds = duration(length, limit.speed, limit.acceleration);
     loop {
+        if !seconds.is_finite() || seconds > SLOWEST_S {
+            return Err(unreachable());
+        }
         let ticks = (seconds / period).ceil().max(1.0) as usize;
         let mut path: Vec<Vec<f64>> = Vec::with_capacity(ticks);
         for k in 1..=ticks {
@@ -112,11 +120,6 @@ pub fn curved_path(
             return Ok(path);
         }
         seconds *= slower.max(1.05);
-        if seconds > SLOWEST_S {
-            // A joint that jumps between postures exceeds its limits for any duration.
-            let at = pose(1.0).translation.vector.into();
-            return Err(Unreachable { position: at, position_error_m: 0.0, angle_error_rad: 0.0 });
-        }
     }
 }
 

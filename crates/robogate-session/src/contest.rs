@@ -2,19 +2,23 @@
 //!
 //! Each policy has a campaign of its own in a folder below that of the contest. Between its rounds, the campaign waits like an
 //! interrupted one; after its last round it is finished like any other. A contest that was interrupted therefore continues where
-//! it was.
+//! it was. The folder of the contest records its question before the first episode, and another question is refused.
 
+use std::fs;
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use anyhow::anyhow;
-use robogate_campaign::folder::{DICTIONARY, PLAN};
+use anyhow::{Context, anyhow};
+use robogate_campaign::folder::{DICTIONARY, PLAN, write_atomically};
 use robogate_campaign::{
     Completion, Event, ExecuteError, Executor, LostEpisode, Plan, Round, RunError, resume_in_rounds, start_in_rounds,
 };
+use robogate_core::budget::Budget;
 use robogate_core::{Episode, Outcome, Scenario};
-use robogate_dictionary::{Dictionary, Entry, Provenance};
-use robogate_stats::contest::{ContestError, Dropped, Elimination, Guarantee, Schedule};
+use robogate_dictionary::{Dictionary, Entry, Provenance, read_regular_text};
+use robogate_gate::RankingGuarantee;
+use robogate_stats::contest::{ContestError, Dropped, Elimination, Schedule};
+use serde::{Deserialize, Serialize};
 
 use crate::failure::{Failure, FailureKind, OrFailure};
 use crate::subject::Subject;
@@ -32,14 +36,59 @@ pub struct Contestant {
 
 /// A contest before its first round.
 pub struct Contest {
+    /// Its folder.
+    pub folder: PathBuf,
     /// The policies.
     pub contestants: Vec<Contestant>,
     /// The plan of each campaign: a suite with its largest number of rounds.
     pub plan: Plan,
     /// What the error bounds.
-    pub guarantee: Guarantee,
+    pub guarantee: RankingGuarantee,
     /// The error probability, over all pairs and rounds.
     pub error: f64,
+}
+
+/// The question of a contest: what its answer depends on, apart from the plan, which each campaign records.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Question {
+    /// Version of the format.
+    format: u32,
+    /// The names of the policies, in their order.
+    policies: Vec<String>,
+    guarantee: RankingGuarantee,
+    error: f64,
+}
+
+impl Question {
+    const FORMAT: u32 = 1;
+
+    /// Rejects a file with another question.
+    fn check(&self, path: &Path) -> Result<(), Failure> {
+        let text = read_regular_text(path).with_context(|| format!("cannot read {}", path.display())).or_request()?;
+        let recorded: Self = Budget::FILE
+            .json(text.as_bytes())
+            .with_context(|| format!("{}: not the question of a contest\nHint: choose another --out", path.display()))
+            .or_request()?;
+        let parts = [
+            ("format", recorded.format.to_string(), self.format.to_string()),
+            ("policies", recorded.policies.join(","), self.policies.join(",")),
+            ("guarantee", recorded.guarantee.name().to_owned(), self.guarantee.name().to_owned()),
+            ("error", recorded.error.to_string(), self.error.to_string()),
+        ];
+        let other = parts.iter().filter(|(_, recorded, asked)| recorded != asked);
+        let other: Vec<String> =
+            other.map(|(part, recorded, asked)| format!("{part} {recorded} instead of {asked}")).collect();
+        if other.is_empty() {
+            return Ok(());
+        }
+        Err(anyhow!(
+            "{} has another question than this contest: {}\nHint: choose another --out, or repeat the options of that contest",
+            path.display(),
+            other.join("; ")
+        ))
+        .or_request()
+    }
 }
 
 /// How a contest ended.
@@ -70,6 +119,9 @@ impl From<ContestError> for Failure {
 }
 
 impl Contest {
+    /// The file in the folder with the question: names of the policies, guarantee and error.
+    pub const QUESTION: &'static str = "question.json";
+
     /// The tests before the first round.
     ///
     /// # Errors
@@ -77,13 +129,40 @@ impl Contest {
     pub fn elimination(&self) -> Result<Elimination, Failure> {
         let suite = self.plan.suite.as_ref().ok_or_else(|| anyhow!("a contest needs a suite")).or_request()?;
         let schedule = Schedule { per_look: suite.scenarios(), looks: suite.rounds };
-        Ok(Elimination::new(self.contestants.len(), schedule, self.guarantee, self.error)?)
+        Ok(Elimination::new(self.contestants.len(), schedule, self.guarantee.of_test(), self.error)?)
+    }
+
+    /// Writes the question before the first episode. Rejects a folder with another question, or with episodes and no question.
+    fn ask(&self) -> Result<(), Failure> {
+        let question = Question {
+            format: Question::FORMAT,
+            policies: self.contestants.iter().map(|of| of.name.clone()).collect(),
+            guarantee: self.guarantee,
+            error: self.error,
+        };
+        let path = self.folder.join(Self::QUESTION);
+        if path.is_file() {
+            return question.check(&path);
+        }
+        if let Some(begun) = self.contestants.iter().find(|of| of.folder.join(PLAN).is_file()) {
+            return Err(anyhow!(
+                "{} has episodes, but the question of their contest is missing: {}\nHint: choose another --out",
+                begun.folder.display(),
+                path.display()
+            ))
+            .or_request();
+        }
+        let text = serde_json::to_string_pretty(&question).or_broken()? + "\n";
+        fs::create_dir_all(&self.folder)
+            .and_then(|()| write_atomically(&self.folder, Self::QUESTION, text.as_bytes()))
+            .with_context(|| format!("cannot write {}", path.display()))
+            .or_broken()
     }
 
     /// Runs the rounds until one policy is left or all rounds are used. Episodes that are recorded already do not run again.
     ///
     /// # Errors
-    /// A folder of another contest, or infrastructure: the recorded episodes are kept.
+    /// A folder of another contest or question, or infrastructure: the recorded episodes are kept.
     pub fn run(
         &self,
         workers: Workers<'_>,
@@ -91,6 +170,7 @@ impl Contest {
         after_round: &mut AfterRound<'_>,
     ) -> Result<ContestEnd, Failure> {
         let mut elimination = self.elimination()?;
+        self.ask()?;
         let mut invalid = vec![0; self.contestants.len()];
         while !elimination.is_over() {
             let round = elimination.looks();

@@ -154,6 +154,12 @@ impl LatencyChoice {
         }
     }
 
+    /// The same choice for scenarios of units that have these parameters: their latency is not varied again.
+    pub fn beside(&self, units: &ParameterSpace) -> Self {
+        let latency = self.latency.clone().filter(|_| units.position(LATENCY_PARAMETER).is_none());
+        Self { latency, ..self.clone() }
+    }
+
     /// Rejects a range for a suite, whose scenarios are fixed.
     pub fn check_suite(&self, space: &ParameterSpace) -> anyhow::Result<()> {
         match &self.latency {
@@ -164,11 +170,12 @@ impl LatencyChoice {
             Some(WantedLatency::Varied(None)) => self.with_latency(space.clone()).map(drop),
             _ => Ok(()),
         }?;
-        let lacking =
-            self.stress.stress()?.filter(|stress| stress.parameters.iter().all(|name| space.position(name).is_none()));
-        if lacking.is_some() {
+        let stress = self.stress.stress()?;
+        let lacking = stress.iter().flat_map(|stress| &stress.parameters).find(|name| space.position(name).is_none());
+        if let Some(lacking) = lacking {
             bail!(
-                "--stress: the scenarios of a suite are fixed, and these have no parameter of stress\nHint: choose a space with --space"
+                "--stress: the scenarios of a suite are fixed, and these have no parameter `{lacking}`\nHint: choose a space with \
+                 --space, or name the parameters of the suite"
             );
         }
         Ok(())

@@ -108,6 +108,8 @@ impl EngineEntry {
 pub fn arm_task(wanted: &str) -> anyhow::Result<Option<Arc<dyn ArmTask>>> {
     match ARM_TASKS.iter().find(|task| task.name() == wanted) {
         Some(task) => task.with(&Assignment::default()).map(Some).map_err(|why| anyhow!(why)),
+        // A folder does not hide a built-in task.
+        None if TASKS.iter().any(|task| task.name() == wanted) => Ok(None),
         None if Path::new(wanted).is_dir() => Ok(Some(Arc::new(task_folder::read(Path::new(wanted))?))),
         None if wanted.contains('/') => Err(anyhow!("--task {}: no such folder", foreign(wanted))),
         None => Ok(None),

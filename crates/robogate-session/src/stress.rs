@@ -6,6 +6,7 @@ use anyhow::{Context, anyhow, bail};
 use robogate_core::stress::{MOST_CHARACTERS, MOST_WORDINGS, STRESS, STRESS_PREFIX, Stress, StressGroup};
 use robogate_core::{ParameterSpace, TaskSpec};
 
+use crate::notice::note;
 use crate::text::foreign;
 
 /// The words for groups of parameters.
@@ -64,6 +65,9 @@ impl StressChoice {
         if wordings.is_empty() && self.wanted.iter().any(|wanted| wanted.ends_with("wording")) {
             bail!("--stress wording: there are no other wordings\nHint: name a file with --wordings");
         }
+        if !wordings.is_empty() && !parameters.iter().any(|name| name.ends_with("wording")) {
+            bail!("--wordings has no effect without other words\nHint: add --stress language or --stress wording");
+        }
         let stress = Stress { parameters, wordings };
         stress.check().map_err(|why| anyhow!("--wordings: {why}"))?;
         Ok(Some(stress))
@@ -98,15 +102,19 @@ pub(crate) fn with_parameters(
     stress: &Stress,
     task: &TaskSpec,
 ) -> anyhow::Result<ParameterSpace> {
-    let mut parameters = space.parameters().to_vec();
-    let new = stress.parameters_for(task).into_iter().filter(|new| space.position(&new.name).is_none());
-    parameters.extend(new);
-    if parameters.len() == space.len() && !stress.parameters.iter().any(|name| space.position(name).is_some()) {
+    let without_effect = stress.without_effect(task);
+    if without_effect.len() == stress.parameters.len() {
         bail!(
-            "--stress: the task {} has no cameras, so there are no images to change\nHint: choose other parameters",
+            "--stress: the task {} has nothing that this changes: no cameras, or no other wordings\nHint: choose other parameters",
             task.name
         );
     }
+    if !without_effect.is_empty() {
+        note(format_args!("without effect in this task, and left out: {}", without_effect.join(", ")));
+    }
+    let mut parameters = space.parameters().to_vec();
+    let new = stress.parameters_for(task).into_iter().filter(|new| space.position(&new.name).is_none());
+    parameters.extend(new);
     let name = format!("{} with stress", space.name());
     Ok(ParameterSpace::new(name, parameters)?.with_correlations(space.correlations().to_vec())?)
 }

@@ -40,6 +40,8 @@ impl Workers<'_> {
         if self.threads.is_some() && threads < wanted {
             note(format_args!("{threads} thread: the policy server keeps one state for all clients"));
         }
+        let threads = self.in_flight.map_or(threads, |in_flight| in_flight.min(threads));
+        self.check_in_flight(subject)?;
         subject.start_servers(threads)?;
         let slots = match (self.in_flight, subject.slots(threads)?) {
             _ if subject.at_most().is_some() => None,
@@ -48,6 +50,18 @@ impl Workers<'_> {
         };
         let slots = slots.unwrap_or(NonZeroUsize::MIN);
         work(&BatchPool { factory: subject, threads, slots, stop: self.stop })
+    }
+
+    /// Rejects more episodes at once than a policy can drive.
+    fn check_in_flight(&self, subject: &Subject) -> Result<(), Failure> {
+        match (self.in_flight, subject.at_most()) {
+            (Some(in_flight), Some(limit)) if in_flight > limit => Err(anyhow!(
+                "--in-flight {in_flight}: the policy server keeps one state for all clients, so one episode runs at once\nHint: leave \
+                 it out"
+            ))
+            .or_request(),
+            _ => Ok(()),
+        }
     }
 
     /// Runs a campaign in the folder `dir` with `work`. Episodes that an unavailable server lost run again.

@@ -385,3 +385,42 @@ fn crowded_region_is_a_setup_fault() {
     let fault = environment(&task, "franka").reset(&scenario(0, &[])).unwrap_err();
     assert!(fault.to_string().contains("the parts do not fit beside each other"), "{fault}");
 }
+
+/// The start in a region takes the place of these numbers, so a parameter that sets one would do nothing.
+#[test]
+fn parameters_of_drawn_places_are_refused() {
+    for path in ["red.at.x", "red.spread"] {
+        let parameter =
+            format!("[[parameter]]\nname = 'here_m'\nsets = '{path}'\nrange = '0, 1 cm'\nmeaning = 'Where.'\n");
+        let broken = SORT.replacen("[success]", &format!("{parameter}[success]"), 1);
+        let problems = FileTask::read(&broken).unwrap_err();
+        assert!(problems[0].what.contains("has no effect: the part starts anywhere"), "{path}: {problems:?}");
+    }
+}
+
+/// A yaw is read back beyond half a turn too, and beside a pitch of 90 degrees.
+#[test]
+fn yaw_is_read_back() {
+    for (turn, yaw) in [("0, 0, 0 deg", 3.3), ("0, 90, 0 deg", 0.4), ("20, -30, 0 deg", -3.0)] {
+        let parameter = "[[parameter]]\nname = 'yaw_rad'\nsets = 'tray.yaw'\nrange = '-200, 200 deg'\nmeaning = 'Yaw of the tray.'\n";
+        let text = SORT.replacen("[success]", &format!("{parameter}[success]"), 1);
+        let text = text.replacen("at = '50, 20, 0.5 cm'", &format!("at = '50, 20, 12 cm'\nrotation = '{turn}'"), 1);
+        let task = FileTask::read(&text).unwrap_or_else(|why| panic!("{why:?}"));
+        let scenario = scenario(1, &[("yaw_rad", yaw)]);
+        let start = environment(&task, "franka").reset(&scenario).unwrap();
+        assert_eq!(start.applied.number("yaw_rad"), Some(yaw), "{turn}");
+    }
+}
+
+/// Numbers of a skill that no robot can follow are a failure of the expert, and no request for memory.
+#[test]
+fn endless_skills_are_refused() {
+    for skill in ["lift(1000000000 m)", "carry(goal, 2 mm, 0.000000001 cm/s)"] {
+        let text = SORT.replacen("'lift(12 cm)'", &format!("'{skill}'"), 1);
+        let Ok(task) = FileTask::read(&text) else { continue };
+        let mut environment = environment(&task, "franka");
+        let mut expert = expert(&task, &environment, "franka");
+        let episode = rollout(&mut environment, &mut *expert, &scenario(0, &[]));
+        assert_ne!(episode.outcome, Outcome::Success, "{skill}");
+    }
+}

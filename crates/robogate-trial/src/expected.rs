@@ -100,8 +100,9 @@ pub fn rules(plan: &Plan) -> Vec<String> {
         &test,
         stop,
         "Blocks: one set-up with one trial of each policy, in random order.",
-        "Exclusions: a trial is repeated only if it is declared invalid with a reason before Stop, or if the server of the policy \
-         fails. A claim must hold even if each such trial had gone against it. A trial declared invalid after Stop counts as a failure.",
+        "Exclusions: a trial is repeated only if it is declared invalid with a reason before Stop, or if the switch or the \
+         server of the policy fails. A claim must hold even if each such trial had gone against it. A trial declared invalid \
+         after Stop counts as a failure.",
         "Blinding: order, set-ups and codes follow from a secret that is published when the study is unblinded. Unblinding before \
          the end withdraws the claim.",
     ]

@@ -79,7 +79,7 @@ impl Folder {
         }
     }
 
-    /// Ends the running trial because the server of its policy failed. It is repeated.
+    /// Ends the running trial because the switch or the server of its policy failed. It is repeated.
     ///
     /// # Errors
     /// If it cannot be written.

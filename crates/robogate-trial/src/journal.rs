@@ -1,9 +1,10 @@
 //! The journal of a study: lines of JSON that are only appended, each with a code over itself and all lines before.
 //!
 //! The code of a line is HMAC-SHA-256 over the code of the line before and the text of the record, with the secret of the study
-//! as its key. Who changes, removes or reorders a line cannot write the codes that follow. A second file, the head, names the last
-//! line, so that a line missing at the end is found too. Each line is on disk before its event is acknowledged. An incomplete last line
-//! is the rest of an event that was never acknowledged; it is removed.
+//! as its key. Who changes, removes or reorders a line cannot write the codes that follow. A second file, the head, states the number of
+//! lines with a code over it and the last line, so that a line missing at the end is found too: the journal contains no code of a
+//! head. Each line is on disk before its event is acknowledged. An incomplete last line is the rest of an event that was never
+//! acknowledged; it is removed.
 
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -121,7 +122,7 @@ impl Journal {
     fn write_head(&mut self) -> Result<(), Problem> {
         let path = self.path.with_file_name(HEAD);
         let part = self.path.with_file_name(format!(".{HEAD}.part"));
-        let text = format!("{} {}\n", self.next, self.last);
+        let text = format!("{} {}\n", self.next, head_mac(&self.secret, self.next, &self.last));
         let write = |mut file: File| file.write_all(text.as_bytes()).and_then(|()| file.sync_data());
         File::create(&part).and_then(write).and_then(|()| std::fs::rename(&part, &path)).map_err(|error| {
             self.broken = true;
@@ -130,7 +131,12 @@ impl Journal {
     }
 }
 
-/// The number of lines and the code of the last one, as the head states them. `None` if there is no head.
+/// The code of a head. No record begins like its message, so no line has this code.
+fn head_mac(secret: &Secret, lines: u64, last: &str) -> String {
+    secret.mac(format!("head {lines} {last}").as_bytes())
+}
+
+/// The number of lines and the code of the head, as it states them. `None` if there is no head.
 fn head(folder: &Path) -> Result<Option<(u64, String)>, Problem> {
     let path = folder.join(HEAD);
     let text = match robogate_dictionary::read_regular_text(&path) {
@@ -138,8 +144,9 @@ fn head(folder: &Path) -> Result<Option<(u64, String)>, Problem> {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(Problem::File { path, reason: error.to_string() }),
     };
-    let parsed = text.trim_end().split_once(' ').and_then(|(n, mac)| Some((n.parse().ok()?, mac.to_owned())));
-    parsed.map(Some).ok_or_else(|| Problem::Changed {
+    let parsed = text.trim_end().split_once(' ').and_then(|(n, mac)| Some((n.parse::<u64>().ok()?, mac.to_owned())));
+    // A head is written after a line. One of no lines would name none, and its code would not be checked.
+    parsed.filter(|(n, _)| *n > 0).map(Some).ok_or_else(|| Problem::Changed {
         path,
         line: 1,
         reason: "it is not the head of a journal".to_owned(),
@@ -172,13 +179,13 @@ fn read(file: &mut File, path: &Path, secret: &Secret, head: Option<(u64, String
         content.last = record.1;
         if let Some((n, mac)) = &head
             && *n == content.records.len() as u64
-            && *mac != content.last
+            && *mac != head_mac(secret, *n, &content.last)
         {
             return Err(changed(at, "it is not the line that the head names"));
         }
     }
     let lines = content.records.len();
-    if head.as_ref().is_some_and(|(n, _)| *n > lines as u64) || (head.is_none() && lines > 1) {
+    if head.as_ref().is_some_and(|(n, _)| *n > lines as u64) || (head.is_none() && lines > 0) {
         return Err(changed(lines, "lines are missing at the end, or the head is"));
     }
     Ok(content)

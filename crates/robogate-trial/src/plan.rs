@@ -8,6 +8,7 @@ use robogate_dictionary::hex;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::study::LONGEST_NAME;
 use crate::{Problem, Setup};
 
 /// Version of the format of a plan.
@@ -221,6 +222,17 @@ impl Plan {
         let names: BTreeSet<&str> = self.arms.iter().map(|arm| arm.name.as_str()).collect();
         if names.len() != arms || names.contains("") {
             return wrong("each policy needs a name of its own".to_owned());
+        }
+        let mut operators = BTreeSet::new();
+        for name in &self.operators {
+            if name.is_empty() || name.trim() != name || name.len() > LONGEST_NAME {
+                return wrong(format!(
+                    "`{name}` cannot name an operator. Expected 1 to {LONGEST_NAME} bytes, no space at either end"
+                ));
+            }
+            if !operators.insert(name) {
+                return wrong(format!("`{name}` occurs twice among the operators"));
+            }
         }
         if !(1..=MOST_BLOCKS).contains(&self.blocks) {
             return wrong(format!("{} blocks are out of range. Expected 1 to {MOST_BLOCKS}", self.blocks));

@@ -16,12 +16,17 @@ th,td{text-align:left;padding:.25rem .8rem .25rem 0;border-bottom:1px solid #d0d
 .answer{font-size:1.25rem;font-weight:600}.note{color:#57606a}svg{max-width:100%;height:auto}\
 .good{fill:#1a7f37}.bad{fill:#cf222e}.void{fill:none;stroke:#57606a}";
 
-/// The report of a study that was unblinded.
+/// SHA-256 (base64) of the style, which the policy of the page names.
+const STYLE_SHA256: &str = "i3qAD+MHJMa0nHMQRND++b+TdEIyM8rbPby6aAb/TWM=";
+
+/// The report of a study that was unblinded. Its policy allows its own style alone: no script, and nothing that is loaded.
 pub fn report(study: &Study, answer: &Answer) -> String {
     let plan = &study.plan;
     let mut out = format!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>Trials: {title}</title><style>{STYLE}</style><h1>Trials of {title}</h1><p class=\"answer\">{sentence}</p>",
+         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'sha256-{STYLE_SHA256}'; \
+         base-uri 'none'; form-action 'none'\"><title>Trials: {title}</title><style>{STYLE}</style>\
+         <h1>Trials of {title}</h1><p class=\"answer\">{sentence}</p>",
         title = escaped(&plan.task),
         sentence = escaped(&answer.sentence),
     );
@@ -185,7 +190,7 @@ fn invalid(out: &mut String, study: &Study) {
             let by = match by {
                 VoidBy::OperatorBefore => "operator, before Stop: repeated",
                 VoidBy::OperatorAfter => "operator, after Stop: counts as a failure",
-                VoidBy::Infrastructure => "server of the policy: repeated",
+                VoidBy::Infrastructure => "switch or server of the policy: repeated",
             };
             let policy = study.plan.arms[study.planned(attempt).arm].name.clone();
             Some(vec![attempt.code.clone(), policy, by.to_owned(), reason.clone()])

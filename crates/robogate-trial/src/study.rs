@@ -13,7 +13,7 @@ use crate::{
 /// Longest note or reason, in bytes.
 const LONGEST_NOTE: usize = 4_000;
 /// Longest name of an operator, and longest identifier of a request, in bytes.
-const LONGEST_NAME: usize = 100;
+pub(crate) const LONGEST_NAME: usize = 100;
 
 /// A request of an operator or a script.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

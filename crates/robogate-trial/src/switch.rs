@@ -35,7 +35,7 @@ const LOOK: Duration = Duration::from_millis(50);
 pub struct SwitchSettings {
     /// Limit for a connection to a server.
     pub connect: Duration,
-    /// Limit for a reply of a server.
+    /// Limit for the first byte of a reply, from the first byte of the robot that has none.
     pub reply: Duration,
     /// Time for which a connection of the robot waits for a trial.
     pub hold: Duration,
@@ -320,17 +320,27 @@ fn abort(stream: TcpStream) {
     let _ = stream.set_zero_linger();
 }
 
-/// The time of the last byte of the robot that has no reply.
-type Asked = Mutex<Option<Instant>>;
+/// When the robot sent what has no reply. Any byte of the server counts as a reply.
+#[derive(Debug, Clone, Copy)]
+struct Sent {
+    /// The first byte: the limit for the reply begins here. What the robot sends later does not extend it.
+    first: Instant,
+    /// The last byte: the measured time of the reply begins here.
+    last: Instant,
+}
 
-fn at(asked: &Asked) -> std::sync::MutexGuard<'_, Option<Instant>> {
+/// What has no reply. `None` if the server owes nothing.
+type Asked = Mutex<Option<Sent>>;
+
+fn at(asked: &Asked) -> std::sync::MutexGuard<'_, Option<Sent>> {
     asked.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 async fn forward(mut from: ReadHalf<'_>, mut to: WriteHalf<'_>, asked: &Asked) {
     let mut chunk = vec![0; CHUNK];
     while let Ok(bytes @ 1..) = from.read(&mut chunk).await {
-        *at(asked) = Some(Instant::now());
+        let now = Instant::now();
+        at(asked).get_or_insert(Sent { first: now, last: now }).last = now;
         if to.write_all(&chunk[..bytes]).await.is_err() {
             break;
         }
@@ -342,9 +352,9 @@ async fn forward(mut from: ReadHalf<'_>, mut to: WriteHalf<'_>, asked: &Asked) {
 async fn backward(mut from: ReadHalf<'_>, mut to: WriteHalf<'_>, asked: &Asked, shared: &Shared, arm: usize) {
     let mut chunk = vec![0; CHUNK];
     while let Ok(bytes @ 1..) = from.read(&mut chunk).await {
-        let since = at(asked).take();
-        if let Some(since) = since {
-            shared.counts().replies_ms.push(1000.0 * since.elapsed().as_secs_f64());
+        let sent = at(asked).take();
+        if let Some(sent) = sent {
+            shared.counts().replies_ms.push(1000.0 * sent.last.elapsed().as_secs_f64());
             tokio::time::sleep(shared.added[arm]).await;
         }
         if to.write_all(&chunk[..bytes]).await.is_err() {
@@ -359,7 +369,7 @@ async fn backward(mut from: ReadHalf<'_>, mut to: WriteHalf<'_>, asked: &Asked, 
 async fn hanging(asked: &Asked, limit: Duration) {
     loop {
         tokio::time::sleep(LOOK.min(limit)).await;
-        if at(asked).is_some_and(|since| since.elapsed() > limit) {
+        if at(asked).is_some_and(|sent| sent.first.elapsed() > limit) {
             return;
         }
     }

@@ -344,6 +344,11 @@ impl Hold {
         Action { command, gripper, phase: self.last.as_ref().and_then(|action| action.phase) }
     }
 
+    /// The bounds of the numbers of a vector. Empty for another command.
+    pub(crate) fn bounds(&self) -> (&[f64], &[f64]) {
+        self.spec.vector().unwrap_or_default()
+    }
+
     fn vector(&self, last: Option<&Vec<f64>>) -> Vec<f64> {
         let (low, high) = self.spec.vector().unwrap_or_default();
         let held = |(i, (low, high)): (usize, (&f64, &f64))| match last.and_then(|last| last.get(i)) {

@@ -269,7 +269,7 @@ impl Episode {
     /// What the robot executes in this control period.
     fn executed(&mut self, mut action: Action, observation: &Observation) -> Action {
         if self.action_step > 0.0 {
-            round(&mut action.command, self.action_step);
+            round(&mut action.command, self.action_step, self.hold.bounds());
         }
         if self.delayed_action == 0 {
             return action;
@@ -282,10 +282,17 @@ impl Episode {
     }
 }
 
-fn round(command: &mut Command, step: f64) {
+/// Rounds a command. A number of a vector stays within its bounds.
+fn round(command: &mut Command, step: f64, (low, high): (&[f64], &[f64])) {
     let nearest = |value: &mut f64| *value = (*value / step).round() * step;
     match command {
-        Command::JointPosition(numbers) | Command::Vector(numbers) => numbers.iter_mut().for_each(nearest),
+        Command::JointPosition(numbers) => numbers.iter_mut().for_each(nearest),
+        Command::Vector(numbers) => {
+            for (value, (low, high)) in numbers.iter_mut().zip(low.iter().zip(high)) {
+                nearest(value);
+                *value = value.max(*low).min(*high);
+            }
+        }
         Command::ToolDelta { translation_m, rotation_rad } => {
             translation_m.iter_mut().chain(rotation_rad).for_each(nearest);
         }
@@ -341,7 +348,7 @@ mod tests {
 
     use super::*;
     use crate::latency::number_task;
-    use crate::{Episode, Value, rollout};
+    use crate::{CameraSpec, Episode, ObservationSpec, Value, rollout};
 
     /// What a policy has received.
     #[derive(Default)]
@@ -428,9 +435,14 @@ mod tests {
         }
     }
 
+    fn with_camera() -> ObservationSpec {
+        let camera = CameraSpec { name: "front".to_owned(), width: 1, height: 1 };
+        ObservationSpec { cameras: vec![camera], ..ObservationSpec::default() }
+    }
+
     fn run(values: &[(&str, Value)]) -> (Episode, Log, Vec<f64>) {
         let (log, commands) = (Arc::new(Mutex::new(Log::default())), Arc::new(Mutex::new(Vec::new())));
-        let task = Arc::new(TaskSpec { time_limit_s: 2.0, ..number_task() });
+        let task = Arc::new(TaskSpec { time_limit_s: 2.0, observation: with_camera(), ..number_task() });
         let world = Counting { task, tick: 0, commands: Arc::clone(&commands) };
         let all = super::super::STRESS.iter().map(|row| row.name.to_owned()).collect();
         let stress = Stress { parameters: all, wordings: vec!["shove it away".to_owned()] };
@@ -482,6 +494,26 @@ mod tests {
         let offset = log.states[0];
         assert!(offset.abs() > 0.0 && log.states.iter().enumerate().all(|(k, x)| (x - k as f64 - offset).abs() < 1e-9));
         assert_eq!(first, run(&values).0);
+    }
+
+    #[test]
+    fn rounded_commands_stay_within_their_bounds() {
+        let mut command = Command::Vector(vec![1.0, -1.0, 0.4]);
+        round(&mut command, 0.06, (&[-1.0; 3], &[1.0; 3]));
+        let Command::Vector(numbers) = &command else { panic!("{command:?}") };
+        assert_eq!(numbers[..2], [1.0, -1.0]);
+        assert!((numbers[2] - 0.42).abs() < 1e-12);
+    }
+
+    #[test]
+    fn parameters_without_effect_are_not_declared() {
+        let all: Vec<String> = super::super::STRESS.iter().map(|row| row.name.to_owned()).collect();
+        let stress = Stress { parameters: all, wordings: vec!["a".to_owned(), "b".to_owned()] };
+        let task = stress.declared_in(&Arc::new(number_task()));
+        assert!(task.parameter("transit_noise").is_none(), "the task has no cameras");
+        let wording = task.parameter("transit_wording").unwrap();
+        assert!(wording.accepts(&Value::Integer(2)).is_ok() && wording.accepts(&Value::Integer(3)).is_err());
+        assert!(stress.without_effect(&task).contains(&"transit_dropped_camera"));
     }
 
     #[test]

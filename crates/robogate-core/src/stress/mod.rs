@@ -100,21 +100,27 @@ rows! {
 }
 
 impl StressParameter {
-    fn domain(&self, stress: &Stress, task: &TaskSpec) -> Option<Domain> {
+    /// The range for this task. `None` if the task has nothing that the parameter acts on.
+    fn range_for(&self, stress: &Stress, task: &TaskSpec) -> Option<[f64; 2]> {
+        let cameras = task.observation.cameras.len();
         let [low, high] = self.range;
-        let high = match self.name {
-            "transit_wording" => stress.wordings.len() as f64,
-            "transit_dropped_camera" => task.observation.cameras.len() as f64,
+        let high = match (self.name, self.group) {
+            (_, StressGroup::Images) if cameras == 0 => return None,
+            ("transit_dropped_camera", _) => cameras as f64,
+            ("transit_wording", _) => stress.wordings.len() as f64,
             _ => high,
         };
-        (low < high).then_some(match self.whole {
-            true => Domain::Integer { low: low as i64, high: high as i64 },
-            false => Domain::Continuous { low, high, scale: Scale::Linear },
-        })
+        (low < high).then_some([low, high])
     }
 
-    fn spec(&self) -> ParameterSpec {
-        let [low, high] = self.range;
+    fn domain(&self, [low, high]: [f64; 2]) -> Domain {
+        match self.whole {
+            true => Domain::Integer { low: low as i64, high: high as i64 },
+            false => Domain::Continuous { low, high, scale: Scale::Linear },
+        }
+    }
+
+    fn spec(&self, [low, high]: [f64; 2]) -> ParameterSpec {
         let nominal = match self.whole {
             true => Value::Integer(self.nominal as i64),
             false => Value::Number(self.nominal),
@@ -169,23 +175,30 @@ impl Stress {
         STRESS.iter().filter(|row| self.parameters.iter().any(|name| name == row.name))
     }
 
+    /// The parameters that change words.
+    pub fn of_language(&self) -> impl Iterator<Item = &'static str> {
+        self.rows().filter(|row| row.group == StressGroup::Language).map(|row| row.name)
+    }
+
     /// What a space samples for this task: each parameter over its range. A task without cameras, and a run without wordings, lack some.
     pub fn parameters_for(&self, task: &TaskSpec) -> Vec<Parameter> {
         let parameter = |row: &StressParameter| {
-            if row.group == StressGroup::Images && task.observation.cameras.is_empty() {
-                return None;
-            }
-            Some(Parameter { name: row.name.into(), domain: row.domain(self, task)? })
+            Some(Parameter { name: row.name.into(), domain: row.domain(row.range_for(self, task)?) })
         };
         self.rows().filter_map(parameter).collect()
     }
 
-    /// The task with the declarations of these parameters.
+    /// The parameters that act on nothing in this task: images without a camera, other wordings without a file of them.
+    pub fn without_effect(&self, task: &TaskSpec) -> Vec<&'static str> {
+        self.rows().filter(|row| row.range_for(self, task).is_none()).map(|row| row.name).collect()
+    }
+
+    /// The task with the declarations of these parameters, other than those without effect.
     pub fn declared_in(&self, task: &Arc<TaskSpec>) -> Arc<TaskSpec> {
         let mut task = (**task).clone();
-        for row in self.rows().filter(|row| task.parameter(row.name).is_none()).collect::<Vec<_>>() {
-            task.parameters.push(row.spec());
-        }
+        let missing = self.rows().filter(|row| task.parameter(row.name).is_none());
+        let specs: Vec<ParameterSpec> = missing.filter_map(|row| Some(row.spec(row.range_for(self, &task)?))).collect();
+        task.parameters.extend(specs);
         Arc::new(task)
     }
 }

@@ -20,10 +20,13 @@ impl EnvironmentBinding {
     /// The environment of these rows.
     pub fn of(provenance: &Provenance) -> Self {
         // The policy is bound on its own, and controls are results.
-        let world = provenance
-            .world
-            .as_ref()
-            .map(|world| json!({ "place": world.place, "execution": world.execution, "stress": world.stress }));
+        let world = provenance.world.as_ref().map(|world| {
+            let mut bound = json!({ "place": world.place, "execution": world.execution });
+            if let Some(stress) = &world.stress {
+                bound["stress"] = json!(stress);
+            }
+            bound
+        });
         let identity: Value = json!({
             "task": TaskIdentity::of(&provenance.task),
             "world": world,

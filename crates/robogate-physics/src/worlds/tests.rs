@@ -173,12 +173,33 @@ fn obstacles_do_not_change_the_topology() {
     let some = loaded(&Scene { friction: 0.2, gravity: 3.7, ..some }).numbers();
     assert_eq!((none.topology, &none.fields), (some.topology, &some.fields));
     assert_ne!(none.values, some.values);
-    // A body that moves, and another object, do.
+    // A fixture that moves does.
     let motion = Some(Motion { velocity: [0.0, 0.2, 0.0].into(), starts_s: 1.0, ends_s: 2.0 });
     let moving = loaded(&scene(&[Fixture { motion, ..obstacle("d", part(BOX, 0.6, -0.2)) }])).numbers();
-    let mut ball = scene(&[]);
-    ball.object.parts[0].primitive = Primitive::Sphere { radius: 0.02 };
-    assert!(![loaded(&ball).numbers().topology, moving.topology].contains(&none.topology));
+    assert_ne!(moving.topology, none.topology);
+}
+
+#[test]
+fn objects_of_all_shapes_have_one_topology() {
+    let mut engine = engine();
+    let mut read = |parts: &[Part]| {
+        let mut scene = scene(&[]);
+        scene.object.parts = parts.to_vec();
+        let world = World::new(&mut engine, &scene, 30.0, 0.05).unwrap();
+        assert_eq!(
+            world.read_back(&engine).unwrap().parts,
+            parts.iter().map(|part| part.primitive).collect::<Vec<_>>()
+        );
+        engine.numbers().topology
+    };
+    let ball = part(Primitive::Sphere { radius: 0.02 }, 0.01, 0.0);
+    let (cuboid, can) = (part(BOX, 0.0, 0.0), part(CAN, 0.0, 0.0));
+    let alone = read(&[cuboid]);
+    for parts in [vec![ball], vec![can], vec![ball, cuboid, cuboid]] {
+        assert_eq!(read(&parts), alone, "{parts:?}");
+    }
+    // More parts than there are spare ones have a topology of their own.
+    assert_ne!(read(&[ball, ball, cuboid]), alone);
 }
 
 #[test]

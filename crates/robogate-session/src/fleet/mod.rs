@@ -18,6 +18,7 @@ use robogate_gate::{Baseline, Record, Requirements};
 use crate::compared::built_in_baseline;
 use crate::failure::{Failure, OrFailure};
 use crate::gate::rounds_and_sampling;
+use crate::latency::LatencyChoice;
 use crate::notice::note;
 use crate::subject::{Subject, named_space};
 use plan::{PLAN, VERSION};
@@ -37,6 +38,8 @@ pub struct FleetRequest {
     pub suite: Option<Suite>,
     /// The space of sampled scenarios: a built-in one or a file. `None` for the environment's own.
     pub space: Option<String>,
+    /// What varies between environment and policy, of which sampled scenarios have the parameters.
+    pub latency: LatencyChoice,
     /// The requirements on each unit: the name of built-in ones, or a file.
     pub requirements: String,
     /// The baseline of relative requirements. `None` for the built-in one of suite and robot.
@@ -69,10 +72,16 @@ impl FleetRequest {
             ))
             .or_request();
         }
+        let latency = self.latency.beside(&unit_space);
         let suite = match &self.suite {
-            Some(suite) => suite.clone(),
+            Some(suite) => {
+                latency.check_suite(suite.space()).or_request()?;
+                suite.clone()
+            }
             None => {
-                let space = scenario_space(subject, self.space.as_deref(), &unit_space).or_request()?;
+                let space = scenario_space(subject, self.space.as_deref(), &unit_space)
+                    .and_then(|space| latency.added_to(space, subject.task()))
+                    .or_request()?;
                 let suite = Suite::sampled(&Arc::new(space), SAMPLED_SCENARIOS, self.seed);
                 suite.map_err(anyhow::Error::from).or_request()?
             }

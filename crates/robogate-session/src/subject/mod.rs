@@ -9,7 +9,7 @@ use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::Arc;
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, bail};
 #[cfg(feature = "mujoco")]
 use robogate_campaign::{BatchWorker, single_workers};
 use robogate_campaign::{Worker, WorkerFactory};
@@ -170,6 +170,15 @@ impl Subject {
             ))
             .or_request();
         }
+        let profile = self.policy.as_ref().and_then(PolicySource::profile);
+        let words = stress.iter().flat_map(Stress::of_language).next();
+        if let (Some(name), Some(_)) = (words, profile.and_then(|profile| profile.instruction.as_ref())) {
+            return Err(anyhow!(
+                "--stress: `{name}` has no effect, because the profile has its own `instruction`\nHint: remove it from a copy of the \
+                 profile, or choose --stress images,state,actions"
+            ))
+            .or_request();
+        }
         if let Some(stress) = &stress {
             self.task = stress.declared_in(&self.task);
         }
@@ -261,6 +270,14 @@ impl Subject {
     pub fn many_worlds_engine(&self) -> Option<&str> {
         let cell = self.cell()?;
         cell.many_worlds().map(|_| &*cell.settings().engine)
+    }
+
+    /// The hash of the robot's files. `None` for an environment without a robot of its own.
+    ///
+    /// # Errors
+    /// Files that cannot be read.
+    pub fn robot_sha256(&self) -> anyhow::Result<Option<String>> {
+        self.cell().map(Cell::robot_sha256).transpose()
     }
 
     /// The cell, if the environment is a built-in task for an arm.
@@ -357,7 +374,19 @@ impl Subject {
     /// Finds a parameter space by its name or file. `None` gives that of the environment.
     pub fn space(&self, wanted: Option<&str>) -> anyhow::Result<ParameterSpace> {
         let latency_s = self.execution.as_ref().is_some_and(|execution| execution.latency == Latency::Parameter);
-        self.environment.space(wanted, latency_s, self.stress.is_some())
+        let space = self.environment.space(wanted, latency_s, self.stress.is_some())?;
+        let own = |parameter: &&robogate_core::Parameter| is_stress(&parameter.name);
+        if let Some(other) =
+            space.parameters().iter().filter(own).find(|parameter| self.task.parameter(&parameter.name).is_none())
+        {
+            bail!(
+                "space {}: the parameter `{}` is not one of --stress\nHint: add it there, or use --stress all",
+                space.name(),
+                other.name
+            );
+        }
+        check_declared(&self.task, &space).with_context(|| format!("space {}", space.name()))?;
+        Ok(space)
     }
 
     /// Rejects a suite with a parameter that the environment does not have.

@@ -67,6 +67,25 @@ pub struct ExpectedContest {
     pub left: f64,
 }
 
+/// The blocks for and against the claim that one policy is better than another.
+///
+/// An invalid trial counts in the worst case for the claim: as a failure of the policy that would be better, and as a success of the
+/// other one. If it had been valid, the statistic could only be larger, so that the error holds for any reason of invalid trials.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Claim {
+    won: u64,
+    lost: u64,
+}
+
+impl Claim {
+    /// Adds a block: the trial of the policy that would be better, and that of the other one.
+    fn add(&mut self, better: Option<bool>, other: Option<bool>) {
+        let (better, other) = (better.unwrap_or(false), other.unwrap_or(true));
+        self.won += u64::from(better && !other);
+        self.lost += u64::from(other && !better);
+    }
+}
+
 /// A contest of several policies.
 ///
 /// Call [`Elimination::look`] with the outcomes of the blocks since the last look. Policies that it returns need no further trials.
@@ -77,8 +96,10 @@ pub struct Elimination {
     boundary: Boundary,
     /// The number of looks so far.
     at: u64,
-    /// For each pair i < j, the blocks that each won, after each look at which both ran.
+    /// For each pair i < j, the valid blocks that each won, after each look at which both ran.
     pairs: Vec<Vec<Won>>,
+    /// For each pair i < j, the blocks of "i is better", and those of "j is better".
+    claims: Vec<[Claim; 2]>,
     rates: Vec<(u64, u64)>,
     dropped: Vec<Option<Dropped>>,
 }
@@ -100,6 +121,7 @@ impl Elimination {
             boundary,
             at: 0,
             pairs: vec![Vec::new(); policies * (policies - 1) / 2],
+            claims: vec![[Claim::default(); 2]; policies * (policies - 1) / 2],
             rates: vec![(0, 0); policies],
             dropped: vec![None; policies],
         })
@@ -107,6 +129,9 @@ impl Elimination {
 
     /// Adds the blocks since the last look, and eliminates policies. A block has an outcome for each policy: `None` if it did not run
     /// or if its trial is invalid. Outcomes of eliminated policies are ignored. Returns the policies that leave now.
+    ///
+    /// An invalid trial counts against each elimination: as a success of the policy that would leave, and as a failure of the other
+    /// one. Rates and differences leave it out.
     ///
     /// # Errors
     /// A block with another number of outcomes. Nothing is added then.
@@ -132,6 +157,11 @@ impl Elimination {
                     won.blocks += 1;
                 }
                 looks.push(won);
+                let [forth, back] = &mut self.claims[place(i, j)];
+                for block in blocks {
+                    forth.add(block[i], block[j]);
+                    back.add(block[j], block[i]);
+                }
             }
         }
         let out: Vec<Dropped> = left.iter().filter_map(|&policy| self.beaten(policy, &left)).collect();
@@ -144,18 +174,18 @@ impl Elimination {
     /// The elimination of a policy at this look, by the one that is most clearly better.
     fn beaten(&self, policy: usize, left: &[usize]) -> Option<Dropped> {
         let shown = |other: usize| {
-            let won = self.won(other, policy);
-            self.boundary.is_reached(self.at, won.first, won.second).then(|| won.first - won.second)
+            let Claim { won, lost } = self.claim(other, policy);
+            self.boundary.is_reached(self.at, won, lost).then(|| won - lost)
         };
         let others = left.iter().filter(|other| **other != policy);
         let by = others.filter_map(|&other| shown(other).map(|lead| (lead, other))).max_by_key(|(lead, _)| *lead)?.1;
         Some(Dropped { policy, by, look: self.at })
     }
 
-    /// The blocks that both policies ran, from the view of the first.
-    fn won(&self, first: usize, second: usize) -> Won {
-        let last = |i, j| self.pairs[place(i, j)].last().copied().unwrap_or_default();
-        if first < second { last(first, second) } else { last(second, first).mirrored() }
+    /// The blocks for and against the claim that a policy is better than another one.
+    fn claim(&self, better: usize, other: usize) -> Claim {
+        let [forth, back] = self.claims[place(better.min(other), better.max(other))];
+        if better < other { forth } else { back }
     }
 
     /// The policies that are left: they cannot be distinguished from the best.
@@ -188,8 +218,8 @@ impl Elimination {
         self.rates.get(policy).and_then(|(k, n)| Trials::new(*k, *n).ok()).unwrap_or(Trials::NONE)
     }
 
-    /// The differences of all pairs, on the blocks that both ran. At this confidence, all intervals hold simultaneously, after any
-    /// number of looks. They are wider than the test of the elimination, which uses the known number of looks.
+    /// The differences of all pairs, on the blocks that are valid for both. At this confidence, all intervals hold simultaneously,
+    /// after any number of looks. They are wider than the test of the elimination, which uses the known number of looks.
     pub fn table(&self, confidence: Confidence) -> Vec<PairInterval> {
         let shared = confidence.shared_by(self.pairs.len());
         let pair = |first: usize, second: usize| {
@@ -271,6 +301,7 @@ impl Elimination {
         Self {
             at: 0,
             pairs: vec![Vec::new(); self.pairs.len()],
+            claims: vec![[Claim::default(); 2]; self.claims.len()],
             rates: vec![(0, 0); n],
             dropped: vec![None; n],
             ..self.clone()
@@ -323,7 +354,28 @@ mod tests {
     }
 
     #[test]
-    fn invalid_trials_are_left_out() {
+    fn invalid_trials_count_against_a_claim() {
+        // The policies succeed in five of ten blocks each, but the failures of the first one are invalid.
+        let hidden: Vec<Vec<Option<bool>>> =
+            (0..10).map(|i| vec![(i >= 5).then_some(true), Some(i < 5), Some(i < 5)]).collect();
+        let mut equal = contest(Guarantee::BestStays);
+        for _ in 0..6 {
+            assert_eq!(equal.look(&hidden).unwrap(), []);
+        }
+        assert_eq!((equal.best_set(), equal.table(Confidence::P95)[0].blocks), (vec![0, 1, 2], 30));
+        // The failures of the policy that would leave may be invalid as well.
+        let mut spared = contest(Guarantee::BestStays);
+        let missing: Vec<Vec<Option<bool>>> = (0..10).map(|_| vec![Some(true), Some(true), None]).collect();
+        assert!((0..6).all(|_| spared.look(&missing).unwrap().is_empty()));
+        // A clear difference is shown although some trials are invalid.
+        let mut clear = contest(Guarantee::BestStays);
+        let mut blocks = round(2);
+        blocks[0][0] = None;
+        assert!((0..6).any(|_| clear.look(&blocks).unwrap().iter().any(|out| out.policy == 2)));
+    }
+
+    #[test]
+    fn rates_leave_out_invalid_trials() {
         let mut contest = contest(Guarantee::BestStays);
         let mut blocks = round(5);
         blocks[0][2] = None;

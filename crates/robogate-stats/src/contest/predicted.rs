@@ -31,6 +31,8 @@ pub struct Predicted {
     capital: [[f64; BETS.len()]; 2],
     /// The largest capital so far, as ln.
     most: [f64; 2],
+    /// The first answer that was reached.
+    answer: Answer,
     trials: u64,
     successes: u64,
     /// Sums of (f - m) Y, f - m and (f - m)².
@@ -51,7 +53,8 @@ impl Predicted {
             return Err(ContestError::Rate(mean));
         }
         let capital = [[0.0; BETS.len()]; 2];
-        Ok(Self { limit, mean, error, capital, most: [0.0; 2], trials: 0, successes: 0, sums: [0.0; 3] })
+        let answer = Answer::Open;
+        Ok(Self { limit, mean, error, capital, most: [0.0; 2], answer, trials: 0, successes: 0, sums: [0.0; 3] })
     }
 
     /// Adds a trial: its outcome, and the prediction for its set-up. Returns the answer so far, which is final once it is not
@@ -80,17 +83,18 @@ impl Predicted {
         for (sum, term) in self.sums.iter_mut().zip([apart * y, apart, apart * apart]) {
             *sum += term;
         }
-        Ok(self.answer())
+        let [met, violated] = self.most.map(|ln| ln >= -self.error.ln());
+        self.answer = match (self.answer, met, violated) {
+            (Answer::Open, true, _) => Answer::Met,
+            (Answer::Open, _, true) => Answer::Violated,
+            (first, _, _) => first,
+        };
+        Ok(self.answer)
     }
 
-    /// The answer so far.
+    /// The answer so far: the first one that was reached.
     pub fn answer(&self) -> Answer {
-        let [met, violated] = self.most.map(|ln| ln >= -self.error.ln());
-        match (met, violated) {
-            (true, _) => Answer::Met,
-            (_, true) => Answer::Violated,
-            _ => Answer::Open,
-        }
+        self.answer
     }
 
     /// The p-value of "the rate is at most the limit" and that of "at least", valid after every trial.
@@ -162,6 +166,19 @@ mod tests {
             let (answers, _) = simulated(0.25, [0.5, 0.9], shown, 1_000);
             assert!(answers.iter().all(|share| *share <= 0.06), "{shown:?}: {answers:?}");
         }
+    }
+
+    #[test]
+    fn first_answer_is_final() {
+        let mut test = Predicted::new(0.8, 0.5, 0.05).unwrap();
+        while test.answer() == Answer::Open {
+            test.trial(false, 0.5).unwrap();
+        }
+        for _ in 0..1_000 {
+            assert_eq!(test.trial(true, 0.5), Ok(Answer::Violated));
+        }
+        // Later trials would show the opposite.
+        assert!(test.p_values()[0] <= 0.05, "{test:?}");
     }
 
     #[test]

@@ -495,7 +495,22 @@ impl Reading<'_, '_> {
                 Ok(_) if table.joint.is_some() => {
                     self.problems.of(text, "a part on a joint does not start in a region. Leave out `start`");
                 }
-                Ok(region) => part.start = Some(region),
+                Ok(region) => {
+                    part.start = Some(region);
+                    // The draw of the region takes the place of these numbers.
+                    for parameter in &document.parameter {
+                        let Some(sets) = &parameter.sets else { continue };
+                        let own =
+                            sets.text.strip_prefix(table.name.text.as_str()).and_then(|rest| rest.strip_prefix('.'));
+                        if own.is_some_and(|own| ["at.x", "at.y", "spread"].contains(&own)) {
+                            let why = format!(
+                                "`{}` has no effect: the part starts anywhere in the region `{}`",
+                                sets.text, text.text
+                            );
+                            self.problems.of(sets, why);
+                        }
+                    }
+                }
                 Err((_, why)) => self.problems.of(text, why),
             }
         }

@@ -6,7 +6,7 @@ use robogate_core::{
 use robogate_physics::{FreeBodyRead, Gripper, Readback};
 
 use super::model::{Model, ParameterModel};
-use super::numbers::{Draws, Numbers, PartTarget, Target, YAW};
+use super::numbers::{Draws, Numbers, PartTarget, Placed, Target, YAW};
 use crate::arm::{Acting, Parameters, Row, Table};
 
 /// The rows that a file does not have to declare.
@@ -83,7 +83,7 @@ impl Model {
             Target::Friction if engine.friction == engine.table_friction => engine.friction,
             Target::Friction => f64::NAN,
             Target::Gravity => engine.gravity,
-            Target::Fixture(of, which) => coordinate(self.fixture_at(engine, of), which),
+            Target::Fixture(of, which) => coordinate(self.fixture_at(engine, of), &acting.settings.fixtures[of], which),
             Target::Part(of, which) => self.read_part(engine, acting.settings, of, which, draws[of]),
         }
     }
@@ -114,7 +114,9 @@ impl Model {
             Some(parent) => self.fixture_at(engine, parent).map(|frame| frame.inverse() * at_zero),
             None => Some(at_zero),
         };
-        let off = |which: usize| coordinate(placed, which);
+        let mut wanted = part.placed;
+        wanted.rotation[2] += part.spin_rad * draws.turn;
+        let off = |which: usize| coordinate(placed, &wanted, which);
         let drawn = [part.spread_m * draws.shift[0], part.spread_m * draws.shift[1], 0.0, part.spin_rad * draws.turn];
         match which {
             // A part that starts in a region is where it was drawn.
@@ -151,9 +153,14 @@ struct FixtureShape {
 }
 
 /// A coordinate of a pose: x, y, z, or its yaw.
-fn coordinate(pose: Option<nalgebra::Isometry3<f64>>, which: usize) -> f64 {
+/// A coordinate of a pose that should be `wanted`. A yaw is that of `wanted` and the turn about the vertical that is left, because
+/// angles of a rotation are ambiguous.
+fn coordinate(pose: Option<nalgebra::Isometry3<f64>>, wanted: &Placed, which: usize) -> f64 {
     match pose {
-        Some(pose) if which == YAW => pose.rotation.euler_angles().2,
+        Some(pose) if which == YAW => {
+            let left = pose.rotation * wanted.pose().rotation.inverse();
+            wanted.rotation[2] + left.euler_angles().2
+        }
         Some(pose) => pose.translation.vector[which],
         None => f64::NAN,
     }

@@ -169,6 +169,21 @@ impl Service {
         measured.map_or(Ok(()), |measured| folder.measured(&fault.code, measured))
     }
 
+    /// Ends a trial that runs when a study with a switch begins to be served: its connections ended with the server before, and
+    /// the switch opens only at Start. It is repeated. Returns its code.
+    ///
+    /// # Errors
+    /// If the journal cannot be written.
+    pub fn interrupted(&self) -> Result<Option<String>, Problem> {
+        let mut folder = self.folder();
+        if self.switch.is_none() || folder.study().phase() != Phase::Running {
+            return Ok(None);
+        }
+        let code = folder.study().code().to_owned();
+        folder.fault("the server was started again while the trial ran")?;
+        Ok(Some(code))
+    }
+
     /// The policy of the running trial, for a script.
     ///
     /// # Errors

@@ -1,12 +1,15 @@
 //! Requests and states.
 
+use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 
 use robogate_core::Word;
+use robogate_dictionary::hex;
 use robogate_trial::{
-    Command, Fault, Folder, JOURNAL, Moment, Outcome, Phase, Problem, Question, Secret, Service, Study, Verdict,
-    VoidBy, answer, csv_of, order, provenance, report,
+    Command, Fault, Folder, HEAD, JOURNAL, Moment, Outcome, Phase, Problem, Question, Secret, Service, Study, Switch,
+    SwitchSettings, Verdict, VoidBy, answer, csv_of, order, provenance, report,
 };
+use sha2::{Digest, Sha256};
 
 use crate::{plan, result, study_of_two, trial};
 
@@ -39,8 +42,30 @@ fn clear_winner_ends_the_study() {
     );
     let losers = csv_of(&study, Some(0));
     assert!(losers.lines().skip(1).all(|line| line.starts_with("false,dropped,") && line.contains("alpha-policy")));
-    assert!(report(&study, &answer).contains("beta-policy is better than alpha-policy."));
+    let page = report(&study, &answer);
+    assert!(page.contains("beta-policy is better than alpha-policy."));
+    // The policy of the page names its style by its hash, and allows no script.
+    let between = |from: &str, to: &str| page.split(from).nth(1).unwrap().split(to).next().unwrap();
+    let policy = between("<meta http-equiv=\"Content-Security-Policy\" content=\"", "\">");
+    assert!(policy.starts_with("default-src 'none'; style-src 'sha256-") && !policy.contains("unsafe"), "{policy}");
+    let named = decoded(between("'sha256-", "'"));
+    assert_eq!(hex(&named), hex(&Sha256::digest(between("<style>", "</style>"))));
     assert!(provenance(dir.path(), &study, &answer, &csv).unwrap().contains(&study.plan.sha256()));
+}
+
+/// The bytes of a text in base64 (RFC 4648).
+fn decoded(text: &str) -> Vec<u8> {
+    const DIGITS: &str = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let (mut bytes, mut bits, mut held) = (Vec::new(), 0_u32, 0);
+    for digit in text.trim_end_matches('=').chars() {
+        bits = (bits << 6) | DIGITS.find(digit).unwrap() as u32;
+        held += 6;
+        if held >= 8 {
+            held -= 8;
+            bytes.push((bits >> held) as u8);
+        }
+    }
+    bytes
 }
 
 #[test]
@@ -217,6 +242,81 @@ fn changed_plans_are_found() {
     assert!(matches!(Folder::read(dir.path()), Err(Problem::Changed { .. })));
     std::fs::write(&path, text).unwrap();
     assert_eq!(Folder::read(dir.path()).unwrap().attempts().len(), 1);
+}
+
+/// Whoever removes lines at the end cannot write the head that fits: none of its codes is in the journal.
+#[test]
+fn lines_cut_from_the_end_are_found() {
+    let (dir, mut folder) = study_of_two(10);
+    (0..2).for_each(|_| trial(&mut folder, true));
+    drop(folder);
+    let (journal, head) = (dir.path().join(JOURNAL), dir.path().join(HEAD));
+    let whole = std::fs::read_to_string(&journal).unwrap();
+    let written = std::fs::read_to_string(&head).unwrap();
+    let code_of_head = written.trim_end().split_once(' ').unwrap().1;
+    let lines: Vec<&str> = whole.split_inclusive('\n').collect();
+    assert_eq!(lines.len(), 7);
+    for kept in 1..=lines.len() {
+        std::fs::write(&journal, lines[..kept].concat()).unwrap();
+        let code = lines[kept - 1].trim_end().trim_end_matches("\"}").rsplit('"').next().unwrap();
+        assert_eq!(code.len(), 64);
+        let codes = [format!("{kept} {code}\n"), format!("{kept} {code_of_head}\n"), format!("0 {code}\n")];
+        let heads = codes.map(Some).into_iter().chain([None]);
+        for forged in heads.filter(|forged| forged.as_ref() != Some(&written)) {
+            match &forged {
+                Some(text) => std::fs::write(&head, text).unwrap(),
+                None => std::fs::remove_file(&head).unwrap(),
+            }
+            let found = Folder::read(dir.path());
+            assert!(matches!(found, Err(Problem::Changed { .. })), "{kept} lines, head {forged:?}: {found:?}");
+            std::fs::write(&head, &written).unwrap();
+        }
+    }
+    assert_eq!(Folder::read(dir.path()).unwrap().attempts().len(), 2);
+}
+
+/// Names with spaces around them, without letters, or that occur twice would stop the study at its first Start.
+#[test]
+fn operators_have_names_of_their_own() {
+    let secret = Secret::draw().unwrap();
+    let mut plan = plan(Question::AtLeast(0.5), &["a"], 10, &secret);
+    let mut check = |names: &[&str]| {
+        plan.operators = names.iter().map(|name| (*name).to_owned()).collect();
+        plan.check().map_err(|problem| problem.to_string())
+    };
+    check(&["Ada", "Grace H."]).unwrap();
+    let long = "a".repeat(101);
+    for wrong in [" Ada", "Ada ", "", " ", &long] {
+        assert!(check(&["Grace", wrong]).unwrap_err().contains("cannot name an operator"), "`{wrong}`");
+    }
+    assert!(check(&["Ada", "Grace", "Ada"]).unwrap_err().contains("`Ada` occurs twice among the operators"));
+}
+
+/// A trial that runs while the server is started again reaches its policy no more if a switch connects them: it is repeated.
+#[test]
+fn new_switches_repeat_the_running_trial() {
+    let (dir, mut folder) = study_of_two(10);
+    let code = folder.study().code().to_owned();
+    folder.command("", &Command::Start { code: code.clone(), operator: "Ada".to_owned() }).unwrap();
+    drop(folder);
+    let service = |switch: Option<Switch>| {
+        Service::new(Folder::open(dir.path()).unwrap(), switch, "t".repeat(32), "s".repeat(32))
+    };
+    assert_eq!(service(None).interrupted().unwrap(), None, "without a switch the trial goes on");
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let servers = vec![listener.local_addr().unwrap(); 2];
+    let any = SocketAddr::from(([127, 0, 0, 1], 0));
+    let switch = || Switch::start(any, servers.clone(), SwitchSettings::default(), |_| {}).unwrap();
+    let served = service(Some(switch()));
+    assert_eq!(served.interrupted().unwrap(), Some(code));
+    let state: serde_json::Value = serde_json::from_str(&served.state()).unwrap();
+    assert_eq!(state["phase"], "ready");
+    assert!(state["repeated"].as_str().unwrap().contains("started again"), "the page says so: {state}");
+    drop(served);
+    assert_eq!(service(Some(switch())).interrupted().unwrap(), None, "once");
+    let study = Folder::read(dir.path()).unwrap();
+    assert!(matches!(study.attempts(), [one] if matches!(one.void, Some((_, VoidBy::Infrastructure)))));
+    assert_eq!(study.current().unwrap().arm, study.planned(&study.attempts()[0]).arm);
 }
 
 /// A trial whose server failed is repeated, and a fault that arrives late ends no other trial.

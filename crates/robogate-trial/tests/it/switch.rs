@@ -124,6 +124,56 @@ fn hanging_servers_are_faults() {
     assert!(Switch::start(any(), vec![silent], settings, |_| {}).is_err(), "found at the start");
 }
 
+/// A robot that goes on sending does not hide a server that hangs.
+#[test]
+fn sending_does_not_extend_the_limit() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let silent = listener.local_addr().unwrap();
+    let (sender, receiver) = channel();
+    let settings = SwitchSettings { reply: Duration::from_millis(300), ..SwitchSettings::default() };
+    let report = move |fault| {
+        let _ = sender.send(fault);
+    };
+    let switch = Switch::start(any(), vec![silent], settings, report).unwrap();
+    switch.open("HANGS", 0);
+    let mut robot = TcpStream::connect(switch.address()).unwrap();
+    let begin = Instant::now();
+    let fault = loop {
+        // Fails once the switch has ended the connection.
+        let _ = robot.write_all(b"?");
+        if let Ok(fault) = receiver.recv_timeout(Duration::from_millis(20)) {
+            break fault;
+        }
+        assert!(begin.elapsed() < Duration::from_secs(30), "no fault");
+    };
+    assert!(fault.code == "HANGS" && fault.reason.contains("did not reply in time"), "{fault:?}");
+}
+
+/// The time of a reply begins with the last byte of the request.
+#[test]
+fn slow_requests_do_not_count_as_slow_replies() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    std::thread::spawn(move || {
+        for stream in listener.incoming() {
+            let mut stream = stream.unwrap();
+            std::thread::spawn(move || {
+                if stream.read_exact(&mut [0; 2]).is_ok() {
+                    let _ = stream.write_all(&[b'a'; 512]);
+                }
+            });
+        }
+    });
+    let switch = Switch::start(any(), vec![address], SwitchSettings::default(), |fault| panic!("{fault:?}")).unwrap();
+    switch.open("T", 0);
+    let mut robot = TcpStream::connect(switch.address()).unwrap();
+    robot.write_all(b"?").unwrap();
+    std::thread::sleep(Duration::from_secs(2));
+    assert_eq!(ask(&mut robot).unwrap(), b'a');
+    let measured = switch.close();
+    assert!(measured.replies == 1 && measured.reply_ms.unwrap() < 1_500.0, "{measured:?}");
+}
+
 /// A robot that gives up and connects again many times before a trial does not use up the places.
 #[test]
 fn closed_connections_free_their_places() {

@@ -153,8 +153,7 @@ fn knowledge(provenance: &Provenance, folder: Option<&Path>) -> anyhow::Result<(
     }
     // Draws do not depend on the policy.
     let subject = Subject::recorded_environment(provenance, folder, &Reopening::none()).map_err(|exit| exit.error)?;
-    let present = subject.provenance(provenance.space.clone()).map_err(|exit| exit.error)?;
-    if present.robot.sha256 != provenance.robot.sha256 {
+    if subject.robot_sha256()? != provenance.robot.sha256 {
         anyhow::bail!("the files of the robot {} have changed since the run", provenance.robot.name);
     }
     let task = Arc::clone(subject.task());

@@ -82,8 +82,10 @@ impl Init {
         };
         let mut parts = Parts::default();
         let drafts = Drafts::new(self.force);
-        for thing in things.iter().map(|thing| Thing::of(thing)) {
-            match thing.or_usage()? {
+        let found = things.iter().map(|thing| Thing::of(thing)).collect::<Result<Vec<_>, _>>().or_usage()?;
+        self.refuse_unused(&found)?;
+        for thing in found {
+            match thing {
                 Thing::Evidence(folder) => return evidence(&folder),
                 Thing::Run(folder) => return run(&folder),
                 Thing::Results(file) => return self.results(&file),
@@ -105,6 +107,26 @@ impl Init {
         }
         drafts.refuse_existing()?;
         self.project(parts, drafts)
+    }
+
+    /// Rejects things of which only one would be used.
+    fn refuse_unused(&self, found: &[Thing]) -> Result<(), Exit> {
+        let kind = |thing: &Thing| match thing {
+            Thing::Evidence(_) | Thing::Run(_) | Thing::Results(_) => "finished results",
+            Thing::Environment(_) => "an environment",
+            Thing::Policy(_) | Thing::Network(_) => "a policy",
+            Thing::Robot(_) | Thing::Model(_) => "a robot",
+        };
+        let kinds: Vec<&str> = found.iter().map(kind).collect();
+        let results = kinds.contains(&"finished results");
+        let twice = (1..kinds.len()).find(|at| kinds[..*at].contains(&kinds[*at]));
+        match (twice, results && kinds.len() > 1) {
+            (Some(at), _) => Err(anyhow!("{} is named twice\nHint: name one", kinds[at])).or_usage(),
+            (None, true) => {
+                Err(anyhow!("finished results need nothing else\nHint: name them alone, or leave them out")).or_usage()
+            }
+            (None, false) => Ok(()),
+        }
     }
 
     /// Drafts the robot of a model, and checks it. Returns its folder.

@@ -180,15 +180,17 @@ impl Replay {
                         "  the environment is not deterministic: it does not repeat an episode of the same seed (see `robogate env inspect`)",
                     );
                 }
-                let now = subject.provenance(settings.provenance.space.clone())?;
                 let was = &settings.provenance;
-                let maths =
-                    matches!((&was.platform, &now.platform), (Some(was), Some(is)) if was.differs_in_maths_only(is));
                 if let Some(engine) = subject.many_worlds_engine() {
                     line(format_args!(
                         "  the run was made in many worlds at once ({engine}), and a replay runs in MuJoCo in this process: other bits"
                     ));
-                } else if maths {
+                    return Ok(INVALID);
+                }
+                let now = subject.provenance(was.space.clone())?;
+                let maths =
+                    matches!((&was.platform, &now.platform), (Some(was), Some(is)) if was.differs_in_maths_only(is));
+                if maths {
                     line(
                         "  the mathematical functions of the C library differ from those of the run, which changes last bits",
                     );

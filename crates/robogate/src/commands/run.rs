@@ -13,6 +13,7 @@ use robogate_analysis::Analysis;
 use robogate_campaign::folder::PLAN;
 use robogate_campaign::shards::ShardSet;
 use robogate_campaign::{ActiveStage, Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, Settings};
+use robogate_core::stress::STRESS_PREFIX;
 use robogate_core::{FailureMode, ParameterSpace, TaskSpec};
 use robogate_dictionary::Provenance;
 use robogate_gate::Sampling;
@@ -179,8 +180,8 @@ pub(crate) struct How {
     /// four for each core, from 8 to 32, because most of the time is spent waiting. --env starts a server for each thread
     #[arg(long, value_name = "T", value_parser = at_least_one::<NonZeroUsize>)]
     pub(crate) threads: Option<NonZeroUsize>,
-    /// Set the number of episodes in progress at once, in all threads together; default: one in each thread. --engine warp: 2048 on a
-    /// GPU
+    /// Set the number of episodes in progress at once, in all threads together, rounded up to the same number in each thread;
+    /// default: one in each thread. --engine warp: 2048 on a GPU
     #[arg(long, value_name = "N", value_parser = at_least_one::<NonZeroUsize>)]
     pub(crate) in_flight: Option<NonZeroUsize>,
     /// Print the result as one JSON document
@@ -549,6 +550,10 @@ pub(crate) fn introduce(provenance: &Provenance, seed: u64) {
     }
     if let Some(execution) = provenance.execution() {
         note(describe(execution));
+    }
+    if let Some(stress) = provenance.world.as_ref().and_then(|world| world.stress.as_ref()) {
+        let names = stress.parameters.iter().filter_map(|name| name.strip_prefix(STRESS_PREFIX));
+        note(format_args!("stress in transit: {}", names.collect::<Vec<_>>().join(", ")));
     }
 }
 

@@ -102,6 +102,55 @@ fn equal_policies_are_not_distinguished() {
 }
 
 #[test]
+fn another_question_is_refused() {
+    let dir = folder();
+    let at = dir.path();
+    let contest = "rank random random --task pendulum --suite suite.toml --rounds 2 --out a";
+    verb(at, &format!("{contest} --names A,B"), 3, &[]);
+    let question = json(&at.join("a/question.json"));
+    assert_eq!((&question["policies"], question["error"].as_f64()), (&serde_json::json!(["A", "B"]), Some(0.05)));
+    assert_eq!(question["guarantee"].as_str(), Some("best_stays"));
+    let before = fs::read(at.join("a/ranking.json")).unwrap();
+    for (options, part) in [
+        ("--names B,A", "policies A,B instead of B,A"),
+        ("--names A,B --error 0.1", "error 0.05 instead of 0.1"),
+        ("--names A,B --guarantee no-false-elimination", "guarantee best-stays instead of no-false-elimination"),
+    ] {
+        verb(at, &format!("{contest} {options}"), 2, &["another question", part, "Hint: choose another --out"]);
+    }
+    fs::remove_file(at.join("a/question.json")).unwrap();
+    verb(at, &format!("{contest} --names A,B"), 2, &["the question of their contest is missing"]);
+    assert!(before == fs::read(at.join("a/ranking.json")).unwrap());
+}
+
+#[test]
+fn options_without_effect_are_refused() {
+    let dir = folder();
+    let at = dir.path();
+    results(at, 4, |_, _, _| false);
+    let contest = "rank random random --task pendulum --suite suite.toml --rounds 1 --out a";
+    verb(at, contest, 3, &[]);
+    for options in ["--out b", "--plan", "--suite suite.toml", "--rounds 3", "--seed 4", "--env x:y", "--continue"] {
+        let option = options.split(' ').next().unwrap();
+        verb(at, &format!("rank results.csv {options}"), 2, &[option, "no effect on finished results", "Hint"]);
+    }
+    for options in ["--error 0.1", "--guarantee best-stays", "--names A,B", "--out b", "--html x.html"] {
+        let option = options.split(' ').next().unwrap();
+        verb(at, &format!("rank a {options}"), 2, &[option, "no effect on the answer of a finished contest"]);
+    }
+    verb(at, &format!("{contest} --continue"), 2, &["--continue has no effect"]);
+    verb(at, &format!("{contest} --profile net.onnx=droid"), 2, &["net.onnx is not one of the policies", "Hint"]);
+    verb(at, "rank a --json", 3, &["invalid_episodes"]);
+}
+
+#[test]
+fn words_for_policies_come_before_files() {
+    let dir = folder();
+    fs::create_dir(dir.path().join("scripted")).unwrap();
+    verb(dir.path(), &format!("{CONTEST} --plan"), 0, &["3 policies"]);
+}
+
+#[test]
 fn plan_states_power_and_error() {
     let dir = folder();
     let printed = verb(dir.path(), &format!("{CONTEST} --plan"), 0, &["3 policies, at most 12 rounds of 4 scenarios"]);
@@ -116,6 +165,8 @@ fn unusable_contests_are_refused() {
     for (line, parts) in [
         ("rank scripted --task pendulum", ["one policy has no rank", "Hint"]),
         ("rank scripted random --task pendulum --names A", ["--names", "2 policies"]),
+        ("rank scripted random --task pendulum --names ..,A", ["\"..\" cannot be the name of a policy", "Hint"]),
+        ("rank scripted random --task pendulum --names A,question.json", ["\"question.json\" cannot be", "--names"]),
         ("rank scripted suite.toml --task pendulum", ["scripted is not a run or a results file", "Hint"]),
         ("rank scripted random --task pendulum --error 0.7", ["error probability of 0.7", "0.5"]),
         ("rank scripted random --task pendulum --html x.html", ["--html", "finished results"]),

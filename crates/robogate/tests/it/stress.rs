@@ -72,5 +72,24 @@ fn words_of_stress_are_checked() {
     let space = "name = \"s\"\n[[parameter]]\nname = \"transit_noise\"\nkind = \"continuous\"\nlow = 0.0\nhigh = 9.0\n";
     fs::write(at.join("s.toml"), space).unwrap();
     verb(at, "run --space s.toml -n 2 --out no", 2, &["needs the option --stress"]);
+    verb(at, "run --space s.toml --stress blur_px -n 2 --out no", 2, &["`transit_noise` is not one of --stress"]);
+    fs::write(at.join("words.txt"), "put it there\n").unwrap();
+    verb(at, &format!("{run} --stress state --wordings words.txt"), 2, &["--wordings has no effect"]);
+    // The scenarios of a suite are fixed, for a fleet and a gate too.
+    verb(at, "fleet --units 2 --stress state --out no", 2, &["the scenarios of a suite are fixed"]);
+    verb(at, "gate --stress state --out no", 2, &["the scenarios of a suite are fixed"]);
     assert!(!at.join("no").exists());
+}
+
+/// The units of a fleet have the scenarios of the stress.
+#[test]
+fn fleets_run_under_stress() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    verb(at, "fleet --units 2 --space cell --stress delayed_action --rounds 1 --out fleet", 0, &[]);
+    let plan = fs::read_to_string(at.join("fleet/fleet.json")).unwrap_or_else(|_| {
+        let files: Vec<_> = fs::read_dir(at.join("fleet")).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        panic!("{files:?}")
+    });
+    assert!(plan.matches("transit_delayed_action").count() > 20, "scenarios without the parameter");
 }

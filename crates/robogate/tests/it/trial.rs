@@ -82,6 +82,39 @@ fn one_policy_passes_by_commands() {
     );
 }
 
+/// Options that an event does not use are refused, and nothing is recorded.
+#[test]
+fn options_of_other_events_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path();
+    let plan = ["trial", "plan", "study", "--policy", "mine", "--at-least", "0.7", "--count", "3", "--blocks", "30"];
+    let planned = |operators: &'static str| [&plan[..], &["--operators", operators]].concat();
+    assert_exit_in(folder, &planned("Ada,Ada"), 2, &["`Ada` occurs twice among the operators"]);
+    assert_exit_in(folder, &planned("Ada, "), 2, &["cannot name an operator"]);
+    assert_done(&robogate_in(folder, &planned("Ada, Grace")));
+    let next: Value = serde_json::from_str(&run(folder, "trial next study --json")).unwrap();
+    let code = next["code"].as_str().unwrap();
+    for (event, option, value) in [
+        ("start", "--result", "success"),
+        ("start", "--stage", "reach"),
+        ("stop", "--operator", "Ada"),
+        ("stop", "--notes", "slow"),
+        ("result", "--reason", "late"),
+        ("invalid", "--notes", "bumped"),
+        ("invalid", "--measured", "3"),
+        ("correct", "--operator", "Ada"),
+        ("pause", "--reason", "lunch"),
+        ("resume", "--code", code),
+    ] {
+        let line = ["trial", "record", "study", event, option, value];
+        assert_exit_in(folder, &line, 2, &[&format!("this event does not use {option}")]);
+    }
+    let journal = || fs::read_to_string(folder.join("study/journal.jsonl")).unwrap().lines().count();
+    assert_eq!(journal(), 1);
+    run(folder, &format!("trial record study start --code {code} --operator Grace"));
+    assert_eq!(journal(), 2);
+}
+
 /// A server of a study.
 struct Server {
     process: Child,
@@ -97,9 +130,10 @@ impl Drop for Server {
 }
 
 impl Server {
-    fn start(folder: &Path, listen: &str) -> Self {
+    fn start(folder: &Path, listen: &str, more: &[&str]) -> Self {
         let mut process = Command::new(env!("CARGO_BIN_EXE_robogate"))
             .args(["trial", "serve", "study", "--listen", listen])
+            .args(more)
             .current_dir(folder)
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
@@ -140,7 +174,7 @@ fn better_policy_wins_on_a_phone() {
         folder,
         "trial plan study --policy alpha-policy --policy beta-policy --count 12 --modes dropped,missed --stages reach,grasp",
     );
-    let mut server = Server::start(folder, "127.0.0.1:0");
+    let mut server = Server::start(folder, "127.0.0.1:0", &[]);
     let script = fs::read_to_string(folder.join("study/script.token")).unwrap();
     let mut browser = Browser::start(&chromium);
     browser.resize(390, 844, 2.0);
@@ -168,7 +202,7 @@ fn better_policy_wins_on_a_phone() {
             let after = browser.evaluate(shown);
             assert!(after.as_f64().unwrap() < 2_000.0, "{after}");
             let address = server.address.clone();
-            server = Server::start(folder, &address);
+            server = Server::start(folder, &address, &[]);
         } else {
             tap(&mut browser, "Stop");
         }
@@ -207,6 +241,26 @@ fn better_policy_wins_on_a_phone() {
     assert_done(&compared);
     browser.open(folder.join("out/report.html"));
     assert!(browser.evaluate("document.body.innerText").as_str().unwrap().contains("Order of the trials"));
+    assert_eq!(browser.evaluate("getComputedStyle(document.body).maxWidth"), "960px", "the style is allowed");
+}
+
+/// A trial that runs when a server with a switch begins is repeated: the switch would not open for it.
+#[test]
+fn restart_with_a_switch_repeats_the_trial() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path();
+    run(folder, "trial plan study --policy mine --at-least 0.7 --count 3 --blocks 30");
+    let next: Value = serde_json::from_str(&run(folder, "trial next study --json")).unwrap();
+    let code = next["code"].as_str().unwrap();
+    run(folder, &format!("trial record study start --code {code} --operator Ada"));
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let policy = format!("mine={}", listener.local_addr().unwrap());
+    let server = Server::start(folder, "127.0.0.1:0", &["--server", &policy, "--robot", "127.0.0.1:0"]);
+    let state = server.get("/v1/state", &server.token);
+    assert_eq!(state["phase"], "ready");
+    assert_eq!(state["repeated"], "the server was started again while the trial ran");
+    let status: Value = serde_json::from_str(&run(folder, "trial status study --json")).unwrap();
+    assert_eq!(status["repeated"], 1);
 }
 
 /// A server with the dialect openpi that declares this number.

@@ -102,6 +102,7 @@ impl FleetOf {
             units: self.units,
             suite,
             space: self.space.clone(),
+            latency: self.latency.choice(),
             requirements: self.requirements.clone(),
             baseline: self.baseline.clone(),
             share: self.share,

@@ -2,9 +2,11 @@
 //!
 //! ```text
 //! DIR/NAME/          the campaign of one policy, as `robogate run --suite` writes it
+//! DIR/question.json  names of the policies, guarantee and error, written before the first episode
 //! DIR/ranking.json   the answer
 //! ```
 
+mod given;
 mod results;
 mod rounds;
 mod show;
@@ -21,10 +23,13 @@ use crate::commands::analyze::Groups;
 use crate::commands::run::How;
 use crate::exit::{Exit, OrExit};
 use crate::place;
+use given::Given;
 use robogate_session::CONTROL_EPISODES;
 
 /// The file of the answer in the folder of a contest.
 const ANSWER: &str = "ranking.json";
+/// Words for policies, also where a file has the same name.
+const WORDS: [&str; 2] = ["scripted", "random"];
 
 /// Find the best of several policies: all run the same scenarios, and worse ones leave after each round.
 ///
@@ -34,6 +39,9 @@ const ANSWER: &str = "ranking.json";
 /// Exit codes: 0 one policy is the best, 3 several cannot be distinguished from the best, 4 a policy has no valid episode.
 #[derive(Debug, Args)]
 pub(crate) struct Rank {
+    /// First, because reading the other arguments removes them.
+    #[command(flatten)]
+    given: Given,
     /// Two or more policies as for --policy of `robogate run` (scripted, random, the name of one that the environment
     /// declares, the address of a server, an ONNX file), or runs, dictionaries and results files
     #[arg(required = true, value_name = "POLICY|RUN|FILE")]
@@ -105,7 +113,8 @@ fn profile_of(text: &str) -> Result<(String, String), String> {
 
 impl Rank {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let is_file = |text: &String| Path::new(text).exists() && !text.ends_with(".onnx");
+        let is_policy = |text: &String| WORDS.contains(&text.as_str()) || text.ends_with(".onnx");
+        let is_file = |text: &String| !is_policy(text) && Path::new(text).exists();
         let files = self.policies.iter().filter(|text| is_file(text)).count();
         if files == 0 {
             return self.contest();
@@ -113,7 +122,7 @@ impl Rank {
         if let Some(policy) = self.policies.iter().find(|text| !is_file(text)) {
             return Err(anyhow!(
                 "{policy} is not a run or a results file, but others of the arguments are\nHint: give policies alone, or files \
-                 alone"
+                 alone; a folder with the name of a policy is ./NAME"
             ))
             .or_usage();
         }

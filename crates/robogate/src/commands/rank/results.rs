@@ -17,16 +17,23 @@ use crate::commands::import::open_mapping;
 use crate::exit::{Exit, OrExit};
 use robogate_session::open_source;
 
+/// The arguments that finished results use, and those that the answer of a finished contest uses.
+const OF_RESULTS: [&str; 10] =
+    ["policies", "names", "guarantee", "error", "columns", "map", "html", "json", "quiet", "verbose"];
+const OF_ANSWER: [&str; 4] = ["policies", "json", "quiet", "verbose"];
+
 impl Rank {
     /// Ranks finished results by one test of all pairs.
     pub(super) fn results(&self) -> Result<u8, Exit> {
-        if !(self.error > 0.0 && self.error < 0.5) {
-            return Err(anyhow!("--error {}: expected a number above 0 and below 0.5", self.error)).or_usage();
-        }
         if let [one] = &*self.policies
             && let Some(ranking) = finished(Path::new(one))?
         {
+            self.check_used(&OF_ANSWER, "the answer of a finished contest")?;
             return show(&ranking, self.how.json);
+        }
+        self.check_used(&OF_RESULTS, "finished results")?;
+        if !(self.error > 0.0 && self.error < 0.5) {
+            return Err(anyhow!("--error {}: expected a number above 0 and below 0.5", self.error)).or_usage();
         }
         let mapping = open_mapping(None, &self.map)?;
         let mut sources = Vec::new();
@@ -54,6 +61,14 @@ impl Rank {
             compare::write(file, &comparison_html_with(&comparison, None))?;
         }
         show(&self.ranking(&comparison), self.how.json)
+    }
+
+    /// Rejects options that have no effect.
+    fn check_used(&self, used: &[&str], what: &str) -> Result<(), Exit> {
+        match self.given.beside(used) {
+            None => Ok(()),
+            Some(unused) => Err(anyhow!("{unused}: no effect on {what}\nHint: leave it out")).or_usage(),
+        }
     }
 
     fn ranking(&self, comparison: &Comparison) -> Ranking {

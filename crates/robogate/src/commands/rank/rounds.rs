@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use anyhow::anyhow;
+use anyhow::{anyhow, bail};
 use robogate_campaign::folder::write_atomically;
 use robogate_campaign::{Event, Plan};
 use robogate_core::Suite;
@@ -36,9 +36,14 @@ impl Rank {
             return Err(anyhow!("--html, --map and --groups apply to finished results\nHint: leave them out"))
                 .or_usage();
         }
+        if self.how.goes_on {
+            return Err(anyhow!("--continue has no effect: first failures do not stop a contest\nHint: leave it out"))
+                .or_usage();
+        }
         if self.policies.len() < 2 {
             return Err(anyhow!("one policy has no rank\nHint: give two or more policies")).or_usage();
         }
+        self.check_profiles()?;
         let subjects = self.policies.iter().map(|policy| self.subject(policy)).collect::<Result<Vec<_>, Exit>>()?;
         let suite = self.suite_of(&subjects[0])?;
         let plan = Plan::of_suite(suite.clone(), u64::from(self.rounds), self.seed);
@@ -51,7 +56,8 @@ impl Rank {
             .zip(names)
             .map(|(subject, name)| Contestant { folder: dir.join(folder_name(&name)), name, subject })
             .collect();
-        let contest = Contest { contestants, plan, guarantee: self.guarantee().of_test(), error: self.error };
+        let (folder, guarantee) = (dir.clone(), self.guarantee());
+        let contest = Contest { folder, contestants, plan, guarantee, error: self.error };
         if self.plan {
             return self.print_plan(&contest.elimination()?, suite.cases().len() as u64);
         }
@@ -101,6 +107,24 @@ impl Rank {
         Ok(code)
     }
 
+    /// Rejects a profile of no policy, and a second one of a policy.
+    fn check_profiles(&self) -> Result<(), Exit> {
+        for (at, (policy, profile)) in self.profile.iter().enumerate() {
+            let wrong = if !self.policies.contains(policy) {
+                "is not one of the policies"
+            } else if self.profile.iter().take(at).any(|(earlier, _)| earlier == policy) {
+                "has two profiles"
+            } else {
+                continue;
+            };
+            return Err(anyhow!(
+                "--profile {policy}={profile}: {policy} {wrong}\nHint: give one profile for each policy, with the policy as given"
+            ))
+            .or_usage();
+        }
+        Ok(())
+    }
+
     fn subject(&self, policy: &str) -> Result<Subject, Exit> {
         let profile = self.profile.iter().find(|(name, _)| name == policy).map(|(_, profile)| profile.as_str());
         let choice = PolicyChoice::of(policy, profile);
@@ -144,6 +168,7 @@ impl Rank {
         } else {
             self.names.clone()
         };
+        names.iter().try_for_each(|name| check_name(name)).or_usage()?;
         let mut folders: Vec<String> = names.iter().map(|name| folder_name(name)).collect();
         folders.sort();
         folders.dedup();
@@ -198,6 +223,18 @@ impl Rank {
     }
 }
 
+/// Rejects a name that cannot be that of a folder beside the files of a contest.
+fn check_name(name: &str) -> anyhow::Result<()> {
+    let is_path = name.is_empty() || name == "." || name == ".." || name.contains(['/', '\0']);
+    let is_taken = [ANSWER, Contest::QUESTION].iter().any(|file| file.eq_ignore_ascii_case(name));
+    if is_path || is_taken {
+        bail!(
+            "{name:?} cannot be the name of a policy, because its folder has this name\nHint: give other names with --names"
+        );
+    }
+    Ok(())
+}
+
 /// A folder's name for a policy.
 fn folder_name(name: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
@@ -214,5 +251,20 @@ fn tell(contest: &Contest, round: u64, so_far: &Elimination, dropped: &[Dropped]
     for out in dropped {
         let rate = percent_or_dash(so_far.trials(out.policy).rate());
         note(format_args!("  {} leaves with {rate}: {} is better", name(out.policy), name(out.by)));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_policies_are_folders() {
+        for name in ["", ".", "..", "a/b", "a\0b", "/", "ranking.json", "question.json", "Question.JSON"] {
+            assert!(check_name(name).is_err(), "{name:?}");
+        }
+        for name in ["a", "a-2", "v1.2", "net.onnx", "my policy", "question"] {
+            assert!(check_name(name).is_ok(), "{name:?}");
+        }
     }
 }

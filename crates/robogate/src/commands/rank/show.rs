@@ -47,7 +47,7 @@ fn print(ranking: &Ranking) {
         let (difference, range) = (points(difference), points_range([low, high]));
         wrapped(&format!("{names}: {difference} points, {range} (95 %{together})."));
     }
-    wrapped(&ranking.guarantee.sentence(ranking.error));
+    wrapped(&ranking.statement());
     let invalid: u64 = ranking.policies.iter().map(|policy| policy.invalid).sum();
     if invalid > 0 {
         wrapped(&format!("{} invalid episodes are left out of every rate and difference.", grouped(invalid)));

@@ -159,7 +159,7 @@ impl PlanOf {
             modes,
             stages,
             measure: self.measure.as_ref().map(|name| Word::new(name).context("--measure")).transpose().or_usage()?,
-            operators: self.operators.clone(),
+            operators: self.operators.iter().map(|name| name.trim().to_owned()).collect(),
             blocks,
             error: self.error,
             time,

@@ -113,7 +113,33 @@ impl RecordOf {
         Ok(DONE)
     }
 
+    /// Refuses options that the event does not use.
+    fn check_options(&self) -> Result<(), Exit> {
+        let used: &[&str] = match self.event {
+            What::Start => &["--code", "--operator"],
+            What::Stop => &["--code"],
+            What::Result => &["--code", "--result", "--stage", "--measured", "--notes"],
+            What::Invalid => &["--code", "--reason"],
+            What::Correct => &["--code", "--result", "--stage", "--measured", "--notes", "--reason"],
+            What::Pause | What::Resume => &[],
+        };
+        let options = [
+            ("--code", self.code.is_some()),
+            ("--operator", self.operator.is_some()),
+            ("--result", self.result.is_some()),
+            ("--stage", self.stage.is_some()),
+            ("--measured", self.measured.is_some()),
+            ("--notes", !self.notes.is_empty()),
+            ("--reason", !self.reason.is_empty()),
+        ];
+        match options.into_iter().find(|(option, present)| *present && !used.contains(option)) {
+            Some((option, _)) => Err(anyhow::anyhow!("this event does not use {option}")).or_usage(),
+            None => Ok(()),
+        }
+    }
+
     fn command(&self) -> Result<Command, Exit> {
+        self.check_options()?;
         let code = || given("--code", self.code.as_ref());
         Ok(match self.event {
             What::Start => Command::Start { code: code()?, operator: given("--operator", self.operator.as_ref())? },

@@ -61,6 +61,9 @@ impl Serve {
             }
         }
         let service = Arc::new(Service::new(folder, switch, token.clone(), script));
+        if let Some(code) = service.interrupted().map_err(exit)? {
+            warning(format_args!("trial {code} ran when the server ended. It is invalid, and is repeated"));
+        }
         let hearing = Arc::clone(&service);
         // Ends with the switch, which holds the sender.
         std::thread::spawn(move || {
