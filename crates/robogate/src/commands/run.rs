@@ -7,8 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::anyhow;
-use clap::parser::ValueSource;
-use clap::{ArgMatches, Args, FromArgMatches, Id};
+use clap::Args;
 use robogate_analysis::Analysis;
 use robogate_campaign::folder::PLAN;
 use robogate_campaign::shards::ShardSet;
@@ -23,6 +22,7 @@ use robogate_stats::format::counted;
 use crate::arguments::{EnvironmentArguments, LatencyArguments, LocationArguments, PolicyArguments, TrustArguments};
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
+use crate::given::Given;
 use crate::number::at_least_one;
 use crate::place;
 use crate::progress::Progress;
@@ -110,67 +110,32 @@ pub(crate) struct Run {
     divide: Option<u32>,
 }
 
-/// The arguments on the command line, by name.
-#[derive(Debug)]
-struct Given(Vec<String>);
+/// The arguments of `run` that do not affect the results of a campaign. clap reports the arguments of the whole command as
+/// well.
+const WITHOUT_EFFECT: [&str; 18] = [
+    "out",
+    "in_flight",
+    "shard",
+    "divide",
+    "threads",
+    "json",
+    "goes_on",
+    "quiet",
+    "sandbox",
+    "verbose",
+    "addresses",
+    "timeout_s",
+    "python",
+    "given",
+    "at",
+    "wait",
+    "policy_key",
+    "policy_ca",
+];
 
-impl Given {
-    /// The arguments of `run` that do not affect the results of a campaign. clap reports the arguments of the whole command as
-    /// well.
-    const WITHOUT_EFFECT: [&str; 18] = [
-        "out",
-        "in_flight",
-        "shard",
-        "divide",
-        "threads",
-        "json",
-        "goes_on",
-        "quiet",
-        "sandbox",
-        "verbose",
-        "addresses",
-        "timeout_s",
-        "python",
-        "given",
-        "at",
-        "wait",
-        "policy_key",
-        "policy_ca",
-    ];
-
-    /// Whether this argument is on the command line.
-    fn has(&self, name: &str) -> bool {
-        self.0.iter().any(|given| given == name)
-    }
-
-    /// Whether an argument affects the results.
-    fn describe_a_plan(&self) -> bool {
-        self.0.iter().any(|name| !Self::WITHOUT_EFFECT.contains(&name.as_str()))
-    }
-}
-
-impl FromArgMatches for Given {
-    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
-        // The groups of clap have the names of types, which start with an upper-case letter.
-        let arguments = matches.ids().map(Id::as_str).filter(|name| name.starts_with(|c: char| c.is_ascii_lowercase()));
-        let given = arguments.filter(|name| matches.value_source(name) == Some(ValueSource::CommandLine));
-        Ok(Self(given.map(str::to_owned).collect()))
-    }
-
-    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
-        *self = Self::from_arg_matches(matches)?;
-        Ok(())
-    }
-}
-
-impl Args for Given {
-    fn augment_args(command: clap::Command) -> clap::Command {
-        command
-    }
-
-    fn augment_args_for_update(command: clap::Command) -> clap::Command {
-        command
-    }
+/// Whether an argument affects the results.
+fn describe_a_plan(given: &Given) -> bool {
+    given.names().any(|name| !WITHOUT_EFFECT.contains(&name))
 }
 
 /// How a campaign is run and shown.
@@ -197,7 +162,7 @@ impl Run {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         self.check_required()?;
         if let (Some(shards), Some(dir)) = (&self.shard, &self.out)
-            && !self.given.describe_a_plan()
+            && !describe_a_plan(&self.given)
             && (place::is_remote(dir) || dir.join(PLAN).is_file())
         {
             let Settings { plan, provenance, .. } = if place::is_remote(dir) {
@@ -603,6 +568,8 @@ mod tests {
         "statistics_group",
         "latency",
         "execution",
+        "stress",
+        "wordings",
     ];
 
     #[test]
@@ -611,8 +578,8 @@ mod tests {
         let run = command.find_subcommand("run").unwrap();
         let known = command.get_arguments().chain(run.get_arguments()).map(|argument| argument.get_id().as_str());
         let known: BTreeSet<&str> = known.collect();
-        let classified: BTreeSet<&str> = Given::WITHOUT_EFFECT.iter().chain(WITH_EFFECT).copied().collect();
+        let classified: BTreeSet<&str> = WITHOUT_EFFECT.iter().chain(WITH_EFFECT).copied().collect();
         assert_eq!(known, classified);
-        assert_eq!(classified.len(), Given::WITHOUT_EFFECT.len() + WITH_EFFECT.len(), "an argument is in both lists");
+        assert_eq!(classified.len(), WITHOUT_EFFECT.len() + WITH_EFFECT.len(), "an argument is in both lists");
     }
 }

@@ -6,7 +6,6 @@
 //! DIR/ranking.json   the answer
 //! ```
 
-mod given;
 mod results;
 mod rounds;
 mod show;
@@ -22,8 +21,8 @@ use crate::arguments::{AccessArguments, EnvironmentArguments, LatencyArguments};
 use crate::commands::analyze::Groups;
 use crate::commands::run::How;
 use crate::exit::{Exit, OrExit};
+use crate::given::Given;
 use crate::place;
-use given::Given;
 use robogate_session::CONTROL_EPISODES;
 
 /// The file of the answer in the folder of a contest.

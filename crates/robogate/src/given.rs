@@ -5,11 +5,21 @@ use clap::{ArgMatches, Args, FromArgMatches, Id};
 
 /// The arguments on the command line, by name.
 #[derive(Debug)]
-pub(super) struct Given(Vec<String>);
+pub(crate) struct Given(Vec<String>);
 
 impl Given {
+    /// The names of all of them.
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+        self.0.iter().map(String::as_str)
+    }
+
+    /// Whether this argument is on the command line.
+    pub(crate) fn has(&self, name: &str) -> bool {
+        self.names().any(|given| given == name)
+    }
+
     /// The options that are not among the `used` arguments, as on the command line. `None` without any.
-    pub(super) fn beside(&self, used: &[&str]) -> Option<String> {
+    pub(crate) fn beside(&self, used: &[&str]) -> Option<String> {
         let unused: Vec<String> =
             self.0.iter().filter(|name| !used.contains(&name.as_str())).map(|name| option(name)).collect();
         (!unused.is_empty()).then(|| unused.join(", "))
