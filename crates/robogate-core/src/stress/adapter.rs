@@ -420,7 +420,7 @@ mod tests {
             let Command::Vector(numbers) = &action.command else { panic!("{action:?}") };
             self.commands.lock().unwrap().push(numbers[0]);
             self.tick += 1;
-            let ending = (self.tick == 12).then(|| Ending { failure: None, time_s: 1.2, contact: None });
+            let ending = (self.tick == 12).then_some(Ending { failure: None, time_s: 1.2, contact: None });
             Ok(Step {
                 observation: self.observation(),
                 measures: Measures::default(),

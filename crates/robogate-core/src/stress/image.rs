@@ -202,7 +202,9 @@ mod tests {
 
     fn picture() -> Image {
         let (width, height) = (96, 64);
-        let at = |x: usize, y: usize| [(2 * x) as u8, (3 * y) as u8, if (x / 16 + y / 16) % 2 == 0 { 40 } else { 200 }];
+        let at = |x: usize, y: usize| {
+            [(2 * x) as u8, (3 * y) as u8, if (x / 16 + y / 16).is_multiple_of(2) { 40 } else { 200 }]
+        };
         let rgb = (0..height).flat_map(|y| (0..width).flat_map(move |x| at(x, y))).collect();
         Image { camera: "front".to_owned(), width, height, rgb }
     }
