@@ -68,7 +68,7 @@ fn words_of_stress_are_checked() {
     fs::write(at.join("words.txt"), "x".repeat(1001)).unwrap();
     verb(at, &format!("{run} --stress language --wordings words.txt"), 2, &["a wording of 1001 characters"]);
     verb(at, "run --suite stacking --task stacking --stress state -n 2 --out no", 2, &[]);
-    verb(at, "run --task pendulum --stress images -n 2 --out no", 2, &["has no cameras"]);
+    verb(at, "run --task pendulum --stress images -n 2 --out no", 2, &["no cameras"]);
     let space = "name = \"s\"\n[[parameter]]\nname = \"transit_noise\"\nkind = \"continuous\"\nlow = 0.0\nhigh = 9.0\n";
     fs::write(at.join("s.toml"), space).unwrap();
     verb(at, "run --space s.toml -n 2 --out no", 2, &["needs the option --stress"]);
