@@ -190,6 +190,12 @@ impl Run {
         let subject =
             subject.with_statistics(&self.policy.choice().statistics)?.with_latency(&self.latency.choice())?;
         let (mut plan, space) = self.plan_and_space(&subject)?;
+        let stressed = space.parameters().iter().filter(|parameter| parameter.name.starts_with(STRESS_PREFIX)).count();
+        if stressed > 2 && self.family.is_empty() {
+            note(format_args!(
+                "{stressed} kinds of stress act in each episode; `--family declared` varies one family at a time"
+            ));
+        }
         plan.twins |= self.twins;
         let provenance = subject.provenance(space)?;
         if let (Some(shards), Some(dir)) = (&self.shard, &self.out) {

@@ -18,7 +18,7 @@ FAMILY = Family(
     name="warp",
     summary="MuJoCo Warp, the engine of many worlds on a GPU (robogate run --engine warp)",
     package="mujoco_warp",
-    requirements=["warp-lang==1.19.0", "mujoco==3.17.0", "mujoco-warp==3.17.0", "numpy>=1.26"],
+    requirements=["warp-lang==1.19.0", "mujoco==3.17.0", "mujoco-warp==3.17.0", "numpy==2.4.6"],
     names=names,
     environment=environment,
 )
