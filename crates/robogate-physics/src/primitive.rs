@@ -71,6 +71,7 @@ pub struct Part {
     pub pose: Isometry3<f64>,
 }
 
+#[cfg(feature = "mujoco")]
 impl Part {
     /// How far below its body a part is that nothing can touch, in metres. Scenes that differ in their parts have the same topology with
     /// such parts.

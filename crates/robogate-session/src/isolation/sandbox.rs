@@ -101,6 +101,7 @@ impl Scratch {
     }
 
     /// Its path.
+    #[cfg(feature = "mujoco")]
     pub(crate) fn path(&self) -> &Path {
         &self.0
     }

@@ -1,7 +1,9 @@
 //! The files that `robogate init` writes. They are collected first, and written together.
 
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
+#[cfg(feature = "onnx")]
+use std::path::PathBuf;
 
 use anyhow::{Context, anyhow};
 use robogate_core::TaskSpec;
@@ -14,7 +16,9 @@ use super::Parts;
 use crate::commands::env::space_file;
 use crate::exit::{Exit, OrExit};
 use crate::project;
-use crate::terminal::{foreign, line};
+#[cfg(feature = "onnx")]
+use crate::terminal::foreign;
+use crate::terminal::line;
 
 /// The file of the requirements.
 pub(super) const REQUIREMENTS: &str = "requirements.toml";
