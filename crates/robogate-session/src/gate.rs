@@ -21,6 +21,9 @@ use crate::rounds::Rounds;
 use crate::subject::Subject;
 use crate::workers::Workers;
 
+/// The number of scenarios of a suite that is sampled from a space.
+pub const SAMPLED_SCENARIOS: usize = 64;
+
 /// The default non-inferiority margin of a comparison with another policy, as a fraction.
 pub const MARGIN: f64 = 0.05;
 

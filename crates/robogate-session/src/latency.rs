@@ -182,18 +182,6 @@ impl LatencyChoice {
     }
 }
 
-/// The space without the parameters that this test finds, which the environment itself does not have. `None` if nothing is left.
-pub(crate) fn without(space: &ParameterSpace, is_own: impl Fn(&str) -> bool) -> anyhow::Result<Option<ParameterSpace>> {
-    let others = space.parameters().iter().filter(|parameter| !is_own(&parameter.name));
-    let others: Vec<Parameter> = others.cloned().collect();
-    if others.is_empty() {
-        return Ok(None);
-    }
-    let correlations = space.correlations().iter().filter(|c| c.parameters.iter().all(|name| !is_own(name)));
-    let correlations = correlations.cloned().collect();
-    Ok(Some(ParameterSpace::new(space.name(), others)?.with_correlations(correlations)?))
-}
-
 /// The latency and execution of a run in one line.
 pub fn describe(execution: &Execution) -> String {
     let ms = |seconds: f64| format!("{:.4} ms", 1e3 * seconds).replace(".0000", "");
@@ -237,6 +225,7 @@ fn measure(mut worker: Worker) -> Result<Vec<f64>, Fault> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::subject::remaining;
 
     #[test]
     fn latencies_are_parsed() {
@@ -261,7 +250,7 @@ mod tests {
         let varied = arguments.with_latency(space.clone()).unwrap();
         assert_eq!(varied.len(), space.len() + 1);
         assert!(arguments.with_latency(varied.clone()).is_err());
-        let rest = without(&varied, |name| name == LATENCY_PARAMETER).unwrap().unwrap();
+        let rest = remaining(&varied, |name| name == LATENCY_PARAMETER).unwrap().unwrap();
         assert_eq!(rest.parameters(), space.parameters());
     }
 }

@@ -64,7 +64,7 @@ pub use environment_choice::EnvironmentChoice;
 pub use environments::{BUNDLED, ENVIRONMENT, Interpreter, Servers, installed, installed_marker};
 pub use failure::{Failure, FailureKind, OrFailure, chain};
 pub use fleet::{FleetEnd, FleetPlan, FleetRequest, OnUnit, is_fleet, unit_space};
-pub use gate::{GateRequest, Look, MARGIN, begun, question, rounds_and_sampling, with_plan};
+pub use gate::{GateRequest, Look, MARGIN, SAMPLED_SCENARIOS, begun, question, rounds_and_sampling, with_plan};
 pub use hopeless::{Reaction, Watched};
 pub use isolation::{Entered, enter, in_child};
 pub use latency::{LatencyChoice, WantedLatency, describe, execution_mode};

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, anyhow, bail};
 use robogate_core::stress::{MOST_CHARACTERS, MOST_WORDINGS, STRESS, STRESS_PREFIX, Stress, StressGroup};
 use robogate_core::{ParameterSpace, TaskSpec};
+use robogate_dictionary::read_text;
 
 use crate::notice::note;
 use crate::text::foreign;
@@ -75,13 +76,12 @@ impl StressChoice {
 
     fn wordings(&self) -> anyhow::Result<Vec<String>> {
         let Some(file) = &self.wordings else { return Ok(Vec::new()) };
-        let most = (4 * MOST_WORDINGS * (MOST_CHARACTERS + 1)) as u64;
+        let most = 4 * MOST_WORDINGS * (MOST_CHARACTERS + 1);
         let name = || format!("--wordings {}", file.display());
-        let length = std::fs::metadata(file).with_context(name)?.len();
-        if length > most {
-            bail!("{}: {length} bytes. Expected at most {most}", name());
+        let text = read_text(file).with_context(name)?;
+        if text.len() > most {
+            bail!("{}: {} bytes. Expected at most {most}", name(), text.len());
         }
-        let text = std::fs::read_to_string(file).with_context(name)?;
         let lines: Vec<String> =
             text.lines().map(|line| line.trim().to_owned()).filter(|line| !line.is_empty()).collect();
         if lines.is_empty() {

@@ -102,7 +102,7 @@ pub fn answer(study: &Study) -> Answer {
         (_, Question::Better | Question::Best) => {
             verdict = "not_shown";
             let left: Vec<String> = (0..arms.len()).filter(|arm| !decision.dropped[*arm]).map(name).collect();
-            format!("No difference was shown between {}. This is no proof that they are equal.", left.join(", "))
+            format!("No difference was shown between {}. This does not prove that they are equal.", left.join(", "))
         }
     };
     let mut notes = Vec::new();

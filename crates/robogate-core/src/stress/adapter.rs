@@ -80,7 +80,7 @@ impl Environment for StressedEnvironment {
         let own = scenario.requested.iter().filter(|(name, _)| name.starts_with(STRESS_PREFIX));
         let own: Vec<_> = own.map(|(name, value)| (name.to_owned(), value.clone())).collect();
         for (name, value) in &own {
-            let unknown = || Fault::new(FaultKind::Setup, format!("`{name}` is no parameter of this run"));
+            let unknown = || Fault::new(FaultKind::Setup, format!("`{name}` is not a parameter of this run"));
             let spec = self.task.parameter(name).ok_or_else(unknown)?;
             spec.accepts(value).map_err(|why| Fault::new(FaultKind::Setup, why))?;
         }

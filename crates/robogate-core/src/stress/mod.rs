@@ -158,7 +158,7 @@ impl Stress {
     /// The reason.
     pub fn check(&self) -> Result<(), String> {
         if let Some(unknown) = self.parameters.iter().find(|name| STRESS.iter().all(|row| row.name != **name)) {
-            return Err(format!("`{unknown}` is no parameter of stress"));
+            return Err(format!("`{unknown}` is not a parameter of stress"));
         }
         if self.wordings.len() > MOST_WORDINGS {
             return Err(format!("{} wordings. Expected at most {MOST_WORDINGS}", self.wordings.len()));

@@ -11,7 +11,7 @@ macro_rules! embedded {
     };
 }
 
-/// The files of the packages `robogate_eval` `robogate_bridge` and `robogate_worlds` that a server needs, by their paths.
+/// The files of the packages `robogate_eval`, `robogate_bridge` and `robogate_worlds` that a server needs, by their paths.
 const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/__init__.py"),
     embedded!("robogate_eval/_command.py"),

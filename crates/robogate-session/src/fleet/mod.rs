@@ -17,17 +17,14 @@ use robogate_gate::{Baseline, Record, Requirements};
 
 use crate::compared::built_in_baseline;
 use crate::failure::{Failure, OrFailure};
-use crate::gate::rounds_and_sampling;
+use crate::gate::{SAMPLED_SCENARIOS, rounds_and_sampling};
 use crate::latency::LatencyChoice;
 use crate::notice::note;
-use crate::subject::{Subject, named_space};
+use crate::subject::{Subject, named_space, without};
 use plan::{PLAN, VERSION};
 
 pub use plan::FleetPlan;
 pub use units::{FleetEnd, OnUnit};
-
-/// The number of scenarios that are sampled from a space.
-const SAMPLED_SCENARIOS: usize = 64;
 
 /// What is asked about a fleet.
 #[derive(Debug, Clone)]
@@ -167,17 +164,6 @@ fn without_varied(space: &ParameterSpace, suite: &Suite) -> anyhow::Result<Param
         varied.join(", ")
     ));
     without(space, |name| varied.contains(&name)).context("the suite varies parameters of the units")
-}
-
-/// A space without some of its parameters and their correlations.
-fn without(space: &ParameterSpace, left_out: impl Fn(&str) -> bool) -> anyhow::Result<ParameterSpace> {
-    let kept: Vec<_> = space.parameters().iter().filter(|parameter| !left_out(&parameter.name)).cloned().collect();
-    let correlations =
-        space.correlations().iter().filter(|c| !c.parameters.iter().any(|name| left_out(name))).cloned().collect();
-    ParameterSpace::new(space.name(), kept)
-        .with_context(|| format!("space {}", space.name()))?
-        .with_correlations(correlations)
-        .map_err(Into::into)
 }
 
 /// The error for units whose parameters do not suit the scenarios.

@@ -8,6 +8,8 @@ use robogate_gate::Requirements;
 use robogate_stats::format::{count, number};
 use robogate_tasks::pick_place::spec::COLLISION;
 
+use crate::gate::SAMPLED_SCENARIOS;
+
 /// What the user requires.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wanted {
@@ -19,8 +21,6 @@ pub struct Wanted {
     pub cycle_time_s: Option<f64>,
 }
 
-/// Scenarios in a round of a gate over a space.
-const PER_ROUND: f64 = 64.0;
 /// Rounds of a gate without a rare event.
 const ROUNDS: f64 = 20.0;
 /// The number of episodes without an event that show a rate of at most p at 95 % is `-ln(0.05) / p`, for small rates.
@@ -56,7 +56,7 @@ pub fn requirements(wanted: &Wanted, task: &TaskSpec) -> anyhow::Result<(String,
             );
         };
         let (rate, episodes) = (1e-3 * thousandths, (SHOWS / (1e-3 * thousandths)).ceil());
-        rounds = rounds.max((2.0 * episodes / PER_ROUND).ceil()).min(10_000.0);
+        rounds = rounds.max((2.0 * episodes / SAMPLED_SCENARIOS as f64).ceil()).min(10_000.0);
         remarks.push(format!(
             "at most {} collisions per thousand: it takes at least {} episodes without one to show this \
              (`robogate gate --plan` prints how many)",

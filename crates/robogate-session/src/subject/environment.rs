@@ -14,13 +14,12 @@ use robogate_remote::{Pool, RemoteEnvironment};
 use crate::cell::{self, Cell, FRANKA, default_place};
 use crate::environments::Servers;
 use crate::failure::{Failure, OrFailure};
-use crate::latency::without;
 use crate::policy_source::{DeclaredPolicy, PolicySource, without_profile};
 use crate::remote::{self, Simulators};
 use crate::stress::is_stress;
 
 use super::built_in::BuiltIn;
-use super::spaces::{check_declared, named_space};
+use super::spaces::{check_declared, named_space, remaining};
 use crate::environment_choice::{absolute, file_sha256};
 
 /// The source of environments.
@@ -227,7 +226,7 @@ impl EnvironmentSource {
         if let Some(unused) = space.parameters().iter().find(|parameter| !stress && is_stress(&parameter.name)) {
             bail!("space {}: the parameter `{}` needs the option --stress", space.name(), unused.name);
         }
-        let own = without(&space, |name| (varies && name == LATENCY_PARAMETER) || is_stress(name))?;
+        let own = remaining(&space, |name| (varies && name == LATENCY_PARAMETER) || is_stress(name))?;
         match (self, own) {
             (_, None) => {}
             (Self::BuiltIn(built_in), Some(own)) => built_in.check_space(&own)?,

@@ -30,7 +30,7 @@ use crate::cell::{Cell, nominal};
 use crate::checkpoint_statistics::CheckpointStatistics;
 use crate::environment_choice::EnvironmentChoice;
 use crate::failure::{Failure, OrFailure};
-use crate::latency::{LatencyChoice, without};
+use crate::latency::LatencyChoice;
 use crate::notice::{note, warning};
 use crate::origin;
 use crate::policy_source::{PolicyChoice, PolicyLocation, PolicySource};
@@ -47,6 +47,7 @@ pub(crate) use environment::RemoteSource;
 pub use recorded::{programs, recorded_robot, starts_processes};
 pub(crate) use spaces::assignment;
 pub use spaces::{check_declared, named_space, named_suite};
+pub(crate) use spaces::{remaining, without};
 
 /// The subject of a run: a policy in an environment.
 pub struct Subject {
@@ -398,7 +399,7 @@ impl Subject {
             EnvironmentSource::BuiltIn(built_in)
                 if suite.space().parameters().iter().any(|parameter| of_adapter(&parameter.name)) =>
             {
-                without(suite.space(), of_adapter)?.map_or(Ok(()), |space| built_in.check_space(&space))
+                remaining(suite.space(), of_adapter)?.map_or(Ok(()), |space| built_in.check_space(&space))
             }
             EnvironmentSource::BuiltIn(built_in) => built_in.check_suite(suite),
             EnvironmentSource::Remote(_) => {

@@ -12,6 +12,28 @@ use crate::failure::{Failure, OrFailure};
 use crate::registry;
 use crate::text::foreign;
 
+/// A space without some of its parameters and their correlations.
+pub(crate) fn without(space: &ParameterSpace, left_out: impl Fn(&str) -> bool) -> anyhow::Result<ParameterSpace> {
+    let kept: Vec<_> = space.parameters().iter().filter(|parameter| !left_out(&parameter.name)).cloned().collect();
+    let correlations =
+        space.correlations().iter().filter(|c| !c.parameters.iter().any(|name| left_out(name))).cloned().collect();
+    ParameterSpace::new(space.name(), kept)
+        .with_context(|| format!("space {}", space.name()))?
+        .with_correlations(correlations)
+        .map_err(Into::into)
+}
+
+/// The space without the parameters that this test finds, which the environment itself does not have. `None` if nothing is left.
+pub(crate) fn remaining(
+    space: &ParameterSpace,
+    is_own: impl Fn(&str) -> bool,
+) -> anyhow::Result<Option<ParameterSpace>> {
+    if space.parameters().iter().all(|parameter| is_own(&parameter.name)) {
+        return Ok(None);
+    }
+    without(space, is_own).map(Some)
+}
+
 /// Finds a parameter space by its name or file.
 pub fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
     let own = registry::TASKS.iter().find(|task| task.name() == wanted).map(|task| task.space());

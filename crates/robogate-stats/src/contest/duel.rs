@@ -21,8 +21,8 @@ pub enum Decision {
     FirstBetter,
     /// The second policy is better.
     SecondBetter,
-    /// All blocks have run, or the rest of them is unlikely to show a difference. This is no proof of equality. The test stays
-    /// valid if more of the planned blocks run nevertheless.
+    /// All blocks have run, or the rest of them is unlikely to show a difference. This does not prove that the two are equal. The
+    /// test stays valid if more of the planned blocks run nevertheless.
     NoDifferenceShown,
 }
 

@@ -152,9 +152,8 @@ struct FixtureShape {
     pose: nalgebra::Isometry3<f64>,
 }
 
-/// A coordinate of a pose: x, y, z, or its yaw.
-/// A coordinate of a pose that should be `wanted`. A yaw is that of `wanted` and the turn about the vertical that is left, because
-/// angles of a rotation are ambiguous.
+/// A coordinate of a pose that should be `wanted`: x, y, z or its yaw. A yaw is that of `wanted` and the turn about the vertical
+/// that is left, because angles of a rotation are ambiguous.
 fn coordinate(pose: Option<nalgebra::Isometry3<f64>>, wanted: &Placed, which: usize) -> f64 {
     match pose {
         Some(pose) if which == YAW => {

@@ -22,12 +22,9 @@ use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
 use crate::terminal::{line, note};
 use robogate_session::{
-    Arms, MARGIN, PolicyChoice, Reopening, Rival, Rounds, Subject, families, named_suite, rounds_and_sampling,
-    run_controls, with_plan,
+    Arms, MARGIN, PolicyChoice, Reopening, Rival, Rounds, SAMPLED_SCENARIOS, Subject, families, named_suite,
+    rounds_and_sampling, run_controls, with_plan,
 };
-
-/// The number of scenarios of a suite that is sampled from a space.
-const SAMPLED_SCENARIOS: usize = 64;
 
 /// A gate before its first episode.
 struct Prepared {

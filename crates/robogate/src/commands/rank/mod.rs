@@ -23,12 +23,10 @@ use crate::commands::run::How;
 use crate::exit::{Exit, OrExit};
 use crate::given::Given;
 use crate::place;
-use robogate_session::CONTROL_EPISODES;
+use robogate_session::{CONTROL_EPISODES, POLICIES};
 
 /// The file of the answer in the folder of a contest.
 const ANSWER: &str = "ranking.json";
-/// Words for policies, also where a file has the same name.
-const WORDS: [&str; 2] = ["scripted", "random"];
 
 /// Find the best of several policies: all run the same scenarios, and worse ones leave after each round.
 ///
@@ -112,7 +110,8 @@ fn profile_of(text: &str) -> Result<(String, String), String> {
 
 impl Rank {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let is_policy = |text: &String| WORDS.contains(&text.as_str()) || text.ends_with(".onnx");
+        // The names of built-in policies are policies also where a file has such a name.
+        let is_policy = |text: &String| POLICIES.contains(&text.as_str()) || text.ends_with(".onnx");
         let is_file = |text: &String| !is_policy(text) && Path::new(text).exists();
         let files = self.policies.iter().filter(|text| is_file(text)).count();
         if files == 0 {

@@ -18,11 +18,10 @@ use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
 use crate::terminal::{bold, dim, grouped, line, note, percent};
 use robogate_session::text::quoted;
 use robogate_session::{
-    Contest, ContestEnd, Contestant, PolicyChoice, PolicyLocation, Subject, named_suite, run_controls, with_plan,
+    Contest, ContestEnd, Contestant, PolicyChoice, PolicyLocation, SAMPLED_SCENARIOS, Subject, named_suite,
+    run_controls, with_plan,
 };
 
-/// The number of scenarios of a suite that is sampled from a space.
-const SAMPLED_SCENARIOS: usize = 64;
 /// True rates of the best policy and of the others for which a plan is printed.
 const EXAMPLES: [[f64; 2]; 4] = [[0.9, 0.6], [0.9, 0.8], [0.9, 0.85], [0.9, 0.9]];
 /// Simulated contests for each of them, and the part of the scenarios that decide all policies alike.
