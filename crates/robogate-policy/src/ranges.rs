@@ -4,9 +4,8 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use robogate_core::{
-    Action, Assignment, Ending, Environment, Fault, Foresight, Image, Infeasibility, MeasureSpec, Measures,
-    OUTSIDE_RANGE, Observation, Scenario, Start, Step, TaskSpec, Trajectory, Word, outside_any_range,
-    outside_range_measure,
+    Action, Environment, Fault, MeasureSpec, Measures, OUTSIDE_RANGE, Observation, Scenario, Start, Step, TaskSpec,
+    Word, outside_any_range, outside_range_measure,
 };
 
 use super::error::PolicyError;
@@ -131,16 +130,16 @@ impl RangeMeasures {
 }
 
 impl Environment for RangeMeasures {
+    fn adapted(&self) -> Option<&dyn Environment> {
+        Some(&*self.environment)
+    }
+
+    fn adapted_mut(&mut self) -> Option<&mut dyn Environment> {
+        Some(&mut *self.environment)
+    }
+
     fn task(&self) -> &Arc<TaskSpec> {
         &self.task
-    }
-
-    fn foresight(&self) -> Option<Arc<dyn Foresight>> {
-        self.environment.foresight()
-    }
-
-    fn draws(&self, scenario: &Scenario) -> Result<Measures, Fault> {
-        self.environment.draws(scenario)
     }
 
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
@@ -151,30 +150,6 @@ impl Environment for RangeMeasures {
         let mut step = self.environment.step(action)?;
         self.counts.record(&mut step.measures);
         Ok(step)
-    }
-
-    fn infeasibility(&self, requested: &Assignment) -> Option<Infeasibility> {
-        self.environment.infeasibility(requested)
-    }
-
-    fn foregone_ending(&self) -> Option<Ending> {
-        self.environment.foregone_ending()
-    }
-
-    fn render(&mut self) -> Result<Vec<Image>, Fault> {
-        self.environment.render()
-    }
-
-    fn render_only(&mut self, cameras: &[&str]) -> Result<Vec<Image>, Fault> {
-        self.environment.render_only(cameras)
-    }
-
-    fn record_trajectory(&mut self, period_s: Option<f64>) {
-        self.environment.record_trajectory(period_s);
-    }
-
-    fn take_trajectory(&mut self) -> Option<Trajectory> {
-        self.environment.take_trajectory()
     }
 }
 

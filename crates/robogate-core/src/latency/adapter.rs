@@ -7,9 +7,9 @@ use super::draws::stream;
 use super::queue::Queue;
 use super::{Execution, LATENCY_PARAMETER, Latency, latency_parameter};
 use crate::{
-    Action, ActionSpace, ActionSpec, Assignment, Command, Ending, Environment, Fault, FaultKind, FeatureSpec,
-    Foresight, Image, Infeasibility, Measures, Observation, Policy, PredictedStep, Prediction, Scenario, Seed, Start,
-    Step, Stream, TaskInstance, TaskSpec, Trajectory, Value,
+    Action, ActionSpace, ActionSpec, Assignment, Command, Environment, Fault, FaultKind, FeatureSpec, Foresight,
+    Infeasibility, Measures, Observation, Policy, PredictedStep, Prediction, Scenario, Seed, Start, Step, Stream,
+    TaskInstance, TaskSpec, Value,
 };
 
 /// Puts latency between a policy and an environment.
@@ -100,6 +100,14 @@ fn with_draws(mut draws: Measures, latency: &Latency, seed: Seed) -> Measures {
 }
 
 impl Environment for LatencyEnvironment {
+    fn adapted(&self) -> Option<&dyn Environment> {
+        Some(&*self.environment)
+    }
+
+    fn adapted_mut(&mut self) -> Option<&mut dyn Environment> {
+        Some(&mut *self.environment)
+    }
+
     fn task(&self) -> &Arc<TaskSpec> {
         &self.task
     }
@@ -137,26 +145,6 @@ impl Environment for LatencyEnvironment {
 
     fn step(&mut self, action: &Action) -> Result<Step, Fault> {
         self.environment.step(action)
-    }
-
-    fn foregone_ending(&self) -> Option<Ending> {
-        self.environment.foregone_ending()
-    }
-
-    fn render(&mut self) -> Result<Vec<Image>, Fault> {
-        self.environment.render()
-    }
-
-    fn render_only(&mut self, cameras: &[&str]) -> Result<Vec<Image>, Fault> {
-        self.environment.render_only(cameras)
-    }
-
-    fn record_trajectory(&mut self, period_s: Option<f64>) {
-        self.environment.record_trajectory(period_s);
-    }
-
-    fn take_trajectory(&mut self) -> Option<Trajectory> {
-        self.environment.take_trajectory()
     }
 }
 

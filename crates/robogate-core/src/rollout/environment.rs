@@ -49,14 +49,28 @@ pub trait Environment {
     /// The task. It is the same for every episode.
     fn task(&self) -> &Arc<TaskSpec>;
 
+    /// The environment that this one adapts, if it is an adapter. The methods that an adapter does not define are those of this
+    /// environment. An adapter defines [`adapted_mut`](Self::adapted_mut) too.
+    fn adapted(&self) -> Option<&dyn Environment> {
+        None
+    }
+
+    /// As [`adapted`](Self::adapted).
+    fn adapted_mut(&mut self) -> Option<&mut dyn Environment> {
+        None
+    }
+
     /// The knowledge of the task about an episode before it runs. `None` if the task has none.
     fn foresight(&self) -> Option<Arc<dyn Foresight>> {
-        None
+        self.adapted()?.foresight()
     }
 
     /// The hidden draws of the episode of this scenario, after its reset. Empty where nothing is known about them.
     fn draws(&self, scenario: &Scenario) -> Result<Measures, Fault> {
-        self.foresight().map_or_else(|| Ok(Measures::default()), |foresight| foresight.draws(scenario))
+        match self.adapted() {
+            Some(adapted) => adapted.draws(scenario),
+            None => self.foresight().map_or_else(|| Ok(Measures::default()), |foresight| foresight.draws(scenario)),
+        }
     }
 
     /// Sets up a scenario. A second call starts over, independent of earlier episodes.
@@ -67,25 +81,29 @@ pub trait Environment {
 
     /// The reason why no policy can complete a scenario with these requested parameters, if the task knows one. It must
     /// hold for every policy: a scenario that is only hard is feasible.
-    fn infeasibility(&self, _requested: &Assignment) -> Option<Infeasibility> {
-        None
+    fn infeasibility(&self, requested: &Assignment) -> Option<Infeasibility> {
+        self.adapted()?.infeasibility(requested)
     }
 
     /// The ending that the episode will have if the policy repeats its last action until the time limit. `None` if this
     /// is still uncertain, for example because a body moves. The rollout ends an episode early only with this ending,
     /// and only if the policy gave up: the outcome is that of the whole episode.
     fn foregone_ending(&self) -> Option<Ending> {
-        None
+        self.adapted()?.foregone_ending()
     }
 
     /// Renders the cameras in the current state. Rendering does not change the episode.
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
-        Err(Fault::new(FaultKind::Setup, "this environment has no cameras"))
+        let none = || Fault::new(FaultKind::Setup, "this environment has no cameras");
+        self.adapted_mut().ok_or_else(none)?.render()
     }
 
     /// Renders these cameras only, for a film of the episode: the final state may be rendered too. A remote environment
     /// renders nothing else, which may save much time.
     fn render_only(&mut self, cameras: &[&str]) -> Result<Vec<Image>, Fault> {
+        if let Some(adapted) = self.adapted_mut() {
+            return adapted.render_only(cameras);
+        }
         let mut images = self.render()?;
         images.retain(|image| cameras.contains(&image.camera.as_str()));
         Ok(images)
@@ -93,10 +111,14 @@ pub trait Environment {
 
     /// Records the motion of all bodies in every later episode: one frame per `period_s` seconds of simulated time, at
     /// the start and at the end. `None` stops recording. Recording does not change the episode.
-    fn record_trajectory(&mut self, _period_s: Option<f64>) {}
+    fn record_trajectory(&mut self, period_s: Option<f64>) {
+        if let Some(adapted) = self.adapted_mut() {
+            adapted.record_trajectory(period_s);
+        }
+    }
 
     /// Takes the trajectory of the last episode. `None` if the environment has no geometry, or did not record it.
     fn take_trajectory(&mut self) -> Option<Trajectory> {
-        None
+        self.adapted_mut()?.take_trajectory()
     }
 }

@@ -8,8 +8,8 @@ use super::words::{in_case, with_typos};
 use super::{STRESS_PREFIX, Stress};
 use crate::latency::Hold;
 use crate::{
-    Action, Assignment, Command, Ending, Environment, Fault, FaultKind, FeatureSpec, Foresight, Image, Infeasibility,
-    Measures, Observation, Policy, Scenario, Seed, Start, Step, Stream, TaskInstance, TaskSpec, Trajectory, Word,
+    Action, Assignment, Command, Environment, Fault, FaultKind, FeatureSpec, Foresight, Image, Infeasibility, Measures,
+    Observation, Policy, Scenario, Seed, Start, Step, Stream, TaskInstance, TaskSpec, Word,
 };
 
 /// Puts stress between a policy and an environment.
@@ -60,6 +60,14 @@ impl Foresight for StressedForesight {
 }
 
 impl Environment for StressedEnvironment {
+    fn adapted(&self) -> Option<&dyn Environment> {
+        Some(&*self.environment)
+    }
+
+    fn adapted_mut(&mut self) -> Option<&mut dyn Environment> {
+        Some(&mut *self.environment)
+    }
+
     fn task(&self) -> &Arc<TaskSpec> {
         &self.task
     }
@@ -91,26 +99,6 @@ impl Environment for StressedEnvironment {
 
     fn step(&mut self, action: &Action) -> Result<Step, Fault> {
         self.environment.step(action)
-    }
-
-    fn foregone_ending(&self) -> Option<Ending> {
-        self.environment.foregone_ending()
-    }
-
-    fn render(&mut self) -> Result<Vec<Image>, Fault> {
-        self.environment.render()
-    }
-
-    fn render_only(&mut self, cameras: &[&str]) -> Result<Vec<Image>, Fault> {
-        self.environment.render_only(cameras)
-    }
-
-    fn record_trajectory(&mut self, period_s: Option<f64>) {
-        self.environment.record_trajectory(period_s);
-    }
-
-    fn take_trajectory(&mut self) -> Option<Trajectory> {
-        self.environment.take_trajectory()
     }
 }
 

@@ -2,10 +2,7 @@
 
 use std::sync::Arc;
 
-use robogate_core::{
-    Action, Assignment, Ending, Environment, Fault, Foresight, Image, Infeasibility, Measures, Scenario, Start, Step,
-    TaskSpec, Trajectory,
-};
+use robogate_core::{Action, Environment, Fault, Image, Scenario, Start, Step, TaskSpec};
 use robogate_replay::FRAME_PERIOD_S;
 
 /// An image with its time.
@@ -98,16 +95,16 @@ impl<'a> Filmed<'a> {
 }
 
 impl Environment for Filmed<'_> {
+    fn adapted(&self) -> Option<&dyn Environment> {
+        Some(&*self.inner)
+    }
+
+    fn adapted_mut(&mut self) -> Option<&mut dyn Environment> {
+        Some(&mut *self.inner)
+    }
+
     fn task(&self) -> &Arc<TaskSpec> {
         self.inner.task()
-    }
-
-    fn draws(&self, scenario: &Scenario) -> Result<Measures, Fault> {
-        self.inner.draws(scenario)
-    }
-
-    fn foresight(&self) -> Option<Arc<dyn Foresight>> {
-        self.inner.foresight()
     }
 
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
@@ -125,29 +122,5 @@ impl Environment for Filmed<'_> {
             self.trouble = None;
         }
         Ok(step)
-    }
-
-    fn infeasibility(&self, requested: &Assignment) -> Option<Infeasibility> {
-        self.inner.infeasibility(requested)
-    }
-
-    fn foregone_ending(&self) -> Option<Ending> {
-        self.inner.foregone_ending()
-    }
-
-    fn render(&mut self) -> Result<Vec<Image>, Fault> {
-        self.inner.render()
-    }
-
-    fn render_only(&mut self, cameras: &[&str]) -> Result<Vec<Image>, Fault> {
-        self.inner.render_only(cameras)
-    }
-
-    fn record_trajectory(&mut self, period_s: Option<f64>) {
-        self.inner.record_trajectory(period_s);
-    }
-
-    fn take_trajectory(&mut self) -> Option<Trajectory> {
-        self.inner.take_trajectory()
     }
 }
