@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from . import notebook
 from ._command import run_command
 from .policies import as_function, is_model_file, load
 from .results import Run, Verdict
@@ -43,8 +44,9 @@ def run(env: Any, policy: Any = None, *, episodes: int | None = None, out: "str 
     - None for the environment's own policy.
 
     A function or a model runs in this process, one episode at a time. Anything else runs in processes of the command, one for each
-    core or for each of `threads`. Further `options` are those of `robogate run`: `seed=7` is `--seed 7`, and `twins=True` is
-    `--twins`.
+    core or for each of `threads`. `episodes` is their number, and `out` the folder of the result; without one it is a new folder
+    below the temporary folder, in a notebook below `runs` beside it. Further `options` are those of `robogate run`: `seed=7` is
+    `--seed 7`, and `twins=True` is `--twins`.
 
     Raises:
         CommandError: There is no result.
@@ -55,7 +57,10 @@ def run(env: Any, policy: Any = None, *, episodes: int | None = None, out: "str 
 
 
 def gate(env: Any, policy: Any = None, *, requirements: "str | Path | None" = None, out: "str | Path | None" = None, **options: Any) -> Verdict:
-    """Decide whether a policy may run. The arguments are those of `run`; further `options` are those of `robogate gate`.
+    """Decide whether a policy may run.
+
+    `env` and `policy` are those of `run`. `requirements` is the path of a TOML file; the default requires a success rate. Further
+    `options` are those of `robogate gate`: `rounds=30`, `seed=7`. In a notebook a progress bar replaces the output.
 
     Raises:
         CommandError: There is no verdict.
@@ -71,7 +76,11 @@ def _folder(out: "str | Path | None", verb: str) -> Iterator[Path]:
     if out is not None:
         yield Path(out)
         return
-    parent = Path(tempfile.mkdtemp(prefix=f"robogate-{verb}-"))
+    # A notebook has its results beside it.
+    beside = Path("runs") if notebook.in_notebook() else None
+    if beside is not None:
+        beside.mkdir(exist_ok=True)
+    parent = Path(tempfile.mkdtemp(prefix=f"robogate-{verb}-", dir=beside))
     try:
         yield parent / verb
     except BaseException:
@@ -91,12 +100,18 @@ def _judge(verb: str, env: Any, policy: Any, out: Path, options: dict[str, Any])
 def _command(env: Any, policy: Any, options: dict[str, Any], arguments: list[str]) -> None:
     if isinstance(env, str) and (policy is None or isinstance(policy, (str, os.PathLike))):
         interpreter = [] if "python" in options else ["--python", sys.executable]
-        code = run_command(*arguments, "--env", env, *interpreter, *_named(policy)).returncode
+        code = _run(*arguments, "--env", env, *interpreter, *_named(policy))
     else:
         with _served(env, policy) as (address, chosen):
-            code = run_command(*arguments, "--simulator", address, *_named(chosen)).returncode
+            code = _run(*arguments, "--simulator", address, *_named(chosen))
     if code not in WITH_RESULT:
         raise CommandError(code)
+
+
+def _run(*arguments: str) -> int:
+    if notebook.in_notebook():
+        return notebook.run(*arguments, results=WITH_RESULT)
+    return run_command(*arguments).returncode
 
 
 @contextmanager

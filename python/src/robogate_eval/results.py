@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import csv
 import html
 import json
+import re
+import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
+
+from . import notebook
+from ._command import run_command
+
+# A number of a table, before a unit or an interval.
+NUMBER = re.compile(r"^[-\N{MINUS SIGN}+]?\d[\d,]*(\.\d+)?([eE][-+]?\d+)?(?=$|\s*(%|\())")
 
 
 class Run:
@@ -52,6 +61,51 @@ class Run:
 
         return pyarrow.parquet.read_table(self.folder / "dictionary.parquet")
 
+    def figures(self) -> dict[str, str]:
+        """The figures of the report page: their names and titles."""
+        lines = self._figure().splitlines()
+        return {name: title.strip() for name, _, title in (line.partition(" ") for line in lines)}
+
+    def figure(self, name: str, axes: Any = None) -> Any:
+        """Draw the data of a figure of the report page with matplotlib, on `axes` or in a new figure. Return the axes.
+
+        Numbers of the first column are the horizontal axis, and words are bars. `robogate figure DIR NAME` writes the figure as
+        the page shows it.
+
+        Raises:
+            ValueError: The page has no figure of this name.
+        """
+        axes = notebook.axes_of(axes)
+        with tempfile.TemporaryDirectory(prefix="robogate-") as folder:
+            file = Path(folder) / "data.csv"
+            self._figure(name, "--csv", str(file))
+            with open(file, encoding="utf-8", newline="") as text:
+                head, *rows = csv.reader(text)
+        columns = [[_parsed(cell) for cell in column] for column in zip(*rows)]
+        first, *others = columns or [[]]
+        drawn = [(label, values) for label, values in zip(head[1:], others) if any(isinstance(value, float) for value in values)]
+        if all(isinstance(value, float) for value in first):
+            for label, values in drawn:
+                axes.plot(first, [value if isinstance(value, float) else float("nan") for value in values], label=label)
+            axes.set_xlabel(head[0])
+        else:
+            height = 0.8 / max(len(drawn), 1)
+            for at, (label, values) in enumerate(drawn):
+                places = [row + at * height for row in range(len(first))]
+                axes.barh(places, [value if isinstance(value, float) else 0.0 for value in values], height, label=label)
+            axes.set_yticks(range(len(first)), [str(value) for value in first])
+            axes.invert_yaxis()
+        if drawn:
+            axes.legend()
+        axes.set_title(self.figures().get(name, name))
+        return axes
+
+    def _figure(self, *arguments: str) -> str:
+        done = run_command("figure", str(self.folder), *arguments, capture_output=True, text=True)
+        if done.returncode != 0:
+            raise ValueError(done.stderr.strip())
+        return done.stdout
+
     def __repr__(self) -> str:
         return f"Run({str(self.folder)!r}: {self.episodes} episodes, success {_rate(self.success_rate, self.interval_95)})"
 
@@ -62,7 +116,7 @@ class Run:
             for stage in self.summary.get("stages", [])
         ]
         heads = ("stage", "valid episodes", "invalid", "success (95 % interval)", "failures")
-        return f"<b>Run {html.escape(str(self.folder))}</b>{_table(heads, rows)}<a href='{html.escape(str(self.report))}'>report</a>"
+        return f"<b>Run {html.escape(str(self.folder))}</b>{_table(heads, rows)}<a href='{_link(self.report)}'>report</a>"
 
 
 class Verdict:
@@ -110,7 +164,7 @@ class Verdict:
         heads = ("requirement", "status", "observed", "confidence interval")
         title = f"<b>{html.escape(self.verdict.upper())}</b> {html.escape(self.because)}"
         note = f"<p>{html.escape(self.evaluation.get('estimand', ''))}</p>"
-        return f"{title}{_table(heads, rows)}{note}<a href='{html.escape(str(self.folder / 'report.html'))}'>report</a>"
+        return f"{title}{_table(heads, rows)}{note}<a href='{_link(self.run.report)}'>report</a>"
 
 
 def load(folder: "str | Path") -> "Run | Verdict":
@@ -120,6 +174,16 @@ def load(folder: "str | Path") -> "Run | Verdict":
         FileNotFoundError: The folder contains no finished run.
     """
     return Verdict(folder) if (Path(folder) / "gate.json").is_file() else Run(folder)
+
+
+def _link(path: Path) -> str:
+    return html.escape(notebook.relative(path), quote=True)
+
+
+def _parsed(cell: str) -> "float | str":
+    """A number where the cell is one. A thousands separator and a unit do not make it a word."""
+    found = NUMBER.match(cell)
+    return float(found[0].replace(",", "").replace("\N{MINUS SIGN}", "-")) if found else cell
 
 
 def _table(heads: Iterable[str], rows: Iterable[tuple]) -> str:

@@ -70,7 +70,7 @@ def _serve(arguments: argparse.Namespace) -> None:
         process.serve_child(arguments.name, arguments.policy, arguments.first)
     else:
         environment = find(arguments.name)
-        process.serve(environment if arguments.policy is None else with_policy(environment, arguments.policy), bind=arguments.bind)
+        process.serve_adapter(environment if arguments.policy is None else with_policy(environment, arguments.policy), arguments.bind)
 
 
 def _describe(arguments: argparse.Namespace) -> None:

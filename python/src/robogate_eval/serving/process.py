@@ -10,39 +10,22 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Sequence
-from typing import Any
 
 import robogate_bridge
 
 from .adapter import Adapter
-from .environment import Environment, Task, as_environment
+from .environment import Environment
 from . import sandbox
 from .imported import imported
-from .knobs import Knob
 from .opened import Opened
 
 # Linux: signal that this process gets when the thread that started it ends.
 PR_SET_PDEATHSIG = 1
 
 
-def serve(
-    make_env: Callable[[], Any] | Environment,
-    *,
-    task: Task | None = None,
-    knobs: Sequence[str | Knob] | None = None,
-    bind: str = "tcp://127.0.0.1:5570",
-) -> None:
-    """Serve an environment until interrupted, as a simulator that scores itself.
-
-    `make_env` makes a `gymnasium.Env`, or is an `Environment`. `task` and `knobs` replace those of the environment. Prints the
-    address as one line of JSON; `tcp://127.0.0.1:*` takes a free port. Then `robogate run --simulator ADDRESS` runs it.
-    """
-    import dataclasses
-
-    environment = as_environment(make_env, getattr(make_env, "__name__", "environment"))
-    changes = {key: value for key, value in (("task", task), ("knobs", knobs)) if value is not None}
-    adapter = Adapter(dataclasses.replace(environment, **changes))
+def serve_adapter(environment: Environment, bind: str) -> None:
+    """Serve an environment at an address until interrupted."""
+    adapter = Adapter(environment)
     _keep()
     robogate_bridge.serve(adapter, bind)
 
