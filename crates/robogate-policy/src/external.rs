@@ -4,7 +4,9 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use robogate_core::{Action, Fault, Observation, Policy, PredictedStep, Prediction, Seed, TaskInstance, TaskSpec};
+use robogate_core::{
+    Action, Fault, Observation, Policy, PredictedStep, Prediction, Seed, Stream, TaskInstance, TaskSpec,
+};
 use serde_json::Value as Json;
 
 use super::access::Access;
@@ -14,6 +16,7 @@ use super::connection::{self, Connection};
 use super::deadline::Deadline;
 use super::decoder::Decoder;
 use super::error::PolicyError;
+use super::fingerprint::Recorder;
 use super::history::History;
 use super::openpi;
 use super::profile::{Dialect, Profile};
@@ -49,6 +52,8 @@ pub struct ExternalPolicy {
     buffers: Buffers,
     /// Counts states outside of the range of the checkpoint.
     ranges: Option<RangeCounts>,
+    /// Keeps some requests for a fingerprint, and their keys in this episode.
+    recorder: Option<(Recorder, Option<Stream>)>,
 }
 
 impl std::fmt::Debug for ExternalPolicy {
@@ -111,6 +116,7 @@ impl ExternalPolicy {
             history,
             buffers: Buffers::default(),
             ranges: None,
+            recorder: None,
         })
     }
 
@@ -118,6 +124,27 @@ impl ExternalPolicy {
     #[must_use]
     pub fn counting(self, ranges: Option<RangeCounts>) -> Self {
         Self { ranges, ..self }
+    }
+
+    /// Offer the requests of all episodes to a recorder.
+    #[must_use]
+    pub fn recording(self, recorder: Option<Recorder>) -> Self {
+        Self { recorder: recorder.map(|recorder| (recorder, None)), ..self }
+    }
+
+    /// Send a request of an earlier episode as the first one of a new episode.
+    pub fn ask(&mut self, query: &Query) -> Result<Chunk, PolicyError> {
+        self.begin(&query.instruction)?;
+        let deadline = self.deadline();
+        let Some(connection) = self.connection.as_mut() else {
+            return Err(PolicyError::Closed { when: "before the episode began".to_owned(), reason: String::new() });
+        };
+        let reply = connection.infer(query, deadline);
+        self.warm = reply.is_ok();
+        if reply.is_err() {
+            self.connection = None;
+        }
+        reply.map_err(|error| self.access.without_key(error))
     }
 
     /// The metadata that the policy reports.
@@ -204,6 +231,9 @@ impl ExternalPolicy {
             return Err(PolicyError::Closed { when: "before the episode began".to_owned(), reason: String::new() });
         };
         let reply = connection.infer(&query, deadline).and_then(|chunk| chunk.check(&self.profile).map(|()| chunk));
+        if let (Ok(_), Some((recorder, Some(keys)))) = (&reply, &mut self.recorder) {
+            recorder.offer(keys.bits(), &query);
+        }
         query.recycle(&mut self.buffers);
         match &reply {
             Ok(_) => self.warm = true,
@@ -231,7 +261,10 @@ impl Policy for ExternalPolicy {
         suits::check_task(&self.profile, task)
     }
 
-    fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {
+    fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, seed: Seed) -> Result<(), Fault> {
+        if let Some((_, keys)) = &mut self.recorder {
+            *keys = Some(seed.stream("fingerprint"));
+        }
         self.decoder.begin(task)?;
         Ok(self.begin(&instance.instruction)?)
     }

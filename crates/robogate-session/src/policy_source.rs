@@ -9,7 +9,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 use robogate_core::{Fault, FaultKind, Observation, Policy, TaskSpec};
 use robogate_dictionary::{hex, read_text};
-use robogate_policy::{Access, BoundMap, ExternalPolicy, Mapped, PolicyError, Profile, RangeCounts, TaskMap};
+use robogate_policy::{Access, BoundMap, ExternalPolicy, Mapped, PolicyError, Profile, RangeCounts, Recorder, TaskMap};
 use robogate_tasks::Random;
 use sha2::{Digest, Sha256};
 
@@ -126,8 +126,8 @@ impl PolicySource {
     }
 
     /// Creates the policy for one worker. One that the environment runs is created with the environment.
-    /// `ranges` count what it sees.
-    pub fn policy(&self, ranges: Option<&RangeCounts>) -> Result<Box<dyn Policy>, Fault> {
+    /// `ranges` count what it sees, and `recorder` keeps some of its requests.
+    pub fn policy(&self, ranges: Option<&RangeCounts>, recorder: Option<&Recorder>) -> Result<Box<dyn Policy>, Fault> {
         Ok(match self {
             Self::External(served) => {
                 let server = served.at.as_deref().unwrap_or(&served.server);
@@ -137,7 +137,8 @@ impl PolicySource {
                     served.access.clone(),
                     &mut |_| {},
                 );
-                mapped(Box::new(policy?.counting(ranges.cloned())), &served.profile, served.map.as_ref())
+                let policy = policy?.counting(ranges.cloned()).recording(recorder.cloned());
+                mapped(Box::new(policy), &served.profile, served.map.as_ref())
             }
             Self::BuiltIn(BuiltInPolicy::Random) => Box::new(Random::new()),
             Self::Declared(declared) => {
@@ -157,6 +158,12 @@ impl ExternalSource {
     /// The map between the environment and the profile, if there is one.
     pub fn map(&self) -> Option<&Arc<TaskMap>> {
         self.map.as_ref()
+    }
+
+    /// Connects to the policy once more.
+    pub(crate) fn connect(&self) -> Result<ExternalPolicy, Failure> {
+        let server = self.at.as_deref().unwrap_or(&self.server);
+        connect(server, Arc::clone(&self.profile), self.access.clone())
     }
 
     /// Adds the ranges of a checkpoint to the profile. `observation` is one of the environment with this task.

@@ -15,7 +15,7 @@ const GROUPS: [(&str, &[&str]); 7] = [
     ),
     ("Show that it holds", &["evidence", "verify", "keys"]),
     ("Use many machines", &["plan", "merge"]),
-    ("Real robots", &["transfer", "trial", "monitor"]),
+    ("Real robots", &["transfer", "trial", "admit", "monitor"]),
 ];
 
 /// The order of the parts of the help.

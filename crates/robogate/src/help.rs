@@ -37,6 +37,7 @@ const MEMBERS: [&[&str]; 4] = [
         "family",
         "stress",
         "wordings",
+        "rate",
     ],
     &[
         "engine",

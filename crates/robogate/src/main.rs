@@ -126,6 +126,8 @@ enum Verb {
     Transfer(commands::transfer::TransferTo),
     /// Plan, run and judge trials of the real robot: randomised, blinded, with as few trials as possible
     Trial(commands::trial::Trial),
+    /// Check that a deployed policy is the one that was judged
+    Admit(commands::admit::Admit),
     /// Monitor deployed robots for drift, with a guaranteed false-alarm rate
     Monitor(commands::monitor::Monitor),
 }
@@ -239,6 +241,7 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Merge(verb) => verb.execute(),
         Verb::Transfer(verb) => verb.execute(),
         Verb::Trial(verb) => verb.execute(),
+        Verb::Admit(verb) => verb.execute(),
         Verb::Monitor(verb) => verb.execute(),
     }
 }

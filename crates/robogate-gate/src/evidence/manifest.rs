@@ -37,6 +37,8 @@ pub enum Role {
     Environment,
     /// A file of the policy.
     Policy,
+    /// What the policy answers to some requests, for `robogate admit`.
+    Fingerprint,
     /// The campaign's summary.
     Summary,
     /// The public key of the signer.

@@ -22,7 +22,7 @@ use robogate_core::{
     TaskSpec,
 };
 use robogate_dictionary::{CellPlace, Controls, Place, Platform, Provenance, SCHEMA_VERSION, Tool, World, provenance};
-use robogate_policy::{RangeCounts, RangeMeasures, with_range_measures};
+use robogate_policy::{RangeCounts, RangeMeasures, Recorder, with_range_measures};
 use robogate_remote::RemoteEnvironment;
 use serde_json::Value;
 
@@ -63,6 +63,8 @@ pub struct Subject {
     controls: Option<Controls>,
     /// The folder of the robot as the run records it, if the user named another one with the same files.
     recorded_robot: Option<String>,
+    /// Requests of the episodes, for a fingerprint of the policy.
+    recorder: Recorder,
 }
 
 impl Subject {
@@ -77,12 +79,20 @@ impl Subject {
             Some(profile) => with_range_measures(&task, profile),
             None => task,
         };
-        let subject =
-            Self { environment, policy, task, execution: None, stress: None, controls: None, recorded_robot: None };
+        let subject = Self {
+            environment,
+            policy,
+            task,
+            execution: None,
+            stress: None,
+            controls: None,
+            recorded_robot: None,
+            recorder: Recorder::default(),
+        };
         let ready = match &subject.policy {
             // The environment declares it for its own task.
             Some(PolicySource::Declared(_)) => return Ok(subject),
-            Some(source) => source.policy(None).map_err(anyhow::Error::from).or_broken()?,
+            Some(source) => source.policy(None, None).map_err(anyhow::Error::from).or_broken()?,
             None => subject.environment.controller().or_request()?,
         };
         ready
@@ -333,6 +343,10 @@ impl Subject {
         self.policy.as_ref()
     }
 
+    pub(crate) fn recorder(&self) -> &Recorder {
+        &self.recorder
+    }
+
     /// How many episodes the policy can drive at once, if that is limited.
     pub fn at_most(&self) -> Option<NonZeroUsize> {
         self.policy.as_ref()?.profile()?.dialect.one_at_a_time().then_some(NonZeroUsize::MIN)
@@ -444,7 +458,7 @@ impl Subject {
     fn policy(&self, ranges: Option<&RangeCounts>) -> Result<Box<dyn Policy>, Fault> {
         let broken = |why: anyhow::Error| Fault::new(FaultKind::Unavailable, format!("{why:#}"));
         match &self.policy {
-            Some(source) => source.policy(ranges),
+            Some(source) => source.policy(ranges, Some(&self.recorder)),
             None => self.environment.controller().map_err(broken),
         }
     }

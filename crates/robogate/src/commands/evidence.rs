@@ -18,7 +18,9 @@ use crate::compliance;
 use crate::exit::{Exit, OrExit};
 use crate::place;
 use crate::terminal::{foreign, line, note};
-use robogate_session::{ENVIRONMENT, POLICY, built_in_baseline, open_source, recorded_robot, register_copy};
+use robogate_session::{
+    ENVIRONMENT, FINGERPRINT, POLICY, built_in_baseline, open_source, recorded_robot, register_copy,
+};
 
 /// Judge a run and write a folder with everything that the verdict depends on, so that others can check it.
 ///
@@ -92,6 +94,7 @@ impl Evidence {
             (Role::Registration, REGISTRATION),
             (Role::Registration, REGISTRATION_KEY),
             (Role::Attachment, LOST),
+            (Role::Fingerprint, FINGERPRINT),
         ];
         for (role, name) in files {
             let path = self.run.join(name);

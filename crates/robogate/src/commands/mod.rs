@@ -1,5 +1,6 @@
 //! The verbs of the command.
 
+pub(crate) mod admit;
 pub(crate) mod analyze;
 pub(crate) mod audit;
 pub(crate) mod bridge;

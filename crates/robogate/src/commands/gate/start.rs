@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
-use robogate_campaign::{DEFAULT_SEED, Plan, Settings};
+use robogate_campaign::{Completion, DEFAULT_SEED, Plan, Settings};
 use robogate_core::Suite;
 use robogate_dictionary::{Label, Provenance};
 use robogate_gate::{Asked, AskedAgainst, GatePlan, PairPlan, Planned, Question, Record, Requirements, Sampling};
@@ -304,6 +304,9 @@ impl Gate {
             let begun = || registration.iter().for_each(|registration| registration.write(&dir));
             rounds.run(&plan, provenance, arms, executor, &begun, events)
         })?;
+        if let Completion::Finished { .. } = &completion {
+            subject.write_fingerprint(&dir);
+        }
         let (asked, other) = rounds.end(&completion)?;
         finish(&dir, &asked, other.as_ref(), completion, Some(&subject), self.how.json)
     }
@@ -322,6 +325,9 @@ pub(crate) fn resume(
     let arms = Arms::of(dir, &settings.plan, &settings.provenance.space, subject)?;
     let provenance = subject.provenance(settings.provenance.space)?;
     let completion = how.carry(dir, subject, |executor, events| rounds.resume(&provenance, arms, executor, events))?;
+    if let Completion::Finished { .. } = &completion {
+        subject.write_fingerprint(dir);
+    }
     let (asked, other) = rounds.end(&completion)?;
     finish(dir, &asked, other.as_ref(), completion, Some(subject), how.json)
 }

@@ -1,0 +1,204 @@
+//! `robogate admit`: compares a deployed policy with the one that was judged.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context, anyhow};
+use clap::Args;
+use robogate_core::budget::Budget;
+use robogate_dictionary::{hex, read_text};
+use robogate_gate::evidence::{MANIFEST, Manifest};
+use robogate_policy::{Admission, ExternalPolicy, Fingerprint, PolicyError, Profile, admit};
+use robogate_session::{FINGERPRINT, policy_error, profile, read_fingerprint};
+use robogate_stats::format::counted;
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+
+use crate::arguments::AccessArguments;
+use crate::exit::{DONE, Exit, FAIL, INVALID, OrExit};
+use crate::terminal::{bold, foreign, line, note};
+
+/// Check that a deployed policy is the one that was judged: ask it the same, and compare its answers.
+///
+/// A gate of a policy server or a network stores a fingerprint: up to 64 requests of its episodes, with the answers. The deployed
+/// policy gets the same requests. If its answers differ, the command tries the usual mistakes (mirrored images, exchanged cameras,
+/// units, signs, order, normalisers, chunk length) and names those that explain the difference.
+///
+/// Exit codes: 0 if the policy is admitted, 1 if not, 4 if the fingerprint is not that of its evidence, 5 if the policy does not answer.
+#[derive(Debug, Args)]
+pub(crate) struct Admit {
+    /// Folder of the gate or of its evidence, or a fingerprint file
+    fingerprint: PathBuf,
+    /// The deployed policy: the address of its server, or an ONNX file
+    #[arg(long, value_name = "POLICY")]
+    policy: String,
+    /// How the cell sends observations and reads actions: a built-in profile or a TOML file. Differences from the judged profile are
+    /// refused; default: the judged profile
+    #[arg(long, value_name = "PROFILE")]
+    profile: Option<String>,
+    /// Control periods of the cell per second; another number than that of the judged task is refused; default: not checked
+    #[arg(long, value_name = "HZ")]
+    rate: Option<f64>,
+    #[command(flatten)]
+    access: AccessArguments,
+    /// Print the result as one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// The document of `--json`.
+#[derive(Debug, Serialize)]
+struct Document<'a> {
+    format: u32,
+    admitted: bool,
+    requests: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    largest_difference: Option<f64>,
+    tolerance: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    p_value: Option<f64>,
+    differences: &'a [String],
+}
+
+impl Admit {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let judged = read_fingerprint(&self.fingerprint)?;
+        if let Some(why) = not_of_its_evidence(&self.fingerprint)? {
+            line(format_args!("{}", bold(format_args!("INVALID: {why}"))));
+            return Ok(INVALID);
+        }
+        let admission = self.compare(&judged)?;
+        if self.json {
+            let document = Document {
+                format: 1,
+                admitted: admission.is_admitted(),
+                requests: admission.requests,
+                largest_difference: admission.largest.filter(|largest| largest.is_finite()),
+                tolerance: admission.tolerance,
+                p_value: admission.p_value,
+                differences: &admission.differences,
+            };
+            line(serde_json::to_string_pretty(&document).or_broken()?);
+        } else {
+            self.print(&admission);
+        }
+        Ok(if admission.is_admitted() { DONE } else { FAIL })
+    }
+
+    fn compare(&self, judged: &Fingerprint) -> Result<Admission, Exit> {
+        let mut differences = Vec::new();
+        let deployed = self.profile.as_deref().map(profile).transpose().or_usage()?;
+        if let Some(deployed) = &deployed {
+            differences.extend(differing_fields(judged, deployed).or_broken()?);
+        }
+        let period_s = judged.control_period_s;
+        if let Some(rate) = self.rate.filter(|rate| (rate * period_s - 1.0).abs() > 1e-3) {
+            differences.push(format!("the cell runs at {rate} Hz in place of {:.4} Hz", 1.0 / period_s));
+        }
+        note(format_args!(
+            "{} of {}, to {}",
+            counted(judged.probes.len() as u64, "request"),
+            foreign(&judged.profile.name),
+            foreign(&self.policy)
+        ));
+        // The judged requests are sent as the judged profile says; another profile of the cell is a difference of its own.
+        let refused = |why: String| Admission {
+            requests: judged.probes.len(),
+            largest: None,
+            tolerance: judged.tolerance(),
+            p_value: None,
+            differences: vec![why],
+        };
+        let (profile, access) = (Arc::new(judged.profile.clone()), self.access.choice().access()?);
+        let asked = ExternalPolicy::connect_with(&self.policy, profile, access, &mut |_| {})
+            .and_then(|mut policy| admit(judged, &mut policy));
+        let mut admission = match asked {
+            Ok(admission) => admission,
+            Err(error) if is_answer(&error) => refused(error.to_string()),
+            Err(error) => return Err(policy_error(error).into()),
+        };
+        admission.differences.splice(0..0, differences);
+        Ok(admission)
+    }
+
+    fn print(&self, admission: &Admission) {
+        let policy = foreign(&self.policy).to_string();
+        let Admission { requests, largest, tolerance, p_value, differences } = admission;
+        if !differences.is_empty() {
+            line(bold(format_args!("NOT ADMITTED: {policy} does not answer as the judged policy")));
+            differences.iter().for_each(|difference| line(format_args!("  {}", foreign(difference))));
+            return;
+        }
+        line(bold(format_args!("ADMITTED: {policy} answers as the judged policy")));
+        let of = counted(*requests as u64, "request");
+        match (largest, p_value) {
+            (Some(largest), _) => line(format_args!(
+                "  {of}; largest difference {:.2e} of the spread of a number, tolerance {tolerance:.2e}",
+                largest
+            )),
+            (None, Some(p)) => line(format_args!("  {of}; random answers of the same distribution (p = {p:.3})")),
+            (None, None) => line(format_args!("  {of}")),
+        }
+        let checked = if self.rate.is_some() { "" } else { " --rate compares the control rate of the cell." };
+        note(format_args!("Not checked here: cameras, state and robot of the cell before its requests.{checked}"));
+    }
+}
+
+/// Whether an error is an answer of the policy that no judged policy gives, and not a fault of the connection.
+fn is_answer(error: &PolicyError) -> bool {
+    matches!(
+        error,
+        PolicyError::Mismatch(_) | PolicyError::Shape(_) | PolicyError::NotFinite { .. } | PolicyError::Reported { .. }
+    )
+}
+
+/// Why the fingerprint in a folder of evidence is not the one that its manifest lists. `None` outside of evidence.
+fn not_of_its_evidence(folder: &Path) -> Result<Option<String>, Exit> {
+    let manifest = folder.join(MANIFEST);
+    if !folder.is_dir() || !manifest.exists() {
+        return Ok(None);
+    }
+    let text = read_text(&manifest).with_context(|| format!("cannot read {}", manifest.display())).or_usage()?;
+    let read = Budget::FILE.json::<Manifest>(text.as_bytes());
+    let manifest =
+        read.map_err(|why| anyhow!("{}: not a manifest of evidence: {why}", manifest.display())).or_usage()?;
+    let bytes = fs::read(folder.join(FINGERPRINT)).with_context(|| format!("cannot read {FINGERPRINT}")).or_usage()?;
+    let listed = manifest.files.iter().find(|file| file.path == FINGERPRINT);
+    let found = hex(&Sha256::digest(&bytes));
+    if listed.is_some_and(|file| file.sha256 == found) {
+        note("`robogate verify` checks the signature of the evidence");
+        return Ok(None);
+    }
+    Ok(Some(format!("{FINGERPRINT} is not the file that the manifest of the evidence lists")))
+}
+
+/// The fields in which the profile of a cell differs from the judged one.
+fn differing_fields(judged: &Fingerprint, deployed: &Profile) -> serde_json::Result<Vec<String>> {
+    let (a, b) = (serde_json::to_value(&judged.profile)?, serde_json::to_value(deployed)?);
+    let mut found = Vec::new();
+    compare(&a, &b, String::new(), &mut found);
+    Ok(found)
+}
+
+/// Adds the differences of two documents, each with its path. The way to a server is not part of a policy's meaning.
+fn compare(a: &serde_json::Value, b: &serde_json::Value, path: String, found: &mut Vec<String>) {
+    use serde_json::Value;
+    let within = |key: &str| if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") };
+    match (a, b) {
+        (Value::Object(a), Value::Object(b)) => {
+            for key in a.keys().chain(b.keys().filter(|key| !a.contains_key(*key))) {
+                if !["name", "model", "server"].contains(&within(key).as_str()) {
+                    compare(a.get(key).unwrap_or(&Value::Null), b.get(key).unwrap_or(&Value::Null), within(key), found);
+                }
+            }
+        }
+        (Value::Array(a), Value::Array(b)) if a.len() == b.len() => {
+            for (at, (a, b)) in a.iter().zip(b).enumerate() {
+                compare(a, b, within(&(at + 1).to_string()), found);
+            }
+        }
+        _ if a != b => found.push(format!("the profile of the cell has {path} = {b} in place of {a}")),
+        _ => {}
+    }
+}
