@@ -1,49 +1,17 @@
 //! `robogate init` from the starting points of three users: an environment with a network, a robot as URDF, and evidence.
 
-use std::fmt::Write;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use tempfile::TempDir;
 
 use crate::harness::{text, verb};
 
-/// A point that a policy steers to a target, in 40 lines. The network returns numbers from -1 to 1, and an action goes to 2.
-const POINT: &str = r#"
-import gymnasium, numpy as np
-from robogate_eval import Environment, Knob, Task
-
-class Point(gymnasium.Env):
-    observation_space = gymnasium.spaces.Box(-10.0, 10.0, (6,))
-    action_space = gymnasium.spaces.Box(-2.0, 2.0, (2,))
-    drag = 1.0
-
-    def reset(self, seed=None, options=None):
-        super().reset(seed=seed)
-        self.place, self.speed = np.zeros(2), np.zeros(2)
-        self.target = self.np_random.uniform(-1.0, 1.0, 2)
-        return self.observation(), {}
-
-    def observation(self):
-        return np.concatenate([self.place, self.speed, self.target])
-
-    def step(self, action):
-        self.speed += 0.05 * (2.0 * action - self.drag * self.speed)
-        self.place += 0.05 * self.speed
-        done = np.linalg.norm(self.target - self.place) < 0.05 and np.linalg.norm(self.speed) < 0.2
-        return self.observation(), 0.0, False, False, {"success": bool(done)}
-
-def set_drag(env, value):
-    env.drag = value
-
-environment = Environment(
-    make=Point,
-    task=Task(name="point", instruction="move to the target", control_period_s=0.05, time_limit_s=8.0),
-    knobs=[Knob("drag", set_drag, lambda env: env.drag, low=0.0, high=4.0, nominal=1.0)],
-    space={"drag": (0.5, 2.0)},
-)
-"#;
+/// A file of the examples: an environment in 40 lines with a network of three layers, and an arm as URDF.
+fn example(file: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(file)
+}
 
 fn robogate(dir: &Path, arguments: &str, code: i32, parts: &[&str]) -> Option<String> {
     let python = robogate_testing::path("ROBOGATE_METAWORLD_PYTHON", "a Python with gymnasium, pyzmq and msgpack")?;
@@ -71,8 +39,9 @@ fn environment_and_network_become_a_project() {
     let dir = TempDir::new().unwrap();
     let at = dir.path();
     let networks = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robogate-policy/tests/networks");
-    fs::copy(networks.join("steering.onnx"), at.join("steering.onnx")).unwrap();
-    fs::write(at.join("env.py"), POINT).unwrap();
+    let point = fs::read_to_string(example("point/env.py")).unwrap();
+    fs::copy(example("point/policy.onnx"), at.join("steering.onnx")).unwrap();
+    fs::write(at.join("env.py"), &point).unwrap();
     let init = "init env.py steering.onnx --success 80% --cycle-time 6s";
     let found = ["takes obs [?, 6] F32; returns action [?, 2] F32", "ends with Tanh", "success after", "robogate gate"];
     if robogate(at, init, 0, &found).is_none() {
@@ -103,7 +72,7 @@ fn environment_and_network_become_a_project() {
     fs::write(at.join("text.onnx"), "not a network").unwrap();
     robogate(at, "init env.py text.onnx --force", 2, &["it is a text file. Expected an ONNX model"]);
     // A failed episode gets a tested diagnosis: it succeeds if it may take longer.
-    fs::write(at.join("env.py"), POINT.replace("time_limit_s=8.0", "time_limit_s=0.6")).unwrap();
+    fs::write(at.join("env.py"), point.replace("time_limit_s=8.0", "time_limit_s=0.6")).unwrap();
     let again = format!("{init} --force");
     robogate(
         at,
@@ -111,7 +80,7 @@ fn environment_and_network_become_a_project() {
         1,
         &["timeout after 0.6 s", "diagnosis", "ended at its time limit of 0.6 s", "no requirement on the cycle time"],
     );
-    let silent = POINT.replace("{\"success\": bool(done)}", "{}");
+    let silent = point.replace("{\"success\": bool(done)}", "{}");
     fs::write(at.join("env.py"), silent).unwrap();
     robogate(at, &again, 2, &["reports no success", "neither `success` nor `is_success`"]);
 }
@@ -122,7 +91,8 @@ fn environment_and_network_become_a_project() {
 fn urdf_becomes_a_robot_with_a_first_episode() {
     let dir = TempDir::new().unwrap();
     fs::create_dir(dir.path().join("arm")).unwrap();
-    fs::write(dir.path().join("arm/arm.urdf"), arm()).unwrap();
+    // An arm of six joints that reaches 0.75 m, with a hand of two sliding fingers.
+    fs::copy(example("arm/arm.urdf"), dir.path().join("arm/arm.urdf")).unwrap();
     let line = "init arm/arm.urdf --payload 0.6 --success 90% --collisions-per-thousand 1";
     let parts =
         ["the model of a robot", "can be used", "3,000 episodes without one", "episode", "runs/nominal/report.html"];
@@ -157,49 +127,4 @@ fn evidence_and_results_get_their_next_command() {
     // Without an argument, the files of the folder are suggested. No question is asked of a script.
     verb(at, "init", 2, &["name what you have", "Hint: robogate init rows.csv"]);
     verb(at, "init nothing.py", 2, &["no such file or folder", "Expected an environment"]);
-}
-
-/// An arm of six joints that reaches 0.75 m, with a hand of two sliding fingers, as URDF.
-#[cfg(feature = "mujoco")]
-fn arm() -> String {
-    let link = |name: &str, mass: f64, shape: &str, z: f64| {
-        let inertia = 0.01 * mass;
-        format!(
-            "<link name=\"{name}\"><inertial><mass value=\"{mass}\"/><inertia ixx=\"{inertia}\" ixy=\"0\" ixz=\"0\" iyy=\"{inertia}\" \
-             iyz=\"0\" izz=\"{inertia}\"/></inertial><collision><origin xyz=\"0 0 {z}\"/><geometry>{shape}</geometry></collision></link>"
-        )
-    };
-    let joint = |name: &str, kind: &str, [parent, child]: [&str; 2], at: &str, rest: &str| {
-        format!(
-            "<joint name=\"{name}\" type=\"{kind}\"><parent link=\"{parent}\"/><child link=\"{child}\"/><origin xyz=\"{at}\"/>{rest}</joint>"
-        )
-    };
-    let links = [(2.0, 0.04, 0.06, 0.08), (3.0, 0.0, 0.05, 0.06), (3.0, 0.17, 0.04, 0.24), (2.0, 0.16, 0.035, 0.2)];
-    let links = links.into_iter().chain([(1.0, 0.0, 0.03, 0.02), (1.0, 0.05, 0.03, 0.02), (0.5, 0.04, 0.03, 0.01)]);
-    let joints =
-        [(0.12, 'z', 2.9), (0.06, 'y', 2.0), (0.36, 'y', 2.6), (0.3, 'z', 2.9), (0.03, 'y', 2.2), (0.06, 'z', 2.9)];
-    let mut text = "<robot name=\"arm\">".to_owned();
-    for (i, (mass, z, radius, length)) in links.enumerate() {
-        text += &link(&format!("l{i}"), mass, &format!("<cylinder radius=\"{radius}\" length=\"{length}\"/>"), z);
-    }
-    for (i, (z, axis, range)) in joints.into_iter().enumerate() {
-        let axis = if axis == 'z' { "0 0 1" } else { "0 1 0" };
-        let effort = if i < 3 { 150 } else { 30 };
-        let limits = format!(
-            "<axis xyz=\"{axis}\"/><limit lower=\"-{range}\" upper=\"{range}\" effort=\"{effort}\" velocity=\"2.5\"/>"
-        );
-        let ends = [&*format!("l{i}"), &*format!("l{}", i + 1)];
-        let _ = write!(text, "{}", joint(&format!("j{i}"), "revolute", ends, &format!("0 0 {z}"), &limits));
-    }
-    text += &link("hand", 0.5, "<box size=\"0.04 0.1 0.02\"/>", 0.06);
-    text += &joint("jh", "fixed", ["l6", "hand"], "0 0 0", "");
-    for (name, sign, mimic) in [("right", "-", ""), ("left", "", "<mimic joint=\"right\"/>")] {
-        let rest = format!(
-            "<axis xyz=\"0 {sign}1 0\"/><limit lower=\"0\" upper=\"0.04\" effort=\"100\" velocity=\"0.2\"/>{mimic}"
-        );
-        text += &link(&format!("{name}_finger"), 0.1, "<box size=\"0.02 0.01 0.05\"/>", 0.035);
-        let ends = ["hand", &*format!("{name}_finger")];
-        text += &joint(name, "prismatic", ends, &format!("0 {sign}0.005 0.07"), &rest);
-    }
-    text + "</robot>"
 }

@@ -5,6 +5,8 @@
 #[global_allocator]
 static MEMORY: robogate_testing::CountingAllocator = robogate_testing::CountingAllocator;
 
+#[cfg(all(feature = "mujoco", feature = "onnx"))]
+mod admit;
 mod any_task;
 #[cfg(all(feature = "mujoco", feature = "rapier"))]
 mod arm_table;
@@ -61,6 +63,8 @@ mod terminal;
 mod trial;
 #[cfg(all(target_os = "linux", feature = "mujoco", feature = "onnx"))]
 mod trust;
+#[cfg(all(unix, feature = "mujoco", feature = "onnx"))]
+mod tutorials;
 mod twins;
 mod verbs;
 #[cfg(feature = "mujoco")]

@@ -1,0 +1,63 @@
+//! `robogate admit`: the judged policy is admitted, another one is not.
+
+use std::fs;
+use std::path::Path;
+
+use tempfile::TempDir;
+
+use crate::harness::{TWO_SCENARIOS, robogate_in, text, verb};
+
+/// A network of the repository.
+fn network(name: &str) -> String {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/policies").join(name);
+    file.canonicalize().unwrap().to_str().unwrap().to_owned()
+}
+
+#[test]
+fn judged_policy_is_admitted_and_others_are_not() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    fs::write(at.join("two.toml"), TWO_SCENARIOS).unwrap();
+    let (judged, other) = (network("learned.onnx"), network("learned-wide.onnx"));
+    for threads in [1, 2] {
+        let line = format!(
+            "gate --policy {judged} --profile learned --suite two.toml --rounds 2 --controls 0 --threads {threads} --out g{threads}"
+        );
+        let output = robogate_in(at, &line.split(' ').collect::<Vec<_>>());
+        assert!(at.join(format!("g{threads}/fingerprint.msgpack")).is_file(), "{}", text(&output));
+    }
+    let bytes = |run: &str| fs::read(at.join(run).join("fingerprint.msgpack")).unwrap();
+    assert_eq!(bytes("g1"), bytes("g2"), "the choice depends on threads");
+
+    verb(at, &format!("admit g1 --policy {judged} --rate 20"), 0, &["ADMITTED", "64 requests"]);
+    let refused = verb(at, &format!("admit g1 --policy {other} --json"), 1, &[]);
+    let document: serde_json::Value = serde_json::from_str(&refused).unwrap();
+    assert_eq!(document["admitted"], false, "{refused}");
+    assert!(!document["differences"].as_array().unwrap().is_empty(), "{refused}");
+    verb(at, &format!("admit g1 --policy {judged} --rate 10"), 1, &["NOT ADMITTED", "the cell runs at 10 Hz in place of 20"]);
+    let profile = String::from_utf8(robogate_in(at, &["list", "profiles", "learned"]).stdout).unwrap();
+    assert!(profile.contains("gripper_open = \"below\"") || profile.contains("gripper_open = \"above\""), "{profile}");
+    let turned = profile.replace("\"below\"", "\"?\"").replace("\"above\"", "\"below\"").replace("\"?\"", "\"above\"");
+    fs::write(at.join("turned.toml"), turned).unwrap();
+    verb(at, &format!("admit g1 --policy {judged} --profile turned.toml"), 1, &["action.gripper_open = \""]);
+
+    // Evidence contains the fingerprint, and one of another gate is not that of this evidence.
+    let output = robogate_in(at, &["evidence", "g1", "evidence", "--requirements", "default"]);
+    assert!(at.join("evidence/fingerprint.msgpack").is_file(), "{}", text(&output));
+    verb(at, &format!("admit evidence --policy {judged}"), 0, &["ADMITTED"]);
+    let mut changed = bytes("g1");
+    *changed.last_mut().unwrap() ^= 1;
+    fs::write(at.join("evidence/fingerprint.msgpack"), changed).unwrap();
+    verb(at, &format!("admit evidence --policy {judged}"), 4, &["INVALID", "not the file that the manifest"]);
+}
+
+#[test]
+fn folders_without_fingerprint_are_refused() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    verb(at, "run --task pendulum -n 4 --design uniform --out r", 0, &[]);
+    verb(at, "admit r --policy ws://127.0.0.1:1", 2, &["no fingerprint.msgpack", "Hint:"]);
+    fs::write(at.join("text"), "not a fingerprint").unwrap();
+    verb(at, "admit text --policy ws://127.0.0.1:1", 2, &["fingerprint"]);
+    verb(at, "admit /dev/zero --policy ws://127.0.0.1:1", 2, &["not a file of at most 64 MiB"]);
+}
