@@ -1,9 +1,10 @@
 //! One episode of a page.
 
+use base64ct::{Base64, Encoding};
 use robogate_core::{ContactBetween, Frame, Pose, Trajectory};
 use serde::Serialize;
 
-use crate::pack::{Packer, base64, quantised};
+use crate::pack::{Packer, quantised};
 use crate::{Clock, Mark, Recording, Signal};
 
 /// The unit of positions, in metres.
@@ -113,7 +114,11 @@ impl Clip {
             phases: recording.phases.iter().map(mark).collect(),
             events: recording.events.iter().map(mark).collect(),
             signals: recording.signals.iter().map(signal_document).collect(),
-            film: self.film.iter().map(|frame| (f64::from(frame.time_ms) / 1e3, base64(&frame.jpeg))).collect(),
+            film: self
+                .film
+                .iter()
+                .map(|frame| (f64::from(frame.time_ms) / 1e3, Base64::encode_string(&frame.jpeg)))
+                .collect(),
             solids: Vec::new(),
             bodies: trajectory.bodies.len(),
             frames: trajectory.frames.len(),

@@ -89,7 +89,7 @@ pub use repetition::repeats;
 pub use rerun::{Rerun, rerun};
 pub use rival::Rival;
 pub use rounds::{Rounds, ruled_out};
-pub use runs::{Run, runs_below, utc};
+pub use runs::{Run, runs_below};
 pub use sharded::ShardedCampaign;
 pub use source::open_source;
 pub use store::{create_store, open_store};

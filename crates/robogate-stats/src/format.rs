@@ -138,9 +138,43 @@ pub fn is_deceptive(c: char) -> bool {
         || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
+/// The date in UTC of a time in seconds since 1970: "2026-11-27". Source: Howard Hinnant, "chrono-Compatible Low-Level Date
+/// Algorithms".
+pub fn date(unix_s: u64) -> String {
+    let days = unix_s / 86_400 + 719_468;
+    let (era, of_era) = (days / 146_097, days % 146_097);
+    let year = (of_era - of_era / 1_460 + of_era / 36_524 - of_era / 146_096) / 365;
+    let of_year = of_era - (365 * year + year / 4 - year / 100);
+    let month = (5 * of_year + 2) / 153;
+    let day = of_year - (153 * month + 2) / 5 + 1;
+    let (month, later) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
+    format!("{:04}-{month:02}-{day:02}", year + 400 * era + later)
+}
+
+/// Date and time of day in UTC of a time in seconds since 1970: "2026-11-27 19:46".
+pub fn date_and_time(unix_s: u64) -> String {
+    let of_day = unix_s % 86_400;
+    format!("{} {:02}:{:02}", date(unix_s), of_day / 3600, of_day / 60 % 60)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn dates_follow_the_calendar() {
+        // As `date -u -d @SECONDS` prints them.
+        for (seconds, expected) in [
+            (0, "1970-01-01 00:00"),
+            (951_782_399, "2000-02-28 23:59"),
+            (951_782_400, "2000-02-29 00:00"),
+            (1_709_251_199, "2024-02-29 23:59"),
+            (1_796_000_000, "2026-11-30 00:53"),
+            (4_107_542_400, "2100-03-01 00:00"),
+        ] {
+            assert_eq!(date_and_time(seconds), expected);
+        }
+    }
 
     #[test]
     fn reordering_characters_are_deceptive() {

@@ -4,10 +4,9 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use robogate_stats::compare::fisher_exact;
-use robogate_stats::format::{counted, number, percent, significant};
+use robogate_stats::format::{counted, date, number, percent, significant};
 use robogate_stats::{Confidence, Trials, clopper_pearson};
 
-use crate::table::day;
 use crate::{Answer, Study, VoidBy};
 
 const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#1b1f24;background:#fff}\
@@ -168,7 +167,7 @@ fn operators(out: &mut String, study: &Study) {
     let mut groups: BTreeMap<(String, String), Vec<bool>> = BTreeMap::new();
     for attempt in study.attempts() {
         if let Some(success) = attempt.success() {
-            groups.entry((attempt.operator.clone(), day(attempt.start.unix_ms))).or_default().push(success);
+            groups.entry((attempt.operator.clone(), date(attempt.start.unix_ms / 1000))).or_default().push(success);
         }
     }
     let rows = groups.into_iter().map(|((operator, day), results)| {

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use robogate_core::Word;
 use robogate_dictionary::hex;
+use robogate_stats::format::date;
 use serde_json::json;
 use sha2::{Digest, Sha256};
 
@@ -44,7 +45,7 @@ pub fn csv_of(study: &Study, policy: Option<usize>) -> String {
             study.plan.arms[planned.arm].name.clone(),
             format!("block-{}", planned.block + 1),
             attempt.operator.clone(),
-            day(attempt.start.unix_ms),
+            date(attempt.start.unix_ms / 1000),
             index.to_string(),
             attempt.code.clone(),
             result.stage.map_or("", |stage| stage.as_str()).to_owned(),
@@ -69,18 +70,6 @@ pub fn mapping(study: &Study) -> String {
         quoted(task),
         quoted(&study.plan.robot)
     )
-}
-
-/// The date (UTC) of a time, as YYYY-MM-DD. Source: Howard Hinnant, "chrono-Compatible Low-Level Date Algorithms".
-pub(crate) fn day(unix_ms: u64) -> String {
-    let days = unix_ms / 86_400_000 + 719_468;
-    let (era, of_era) = (days / 146_097, days % 146_097);
-    let year = (of_era - of_era / 1_460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year + year / 4 - year / 100);
-    let month = (5 * of_year + 2) / 153;
-    let date = of_year - (153 * month + 2) / 5 + 1;
-    let (month, later) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
-    format!("{:04}-{month:02}-{date:02}", year + 400 * era + later)
 }
 
 /// Where the results come from, as a JSON document beside the CSV file.
@@ -109,18 +98,4 @@ pub fn provenance(folder: &Path, study: &Study, answer: &Answer, csv: &str) -> R
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn days_are_dates() {
-        for (seconds, date) in [
-            (0, "1970-01-01"),
-            (951_782_399, "2000-02-28"),
-            (951_782_400, "2000-02-29"),
-            (1_709_251_199, "2024-02-29"),
-            (4_107_542_400, "2100-03-01"),
-            (1_795_798_800, "2026-11-27"),
-        ] {
-            assert_eq!(day(1000 * seconds), date);
-        }
-    }
 }

@@ -4,6 +4,8 @@ use std::fmt::Write as _;
 
 use clap::Command;
 
+use crate::help::wrapped;
+
 /// The verbs by purpose, as the help lists them.
 const GROUPS: [(&str, &[&str]); 7] = [
     ("Start", &["init"]),
@@ -24,25 +26,6 @@ const TEMPLATE: &str = "{about-with-newline}\n{usage-heading} {usage}{after-help
 /// The columns before the text of a verb, and all of them.
 const COLUMNS: [usize; 2] = [15, 100];
 
-/// A text as lines below each other, beside the name of its verb.
-fn wrapped(text: &str) -> String {
-    let [indent, width] = COLUMNS;
-    let (mut out, mut column) = (String::new(), indent);
-    for word in text.split(' ') {
-        let length = word.chars().count();
-        if column > indent && column + 1 + length > width {
-            let _ = write!(out, "\n{:indent$}", "");
-            column = indent;
-        } else if column > indent {
-            out.push(' ');
-            column += 1;
-        }
-        out.push_str(word);
-        column += length;
-    }
-    out
-}
-
 /// The same command, whose help lists the verbs by purpose.
 pub(crate) fn by_purpose(command: Command) -> Command {
     let mut text = String::new();
@@ -51,7 +34,11 @@ pub(crate) fn by_purpose(command: Command) -> Command {
         for verb in verbs {
             let about = command.find_subcommand(verb).and_then(Command::get_about);
             let about = about.map(ToString::to_string).unwrap_or_default();
-            let _ = writeln!(text, "  {verb:<12} {}", wrapped(&about));
+            let _ = writeln!(
+                text,
+                "  {verb:<12} {}",
+                wrapped(&about, COLUMNS[1] - COLUMNS[0]).join(&format!("\n{:1$}", "", COLUMNS[0]))
+            );
         }
         text.push('\n');
     }

@@ -228,7 +228,7 @@ fn names(options: &[&Arg]) -> Vec<String> {
 }
 
 /// A text in lines of at most this number of columns.
-fn wrapped(text: &str, columns: usize) -> Vec<String> {
+pub(crate) fn wrapped(text: &str, columns: usize) -> Vec<String> {
     let mut lines = vec![String::new()];
     for word in text.split(' ') {
         let last = lines.len() - 1;

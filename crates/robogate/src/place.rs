@@ -50,3 +50,10 @@ pub(crate) fn check_local(out: &Path) -> Result<(), Exit> {
     }
     Ok(())
 }
+
+/// A name of a folder: other characters than letters, digits, `.`, `_` and `-` become `-`.
+pub(crate) fn folder_name(name: &str) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' };
+    let name: String = name.chars().map(plain).collect();
+    name.trim_start_matches('.').to_owned()
+}

@@ -3,7 +3,7 @@
 use serde_json::Value as Json;
 
 use super::changes::changes;
-use super::relation::relations;
+use super::relation::{DIFFERS, relations};
 use super::{Asked, FEW, Fingerprint, difference};
 use crate::chunk::Chunk;
 use crate::error::PolicyError;
@@ -75,7 +75,10 @@ pub fn admit(judged: &Fingerprint, policy: &mut dyn Asked) -> Result<Admission, 
         }
         let explained: Vec<String> = causes.into_iter().chain(ignored).collect();
         let relations = relations(judged, &answers);
-        differences.extend(if explained.is_empty() { relations } else { explained });
+        // Both may be the cause: a change of the sign of the inputs of an odd function is one of its outputs.
+        let also = explained.is_empty() || relations.iter().all(|words| !words.ends_with(DIFFERS));
+        differences.extend(explained);
+        differences.extend(relations.into_iter().filter(|_| also));
         if differences.is_empty() {
             differences.push("the answers differ, and no known change explains it: other weights?".to_owned());
         }

@@ -10,6 +10,9 @@ const SMALL: f64 = 0.05;
 /// The largest number of rows by which chunks are compared with an offset.
 const MOST_OFFSET: usize = 4;
 
+/// The words for a number without a simple relation.
+pub(super) const DIFFERS: &str = "differs";
+
 /// The known factors between units.
 const UNITS: [(f64, &str); 4] = [
     (180.0 / std::f64::consts::PI, "degrees in place of radians"),
@@ -100,7 +103,7 @@ impl Columns<'_> {
             return Vec::new();
         }
         let words = |(at, words): (usize, Option<String>)| {
-            words.unwrap_or_else(|| format!("{} differs", self.name(at, judged)))
+            words.unwrap_or_else(|| format!("{} {DIFFERS}", self.name(at, judged)))
         };
         each.into_iter().map(words).collect()
     }

@@ -20,11 +20,11 @@ mod file;
 mod scene;
 mod schemas;
 
+use base64ct::{Base64, Encoding};
 use robogate_core::{Action, Command, Measures, Observation, Outcome, TaskSpec, Tick};
 use serde_json::{Value, json};
 
 use crate::Recording;
-use crate::pack::base64;
 use file::File;
 
 /// The frame in which poses are given.
@@ -105,7 +105,7 @@ pub fn mcap(export: &Export<'_>) -> Vec<u8> {
     log(&mut file, export.recording);
     for image in export.images {
         let channel = file.channel(&format!("/camera/{}", image.camera), schemas::compressed_image());
-        let data = base64(&image.png);
+        let data = Base64::encode_string(&image.png);
         let message =
             json!({ "timestamp": stamp(image.time_s), "frame_id": image.camera, "data": data, "format": "png" });
         file.message(channel, nanoseconds(image.time_s), &message);

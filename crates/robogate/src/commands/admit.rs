@@ -11,7 +11,7 @@ use robogate_dictionary::{hex, read_text};
 use robogate_gate::evidence::{MANIFEST, Manifest};
 use robogate_policy::{Admission, ExternalPolicy, Fingerprint, PolicyError, Profile, admit};
 use robogate_session::{FINGERPRINT, policy_error, profile, read_fingerprint};
-use robogate_stats::format::counted;
+use robogate_stats::format::{counted, number};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
@@ -94,7 +94,7 @@ impl Admit {
         }
         let period_s = judged.control_period_s;
         if let Some(rate) = self.rate.filter(|rate| (rate * period_s - 1.0).abs() > 1e-3) {
-            differences.push(format!("the cell runs at {rate} Hz in place of {:.4} Hz", 1.0 / period_s));
+            differences.push(format!("the cell runs at {} Hz in place of {} Hz", number(rate), number(1.0 / period_s)));
         }
         note(format_args!(
             "{} of {}, to {}",
@@ -134,8 +134,9 @@ impl Admit {
         let of = counted(*requests as u64, "request");
         match (largest, p_value) {
             (Some(largest), _) => line(format_args!(
-                "  {of}; largest difference {:.2e} of the spread of a number, tolerance {tolerance:.2e}",
-                largest
+                "  {of}; largest difference {} % of the spread of a number, tolerance {} %",
+                number(100.0 * largest),
+                number(100.0 * tolerance)
             )),
             (None, Some(p)) => line(format_args!("  {of}; random answers of the same distribution (p = {p:.3})")),
             (None, None) => line(format_args!("  {of}")),

@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use anyhow::anyhow;
 use clap::Args;
 use robogate_campaign::Summary;
-use robogate_stats::format::percent_range;
+use robogate_stats::format::{date_and_time, percent_range};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, OrExit};
 use crate::terminal::{bold, dim, grouped, line, note, percent};
-use robogate_session::{Run, runs_below, utc};
+use robogate_session::{Run, runs_below};
 
 /// List the runs below a folder: when, what, verdict, success rate and size, the newest first.
 #[derive(Debug, Args)]
@@ -82,7 +82,7 @@ fn row(run: &Run) -> Row {
     let on = if run.robot == run.task { String::new() } else { format!(" on {}", run.robot) };
     Row {
         folder: folder.display().to_string(),
-        started: utc(run.started_s),
+        started: date_and_time(run.started_s),
         what: format!("{}{on}, {}", run.task, run.policy),
         verdict: verdict.to_owned(),
         rate: rate.map_or_else(|| "-".to_owned(), |(rate, ci)| format!("{} ({})", percent(rate), percent_range(ci))),
@@ -94,7 +94,7 @@ fn document(run: &Run) -> serde_json::Value {
     let of = |value: fn(&Summary) -> serde_json::Value| run.summary.as_ref().map(value);
     json!({
         "folder": run.folder,
-        "started": utc(run.started_s),
+        "started": date_and_time(run.started_s),
         "task": run.task,
         "robot": run.robot,
         "policy": run.policy,

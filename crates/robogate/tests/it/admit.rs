@@ -34,7 +34,12 @@ fn judged_policy_is_admitted_and_others_are_not() {
     let document: serde_json::Value = serde_json::from_str(&refused).unwrap();
     assert_eq!(document["admitted"], false, "{refused}");
     assert!(!document["differences"].as_array().unwrap().is_empty(), "{refused}");
-    verb(at, &format!("admit g1 --policy {judged} --rate 10"), 1, &["NOT ADMITTED", "the cell runs at 10 Hz in place of 20"]);
+    verb(
+        at,
+        &format!("admit g1 --policy {judged} --rate 10"),
+        1,
+        &["NOT ADMITTED", "the cell runs at 10 Hz in place of 20"],
+    );
     let profile = String::from_utf8(robogate_in(at, &["list", "profiles", "learned"]).stdout).unwrap();
     assert!(profile.contains("gripper_open = \"below\"") || profile.contains("gripper_open = \"above\""), "{profile}");
     let turned = profile.replace("\"below\"", "\"?\"").replace("\"above\"", "\"below\"").replace("\"?\"", "\"above\"");

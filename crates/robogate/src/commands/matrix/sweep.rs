@@ -7,6 +7,8 @@ use robogate_campaign::DEFAULT_SEED;
 use robogate_session::ENGINES;
 use serde::{Deserialize, Serialize};
 
+use crate::place::folder_name;
+
 /// A sweep, as its file describes it.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -210,13 +212,6 @@ impl Policy {
 
 fn parts<'a>(policy: &'a Policy, task: &'a Task, robot: Option<&'a str>, engine: Option<&'a str>) -> Vec<&'a str> {
     [Some(policy.name.as_str()), Some(task.name.as_str()), robot, engine].into_iter().flatten().collect()
-}
-
-/// A name of a folder: other characters than letters, digits, `.`, `_` and `-` become `-`.
-fn folder_name(name: &str) -> String {
-    let plain = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' };
-    let name: String = name.chars().map(plain).collect();
-    name.trim_start_matches('.').to_owned()
 }
 
 /// The absolute path of a file beside the sweep. Names of built-in items and addresses stay as they are.

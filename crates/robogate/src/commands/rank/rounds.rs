@@ -15,6 +15,7 @@ use super::show::show;
 use super::{ANSWER, Rank};
 use crate::commands::run::{free_folder, introduce};
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
+use crate::place::folder_name;
 use crate::terminal::{bold, dim, grouped, line, note, percent};
 use robogate_session::text::quoted;
 use robogate_session::{
@@ -232,12 +233,6 @@ fn check_name(name: &str) -> anyhow::Result<()> {
         );
     }
     Ok(())
-}
-
-/// A folder's name for a policy.
-fn folder_name(name: &str) -> String {
-    let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
-    name.chars().map(plain).collect()
 }
 
 /// Prints the policies that left in a round.
