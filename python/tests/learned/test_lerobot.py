@@ -180,7 +180,7 @@ class LeRobot(unittest.TestCase):
     def test_errors_name_what_exists(self):
         with self.assertRaisesRegex(UnknownEnvironment, "Did you mean lerobot:pusht"):
             find("lerobot:pust")
-        with self.assertRaisesRegex(UnknownEnvironment, "'size=3' is not a field. Expected key=value with one of: .*obs_type"):
+        with self.assertRaisesRegex(UnknownEnvironment, "'size=3' is not an argument. Expected key=value with one of: .*obs_type"):
             find("lerobot:pusht?size=3")
         with self.assertRaisesRegex(UnknownEnvironment, "downloads its code"):
             find("lerobot:isaaclab_arena")
