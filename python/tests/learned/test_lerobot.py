@@ -137,6 +137,14 @@ class LeRobot(unittest.TestCase):
         # It samples its actions: the seed of the episode is that of the noise.
         self.assert_equal_episodes(PIXELS, folder)
 
+    def test_policies_without_a_server_work(self):
+        from lerobot.async_inference.constants import SUPPORTED_POLICIES
+
+        self.assertNotIn("gaussian_actor", SUPPORTED_POLICIES)
+        folder = Path(self.place.name) / "gaussian"
+        train(self.environment, folder, "gaussian_actor", state_encoder_hidden_dim=16, latent_dim=16)
+        self.assert_equal_episodes(ENVIRONMENT, folder)
+
     @unittest.skipUnless(os.environ.get("ROBOGATE_COMMAND"), "ROBOGATE_COMMAND names no command")
     def test_command_and_function_agree_with_lerobot(self):
         """The command loads the checkpoint itself; the function is given the policy."""

@@ -39,7 +39,7 @@ if not MISSING:
             self.steps += 1
             self.point = np.clip(self.point + 0.1 * action, -1.0, 1.0).astype(np.float32)
             reward = float(self.compute_reward(self.point, self.goal, {}))
-            return self._seen(), reward, False, self.steps == 20, {"is_success": reward == 0.0}
+            return self._seen(), reward, False, self.steps == 40, {"is_success": reward == 0.0}
 
         def compute_reward(self, achieved, desired, _):
             return -(np.linalg.norm(achieved - desired, axis=-1) > 0.1).astype(np.float32)
@@ -148,9 +148,9 @@ class StableBaselines(unittest.TestCase):
         self.assertFalse(np.array(expected)[1::2].any())
 
     def test_hindsight_models_need_no_environment(self):
-        options = {"replay_buffer_class": stable_baselines3.HerReplayBuffer, "replay_buffer_kwargs": {"n_sampled_goal": 2}, "learning_starts": 25}
+        options = {"replay_buffer_class": stable_baselines3.HerReplayBuffer, "replay_buffer_kwargs": {"n_sampled_goal": 2}, "learning_starts": 50}
         for module, name in ((stable_baselines3, "SAC"), (sb3_contrib, "TQC")):
-            model = getattr(module, name)("MultiInputPolicy", Reach(), seed=1, device="cpu", policy_kwargs={"net_arch": [8]}, **options).learn(30)
+            model = getattr(module, name)("MultiInputPolicy", Reach(), seed=1, device="cpu", policy_kwargs={"net_arch": [8]}, **options).learn(60)
             self.assert_same(self.saved(model), plain_loop(model, Reach()), Reach)
 
     def test_images_may_have_their_channels_last(self):
