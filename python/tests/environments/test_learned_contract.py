@@ -233,6 +233,7 @@ class LeRobot(unittest.TestCase):
         seen = {"joints": np.array([0.5, 0.0], np.float32)}
         act = policies.as_function(policies.load(f"lerobot:{self.folder}"), env)
         np.testing.assert_allclose(act(seen), [0.5])
+        np.testing.assert_allclose(act({"state": seen["joints"]}), [0.5])
         # The map of the command line replaces the stored one.
         renamed = policies.load(f'lerobot:{self.folder}?rename_map={{"observation.q":"observation.state"}}')
         np.testing.assert_allclose(policies.as_function(renamed, env)({"q": seen["joints"]}), [0.5])

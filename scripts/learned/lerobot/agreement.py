@@ -23,6 +23,7 @@ ENVIRONMENT, SEED, CHUNK, EXECUTED, TRAINING_STEPS = "lerobot:reach", 5, 8, 4, 2
 # Nothing varies but the start, which follows from the seed.
 SPACE = 'name = "nominal"\n[[parameter]]\nname = "action_delay"\nkind = "integer"\nlow = 0\nhigh = 0\n'
 PROFILE = """name = "act-reach"
+model = "A small ACT"
 [dialect]
 name = "lerobot"
 policy_type = "act"

@@ -83,6 +83,9 @@ def as_function(policy: Any, env: Any = None) -> Callable[[Any], Any]:
         batch = first(_batch(observation, env))
         for wanted, feature in inputs.items():
             name = before_renaming.get(wanted, wanted)
+            if name not in batch and (wanted in batch or _key(name, observation) is None and _key(wanted, observation) is not None):
+                # The environment has the new name already.
+                name = wanted
             if name not in batch:
                 batch[name] = torch.as_tensor(_input(name, feature, observation, len(inputs))).unsqueeze(0)
             elif feature.type.name != "VISUAL" and tuple(batch[name].shape[1:]) != tuple(feature.shape):
@@ -148,14 +151,19 @@ def _same(value: Any) -> Any:
     return value
 
 
+def _key(name: str, observation: Any) -> str | None:
+    """The key in an observation for the input of this name. None without one."""
+    short = next((name.removeprefix(prefix) for prefix in PREFIXES if name.startswith(prefix)), name)
+    return next((key for key in (name, short) if key in observation), None) if isinstance(observation, Mapping) else None
+
+
 def _input(name: str, feature: Any, observation: Any, inputs: int) -> Any:
     """The input of this name in an observation of any environment, as an array."""
     import numpy as np
 
     value = observation
     if isinstance(observation, Mapping):
-        short = next((name.removeprefix(prefix) for prefix in PREFIXES if name.startswith(prefix)), name)
-        key = next((key for key in (name, short) if key in observation), None)
+        key = _key(name, observation)
         if key is None:
             known = ", ".join(f"{key} {np.shape(one)}" for key, one in observation.items())
             raise KeyError(f"the policy expects {name} {tuple(feature.shape)}, but the environment observes {known}")
