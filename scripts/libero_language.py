@@ -2,6 +2,7 @@
 
 Run it with the interpreter of an installation of LIBERO, whose benchmark class needs PyTorch:
     PYTHONPATH=python/src:LIBERO python scripts/libero_language.py
+LIBERO asks a question at its first start: answer n.
 Exit code 1: an instruction differs.
 """
 

@@ -2,7 +2,7 @@
 # Runs RoboGate against the server code of other projects, with stub models behind it, and checks what both ends receive.
 #
 # Usage: scripts/live_servers.sh [--openpi DIR] [--gr00t DIR] [--gr00t-n1.6 DIR] [--gr00t-n1.5 DIR] [--lerobot DIR] [--openvla DIR]
-#            [--openvla-oft DIR] [--vla-eval DIR] [--starvla DIR] [--only PART_OF_A_NAME]
+#            [--openvla-oft DIR] [--vla-eval DIR] [--starvla DIR] [--xpolicylab DIR] [--only PART_OF_A_NAME]
 #
 # Each DIR is a checkout; a server without one is not run. Nothing is downloaded. PYTHON is a Python with the packages of
 # scripts/live_servers/requirements.txt, LEROBOT_PYTHON one that also has PyTorch, ROBOGATE the binary, OUT an empty folder for logs

@@ -161,6 +161,26 @@ def bridge_executed(row: np.ndarray, _seen: dict) -> dict:
     return {"space": "tool_delta", "numbers": numbers, "gripper": -1.0 if row[6] > 0.5 else 1.0}
 
 
+# Between the signs of ALOHA's joints and those of openpi's own robots, and the numbers of the two grippers.
+ALOHA_SIGNS, ALOHA_GRIPPERS = np.array([1, -1, -1, 1, 1, 1, 1] * 2), [6, 13]
+
+
+def aloha_state(seen: dict) -> dict:
+    """src/openpi/policies/aloha_policy.py: linear opening of a gripper from 0 to 1 to the angle of its motor."""
+    numbers = ALOHA_SIGNS * np.array(seen["agent_pos"])
+    opening = 0.01844 + numbers[ALOHA_GRIPPERS] * (0.05800 - 0.01844)
+    angle = np.arcsin(np.clip((0.022**2 + opening**2 - 0.036**2) / (2 * 0.022 * opening), -1.0, 1.0))
+    numbers[ALOHA_GRIPPERS] = (angle - 0.5476) / (1.6296 - 0.5476)
+    return {"state": numbers}
+
+
+def aloha_executed(row: np.ndarray, _seen: dict) -> dict:
+    """The same back, for actions: angle of the motor from the range of openpi's robots to that of ALOHA's."""
+    numbers = ALOHA_SIGNS * row
+    numbers[ALOHA_GRIPPERS] = (numbers[ALOHA_GRIPPERS] + 0.5476 + 0.6213) / (1.4910 + 0.6213)
+    return {"space": "vector", "numbers": numbers}
+
+
 def cases() -> list[Case]:
     at_224 = lambda convert: lambda *at: resized(convert(*at), 224, 224)
     mirrored = {"image": (0, rotated), "wrist_image": (1, rotated)}
@@ -206,7 +226,23 @@ def cases() -> list[Case]:
             "examples/Libero/eval/run_libero_eval.py", 16, FRACTION, {"http": http},
             {name: (camera, lambda *at, f=convert: f(*at)[None]) for name, (camera, convert) in mirrored.items()},
             libero_parts, 8))  # fmt: skip
+    two_arms = {"length": 50, "size": 14, "magnitude": 0.9, "gripper": list(FRACTION)}
+    upright_at_224 = at_224(scene.upright)
+    for name, profile, source, images, execute, instruction in (
+        ("simulation", "pi0-aloha-sim", "examples/aloha_sim/env.py", {"base_0_rgb": 0}, 10, lambda _: "Transfer cube"),
+        ("robot", "pi05-aloha", "examples/aloha_real/env.py", {"base_0_rgb": 0, "left_wrist_0_rgb": 1, "right_wrist_0_rgb": 2}, 25, str),
+    ):
+        found.append(Case(
+            f"openpi, ALOHA, {name}", "openpi", "openpi", profile, "ws", source, two_arms, {"environment": "aloha"},
+            {image: (camera, upright_at_224) for image, camera in images.items()}, aloha_state, aloha_executed, kind="aloha",
+            period_s=0.02, execute=execute, instruction=instruction))  # fmt: skip
+    widths = scene.TWO_ARMS["dual_arm"]
+    wide_640 = lambda *at: np.array(Image.fromarray(scene.upright(*at)).resize((640, 480), Image.Resampling.BILINEAR))
     found += [
+        Case(
+            "XPolicyLab, two arms", "xpolicylab", "xpolicylab", "xpolicylab-dual-arm", "ws", "policy/demo_policy/model.py",
+            {**two_arms, "length": 5}, {"widths": widths}, {name: (i, wide_640) for i, name in enumerate(scene.CAMERAS["dual_arm"])},
+            lambda seen: {name: seen[name] for name in widths}, lambda row, _: {"space": "vector", "numbers": row}, kind="dual_arm", execute=1),
         libero_case(
             "LeRobot, SmolVLA", "lerobot", "lerobot", "smolvla", "grpc", "src/lerobot/processor/env_processor.py", 50, SIGNED, {},
             {"image": (0, rotated), "image2": (1, rotated)}, lambda seen: {"state": libero_state(seen)}, 10),

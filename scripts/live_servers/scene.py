@@ -1,7 +1,7 @@
 """An environment whose images, states and motion are known exactly: KIND PERIOD_S RECORD, over the bridge protocol.
 
 It has no physics: each action moves the hand by a known amount. `libero` observes and acts as LIBERO's environment does, `arm` as a
-Franka does. Each image differs from all others, and no part of it is symmetric. RECORD gets one line of JSON for each control
+Franka does, `aloha` as two arms of ALOHA do, `dual_arm` as two arms of XPolicyLab do. Each image differs from all others, and no part of it is symmetric. RECORD gets one line of JSON for each control
 period: the observation before the action, and the action that RoboGate executed.
 """
 
@@ -16,7 +16,13 @@ from robogate_bridge import Image, serve, state_hash
 SIDE = 256
 INSTRUCTION = "put the white mug on the left plate"
 PERIODS = 40
-CAMERAS = {"libero": ("agentview", "robot0_eye_in_hand"), "arm": ("front", "wrist")}
+WRISTS = ("cam_left_wrist", "cam_right_wrist")
+CAMERAS = {"libero": ("agentview", "robot0_eye_in_hand"), "arm": ("front", "wrist"), "aloha": ("cam_high", *WRISTS), "dual_arm": ("cam_head", *WRISTS)}
+# The vectors of two arms, and their parts of an action.
+TWO_ARMS = {
+    "aloha": {"agent_pos": 14},
+    "dual_arm": {"left_arm_joint_state": 6, "left_ee_joint_state": 1, "right_arm_joint_state": 6, "right_ee_joint_state": 1},
+}
 # Largest motion of an action of 1.
 DELTA_M, DELTA_RAD = 0.05, 0.5
 
@@ -54,6 +60,9 @@ class Scene:
             spaces = [{"kind": "tool_delta", "translation_m": DELTA_M, "rotation_rad": DELTA_RAD},
                       {"kind": "joint_position", "joints": [f"joint{i}" for i in range(1, 8)]}]
             action = {"spaces": spaces, "gripper": "binary"}
+        elif self.kind in TWO_ARMS:
+            vectors = TWO_ARMS[self.kind]
+            action = {"spaces": [{"kind": "vector", "names": [f"q{i}" for i in range(14)], "low": [-4.0] * 14, "high": [4.0] * 14}]}
         task = {
             "name": "known_scene", "version": 1, "instruction": INSTRUCTION,
             "control_period_s": self.period_s, "time_limit_s": PERIODS * self.period_s, "failure_modes": [],
@@ -68,6 +77,8 @@ class Scene:
         self.episodes, self.tick = self.episodes + 1, 0
         self.position = np.array([-0.12, 0.05, 1.07]) if self.kind == "libero" else np.array([0.45, 0.1, 0.3])
         self.joints = np.array([0.1, 0.3, -0.2, -2.0, 0.15, 2.2, 0.7])
+        if self.kind in TWO_ARMS:
+            self.joints = np.append(self.joints, [-0.4, 0.6, -0.1, 0.9, -1.1, 0.25, 0.3])
         self.opening = 0.07
         self.start = scenario.values["start"]
         return {"observation": self.observation(), "applied": {"start": self.start}}
@@ -80,7 +91,10 @@ class Scene:
     def observation(self):
         q = self.orientation()
         fingers = [0.5 * self.opening, -0.5 * self.opening]
-        if self.kind == "libero":
+        if self.kind in TWO_ARMS:
+            widths = TWO_ARMS[self.kind]
+            vectors = dict(zip(widths, np.split(self.joints, np.cumsum(list(widths.values()))[:-1])))
+        elif self.kind == "libero":
             vectors = {"eef_pos": self.position, "eef_axis_angle": rotation_vector(q), "gripper_qpos": fingers, "joint_pos": self.joints}
         else:
             vectors = {"joint_positions": self.joints, "joint_velocities": np.zeros(7), "gripper_opening": [self.opening],
@@ -95,7 +109,7 @@ class Scene:
         self.record.flush()
         numbers = np.array(action.numbers)
         gripper = action.gripper if action.gripper is not None else numbers[-1]
-        if action.space == "joint_position":
+        if action.space == "joint_position" or self.kind in TWO_ARMS:
             self.joints = numbers
         else:
             self.position = self.position + DELTA_M * numbers[:3]

@@ -1,11 +1,13 @@
 //! Policies that the process of an environment loads: a checkpoint of LeRobot, or a model of Stable-Baselines3.
 
-use std::path::{Component, Path};
+use std::path::{Component, Path, PathBuf};
 
 use anyhow::{anyhow, bail};
 
 /// What stands before the path of such a policy.
 const KINDS: [&str; 2] = ["lerobot:", "sb3:"];
+/// The argument of a policy that is a file.
+const STATISTICS: &str = "statistics=";
 /// Folders of checkpoints whose names say nothing about the policy.
 const GENERIC: [&str; 4] = ["pretrained_model", "checkpoints", "last", "best_model"];
 
@@ -14,7 +16,7 @@ const GENERIC: [&str; 4] = ["pretrained_model", "checkpoints", "last", "best_mod
 pub struct LoadedPolicy {
     /// Its name in the declaration of the environment and in records.
     pub name: String,
-    /// `lerobot:FOLDER`, or `sb3:FILE` or `sb3:FOLDER`, with an absolute path.
+    /// `lerobot:FOLDER`, or `sb3:FILE` or `sb3:FOLDER`, with an absolute path, and arguments after a `?`.
     pub from: String,
 }
 
@@ -24,20 +26,49 @@ impl LoadedPolicy {
     /// # Errors
     /// A path that does not exist.
     pub fn of(policy: &str) -> anyhow::Result<Option<Self>> {
-        let Some((kind, path)) = KINDS.iter().find_map(|kind| Some((*kind, policy.strip_prefix(kind)?))) else {
+        let Some((kind, named)) = KINDS.iter().find_map(|kind| Some((*kind, policy.strip_prefix(kind)?))) else {
             return Ok(None);
         };
-        let full = Path::new(path).canonicalize().map_err(|why| {
-            anyhow!("--policy {policy}: {why}\nHint: name a local folder or file; download a model of a hub first")
-        })?;
-        let Some(text) = full.to_str() else { bail!("--policy {policy}: the path is not valid UTF-8") };
-        Ok(Some(Self { name: name(kind, &full), from: format!("{kind}{text}") }))
+        let full = |path: &str| -> anyhow::Result<String> {
+            let full = Path::new(path).canonicalize().map_err(|why| {
+                anyhow!(
+                    "--policy {policy}: {path}: {why}\nHint: name a local folder or file; download a model of a hub first"
+                )
+            })?;
+            let Some(text) = full.to_str() else { bail!("--policy {policy}: the path is not valid UTF-8") };
+            Ok(text.to_owned())
+        };
+        let (path, arguments) = parts(named);
+        let mut from = full(path)?;
+        let name = name(kind, Path::new(&from));
+        for (number, argument) in arguments.enumerate() {
+            from.push(if number == 0 { '?' } else { '&' });
+            match argument.strip_prefix(STATISTICS) {
+                Some(file) => from.extend([STATISTICS, &full(file)?]),
+                None => from.push_str(argument),
+            }
+        }
+        Ok(Some(Self { name, from: format!("{kind}{from}") }))
+    }
+
+    /// The folders that a process reads to load it. Beside a file are its statistics and settings.
+    pub(crate) fn folders(&self) -> Vec<PathBuf> {
+        let (path, arguments) = parts(self.from.split_once(':').map_or("", |(_, named)| named));
+        let files = arguments.filter_map(|argument| argument.strip_prefix(STATISTICS));
+        let paths = std::iter::once(path).chain(files).map(Path::new);
+        paths.map(|path| if path.is_file() { path.parent().unwrap_or(path) } else { path }.to_owned()).collect()
     }
 
     /// The argument of the process.
     pub(crate) fn argument(&self) -> String {
         format!("{}={}", self.name, self.from)
     }
+}
+
+/// The path of a policy, and its arguments.
+fn parts(named: &str) -> (&str, impl Iterator<Item = &str>) {
+    let (path, arguments) = named.split_once('?').unwrap_or((named, ""));
+    (path, arguments.split('&').filter(|argument| !argument.is_empty()))
 }
 
 /// The last part of a path that says something about the policy, as a name.
@@ -70,6 +101,24 @@ mod tests {
         assert_eq!(named("/models/random"), "lerobot-random");
         assert_eq!(named("/tmp/.cache"), "cache");
         assert_eq!(named("/"), "lerobot");
+    }
+
+    #[test]
+    fn arguments_follow_the_path() {
+        let folder = tempfile::tempdir().unwrap();
+        let inner = folder.path().canonicalize().unwrap();
+        let at = |name: &str| inner.join(name).to_str().unwrap().to_owned();
+        for file in ["model.zip", "vn.pkl"] {
+            std::fs::write(at(file), "").unwrap();
+        }
+        let named = format!("sb3:{}?x=1&statistics={}", at("./model.zip"), at("./vn.pkl"));
+        let loaded = LoadedPolicy::of(&named).unwrap().unwrap();
+        assert_eq!(loaded.from, format!("sb3:{}?x=1&statistics={}", at("model.zip"), at("vn.pkl")));
+        assert_eq!(loaded.name, "model");
+        // The sandbox lets the process read what is beside a model.
+        assert_eq!(loaded.folders(), [inner.clone(), inner.clone()]);
+        let error = LoadedPolicy::of(&format!("sb3:{}?statistics=none.pkl", at("model.zip"))).unwrap_err().to_string();
+        assert!(error.contains("none.pkl: No such file"), "{error}");
     }
 
     #[test]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from . import stable_baselines
+from .environments.family import arguments
 from .serving.environment import DeclarationError, Policy
 
 # What stands before the path of a policy that the process of the environment loads.
@@ -20,21 +21,28 @@ def is_model_file(policy: Any) -> bool:
     if not isinstance(policy, (str, os.PathLike)):
         return False
     text = os.fspath(policy)
-    return text.endswith(".zip") or text.startswith((LEROBOT, STABLE_BASELINES))
+    return _parts(text)[0].endswith(".zip") or text.startswith((LEROBOT, STABLE_BASELINES))
 
 
 def load(path: "str | os.PathLike[str]") -> Any:
-    """Load a model that `is_model_file` accepts. It may contain programs: load only files that you trust.
+    """Load a model that `is_model_file` accepts, with `?key=value&...` after it for the arguments of `load` of its kind. It may contain
+    programs: load only files that you trust.
 
     Raises:
         ValueError: There is no such model.
     """
-    text = os.fspath(path)
-    if text.startswith(LEROBOT):
+    path, query = _parts(os.fspath(path))
+    if path.startswith(LEROBOT):
         from .lerobot import policy
 
-        return policy.load(text.removeprefix(LEROBOT))
-    return stable_baselines.load(text.removeprefix(STABLE_BASELINES))
+        return policy.load(path.removeprefix(LEROBOT), **arguments(query, {"rename_map"}))
+    return stable_baselines.load(path.removeprefix(STABLE_BASELINES), **arguments(query, {"statistics"}))
+
+
+def _parts(text: str) -> tuple[str, str]:
+    """The path of a model and its arguments."""
+    path, _, query = text.partition("?")
+    return path, query
 
 
 def declared(path: str) -> Policy:
@@ -46,7 +54,7 @@ def declared(path: str) -> Policy:
     if path.startswith(LEROBOT):
         from .lerobot import policy
 
-        version, kind = policy.version(Path(path.removeprefix(LEROBOT))), "LeRobot"
+        version, kind = policy.version(Path(_parts(path)[0].removeprefix(LEROBOT))), "LeRobot"
     else:
         version, kind = _version(model.files), "Stable-Baselines3"
     return Policy(lambda env: as_function(model, env), f"A policy of {kind}.", version)

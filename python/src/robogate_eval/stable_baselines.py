@@ -6,6 +6,7 @@ import importlib
 import json
 import os
 import pickle
+import re
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -17,15 +18,22 @@ from .serving.layers import layers
 CONTRIB = {"recurrent": "RecurrentPPO", "maskable": "MaskablePPO", "tqc": "TQC", "qrdqn": "QRDQN", "ars": "ARS", "crossq": "CrossQ"}
 # Names of the statistics of VecNormalize beside a model.
 STATISTICS = ("vecnormalize.pkl", "vec_normalize.pkl")
-# The wrapper that adds the remaining time to the observation, and its number of steps where the environment has no limit.
-TIME_FEATURE = "sb3_contrib.common.wrappers.TimeFeatureWrapper"
+# What a model needs for training only. Replaced when it is loaded: a replay buffer takes memory and may need an environment, and a
+# schedule is code of the Python version of the training.
+TRAINING = {
+    "buffer_size": 1, "replay_buffer_class": None, "replay_buffer_kwargs": {}, "optimize_memory_usage": False,
+    "learning_rate": 0.0, "lr_schedule": lambda _: 0.0, "exploration_schedule": lambda _: 0.0, "clip_range": 0.0, "clip_range_vf": None,
+}  # fmt: skip
+# The wrapper that adds the remaining time to the observation, of several packages, and its number of steps where the environment has
+# no limit.
+TIME_FEATURE = "TimeFeatureWrapper"
 TIME_FEATURE_STEPS = 1000
 
 
 class Model:
     """A saved model with what its observations passed through in training. `files` are all that were read."""
 
-    def __init__(self, model: Any, statistics: Any, time_feature: dict[str, Any] | None, files: list[Path]):
+    def __init__(self, model: Any, statistics: "Statistics | None", time_feature: dict[str, Any] | None, files: list[Path]):
         self.model = model
         self.files = files
         self._statistics = statistics
@@ -46,7 +54,7 @@ class Model:
                 observation = _with_time(observation, 1.0 if self._time_feature.get("test_mode") else 1.0 - steps / limit)
             self._check(observation)
             if self._statistics is not None:
-                observation = self._statistics.normalize_obs(observation)
+                observation = self._statistics.normalized(observation)
             options = {"action_masks": masks()} if masks is not None and type(model).__name__ == "MaskablePPO" else {}
             if recurrent:
                 options |= {"state": state, "episode_start": np.array([steps == 0])}
@@ -70,7 +78,8 @@ class Model:
         seen = observation if isinstance(observation, Mapping) else {"observation": observation}
         for key, shape in wanted.items():
             found = np.shape(seen[key]) if key in seen else None
-            if shape is not None and found != tuple(shape):
+            # The model moves the channels of an image to the front itself.
+            if shape is not None and found not in (tuple(shape), (*shape[1:], shape[0]) if len(shape) == 3 else None):
                 at_end = len(shape) == 1 and found == (shape[0] - 1,)
                 hint = (
                     ". If it was trained with the remaining time as a feature, name the folder of RL Baselines3 Zoo, whose config.yml says so"
@@ -91,8 +100,8 @@ def _with_time(observation: Any, feature: float) -> Any:
 def load(path: "str | os.PathLike[str]", statistics: "str | os.PathLike[str] | None" = None) -> Model:
     """Load a model: a zip file, or a folder of RL Baselines3 Zoo.
 
-    `statistics` are those of VecNormalize; default: `vecnormalize.pkl` beside the file. The files contain pickles, which are
-    programs: load only files that you trust.
+    `statistics` are those of VecNormalize; default: `vecnormalize.pkl` beside the file. The model contains pickles, which are
+    programs: load only files that you trust. The statistics are read without running any.
 
     Raises:
         ValueError: There is no such model, or its observations passed through something that this package does not know.
@@ -103,14 +112,72 @@ def load(path: "str | os.PathLike[str]", statistics: "str | os.PathLike[str] | N
     found = [Path(statistics)] if statistics is not None else _statistics_of(file)
     if not found and _normalizes(settings):
         raise ValueError(f"{file}: the model was trained with normalised observations, but there is no {STATISTICS[0]} beside it")
-    normalizer = None
-    if found:
-        with open(found[0], "rb") as opened:
-            normalizer = pickle.load(opened)  # noqa: S301
-        if not hasattr(normalizer, "normalize_obs"):
-            raise ValueError(f"{found[0]}: expected the statistics of VecNormalize, not {type(normalizer).__name__}")
-        normalizer.training = False
-    return Model(_algorithm(file).load(file, device="cpu"), normalizer, _time_feature(file, settings), [file, *found[:1]])
+    normalizer = Statistics(found[0]) if found else None
+    model = _algorithm(file).load(file, device="cpu", custom_objects=TRAINING)
+    return Model(model, normalizer, _time_feature(file, settings), [file, *found[:1]])
+
+
+class Statistics:
+    """The statistics of VecNormalize for observations. The pickle runs no code: only NumPy's arrays are made, and objects of all
+    other classes keep their attributes and do nothing."""
+
+    def __init__(self, path: Path):
+        import numpy as np
+
+        try:
+            with open(path, "rb") as opened:
+                found = vars(_Inert.Unpickler(opened).load())
+        except Exception as why:  # a damaged pickle raises any
+            raise ValueError(f"{path}: not the statistics of VecNormalize: {why}") from None
+        if not {"norm_obs", "clip_obs", "epsilon", "obs_rms"} <= found.keys():
+            raise ValueError(f"{path}: not the statistics of VecNormalize: it has no obs_rms, norm_obs, clip_obs and epsilon")
+        parts = found["obs_rms"] if isinstance(found["obs_rms"], dict) else {None: found["obs_rms"]}
+        names = parts if None in parts else found.get("norm_obs_keys") or parts
+        self._clip = float(found["clip_obs"])
+        try:
+            self._parts = {name: (parts[name].mean, np.sqrt(parts[name].var + found["epsilon"])) for name in names if found["norm_obs"]}
+        except (AttributeError, KeyError, TypeError) as why:
+            raise ValueError(f"{path}: not the statistics of VecNormalize: {why}") from None
+
+    def normalized(self, observation: Any) -> Any:
+        """The observation as the model saw it in training."""
+        if None in self._parts:
+            return self._scaled(observation, None)
+        return {**observation, **{name: self._scaled(observation[name], name) for name in self._parts}} if self._parts else observation
+
+    def _scaled(self, value: Any, name: "str | None") -> Any:
+        import numpy as np
+
+        mean, deviation = self._parts[name]
+        return np.clip((value - mean) / deviation, -self._clip, self._clip).astype(np.float32)
+
+
+class _Inert:
+    """An object of a pickle, with its attributes and without its class."""
+
+    def __init__(self, *_: Any, **__: Any):
+        pass
+
+    def __setstate__(self, state: Any) -> None:
+        if isinstance(state, dict):
+            self.__dict__.update(state)
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        pass
+
+    def append(self, value: Any) -> None:
+        pass
+
+    class Unpickler(pickle.Unpickler):
+        """Makes arrays and numbers of NumPy, and inert objects in place of all others."""
+
+        def find_class(self, module: str, name: str) -> Any:
+            import numpy as np
+
+            array = np.zeros(1)
+            makers = {"_reconstruct": array.__reduce__()[0], "_frombuffer": array.__reduce_ex__(5)[0], "scalar": array[0].__reduce__()[0]}
+            known = {"ndarray": np.ndarray, "dtype": np.dtype, **makers}
+            return known[name] if module.partition(".")[0] == "numpy" and name in known else _Inert
 
 
 def _zip_in(folder: Path) -> Path:
@@ -124,8 +191,10 @@ def _zip_in(folder: Path) -> Path:
 
 
 def _statistics_of(file: Path) -> list[Path]:
-    """The statistics beside a model. RL Baselines3 Zoo has a folder with the name of the environment for them."""
-    names = (*STATISTICS, f"{file.stem}_vecnormalize.pkl", f"{file.stem}_{STATISTICS[1]}")
+    """The statistics beside a model, its own ones first. RL Baselines3 Zoo has a folder with the name of the environment for them, and a
+    callback of Stable-Baselines3 writes those of `PREFIX_N_steps.zip` to `PREFIX_vecnormalize_N_steps.pkl`."""
+    own = re.sub(r"(_\d+_steps)?$", r"_vecnormalize\1", file.stem, count=1)
+    names = (f"{own}.pkl", f"{file.stem}_{STATISTICS[0]}", f"{file.stem}_{STATISTICS[1]}", *STATISTICS)
     return [found for folder in _folders(file) for name in names if (found := folder / name).is_file()]
 
 
@@ -169,7 +238,7 @@ def _time_feature(file: Path, settings: Mapping[str, Any]) -> dict[str, Any] | N
     feature = None
     for wrapper in wrappers if isinstance(wrappers, list) else [wrappers]:
         name, options = next(iter(wrapper.items())) if isinstance(wrapper, Mapping) else (wrapper, None)
-        if name != TIME_FEATURE:
+        if str(name).rpartition(".")[2] != TIME_FEATURE:
             raise ValueError(f"{file}: the model was trained with the wrapper {name}. Put it around the environment in a file, and name the .zip file")
         feature = dict(options or {})
     return feature

@@ -137,6 +137,14 @@ class LeRobot(unittest.TestCase):
         # It samples its actions: the seed of the episode is that of the noise.
         self.assert_equal_episodes(PIXELS, folder)
 
+    def test_policies_without_a_server_work(self):
+        from lerobot.async_inference.constants import SUPPORTED_POLICIES
+
+        self.assertNotIn("gaussian_actor", SUPPORTED_POLICIES)
+        folder = Path(self.place.name) / "gaussian"
+        train(self.environment, folder, "gaussian_actor", state_encoder_hidden_dim=16, latent_dim=16)
+        self.assert_equal_episodes(ENVIRONMENT, folder)
+
     @unittest.skipUnless(os.environ.get("ROBOGATE_COMMAND"), "ROBOGATE_COMMAND names no command")
     def test_command_and_function_agree_with_lerobot(self):
         """The command loads the checkpoint itself; the function is given the policy."""
@@ -180,7 +188,7 @@ class LeRobot(unittest.TestCase):
     def test_errors_name_what_exists(self):
         with self.assertRaisesRegex(UnknownEnvironment, "Did you mean lerobot:pusht"):
             find("lerobot:pust")
-        with self.assertRaisesRegex(UnknownEnvironment, "'size=3' is not a field. Expected key=value with one of: .*obs_type"):
+        with self.assertRaisesRegex(UnknownEnvironment, "'size=3' is not an argument. Expected key=value with one of: .*obs_type"):
             find("lerobot:pusht?size=3")
         with self.assertRaisesRegex(UnknownEnvironment, "downloads its code"):
             find("lerobot:isaaclab_arena")

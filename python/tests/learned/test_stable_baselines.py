@@ -20,6 +20,56 @@ if not MISSING:
     from sb3_contrib.common.wrappers import TimeFeatureWrapper
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+    class Reach(gymnasium.Env):
+        """A point that a policy moves to a goal, observed as hindsight replay needs it."""
+
+        action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,))
+        observation_space = gymnasium.spaces.Dict(observation=action_space, achieved_goal=action_space, desired_goal=action_space)
+
+        def _seen(self):
+            return {"observation": self.point.copy(), "achieved_goal": self.point.copy(), "desired_goal": self.goal}
+
+        def reset(self, *, seed=None, options=None):
+            super().reset(seed=seed)
+            self.steps = 0
+            self.point, self.goal = self.np_random.uniform(-1.0, 1.0, (2, 2)).astype(np.float32)
+            return self._seen(), {}
+
+        def step(self, action):
+            self.steps += 1
+            self.point = np.clip(self.point + 0.1 * action, -1.0, 1.0).astype(np.float32)
+            reward = float(self.compute_reward(self.point, self.goal, {}))
+            return self._seen(), reward, False, self.steps == 40, {"is_success": reward == 0.0}
+
+        def compute_reward(self, achieved, desired, _):
+            return -(np.linalg.norm(achieved - desired, axis=-1) > 0.1).astype(np.float32)
+
+    class Picture(gymnasium.ObservationWrapper):
+        """CartPole as a small image, with the channels last."""
+
+        def __init__(self):
+            super().__init__(gymnasium.make("CartPole-v1"))
+            self.observation_space = gymnasium.spaces.Box(0, 255, (36, 40, 3), np.uint8)
+
+        def observation(self, observation):
+            return np.tile((40.0 * (observation[:3] + 3.0)).clip(0, 255).astype(np.uint8), (36, 40, 1))
+
+    class Masked(gymnasium.Wrapper):
+        """CartPole where each second action must be 0."""
+
+        steps = 0
+
+        def reset(self, **options):
+            self.steps = 0
+            return self.env.reset(**options)
+
+        def step(self, action):
+            self.steps += 1
+            return self.env.step(action)
+
+        def action_masks(self):
+            return np.array([True, self.steps % 2 == 0])
+
 TASK = "Pendulum-v1"
 STEPS = 30
 
@@ -76,6 +126,46 @@ class StableBaselines(unittest.TestCase):
             loaded = policies.load(file)
             self.assertEqual(type(loaded.model).__name__, name)
             self.assert_same(loaded, plain_loop(model, gymnasium.make(TASK)))
+
+    def saved(self, model):
+        model.save(self.folder / "model.zip")
+        return policies.load(self.folder / "model.zip")
+
+    def test_discrete_actions_are_those_of_a_plain_loop(self):
+        for module, name in ((stable_baselines3, "DQN"), (sb3_contrib, "QRDQN")):
+            model = getattr(module, name)("MlpPolicy", "CartPole-v1", learning_starts=10, seed=1, device="cpu", policy_kwargs={"net_arch": [8]}).learn(60)
+            loaded = self.saved(model)
+            self.assertEqual(type(loaded.model).__name__, name)
+            self.assert_same(loaded, plain_loop(model, gymnasium.make("CartPole-v1")), lambda: gymnasium.make("CartPole-v1"))
+        make = lambda: Masked(gymnasium.make("CartPole-v1"))
+        model = sb3_contrib.MaskablePPO("MlpPolicy", make(), n_steps=32, batch_size=16, seed=1, device="cpu", policy_kwargs={"net_arch": [8]}).learn(32)
+        env, expected = make(), []
+        observation, _ = env.reset(seed=3)
+        for _ in range(STEPS):
+            expected.append(model.predict(observation, action_masks=env.action_masks(), deterministic=True)[0])
+            observation = env.step(expected[-1])[0]
+        self.assert_same(self.saved(model), np.array(expected), make)
+        self.assertFalse(np.array(expected)[1::2].any())
+
+    def test_hindsight_models_need_no_environment(self):
+        options = {"replay_buffer_class": stable_baselines3.HerReplayBuffer, "replay_buffer_kwargs": {"n_sampled_goal": 2}, "learning_starts": 50}
+        for module, name in ((stable_baselines3, "SAC"), (sb3_contrib, "TQC")):
+            model = getattr(module, name)("MultiInputPolicy", Reach(), seed=1, device="cpu", policy_kwargs={"net_arch": [8]}, **options).learn(60)
+            self.assert_same(self.saved(model), plain_loop(model, Reach()), Reach)
+
+    def test_images_may_have_their_channels_last(self):
+        model = stable_baselines3.PPO("CnnPolicy", Picture(), n_steps=8, batch_size=8, n_epochs=1, seed=1, device="cpu").learn(8)
+        self.assert_same(self.saved(model), plain_loop(model, Picture()), Picture)
+
+    def test_statistics_of_a_checkpoint_are_its_own(self):
+        from stable_baselines3.common.callbacks import CheckpointCallback
+
+        vec = VecNormalize(DummyVecEnv([lambda: gymnasium.make(TASK)]))
+        model = stable_baselines3.PPO("MlpPolicy", vec, n_steps=64, batch_size=64, seed=1, device="cpu")
+        model.learn(128, callback=CheckpointCallback(64, str(self.folder), save_vecnormalize=True))
+        earlier = stable_baselines3.PPO.load(self.folder / "rl_model_64_steps.zip", device="cpu")
+        expected = plain_loop(earlier, gymnasium.make(TASK), str(self.folder / "rl_model_vecnormalize_64_steps.pkl"))
+        self.assert_same(policies.load(self.folder / "rl_model_64_steps.zip"), expected)
 
     def test_statistics_beside_a_model_are_used(self):
         vec = VecNormalize(DummyVecEnv([lambda: gymnasium.make(TASK)]))

@@ -49,7 +49,10 @@ impl Thing {
     pub fn of(named: &str) -> anyhow::Result<Self> {
         let path = Path::new(named);
         if named.contains("://")
-            || named.starts_with("lerobot:") && Path::new(&named[8..]).is_dir()
+            || named
+                .strip_prefix("lerobot:")
+                .and_then(|rest| rest.split('?').next())
+                .is_some_and(|rest| Path::new(rest).is_dir())
             || named.starts_with("sb3:")
         {
             return Ok(Self::Policy(named.to_owned()));

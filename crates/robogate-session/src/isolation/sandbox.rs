@@ -154,7 +154,7 @@ print(json.dumps([sys.executable, [sys.prefix, sys.base_prefix, sys.exec_prefix,
             // A module of this name may be in the current folder.
             own.push(PathBuf::from("."));
         }
-        own.extend(loads.and_then(|policy| policy.from.split_once(':')).map(|(_, path)| PathBuf::from(path)));
+        own.extend(loads.map(LoadedPolicy::folders).unwrap_or_default());
         let folders = imports.into_iter().chain(own).filter_map(|folder| folder.canonicalize().ok());
         let mut read: Vec<PathBuf> = OF_THE_SYSTEM.iter().map(PathBuf::from).chain(folders).collect();
         read.sort();

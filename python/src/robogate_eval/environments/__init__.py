@@ -27,13 +27,13 @@ import hashlib
 import importlib
 import importlib.metadata
 import importlib.util
-import json
 import os
 import sys
 from pathlib import Path
 
 from ..serving.environment import Environment, as_environment
 from .family import Family, UnknownEnvironment, installed
+from .family import arguments as given
 
 __all__ = ["Family", "UnknownEnvironment", "families", "find", "with_policy"]
 
@@ -119,7 +119,10 @@ def _registered(identifier: str) -> Environment:
     import gymnasium
 
     named, _, query = identifier.partition("?")
-    arguments = _arguments(identifier, query)
+    try:
+        arguments = given(query)
+    except ValueError as why:
+        raise UnknownEnvironment(f"gymnasium:{identifier}: {why}") from None
     module, _, own = named.rpartition(":")
     if module:
         _from_here()
@@ -140,22 +143,6 @@ def _from_here() -> None:
     here = os.getcwd()
     if here not in sys.path:
         sys.path.append(here)
-
-
-def _arguments(identifier: str, query: str) -> dict:
-    """The arguments of an environment, `key=value&...`. A value is read as JSON, otherwise it is a text; `true` is True."""
-    arguments = {}
-    for pair in filter(None, query.split("&")):
-        key, equals, text = pair.partition("=")
-        if not equals or not key.isidentifier():
-            raise UnknownEnvironment(f"gymnasium:{identifier}: {pair!r} is not an argument. Expected key=value, as in gymnasium:ID?obs_type=state&max_steps=50")
-        if key in arguments:
-            raise UnknownEnvironment(f"gymnasium:{identifier}: the argument {key} is given twice")
-        try:
-            arguments[key] = json.loads(text)
-        except ValueError:
-            arguments[key] = text
-    return arguments
 
 
 def _make(identifier: str, arguments: dict):

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import difflib
 import importlib.metadata
+import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from ..serving.environment import Environment
 
@@ -33,6 +35,27 @@ class Family:
 def installed(package: str) -> str:
     """Name and version of an installed package."""
     return f"{package} {importlib.metadata.version(package)}"
+
+
+def arguments(query: str, known: "Iterable[str] | None" = None) -> dict[str, Any]:
+    """The arguments after the `?` of a name, `key=value&...`. A value is read as JSON, otherwise it is a text; `true` is True.
+
+    Raises:
+        ValueError: A part is none of the `known` arguments, or stands twice.
+    """
+    found: dict[str, Any] = {}
+    for pair in filter(None, query.split("&")):
+        key, equals, text = pair.partition("=")
+        if not equals or not key.isidentifier() or known is not None and key not in known:
+            expected = ", as in ID?obs_type=state&max_steps=50" if known is None else f" with one of: {', '.join(sorted(known))}"
+            raise ValueError(f"{pair!r} is not an argument. Expected key=value{expected}")
+        if key in found:
+            raise ValueError(f"the argument {key} is given twice")
+        try:
+            found[key] = json.loads(text)
+        except ValueError:
+            found[key] = text
+    return found
 
 
 class UnknownEnvironment(LookupError):

@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 from ..serving.layers import layers
+from .world import register_plugins
 
 # The part of the names of LeRobot's inputs that other environments do not have.
 PREFIXES = ("observation.images.", "observation.")
@@ -28,8 +30,10 @@ def checkpoint(path: "str | os.PathLike[str]") -> Path:
     raise ValueError(f"{path}: not a checkpoint of LeRobot. Expected a folder with config.json, such as .../pretrained_model")
 
 
-def load(path: "str | os.PathLike[str]") -> Any:
+def load(path: "str | os.PathLike[str]", rename_map: "Mapping[str, str] | None" = None) -> Any:
     """Load the policy of a checkpoint folder. Its configuration can name any Python class: load only folders that you trust.
+
+    `rename_map` is that of `lerobot-eval`: names of the policy's inputs by those of the environment. Default: the stored one.
 
     Raises:
         ValueError: The folder has no checkpoint.
@@ -40,9 +44,15 @@ def load(path: "str | os.PathLike[str]") -> Any:
     from lerobot.policies.factory import get_policy_class
 
     del lerobot
+    register_plugins()
     config = PreTrainedConfig.from_pretrained(folder)
     config.pretrained_path = folder
-    return get_policy_class(config.type).from_pretrained(folder, config=config)
+    policy = get_policy_class(config.type).from_pretrained(folder, config=config)
+    if rename_map is not None:
+        if not isinstance(rename_map, Mapping):
+            raise ValueError(f"{path}: rename_map is {rename_map!r}. Expected a map such as {{\"observation.images.top\": \"observation.image\"}}")
+        config.robogate_rename_map = dict(rename_map)
+    return policy
 
 
 def version(path: "str | os.PathLike[str]") -> str:
@@ -64,19 +74,25 @@ def as_function(policy: Any, env: Any = None) -> Callable[[Any], Any]:
     config = next((found for layer in layers(env) if (found := getattr(layer, "lerobot_config", None)) is not None), None)
     first, last = _environment_processors(config, policy)
     inputs = policy.config.input_features
+    renames = next((found for step in getattr(before, "steps", ()) if (found := getattr(step, "rename_map", None))), {})
+    before_renaming = {new: old for old, new in renames.items()}
     device = next(policy.parameters()).device
     policy.eval()
 
     def act(observation: Any) -> Any:
         batch = first(_batch(observation, env))
-        for name, feature in inputs.items():
+        for wanted, feature in inputs.items():
+            name = before_renaming.get(wanted, wanted)
+            if name not in batch and (wanted in batch or _key(name, observation) is None and _key(wanted, observation) is not None):
+                # The environment has the new name already.
+                name = wanted
             if name not in batch:
                 batch[name] = torch.as_tensor(_input(name, feature, observation, len(inputs))).unsqueeze(0)
             elif feature.type.name != "VISUAL" and tuple(batch[name].shape[1:]) != tuple(feature.shape):
                 found = tuple(batch[name].shape[1:])
                 raise ValueError(f"the policy expects {name} of the shape {tuple(feature.shape)}, but the environment observes {found}")
         batch = {name: value.to(device) if isinstance(value, torch.Tensor) else value for name, value in batch.items()}
-        with torch.inference_mode():
+        with torch.inference_mode(), torch.autocast(device.type) if getattr(policy.config, "use_amp", False) else nullcontext():
             action = last({"action": after(policy.select_action(before(batch)))})["action"]
         return action.squeeze(0).float().cpu().numpy()
 
@@ -115,8 +131,10 @@ def _processors(policy: Any) -> tuple[Callable, Callable]:
         return _same, _same
     if not path:
         return _same, _same
-    device = str(next(policy.parameters()).device)
-    return make_pre_post_processors(policy.config, pretrained_path=str(path), preprocessor_overrides={"device_processor": {"device": device}})
+    overrides = {"device_processor": {"device": str(next(policy.parameters()).device)}}
+    if (renamed := getattr(policy.config, "robogate_rename_map", None)) is not None:
+        overrides["rename_observations_processor"] = {"rename_map": renamed}
+    return make_pre_post_processors(policy.config, pretrained_path=str(path), preprocessor_overrides=overrides)
 
 
 def _environment_processors(config: Any, policy: Any) -> tuple[Callable, Callable]:
@@ -133,14 +151,19 @@ def _same(value: Any) -> Any:
     return value
 
 
+def _key(name: str, observation: Any) -> str | None:
+    """The key in an observation for the input of this name. None without one."""
+    short = next((name.removeprefix(prefix) for prefix in PREFIXES if name.startswith(prefix)), name)
+    return next((key for key in (name, short) if key in observation), None) if isinstance(observation, Mapping) else None
+
+
 def _input(name: str, feature: Any, observation: Any, inputs: int) -> Any:
     """The input of this name in an observation of any environment, as an array."""
     import numpy as np
 
     value = observation
     if isinstance(observation, Mapping):
-        short = next((name.removeprefix(prefix) for prefix in PREFIXES if name.startswith(prefix)), name)
-        key = next((key for key in (name, short) if key in observation), None)
+        key = _key(name, observation)
         if key is None:
             known = ", ".join(f"{key} {np.shape(one)}" for key, one in observation.items())
             raise KeyError(f"the policy expects {name} {tuple(feature.shape)}, but the environment observes {known}")

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from typing import Any
 
-from ..environments.family import UnknownEnvironment, installed, unknown
+from ..environments.family import UnknownEnvironment, arguments, installed, unknown
 from ..serving.environment import Environment, Task, task_name
 
 
@@ -15,6 +14,7 @@ def environment(name: str) -> Environment:
     from lerobot.envs import factory
     from lerobot.envs.configs import EnvConfig
 
+    register_plugins()
     path, _, query = name.partition("?")
     kind, _, task = path.partition("/")
     number = None
@@ -24,7 +24,10 @@ def environment(name: str) -> Environment:
     known = EnvConfig.get_known_choices()
     if kind not in known:
         raise unknown("environment", kind, sorted(known), "lerobot:")
-    fields = _fields(name, known[kind], query) | ({"task": task} if task else {})
+    try:
+        fields = arguments(query, {field.name for field in dataclasses.fields(known[kind])}) | ({"task": task} if task else {})
+    except ValueError as why:
+        raise UnknownEnvironment(f"lerobot:{name}: {why}") from None
     config = factory.make_env_config(kind, **fields)
     if getattr(config, "hub_path", None) is not None:
         raise UnknownEnvironment(f"lerobot:{name}: this environment downloads its code. Download it, and name its file with --env FILE.py")
@@ -44,27 +47,24 @@ def environment(name: str) -> Environment:
     )
 
 
-def _fields(name: str, config: type, query: str) -> dict[str, Any]:
-    """Fields of a configuration, `key=value&...`. A value is read as JSON, otherwise it is a text."""
-    known = {field.name for field in dataclasses.fields(config)}
-    fields: dict[str, Any] = {}
-    for pair in filter(None, query.split("&")):
-        key, equals, text = pair.partition("=")
-        if not equals or key not in known:
-            raise UnknownEnvironment(f"lerobot:{name}: {pair!r} is not a field. Expected key=value with one of: {', '.join(sorted(known))}")
-        try:
-            fields[key] = json.loads(text)
-        except ValueError:
-            fields[key] = text
-    return fields
+def register_plugins() -> None:
+    """Let packages of others (`lerobot_env_...`, `lerobot_policy_...`) register what they add, as LeRobot's programs do."""
+    try:
+        from lerobot.utils.import_utils import register_third_party_plugins
+    except ImportError:  # older versions have none
+        return
+    register_third_party_plugins()
 
 
 class World:
     """One of LeRobot's environments, alone and not in a vector. Its start follows from the seed of `reset`."""
 
     def __init__(self, config: Any, number: int | None):
+        from lerobot.envs import utils
         from lerobot.envs.factory import make_env
 
+        option = getattr(utils, "NEW_ROLLOUT_OPTION", None)
+        self._new_episode = {} if option is None else {option: True}
         self.lerobot_config = config
         suites = make_env(config, n_envs=1)
         # Older versions return the vector itself.
@@ -102,7 +102,8 @@ class World:
         if hasattr(base, "init_state_id"):
             # LIBERO: each reset takes the next initial state, so a start would depend on the number of earlier episodes.
             base.init_state_id = 0 if seed is None else seed
-        return self.env.reset(seed=seed, options=options)
+        # What LeRobot passes at the start of an episode: its wrapper repeats the last observation of the episode before otherwise.
+        return self.env.reset(seed=seed, options={**(options or {}), **self._new_episode} or None)
 
     def step(self, action: Any) -> tuple:
         return self.env.step(action)
