@@ -19,6 +19,10 @@ use crate::{Chain, MujocoEngine, Problem, Robot, RobotSettings};
 
 /// An arm has at least this many hinges in a row.
 const FEWEST_JOINTS: usize = 4;
+/// Words in the names of joints that move a jaw.
+const JAW_NAMES: [&str; 3] = ["jaw", "finger", "claw"];
+/// A link up to this mass without a shape is a frame, in kilograms: MuJoCo gives a massless link of a URDF 1 g.
+const MOST_FRAME_KG: f64 = 2e-3;
 /// Random postures among which a home posture is sought.
 const POSTURES: usize = 20_000;
 /// Where the tool waits at home, in metres from the base: over the middle of the workspace.
@@ -65,10 +69,11 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
     robot_model::prepare(&mut spec, MujocoEngine::TIME_STEP_S);
     let compiled = spec.clone().compile().map_err(|error| vec![robot_model::rejected(&error)])?;
     let text = std::fs::read_to_string(model).unwrap_or_default();
-    let tree = Tree::of(&compiled).map_err(|problem| vec![problem])?;
+    let mut tree = Tree::of(&compiled).map_err(|problem| vec![problem])?;
+    let one_jaw = tree.take_jaw(&spec, &compiled)?;
     let mut draft = Writer { out: String::new(), guesses: Vec::new() };
     let arm = ArmDraft::of(&compiled, &raw, &tree, &text);
-    let tool = Tool::of(&spec, &compiled, &tree)?;
+    let tool = Tool::of(&spec, &compiled, &tree, one_jaw)?;
     let mut settings = settings(name, &file, &arm, &tool, arm.home.clone().unwrap_or_else(|| arm.middle()))?;
     let folder = model.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let chain = kinematics(&settings, folder);
@@ -106,6 +111,8 @@ struct Tree {
     palm: Option<usize>,
     /// The joints of the gripper.
     fingers: Vec<usize>,
+    /// Joints behind the arm that move nothing.
+    idle: Vec<String>,
 }
 
 impl Tree {
@@ -137,13 +144,13 @@ impl Tree {
             let arms = moving.iter().filter(|child| deepest[**child] >= FEWEST_JOINTS).count();
             let [next] = moving[..] else {
                 if moving.is_empty() && joints.len() >= FEWEST_JOINTS {
-                    return Ok(Self { joints, last, palm: None, fingers: Vec::new() });
+                    return Ok(Self { joints, last, palm: None, fingers: Vec::new(), idle: Vec::new() });
                 }
                 if joints.len() < FEWEST_JOINTS {
                     return Err(not_one_arm(arms, moving.len()));
                 }
                 let fingers = moving.iter().flat_map(|child| subtree(model, *child)).flat_map(joints_of).collect();
-                return Ok(Self { joints, last, palm: Some(at), fingers });
+                return Ok(Self { joints, last, palm: Some(at), fingers, idle: Vec::new() });
             };
             for joint in joints_of(next) {
                 match model.jnt_type()[joint] {
@@ -151,12 +158,8 @@ impl Tree {
                         joints.push(joint);
                         last = next;
                     }
-                    MjtJoint::mjJNT_SLIDE if joints.len() >= FEWEST_JOINTS => {
-                        return Err(Problem::new(
-                            format!("`{}` is the only finger that moves", name(joint)),
-                            "only grippers with two moving fingers are supported",
-                        ));
-                    }
+                    // The only finger of a gripper with one moving jaw.
+                    MjtJoint::mjJNT_SLIDE if joints.len() >= FEWEST_JOINTS => joints.push(joint),
                     MjtJoint::mjJNT_SLIDE => {
                         return Err(Problem::new(
                             format!(
@@ -176,6 +179,45 @@ impl Tree {
             }
             at = next;
         }
+    }
+}
+
+impl Tree {
+    /// The gripper whose moving jaw is the end of the chain. Its joint is not one of the arm. A joint behind the arm that moves nothing
+    /// but frames is not one of the arm either.
+    fn take_jaw(&mut self, spec: &MjSpec, model: &MjModel) -> Result<Option<Jaw>, Vec<Problem>> {
+        if self.palm.is_some() {
+            return Ok(None);
+        }
+        let body_of = |joint: usize| model.jnt_bodyid()[joint] as usize;
+        let is_empty = |joint: usize| {
+            let carried = subtree(model, body_of(joint));
+            let touches = |body: &usize| !sweep::shapes(model, *body).is_empty();
+            model.body_subtreemass()[body_of(joint)] <= MOST_FRAME_KG && !carried.iter().any(touches)
+        };
+        while let Some(joint) = self.joints.pop_if(|joint| is_empty(*joint)) {
+            self.idle.push(model.id_to_name(MjtObjBase::mjOBJ_JOINT, joint).unwrap_or_default().to_owned());
+        }
+        let Some((joint, arm)) = self.joints.split_last() else { return Ok(None) };
+        let (joint, slides) = (*joint, model.jnt_type()[*joint] == MjtJoint::mjJNT_SLIDE);
+        let jaw = if arm.len() >= FEWEST_JOINTS { Jaw::of_one(spec, model, arm, joint)? } else { None };
+        let name = model.id_to_name(MjtObjBase::mjOBJ_JOINT, joint).unwrap_or("(without a name)");
+        let is_named = JAW_NAMES.iter().any(|word| name.to_lowercase().contains(word));
+        if jaw.is_some() {
+            self.joints.pop();
+            self.palm = Some(model.body_parentid()[body_of(joint)] as usize);
+            self.fingers = vec![joint];
+        } else if slides || is_named {
+            return Err(vec![Problem::new(
+                format!("`{name}` is the only finger that moves, and no fixed jaw was found that it closes on"),
+                "give both jaws collision shapes that face each other at the tips, and the joint a range from open to closed; or fix the joint in the model",
+            )]);
+        }
+        self.last = self.joints.last().map_or(0, |joint| body_of(*joint));
+        if self.joints.len() < FEWEST_JOINTS {
+            return Err(vec![not_one_arm(0, 1)]);
+        }
+        Ok(jaw)
     }
 }
 
@@ -315,7 +357,7 @@ struct Tool {
 }
 
 impl Tool {
-    fn of(spec: &MjSpec, model: &MjModel, tree: &Tree) -> Result<Self, Vec<Problem>> {
+    fn of(spec: &MjSpec, model: &MjModel, tree: &Tree, one_jaw: Option<Jaw>) -> Result<Self, Vec<Problem>> {
         let body_name = |body: usize| model.id_to_name(MjtObjBase::mjOBJ_BODY, body).unwrap_or_default().to_owned();
         let palm = tree.palm.unwrap_or_else(|| end_of(model, tree.last));
         let mut tool = Self {
@@ -343,7 +385,13 @@ impl Tool {
                 tool.guesses.push(format!("the flange is at the frame of the body `{}`", body_name(carrier)));
             }
         }
-        let jaw = tree.palm.map(|palm| Jaw::of(spec, model, &tree.joints, palm, &tree.fingers)).transpose()?;
+        let jaw = match (one_jaw, tree.palm) {
+            (None, Some(palm)) => Some(Jaw::of(spec, model, &tree.joints, palm, &tree.fingers)?),
+            (one_jaw, _) => one_jaw,
+        };
+        for joint in &tree.idle {
+            tool.guesses.push(format!("`{joint}` moves nothing but frames, so it is not a joint of the arm"));
+        }
         let mut tcp = jaw.as_ref().map_or_else(Isometry3::identity, |jaw| jaw.tcp);
         // A site of the model is used where it is between the pads, z out of the tool and the fingers along y.
         let fits = |site: &usize| {
@@ -364,8 +412,9 @@ impl Tool {
                     .any(|site| model.id_to_name(MjtObjBase::mjOBJ_SITE, site) == Some("tcp"));
                 tool.tcp = if taken { "drafted_tcp" } else { "tcp" }.to_owned();
                 tool.sites.push((tool.tcp.clone(), body_name(palm), at.translation.vector.into(), [roll, pitch, yaw]));
+                let between = if jaw.fixed_jaw_m.is_some() { "open jaws" } else { "pads" };
                 tool.guesses.push(format!(
-                    "the tool centre point is {} mm behind the fingertips, in the middle between the pads",
+                    "the tool centre point is {} mm behind the fingertips, in the middle between the {between}",
                     1e3 * TIP
                 ));
             }
@@ -418,6 +467,10 @@ impl Tool {
             ("palm_m", rounded(palm_m)),
         ] {
             self.gripper.insert(key.to_owned(), value);
+        }
+        if let Some(fixed) = jaw.fixed_jaw_m {
+            self.gripper.insert("fixed_jaw_m".to_owned(), rounded(fixed));
+            self.guesses.push(format!("the jaw on `{}` does not move", jaw.bodies[0]));
         }
         self.guesses.push("speed, force, stiffness and damping of the fingers".to_owned());
         self.guesses.push(format!(
@@ -527,7 +580,7 @@ fn document(name: &str, file: &str, arm: &ArmDraft, tool: &Tool, home: &[f64], r
         ("home_rad", home.to_vec()),
         ("velocity_limit_rad_s", arm.velocity.iter().map(|speed| speed.unwrap_or(SPEED)).collect()),
         ("acceleration_limit_rad_s2", vec![ACCELERATION; arm.names.len()]),
-        ("torque_limit_nm", torque),
+        ("torque_limit_nm", torque.clone()),
         ("stiffness_nm_rad", gains.iter().map(|[stiffness, _]| *stiffness).collect()),
         ("damping_nms_rad", gains.iter().map(|[_, damping]| *damping).collect()),
     ] {
@@ -536,7 +589,7 @@ fn document(name: &str, file: &str, arm: &ArmDraft, tool: &Tool, home: &[f64], r
     table.insert("flange_site".to_owned(), tool.flange.clone().into());
     table.insert("tcp_site".to_owned(), tool.tcp.clone().into());
     table.insert("reach_m".to_owned(), ((reach * 1e3).floor() / 1e3).max(0.01).into());
-    table.insert("payload_kg".to_owned(), 1.0.into());
+    table.insert("payload_kg".to_owned(), payload_kg(&torque, reach).into());
     let mut text = format!("name = {}\nmodel = {}\n", toml::Value::from(name), toml::Value::from(file));
     // Writing to a string cannot fail.
     let mut gripper = toml::Table::new();
@@ -553,6 +606,13 @@ fn document(name: &str, file: &str, arm: &ArmDraft, tool: &Tool, home: &[f64], r
         );
     }
     text
+}
+
+/// The payload of an arm without a stated one, in kilograms: with it the weakest joint of the shoulder has half of its torque left.
+fn payload_kg(torque: &[f64], reach: f64) -> f64 {
+    let shoulder = torque.iter().take(SHOULDER).copied().fold(f64::INFINITY, f64::min);
+    let half = 0.5 * shoulder / (crate::GRAVITY * reach);
+    ((half * 20.0).floor() / 20.0).clamp(0.05, 1.0)
 }
 
 /// The kinematics of the robot with these settings.
@@ -680,7 +740,7 @@ impl Writer {
             }
         }
         guess(format!("acceleration_limit_rad_s2 = {ACCELERATION}: no model states it"));
-        guess("payload_kg = 1, and reach_m: replace them by the manufacturer's figures".to_owned());
+        guess("payload_kg and reach_m: replace them by the manufacturer's figures".to_owned());
         self.guesses.extend(tool.guesses.iter().cloned());
         let lines: Vec<String> = self.guesses.iter().map(|guess| format!("# - {guess}\n")).collect();
         self.out = format!(

@@ -23,6 +23,9 @@ const REACH_MARGIN: f64 = 1.1;
 /// Spacing of the grid of tool positions over the table, in metres.
 const GRID_M: f64 = 0.05;
 
+/// Below this scale of the workspace the upper height of the grid is scaled too.
+const SMALL_SCALE: f64 = 0.6;
+
 /// Two bodies are in contact if they penetrate each other deeper than this, in metres. Shapes of neighbouring links
 /// overlap by less.
 const DEEP_M: f64 = 1e-3;
@@ -201,8 +204,10 @@ fn workspace(chain: &Chain, home: &[f64], scale: f64, positions: &[[f64; 2]]) ->
     let x = at_home.rotation * Vector3::x();
     // The tool rotates with the arm's base, which keeps the wrist posture.
     let heading = x.y.atan2(x.x) - at_home.translation.y.atan2(at_home.translation.x);
+    // An arm on a small workspace does not lift its tool as high.
+    let high = 5.0 * GRID_M * if scale < SMALL_SCALE { scale } else { 1.0 };
     let reached = |[x, y]: [f64; 2]| {
-        [GRID_M, 5.0 * GRID_M].iter().all(|z| {
+        [GRID_M, high].iter().all(|z| {
             let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading + y.atan2(x));
             chain.reach(&Isometry3::from_parts(Translation3::new(x, y, *z), yaw * down), home).is_ok()
         })

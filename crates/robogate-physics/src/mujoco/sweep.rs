@@ -7,7 +7,7 @@ use mujoco_rs::mujoco_c::mjtLimited;
 use mujoco_rs::prelude::*;
 use nalgebra::{Isometry3, Point3};
 
-use super::{PREFIX, rigid};
+use super::{PREFIX, probe, rigid};
 use crate::finger_motion::{FingerMotion, FingerState};
 use crate::{FingerDrive, ParallelJaw, Problem, RobotSettings, contact};
 
@@ -36,6 +36,8 @@ const PROBE_STEPS: usize = 20;
 const PROBE_TRAVEL: f64 = 0.02;
 /// The inertia that a drive moves is at most this multiple of what it moves without equalities.
 const MOST_COUPLED: f64 = 1e3;
+/// The face of a fixed jaw may differ from robot.toml by this much, in metres.
+const FACE_M: f64 = 2e-3;
 /// Distances between pads are measured up to this one, in metres.
 const FARTHEST_M: f64 = 0.5;
 
@@ -415,8 +417,12 @@ pub(crate) fn measure(
     let (mut states, mut tip_m) = (Vec::with_capacity(STATES), f64::NEG_INFINITY);
     for k in 0..STATES {
         sweep.go(k as f64 / (STATES - 1) as f64).map_err(|problem| vec![problem])?;
-        let opening_m = sweep.gap(&pads);
+        sweep.data.forward();
         let tool: Isometry3<f64> = rigid(sweep.data.site_xpos()[tcp], &sweep.data.site_xmat()[tcp]);
+        let opening_m = match jaw.fixed_jaw_m {
+            Some(fixed) => one_jaw(&mut sweep.data, &tool, jaw, fixed, &pads).map_err(|problem| vec![problem])?,
+            None => sweep.gap(&pads),
+        };
         let ahead = |corner: &Point3<f64>| tool.inverse_transform_point(corner).z;
         tip_m = pads.iter().flat_map(|pad| sweep.corners(pad)).map(|corner| ahead(&corner)).fold(tip_m, f64::max);
         let joints = joints.iter().map(|(_, qpos)| sweep.data.qpos()[*qpos]).collect();
@@ -442,6 +448,34 @@ pub(crate) fn measure(
     }
     meet(&mut states);
     Ok(FingerMotion { joints: joints.into_iter().map(|(name, _)| name).collect(), states, tip_m })
+}
+
+/// The opening between a fixed jaw and one that moves, whose shapes are `pads`, in metres. The fixed jaw is where robot.toml says.
+fn one_jaw(
+    data: &mut MjData<Box<MjModel>>,
+    tool: &Isometry3<f64>,
+    jaw: &ParallelJaw,
+    fixed_m: f64,
+    [fixed, moved]: &[Vec<usize>; 2],
+) -> Result<f64, Problem> {
+    let face = probe::fixed_face(data, tool, 0.5 * jaw.opening_m - fixed_m, fixed);
+    if face.is_none_or(|face| (face + fixed_m).abs() > FACE_M) {
+        let found = face.map_or("not there".to_owned(), |face| format!("{:.4} m from it", -face));
+        return Err(Problem::new(
+            format!(
+                "gripper.fixed_jaw_m = {fixed_m}, but the inner face of `{}` on the negative y axis of the tool centre point is {found}",
+                jaw.finger_bodies[0]
+            ),
+            "name the body of the fixed jaw first in gripper.finger_bodies, and put the site of arm.tcp_site between the jaws with the fixed one on its negative y axis",
+        ));
+    }
+    let moving = probe::moving_face(data, tool, moved);
+    moving.map(|moving| moving + fixed_m).ok_or_else(|| {
+        Problem::new(
+            format!("`{}` leaves the y axis of the tool centre point on its way from open to closed", jaw.finger_bodies[1]),
+            "choose another position for open in [[gripper.drive]], or a tool centre point nearer to the hinge of the jaw",
+        )
+    })
 }
 
 /// Moves the closed end to where the pads meet, if they overlap there.
