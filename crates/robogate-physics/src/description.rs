@@ -219,6 +219,8 @@ impl Reader<'_> {
         let spring = self.spring(robot)?;
         // For each MJCF body: the link that it is part of, and its pose there at joint positions 0.
         let mut places: Vec<(usize, Isometry3<f64>)> = Vec::with_capacity(self.model.bodies.len());
+        let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), robot.settings.arm.base_yaw_rad);
+        let yaw = Isometry3::from_parts(Translation3::identity(), yaw);
         for (id, entry) in self.model.bodies.iter().enumerate() {
             let body = &entry.body;
             let name = body.name.clone().unwrap_or_else(|| format!("body {id}"));
@@ -227,7 +229,7 @@ impl Reader<'_> {
                     let (link, placement) = *places.get(parent).ok_or("a body comes before its parent")?;
                     (link, placement * isometry(&body.pose))
                 }
-                None => (0, Isometry3::identity()),
+                None => (0, yaw),
             };
             let spring = spring.filter(|spring| spring.body == id);
             let joint = match (body.joints.as_slice(), spring) {

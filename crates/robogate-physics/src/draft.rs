@@ -27,6 +27,9 @@ const MOST_FRAME_KG: f64 = 2e-3;
 const POSTURES: usize = 20_000;
 /// Where the tool waits at home, in metres from the base: over the middle of the workspace.
 const HOME_TOOL: [f64; 3] = [0.45, 0.0, 0.30];
+/// Where the tool of a short arm waits, as shares of distance and height of that place: wrists with small ranges point down near the
+/// table and the base only.
+const NEARER_HOMES: [[f64; 2]; 6] = [[1.0, 1.0], [1.0, 0.75], [1.0, 0.5], [0.75, 0.75], [0.75, 0.5], [0.6, 0.4]];
 /// Reach of an arm with which the tool waits there, in metres. Shorter arms wait nearer to the base.
 const FULL_REACH: f64 = 0.75;
 /// Distance that the home posture keeps from the ends of the joints' ranges, in radians.
@@ -35,6 +38,8 @@ const HOME_MARGIN: f64 = 0.05;
 const HOME_TILT: f64 = 0.3;
 /// Number of joints of the shoulder, which are near the base in every posture.
 const SHOULDER: usize = 2;
+/// The shapes of a tool reach farther along another axis by more than this factor.
+const OUTWARDS: f64 = 1.05;
 /// Speed of a joint without a stated limit, in rad/s.
 const SPEED: f64 = 2.0;
 /// Acceleration of the joints, in rad/s^2: no model states it. MoveIt configurations of industrial arms use this value.
@@ -83,16 +88,19 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
         (Some(chain), false) => {
             // Short arms wait nearer to the base.
             let near = (crate::inspect::reach(chain)[0] / FULL_REACH).min(1.0);
-            let at = |scale: f64| {
-                let tool = HOME_TOOL.map(|x| scale * x);
+            let at = |scale: f64, [far, high]: [f64; 2]| {
+                let [x, y, z] = HOME_TOOL.map(|x| scale * x);
+                let tool = [far * x, y, high * z];
                 stated.and_then(|home| turned_home(chain, home, tool)).or_else(|| sought_home(chain, tool))
             };
-            at(1.0).or_else(|| (near < 1.0).then(|| at(near)).flatten())
+            let nearer = || NEARER_HOMES.into_iter().find_map(|share| at(near, share));
+            at(1.0, [1.0; 2]).or_else(|| (near < 1.0).then(nearer).flatten())
         }
         _ => None,
     };
-    if let Some(home) = &found {
+    if let (Some(home), Some(chain)) = (&found, &chain) {
         settings.arm.home_rad.clone_from(home);
+        face_the_table(chain, &mut settings);
     }
     if let Some(chain) = &chain {
         settings.arm.reach_m = crate::inspect::reach(chain)[0];
@@ -425,7 +433,7 @@ impl Tool {
                 let (carrier, at, end) = match named {
                     Some(body) => (body, Isometry3::identity(), 0.0),
                     None => {
-                        let flange = flange.unwrap_or_else(Isometry3::identity);
+                        let flange = flange.unwrap_or_else(|| outwards(model, palm, tree.joints.last().copied()));
                         (palm, flange, farthest_along_z(model, palm, &flange))
                     }
                 };
@@ -538,6 +546,25 @@ fn farthest_along_z(model: &MjModel, body: usize, frame: &Isometry3<f64>) -> f64
     corners.iter().map(|corner| frame.inverse_transform_point(corner).z).fold(0.0, f64::max)
 }
 
+/// The frame of a body, turned so that z points out of the tool: along its z axis, or along the axis of the last joint if the shapes
+/// reach farther that way.
+fn outwards(model: &MjModel, body: usize, joint: Option<usize>) -> Isometry3<f64> {
+    let Some(joint) = joint.filter(|joint| model.jnt_bodyid()[*joint] as usize == body) else {
+        return Isometry3::identity();
+    };
+    let axis = Vector3::from(model.jnt_axis()[joint]).normalize();
+    let turned = |z: Vector3<f64>| {
+        let turn = UnitQuaternion::rotation_between(&Vector3::z(), &z);
+        let flip = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+        Isometry3::from_parts(Translation3::identity(), turn.unwrap_or(flip))
+    };
+    let frames = [Isometry3::identity(), turned(axis), turned(-axis)];
+    let reach = frames.map(|frame| farthest_along_z(model, body, &frame));
+    // Equal reach leaves the frame of the body.
+    let farthest = (1..3).fold(0, |best, i| if reach[i] > OUTWARDS * reach[best] { i } else { best });
+    frames[farthest]
+}
+
 /// The last body that is fixed to `body`.
 fn end_of(model: &MjModel, body: usize) -> usize {
     let fixed = |other: &usize| model.body_weldid()[*other] == model.body_weldid()[body];
@@ -560,12 +587,19 @@ fn settings(
     tool: &Tool,
     home: Vec<f64>,
 ) -> Result<RobotSettings, Vec<Problem>> {
-    let text = document(name, file, arm, tool, &home, 1.0);
+    let text = document(name, file, arm, tool, &home, (1.0, 0.0));
     RobotSettings::from_toml(&text, Path::new("robot.toml")).map_err(crate::RobotError::into_problems)
 }
 
 /// `robot.toml` without comments.
-fn document(name: &str, file: &str, arm: &ArmDraft, tool: &Tool, home: &[f64], reach: f64) -> String {
+fn document(
+    name: &str,
+    file: &str,
+    arm: &ArmDraft,
+    tool: &Tool,
+    home: &[f64],
+    (reach, base_yaw): (f64, f64),
+) -> String {
     let list = |values: Vec<f64>| toml::Value::Array(values.into_iter().map(rounded).collect());
     let torque: Vec<f64> = arm.torque.iter().map(|torque| torque.unwrap_or(TORQUE)).collect();
     let gains: Vec<[f64; 2]> = arm
@@ -589,6 +623,9 @@ fn document(name: &str, file: &str, arm: &ArmDraft, tool: &Tool, home: &[f64], r
     table.insert("flange_site".to_owned(), tool.flange.clone().into());
     table.insert("tcp_site".to_owned(), tool.tcp.clone().into());
     table.insert("reach_m".to_owned(), ((reach * 1e3).floor() / 1e3).max(0.01).into());
+    if base_yaw != 0.0 {
+        table.insert("base_yaw_rad".to_owned(), rounded(base_yaw));
+    }
     table.insert("payload_kg".to_owned(), payload_kg(&torque, reach).into());
     let mut text = format!("name = {}\nmodel = {}\n", toml::Value::from(name), toml::Value::from(file));
     // Writing to a string cannot fail.
@@ -654,6 +691,20 @@ fn turned_home(chain: &Chain, stated: &[f64], tool: [f64; 3]) -> Option<Vec<f64>
     turned[0] = turns.into_iter().min_by(|a, b| a.abs().total_cmp(&b.abs()))?;
     let home = chain.reach(&waiting(&chain.tcp_at(&turned), tool), &turned).ok()?;
     is_inside(chain, &home).then_some(home)
+}
+
+/// Rotates a model whose first joint is far from the middle of its range at home by quarters, so that the arm reaches as far to both sides.
+fn face_the_table(chain: &Chain, settings: &mut RobotSettings) {
+    use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, TAU};
+    let Some(first) = chain.joints.first() else { return };
+    let upwards = (first.placement.rotation * first.axis).z;
+    let [low, high] = first.range;
+    let turn = (settings.arm.home_rad[0] - 0.5 * (low + high)) * upwards.signum();
+    if upwards.abs() > HOME_TILT.cos() && high - low < TAU && turn.abs() > FRAC_PI_4 {
+        let yaw = (turn / FRAC_PI_2).round() * FRAC_PI_2;
+        settings.arm.base_yaw_rad = yaw;
+        settings.arm.home_rad[0] -= yaw * upwards.signum();
+    }
 }
 
 /// Height of the lowest joint behind the shoulder, in metres.
@@ -739,6 +790,9 @@ impl Writer {
                 guess(format!("{what} for {missing}"));
             }
         }
+        if settings.arm.base_yaw_rad != 0.0 {
+            guess("base_yaw_rad: the model does not face the table".to_owned());
+        }
         guess(format!("acceleration_limit_rad_s2 = {ACCELERATION}: no model states it"));
         guess("payload_kg and reach_m: replace them by the manufacturer's figures".to_owned());
         self.guesses.extend(tool.guesses.iter().cloned());
@@ -746,7 +800,7 @@ impl Writer {
         self.out = format!(
             "# Drafted from {file}. Guessed, because the model does not state it:\n{}# Correct these, and check the robot with `robogate robots check FOLDER`.\n\n{}",
             lines.concat(),
-            document(name, file, arm, tool, &settings.arm.home_rad, reach)
+            document(name, file, arm, tool, &settings.arm.home_rad, (reach, settings.arm.base_yaw_rad))
         );
     }
 }

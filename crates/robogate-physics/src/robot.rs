@@ -95,9 +95,16 @@ pub struct Arm {
     pub reach_m: f64,
     /// Published payload, in kilograms.
     pub payload_kg: f64,
+    /// Rotation of the model about the vertical axis through its origin, in radians, for a model that does not face the table at +x.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub base_yaw_rad: f64,
     /// Contact force at which the robot's own supervision stops it, in newtons. Tasks take it as the largest accepted force.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub collision_force_n: Option<f64>,
+}
+
+fn is_zero(number: &f64) -> bool {
+    *number == 0.0
 }
 
 /// The gripper.
@@ -472,6 +479,9 @@ impl RobotSettings {
                     "the key ends with its unit: rad, s, N m",
                 );
             }
+        }
+        if !self.arm.base_yaw_rad.is_finite() {
+            problem("arm.base_yaw_rad is not finite".to_owned(), "give the rotation in radians");
         }
         for site in &self.sites {
             if site.position_m.iter().chain(&site.rpy_rad).any(|x| !x.is_finite()) {

@@ -18,6 +18,9 @@ use crate::{
 
 /// Group of the model's own actuators, which is disabled: `robot.toml` defines the drives.
 const OFF_GROUP: i32 = 30;
+/// MuJoCo's defaults of constraints.
+const DEFAULT_SOLREF: [f64; 2] = [0.02, 1.0];
+const DEFAULT_SOLIMP: [f64; 3] = [0.9, 0.95, 0.001];
 /// Group of shapes that pictures do not show.
 const HIDDEN_GROUP: i32 = 3;
 /// Mass (kg) and moment of inertia (kg m^2) of a moving link of a URDF without a mass.
@@ -55,6 +58,7 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<Built, Vec<Problem>
     let settings = &robot.settings;
     let mut problems = Vec::new();
     prepare(&mut spec, time_step);
+    turn(&mut spec, settings.arm.base_yaw_rad);
     for site in &settings.sites {
         add_site(&mut spec, site, &mut problems);
     }
@@ -115,9 +119,7 @@ fn finger_motion(spec: &mut MjSpec, settings: &RobotSettings, jaw: &ParallelJaw)
     let arm: Vec<&str> = settings.arm.joints.iter().map(String::as_str).collect();
     let mut measurable = spec.clone();
     sweep::measurable(&mut measurable, &arm);
-    if jaw.fixed_jaw_m.is_some() {
-        probe::add(&mut measurable);
-    }
+    probe::add(&mut measurable);
     let model = measurable.compile().map_err(|error| vec![rejected(&error)])?;
     let motion = sweep::measure(model, settings, jaw)?;
     let open = motion.open().opening_m;
@@ -171,6 +173,14 @@ pub(crate) fn read(path: &Path) -> Result<MjSpec, String> {
     }
     if is_urdf {
         give_mass(&mut spec);
+    }
+    // Gears and linkages couple the joints of a gripper. Where the model states no stiffness, as a URDF, MuJoCo's default yields under the
+    // grip force.
+    for equality in spec.equality_iter_mut().filter(|equality| equality.type_() == MjtEq::mjEQ_JOINT) {
+        if equality.solref()[..2] == DEFAULT_SOLREF && equality.solimp()[..3] == DEFAULT_SOLIMP {
+            equality.solref_mut()[..2].copy_from_slice(&[contact::TIME_CONSTANT_S, 1.0]);
+            equality.solimp_mut()[..3].copy_from_slice(&contact::LIMIT_IMPEDANCE);
+        }
     }
     Ok(spec)
 }
@@ -270,6 +280,22 @@ pub(crate) fn prepare(spec: &mut MjSpec, time_step: f64) {
     option.iterations = 100;
     option.ls_iterations = 50;
     option.disableactuator = 1 << OFF_GROUP;
+}
+
+/// Rotates the bodies on the ground about the vertical axis through the origin.
+fn turn(spec: &mut MjSpec, yaw_rad: f64) {
+    // A model that does not compile is reported by the caller.
+    let Some(model) = (yaw_rad != 0.0).then(|| spec.clone().compile().ok()).flatten() else { return };
+    let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
+    let roots = (1..model.body_parentid().len()).filter(|body| model.body_parentid()[*body] == 0);
+    for (body, id) in spec.world_body_mut().body_iter_mut().zip(roots) {
+        let at = isometry(&model.body_pos()[id], &model.body_quat()[id]);
+        let turned = Isometry3::from_parts(Translation3::identity(), yaw) * at;
+        *body.pos_mut() = turned.translation.vector.into();
+        *body.quat_mut() = wxyz(&turned.rotation);
+        // The angles of the model are part of the quaternion now.
+        body.alt_mut().switch_quat();
+    }
 }
 
 /// Compensates the weight of the robot, as every arm's controller does, but not the weight of its load.

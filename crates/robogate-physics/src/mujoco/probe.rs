@@ -14,6 +14,8 @@ const RADIUS_M: f64 = 1e-3;
 const MET_M: f64 = 1e-5;
 /// The ball starts this far beside the tool centre point, in metres.
 pub(crate) const BESIDE_M: f64 = 0.3;
+/// The contact mask of the ball: no other shape has it, and the compiler of a URDF discards shapes without one.
+const ALONE: i32 = 1 << 20;
 /// Most steps of the ball.
 const MOST_STEPS: usize = 300;
 
@@ -28,8 +30,8 @@ pub(crate) fn add(spec: &mut MjSpec) {
     let geom = body.add_geom().with_name(&name());
     geom.set_type(MjtGeomBase::mjGEOM_SPHERE);
     *geom.size_mut() = [RADIUS_M, 0.0, 0.0];
-    geom.set_contype(0);
-    geom.set_conaffinity(0);
+    geom.set_contype(ALONE);
+    geom.set_conaffinity(ALONE);
 }
 
 /// How far the front of the ball goes from `from` along a direction until it meets one of these shapes, in metres. `None` if it does

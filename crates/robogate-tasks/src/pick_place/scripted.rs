@@ -12,7 +12,7 @@ use std::f64::consts::PI;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use robogate_core::{Action, Fault, Observation, Policy, Pose, Seed, TaskInstance, TaskSpec};
-use robogate_physics::trajectory::ToolLimit;
+use robogate_physics::trajectory::{TRANSIT_HEIGHTS_M, ToolLimit};
 use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
 use super::Shape;
@@ -21,10 +21,8 @@ use crate::arm::{
     CONTROL_PERIOD_S, FREE, FREELY, Planner, Script, Stage, Way, carry_yaw, cup_yaw, drives_task, nearest, tool_down,
 };
 
-/// Height of the tool above the table on transit paths, in metres: the carried object passes over the highest obstacle. An arm that
-/// does not reach so high over object and target takes the first lower one that it reaches.
-const TRANSIT_HEIGHTS_M: [f64; 6] = [TRANSIT_HEIGHT_M, 0.2, 0.16, 0.13, 0.1, 0.08];
-const TRANSIT_HEIGHT_M: f64 = 0.25;
+/// Height of the tool above the table on transit paths, in metres, where the arm reaches it.
+const TRANSIT_HEIGHT_M: f64 = TRANSIT_HEIGHTS_M[0];
 /// Height of the object above the table at its release, in metres.
 const RELEASE_ROOM_M: f64 = 0.003;
 /// Limits of motion with the object in hand. They are low, so that weight and not acceleration decides whether it
