@@ -5,7 +5,7 @@
 #![expect(unsafe_code, reason = "symbols and their table are defined in assembly")]
 
 use std::arch::global_asm;
-use std::ffi::{CStr, c_void};
+use std::ffi::{CStr, c_int, c_void};
 use std::process::abort;
 use std::ptr;
 
@@ -85,6 +85,10 @@ macro_rules! functions {
 unsafe extern "C" {
     /// Slots of the functions, in the order of [`NAMES`].
     static mut mujoco_loader_table: *const c_void;
+
+    /// Sets the number of significant digits in the models that MuJoCo writes. The binding does not declare it.
+    #[allow(non_snake_case, reason = "the name in MuJoCo")]
+    pub(crate) fn _mjPRIVATE__set_xml_precision(digits: c_int);
 }
 
 /// Fills every slot of the table with the address that `find` returns for its function.
@@ -107,6 +111,7 @@ extern "C" fn missing() -> ! {
 }
 
 functions! {
+    "_mjPRIVATE__set_xml_precision"
     "mj_Euler"
     "mj_RungeKutta"
     "mj_actuatorInputName"

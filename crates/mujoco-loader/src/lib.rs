@@ -136,6 +136,15 @@ fn find_and_load() -> Result<Library, LoadError> {
     Ok(library)
 }
 
+/// Sets how many significant digits MuJoCo writes into models. Call [`load`] first.
+pub fn set_xml_precision(digits: i32) {
+    // SAFETY: it stores a number. `load` has connected the function.
+    #[expect(unsafe_code, reason = "a function of MuJoCo that the binding lacks")]
+    unsafe {
+        functions::_mjPRIVATE__set_xml_precision(digits);
+    }
+}
+
 /// SHA-256 digest of a file, in lower-case hexadecimal digits.
 fn digest(path: &Path) -> Result<String, LoadError> {
     let mut hasher = Sha256::new();

@@ -78,7 +78,7 @@ impl RobotLooks {
             }
             other => other.to_string(),
         };
-        let description = Description::read(robot).map_err(why)?;
+        let description = Description::for_pictures(robot).map_err(why)?;
         let fingers = FingerMotion::of(robot).map_err(why)?;
         let hinges = description.links.iter().map(|link| {
             link.joint.as_ref().map(|joint| Hinge {

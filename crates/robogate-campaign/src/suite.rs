@@ -14,8 +14,9 @@ use crate::OutcomeCounts;
 pub const INDUSTRIAL_68: &str = include_str!("../../../assets/suites/industrial-68.toml");
 
 /// The built-in suites: names and commented TOML.
-pub const BUILT_IN_SUITES: [(&str, &str); 7] = [
+pub const BUILT_IN_SUITES: [(&str, &str); 8] = [
     ("industrial-68", INDUSTRIAL_68),
+    ("tabletop-40", include_str!("../../../assets/suites/tabletop-40.toml")),
     ("stacking-40", include_str!("../../../assets/suites/stacking-40.toml")),
     ("insertion-40", include_str!("../../../assets/suites/insertion-40.toml")),
     ("libero-spatial", include_str!("../../../assets/suites/libero-spatial.toml")),

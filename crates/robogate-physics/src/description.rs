@@ -153,13 +153,35 @@ impl Description {
                 (path, folder.clone(), text)
             }
         };
+        Self::of_text(robot, &path, &folder, &text)
+    }
+
+    /// The model as cameras and pages show it. MuJoCo converts a URDF, whose visual shapes replace its collision shapes.
+    ///
+    /// # Errors
+    /// As [`Self::read`], or if MuJoCo cannot read the URDF.
+    pub fn for_pictures(robot: &Robot) -> Result<Self, RobotError> {
+        #[cfg(feature = "mujoco")]
+        if let RobotSource::Folder(folder) = &robot.source
+            && crate::robot_model::is_urdf(Path::new(&robot.settings.model))
+        {
+            let path = folder.join(&robot.settings.model);
+            let text =
+                crate::robot_model::pictured(&path).map_err(|why| RobotError::Read { path: path.clone(), why })?;
+            return Self::of_text(robot, &path, folder, &text);
+        }
+        Self::read(robot)
+    }
+
+    fn of_text(robot: &Robot, path: &Path, folder: &Path, text: &str) -> Result<Self, RobotError> {
         let hint = "Rapier and the cameras read a subset of MJCF without MuJoCo. Try --engine mujoco";
-        let invalid = |why: String| RobotError::Invalid { path: path.clone(), problems: vec![Problem::new(why, hint)] };
-        let text = includes::replaced(&text, &folder).map_err(invalid)?;
+        let invalid =
+            |why: String| RobotError::Invalid { path: path.to_owned(), problems: vec![Problem::new(why, hint)] };
+        let text = includes::replaced(text, folder).map_err(invalid)?;
         // Files within the limits can exceed them together.
         robot_folder::check_model(text.as_bytes()).map_err(invalid)?;
-        let model = mjcf_rs::Model::from_str(&text, &folder).map_err(|e| invalid(e.to_string()))?;
-        Reader { model: &model, folder: &folder }.read(robot).map_err(invalid)
+        let model = mjcf_rs::Model::from_str(&text, folder).map_err(|e| invalid(e.to_string()))?;
+        Reader { model: &model, folder }.read(robot).map_err(invalid)
     }
 
     /// Index of the link that the joint of that name moves.
@@ -197,6 +219,8 @@ impl Reader<'_> {
         let spring = self.spring(robot)?;
         // For each MJCF body: the link that it is part of, and its pose there at joint positions 0.
         let mut places: Vec<(usize, Isometry3<f64>)> = Vec::with_capacity(self.model.bodies.len());
+        let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), robot.settings.arm.base_yaw_rad);
+        let yaw = Isometry3::from_parts(Translation3::identity(), yaw);
         for (id, entry) in self.model.bodies.iter().enumerate() {
             let body = &entry.body;
             let name = body.name.clone().unwrap_or_else(|| format!("body {id}"));
@@ -205,7 +229,7 @@ impl Reader<'_> {
                     let (link, placement) = *places.get(parent).ok_or("a body comes before its parent")?;
                     (link, placement * isometry(&body.pose))
                 }
-                None => (0, Isometry3::identity()),
+                None => (0, yaw),
             };
             let spring = spring.filter(|spring| spring.body == id);
             let joint = match (body.joints.as_slice(), spring) {

@@ -19,10 +19,17 @@ use crate::{Chain, MujocoEngine, Problem, Robot, RobotSettings};
 
 /// An arm has at least this many hinges in a row.
 const FEWEST_JOINTS: usize = 4;
+/// Words in the names of joints that move a jaw.
+const JAW_NAMES: [&str; 3] = ["jaw", "finger", "claw"];
+/// A link up to this mass without a shape is a frame, in kilograms: MuJoCo gives a massless link of a URDF 1 g.
+const MOST_FRAME_KG: f64 = 2e-3;
 /// Random postures among which a home posture is sought.
 const POSTURES: usize = 20_000;
 /// Where the tool waits at home, in metres from the base: over the middle of the workspace.
 const HOME_TOOL: [f64; 3] = [0.45, 0.0, 0.30];
+/// Where the tool of a short arm waits, as shares of distance and height of that place: wrists with small ranges point down near the
+/// table and the base only.
+const NEARER_HOMES: [[f64; 2]; 6] = [[1.0, 1.0], [1.0, 0.75], [1.0, 0.5], [0.75, 0.75], [0.75, 0.5], [0.6, 0.4]];
 /// Reach of an arm with which the tool waits there, in metres. Shorter arms wait nearer to the base.
 const FULL_REACH: f64 = 0.75;
 /// Distance that the home posture keeps from the ends of the joints' ranges, in radians.
@@ -31,6 +38,8 @@ const HOME_MARGIN: f64 = 0.05;
 const HOME_TILT: f64 = 0.3;
 /// Number of joints of the shoulder, which are near the base in every posture.
 const SHOULDER: usize = 2;
+/// The shapes of a tool reach farther along another axis by more than this factor.
+const OUTWARDS: f64 = 1.05;
 /// Speed of a joint without a stated limit, in rad/s.
 const SPEED: f64 = 2.0;
 /// Acceleration of the joints, in rad/s^2: no model states it. MoveIt configurations of industrial arms use this value.
@@ -65,10 +74,11 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
     robot_model::prepare(&mut spec, MujocoEngine::TIME_STEP_S);
     let compiled = spec.clone().compile().map_err(|error| vec![robot_model::rejected(&error)])?;
     let text = std::fs::read_to_string(model).unwrap_or_default();
-    let tree = Tree::of(&compiled).map_err(|problem| vec![problem])?;
+    let mut tree = Tree::of(&compiled).map_err(|problem| vec![problem])?;
+    let one_jaw = tree.take_jaw(&spec, &compiled)?;
     let mut draft = Writer { out: String::new(), guesses: Vec::new() };
     let arm = ArmDraft::of(&compiled, &raw, &tree, &text);
-    let tool = Tool::of(&spec, &compiled, &tree)?;
+    let tool = Tool::of(&spec, &compiled, &tree, one_jaw)?;
     let mut settings = settings(name, &file, &arm, &tool, arm.home.clone().unwrap_or_else(|| arm.middle()))?;
     let folder = model.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let chain = kinematics(&settings, folder);
@@ -78,16 +88,19 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
         (Some(chain), false) => {
             // Short arms wait nearer to the base.
             let near = (crate::inspect::reach(chain)[0] / FULL_REACH).min(1.0);
-            let at = |scale: f64| {
-                let tool = HOME_TOOL.map(|x| scale * x);
+            let at = |scale: f64, [far, high]: [f64; 2]| {
+                let [x, y, z] = HOME_TOOL.map(|x| scale * x);
+                let tool = [far * x, y, high * z];
                 stated.and_then(|home| turned_home(chain, home, tool)).or_else(|| sought_home(chain, tool))
             };
-            at(1.0).or_else(|| (near < 1.0).then(|| at(near)).flatten())
+            let nearer = || NEARER_HOMES.into_iter().find_map(|share| at(near, share));
+            at(1.0, [1.0; 2]).or_else(|| (near < 1.0).then(nearer).flatten())
         }
         _ => None,
     };
-    if let Some(home) = &found {
+    if let (Some(home), Some(chain)) = (&found, &chain) {
         settings.arm.home_rad.clone_from(home);
+        face_the_table(chain, &mut settings);
     }
     if let Some(chain) = &chain {
         settings.arm.reach_m = crate::inspect::reach(chain)[0];
@@ -106,6 +119,8 @@ struct Tree {
     palm: Option<usize>,
     /// The joints of the gripper.
     fingers: Vec<usize>,
+    /// Joints behind the arm that move nothing.
+    idle: Vec<String>,
 }
 
 impl Tree {
@@ -137,13 +152,13 @@ impl Tree {
             let arms = moving.iter().filter(|child| deepest[**child] >= FEWEST_JOINTS).count();
             let [next] = moving[..] else {
                 if moving.is_empty() && joints.len() >= FEWEST_JOINTS {
-                    return Ok(Self { joints, last, palm: None, fingers: Vec::new() });
+                    return Ok(Self { joints, last, palm: None, fingers: Vec::new(), idle: Vec::new() });
                 }
                 if joints.len() < FEWEST_JOINTS {
                     return Err(not_one_arm(arms, moving.len()));
                 }
                 let fingers = moving.iter().flat_map(|child| subtree(model, *child)).flat_map(joints_of).collect();
-                return Ok(Self { joints, last, palm: Some(at), fingers });
+                return Ok(Self { joints, last, palm: Some(at), fingers, idle: Vec::new() });
             };
             for joint in joints_of(next) {
                 match model.jnt_type()[joint] {
@@ -151,12 +166,8 @@ impl Tree {
                         joints.push(joint);
                         last = next;
                     }
-                    MjtJoint::mjJNT_SLIDE if joints.len() >= FEWEST_JOINTS => {
-                        return Err(Problem::new(
-                            format!("`{}` is the only finger that moves", name(joint)),
-                            "only grippers with two moving fingers are supported",
-                        ));
-                    }
+                    // The only finger of a gripper with one moving jaw.
+                    MjtJoint::mjJNT_SLIDE if joints.len() >= FEWEST_JOINTS => joints.push(joint),
                     MjtJoint::mjJNT_SLIDE => {
                         return Err(Problem::new(
                             format!(
@@ -176,6 +187,45 @@ impl Tree {
             }
             at = next;
         }
+    }
+}
+
+impl Tree {
+    /// The gripper whose moving jaw is the end of the chain. Its joint is not one of the arm. A joint behind the arm that moves nothing
+    /// but frames is not one of the arm either.
+    fn take_jaw(&mut self, spec: &MjSpec, model: &MjModel) -> Result<Option<Jaw>, Vec<Problem>> {
+        if self.palm.is_some() {
+            return Ok(None);
+        }
+        let body_of = |joint: usize| model.jnt_bodyid()[joint] as usize;
+        let is_empty = |joint: usize| {
+            let carried = subtree(model, body_of(joint));
+            let touches = |body: &usize| !sweep::shapes(model, *body).is_empty();
+            model.body_subtreemass()[body_of(joint)] <= MOST_FRAME_KG && !carried.iter().any(touches)
+        };
+        while let Some(joint) = self.joints.pop_if(|joint| is_empty(*joint)) {
+            self.idle.push(model.id_to_name(MjtObjBase::mjOBJ_JOINT, joint).unwrap_or_default().to_owned());
+        }
+        let Some((joint, arm)) = self.joints.split_last() else { return Ok(None) };
+        let (joint, slides) = (*joint, model.jnt_type()[*joint] == MjtJoint::mjJNT_SLIDE);
+        let jaw = if arm.len() >= FEWEST_JOINTS { Jaw::of_one(spec, model, arm, joint)? } else { None };
+        let name = model.id_to_name(MjtObjBase::mjOBJ_JOINT, joint).unwrap_or("(without a name)");
+        let is_named = JAW_NAMES.iter().any(|word| name.to_lowercase().contains(word));
+        if jaw.is_some() {
+            self.joints.pop();
+            self.palm = Some(model.body_parentid()[body_of(joint)] as usize);
+            self.fingers = vec![joint];
+        } else if slides || is_named {
+            return Err(vec![Problem::new(
+                format!("`{name}` is the only finger that moves, and no fixed jaw was found that it closes on"),
+                "give both jaws collision shapes that face each other at the tips, and the joint a range from open to closed; or fix the joint in the model",
+            )]);
+        }
+        self.last = self.joints.last().map_or(0, |joint| body_of(*joint));
+        if self.joints.len() < FEWEST_JOINTS {
+            return Err(vec![not_one_arm(0, 1)]);
+        }
+        Ok(jaw)
     }
 }
 
@@ -315,7 +365,7 @@ struct Tool {
 }
 
 impl Tool {
-    fn of(spec: &MjSpec, model: &MjModel, tree: &Tree) -> Result<Self, Vec<Problem>> {
+    fn of(spec: &MjSpec, model: &MjModel, tree: &Tree, one_jaw: Option<Jaw>) -> Result<Self, Vec<Problem>> {
         let body_name = |body: usize| model.id_to_name(MjtObjBase::mjOBJ_BODY, body).unwrap_or_default().to_owned();
         let palm = tree.palm.unwrap_or_else(|| end_of(model, tree.last));
         let mut tool = Self {
@@ -343,7 +393,13 @@ impl Tool {
                 tool.guesses.push(format!("the flange is at the frame of the body `{}`", body_name(carrier)));
             }
         }
-        let jaw = tree.palm.map(|palm| Jaw::of(spec, model, &tree.joints, palm, &tree.fingers)).transpose()?;
+        let jaw = match (one_jaw, tree.palm) {
+            (None, Some(palm)) => Some(Jaw::of(spec, model, &tree.joints, palm, &tree.fingers)?),
+            (one_jaw, _) => one_jaw,
+        };
+        for joint in &tree.idle {
+            tool.guesses.push(format!("`{joint}` moves nothing but frames, so it is not a joint of the arm"));
+        }
         let mut tcp = jaw.as_ref().map_or_else(Isometry3::identity, |jaw| jaw.tcp);
         // A site of the model is used where it is between the pads, z out of the tool and the fingers along y.
         let fits = |site: &usize| {
@@ -364,8 +420,9 @@ impl Tool {
                     .any(|site| model.id_to_name(MjtObjBase::mjOBJ_SITE, site) == Some("tcp"));
                 tool.tcp = if taken { "drafted_tcp" } else { "tcp" }.to_owned();
                 tool.sites.push((tool.tcp.clone(), body_name(palm), at.translation.vector.into(), [roll, pitch, yaw]));
+                let between = if jaw.fixed_jaw_m.is_some() { "open jaws" } else { "pads" };
                 tool.guesses.push(format!(
-                    "the tool centre point is {} mm behind the fingertips, in the middle between the pads",
+                    "the tool centre point is {} mm behind the fingertips, in the middle between the {between}",
                     1e3 * TIP
                 ));
             }
@@ -376,7 +433,7 @@ impl Tool {
                 let (carrier, at, end) = match named {
                     Some(body) => (body, Isometry3::identity(), 0.0),
                     None => {
-                        let flange = flange.unwrap_or_else(Isometry3::identity);
+                        let flange = flange.unwrap_or_else(|| outwards(model, palm, tree.joints.last().copied()));
                         (palm, flange, farthest_along_z(model, palm, &flange))
                     }
                 };
@@ -418,6 +475,10 @@ impl Tool {
             ("palm_m", rounded(palm_m)),
         ] {
             self.gripper.insert(key.to_owned(), value);
+        }
+        if let Some(fixed) = jaw.fixed_jaw_m {
+            self.gripper.insert("fixed_jaw_m".to_owned(), rounded(fixed));
+            self.guesses.push(format!("the jaw on `{}` does not move", jaw.bodies[0]));
         }
         self.guesses.push("speed, force, stiffness and damping of the fingers".to_owned());
         self.guesses.push(format!(
@@ -485,6 +546,25 @@ fn farthest_along_z(model: &MjModel, body: usize, frame: &Isometry3<f64>) -> f64
     corners.iter().map(|corner| frame.inverse_transform_point(corner).z).fold(0.0, f64::max)
 }
 
+/// The frame of a body, turned so that z points out of the tool: along its z axis, or along the axis of the last joint if the shapes
+/// reach farther that way.
+fn outwards(model: &MjModel, body: usize, joint: Option<usize>) -> Isometry3<f64> {
+    let Some(joint) = joint.filter(|joint| model.jnt_bodyid()[*joint] as usize == body) else {
+        return Isometry3::identity();
+    };
+    let axis = Vector3::from(model.jnt_axis()[joint]).normalize();
+    let turned = |z: Vector3<f64>| {
+        let turn = UnitQuaternion::rotation_between(&Vector3::z(), &z);
+        let flip = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+        Isometry3::from_parts(Translation3::identity(), turn.unwrap_or(flip))
+    };
+    let frames = [Isometry3::identity(), turned(axis), turned(-axis)];
+    let reach = frames.map(|frame| farthest_along_z(model, body, &frame));
+    // Equal reach leaves the frame of the body.
+    let farthest = (1..3).fold(0, |best, i| if reach[i] > OUTWARDS * reach[best] { i } else { best });
+    frames[farthest]
+}
+
 /// The last body that is fixed to `body`.
 fn end_of(model: &MjModel, body: usize) -> usize {
     let fixed = |other: &usize| model.body_weldid()[*other] == model.body_weldid()[body];
@@ -507,12 +587,19 @@ fn settings(
     tool: &Tool,
     home: Vec<f64>,
 ) -> Result<RobotSettings, Vec<Problem>> {
-    let text = document(name, file, arm, tool, &home, 1.0);
+    let text = document(name, file, arm, tool, &home, (1.0, 0.0));
     RobotSettings::from_toml(&text, Path::new("robot.toml")).map_err(crate::RobotError::into_problems)
 }
 
 /// `robot.toml` without comments.
-fn document(name: &str, file: &str, arm: &ArmDraft, tool: &Tool, home: &[f64], reach: f64) -> String {
+fn document(
+    name: &str,
+    file: &str,
+    arm: &ArmDraft,
+    tool: &Tool,
+    home: &[f64],
+    (reach, base_yaw): (f64, f64),
+) -> String {
     let list = |values: Vec<f64>| toml::Value::Array(values.into_iter().map(rounded).collect());
     let torque: Vec<f64> = arm.torque.iter().map(|torque| torque.unwrap_or(TORQUE)).collect();
     let gains: Vec<[f64; 2]> = arm
@@ -527,7 +614,7 @@ fn document(name: &str, file: &str, arm: &ArmDraft, tool: &Tool, home: &[f64], r
         ("home_rad", home.to_vec()),
         ("velocity_limit_rad_s", arm.velocity.iter().map(|speed| speed.unwrap_or(SPEED)).collect()),
         ("acceleration_limit_rad_s2", vec![ACCELERATION; arm.names.len()]),
-        ("torque_limit_nm", torque),
+        ("torque_limit_nm", torque.clone()),
         ("stiffness_nm_rad", gains.iter().map(|[stiffness, _]| *stiffness).collect()),
         ("damping_nms_rad", gains.iter().map(|[_, damping]| *damping).collect()),
     ] {
@@ -536,7 +623,10 @@ fn document(name: &str, file: &str, arm: &ArmDraft, tool: &Tool, home: &[f64], r
     table.insert("flange_site".to_owned(), tool.flange.clone().into());
     table.insert("tcp_site".to_owned(), tool.tcp.clone().into());
     table.insert("reach_m".to_owned(), ((reach * 1e3).floor() / 1e3).max(0.01).into());
-    table.insert("payload_kg".to_owned(), 1.0.into());
+    if base_yaw != 0.0 {
+        table.insert("base_yaw_rad".to_owned(), rounded(base_yaw));
+    }
+    table.insert("payload_kg".to_owned(), payload_kg(&torque, reach).into());
     let mut text = format!("name = {}\nmodel = {}\n", toml::Value::from(name), toml::Value::from(file));
     // Writing to a string cannot fail.
     let mut gripper = toml::Table::new();
@@ -553,6 +643,13 @@ fn document(name: &str, file: &str, arm: &ArmDraft, tool: &Tool, home: &[f64], r
         );
     }
     text
+}
+
+/// The payload of an arm without a stated one, in kilograms: with it the weakest joint of the shoulder has half of its torque left.
+fn payload_kg(torque: &[f64], reach: f64) -> f64 {
+    let shoulder = torque.iter().take(SHOULDER).copied().fold(f64::INFINITY, f64::min);
+    let half = 0.5 * shoulder / (crate::GRAVITY * reach);
+    ((half * 20.0).floor() / 20.0).clamp(0.05, 1.0)
 }
 
 /// The kinematics of the robot with these settings.
@@ -594,6 +691,20 @@ fn turned_home(chain: &Chain, stated: &[f64], tool: [f64; 3]) -> Option<Vec<f64>
     turned[0] = turns.into_iter().min_by(|a, b| a.abs().total_cmp(&b.abs()))?;
     let home = chain.reach(&waiting(&chain.tcp_at(&turned), tool), &turned).ok()?;
     is_inside(chain, &home).then_some(home)
+}
+
+/// Rotates a model whose first joint is far from the middle of its range at home by quarters, so that the arm reaches as far to both sides.
+fn face_the_table(chain: &Chain, settings: &mut RobotSettings) {
+    use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, TAU};
+    let Some(first) = chain.joints.first() else { return };
+    let upwards = (first.placement.rotation * first.axis).z;
+    let [low, high] = first.range;
+    let turn = (settings.arm.home_rad[0] - 0.5 * (low + high)) * upwards.signum();
+    if upwards.abs() > HOME_TILT.cos() && high - low < TAU && turn.abs() > FRAC_PI_4 {
+        let yaw = (turn / FRAC_PI_2).round() * FRAC_PI_2;
+        settings.arm.base_yaw_rad = yaw;
+        settings.arm.home_rad[0] -= yaw * upwards.signum();
+    }
 }
 
 /// Height of the lowest joint behind the shoulder, in metres.
@@ -679,14 +790,17 @@ impl Writer {
                 guess(format!("{what} for {missing}"));
             }
         }
+        if settings.arm.base_yaw_rad != 0.0 {
+            guess("base_yaw_rad: the model does not face the table".to_owned());
+        }
         guess(format!("acceleration_limit_rad_s2 = {ACCELERATION}: no model states it"));
-        guess("payload_kg = 1, and reach_m: replace them by the manufacturer's figures".to_owned());
+        guess("payload_kg and reach_m: replace them by the manufacturer's figures".to_owned());
         self.guesses.extend(tool.guesses.iter().cloned());
         let lines: Vec<String> = self.guesses.iter().map(|guess| format!("# - {guess}\n")).collect();
         self.out = format!(
             "# Drafted from {file}. Guessed, because the model does not state it:\n{}# Correct these, and check the robot with `robogate robots check FOLDER`.\n\n{}",
             lines.concat(),
-            document(name, file, arm, tool, &settings.arm.home_rad, reach)
+            document(name, file, arm, tool, &settings.arm.home_rad, (reach, settings.arm.base_yaw_rad))
         );
     }
 }

@@ -1,5 +1,7 @@
 //! Finds the fingers of a model for a drafted `robot.toml`: drives, pads, opening, and the frame of the tool.
 
+mod one_jaw;
+
 use mujoco_rs::prelude::*;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
@@ -31,6 +33,8 @@ pub(crate) struct Jaw {
     pub(crate) drives: Vec<FingerDrive>,
     pub(crate) bodies: [String; 2],
     pub(crate) opening_m: f64,
+    /// Distance from the tool centre point to a jaw that does not move.
+    pub(crate) fixed_jaw_m: Option<f64>,
     /// Largest force of each pad, in newtons, if the model limits it.
     pub(crate) force_n: Option<f64>,
     pub(crate) stiffness_n_m: f64,
@@ -89,6 +93,7 @@ impl Jaw {
             drives: settings,
             bodies: pads.bodies.map(name),
             opening_m: measured.opening_m,
+            fixed_jaw_m: None,
             force_n: force,
             stiffness_n_m: STIFFNESS,
             damping_ns_m: (STIFFNESS * mass).sqrt().clamp(LEAST_DAMPING, 10.0 * LEAST_DAMPING).round(),
@@ -99,8 +104,11 @@ impl Jaw {
     }
 
     /// Whether a site, given by its pose in the palm's frame, is a tool centre point: between the pads, z out of the tool,
-    /// and the fingers along y.
+    /// and the fingers along y. Jaws of which one does not move have a tool centre point of their own.
     pub(crate) fn accepts(&self, site: &Isometry3<f64>) -> bool {
+        if self.fixed_jaw_m.is_some() {
+            return false;
+        }
         let off = self.tcp.inverse() * site;
         let [z, y] = [off * Vector3::z(), off * Vector3::y()];
         let beside = off.translation.vector.xy().norm();

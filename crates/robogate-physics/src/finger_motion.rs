@@ -19,11 +19,23 @@ pub struct FingerMotion {
 pub(crate) struct FingerState {
     /// Distance between the pads, in metres.
     pub(crate) opening_m: f64,
+    /// Distance between the pads along the y axis of the tool centre point, in metres. Only for pads that open like a V, between which
+    /// that distance changes more than the smallest one.
+    #[cfg(feature = "mujoco")]
+    pub(crate) at_tool_m: Option<f64>,
     /// Position of each drive, in the model's unit.
     #[cfg(feature = "mujoco")]
     pub(crate) drives: Vec<f64>,
     /// Position of each joint, in the model's unit.
     pub(crate) joints: Vec<f64>,
+}
+
+#[cfg(feature = "mujoco")]
+impl FingerState {
+    /// Distance between the pads where they hold a part, in metres.
+    fn held_m(&self) -> f64 {
+        self.at_tool_m.unwrap_or(self.opening_m)
+    }
 }
 
 /// What the position of a drive stands for.
@@ -32,7 +44,7 @@ pub(crate) struct FingerState {
 pub(crate) struct DriveReading {
     /// The opening, in metres.
     pub(crate) opening_m: f64,
-    /// Its derivative by the drive's position.
+    /// The change of the distance between the pads, where they hold a part, by the drive's position.
     pub(crate) slope: f64,
 }
 
@@ -69,10 +81,9 @@ impl FingerMotion {
     #[cfg(feature = "mujoco")]
     pub(crate) fn reading(&self, drive: usize, position: f64) -> DriveReading {
         let (before, after, share) = self.between(|state| state.drives[drive], position);
-        let opened = after.opening_m - before.opening_m;
         DriveReading {
-            opening_m: before.opening_m + share * opened,
-            slope: opened / (after.drives[drive] - before.drives[drive]),
+            opening_m: before.opening_m + share * (after.opening_m - before.opening_m),
+            slope: (after.held_m() - before.held_m()) / (after.drives[drive] - before.drives[drive]),
         }
     }
 
@@ -102,7 +113,7 @@ impl FingerMotion {
     #[cfg(feature = "mujoco")]
     pub(crate) fn steepest(&self, drive: usize) -> f64 {
         let slope = |pair: &[FingerState]| {
-            (pair[1].opening_m - pair[0].opening_m) / (pair[1].drives[drive] - pair[0].drives[drive])
+            (pair[1].held_m() - pair[0].held_m()) / (pair[1].drives[drive] - pair[0].drives[drive])
         };
         self.states.windows(2).map(|pair| slope(pair).abs()).fold(0.0, f64::max)
     }
@@ -115,6 +126,7 @@ mod tests {
     fn motion() -> FingerMotion {
         let state = |opening_m: f64, drive: f64, joint: f64| FingerState {
             opening_m,
+            at_tool_m: None,
             drives: vec![drive],
             joints: vec![joint, -joint],
         };

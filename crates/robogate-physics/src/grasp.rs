@@ -206,7 +206,8 @@ fn scene(tcp: &Isometry3<f64>, gripper: &Gripper, part_m: f64, mass_kg: f64) -> 
     let half = 0.5 * part_m;
     // The lip of a cup is a little above the part; a jaw has the part in its middle.
     let down = if gripper.cup().is_some() { half + 1e-3 } else { 0.0 };
-    let place = Translation3::from(tcp.translation.vector - Vector3::new(0.0, 0.0, down));
+    let beside = gripper.jaw().map_or(0.0, |jaw| jaw.beside_m(part_m));
+    let place = Translation3::from(tcp.translation.vector + y * beside - Vector3::new(0.0, 0.0, down));
     let parts = vec![Part { primitive: Primitive::Box { half: [half; 3] }, pose: Isometry3::identity() }];
     let stand = Primitive::Box { half: [0.7 * half, 0.7 * half, 0.01] };
     let stand = Fixture {

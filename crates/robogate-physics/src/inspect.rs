@@ -8,6 +8,7 @@ use robogate_core::Seed;
 use serde::Serialize;
 
 use crate::grasp::{self, Grasp};
+use crate::trajectory::TRANSIT_HEIGHTS_M;
 use crate::{
     Chain, Engine, Fixture, GRAVITY, GripperUnit, JointTargets, MassProperties, MujocoEngine, Object, ParallelJaw,
     Part, Primitive, Problem, Robot, RobotError, RobotSettings, Scene, Visual, WORKSPACE_CENTRE, built_in_robot,
@@ -201,18 +202,21 @@ fn workspace(chain: &Chain, home: &[f64], scale: f64, positions: &[[f64; 2]]) ->
     let x = at_home.rotation * Vector3::x();
     // The tool rotates with the arm's base, which keeps the wrist posture.
     let heading = x.y.atan2(x.x) - at_home.translation.y.atan2(at_home.translation.x);
-    let reached = |[x, y]: [f64; 2]| {
-        [GRID_M, 5.0 * GRID_M].iter().all(|z| {
+    let reached = |high: f64, [x, y]: [f64; 2]| {
+        [GRID_M, high].iter().all(|z| {
             let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading + y.atan2(x));
             chain.reach(&Isometry3::from_parts(Translation3::new(x, y, *z), yaw * down), home).is_ok()
         })
     };
+    // An arm whose wrist points down near the table only lifts its tool as high as it can.
+    let all = |high: &f64| positions.iter().all(|at| reached(*high, *at));
+    let high = TRANSIT_HEIGHTS_M.into_iter().find(all).unwrap_or(TRANSIT_HEIGHTS_M[0]);
     let places: Vec<bool> = (6..=14)
         .flat_map(|x| (-6..=8).map(move |y| [GRID_M * f64::from(x), GRID_M * f64::from(y)].map(|x| scale * x)))
-        .map(reached)
+        .map(|at| reached(high, at))
         .collect();
     let share = places.iter().filter(|reached| **reached).count() as f64 / places.len() as f64;
-    (share, positions.iter().copied().map(reached).collect())
+    (share, positions.iter().map(|at| reached(high, *at)).collect())
 }
 
 /// The scene of the trial: a table with a 5 cm box at the workspace centre.

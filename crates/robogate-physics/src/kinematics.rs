@@ -2,8 +2,10 @@
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-use nalgebra::{Isometry3, Matrix6, Matrix6xX, Unit, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix6, Matrix6xX, Translation3, Unit, UnitQuaternion, Vector3, Vector6};
 use robogate_core::Seed;
+
+use crate::Gripper;
 
 /// Number of random postures from which [`Chain::reach`] searches for a posture nearer to the rest posture.
 const STARTS: usize = 16;
@@ -13,6 +15,13 @@ const OUTER_WEIGHT: f64 = 0.1;
 
 /// A descent from a random posture ends after this many steps without reducing the error by a tenth.
 const STALLED_STEPS: usize = 12;
+
+/// Number of joints with which a tool can have any pose.
+const FREE_JOINTS: usize = 6;
+
+/// Tolerance of the tool's orientation for an arm with fewer joints, in radians, and the weight of an orientation error (rad)
+/// against a position error (m). Such an arm cannot remove every small tilt, and its position is exact in spite of it.
+const FEW_JOINTS: (f64, f64) = (1e-4, 0.03);
 
 /// A joint of a chain: a hinge about its axis.
 #[derive(Debug, Clone, PartialEq)]
@@ -57,6 +66,14 @@ impl Chain {
     /// Pose of the flange at these joint positions (rad).
     pub fn flange_at(&self, positions: &[f64]) -> Isometry3<f64> {
         self.last_frame(positions) * self.flange
+    }
+
+    /// The chain to the middle of a part of this width (m) that the gripper holds. A jaw that does not move holds a part beside the
+    /// tool centre point; two moving fingers and a cup hold it there.
+    #[must_use]
+    pub fn holding(&self, gripper: &Gripper, width_m: f64) -> Self {
+        let beside = gripper.jaw().map_or(0.0, |jaw| jaw.beside_m(width_m));
+        Self { tcp: self.tcp * Translation3::new(0.0, beside, 0.0), ..self.clone() }
     }
 
     fn last_frame(&self, positions: &[f64]) -> Isometry3<f64> {
@@ -173,15 +190,20 @@ impl Chain {
     ) -> Result<Vec<f64>, Unreachable> {
         const TOLERANCE: f64 = 1e-6;
         const ITERATIONS: usize = 200;
+        let (angle_tolerance, weight) = if self.joints.len() < FREE_JOINTS { FEW_JOINTS } else { (TOLERANCE, 1.0) };
         let mut q = start.to_vec();
         let mut error = Vector6::zeros();
         let (mut best, mut best_at) = (f64::INFINITY, 0);
         for iteration in 0..ITERATIONS {
-            let (tcp, jacobian) = self.jacobian(&q);
+            let (tcp, mut jacobian) = self.jacobian(&q);
             error.fixed_rows_mut::<3>(0).copy_from(&(goal.translation.vector - tcp.translation.vector));
             error.fixed_rows_mut::<3>(3).copy_from(&(goal.rotation * tcp.rotation.inverse()).scaled_axis());
-            if error.fixed_rows::<3>(0).norm() < TOLERANCE && error.fixed_rows::<3>(3).norm() < TOLERANCE {
+            if error.fixed_rows::<3>(0).norm() < TOLERANCE && error.fixed_rows::<3>(3).norm() < angle_tolerance {
                 return Ok(q);
+            }
+            if weight < 1.0 {
+                error.fixed_rows_mut::<3>(3).scale_mut(weight);
+                jacobian.fixed_rows_mut::<3>(3).scale_mut(weight);
             }
             if error.norm() < 0.9 * best {
                 (best, best_at) = (error.norm(), iteration);
@@ -205,7 +227,7 @@ impl Chain {
         Err(Unreachable {
             position: goal.translation.vector.into(),
             position_error_m: error.fixed_rows::<3>(0).norm(),
-            angle_error_rad: error.fixed_rows::<3>(3).norm(),
+            angle_error_rad: error.fixed_rows::<3>(3).norm() / weight,
         })
     }
 }

@@ -68,7 +68,7 @@ pub use mass::MassProperties;
 pub use model::MujocoModel;
 pub use motion::Motion;
 #[cfg(feature = "mujoco")]
-pub use mujoco::{MujocoEngine, load_mujoco};
+pub use mujoco::{Input, MujocoEngine, Tape, load_mujoco};
 pub use plain::exact_isometry;
 pub use plant::{ArmState, GripperState, Plant, StepView, grip_force, state_hash};
 pub use primitive::{Part, Primitive};

@@ -95,9 +95,16 @@ pub struct Arm {
     pub reach_m: f64,
     /// Published payload, in kilograms.
     pub payload_kg: f64,
+    /// Rotation of the model about the vertical axis through its origin, in radians, for a model that does not face the table at +x.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub base_yaw_rad: f64,
     /// Contact force at which the robot's own supervision stops it, in newtons. Tasks take it as the largest accepted force.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub collision_force_n: Option<f64>,
+}
+
+fn is_zero(number: &f64) -> bool {
+    *number == 0.0
 }
 
 /// The gripper.
@@ -135,6 +142,10 @@ pub struct ParallelJaw {
     pub tip_m: f64,
     /// From the tool centre point back to the palm, in metres.
     pub palm_m: f64,
+    /// From the tool centre point along the negative y axis to the inner face of a jaw that does not move, in metres. That jaw is on
+    /// the first of `finger_bodies`, and a single drive moves the other one. Without it, both fingers move.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fixed_jaw_m: Option<f64>,
     /// The drives of all other fingers: rotary linkages, tendons, slides with another zero. The opening is the distance
     /// between the pads in the model. Only MuJoCo simulates them.
     #[serde(rename = "drive", default, skip_serializing_if = "Vec::is_empty")]
@@ -154,6 +165,12 @@ pub struct FingerDrive {
 }
 
 impl ParallelJaw {
+    /// The position of the middle of a part of this width (m) between the fingers, along the y axis of the tool, in metres. It is 0
+    /// between two moving fingers. Before the grasp a jaw that does not move keeps a small distance from the part.
+    pub fn beside_m(&self, width_m: f64) -> f64 {
+        self.fixed_jaw_m.map_or(0.0, |fixed| 0.5 * width_m + FIXED_JAW_ROOM_M - fixed)
+    }
+
     /// The joints of two sliding fingers; empty for fingers with drives.
     pub fn slides(&self) -> &[String] {
         self.finger_joints.as_ref().map_or(&[], |joints| &joints[..])
@@ -221,6 +238,7 @@ impl Gripper {
     /// The kind of gripper as text with an article, for messages.
     pub fn description(&self) -> &'static str {
         match self {
+            Self::ParallelJaw(jaw) if jaw.fixed_jaw_m.is_some() => "a jaw with one moving finger",
             Self::ParallelJaw(_) => "a parallel jaw",
             Self::Suction(_) => "a suction cup",
         }
@@ -278,6 +296,13 @@ impl ParallelJaw {
     /// Describes a contradiction between the settings.
     fn contradiction(&self) -> Option<String> {
         let Self { force_n, force_limit_n, .. } = self;
+        if let Some(fixed) = self.fixed_jaw_m
+            && !(fixed.is_finite() && fixed > 0.0 && fixed < self.opening_m && self.drives.len() == 1)
+        {
+            return Some(format!(
+                "gripper.fixed_jaw_m = {fixed}: a gripper with one moving jaw needs a distance above 0 and below opening_m, and one [[gripper.drive]]"
+            ));
+        }
         if force_n > force_limit_n {
             return Some(format!("gripper.force_n = {force_n} exceeds gripper.force_limit_n = {force_limit_n}"));
         }
@@ -293,6 +318,9 @@ impl ParallelJaw {
         })
     }
 }
+
+/// Distance between a jaw that does not move and the part before the grasp, in metres.
+const FIXED_JAW_ROOM_M: f64 = 0.002;
 
 /// A hinge of the arm without limits turns by at most this angle to each side, in radians. The controllers of continuous joints count
 /// their turns too, and cables end them.
@@ -451,6 +479,9 @@ impl RobotSettings {
                     "the key ends with its unit: rad, s, N m",
                 );
             }
+        }
+        if !self.arm.base_yaw_rad.is_finite() {
+            problem("arm.base_yaw_rad is not finite".to_owned(), "give the rotation in radians");
         }
         for site in &self.sites {
             if site.position_m.iter().chain(&site.rpy_rad).any(|x| !x.is_finite()) {

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use mujoco_rs::mujoco_c::mjtLimited;
 use mujoco_rs::prelude::*;
-use mujoco_rs::wrappers::mj_editing::MjsBody;
+use mujoco_rs::wrappers::mj_editing::{MjsBody, MjsGeom};
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use crate::mujoco::damping::{self, Strong};
-use crate::mujoco::{PREFIX, ROBOT, links, sweep, wxyz};
+use crate::mujoco::{PREFIX, ROBOT, links, probe, sweep, wxyz};
 use crate::robot::{BELLOWS_JOINT, CONTINUOUS_RAD, NOT_UTF_8, RobotSource};
 use crate::scene::isometry;
 use crate::{
@@ -18,6 +18,11 @@ use crate::{
 
 /// Group of the model's own actuators, which is disabled: `robot.toml` defines the drives.
 const OFF_GROUP: i32 = 30;
+/// MuJoCo's defaults of constraints.
+const DEFAULT_SOLREF: [f64; 2] = [0.02, 1.0];
+const DEFAULT_SOLIMP: [f64; 3] = [0.9, 0.95, 0.001];
+/// Group of shapes that pictures do not show.
+const HIDDEN_GROUP: i32 = 3;
 /// Mass (kg) and moment of inertia (kg m^2) of a moving link of a URDF without a mass.
 const FRAME_MASS_KG: f64 = 1e-3;
 const FRAME_INERTIA_KGM2: f64 = 1e-6;
@@ -53,6 +58,7 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<Built, Vec<Problem>
     let settings = &robot.settings;
     let mut problems = Vec::new();
     prepare(&mut spec, time_step);
+    turn(&mut spec, settings.arm.base_yaw_rad);
     for site in &settings.sites {
         add_site(&mut spec, site, &mut problems);
     }
@@ -113,6 +119,7 @@ fn finger_motion(spec: &mut MjSpec, settings: &RobotSettings, jaw: &ParallelJaw)
     let arm: Vec<&str> = settings.arm.joints.iter().map(String::as_str).collect();
     let mut measurable = spec.clone();
     sweep::measurable(&mut measurable, &arm);
+    probe::add(&mut measurable);
     let model = measurable.compile().map_err(|error| vec![rejected(&error)])?;
     let motion = sweep::measure(model, settings, jaw)?;
     let open = motion.open().opening_m;
@@ -144,7 +151,7 @@ fn finger_motion(spec: &mut MjSpec, settings: &RobotSettings, jaw: &ParallelJaw)
 
 /// Reads a model file. The mesh files of a URDF are found in its folder, also by `package://` addresses.
 pub(crate) fn read(path: &Path) -> Result<MjSpec, String> {
-    let is_urdf = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("urdf"));
+    let is_urdf = is_urdf(path);
     let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // The names of a model are texts, so a file in another encoding has none that can be used.
     let text = robot_folder::text(path).map_err(|error| match error {
@@ -167,7 +174,45 @@ pub(crate) fn read(path: &Path) -> Result<MjSpec, String> {
     if is_urdf {
         give_mass(&mut spec);
     }
+    // Gears and linkages couple the joints of a gripper. Where the model states no stiffness, as a URDF, MuJoCo's default yields under the
+    // grip force.
+    for equality in spec.equality_iter_mut().filter(|equality| equality.type_() == MjtEq::mjEQ_JOINT) {
+        if equality.solref()[..2] == DEFAULT_SOLREF && equality.solimp()[..3] == DEFAULT_SOLIMP {
+            equality.solref_mut()[..2].copy_from_slice(&[contact::TIME_CONSTANT_S, 1.0]);
+            equality.solimp_mut()[..3].copy_from_slice(&contact::LIMIT_IMPEDANCE);
+        }
+    }
     Ok(spec)
+}
+
+/// Whether a model is a URDF, by the end of its name.
+pub(crate) fn is_urdf(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("urdf"))
+}
+
+/// A URDF as the text of an MJCF for pictures. Its visual shapes are in group 1, and its collision shapes are hidden if it has
+/// visual ones that MuJoCo can read.
+pub(crate) fn pictured(path: &Path) -> Result<String, String> {
+    /// Longest text. Robots have some hundred kilobytes.
+    const LONGEST: usize = 1 << 24;
+    crate::mujoco::load_mujoco().map_err(|error| error.to_string())?;
+    let mut spec = read(path)?;
+    spec.compiler_mut().set_fusestatic(false);
+    let physical = spec.clone();
+    spec.compiler_mut().set_discardvisual(false);
+    let touches = |geom: &MjsGeom| geom.contype() != 0 || geom.conaffinity() != 0;
+    if spec.geom_iter().any(|geom| !touches(geom)) {
+        for geom in spec.geom_iter_mut() {
+            if touches(geom) {
+                geom.set_group(HIDDEN_GROUP);
+            }
+        }
+    }
+    if spec.compile().is_err() {
+        spec = physical;
+        spec.compile().map_err(|error| error.to_string())?;
+    }
+    spec.save_xml_string(LONGEST).map_err(|error| error.to_string())
 }
 
 /// Gives links a mass where a moving link of a URDF has none. They are frames between joints, which MuJoCo rejects.
@@ -235,6 +280,22 @@ pub(crate) fn prepare(spec: &mut MjSpec, time_step: f64) {
     option.iterations = 100;
     option.ls_iterations = 50;
     option.disableactuator = 1 << OFF_GROUP;
+}
+
+/// Rotates the bodies on the ground about the vertical axis through the origin.
+fn turn(spec: &mut MjSpec, yaw_rad: f64) {
+    // A model that does not compile is reported by the caller.
+    let Some(model) = (yaw_rad != 0.0).then(|| spec.clone().compile().ok()).flatten() else { return };
+    let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
+    let roots = (1..model.body_parentid().len()).filter(|body| model.body_parentid()[*body] == 0);
+    for (body, id) in spec.world_body_mut().body_iter_mut().zip(roots) {
+        let at = isometry(&model.body_pos()[id], &model.body_quat()[id]);
+        let turned = Isometry3::from_parts(Translation3::identity(), yaw) * at;
+        *body.pos_mut() = turned.translation.vector.into();
+        *body.quat_mut() = wxyz(&turned.rotation);
+        // The angles of the model are part of the quaternion now.
+        body.alt_mut().switch_quat();
+    }
 }
 
 /// Compensates the weight of the robot, as every arm's controller does, but not the weight of its load.

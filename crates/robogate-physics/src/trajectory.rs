@@ -4,6 +4,10 @@ use nalgebra::{Isometry3, Translation3};
 
 use crate::{Arm, Chain, Unreachable};
 
+/// Heights of the tool above the table on transit paths, in metres: the carried object passes over the highest obstacle. An arm that
+/// does not reach so high takes the first lower one that it reaches.
+pub const TRANSIT_HEIGHTS_M: [f64; 7] = [0.25, 0.2, 0.16, 0.13, 0.1, 0.08, 0.06];
+
 /// Fraction of a joint's speed and acceleration limits that a plan uses.
 const LIMIT_SHARE: f64 = 0.7;
 

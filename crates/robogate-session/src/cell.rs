@@ -13,11 +13,11 @@ use robogate_core::BatchEnvironment;
 use robogate_core::{Assignment, Environment, ParameterSpace, Policy, Scenario, Seed, Suite, TaskInstance, TaskSpec};
 use robogate_demos::Recorder;
 use robogate_dictionary::{CellPlace, provenance, robot_sha256};
-#[cfg(feature = "mujoco")]
-use robogate_physics::MujocoEngine;
 use robogate_physics::{
     Chain, Engine, EngineBuild, Robot, RobotError, RobotFile, WORKSPACE_CENTRE, built_in_robot, is_folder,
 };
+#[cfg(feature = "mujoco")]
+use robogate_physics::{MujocoEngine, Tape};
 use robogate_remote::message::{self, Hello};
 use robogate_remote::{Pool, RemotePhysics};
 use robogate_tasks::claims::{Bench, Setup, Workbench};
@@ -56,6 +56,9 @@ pub struct Cell {
     robot: Robot,
     /// Pixels along each side of the camera images.
     picture_px: usize,
+    /// Where its engines record what moves their scenes.
+    #[cfg(feature = "mujoco")]
+    tape: Option<Arc<Mutex<Tape>>>,
     /// The servers, if the engine runs in them.
     pool: Option<Arc<Pool>>,
     /// The simulator of many worlds, after its start.
@@ -102,6 +105,8 @@ impl Cell {
             settings,
             robot,
             picture_px: SIZE_PX,
+            #[cfg(feature = "mujoco")]
+            tape: None,
             pool,
             #[cfg(feature = "mujoco")]
             worlds: Mutex::default(),
@@ -120,6 +125,24 @@ impl Cell {
     /// Renders camera images of this width and height in pixels in every later environment.
     pub fn set_picture_px(&mut self, picture_px: usize) {
         self.picture_px = picture_px;
+    }
+
+    /// Records what moves the scenes of every later environment, for plain MuJoCo.
+    ///
+    /// # Errors
+    /// If the engine is another one, or runs elsewhere.
+    #[cfg(feature = "mujoco")]
+    pub fn taped(&mut self) -> anyhow::Result<Arc<Mutex<Tape>>> {
+        if self.pool.is_some() || self.settings.engine != "mujoco" {
+            bail!("the episode ran in the engine {}. Expected mujoco in this process", self.settings.engine);
+        }
+        Ok(Arc::clone(self.tape.insert(Arc::default())))
+    }
+
+    /// The engine that runs the episodes, without a scene.
+    #[cfg(feature = "mujoco")]
+    pub fn mujoco(&self) -> anyhow::Result<MujocoEngine> {
+        Ok(MujocoEngine::new(self.robot.clone(), self.settings.time_step_s)?)
     }
 
     /// Uses the settings of the paper, other than those that the user chose, in every later environment.
@@ -218,6 +241,11 @@ impl Cell {
 
     /// Creates the engine.
     fn engine(&self, setup: &Setup) -> anyhow::Result<Box<dyn Engine>> {
+        #[cfg(feature = "mujoco")]
+        if let Some(tape) = &self.tape {
+            let engine = MujocoEngine::new(setup.robot.clone(), setup.time_step_s)?;
+            return Ok(Box::new(engine.taped(Arc::clone(tape))));
+        }
         Ok((EngineEntry::find(&self.settings.engine)?.engine)(setup.robot.clone(), setup.time_step_s)?)
     }
 

@@ -13,6 +13,8 @@ use sha2::{Digest, Sha256};
 use crate::cell::{Cell, default_place};
 use crate::environments::BUNDLED;
 use crate::failure::{Failure, OrFailure};
+#[cfg(feature = "mujoco")]
+use crate::menagerie;
 use crate::policy_source::PolicyChoice;
 use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
 use crate::remote::Simulators;
@@ -28,7 +30,7 @@ pub struct EnvironmentChoice {
     /// An environment that this process starts: `FAMILY:NAME` of a bundled one, `gymnasium:ID`, or the user's own as
     /// `FILE.py:ATTRIBUTE` or `MODULE:ATTRIBUTE`. It replaces the built-in task.
     pub env: Option<String>,
-    /// The robot: the name of a built-in one, or a folder. `None` for the Franka.
+    /// The robot: the name of a built-in one, `menagerie:NAME`, or a folder. `None` for the Franka.
     pub robot: Option<String>,
     /// The physics engine. `None` for the default of this build.
     pub engine: Option<String>,
@@ -71,6 +73,12 @@ impl EnvironmentChoice {
     pub fn environment_and_parameters(&self) -> Result<(EnvironmentSource, Assignment), Failure> {
         if let Some(name) = &self.env {
             return Ok((EnvironmentSource::launched(&from_any_folder(name), &self.simulators)?, self.parameters()?));
+        }
+        #[cfg(feature = "mujoco")]
+        if let Some(robot) = self.robot.as_deref().filter(|robot| robot.starts_with(menagerie::PREFIX)) {
+            let mut found = self.clone();
+            found.robot = Some(menagerie::resolved(robot, found.simulators.python.take().as_deref())?);
+            return found.environment_and_parameters();
         }
         if self.simulators.python.is_some() && self.simulators.addresses.is_empty() {
             return Err(anyhow!("--python applies to --env only\nHint: leave it out")).or_request();

@@ -27,6 +27,8 @@ mod isolation;
 mod latency;
 mod loaded_policy;
 mod lost_episodes;
+#[cfg(feature = "mujoco")]
+mod menagerie;
 mod notice;
 #[cfg(feature = "object-store")]
 mod object_store;
@@ -72,6 +74,8 @@ pub use isolation::{Entered, enter, in_child};
 pub use latency::{LatencyChoice, WantedLatency, describe, execution_mode};
 pub use loaded_policy::LoadedPolicy;
 pub use lost_episodes::{Outage, RunsLostAgain};
+#[cfg(feature = "mujoco")]
+pub use menagerie::resolved as menagerie_robot;
 pub use notice::TARGET as NOTICES;
 pub use origin::{Origin, is_remote, register, register_copy};
 pub use pictures::picture_problems;
@@ -94,6 +98,8 @@ pub use sharded::ShardedCampaign;
 pub use source::open_source;
 pub use store::{create_store, open_store};
 pub use stress::StressChoice;
+#[cfg(feature = "mujoco")]
+pub use subject::WrittenScene;
 pub use subject::{
     BuiltIn, EnvironmentSource, Subject, check_declared, named_space, named_suite, programs, recorded_robot,
     starts_processes,

@@ -22,7 +22,7 @@ pub(crate) struct EnvironmentArguments {
     /// FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE
     #[arg(long, value_name = "NAME", conflicts_with_all = ["task", "addresses", "engine", "time_step", "robot"])]
     env: Option<String>,
-    /// Choose the robot: a built-in one (see `robogate list robots`), or the folder of your own [default: franka]
+    /// Choose the robot: a built-in one (see `robogate list robots`), the folder of your own, or menagerie:NAME [default: franka]
     #[arg(long, value_name = "ROBOT")]
     robot: Option<String>,
     #[arg(long, help = engine_help(), value_name = "ENGINE", conflicts_with = "addresses")]

@@ -7,14 +7,16 @@
 
 mod contacts;
 pub(crate) mod damping;
+mod export;
 mod inspection;
 mod joints;
 pub(crate) mod links;
 pub(crate) mod numbers;
+pub(crate) mod probe;
 mod scene;
 pub(crate) mod sweep;
 
-use std::sync::Once;
+use std::sync::{Arc, Mutex, Once};
 
 use mujoco_loader::{Library, LoadError};
 use mujoco_rs::prelude::*;
@@ -23,6 +25,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaterni
 use robogate_core::{ContactPoint, Fault, FaultKind};
 
 use self::damping::Strong;
+pub use self::export::{Input, Tape};
 use self::sweep::DriveAt;
 use crate::finger_motion::DriveReading;
 use crate::friction::Friction;
@@ -57,6 +60,8 @@ pub struct MujocoEngine {
     strong: Strong,
     time_step: f64,
     loaded: Option<Loaded>,
+    /// Where it records what moves its scenes.
+    tape: Option<Arc<Mutex<Tape>>>,
 }
 
 /// The role of a geom.
@@ -146,7 +151,7 @@ impl MujocoEngine {
         load_mujoco().map_err(|error| RobotError::Engine { why: error.to_string() })?;
         let Built { spec, chain, fingers, strong } = robot_model::build(&robot, time_step)
             .map_err(|problems| RobotError::Invalid { path: robot_model::path(&robot), problems })?;
-        Ok(Self { robot, base: spec, chain, fingers, strong, time_step, loaded: None })
+        Ok(Self { robot, base: spec, chain, fingers, strong, time_step, loaded: None, tape: None })
     }
 
     /// The motion of a robot's fingers, measured in its model.
@@ -363,8 +368,11 @@ impl Engine for MujocoEngine {
             data.qpos_mut()[*address] = *q;
         }
         data.forward();
+        // The distance between the jaws of which one does not move is not their opening.
+        let both_move = gripper.jaw().is_none_or(|jaw| jaw.fixed_jaw_m.is_none());
         let pads = [0, 1].map(|i| {
-            let on_finger = |kind: &Kind| matches!(kind, Kind::Robot { finger: Some(finger), .. } if *finger == i);
+            let on_finger =
+                |kind: &Kind| matches!(kind, Kind::Robot { finger: Some(finger), .. } if *finger == i && both_move);
             kinds.iter().enumerate().filter(|(_, kind)| on_finger(kind)).map(|(geom, _)| geom).collect()
         });
         let loaded = Loaded {
@@ -390,6 +398,7 @@ impl Engine for MujocoEngine {
         loaded.move_fixtures(self.time_step);
         loaded.read_touches();
         loaded.read_gap();
+        self.tape_start();
         Ok(())
     }
 
@@ -469,11 +478,14 @@ impl Engine for MujocoEngine {
                 loaded.data.ctrl_mut()[first + drives + i] = force * slope / loaded.drives.len() as f64;
             }
         }
+        self.tape_inputs();
+        let Some(loaded) = self.loaded.as_mut() else { return };
         loaded.data.step();
         loaded.steps += 1;
         loaded.move_fixtures(self.time_step);
         loaded.read_touches();
         loaded.read_gap();
+        self.tape_positions();
     }
 
     fn health(&self) -> Result<(), Fault> {
@@ -499,6 +511,10 @@ impl Engine for MujocoEngine {
 
     fn opening(&self) -> Option<f64> {
         let loaded = self.loaded();
+        // The jaws of a gripper with one moving jaw meet at its hinge too.
+        if self.robot.settings.gripper.jaw().is_some_and(|jaw| jaw.fixed_jaw_m.is_some()) {
+            return self.drive_opening().map(|opening| opening.max(0.0));
+        }
         if !loaded.drives.is_empty() {
             return Some(loaded.gap);
         }

@@ -7,7 +7,7 @@ use mujoco_rs::mujoco_c::mjtLimited;
 use mujoco_rs::prelude::*;
 use nalgebra::{Isometry3, Point3};
 
-use super::{PREFIX, rigid};
+use super::{PREFIX, probe, rigid};
 use crate::finger_motion::{FingerMotion, FingerState};
 use crate::{FingerDrive, ParallelJaw, Problem, RobotSettings, contact};
 
@@ -36,6 +36,10 @@ const PROBE_STEPS: usize = 20;
 const PROBE_TRAVEL: f64 = 0.02;
 /// The inertia that a drive moves is at most this multiple of what it moves without equalities.
 const MOST_COUPLED: f64 = 1e3;
+/// Pads open like a V if their distance at the tool centre point changes by more than this multiple of their smallest distance.
+const V_SHAPED: f64 = 1.25;
+/// The face of a fixed jaw may differ from robot.toml by this much, in metres.
+const FACE_M: f64 = 2e-3;
 /// Distances between pads are measured up to this one, in metres.
 const FARTHEST_M: f64 = 0.5;
 
@@ -221,28 +225,35 @@ impl Sweep {
         Ok(sweep)
     }
 
-    /// Moves joints that follow others by an equality to where it puts them. `open` need not be 0.
+    /// Moves joints that are coupled to a drive by an equality to where it puts them. `open` need not be 0, and a drive may be the joint
+    /// that follows.
     fn place_followers(&mut self) {
         let model = self.data.model();
-        let pairs: Vec<(usize, f64)> = (0..model.eq_type().len())
+        let driven = |qpos: usize| {
+            let at = |drive: &DriveAt| matches!(drive, DriveAt::Joint { qpos: other, .. } if *other == qpos);
+            self.drives.iter().any(at) || self.arm.iter().any(|(other, ..)| *other == qpos)
+        };
+        let placed: Vec<(usize, f64)> = (0..model.eq_type().len())
             .filter(|equality| model.eq_type()[*equality] == MjtEq::mjEQ_JOINT && model.eq_active0()[*equality])
             .filter_map(|equality| {
                 let at = |joint: i32| usize::try_from(joint).ok().map(|joint| model.jnt_qposadr()[joint] as usize);
                 let follower = at(model.eq_obj1id()[equality])?;
                 let leader = at(model.eq_obj2id()[equality])?;
-                let moved = self.data.qpos()[leader] - model.qpos0()[leader];
+                let moved = |qpos: usize| self.data.qpos()[qpos] - model.qpos0()[qpos];
                 let coefficients = &model.eq_data()[equality][..5];
-                let value = coefficients.iter().rev().fold(0.0, |sum, coefficient| sum * moved + coefficient);
-                Some((follower, model.qpos0()[follower] + value))
+                let [constant, factor, others @ ..] = coefficients else { return None };
+                if !driven(follower) {
+                    let value =
+                        coefficients.iter().rev().fold(0.0, |sum, coefficient| sum * moved(leader) + coefficient);
+                    return Some((follower, model.qpos0()[follower] + value));
+                }
+                let linear = factor.abs() > 1e-9 && others.iter().all(|coefficient| *coefficient == 0.0);
+                (linear && !driven(leader))
+                    .then(|| (leader, model.qpos0()[leader] + (moved(follower) - constant) / factor))
             })
             .collect();
-        let driven = |qpos: usize| {
-            let at = |drive: &DriveAt| matches!(drive, DriveAt::Joint { qpos: other, .. } if *other == qpos);
-            self.drives.iter().any(at) || self.arm.iter().any(|(other, ..)| *other == qpos)
-        };
-        let free: Vec<(usize, f64)> = pairs.into_iter().filter(|(follower, _)| !driven(*follower)).collect();
-        for (follower, position) in free {
-            self.data.qpos_mut()[follower] = position;
+        for (qpos, position) in placed {
+            self.data.qpos_mut()[qpos] = position;
         }
     }
 
@@ -415,12 +426,17 @@ pub(crate) fn measure(
     let (mut states, mut tip_m) = (Vec::with_capacity(STATES), f64::NEG_INFINITY);
     for k in 0..STATES {
         sweep.go(k as f64 / (STATES - 1) as f64).map_err(|problem| vec![problem])?;
-        let opening_m = sweep.gap(&pads);
+        sweep.data.forward();
         let tool: Isometry3<f64> = rigid(sweep.data.site_xpos()[tcp], &sweep.data.site_xmat()[tcp]);
+        let opening_m = match jaw.fixed_jaw_m {
+            Some(fixed) => one_jaw(&mut sweep.data, &tool, jaw, fixed, &pads).map_err(|problem| vec![problem])?,
+            None => sweep.gap(&pads),
+        };
         let ahead = |corner: &Point3<f64>| tool.inverse_transform_point(corner).z;
         tip_m = pads.iter().flat_map(|pad| sweep.corners(pad)).map(|corner| ahead(&corner)).fold(tip_m, f64::max);
         let joints = joints.iter().map(|(_, qpos)| sweep.data.qpos()[*qpos]).collect();
-        states.push(FingerState { opening_m, drives: sweep.positions(), joints });
+        let at_tool_m = if jaw.fixed_jaw_m.is_none() { at_tool(&mut sweep.data, &tool, &pads) } else { None };
+        states.push(FingerState { opening_m, at_tool_m, drives: sweep.positions(), joints });
         if opening_m <= 0.0 {
             break;
         }
@@ -441,7 +457,55 @@ pub(crate) fn measure(
         )]);
     }
     meet(&mut states);
+    // Parallel pads are as far apart at the tool centre point as anywhere.
+    let steeper = |pair: &[FingerState]| {
+        let at_tool = pair[0].at_tool_m.zip(pair[1].at_tool_m).map(|(a, b)| b - a);
+        at_tool.map(|moved| moved > V_SHAPED * (pair[1].opening_m - pair[0].opening_m))
+    };
+    let measured: Option<Vec<bool>> = states.windows(2).map(steeper).collect();
+    if !measured.is_some_and(|steeper| steeper.contains(&true)) {
+        states.iter_mut().for_each(|state| state.at_tool_m = None);
+    }
     Ok(FingerMotion { joints: joints.into_iter().map(|(name, _)| name).collect(), states, tip_m })
+}
+
+/// Distance between the pads along the y axis of a tool, in metres. `None` if a pad is not there.
+fn at_tool(data: &mut MjData<Box<MjModel>>, tool: &Isometry3<f64>, pads: &[Vec<usize>; 2]) -> Option<f64> {
+    let side = |pad: &[usize], data: &MjData<Box<MjModel>>| -> f64 {
+        corners(data, pad).iter().map(|corner| tool.inverse_transform_point(corner).y).sum()
+    };
+    let [first, second] = pads;
+    let (left, right) = if side(first, data) > side(second, data) { (first, second) } else { (second, first) };
+    let left = probe::moving_face(data, tool, left)?;
+    Some(left - probe::fixed_face(data, tool, probe::BESIDE_M, right)?)
+}
+
+/// The opening between a fixed jaw and one that moves, whose shapes are `pads`, in metres. The fixed jaw is where robot.toml says.
+fn one_jaw(
+    data: &mut MjData<Box<MjModel>>,
+    tool: &Isometry3<f64>,
+    jaw: &ParallelJaw,
+    fixed_m: f64,
+    [fixed, moved]: &[Vec<usize>; 2],
+) -> Result<f64, Problem> {
+    let face = probe::fixed_face(data, tool, 0.5 * jaw.opening_m - fixed_m, fixed);
+    if face.is_none_or(|face| (face + fixed_m).abs() > FACE_M) {
+        let found = face.map_or("not there".to_owned(), |face| format!("{:.4} m from it", -face));
+        return Err(Problem::new(
+            format!(
+                "gripper.fixed_jaw_m = {fixed_m}, but the inner face of `{}` on the negative y axis of the tool centre point is {found}",
+                jaw.finger_bodies[0]
+            ),
+            "name the body of the fixed jaw first in gripper.finger_bodies, and put the site of arm.tcp_site between the jaws with the fixed one on its negative y axis",
+        ));
+    }
+    let moving = probe::moving_face(data, tool, moved);
+    moving.map(|moving| moving + fixed_m).ok_or_else(|| {
+        Problem::new(
+            format!("`{}` leaves the y axis of the tool centre point on its way from open to closed", jaw.finger_bodies[1]),
+            "choose another position for open in [[gripper.drive]], or a tool centre point nearer to the hinge of the jaw",
+        )
+    })
 }
 
 /// Moves the closed end to where the pads meet, if they overlap there.
@@ -452,6 +516,7 @@ fn meet(states: &mut [FingerState]) {
         let mix = |a: &mut Vec<f64>, b: &[f64]| a.iter_mut().zip(b).for_each(|(a, b)| *a += share * (b - *a));
         mix(&mut closed.drives, &next.drives);
         mix(&mut closed.joints, &next.joints);
+        closed.at_tool_m = closed.at_tool_m.zip(next.at_tool_m).map(|(a, b)| a + share * (b - a));
         closed.opening_m = 0.0;
     }
 }

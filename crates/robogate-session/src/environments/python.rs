@@ -19,7 +19,7 @@ use crate::loaded_policy::LoadedPolicy;
 const PYTHON_USAGE: i32 = 2;
 
 /// The cache folder: `ROBOGATE_CACHE_DIR`, else `$XDG_CACHE_HOME/robogate`, else `~/.cache/robogate`.
-fn cache() -> anyhow::Result<PathBuf> {
+pub(crate) fn cache() -> anyhow::Result<PathBuf> {
     let path = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     path("ROBOGATE_CACHE_DIR")
         .or_else(|| Some(path("XDG_CACHE_HOME")?.join("robogate")))

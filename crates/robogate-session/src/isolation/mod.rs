@@ -19,6 +19,8 @@ use std::process::ExitCode;
 use std::sync::OnceLock;
 
 use limits::Limits;
+#[cfg(feature = "mujoco")]
+pub(crate) use limits::this_program;
 pub(crate) use model::check_model;
 pub use model::in_child;
 pub(crate) use sandbox::{Sandbox, Scratch};

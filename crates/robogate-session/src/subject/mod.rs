@@ -3,6 +3,8 @@
 mod built_in;
 mod environment;
 mod recorded;
+#[cfg(feature = "mujoco")]
+mod scene;
 mod spaces;
 
 use std::num::NonZeroUsize;
@@ -45,6 +47,8 @@ pub(crate) use built_in::hello_of;
 pub use environment::EnvironmentSource;
 pub(crate) use environment::RemoteSource;
 pub use recorded::{programs, recorded_robot, starts_processes};
+#[cfg(feature = "mujoco")]
+pub use scene::WrittenScene;
 pub(crate) use spaces::assignment;
 pub use spaces::{check_declared, named_space, named_suite};
 pub(crate) use spaces::{remaining, without};

@@ -22,7 +22,7 @@ use robogate_physics::trajectory::ToolLimit;
 use robogate_physics::{Bellows, Chain, Gripper, GripperCommand, Robot, Unreachable};
 
 use super::NAME;
-use super::parts::{DEPTH_M, HEAD_HEIGHT_M, SHAFT_M};
+use super::parts::{DEPTH_M, HEAD_HEIGHT_M, HEAD_M, SHAFT_M};
 use super::spec::{Briefing, phases};
 use crate::arm::{
     CONTROL_PERIOD_S, FINELY, FREE, FREELY, Planner, Posture, Script, Way, compliance, drives_task, tool_down,
@@ -145,6 +145,7 @@ impl Stage {
 impl Scripted {
     /// The controller for a robot with these kinematics.
     pub(super) fn new(robot: Robot, chain: Chain) -> Self {
+        let chain = chain.holding(&robot.settings.gripper, HEAD_M);
         let script = Script::new(chain.clone(), Vec::new());
         Self { robot, chain, script, feel: None }
     }

@@ -9,7 +9,7 @@ use robogate_physics::{Chain, FixtureKind, GRAVITY, Gripper, Robot, isometry};
 
 use super::cell::ResolvedCell;
 use super::scripted::{CARRY_ACCELERATION_M_S2, Scripted, grasp_height};
-use super::{PickPlace, Shape, parameters};
+use super::{PickPlace, parameters};
 use crate::arm::{
     GAP_MARGIN, LIP_MARGIN, Memo, OPENING_CLEARANCE, PRESS_MARGIN, Posture, bias_draws, components, draw, drawn,
     feature, log_ratio, tool_draws,
@@ -240,7 +240,7 @@ impl PickPlaceForesight {
         match &self.robot.settings.gripper {
             Gripper::ParallelJaw(jaw) => {
                 let force = 2.0 * p.pad_friction() * self.grip_force_n * p.around.gripper.force_scale;
-                let width = p.size_m * if p.shape == Shape::Irregular { 0.76 } else { 1.0 };
+                let width = p.size_m * p.shape.grasp_width();
                 let closing = lateral.y.abs();
                 let over = nearest.as_ref().map_or(-FAR_M, |near| near.height_m - tool.translation.z);
                 let along =

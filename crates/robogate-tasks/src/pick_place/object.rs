@@ -48,6 +48,11 @@ impl Shape {
         }
     }
 
+    /// The width across which it is grasped, as a fraction of its size.
+    pub fn grasp_width(self) -> f64 {
+        if self == Self::Irregular { 0.76 } else { 1.0 }
+    }
+
     /// The smallest angle between an object with rotation `actual` and one with rotation `wanted`, in radians, over all
     /// rotations of the shape onto itself. Both shapes stand upright at angle 0 about the vertical.
     pub fn angle_between(self, actual: &UnitQuaternion<f64>, wanted: &UnitQuaternion<f64>) -> f64 {

@@ -12,7 +12,7 @@ use std::f64::consts::PI;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use robogate_core::{Action, Fault, Observation, Policy, Pose, Seed, TaskInstance, TaskSpec};
-use robogate_physics::trajectory::ToolLimit;
+use robogate_physics::trajectory::{TRANSIT_HEIGHTS_M, ToolLimit};
 use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
 use super::Shape;
@@ -21,8 +21,8 @@ use crate::arm::{
     CONTROL_PERIOD_S, FREE, FREELY, Planner, Script, Stage, Way, carry_yaw, cup_yaw, drives_task, nearest, tool_down,
 };
 
-/// Height of the tool above the table on transit paths, in metres: the carried object passes over the highest obstacle.
-const TRANSIT_HEIGHT_M: f64 = 0.25;
+/// Height of the tool above the table on transit paths, in metres, where the arm reaches it.
+const TRANSIT_HEIGHT_M: f64 = TRANSIT_HEIGHTS_M[0];
 /// Height of the object above the table at its release, in metres.
 const RELEASE_ROOM_M: f64 = 0.003;
 /// Limits of motion with the object in hand. They are low, so that weight and not acceleration decides whether it
@@ -65,10 +65,23 @@ impl Scripted {
         }
     }
 
-    /// The grasp yaw with the smallest joint motion from home, and the joint positions above the object with this yaw.
-    fn choose_grasp(&self, task: &Briefing, at: &[f64; 3], yaw: f64) -> Result<(f64, Vec<f64>), Unreachable> {
+    /// The controller of an arm that holds the object of this task.
+    fn holding(&self, task: &Briefing) -> Self {
+        let shape = Shape::from_name(&task.shape);
+        let width_m = shape.map_or(1.0, Shape::grasp_width) * task.object_extent_m[1];
+        Self { chain: self.chain.holding(&self.robot.settings.gripper, width_m), ..self.clone() }
+    }
+
+    /// The grasp yaw with the smallest joint motion from home, and the joint positions at this height above the object with this yaw.
+    fn choose_grasp(
+        &self,
+        task: &Briefing,
+        at: &[f64; 3],
+        yaw: f64,
+        transit_m: f64,
+    ) -> Result<(f64, Vec<f64>), Unreachable> {
         let yaws = self.grasp_yaws(task, at, yaw);
-        let goals: Vec<_> = yaws.iter().map(|yaw| Self::above(at, TRANSIT_HEIGHT_M, *yaw)).collect();
+        let goals: Vec<_> = yaws.iter().map(|yaw| Self::above(at, transit_m, *yaw)).collect();
         nearest(&self.chain, &self.robot.settings.arm.home_rad, &goals).map(|(index, q)| (yaws[index], q))
     }
 
@@ -81,24 +94,28 @@ impl Scripted {
     pub(super) fn planned_grasp(&self, task: &Briefing) -> Result<Vec<f64>, Unreachable> {
         let yaw = yaw_of(task);
         let object = &offset_by(&task.object_pose.position, self.rotated_offset(task, yaw));
-        let (yaw, above) = self.choose_grasp(task, object, yaw)?;
+        let planned = self.holding(task);
+        let chosen = |transit_m: &f64| planned.choose_grasp(task, object, yaw, *transit_m);
+        let first = chosen(&TRANSIT_HEIGHT_M);
+        let lower = || TRANSIT_HEIGHTS_M[1..].iter().find_map(|height| chosen(height).ok());
+        let (yaw, above) = first.or_else(|unreachable| lower().ok_or(unreachable))?;
         let goal = Self::above(object, grasp_height(&self.robot, &task.object_extent_m), yaw);
-        self.chain.inverse(&goal, &above, &self.robot.settings.arm.home_rad)
+        planned.chain.inverse(&goal, &above, &self.robot.settings.arm.home_rad)
     }
 
-    fn plan(&self, planner: &mut Planner<'_>, task: &Briefing) -> Result<(), Unreachable> {
+    fn plan(&self, planner: &mut Planner<'_>, task: &Briefing, transit_m: f64) -> Result<(), Unreachable> {
         use GripperCommand::{Close, Open};
         let object_yaw = yaw_of(task);
         let rotated = |yaw| self.rotated_offset(task, yaw);
         let object = &offset_by(&task.object_pose.position, rotated(object_yaw));
-        let (yaw, above) = self.choose_grasp(task, object, object_yaw)?;
+        let (yaw, above) = self.choose_grasp(task, object, object_yaw, transit_m)?;
         planner.swing(phases::APPROACH_ABOVE, above, Open);
 
         let height = grasp_height(&self.robot, &task.object_extent_m);
         let speed = task.approach_speed_m_s.unwrap_or(FREE.speed);
         planner.straight(phases::DESCEND, &[Self::above(object, height, yaw)], ToolLimit { speed, ..FREE }, Open)?;
         planner.grip(phases::GRASP, Close);
-        planner.straight(phases::LIFT, &[Self::above(object, TRANSIT_HEIGHT_M, yaw)], CARRY, Close)?;
+        planner.straight(phases::LIFT, &[Self::above(object, transit_m, yaw)], CARRY, Close)?;
 
         // Across to the target, with the smallest rotation of the tool.
         let goal = &task.target_pose.position;
@@ -107,7 +124,7 @@ impl Scripted {
             placed = aligned(placed, yaw - object_yaw, Shape::from_name(&task.shape));
         }
         let target = &offset_by(goal, rotated(object_yaw + placed - yaw));
-        let [over, down] = [TRANSIT_HEIGHT_M, height + RELEASE_ROOM_M].map(|z| Self::above(target, z, placed));
+        let [over, down] = [transit_m, height + RELEASE_ROOM_M].map(|z| Self::above(target, z, placed));
         planner.straight(phases::MOVE_TO_TARGET, &[over, down], CARRY, Close)?;
         planner.grip(phases::RELEASE, Open);
         planner.straight(phases::RELEASE, &[over], FREE, Open)
@@ -182,17 +199,24 @@ impl Policy for Scripted {
 
     fn reset(&mut self, _: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {
         let task = &Briefing::of(instance)?;
-        let mut planner = Planner::new(&self.robot, &self.chain, CONTROL_PERIOD_S);
+        let arm = self.holding(task);
+        let planned = |transit_m: &f64| {
+            let mut planner = Planner::new(&arm.robot, &arm.chain, CONTROL_PERIOD_S);
+            let reachable = arm.plan(&mut planner, task, *transit_m);
+            (planner.finish(), reachable.is_ok())
+        };
+        let (mut plan, reachable) = planned(&TRANSIT_HEIGHT_M);
         // If a pose is out of reach, the controller runs the reachable part of its plan and then waits. This is a failure
         // of the controller (a timeout), not a fault of the simulator.
-        let reachable = self.plan(&mut planner, task);
-        let mut plan = planner.finish();
-        if reachable.is_err() && plan.is_empty() {
+        if !reachable && let Some((lower, _)) = TRANSIT_HEIGHTS_M[1..].iter().map(planned).find(|(_, whole)| *whole) {
+            plan = lower;
+        }
+        if plan.is_empty() {
             let path = vec![self.robot.settings.arm.home_rad.clone()];
             let gripper = GripperCommand::Open;
             plan.push(Stage { phase: phases::APPROACH_ABOVE, path, gripper, settles: false });
         }
-        self.script = Script::new(self.chain.clone(), plan);
+        self.script = Script::new(arm.chain, plan);
         Ok(())
     }
 

@@ -37,7 +37,8 @@ impl Scripted {
 
     /// The postures in which the arm grasps and releases each part, from the bottom up. `None` if one is out of reach.
     pub(super) fn postures(&self, briefing: &Briefing) -> Option<[[Posture; 2]; 2]> {
-        let mut planner = Planner::new(&self.robot, &self.chain, CONTROL_PERIOD_S);
+        let chain = self.chain.holding(&self.robot.settings.gripper, briefing.size_m);
+        let mut planner = Planner::new(&self.robot, &chain, CONTROL_PERIOD_S);
         (1..briefing.order.len()).try_for_each(|level| self.stack(&mut planner, briefing, level)).ok()?;
         // The last posture is that after the last release.
         let [a, b, c, d, _]: [Posture; 5] = Posture::of_plan(&self.chain, &planner.finish()).try_into().ok()?;
@@ -97,14 +98,16 @@ impl Policy for Scripted {
 
     fn reset(&mut self, _: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {
         let briefing = Briefing::of(instance)?;
-        let mut planner = Planner::new(&self.robot, &self.chain, CONTROL_PERIOD_S);
+        let chain = self.chain.holding(&self.robot.settings.gripper, briefing.size_m);
+        let mut planner = Planner::new(&self.robot, &chain, CONTROL_PERIOD_S);
         // If a pose is out of reach, the controller runs the reachable part of its plan and then waits. This is a failure
         // of the controller (a timeout), not a fault of the simulator.
         let reachable = (1..briefing.order.len()).try_for_each(|level| self.stack(&mut planner, &briefing, level));
         if reachable.is_err() {
             planner.swing(phases::APPROACH, self.robot.settings.arm.home_rad.clone(), GripperCommand::Open);
         }
-        self.script = Script::new(self.chain.clone(), planner.finish());
+        let stages = planner.finish();
+        self.script = Script::new(chain, stages);
         Ok(())
     }
 

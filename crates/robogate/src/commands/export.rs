@@ -12,13 +12,16 @@ use robogate_dictionary::export::{Format, write_file, write_to};
 use robogate_dictionary::{Dictionary, DictionaryError, Entry, Provenance, write_parquet};
 use robogate_stats::format::counted;
 
+use crate::arguments::TrustArguments;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
 use crate::terminal::note;
+#[cfg(feature = "mujoco")]
+use robogate_session::EnvironmentChoice;
 use robogate_session::text::quoted;
 use robogate_session::{Reopening, Subject, starts_processes};
 
-/// Write a failure dictionary as CSV, JSON Lines or the published JSON, or as Parquet with its hidden draws.
+/// Write a failure dictionary as CSV, JSON Lines, the published JSON or Parquet, or the scene of an episode as MJCF.
 #[derive(Debug, Args)]
 pub(crate) struct Export {
     /// Folder of a run, or a dictionary (Parquet)
@@ -28,8 +31,14 @@ pub(crate) struct Export {
     #[arg(value_parser = place::local())]
     out: PathBuf,
     /// Choose the format
-    #[arg(long)]
+    #[arg(long, conflicts_with = "mjcf")]
     format: Option<To>,
+    /// Write the scene of the episode with this index for plain MuJoCo, into a new folder: the MJCF with its meshes, the inputs of each
+    /// step, and a script that plays them
+    #[arg(long, value_name = "INDEX")]
+    mjcf: Option<u64>,
+    #[command(flatten)]
+    trust: TrustArguments,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -47,6 +56,9 @@ enum To {
 
 impl Export {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        if let Some(index) = self.mjcf {
+            return self.scene(index);
+        }
         let standard_output = self.out.as_os_str() == "-";
         let to = match self.format.or_else(|| by_ending(&self.out)) {
             None if standard_output => To::Csv,
@@ -87,6 +99,30 @@ impl Export {
 }
 
 impl Export {
+    /// Writes the scene of an episode.
+    #[cfg(feature = "mujoco")]
+    fn scene(&self, index: u64) -> Result<u8, Exit> {
+        require_absent(&self.out)?;
+        let settings = robogate_campaign::settings(&self.dictionary).or_usage()?;
+        let opening = EnvironmentChoice::default().reopening(self.trust.choice());
+        let subject = Subject::recorded(&settings.provenance, Some(&self.dictionary), &opening)?;
+        let recorded = robogate_campaign::recorded(&self.dictionary, index).or_usage()?.episode;
+        let written = subject.write_scene(&recorded, &self.out)?;
+        if !written.repeats {
+            note("note: the episode differs from the recorded one: see `robogate replay`");
+        }
+        let out = &self.out;
+        note(format_args!("{}: scene.xml and {}", out.display(), counted(written.steps as u64, "time step")));
+        note(format_args!("next: python {}", quoted(&out.join("play.py"))));
+        Ok(DONE)
+    }
+
+    #[cfg(not(feature = "mujoco"))]
+    fn scene(&self, _: u64) -> Result<u8, Exit> {
+        let TrustArguments { .. } = &self.trust;
+        Err(anyhow::anyhow!("--mjcf needs MuJoCo, which this build does not have")).or_usage()
+    }
+
     /// Writes a dictionary of this version, with the draws of every episode as far as this build knows them.
     fn parquet(&self, dictionary: &Dictionary, folder: Option<&Path>) -> Result<u8, Exit> {
         let recorded = dictionary.provenance();

@@ -11,7 +11,7 @@ use clap::{Args, Subcommand};
 use robogate_physics::is_folder;
 use robogate_physics::{Gripper, RobotSettings, built_in_robot, built_in_robots};
 #[cfg(feature = "mujoco")]
-use robogate_session::in_child;
+use robogate_session::{in_child, menagerie_robot};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, OrExit};
@@ -38,9 +38,12 @@ enum What {
 /// Exit code 2 if there is a problem.
 #[derive(Debug, Args)]
 struct Check {
-    /// Folder of the robot (robot.toml and its model), or the name of a built-in one
+    /// Folder of the robot (robot.toml and its model), the name of a built-in one, or menagerie:NAME
     #[arg(value_name = "ROBOT")]
     robot: String,
+    /// Use this Python, which has the package mujoco-menagerie [default: python3]
+    #[arg(long, value_name = "PYTHON")]
+    python: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -88,12 +91,16 @@ pub(crate) fn list(json: bool) -> Result<u8, Exit> {
         ));
     }
     line("\nUse your own robot as a folder (docs/guides/robots.md) and check it: robogate robots check FOLDER");
+    line("Use a robot of MuJoCo Menagerie, whose package is mujoco-menagerie on PyPI, as menagerie:NAME");
     Ok(DONE)
 }
 
 pub(crate) fn in_words(gripper: &Gripper) -> String {
     match gripper {
-        Gripper::ParallelJaw(jaw) => format!("parallel jaw, {:.0} mm", 1e3 * jaw.opening_m),
+        Gripper::ParallelJaw(jaw) => {
+            let kind = if jaw.fixed_jaw_m.is_some() { "one moving jaw" } else { "parallel jaw" };
+            format!("{kind}, {:.0} mm", 1e3 * jaw.opening_m)
+        }
         Gripper::Suction(cup) => {
             let spring = cup.bellows.map_or_else(String::new, |bellows| {
                 format!(", spring {:.1} N/mm over {:.0} mm", 1e-3 * bellows.stiffness_n_m, 1e3 * bellows.stroke_m)
@@ -117,12 +124,13 @@ pub(crate) fn facts(settings: &RobotSettings) -> serde_json::Value {
 impl Check {
     #[cfg(feature = "mujoco")]
     fn execute(&self) -> Result<u8, Exit> {
-        if is_folder(&self.robot)
-            && let Some(code) = in_child(Path::new(&self.robot))?
+        let robot = menagerie_robot(&self.robot, self.python.as_deref())?;
+        if is_folder(&robot)
+            && let Some(code) = in_child(Path::new(&robot))?
         {
             return Ok(code);
         }
-        Ok(crate::inspection::show(&self.robot, self.json))
+        Ok(crate::inspection::show(&robot, self.json))
     }
 
     #[cfg(not(feature = "mujoco"))]

@@ -41,6 +41,8 @@ mod library;
 mod local_policies;
 #[cfg(feature = "mujoco")]
 mod media;
+#[cfg(feature = "mujoco")]
+mod menagerie;
 mod monitor;
 #[cfg(all(target_os = "linux", target_arch = "x86_64", feature = "mujoco", feature = "rapier", feature = "onnx"))]
 mod numerics;
