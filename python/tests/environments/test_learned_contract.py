@@ -47,6 +47,7 @@ class Toy(gymnasium.Env):
     action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
     metadata = {"render_modes": [], "render_fps": 10}
     _max_episode_steps = 3
+    executed = []
     task_description = "move"
 
     def observation(self):
@@ -59,6 +60,7 @@ class Toy(gymnasium.Env):
 
     def step(self, action):
         self.steps += 1
+        Toy.executed.append(float(action[0]))
         success = self.steps == 3 and bool(action[0] == 1.0)
         return self.observation(), 0.0, success, self.steps == 3, {"is_success": success}
 
@@ -227,6 +229,18 @@ class LeRobot(unittest.TestCase):
         (self.folder / "model.safetensors").write_bytes(b"0")
         self.assertNotEqual(with_policy(find("lerobot:toy"), f"own=lerobot:{self.folder}").policies["own"].version, environment.policies["own"].version)
 
+    def test_actions_of_a_checkpoint_are_not_clipped(self):
+        adapter = Adapter(with_policy(find("lerobot:toy"), f"own=lerobot:{self.folder}"))
+        with mock.patch.object(Toy, "observation", lambda env: {"agent_pos": np.array([1.7, 0.0], np.float32)}):
+            step = adapter.reset(Scenario(0, 1, {}, policy="own"))
+            # The command sees numbers of the action space.
+            self.assertEqual(step["proposed"]["action"], [1.0])
+            adapter.step(Action("vector", [1.0]))
+            self.assertAlmostEqual(Toy.executed[-1], 1.7, places=6)
+            # Another action than the policy's is one of the command.
+            adapter.step(Action("vector", [0.5]))
+            self.assertEqual(Toy.executed[-1], 0.5)
+
     def test_inputs_keep_their_stored_names(self):
         env = types.SimpleNamespace(instruction="move")
         self.use(stand_ins(stored={"observation.joints": "observation.state"}))
@@ -249,6 +263,15 @@ class LeRobot(unittest.TestCase):
             (self.folder / "config.json").write_text(json.dumps({"type": "toy", "use_amp": use_amp}))
             policies.as_function(policies.load(f"lerobot:{self.folder}"), None)(observation)
             self.assertEqual(self.amp, expected)
+
+
+class Aloha(unittest.TestCase):
+    def test_joints_of_aloha_pass_one_radian(self):
+        gymnasium.register("gym_aloha/Toy-v0", entry_point=Toy)
+        self.addCleanup(gymnasium.registry.pop, "gym_aloha/Toy-v0")
+        env = find("gymnasium:gym_aloha/Toy-v0").make()
+        self.assertAlmostEqual(float(env.action_space.high[0]), np.pi, places=6)
+        self.assertEqual(float(Toy.action_space.high[0]), 1.0)
 
 
 class VecNormalize:

@@ -8,8 +8,11 @@ STEP, NEAR = 0.1, 0.1
 
 class PointReach(gymnasium.Env):
     action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,))
-    observation_space = gymnasium.spaces.Dict(observation=action_space, achieved_goal=action_space, desired_goal=action_space)
     metadata = {"render_modes": [], "render_fps": 10}
+
+    def __init__(self):
+        # One for each: the wrapper of the time feature changes it.
+        self.observation_space = gymnasium.spaces.Dict({name: self.action_space for name in ("observation", "achieved_goal", "desired_goal")})
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)

@@ -34,6 +34,7 @@ from pathlib import Path
 from ..serving.environment import Environment, as_environment
 from .family import Family, UnknownEnvironment, installed
 from .family import arguments as given
+from .family import widened
 
 __all__ = ["Family", "UnknownEnvironment", "families", "find", "with_policy"]
 
@@ -152,7 +153,7 @@ def _make(identifier: str, arguments: dict):
     from ..serving.model import NoModel
     from ..serving.model import find as find_model
 
-    env = gymnasium.make(identifier, **arguments)
+    env = widened(gymnasium.make(identifier, **arguments))
     if "render_mode" in arguments or env.render_mode is not None or "rgb_array" not in env.metadata.get("render_modes", []):
         return env
     try:
@@ -160,7 +161,7 @@ def _make(identifier: str, arguments: dict):
         return env
     except (NoModel, ImportError):
         env.close()
-        return gymnasium.make(identifier, render_mode="rgb_array", **arguments)
+        return widened(gymnasium.make(identifier, render_mode="rgb_array", **arguments))
 
 
 def _package(entry_point: object) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib.metadata
 import json
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -56,6 +57,20 @@ def arguments(query: str, known: "Iterable[str] | None" = None) -> dict[str, Any
         except ValueError:
             found[key] = text
     return found
+
+
+# Bounds of the actions of environments whose action space is narrower than what their own policies use. The part of the identifier
+# before the slash. ALOHA's joints go to pi, and its space to 1.
+WIDER_ACTIONS = {"gym_aloha": math.pi}
+
+
+def widened(env: Any) -> Any:
+    """The environment, with the action space that its policies need."""
+    bound = WIDER_ACTIONS.get((getattr(env.spec, "id", None) or "").partition("/")[0])
+    if bound is not None:
+        space = env.action_space
+        env.action_space = type(space)(-bound, bound, space.shape, space.dtype)
+    return env
 
 
 class UnknownEnvironment(LookupError):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from ..environments.family import UnknownEnvironment, arguments, installed, unknown
+from ..environments.family import UnknownEnvironment, arguments, installed, unknown, widened
 from ..serving.environment import Environment, Task, task_name
 
 
@@ -43,6 +43,8 @@ def environment(name: str) -> Environment:
             time_limit_s=None if limit is None else limit / config.fps,
             episode_instruction=lambda env: env.instruction,
         ),
+        # LeRobot's evaluation clips nothing.
+        unclipped_actions=True,
         source=installed("lerobot"),
     )
 
@@ -74,7 +76,7 @@ class World:
         if number is not None and number not in numbers:
             raise UnknownEnvironment(f"lerobot:{config.type}/{config.task}/{number}: unknown task. Expected 0 to {max(numbers)}")
         chosen = numbers[min(numbers) if number is None else number]
-        self.env = chosen.envs[0]
+        self.env = widened(chosen.envs[0])
         self.action_space, self.observation_space = self.env.action_space, self.env.observation_space
         self.metadata, self.render_mode = self.env.metadata, self.env.render_mode
         self.spec = getattr(self.env, "spec", None)

@@ -52,6 +52,7 @@ class Adapter:
             raise DeclarationError(f"the environment steps {worlds} worlds at once (num_envs). Expected one: RoboGate starts a process for each")
         self._observations = Observations(env.observation_space)
         self._actions = actions_of(env.action_space, self._task.action_names)
+        self._actions.unclipped = environment.unclipped_actions
         rest = np.zeros(len(self._actions.low)) if self._task.rest_action is None else np.asarray(self._task.rest_action)
         # Zeros at a bound or outside the bounds are not a rest position.
         inside = self._actions.zeros_rest and bool((self._actions.low < 0.0).all() and (self._actions.high > 0.0).all())
@@ -374,7 +375,8 @@ class Adapter:
 
     def can_free_run(self) -> bool:
         """Whether `free_run` can run this environment."""
-        return self._model is not None and self._policy is not None and bool(self._observations.single)
+        plain = bool(self._observations.single) and not self._actions.unclipped
+        return self._model is not None and self._policy is not None and plain
 
     def _advance(self, numbers: "list[float] | np.ndarray") -> tuple[Any, dict | None, dict]:
         """Run one control period. Returns the observation, and the ending with its measures."""

@@ -18,7 +18,7 @@ from .spaces import Actions, Observations
 SUCCESS_AT_START = Measure("success_at_start", meaning="1 if the criterion held before the first action, otherwise 0.")
 
 # The measure of an environment with policies of its own.
-CLIPPED = Measure("clipped_actions", meaning="Share of the control periods in which the policy's action was outside of its range and was clipped.")
+CLIPPED = Measure("clipped_actions", meaning="Share of the control periods in which the policy's action was outside of its range.")
 
 
 def measures_of(environment: Environment) -> list[Measure]:

@@ -113,6 +113,9 @@ class Environment:
     space: Mapping[str, tuple] = field(default_factory=dict)
     # By name.
     policies: Mapping[str, Policy] = field(default_factory=dict)
+    # Whether an action of one of these policies outside of the action space is executed as it is, as the environment's own evaluation
+    # does it. Otherwise it is clipped to the space, as those of all other policies are.
+    unclipped_actions: bool = False
     # (env) -> observation, in the present state. Default: `env.unwrapped._get_obs()`. Knobs that move something need it.
     observe: Callable[[Any], Any] | None = None
     # Name and version of the physics. Default: MuJoCo, otherwise Gymnasium.

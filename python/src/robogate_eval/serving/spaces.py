@@ -207,6 +207,8 @@ class Actions:
         # A number outside of its bounds by less is rounding.
         self._rounding = 1e-5 * (high - low)
         self._asked = self._outside = 0
+        # Whether the environment executes what its policy returned, also outside of the bounds.
+        self.unclipped = False
 
     def begin(self) -> None:
         """Begin an episode."""
@@ -226,14 +228,15 @@ class Actions:
             action = numbers.astype(self.dtype)
             return action if self._is_flat else action.reshape(self.shape)
         last, array = self._last
-        if numbers is last:
+        if numbers is last or self.unclipped and list(numbers) == last:
             return array.astype(self.dtype).reshape(self.shape)
         return self._clipped(np.asarray(numbers, dtype=float)).astype(self.dtype).reshape(self.shape)
 
     def encode(self, action: Any) -> list[float]:
         """The numbers of an action of a policy, clipped to the bounds. A NaN stays one, so it is reported."""
         array = self.bounded(action)
-        self._last = (array.tolist(), array)
+        executed = np.asarray(action, dtype=float).ravel() if self.unclipped else array
+        self._last = (array.tolist(), executed)
         return self._last[0]
 
     def bounded(self, action: Any) -> np.ndarray:

@@ -30,7 +30,7 @@ class Reach(gymnasium.Env):
         return self._seen(), {"is_success": False}
 
     def step(self, action):
-        self.point = np.clip(self.point + np.float32(STEP) * np.asarray(action, np.float32), -1.0, 1.0)
+        self.point = np.clip(self.point + np.float32(STEP) * np.clip(action, -1.0, 1.0), -1.0, 1.0).astype(np.float32)
         success = bool(np.abs(self.point - self.goal).max() < NEAR)
         return self._seen(), float(success), success, False, {"is_success": success}
 
