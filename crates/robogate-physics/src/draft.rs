@@ -27,6 +27,8 @@ const MOST_FRAME_KG: f64 = 2e-3;
 const POSTURES: usize = 20_000;
 /// Where the tool waits at home, in metres from the base: over the middle of the workspace.
 const HOME_TOOL: [f64; 3] = [0.45, 0.0, 0.30];
+/// Rotations of a model about the vertical, among which a home posture is sought, in radians.
+const BASE_YAWS: [f64; 4] = [0.0, std::f64::consts::PI, std::f64::consts::FRAC_PI_2, -std::f64::consts::FRAC_PI_2];
 /// Where the tool of a short arm waits, as shares of distance and height of that place: wrists with small ranges point down near the
 /// table and the base only.
 const NEARER_HOMES: [[f64; 2]; 6] = [[1.0, 1.0], [1.0, 0.75], [1.0, 0.5], [0.75, 0.75], [0.75, 0.5], [0.6, 0.4]];
@@ -81,23 +83,25 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
     let tool = Tool::of(&spec, &compiled, &tree, one_jaw)?;
     let mut settings = settings(name, &file, &arm, &tool, arm.home.clone().unwrap_or_else(|| arm.middle()))?;
     let folder = model.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let chain = kinematics(&settings, folder);
+    let mut chain = kinematics(&settings, folder);
     let stated = arm.home.as_deref();
     let home_is_known = stated.is_some_and(|home| chain.as_ref().is_none_or(|chain| is_over_workspace(chain, home)));
-    let found = match (&chain, home_is_known) {
-        (Some(chain), false) => {
-            // Short arms wait nearer to the base.
-            let near = (crate::inspect::reach(chain)[0] / FULL_REACH).min(1.0);
-            let at = |scale: f64, [far, high]: [f64; 2]| {
-                let [x, y, z] = HOME_TOOL.map(|x| scale * x);
-                let tool = [far * x, y, high * z];
-                stated.and_then(|home| turned_home(chain, home, tool)).or_else(|| sought_home(chain, tool))
-            };
-            let nearer = || NEARER_HOMES.into_iter().find_map(|share| at(near, share));
-            at(1.0, [1.0; 2]).or_else(|| (near < 1.0).then(nearer).flatten())
+    // A model may face another way, and its first joint may not turn far enough.
+    let mut found = None;
+    for yaw in if home_is_known { &[][..] } else { &BASE_YAWS } {
+        if *yaw != 0.0 {
+            settings.arm.base_yaw_rad = *yaw;
+            chain = kinematics(&settings, folder);
         }
-        _ => None,
-    };
+        found = chain.as_ref().and_then(|chain| home_of(chain, stated));
+        if found.is_some() || chain.as_ref().is_none_or(turns_fully) {
+            break;
+        }
+    }
+    if found.is_none() && settings.arm.base_yaw_rad != 0.0 {
+        settings.arm.base_yaw_rad = 0.0;
+        chain = kinematics(&settings, folder);
+    }
     if let (Some(home), Some(chain)) = (&found, &chain) {
         settings.arm.home_rad.clone_from(home);
         face_the_table(chain, &mut settings);
@@ -107,6 +111,23 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
     }
     draft.write(name, &file, &arm, &tool, &settings, (home_is_known, found.is_some()));
     Ok(Draft { text: draft.out, guesses: draft.guesses })
+}
+
+/// A home posture over the workspace. Short arms wait nearer to the base.
+fn home_of(chain: &Chain, stated: Option<&[f64]>) -> Option<Vec<f64>> {
+    let near = (crate::inspect::reach(chain)[0] / FULL_REACH).min(1.0);
+    let at = |scale: f64, [far, high]: [f64; 2]| {
+        let [x, y, z] = HOME_TOOL.map(|x| scale * x);
+        let tool = [far * x, y, high * z];
+        stated.and_then(|home| turned_home(chain, home, tool)).or_else(|| sought_home(chain, tool))
+    };
+    let nearer = || NEARER_HOMES.into_iter().find_map(|share| at(near, share));
+    at(1.0, [1.0; 2]).or_else(|| (near < 1.0).then(nearer).flatten())
+}
+
+/// Whether the first joint turns by a full rotation.
+fn turns_fully(chain: &Chain) -> bool {
+    chain.joints.first().is_none_or(|first| first.range[1] - first.range[0] >= std::f64::consts::TAU)
 }
 
 /// The arm's joints and the body that carries the gripper.
@@ -695,14 +716,14 @@ fn turned_home(chain: &Chain, stated: &[f64], tool: [f64; 3]) -> Option<Vec<f64>
 
 /// Rotates a model whose first joint is far from the middle of its range at home by quarters, so that the arm reaches as far to both sides.
 fn face_the_table(chain: &Chain, settings: &mut RobotSettings) {
-    use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, TAU};
+    use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
     let Some(first) = chain.joints.first() else { return };
     let upwards = (first.placement.rotation * first.axis).z;
     let [low, high] = first.range;
     let turn = (settings.arm.home_rad[0] - 0.5 * (low + high)) * upwards.signum();
-    if upwards.abs() > HOME_TILT.cos() && high - low < TAU && turn.abs() > FRAC_PI_4 {
+    if upwards.abs() > HOME_TILT.cos() && !turns_fully(chain) && turn.abs() > FRAC_PI_4 {
         let yaw = (turn / FRAC_PI_2).round() * FRAC_PI_2;
-        settings.arm.base_yaw_rad = yaw;
+        settings.arm.base_yaw_rad += yaw;
         settings.arm.home_rad[0] -= yaw * upwards.signum();
     }
 }

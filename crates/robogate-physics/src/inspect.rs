@@ -21,6 +21,9 @@ const POSTURES: usize = 20_000;
 /// A stated reach is accepted up to this multiple of the reach of random postures, which miss the last few percent.
 const REACH_MARGIN: f64 = 1.1;
 
+/// Joints of an arm that reaches a position with every yaw of its tool.
+const FEWEST_JOINTS: usize = 5;
+
 /// Spacing of the grid of tool positions over the table, in metres.
 const GRID_M: f64 = 0.05;
 
@@ -174,6 +177,12 @@ pub(crate) fn reach(chain: &Chain) -> [f64; 2] {
 }
 
 fn tool_direction(chain: &Chain, settings: &RobotSettings, problems: &mut Vec<Problem>) {
+    if settings.gripper.jaw().is_some() && chain.joints.len() < FEWEST_JOINTS {
+        problems.push(Problem::new(
+            format!("the arm has {} joints: it cannot turn its fingers to the yaw of a part", chain.joints.len()),
+            "fingers need an arm with at least five joints; a suction cup needs four",
+        ));
+    }
     let home = &settings.arm.home_rad;
     let (flange, tcp) = (chain.flange_at(home), chain.tcp_at(home));
     let site = &settings.arm.tcp_site;

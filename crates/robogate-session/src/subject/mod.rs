@@ -304,13 +304,33 @@ impl Subject {
     }
 
     /// Prints the share of a space that no policy can complete, by reason.
-    pub fn note_feasibility(&self, space: &ParameterSpace) {
+    ///
+    /// # Errors
+    /// If that is all of the space, and the arm has too few joints for every pose of its tool.
+    pub fn note_feasibility(&self, space: &ParameterSpace) -> Result<(), Failure> {
+        /// Joints of an arm whose tool can have any pose.
+        const FREE_JOINTS: usize = 6;
         // Servers check nothing before an episode, and an environment that cannot be created is reported by the run.
         if let EnvironmentSource::Remote(_) = self.environment {
-            return;
+            return Ok(());
         }
-        let Ok(environment) = self.environment.environment() else { return };
-        let Ok(check) = SpaceFeasibility::of(&*environment, space) else { return };
+        let Ok(environment) = self.environment.environment() else { return Ok(()) };
+        let Ok(check) = SpaceFeasibility::of(&*environment, space) else { return Ok(()) };
+        if let (Some(cell), Some(InfeasibleShare { reason, .. })) = (self.cell(), check.infeasible.first())
+            && check.feasible <= 0.0
+            && cell.robot().settings.arm.joints.len() < FREE_JOINTS
+        {
+            return Err(anyhow!(
+                "{} with {} joints cannot do {}: {} ({}) in every episode\nHint: choose a larger arm, or a space or suite near the base, such as \
+                 --suite tabletop-40 for pick_place",
+                cell.robot_name(),
+                cell.robot().settings.arm.joints.len(),
+                cell.task().name(),
+                reason.condition,
+                reason.limit
+            ))
+            .or_request();
+        }
         for InfeasibleShare { reason, share } in &check.infeasible {
             note(format_args!(
                 "{} of this space is infeasible for every policy: {} ({})",
@@ -319,6 +339,7 @@ impl Subject {
                 reason.limit
             ));
         }
+        Ok(())
     }
 
     /// A short name for folders: that of the robot, or of the task.

@@ -257,6 +257,25 @@ impl<'a> Plan<'a> {
         Vector3::new(at.x, at.y, at.z - place.point.z + low + grasp_height(gripper, high - low))
     }
 
+    /// From where a tool of this rotation holds a part between two moving fingers to where it holds it against a fixed jaw, in metres.
+    fn beside(&self, place: &Place, rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
+        let (Some(jaw), Frame::Part(of)) = (self.robot.settings.gripper.jaw(), place.on) else {
+            return Vector3::zeros();
+        };
+        if jaw.fixed_jaw_m.is_none() || place.point != Vector3::zeros() || self.numbers.parts[of].joint.is_some() {
+            return Vector3::zeros();
+        }
+        let closing = rotation * Vector3::y();
+        let across = self.frame(place.on).rotation.inverse() * closing;
+        let reach = |part: &robogate_physics::Part| {
+            let (local, half) = (part.pose.rotation.inverse() * across, part.primitive.half_extent());
+            let half: f64 = (0..3).map(|axis| (local[axis] * half[axis]).abs()).sum();
+            part.pose.translation.vector.dot(&across).abs() + half
+        };
+        let half = self.model.parts[of].shapes.iter().map(reach).fold(0.0, f64::max);
+        -closing * jaw.beside_m(2.0 * half)
+    }
+
     /// The yaws (rad) of a tool that points down and closes at a place.
     fn yaws(&self, place: &Place) -> Vec<f64> {
         let x = self.frame(place.on).rotation * Vector3::x();
@@ -297,7 +316,11 @@ impl<'a> Plan<'a> {
         match &skill.what {
             Motion::Approach(place, height, command) => {
                 let at = above(self.target(place), self.number(height));
-                let poses: Vec<_> = self.yaws(place).into_iter().map(|yaw| tool_down(at.into(), yaw)).collect();
+                let pose = |yaw: f64| {
+                    let pose = tool_down(at.into(), yaw);
+                    Translation3::from(self.beside(place, &pose.rotation)) * pose
+                };
+                let poses: Vec<_> = self.yaws(place).into_iter().map(pose).collect();
                 let (_, joints) = self.planner.nearest(&poses)?;
                 if self.gripper != *command {
                     self.grip(phase, *command);
@@ -305,11 +328,12 @@ impl<'a> Plan<'a> {
                 self.planner.swing(phase, joints, self.gripper);
             }
             Motion::Move(place, height, speed) => {
-                let at = above(self.target(place), self.number(height));
+                let at = above(self.target(place), self.number(height)) + self.beside(place, &self.tool().rotation);
                 self.line(phase, at, self.limit(speed.as_ref()))?;
             }
             Motion::Grasp(place) => {
-                self.line(phase, self.target(place), self.careful(None))?;
+                let at = self.target(place) + self.beside(place, &self.tool().rotation);
+                self.line(phase, at, self.careful(None))?;
                 self.grip(phase, GripperCommand::Close);
                 if let Frame::Part(of) = place.on {
                     self.in_hand = Some((of, self.tool().inverse() * self.part(of, self.joints[of])));

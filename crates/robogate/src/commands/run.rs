@@ -226,7 +226,7 @@ impl Run {
         };
         introduce(&provenance, plan.seed);
         if plan.suite.is_none() {
-            subject.note_feasibility(&provenance.space);
+            subject.note_feasibility(&provenance.space)?;
         }
         match (&plan.suite, &plan.active) {
             (Some(stage), _) => note(format_args!(

@@ -66,7 +66,7 @@ fn menagerie_robots_are_drafted_and_pinned() {
     refused(&["robots", "check", "menagerie:arm"], &["not those of the package: panda.xml"]);
     fs::remove_file(package.join("arm/changed")).unwrap();
 
-    let run = robogate(at, &["run", "--robot", "menagerie:arm", "-n", "1", "--out", "run", "--no-report"]);
+    let run = robogate(at, &["run", "--robot", "menagerie:arm", "-n", "1", "--out", "run"]);
     assert_done(&run);
     let folders: Vec<_> = fs::read_dir(at.join("cache/robots/menagerie")).unwrap().flatten().collect();
     let [folder] = &folders[..] else { panic!("{folders:?}") };
@@ -79,5 +79,9 @@ fn menagerie_robots_are_drafted_and_pinned() {
     let settings = fs::read_to_string(folder.path().join("robot.toml")).unwrap();
     fs::write(folder.path().join("robot.toml"), settings.replace("name = \"arm\"", "name = \"own\"")).unwrap();
     let check = robogate(at, &["robots", "check", "menagerie:arm", "--json"]);
-    assert!(stdout(&check).contains("\"name\":\"own\"") || stdout(&check).contains("\"name\": \"own\""), "{}", stdout(&check));
+    assert!(
+        stdout(&check).contains("\"name\":\"own\"") || stdout(&check).contains("\"name\": \"own\""),
+        "{}",
+        stdout(&check)
+    );
 }
