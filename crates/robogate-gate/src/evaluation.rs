@@ -11,6 +11,7 @@ use std::collections::BTreeSet;
 
 use robogate_core::{OutsideRange, TaskSpec, is_feasible};
 use robogate_dictionary::{Controls, Label, TaskIdentity};
+use robogate_stats::format::percent;
 use robogate_stats::multiplicity::holm;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,9 +24,14 @@ use crate::rounds::Rounds;
 use crate::ruled_out::RuledOut;
 use crate::scope::{Scope, expand};
 use crate::{
-    Baseline, Bound, ConfidenceScore, Ending, Family, GateError, Metric, Mode, NewCases, Population, RealEvidence,
-    Record, Requirement, Requirements, Trial, Twins, Verdict,
+    Baseline, Bound, ConfidenceScore, Ending, Family, GateError, Metric, Mode, NewCases, NominalRate, Population,
+    RealEvidence, Record, Requirement, Requirements, Trial, Twins, Verdict,
 };
+
+/// The measure of an environment with policies: the share of the control periods with an action outside of its range.
+pub const CLIPPED_ACTIONS: &str = "clipped_actions";
+/// The share of control periods from which on a verdict names such actions.
+const MANY_CLIPPED: f64 = 0.05;
 
 /// How the number of episodes was chosen. It determines which test is valid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -218,6 +224,12 @@ pub struct Evaluation {
     /// The episodes compared with their nominal twins. The verdict does not depend on it. `None` without a control arm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub twins: Option<Twins>,
+    /// The success rate with nothing varied. The verdict does not depend on it. `None` without such episodes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub nominal: Option<NominalRate>,
+    /// The mean share of control periods with an action outside of its range. `None` if it is not measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clipped_actions: Option<f64>,
 }
 
 /// The success rate over the feasible part of the valid episodes.
@@ -299,6 +311,19 @@ impl Evaluation {
     pub fn is_violated_by_trials(&self) -> bool {
         let real = |result: &&RequirementResult| result.requirement.metric == Metric::RealSuccess;
         self.results.iter().filter(real).any(|result| result.status == Status::Violated)
+    }
+
+    /// What a reader of the verdict must know about the episodes: the rate with nothing varied, and actions outside of their range.
+    pub fn remarks(&self) -> Vec<String> {
+        let many = self.clipped_actions.filter(|share| *share >= MANY_CLIPPED);
+        let clipped = many.map(|share| {
+            format!(
+                "Actions: in {} of the control periods, an action of the policy was outside of its range and was clipped. Check the units \
+                 and the normalisation of its actions",
+                percent(share)
+            )
+        });
+        self.nominal.map(|nominal| nominal.line()).into_iter().chain(clipped).collect()
     }
 
     /// Serialises the evaluation. Equal evaluations give equal bytes.
@@ -410,6 +435,8 @@ impl Question<'_> {
             ruled_out,
             outside_range: outside_range(record, &rounds),
             twins: None,
+            nominal: None,
+            clipped_actions: clipped_actions(rounds.trials()),
         })
     }
 
@@ -567,6 +594,13 @@ impl Question<'_> {
             comparison.status = status(last);
         }
     }
+}
+
+/// The mean of the measure [`CLIPPED_ACTIONS`] over the valid episodes.
+fn clipped_actions<'a>(trials: impl Iterator<Item = &'a Trial>) -> Option<f64> {
+    let valid = trials.filter(|trial| trial.ending.is_valid());
+    let shares: Vec<f64> = valid.filter_map(|trial| trial.measures.get(CLIPPED_ACTIONS)).collect();
+    (!shares.is_empty()).then(|| shares.iter().sum::<f64>() / shares.len() as f64)
 }
 
 /// The number of distinct trajectories among the valid episodes. `None` if a trajectory was not recorded.

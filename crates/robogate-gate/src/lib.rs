@@ -28,6 +28,7 @@ mod joint_plan;
 mod leaderboard;
 mod metric;
 mod next_budget;
+mod nominal;
 mod pair_plan;
 mod plan;
 mod ranking;
@@ -50,7 +51,8 @@ pub use cases::NewCases;
 pub use comparison::{Against, Comparison, Planned, check_pairing, check_repeats};
 pub use error::GateError;
 pub use evaluation::{
-    Counts, Dropped, EndingCount, Evaluation, FeasibleRate, GroupResult, Question, RequirementResult, Sampling, Status,
+    CLIPPED_ACTIONS, Counts, Dropped, EndingCount, Evaluation, FeasibleRate, GroupResult, Question, RequirementResult,
+    Sampling, Status,
 };
 pub use figure::Extremes;
 pub use fleet::{DriverForm, Fleet, FleetSubject, FleetUnit, UnitDriver, UnitPlaces, UnitShare};
@@ -58,6 +60,7 @@ pub use joint_plan::JointOperating;
 pub use leaderboard::{Leaderboard, Standing};
 pub use metric::{Metric, Statistic};
 pub use next_budget::NextBudget;
+pub use nominal::NominalRate;
 pub use pair_plan::{PairOperating, PairPlan};
 pub use plan::{GatePlan, Operating, RequirementPlan};
 pub use ranking::{DroppedPolicy, RankedPair, RankedPolicy, Ranking, RankingDesign, RankingGuarantee};

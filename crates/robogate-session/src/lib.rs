@@ -26,6 +26,7 @@ mod isolation;
 mod latency;
 mod loaded_policy;
 mod lost_episodes;
+mod nominal_episodes;
 mod notice;
 #[cfg(feature = "object-store")]
 mod object_store;
@@ -70,6 +71,7 @@ pub use isolation::{Entered, enter, in_child};
 pub use latency::{LatencyChoice, WantedLatency, describe, execution_mode};
 pub use loaded_policy::LoadedPolicy;
 pub use lost_episodes::{Outage, RunsLostAgain};
+pub use nominal_episodes::{default_nominal_episodes, nominal_rate_of, nominal_suite};
 pub use notice::TARGET as NOTICES;
 pub use origin::{Origin, is_remote, register, register_copy};
 pub use pictures::picture_problems;

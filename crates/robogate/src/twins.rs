@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, anyhow};
+use anyhow::Context;
 use clap::Args;
 use robogate_analysis::Source;
 use robogate_campaign::NOMINAL;
@@ -28,14 +28,9 @@ pub(crate) struct NominalArguments {
 }
 
 impl NominalArguments {
-    /// Rejects the argument for a gate that runs episodes.
-    pub(crate) fn unused(&self) -> Result<(), Exit> {
-        match &self.nominal {
-            None => Ok(()),
-            Some(_) => {
-                Err(anyhow!("--nominal applies to a finished run\nHint: add --run RUN, or use --twins")).or_usage()
-            }
-        }
+    /// The argument with this value.
+    pub(crate) fn of(nominal: Option<String>) -> Self {
+        Self { nominal }
     }
 
     /// The comparison of the episodes of `source` with their twins. `None` without a control arm.

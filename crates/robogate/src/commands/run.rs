@@ -32,8 +32,8 @@ use crate::twins;
 use crate::watch::Frames;
 use robogate_session::text::quoted;
 use robogate_session::{
-    Arms, Outage, PolicySource, Reaction, Reopening, Subject, Watched, Workers, describe, families, guarded,
-    named_suite,
+    Arms, Outage, PolicySource, Reaction, Reopening, Subject, Watched, Workers, default_nominal_episodes, describe,
+    families, guarded, named_suite, nominal_rate_of, nominal_suite,
 };
 
 /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain.
@@ -85,6 +85,11 @@ pub(crate) struct Run {
     /// families of the task. Repeat it for each family
     #[arg(long, value_name = "FAMILY", conflicts_with_all = ["suite", "plan", "design", "seek", "until_rms"])]
     family: Vec<String>,
+    /// Vary nothing: run the environment as its author made it, 100 episodes by default
+    #[arg(long, conflicts_with_all = ["preset", "plan", "space", "suite", "design", "seek", "until_rms", "twins", "family"])]
+    nominal: bool,
+    #[command(flatten)]
+    nominal_episodes: NominalEpisodes,
     #[command(flatten)]
     environment: EnvironmentArguments,
     #[command(flatten)]
@@ -136,6 +141,29 @@ const WITHOUT_EFFECT: [&str; 18] = [
 /// Whether an argument affects the results.
 fn describe_a_plan(given: &Given) -> bool {
     given.names().any(|name| !WITHOUT_EFFECT.contains(&name))
+}
+
+/// The number of episodes of a run with nothing varied.
+const NOMINAL_RUN: u64 = 100;
+
+/// The episodes with nothing varied beside a campaign.
+#[derive(Debug, Args)]
+pub(crate) struct NominalEpisodes {
+    /// Also run this many episodes with nothing varied, and state their success rate beside the other; 0 for none; default in an
+    /// environment that is not built in: a tenth of the episodes, from 5 to 20
+    #[arg(long, value_name = "N")]
+    nominal_episodes: Option<u64>,
+}
+
+impl NominalEpisodes {
+    /// The number for this plan.
+    pub(crate) fn of(&self, subject: &Subject, plan: &Plan, space: &ParameterSpace) -> Result<u64, Exit> {
+        let Some(wanted) = self.nominal_episodes else { return Ok(default_nominal_episodes(subject, plan, space)) };
+        if wanted > 0 {
+            nominal_suite(subject.task(), space, 1).or_usage()?;
+        }
+        Ok(wanted)
+    }
 }
 
 /// How a campaign is run and shown.
@@ -190,6 +218,7 @@ impl Run {
         let subject =
             subject.with_statistics(&self.policy.choice().statistics)?.with_latency(&self.latency.choice())?;
         let (mut plan, space) = self.plan_and_space(&subject)?;
+        let subject = if subject.is_deterministic() { subject } else { subject.with_repeats(&space, plan.seed)? };
         let stressed = space.parameters().iter().filter(|parameter| parameter.name.starts_with(STRESS_PREFIX)).count();
         if stressed > 2 && self.family.is_empty() {
             note(format_args!(
@@ -197,6 +226,7 @@ impl Run {
             ));
         }
         plan.twins |= self.twins;
+        plan.nominal_episodes = self.nominal_episodes.of(&subject, &plan, &space)?;
         let provenance = subject.provenance(space)?;
         if let (Some(shards), Some(dir)) = (&self.shard, &self.out) {
             subject.register(dir, &provenance);
@@ -295,6 +325,12 @@ impl Run {
             let plan = Plan::of_suite(suite, self.rounds, self.seed.unwrap_or(DEFAULT_SEED));
             plan.check(&space).or_usage()?;
             return Ok((plan, space));
+        }
+        if self.nominal {
+            let suite = nominal_suite(subject.task(), &subject.space(None).or_usage()?, 1).or_usage()?;
+            let space = suite.space().clone();
+            let rounds = self.n.map_or(NOMINAL_RUN, NonZeroU64::get);
+            return Ok((Plan::of_suite(suite, rounds, self.seed.unwrap_or(DEFAULT_SEED)), space));
         }
         let papers = if self.is_the_papers() { subject.published_space() } else { None };
         let space = subject
@@ -439,14 +475,16 @@ pub(crate) fn conclude(dir: &Path, completion: &Completion, subject: Option<&Sub
     match completion {
         Completion::Finished { summary, boundary } => {
             let twins = twins::of_run(dir, Sampling::Fixed)?;
+            let nominal = nominal_rate_of(dir)?;
             if let Some(twins) = &twins {
                 twins::write(dir, twins)?;
             }
             let analysis = write_report(dir, None, subject).map(|(analysis, _)| analysis);
             if json {
-                summary::json(dir, summary, boundary.as_deref(), twins.as_ref(), analysis.as_ref()).or_broken()?;
+                let arms = summary::Arms { twins: twins.as_ref(), nominal: nominal.as_ref() };
+                summary::json(dir, summary, boundary.as_deref(), arms, analysis.as_ref()).or_broken()?;
             } else {
-                summary::print(dir, summary, boundary.as_deref(), analysis.as_ref());
+                summary::print(dir, summary, boundary.as_deref(), analysis.as_ref(), nominal.as_ref());
                 twins.iter().for_each(twins::print);
             }
             let evidence = summary.stages.iter().any(|stage| stage.valid > 0);
@@ -560,6 +598,8 @@ mod tests {
         "seed",
         "twins",
         "family",
+        "nominal",
+        "nominal_episodes",
         "task",
         "env",
         "robot",

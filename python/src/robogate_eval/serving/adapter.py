@@ -33,6 +33,11 @@ ALREADY = (
     "Task(..., starts_may_succeed=True)"
 )
 
+CARRIED = (
+    "success in the first control period, where another instance of the environment with the same seed and action has none: an earlier "
+    "episode has an effect. Let the reset of the environment set everything that its criterion uses"
+)
+
 
 class Adapter:
     """Serves an environment.
@@ -48,8 +53,11 @@ class Adapter:
         self._task = environment.task
         doing("make")
         self._env = env = environment.make()
-        if (worlds := getattr(env, "num_envs", 1)) != 1:
-            raise DeclarationError(f"the environment steps {worlds} worlds at once (num_envs). Expected one: RoboGate starts a process for each")
+        if (worlds := getattr(env, "num_envs", None)) is not None and (worlds != 1 or hasattr(env, "single_action_space")):
+            raise DeclarationError(
+                f"the environment is a vector of {worlds} worlds (num_envs), which reset themselves. Expected one world without a vector "
+                "around it: RoboGate starts a process for each"
+            )
         self._observations = Observations(env.observation_space)
         self._actions = actions_of(env.action_space, self._task.action_names)
         rest = np.zeros(len(self._actions.low)) if self._task.rest_action is None else np.asarray(self._task.rest_action)
@@ -85,6 +93,9 @@ class Adapter:
         self._hash = 0
         # Whether the actions of the episode come from a policy of this environment.
         self._hosts = False
+        self.deterministic = False
+        if is_twin:
+            return
         try:
             self.deterministic = self._is_deterministic(doing)
             self._require_success(doing)
@@ -149,12 +160,11 @@ class Adapter:
             return None
 
     def _is_deterministic(self, doing: Callable[[str], None]) -> bool:
-        """Run one scenario twice, with another one in between, and compare all states."""
+        """Run two scenarios twice, one after the other, and compare all states and endings: neither an earlier episode nor the number of
+        episodes may have an effect."""
 
         def repeats() -> bool:
-            first = self._states(1, 25, doing)
-            self._states(2, 10, doing)
-            return first == self._states(1, 25, doing)
+            return all([self._states(index, steps, doing) == self._states(index, steps, doing) for index, steps in ((1, 25), (2, 10))])
 
         if repeats():
             return True
@@ -163,7 +173,7 @@ class Adapter:
         self._model.keep_state()
         return repeats()
 
-    def _states(self, index: int, steps: int, doing: Callable[[str], None]) -> list[int]:
+    def _states(self, index: int, steps: int, doing: Callable[[str], None]) -> list:
         from robogate_bridge import Scenario
 
         doing("reset")
@@ -173,9 +183,10 @@ class Adapter:
         for _ in range(min(steps, self._limit)):
             numbers = random.uniform(self._actions.low, self._actions.high).tolist()
             doing("step")
-            if self.step(Action("vector", numbers))["ending"] is not None:
+            ending = self.step(Action("vector", numbers))["ending"]
+            states.append(self.state_hash() if ending is None else ending["failure"])
+            if ending is not None:
                 break
-            states.append(self.state_hash())
         return states
 
     def _require_success(self, doing: Callable[[str], None]) -> None:
@@ -425,19 +436,26 @@ class Adapter:
 
     def _look_at_start(self, numbers: "list[float] | np.ndarray") -> None:
         """Find out whether the criterion also holds after the farthest other first action: then it held before the policy acted, although
-        the reset did not say so. Another instance is asked, so that the state of this one stays that of the episode."""
+        the reset did not say so. Another instance is asked, so that the state of this one stays that of the episode. If it does not
+        succeed with the same action, an earlier episode has decided this one."""
         if self._is_twin or self._solved:
             return
         if self._twin is None:
             self._twin = Adapter(self._environment, is_twin=True)
         low, high = self._actions.low, self._actions.high
         other = np.where(np.asarray(numbers) > 0.5 * (low + high), low, high)
-        # A scenario of the check before the first episode has no parameters and no policy.
-        self._twin._reset(dataclasses.replace(self._scenario, policy=None, record_s=None))
-        _, ending, _ = self._twin._advance(self._actions.bounded(other))
-        self._solved = ending is not None and ending["failure"] is None
+        self._solved = self._twin_succeeds(other)
         if self._solved and not self._task.starts_may_succeed:
             raise Problem("setup", ALREADY)
+        if not self._solved and self.deterministic and not self._twin_succeeds(numbers):
+            raise Problem("setup", CARRIED)
+
+    def _twin_succeeds(self, numbers: "list[float] | np.ndarray") -> bool:
+        """Whether another instance succeeds in the first control period of this episode with this action."""
+        # A scenario of the check before the first episode has no parameters and no policy.
+        self._twin._reset(dataclasses.replace(self._scenario, policy=None, record_s=None))
+        _, ending, _ = self._twin._advance(list(map(float, numbers)))
+        return ending is not None and ending["failure"] is None
 
     def _check(self, model: Model) -> None:
         """Raise if the physics diverged, or if a parameter does not act any more."""
