@@ -34,6 +34,7 @@ mod plan;
 mod ranking;
 mod real;
 mod record;
+mod remarks;
 mod requirement;
 mod requirement_test;
 mod requirements;
@@ -51,8 +52,7 @@ pub use cases::NewCases;
 pub use comparison::{Against, Comparison, Planned, check_pairing, check_repeats};
 pub use error::GateError;
 pub use evaluation::{
-    CLIPPED_ACTIONS, Counts, Dropped, EndingCount, Evaluation, FeasibleRate, GroupResult, Question, RequirementResult,
-    Sampling, Status,
+    Counts, Dropped, EndingCount, Evaluation, FeasibleRate, GroupResult, Question, RequirementResult, Sampling, Status,
 };
 pub use figure::Extremes;
 pub use fleet::{DriverForm, Fleet, FleetSubject, FleetUnit, UnitDriver, UnitPlaces, UnitShare};
@@ -66,6 +66,7 @@ pub use plan::{GatePlan, Operating, RequirementPlan};
 pub use ranking::{DroppedPolicy, RankedPair, RankedPolicy, Ranking, RankingDesign, RankingGuarantee};
 pub use real::{RealEvidence, RealStratum};
 pub use record::{Population, Record};
+pub use remarks::CLIPPED_ACTIONS;
 pub use requirement::{Bound, Each, Requirement, Sense};
 pub use requirements::{Budget, Family, Mode, Requirements};
 pub use ruled_out::{FrequentFault, RuledOut};

@@ -262,6 +262,32 @@ class Spaces(unittest.TestCase):
             with self.assertRaisesRegex(DeclarationError, f"is a vector of {count} worlds"):
                 adapter(lambda count=count: gymnasium.make_vec("Pendulum-v1", num_envs=count, vectorization_mode="sync"))
 
+    def test_pictures_that_show_nothing_are_noted(self):
+        class Blind(_Pictures):
+            dt, max_path_length = 0.1, 40
+            observation_space = gymnasium.spaces.Dict({"eye": _Pictures.observation_space, "hand": _Pictures.observation_space})
+
+            def seen(self):
+                return {"eye": np.full((8, 8, 3), 90, np.uint8), "hand": self.first}
+
+            def reset(self, seed=None, options=None):
+                self.first, info = super().reset(seed=seed)
+                return self.seen(), info
+
+            def step(self, action):
+                return self.seen(), float(np.sum(action)), *super().step(action)[2:]
+
+        notes = adapter(Blind).notes
+        self.assertEqual([note.partition(":")[0] for note in notes], [
+            "the picture eye of the observation shows one colour everywhere",
+            "the picture hand of the observation stays the same although the state changes",
+        ])
+
+        class Seeing(_Pictures):
+            dt, max_path_length = 0.1, 40
+
+        self.assertEqual(adapter(Seeing).notes, [])
+
     def test_reset_without_a_seed_is_refused(self):
         class Old(SlidingBox):
             def reset(self):

@@ -28,12 +28,12 @@ use crate::place;
 use crate::progress::Progress;
 use crate::summary;
 use crate::terminal::{Screen, grouped, note, percent, warning};
-use crate::twins;
+use crate::twins::{self, NominalEpisodes, nominal_plan};
 use crate::watch::Frames;
 use robogate_session::text::quoted;
 use robogate_session::{
-    Arms, Outage, PolicySource, Reaction, Reopening, Subject, Watched, Workers, default_nominal_episodes, describe,
-    families, guarded, named_suite, nominal_rate_of, nominal_suite,
+    Arms, Outage, PolicySource, Reaction, Reopening, Subject, Watched, Workers, describe, families, guarded,
+    named_suite, nominal_rate_of,
 };
 
 /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain.
@@ -141,29 +141,6 @@ const WITHOUT_EFFECT: [&str; 18] = [
 /// Whether an argument affects the results.
 fn describe_a_plan(given: &Given) -> bool {
     given.names().any(|name| !WITHOUT_EFFECT.contains(&name))
-}
-
-/// The number of episodes of a run with nothing varied.
-const NOMINAL_RUN: u64 = 100;
-
-/// The episodes with nothing varied beside a campaign.
-#[derive(Debug, Args)]
-pub(crate) struct NominalEpisodes {
-    /// Also run this many episodes with nothing varied, and state their success rate beside the other; 0 for none; default in an
-    /// environment that is not built in: a tenth of the episodes, from 5 to 20
-    #[arg(long, value_name = "N")]
-    nominal_episodes: Option<u64>,
-}
-
-impl NominalEpisodes {
-    /// The number for this plan.
-    pub(crate) fn of(&self, subject: &Subject, plan: &Plan, space: &ParameterSpace) -> Result<u64, Exit> {
-        let Some(wanted) = self.nominal_episodes else { return Ok(default_nominal_episodes(subject, plan, space)) };
-        if wanted > 0 {
-            nominal_suite(subject.task(), space, 1).or_usage()?;
-        }
-        Ok(wanted)
-    }
 }
 
 /// How a campaign is run and shown.
@@ -327,10 +304,7 @@ impl Run {
             return Ok((plan, space));
         }
         if self.nominal {
-            let suite = nominal_suite(subject.task(), &subject.space(None).or_usage()?, 1).or_usage()?;
-            let space = suite.space().clone();
-            let rounds = self.n.map_or(NOMINAL_RUN, NonZeroU64::get);
-            return Ok((Plan::of_suite(suite, rounds, self.seed.unwrap_or(DEFAULT_SEED)), space));
+            return nominal_plan(subject, self.n, self.seed.unwrap_or(DEFAULT_SEED));
         }
         let papers = if self.is_the_papers() { subject.published_space() } else { None };
         let space = subject

@@ -86,6 +86,8 @@ class Adapter:
         self.dropped = [*self.dropped, *self._observations.skipped]
         # Whether a reset of the check below built another model.
         self._changes = False
+        # What the check found that is no error.
+        self.notes: list[str] = []
         self._cameras = Cameras(env, self._model, self._observations, self._task)
         self._scoring = Scoring(self._task)
         # Whether an episode that raised runs a second time now.
@@ -179,7 +181,7 @@ class Adapter:
         doing("reset")
         self.reset(Scenario(index=index, seed=0, parameters={}))
         self._changes = self._changes or (self._model is not None and self._model.differs)
-        random, states = np.random.default_rng(index), [self.state_hash()]
+        random, states, first = np.random.default_rng(index), [self.state_hash()], self._observed_pictures()
         for _ in range(min(steps, self._limit)):
             numbers = random.uniform(self._actions.low, self._actions.high).tolist()
             doing("step")
@@ -187,7 +189,26 @@ class Adapter:
             states.append(self.state_hash() if ending is None else ending["failure"])
             if ending is not None:
                 break
+        self._note_pictures(first, moved=len(set(states)) > 1)
         return states
+
+    def _observed_pictures(self) -> dict[str, np.ndarray]:
+        return {name: self._observations.image(self._seen, name).copy() for name in self._observations.images}
+
+    def _note_pictures(self, first: dict[str, np.ndarray], moved: bool) -> None:
+        """Note pictures of the observation that show nothing, or that stay the same although the state changes: a policy that sees them is
+        blind, and fails for no reason of its own."""
+        last = self._observed_pictures()
+        for name, picture in first.items():
+            if (picture == picture[0, 0]).all():
+                what = "shows one colour everywhere"
+            elif moved and (picture == last[name]).all():
+                what = "stays the same although the state changes"
+            else:
+                continue
+            note = f"the picture {name} of the observation {what}: a policy that sees it is blind. Without a display, set MUJOCO_GL=egl"
+            if note not in self.notes:
+                self.notes.append(note)
 
     def _require_success(self, doing: Callable[[str], None]) -> None:
         """Raise if the environment does not report success. Many do so at the end of an episode only, so one is run to its end."""

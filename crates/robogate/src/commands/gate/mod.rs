@@ -15,8 +15,9 @@ use anyhow::anyhow;
 use clap::Args;
 
 use crate::arguments::{AccessArguments, EnvironmentArguments, LatencyArguments, PolicyArguments};
-use crate::commands::run::{How, NominalEpisodes};
+use crate::commands::run::How;
 use crate::exit::{Exit, OrExit};
+use crate::twins::NominalEpisodes;
 use robogate_session::{CONTROL_EPISODES, PolicyLocation};
 
 pub(crate) use judge::evaluation_of;
