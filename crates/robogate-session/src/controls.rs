@@ -18,8 +18,8 @@ use crate::subject::{EnvironmentSource, Subject};
 /// The default number of episodes of each control.
 pub const CONTROL_EPISODES: u32 = 5;
 
-/// The number of episodes of the gate that run twice before it, in other processes.
-const REPEATED: u64 = 4;
+/// The largest number of episodes of the gate that run twice before it, in other processes.
+const REPEATED: u64 = 12;
 
 /// Repeats a few episodes of an environment in another process, and runs the controls of an external policy, one episode after the
 /// other. `None` for a built-in environment and a policy without a profile.
@@ -51,7 +51,7 @@ impl Subject {
     }
 }
 
-/// Episodes of the gate, which run twice.
+/// Episodes of the gate, some of which run twice.
 fn sample(suite: &Suite, seed: u64) -> Vec<Scenario> {
     let (campaign, cases) = (Seed::campaign(seed), suite.cases().len() as u64);
     // A suite with fewer cases begins again, with other seeds.
