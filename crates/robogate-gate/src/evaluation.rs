@@ -7,8 +7,6 @@
 //!
 //! If each "met" must also hold on its own, [`Family::Holm`] adjusts these as well.
 
-use std::collections::BTreeSet;
-
 use robogate_core::{OutsideRange, TaskSpec, is_feasible};
 use robogate_dictionary::{Controls, Label, TaskIdentity};
 use robogate_stats::multiplicity::holm;
@@ -18,13 +16,14 @@ use serde::{Deserialize, Serialize};
 use crate::comparison::{Against, Comparison};
 use crate::figure::{Extremes, applies, figure};
 use crate::next_budget::NextBudget;
+use crate::remarks::{clipped_actions, copies, distinct_trajectories};
 use crate::requirement_test::{How, success_interval, test};
 use crate::rounds::Rounds;
 use crate::ruled_out::RuledOut;
 use crate::scope::{Scope, expand};
 use crate::{
-    Baseline, Bound, ConfidenceScore, Ending, Family, GateError, Metric, Mode, NewCases, Population, RealEvidence,
-    Record, Requirement, Requirements, Trial, Twins, Verdict,
+    Baseline, Bound, ConfidenceScore, Ending, Family, GateError, Metric, Mode, NewCases, NominalRate, Population,
+    RealEvidence, Record, Requirement, Requirements, Trial, Twins, Verdict,
 };
 
 /// How the number of episodes was chosen. It determines which test is valid.
@@ -218,6 +217,12 @@ pub struct Evaluation {
     /// The episodes compared with their nominal twins. The verdict does not depend on it. `None` without a control arm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub twins: Option<Twins>,
+    /// The success rate with nothing varied. The verdict does not depend on it. `None` without such episodes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub nominal: Option<NominalRate>,
+    /// The mean share of control periods with an action outside of its range. `None` if it is not measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clipped_actions: Option<f64>,
 }
 
 /// The success rate over the feasible part of the valid episodes.
@@ -410,6 +415,8 @@ impl Question<'_> {
             ruled_out,
             outside_range: outside_range(record, &rounds),
             twins: None,
+            nominal: None,
+            clipped_actions: clipped_actions(rounds.trials()),
         })
     }
 
@@ -567,39 +574,6 @@ impl Question<'_> {
             comparison.status = status(last);
         }
     }
-}
-
-/// The number of distinct trajectories among the valid episodes. `None` if a trajectory was not recorded.
-fn distinct_trajectories<'a>(trials: impl Iterator<Item = &'a Trial>) -> Option<u64> {
-    let valid = trials.filter(|trial| trial.ending.is_valid());
-    let trajectories: Option<BTreeSet<u64>> = valid.map(|trial| trial.trajectory).collect();
-    trajectories.map(|distinct| distinct.len() as u64).filter(|distinct| *distinct > 0)
-}
-
-/// Why most trajectories are copies of others, so that the episodes are not evidence. `None` if enough are distinct.
-///
-/// Rounds of a suite may repeat the trajectory of a scenario. Different scenarios with one trajectory, and different seeds
-/// of the only scenario, show that neither parameters nor seeds act. A few can be equal by chance.
-fn copies<'a>(trials: impl Iterator<Item = &'a Trial>, distinct: Option<u64>) -> Option<String> {
-    const FEW: usize = 10;
-    let distinct = distinct?;
-    let valid: Vec<&Trial> = trials.filter(|trial| trial.ending.is_valid()).collect();
-    // There are at most as many starts as episodes.
-    if 2 * distinct > valid.len() as u64 {
-        return None;
-    }
-    let scenarios: BTreeSet<String> =
-        valid.iter().map(|trial| format!("{:?} {:?}", trial.label, trial.requested)).collect();
-    let (starts, what) = match scenarios.len() {
-        1 => (valid.len(), "episodes with different seeds"),
-        n => (n, "scenarios"),
-    };
-    (starts >= FEW && 2 * distinct <= starts as u64).then(|| {
-        format!(
-            "{starts} {what} have only {distinct} distinct trajectories: seeds and parameters have no effect in the others, \
-             and copies are not new evidence. Let the reset of the environment depend on its seed, or vary more"
-        )
-    })
 }
 
 fn conclude(counts: Counts, results: &[RequirementResult], comparison: Option<&Comparison>) -> (Verdict, String) {

@@ -13,6 +13,7 @@ use robogate_dictionary::Provenance;
 use robogate_stats::format::count;
 
 use crate::failure::{Failure, OrFailure};
+use crate::nominal_episodes::{UNVARIED, nominal_suite};
 use crate::notice::note;
 use crate::subject::Subject;
 
@@ -33,17 +34,20 @@ pub(crate) enum ArmKind {
     Nominal,
     /// For each episode, one with each declared family of perturbations alone.
     Families,
+    /// A few episodes with nothing varied.
+    Unvaried,
 }
 
 impl ArmKind {
-    /// Every kind.
-    pub(crate) const ALL: [Self; 2] = [Self::Nominal, Self::Families];
+    /// The kinds that follow from [`Plan::twins`].
+    pub(crate) const TWINS: [Self; 2] = [Self::Nominal, Self::Families];
 
     /// The folder of the arm in that of its campaign.
     pub(crate) fn folder(self) -> &'static str {
         match self {
             Self::Nominal => NOMINAL,
             Self::Families => FAMILIES,
+            Self::Unvaried => UNVARIED,
         }
     }
 
@@ -52,6 +56,7 @@ impl ArmKind {
         match self {
             Self::Nominal => "control arm",
             Self::Families => "arm of one family each",
+            Self::Unvaried => "arm with nothing varied",
         }
     }
 
@@ -59,7 +64,7 @@ impl ArmKind {
     fn episodes(self) -> &'static str {
         match self {
             Self::Nominal => "nominal twins",
-            Self::Families => "episodes",
+            Self::Families | Self::Unvaried => "episodes",
         }
     }
 
@@ -77,20 +82,23 @@ impl ArmKind {
         match self {
             Self::Nominal => NominalArm::of(plan, space, task, rounds).map(|arm| Some(arm.plan)),
             Self::Families => robogate_campaign::family_arm(plan, space, task, rounds),
+            Self::Unvaried => {
+                let suite = nominal_suite(task, space, 1)?;
+                Ok(Some(Plan::of_suite(suite, plan.nominal_episodes, plan.seed)))
+            }
         }
     }
 }
 
 impl Arms {
-    /// The arms of a campaign in `dir`. None if its plan has no twins.
+    /// The arms of a campaign in `dir`. None if its plan has no twins and no episodes with nothing varied.
     pub fn of(dir: &Path, plan: &Plan, space: &ParameterSpace, subject: &Subject) -> Result<Self, Failure> {
-        if !plan.twins {
-            return Ok(Self::none());
-        }
+        let twins = if plan.twins { &ArmKind::TWINS[..] } else { &[] };
+        let unvaried = if plan.nominal_episodes > 0 { &[ArmKind::Unvaried][..] } else { &[] };
         let mut arms = Vec::new();
         let rounds = plan.suite.as_ref().map_or_else(|| plan.episodes(), |stage| stage.rounds);
         let space = space.clone().into();
-        for kind in ArmKind::ALL {
+        for kind in [twins, unvaried].concat() {
             let Some(plan) = kind.plan(plan, &space, subject.task(), rounds)? else { continue };
             let provenance = subject.provenance(space_of(&plan)?)?;
             let folder = dir.join(kind.folder());
@@ -129,7 +137,7 @@ impl Arms {
     ) -> Result<Completion, RunError> {
         let Completion::Finished { summary, .. } = &campaign else { return Ok(campaign) };
         for Arm { kind, folder, mut plan, provenance } in self.0 {
-            if let Some(stage) = &mut plan.suite {
+            if let Some(stage) = plan.suite.as_mut().filter(|_| kind != ArmKind::Unvaried) {
                 as_many_rounds(stage, rounds_of(summary));
             }
             let done = if folder.join(PLAN).is_file() {

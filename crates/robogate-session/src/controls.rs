@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use anyhow::anyhow;
 use robogate_campaign::Worker;
-use robogate_core::{Assignment, Outcome, Policy, Scenario, Seed, Suite, rollout};
-use robogate_dictionary::{ControlProblem, ControlResult, Controls};
+use robogate_core::{Assignment, Outcome, ParameterSpace, Policy, Scenario, Seed, Suite, rollout};
+use robogate_dictionary::{ControlProblem, ControlResult, Controls, Repeats};
 use robogate_policy::{Profile, RandomModel, TaskMap, ThroughProfile, Unmapped, compare_mappings};
 
 use crate::failure::{Failure, OrFailure};
@@ -18,8 +18,8 @@ use crate::subject::{EnvironmentSource, Subject};
 /// The default number of episodes of each control.
 pub const CONTROL_EPISODES: u32 = 5;
 
-/// The number of episodes of the gate that run twice before it, in other processes.
-const REPEATED: u64 = 3;
+/// The largest number of episodes of the gate that run twice before it, in other processes.
+const REPEATED: u64 = 12;
 
 /// Repeats a few episodes of an environment in another process, and runs the controls of an external policy, one episode after the
 /// other. `None` for a built-in environment and a policy without a profile.
@@ -38,11 +38,24 @@ pub fn run_controls(subject: &Subject, suite: &Suite, episodes: u32, seed: u64) 
     })
 }
 
-/// Episodes of the gate, which run twice.
+impl Subject {
+    /// The same subject with what repeats of a few episodes of this space.
+    ///
+    /// # Errors
+    /// An environment that does not start.
+    pub fn with_repeats(self, space: &ParameterSpace, seed: u64) -> Result<Self, Failure> {
+        let Ok(suite) = Suite::fresh(space, REPEATED as usize) else { return Ok(self) };
+        let repeats = repeats(&self, &sample(&suite, seed))?;
+        repeats.iter().filter_map(Repeats::line).for_each(|line| note(format_args!("{line}")));
+        Ok(self.with_controls(&Controls { repeats, ..Controls::default() }))
+    }
+}
+
+/// Episodes of the gate, some of which run twice.
 fn sample(suite: &Suite, seed: u64) -> Vec<Scenario> {
-    let (campaign, cases) = (Seed::campaign(seed), suite.cases().len().max(1) as u64);
-    let number = REPEATED.min(cases);
-    (0..number).map(|at| suite.scenario(campaign, at * cases / number)).collect()
+    let (campaign, cases) = (Seed::campaign(seed), suite.cases().len() as u64);
+    // A suite with fewer cases begins again, with other seeds.
+    (0..REPEATED).map(|at| suite.scenario(campaign, at * (cases / REPEATED).max(1))).collect()
 }
 
 /// Runs the controls of a policy with a profile.

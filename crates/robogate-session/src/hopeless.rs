@@ -6,14 +6,13 @@ use std::sync::Arc;
 
 use robogate_campaign::{ExecuteError, Executor, LostEpisode};
 use robogate_core::{Episode, FailureMode, Foresight, Outcome, Scenario};
+use robogate_gate::CLIPPED_ACTIONS;
 use robogate_stats::format::percent;
 
 use crate::notice::warning;
 
 /// Number of valid episodes after which a run without a success is looked at.
 const FIRST: usize = 20;
-/// The measure of an environment with policies: the share of the control periods with an action outside of its range.
-pub(crate) const CLIPPED: &str = "clipped_actions";
 
 /// What happens to such a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -85,7 +84,7 @@ impl<'a> Watched<'a> {
 impl First {
     fn add(&mut self, mode: FailureMode, episode: &Episode) {
         self.endings.push((mode, episode.ticks, episode.trajectory_hash));
-        if let Some(share) = episode.measures.get(CLIPPED) {
+        if let Some(share) = episode.measures.get(CLIPPED_ACTIONS) {
             self.clipped.0 += share;
             self.clipped.1 += 1;
         }
@@ -171,7 +170,7 @@ mod tests {
             ) -> Result<(), ExecuteError> {
                 for scenario in (0..).map_while(scenario) {
                     let (outcome, ticks, trajectory_hash, clipped) = (self.0)(scenario.index);
-                    let measures = [(Word::constant(CLIPPED), Some(clipped))].into_iter().collect::<Measures>();
+                    let measures = [(Word::constant(CLIPPED_ACTIONS), Some(clipped))].into_iter().collect::<Measures>();
                     let (applied, time_s, phase, contact) = (Assignment::default(), 1.0, None, None);
                     let draws = Measures::default();
                     let episode = Episode {

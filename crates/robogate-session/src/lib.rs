@@ -29,6 +29,7 @@ mod loaded_policy;
 mod lost_episodes;
 #[cfg(feature = "mujoco")]
 mod menagerie;
+mod nominal_episodes;
 mod notice;
 #[cfg(feature = "object-store")]
 mod object_store;
@@ -76,6 +77,7 @@ pub use loaded_policy::LoadedPolicy;
 pub use lost_episodes::{Outage, RunsLostAgain};
 #[cfg(feature = "mujoco")]
 pub use menagerie::resolved as menagerie_robot;
+pub use nominal_episodes::{default_nominal_episodes, nominal_rate_of, nominal_suite};
 pub use notice::TARGET as NOTICES;
 pub use origin::{Origin, is_remote, register, register_copy};
 pub use pictures::picture_problems;

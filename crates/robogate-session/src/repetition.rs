@@ -1,9 +1,9 @@
-//! Whether episodes repeat: a few run twice, in two processes of the environment and in opposite orders.
+//! Whether episodes repeat: a few run twice, in two processes of the environment and in two orders.
 
 use std::num::NonZeroUsize;
 
-use robogate_campaign::{Worker, WorkerFactory};
-use robogate_core::{Assignment, Environment, Fault, Observation, Policy, Scenario};
+use robogate_campaign::Worker;
+use robogate_core::{Action, Assignment, FailureMode, Fault, FaultKind, Observation, Scenario, Seed};
 use robogate_gate::Repeats;
 use robogate_tasks::Random;
 
@@ -12,108 +12,208 @@ use crate::notice::note;
 use crate::policy_source::PolicySource;
 use crate::subject::{EnvironmentSource, RemoteSource, Subject};
 
-/// Number of processes in which the episodes run.
-const PROCESSES: NonZeroUsize = NonZeroUsize::MIN.saturating_add(1);
+/// Number of episodes that run twice. More do so until one of a policy succeeds: a cause that prevents successes shows only there.
+const FEWEST: usize = 4;
 /// Number of control periods of an episode with random actions.
 const RANDOM_PERIODS: usize = 100;
 
-/// An episode as far as it must repeat. The parameters are those that were read back.
-#[derive(PartialEq)]
+/// An episode as far as it must repeat.
 struct Seen {
+    /// The first observation, and the parameters that were read back.
     start: (Observation, Assignment),
+    actions: Vec<Action>,
     states: Vec<u64>,
+    /// The failure mode, `None` for a success. `None` if the episode was cut short.
+    ending: Option<Option<FailureMode>>,
+    /// Whether its policy wanted other actions than those that it was given.
+    other_actions: bool,
 }
 
-/// Runs these scenarios twice, the second time in the opposite order and, if this process starts the environment, in a process that
+type Episode = Result<Seen, Fault>;
+
+impl Seen {
+    fn is_like(&self, other: &Self) -> bool {
+        self.start == other.start && self.states == other.states && self.ending == other.ending
+    }
+
+    /// Whether outcome or duration differ, by more than a tenth.
+    fn ends_like(&self, other: &Self) -> bool {
+        let (one, two) = (self.states.len(), other.states.len());
+        self.ending == other.ending && one.abs_diff(two) <= 1 + one.max(two) / 10
+    }
+}
+
+/// Whether both episodes are equal. One that could not run says nothing.
+fn are_equal(one: &Episode, two: &Episode) -> bool {
+    match (one, two) {
+        (Ok(one), Ok(two)) => one.is_like(two),
+        (Err(one), Err(two)) => one.kind == two.kind,
+        (Ok(_), Err(fault)) | (Err(fault), Ok(_)) => fault.kind == FaultKind::Unavailable,
+    }
+}
+
+/// Runs some of these scenarios twice, the second time in another order and, if this process starts the environment, in a process that
 /// has run no episode. `None` for an environment that is built in, and if no episode could be compared.
 ///
-/// A policy of the environment acts in full episodes. Any other policy is replaced by random actions, because only the environment
-/// is to be tried.
+/// A policy of the environment acts in full episodes: that of the subject, otherwise the first. Without one the actions are random. The
+/// second time, the actions are those of the first time, so a policy that does not repeat itself makes no difference.
 ///
 /// # Errors
 /// A process that does not start.
 pub fn repeats(subject: &Subject, scenarios: &[Scenario]) -> Result<Option<Repeats>, Failure> {
     let EnvironmentSource::Remote(source) = subject.environment_source() else { return Ok(None) };
-    note(format_args!("repeating {} episodes in another order", scenarios.len()));
-    if source.launched.is_some() {
-        subject.start_servers(PROCESSES)?;
-    }
-    let random = || -> Result<_, Failure> {
-        Ok(Worker {
-            environment: subject.environment_source().environment().or_broken()?,
-            policy: Box::new(Random::new()),
-        })
+    note("repeating a few episodes in another order");
+    let policy = match subject.policy_source() {
+        Some(PolicySource::Declared(declared)) => Some(&*declared.environment),
+        _ => source.pool.hello().policies.first().map(|policy| &*policy.name),
     };
-    let declared = matches!(subject.policy_source(), Some(PolicySource::Declared(_)));
-    let own = || subject.worker().or_broken();
-    let found = if declared { both(source, scenarios, usize::MAX, own)? } else { None };
-    let Some(first) = found else { return both(source, scenarios, RANDOM_PERIODS, random) };
-    if first.unpaired().is_none() {
-        return Ok(Some(first));
-    }
-    // The policy may be what does not repeat.
-    Ok(match both(source, scenarios, RANDOM_PERIODS, random)? {
-        Some(alone) if first.other_start == 0 && alone.unpaired().is_none() => {
-            Some(Repeats { other_trajectory: 0, other_actions: first.other_trajectory, ..first })
-        }
-        _ => Some(first),
-    })
+    let with_policy = Repetition { subject, source, scenarios, policy };
+    let found = if policy.is_some() { with_policy.run()? } else { None };
+    if found.is_some() { Ok(found) } else { Repetition { policy: None, ..with_policy }.run() }
 }
 
-/// Runs the scenarios in both orders and compares the episodes. `None` if no episode was valid in both.
-fn both(
-    source: &RemoteSource,
-    scenarios: &[Scenario],
-    periods: usize,
-    worker: impl Fn() -> Result<Worker, Failure>,
-) -> Result<Option<Repeats>, Failure> {
-    let mut first = worker()?;
-    let Worker { environment, policy } = &mut first;
-    if policy.check(environment.task()).is_err() {
-        return Ok(None);
-    }
-    let once: Vec<_> =
-        scenarios.iter().map(|scenario| run(&mut **environment, &mut **policy, scenario, periods)).collect();
-    let fresh_process = source.pool.len() > 1;
-    if let (true, Some(scenario)) = (fresh_process, scenarios.first()) {
-        // It keeps its server while an episode runs, so the second worker has another one.
-        let _ = environment.reset(scenario);
-    }
-    // A worker whose episode was cut short keeps its server too. The only one must be free for the second worker.
-    let _kept = fresh_process.then_some(first);
-    let Worker { environment: mut other, policy: mut again } = worker()?;
-    let mut twice: Vec<_> =
-        scenarios.iter().rev().map(|scenario| run(&mut *other, &mut *again, scenario, periods)).collect();
-    twice.reverse();
-    let mut found = Repeats { fresh_process, ..Repeats::default() };
-    for (one, two) in once.iter().zip(&twice) {
-        let (Ok(one), Ok(two)) = (one, two) else { continue };
-        found.episodes += 1;
-        found.other_start += u64::from(one.start != two.start);
-        found.other_trajectory += u64::from(one.start == two.start && one != two);
-    }
-    Ok((found.episodes > 0).then_some(found))
+/// The episodes that run twice.
+#[derive(Clone, Copy)]
+struct Repetition<'a> {
+    subject: &'a Subject,
+    source: &'a RemoteSource,
+    scenarios: &'a [Scenario],
+    /// The policy of the environment. `None`: random actions.
+    policy: Option<&'a str>,
 }
 
-/// Runs at most `periods` control periods of an episode.
-fn run(
-    environment: &mut dyn Environment,
-    policy: &mut dyn Policy,
-    scenario: &Scenario,
-    periods: usize,
-) -> Result<Seen, Fault> {
-    let start = environment.reset(scenario)?;
-    let task = environment.task().clone();
-    policy.reset(&task, &start.instance, scenario.seed)?;
-    let limit = task.limit_ticks().map_or(periods, |limit| periods.min(limit as usize));
-    let (mut observation, mut states) = (start.observation.clone(), Vec::new());
-    while states.len() < limit {
-        let step = environment.step(&policy.act(&observation)?)?;
-        observation = step.observation;
-        states.push(step.state_hash);
-        if step.ending.is_some() {
-            break;
+impl Repetition<'_> {
+    /// Compares the episodes in both orders. `None` if none ran in both.
+    fn run(&self) -> Result<Option<Repeats>, Failure> {
+        let mut first = self.worker(1)?;
+        if first.policy.check(first.environment.task()).is_err() {
+            return Ok(None);
         }
+        let mut once: Vec<Episode> = Vec::new();
+        for scenario in self.scenarios {
+            let succeeded = |seen: &Episode| seen.as_ref().is_ok_and(|seen| seen.ending == Some(None));
+            if once.len() >= FEWEST && (self.policy.is_none() || once.iter().any(succeeded)) {
+                break;
+            }
+            once.push(self.episode(&mut first, scenario, None));
+        }
+        let order: Vec<usize> = (0..once.len()).collect();
+        // Neither all positions nor all distances of an episode are multiples of the same number, so that a counter shows.
+        let (odd, even): (Vec<usize>, Vec<usize>) = order.iter().partition(|at| *at % 2 == 1);
+        let other_order = [odd, even].concat();
+        let _kept = self.kept(first);
+        let mut second = self.worker(2)?;
+        let twice = self.episodes(&mut second, &other_order, &once);
+        let mut found = Repeats { fresh_process: self.source.pool.len() > 1, ..Repeats::default() };
+        for (one, two) in once.iter().zip(&twice) {
+            let different = !are_equal(one, two);
+            match (one, two) {
+                (Ok(one), Ok(two)) => {
+                    found.episodes += 1;
+                    let start = one.start != two.start;
+                    found.other_start += u64::from(start);
+                    found.other_trajectory += u64::from(different && !start);
+                    found.other_ending += u64::from(different && !start && !one.ends_like(two));
+                    found.other_actions += u64::from(!different && two.other_actions);
+                }
+                _ if different => {
+                    found.episodes += 1;
+                    found.other_trajectory += 1;
+                    found.other_ending += 1;
+                }
+                _ => {}
+            }
+        }
+        if found.other_start == 0 && found.other_ending > 0 {
+            found.systematic = self.comes_again(second, &other_order, &once, &twice)?;
+        } else if let (None, Some(scenario), Some(Ok(seen))) = (found.unpaired(), self.scenarios.first(), once.first())
+        {
+            let seed = Seed::campaign(scenario.seed.campaign_number().wrapping_add(1)).episode(scenario.index);
+            let other = Scenario { seed, ..scenario.clone() };
+            let other = self.episode(&mut second, &other, Some(&seen.actions));
+            found.seeds_without_effect = other.is_ok_and(|other| other.is_like(seen));
+        }
+        Ok((found.episodes > 0).then_some(found))
     }
-    Ok(Seen { start: (start.observation, start.applied), states })
+
+    /// Whether the episodes are again those of the first time in the first order, or those of the second time in the same process.
+    fn comes_again(
+        &self,
+        mut second: Worker,
+        other_order: &[usize],
+        once: &[Episode],
+        twice: &[Episode],
+    ) -> Result<bool, Failure> {
+        let same = |again: &[Episode], before: &[Episode]| again.iter().zip(before).all(|(a, b)| are_equal(a, b));
+        if same(&self.episodes(&mut second, other_order, once), twice) {
+            return Ok(true);
+        }
+        if self.source.launched.is_none() {
+            return Ok(false);
+        }
+        let _kept = self.kept(second);
+        let order: Vec<usize> = (0..once.len()).collect();
+        Ok(same(&self.episodes(&mut self.worker(3)?, &order, once), once))
+    }
+
+    /// A worker whose environment is the process of this number, as long as those before are kept.
+    fn worker(&self, number: usize) -> Result<Worker, Failure> {
+        if let (true, Some(processes)) = (self.source.launched.is_some(), NonZeroUsize::new(number.max(2))) {
+            self.subject.start_servers(processes)?;
+        }
+        if let Some(policy) = self.policy {
+            return self.source.in_step(policy).or_broken();
+        }
+        let environment = self.subject.environment_source().environment().or_broken()?;
+        Ok(Worker { environment, policy: Box::new(Random::new()) })
+    }
+
+    /// Keeps the process of a worker, so that the next worker has another one. `None` if there is only one process.
+    fn kept(&self, mut worker: Worker) -> Option<Worker> {
+        let scenario = self.scenarios.first().filter(|_| self.source.pool.len() > 1)?;
+        // It keeps its server while an episode runs.
+        let _ = worker.environment.reset(scenario);
+        Some(worker)
+    }
+
+    /// Runs the scenarios in this order with the actions of these episodes. Returns the episodes in the order of the scenarios.
+    fn episodes(&self, worker: &mut Worker, order: &[usize], given: &[Episode]) -> Vec<Episode> {
+        let mut episodes: Vec<(usize, Episode)> = Vec::with_capacity(order.len());
+        for &at in order {
+            let Some(scenario) = self.scenarios.get(at) else { continue };
+            let given = given.get(at).and_then(|seen| seen.as_ref().ok());
+            episodes.push((at, self.episode(worker, scenario, given.map(|seen| &*seen.actions))));
+        }
+        episodes.sort_by_key(|(at, _)| *at);
+        episodes.into_iter().map(|(_, episode)| episode).collect()
+    }
+
+    /// Runs an episode with these actions or those of the policy.
+    fn episode(&self, worker: &mut Worker, scenario: &Scenario, given: Option<&[Action]>) -> Episode {
+        let Worker { environment, policy } = worker;
+        let start = environment.reset(scenario)?;
+        let task = environment.task().clone();
+        policy.reset(&task, &start.instance, scenario.seed)?;
+        let periods = given.map_or(if self.policy.is_some() { usize::MAX } else { RANDOM_PERIODS }, <[Action]>::len);
+        let limit = task.limit_ticks().map_or(periods, |limit| periods.min(limit as usize));
+        let mut observation = start.observation.clone();
+        let (start, actions, states) = ((start.observation, start.applied), Vec::new(), Vec::new());
+        let mut seen = Seen { start, actions, states, ending: None, other_actions: false };
+        while seen.states.len() < limit && seen.ending.is_none() {
+            let own = policy.act(&observation);
+            let action = match given.and_then(|given| given.get(seen.states.len())) {
+                Some(given) => {
+                    seen.other_actions |= own.is_ok_and(|own| own != *given);
+                    given.clone()
+                }
+                None => own?,
+            };
+            let step = environment.step(&action)?;
+            observation = step.observation;
+            seen.actions.push(action);
+            seen.states.push(step.state_hash);
+            seen.ending = step.ending.map(|ending| ending.failure);
+        }
+        Ok(seen)
+    }
 }

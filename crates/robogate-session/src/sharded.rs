@@ -176,7 +176,7 @@ impl ShardedCampaign {
         {
             return Ok(Vec::new());
         }
-        let arms = ArmKind::ALL.map(|kind| self.merge_arm(kind, out, rounds_of(summary), opening));
+        let arms = ArmKind::TWINS.map(|kind| self.merge_arm(kind, out, rounds_of(summary), opening));
         Ok(arms.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     }
 

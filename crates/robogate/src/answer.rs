@@ -45,6 +45,7 @@ pub(crate) fn print(evaluation: &Evaluation) {
     if let Some(outside) = evaluation.outside_range.as_ref().filter(|outside| outside.episodes > 0) {
         line(format_args!("  {outside}"));
     }
+    evaluation.remarks().iter().for_each(|text| wrapped(text));
     for text in evaluation.controls.iter().flat_map(robogate_gate::Controls::lines) {
         wrapped(&text);
     }
@@ -80,7 +81,11 @@ fn counts(evaluation: &Evaluation) {
         0 => "0 invalid".to_owned(),
         n => format!("{} invalid: the verdict holds for every outcome that they could have had", grouped(n)),
     };
-    line(format_args!("  {}{rounds}, {invalid}", counted(counts.episodes, "episode")));
+    let distinct = evaluation.distinct_trajectories.map_or_else(String::new, |n| match n {
+        1 => ", 1 distinct trajectory".to_owned(),
+        n => format!(", {} distinct trajectories", grouped(n)),
+    });
+    line(format_args!("  {}{rounds}{distinct}, {invalid}", counted(counts.episodes, "episode")));
     if counts.focused > 0 {
         line(format_args!(
             "  {} episodes of a focused design are excluded: they do not estimate the rate of the operating space",

@@ -9,7 +9,7 @@ use robogate_campaign::{
     BoundaryReport, DrawnFrom, GroupSummary, OutcomeCounts, Population, Sought, Stage, StageSummary, SuiteSummary,
     Summary,
 };
-use robogate_gate::Twins;
+use robogate_gate::{NominalRate, Twins};
 use robogate_report::{ActiveModel, Headline, low_side};
 use robogate_stats::format::{counted, fixed, p_value, percent_or_dash};
 use serde_json::json;
@@ -23,29 +23,49 @@ use robogate_session::text::quoted;
 /// A bin with fewer valid episodes than this is shown dimmed, because its rate is imprecise.
 const FEW: u64 = 20;
 
+/// The campaigns beside a run.
+pub(crate) struct Arms<'a> {
+    /// The comparison with the control arm.
+    pub(crate) twins: Option<&'a Twins>,
+    /// The success rate with nothing varied.
+    pub(crate) nominal: Option<&'a NominalRate>,
+}
+
 /// Prints the summary as one JSON document.
 pub(crate) fn json(
     dir: &Path,
     summary: &Summary,
     boundary: Option<&BoundaryReport>,
-    twins: Option<&Twins>,
+    arms: Arms<'_>,
     analysis: Option<&Analysis>,
 ) -> serde_json::Result<()> {
     let mut document = json!({ "version": 1, "dir": dir, "summary": summary, "boundary": boundary });
     if let (Some(document), Some((rate, interval_95))) = (document.as_object_mut(), leading_rate(summary, analysis)) {
         document.insert("success".to_owned(), json!({ "rate": rate, "interval_95": interval_95 }));
     }
-    if let (Some(document), Some(twins)) = (document.as_object_mut(), twins) {
-        document.insert("twins".to_owned(), serde_json::to_value(twins)?);
+    if let Some(document) = document.as_object_mut() {
+        if let Some(twins) = arms.twins {
+            document.insert("twins".to_owned(), serde_json::to_value(twins)?);
+        }
+        if let Some(nominal) = arms.nominal {
+            document.insert("nominal".to_owned(), serde_json::to_value(nominal)?);
+        }
     }
     line(serde_json::to_string_pretty(&document)?);
     Ok(())
 }
 
 /// Prints the summary for people: one rate, where the policy fails, and what to do. `--verbose` adds the rest.
-pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryReport>, analysis: Option<&Analysis>) {
+pub(crate) fn print(
+    dir: &Path,
+    summary: &Summary,
+    boundary: Option<&BoundaryReport>,
+    analysis: Option<&Analysis>,
+    nominal: Option<&NominalRate>,
+) {
     line("");
     headline_rate(summary, analysis);
+    nominal.iter().for_each(|nominal| line(format_args!("                 {}", nominal.line())));
     // Counts of episodes that a design chose are not those of the operating space.
     if let [stage] = summary.stages.as_slice() {
         failures_in_one_line(stage);

@@ -1,19 +1,21 @@
 //! The control arm of a campaign: runs the nominal twins, and compares them with their partners and with the episodes of one
 //! family of perturbations each.
 
+use std::num::NonZeroU64;
 use std::path::Path;
 
-use anyhow::{Context, anyhow};
+use anyhow::Context;
 use clap::Args;
 use robogate_analysis::Source;
-use robogate_campaign::NOMINAL;
 use robogate_campaign::folder::DICTIONARY;
+use robogate_campaign::{NOMINAL, Plan};
+use robogate_core::ParameterSpace;
 use robogate_gate::{Record, Sampling, TwinFamily, Twins};
 use robogate_report::TwinRow;
 
 use crate::exit::{Exit, OrExit};
 use crate::terminal::{bold, dim, line, wrapped};
-use robogate_session::{open_source, twins_of};
+use robogate_session::{Subject, default_nominal_episodes, nominal_suite, open_source, twins_of};
 
 /// The comparison with the control arm in the folder of a run.
 pub(crate) const TWINS: &str = "twins.json";
@@ -28,14 +30,9 @@ pub(crate) struct NominalArguments {
 }
 
 impl NominalArguments {
-    /// Rejects the argument for a gate that runs episodes.
-    pub(crate) fn unused(&self) -> Result<(), Exit> {
-        match &self.nominal {
-            None => Ok(()),
-            Some(_) => {
-                Err(anyhow!("--nominal applies to a finished run\nHint: add --run RUN, or use --twins")).or_usage()
-            }
-        }
+    /// The argument with this value.
+    pub(crate) fn of(nominal: Option<String>) -> Self {
+        Self { nominal }
     }
 
     /// The comparison of the episodes of `source` with their twins. `None` without a control arm.
@@ -52,6 +49,40 @@ impl NominalArguments {
         let arm = open_source(Path::new(nominal))?;
         let arm = Record::of(arm.dictionary())?;
         Twins::of(&record, &arm, sampling).map_err(Exit::from).map(Some)
+    }
+}
+
+/// The number of episodes of a run with nothing varied.
+const NOMINAL_RUN: u64 = 100;
+
+/// The plan of a run with nothing varied, and its space.
+pub(crate) fn nominal_plan(
+    subject: &Subject,
+    n: Option<NonZeroU64>,
+    seed: u64,
+) -> Result<(Plan, ParameterSpace), Exit> {
+    let suite = nominal_suite(subject.task(), &subject.space(None).or_usage()?, 1).or_usage()?;
+    let space = suite.space().clone();
+    Ok((Plan::of_suite(suite, n.map_or(NOMINAL_RUN, NonZeroU64::get), seed), space))
+}
+
+/// The episodes with nothing varied beside a campaign.
+#[derive(Debug, Args)]
+pub(crate) struct NominalEpisodes {
+    /// Also run this many episodes with nothing varied, and state their success rate beside the other; 0 for none; default in an
+    /// environment that is not built in: a tenth of the episodes, from 5 to 20
+    #[arg(long, value_name = "N")]
+    nominal_episodes: Option<u64>,
+}
+
+impl NominalEpisodes {
+    /// The number for this plan.
+    pub(crate) fn of(&self, subject: &Subject, plan: &Plan, space: &ParameterSpace) -> Result<u64, Exit> {
+        let Some(wanted) = self.nominal_episodes else { return Ok(default_nominal_episodes(subject, plan, space)) };
+        if wanted > 0 {
+            nominal_suite(subject.task(), space, 1).or_usage()?;
+        }
+        Ok(wanted)
     }
 }
 

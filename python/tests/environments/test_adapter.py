@@ -535,6 +535,37 @@ class Faults(unittest.TestCase):
         ending = run(sliding_box(Quick))[0]["ending"]
         self.assertEqual(ending, {"failure": None})
 
+    def test_success_of_an_earlier_episode_does_not_count(self):
+        """A flag that the reset forgets."""
+        class Sticky(SlidingBox):
+            done = False
+
+            def step(self, action):
+                *rest, info = super().step(action)
+                self.done = self.done or self.data.time > 0.4
+                return *rest, {"success": self.done}
+
+        adapter = sliding_box(Sticky)
+        with self.assertRaisesRegex(Problem, "earlier episode has an effect"):
+            [run(adapter, index=index) for index in (5, 6, 7)]
+
+    def test_two_reports_of_success_must_agree(self):
+        class Two(SlidingBox):
+            def step(self, action):
+                *rest, info = super().step(action)
+                return *rest, {"success": False, "is_success": self.data.time > 0.4}
+
+        with self.assertRaisesRegex(DeclarationError, "is_success.* in the same step. Say in a file which one counts"):
+            sliding_box(Two)
+
+    def test_hint_names_the_key_that_it_found(self):
+        class Nested(SlidingBox):
+            def step(self, action):
+                return *super().step(action)[:4], {"step": 1, "metrics": {"task": {"Success_rate": 1.0}}}
+
+        with self.assertRaisesRegex(DeclarationError, r"t.info.get\('metrics', {}\).get\('task', {}\).get\('Success_rate', False\)"):
+            sliding_box(Nested)
+
     def test_derived_constants_leave_the_rest_alone(self):
         """From MuJoCo 3.17 on, mj_setConst rewrites the poses of welds that an author set."""
         import mujoco

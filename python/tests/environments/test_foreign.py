@@ -258,8 +258,35 @@ class Spaces(unittest.TestCase):
         self.assertEqual(adapter(Bare).hello()["task"]["time_limit_s"], 0.5)
 
     def test_many_worlds_at_once_are_refused(self):
-        with self.assertRaisesRegex(DeclarationError, "steps 3 worlds at once"):
-            adapter(lambda: gymnasium.make_vec("Pendulum-v1", num_envs=3, vectorization_mode="sync"))
+        for count in (3, 1):
+            with self.assertRaisesRegex(DeclarationError, f"is a vector of {count} worlds"):
+                adapter(lambda count=count: gymnasium.make_vec("Pendulum-v1", num_envs=count, vectorization_mode="sync"))
+
+    def test_pictures_that_show_nothing_are_noted(self):
+        class Blind(_Pictures):
+            dt, max_path_length = 0.1, 40
+            observation_space = gymnasium.spaces.Dict({"eye": _Pictures.observation_space, "hand": _Pictures.observation_space})
+
+            def seen(self):
+                return {"eye": np.full((8, 8, 3), 90, np.uint8), "hand": self.first}
+
+            def reset(self, seed=None, options=None):
+                self.first, info = super().reset(seed=seed)
+                return self.seen(), info
+
+            def step(self, action):
+                return self.seen(), float(np.sum(action)), *super().step(action)[2:]
+
+        notes = adapter(Blind).notes
+        self.assertEqual([note.partition(":")[0] for note in notes], [
+            "the picture eye of the observation shows one colour everywhere",
+            "the picture hand of the observation stays the same although the state changes",
+        ])
+
+        class Seeing(_Pictures):
+            dt, max_path_length = 0.1, 40
+
+        self.assertEqual(adapter(Seeing).notes, [])
 
     def test_reset_without_a_seed_is_refused(self):
         class Old(SlidingBox):
@@ -370,6 +397,21 @@ class Time(unittest.TestCase):
             adapter(lambda: gymnasium.make("Pendulum-v1"))
 
 
+    def test_hint_proposes_the_own_control_period(self):
+        class Owner:
+            time_step, frame_skip = 0.002, 5
+
+        class Rate(_Pictures):
+            dt, control_freq = None, 25
+
+        class Steps(_Pictures):
+            dt, sim = None, Owner()
+
+        for make, proposed in ((Rate, "0.04"), (Steps, "0.01")):
+            with self.assertRaisesRegex(DeclarationError, rf"control_period_s={proposed}\)"):
+                adapter(make)
+
+
 class History(unittest.TestCase):
     def test_resets_that_keep_the_memory_of_the_solver_repeat(self):
         class Keeps(SlidingBox):
@@ -402,6 +444,24 @@ class History(unittest.TestCase):
         wanted = [start(index, first) for index in (1, 2)]
         self.assertEqual([start(index, other) for index in (2, 1)], wanted[::-1])
         self.assertNotEqual(*wanted)
+
+    def test_counters_of_episodes_do_not_repeat(self):
+        """A counter that the reset keeps: every second, or every third, episode is another one."""
+        class Counts(SlidingBox):
+            every = 2
+
+            def reset(self, seed=None, options=None):
+                self.number = getattr(self, "number", 0) + 1
+                return super().reset(seed=seed)
+
+            def step(self, action):
+                *rest, info = super().step(action)
+                return *rest, {"success": self.number % self.every == 0 and self.data.time > 0.2}
+
+        class Third(Counts):
+            every = 3
+
+        self.assertEqual([adapter(make).deterministic for make in (SlidingBox, Counts, Third)], [True, False, False])
 
     def test_chance_of_its_own_does_not_repeat(self):
         class Chance(SlidingBox):

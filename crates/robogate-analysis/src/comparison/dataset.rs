@@ -48,6 +48,11 @@ impl<'a> Dataset<'a> {
         Some(format!("robogate replay {} {index}", shell_word(&folder.display().to_string())))
     }
 
+    /// Why its episodes make no pairs with those of other datasets. `None` if they follow from their seeds, or if this was not tried.
+    pub(crate) fn unpaired(&self) -> Option<String> {
+        self.provenance().controls()?.repeats?.unpaired()
+    }
+
     /// Why its rate cannot be compared with the others. `None` if it can.
     pub(crate) fn excluded_because(&self) -> Option<&'static str> {
         if self.table.len() == 0 {

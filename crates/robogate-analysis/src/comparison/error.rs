@@ -100,6 +100,17 @@ pub enum ComparisonError {
         /// The dataset.
         name: String,
     },
+    /// Episodes that do not follow from their seeds.
+    #[error(
+        "the episodes of `{name}` make no pairs: {why}\nHint: let the reset of the environment set everything that varies from its seed; \
+         without --paired they are compared as independent runs"
+    )]
+    NoPairs {
+        /// The dataset.
+        name: String,
+        /// What does not repeat.
+        why: String,
+    },
     /// Two dictionaries that did not run the same scenarios.
     #[error(
         "`{first}` and `{second}` did not run the same scenarios: {difference}\nHint: pairs need runs with the same \

@@ -45,6 +45,14 @@ pub struct Plan {
     /// Whether the nominal twins of the episodes run after the campaign: those of the first stage, or of the suite.
     #[serde(default, skip_serializing_if = "is_false")]
     pub twins: bool,
+    /// The number of episodes with nothing varied that run after the campaign.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub nominal_episodes: u64,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_zero(value: &u64) -> bool {
+    *value == 0
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
@@ -224,6 +232,7 @@ impl Plan {
             boundary: BoundaryStage::default(),
             active: None,
             twins: suite.has_twins(),
+            nominal_episodes: 0,
             suite: Some(SuiteStage::new(suite, rounds)),
         }
     }

@@ -52,6 +52,19 @@ impl Suite {
         Self::try_from(SuiteFile::of_scenarios(names, None, scenarios))
     }
 
+    /// Scenarios with nothing varied: each has the nominal values of those of `names` that have one.
+    ///
+    /// # Errors
+    /// [`SuiteError::NoNominal`] as above.
+    pub fn nominal(task: &TaskSpec, names: &[&str], scenarios: usize) -> Result<Self, SuiteError> {
+        some_nominal(task, names.iter().copied())?;
+        let spread = |name: &&str| Some((Arc::from(*name), Spread::Fixed(nominal(task, name)?)));
+        let parameters: Vec<(Arc<str>, Spread)> = names.iter().filter_map(spread).collect();
+        let scenario = |number: usize| (["nominal", "nominal"], format!("nominal-{number:03}"), parameters.clone());
+        let names = [format!("{}-nominal", task.name), "1.0.0".to_owned(), "Nothing varied.".to_owned()];
+        Self::try_from(SuiteFile::of_scenarios(names, None, (1..=scenarios).map(scenario)))
+    }
+
     /// The scenarios of this suite with the perturbations of one of the `families` each, and nominal values otherwise. They
     /// have the order of this suite, so episode `i` of both has the same seed. The first scenarios belong to the first family,
     /// the last to the last family.

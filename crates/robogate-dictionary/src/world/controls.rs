@@ -119,6 +119,7 @@ impl Controls {
         }
         lines.extend(self.problems.iter().map(|problem| format!("Control, {}: {}", problem.step, problem.detail)));
         lines.extend(self.repeats.and_then(|repeats| repeats.line()));
+        lines.extend(self.repeats.and_then(|repeats| repeats.seeds_line()));
         lines
     }
 }

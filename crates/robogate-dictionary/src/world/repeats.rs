@@ -1,27 +1,37 @@
-//! Whether episodes repeat: the same scenarios run in two processes of the environment, in opposite orders.
+//! Whether episodes repeat: the same scenarios run in two processes of the environment, in two orders, with the same actions.
 //!
 //! An episode should follow from its seed and its parameters. If the start of an episode also depends on the episodes before it or
 //! on the process, the rows do not describe what ran, and a later episode may depend on an earlier one: then they are no evidence.
-//! If only later bits of a trajectory differ, the rate is still one over these starts, but two policies cannot be paired.
+//! The same holds if earlier episodes decide how one ends. If only later bits of a trajectory differ, or if a difference is noise, the
+//! rate still holds, but two policies cannot be paired.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How many of the episodes that ran twice were different.
+/// How many of the episodes that ran twice were different. The second time, each ran with the actions of the first.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Repeats {
     /// Number of episodes that ran twice.
     pub episodes: u64,
-    /// Whether they ran in two processes. Otherwise both times in the same one, in opposite orders.
+    /// Whether they ran in two processes. Otherwise both times in the same one, in two orders.
     pub fresh_process: bool,
     /// Number of them with another start.
     pub other_start: u64,
-    /// Number of them with the same start and, after the same actions, another trajectory.
+    /// Number of them with the same start and, after the same actions, another trajectory or ending.
     pub other_trajectory: u64,
+    /// Number of those of `other_trajectory` with another outcome or another duration.
+    #[serde(default)]
+    pub other_ending: u64,
+    /// Whether the same differences came again, in the same order or in the same process: then they are no noise.
+    #[serde(default)]
+    pub systematic: bool,
     /// Number of them in which the policy acted in another way, although the environment repeats.
     #[serde(default)]
     pub other_actions: u64,
+    /// Whether an episode with another seed was the same: start, trajectory and ending.
+    #[serde(default)]
+    pub seeds_without_effect: bool,
 }
 
 impl Repeats {
@@ -30,14 +40,22 @@ impl Repeats {
         if self.fresh_process { "the order or the process" } else { "the order" }
     }
 
-    /// Why the episodes cannot be used as evidence. `None` if each seed gives the same start again.
+    /// Why the episodes cannot be used as evidence. `None` if each seed gives the same start again, and earlier episodes do not
+    /// decide how one ends.
     pub fn failure(&self) -> Option<String> {
-        let Self { episodes, other_start, .. } = self;
-        (*other_start > 0).then(|| {
+        let Self { episodes, other_start, other_ending, .. } = self;
+        let cause = self.cause();
+        if *other_start > 0 {
+            return Some(format!(
+                "episodes depend on {cause}: {other_start} of {episodes} episodes that ran twice had another start with the same seed. \
+                 Let the reset of the environment set everything that varies from its seed"
+            ));
+        }
+        (self.systematic && *other_ending > 0).then(|| {
             format!(
-                "episodes depend on {}: {other_start} of {episodes} episodes that ran twice had another start with the same seed. \
-                 Let the reset of the environment set everything that varies from its seed",
-                self.cause()
+                "episodes depend on {cause}: {other_ending} of {episodes} episodes that ran twice, from the same start with the same \
+                 actions, ended in another way. The environment carries something from one episode to the next. Let its reset set \
+                 everything that decides an episode"
             )
         })
     }
@@ -56,15 +74,19 @@ impl Repeats {
 
     /// What does not repeat and what still holds, for reports. `None` if everything repeats.
     pub fn line(&self) -> Option<String> {
-        let Self { episodes, other_trajectory, other_actions, .. } = self;
-        if self.other_start > 0 {
-            return self.failure().map(|why| format!("Repetition: {why}"));
+        let Self { episodes, other_trajectory, other_ending, other_actions, .. } = self;
+        if let Some(why) = self.failure() {
+            return Some(format!("Repetition: {why}"));
         }
         if *other_trajectory > 0 {
+            let ended = match other_ending {
+                0 => String::new(),
+                n => format!(", and {n} of them ended in another way"),
+            };
             return Some(format!(
                 "Repetition: episodes depend on {}. {other_trajectory} of {episodes} episodes that ran twice had the same start and \
-                 another trajectory. The rate holds for these starts; a replay differs, and another policy cannot be compared episode \
-                 by episode",
+                 another trajectory{ended}. The rate holds if that is noise which is new in each episode; a replay differs, and another \
+                 policy cannot be compared episode by episode",
                 self.cause()
             ));
         }
@@ -73,6 +95,14 @@ impl Repeats {
                 "Repetition: the policy acted in another way in {other_actions} of {episodes} episodes that ran twice, and the \
                  environment repeats. The rate holds; a replay differs"
             )
+        })
+    }
+
+    /// That seeds have no effect, for reports. `None` if they have, or if this was not tried.
+    pub fn seeds_line(&self) -> Option<String> {
+        self.seeds_without_effect.then(|| {
+            "Seeds: an episode with another seed had the same start and the same trajectory. Only parameters make episodes differ"
+                .to_owned()
         })
     }
 }
@@ -91,7 +121,13 @@ mod tests {
         let late = Repeats { other_trajectory: 1, fresh_process: false, ..same };
         assert_eq!(late.failure(), None);
         assert!(late.unpaired().is_some_and(|why| why.starts_with("episodes depend on the order: 1 of 3")));
-        assert!(late.line().is_some_and(|line| line.contains("The rate holds for these starts")));
+        assert!(late.line().is_some_and(|line| line.contains("The rate holds if that is noise")));
+        let noise = Repeats { other_ending: 1, ..late };
+        assert_eq!(noise.failure(), None);
+        assert!(noise.line().is_some_and(|line| line.contains("1 of them ended in another way")));
+        let carried = Repeats { systematic: true, ..noise };
+        assert!(carried.failure().is_some_and(|why| why.contains("carries something from one episode to the next")));
+        assert_eq!(Repeats { systematic: true, ..late }.failure(), None);
         let samples = Repeats { other_actions: 3, ..same };
         assert_eq!((samples.failure(), samples.unpaired()), (None, None));
         assert!(samples.line().is_some_and(|line| line.contains("the environment repeats")));

@@ -69,6 +69,7 @@ pub fn evaluation_markdown_with(evaluation: &Evaluation, watch: Option<&Watch>) 
         escape_markdown(&evaluation.estimand)
     );
     let controls = evaluation.controls.iter().flat_map(Controls::lines);
+    let controls = evaluation.remarks().into_iter().chain(controls);
     let lines: Vec<String> = controls.chain(evaluation.outside_range.as_ref().map(ToString::to_string)).collect();
     if !lines.is_empty() {
         out.push('\n');

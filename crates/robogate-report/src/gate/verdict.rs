@@ -28,7 +28,7 @@ pub(crate) struct VerdictBlock {
     pub(crate) next: String,
     /// The basis of the verdict.
     pub(crate) basis: String,
-    /// One line for each control. Empty without controls.
+    /// Remarks about the episodes, and one line for each control.
     pub(crate) controls: Vec<String>,
     /// How often states were outside of the range of the training data.
     pub(crate) outside_range: Option<String>,
@@ -65,7 +65,11 @@ impl VerdictBlock {
             weakest: weakest(evaluation),
             changes: changes.to_vec(),
             next: next_step(evaluation),
-            controls: evaluation.controls.as_ref().map(Controls::lines).unwrap_or_default(),
+            controls: evaluation
+                .remarks()
+                .into_iter()
+                .chain(evaluation.controls.iter().flat_map(Controls::lines))
+                .collect(),
             outside_range: evaluation.outside_range.as_ref().map(ToString::to_string),
             basis: format!(
                 "{}{rounds}, {} of them invalid. {}{}",

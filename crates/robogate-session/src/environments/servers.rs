@@ -18,7 +18,7 @@ use super::process::{Process, locked};
 use super::python::{Interpreter, readable};
 use crate::failure::{Failure, OrFailure};
 use crate::loaded_policy::LoadedPolicy;
-use crate::notice::note;
+use crate::notice::{note, warning};
 use crate::text::{foreign, indented};
 
 /// The servers of one environment. They end when this value is dropped, and when this process ends in any way: a server
@@ -54,6 +54,9 @@ struct Ready {
     /// What the sandbox refused so far.
     #[serde(default)]
     refused: Vec<String>,
+    /// What its check found that is no error.
+    #[serde(default)]
+    notes: Vec<String>,
     #[serde(flatten)]
     imported: Imported,
 }
@@ -146,6 +149,9 @@ impl Servers {
                 let ready = serde_json::from_str::<Ready>(&line).ok();
                 for refused in ready.iter().flat_map(|ready| &ready.refused).filter(|_| position == 0) {
                     note(format_args!("the sandbox refused {} to {}", self.environment, foreign(refused)));
+                }
+                for found in ready.iter().flat_map(|ready| &ready.notes).filter(|_| position == 0) {
+                    warning(format_args!("{}: {}", self.environment, foreign(found)));
                 }
                 let imported = ready.as_ref().map(|ready| ready.imported.clone()).unwrap_or_default();
                 let address = ready.and_then(|ready| ready.listening.parse().ok());

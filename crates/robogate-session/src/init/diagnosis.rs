@@ -6,9 +6,9 @@ use robogate_campaign::{Worker, WorkerFactory};
 use robogate_core::{
     Action, ActionSpec, Command, Episode, Fault, FaultKind, Outcome, Scenario, TaskSpec, rollout, rollout_with,
 };
+use robogate_gate::CLIPPED_ACTIONS;
 use robogate_stats::format::{number, percent};
 
-use crate::hopeless::CLIPPED;
 use crate::pictures::picture_problems;
 use crate::subject::Subject;
 
@@ -80,7 +80,7 @@ fn of_actions(trace: &[Action], episode: &Episode, task: &TaskSpec) -> Vec<Strin
     let mut found = Vec::new();
     let periods = trace.len().max(1) as f64;
     let share = |count: usize| count as f64 / periods;
-    let clipped = episode.measures.get(CLIPPED).unwrap_or(0.0);
+    let clipped = episode.measures.get(CLIPPED_ACTIONS).unwrap_or(0.0);
     let at_bounds = share(trace.iter().filter(|action| is_at_bounds(action, &task.action)).count());
     if clipped > 0.5 {
         found.push(format!(

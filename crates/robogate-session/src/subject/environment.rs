@@ -48,6 +48,14 @@ pub(crate) struct Launched {
     pub(crate) servers: Arc<Servers>,
 }
 
+impl RemoteSource {
+    /// An environment and its policy of this name, whose actions may be changed on their way.
+    pub(crate) fn in_step(&self, policy: &str) -> anyhow::Result<Worker> {
+        let (environment, policy) = RemoteEnvironment::with_policy(Arc::clone(&self.pool), policy)?;
+        Ok(Worker { environment: Box::new(environment.in_step()), policy: Box::new(policy) })
+    }
+}
+
 impl EnvironmentSource {
     /// The same environment with the settings of the paper, if it is a task of the paper.
     pub fn like_the_paper(mut self) -> anyhow::Result<Self> {
@@ -179,12 +187,7 @@ impl EnvironmentSource {
                 None => None,
             },
             Self::Remote(source) => match source.pool.hello().policies.first() {
-                Some(declared) => {
-                    let (environment, policy) =
-                        RemoteEnvironment::with_policy(Arc::clone(&source.pool), &declared.name)?;
-                    // A control changes its actions.
-                    Some(Worker { environment: Box::new(environment.in_step()), policy: Box::new(policy) })
-                }
+                Some(declared) => Some(source.in_step(&declared.name)?),
                 None => None,
             },
         })

@@ -19,7 +19,7 @@ use crate::place;
 use crate::terminal::{line, note};
 use crate::twins::NominalArguments;
 use crate::watch::{self, Frames, Moment};
-use robogate_session::{Reopening, Subject, open_source, twins_of};
+use robogate_session::{Reopening, Subject, nominal_rate_of, open_source, twins_of};
 
 /// Write a run or a dictionary as one page: where the policy fails, what to do, and the confidence intervals.
 #[derive(Debug, Args)]
@@ -101,6 +101,7 @@ impl Report {
             watch: shown(watch.as_ref()),
             pairs: Some(&pairs),
             twins: twins.as_ref(),
+            nominal: source.folder().map_or(Ok(None), nominal_rate_of)?,
             active: active.as_ref(),
         };
         let text = match self.format {
@@ -171,6 +172,7 @@ pub(crate) fn page(
         watch: shown(Some(&watch)),
         pairs: Some(&pairs),
         twins: twins.as_ref(),
+        nominal: nominal_rate_of(dir)?,
         active: active.as_ref(),
     };
     // Renamed when it is complete, because an existing page is kept.

@@ -28,12 +28,12 @@ use crate::place;
 use crate::progress::Progress;
 use crate::summary;
 use crate::terminal::{Screen, grouped, note, percent, warning};
-use crate::twins;
+use crate::twins::{self, NominalEpisodes, nominal_plan};
 use crate::watch::Frames;
 use robogate_session::text::quoted;
 use robogate_session::{
     Arms, Outage, PolicySource, Reaction, Reopening, Subject, Watched, Workers, describe, families, guarded,
-    named_suite,
+    named_suite, nominal_rate_of,
 };
 
 /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain.
@@ -85,6 +85,11 @@ pub(crate) struct Run {
     /// families of the task. Repeat it for each family
     #[arg(long, value_name = "FAMILY", conflicts_with_all = ["suite", "plan", "design", "seek", "until_rms"])]
     family: Vec<String>,
+    /// Vary nothing: run the environment as its author made it, 100 episodes by default
+    #[arg(long, conflicts_with_all = ["preset", "plan", "space", "suite", "design", "seek", "until_rms", "twins", "family"])]
+    nominal: bool,
+    #[command(flatten)]
+    nominal_episodes: NominalEpisodes,
     #[command(flatten)]
     environment: EnvironmentArguments,
     #[command(flatten)]
@@ -190,6 +195,7 @@ impl Run {
         let subject =
             subject.with_statistics(&self.policy.choice().statistics)?.with_latency(&self.latency.choice())?;
         let (mut plan, space) = self.plan_and_space(&subject)?;
+        let subject = if subject.is_deterministic() { subject } else { subject.with_repeats(&space, plan.seed)? };
         let stressed = space.parameters().iter().filter(|parameter| parameter.name.starts_with(STRESS_PREFIX)).count();
         if stressed > 2 && self.family.is_empty() {
             note(format_args!(
@@ -197,6 +203,7 @@ impl Run {
             ));
         }
         plan.twins |= self.twins;
+        plan.nominal_episodes = self.nominal_episodes.of(&subject, &plan, &space)?;
         let provenance = subject.provenance(space)?;
         if let (Some(shards), Some(dir)) = (&self.shard, &self.out) {
             subject.register(dir, &provenance);
@@ -295,6 +302,9 @@ impl Run {
             let plan = Plan::of_suite(suite, self.rounds, self.seed.unwrap_or(DEFAULT_SEED));
             plan.check(&space).or_usage()?;
             return Ok((plan, space));
+        }
+        if self.nominal {
+            return nominal_plan(subject, self.n, self.seed.unwrap_or(DEFAULT_SEED));
         }
         let papers = if self.is_the_papers() { subject.published_space() } else { None };
         let space = subject
@@ -439,14 +449,16 @@ pub(crate) fn conclude(dir: &Path, completion: &Completion, subject: Option<&Sub
     match completion {
         Completion::Finished { summary, boundary } => {
             let twins = twins::of_run(dir, Sampling::Fixed)?;
+            let nominal = nominal_rate_of(dir)?;
             if let Some(twins) = &twins {
                 twins::write(dir, twins)?;
             }
             let analysis = write_report(dir, None, subject).map(|(analysis, _)| analysis);
             if json {
-                summary::json(dir, summary, boundary.as_deref(), twins.as_ref(), analysis.as_ref()).or_broken()?;
+                let arms = summary::Arms { twins: twins.as_ref(), nominal: nominal.as_ref() };
+                summary::json(dir, summary, boundary.as_deref(), arms, analysis.as_ref()).or_broken()?;
             } else {
-                summary::print(dir, summary, boundary.as_deref(), analysis.as_ref());
+                summary::print(dir, summary, boundary.as_deref(), analysis.as_ref(), nominal.as_ref());
                 twins.iter().for_each(twins::print);
             }
             let evidence = summary.stages.iter().any(|stage| stage.valid > 0);
@@ -560,6 +572,8 @@ mod tests {
         "seed",
         "twins",
         "family",
+        "nominal",
+        "nominal_episodes",
         "task",
         "env",
         "robot",

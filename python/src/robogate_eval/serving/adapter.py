@@ -33,6 +33,11 @@ ALREADY = (
     "Task(..., starts_may_succeed=True)"
 )
 
+CARRIED = (
+    "success in the first control period, where another instance of the environment with the same seed and action has none: an earlier "
+    "episode has an effect. Let the reset of the environment set everything that its criterion uses"
+)
+
 
 class Adapter:
     """Serves an environment.
@@ -48,8 +53,11 @@ class Adapter:
         self._task = environment.task
         doing("make")
         self._env = env = environment.make()
-        if (worlds := getattr(env, "num_envs", 1)) != 1:
-            raise DeclarationError(f"the environment steps {worlds} worlds at once (num_envs). Expected one: RoboGate starts a process for each")
+        if (worlds := getattr(env, "num_envs", None)) is not None and (worlds != 1 or hasattr(env, "single_action_space")):
+            raise DeclarationError(
+                f"the environment is a vector of {worlds} worlds (num_envs), which reset themselves. Expected one world without a vector "
+                "around it: RoboGate starts a process for each"
+            )
         self._observations = Observations(env.observation_space)
         self._actions = actions_of(env.action_space, self._task.action_names)
         self._actions.unclipped = environment.unclipped_actions
@@ -79,6 +87,8 @@ class Adapter:
         self.dropped = [*self.dropped, *self._observations.skipped]
         # Whether a reset of the check below built another model.
         self._changes = False
+        # What the check found that is no error.
+        self.notes: list[str] = []
         self._cameras = Cameras(env, self._model, self._observations, self._task)
         self._scoring = Scoring(self._task)
         # Whether an episode that raised runs a second time now.
@@ -86,6 +96,9 @@ class Adapter:
         self._hash = 0
         # Whether the actions of the episode come from a policy of this environment.
         self._hosts = False
+        self.deterministic = False
+        if is_twin:
+            return
         try:
             self.deterministic = self._is_deterministic(doing)
             self._require_success(doing)
@@ -150,12 +163,11 @@ class Adapter:
             return None
 
     def _is_deterministic(self, doing: Callable[[str], None]) -> bool:
-        """Run one scenario twice, with another one in between, and compare all states."""
+        """Run two scenarios twice, one after the other, and compare all states and endings: neither an earlier episode nor the number of
+        episodes may have an effect."""
 
         def repeats() -> bool:
-            first = self._states(1, 25, doing)
-            self._states(2, 10, doing)
-            return first == self._states(1, 25, doing)
+            return all([self._states(index, steps, doing) == self._states(index, steps, doing) for index, steps in ((1, 25), (2, 10))])
 
         if repeats():
             return True
@@ -164,20 +176,40 @@ class Adapter:
         self._model.keep_state()
         return repeats()
 
-    def _states(self, index: int, steps: int, doing: Callable[[str], None]) -> list[int]:
+    def _states(self, index: int, steps: int, doing: Callable[[str], None]) -> list:
         from robogate_bridge import Scenario
 
         doing("reset")
         self.reset(Scenario(index=index, seed=0, parameters={}))
         self._changes = self._changes or (self._model is not None and self._model.differs)
-        random, states = np.random.default_rng(index), [self.state_hash()]
+        random, states, first = np.random.default_rng(index), [self.state_hash()], self._observed_pictures()
         for _ in range(min(steps, self._limit)):
             numbers = random.uniform(self._actions.low, self._actions.high).tolist()
             doing("step")
-            if self.step(Action("vector", numbers))["ending"] is not None:
+            ending = self.step(Action("vector", numbers))["ending"]
+            states.append(self.state_hash() if ending is None else ending["failure"])
+            if ending is not None:
                 break
-            states.append(self.state_hash())
+        self._note_pictures(first, moved=len(set(states)) > 1)
         return states
+
+    def _observed_pictures(self) -> dict[str, np.ndarray]:
+        return {name: self._observations.image(self._seen, name).copy() for name in self._observations.images}
+
+    def _note_pictures(self, first: dict[str, np.ndarray], moved: bool) -> None:
+        """Note pictures of the observation that show nothing, or that stay the same although the state changes: a policy that sees them is
+        blind, and fails for no reason of its own."""
+        last = self._observed_pictures()
+        for name, picture in first.items():
+            if (picture == picture[0, 0]).all():
+                what = "shows one colour everywhere"
+            elif moved and (picture == last[name]).all():
+                what = "stays the same although the state changes"
+            else:
+                continue
+            note = f"the picture {name} of the observation {what}: a policy that sees it is blind. Without a display, set MUJOCO_GL=egl"
+            if note not in self.notes:
+                self.notes.append(note)
 
     def _require_success(self, doing: Callable[[str], None]) -> None:
         """Raise if the environment does not report success. Many do so at the end of an episode only, so one is run to its end."""
@@ -427,19 +459,26 @@ class Adapter:
 
     def _look_at_start(self, numbers: "list[float] | np.ndarray") -> None:
         """Find out whether the criterion also holds after the farthest other first action: then it held before the policy acted, although
-        the reset did not say so. Another instance is asked, so that the state of this one stays that of the episode."""
+        the reset did not say so. Another instance is asked, so that the state of this one stays that of the episode. If it does not
+        succeed with the same action, an earlier episode has decided this one."""
         if self._is_twin or self._solved:
             return
         if self._twin is None:
             self._twin = Adapter(self._environment, is_twin=True)
         low, high = self._actions.low, self._actions.high
         other = np.where(np.asarray(numbers) > 0.5 * (low + high), low, high)
-        # A scenario of the check before the first episode has no parameters and no policy.
-        self._twin._reset(dataclasses.replace(self._scenario, policy=None, record_s=None))
-        _, ending, _ = self._twin._advance(self._actions.bounded(other))
-        self._solved = ending is not None and ending["failure"] is None
+        self._solved = self._twin_succeeds(other)
         if self._solved and not self._task.starts_may_succeed:
             raise Problem("setup", ALREADY)
+        if not self._solved and self.deterministic and not self._twin_succeeds(numbers):
+            raise Problem("setup", CARRIED)
+
+    def _twin_succeeds(self, numbers: "list[float] | np.ndarray") -> bool:
+        """Whether another instance succeeds in the first control period of this episode with this action."""
+        # A scenario of the check before the first episode has no parameters and no policy.
+        self._twin._reset(dataclasses.replace(self._scenario, policy=None, record_s=None))
+        _, ending, _ = self._twin._advance(list(map(float, numbers)))
+        return ending is not None and ending["failure"] is None
 
     def _check(self, model: Model) -> None:
         """Raise if the physics diverged, or if a parameter does not act any more."""

@@ -107,7 +107,7 @@ def serve_child(name: str, policy: str | None = None, first: bool = False) -> No
         adapter.rehearse(child.doing)
     _keep()
     def ready(address: str) -> None:
-        child.answer(json.dumps({"listening": address, "refused": sandbox.refused} | imported(opened)))
+        child.answer(json.dumps({"listening": address, "refused": sandbox.refused, "notes": adapter.notes} | imported(opened)))
 
     robogate_bridge.serve(adapter, "tcp://127.0.0.1:*", ready=ready, listener=sandbox.listener())
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -45,7 +45,7 @@ class Scoring:
         if self._task.success is None:
             # Most environments report it in this way.
             reported = info.get("success")
-            done = reported if type(reported) is bool else self._succeeded(trajectory)
+            done = reported if type(reported) is bool and "is_success" not in info else self._succeeded(trajectory)
         else:
             done = truth(self._task.success(trajectory), "the result of the task's success function")
         if done:
@@ -58,9 +58,11 @@ class Scoring:
     def _succeeded(self, trajectory: Trajectory) -> bool:
         reported = _reported(trajectory)
         if reported is None and trajectory.over:
-            known = [key for key in trajectory.info if any(word in str(key).lower() for word in SUCCESS_WORDS)]
-            rule = f"bool(t.info.get({known[0]!r}, False))" if known else "t.rewards[-1] > 0.9"
-            what = f"what {known[0]!r} says" if known else "a reward above 0.9"
+            known = next(_named(trajectory.info), None)
+            rule, what = "t.rewards[-1] > 0.9", "a reward above 0.9"
+            if known is not None:
+                inner = "".join(f".get({key!r}, {{}})" for key in known[:-1])
+                rule, what = f"bool(t.info{inner}.get({known[-1]!r}, False))", f"what {'.'.join(map(str, known))!r} says"
             example = example_file(trajectory.env, self._task.name, f"success=lambda t: {rule}")
             has = ", ".join(map(str, trajectory.info)) or "nothing"
             raise Problem(
@@ -75,13 +77,31 @@ class Scoring:
 def _reported(trajectory: Trajectory) -> bool | None:
     """Success as most environments report it. None if this one has not reported anything yet."""
     for info in reversed(trajectory.infos):
-        for key in ("success", "is_success"):
-            if key in info:
-                # Reported earlier and not now: this step is not a success.
-                return info is trajectory.infos[-1] and truth(info[key], f"info[{key!r}]")
+        values = {key: truth(info[key], f"info[{key!r}]") for key in ("success", "is_success") if key in info}
+        if len(set(values.values())) > 1:
+            raise Problem(
+                "setup",
+                f"info['success'] is {info['success']!r:.60} and info['is_success'] is {info['is_success']!r:.60} in the same step. Say in "
+                "a file which one counts: Task(..., success=lambda t: bool(t.info['is_success']))",
+            )
+        if values:
+            # Reported earlier and not now: this step is not a success.
+            return info is trajectory.infos[-1] and True in values.values()
     env = innermost(trajectory.env)
     check = getattr(env, "check_success", None) or getattr(env, "_check_success", None)
     return None if check is None else truth(check(), f"{check.__name__}()")
+
+
+def _named(info: Mapping, path: tuple = ()) -> Iterator[tuple]:
+    """The paths of the keys that name success, those of nested dicts last."""
+    yield from ((*path, key) for key, value in info.items() if not isinstance(value, Mapping) and _names_success(key))
+    for key, value in info.items():
+        if isinstance(value, Mapping):
+            yield from _named(value, (*path, key))
+
+
+def _names_success(key: Any) -> bool:
+    return any(word in str(key).lower() for word in SUCCESS_WORDS)
 
 
 def truth(value: Any, name: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from .environment import DeclarationError, Task, innermost
@@ -22,13 +22,31 @@ def control_period(env: Any, task: Task, model: Model | None, rest: Any, doing: 
         stated.append(1.0 / float(rate))
     if model is not None and (simulated := _simulated_period(env, model, rest, doing)) > 0.0:
         return next((one for one in stated if math.isclose(one, simulated, rel_tol=0.01)), round(simulated, 9))
-    example = "control_period_s=0.05"
     if not stated:
-        raise DeclarationError(unknown(env, task.name, "control period", example))
+        guess = next(_guesses(base), 0.05)
+        raise DeclarationError(unknown(env, task.name, "control period", f"control_period_s={guess:g}"))
     if not math.isclose(stated[0], stated[-1], rel_tol=0.01):
         what = f'control period (`dt` says {stated[0]:g} s, and `metadata["render_fps"]` {stated[-1]:g} s)'
-        raise DeclarationError(unknown(env, task.name, what, example))
+        raise DeclarationError(unknown(env, task.name, what, f"control_period_s={stated[0]:g}"))
     return stated[0]
+
+
+def _guesses(base: Any) -> Iterator[float]:
+    """What environments call their control period, or the time steps in it: good enough to propose."""
+
+    def number(owner: Any, *names: str) -> float | None:
+        values = (getattr(owner, name, None) for name in names)
+        return next((float(value) for value in values if type(value) in (int, float) and value > 0), None)
+
+    if period := number(base, "control_period", "control_dt", "control_timestep", "step_dt"):
+        yield period
+    if rate := number(base, "control_freq", "control_hz", "control_frequency", "fps"):
+        yield 1.0 / rate
+    # PyBullet's environments keep the time step beside the environment.
+    owners = [base, *(getattr(base, name, None) for name in ("sim", "physics", "simulation"))]
+    if step := next(filter(None, (number(owner, "timestep", "time_step", "sim_timestep", "sim_dt", "dt") for owner in owners)), None):
+        repeated = next(filter(None, (number(owner, "frame_skip", "n_substeps", "action_repeat", "decimation") for owner in owners)), None)
+        yield step * (repeated or 1.0)
 
 
 def _simulated_period(env: Any, model: Model, rest: Any, doing: Callable[[str], None]) -> float:

@@ -119,6 +119,9 @@ pub struct PairedInvalid {
 
 /// The scenarios that both datasets ran. `None` if the designs differ.
 pub(crate) fn same_scenarios(first: &Dataset<'_>, second: &Dataset<'_>) -> Result<Option<Pairs>, AnalysisError> {
+    if first.unpaired().or_else(|| second.unpaired()).is_some() {
+        return Ok(None);
+    }
     let (one, two) = (Design::of(first)?, Design::of(second)?);
     Ok(PairedRows::of(first, &one, second, &two).ok().map(|pairs| pairs.counts()))
 }
@@ -129,6 +132,9 @@ pub(crate) fn paired(
     pair: Option<(&str, &str)>,
     max_flips: usize,
 ) -> Result<Vec<PairedComparison>, ComparisonError> {
+    if let Some((name, why)) = datasets.iter().find_map(|of| Some((of.name.clone(), of.unpaired()?))) {
+        return Err(ComparisonError::NoPairs { name, why });
+    }
     let designs = datasets.iter().map(|dataset| Design::of(dataset));
     let designs: Vec<Design> = designs.collect::<Result<_, _>>().map_err(AnalysisError::from)?;
     let family = datasets.len() * datasets.len().saturating_sub(1) / 2;

@@ -79,6 +79,14 @@ fn not_counted(analysis: &Analysis) -> String {
 fn sections(analysis: &Analysis, additions: &Additions<'_>) -> Vec<Section> {
     let mut sections: Vec<Section> = additions.watch.map(watch_section).into_iter().collect();
     sections.extend(additions.twins.map(twins::section));
+    sections.extend(additions.nominal.map(|nominal| Section {
+        id: "nominal",
+        title: "Nothing varied".to_owned(),
+        population: Some(
+            "Applies to the environment as its author made it, with the first seeds of this run.".to_owned(),
+        ),
+        blocks: vec![Block::Text(nominal.line())],
+    }));
     sections.extend(conditions::section(analysis));
     sections.extend([
         marginal::section(analysis),

@@ -16,12 +16,14 @@ use crate::commands::analyze::analyse;
 use crate::commands::report::target_of;
 use crate::exit::{Exit, OrExit};
 use crate::terminal::note;
+use crate::twins::NominalArguments;
 use robogate_session::text::quoted;
-use robogate_session::{MARGIN, compared_with, judged, open_source, question, twins_of};
+use robogate_session::{MARGIN, compared_with, judged, nominal_rate_of, open_source, question, twins_of};
 
 impl Gate {
     /// Judges a finished run.
     pub(super) fn judge(&self, run: &Path) -> Result<u8, Exit> {
+        self.check_nominal()?;
         let source = open_source(run)?;
         if let Some(file) = &self.write_baseline {
             baseline::write(&source, file)?;
@@ -57,7 +59,8 @@ impl Gate {
             sampling,
         };
         let mut evaluation = question.evaluate(&record)?;
-        evaluation.twins = self.nominal.twins(&source, sampling)?;
+        evaluation.twins = NominalArguments::of(self.nominal.clone().flatten()).twins(&source, sampling)?;
+        evaluation.nominal = source.folder().map_or(Ok(None), nominal_rate_of)?;
         if let Some(out) = &self.out {
             fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display())).or_broken()?;
             answer_files(out, &evaluation, None)?;
@@ -131,5 +134,6 @@ pub(crate) fn evaluation_of(folder: &Path, source: &Source) -> Result<Option<Eva
     let other = compared_with(&asked)?.map(|(_, record)| record);
     let mut evaluation = question(&asked, other.as_ref()).evaluate(&record)?;
     evaluation.twins = twins_of(folder, source, asked.sampling)?;
+    evaluation.nominal = nominal_rate_of(folder)?;
     Ok(Some(evaluation))
 }

@@ -17,7 +17,7 @@ use clap::Args;
 use crate::arguments::{AccessArguments, EnvironmentArguments, LatencyArguments, PolicyArguments};
 use crate::commands::run::How;
 use crate::exit::{Exit, OrExit};
-use crate::twins::NominalArguments;
+use crate::twins::NominalEpisodes;
 use robogate_session::{CONTROL_EPISODES, PolicyLocation};
 
 pub(crate) use judge::evaluation_of;
@@ -87,8 +87,12 @@ pub(crate) struct Gate {
     /// does not depend on it
     #[arg(long, conflicts_with = "run")]
     twins: bool,
+    /// Vary nothing: judge the environment as its author made it. With --run: compare each episode with its nominal twin, in this run
+    /// or import of the control arm, or in the imported rows with COLUMN=VALUE
+    #[arg(long, value_name = "RUN|COLUMN=VALUE", num_args = 0..=1, conflicts_with_all = ["suite", "space", "family", "twins"])]
+    nominal: Option<Option<String>>,
     #[command(flatten)]
-    nominal: NominalArguments,
+    nominal_episodes: NominalEpisodes,
     /// Set the number of episodes of each control of an external policy: the environment's expert, the expert through
     /// the profile, and random actions of the model. 0 skips the controls, and the result says so; it also skips the
     /// episodes that run twice, in another process and order
@@ -138,6 +142,20 @@ impl Gate {
             .or_usage(),
             _ => Ok(()),
         }
+    }
+
+    /// Rejects a control arm for a gate that runs episodes, and a judgement of a finished run without one.
+    fn check_nominal(&self) -> Result<(), Exit> {
+        let wrong = match (&self.nominal, &self.run) {
+            (Some(Some(_)), None) => {
+                "--nominal with a control arm applies to a finished run\nHint: add --run RUN, use --twins, or leave out the value"
+            }
+            (Some(None), Some(_)) => {
+                "--nominal needs the control arm of a finished run\nHint: give its folder, or COLUMN=VALUE"
+            }
+            _ => return Ok(()),
+        };
+        Err(anyhow!(wrong)).or_usage()
     }
 
     /// How this process reaches the policy.

@@ -23,7 +23,7 @@ use crate::place;
 use crate::terminal::{line, note};
 use robogate_session::{
     Arms, MARGIN, PolicyChoice, Reopening, Rival, Rounds, SAMPLED_SCENARIOS, Subject, families, named_suite,
-    rounds_and_sampling, run_controls, with_plan,
+    nominal_suite, rounds_and_sampling, run_controls, with_plan,
 };
 
 /// A gate before its first episode.
@@ -51,7 +51,7 @@ struct Prepared {
 impl Gate {
     /// Runs a suite until the verdict is certain.
     pub(super) fn start(&self) -> Result<u8, Exit> {
-        self.nominal.unused()?;
+        self.check_nominal()?;
         self.check_margin(self.against.is_some() || self.against_run().is_some())?;
         if let Some(out) = self.out.as_ref().filter(|_| self.divide.is_none()) {
             place::check_local(out)?;
@@ -115,6 +115,7 @@ impl Gate {
         };
         let mut plan = Plan::of_suite(suite.clone(), u64::from(rounds), seed);
         plan.twins |= self.twins;
+        plan.nominal_episodes = self.nominal_episodes.of(&subject, &plan, suite.space())?;
         plan.check(suite.space()).or_usage()?;
         let planned = with_plan(&subject.provenance(suite.space().clone())?, &plan)?;
         let mut record = Record::begun(&planned)?;
@@ -138,7 +139,7 @@ impl Gate {
         let provenance = subject.provenance(suite.space().clone())?;
         let planned = with_plan(&provenance, &plan)?;
         record.controls = planned.controls().cloned();
-        let compared = other.record.is_some() || self.against.is_some();
+        let compared = other.record.is_some() || self.against.is_some() || plan.twins;
         if compared {
             robogate_gate::check_repeats(&[&record])?;
         }
@@ -166,6 +167,9 @@ impl Gate {
             self.latency.choice().check_suite(suite.space()).or_usage()?;
             Ok(suite)
         };
+        if self.nominal.is_some() {
+            return nominal_suite(subject.task(), &subject.space(None).or_usage()?, SAMPLED_SCENARIOS).or_usage();
+        }
         match (&self.suite, &self.space, subject.own_suite()) {
             (Some(name), _, _) => named(name),
             (None, None, Some(own)) if self.family.is_empty() => named(own),
