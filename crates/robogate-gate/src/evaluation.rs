@@ -23,8 +23,8 @@ use crate::rounds::Rounds;
 use crate::ruled_out::RuledOut;
 use crate::scope::{Scope, expand};
 use crate::{
-    Baseline, Bound, ConfidenceScore, Ending, Family, GateError, Metric, Mode, NewCases, Population, RealEvidence,
-    Record, Requirement, Requirements, Trial, Twins, Verdict,
+    Baseline, Bound, ConfidenceScore, Ending, Family, ForceLimitResult, GateError, Metric, Mode, NewCases, Population,
+    RealEvidence, Record, Requirement, Requirements, Trial, Twins, Verdict,
 };
 
 /// How the number of episodes was chosen. It determines which test is valid.
@@ -218,6 +218,9 @@ pub struct Evaluation {
     /// The episodes compared with their nominal twins. The verdict does not depend on it. `None` without a control arm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub twins: Option<Twins>,
+    /// The contacts that exceed each force limit.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub force_limits: Vec<ForceLimitResult>,
 }
 
 /// The success rate over the feasible part of the valid episodes.
@@ -410,6 +413,7 @@ impl Question<'_> {
             ruled_out,
             outside_range: outside_range(record, &rounds),
             twins: None,
+            force_limits: requirements.force_limit.iter().map(|limit| limit.result(rounds.trials())).collect(),
         })
     }
 

@@ -22,7 +22,7 @@ mod text;
 mod watch;
 
 use robogate_analysis::PairCounts;
-use robogate_gate::{Evaluation, Twins};
+use robogate_gate::{Evaluation, ForceLimitResult, Twins};
 
 pub use figures::{FigureFile, figure_files};
 pub use gate::{
@@ -56,6 +56,8 @@ pub struct Additions<'a> {
     pub pairs: Option<&'a PairCounts>,
     /// The episodes compared with their nominal twins.
     pub twins: Option<&'a Twins>,
+    /// The contacts that exceed each force limit.
+    pub forces: &'a [ForceLimitResult],
     /// The risk model that chose the episodes.
     pub active: Option<&'a ActiveModel>,
 }

@@ -145,6 +145,7 @@ fn requirements(evaluation: &Evaluation) -> Vec<Block> {
     notes.extend([what_next(evaluation), how_judged(evaluation), evaluation.estimand.clone()]);
     notes.extend(new_cases(evaluation).into_iter().chain(feasible_part(evaluation)));
     notes.extend(evaluation.outside_range.iter().map(ToString::to_string));
+    notes.extend(evaluation.force_limits.iter().flat_map(|result| result.lines(3)));
     notes.retain(|text| !text.is_empty());
     std::iter::once(Block::Table(table)).chain(notes.into_iter().map(Block::Text)).collect()
 }

@@ -5,6 +5,7 @@ mod conditions;
 mod danger;
 mod envelope;
 mod failures;
+mod forces;
 mod marginal;
 mod models;
 mod provenance;
@@ -79,6 +80,7 @@ fn not_counted(analysis: &Analysis) -> String {
 fn sections(analysis: &Analysis, additions: &Additions<'_>) -> Vec<Section> {
     let mut sections: Vec<Section> = additions.watch.map(watch_section).into_iter().collect();
     sections.extend(additions.twins.map(twins::section));
+    sections.extend(forces::section(additions.forces));
     sections.extend(conditions::section(analysis));
     sections.extend([
         marginal::section(analysis),
