@@ -22,6 +22,10 @@ from mcap.reader import make_reader
 # The limit of contact forces and the grip force of the Franka's hand, in newtons.
 LIMIT_N, GRIP_N = 150.0, 30.0
 JAM_N, JAM_S = 100.0, 0.05
+# Contacts farther than this behind the tool centre point are those of the palm, in metres.
+PALM_M = 0.025
+# The link of the Franka that carries its hand.
+WRIST = "robot/link7"
 RUNS = {
     "pick_place": (["--space", "franka", "--design", "uniform"], 600),
     "stacking": (["--design", "two-stage"], 600),
@@ -39,6 +43,20 @@ def rotate(q, v, inverse=False):
         v[0] + w * t[0] + y * t[2] - z * t[1],
         v[1] + w * t[1] + z * t[0] - x * t[2],
         v[2] + w * t[2] + x * t[1] - y * t[0],
+    ]
+
+
+def inverse(q):
+    return [q[0], -q[1], -q[2], -q[3]]
+
+
+def product(a, b):
+    """The product of two quaternions."""
+    return [
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
     ]
 
 
@@ -65,17 +83,22 @@ class Moment:
     def touching(self, between):
         return [c for c in self.contacts if c["between"] == between and norm(c["force"]) > 0.0]
 
+    def at_tool(self, contact):
+        return rotate(self.tool[1], minus(contact["position"], self.tool[0]), inverse=True)
+
     def sides(self):
-        """Force on parts on each side of the hand's middle plane, between the fingers."""
+        """Force on parts on each side of the hand's middle plane, near the fingertips."""
         sums = [0.0, 0.0]
         for contact in self.touching("robot and object"):
-            at = rotate(self.tool[1], minus(contact["position"], self.tool[0]), inverse=True)
-            sums[at[1] > 0.0] += norm(contact["force"])
+            at = self.at_tool(contact)
+            if at[2] > -PALM_M:
+                sums[at[1] > 0.0] += norm(contact["force"])
         return sums
 
     def hardest(self):
-        """The largest force on one side of the hand, or on the surroundings."""
-        return max(*self.sides(), sum(norm(c["force"]) for c in self.touching("robot and surroundings")))
+        """The largest force of one finger, of the palm, or on the surroundings."""
+        palm = [c for c in self.touching("robot and object") if self.at_tool(c)[2] <= -PALM_M]
+        return max(*self.sides(), *(sum(norm(c["force"]) for c in some) for some in (palm, self.touching("robot and surroundings"))))
 
     def grasps(self):
         """Whether both fingers press."""
@@ -112,15 +135,19 @@ def read(path):
                 samples.append((seconds(data["timestamp"]), data))
             else:
                 commands.append((seconds(data["timestamp"]), data.get("gripper", 0.0)))
-    opened = max(value for _, value in commands) if commands else 1.0
     at = 0
     for moment in moments:
         moment.contacts = contacts.get(round(moment.time * 1e9), [])
         while at + 1 < len(samples) and samples[at + 1][0] <= moment.time - 1e-9:
             at += 1
-        pose = samples[at][1]["tool_pose"]
-        moment.tool = (pose[:3], pose[3:])
-        moment.closed = commands[at][1] < 0.5 * opened if opened > 0 else False
+        if moment is moments[0]:
+            # The observed pose is that of the last control period, so the tool is followed by the link that carries the hand.
+            pose = samples[0][1]["tool_pose"]
+            wrist = moment.poses[WRIST]
+            offset, turn = inside(wrist, (pose[:3], None)), product(inverse(wrist[1]), pose[3:])
+        wrist = moment.poses[WRIST]
+        moment.tool = ([a + b for a, b in zip(wrist[0], rotate(wrist[1], offset))], product(wrist[1], turn))
+        moment.closed = commands[at][1] > 0.5
         moment.opening = (samples[at][1].get("gripper_opening") or [None])[0]
     return moments, parameters
 
@@ -291,6 +318,7 @@ def failures(robogate, work, task, count):
         command = [robogate, "--quiet", "run", "--task", task, *options, "-n", str(episodes), "--seed", "4401", "--out", str(run)]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     rows = work / f"{task}.csv"
+    rows.unlink(missing_ok=True)
     subprocess.run([robogate, "--quiet", "export", str(run), str(rows)], check=True, stdout=subprocess.DEVNULL)
     labels = [(int(row["index"]), row["outcome"]) for row in csv.DictReader(rows.open(newline=""))]
     return [(i, label) for i, label in labels if label not in ("success", "invalid")][:count]

@@ -8,7 +8,7 @@
 //! | slipped | instead of collision, missed or timeout: the peg had moved by more than 5 mm in the hand |
 //! | missed | after a close command the gripper is at rest and does not hold the peg; or the released peg has come to rest outside the hole |
 //! | dropped | the peg left the closed gripper before it was seated |
-//! | wedge, jam | the peg is stuck: pressed in the hole with at least `stuck_force_n` for `stuck_duration_s` at less than 1 mm/s on average, or released in the hole and at rest before its seat. It is a wedge at a depth where friction can hold it against any load ([`super::whitney::can_wedge`]), a jam otherwise |
+//! | wedge, jam | the peg is stuck: pressed in the hole with at least `stuck_force_n` for `stuck_duration_s` at less than 0.5 mm/s on average, or released in the hole and at rest before its seat. It is a wedge at a depth where friction can hold it against any load ([`super::whitney::can_wedge`]), a jam otherwise |
 //! | jam | the peg is pressed with more than `jam_force_n` for `jam_duration_s` |
 //! | success | the tip is within `seat_tolerance_m` of the hole's full depth for 0.1 s |
 //!
@@ -29,8 +29,8 @@ const SEAT_S: f64 = 0.1;
 /// The tip is in the hole beyond this depth, in metres.
 const INSIDE_M: f64 = 0.0005;
 /// A pressed peg makes progress if it is at least this fast on average, in m/s. A slower one creeps, and is stuck.
-const PROGRESS_M_S: f64 = 0.001;
-/// The hand has slipped along the peg if the peg moved by more than this in it, in metres.
+const PROGRESS_M_S: f64 = 0.0005;
+/// A peg that moved by more than this in the hand has slipped, in metres.
 const SLIPPED_M: f64 = 0.005;
 /// A released peg is at rest below this speed, in m/s, ...
 const REST_SPEED: f64 = 0.005;
@@ -102,7 +102,7 @@ impl Referee {
         if whitney::can_wedge(depth, self.settings.width_m, self.settings.friction) { WEDGE } else { JAM }
     }
 
-    /// The mode of a failure that follows from a slip of the hand along the peg, if there was one.
+    /// The mode of a failure that follows from a slip of the peg in the hand, if there was one.
     fn or_slipped(&self, mode: FailureMode) -> FailureMode {
         if self.slip_m.is_some_and(|slip| slip > SLIPPED_M) { SLIPPED } else { mode }
     }

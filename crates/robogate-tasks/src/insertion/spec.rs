@@ -13,7 +13,7 @@ pub(super) const JAM: FailureMode = FailureMode::constant("jam");
 pub(super) const WEDGE: FailureMode = FailureMode::constant("wedge");
 /// The gripper closed without the peg, or the peg was released outside the hole.
 pub(super) const MISSED: FailureMode = FailureMode::constant("missed");
-/// The hand slipped along the peg, which led to a collision, a release outside the hole or the time limit.
+/// The peg moved in the hand, which led to a collision, a release outside the hole or the time limit.
 pub(super) const SLIPPED: FailureMode = FailureMode::constant("slipped");
 /// The peg was lost between grasp and release.
 pub(super) const DROPPED: FailureMode = FailureMode::constant("dropped");
@@ -61,7 +61,7 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
             mode(
                 SLIPPED,
                 Severity::Major,
-                "The hand slipped along the peg by more than 5 mm before the peg was seated.",
+                "The peg moved in the hand by more than 5 mm before it was seated.",
             ),
             mode(DROPPED, Severity::Critical, "The peg was lost between grasp and release."),
             mode(COLLISION, Severity::Critical, "A link or finger of the robot touched the table or the block."),
