@@ -14,6 +14,7 @@
 
 mod action;
 pub mod budget;
+mod contact_forces;
 mod copula;
 mod design;
 mod episode;
@@ -40,6 +41,7 @@ mod trajectory;
 mod word;
 
 pub use action::{Action, ActionSpace, ActionSpec, Command, GripperKind};
+pub use contact_forces::{Contacting, PEAK_CONTACT_FORCE, QUASI_STATIC_S, Region, RegionForces, Touched, region_pairs};
 pub use design::{Design, DesignError, Sampler};
 pub use episode::{Contact, Episode};
 pub use feasibility::{FEASIBLE, Infeasibility, InfeasibleShare, SpaceFeasibility, is_feasible};

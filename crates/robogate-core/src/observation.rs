@@ -26,6 +26,9 @@ pub mod vectors {
     /// Pose of the tool centre point in the base frame, at the measured joint positions: x, y, z in metres, then the
     /// unit quaternion w, x, y, z. The tool points along its z axis; fingers close along y.
     pub const TOOL_POSE: Word = Word::constant("tool_pose");
+    /// Force (N) and torque (N m) of everything outside the robot on hand and fingers, about the tool centre point and along its axes: the
+    /// mean over the last control period. Only tasks with a sensor at the wrist have it.
+    pub const WRIST_WRENCH: Word = Word::constant("wrist_wrench");
 }
 
 impl Observation {

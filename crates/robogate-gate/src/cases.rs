@@ -154,6 +154,7 @@ mod tests {
             measures: Measures::default(),
             trajectory: None,
             unseen: Vec::new(),
+            forces: Vec::new(),
         }
     }
 

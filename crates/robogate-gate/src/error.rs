@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use robogate_core::Word;
 use robogate_dictionary::DictionaryError;
 
 /// An error of the gate: the question cannot be evaluated.
@@ -65,6 +66,14 @@ pub enum GateError {
     Requirement {
         /// The requirement.
         id: String,
+        /// The problem, with a hint.
+        reason: String,
+    },
+    /// A force limit that is invalid, or that the episodes cannot be compared with.
+    #[error("force limit `{name}`: {reason}")]
+    Limit {
+        /// Its name.
+        name: Word,
         /// The problem, with a hint.
         reason: String,
     },

@@ -22,8 +22,8 @@ use crate::rounds::Rounds;
 use crate::ruled_out::RuledOut;
 use crate::scope::{Scope, expand};
 use crate::{
-    Baseline, Bound, ConfidenceScore, Ending, Family, GateError, Metric, Mode, NewCases, NominalRate, Population,
-    RealEvidence, Record, Requirement, Requirements, Trial, Twins, Verdict,
+    Baseline, Bound, ConfidenceScore, Ending, Family, ForceLimitResult, GateError, Metric, Mode, NewCases, NominalRate,
+    Population, RealEvidence, Record, Requirement, Requirements, Trial, Twins, Verdict,
 };
 
 /// How the number of episodes was chosen. It determines which test is valid.
@@ -223,6 +223,9 @@ pub struct Evaluation {
     /// The mean share of control periods with an action outside of its range. `None` if it is not measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clipped_actions: Option<f64>,
+    /// The contacts that exceed each force limit.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub force_limits: Vec<ForceLimitResult>,
 }
 
 /// The success rate over the feasible part of the valid episodes.
@@ -417,6 +420,7 @@ impl Question<'_> {
             twins: None,
             nominal: None,
             clipped_actions: clipped_actions(rounds.trials()),
+            force_limits: requirements.force_limit.iter().map(|limit| limit.result(rounds.trials())).collect(),
         })
     }
 

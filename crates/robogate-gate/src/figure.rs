@@ -22,6 +22,7 @@ pub(crate) fn happened(metric: Metric, bound: Bound, trial: &Trial) -> Option<bo
         Metric::Success => return trial.ending.is_valid().then_some(trial.ending == Ending::Success),
         Metric::Failure(mode) | Metric::FailureCount(mode) => mode,
         Metric::RealSuccess => return None,
+        Metric::ForceLimit(name) => return trial.exceeds(name).filter(|_| trial.ending.is_valid()),
         // The event of a quantile: the value lies beyond the limit.
         Metric::CycleTime(_) | Metric::Measure(..) => return value(metric, trial).map(|x| !bound.holds(x)),
     };
@@ -46,7 +47,11 @@ pub(crate) fn value(metric: Metric, trial: &Trial) -> Option<f64> {
     let value = match metric {
         Metric::CycleTime(_) => trial.time_s,
         Metric::Measure(name, _) => trial.measures.get(name.as_str()).filter(|x| x.is_finite()),
-        Metric::Success | Metric::RealSuccess | Metric::Failure(_) | Metric::FailureCount(_) => None,
+        Metric::Success
+        | Metric::RealSuccess
+        | Metric::Failure(_)
+        | Metric::FailureCount(_)
+        | Metric::ForceLimit(_) => None,
     };
     value.filter(|_| trial.ending.is_valid())
 }

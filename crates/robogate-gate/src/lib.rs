@@ -24,6 +24,7 @@ mod evaluation;
 pub mod evidence;
 mod figure;
 mod fleet;
+mod force_limits;
 mod joint_plan;
 mod leaderboard;
 mod metric;
@@ -56,6 +57,7 @@ pub use evaluation::{
 };
 pub use figure::Extremes;
 pub use fleet::{DriverForm, Fleet, FleetSubject, FleetUnit, UnitDriver, UnitPlaces, UnitShare};
+pub use force_limits::{ExcessContact, ForceLimit, ForceLimitResult, ForceLimits};
 pub use joint_plan::JointOperating;
 pub use leaderboard::{Leaderboard, Standing};
 pub use metric::{Metric, Statistic};

@@ -17,6 +17,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 /// | `failure_count:<mode>` | number of episodes that fail in this way, for point comparisons only |
 /// | `cycle_time_s`, `cycle_time_s:p95` | mean or quantile of the duration of successful episodes, in simulated seconds |
 /// | `real:success` | success rate of the real robot, from its trials and a simulation |
+/// | `force_limit:<name>` | share of episodes with a contact above a force limit |
 /// | `measure:<name>`, `measure:<name>:p95` | mean or quantile of a measure of the task |
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Metric {
@@ -28,6 +29,8 @@ pub enum Metric {
     FailureCount(FailureMode),
     /// Share of episodes that fail in this way.
     Failure(FailureMode),
+    /// Share of episodes with a contact above the limit of this name ([`crate::ForceLimit`]).
+    ForceLimit(Word),
     /// A measure of the task, in its unit.
     Measure(Word, Statistic),
     /// Success rate of the real robot. It needs [`crate::RealEvidence`].
@@ -84,6 +87,7 @@ impl Metric {
             Self::CycleTime(statistic) => format!("{statistic} of cycle time"),
             Self::FailureCount(mode) => format!("failures by {mode}"),
             Self::Failure(mode) => format!("rate of {mode}"),
+            Self::ForceLimit(name) => format!("contacts above force limit {name}"),
             Self::Measure(name, statistic) => format!("{statistic} of {name}"),
         }
     }
@@ -95,13 +99,15 @@ impl Metric {
             Self::Measure(name, _) => {
                 task.measure(name.as_str()).map_or_else(String::new, |measure| measure.unit.clone())
             }
-            Self::Success | Self::RealSuccess | Self::Failure(_) | Self::FailureCount(_) => String::new(),
+            Self::Success | Self::RealSuccess | Self::Failure(_) | Self::FailureCount(_) | Self::ForceLimit(_) => {
+                String::new()
+            }
         }
     }
 
     /// Whether the metric is the probability of an event in an episode.
     pub fn is_rate(self) -> bool {
-        matches!(self, Self::Success | Self::RealSuccess | Self::Failure(_))
+        matches!(self, Self::Success | Self::RealSuccess | Self::Failure(_) | Self::ForceLimit(_))
     }
 
     /// For a quantile of order q, the share 1 - q of episodes that may lie beyond the limit.
@@ -136,6 +142,7 @@ impl fmt::Display for Metric {
             Self::RealSuccess => return f.write_str("real:success"),
             Self::FailureCount(mode) => return write!(f, "failure_count:{mode}"),
             Self::Failure(mode) => return write!(f, "failure:{mode}"),
+            Self::ForceLimit(name) => return write!(f, "force_limit:{name}"),
             Self::CycleTime(statistic) => {
                 f.write_str("cycle_time_s")?;
                 statistic
@@ -159,7 +166,7 @@ impl FromStr for Metric {
         let wrong = || {
             format!(
                 "`{text}` is not a metric. Expected success, real:success, failure:<mode>, failure_count:<mode>, \
-                 cycle_time_s or measure:<name>, the last two with :p95 for a quantile"
+                 force_limit:<name>, cycle_time_s or measure:<name>, the last two with :p95 for a quantile"
             )
         };
         let (kind, rest) = text.split_once(':').map_or((text, None), |(kind, rest)| (kind, Some(rest)));
@@ -169,6 +176,7 @@ impl FromStr for Metric {
             ("real", Some("success")) => Ok(Self::RealSuccess),
             ("failure", Some(name)) => mode(name).map(Self::Failure),
             ("failure_count", Some(name)) => mode(name).map(Self::FailureCount),
+            ("force_limit", Some(name)) => Word::new(name).map(Self::ForceLimit).map_err(|why| why.to_string()),
             ("cycle_time_s", None) => Ok(Self::MEAN_CYCLE_TIME),
             ("cycle_time_s", Some(quantile)) => parse_quantile(quantile).map(Self::CycleTime).ok_or_else(wrong),
             ("measure", Some(rest)) => {
@@ -212,7 +220,7 @@ impl JsonSchema for Metric {
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
         json_schema!({
             "type": "string",
-            "description": "success, real:success, failure:<mode>, failure_count:<mode>, cycle_time_s or measure:<name>; the last two \
+            "description": "success, real:success, failure:<mode>, failure_count:<mode>, force_limit:<name>, cycle_time_s or measure:<name>; the last two \
                             are means, or quantiles with the suffix :p95. The task declares the failure modes and measures.",
             "examples": ["success", "real:success", "failure:timeout", "cycle_time_s", "cycle_time_s:p95", "measure:force_n:p99.5"],
         })
@@ -230,6 +238,7 @@ mod tests {
             "real:success",
             "failure:jam",
             "failure_count:jam",
+            "force_limit:hand",
             "cycle_time_s",
             "cycle_time_s:p95",
             "measure:force_n:p99.5",

@@ -156,6 +156,7 @@ fn blank(label: Label) -> Trial {
         measures: Measures::default(),
         trajectory: None,
         unseen: Vec::new(),
+        forces: Vec::new(),
     }
 }
 

@@ -94,6 +94,22 @@ impl Bound {
 }
 
 impl Requirement {
+    /// A requirement on a metric over all scenarios.
+    pub(crate) fn on(metric: Metric, at_least: Option<f64>, at_most: Option<f64>) -> Self {
+        Self {
+            metric,
+            at_least,
+            at_most,
+            at_most_times_baseline: None,
+            category: None,
+            group: None,
+            each: None,
+            ceiling: None,
+            floor: None,
+            ids: Vec::new(),
+        }
+    }
+
     /// Its name in reports: the metric and its scope.
     pub fn id(&self) -> String {
         match (&self.category, &self.group) {
@@ -168,7 +184,11 @@ impl Requirement {
             Metric::CycleTime(_) => [Some(0.0), self.ceiling],
             // Without a ceiling the range of a measure is unknown, and 0 is not assumed.
             Metric::Measure(..) => [self.floor.or(self.ceiling.map(|_| 0.0)), self.ceiling],
-            Metric::Success | Metric::RealSuccess | Metric::Failure(_) | Metric::FailureCount(_) => [None, None],
+            Metric::Success
+            | Metric::RealSuccess
+            | Metric::Failure(_)
+            | Metric::FailureCount(_)
+            | Metric::ForceLimit(_) => [None, None],
         }
     }
 

@@ -5,12 +5,13 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use robogate_core::budget;
-use robogate_core::{Severity, TaskSpec};
+use robogate_core::{FailureMode, Severity, TaskSpec};
 use robogate_dictionary::read_text;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{GateError, Metric, RealEvidence, Record, Requirement, ScoreTerm, Scoring, score};
+use crate::force_limits::{self, ForceLimit};
+use crate::{ForceLimits, GateError, Metric, RealEvidence, Record, Requirement, ScoreTerm, Scoring, score};
 
 /// Upper limit of the number of rounds. Larger values are probably typing errors.
 const MOST_ROUNDS: u32 = 10_000;
@@ -42,6 +43,9 @@ pub struct Requirements {
     /// The terms of the confidence score. Without terms there is no score.
     #[serde(default)]
     pub score: Vec<ScoreTerm>,
+    /// Limits of contact forces, to which requirements on `force_limit:<name>` refer.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub force_limit: Vec<ForceLimit>,
 }
 
 /// How a metric is compared with its limit.
@@ -88,6 +92,9 @@ fn default_confidence() -> f64 {
 /// The built-in set that is used by default.
 const DEFAULT: &str = "default";
 
+/// The failure mode of contacts with too much force.
+const STRUCK: FailureMode = FailureMode::constant("struck");
+
 /// The built-in sets: name and TOML.
 const BUILT_IN: [(&str, &str); 2] = [
     (DEFAULT, include_str!("../../../assets/gates/default.toml")),
@@ -105,8 +112,13 @@ impl Requirements {
     /// A problem in the file, with its location.
     pub fn open(name_or_path: &str, task: &TaskSpec) -> Result<Self, GateError> {
         if let Some((_, text)) = BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
-            let set = Self::from_toml(text)?;
+            let mut set = Self::from_toml(text)?;
             let fits = set.task.as_deref().is_none_or(|name| task.name == name);
+            if name_or_path == DEFAULT {
+                // Without a limit of contact forces, as in the cell of the paper, no episode is `struck`.
+                let lacks = |metric: Metric| metric == Metric::Failure(STRUCK) && metric.check(task).is_err();
+                set.requirement.retain(|requirement| !lacks(requirement.metric));
+            }
             return if fits || name_or_path != DEFAULT { Ok(set) } else { Ok(Self::derived(task)) };
         }
         let path = Path::new(name_or_path);
@@ -116,20 +128,8 @@ impl Requirements {
 
     /// The default requirements of a task without its own set.
     fn derived(task: &TaskSpec) -> Self {
-        let requirement = |metric, at_least, at_most| Requirement {
-            metric,
-            at_least,
-            at_most,
-            at_most_times_baseline: None,
-            category: None,
-            group: None,
-            each: None,
-            ceiling: None,
-            floor: None,
-            ids: Vec::new(),
-        };
         let critical = task.failure_modes.iter().filter(|mode| mode.severity == Severity::Critical);
-        let failures = critical.map(|mode| requirement(Metric::Failure(mode.name), None, Some(0.01)));
+        let failures = critical.map(|mode| Requirement::on(Metric::Failure(mode.name), None, Some(0.01)));
         Self {
             name: DEFAULT.to_owned(),
             task: Some(task.name.as_str().to_owned()),
@@ -137,7 +137,7 @@ impl Requirements {
             confidence: default_confidence(),
             family: Family::default(),
             budget: Budget::default(),
-            requirement: std::iter::once(requirement(Metric::Success, Some(0.92), None)).chain(failures).collect(),
+            requirement: std::iter::once(Requirement::on(Metric::Success, Some(0.92), None)).chain(failures).collect(),
             score: vec![ScoreTerm {
                 name: "Success".to_owned(),
                 metric: Metric::Success,
@@ -145,7 +145,23 @@ impl Requirements {
                 weight: 1.0,
                 scoring: Scoring::Linear { full_at: 1.0 },
             }],
+            force_limit: Vec::new(),
         }
+    }
+
+    /// The same requirements with these limits of contact forces in place of their own: in at most [`ForceLimit::at_most`] of the
+    /// episodes, a contact may exceed a limit.
+    ///
+    /// # Errors
+    /// If a limit is not valid.
+    pub fn with_force_limits(mut self, limits: ForceLimits) -> Result<Self, GateError> {
+        self.requirement.retain(|requirement| !matches!(requirement.metric, Metric::ForceLimit(_)));
+        self.force_limit.clear();
+        for limit in &limits.limit {
+            self.requirement.push(Requirement::on(Metric::ForceLimit(limit.name), None, Some(limit.at_most)));
+        }
+        self.force_limit.extend(limits.limit);
+        self.check().map(|()| self)
     }
 
     /// Prepares the record for these requirements.
@@ -174,7 +190,12 @@ impl Requirements {
                 (Err(reason), _) => return Err(wrong(reason)),
             }
         }
-        Ok(if unseen.is_empty() { Cow::Borrowed(record) } else { Cow::Owned(record.without(&unseen)) })
+        let mut record = if unseen.is_empty() { Cow::Borrowed(record) } else { Cow::Owned(record.without(&unseen)) };
+        if !self.force_limit.is_empty() {
+            force_limits::check_task(&self.force_limit, task)?;
+            record.to_mut().trials.iter_mut().for_each(|trial| trial.judge_forces(&self.force_limit));
+        }
+        Ok(record)
     }
 
     /// Parses TOML.
@@ -219,6 +240,14 @@ impl Requirements {
             if !seen.insert((requirement.id(), requirement.at_least.is_some())) {
                 return Err(GateError::Twice { id: requirement.id() });
             }
+        }
+        force_limits::check(&self.force_limit)?;
+        let named = |name| self.force_limit.iter().any(|limit| limit.name == name);
+        let unknown =
+            self.requirement.iter().find(|one| matches!(one.metric, Metric::ForceLimit(name) if !named(name)));
+        if let Some(requirement) = unknown {
+            let reason = "there is no [[force_limit]] of this name\nHint: add it, or give --force-limits".to_owned();
+            return Err(GateError::Requirement { id: requirement.id(), reason });
         }
         score::check(&self.score)
     }

@@ -246,6 +246,7 @@ impl Good {
         }
         good.ending.clone_from(&self.ending);
         good.unseen.clear();
+        good.forces.iter_mut().for_each(|(_, exceeded)| *exceeded = Some(false));
         match (self.metric, self.value) {
             (Metric::CycleTime(_), value) => good.time_s = value,
             (Metric::Measure(name, _), value) => good.measures.set(name, value),

@@ -1,6 +1,6 @@
 //! The part of a row that the gate uses.
 
-use robogate_core::{Assignment, FailureMode, Fault, Measures, Outcome};
+use robogate_core::{Assignment, FailureMode, Fault, Measures, Outcome, Word};
 use robogate_dictionary::{Entry, Label};
 
 /// How an episode ended.
@@ -62,6 +62,8 @@ pub struct Trial {
     pub trajectory: Option<u64>,
     /// Failure modes that its source does not record. Any episode, even a success, may have been one of these.
     pub unseen: Vec<FailureMode>,
+    /// Whether a contact exceeds each force limit of the requirements. `None` if the forces are unknown.
+    pub forces: Vec<(Word, Option<bool>)>,
 }
 
 impl Trial {
@@ -84,6 +86,7 @@ impl From<&Entry> for Trial {
             measures: episode.measures.clone(),
             trajectory: Some(episode.trajectory_hash).filter(|hash| *hash != 0),
             unseen: Vec::new(),
+            forces: Vec::new(),
         }
     }
 }

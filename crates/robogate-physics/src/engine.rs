@@ -3,7 +3,7 @@
 use std::any::Any;
 
 use nalgebra::{Isometry3, Vector3};
-use robogate_core::{ContactPoint, Fault};
+use robogate_core::{ContactPoint, Fault, RegionForces};
 use serde::{Deserialize, Serialize};
 
 use crate::{Chain, Joint, Motion, Primitive, Robot, Scene, plain};
@@ -95,6 +95,12 @@ pub trait Engine: Any {
     /// Wrench of the fixtures and the other free bodies on the object in the last step, about its centre of mass, along the
     /// axes of the base frame. Computed on request.
     fn support(&self) -> Wrench;
+
+    /// Wrench of everything but the robot on hand and fingers in the last step, about the tool centre point and along its axes, without
+    /// weight and inertia of the hand. `None` if the engine does not report it. Computed on request.
+    fn hand_wrench(&self) -> Option<Wrench> {
+        None
+    }
 
     /// Value (m or rad) and speed of the joint of a body of the scene. `None` for a body that moves freely.
     fn body_joint(&self, _body: usize) -> Option<[f64; 2]> {
@@ -219,6 +225,10 @@ impl<E: Engine + ?Sized> Engine for Box<E> {
         (**self).support()
     }
 
+    fn hand_wrench(&self) -> Option<Wrench> {
+        (**self).hand_wrench()
+    }
+
     fn body_joint(&self, body: usize) -> Option<[f64; 2]> {
         (**self).body_joint(body)
     }
@@ -278,6 +288,20 @@ pub struct Wrench {
 impl Wrench {
     /// Zero force and zero torque.
     pub const ZERO: Self = Self { force: Vector3::new(0.0, 0.0, 0.0), torque: Vector3::new(0.0, 0.0, 0.0) };
+
+    /// The wrench along the axes of a frame.
+    #[cfg(any(feature = "mujoco", feature = "rapier"))]
+    pub(crate) fn in_frame(&self, frame: &Isometry3<f64>) -> Self {
+        let along = |vector| frame.inverse_transform_vector(vector);
+        Self { force: along(&self.force), torque: along(&self.torque) }
+    }
+
+    /// The wrench without another one.
+    #[cfg(any(feature = "mujoco", feature = "rapier"))]
+    pub(crate) fn minus(self, other: Option<Self>) -> Self {
+        let other = other.unwrap_or(Self::ZERO);
+        Self { force: self.force - other.force, torque: self.torque - other.torque }
+    }
 }
 
 /// Physical quantities of the scene, as read from an engine.
@@ -351,6 +375,8 @@ pub struct Touches {
     pub collision: Option<Collision>,
     /// The largest contact force on any body of the robot.
     pub peak_force: Option<f64>,
+    /// The largest contact force of each region of the robot. Empty where an engine in another process does not report it.
+    pub regions: RegionForces,
 }
 
 /// A contact of the robot with a fixture or with itself.

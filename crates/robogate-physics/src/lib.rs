@@ -36,6 +36,8 @@ mod plant;
 mod primitive;
 #[cfg(feature = "rapier")]
 mod rapier;
+#[cfg(any(feature = "mujoco", feature = "rapier"))]
+mod region;
 mod robot;
 mod robot_folder;
 #[cfg(feature = "mujoco")]

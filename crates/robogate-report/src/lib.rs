@@ -22,7 +22,7 @@ mod text;
 mod watch;
 
 use robogate_analysis::PairCounts;
-use robogate_gate::{Evaluation, NominalRate, Twins};
+use robogate_gate::{Evaluation, ForceLimitResult, NominalRate, Twins};
 
 pub use figures::{FigureFile, figure_files};
 pub use gate::{
@@ -58,6 +58,8 @@ pub struct Additions<'a> {
     pub twins: Option<&'a Twins>,
     /// The success rate with nothing varied.
     pub nominal: Option<NominalRate>,
+    /// The contacts that exceed each force limit.
+    pub forces: &'a [ForceLimitResult],
     /// The risk model that chose the episodes.
     pub active: Option<&'a ActiveModel>,
 }

@@ -18,7 +18,7 @@ pub mod stacking;
 
 #[cfg(feature = "mujoco")]
 pub use arm::ArmWorlds;
-pub use arm::{ArmDeclaration, ArmEnvironment, ArmSettings, ArmTask, Parameters, Rig};
+pub use arm::{ArmDeclaration, ArmEnvironment, ArmSettings, ArmTask, Parameters, Rig, WristSensor};
 pub use arm::{claims, remote};
 pub use random::Random;
 pub use self_contained::SelfContained;

@@ -77,6 +77,16 @@ fn coming_down_on_a_wide_part_is_a_hit() {
     assert_eq!(episode.outcome, Outcome::Failure(FailureMode::constant("struck")));
     assert!(episode.time_s < 5.0 && episode.measures.get("peak_contact_force_n").unwrap() > 150.0);
     assert!(events.iter().any(|event| event.starts_with("struck: contact force")), "{events:?}");
+    // The fingers come down on the part, for less than a control period.
+    let measured = |name: &str| episode.measures.get(name);
+    let peak = measured("peak_contact_force_n");
+    assert_eq!(measured("peak_force_fingers_part_n"), peak);
+    assert!(measured("held_force_fingers_part_n").unwrap() < 0.2 * peak.unwrap());
+    assert_eq!(measured("peak_force_arm_surroundings_n"), None);
+    let over = measured("contact_over_limit_s").unwrap();
+    assert!(over > 0.0 && over < 0.05, "{over}");
+    let impulse = measured("peak_contact_impulse_n_s").unwrap();
+    assert!(impulse > 0.0 && impulse < 0.06 * peak.unwrap(), "{impulse}");
 }
 
 /// The pads press with nearly the limit, and lose their allowance only when they have let go.

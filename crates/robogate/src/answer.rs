@@ -4,6 +4,7 @@ use robogate_gate::{Evaluation, GatePlan, Metric, Mode, PairPlan, Population, Sa
 use robogate_report::{RequirementRow, feasible_part, how_judged, new_cases, sign, what_next};
 use robogate_stats::format::{counted, number};
 
+use crate::force_limits;
 use crate::terminal::{Styled, bold, dim, foreign, grouped, is_verbose, line, longest_line, percent, styled};
 use crate::twins;
 
@@ -61,6 +62,7 @@ pub(crate) fn print(evaluation: &Evaluation) {
             );
         }
     }
+    force_limits::print(&evaluation.force_limits);
     groups(evaluation);
     evaluation.twins.iter().for_each(twins::print);
     score(evaluation);

@@ -10,6 +10,7 @@ mod commands;
 mod compliance;
 mod exit;
 mod film;
+mod force_limits;
 mod given;
 mod grouped;
 mod help;

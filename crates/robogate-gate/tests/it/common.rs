@@ -31,6 +31,7 @@ pub(crate) fn trial(index: u64, ending: Ending) -> Trial {
         measures: Measures::default(),
         trajectory: None,
         unseen: Vec::new(),
+        forces: Vec::new(),
     }
 }
 

@@ -8,6 +8,7 @@ mod comparison;
 mod errors;
 mod evaluation;
 mod evidence;
+mod force_limits;
 mod leaderboard;
 mod planning;
 mod real;

@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 
 use mujoco_rs::prelude::*;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
-use robogate_core::{ContactBetween, ContactPoint, Fault};
+use robogate_core::{ContactBetween, ContactPoint, Fault, Region, Touched};
 
 use super::{Kind, Loaded};
 use crate::engine::Collision;
@@ -70,6 +70,8 @@ impl Loaded {
         }
         for ((robot_body, other), force) in self.forces.iter().copied() {
             touches.peak_force = Some(touches.peak_force.unwrap_or(0.0).max(force));
+            let touched = if other.is_some() { Touched::Surroundings } else { Touched::Part };
+            touches.regions.raise(self.regions[robot_body], touched, force);
             if let Some(hit) = other
                 && touches.collision.is_none_or(|strongest| force > strongest.force)
             {
@@ -81,26 +83,41 @@ impl Loaded {
     /// Wrench of the fixtures and the other free bodies on the object in the last step, about its centre of mass.
     pub(super) fn support(&self) -> Wrench {
         let object = Kind::Object(self.selected);
-        let mut support = Wrench::ZERO;
+        let about = Vector3::from(self.data.xipos()[self.free[self.selected].body]);
+        self.contact_wrench(about, |kind| kind == object, |kind| matches!(kind, Kind::Fixture(_) | Kind::Object(_)))
+    }
+
+    /// Wrench of everything but the robot on hand and fingers in the last step, about the tool centre point `tcp` and along its axes.
+    /// `cup_load` is the wrench of the cup on the object that it holds.
+    pub(super) fn hand_wrench(&self, tcp: &Isometry3<f64>, cup_load: Option<Wrench>) -> Wrench {
+        let on_hand = |kind| matches!(kind, Kind::Robot { body, .. } if self.regions[body] != Region::Arm);
+        // The load of the cup contains its contact with the object.
+        let held = cup_load.map(|_| Kind::Object(self.selected));
+        let outside = |kind| matches!(kind, Kind::Fixture(_) | Kind::Object(_)) && Some(kind) != held;
+        self.contact_wrench(tcp.translation.vector, on_hand, outside).in_frame(tcp).minus(cup_load)
+    }
+
+    /// Wrench in the last step on shapes of one kind from those of another one, about the point `about`.
+    fn contact_wrench(&self, about: Vector3<f64>, on: impl Fn(Kind) -> bool, from: impl Fn(Kind) -> bool) -> Wrench {
+        let mut sum = Wrench::ZERO;
         for (i, contact) in self.data.contact().iter().enumerate() {
             if contact.efc_address < 0 || contact.geom1 < 0 || contact.geom2 < 0 {
                 continue;
             }
-            let (first, second) = (self.kinds[contact.geom1 as usize], self.kinds[contact.geom2 as usize]);
-            let other = if first == object { second } else { first };
-            if (first != object && second != object) || !matches!(other, Kind::Fixture(_) | Kind::Object(_)) {
-                continue;
-            }
             // The force acts on the second shape; the rows of the frame are its axes.
-            let sign = if first == object { -1.0 } else { 1.0 };
+            let sign = match (self.kinds[contact.geom1 as usize], self.kinds[contact.geom2 as usize]) {
+                (first, second) if on(first) && from(second) => -1.0,
+                (first, second) if on(second) && from(first) => 1.0,
+                _ => continue,
+            };
             let axes = Matrix3::from_column_slice(&contact.frame) * sign;
             let [n, t1, t2, twist, r1, r2] = self.data.contact_force(i);
             let force = axes * Vector3::new(n, t1, t2);
-            let arm = Vector3::from(contact.pos) - Vector3::from(self.data.xipos()[self.free[self.selected].body]);
-            support.force += force;
-            support.torque += axes * Vector3::new(twist, r1, r2) + arm.cross(&force);
+            let arm = Vector3::from(contact.pos) - about;
+            sum.force += force;
+            sum.torque += axes * Vector3::new(twist, r1, r2) + arm.cross(&force);
         }
-        support
+        sum
     }
 
     /// Sum of the normal forces between two sides in the last step, in newtons. `None` if they do not touch.
@@ -168,7 +185,7 @@ impl Loaded {
         let moment = rotation * (mass.inertia * angular + spin.cross(&(mass.inertia * spin)));
         let centre = (object * Point3::from(mass.centre)).coords;
         let torque = moment - support.torque + (centre - tcp.translation.vector).cross(&force);
-        Wrench { force: tcp.inverse_transform_vector(&force), torque: tcp.inverse_transform_vector(&torque) }
+        Wrench { force, torque }.in_frame(tcp)
     }
 }
 

@@ -9,8 +9,10 @@
 
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::MjsBody;
+use robogate_core::Region;
 
 use super::{PREFIX, ROBOT_WITH_ITSELF};
+use crate::region::region;
 use crate::{FingerMotion, RobotSettings};
 
 /// Two links whose shapes are this near to each other at home can never touch, in metres.
@@ -161,4 +163,15 @@ fn gripper_parts(model: &MjModel, arm: &[usize]) -> Vec<usize> {
     let moving: Vec<usize> = bodies.clone().filter(|body| moves(*body)).collect();
     let carriers: Vec<i32> = moving.iter().map(|body| model.body_weldid()[parent(*body)]).collect();
     bodies.filter(|body| moves(*body) || carriers.contains(&model.body_weldid()[*body])).collect()
+}
+
+/// The region of the robot to which each body belongs.
+pub(super) fn regions(model: &MjModel, settings: &RobotSettings) -> Vec<Region> {
+    let last = settings.arm.joints.last().and_then(|name| model.name_to_id(MjtObjBase::mjOBJ_JOINT, name));
+    let last = last.map_or(0, |joint| model.jnt_bodyid()[joint] as usize);
+    let weld = |body: usize| model.body_weldid()[body] as usize;
+    let parent = |link: usize| (link != 0).then(|| weld(model.body_parentid()[link] as usize));
+    let bodies = 0..model.body_weldid().len();
+    let carries = bodies.clone().any(|body| body != last && weld(body) == last);
+    bodies.map(|body| region(weld(body), body == last && carries, last, parent, &settings.gripper)).collect()
 }

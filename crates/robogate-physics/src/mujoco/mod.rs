@@ -22,7 +22,7 @@ use mujoco_loader::{Library, LoadError};
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_logging::{log_config, set_log_config};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::{ContactPoint, Fault, FaultKind};
+use robogate_core::{ContactPoint, Fault, FaultKind, Region};
 
 use self::damping::Strong;
 pub use self::export::{Input, Tape};
@@ -82,6 +82,8 @@ enum Kind {
 struct Loaded {
     data: MjData<Box<MjModel>>,
     kinds: Vec<Kind>,
+    /// The region of the robot to which each body belongs.
+    regions: Vec<Region>,
     /// Addresses of the arm's joints in qpos and qvel.
     arm: Vec<(usize, usize)>,
     /// Addresses of the joints of sliding fingers in qpos and qvel. Empty without such fingers.
@@ -340,6 +342,7 @@ impl Engine for MujocoEngine {
                 (None, None) => Kind::Visual,
             });
         }
+        let regions = links::regions(&model, &self.robot.settings);
         let mut movers = Vec::new();
         for (i, fixture) in scene.fixtures.iter().enumerate() {
             if let Some(motion) = fixture.motion {
@@ -378,6 +381,7 @@ impl Engine for MujocoEngine {
         let loaded = Loaded {
             data,
             kinds,
+            regions,
             arm,
             fingers,
             drives,
@@ -629,6 +633,10 @@ impl Engine for MujocoEngine {
 
     fn body_joint(&self, body: usize) -> Option<[f64; 2]> {
         self.loaded().jointed(body).map(|(_, _, state)| state)
+    }
+
+    fn hand_wrench(&self) -> Option<Wrench> {
+        Some(self.loaded().hand_wrench(&self.tcp(), self.cup_load()))
     }
 
     fn force_between(&self, one: Side, other: Side) -> Option<f64> {

@@ -8,11 +8,12 @@ use rapier3d_f64::dynamics::{
 use rapier3d_f64::geometry::{ColliderBuilder, ColliderHandle, Group, InteractionGroups, InteractionTestMode};
 use rapier3d_f64::math::Vector;
 use rapier3d_f64::prelude::{CoefficientCombineRule, PhysicsWorld};
-use robogate_core::{Fault, FaultKind};
+use robogate_core::{Fault, FaultKind, Region};
 
 use super::convert::{mass_properties, pose, primitive, solid};
 use super::{Kind, Loaded, RapierEngine, SUBSTEPS};
-use crate::description::Link;
+use crate::description::{Description, Link};
+use crate::region::region;
 use crate::{BELLOWS_JOINT, Object, Primitive, Scene, Touches};
 
 /// Collision groups. The robot does not collide with itself.
@@ -91,9 +92,22 @@ impl RapierEngine {
             movers,
             steps: 0,
             world: build.world,
+            regions: build.bodies.iter().map(|body| self.region_of(body)).collect(),
             bodies: build.bodies,
             colliders: build.colliders,
         })
+    }
+
+    /// The region of the robot to which a body belongs.
+    fn region_of(&self, body: &str) -> Region {
+        let Description { links, bodies, .. } = &self.description;
+        let settings = &self.robot.settings;
+        let last = settings.arm.joints.last().and_then(|joint| self.description.link_of(joint)).unwrap_or(0);
+        let mut of_last = bodies.iter().filter(|(_, link, _)| *link == last).map(|(name, ..)| name);
+        let is_wrist = of_last.next().is_some_and(|own| own == body) && of_last.next().is_some();
+        let link = bodies.iter().find(|(name, ..)| name == body).map_or(0, |(_, link, _)| *link);
+        let parent = |link: usize| links[link].joint.as_ref().map(|joint| joint.parent);
+        region(link, is_wrist, last, parent, &settings.gripper)
     }
 
     fn world(&self, scene: &Scene) -> PhysicsWorld {

@@ -16,7 +16,7 @@ use rapier3d_f64::dynamics::{
 };
 use rapier3d_f64::geometry::ColliderHandle;
 use rapier3d_f64::prelude::PhysicsWorld;
-use robogate_core::{ContactPoint, Fault, FaultKind};
+use robogate_core::{ContactPoint, Fault, FaultKind, Region};
 
 use self::convert::{pose, quarter, read_primitive, vector};
 use crate::description::{Description, isometry};
@@ -62,6 +62,8 @@ struct Loaded {
     world: PhysicsWorld,
     /// Names of the robot's bodies.
     bodies: Vec<String>,
+    /// The region of the robot to which each of them belongs.
+    regions: Vec<Region>,
     /// All colliders with their roles, in the order of insertion: the index is the collider's user data.
     colliders: Vec<(ColliderHandle, Kind)>,
     arm: Vec<MultibodyJointHandle>,
@@ -320,6 +322,10 @@ impl Engine for RapierEngine {
 
     fn support(&self) -> Wrench {
         self.loaded().support()
+    }
+
+    fn hand_wrench(&self) -> Option<Wrench> {
+        Some(self.loaded().hand_wrench(&self.tcp()))
     }
 
     fn force_between(&self, one: Side, other: Side) -> Option<f64> {

@@ -1,7 +1,7 @@
 //! One world: its scene, its drives, and what the simulator reports about it.
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::{Fault, FaultKind};
+use robogate_core::{Fault, FaultKind, RegionForces};
 
 use super::member::{Entry, Place, Rows};
 use crate::mujoco::numbers::Stage;
@@ -348,6 +348,7 @@ impl World {
                 force,
             }),
             peak_force: force(7),
+            regions: RegionForces::default(),
         };
         let turn = Rotation3::from_matrix_unchecked(Matrix3::from_fn(|row, column| at(11 + 3 * row + column)));
         let bodies = (0..self.bodies).map(|body| {

@@ -77,6 +77,11 @@ pub fn evaluation_markdown_with(evaluation: &Evaluation, watch: Option<&Watch>) 
             let _ = writeln!(out, "- {}", escape_markdown(line));
         });
     }
+    for result in &evaluation.force_limits {
+        result.lines(MAX_EPISODES).iter().for_each(|text| {
+            let _ = writeln!(out, "- {}", escape_markdown(text));
+        });
+    }
     for text in new_cases(evaluation).into_iter().chain(feasible_part(evaluation)) {
         let _ = writeln!(out, "\n{text}");
     }

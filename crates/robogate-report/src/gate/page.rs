@@ -146,6 +146,7 @@ fn requirements(evaluation: &Evaluation) -> Vec<Block> {
     notes.extend(new_cases(evaluation).into_iter().chain(feasible_part(evaluation)));
     notes.extend(evaluation.outside_range.iter().map(ToString::to_string));
     notes.extend(evaluation.remarks());
+    notes.extend(evaluation.force_limits.iter().flat_map(|result| result.lines(3)));
     notes.retain(|text| !text.is_empty());
     std::iter::once(Block::Table(table)).chain(notes.into_iter().map(Block::Text)).collect()
 }

@@ -134,6 +134,11 @@ impl Grip {
     }
 }
 
+/// How far the part has moved in the hand since it was at `in_hand`, in metres.
+pub(crate) fn displacement(in_hand: &Isometry3<f64>, view: &StepView<'_>) -> f64 {
+    ((view.tcp.inverse() * view.object).translation.vector - in_hand.translation.vector).norm()
+}
+
 /// Whether the first `count` free bodies hardly move.
 pub(crate) fn still(bodies: &dyn Bodies, count: usize) -> bool {
     (0..count).all(|body| is_still(bodies.velocity(body)))

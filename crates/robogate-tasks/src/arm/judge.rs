@@ -8,15 +8,15 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Vector3};
 use robogate_core::{
     Action, Assignment, CameraSpec, Contact, Ending, FEASIBLE, FailureMode, FailureModeSpec, Fault, FaultKind,
-    Foresight, Infeasibility, Observation, Scenario, Severity, Start, Step, TaskSpec,
+    Foresight, Infeasibility, Observation, Scenario, Severity, Start, Step, TaskSpec, vectors,
 };
 use robogate_physics::{
-    ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Side, Steering, StepView, Touches, pose,
+    ArmState, Chain, Engine, Fixture, GripperCommand, Robot, Side, Steering, StepView, Touches, Wrench, pose,
 };
 
-use super::forces::{self, Forces, STRUCK};
+use super::forces::{self, Forces, STRUCK, Wrist};
 use super::rules::{Bodies, Found, Resolved, Rules, Sight, Trial};
-use super::settings::on_robot;
+use super::settings::{WristSensor, on_robot};
 use super::table::is_of_missing_joint;
 use super::{CONTROL_PERIOD_S, HasSettings, mode, observation};
 use crate::settings::setting_specs;
@@ -53,6 +53,8 @@ struct Episode {
     /// Joint positions as the encoders measure them, in radians.
     measured: Vec<f64>,
     gripper: GripperCommand,
+    /// The sensor at the wrist, if the robot has one.
+    wrist: Option<Wrist>,
     ticks: u64,
     /// Number of control periods for which arm and parts have been at rest.
     still_ticks: u32,
@@ -80,6 +82,10 @@ impl Judge {
             settings: settings.collect(),
             ..rules.spec(&robot, cameras)
         };
+        if rules.arm().wrist_sensor == WristSensor::On {
+            task.observation.vectors.push(Wrist::spec());
+        }
+        task.measures.extend(forces::force_measures(&robot, force_limit_n.is_some()));
         if let Some(limit_n) = force_limit_n {
             let meaning =
                 format!("A contact of the robot had more than {limit_n} N, or more than that and the grip force.");
@@ -160,6 +166,7 @@ impl Judge {
             steering: Steering::default(),
             measured: Vec::new(),
             gripper: GripperCommand::Open,
+            wrist: (self.rules.arm().wrist_sensor == WristSensor::On).then(Wrist::default),
             ticks: 0,
             still_ticks: 0,
             feasible: if self.infeasibility(&scenario.requested).is_none() { 1.0 } else { 0.0 },
@@ -192,6 +199,9 @@ impl Judge {
         let sight = Sight { time, command: episode.gripper, view, bodies };
         episode.trial.observe(&sight);
         episode.forces.feel(&sight, episode.trial.record());
+        if let (Some(wrist), Some(wrench)) = (&mut episode.wrist, bodies.hand_wrench()) {
+            wrist.feel(&wrench);
+        }
     }
 
     /// The clearance (m) at or above which no measure changes. `None` if the task does not measure it.
@@ -276,7 +286,9 @@ impl Episode {
         self.measured = arm_state.joint_positions.iter().zip(&self.bias).map(|(q, bias)| q + bias).collect();
         let tool = pose(&chain.tcp_at(&self.measured));
         let measured = ArmState { joint_positions: self.measured.clone(), ..arm_state };
-        observation(self.ticks as f64 * CONTROL_PERIOD_S, measured, tool)
+        let mut seen = observation(self.ticks as f64 * CONTROL_PERIOD_S, measured, tool);
+        seen.vectors.extend(self.wrist.as_mut().map(|wrist| (vectors::WRIST_WRENCH, wrist.take())));
+        seen
     }
 }
 
@@ -291,6 +303,10 @@ impl Bodies for Box<dyn Engine> {
 
     fn support(&self) -> Vector3<f64> {
         Engine::support(&**self).force
+    }
+
+    fn hand_wrench(&self) -> Option<Wrench> {
+        Engine::hand_wrench(&**self)
     }
 
     fn joint(&self, body: usize) -> Option<[f64; 2]> {

@@ -17,6 +17,7 @@ mod grip;
 mod interface;
 mod judge;
 mod layout;
+mod press;
 pub mod remote;
 mod rules;
 mod script;
@@ -37,14 +38,15 @@ pub(crate) use foresight::{
     GAP_MARGIN, LIP_MARGIN, Memo, OPENING_CLEARANCE, PRESS_MARGIN, Posture, bias_draws, compliance, components, draw,
     drawn, feature, holding_n, in_hand, joined, log_ratio, tool_draws, within_quarter,
 };
-pub(crate) use grip::{Grip, GripChange, is_still, still, touching};
+pub(crate) use grip::{Grip, GripChange, displacement, is_still, still, touching};
 pub(crate) use interface::{action_spec, observation, observed_vectors};
 pub(crate) use judge::{CLEARANCE_LIMIT_M, Judge};
 pub(crate) use layout::{disc_point, encoder_bias, within_reach};
+pub(crate) use press::Press;
 pub(crate) use rules::{Bodies, Found, Record, Resolved, Rules, Sight, Trial};
 pub(crate) use script::{FREE, Planner, Script, Stage, carry_yaw, cup_yaw, grasp_height, nearest, tool_down};
-pub use settings::ArmSettings;
-pub(crate) use settings::{HasSettings, OnArm, on_arm, rows};
+pub use settings::{ArmSettings, WristSensor};
+pub(crate) use settings::{HasSettings, OnArm, jam_rows, on_arm, rows};
 pub(crate) use table::{Access, Acting, InSurroundings, Needs, Row, Surroundings, Table, Words, scale};
 pub(crate) use task::drives_task;
 pub use task::{ArmDeclaration, ArmTask, Parameters};

@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Vector3};
 use robogate_core::{
     Assignment, CameraSpec, FailureMode, Fault, Foresight, Infeasibility, Measures, Scenario, TaskInstance, TaskSpec,
 };
-use robogate_physics::{Chain, Collision, GripperCommand, Readback, Robot, Scene, Side, StepView, Visual};
+use robogate_physics::{Chain, Collision, GripperCommand, Readback, Robot, Scene, Side, StepView, Visual, Wrench};
 
 use super::{ArmDeclaration, OnArm};
 
@@ -113,6 +113,11 @@ pub(crate) trait Bodies {
 
     /// Force of the fixtures and the other free bodies on the selected body, in newtons, along the axes of the base frame.
     fn support(&self) -> Vector3<f64>;
+
+    /// Wrench on hand and fingers about the tool centre point and along its axes. `None` where only the engines of this process report it.
+    fn hand_wrench(&self) -> Option<Wrench> {
+        None
+    }
 
     /// Value (m or rad) and speed of the joint of a body. `None` for a body that moves freely, and for the bodies of tasks that
     /// engines in other processes can simulate.

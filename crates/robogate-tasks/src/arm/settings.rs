@@ -4,7 +4,7 @@ use robogate_core::{Allowed, SettingSpec, Value};
 use robogate_physics::{Gripper, Robot, SuctionLaw};
 
 use super::{CONTROL_PERIOD_S, forces};
-use crate::settings::{Field, SettingRow};
+use crate::settings::{Choice, Field, SettingRow};
 
 /// The settings of every task for an arm.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,12 +17,44 @@ pub struct ArmSettings {
     pub suction: SuctionLaw,
     /// Contact force above which a contact is a failure, in newtons. `None` for the robot's own.
     pub contact_force_limit_n: Option<f64>,
+    /// Whether policies observe the force and torque at the wrist.
+    pub wrist_sensor: WristSensor,
+}
+
+/// Whether the robot has a sensor of force and torque at its wrist.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum WristSensor {
+    /// No sensor.
+    #[default]
+    Off,
+    /// Policies observe [`robogate_core::vectors::WRIST_WRENCH`].
+    On,
+}
+
+impl Choice for WristSensor {
+    fn words(&self) -> &'static [&'static str] {
+        &["off", "on"]
+    }
+
+    fn word(&self) -> &'static str {
+        self.words()[*self as usize]
+    }
+
+    fn choose(&mut self, word: &str) {
+        *self = if word == "on" { Self::On } else { Self::Off };
+    }
 }
 
 impl ArmSettings {
     /// The default settings of a task with this time limit in seconds.
     pub(crate) const fn lasting(time_limit_s: f64) -> Self {
-        Self { time_limit_s, grip_force_n: None, suction: SuctionLaw::Vacuum, contact_force_limit_n: None }
+        Self {
+            time_limit_s,
+            grip_force_n: None,
+            suction: SuctionLaw::Vacuum,
+            contact_force_limit_n: None,
+            wrist_sensor: WristSensor::Off,
+        }
     }
 }
 
@@ -96,8 +128,27 @@ pub(crate) fn rows<T: OnArm>(own: impl IntoIterator<Item = SettingRow<T>>) -> Ve
                       added. Default: `collision_force_n` of the robot's file, or 150 N.",
             field: Field::OfRobot([1.0, 1e6], |task: &mut T| &mut task.arm_mut().contact_force_limit_n),
         },
+        SettingRow::choice(
+            "wrist_sensor",
+            "Whether policies observe the force and torque at the wrist, as the vector wrist_wrench (on), or not (off).",
+            |task: &mut T| &mut task.arm_mut().wrist_sensor,
+        ),
     ];
     arm.into_iter().chain(own).collect()
+}
+
+/// The settings of a jam: force (N) and duration (s).
+pub(crate) fn jam_rows<T>(force: fn(&mut T) -> &mut f64, duration: fn(&mut T) -> &mut f64) -> [SettingRow<T>; 2] {
+    [
+        SettingRow::number(
+            "jam_force_n",
+            "The robot presses if a contact force is above this. The grip force is added while it holds \
+             the part.",
+            [0.1, 1e6],
+            force,
+        ),
+        SettingRow::number("jam_duration_s", "Duration of pressing that is a jam.", [1e-3, 3600.0], duration),
+    ]
 }
 
 /// Whether a setting has an effect with this gripper.

@@ -2,12 +2,11 @@
 
 use robogate_core::{
     Better, CameraSpec, FEASIBLE, FailureMode, FailureModeSpec, Fault, FaultKind, GAVE_UP, MeasureSpec,
-    ObservationSpec, Severity, TaskInstance, TaskSpec, Word,
+    ObservationSpec, PEAK_CONTACT_FORCE, Severity, TaskInstance, TaskSpec, Word,
 };
 use robogate_physics::Robot;
 use serde::{Deserialize, Serialize};
 
-use super::forces::PEAK_CONTACT_FORCE;
 use super::{CONTROL_PERIOD_S, action_spec, observed_vectors};
 
 /// The specification that every task on this robot with these cameras extends.

@@ -11,6 +11,7 @@ use robogate_core::{
 use robogate_physics::worlds::{Member, Period, StepReport, World};
 use robogate_physics::{ArmState, Engine, GripperCommand, MujocoEngine, Scene, grip_force, state_hash};
 
+use super::forces::no_wrist_sensor;
 use super::judge::Judge;
 use super::rules::{Bodies, Found, Rules};
 use super::{CONTROL_PERIOD_S, HasSettings, Rig, camera_specs, cameras, posture, render, show};
@@ -48,6 +49,7 @@ impl ArmWorlds {
         member: Member,
         slots: NonZeroUsize,
     ) -> Result<Self, String> {
+        no_wrist_sensor(task.arm())?;
         let grip_force_n = grip_force(&engine.robot().settings.gripper, task.arm().grip_force_n)?;
         let cameras = cameras(engine.robot(), rig.picture_px);
         let (robot, chain) = (engine.robot().clone(), engine.chain().clone());

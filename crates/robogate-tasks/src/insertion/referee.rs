@@ -5,9 +5,10 @@
 //! | event | when |
 //! |---|---|
 //! | collision | a robot body touches the table or the block |
+//! | slipped | instead of collision, missed or timeout: the peg had moved by more than 5 mm in the hand |
 //! | missed | after a close command the gripper is at rest and does not hold the peg; or the released peg has come to rest outside the hole |
 //! | dropped | the peg left the closed gripper before it was seated |
-//! | wedge, jam | the peg is stuck: pressed in the hole with at least `stuck_force_n` for `stuck_duration_s` without 0.5 mm of progress, or released in the hole and at rest before its seat. It is a wedge at a depth where friction can hold it against any load ([`super::whitney::can_wedge`]), a jam otherwise |
+//! | wedge, jam | the peg is stuck: pressed in the hole with at least `stuck_force_n` for `stuck_duration_s` at less than 0.5 mm/s on average, or released in the hole and at rest before its seat. It is a wedge at a depth where friction can hold it against any load ([`super::whitney::can_wedge`]), a jam otherwise |
 //! | jam | the peg is pressed with more than `jam_force_n` for `jam_duration_s` |
 //! | success | the tip is within `seat_tolerance_m` of the hole's full depth for 0.1 s |
 //!
@@ -19,14 +20,18 @@ use robogate_physics::{GRAVITY, GripperCommand};
 
 use super::parameters::{Settings, TABLE};
 use super::parts::DEPTH_M;
-use super::spec::{COLLISION, DEPTH, DROPPED, DURATION, JAM, LATERAL, MISSED, PRESS, WEDGE};
+use super::spec::{COLLISION, DEPTH, DROPPED, DURATION, JAM, LATERAL, MISSED, PRESS, SLIP, SLIPPED, WEDGE};
 use super::{Insertion, whitney};
-use crate::arm::{Acting, Found, Grip, GripChange, Record, Sight, Trial, still, touching};
+use crate::arm::{Acting, Found, Grip, GripChange, Record, Sight, Trial, displacement, still, touching};
 
 /// The tip must be at its seat for this long, in seconds.
 const SEAT_S: f64 = 0.1;
-/// Progress is at least this increase of the largest depth, in metres.
-const PROGRESS_M: f64 = 0.0005;
+/// The tip is in the hole beyond this depth, in metres.
+const INSIDE_M: f64 = 0.0005;
+/// A pressed peg makes progress if it is at least this fast on average, in m/s. A slower one creeps, and is stuck.
+const PROGRESS_M_S: f64 = 0.0005;
+/// A peg that moved by more than this in the hand has slipped, in metres.
+const SLIPPED_M: f64 = 0.005;
 /// A released peg is at rest below this speed, in m/s, ...
 const REST_SPEED: f64 = 0.005;
 /// ... for this long, in seconds.
@@ -55,6 +60,7 @@ pub(crate) struct Referee {
     press_n: Option<f64>,
     lateral_n: Option<f64>,
     duration_s: Option<f64>,
+    slip_m: Option<f64>,
     /// Whether the peg hardly moves and was never held, and the gripper is open.
     still: bool,
 }
@@ -79,6 +85,7 @@ impl Referee {
             press_n: None,
             lateral_n: None,
             duration_s: None,
+            slip_m: None,
             still: false,
         }
     }
@@ -95,6 +102,11 @@ impl Referee {
         if whitney::can_wedge(depth, self.settings.width_m, self.settings.friction) { WEDGE } else { JAM }
     }
 
+    /// The mode of a failure that follows from a slip of the peg in the hand, if there was one.
+    fn or_slipped(&self, mode: FailureMode) -> FailureMode {
+        if self.slip_m.is_some_and(|slip| slip > SLIPPED_M) { SLIPPED } else { mode }
+    }
+
     /// A peg that does not move although it is pressed.
     fn watch_pressing(&mut self, depth: Option<f64>, press: f64, time: f64) {
         let elapsed = time - self.before;
@@ -104,8 +116,8 @@ impl Referee {
             self.record.end(Some(JAM), time, None);
             return;
         }
-        let Some(depth) = depth.filter(|depth| *depth > PROGRESS_M) else { return };
-        if depth > self.progress.0 + PROGRESS_M {
+        let Some(depth) = depth.filter(|depth| *depth > INSIDE_M) else { return };
+        if depth > self.progress.0 + PROGRESS_M_S * self.rules.stuck_duration_s {
             self.progress = (depth, 0.0);
         } else if press >= self.rules.stuck_force_n {
             self.progress.1 += elapsed;
@@ -135,7 +147,7 @@ impl Referee {
             }
             None => {
                 self.record.note("released peg at rest outside the hole");
-                self.record.end(Some(MISSED), sight.time, None);
+                self.record.end(Some(self.or_slipped(MISSED)), sight.time, None);
             }
         }
     }
@@ -155,7 +167,7 @@ impl Trial for Referee {
             return;
         }
         if let Some(collision) = sight.view.touches.collision {
-            self.record.end(Some(COLLISION), sight.time, Some(collision));
+            self.record.end(Some(self.or_slipped(COLLISION)), sight.time, Some(collision));
             return;
         }
         match self.grip.observe(sight.command, sight.time, sight.view) {
@@ -186,13 +198,23 @@ impl Trial for Referee {
     }
 
     fn measures(&self) -> Measures {
-        [(DEPTH, self.depth_m), (PRESS, self.press_n), (LATERAL, self.lateral_n), (DURATION, self.duration_s)]
-            .into_iter()
-            .collect()
+        [
+            (DEPTH, self.depth_m),
+            (PRESS, self.press_n),
+            (LATERAL, self.lateral_n),
+            (DURATION, self.duration_s),
+            (SLIP, self.slip_m),
+        ]
+        .into_iter()
+        .collect()
     }
 
     fn record(&mut self) -> &mut Record {
         &mut self.record
+    }
+
+    fn mode_at_limit(&self) -> FailureMode {
+        self.or_slipped(FailureMode::TIMEOUT)
     }
 }
 
@@ -203,7 +225,11 @@ impl Referee {
         if let Some(depth) = depth {
             self.depth_m = Some(self.depth_m.unwrap_or(0.0).max(depth));
         }
-        let held = self.grip.in_hand().is_some();
+        let held = self.grip.in_hand();
+        if let Some(in_hand) = held.filter(|_| touching(sight.view)) {
+            self.slip_m = Some(self.slip_m.unwrap_or(0.0).max(displacement(&in_hand, sight.view)));
+        }
+        let held = held.is_some();
         let mut press = 0.0;
         // On its way up from the table, the peg still touches it.
         let near = (sight.view.object.translation.vector - self.mouth.translation.vector).xy().norm();

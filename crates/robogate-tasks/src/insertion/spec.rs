@@ -13,6 +13,8 @@ pub(super) const JAM: FailureMode = FailureMode::constant("jam");
 pub(super) const WEDGE: FailureMode = FailureMode::constant("wedge");
 /// The gripper closed without the peg, or the peg was released outside the hole.
 pub(super) const MISSED: FailureMode = FailureMode::constant("missed");
+/// The peg moved in the hand, which led to a collision, a release outside the hole or the time limit.
+pub(super) const SLIPPED: FailureMode = FailureMode::constant("slipped");
 /// The peg was lost between grasp and release.
 pub(super) const DROPPED: FailureMode = FailureMode::constant("dropped");
 /// The robot touched the table or the block.
@@ -26,6 +28,9 @@ pub(super) const PRESS: Word = Word::constant("peak_press_force_n");
 pub(super) const LATERAL: Word = Word::constant("peak_lateral_force_n");
 /// Time from the first contact of the held peg with the block to its seat, in seconds.
 pub(super) const DURATION: Word = Word::constant("insertion_time_s");
+
+/// Largest displacement of the peg in the hand since it was held, in metres.
+pub(super) const SLIP: Word = Word::constant("slip_m");
 
 /// The phases of the scripted controller.
 pub(super) mod phases {
@@ -53,6 +58,7 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
                 "The peg was caught in the hole where friction can hold it against any load.",
             ),
             mode(MISSED, Severity::Major, "The gripper closed without the peg, or released it outside the hole."),
+            mode(SLIPPED, Severity::Major, "The peg moved in the hand by more than 5 mm before it was seated."),
             mode(DROPPED, Severity::Critical, "The peg was lost between grasp and release."),
             mode(COLLISION, Severity::Critical, "A link or finger of the robot touched the table or the block."),
             mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the peg was seated."),
@@ -62,6 +68,7 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
             measure(DEPTH, "m", Better::Higher, "Largest depth of the peg's tip in the hole."),
             measure(PRESS, "N", Better::Lower, "Largest force of block and table on the peg along the hole's axis."),
             measure(LATERAL, "N", Better::Lower, "Largest force of block and table on the peg across the hole's axis."),
+            measure(SLIP, "m", Better::Lower, "Largest displacement of the peg in the hand since it was held."),
             measure(DURATION, "s", Better::Lower, "Time from the first contact with the block to the seat."),
         ]
         .into_iter()

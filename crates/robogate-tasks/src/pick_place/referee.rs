@@ -28,7 +28,9 @@ use super::cell::Told;
 use super::parameters::TABLE;
 use super::spec::{COLLISION, GRASP_MISS, GRIP_LOSS, JAM, MIN_CLEARANCE, MISPLACED, SLIP, TARGET_DISTANCE};
 use super::{ModeSet, PickPlace};
-use crate::arm::{Acting, CLEARANCE_LIMIT_M, Found, Grip, GripChange, Record, Sight, Trial, is_still, touching};
+use crate::arm::{
+    Acting, CLEARANCE_LIMIT_M, Found, Grip, GripChange, Press, Record, Sight, Trial, displacement, is_still, touching,
+};
 
 /// The object is at rest below this speed, in m/s ...
 const REST_SPEED: f64 = 0.01;
@@ -38,8 +40,8 @@ const REST_SPIN: f64 = 0.2;
 const REST_S: f64 = 0.2;
 /// An object is dropped if it is released more than this above its resting height, in metres.
 const DROP_M: f64 = 0.05;
-/// A larger contact force is reported as an event if it is this many times the last reported one.
-const FORCE_STEP: f64 = 1.5;
+/// An object is off the table if it is more than this above its resting height, in metres.
+const LIFTED_M: f64 = 0.005;
 
 /// An object after its release.
 #[derive(Debug, Clone, Copy)]
@@ -67,11 +69,7 @@ pub(super) struct Referee {
     grip_force: f64,
     grip: Grip,
     released: Option<Released>,
-    /// Start of the present press and its largest force (N).
-    press: Option<(f64, f64)>,
-    jammed: bool,
-    /// The largest contact force that was reported as an event, in newtons.
-    reported_force: f64,
+    press: Press,
     /// Whether the object hardly moves and no finger closes or holds.
     still: bool,
     measured: Measured,
@@ -89,9 +87,7 @@ impl Referee {
             grip_force,
             grip: Grip::new(grip_force),
             released: None,
-            press: None,
-            jammed: false,
-            reported_force: rules.jam_force_n / FORCE_STEP,
+            press: Press::new(rules.jam_force_n, rules.jam_duration_s),
             still: false,
             measured: Measured::default(),
             record: Record::default(),
@@ -159,22 +155,8 @@ impl Referee {
 
     /// Observes contact forces and rest.
     fn feel(&mut self, sight: &Sight<'_>) {
-        let force = sight.view.touches.peak_force.unwrap_or(0.0);
-        if force >= FORCE_STEP * self.reported_force {
-            self.reported_force = force;
-            self.record.note(format!("contact force {force:.0} N"));
-        }
-        if force > self.rules.jam_force_n + if self.grip.is_free() { 0.0 } else { self.grip_force } {
-            let (since, largest) = self.press.get_or_insert((sight.time, 0.0));
-            *largest = largest.max(force);
-            if !self.jammed && sight.time - *since >= self.rules.jam_duration_s {
-                self.jammed = true;
-                let (largest, duration) = (*largest, self.rules.jam_duration_s);
-                self.record.note(format!("jam: pressed for {duration} s with up to {largest:.0} N"));
-            }
-        } else {
-            self.press = None;
-        }
+        let grip = if self.grip.is_free() { 0.0 } else { self.grip_force };
+        self.press.feel(sight, grip, &mut self.record);
         let idle = match self.released {
             Some(Released { rested, .. }) => rested || sight.view.touches.body_on_object || touching(sight.view),
             None => self.grip.is_free() && sight.command == GripperCommand::Open,
@@ -189,9 +171,9 @@ impl Referee {
             && touching(view)
             && !over
         {
-            let moved = (view.tcp.inverse() * view.object).translation.vector - in_hand.translation.vector;
-            *slip = slip.max(moved.norm());
-            if !self.lifted && !view.touches.object_on_fixture {
+            *slip = slip.max(displacement(&in_hand, view));
+            let height = view.object.translation.z - self.told.cell.target[2];
+            if !self.lifted && !view.touches.object_on_fixture && height > LIFTED_M {
                 self.lifted = true;
                 self.record.note("object off the table");
             }
@@ -274,7 +256,7 @@ impl Trial for Referee {
         match self.released {
             _ if self.rules.modes == ModeSet::Paper => FailureMode::TIMEOUT,
             Some(Released { rested: true, .. }) => MISPLACED,
-            _ if self.jammed => JAM,
+            _ if self.press.jammed() => JAM,
             _ => FailureMode::TIMEOUT,
         }
     }

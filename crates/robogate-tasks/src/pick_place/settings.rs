@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use robogate_physics::Robot;
 
 use super::scene::workspace_scale;
-use crate::arm::{ArmSettings, HasSettings, on_arm, rows};
+use crate::arm::{ArmSettings, HasSettings, jam_rows, on_arm, rows};
 use crate::settings::{Choice, SettingRow};
 
 /// Pick and place with its settings.
@@ -113,7 +113,7 @@ on_arm!(PickPlace);
 
 impl HasSettings for PickPlace {
     fn rows() -> Vec<SettingRow<Self>> {
-        rows([
+        let own = [
             SettingRow::number(
                 "tolerance_m",
                 "Largest horizontal distance of the part from its target.",
@@ -126,26 +126,20 @@ impl HasSettings for PickPlace {
                 [1e-3, PI],
                 |task| &mut task.orientation_tolerance_rad,
             ),
-            SettingRow::number(
-                "jam_force_n",
-                "The robot presses if a contact force is above this. The grip force is added while it holds \
-                 the part.",
-                [0.1, 1e6],
-                |task| &mut task.jam_force_n,
-            ),
-            SettingRow::number("jam_duration_s", "Duration of pressing that is a jam.", [1e-3, 3600.0], |task| {
-                &mut task.jam_duration_s
-            }),
+        ];
+        let others = [
             SettingRow::choice(
                 "failure_modes",
                 "The failure modes that are reported: all, or the four of the paper.",
-                |task| &mut task.modes,
+                |task: &mut Self| &mut task.modes,
             ),
             SettingRow::choice(
                 "workspace",
                 "The size of the workspace: that of the paper, scaled to the robot or not.",
                 |task| &mut task.workspace,
             ),
-        ])
+        ];
+        let jam = jam_rows(|task: &mut Self| &mut task.jam_force_n, |task| &mut task.jam_duration_s);
+        rows(own.into_iter().chain(jam).chain(others))
     }
 }

@@ -12,7 +12,7 @@ mod scene;
 mod spec;
 pub mod statics;
 
-use crate::arm::{ArmSettings, HasSettings, on_arm, rows};
+use crate::arm::{ArmSettings, HasSettings, jam_rows, on_arm, rows};
 use crate::settings::SettingRow;
 
 /// The task's name.
@@ -27,18 +27,28 @@ pub struct Stacking {
     pub tolerance_m: f64,
     /// A part has tipped over beyond this angle, in radians.
     pub tilt_limit_rad: f64,
+    /// The robot presses if a contact force on it is above this, in newtons. While it holds a part, the grip force is added.
+    pub jam_force_n: f64,
+    /// Pressing for this long is a jam, in seconds.
+    pub jam_duration_s: f64,
 }
 
 impl Stacking {
     /// The task with its default settings.
-    pub const DEFAULT: Self = Self { arm: ArmSettings::lasting(30.0), tolerance_m: 0.01, tilt_limit_rad: 0.262 };
+    pub const DEFAULT: Self = Self {
+        arm: ArmSettings::lasting(30.0),
+        tolerance_m: 0.01,
+        tilt_limit_rad: 0.262,
+        jam_force_n: 100.0,
+        jam_duration_s: 0.05,
+    };
 }
 
 on_arm!(Stacking);
 
 impl HasSettings for Stacking {
     fn rows() -> Vec<SettingRow<Self>> {
-        rows([
+        let own = [
             SettingRow::number(
                 "tolerance_m",
                 "Largest horizontal distance of a part from its place on the part below.",
@@ -51,6 +61,7 @@ impl HasSettings for Stacking {
                 [0.01, 1.5],
                 |task| &mut task.tilt_limit_rad,
             ),
-        ])
+        ];
+        rows(own.into_iter().chain(jam_rows(|task: &mut Self| &mut task.jam_force_n, |task| &mut task.jam_duration_s)))
     }
 }

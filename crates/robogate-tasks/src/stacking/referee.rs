@@ -11,17 +11,18 @@
 //! | misplaced | a released part has come to rest out of order or farther than `tolerance_m` from its place |
 //! | success | all parts are in their places, have been at rest for 0.4 s, and the robot does not touch the last one |
 //!
-//! The rollout reports a timeout if none of these events happens within the time limit.
+//! If none of these events happens, the time limit ends the episode: with a jam if the robot pressed with more than `jam_force_n`,
+//! without interruption, for `jam_duration_s`, and otherwise with a timeout.
 
 use nalgebra::{Isometry3, Vector3};
-use robogate_core::{Assignment, Measures};
+use robogate_core::{Assignment, FailureMode, Measures};
 use robogate_physics::GripperCommand;
 
 use super::Stacking;
 use super::parameters::{PARTS, Settings, TABLE};
-use super::spec::{COLLISION, DROPPED, MARGIN, MISPLACED, MISSED, OFFSET, SLIP, TOPPLED};
+use super::spec::{COLLISION, DROPPED, JAM, MARGIN, MISPLACED, MISSED, OFFSET, SLIP, TOPPLED};
 use super::statics::{self, Level};
-use crate::arm::{Acting, Bodies, Found, Grip, GripChange, Record, Sight, Trial, still, touching};
+use crate::arm::{Acting, Bodies, Found, Grip, GripChange, Press, Record, Sight, Trial, displacement, still, touching};
 
 /// A part is dropped if it is released more than this above its resting height, in metres.
 const DROP_M: f64 = 0.03;
@@ -48,6 +49,9 @@ pub(crate) struct Referee {
     offset_m: Option<f64>,
     margin_m: Option<f64>,
     slip_m: Option<f64>,
+    press: Press,
+    /// Grip force in newtons.
+    grip_force_n: f64,
     /// Whether the parts hardly move and the gripper is open.
     still: bool,
 }
@@ -65,10 +69,13 @@ struct Released {
 impl Referee {
     /// The referee of an episode with these settings under these rules, for a gripper that holds with `grip_force_n` newtons.
     pub(super) fn new(settings: Settings, rules: Stacking, grip_force_n: f64) -> Self {
+        let grip_force_n = grip_force_n * settings.around.gripper.force_scale;
         Self {
             rules,
             selected: settings.order[1],
-            grip: Grip::new(grip_force_n * settings.around.gripper.force_scale),
+            grip: Grip::new(grip_force_n),
+            grip_force_n,
+            press: Press::new(rules.jam_force_n, rules.jam_duration_s),
             settings,
             complete: 1,
             released: None,
@@ -173,9 +180,7 @@ impl Referee {
 
     fn measure(&mut self, sight: &Sight<'_>) {
         if let Some(in_hand) = self.grip.in_hand().filter(|_| touching(sight.view)) {
-            let now = sight.view.tcp.inverse() * sight.view.object;
-            let slip = (now.translation.vector - in_hand.translation.vector).norm();
-            self.slip_m = Some(self.slip_m.unwrap_or(0.0).max(slip));
+            self.slip_m = Some(self.slip_m.unwrap_or(0.0).max(displacement(&in_hand, sight.view)));
         }
     }
 }
@@ -214,6 +219,8 @@ impl Trial for Referee {
             self.record.end(Some(COLLISION), sight.time, Some(collision));
             return;
         }
+        let grip = if self.grip.is_free() { 0.0 } else { self.grip_force_n };
+        self.press.feel(sight, grip, &mut self.record);
         let name = PARTS[self.selected];
         match self.grip.observe(sight.command, sight.time, sight.view) {
             Some(GripChange::Closes) => {
@@ -257,5 +264,9 @@ impl Trial for Referee {
 
     fn record(&mut self) -> &mut Record {
         &mut self.record
+    }
+
+    fn mode_at_limit(&self) -> FailureMode {
+        if self.press.jammed() { JAM } else { FailureMode::TIMEOUT }
     }
 }

@@ -15,6 +15,8 @@ pub(super) const MISPLACED: FailureMode = FailureMode::constant("misplaced");
 pub(super) const DROPPED: FailureMode = FailureMode::constant("dropped");
 /// The gripper closed without a part.
 pub(super) const MISSED: FailureMode = FailureMode::constant("missed");
+/// The time limit passed, and the robot had pressed on something.
+pub(super) const JAM: FailureMode = FailureMode::constant("jam");
 /// The robot touched the table.
 pub(super) const COLLISION: FailureMode = FailureMode::constant("collision");
 
@@ -45,6 +47,11 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
             mode(DROPPED, Severity::Critical, "A part was lost between grasp and release, or released in the air."),
             mode(MISSED, Severity::Major, "The gripper closed without a part."),
             mode(COLLISION, Severity::Critical, "A link or finger of the robot touched the table."),
+            mode(
+                JAM,
+                Severity::Critical,
+                "The time limit passed, and the robot had pressed for the duration of a jam.",
+            ),
             mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the stack was complete."),
         ],
         draws: foresight::draw_specs(robot.settings.arm.joints.len()),

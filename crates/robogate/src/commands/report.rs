@@ -15,6 +15,7 @@ use crate::changes;
 use crate::commands::analyze::{Groups, analyse, options};
 use crate::commands::gate;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::force_limits;
 use crate::place;
 use crate::terminal::{line, note};
 use crate::twins::NominalArguments;
@@ -94,6 +95,7 @@ impl Report {
         let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
         let twins = self.nominal.twins(&source, sampling)?;
         let active = source.folder().and_then(active_model::of_run);
+        let forces = force_limits::of_run(source.folder(), source.dictionary(), evaluation.as_ref())?;
         let changes = changes_of(&source, &analysis, evaluation.as_ref(), watch.as_ref());
         let additions = Additions {
             evaluation: evaluation.as_ref(),
@@ -102,6 +104,7 @@ impl Report {
             pairs: Some(&pairs),
             twins: twins.as_ref(),
             nominal: source.folder().map_or(Ok(None), nominal_rate_of)?,
+            forces: &forces,
             active: active.as_ref(),
         };
         let text = match self.format {
@@ -165,6 +168,7 @@ pub(crate) fn page(
     let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
     let twins = twins_of(dir, &source, sampling)?;
     let active = active_model::of_run(dir);
+    let forces = force_limits::of_run(Some(dir), source.dictionary(), evaluation.as_ref())?;
     let changes = changes_of(&source, &analysis, evaluation.as_ref(), Some(&watch));
     let additions = Additions {
         evaluation: evaluation.as_ref(),
@@ -173,6 +177,7 @@ pub(crate) fn page(
         pairs: Some(&pairs),
         twins: twins.as_ref(),
         nominal: nominal_rate_of(dir)?,
+        forces: &forces,
         active: active.as_ref(),
     };
     // Renamed when it is complete, because an existing page is kept.

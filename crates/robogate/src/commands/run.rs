@@ -9,12 +9,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::anyhow;
 use clap::Args;
 use robogate_analysis::Analysis;
-use robogate_campaign::folder::PLAN;
+use robogate_campaign::folder::{DICTIONARY, PLAN};
 use robogate_campaign::shards::ShardSet;
 use robogate_campaign::{ActiveStage, Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, Settings};
 use robogate_core::stress::STRESS_PREFIX;
 use robogate_core::{FailureMode, ParameterSpace, TaskSpec};
-use robogate_dictionary::Provenance;
+use robogate_dictionary::{Dictionary, Provenance};
 use robogate_gate::Sampling;
 use robogate_report::Watch;
 use robogate_stats::format::counted;
@@ -22,6 +22,7 @@ use robogate_stats::format::counted;
 use crate::arguments::{EnvironmentArguments, LatencyArguments, LocationArguments, PolicyArguments, TrustArguments};
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
+use crate::force_limits;
 use crate::given::Given;
 use crate::number::at_least_one;
 use crate::place;
@@ -90,6 +91,9 @@ pub(crate) struct Run {
     nominal: bool,
     #[command(flatten)]
     nominal_episodes: NominalEpisodes,
+    /// Report the contacts that exceed these limits of contact forces (TOML, docs/guides/forces.md)
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["shard", "divide"])]
+    force_limits: Option<PathBuf>,
     #[command(flatten)]
     environment: EnvironmentArguments,
     #[command(flatten)]
@@ -117,8 +121,9 @@ pub(crate) struct Run {
 
 /// The arguments of `run` that do not affect the results of a campaign. clap reports the arguments of the whole command as
 /// well.
-const WITHOUT_EFFECT: [&str; 18] = [
+const WITHOUT_EFFECT: [&str; 19] = [
     "out",
+    "force_limits",
     "in_flight",
     "shard",
     "divide",
@@ -204,6 +209,7 @@ impl Run {
         }
         plan.twins |= self.twins;
         plan.nominal_episodes = self.nominal_episodes.of(&subject, &plan, &space)?;
+        let limits = force_limits::opened(self.force_limits.as_deref(), subject.task())?;
         let provenance = subject.provenance(space)?;
         if let (Some(shards), Some(dir)) = (&self.shard, &self.out) {
             subject.register(dir, &provenance);
@@ -270,7 +276,11 @@ impl Run {
         let arms = Arms::of(&dir, &plan, &provenance.space, &subject)?;
         subject.register(&dir, &provenance);
         self.how.conduct(&dir, &subject, |executor, events| {
-            let completion = robogate_campaign::start(&dir, &plan, provenance, executor, events)?;
+            let mut started = |event: &Event| {
+                force_limits::keep(&dir, limits.as_ref(), event);
+                events(event);
+            };
+            let completion = robogate_campaign::start(&dir, &plan, provenance, executor, &mut started)?;
             arms.after(completion, executor, events)
         })
     }
@@ -460,6 +470,8 @@ pub(crate) fn conclude(dir: &Path, completion: &Completion, subject: Option<&Sub
             } else {
                 summary::print(dir, summary, boundary.as_deref(), analysis.as_ref(), nominal.as_ref());
                 twins.iter().for_each(twins::print);
+                let dictionary = Dictionary::open(&dir.join(DICTIONARY)).or_broken()?;
+                force_limits::print(&force_limits::of_run(Some(dir), &dictionary, None)?);
             }
             let evidence = summary.stages.iter().any(|stage| stage.valid > 0);
             Ok(if evidence { DONE } else { INVALID })

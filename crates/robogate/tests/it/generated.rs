@@ -40,6 +40,7 @@ fn schemas_are_up_to_date() {
         ("monitor-settings", schema_for!(robogate_monitor::service::ServiceSettings)),
         ("requirements", schema_for!(robogate_gate::Requirements)),
         ("baseline", schema_for!(robogate_gate::Baseline)),
+        ("force-limits", schema_for!(robogate_gate::ForceLimits)),
         ("gate-question", schema_for!(robogate_gate::Asked)),
         ("gate-plan", schema_for!(robogate_gate::GatePlan)),
         ("evaluation", schema_for!(robogate_gate::Evaluation)),

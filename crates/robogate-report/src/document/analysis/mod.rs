@@ -5,6 +5,7 @@ mod conditions;
 mod danger;
 mod envelope;
 mod failures;
+mod forces;
 mod marginal;
 mod models;
 mod provenance;
@@ -87,6 +88,7 @@ fn sections(analysis: &Analysis, additions: &Additions<'_>) -> Vec<Section> {
         ),
         blocks: vec![Block::Text(nominal.line())],
     }));
+    sections.extend(forces::section(additions.forces));
     sections.extend(conditions::section(analysis));
     sections.extend([
         marginal::section(analysis),

@@ -22,6 +22,7 @@ use robogate_core::{
 };
 use robogate_physics::{ArmState, Chain, Fixture, Robot, SuctionLaw, grip_force, isometry};
 
+use super::forces::no_wrist_sensor;
 use super::{Found, HasSettings, Judge, Resolved, Rules, camera_specs, cameras, render, show};
 use report::{Expected, Seen};
 
@@ -59,6 +60,7 @@ impl RemoteArm {
         picture_px: [usize; 2],
     ) -> Result<Self, String> {
         let settings = task.arm();
+        no_wrist_sensor(settings)?;
         let grip_force_n = grip_force(&robot.settings.gripper, settings.grip_force_n)?;
         let expected = Expected { has_cup: robot.settings.gripper.cup().is_some(), ..Expected::default() };
         let cameras = cameras(&robot, picture_px);

@@ -1,7 +1,7 @@
 //! Reports of an engine in another process as plain data.
 
 use nalgebra::{Isometry3, Vector3};
-use robogate_core::{Fault, FaultKind, Observation, Pose};
+use robogate_core::{Fault, FaultKind, Observation, Pose, RegionForces};
 use robogate_physics::{
     Collision, Engine, FixtureRead, FreeBodyRead, GripperState, Hit, Plant, Readback, StepView, Touches,
     exact_isometry, pose,
@@ -50,6 +50,9 @@ pub struct RemoteSight {
     pub collision: Option<RemoteCollision>,
     /// The largest contact force on any body of the robot.
     pub peak_force_n: Option<f64>,
+    /// The largest contact force of each region of the robot (arm, hand, fingers) on parts and on anything else.
+    #[serde(default)]
+    pub region_forces_n: RegionForces,
     /// Every object of the cell.
     pub objects: Vec<RemoteState>,
     /// Pose of the tool centre point.
@@ -210,6 +213,7 @@ impl RemoteSight {
                 object_on_fixture: self.object_on_fixture,
                 collision,
                 peak_force: self.peak_force_n,
+                regions: self.region_forces_n,
             },
             support_n: self.support_n.into(),
             objects: self.objects.iter().map(state).collect::<Result<_, Fault>>()?,
@@ -247,6 +251,7 @@ impl RemoteSight {
                 RemoteCollision { robot_body: body(robot_body), fixture, other_body, force_n: force }
             }),
             peak_force_n: touches.peak_force,
+            region_forces_n: touches.regions,
             objects: (0..objects).map(state).collect(),
             tool_pose: pose(&view.tcp),
             opening_m,

@@ -15,6 +15,7 @@ use crate::changes;
 use crate::commands::analyze::analyse;
 use crate::commands::report::target_of;
 use crate::exit::{Exit, OrExit};
+use crate::force_limits;
 use crate::terminal::note;
 use crate::twins::NominalArguments;
 use robogate_session::text::quoted;
@@ -36,6 +37,7 @@ impl Gate {
             (None, Some(asked)) => asked.requirements.clone(),
             (name, _) => Requirements::open(name.as_deref().unwrap_or("default"), &record.task)?,
         };
+        let requirements = force_limits::added(requirements, self.force_limits.as_deref(), &record.task)?;
         let other = match &asked {
             Some(asked) if self.baseline.is_none() => {
                 Other { baseline: asked.baseline.clone(), record: compared_with(asked)? }

@@ -49,6 +49,10 @@ pub(crate) struct Gate {
     /// Choose the requirements: default, paper or a TOML file
     #[arg(long, value_name = "NAME|FILE")]
     requirements: Option<String>,
+    /// Also require that at most 1 % of the episodes exceed these limits of contact forces, and list the contacts that do
+    /// (TOML, docs/guides/forces.md)
+    #[arg(long, value_name = "FILE")]
+    force_limits: Option<PathBuf>,
     /// Compare relative requirements with this baseline file or run; with a run, also test whether this policy may
     /// replace that one
     #[arg(long, value_name = "FILE|RUN")]

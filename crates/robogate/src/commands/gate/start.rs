@@ -19,6 +19,7 @@ use crate::commands::register::{Registered, Registrar, free};
 use crate::commands::run::{How, free_folder, introduce};
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, OrExit};
+use crate::force_limits;
 use crate::place;
 use crate::terminal::{line, note};
 use robogate_session::{
@@ -96,6 +97,7 @@ impl Gate {
             subject.with_statistics(&self.policy.choice().statistics)?.with_latency(&self.latency.choice())?;
         let wanted = self.requirements.as_deref().unwrap_or("default");
         let requirements = Requirements::open(wanted, subject.task())?;
+        let requirements = force_limits::added(requirements, self.force_limits.as_deref(), subject.task())?;
         let suite = self.suite(&subject)?;
         subject.check_suite(&suite).or_usage()?;
         let (rounds, sampling) = rounds_and_sampling(&suite, &requirements, self.rounds, self.fixed);
