@@ -174,7 +174,11 @@ impl Requirements {
                 (Err(reason), _) => return Err(wrong(reason)),
             }
         }
-        Ok(if unseen.is_empty() { Cow::Borrowed(record) } else { Cow::Owned(record.without(&unseen)) })
+        let mut record = if unseen.is_empty() { Cow::Borrowed(record) } else { Cow::Owned(record.without(&unseen)) };
+        if self.requirement.iter().any(|requirement| requirement.metric == Metric::Stage) {
+            record = Cow::Owned(record.with_stages());
+        }
+        Ok(record)
     }
 
     /// Parses TOML.

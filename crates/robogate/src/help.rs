@@ -37,6 +37,7 @@ const MEMBERS: [&[&str]; 4] = [
         "family",
         "stress",
         "wordings",
+        "event",
     ],
     &[
         "engine",
@@ -55,7 +56,7 @@ const MEMBERS: [&[&str]; 4] = [
     ],
     &[
         "n", "preset", "plan", "rounds", "seed", "design", "fixed", "share", "twins", "controls", "margin", "target",
-        "requests", "episodes",
+        "requests", "episodes", "check",
     ],
     &["out", "json", "html", "format", "gif", "mp4", "mcap", "png-strip", "sheet", "list", "force", "svg", "csv"],
 ];

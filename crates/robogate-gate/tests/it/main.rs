@@ -10,6 +10,7 @@ mod evaluation;
 mod evidence;
 mod leaderboard;
 mod planning;
+mod production;
 mod real;
 mod ruled_out;
 mod score;

@@ -49,6 +49,7 @@ mod pages;
 mod policy;
 mod project;
 mod rank;
+mod rare;
 mod runs;
 mod settings;
 mod shards;
