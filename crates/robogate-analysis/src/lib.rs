@@ -63,8 +63,8 @@ pub use marginal::{
     Zone,
 };
 pub use models::{
-    CalibrationFigures, Coefficient, Estimate, Frontier, FrontierPoint, Penalty, PenaltyLevel, Regression,
-    ReliabilityBin, RiskModel, RocCurve, RocFigures, Scoring, ScoringTerm,
+    CalibrationFigures, Coefficient, Estimate, Frontier, FrontierPoint, MOST_COLUMNS, Penalty, PenaltyLevel, Predictor,
+    PredictorColumn, Regression, ReliabilityBin, RiskModel, RocCurve, RocFigures, Scoring, ScoringTerm,
 };
 pub use pair_counts::{ListedEpisode, PairCounts, pair_counts};
 pub use pairs::{Axis, ModelRate, PairCell, PairMap, ZoneCounts};

@@ -74,6 +74,7 @@ fn task() -> TaskSpec {
         draws: Vec::new(),
         measures: Vec::new(),
         phases: Vec::new(),
+        stages: Vec::new(),
         parameters: Vec::new(),
         settings: Vec::new(),
         observation: ObservationSpec { cameras: vec![camera], ..ObservationSpec::default() },

@@ -6,8 +6,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    Action, ActionSpec, Assignment, Domain, FailureMode, Observation, Parameter, ParameterSpace, Scale, SettingSpec,
-    Value, Word,
+    Action, ActionSpec, Assignment, Domain, FailureMode, Measures, Observation, Parameter, ParameterSpace, Scale,
+    SettingSpec, Value, Word,
 };
 
 /// A task, as declared by the component that holds the world.
@@ -40,6 +40,10 @@ pub struct TaskSpec {
     /// The phases that a policy may report, in order. Empty if the task has none.
     #[serde(default)]
     pub phases: Vec<Word>,
+    /// The stages of an episode before success, in order ("grasped", "lifted"). The measure [`Self::STAGES`] counts those that an
+    /// episode reached. Absent if the task has none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub stages: Vec<Word>,
     /// The parameters that can vary.
     #[serde(default)]
     pub parameters: Vec<ParameterSpec>,
@@ -283,6 +287,7 @@ impl TaskSpec {
             ("measures", self.measures.len()),
             ("draws", self.draws.len()),
             ("phases", self.phases.len()),
+            ("stages", self.stages.len()),
             ("parameters", self.parameters.len()),
             ("settings", self.settings.len()),
             ("observation.vectors", self.observation.vectors.len()),
@@ -295,6 +300,10 @@ impl TaskSpec {
         unique("measures", self.measures.iter().map(|measure| measure.name.as_str()))?;
         unique("draws", self.draws.iter().map(|draw| draw.name.as_str()))?;
         unique("phases", self.phases.iter().map(|phase| phase.as_str()))?;
+        unique("stages", self.stages.iter().map(|stage| stage.as_str()))?;
+        if !self.stages.is_empty() && self.measure(Self::STAGES).is_none() {
+            return Err(TaskError::Stages);
+        }
         unique("parameters", self.parameters.iter().map(|parameter| &*parameter.name))?;
         unique("settings", self.settings.iter().map(|setting| &*setting.name))?;
         unique("observation.vectors", self.observation.vectors.iter().map(|vector| vector.name.as_str()))?;
@@ -309,6 +318,20 @@ impl TaskSpec {
                 .and_then(|()| values())
                 .map_err(|problem| TaskError::Setting { setting: setting.name.to_string(), problem })
         })
+    }
+
+    /// The measure that counts the stages that an episode reached.
+    pub const STAGES: &str = "stages";
+
+    /// The share of the way to success that an episode went, of which success is the last step: 1 for a success, otherwise the reached stages
+    /// divided by one more than all of them. `None` if the task declares no stages, or if the episode did not count them.
+    pub fn stage_share(&self, success: bool, measures: &Measures) -> Option<f64> {
+        let all = self.stages.len() as f64;
+        match (self.stages.is_empty(), success) {
+            (true, _) => None,
+            (false, true) => Some(1.0),
+            (false, false) => measures.get(Self::STAGES).map(|reached| reached.clamp(0.0, all) / (all + 1.0)),
+        }
     }
 
     /// The time limit as a number of control periods.
@@ -463,6 +486,9 @@ fn unique<'a>(list: &'static str, names: impl Iterator<Item = &'a str>) -> Resul
 /// The reason why a task declaration is invalid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TaskError {
+    /// Stages without the measure that counts them.
+    #[error("`stages` needs the measure `stages`, the number of stages that an episode reached")]
+    Stages,
     /// The time limit is not a positive number of control periods.
     #[error("time limit {limit_s} s in control periods of {period_s} s is not a positive number of periods")]
     TimeLimit {

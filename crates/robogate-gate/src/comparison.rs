@@ -63,6 +63,45 @@ pub struct Comparison {
     pub p_violated: f64,
     /// The status of the comparison.
     pub status: Status,
+    /// The same pairs by the share of the way to success that each episode went. The verdict does not depend on it. `None` if the task
+    /// declares no stages.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stage: Option<StageComparison>,
+}
+
+/// Pairs by the share of the way to success, of which success is the last step. A policy that gets further is seen with fewer episodes than by
+/// success alone.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct StageComparison {
+    /// Pairs in which both shares are known.
+    pub pairs: u64,
+    /// Mean share of B minus that of A.
+    pub difference: f64,
+    /// 95 % interval, valid after any round. Pairs with an unknown share count against each end.
+    pub interval_95: [f64; 2],
+    /// p-value of "the shares are equal or A's is larger", likewise.
+    pub p_better: f64,
+    /// p-value of "the shares are equal or B's is larger", likewise.
+    pub p_worse: f64,
+}
+
+impl StageComparison {
+    /// The comparison of B's share minus A's in each pair, by betting on its mean.
+    fn of(differences: &[Option<f64>], looks: &[usize]) -> Option<Self> {
+        let known: Vec<f64> = differences.iter().copied().flatten().collect();
+        // The difference, -1 to 1, is shifted to 0 to 2.
+        let shifted = |unknown: f64| differences.iter().map(|d| d.map_or(unknown, |d| 1.0 + d)).collect::<Vec<f64>>();
+        let (worst, best) = (shifted(0.0), shifted(2.0));
+        let (low, high) = (BoundedMean::new(&worst, looks, 2.0).ok()?, BoundedMean::new(&best, looks, 2.0).ok()?);
+        let tail = Confidence::P95.tail();
+        (!known.is_empty()).then(|| Self {
+            pairs: known.len() as u64,
+            difference: known.iter().sum::<f64>() / known.len() as f64,
+            interval_95: [low.interval(tail).low - 1.0, high.interval(tail).high - 1.0],
+            p_better: (-low.ln_evidence_above(1.0)).exp(),
+            p_worse: (-high.ln_evidence_below(1.0)).exp(),
+        })
+    }
 }
 
 impl Comparison {
@@ -140,12 +179,27 @@ impl Against<'_> {
             let baseline = self.record.population.to_string();
             return Err(GateError::ForeignBaseline { baseline, run: population.to_string() });
         }
-        if self.record.imported || record.imported {
-            let twins = imported_twins(self.record, record)?;
-            return self.conclude(&twins, &[twins.len()], record.sampling(sampling), None);
-        }
-        let (twins, looks) = self.twins(record)?;
-        self.conclude(&twins, &looks, self.record.sampling(sampling), planned_rounds(record))
+        let imported = self.record.imported || record.imported;
+        let (pairs, looks) = if imported {
+            let pairs = imported_pairs(self.record, record)?;
+            let looks = vec![pairs.len()];
+            (pairs, looks)
+        } else {
+            self.pairs(record)?
+        };
+        let twins: Vec<Twin> = pairs.iter().map(|(a, b)| twin(a, b)).collect();
+        let share = |record: &Record, trial: &Trial| {
+            let valid = trial.ending.is_valid();
+            valid.then(|| record.task.stage_share(trial.ending == Ending::Success, &trial.measures)).flatten()
+        };
+        let differences: Vec<Option<f64>> =
+            pairs.iter().map(|(a, b)| Some(share(record, b)? - share(self.record, a)?)).collect();
+        let (stated, planned) = match imported {
+            true => (record.sampling(sampling), None),
+            false => (self.record.sampling(sampling), planned_rounds(record)),
+        };
+        let stage = StageComparison::of(&differences, &looks);
+        Ok(Comparison { stage, ..self.conclude(&twins, &looks, stated, planned)? })
     }
 
     /// The comparison after all planned rounds of a suite, once if all pairs that are not invalid speak for this policy, and once if the
@@ -170,11 +224,17 @@ impl Against<'_> {
         Ok(Some([best, all(&|twin, _| twin)?]))
     }
 
-    /// The pairs of complete rounds, and their number after each round.
+    /// Whether the episodes of the pairs of complete rounds succeeded, and their number after each round.
     fn twins(&self, record: &Record) -> Result<(Vec<Twin>, Vec<usize>), GateError> {
+        let (pairs, looks) = self.pairs(record)?;
+        Ok((pairs.iter().map(|(a, b)| twin(a, b)).collect(), looks))
+    }
+
+    /// The pairs of complete rounds, and their number after each round.
+    fn pairs<'a>(&'a self, record: &'a Record) -> Result<(Vec<(&'a Trial, &'a Trial)>, Vec<usize>), GateError> {
         let others: BTreeMap<u64, &Trial> = self.record.trials.iter().map(|trial| (trial.index, trial)).collect();
         let rounds = Rounds::of(&record.trials, &record.population)?;
-        let mut twins: Vec<Twin> = Vec::new();
+        let mut pairs = Vec::new();
         let mut looks = Vec::new();
         for round in &rounds.rounds {
             let found: Vec<(&Trial, &Trial)> =
@@ -185,11 +245,11 @@ impl Against<'_> {
             }
             for (a, b) in found {
                 same_world(a, b)?;
-                twins.push(twin(a, b));
+                pairs.push((a, b));
             }
-            looks.push(twins.len());
+            looks.push(pairs.len());
         }
-        Ok((twins, looks))
+        Ok((pairs, looks))
     }
 
     /// `rounds` is the largest number of looks, if it was fixed before the first episode.
@@ -255,6 +315,7 @@ impl Against<'_> {
             p_met,
             p_violated,
             status: if none { Status::NoEvidence } else { Status::Undecided },
+            stage: None,
         })
     }
 }
@@ -269,11 +330,11 @@ fn planned_rounds(record: &Record) -> Option<u64> {
 
 /// Pairs imported episodes by case and seed, because nothing else identifies their scenario. A file without cases has
 /// one, and a file without seeds is paired by the number of the episode within its case.
-fn imported_twins(other: &Record, this: &Record) -> Result<Vec<Twin>, GateError> {
+fn imported_pairs<'a>(other: &'a Record, this: &'a Record) -> Result<Vec<(&'a Trial, &'a Trial)>, GateError> {
     let without = |record: &Record| record.trials.iter().all(|trial| trial.label.case.is_none());
     let one_case = without(other) && without(this);
     let (others, these) = (by_identity(other, one_case)?, by_identity(this, one_case)?);
-    Ok(these.iter().filter_map(|(key, b)| Some(twin(others.get(key)?, b))).collect())
+    Ok(these.iter().filter_map(|(key, b)| Some((*others.get(key)?, *b))).collect())
 }
 
 fn by_identity(record: &Record, one_case: bool) -> Result<BTreeMap<(&str, i64), &Trial>, GateError> {

@@ -23,7 +23,7 @@ use crate::ruled_out::RuledOut;
 use crate::scope::{Scope, expand};
 use crate::{
     Baseline, Bound, ConfidenceScore, Ending, Family, ForceLimitResult, GateError, Metric, Mode, NewCases, NominalRate,
-    Population, RealEvidence, Record, Requirement, Requirements, Trial, Twins, Verdict,
+    Population, ProductionFigures, RealEvidence, Record, Requirement, Requirements, Trial, Twins, Verdict,
 };
 
 /// How the number of episodes was chosen. It determines which test is valid.
@@ -200,6 +200,9 @@ pub struct Evaluation {
     pub results: Vec<RequirementResult>,
     /// Whether the policy may replace another one, if that was requested.
     pub comparison: Option<Comparison>,
+    /// Figures of production. `None` if no duration was recorded.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub production: Option<ProductionFigures>,
     /// Success rates by scenario group.
     pub groups: Vec<GroupResult>,
     /// The confidence score. `None` if the requirements define none.
@@ -412,6 +415,7 @@ impl Question<'_> {
             new_cases: NewCases::of(&record.population, &rounds.trials().collect::<Vec<&Trial>>()),
             results,
             comparison,
+            production: ProductionFigures::of(&rounds.trials().collect::<Vec<&Trial>>()),
             groups: groups(&rounds, how),
             score: ConfidenceScore::of(&requirements.score, self.baseline, rounds.rounds.iter().flatten().copied()),
             controls: record.controls.clone(),

@@ -1,8 +1,10 @@
 //! The value of a metric over a set of trials, with bounds for its invalid episodes.
 
+use robogate_core::Word;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::production;
 use crate::{Bound, Ending, Metric, Sense, Trial};
 
 /// A figure over the valid episodes, with the bounds that the invalid episodes allow.
@@ -16,13 +18,20 @@ pub struct Extremes {
     pub most: Option<f64>,
 }
 
+/// The share of the way to success as a measure of a trial ([`crate::Record::with_stages`]).
+pub(crate) const STAGE_SHARE: Word = Word::constant("stage_share");
+
 /// Whether the event of a metric happened in one trial. `None` if the trial does not record it.
 pub(crate) fn happened(metric: Metric, bound: Bound, trial: &Trial) -> Option<bool> {
     let mode = match metric {
         Metric::Success => return trial.ending.is_valid().then_some(trial.ending == Ending::Success),
         Metric::Failure(mode) | Metric::FailureCount(mode) => mode,
-        Metric::RealSuccess => return None,
+        Metric::RealSuccess | Metric::Production(_) | Metric::Stage => return None,
         Metric::ForceLimit(name) => return trial.exceeds(name).filter(|_| trial.ending.is_valid()),
+        Metric::TimeToSuccess(_) => {
+            let late = |time: f64| trial.ending != Ending::Success || !bound.holds(time);
+            return trial.time_s.filter(|_| trial.ending.is_valid()).map(late);
+        }
         // The event of a quantile: the value lies beyond the limit.
         Metric::CycleTime(_) | Metric::Measure(..) => return value(metric, trial).map(|x| !bound.holds(x)),
     };
@@ -47,11 +56,14 @@ pub(crate) fn value(metric: Metric, trial: &Trial) -> Option<f64> {
     let value = match metric {
         Metric::CycleTime(_) => trial.time_s,
         Metric::Measure(name, _) => trial.measures.get(name.as_str()).filter(|x| x.is_finite()),
+        Metric::Stage => trial.measures.get(STAGE_SHARE.as_str()),
         Metric::Success
         | Metric::RealSuccess
         | Metric::Failure(_)
         | Metric::FailureCount(_)
-        | Metric::ForceLimit(_) => None,
+        | Metric::ForceLimit(_)
+        | Metric::TimeToSuccess(_)
+        | Metric::Production(_) => None,
     };
     value.filter(|_| trial.ending.is_valid())
 }
@@ -85,6 +97,13 @@ pub(crate) fn figure<'a>(
     trials: impl Iterator<Item = &'a Trial>,
     range: [Option<f64>; 2],
 ) -> (u64, u64, Extremes) {
+    match metric {
+        Metric::Production(figure) => return production::figure(figure, &trials.collect::<Vec<_>>(), range[1]),
+        Metric::TimeToSuccess(q) => {
+            return production::time_to_success(f64::from(q) / 1000.0, &trials.collect::<Vec<_>>());
+        }
+        _ => {}
+    }
     if let Some(q) = metric.quantile() {
         return quantile(metric, q, trials);
     }

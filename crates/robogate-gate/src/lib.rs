@@ -32,6 +32,7 @@ mod next_budget;
 mod nominal;
 mod pair_plan;
 mod plan;
+mod production;
 mod ranking;
 mod real;
 mod record;
@@ -50,7 +51,7 @@ mod verdict;
 pub use asked::{Asked, AskedAgainst};
 pub use baseline::{Baseline, BaselineFigure};
 pub use cases::NewCases;
-pub use comparison::{Against, Comparison, Planned, check_pairing, check_repeats};
+pub use comparison::{Against, Comparison, Planned, StageComparison, check_pairing, check_repeats};
 pub use error::GateError;
 pub use evaluation::{
     Counts, Dropped, EndingCount, Evaluation, FeasibleRate, GroupResult, Question, RequirementResult, Sampling, Status,
@@ -60,11 +61,12 @@ pub use fleet::{DriverForm, Fleet, FleetSubject, FleetUnit, UnitDriver, UnitPlac
 pub use force_limits::{ExcessContact, ForceLimit, ForceLimitResult, ForceLimits};
 pub use joint_plan::JointOperating;
 pub use leaderboard::{Leaderboard, Standing};
-pub use metric::{Metric, Statistic};
+pub use metric::{Metric, Production, Statistic};
 pub use next_budget::NextBudget;
 pub use nominal::NominalRate;
 pub use pair_plan::{PairOperating, PairPlan};
 pub use plan::{GatePlan, Operating, RequirementPlan};
+pub use production::{ProductionFigure, ProductionFigures, UNLIMITED};
 pub use ranking::{DroppedPolicy, RankedPair, RankedPolicy, Ranking, RankingDesign, RankingGuarantee};
 pub use real::{RealEvidence, RealStratum};
 pub use record::{Population, Record};

@@ -29,7 +29,7 @@ impl NextBudget {
         let (metric, limit) = (result.requirement.metric, result.bound.limit);
         let is_rate = !metric.is_mean() && metric.quantile().is_none() && (0.0..=1.0).contains(&limit);
         // A new gate does not repeat the trials of the real robot.
-        let is_rate = is_rate && metric != Metric::RealSuccess;
+        let is_rate = is_rate && !matches!(metric, Metric::RealSuccess | Metric::Production(_));
         if result.status != Status::Undecided || !is_rate {
             return None;
         }

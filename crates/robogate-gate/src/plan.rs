@@ -12,12 +12,15 @@ use robogate_stats::bounded_mean::BoundedMean;
 use robogate_stats::budgeted::Budget;
 use robogate_stats::compare::at_least;
 use robogate_stats::operating::{RateTest, Schedule, characteristics};
+use robogate_stats::renewal::rate_of_run;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::joint_plan::{JointOperating, joint};
 use crate::scope::{Scope, expand};
-use crate::{Baseline, Bound, Ending, GateError, Metric, Mode, Requirement, Requirements, Sampling, Sense, Trial};
+use crate::{
+    Baseline, Bound, Ending, GateError, Metric, Mode, Production, Requirement, Requirements, Sampling, Sense, Trial,
+};
 
 /// True rates of the table, as multiples of the failure rate that the limit allows.
 const MULTIPLES: [f64; 11] = [0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 5.0];
@@ -174,25 +177,34 @@ fn demand(
     let id = requirement.id();
     let metric = requirement.metric;
     let mut plan = RequirementPlan { id, requirement, bound, per_round, fewest_rounds: None, at: Vec::new() };
+    if matches!(metric, Metric::Production(figure) if figure.is_per_time()) {
+        // It depends on the durations, which are not known before.
+        plan.fewest_rounds = Some(1);
+        return Ok(plan);
+    }
     if metric.is_mean() {
         plan.fewest_rounds = fewest_steady(&plan, alpha, baseline);
         return Ok(plan);
     }
+    let n = match schedule {
+        Schedule::Fixed { n } => n,
+        Schedule::Rounds { per_round, rounds } | Schedule::Budget(Budget { per_round, rounds }) => per_round * rounds,
+    };
     // For a quantile, this share of the values must meet the limit.
     let good = match (metric.quantile(), bound.sense) {
         (Some(q), Sense::AtMost) => q,
         (Some(q), Sense::AtLeast) => 1.0 - q,
-        (None, Sense::AtLeast) => bound.limit,
+        (None, Sense::AtLeast) => match metric {
+            Metric::Production(Production::CyclesBetweenFailures) => 1.0 - 1.0 / bound.limit,
+            Metric::Production(_) => rate_of_run(usize::try_from(n).unwrap_or(usize::MAX), bound.limit as usize),
+            _ => bound.limit,
+        },
         (None, Sense::AtMost) => 1.0 - bound.limit,
     };
     let test = RateTest { at_least: good, alpha, beta };
     if mode == Mode::Confidence {
         plan.fewest_rounds = test.fewest(schedule, MOST_EPISODES).map(|n| n.div_ceil(per_round));
     }
-    let n = match schedule {
-        Schedule::Fixed { n } => n,
-        Schedule::Rounds { per_round, rounds } | Schedule::Budget(Budget { per_round, rounds }) => per_round * rounds,
-    };
     // A limit on a count allows this many among n. Its share replaces the rate.
     let allowed = if let Metric::FailureCount(_) = metric { bound.limit / n as f64 } else { 1.0 - good };
     // If no event is allowed, the multiples are those of one event in n.

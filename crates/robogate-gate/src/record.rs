@@ -13,7 +13,8 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::cases::repeated;
-use crate::{GateError, RealEvidence, Sampling, Trial};
+use crate::figure::STAGE_SHARE;
+use crate::{Ending, GateError, RealEvidence, Sampling, Trial};
 
 /// The population that a set of episodes represents.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -219,6 +220,17 @@ impl Record {
     pub(crate) fn without(&self, modes: &[FailureMode]) -> Self {
         let mut record = self.clone();
         record.trials.iter_mut().for_each(|trial| trial.unseen.extend_from_slice(modes));
+        record
+    }
+
+    /// The same record, with the share of the way to success as a measure of every valid trial.
+    #[must_use]
+    pub(crate) fn with_stages(&self) -> Self {
+        let mut record = self.clone();
+        for trial in record.trials.iter_mut().filter(|trial| trial.ending.is_valid()) {
+            let share = self.task.stage_share(trial.ending == Ending::Success, &trial.measures);
+            trial.measures.set(STAGE_SHARE, share);
+        }
         record
     }
 

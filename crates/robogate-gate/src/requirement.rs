@@ -5,7 +5,7 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Baseline, GateError, Metric, Mode, Statistic};
+use crate::{Baseline, GateError, Metric, Mode, Production, Statistic};
 
 /// A limit on one metric.
 ///
@@ -150,11 +150,34 @@ impl Requirement {
         if self.each.is_some() && (self.category.is_some() || self.group.is_some()) {
             return wrong("`each` cannot be combined with `category` or `group`");
         }
-        if self.ceiling.is_some() && !self.metric.is_mean() {
-            return wrong("`ceiling` applies to means of `cycle_time_s` and of measures only");
+        let per_time = matches!(self.metric, Metric::Production(figure) if figure.is_per_time());
+        if self.ceiling.is_some() && !self.metric.is_mean() && !per_time {
+            return wrong(
+                "`ceiling` applies to means of `cycle_time_s` and of measures, and to figures per time, only",
+            );
+        }
+        if let Metric::Production(figure) = self.metric {
+            let Some(limit) = self.at_least else { return wrong("a figure of production needs `at_least`") };
+            if mode == Mode::Confidence && per_time && self.ceiling.is_none_or(|ceiling| ceiling <= 0.0) {
+                return wrong(
+                    "it needs `ceiling`, the longest possible duration of an episode: the time limit in seconds",
+                );
+            }
+            let least = if figure == Production::CyclesBetweenFailures { 1.0 } else { 0.0 };
+            if limit <= least {
+                let reason = format!("`at_least {limit}` holds for every policy. Expected more than {least}");
+                return Err(GateError::Requirement { id: self.id(), reason });
+            }
+            if figure == Production::LongestCleanRun && (limit.fract() != 0.0 || limit > 1e6) {
+                return wrong("`at_least` is a number of episodes. Expected an integer of at most 1,000,000");
+            }
+        }
+        if let (Metric::TimeToSuccess(_), None) = (self.metric, self.at_most) {
+            return wrong("a time to success needs `at_most`");
         }
         if self.ceiling.is_none()
             && self.metric.is_mean()
+            && self.metric != Metric::Stage
             && (mode == Mode::Confidence || self.metric == Metric::MEAN_CYCLE_TIME)
         {
             return wrong(
@@ -184,11 +207,14 @@ impl Requirement {
             Metric::CycleTime(_) => [Some(0.0), self.ceiling],
             // Without a ceiling the range of a measure is unknown, and 0 is not assumed.
             Metric::Measure(..) => [self.floor.or(self.ceiling.map(|_| 0.0)), self.ceiling],
+            Metric::Production(_) => [Some(0.0), self.ceiling],
+            Metric::Stage => [Some(0.0), Some(1.0)],
             Metric::Success
             | Metric::RealSuccess
             | Metric::Failure(_)
             | Metric::FailureCount(_)
-            | Metric::ForceLimit(_) => [None, None],
+            | Metric::ForceLimit(_)
+            | Metric::TimeToSuccess(_) => [None, None],
         }
     }
 

@@ -21,6 +21,7 @@ use robogate_stats::stratified::{self, Strata, ln_pooled_above, ln_pooled_below}
 use robogate_stats::{Confidence, Interval, Trials, clopper_pearson};
 
 use crate::figure::{Tally, applies, happened, value};
+use crate::production;
 use crate::{Bound, GateError, Metric, Requirement, Sampling, Sense, Trial};
 
 /// Both p-values, and the interval at error α on each side.
@@ -66,6 +67,9 @@ pub(crate) fn test(
     } else {
         (rounds, how)
     };
+    if let Metric::Production(figure) = metric {
+        return production::test(figure, requirement, bound, rounds, how);
+    }
     if metric.is_mean() {
         return mean(requirement, bound, rounds, how);
     }
@@ -85,7 +89,7 @@ struct Look {
 }
 
 /// Tests the rate of an event against `bound`. For a quantile, the event is a value beyond `limit`.
-fn rate(metric: Metric, limit: Bound, bound: Bound, rounds: &[Vec<&Trial>], how: How) -> Tested {
+pub(crate) fn rate(metric: Metric, limit: Bound, bound: Bound, rounds: &[Vec<&Trial>], how: How) -> Tested {
     let mut tally = Tally::default();
     let looks: Vec<Look> = rounds
         .iter()

@@ -195,6 +195,9 @@ impl Requirements {
             force_limits::check_task(&self.force_limit, task)?;
             record.to_mut().trials.iter_mut().for_each(|trial| trial.judge_forces(&self.force_limit));
         }
+        if self.requirement.iter().any(|requirement| requirement.metric == Metric::Stage) {
+            record = Cow::Owned(record.with_stages());
+        }
         Ok(record)
     }
 

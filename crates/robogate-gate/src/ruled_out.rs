@@ -16,11 +16,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::evaluation::Question;
+use crate::figure::STAGE_SHARE;
 use crate::requirement_test::How;
 use crate::rounds::Rounds;
 use crate::{
-    Bound, Comparison, Counts, Ending, GateError, Metric, Mode, Population, Record, Requirement, RequirementResult,
-    Sampling, Sense, Status, Trial,
+    Bound, Comparison, Counts, Ending, GateError, Metric, Mode, Population, Production, Record, Requirement,
+    RequirementResult, Sampling, Sense, Status, Trial,
 };
 
 /// Number of episodes without a valid one that stop a gate.
@@ -227,12 +228,15 @@ impl Good {
             _ => Ending::Success,
         };
         let value = match metric {
+            Metric::Stage => Some(if least { 1.0 } else { 0.0 }),
             Metric::CycleTime(_) | Metric::Measure(..) if metric.is_mean() => {
                 let [floor, ceiling] = requirement.range();
                 Some(if least { ceiling? } else { floor? })
             }
             // The limit of a quantile itself satisfies it.
-            Metric::CycleTime(_) | Metric::Measure(..) => Some(bound.limit),
+            Metric::CycleTime(_) | Metric::Measure(..) | Metric::TimeToSuccess(_) => Some(bound.limit),
+            Metric::Production(Production::TimeBetweenAssists) => requirement.ceiling,
+            Metric::Production(_) => Some(0.0),
             _ => None,
         };
         Some(Self { metric, ending, value })
@@ -248,8 +252,9 @@ impl Good {
         good.unseen.clear();
         good.forces.iter_mut().for_each(|(_, exceeded)| *exceeded = Some(false));
         match (self.metric, self.value) {
-            (Metric::CycleTime(_), value) => good.time_s = value,
+            (Metric::CycleTime(_) | Metric::TimeToSuccess(_) | Metric::Production(_), value) => good.time_s = value,
             (Metric::Measure(name, _), value) => good.measures.set(name, value),
+            (Metric::Stage, value) => good.measures.set(STAGE_SHARE, value),
             _ => {}
         }
         good

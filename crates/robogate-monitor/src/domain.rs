@@ -6,8 +6,8 @@
 //!   parameter of the risk model, the combination is checked too: the variance of the model's log-odds, x' V x, must not
 //!   exceed the largest one among the episodes that the model was fitted to. Beyond it the model extrapolates, although each
 //!   parameter is inside its own range.
-//! - **Risk**: p = 1 / (1 + exp(-x' b)), with the coefficients b of the logistic risk model. A category is replaced by its
-//!   penalty. The cycle must report every parameter of the model.
+//! - **Risk**: the chance of failure by the calibrated model of the reference ([`Predictor`]), or by the logistic one, p = 1 / (1 +
+//!   exp(-x' b)) with a penalty for each category. The cycle must report every parameter of both.
 //!
 //! Limitations: an envelope of ranges is a box, and x' V x is an ellipsoid around the mean; neither detects a hole
 //! inside. The risk model has the limitations that the analysis states. A parameter that is not in the envelope is not
@@ -15,10 +15,14 @@
 //! Regression Analysis, "hidden extrapolation".
 use std::collections::BTreeMap;
 
+use robogate_stats::flexible::Scorer;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::cycle::{Cycle, MOST_PARAMETERS, ParameterValue};
+
+/// Most columns of a predictor.
+const MOST_COLUMNS: usize = 256;
 
 /// The validated region of a run.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
@@ -41,7 +45,7 @@ pub enum Validated {
     Words(Vec<String>),
 }
 
-/// A logistic model of P(failure).
+/// A model of P(failure): the logistic one, whose covariance shows extrapolation, and a calibrated one that predicts.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Risk {
@@ -53,6 +57,79 @@ pub struct Risk {
     pub covariance: Vec<f64>,
     /// The largest variance of the log-odds among the episodes that the model was fitted to.
     pub most_variance: f64,
+    /// The model that predicts. Absent in files of version 0.2 and older: the logistic model then predicts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub predictor: Option<Predictor>,
+}
+
+/// A calibrated model of P(success) without an assumption about the shape of the effects.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(try_from = "WrittenPredictor", into = "WrittenPredictor")]
+#[schemars(!try_from, with = "WrittenPredictor")]
+pub struct Predictor {
+    columns: Vec<PredictorColumn>,
+    model: Scorer,
+}
+
+/// A column of the predictor: the value of a parameter, or whether it has this category.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PredictorColumn {
+    /// The parameter.
+    pub parameter: String,
+    /// The category. Absent for a number.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub category: Option<String>,
+}
+
+/// A predictor as it is written.
+#[derive(Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct WrittenPredictor {
+    /// The columns.
+    columns: Vec<PredictorColumn>,
+    /// The calibration, the terms of the splines and the trees, one a line.
+    model: Vec<String>,
+}
+
+impl Predictor {
+    /// A model of rows with these columns.
+    pub fn new(columns: Vec<PredictorColumn>, model: Scorer) -> Self {
+        Self { columns, model }
+    }
+
+    /// P(failure). `None` if a parameter is missing or of another type.
+    fn of(&self, cycle: &Cycle) -> Option<f64> {
+        let mut row = [0.0; MOST_COLUMNS];
+        let row = row.get_mut(..self.columns.len())?;
+        for (slot, column) in row.iter_mut().zip(&self.columns) {
+            *slot = match (cycle.parameters.get(&column.parameter)?, &column.category) {
+                (ParameterValue::Number(number), None) => *number,
+                (ParameterValue::Word(word), Some(category)) => f64::from(u8::from(word == category)),
+                _ => return None,
+            };
+        }
+        Some(1.0 / (1.0 + self.model.log_odds(row).exp()))
+    }
+}
+
+impl TryFrom<WrittenPredictor> for Predictor {
+    type Error = String;
+
+    fn try_from(written: WrittenPredictor) -> Result<Self, String> {
+        let n = written.columns.len();
+        if n > MOST_COLUMNS {
+            return Err(format!("the predictor has {n} columns. Expected at most {MOST_COLUMNS}"));
+        }
+        let model = Scorer::parse(&written.model, n).map_err(|why| format!("the model of the predictor: {why}"))?;
+        Ok(Self { columns: written.columns, model })
+    }
+}
+
+impl From<Predictor> for WrittenPredictor {
+    fn from(predictor: Predictor) -> Self {
+        Self { model: predictor.model.lines(), columns: predictor.columns }
+    }
 }
 
 /// One parameter of the risk model.
@@ -191,7 +268,10 @@ impl Risk {
         }
         let rows = self.covariance.chunks_exact(x.len()).zip(x.iter());
         let variance: f64 = rows.map(|(row, a)| a * row.iter().zip(x.iter()).map(|(v, b)| v * b).sum::<f64>()).sum();
-        let risk = 1.0 / (1.0 + (-log_odds).exp());
+        let risk = match &self.predictor {
+            Some(predictor) => predictor.of(cycle)?,
+            None => 1.0 / (1.0 + (-log_odds).exp()),
+        };
         // Rounding must not exclude the episodes at the edge.
         let inside = variance <= self.most_variance * (1.0 + 1e-9);
         Some((if risk.is_finite() { risk } else { 1.0 }, !inside))
@@ -244,6 +324,29 @@ mod tests {
         let expected = 1.0 / (1.0 + f64::exp(4.0 - 5.0 * 0.3_f64.ln() + 1.0 - 1.5));
         assert!((risk(0.3).unwrap() - expected).abs() < 1e-15);
         assert_eq!(risk(0.0), None);
+    }
+
+    #[test]
+    fn predictor_replaces_logistic_risk() {
+        let json = r#"{"columns": [{"parameter": "mass_kg"}, {"parameter": "shape", "category": "can"}],
+            "model": ["calibration 0.5 line 0.1 1", "spline 1", "line 1 0.5 2 -0.4", "start 0.3", "tree 0<0.45 =0.2 =-2"]}"#;
+        let predictor: Predictor = serde_json::from_str(json).unwrap();
+        let mut domain = domain();
+        domain.risk.as_mut().unwrap().predictor = Some(predictor.clone());
+        let risk = |parameters: &str| {
+            let json =
+                format!(r#"{{"id":"a","robot":"r","recipe":"x","time_s":1,"success":true,"parameters":{parameters}}}"#);
+            domain.judge(&serde_json::from_str(&json).unwrap(), |_, _| {}).risk
+        };
+        let expected = |trees: f64, spline: f64| 1.0 / (1.0 + f64::exp(0.1 + 0.5 * trees + 0.5 * spline));
+        let can = risk(r#"{"mass_kg": 0.5, "friction": 0.5, "shape": "can"}"#).unwrap();
+        assert!((can - expected(0.3 - 2.0, 1.0 - 0.4 * 0.5 / 2.0)).abs() < 1e-15);
+        let light = risk(r#"{"mass_kg": 0.4, "friction": 0.5, "shape": "box"}"#).unwrap();
+        assert!((light - expected(0.5, 1.0 + 0.4 * 0.5 / 2.0)).abs() < 1e-15);
+        assert_eq!(risk(r#"{"mass_kg": 0.4, "friction": 0.5}"#), None);
+        let again: Predictor = serde_json::from_str(&serde_json::to_string(&predictor).unwrap()).unwrap();
+        assert_eq!(again, predictor);
+        assert!(serde_json::from_str::<Predictor>(&json.replace("0<0.45", "2<0.45")).is_err());
     }
 
     #[test]

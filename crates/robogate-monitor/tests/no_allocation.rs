@@ -6,8 +6,9 @@ use std::cell::Cell;
 use std::sync::Arc;
 
 use robogate_core::Seed;
-use robogate_monitor::domain::{Domain, Risk, RiskTerm, Validated};
+use robogate_monitor::domain::{Domain, Predictor, PredictorColumn, Risk, RiskTerm, Validated};
 use robogate_monitor::{Baseline, Count, Cycle, Monitor, ParameterValue, Settings};
+use robogate_stats::flexible::Scorer;
 
 struct Counting;
 
@@ -32,6 +33,13 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
+/// A predictor with splines, a tree and a curve as calibration.
+fn predictor() -> Predictor {
+    let model = ["calibration 0.5 curve -3 -2 4 3", "spline 4", "line 0 0.4 0.2 -0.5", "start 3", "tree 0<0.45 =1 =-1"];
+    let columns = vec![PredictorColumn { parameter: "mass_kg".to_owned(), category: None }];
+    Predictor::new(columns, Scorer::parse(&model.map(str::to_owned), 1).unwrap())
+}
+
 #[test]
 fn cycles_without_alarm_allocate_nothing() {
     let baseline = Baseline {
@@ -48,6 +56,7 @@ fn cycles_without_alarm_allocate_nothing() {
             terms: vec![RiskTerm { parameter: "mass_kg".to_owned(), coefficient: 6.0, log: false, penalties: None }],
             covariance: vec![0.1, 0.0, 0.0, 0.1],
             most_variance: 0.2,
+            predictor: Some(predictor()),
         }),
     };
     let mut monitor =

@@ -32,6 +32,7 @@ impl World {
             measures: Vec::new(),
             draws: Vec::new(),
             phases: Vec::new(),
+            stages: Vec::new(),
             parameters: Vec::new(),
             settings: Vec::new(),
             observation: ObservationSpec {

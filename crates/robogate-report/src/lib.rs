@@ -40,6 +40,7 @@ pub use json::{
 pub use markdown::{comparison_markdown, markdown, markdown_with};
 pub use text::{
     ComparisonHeadline, Headline, TransferHeadline, comparison_limits, condition, limits, low_side, next_trials,
+    predictor_about,
 };
 pub use watch::{Strip, Watch, WatchItem};
 

@@ -14,8 +14,8 @@
 
 mod inputs;
 mod model;
-mod parallel;
 
 pub use inputs::Inputs;
-pub use model::{Choice, Fitting, Learner, RiskError, RiskModel, Sample};
-pub use parallel::{all_processors, in_parallel};
+pub use model::{Fitting, RiskError, RiskModel, Sample};
+pub use robogate_stats::flexible::{Choice, Learner};
+pub use robogate_stats::parallel::{all_processors, in_parallel};

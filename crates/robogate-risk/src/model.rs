@@ -1,24 +1,16 @@
-//! The risk model: two learners, their mean chosen by cross-validation, and its calibration.
+//! The risk model of scenarios.
 
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 
 use robogate_core::{Assignment, Fault, Scenario, Seed};
-use robogate_stats::boosting::{Boosting, BoostingError, Options};
-use robogate_stats::logistic::{Data, RegressionError};
-use robogate_stats::ridge;
+use robogate_stats::flexible::{Calibrated, Choice, Flexible, FlexibleError, Learner, Training};
 use robogate_stats::spline_logistic::SplineLogistic;
 
-use crate::{Inputs, in_parallel};
+use crate::Inputs;
 
 /// Number of parts of the cross-validation.
 const FOLDS: usize = 5;
-
-/// The shares of the boosting among which cross-validation chooses.
-const SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
-
-/// Prior variance of the calibration line, which hardly shrinks it.
-const WEAK: f64 = 100.0;
 
 /// An episode for training: its scenario and whether it succeeded.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,18 +19,6 @@ pub struct Sample {
     pub scenario: Scenario,
     /// Whether the episode succeeded.
     pub success: bool,
-}
-
-/// A learner.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Learner {
-    /// The mean of both learners that predicts best in cross-validation.
-    #[default]
-    Chosen,
-    /// Monotone gradient boosting alone.
-    Boosting,
-    /// Ridge logistic regression on splines and products alone.
-    Splines,
 }
 
 /// How a model is fitted.
@@ -58,26 +38,11 @@ impl Default for Fitting {
     }
 }
 
-/// What cross-validation chose.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Choice {
-    /// Share of the boosting in the mean of the log-odds; the rest is the spline model.
-    pub boosting_share: f64,
-    /// Mean log loss of the predictions of rows that were not fitted, after calibration.
-    pub log_loss: f64,
-    /// Their Brier score.
-    pub brier: f64,
-    /// Intercept and slope of the calibration: log-odds = intercept + slope x mean log-odds.
-    pub calibration: [f64; 2],
-}
-
 /// The chance of success from parameters, hidden draws and physical margins.
 #[derive(Debug, Clone)]
 pub struct RiskModel {
     inputs: Arc<Inputs>,
-    boosting: Option<Boosting>,
-    splines: Option<SplineLogistic>,
-    choice: Choice,
+    model: Flexible,
 }
 
 /// The reason why a model cannot be fitted.
@@ -101,12 +66,9 @@ pub enum RiskError {
         /// The problem.
         fault: Fault,
     },
-    /// Gradient boosting cannot be fitted.
+    /// A learner cannot be fitted.
     #[error(transparent)]
-    Boosting(#[from] BoostingError),
-    /// The spline model cannot be fitted.
-    #[error(transparent)]
-    Splines(#[from] RegressionError),
+    Fit(#[from] FlexibleError),
 }
 
 impl RiskModel {
@@ -128,31 +90,21 @@ impl RiskModel {
         // The part of each row in the cross-validation.
         let mut part = vec![0; rows.len()];
         order.iter().enumerate().for_each(|(at, row)| part[*row] = at % FOLDS);
-        // One fit without each part, and the last one to all rows.
-        let mut fits = in_parallel(how.threads, FOLDS + 1, |left_out| {
-            let train: Vec<usize> = (0..rows.len()).filter(|row| part[*row] != left_out).collect();
-            Pair::fit(&inputs, &rows, &outcomes, &train, how.learner)
-        })
-        .into_iter()
-        .collect::<Result<Vec<Pair>, _>>()?;
-        let held_out: Vec<[f64; 2]> = rows.iter().zip(&part).map(|(row, part)| fits[*part].log_odds(row)).collect();
-        let mut best: Option<Choice> = None;
-        for share in how.learner.shares() {
-            let mixed: Vec<f64> = held_out.iter().map(|both| mix(*both, *share)).collect();
-            let choice = calibrated(&mixed, &outcomes, *share)?;
-            if best.is_none_or(|best| choice.log_loss < best.log_loss) {
-                best = Some(choice);
-            }
-        }
-        let (Some(Pair { boosting, splines }), Some(choice)) = (fits.pop(), best) else {
-            return Err(RiskError::TooFew { successes: 0, failures: 0, least: 1 });
+        let columns: Vec<Vec<f64>> =
+            (0..inputs.names().len()).map(|at| rows.iter().map(|row| row[at]).collect()).collect();
+        let training = Training {
+            columns: &columns,
+            outcomes: &outcomes,
+            constraints: inputs.constraints(),
+            interacting: inputs.interacting(),
         };
-        Ok(Self { inputs, boosting, splines, choice })
+        let model = Flexible::fit(training, &part, (how.learner, Calibrated::Line), how.threads)?;
+        Ok(Self { inputs, model })
     }
 
     /// What cross-validation chose.
     pub fn choice(&self) -> Choice {
-        self.choice
+        self.model.choice()
     }
 
     /// The inputs.
@@ -162,18 +114,12 @@ impl RiskModel {
 
     /// The spline model, unless it was not fitted. Its log-odds come before the calibration.
     pub fn splines(&self) -> Option<&SplineLogistic> {
-        self.splines.as_ref()
+        self.model.splines()
     }
 
     /// The log-odds of success of one episode, whose seed determines its draws.
     fn log_odds(&self, scenario: &Scenario) -> Result<f64, Fault> {
-        let Choice { boosting_share, calibration: [intercept, slope], .. } = self.choice;
-        let row = self.inputs.row(scenario)?;
-        let both = [
-            self.boosting.as_ref().map_or(0.0, |model| model.log_odds(&row)),
-            self.splines.as_ref().map_or(0.0, |model| model.log_odds(&row)),
-        ];
-        Ok(intercept + slope * mix(both, boosting_share))
+        Ok(self.model.log_odds(&self.inputs.row(scenario)?))
     }
 
     /// The chance of success of one episode, whose seed determines its draws.
@@ -222,82 +168,6 @@ fn rows(inputs: &Inputs, samples: &[Sample]) -> Result<Vec<Vec<f64>>, RiskError>
         inputs.row(scenario).map_err(|fault| RiskError::Scenario { index: scenario.index, fault })
     };
     samples.iter().map(row).collect()
-}
-
-impl Learner {
-    fn shares(self) -> &'static [f64] {
-        match self {
-            Self::Chosen => &SHARES,
-            Self::Boosting => &[1.0],
-            Self::Splines => &[0.0],
-        }
-    }
-}
-
-/// Both learners, fitted to the same rows.
-struct Pair {
-    boosting: Option<Boosting>,
-    splines: Option<SplineLogistic>,
-}
-
-impl Pair {
-    fn fit(
-        inputs: &Inputs,
-        rows: &[Vec<f64>],
-        outcomes: &[bool],
-        train: &[usize],
-        learner: Learner,
-    ) -> Result<Self, RiskError> {
-        let columns: Vec<Vec<f64>> =
-            (0..inputs.names().len()).map(|at| train.iter().map(|row| rows[*row][at]).collect()).collect();
-        let views: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
-        let outcomes: Vec<bool> = train.iter().map(|row| outcomes[*row]).collect();
-        let boosting = match learner {
-            Learner::Splines => None,
-            Learner::Chosen | Learner::Boosting => {
-                Some(Boosting::fit(&views, &outcomes, inputs.constraints(), Options::default())?)
-            }
-        };
-        let splines = match learner {
-            Learner::Boosting => None,
-            Learner::Chosen | Learner::Splines => Some(SplineLogistic::fit(&views, &outcomes, inputs.interacting())?),
-        };
-        Ok(Self { boosting, splines })
-    }
-
-    fn log_odds(&self, row: &[f64]) -> [f64; 2] {
-        [
-            self.boosting.as_ref().map_or(0.0, |model| model.log_odds(row)),
-            self.splines.as_ref().map_or(0.0, |model| model.log_odds(row)),
-        ]
-    }
-}
-
-fn mix([boosting, splines]: [f64; 2], share: f64) -> f64 {
-    share * boosting + (1.0 - share) * splines
-}
-
-/// Calibrates log-odds of rows that were not fitted with a line (Platt 1999), and scores the result.
-fn calibrated(log_odds: &[f64], outcomes: &[bool], boosting_share: f64) -> Result<Choice, RiskError> {
-    let line = ridge::fit(Data::new(&[log_odds], outcomes, None)?, WEAK)?.coefficients;
-    // A negative slope would turn the prediction around. It means that the model found nothing.
-    let calibration = [line[0], line.get(1).map_or(0.0, |slope| slope.max(0.0))];
-    let predicted = log_odds.iter().map(|score| calibration[0] + calibration[1] * score);
-    let [log_loss, brier] = scores(predicted, outcomes);
-    Ok(Choice { boosting_share, log_loss, brier, calibration })
-}
-
-/// Mean log loss and Brier score of predicted log-odds.
-fn scores(predicted: impl Iterator<Item = f64>, outcomes: &[bool]) -> [f64; 2] {
-    let (mut log_loss, mut brier) = (0.0, 0.0);
-    for (log_odds, success) in predicted.zip(outcomes) {
-        let p = logistic(log_odds);
-        let likely = if *success { p } else { 1.0 - p };
-        log_loss -= likely.max(1e-15).ln();
-        brier += (1.0 - likely).powi(2);
-    }
-    let n = outcomes.len().max(1) as f64;
-    [log_loss / n, brier / n]
 }
 
 fn logistic(t: f64) -> f64 {

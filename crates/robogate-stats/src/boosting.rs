@@ -17,6 +17,7 @@
 use rand_chacha::ChaCha8Rng;
 use rand_core::SeedableRng;
 
+use crate::flexible::numbers;
 use crate::logistic::logistic_and_log;
 use crate::resample::uniform;
 
@@ -160,6 +161,63 @@ impl Boosting {
             trees.push(tree);
         }
         Ok(Self { start, trees, columns: columns.len() })
+    }
+
+    /// A model of this many columns without trees.
+    pub(crate) fn empty(columns: usize) -> Self {
+        Self { start: 0.0, trees: Vec::new(), columns }
+    }
+
+    /// The model as text: the log-odds before the first tree, then one line for each tree. A tree lists its nodes from the root,
+    /// `column<threshold` or `=value`, each followed by its left and its right part.
+    pub(crate) fn lines(&self) -> Vec<String> {
+        let tree = |tree: &Vec<Node>| {
+            let (mut line, mut open) = ("tree".to_owned(), vec![0]);
+            while let Some(node) = open.pop() {
+                line += &match tree[node] {
+                    Node::Leaf(value) => format!(" ={value}"),
+                    Node::Split { column, threshold, left, right } => {
+                        open.extend([right, left]);
+                        format!(" {column}<{threshold}")
+                    }
+                };
+            }
+            line
+        };
+        std::iter::once(format!("start {}", self.start)).chain(self.trees.iter().map(tree)).collect()
+    }
+
+    /// Reads a line of [`Self::lines`]. `None` if it is not valid.
+    pub(crate) fn read(&mut self, kind: &str, words: &[&str]) -> Option<()> {
+        if kind == "start" {
+            [self.start] = numbers(words)?;
+            return Some(());
+        }
+        let mut nodes: Vec<Node> = Vec::with_capacity(words.len());
+        // The splits whose right part has not begun.
+        let mut open: Vec<usize> = Vec::new();
+        for (at, word) in words.iter().enumerate() {
+            match word.strip_prefix('=') {
+                Some(value) => {
+                    let [value] = numbers(&[value])?;
+                    nodes.push(Node::Leaf(value));
+                    if let Some(parent) = open.pop() {
+                        let Node::Split { right, .. } = &mut nodes[parent] else { return None };
+                        *right = at + 1;
+                    } else if at + 1 < words.len() {
+                        return None;
+                    }
+                }
+                None => {
+                    let (column, threshold) = word.split_once('<')?;
+                    let column = column.parse().ok().filter(|column| *column < self.columns)?;
+                    let [threshold] = numbers(&[threshold])?;
+                    open.push(at);
+                    nodes.push(Node::Split { column, threshold, left: at + 1, right: usize::MAX });
+                }
+            }
+        }
+        (open.is_empty() && matches!(nodes.last()?, Node::Leaf(_))).then(|| self.trees.push(nodes))
     }
 
     /// The number of columns.

@@ -15,7 +15,7 @@
 //! | do two parameters interact? | [`score_test`] |
 //! | in which box of parameters is the rate high enough? | [`safe_box`] |
 //! | how does it depend on the parameters? | [`logistic`], [`correlation`] |
-//! | the same for a nonlinear dependence? | [`ridge`] on [`fourier`] features, [`spline_logistic`], [`boosting`] |
+//! | the same for a nonlinear dependence? | [`ridge`] on [`fourier`] features, [`spline_logistic`], [`boosting`], and the best mean of both, calibrated: [`flexible`] |
 //! | do further coefficients improve a model? | [`likelihood_ratio`] |
 //! | where is the frontier of two parameters? | [`limit_state`] |
 //! | what is the rate over two parameters, with its uncertainty? | [`surface`] |
@@ -37,6 +37,9 @@
 //! | the same for a rare event? | [`weighted_events`] |
 //! | what is the rate of the real robot, from simulation and a few real trials? | [`prediction_powered`], [`exact_strata`] |
 //! | how must the simulation be corrected for it? | [`recalibration`] |
+//! | how long does a cycle take, if some ran into the time limit? | [`survival`] |
+//! | how many units per hour, how long a run without a failure? | [`renewal`] |
+//! | how probable is a rare event? | [`rare`] |
 //! | how is a figure written for people? | [`mod@format`] |
 
 pub mod adjusted;
@@ -55,10 +58,12 @@ pub mod difference;
 pub mod effect_test;
 pub mod exact_strata;
 pub mod families;
+pub mod flexible;
 pub mod format;
 pub mod fourier;
 pub mod group_sequential;
 pub mod interval;
+mod jump;
 pub mod likelihood_ratio;
 pub mod limit_state;
 pub mod logistic;
@@ -69,9 +74,12 @@ pub mod multiplicity;
 pub mod non_inferiority;
 pub mod operating;
 pub mod overdispersion;
+pub mod parallel;
 pub mod pocket;
 pub mod prediction_powered;
+pub mod rare;
 pub mod recalibration;
+pub mod renewal;
 pub mod resample;
 pub mod ridge;
 pub mod roc;
@@ -83,6 +91,7 @@ pub mod serial;
 pub mod spline_logistic;
 pub mod stratified;
 pub mod surface;
+pub mod survival;
 pub mod threshold;
 pub mod unit_share;
 pub mod weighted;

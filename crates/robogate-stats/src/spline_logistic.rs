@@ -8,6 +8,7 @@
 //! ([`crate::boosting`]) where the truth is smooth. Sources: Friedman (1991), Annals of Statistics 19, for hinges; the
 //! sources of [`crate::ridge`].
 
+use crate::flexible::numbers;
 use crate::logistic::{Data, RegressionError};
 use crate::ridge::{self, RidgeFit};
 
@@ -17,10 +18,18 @@ const PRIOR_VARIANCES: [f64; 3] = [0.02, 0.1, 0.5];
 /// A fitted model.
 #[derive(Debug, Clone)]
 pub struct SplineLogistic {
+    form: SplineForm,
+    fit: RidgeFit,
+}
+
+/// The part of a model that predicts.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SplineForm {
     terms: Vec<SplineTerm>,
     /// Mean and standard deviation of each term.
     scale: Vec<(f64, f64)>,
-    fit: RidgeFit,
+    /// The intercept, then one coefficient for each term.
+    coefficients: Vec<f64>,
 }
 
 /// A term of the linear predictor.
@@ -103,30 +112,79 @@ impl SplineLogistic {
         let views: Vec<&[f64]> = values.iter().map(Vec::as_slice).collect();
         let data = Data::new(&views, outcomes, None)?;
         let fit = ridge::by_evidence(data, &PRIOR_VARIANCES)?.ok_or(RegressionError::NoRows)?;
-        Ok(Self { terms: kept, scale, fit })
+        Ok(Self { form: SplineForm { terms: kept, scale, coefficients: fit.coefficients.clone() }, fit })
     }
 
     /// Log-odds of success of one row at the posterior mode.
     pub fn log_odds(&self, row: &[f64]) -> f64 {
-        let at = |column: usize| row.get(column).copied().unwrap_or(f64::NAN);
-        let beta = &self.fit.coefficients;
-        let terms = self.terms.iter().zip(&self.scale).zip(&beta[1..]);
-        terms.fold(beta[0], |sum, ((term, (mean, deviation)), beta)| sum + beta * (term.at(at) - mean) / deviation)
+        self.form.log_odds(row)
+    }
+
+    /// The part that predicts.
+    pub fn form(&self) -> &SplineForm {
+        &self.form
     }
 
     /// The numbers of the model.
     pub fn parts(&self) -> SplineParts<'_> {
         SplineParts {
-            terms: &self.terms,
-            scale: &self.scale,
-            coefficients: &self.fit.coefficients,
+            terms: &self.form.terms,
+            scale: &self.form.scale,
+            coefficients: &self.form.coefficients,
             precision_factor: self.fit.precision_factor(),
         }
     }
 
     /// The number of terms.
     pub fn terms(&self) -> usize {
-        self.terms.len()
+        self.form.terms.len()
+    }
+}
+
+impl SplineForm {
+    /// Log-odds of success of one row.
+    pub(crate) fn log_odds(&self, row: &[f64]) -> f64 {
+        let at = |column: usize| row.get(column).copied().unwrap_or(f64::NAN);
+        let Some((intercept, beta)) = self.coefficients.split_first() else { return 0.0 };
+        let terms = self.terms.iter().zip(&self.scale).zip(beta);
+        terms.fold(*intercept, |sum, ((term, (mean, deviation)), beta)| sum + beta * (term.at(at) - mean) / deviation)
+    }
+
+    /// The model as text: the intercept, then one line for each term with mean, deviation and coefficient.
+    pub(crate) fn lines(&self) -> Vec<String> {
+        let intercept = self.coefficients.first().copied().unwrap_or_default();
+        let terms = self.terms.iter().zip(&self.scale).zip(self.coefficients.iter().skip(1));
+        let term = |((term, (mean, deviation)), beta): ((&SplineTerm, &(f64, f64)), &f64)| {
+            let term = match term {
+                SplineTerm::Line(column) => format!("line {column}"),
+                SplineTerm::Hinge(column, knot) => format!("hinge {column} {knot}"),
+                SplineTerm::Product(a, b) => format!("product {a} {b}"),
+            };
+            format!("{term} {mean} {deviation} {beta}")
+        };
+        std::iter::once(format!("spline {intercept}")).chain(terms.map(term)).collect()
+    }
+
+    /// Reads a line of [`Self::lines`] for rows of this many columns. `None` if it is not valid.
+    pub(crate) fn read(&mut self, kind: &str, words: &[&str], columns: usize) -> Option<()> {
+        if kind == "spline" && self.coefficients.is_empty() {
+            let [intercept] = numbers(words)?;
+            self.coefficients.push(intercept);
+            return Some(());
+        }
+        let column = |at: usize| words.get(at)?.parse().ok().filter(|column: &usize| *column < columns);
+        let (term, rest) = match kind {
+            "line" => (SplineTerm::Line(column(0)?), words.get(1..)?),
+            "hinge" => (SplineTerm::Hinge(column(0)?, numbers::<1>(words.get(1..2)?)?[0]), words.get(2..)?),
+            "product" => (SplineTerm::Product(column(0)?, column(1)?), words.get(2..)?),
+            _ => return None,
+        };
+        let [mean, deviation, beta] = numbers(rest)?;
+        let valid = deviation > 0.0 && !self.coefficients.is_empty();
+        self.terms.push(term);
+        self.scale.push((mean, deviation));
+        self.coefficients.push(beta);
+        valid.then_some(())
     }
 }
 

@@ -12,9 +12,9 @@
 //! Weights enter as sums per bin. The bootstrap samples counts of up to 16 weight classes per cell. With at most 16
 //! distinct weights this equals the bootstrap of rows; otherwise the spread within a class is ignored.
 //!
-//! Limit: the threshold is marginal over the other parameters and applies to their design. The resolution is one bin: within
-//! it the rate is interpolated linearly, so the interval of a jump of the rate may miss it by up to one bin (it covered 33
-//! to 85 % of simulated jumps). [`crate::segments`] locates jumps. A Latin hypercube makes the interval conservative.
+//! Limit: the threshold is marginal over the other parameters and applies to their design. Within a bin
+//! the rate is interpolated linearly. Where a jump explains the rows at least as well as a logistic curve, the interval also contains
+//! that of the jump (`jump.rs`); where it explains them clearly better, it is that of the jump. A Latin hypercube makes the interval conservative.
 //!
 //! Sources: robogate paper, table of critical thresholds; Barlow et
 //! al. (1972) for isotonic regression; Efron and Tibshirani (1993), chapter 13.
@@ -24,6 +24,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use crate::binning::{BinningError, Edges};
 use crate::clusters::{Clusters, RateByCluster};
 use crate::interval::{Confidence, Interval, wilson_real};
+use crate::jump::jump;
 use crate::resample::{multinomial, percentile_ends, standard_error, uniform};
 use crate::weighted::is_weight;
 use rand_chacha::ChaCha8Rng;
@@ -244,7 +245,23 @@ pub fn threshold(
     let at = crossing(&table.positions, &monotone, &observed_sizes, level, direction);
     let found = if at.is_finite() {
         let se = standard_error(&replicates);
-        let ends = percentile_ends(&mut replicates, options.confidence);
+        let mut ends = percentile_ends(&mut replicates, options.confidence);
+        let share = match clusters {
+            Some(clusters) => {
+                let of = RateByCluster::of(&[clusters], outcomes, |_| true);
+                of.effective / (of.trials.n() as f64).max(1.0)
+            }
+            None => 1.0,
+        };
+        // The bins cannot locate a jump within a bin.
+        let mut at = at;
+        if let (Some(ends), Some((jump, clear))) =
+            (&mut ends, jump(values, outcomes, weights, share, (direction, level), options.confidence))
+        {
+            let hull = (ends.0.min(jump.low), ends.1.max(jump.high));
+            *ends = if clear { (jump.low, jump.high) } else { hull };
+            at = at.clamp(jump.low.min(ends.0), jump.high.max(ends.1));
+        }
         Threshold::Crosses {
             at,
             direction,
@@ -383,7 +400,7 @@ fn class_cuts(weights: &[f64]) -> Vec<f64> {
 }
 
 /// Isotonic regression by pooling adjacent violators. Bins of zero size take the value of their neighbours.
-fn isotonic(rates: &[f64], sizes: &[f64], direction: Direction) -> Vec<f64> {
+pub(crate) fn isotonic(rates: &[f64], sizes: &[f64], direction: Direction) -> Vec<f64> {
     let sign = match direction {
         Direction::Rising => 1.0,
         Direction::Falling => -1.0,

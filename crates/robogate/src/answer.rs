@@ -65,6 +65,7 @@ pub(crate) fn print(evaluation: &Evaluation) {
     force_limits::print(&evaluation.force_limits);
     groups(evaluation);
     evaluation.twins.iter().for_each(twins::print);
+    production(evaluation);
     score(evaluation);
     if !next.is_empty() && !stopped {
         line("");
@@ -93,6 +94,22 @@ fn counts(evaluation: &Evaluation) {
             "  {} episodes of a focused design are excluded: they do not estimate the rate of the operating space",
             grouped(counts.focused)
         ));
+    }
+}
+
+/// Prints the figures of production.
+fn production(evaluation: &Evaluation) {
+    let Some(figures) = evaluation.production.as_ref().filter(|_| is_verbose()) else { return };
+    line("");
+    line(bold("  Production (95 % intervals for independent episodes)"));
+    let or = |x: Option<f64>, none: &str| x.map_or_else(|| none.to_owned(), number);
+    for (name, unit, figure) in figures.rows() {
+        let ends = format!("{} to {}", or(figure.low, "0"), or(figure.high, "no limit"));
+        line(format_args!("     {name:<29} {:>9} {unit:<8} ({ends})", or(figure.at, "-")));
+    }
+    if let Some([low, high]) = figures.tolerance_cycle_time_s {
+        let (low, high) = (number(low), number(high));
+        line(format_args!("     90 % of successful cycles take {low} to {high} s (95 % confidence)"));
     }
 }
 
@@ -285,8 +302,8 @@ pub(crate) fn print_plan(plan: &GatePlan) {
 
 fn value(metric: Metric, x: f64) -> String {
     match metric {
-        Metric::CycleTime(_) => format!("{x:.2} s"),
-        Metric::Measure(..) => number(x),
+        Metric::CycleTime(_) | Metric::TimeToSuccess(_) => format!("{x:.2} s"),
+        Metric::Measure(..) | Metric::Production(_) => number(x),
         Metric::FailureCount(_) => format!("{x:.0}"),
         _ => format!("{:.2} %", 100.0 * x),
     }

@@ -8,7 +8,7 @@ use robogate_gate::GateError;
 use robogate_gate::evidence::EvidenceError;
 use robogate_session::{Failure, FailureKind, OrFailure, chain};
 
-pub(crate) use robogate::exit_codes::{FAIL, INFRASTRUCTURE, INTERRUPTED, INVALID, PASS as DONE, USAGE};
+pub(crate) use robogate::exit_codes::{FAIL, INCONCLUSIVE, INFRASTRUCTURE, INTERRUPTED, INVALID, PASS as DONE, USAGE};
 
 /// An error that ends the command, with its exit code.
 #[derive(Debug)]

@@ -9,7 +9,7 @@ use crate::help::wrapped;
 /// The verbs by purpose, as the help lists them.
 const GROUPS: [(&str, &[&str]); 7] = [
     ("Start", &["init"]),
-    ("Judge a policy", &["run", "gate", "resume", "compare", "rank", "leaderboard", "matrix", "fleet"]),
+    ("Judge a policy", &["run", "gate", "resume", "compare", "rank", "rare", "leaderboard", "matrix", "fleet"]),
     ("Look at results", &["runs", "analyze", "report", "figure", "view", "replay", "import", "export", "audit"]),
     (
         "Bring your own",

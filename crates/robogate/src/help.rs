@@ -39,6 +39,7 @@ const MEMBERS: [&[&str]; 4] = [
         "stress",
         "wordings",
         "rate",
+        "event",
     ],
     &[
         "engine",
@@ -71,6 +72,7 @@ const MEMBERS: [&[&str]; 4] = [
         "target",
         "requests",
         "episodes",
+        "check",
     ],
     &["out", "json", "html", "format", "gif", "mp4", "mcap", "png-strip", "sheet", "list", "force", "svg", "csv"],
 ];

@@ -69,6 +69,8 @@ enum Verb {
     Compare(commands::compare::Compare),
     /// Find the best of several policies: all run the same scenarios, and worse ones leave after each round
     Rank(commands::rank::Rank),
+    /// Estimate the probability of a rare event, down to 1e-6, from a graded margin
+    Rare(commands::rare::RareEvent),
     /// Rank policies that ran the same scenarios
     Leaderboard(commands::leaderboard::Rank),
     /// Run policies x tasks x robots x engines as one resumable plan, and rank the policies on one page
@@ -213,6 +215,8 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Resume(verb) => verb.execute(),
         Verb::Compare(verb) => verb.execute(),
         Verb::Rank(verb) => verb.execute(),
+        Verb::Rare(arguments) => arguments.execute(),
+        Verb::Rare(verb) => verb.execute(),
         Verb::Leaderboard(verb) => verb.execute(),
         Verb::Matrix(verb) => verb.execute(),
         Verb::Fleet(verb) => verb.execute(),

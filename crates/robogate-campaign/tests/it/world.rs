@@ -126,6 +126,7 @@ pub(crate) fn task() -> Arc<TaskSpec> {
         }],
         draws: Vec::new(),
         phases: Vec::new(),
+        stages: Vec::new(),
         parameters: Vec::new(),
         settings: Vec::new(),
         observation: ObservationSpec::default(),

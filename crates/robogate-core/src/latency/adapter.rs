@@ -406,6 +406,7 @@ pub(crate) mod tests {
             draws: Vec::new(),
             measures: Vec::new(),
             phases: Vec::new(),
+            stages: Vec::new(),
             parameters: Vec::new(),
             settings: Vec::new(),
             observation: ObservationSpec::default(),

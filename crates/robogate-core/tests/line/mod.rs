@@ -23,6 +23,7 @@ pub(crate) fn task(period_s: f64, limit_s: f64) -> Arc<TaskSpec> {
         measures: Vec::new(),
         draws: Vec::new(),
         phases: Vec::new(),
+        stages: Vec::new(),
         parameters: Vec::new(),
         settings: Vec::new(),
         observation: ObservationSpec {

@@ -37,6 +37,7 @@ pub(super) fn of_rows(
         measures: measures.iter().map(measure).collect(),
         draws: Vec::new(),
         phases,
+        stages: Vec::new(),
         parameters: Vec::new(),
         settings: Vec::new(),
         observation: ObservationSpec::default(),

@@ -11,6 +11,7 @@ mod evidence;
 mod force_limits;
 mod leaderboard;
 mod planning;
+mod production;
 mod real;
 mod ruled_out;
 mod score;

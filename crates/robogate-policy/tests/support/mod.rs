@@ -38,6 +38,7 @@ pub(crate) fn task() -> TaskSpec {
         measures: Vec::new(),
         draws: Vec::new(),
         phases: Vec::new(),
+        stages: Vec::new(),
         parameters: Vec::new(),
         settings: Vec::new(),
         observation: ObservationSpec {

@@ -191,6 +191,7 @@ pub(crate) fn task() -> TaskSpec {
         measures: vec![measure(LEVEL, "m"), measure(FORCE, "N")],
         draws: Vec::new(),
         phases: Vec::new(),
+        stages: Vec::new(),
         parameters: vec![
             parameter("mass_kg", Allowed::Continuous { low: 0.0, high: 200.0 }, Value::Number(1.0)),
             parameter("shape", Allowed::Categorical { choices, open: false }, Value::Category("box".into())),

@@ -9,7 +9,9 @@ mod page;
 mod twins;
 mod verdict;
 
-use robogate_gate::{Evaluation, Metric, Mode, NextBudget, RequirementResult, Sampling, Status, Verdict};
+use robogate_gate::{
+    Evaluation, Metric, Mode, NextBudget, RequirementResult, Sampling, StageComparison, Status, UNLIMITED, Verdict,
+};
 
 pub use changes::{Change, required_success, what_to_change};
 pub use fleet::{fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share};
@@ -37,6 +39,22 @@ pub struct RequirementRow {
     pub note: String,
 }
 
+/// The comparison by stages, as the end of a sentence.
+fn stage_about(stage: &StageComparison) -> String {
+    let [low, high] = stage.interval_95;
+    let than = match (stage.p_better <= 0.025, stage.p_worse <= 0.025) {
+        (true, false) => ": this policy gets further",
+        (false, true) => ": this policy gets less far",
+        _ => "",
+    };
+    format!(
+        "; by stages {} of the way ({} to {}, 95 % at any time){than}",
+        points(stage.difference),
+        points(low),
+        points(high)
+    )
+}
+
 impl RequirementRow {
     /// The rows of all requirements of an evaluation, with the comparison last.
     pub fn all(evaluation: &Evaluation) -> Vec<Self> {
@@ -57,13 +75,14 @@ impl RequirementRow {
                 observed: c.difference.map_or_else(|| "-".to_owned(), points),
                 interval,
                 note: format!(
-                    "{} pairs: both {}, only {} {}, only this {}, neither {}",
+                    "{} pairs: both {}, only {} {}, only this {}, neither {}{}",
                     count(c.both + c.only_other + c.only_this + c.neither),
                     count(c.both),
                     c.policy,
                     count(c.only_other),
                     count(c.only_this),
-                    count(c.neither)
+                    count(c.neither),
+                    c.stage.as_ref().map(stage_about).unwrap_or_default()
                 ),
             });
         }
@@ -218,7 +237,9 @@ fn test_used(evaluation: &Evaluation) -> String {
 /// Formats a figure of a metric with its unit.
 pub(crate) fn value(metric: Metric, unit: &str, x: f64) -> String {
     match metric {
-        Metric::CycleTime(_) => format!("{} s", fixed(x, 2)),
+        Metric::Production(_) | Metric::TimeToSuccess(_) if x >= UNLIMITED => "no limit".to_owned(),
+        Metric::CycleTime(_) | Metric::TimeToSuccess(_) => format!("{} s", fixed(x, 2)),
+        Metric::Production(_) => format!("{} {unit}", number(x)).trim_end().to_owned(),
         Metric::Measure(..) => format!("{} {unit}", number(x)).trim_end().to_owned(),
         Metric::FailureCount(_) => fixed(x, 0),
         // With one decimal, a limit of 0.25 % would become 0.2 %.

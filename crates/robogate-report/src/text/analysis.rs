@@ -3,7 +3,7 @@
 use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
 use robogate_analysis::{
     Advice, Analysis, BoxLimit, ClusterReport, ConditionPart, EffectShape, FailureCondition, FailureModes,
-    FailureRegion, Finding, Population, Power, SafeBox, ShapeKind, SoughtBox, unrecorded,
+    FailureRegion, Finding, Population, Power, Predictor, SafeBox, ShapeKind, SoughtBox, unrecorded,
 };
 use robogate_stats::format::{count, counted, list, number, percent, percent_or_dash, percent_range, range, sentence};
 use schemars::JsonSchema;
@@ -442,12 +442,27 @@ fn uncertainty(analysis: &Analysis) -> Vec<String> {
     if let Some(because) = success.weighting.as_ref().and_then(|of| of.because()) {
         lines.push(format!("Episodes whose points were chosen are left out: {because}."));
     }
-    let roc = analysis.risk.estimated().and_then(|r| r.roc.estimated());
-    if let Some(auc) = roc.and_then(|roc| roc.auc_cross_validated) {
+    let model = analysis.risk.estimated().and_then(|risk| risk.predictor.estimated());
+    if let Some(auc) = model.and_then(|model| model.auc_cross_validated) {
         lines.push(format!(
             "A risk model of the parameters ranks a failure above a success in {} of all pairs (cross-validated AUC).",
             percent(auc)
         ));
     }
     lines
+}
+
+/// The model that predicts, in one sentence.
+pub fn predictor_about(model: &Predictor) -> String {
+    let learners = match model.boosting_share {
+        0.0 => "a logistic model on splines and products of the parameters".to_owned(),
+        1.0 => "gradient boosting".to_owned(),
+        share => format!("{} gradient boosting, the rest a logistic model on splines and products", percent(share)),
+    };
+    format!(
+        "Predictions of single episodes and of the monitor come from {learners}, chosen and calibrated ({}) by cross-validation over {} \
+         episodes. The coefficients are those of the logistic model.",
+        if model.calibrated_by_curve { "by a monotone curve" } else { "by a line" },
+        count(model.rows)
+    )
 }

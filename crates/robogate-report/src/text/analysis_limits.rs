@@ -52,7 +52,7 @@ pub fn limits(analysis: &Analysis) -> Vec<String> {
     }
     if analysis.risk.estimated().is_some() {
         limits.push(
-            "The risk model is linear in each parameter or its logarithm. Its AUC applies to these rows and must not be compared with the AUC of \
+            "The logistic risk model is linear in each parameter or its logarithm. An AUC applies to these rows and must not be compared with the AUC of \
              another design or dataset. The in-sample figures are biased upwards: use the cross-validated ones. The paper does not \
              define its penalties; here they are failure rates estimated from the training rows."
                 .to_owned(),

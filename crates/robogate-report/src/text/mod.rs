@@ -6,7 +6,7 @@ mod comparison;
 mod comparison_limits;
 mod transfer;
 
-pub use analysis::{Headline, condition, low_side};
+pub use analysis::{Headline, condition, low_side, predictor_about};
 pub(crate) use analysis::{advise, main_modes, rounded_up};
 pub use analysis_limits::limits;
 pub use comparison::ComparisonHeadline;

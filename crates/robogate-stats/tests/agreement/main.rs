@@ -1,6 +1,6 @@
 //! Compares every estimator with SciPy, statsmodels, scikit-learn, LightGBM or an independent implementation in Python.
 //!
-//! `tests/reference/generate.py`, `gate.py`, `ridge.py`, `separation.py`, `boosting.py`, `claims.py` and
+//! `tests/reference/generate.py`, `gate.py`, `ridge.py`, `separation.py`, `boosting.py`, `claims.py`, `survival.py` and
 //! `transfer.py` compute the reference values. Their `requirements.txt` pins the versions.
 
 #![expect(clippy::unwrap_used, reason = "test helpers fail by panicking")]
@@ -13,6 +13,7 @@ mod interval;
 mod logistic;
 mod ridge;
 mod sequential;
+mod survival;
 mod transfer;
 
 use serde_json::Value;

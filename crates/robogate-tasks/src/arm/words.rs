@@ -21,6 +21,7 @@ pub(crate) fn base_spec(name: &'static str, robot: &Robot, cameras: Vec<CameraSp
         draws: Vec::new(),
         measures: Vec::new(),
         phases: Vec::new(),
+        stages: Vec::new(),
         parameters: Vec::new(),
         settings: Vec::new(),
         observation: ObservationSpec { vectors: observed_vectors(robot), cameras },

@@ -294,6 +294,7 @@ impl Rules for FileTask {
             instruction: self.instruction(&model.nominal),
             failure_modes: failures.chain([collision, timeout]).collect(),
             measures: own.chain(stages).chain(common_measures()).collect(),
+            stages: model.stages.iter().map(|(name, _)| *name).collect(),
             phases: expert::phases(model.skills.as_deref().unwrap_or_default()),
             details: json!({ TEXT: model.text }),
             ..base_spec(self.name(), robot, cameras)

@@ -126,6 +126,7 @@ impl SelfContained for Pendulum {
             ],
             draws: Vec::new(),
             phases: vec![SWING, BALANCE],
+            stages: Vec::new(),
             parameters: parameters::specs(),
             settings: self.settings(),
             observation: ObservationSpec {

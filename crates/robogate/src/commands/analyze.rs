@@ -8,7 +8,7 @@ use robogate_analysis::{
     PairMap, Population, Regression, RiskModel, Source, Zone,
 };
 use robogate_gate::Sampling;
-use robogate_report::{Headline, analysis_json_with, condition, limits, low_side};
+use robogate_report::{Headline, analysis_json_with, condition, limits, low_side, predictor_about};
 use robogate_stats::format::{counted, p_value, percent_or_dash};
 
 use crate::commands::report::evidence;
@@ -461,7 +461,23 @@ fn risk(risk: &Finding<RiskModel>) {
             return;
         }
     };
-    regression("Risk model", &risk.regression);
+    heading("Risk model");
+    match &risk.predictor {
+        Finding::Estimated(model) => {
+            line(format_args!("  {}", predictor_about(model)));
+            if let Finding::Estimated(f) = &model.calibration_cross_validated {
+                line(format_args!(
+                    "  cross-validated  AUC {}, Brier {:.4} (overall rate {:.4}), ECE {:.4}",
+                    model.auc_cross_validated.map_or_else(|| "-".to_owned(), |auc| format!("{auc:.3}")),
+                    f.brier,
+                    f.base_rate_brier,
+                    f.expected_calibration_error
+                ));
+            }
+        }
+        Finding::CannotBeEstimated { because } => wrapped(&format!("The logistic model predicts, because {because}.")),
+    }
+    regression("Logistic risk model", &risk.regression);
     match &risk.roc {
         Finding::Estimated(roc) => {
             let ends = |[low, high]: [f64; 2]| format!("{low:.3} to {high:.3}");

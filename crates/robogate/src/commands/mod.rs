@@ -27,6 +27,7 @@ pub(crate) mod plan;
 pub(crate) mod policy;
 mod probe;
 pub(crate) mod rank;
+pub(crate) mod rare;
 pub(crate) mod register;
 pub(crate) mod replay;
 pub(crate) mod report;

@@ -53,6 +53,7 @@ mod pages;
 mod policy;
 mod project;
 mod rank;
+mod rare;
 mod runs;
 mod settings;
 mod shards;

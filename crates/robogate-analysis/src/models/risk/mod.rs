@@ -1,4 +1,5 @@
-//! The risk model: P(failure) from all parameters, with categorical ones coded as penalties.
+//! The risk model: P(failure) from all parameters. The paper's logistic model, with categorical parameters coded as penalties, is for
+//! interpretation; [`Predictor`] predicts.
 //!
 //! The paper's model has this form but does not define the penalties. Here the penalty of a level is its failure rate,
 //! shrunk towards the overall rate with the weight of ten episodes: (f + 10 p) / (n + 10), with f failures in n
@@ -10,12 +11,12 @@
 //! scenario that the model has not seen. The intervals of AUC and calibration count scenarios.
 //!
 //! Limitation: in sample, the penalties are computed from the outcomes that they predict. The in-sample AUC is therefore
-//! too high. The cross-validated figures have no such bias, but folds share training rows, which their interval ignores:
-//! if no parameter has an effect, it misses an AUC of 0.5 more often than once in 20. The tests of the penalties are
+//! too high. The cross-validated figures have no such bias. The tests of the penalties are
 //! likelihood-ratio tests of the levels ([`levels`]). If rows come in clusters, these count clusters or are left out.
 //! Source for the coding: Micci-Barreca (2001), SIGKDD Explorations 3(1).
 
 mod calibration;
+mod flexible;
 mod form;
 mod levels;
 mod penalties;
@@ -32,6 +33,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use calibration::{CalibrationFigures, ReliabilityBin};
+pub use flexible::{MOST_COLUMNS, Predictor, PredictorColumn};
 pub use penalties::{Penalty, PenaltyLevel};
 pub use roc::{RocCurve, RocFigures};
 pub use scoring::{Scoring, ScoringTerm};
@@ -74,6 +76,9 @@ pub struct RiskModel {
     pub calibration_in_sample: Finding<CalibrationFigures>,
     /// Calibration on held-out rows.
     pub calibration_cross_validated: Finding<CalibrationFigures>,
+    /// The calibrated model without an assumption about the shape of the effects. It gives the predictions for single episodes, and
+    /// the risk in the reference of a monitor.
+    pub predictor: Finding<Predictor>,
 }
 
 /// A predicted probability of failure for each row, from cross-validation if possible.
@@ -132,6 +137,10 @@ pub(crate) fn risk(table: &EpisodeTable, base: &Sample, task: &TaskAnalysis) -> 
             CrossValidationError::Roc(error) => error.to_string(),
         })
     };
+    let (predictor, predicted) = match flexible::predictor(&base.parameters, &failed, weights, of_row) {
+        Finding::Estimated((predictor, p)) => (Finding::Estimated(predictor), Some(p)),
+        Finding::CannotBeEstimated { because } => (Finding::CannotBeEstimated { because }, None),
+    };
     // Ranks have no weights, so an AUC is that of the rows whose points were sampled from the operating space.
     let chosen = |at: usize| weights.is_some() && table.is_focused(base.rows[at] as usize);
     let sampled: Vec<usize> = (0..base.len()).filter(|at| !chosen(*at)).collect();
@@ -157,10 +166,12 @@ pub(crate) fn risk(table: &EpisodeTable, base: &Sample, task: &TaskAnalysis) -> 
             Ok(crossed) => calibrated(&crossed.scores, &failed, weights, of_row),
             Err(because) => Finding::not(because.clone()),
         },
+        predictor,
     };
-    let scored = match crossed {
-        Ok(crossed) => Scored { p: crossed.scores, unseen: true },
-        Err(_) => Scored { p, unseen: false },
+    let scored = match (predicted, crossed) {
+        (Some(p), _) => Scored { p, unseen: true },
+        (None, Ok(crossed)) => Scored { p: crossed.scores, unseen: true },
+        (None, Err(_)) => Scored { p, unseen: false },
     };
     Finding::Estimated((model, scored))
 }

@@ -8,12 +8,19 @@ use super::{Block, Figure, Section, Table, population};
 use crate::document::Kind::{Number, Text};
 use crate::document::{MAX_ROWS, or_dash};
 use crate::figures;
+use crate::text::predictor_about;
 
 pub(super) fn risk(analysis: &Analysis) -> Section {
     let mut blocks = Vec::new();
     match &analysis.risk {
         Finding::CannotBeEstimated { because } => blocks.push(Block::cannot("A risk model", because)),
         Finding::Estimated(risk) => {
+            blocks.push(match &risk.predictor {
+                Finding::Estimated(model) => Block::Text(predictor_about(model)),
+                Finding::CannotBeEstimated { because } => {
+                    Block::Text(format!("The logistic model predicts, because {because}."))
+                }
+            });
             blocks.push(Block::Figure(coefficients(risk, analysis)));
             blocks.extend(risk.regression.warnings.iter().cloned().map(Block::Caution));
             if analysis.effects.by_scenario {
@@ -82,9 +89,11 @@ fn coefficients(risk: &RiskModel, analysis: &Analysis) -> Figure {
 }
 
 fn calibration(risk: &RiskModel, by_scenario: bool) -> Option<Figure> {
-    let (found, rows) = match (&risk.calibration_cross_validated, &risk.calibration_in_sample) {
-        (Finding::Estimated(found), _) => (found, "cross-validated"),
-        (_, Finding::Estimated(found)) => (found, "in sample"),
+    let predictor = risk.predictor.estimated().and_then(|model| model.calibration_cross_validated.estimated());
+    let (found, rows) = match (predictor, &risk.calibration_cross_validated, &risk.calibration_in_sample) {
+        (Some(found), ..) => (found, "the model that predicts, cross-validated"),
+        (None, Finding::Estimated(found), _) => (found, "the logistic model, cross-validated"),
+        (None, _, Finding::Estimated(found)) => (found, "the logistic model, in sample"),
         _ => return None,
     };
     Some(Figure {
@@ -203,8 +212,15 @@ fn calibration_table(risk: &RiskModel) -> Table {
             row
         }
     };
-    let rows =
-        vec![row("cross-validated", &risk.calibration_cross_validated), row("in sample", &risk.calibration_in_sample)];
+    let predictor = risk.predictor.estimated();
+    let rows = predictor
+        .map(|model| row("model that predicts, cross-validated", &model.calibration_cross_validated))
+        .into_iter()
+        .chain([
+            row("logistic, cross-validated", &risk.calibration_cross_validated),
+            row("logistic, in sample", &risk.calibration_in_sample),
+        ])
+        .collect();
     let columns = [
         ("rows", Text),
         ("Brier score", Number),

@@ -29,7 +29,7 @@ pub(super) fn write(source: &Source, file: &Path) -> Result<(), Exit> {
         let value = match figure.metric {
             Metric::CycleTime(_) => format!("{:.3} s", figure.value),
             Metric::FailureCount(_) => format!("{}", figure.value),
-            Metric::Measure(..) => number(figure.value),
+            Metric::Measure(..) | Metric::Production(_) => number(figure.value),
             _ => percent(figure.value),
         };
         note(format_args!("  {:<28} {value}", figure.metric.title()));

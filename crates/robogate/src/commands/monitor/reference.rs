@@ -9,7 +9,7 @@ use robogate_analysis::{Analysis, AnalysisOptions, Finding, Population, RiskMode
 use robogate_core::{Domain, Parameter};
 use robogate_dictionary::{Column, Dictionary, DictionaryError};
 use robogate_gate::{Asked, Metric, RealEvidence, Requirements};
-use robogate_monitor::domain::{self, Risk, RiskTerm, Validated};
+use robogate_monitor::domain::{self, Predictor, PredictorColumn, Risk, RiskTerm, Validated};
 use robogate_monitor::{Baseline, Count, ModeCounts, Reference};
 
 use crate::commands::analyze::analyse;
@@ -140,6 +140,9 @@ impl ReferenceOf {
         match &analysis.risk {
             Finding::Estimated(model) => {
                 note(format_args!("  risk model of {} parameters", model.scoring.terms.len()));
+                if let Finding::CannotBeEstimated { because } = &model.predictor {
+                    note(format_args!("  the logistic model predicts, because {because}"));
+                }
                 model.regression.warnings.iter().for_each(|warning| note(format_args!("  {warning}")));
             }
             Finding::CannotBeEstimated { because } => note(format_args!("  no risk model because {because}")),
@@ -229,6 +232,13 @@ fn risk(model: &RiskModel) -> Risk {
         terms: scoring.terms.iter().map(term).collect(),
         covariance: scoring.covariance.clone(),
         most_variance: scoring.max_variance,
+        predictor: model.predictor.estimated().and_then(|predictor| {
+            let column = |column: &robogate_analysis::PredictorColumn| PredictorColumn {
+                parameter: column.parameter.clone(),
+                category: column.category.clone(),
+            };
+            Some(Predictor::new(predictor.columns.iter().map(column).collect(), predictor.model.clone()?))
+        }),
     }
 }
 
