@@ -240,7 +240,7 @@ fn nominal_rate_is_stated() {
         let text = fs::read_to_string(bench.at("varied").join(file)).unwrap();
         assert!(text.contains("With nothing varied") || text.contains("\"nominal\": {"), "{file}: {text}");
     }
-    bench.robogate("gate --env slow.py --seed 4 --nominal --out same", 0, &["PASS", "slow-nominal"]);
+    bench.robogate("gate --env slow.py --seed 4 --nominal --out same", 0, &["PASS", "reach-nominal"]);
     bench.robogate("gate --run varied --nominal", 2, &["needs the control arm", "Hint: "]);
 }
 
