@@ -58,11 +58,7 @@ pub(super) fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
                 "The peg was caught in the hole where friction can hold it against any load.",
             ),
             mode(MISSED, Severity::Major, "The gripper closed without the peg, or released it outside the hole."),
-            mode(
-                SLIPPED,
-                Severity::Major,
-                "The peg moved in the hand by more than 5 mm before it was seated.",
-            ),
+            mode(SLIPPED, Severity::Major, "The peg moved in the hand by more than 5 mm before it was seated."),
             mode(DROPPED, Severity::Critical, "The peg was lost between grasp and release."),
             mode(COLLISION, Severity::Critical, "A link or finger of the robot touched the table or the block."),
             mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the peg was seated."),
