@@ -4,8 +4,8 @@
 The classifier follows the descriptions of the modes in docs/reference and shares no code with the referees. It reads /tf, /contacts,
 /observation and /command of the MCAP file of each episode, and the parameters of its scenario; neither /measures nor /log.
 
-Usage: scripts/labels.py ROBOGATE WORK [--failures N] [--tasks pick_place,stacking,insertion]
-Runs a campaign of each task in WORK until it has N failures, replays them, and prints the agreement and every disagreement. It needs
+Usage: scripts/labels.py ROBOGATE WORK [--failures N] [--episodes N] [--tasks pick_place,stacking,insertion]
+Runs a campaign of each task in WORK, replays its first N failures, and prints the agreement and every disagreement. It needs
 the Python package `mcap`. docs/results/labels.md has its results.
 """
 
@@ -26,10 +26,11 @@ JAM_N, JAM_S = 100.0, 0.05
 PALM_M = 0.025
 # The link of the Franka that carries its hand.
 WRIST = "robot/link7"
+# The options of each task's campaign.
 RUNS = {
-    "pick_place": (["--space", "franka", "--design", "uniform"], 600),
-    "stacking": (["--design", "two-stage"], 600),
-    "insertion": (["--design", "two-stage"], 600),
+    "pick_place": ["--space", "franka", "--design", "uniform"],
+    "stacking": ["--design", "two-stage"],
+    "insertion": ["--design", "two-stage"],
 }
 
 
@@ -184,7 +185,8 @@ def grasps(moments):
             start = i
         if start is not None and (not moment.closed or i + 1 == len(moments)):
             end = i if not moment.closed else i + 1
-            held = next((k for k in range(start, end) if moments[k].grasps()), None)
+            # Both fingers press for about a tenth of a second.
+            held = next((k for k in range(start, end - 2) if all(m.grasps() for m in moments[k : k + 3])), None)
             spans.append((start, end, held))
             start = None
     return spans
@@ -280,6 +282,8 @@ def insertion(moments, parameters):
         (norm(minus(inside(m.tool, m.poses["object"]), first)) for m in moments[steady:end] if m.touching("robot and object")),
         default=0.0,
     )
+    if moments[-1].closed and not any(m.touching("robot and object") for m in moments[-3:]):
+        return "dropped"
     if mode == "collision":
         return "slipped" if slip > 0.005 else mode
     walls = [pose[0] for name, pose in moments[0].poses.items() if name.startswith("block")]
@@ -292,8 +296,6 @@ def insertion(moments, parameters):
     in_hole = over(final) and depth(final) > 5e-4
     stuck = "wedge" if depth(final) <= friction * width else "jam"
     if end >= len(moments):
-        if not final.touching("robot and object"):
-            return "dropped"
         recent = [m for m in moments if m.time >= final.time - 2.0]
         crush = [m for m in moments if m.time >= final.time - 0.4]
         force = lambda m: abs(sum(c["force"][2] for c in m.touching("object and surroundings")))
@@ -310,12 +312,11 @@ def insertion(moments, parameters):
 CLASSIFIERS = {"pick_place": pick_place, "stacking": stacking, "insertion": insertion}
 
 
-def failures(robogate, work, task, count):
+def failures(robogate, work, task, count, episodes):
     """Index and label of failures of a campaign, which is run unless WORK has it."""
     run = work / task
-    options, episodes = RUNS[task]
     if not (run / "dictionary.parquet").exists():
-        command = [robogate, "--quiet", "run", "--task", task, *options, "-n", str(episodes), "--seed", "4401", "--out", str(run)]
+        command = [robogate, "--quiet", "run", "--task", task, *RUNS[task], "-n", str(episodes), "--seed", "4401", "--out", str(run)]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     rows = work / f"{task}.csv"
     rows.unlink(missing_ok=True)
@@ -329,11 +330,12 @@ def main():
     parser.add_argument("robogate")
     parser.add_argument("work", type=pathlib.Path)
     parser.add_argument("--failures", type=int, default=300)
+    parser.add_argument("--episodes", type=int, default=600, help="of each campaign")
     parser.add_argument("--tasks", default=",".join(RUNS))
     arguments = parser.parse_args()
     arguments.work.mkdir(parents=True, exist_ok=True)
     for task in arguments.tasks.split(","):
-        chosen = failures(arguments.robogate, arguments.work, task, arguments.failures)
+        chosen = failures(arguments.robogate, arguments.work, task, arguments.failures, arguments.episodes)
         pairs = collections.Counter()
         for index, label in chosen:
             file = arguments.work / f"{task}-{index}.mcap"

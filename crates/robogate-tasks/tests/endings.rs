@@ -89,6 +89,24 @@ fn coming_down_on_a_wide_part_is_a_hit() {
     assert!(impulse > 0.0 && impulse < 0.06 * peak.unwrap(), "{impulse}");
 }
 
+/// A part that only loses contact with the table for a moment is not off it.
+#[test]
+fn parts_are_off_the_table_at_a_height() {
+    let (mut environment, mut policy) = bench(PickPlace::DEFAULT);
+    let (mut closed_m, mut height_m) = (None, None);
+    rollout_with(&mut *environment, &mut *policy, &scenario(0, &[]), &mut |tick| {
+        let tool_m = tick.step.observation.tool_pose().unwrap().position[2];
+        for event in &tick.step.events {
+            match event.as_str() {
+                "gripper closes" => closed_m = Some(tool_m),
+                "object off the table" => height_m = closed_m.map(|closed| tool_m - closed),
+                _ => {}
+            }
+        }
+    });
+    assert!(height_m.unwrap() > 0.0045, "{height_m:?}");
+}
+
 /// The pads press with nearly the limit, and lose their allowance only when they have let go.
 #[test]
 fn strong_grip_is_no_hit() {

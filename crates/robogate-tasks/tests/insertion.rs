@@ -63,3 +63,72 @@ of_every_engine! {
         assert!(hashes().eq(hashes()));
     }
 }
+
+/// A scenario of the campaign with the default seed.
+#[cfg(feature = "mujoco")]
+fn recorded(index: u64, parameters: &[(&str, f64)]) -> Scenario {
+    Scenario { seed: Seed::campaign(2026).episode(index), ..scenario(index, parameters) }
+}
+
+/// The peg catches on the edge of the hole and turns in the hand, which then comes down on the block or releases it there.
+#[test]
+#[cfg(feature = "mujoco")]
+fn pegs_that_turn_in_the_hand_slipped() {
+    let scenarios = [
+        recorded(
+            11,
+            &[
+                ("clearance_m", 0.0005206880085498602),
+                ("chamfer_m", 0.0005610787488520146),
+                ("mass_kg", 0.3811566665324597),
+                ("friction", 0.45831672843545673),
+                ("arm_stiffness", 0.22315522097473492),
+                ("hole_jitter_m", 0.0020953113406896595),
+                ("hole_tilt_rad", 0.0022879666462540626),
+                ("peg_jitter_m", 0.003060715386271477),
+                ("encoder_bias_rad", 0.0002569933265447617),
+            ],
+        ),
+        recorded(
+            15,
+            &[
+                ("clearance_m", 0.00022903896223170226),
+                ("chamfer_m", 0.0025365339808166025),
+                ("mass_kg", 0.21922783295021708),
+                ("friction", 0.5672663581743836),
+                ("arm_stiffness", 0.19163697737950489),
+                ("hole_jitter_m", 0.003190589240193367),
+                ("hole_tilt_rad", 0.0004547053053975105),
+                ("peg_jitter_m", 0.0021967329174280167),
+                ("encoder_bias_rad", 0.0012084374219179152),
+            ],
+        ),
+    ];
+    for episode in episodes(EngineKind::Mujoco, &Insertion::DEFAULT, "franka", &scenarios) {
+        assert_eq!(outcome(&episode), "slipped", "{episode:#?}");
+        assert!(episode.measures.get("slip_m").unwrap() > 0.02);
+    }
+}
+
+/// The peg creeps at 0.26 mm/s until the hand slides down along it.
+#[test]
+#[cfg(feature = "mujoco")]
+fn creeping_pegs_are_stuck() {
+    let scenario = recorded(
+        20,
+        &[
+            ("clearance_m", 0.00045123256799680137),
+            ("chamfer_m", 0.0017842889674007892),
+            ("mass_kg", 0.40669774485821947),
+            ("friction", 0.5313498634472489),
+            ("arm_stiffness", 0.7558498487620895),
+            ("hole_jitter_m", 6.712994277477265e-5),
+            ("hole_tilt_rad", 0.004393254585564136),
+            ("peg_jitter_m", 0.0015464752048254013),
+            ("encoder_bias_rad", 0.002092231920361519),
+        ],
+    );
+    let episode = &episodes(EngineKind::Mujoco, &Insertion::DEFAULT, "franka", &[scenario])[0];
+    assert_eq!(outcome(episode), "jam", "{episode:#?}");
+    assert!((8.0..13.0).contains(&episode.time_s), "{}", episode.time_s);
+}
