@@ -63,7 +63,7 @@ pub use marginal::{
     Zone,
 };
 pub use models::{
-    CalibrationFigures, Coefficient, Estimate, Frontier, FrontierPoint, MOST_COLUMNS, Penalty, PenaltyLevel, Predictor,
+    CalibrationFigures, Coefficient, Estimate, Frontier, FrontierPoint, Penalty, PenaltyLevel, Predictor,
     PredictorColumn, Regression, ReliabilityBin, RiskModel, RocCurve, RocFigures, Scoring, ScoringTerm,
 };
 pub use pair_counts::{ListedEpisode, PairCounts, pair_counts};

@@ -9,7 +9,7 @@
 //! independent episodes. Cycle times of episodes that ran into their time limit, or failed otherwise, are censored there.
 
 use robogate_stats::bounded_mean::BoundedMean;
-use robogate_stats::renewal::{median_run, rate_of_run, reward_rate};
+use robogate_stats::renewal::{event_rate, median_run, rate_of_run, reward_rate};
 use robogate_stats::survival::{kaplan_meier, quantile_time, tolerance_interval};
 use robogate_stats::{Confidence, Trials, clopper_pearson};
 use schemars::JsonSchema;
@@ -232,12 +232,11 @@ impl ProductionFigures {
     pub(crate) fn of(trials: &[&Trial]) -> Option<Self> {
         let cycles: Vec<(f64, bool, bool)> = trials.iter().filter_map(|trial| cycle(trial)).collect();
         let times: Vec<f64> = cycles.iter().map(|cycle| cycle.0).collect();
-        let marks = |of: fn(&(f64, bool, bool)) -> bool| -> Vec<f64> {
-            cycles.iter().map(|cycle| f64::from(u8::from(of(cycle)))).collect()
-        };
+        let units: Vec<f64> = cycles.iter().map(|cycle| f64::from(u8::from(cycle.1))).collect();
+        let assists: Vec<bool> = cycles.iter().map(|cycle| cycle.2).collect();
         let limited = |x: f64| Some(x).filter(|x| *x < UNLIMITED && x.is_finite());
-        let units = reward_rate(&marks(|cycle| cycle.1), &times, Confidence::P95)?;
-        let assists = reward_rate(&marks(|cycle| cycle.2), &times, Confidence::P95)?;
+        let units = reward_rate(&units, &times, Confidence::P95)?;
+        let assists = event_rate(&assists, &times, Confidence::P95)?;
         let inverse = |rate: f64| limited(1.0 / rate);
         let rate = clopper_pearson(Trials::count(cycles.iter().map(|cycle| cycle.1)), Confidence::P95);
         let n = cycles.len();

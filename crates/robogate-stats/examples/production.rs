@@ -6,7 +6,7 @@
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
 use robogate_stats::bounded_mean::BoundedMean;
-use robogate_stats::renewal::{median_run, reward_rate};
+use robogate_stats::renewal::{event_rate, median_run, reward_rate};
 use robogate_stats::survival::{kaplan_meier, quantile_time, tolerance_interval};
 use robogate_stats::{Confidence, Trials, clopper_pearson};
 
@@ -65,9 +65,10 @@ fn coverage(repetitions: u64) {
                 let mut rng = ChaCha8Rng::seed_from_u64(seed);
                 let cycles: Vec<(f64, bool)> = (0..n).map(|_| cell.cycle(&mut rng)).collect();
                 let times: Vec<f64> = cycles.iter().map(|c| c.0).collect();
-                let of = |wanted: bool| cycles.iter().map(|c| f64::from(u8::from(c.1 == wanted))).collect::<Vec<f64>>();
+                let units: Vec<f64> = cycles.iter().map(|c| f64::from(u8::from(c.1))).collect();
+                let failed: Vec<bool> = cycles.iter().map(|c| !c.1).collect();
                 let (Some(units), Some(failures)) =
-                    (reward_rate(&of(true), &times, Confidence::P95), reward_rate(&of(false), &times, Confidence::P95))
+                    (reward_rate(&units, &times, Confidence::P95), event_rate(&failed, &times, Confidence::P95))
                 else {
                     continue;
                 };

@@ -12,7 +12,7 @@
 
 use robogate_maths::beta::student_quantile;
 
-use crate::interval::{Confidence, Interval};
+use crate::interval::{Confidence, Interval, Trials, clopper_pearson};
 
 /// A long-run reward per time.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,6 +45,17 @@ pub fn reward_rate(rewards: &[f64], durations: &[f64], confidence: Confidence) -
         Interval { low: 0.0, high: f64::INFINITY }
     };
     Some(RewardRate { rate: reward / time, interval })
+}
+
+/// Events per time of these cycles. With few events Fieller's interval is too short, so it is extended to that of the share of cycles with
+/// an event (Clopper and Pearson) divided by the mean duration. `None` as for [`reward_rate`].
+pub fn event_rate(events: &[bool], durations: &[f64], confidence: Confidence) -> Option<RewardRate> {
+    let rewards: Vec<f64> = events.iter().map(|event| f64::from(u8::from(*event))).collect();
+    let RewardRate { rate, interval } = reward_rate(&rewards, durations, confidence)?;
+    let time = durations.iter().sum::<f64>() / durations.len() as f64;
+    let share = clopper_pearson(Trials::count(events.iter().copied()), confidence);
+    let (low, high) = (interval.low.min(share.low / time), interval.high.max(share.high / time));
+    Some(RewardRate { rate, interval: Interval { low, high } })
 }
 
 /// The probability that the longest run of successes among `n` cycles with success rate `p` is at least `length`.

@@ -12,8 +12,8 @@ use serde::{Deserialize, Serialize};
 
 pub use frontier::{Frontier, FrontierPoint};
 pub use risk::{
-    CalibrationFigures, MOST_COLUMNS, Penalty, PenaltyLevel, Predictor, PredictorColumn, ReliabilityBin, RiskModel,
-    RocCurve, RocFigures, Scoring, ScoringTerm,
+    CalibrationFigures, Penalty, PenaltyLevel, Predictor, PredictorColumn, ReliabilityBin, RiskModel, RocCurve,
+    RocFigures, Scoring, ScoringTerm,
 };
 
 pub(crate) use frontier::frontier;

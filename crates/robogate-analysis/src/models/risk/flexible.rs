@@ -18,8 +18,8 @@ use crate::table::{ParameterColumn, ParameterKind};
 const MOST_ROWS: usize = 20_000;
 /// Fewest rows of the rarer outcome, or scenarios with it.
 const FEWEST: usize = 10;
-/// Most columns, which count each category.
-pub const MOST_COLUMNS: usize = 256;
+/// Most columns, which count each category: those that a monitor reads.
+const MOST_COLUMNS: usize = 256;
 
 /// A calibrated model of P(success): the mean of gradient boosting and of a logistic model on splines and products, chosen by
 /// cross-validation.

@@ -33,7 +33,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use calibration::{CalibrationFigures, ReliabilityBin};
-pub use flexible::{MOST_COLUMNS, Predictor, PredictorColumn};
+pub use flexible::{Predictor, PredictorColumn};
 pub use penalties::{Penalty, PenaltyLevel};
 pub use roc::{RocCurve, RocFigures};
 pub use scoring::{Scoring, ScoringTerm};
