@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Checks every arm of MuJoCo Menagerie with `robogate robots check menagerie:NAME`, and writes docs/results/menagerie.md.
 
-    python scripts/menagerie.py target/debug/robogate
+    python scripts/menagerie.py target/debug/robogate [--note "Where the files are from."]
 
 Runs in a Python with the package mujoco-menagerie. Its files must be on this machine: `python -m mujoco_menagerie prefetch`, or a
 checkout in MENAGERIE_ROOT. The check drafts robot.toml from the model alone; nothing is corrected by hand.
@@ -36,8 +36,10 @@ def check(robogate, name):
     command = [robogate, "robots", "check", f"menagerie:{name}", "--python", sys.executable, "--json"]
     run = subprocess.run(command, capture_output=True, text=True)
     if not run.stdout.strip():
-        why = next((line for line in run.stderr.splitlines() if line.startswith("error:")), run.stderr.strip()[:200])
-        return None, "", None, False, why.split(": ")[-1].removeprefix("error: ")
+        # The last cause says most.
+        causes = [line.strip() for line in run.stderr.splitlines() if line.strip().startswith(("error:", "because:"))]
+        why = causes[-1].split(": ", 1)[-1] if causes else run.stderr.strip()[:200]
+        return None, "", None, False, why
     report = json.loads(run.stdout)
     robot, measured = report["robot"], report["measured"] or {}
     if robot is None:
@@ -63,6 +65,7 @@ def check(robogate, name):
 
 def main():
     robogate = sys.argv[1]
+    note = " " + sys.argv[sys.argv.index("--note") + 1] if "--note" in sys.argv else ""
     rows, works, checked, missing = [], 0, 0, []
     for name in menagerie.names():
         robot = menagerie.get(name)
@@ -81,7 +84,7 @@ def main():
         rows.append(f"| `{name}` | {joints or ''} | {gripper} | {share} | {verdict.replace('|', '/')} |")
     version = subprocess.run([robogate, "--version"], capture_output=True, text=True).stdout.strip()
     checkout = " The files were those of a checkout (`MENAGERIE_ROOT`)." if os.environ.get("MENAGERIE_ROOT") else ""
-    text = HEAD.format(version=menagerie.__version__, works=works, checked=checked, robogate=version, checkout=checkout)
+    text = HEAD.format(version=menagerie.__version__, works=works, checked=checked, robogate=version, checkout=checkout + note)
     text += "\n".join(rows) + "\n"
     if missing:
         text += f"\nNot checked, because their files were not on this machine: {', '.join(missing)}.\n"
