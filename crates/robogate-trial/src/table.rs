@@ -94,8 +94,3 @@ pub fn provenance(folder: &Path, study: &Study, answer: &Answer, csv: &str) -> R
     });
     Ok(serde_json::to_string_pretty(&document).unwrap_or_default() + "\n")
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-}
