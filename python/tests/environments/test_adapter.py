@@ -426,12 +426,14 @@ class Faults(unittest.TestCase):
             self.assertIsNotNone(run(adapter)[0]["ending"])
 
     def test_registered_environment_takes_arguments(self):
-        from robogate_eval.environments import _arguments
+        from robogate_eval.environments.family import arguments
 
-        self.assertEqual(_arguments("x", "mode=state&steps=50&dense=true"), {"mode": "state", "steps": 50, "dense": True})
+        self.assertEqual(arguments("mode=state&steps=50&dense=true"), {"mode": "state", "steps": 50, "dense": True})
         for query in ("mode", "1x=2", "a=1&a=2"):
+            with self.assertRaises(ValueError):
+                arguments(query)
             with self.assertRaises(UnknownEnvironment):
-                _arguments("x", query)
+                find(f"gymnasium:Pendulum-v1?{query}")
         environment = find("gymnasium:Pendulum-v1?g=1.5")
         self.assertEqual(environment.make().unwrapped.g, 1.5)
 
