@@ -282,7 +282,8 @@ def insertion(moments, parameters):
         (norm(minus(inside(m.tool, m.poses["object"]), first)) for m in moments[steady:end] if m.touching("robot and object")),
         default=0.0,
     )
-    if moments[-1].closed and not any(m.touching("robot and object") for m in moments[-3:]):
+    # A hand that comes down on the peg may touch it again at the end.
+    if moments[-1].closed and sum(not m.touching("robot and object") for m in moments[-4:]) >= 2:
         return "dropped"
     if mode == "collision":
         return "slipped" if slip > 0.005 else mode

@@ -97,7 +97,7 @@ pub trait Engine: Any {
     fn support(&self) -> Wrench;
 
     /// Wrench of everything but the robot on hand and fingers in the last step, about the tool centre point and along its axes, without
-    /// weight and inertia of the hand. `None` if the engine does not report it. Computed on request.
+    /// weight and inertia of the hand. `None` if the engine does not report it: MuJoCo alone does. Computed on request.
     fn hand_wrench(&self) -> Option<Wrench> {
         None
     }
@@ -290,14 +290,14 @@ impl Wrench {
     pub const ZERO: Self = Self { force: Vector3::new(0.0, 0.0, 0.0), torque: Vector3::new(0.0, 0.0, 0.0) };
 
     /// The wrench along the axes of a frame.
-    #[cfg(any(feature = "mujoco", feature = "rapier"))]
+    #[cfg(feature = "mujoco")]
     pub(crate) fn in_frame(&self, frame: &Isometry3<f64>) -> Self {
         let along = |vector| frame.inverse_transform_vector(vector);
         Self { force: along(&self.force), torque: along(&self.torque) }
     }
 
     /// The wrench without another one.
-    #[cfg(any(feature = "mujoco", feature = "rapier"))]
+    #[cfg(feature = "mujoco")]
     pub(crate) fn minus(self, other: Option<Self>) -> Self {
         let other = other.unwrap_or(Self::ZERO);
         Self { force: self.force - other.force, torque: self.torque - other.torque }

@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rapier3d_f64::geometry::{ColliderHandle, Contact, ContactManifold, ContactPair};
 use rapier3d_f64::math::Vector;
 use rapier3d_f64::prelude::CoefficientCombineRule;
-use robogate_core::{ContactBetween, ContactPoint, Fault, Region, Touched};
+use robogate_core::{ContactBetween, ContactPoint, Fault, Touched};
 
 use super::{Kind, Loaded, SUBSTEPS};
 use crate::description::isometry;
@@ -63,72 +63,29 @@ impl Loaded {
         let centre = self.world.bodies[self.object()].center_of_mass();
         let arm = Vector3::new(centre.x, centre.y, centre.z) - tcp.translation.vector;
         let torque = (angular - before[1]) / dt - support.torque + arm.cross(&force);
-        Wrench { force, torque }.in_frame(&tcp)
+        Wrench { force: tcp.inverse_transform_vector(&force), torque: tcp.inverse_transform_vector(&torque) }
     }
 
     /// Wrench of the fixtures and the other free bodies on the object in the last step, about its centre of mass, along the world's axes.
     pub(super) fn support(&self) -> Wrench {
-        let about = plain(self.world.bodies[self.object()].center_of_mass());
+        let settings = &self.world.integration_parameters;
+        let plain = |v: Vector| Vector3::new(v.x, v.y, v.z);
+        let mut support = Wrench::ZERO;
         let shapes = &self.free[self.selected].1;
         let pairs = shapes.iter().flat_map(|shape| self.world.narrow_phase.contact_pairs_with(*shape));
-        let object = Kind::Object(self.selected);
-        self.contact_wrench(
-            pairs,
-            about,
-            |kind| kind == object,
-            |kind| match kind {
-                Kind::Fixture(_) => true,
-                Kind::Object(body) => body != self.selected,
-                Kind::Robot { .. } => false,
-            },
-        )
-    }
-
-    /// Wrench of everything but the robot on hand and fingers in the last step, about the tool centre point `tcp` and along its axes.
-    pub(super) fn hand_wrench(&self, tcp: &Isometry3<f64>) -> Wrench {
-        let pairs = self.world.narrow_phase.contact_pairs();
-        let on_hand = |kind| matches!(kind, Kind::Robot { body, .. } if self.regions[body] != Region::Arm);
-        // The load of the cup contains its contact with the object.
-        let held = self.cup_load.map(|_| Kind::Object(self.selected));
-        let outside = |kind| matches!(kind, Kind::Fixture(_) | Kind::Object(_)) && Some(kind) != held;
-        self.contact_wrench(pairs, tcp.translation.vector, on_hand, outside).in_frame(tcp).minus(self.cup_load)
-    }
-
-    /// Wrench in the last step on shapes of one kind from those of another one, about the point `about`, along the world's axes.
-    fn contact_wrench<'a>(
-        &self,
-        pairs: impl Iterator<Item = &'a ContactPair>,
-        about: Vector3<f64>,
-        on: impl Fn(Kind) -> bool,
-        from: impl Fn(Kind) -> bool,
-    ) -> Wrench {
-        let settings = &self.world.integration_parameters;
-        let mut sum = Wrench::ZERO;
-        for pair in pairs {
-            let kind = |handle: ColliderHandle| {
-                let id = self.world.colliders.get(handle)?.user_data as usize;
-                Some(self.colliders.get(id)?.1)
-            };
-            let (Some(one), Some(two)) = (kind(pair.collider1), kind(pair.collider2)) else { continue };
-            let shape = match (on(one) && from(two), on(two) && from(one)) {
-                (true, _) => pair.collider1,
-                (_, true) => pair.collider2,
-                _ => continue,
-            };
-            let Some(body) = self.world.colliders.get(shape).and_then(|collider| collider.parent()) else { continue };
-            let offset = plain(self.world.bodies[body].center_of_mass()) - about;
+        for pair in pairs.filter(|pair| self.on_support(pair)) {
             for manifold in pair.manifolds() {
-                let first = manifold.data.rigid_body1 == Some(body);
+                let first = manifold.data.rigid_body1 == Some(self.object());
                 // The normal points from the first body to the second.
                 let sign = if first { -1.0 } else { 1.0 };
                 let mut middle = Vector3::zeros();
                 let mut pressed = 0.0;
                 let mut last = None;
                 for point in solved(manifold).filter(|point| point.data.impulse > 0.0) {
-                    let arm = plain(if first { point.data.solver_dp1 } else { point.data.solver_dp2 }) + offset;
+                    let arm = plain(if first { point.data.solver_dp1 } else { point.data.solver_dp2 });
                     let force = plain(manifold.data.normal) * (sign * point.data.impulse / settings.dt);
-                    sum.force += force;
-                    sum.torque += arm.cross(&force);
+                    support.force += force;
+                    support.torque += arm.cross(&force);
                     middle += arm * point.data.impulse;
                     pressed += point.data.impulse;
                     last = Some(&point.data);
@@ -137,13 +94,26 @@ impl Loaded {
                 if let Some(last) = last {
                     let share = SUBSTEPS as f64 / settings.dt;
                     let tangential = plain(last.warmstart_tangent_world) * (-sign * share);
-                    sum.force += tangential;
-                    sum.torque += (middle / pressed).cross(&tangential);
-                    sum.torque += plain(manifold.data.normal) * (sign * last.warmstart_twist_impulse * share);
+                    support.force += tangential;
+                    support.torque += (middle / pressed).cross(&tangential);
+                    support.torque += plain(manifold.data.normal) * (sign * last.warmstart_twist_impulse * share);
                 }
             }
         }
-        sum
+        support
+    }
+
+    /// Whether a pair of shapes of the object contains a fixture or another free body.
+    fn on_support(&self, pair: &ContactPair) -> bool {
+        [pair.collider1, pair.collider2].into_iter().any(|handle| {
+            let collider = self.world.colliders.get(handle);
+            let kind = collider.and_then(|collider| self.colliders.get(collider.user_data as usize));
+            match kind {
+                Some((_, Kind::Fixture(_))) => true,
+                Some((_, Kind::Object(body))) => *body != self.selected,
+                _ => false,
+            }
+        })
     }
 
     /// Rolling friction of a ball: a moment against its rotation, at most [`contact::ROLLING_M`] times the normal force.
@@ -314,11 +284,6 @@ impl Loaded {
             }
         }
     }
-}
-
-/// A vector of Rapier.
-fn plain(v: Vector) -> Vector3<f64> {
-    Vector3::new(v.x, v.y, v.z)
 }
 
 /// The points of a manifold that the last step solved. The others contain old values.

@@ -324,10 +324,6 @@ impl Engine for RapierEngine {
         self.loaded().support()
     }
 
-    fn hand_wrench(&self) -> Option<Wrench> {
-        Some(self.loaded().hand_wrench(&self.tcp()))
-    }
-
     fn force_between(&self, one: Side, other: Side) -> Option<f64> {
         self.loaded().force_between(one, other)
     }

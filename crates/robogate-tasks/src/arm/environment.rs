@@ -9,6 +9,7 @@ use robogate_core::{
 };
 use robogate_physics::{Engine, GripperCommand, Plant, Robot, Scene, Visual};
 
+use super::forces::no_wrist_sensor;
 use super::judge::Judge;
 use super::rules::{Found, Rules};
 use super::{Film, HasSettings, camera_specs, posture, render};
@@ -54,6 +55,9 @@ impl ArmEnvironment {
     ) -> Result<Self, String> {
         let Rig { picture_px, mut renderer } = rig;
         let settings = task.arm();
+        if engine.build().name != "mujoco" {
+            no_wrist_sensor(settings)?;
+        }
         let plant = Plant::new(engine, CONTROL_PERIOD_S, settings.grip_force_n)?.with_suction(settings.suction);
         let (robot, chain) = (plant.engine.robot().clone(), plant.engine.chain().clone());
         let cameras = cameras(&robot, picture_px);

@@ -197,17 +197,15 @@ impl Wrist {
     }
 }
 
-/// Checks that an engine in another process can run a task with these settings.
+/// Checks that an engine which does not report the force at the wrist can run a task with these settings.
 ///
 /// # Errors
 /// If the task has a sensor at the wrist.
 pub(crate) fn no_wrist_sensor(settings: &ArmSettings) -> Result<(), String> {
     match settings.wrist_sensor {
         WristSensor::Off => Ok(()),
-        WristSensor::On => Err(
-            "wrist_sensor: an engine in another process does not report the force at the wrist\nHint: use --engine \
-                                mujoco or rapier, or leave --set wrist_sensor=on out"
-                .to_owned(),
-        ),
+        WristSensor::On => Err("wrist_sensor: only MuJoCo in this process reports the force at the wrist\n\
+                                Hint: use --engine mujoco, or leave --set wrist_sensor=on out"
+            .to_owned()),
     }
 }
