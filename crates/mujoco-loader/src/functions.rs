@@ -87,8 +87,8 @@ unsafe extern "C" {
     static mut mujoco_loader_table: *const c_void;
 
     /// Sets the number of significant digits in the models that MuJoCo writes. The binding does not declare it.
-    #[allow(non_snake_case, reason = "the name in MuJoCo")]
-    pub(crate) fn _mjPRIVATE__set_xml_precision(digits: c_int);
+    #[link_name = "_mjPRIVATE__set_xml_precision"]
+    pub(crate) fn set_xml_precision(digits: c_int);
 }
 
 /// Fills every slot of the table with the address that `find` returns for its function.

@@ -141,7 +141,7 @@ pub fn set_xml_precision(digits: i32) {
     // SAFETY: it stores a number. `load` has connected the function.
     #[expect(unsafe_code, reason = "a function of MuJoCo that the binding lacks")]
     unsafe {
-        functions::_mjPRIVATE__set_xml_precision(digits);
+        functions::set_xml_precision(digits);
     }
 }
 

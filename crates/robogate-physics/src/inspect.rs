@@ -217,13 +217,14 @@ fn workspace(chain: &Chain, home: &[f64], scale: f64, positions: &[[f64; 2]]) ->
             chain.reach(&Isometry3::from_parts(Translation3::new(x, y, *z), yaw * down), home).is_ok()
         })
     };
+    let grid = || {
+        let at = |x: i32, y: i32| [GRID_M * f64::from(x), GRID_M * f64::from(y)].map(|x| scale * x);
+        (6..=14).flat_map(move |x| (-6..=8).map(move |y| at(x, y)))
+    };
     // An arm whose wrist points down near the table only lifts its tool as high as it can.
-    let all = |high: &f64| positions.iter().all(|at| reached(*high, *at));
+    let all = |high: &f64| positions.iter().all(|at| reached(*high, *at)) && grid().any(|at| reached(*high, at));
     let high = TRANSIT_HEIGHTS_M.into_iter().find(all).unwrap_or(TRANSIT_HEIGHTS_M[0]);
-    let places: Vec<bool> = (6..=14)
-        .flat_map(|x| (-6..=8).map(move |y| [GRID_M * f64::from(x), GRID_M * f64::from(y)].map(|x| scale * x)))
-        .map(|at| reached(high, at))
-        .collect();
+    let places: Vec<bool> = grid().map(|at| reached(high, at)).collect();
     let share = places.iter().filter(|reached| **reached).count() as f64 / places.len() as f64;
     (share, positions.iter().map(|at| reached(high, *at)).collect())
 }

@@ -75,8 +75,8 @@ fn exported_scene_moves_the_same() {
             if let (Some(weld), Some(Some(numbers))) = (weld, input.welds.first()) {
                 // SAFETY: only numbers of an equality change.
                 #[expect(unsafe_code, reason = "the binding has no safe setter")]
-                let equalities = unsafe { data.model_mut().eq_data_mut() };
-                equalities[weld][..numbers.len()].copy_from_slice(numbers);
+                let data_of_welds = unsafe { data.model_mut().eq_data_mut() };
+                data_of_welds[weld][..numbers.len()].copy_from_slice(numbers);
                 data.eq_active_mut()[weld] = true;
             }
             data.step();

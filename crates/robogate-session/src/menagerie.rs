@@ -106,7 +106,7 @@ fn prepared(name: &str, python: Option<&Path>) -> anyhow::Result<PathBuf> {
     }
     let mut command = Command::new(python.unwrap_or(Path::new("python3")));
     command.args(["-c", ASK, robot, model]).stdin(Stdio::null());
-    let answer = output(&mut command).context("cannot start Python, which has the package mujoco-menagerie")?;
+    let answer = output(&mut command)?;
     let Found { folder, files, source } =
         serde_json::from_slice(&answer.stdout).context("cannot read what the package mujoco-menagerie says")?;
     let stem = Path::new(&source.model).file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -135,7 +135,8 @@ fn prepared(name: &str, python: Option<&Path>) -> anyhow::Result<PathBuf> {
 
 /// Runs a command. Its message on standard error is the error if it fails.
 fn output(command: &mut Command) -> anyhow::Result<Output> {
-    let output = command.output()?;
+    let program = command.get_program().to_string_lossy().into_owned();
+    let output = command.output().with_context(|| format!("cannot start {program}"))?;
     if output.status.success() {
         return Ok(output);
     }
