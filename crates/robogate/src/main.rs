@@ -212,7 +212,6 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Resume(verb) => verb.execute(),
         Verb::Compare(verb) => verb.execute(),
         Verb::Rank(verb) => verb.execute(),
-        Verb::Rare(arguments) => arguments.execute(),
         Verb::Rare(verb) => verb.execute(),
         Verb::Leaderboard(verb) => verb.execute(),
         Verb::Matrix(verb) => verb.execute(),
