@@ -168,6 +168,9 @@ pub fn check_repeats(records: &[&Record]) -> Result<(), GateError> {
     })
 }
 
+/// The episodes of A and B.
+type Pair<'a> = (&'a Trial, &'a Trial);
+
 /// Whether the episodes of a pair succeeded. `None` if one is invalid.
 type Twin = Option<(bool, bool)>;
 
@@ -231,13 +234,13 @@ impl Against<'_> {
     }
 
     /// The pairs of complete rounds, and their number after each round.
-    fn pairs<'a>(&'a self, record: &'a Record) -> Result<(Vec<(&'a Trial, &'a Trial)>, Vec<usize>), GateError> {
+    fn pairs<'a>(&'a self, record: &'a Record) -> Result<(Vec<Pair<'a>>, Vec<usize>), GateError> {
         let others: BTreeMap<u64, &Trial> = self.record.trials.iter().map(|trial| (trial.index, trial)).collect();
         let rounds = Rounds::of(&record.trials, &record.population)?;
         let mut pairs = Vec::new();
         let mut looks = Vec::new();
         for round in &rounds.rounds {
-            let found: Vec<(&Trial, &Trial)> =
+            let found: Vec<Pair<'_>> =
                 round.iter().filter_map(|trial| Some((*others.get(&trial.index)?, *trial))).collect();
             // The other run may have fewer rounds. Incomplete rounds are not used.
             if rounds.suite && found.len() < round.len() {
@@ -330,7 +333,7 @@ fn planned_rounds(record: &Record) -> Option<u64> {
 
 /// Pairs imported episodes by case and seed, because nothing else identifies their scenario. A file without cases has
 /// one, and a file without seeds is paired by the number of the episode within its case.
-fn imported_pairs<'a>(other: &'a Record, this: &'a Record) -> Result<Vec<(&'a Trial, &'a Trial)>, GateError> {
+fn imported_pairs<'a>(other: &'a Record, this: &'a Record) -> Result<Vec<Pair<'a>>, GateError> {
     let without = |record: &Record| record.trials.iter().all(|trial| trial.label.case.is_none());
     let one_case = without(other) && without(this);
     let (others, these) = (by_identity(other, one_case)?, by_identity(this, one_case)?);
