@@ -113,7 +113,7 @@ impl Jaw {
         }
         let height = fixed_tip.min(moved_tip) - TIP;
         // The moving jaw is on the side of the fixed one where the opening is larger.
-        let mut best: Option<(f64, usize, Isometry3<f64>, Vec<Option<f64>>)> = None;
+        let (mut most, mut best) = (f64::NEG_INFINITY, None);
         for y in [closing, -closing] {
             let x = y.cross(&z);
             let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z]));
@@ -131,12 +131,13 @@ impl Jaw {
                 .filter_map(|k| openings[k].map(|opening| (k, opening)))
                 .max_by(|a, b| a.1.total_cmp(&b.1));
             if let Some((k, opening)) = widest
-                && best.as_ref().is_none_or(|(most, ..)| opening > *most)
+                && opening > most
             {
-                best = Some((opening, k, tool, openings));
+                most = opening;
+                best = Some((k, tool, openings));
             }
         }
-        let Some((_, widest, tool, openings)) = best else { return Ok(None) };
+        let Some((widest, tool, openings)) = best else { return Ok(None) };
         let Some((met, closed)) = closing_end(&positions, &openings, widest) else { return Ok(None) };
         let travel = positions[widest] - met;
         let open = met + if is_hinge { travel.clamp(-MOST_TURN, MOST_TURN) } else { travel };
