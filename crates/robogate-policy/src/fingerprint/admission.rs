@@ -118,18 +118,17 @@ fn causes(judged: &Fingerprint, policy: &mut dyn Asked, largest: f64) -> Result<
 /// equally often.
 fn same_distribution(judged: &Fingerprint, deployed: &[Vec<Chunk>]) -> f64 {
     let flat = |chunk: &Chunk| chunk.rows().concat();
-    let sets: Vec<(Vec<Vec<f64>>, Vec<Vec<f64>>)> = judged
+    let sets: Vec<[Vec<Vec<f64>>; 2]> = judged
         .probes
         .iter()
         .zip(deployed)
-        .map(|(probe, answers)| (probe.answers.iter().map(flat).collect(), answers.iter().map(flat).collect()))
+        .map(|(probe, answers)| [&probe.answers, answers].map(|answers| answers.iter().map(flat).collect()))
         .collect();
-    let sizes =
-        |sets: &(Vec<Vec<f64>>, Vec<Vec<f64>>)| sets.0.iter().chain(&sets.1).any(|one| one.len() != sets.0[0].len());
-    if sets.iter().any(sizes) {
+    let uneven = |sets: &[Vec<Vec<f64>>; 2]| sets.iter().flatten().any(|one| one.len() != sets[0][0].len());
+    if sets.iter().any(uneven) {
         return 0.0;
     }
-    let pooled: Vec<Vec<&Vec<f64>>> = sets.iter().map(|(a, b)| a.iter().chain(b).collect()).collect();
+    let pooled: Vec<Vec<&Vec<f64>>> = sets.iter().map(|sets| sets.iter().flatten().collect()).collect();
     // The sum of squared differences of means, each number in units of its pooled variance.
     let scales: Vec<Vec<f64>> = pooled.iter().map(|all| variances(all)).collect();
     let statistic = |labels: &dyn Fn(usize) -> Vec<bool>| -> f64 {

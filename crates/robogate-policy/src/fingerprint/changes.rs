@@ -4,11 +4,16 @@
 use crate::array::{Array, Dtype};
 use crate::query::Query;
 
+/// Changes a request. `None` if it does not fit.
+type Edit = dyn Fn(&Query) -> Option<Query>;
+/// Changes the numbers of a state.
+type EditNumbers = dyn Fn(&mut Vec<f64>);
+
 /// A change of a request.
 pub(super) struct Change {
     /// What the deployment does, as a sentence about it.
     pub(super) cause: String,
-    apply: Box<dyn Fn(&Query) -> Option<Query>>,
+    apply: Box<Edit>,
 }
 
 impl Change {
@@ -114,7 +119,7 @@ fn numbers(name: &str, n: usize) -> Vec<Change> {
         (-1.0, "with the opposite sign"),
     ];
     let mut found = Vec::new();
-    let mut add = |cause: String, change: Box<dyn Fn(&mut Vec<f64>)>| {
+    let mut add = |cause: String, change: Box<EditNumbers>| {
         let wanted = name.to_owned();
         found.push(Change::new(cause, move |query| {
             changed(query, &wanted, false, |array| {
