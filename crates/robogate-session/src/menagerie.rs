@@ -45,7 +45,7 @@ try:
     folder = robot.path(progress=None).resolve()
     files = robot.files(entry.name)
     changed = [] if cache.root else cache.verify(robot)
-except mm.MenagerieError as error:
+except (mm.MenagerieError, OSError) as error:
     sys.exit(str(error))
 if changed:
     sys.exit("files of " + name + " are not those of the package: " + ", ".join(sorted(changed)[:5])
