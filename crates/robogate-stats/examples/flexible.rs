@@ -1,6 +1,8 @@
 //! Fits the flexible model to the files of `tests/reference/flexible.py` and prints its predictions: name, share of boosting, then
 //! the chance of success of each test row.
 
+#![expect(clippy::print_stdout, reason = "an example prints its results")]
+
 use std::error::Error;
 use std::fs::{read_dir, read_to_string};
 use std::path::Path;

@@ -3,6 +3,8 @@
 //!
 //! Usage: `intervals crossing|auc|rare [REPETITIONS]`
 
+#![expect(clippy::print_stdout, reason = "an example prints its results")]
+
 use std::convert::Infallible;
 
 use rand_chacha::ChaCha8Rng;

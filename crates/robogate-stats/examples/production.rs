@@ -3,6 +3,8 @@
 //!
 //! Usage: `production [REPETITIONS]`
 
+#![expect(clippy::print_stdout, reason = "an example prints its results")]
+
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
 use robogate_stats::bounded_mean::BoundedMean;
