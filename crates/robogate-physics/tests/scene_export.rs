@@ -1,5 +1,4 @@
 //! A scene that was written for plain MuJoCo moves there as in the engine.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
 use std::path::Path;

@@ -12,7 +12,10 @@ use robogate_stats::flexible::{Calibrated, Flexible, Learner, Training};
 use robogate_stats::parallel::all_processors;
 use robogate_stats::roc::stratified_folds;
 
-fn rows(path: &Path) -> Result<(Vec<Vec<f64>>, Vec<bool>), Box<dyn Error>> {
+/// Parameters and outcomes.
+type Rows = (Vec<Vec<f64>>, Vec<bool>);
+
+fn rows(path: &Path) -> Result<Rows, Box<dyn Error>> {
     let (mut rows, mut outcomes) = (Vec::new(), Vec::new());
     for line in read_to_string(path)?.lines() {
         let mut row = line.split(',').map(str::parse).collect::<Result<Vec<f64>, _>>()?;

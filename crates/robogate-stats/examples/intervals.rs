@@ -16,6 +16,9 @@ use robogate_stats::rare::{EVENT, Plan, Point, points_per_level, subset};
 use robogate_stats::roc::{RocError, cross_validate, stratified_folds};
 use robogate_stats::threshold::{Threshold, ThresholdOptions, threshold};
 
+/// A margin of a point.
+type Margin = dyn Fn(&[f64]) -> f64;
+
 fn uniform(rng: &mut ChaCha8Rng) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }
@@ -127,7 +130,7 @@ fn rare(repetitions: u64) {
     let linear = |beta: f64| move |u: &[f64]| beta - u.iter().sum::<f64>() / (u.len() as f64).sqrt();
     let (at_3, at_6) = (3.090_232_306_167_814, 4.753_424_308_822_899);
     // The probabilities of the curved events are sums over a grid of 6,000 x 6,000 points (prototype `exact2d`).
-    let problems: [(&str, usize, f64, Box<dyn Fn(&[f64]) -> f64>); 7] = [
+    let problems: [(&str, usize, f64, Box<Margin>); 7] = [
         ("linear", 2, 1e-3, Box::new(linear(at_3))),
         ("linear", 2, 1e-6, Box::new(linear(at_6))),
         ("linear", 100, 1e-3, Box::new(linear(at_3))),

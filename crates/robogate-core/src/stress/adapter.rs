@@ -336,7 +336,7 @@ mod tests {
 
     use super::*;
     use crate::latency::number_task;
-    use crate::{CameraSpec, Episode, ObservationSpec, Value, rollout};
+    use crate::{CameraSpec, Ending, Episode, ObservationSpec, Value, rollout};
 
     /// What a policy has received.
     #[derive(Default)]
