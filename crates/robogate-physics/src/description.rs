@@ -513,14 +513,15 @@ fn turned_to(axis: &Unit<Vector3<f64>>) -> UnitQuaternion<f64> {
 fn chain(
     links: &[Link],
     robot: &Robot,
-    mut tcp: (usize, Isometry3<f64>),
+    tcp: (usize, Isometry3<f64>),
     flange: (usize, Isometry3<f64>),
 ) -> Result<Chain, String> {
     let arm = &robot.settings.arm;
-    // The kinematics are those of the relaxed cup.
-    if let Some(joint) = links[tcp.0].joint.as_ref().filter(|joint| joint.name == BELLOWS_JOINT) {
-        tcp = (joint.parent, joint.in_parent * joint.in_link.inverse() * tcp.1);
-    }
+    // The kinematics are those of the relaxed cup. A flange can be on its body too.
+    let [tcp, flange] = [tcp, flange].map(|(link, place)| {
+        let spring = links[link].joint.as_ref().filter(|joint| joint.name == BELLOWS_JOINT);
+        spring.map_or((link, place), |joint| (joint.parent, joint.in_parent * joint.in_link.inverse() * place))
+    });
     let mut path = vec![tcp.0];
     while let Some(joint) = links[path[path.len() - 1]].joint.as_ref() {
         path.push(joint.parent);

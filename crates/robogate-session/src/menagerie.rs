@@ -101,7 +101,7 @@ pub fn resolved(robot: &str, python: Option<&Path>) -> Result<String, Failure> {
 fn prepared(name: &str, python: Option<&Path>) -> anyhow::Result<PathBuf> {
     let (robot, model) = name.split_once('/').unwrap_or((name, ""));
     let plain = |text: &str| text.chars().all(|c| c.is_ascii_alphanumeric() || "_-.".contains(c));
-    if robot.is_empty() || !plain(robot) || !plain(model) {
+    if robot.is_empty() || !plain(robot) || !plain(model) || [robot, model].iter().any(|text| text.starts_with('.')) {
         bail!("not a name of a robot. Expected menagerie:NAME or menagerie:NAME/MODEL, such as menagerie:franka_fr3");
     }
     let mut command = Command::new(python.unwrap_or(Path::new("python3")));

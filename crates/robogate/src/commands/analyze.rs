@@ -464,7 +464,7 @@ fn risk(risk: &Finding<RiskModel>) {
     heading("Risk model");
     match &risk.predictor {
         Finding::Estimated(model) => {
-            line(format_args!("  {}", predictor_about(model)));
+            wrapped(&predictor_about(model));
             if let Finding::Estimated(f) = &model.calibration_cross_validated {
                 line(format_args!(
                     "  cross-validated  AUC {}, Brier {:.4} (overall rate {:.4}), ECE {:.4}",

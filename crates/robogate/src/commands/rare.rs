@@ -7,7 +7,9 @@ use std::sync::Arc;
 use anyhow::anyhow;
 use clap::Args;
 use robogate_campaign::{DEFAULT_SEED, Executor};
-use robogate_core::{Assignment, Better, Episode, FailureMode, Foresight, Outcome, ParameterSpace, Scenario, Seed};
+use robogate_core::{
+    Assignment, Better, Episode, FailureMode, Foresight, Outcome, ParameterSpace, Scenario, Seed, Value,
+};
 use robogate_session::Subject;
 use robogate_stats::format::{count, counted, number, significant};
 use robogate_stats::rare::{EVENT, Plan, Point, Rare, points_per_level, subset};
@@ -422,16 +424,17 @@ fn print(answer: &Answer) {
         ));
     } else {
         line(bold(format_args!(
-            "{} was not reached: its probability is below about {}",
+            "{} was not reached: its probability is at most about {}",
             answer.event,
             p(answer.probability)
         )));
         wrapped("The episodes ended before the event. Raise --episodes, or lower --target.");
     }
     line(bold("Levels"));
-    for level in &answer.levels {
+    for (at, level) in answer.levels.iter().enumerate() {
         let margin = level.margin.map_or_else(|| answer.event.clone(), |m| format!("{} {}", answer.margin, number(m)));
-        line(format_args!("  {:<10} {margin}", p(level.probability)));
+        let most = if !answer.reached && at + 1 == answer.levels.len() { "\u{2264} " } else { "" };
+        line(format_args!("  {:<10} {margin}", format!("{most}{}", p(level.probability))));
     }
     if let Some(check) = &answer.check {
         line(bold("Check with plain episodes"));
@@ -448,7 +451,11 @@ fn print(answer: &Answer) {
     }
     if let (true, Some(example)) = (answer.reached, answer.examples.first()) {
         line(bold("An episode with the event"));
-        let values: Vec<String> = example.iter().map(|(name, value)| format!("{name} {value}")).collect();
+        let shown = |value: &Value| match value {
+            Value::Number(x) => number(*x),
+            other => other.to_string(),
+        };
+        let values: Vec<String> = example.iter().map(|(name, value)| format!("{name} {}", shown(value))).collect();
         wrapped(&values.join(", "));
     }
     line("");

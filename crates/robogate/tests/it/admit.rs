@@ -18,10 +18,13 @@ fn judged_policy_is_admitted_and_others_are_not() {
     let dir = TempDir::new().unwrap();
     let at = dir.path();
     fs::write(at.join("two.toml"), TWO_SCENARIOS).unwrap();
+    let requirements =
+        "name = \"half\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.2\n";
+    fs::write(at.join("half.toml"), requirements).unwrap();
     let (judged, other) = (network("learned.onnx"), network("learned-wide.onnx"));
     for threads in [1, 2] {
         let line = format!(
-            "gate --policy {judged} --profile learned --suite two.toml --rounds 2 --controls 0 --threads {threads} --out g{threads}"
+            "gate --policy {judged} --profile learned --suite two.toml --requirements half.toml --rounds 6 --controls 0 --threads {threads} --out g{threads}"
         );
         let output = robogate_in(at, &line.split(' ').collect::<Vec<_>>());
         assert!(at.join(format!("g{threads}/fingerprint.msgpack")).is_file(), "{}", text(&output));
@@ -47,7 +50,7 @@ fn judged_policy_is_admitted_and_others_are_not() {
     verb(at, &format!("admit g1 --policy {judged} --profile turned.toml"), 1, &["action.gripper_open = \""]);
 
     // Evidence contains the fingerprint, and one of another gate is not that of this evidence.
-    let output = robogate_in(at, &["evidence", "g1", "evidence", "--requirements", "default"]);
+    let output = robogate_in(at, &["evidence", "g1", "evidence"]);
     assert!(at.join("evidence/fingerprint.msgpack").is_file(), "{}", text(&output));
     verb(at, &format!("admit evidence --policy {judged}"), 0, &["ADMITTED"]);
     let mut changed = bytes("g1");

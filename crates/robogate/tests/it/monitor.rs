@@ -70,8 +70,8 @@ fn a_reference_contains_its_own_rows() {
         risk += judged.risk.unwrap();
         failures += f64::from(u8::from(!success));
     }
-    // At the maximum of the likelihood, its derivative with respect to the intercept, Σ (y - p), is 0.
-    assert!(failures > 50.0 && (risk - failures).abs() < 1e-6 * failures, "{risk} expected, {failures} seen");
+    // The model is calibrated by cross-validation, so its mean is that of the rows up to a small error.
+    assert!(failures > 50.0 && (risk - failures).abs() < 0.03 * failures, "{risk} expected, {failures} seen");
     let success = reference.baseline.success.unwrap();
     assert_eq!((success.count, success.of), (970 - failures as u64, 970));
 }

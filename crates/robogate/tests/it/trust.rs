@@ -271,7 +271,7 @@ fn own_runs_are_known() {
     bench.expect("replay own 0", 2, &refused);
     // Evidence of an own run is an own folder.
     fs::write(bench.at("own/plan.json"), plan).unwrap();
-    bench.expect("evidence own proof --requirements default", 1, &["violated"]);
+    bench.expect("evidence own proof --requirements default", 3, &["inconclusive"]);
     bench.expect("verify proof --rerun 1", 0, &["ran again"]);
     copy(&bench.at("proof"), &bench.at("their-proof"));
     bench.expect("verify their-proof --rerun 1", 2, &refused);
