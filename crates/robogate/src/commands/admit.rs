@@ -63,11 +63,12 @@ struct Document<'a> {
 
 impl Admit {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let judged = read_fingerprint(&self.fingerprint)?;
+        // A file that the evidence does not list is not decoded.
         if let Some(why) = not_of_its_evidence(&self.fingerprint)? {
             line(format_args!("{}", bold(format_args!("INVALID: {why}"))));
             return Ok(INVALID);
         }
+        let judged = read_fingerprint(&self.fingerprint)?;
         let admission = self.compare(&judged)?;
         if self.json {
             let document = Document {

@@ -46,7 +46,7 @@ fn follow(name: &str, path: &str) {
     assert!(commands.len() > 3, "{name}: {} commands", commands.len());
     for Shown { command, code, lines } in commands {
         let mut shell = Command::new("sh");
-        shell.args(["-c", &format!("{command} 2>&1")]).current_dir(&at).env("PATH", path);
+        shell.args(["-c", &format!("{{ {command}\n}} 2>&1")]).current_dir(&at).env("PATH", path);
         shell.env("ROBOGATE_STATE_DIR", dir.path().join("state"));
         let output = shell.output().unwrap();
         let printed = String::from_utf8(output.stdout).unwrap();
