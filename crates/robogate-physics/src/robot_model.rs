@@ -18,11 +18,6 @@ use crate::{
 
 /// Group of the model's own actuators, which is disabled: `robot.toml` defines the drives.
 const OFF_GROUP: i32 = 30;
-/// MuJoCo's defaults of constraints.
-const DEFAULT_SOLREF: [f64; 2] = [0.02, 1.0];
-const DEFAULT_SOLIMP: [f64; 3] = [0.9, 0.95, 0.001];
-/// Time constant of coupled joints, in seconds: with 4 to 7 ms, coupled fingers that hold a heavy part oscillate.
-const COUPLING_TIME_CONSTANT_S: f64 = 0.01;
 /// Group of shapes that pictures do not show.
 const HIDDEN_GROUP: i32 = 3;
 /// Mass (kg) and moment of inertia (kg m^2) of a moving link of a URDF without a mass.
@@ -175,14 +170,6 @@ pub(crate) fn read(path: &Path) -> Result<MjSpec, String> {
     }
     if is_urdf {
         give_mass(&mut spec);
-    }
-    // Gears and linkages couple the joints of a gripper. Where the model states no stiffness, as a URDF, MuJoCo's default yields under the
-    // grip force.
-    for equality in spec.equality_iter_mut().filter(|equality| equality.type_() == MjtEq::mjEQ_JOINT) {
-        if equality.solref()[..2] == DEFAULT_SOLREF && equality.solimp()[..3] == DEFAULT_SOLIMP {
-            equality.solref_mut()[0] = COUPLING_TIME_CONSTANT_S;
-            equality.solimp_mut()[..3].copy_from_slice(&contact::LIMIT_IMPEDANCE);
-        }
     }
     Ok(spec)
 }
