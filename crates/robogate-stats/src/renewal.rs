@@ -1,6 +1,6 @@
 //! Production as a renewal process: cycles follow each other, each with a duration and a reward.
 //!
-//! - The long-run reward per time is E[reward] / E[duration] (renewal-reward theorem). Its interval contains the r for which the mean of
+//! - The long-run reward per time is E(reward) / E(duration) (renewal-reward theorem). Its interval contains the r for which the mean of
 //!   reward - r x duration does not differ significantly from 0 (Fieller 1954), with Student's t.
 //! - The longest run of successes among n independent cycles with success rate p is shorter than m with probability a(n), where
 //!   a(i) = 1 for i < m, a(m) = 1 - p^m, and a(i) = a(i-1) - (1-p) p^m a(i-m-1) (Feller, An Introduction to Probability
