@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
     ("policy.md", "robot-learning engineer: an environment of 40 lines and an ONNX network", "robogate gate"),
     ("robot.md", "system integrator: a URDF arm with a gripper and a payload", "robogate gate"),
-    ("evidence.md", "safety engineer: evidence that somebody else signed", "robogate verify"),
+    ("evidence.md", "safety engineer: evidence, its check, and the monitor", "robogate verify"),
 ]
 
 
