@@ -11,7 +11,7 @@ use crate::{Measures, Word};
 pub enum Region {
     /// The links of the arm, up to the one that the last joint moves.
     Arm,
-    /// Everything behind the last joint of the arm that is no finger. A suction cup belongs to it.
+    /// The parts after the last joint of the arm, without the fingers. A suction cup belongs to it.
     Hand,
     /// Everything that a joint of the gripper moves.
     Fingers,

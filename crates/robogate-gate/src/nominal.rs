@@ -16,7 +16,7 @@ pub struct NominalRate {
     pub invalid: u64,
     /// The number of successes.
     pub successes: u64,
-    /// The Wilson 95 % interval of the success rate. It is no part of the verdict.
+    /// The Wilson 95 % interval of the success rate. The verdict does not use it.
     pub interval_95: [f64; 2],
 }
 

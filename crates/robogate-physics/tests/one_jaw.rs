@@ -77,7 +77,7 @@ fn one_sliding_finger_is_a_jaw() {
     assert!((jaw.drives[0].open - 0.04).abs() < 1e-6 && jaw.drives[0].closed.abs() < 1e-6, "{jaw:?}");
 }
 
-/// A tool on the last of five joints is no jaw: nothing is beside it.
+/// A tool on the last of five joints is not taken for a jaw, because nothing is beside it.
 #[test]
 fn last_joint_of_the_arm_is_no_jaw() {
     let folder = folder("bare", &arm(""));

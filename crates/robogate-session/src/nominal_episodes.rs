@@ -42,7 +42,7 @@ pub fn default_nominal_episodes(subject: &Subject, plan: &Plan, space: &Paramete
     let has_nominal = |name: &str| subject.task().parameter(name).is_some_and(|spec| spec.nominal.is_some());
     let varies = |name: &str| plan.suite.as_ref().is_none_or(|stage| stage.suite.varies(name));
     let names = || space.parameters().iter().map(|parameter| &*parameter.name);
-    // The environment itself does not apply stress, which is none at its nominal value.
+    // The environment does not apply stress, and nominal values of stress change nothing.
     let known = names().all(|name| name != LATENCY_PARAMETER && (has_nominal(name) || is_stress(name)));
     let episodes = plan.episodes();
     if !remote || !known || !names().any(varies) || plan.twins || episodes < EPISODES {

@@ -23,7 +23,7 @@ pub struct Repeats {
     /// Number of those of `other_trajectory` with another outcome or another duration.
     #[serde(default)]
     pub other_ending: u64,
-    /// Whether the same differences came again, in the same order or in the same process: then they are no noise.
+    /// Whether the same differences came again, in the same order or in the same process: then noise does not explain them.
     #[serde(default)]
     pub systematic: bool,
     /// Number of them in which the policy acted in another way, although the environment repeats.

@@ -38,7 +38,7 @@ impl Admission {
 /// Ask a deployed policy the requests of a fingerprint, and explain what differs.
 ///
 /// # Errors
-/// If the policy does not answer. This is no admission.
+/// If the policy does not answer. Then it is not admitted.
 pub fn admit(judged: &Fingerprint, policy: &mut dyn Asked) -> Result<Admission, PolicyError> {
     let mut differences = declared_differences(&judged.declared, policy.declared());
     let (requests, tolerance) = (judged.probes.len(), judged.tolerance());

@@ -54,7 +54,7 @@ struct Ready {
     /// What the sandbox refused so far.
     #[serde(default)]
     refused: Vec<String>,
-    /// What its check found that is no error.
+    /// Warnings of its check.
     #[serde(default)]
     notes: Vec<String>,
     #[serde(flatten)]

@@ -87,7 +87,7 @@ class Adapter:
         self.dropped = [*self.dropped, *self._observations.skipped]
         # Whether a reset of the check below built another model.
         self._changes = False
-        # What the check found that is no error.
+        # Warnings of the check.
         self.notes: list[str] = []
         self._cameras = Cameras(env, self._model, self._observations, self._task)
         self._scoring = Scoring(self._task)
