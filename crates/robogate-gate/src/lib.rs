@@ -69,7 +69,7 @@ pub use plan::{GatePlan, Operating, RequirementPlan};
 pub use production::{ProductionFigure, ProductionFigures, UNLIMITED};
 pub use ranking::{DroppedPolicy, RankedPair, RankedPolicy, Ranking, RankingDesign, RankingGuarantee};
 pub use real::{RealEvidence, RealStratum};
-pub use record::{Population, Record};
+pub use record::{Population, REPEATED, Record};
 pub use remarks::CLIPPED_ACTIONS;
 pub use requirement::{Bound, Each, Requirement, Sense};
 pub use requirements::{Budget, Family, Mode, Requirements};

@@ -2,11 +2,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::path::Path;
 use std::sync::Arc;
 
 use robogate_core::{FailureMode, Suite, TaskSpec, Value};
 use robogate_dictionary::results::{SOURCE_EPISODE, SOURCE_ROW, recorded_seed};
-use robogate_dictionary::{Controls, Dictionary, Entry, Label, Provenance, RowSampling, Stopping, hex, suite_sha256};
+use robogate_dictionary::{
+    Controls, Dictionary, Entry, Label, Provenance, Repeats, RowSampling, Stopping, hex, read_regular_text,
+    suite_sha256,
+};
 use robogate_stats::format::counted;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -15,6 +19,9 @@ use sha2::{Digest, Sha256};
 use crate::cases::repeated;
 use crate::figure::STAGE_SHARE;
 use crate::{Ending, GateError, RealEvidence, Sampling, Trial};
+
+/// The file with what repeats of the first episodes of a gate, which run again after the last one.
+pub const REPEATED: &str = "repeats.json";
 
 /// The population that a set of episodes represents.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -204,6 +211,24 @@ impl Record {
             real: None,
             controls: provenance.controls().cloned(),
         })
+    }
+
+    /// The same record with what the file [`REPEATED`] in this folder says, if there is one.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn with_repeats_in(mut self, folder: &Path) -> Result<Self, GateError> {
+        let path = folder.join(REPEATED);
+        if !path.exists() {
+            return Ok(self);
+        }
+        let text = read_regular_text(&path).map_err(|source| GateError::Unreadable { path: path.clone(), source })?;
+        let later: Repeats =
+            serde_json::from_str(&text).map_err(|error| GateError::Syntax(format!("{}: {error}", path.display())))?;
+        let mut controls = self.controls.unwrap_or_default();
+        controls.repeats = Some(controls.repeats.map_or(later, |earlier| earlier.and(later)));
+        self.controls = Some(controls);
+        Ok(self)
     }
 
     /// How the number of episodes was chosen. `stated` is what the user says. Fewer episodes than planned mean that the

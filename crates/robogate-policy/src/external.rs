@@ -22,6 +22,7 @@ use super::openpi;
 use super::profile::{Dialect, Profile};
 use super::query::Query;
 use super::ranges::RangeCounts;
+use super::servers::{Place, Servers};
 use super::starvla;
 use super::suits;
 
@@ -35,10 +36,11 @@ const WAITING_PAUSE: Duration = Duration::from_secs(2);
 /// [`Timeouts::attempts`](super::Timeouts::attempts) attempts. The identity that the policy reports must not change
 /// between connections.
 pub struct ExternalPolicy {
-    url: String,
+    servers: Servers,
     profile: Arc<Profile>,
     access: Access,
-    connection: Option<Box<dyn Connection>>,
+    /// The connection, and the server that it is to.
+    connection: Option<(Box<dyn Connection>, Place)>,
     declared: Json,
     /// Whether this connection has already returned actions.
     warm: bool,
@@ -59,7 +61,7 @@ pub struct ExternalPolicy {
 impl std::fmt::Debug for ExternalPolicy {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("ExternalPolicy")
-            .field("url", &self.url)
+            .field("servers", &self.servers.urls())
             .field("profile", &self.profile.name)
             .finish_non_exhaustive()
     }
@@ -80,12 +82,24 @@ impl ExternalPolicy {
         access: Access,
         waiting: &mut dyn FnMut(&PolicyError),
     ) -> Result<Self, PolicyError> {
+        Self::connect_among(&Servers::of(url), profile, access, waiting)
+    }
+
+    /// Connect like [`Self::connect_with`] to the server that drives the fewest episodes.
+    pub fn connect_among(
+        servers: &Servers,
+        profile: Arc<Profile>,
+        access: Access,
+        waiting: &mut dyn FnMut(&PolicyError),
+    ) -> Result<Self, PolicyError> {
         let until = Instant::now() + access.wait();
         let mut limit_s = profile.server.connect_s;
         let connection = loop {
-            match connection::connect(url, &profile, &access, limit_s) {
-                Ok(connection) => break connection,
+            let place = servers.place();
+            match connection::connect(place.url(), &profile, &access, limit_s) {
+                Ok(connection) => break (connection, place),
                 Err(error) if error.is_transient() && Instant::now() < until => {
+                    place.failed();
                     waiting(&error);
                     std::thread::sleep(WAITING_PAUSE.min(until.saturating_duration_since(Instant::now())));
                     limit_s = longer(limit_s, &profile, until);
@@ -93,7 +107,7 @@ impl ExternalPolicy {
                 Err(error) => return Err(error),
             }
         };
-        let declared = connection.declared().clone();
+        let declared = connection.0.declared().clone();
         let profile = match profile.dialect {
             Dialect::Openpi { .. } => openpi::with_declared_length(profile, &declared, openpi::LENGTH)?,
             Dialect::StarVla { .. } => openpi::with_declared_length(profile, &declared, starvla::LENGTH)?,
@@ -102,7 +116,7 @@ impl ExternalPolicy {
         let decoder = Decoder::new(&profile);
         let history = History::new(&profile);
         Ok(Self {
-            url: url.to_owned(),
+            servers: servers.clone(),
             profile,
             access,
             connection: Some(connection),
@@ -136,13 +150,26 @@ impl ExternalPolicy {
     pub fn ask(&mut self, query: &Query) -> Result<Chunk, PolicyError> {
         self.begin(&query.instruction)?;
         let deadline = self.deadline();
-        let Some(connection) = self.connection.as_mut() else {
+        let reply = self.reply(query, deadline);
+        self.after(reply)
+    }
+
+    /// The answer to a request.
+    fn reply(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, PolicyError> {
+        let Some((connection, _)) = self.connection.as_mut() else {
             return Err(PolicyError::Closed { when: "before the episode began".to_owned(), reason: String::new() });
         };
-        let reply = connection.infer(query, deadline);
+        let _in_progress = self.servers.request();
+        connection.infer(query, deadline)
+    }
+
+    /// Leaves a server that did not answer.
+    fn after(&mut self, reply: Result<Chunk, PolicyError>) -> Result<Chunk, PolicyError> {
         self.warm = reply.is_ok();
-        if reply.is_err() {
-            self.connection = None;
+        if reply.is_err()
+            && let Some((_, place)) = self.connection.take()
+        {
+            place.failed();
         }
         reply.map_err(|error| self.access.without_key(error))
     }
@@ -177,8 +204,13 @@ impl ExternalPolicy {
                     self.connection = None;
                     attempt += 1;
                     let waits = Instant::now() < until;
-                    if !error.is_transient() || (attempt >= self.profile.server.attempts && !waits) {
+                    // Each server has a try.
+                    let others = attempt < self.servers.urls().len() as u32;
+                    if !error.is_transient() || (attempt >= self.profile.server.attempts && !waits && !others) {
                         return Err(self.access.without_key(error));
+                    }
+                    if others {
+                        continue;
                     }
                     if waits {
                         limit_s = longer(limit_s, &self.profile, until);
@@ -195,7 +227,14 @@ impl ExternalPolicy {
     /// Connect within this time if necessary, and announce the episode.
     fn try_to_begin(&mut self, limit_s: f64) -> Result<(), PolicyError> {
         if self.connection.is_none() {
-            let connection = connection::connect(&self.url, &self.profile, &self.access, limit_s)?;
+            let place = self.servers.place();
+            let connection = match connection::connect(place.url(), &self.profile, &self.access, limit_s) {
+                Ok(connection) => connection,
+                Err(error) => {
+                    place.failed();
+                    return Err(error);
+                }
+            };
             if *connection.declared() != self.declared {
                 return Err(PolicyError::Mismatch(format!(
                     "the policy's metadata changed after a reconnect: now {}, before {}. Hint: if it is still the same \
@@ -204,13 +243,13 @@ impl ExternalPolicy {
                     self.declared
                 )));
             }
-            self.connection = Some(connection);
+            self.connection = Some((connection, place));
             self.warm = false;
         }
         let deadline = self.deadline();
         self.connection
             .as_mut()
-            .map_or(Ok(()), |connection| connection.begin(&self.instruction, self.episode, deadline))
+            .map_or(Ok(()), |(connection, _)| connection.begin(&self.instruction, self.episode, deadline))
     }
 
     /// Request a chunk of actions and check it against the profile.
@@ -227,20 +266,13 @@ impl ExternalPolicy {
             &mut self.buffers,
         )?;
         let deadline = self.deadline();
-        let Some(connection) = self.connection.as_mut() else {
-            return Err(PolicyError::Closed { when: "before the episode began".to_owned(), reason: String::new() });
-        };
-        let reply = connection.infer(&query, deadline).and_then(|chunk| chunk.check(&self.profile).map(|()| chunk));
+        let reply = self.reply(&query, deadline).and_then(|chunk| chunk.check(&self.profile).map(|()| chunk));
         if let (Ok(_), Some((recorder, Some(keys)))) = (&reply, &mut self.recorder) {
             recorder.offer(keys.bits(), &query);
         }
         query.recycle(&mut self.buffers);
-        match &reply {
-            Ok(_) => self.warm = true,
-            Err(_) => self.connection = None,
-        }
         self.step += 1;
-        reply.map_err(|error| self.access.without_key(error))
+        self.after(reply)
     }
 
     fn deadline(&self) -> Deadline {

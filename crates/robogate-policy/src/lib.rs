@@ -42,6 +42,7 @@ mod resample;
 mod rest;
 mod roboarena;
 mod rotation;
+mod servers;
 mod starvla;
 mod statistics;
 mod suits;
@@ -74,5 +75,6 @@ pub use profile::{
 };
 pub use query::{Query, tool_pose};
 pub use ranges::{RangeCounts, RangeMeasures, with_range_measures};
+pub use servers::{Servers, Usage};
 pub use statistics::{Statistics, StatisticsError};
 pub use suits::check_task;

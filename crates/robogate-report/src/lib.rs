@@ -4,9 +4,9 @@
 //!
 //! | from | to |
 //! |---|---|
-//! | an [`Analysis`](robogate_analysis::Analysis) | [`html`], [`markdown`], [`analysis_json`] |
-//! | a [`Comparison`](robogate_analysis::Comparison) | [`comparison_html`], [`comparison_markdown`], [`comparison_json`] |
-//! | a [`Transfer`](robogate_analysis::transfer::Transfer) | [`transfer_html`], [`transfer_json`], [`next_trials`] |
+//! | an [`Analysis`](robogate_analysis::Analysis) | [`html`], [`markdown`], [`analysis_text`], [`analysis_json`] |
+//! | a [`Comparison`](robogate_analysis::Comparison) | [`comparison_html`], [`comparison_markdown`], [`comparison_text`], [`comparison_json`] |
+//! | a [`Transfer`](robogate_analysis::transfer::Transfer) | [`transfer_html`], [`transfer_text`], [`transfer_json`] |
 //! | an [`Evaluation`] of the gate | [`junit`], [`verdict_html`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
 //! | episodes of runs | [`explorer_page`], [`replay_page`] |
 //! | a [`Leaderboard`](robogate_gate::Leaderboard) | [`leaderboard_html`], [`leaderboard_markdown`] |
@@ -18,6 +18,7 @@ mod gate;
 mod html;
 mod json;
 mod markdown;
+mod plain;
 mod text;
 mod watch;
 
@@ -38,10 +39,8 @@ pub use json::{
     AnalysisReport, ComparisonReport, TransferReport, analysis_json, analysis_json_with, comparison_json, transfer_json,
 };
 pub use markdown::{comparison_markdown, markdown, markdown_with};
-pub use text::{
-    ComparisonHeadline, Headline, TransferHeadline, comparison_limits, condition, limits, low_side, next_trials,
-    predictor_about,
-};
+pub use plain::{Line, analysis_text, comparison_text, transfer_text};
+pub use text::{ComparisonHeadline, Headline, TransferHeadline, comparison_limits, limits};
 pub use watch::{Strip, Watch, WatchItem};
 
 /// Additions to the page of an analysis.

@@ -53,7 +53,7 @@ fn page(document: &Document) -> String {
 
 fn block(out: &mut String, block: &Block) {
     match block {
-        Block::Text(text) => {
+        Block::Text(text) | Block::Legend(text) => {
             let _ = write!(out, "{}\n\n", escape_markdown(text));
         }
         Block::Code(text) => {

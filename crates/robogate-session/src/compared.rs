@@ -1,6 +1,6 @@
 //! What a gate compares with: the run of another policy, and the figures of a baseline.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 use robogate_dictionary::Dictionary;
@@ -38,10 +38,10 @@ pub fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, Failure
     Ok(Some((path, record)))
 }
 
-/// The episodes of a run, with the trials of the real robot that its gate was asked about.
+/// The episodes of the run in `folder`, with the trials of the real robot that its gate was asked about.
 ///
 /// # Errors
 /// Rows that cannot be judged.
-pub fn judged(dictionary: &Dictionary, asked: &Asked) -> Result<Record, Failure> {
-    Ok(Record { real: asked.real.clone(), ..Record::of(dictionary)? })
+pub fn judged(folder: &Path, dictionary: &Dictionary, asked: &Asked) -> Result<Record, Failure> {
+    Ok(Record { real: asked.real.clone(), ..Record::of(dictionary)?.with_repeats_in(folder)? })
 }

@@ -15,6 +15,7 @@ use crate::arms::Arms;
 use crate::compared::{built_in_baseline, judged};
 use crate::controls::{CONTROL_EPISODES, run_controls};
 use crate::failure::{Failure, OrFailure};
+use crate::nominal_episodes::{default_nominal_episodes, nominal_rate_of};
 use crate::notice::warning;
 use crate::rival::Rival;
 use crate::rounds::Rounds;
@@ -72,7 +73,8 @@ impl GateRequest {
         let requirements = Requirements::open(&self.requirements, subject.task())?;
         subject.check_suite(&self.suite).or_request()?;
         let (rounds, sampling) = rounds_and_sampling(&self.suite, &requirements, self.rounds, self.fixed);
-        let plan = Plan::of_suite(self.suite.clone(), u64::from(rounds), self.seed);
+        let mut plan = Plan::of_suite(self.suite.clone(), u64::from(rounds), self.seed);
+        plan.nominal_episodes = default_nominal_episodes(&subject, &plan, self.suite.space());
         let controls = run_controls(&subject, &self.suite, self.controls, self.seed)?;
         let failed = controls.as_ref().is_some_and(|controls| controls.failure().is_some());
         let subject = match &controls {
@@ -113,8 +115,10 @@ impl GateRequest {
             return Err(anyhow::anyhow!("stopped after {done} of {episodes} episodes")).or_broken();
         }
         let (asked, other) = rounds.end(&completion)?;
-        let record = judged(&Dictionary::open(&folder.join(DICTIONARY)).or_broken()?, &asked)?;
-        Ok(question(&asked, other.as_ref()).evaluate(&record)?)
+        let record = judged(folder, &Dictionary::open(&folder.join(DICTIONARY)).or_broken()?, &asked)?;
+        let mut evaluation = question(&asked, other.as_ref()).evaluate(&record)?;
+        evaluation.nominal = nominal_rate_of(folder)?;
+        Ok(evaluation)
     }
 }
 

@@ -19,6 +19,7 @@ mod environments;
 mod failure;
 pub mod families;
 mod fingerprint;
+mod first_episodes;
 mod fleet;
 mod gate;
 mod hopeless;

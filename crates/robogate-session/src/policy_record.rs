@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use anyhow::anyhow;
 use robogate_dictionary::{ExternalPolicyRecord, PolicyRecord, hex};
-use robogate_policy::Access;
+use robogate_policy::{Access, Servers};
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
@@ -59,6 +59,7 @@ impl PolicySource {
                     declared: declared.clone(),
                     at: None,
                     access: Access::default(),
+                    servers: Servers::of(server),
                 })
             }
         })

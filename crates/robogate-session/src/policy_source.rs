@@ -9,7 +9,9 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 use robogate_core::{Fault, FaultKind, Observation, Policy, TaskSpec};
 use robogate_dictionary::{hex, read_text};
-use robogate_policy::{Access, BoundMap, ExternalPolicy, Mapped, PolicyError, Profile, RangeCounts, Recorder, TaskMap};
+use robogate_policy::{
+    Access, BoundMap, ExternalPolicy, Mapped, PolicyError, Profile, RangeCounts, Recorder, Servers, TaskMap,
+};
 use robogate_tasks::Random;
 use sha2::{Digest, Sha256};
 
@@ -63,6 +65,8 @@ pub struct ExternalSource {
     pub(crate) at: Option<String>,
     /// Key, certificates and patience of this process.
     pub(crate) access: Access,
+    /// Where this process reaches it, as servers that its workers share.
+    pub(crate) servers: Servers,
 }
 
 impl PolicySource {
@@ -130,9 +134,8 @@ impl PolicySource {
     pub fn policy(&self, ranges: Option<&RangeCounts>, recorder: Option<&Recorder>) -> Result<Box<dyn Policy>, Fault> {
         Ok(match self {
             Self::External(served) => {
-                let server = served.at.as_deref().unwrap_or(&served.server);
-                let policy = ExternalPolicy::connect_with(
-                    server,
+                let policy = ExternalPolicy::connect_among(
+                    &served.servers,
                     Arc::clone(&served.profile),
                     served.access.clone(),
                     &mut |_| {},
@@ -216,8 +219,22 @@ impl ExternalSource {
         let at = location.at.clone();
         let reached = at.as_deref().unwrap_or(&server);
         let access = location.access.access()?;
-        let policy = connect(reached, Arc::clone(&profile), access.clone())?;
-        Ok(Self { server, profile, map, declared: policy.declared().clone(), at, access })
+        let servers = Servers::of(reached);
+        let mut declared: Option<serde_json::Value> = None;
+        for url in servers.urls() {
+            let policy = connect(url, Arc::clone(&profile), access.clone())?;
+            let one = declared.get_or_insert_with(|| policy.declared().clone());
+            if one != policy.declared() {
+                return Err(anyhow!(
+                    "{} and {} are different policies: one declares {one}, the other {}",
+                    foreign(&servers.urls()[0]),
+                    foreign(url),
+                    policy.declared()
+                ))
+                .or_request();
+            }
+        }
+        Ok(Self { server, profile, map, declared: declared.unwrap_or_default(), at, access, servers })
     }
 }
 

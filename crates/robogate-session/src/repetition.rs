@@ -1,14 +1,18 @@
 //! Whether episodes repeat: a few run twice, in two processes of the environment and in two orders.
 
 use std::num::NonZeroUsize;
+use std::path::Path;
 
+use anyhow::Context;
 use robogate_campaign::Worker;
-use robogate_core::{Action, Assignment, FailureMode, Fault, FaultKind, Observation, Scenario, Seed};
-use robogate_gate::Repeats;
+use robogate_campaign::folder::write_atomically;
+use robogate_core::{Action, Assignment, FailureMode, Fault, FaultKind, Observation, Scenario, Seed, Start, Step};
+use robogate_gate::{REPEATED, Repeats};
 use robogate_tasks::Random;
 
 use crate::failure::{Failure, OrFailure};
-use crate::notice::note;
+use crate::first_episodes::FirstEpisodes;
+use crate::notice::{note, warning};
 use crate::policy_source::PolicySource;
 use crate::subject::{EnvironmentSource, RemoteSource, Subject};
 
@@ -18,7 +22,8 @@ const FEWEST: usize = 4;
 const RANDOM_PERIODS: usize = 100;
 
 /// An episode as far as it must repeat.
-struct Seen {
+#[derive(Debug)]
+pub(crate) struct Seen {
     /// The first observation, and the parameters that were read back.
     start: (Observation, Assignment),
     actions: Vec<Action>,
@@ -32,6 +37,19 @@ struct Seen {
 type Episode = Result<Seen, Fault>;
 
 impl Seen {
+    /// An episode before its first action.
+    pub(crate) fn start(start: &Start) -> Self {
+        let start = (start.observation.clone(), start.applied.clone());
+        Self { start, actions: Vec::new(), states: Vec::new(), ending: None, other_actions: false }
+    }
+
+    /// Adds a control period.
+    pub(crate) fn add(&mut self, action: &Action, step: &Step) {
+        self.actions.push(action.clone());
+        self.states.push(step.state_hash);
+        self.ending = step.ending.as_ref().map(|ending| ending.failure);
+    }
+
     fn is_like(&self, other: &Self) -> bool {
         self.start == other.start && self.states == other.states && self.ending == other.ending
     }
@@ -49,6 +67,81 @@ fn are_equal(one: &Episode, two: &Episode) -> bool {
         (Ok(one), Ok(two)) => one.is_like(two),
         (Err(one), Err(two)) => one.kind == two.kind,
         (Ok(_), Err(fault)) | (Err(fault), Ok(_)) => fault.kind == FaultKind::Unavailable,
+    }
+}
+
+/// How many of these episodes were different the second time.
+fn differences(once: &[Episode], twice: &[Episode]) -> Repeats {
+    let mut found = Repeats::default();
+    for (one, two) in once.iter().zip(twice) {
+        let different = !are_equal(one, two);
+        match (one, two) {
+            (Ok(one), Ok(two)) => {
+                found.episodes += 1;
+                let start = one.start != two.start;
+                found.other_start += u64::from(start);
+                found.other_trajectory += u64::from(different && !start);
+                found.other_ending += u64::from(different && !start && !one.ends_like(two));
+                found.other_actions += u64::from(!different && two.other_actions);
+            }
+            _ if different => {
+                found.episodes += 1;
+                found.other_trajectory += 1;
+                found.other_ending += 1;
+            }
+            _ => {}
+        }
+    }
+    found
+}
+
+/// Another order of this many episodes: neither all positions nor all distances of an episode are multiples of the same number, so
+/// that a counter shows.
+fn other_order(episodes: usize) -> Vec<usize> {
+    let (odd, even): (Vec<usize>, Vec<usize>) = (0..episodes).partition(|at| at % 2 == 1);
+    [odd, even].concat()
+}
+
+/// Whether these episodes are equal.
+fn all_equal(again: &[Episode], before: &[Episode]) -> bool {
+    again.iter().zip(before).all(|(a, b)| are_equal(a, b))
+}
+
+impl Subject {
+    /// Runs the first episodes of a gate again, in a process that has run others since, and writes what was different into the folder
+    /// of the run. A server that is not available any more is a note.
+    pub(crate) fn repeat_first_episodes(&self, run: &Path) -> Result<(), Failure> {
+        let first = self.first_episodes().map(FirstEpisodes::take).unwrap_or_default();
+        let EnvironmentSource::Remote(source) = self.environment_source() else { return Ok(()) };
+        if first.is_empty() {
+            return Ok(());
+        }
+        note("repeating the first episodes after the last one");
+        let (scenarios, once): (Vec<Scenario>, Vec<Episode>) =
+            first.into_iter().map(|(scenario, seen)| (scenario, Ok(seen))).unzip();
+        let policy = match self.policy_source() {
+            Some(PolicySource::Declared(declared)) => Some(&*declared.environment),
+            _ => None,
+        };
+        let repetition = Repetition { subject: self, source, scenarios: &scenarios, policy };
+        let mut worker = repetition.any_worker()?;
+        let order = other_order(once.len());
+        let twice = repetition.episodes(&mut worker, &order, &once);
+        if let Some(fault) = twice.iter().find_map(|episode| episode.as_ref().err())
+            && fault.kind == FaultKind::Unavailable
+        {
+            note(format_args!("the first episodes could not be repeated: {fault}"));
+            return Ok(());
+        }
+        let mut found = differences(&once, &twice);
+        // Another policy gave the actions, or none.
+        found.other_actions = 0;
+        found.systematic =
+            found.other_ending > 0 && all_equal(&repetition.episodes(&mut worker, &order, &once), &twice);
+        found.failure().iter().for_each(warning);
+        let text = serde_json::to_string_pretty(&found).or_broken()?;
+        let about = || format!("cannot write {}", run.join(REPEATED).display());
+        write_atomically(run, REPEATED, text.as_bytes()).with_context(about).or_broken()
     }
 }
 
@@ -97,33 +190,11 @@ impl Repetition<'_> {
             }
             once.push(self.episode(&mut first, scenario, None));
         }
-        let order: Vec<usize> = (0..once.len()).collect();
-        // Neither all positions nor all distances of an episode are multiples of the same number, so that a counter shows.
-        let (odd, even): (Vec<usize>, Vec<usize>) = order.iter().partition(|at| *at % 2 == 1);
-        let other_order = [odd, even].concat();
+        let other_order = other_order(once.len());
         let _kept = self.kept(first);
         let mut second = self.worker(2)?;
         let twice = self.episodes(&mut second, &other_order, &once);
-        let mut found = Repeats { fresh_process: self.source.pool.len() > 1, ..Repeats::default() };
-        for (one, two) in once.iter().zip(&twice) {
-            let different = !are_equal(one, two);
-            match (one, two) {
-                (Ok(one), Ok(two)) => {
-                    found.episodes += 1;
-                    let start = one.start != two.start;
-                    found.other_start += u64::from(start);
-                    found.other_trajectory += u64::from(different && !start);
-                    found.other_ending += u64::from(different && !start && !one.ends_like(two));
-                    found.other_actions += u64::from(!different && two.other_actions);
-                }
-                _ if different => {
-                    found.episodes += 1;
-                    found.other_trajectory += 1;
-                    found.other_ending += 1;
-                }
-                _ => {}
-            }
-        }
+        let mut found = Repeats { fresh_process: self.source.pool.len() > 1, ..differences(&once, &twice) };
         if found.other_start == 0 && found.other_ending > 0 {
             found.systematic = self.comes_again(second, &other_order, &once, &twice)?;
         } else if let (None, Some(scenario), Some(Ok(seen))) = (found.unpaired(), self.scenarios.first(), once.first())
@@ -144,8 +215,7 @@ impl Repetition<'_> {
         once: &[Episode],
         twice: &[Episode],
     ) -> Result<bool, Failure> {
-        let same = |again: &[Episode], before: &[Episode]| again.iter().zip(before).all(|(a, b)| are_equal(a, b));
-        if same(&self.episodes(&mut second, other_order, once), twice) {
+        if all_equal(&self.episodes(&mut second, other_order, once), twice) {
             return Ok(true);
         }
         if self.source.launched.is_none() {
@@ -153,7 +223,7 @@ impl Repetition<'_> {
         }
         let _kept = self.kept(second);
         let order: Vec<usize> = (0..once.len()).collect();
-        Ok(same(&self.episodes(&mut self.worker(3)?, &order, once), once))
+        Ok(all_equal(&self.episodes(&mut self.worker(3)?, &order, once), once))
     }
 
     /// A worker whose environment is the process of this number, as long as those before are kept.
@@ -161,6 +231,11 @@ impl Repetition<'_> {
         if let (true, Some(processes)) = (self.source.launched.is_some(), NonZeroUsize::new(number.max(2))) {
             self.subject.start_servers(processes)?;
         }
+        self.any_worker()
+    }
+
+    /// A worker whose environment is any process that is free.
+    fn any_worker(&self) -> Result<Worker, Failure> {
         if let Some(policy) = self.policy {
             return self.source.in_step(policy).or_broken();
         }
@@ -196,9 +271,8 @@ impl Repetition<'_> {
         policy.reset(&task, &start.instance, scenario.seed)?;
         let periods = given.map_or(if self.policy.is_some() { usize::MAX } else { RANDOM_PERIODS }, <[Action]>::len);
         let limit = task.limit_ticks().map_or(periods, |limit| periods.min(limit as usize));
-        let mut observation = start.observation.clone();
-        let (start, actions, states) = ((start.observation, start.applied), Vec::new(), Vec::new());
-        let mut seen = Seen { start, actions, states, ending: None, other_actions: false };
+        let mut seen = Seen::start(&start);
+        let mut observation = start.observation;
         while seen.states.len() < limit && seen.ending.is_none() {
             let own = policy.act(&observation);
             let action = match given.and_then(|given| given.get(seen.states.len())) {
@@ -209,10 +283,8 @@ impl Repetition<'_> {
                 None => own?,
             };
             let step = environment.step(&action)?;
+            seen.add(&action, &step);
             observation = step.observation;
-            seen.actions.push(action);
-            seen.states.push(step.state_hash);
-            seen.ending = step.ending.map(|ending| ending.failure);
         }
         Ok(seen)
     }

@@ -150,6 +150,6 @@ impl<'a> Rounds<'a> {
 /// # Errors
 /// Rows that cannot be read or judged.
 pub fn ruled_out(dir: &Path, asked: &Asked, other: Option<&Record>) -> Result<bool, Failure> {
-    let record = judged(&Dictionary::open(&dir.join(robogate_campaign::folder::DICTIONARY)).or_broken()?, asked)?;
+    let record = judged(dir, &Dictionary::open(&dir.join(robogate_campaign::folder::DICTIONARY)).or_broken()?, asked)?;
     Ok(question(asked, other).evaluate(&record)?.ruled_out.is_some())
 }

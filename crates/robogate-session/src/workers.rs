@@ -3,6 +3,7 @@
 use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
+use std::time::Instant;
 
 use anyhow::anyhow;
 use robogate_campaign::{BatchPool, Completion, Event, Executor, RunError};
@@ -40,16 +41,27 @@ impl Workers<'_> {
         if self.threads.is_some() && threads < wanted {
             note(format_args!("{threads} thread: the policy server keeps one state for all clients"));
         }
-        let threads = self.in_flight.map_or(threads, |in_flight| in_flight.min(threads));
+        // A worker that waits for a server costs no processor time, so each episode has its own.
+        let waits = subject.waits_for_servers();
+        let threads = match self.in_flight {
+            Some(in_flight) if waits => in_flight,
+            Some(in_flight) => in_flight.min(threads),
+            None => threads,
+        };
         self.check_in_flight(subject)?;
         subject.start_servers(threads)?;
         let slots = match (self.in_flight, subject.slots(threads)?) {
-            _ if subject.at_most().is_some() => None,
+            _ if waits || subject.at_most().is_some() => None,
             (Some(in_flight), _) => NonZeroUsize::new(in_flight.get().div_ceil(threads.get())),
             (None, many) => many,
         };
         let slots = slots.unwrap_or(NonZeroUsize::MIN);
-        work(&BatchPool { factory: subject, threads, slots, stop: self.stop })
+        let began = Instant::now();
+        let done = work(&BatchPool { factory: subject, threads, slots, stop: self.stop });
+        if let Some(limit) = subject.limit_of_speed(threads, began.elapsed()) {
+            note(limit);
+        }
+        done
     }
 
     /// Rejects more episodes at once than a policy can drive.
@@ -89,7 +101,12 @@ impl Workers<'_> {
                  is available again"
             ))
             .or_broken(),
-            (completion, _) => Ok(completion),
+            (completion, _) => {
+                if let Completion::Finished { .. } = completion {
+                    subject.repeat_first_episodes(dir)?;
+                }
+                Ok(completion)
+            }
         }
     }
 }

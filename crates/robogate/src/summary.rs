@@ -3,25 +3,21 @@
 use std::cmp::Reverse;
 use std::path::Path;
 
-use robogate_analysis::{Analysis, Effects, Finding, MarginalEffect};
+use robogate_analysis::{Analysis, Finding};
 use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{
     BoundaryReport, DrawnFrom, GroupSummary, OutcomeCounts, Population, Sought, Stage, StageSummary, SuiteSummary,
     Summary,
 };
 use robogate_gate::{NominalRate, Twins};
-use robogate_report::{ActiveModel, Headline, low_side};
-use robogate_stats::format::{counted, fixed, p_value, percent_or_dash};
+use robogate_report::{Additions, Headline, analysis_text};
+use robogate_stats::format::counted;
 use serde_json::json;
 
 use crate::active_model;
-use crate::commands::analyze::by_influence;
 use crate::commands::report::PAGE;
-use crate::terminal::{bar, bold, dim, foreign, grouped, is_verbose, line, percent, wrapped};
+use crate::terminal::{bold, dim, foreign, grouped, is_verbose, line, percent, print_report, wrapped};
 use robogate_session::text::quoted;
-
-/// A bin with fewer valid episodes than this is shown dimmed, because its rate is imprecise.
-const FEW: u64 = 20;
 
 /// The campaigns beside a run.
 pub(crate) struct Arms<'a> {
@@ -93,34 +89,19 @@ pub(crate) fn print(
     }
     other_populations(summary);
     if is_verbose() {
-        details(dir, summary, boundary, analysis);
+        details(dir, boundary, analysis);
     }
     files(dir, summary);
 }
 
-/// Prints what the headline leaves out.
-fn details(dir: &Path, summary: &Summary, boundary: Option<&BoundaryReport>, analysis: Option<&Analysis>) {
-    line("");
-    line(bold("Stages"));
-    for stage in &summary.stages {
-        rate(stage, &summary.sampler, summary.stages.len() > 1);
-        feasible(stage);
-    }
-    summary.stages.iter().for_each(relation);
-    for stage in &summary.stages {
-        failures(stage);
-    }
+/// Prints what the headline leaves out: the analysis, and the boundary stage.
+fn details(dir: &Path, boundary: Option<&BoundaryReport>, analysis: Option<&Analysis>) {
     if let Some(analysis) = analysis {
-        influential(&analysis.effects, "Most influential parameters");
-        // The report lists all of them.
-        let significant =
-            |effect: &&MarginalEffect| analysis.effects.significant().any(|of| of.parameter == effect.parameter);
-        by_influence(analysis).filter(significant).take(2).for_each(marginal_effect);
+        let active = active_model::of_run(dir);
+        line("");
+        print_report(&analysis_text(analysis, &Additions { active: active.as_ref(), ..Additions::default() }));
     }
-    if let Some(report) = boundary {
-        found(report);
-    }
-    active_model::of_run(dir).iter().for_each(model);
+    boundary.iter().for_each(|report| found(report));
 }
 
 /// The rate that the report leads with: that of all episodes by their weights, if a design chose some of them.
@@ -252,13 +233,6 @@ fn sought(found: &Sought) {
     ));
 }
 
-/// The last risk model of an active design.
-fn model(model: &ActiveModel) {
-    line("");
-    line(bold("Risk model"));
-    model.sentences.iter().for_each(|text| wrapped(text));
-}
-
 /// The rate over the scenarios that some policy may complete, if there are others.
 fn feasible(stage: &StageSummary) {
     let Some(part) = stage.feasible.as_ref().filter(|part| part.valid < stage.valid) else { return };
@@ -273,41 +247,6 @@ fn feasible(stage: &StageSummary) {
             percent(part.interval_95[1])
         )),
         None => line("success      -  over the feasible part: no policy can complete any of these scenarios"),
-    }
-}
-
-/// How the rate over a space relates to that of a gate.
-fn relation(stage: &StageSummary) {
-    if stage.population == Population::OperatingSpace {
-        line(dim(
-            "                 `robogate gate` judges the policy on chosen scenarios instead, so its rate differs from this one",
-        ));
-    }
-}
-
-fn failures(stage: &StageSummary) {
-    line("");
-    line(bold(format_args!(
-        "Failures, {} stage",
-        match stage.stage {
-            Stage::Uniform => "uniform",
-            Stage::Boundary => "boundary",
-            Stage::Active => "active",
-            Stage::Suite => "suite",
-        }
-    )));
-    let mut modes = stage.failure_modes.clone();
-    modes.sort_by_key(|mode| Reverse(mode.episodes));
-    let wide = widest(modes.iter().map(|mode| mode.mode.as_str()), 12);
-    for mode in modes {
-        let share = mode.share_of_failures.unwrap_or(0.0);
-        line(format_args!(
-            "  {:<wide$} {:>7} {:>8}  {}",
-            mode.mode.as_str(),
-            grouped(mode.episodes),
-            percent(share),
-            bar(share, 24)
-        ));
     }
 }
 
@@ -365,64 +304,6 @@ pub(crate) fn headline(analysis: &Analysis) {
             line(bold(title));
             lines.iter().for_each(|text| wrapped(text));
         }
-    }
-}
-
-/// Parameters in the list of the most influential ones.
-const MAX_PARAMETERS: usize = 5;
-
-/// Prints the parameters with significant effects, the most influential first. At most five.
-pub(crate) fn influential(effects: &Effects, title: &str) {
-    let significant: Vec<_> = effects.significant().take(MAX_PARAMETERS).collect();
-    if significant.is_empty() {
-        return;
-    }
-    let wide = widest(significant.iter().map(|effect| &*effect.parameter), 16);
-    line("");
-    line(bold(title));
-    for effect in significant {
-        let p = p_value(effect.adjusted_p.max(f64::MIN_POSITIVE).ln());
-        let rates = effect.shape.estimated().map_or_else(String::new, |shape| {
-            let [low, high] = [shape.low.rate, shape.high.rate].map(percent_or_dash);
-            format!("  {low} success {}, elsewhere {high}", low_side(&effect.parameter, shape))
-        });
-        line(format_args!("  {:<wide$} p {p:<8}{rates}", effect.parameter));
-    }
-}
-
-/// Levels of one parameter that are shown.
-const MAX_CELLS: usize = 16;
-
-fn marginal_effect(effect: &MarginalEffect) {
-    line("");
-    line(bold(format_args!("Success by {}", effect.parameter)));
-    let cells = || effect.cells.iter().take(MAX_CELLS);
-    let ranges: Vec<[f64; 2]> = cells().filter_map(|cell| cell.range).collect();
-    let decimals = ranges.iter().map(|[low, high]| decimals_of(high - low)).max().unwrap_or_default();
-    let written: Vec<String> = ranges.as_flattened().iter().map(|x| fixed(*x, decimals)).collect();
-    let wide = widest(written.iter().map(String::as_str), 6);
-    for cell in cells() {
-        let label = match cell.range {
-            Some(range) => {
-                let [low, high] = range.map(|x| fixed(x, decimals));
-                format!("{low:>wide$} to {high:>wide$}")
-            }
-            None => format!("{:>16}", cell.label.chars().take(16).collect::<String>()),
-        };
-        match cell.rate.rate {
-            Some(rate) => {
-                let text = format!("{:>8}  {}  {:>6}", percent(rate), bar(rate, 24), grouped(cell.rate.n));
-                if cell.rate.n < FEW {
-                    line(dim(format_args!("  {label} {text} episodes: too few")));
-                } else {
-                    line(format_args!("  {label} {text} episodes"));
-                }
-            }
-            None => line(dim(format_args!("  {label} {:>8}  no valid episode", "-"))),
-        }
-    }
-    if effect.cells.len() > MAX_CELLS {
-        line(dim(format_args!("  and {} more levels (report)", effect.cells.len() - MAX_CELLS)));
     }
 }
 

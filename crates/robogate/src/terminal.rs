@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use console::{Term, measure_text_width, strip_ansi_codes};
 use indicatif::MultiProgress;
+use robogate_report::Line;
 
 use robogate_session::text::escaped;
 pub(crate) use robogate_session::text::{foreign, indented};
@@ -197,20 +198,38 @@ pub(crate) fn longest_line() -> usize {
 pub(crate) fn wrapped(text: &str) {
     let longest = longest_line() - 2;
     let mut so_far = String::from("  ");
-    for word in text.split_whitespace() {
+    // A number stays with its percent sign.
+    for word in text.replace(" %", "\u{a0}%").split([' ', '\n', '\t']).filter(|word| !word.is_empty()) {
         if so_far.chars().count() + word.chars().count() > longest && !so_far.trim().is_empty() {
-            line(so_far.trim_end());
+            line(so_far.trim_end().replace('\u{a0}', " "));
             so_far = String::from("  ");
         }
         so_far.push_str(word);
         so_far.push(' ');
     }
-    line(so_far.trim_end());
+    line(so_far.trim_end().replace('\u{a0}', " "));
 }
 
-/// Writes the first sentence of an answer, in bold, in lines of at most [`longest_line`] columns.
-pub(crate) fn headline(text: &str) {
-    line(bold(folded(text, longest_line())));
+/// Writes a report.
+pub(crate) fn print_report(lines: &[Line]) {
+    for (at, text) in lines.iter().enumerate() {
+        match text {
+            Line::Heading(title) => {
+                if at > 0 {
+                    line("");
+                }
+                line(bold(title));
+            }
+            Line::Subheading(title) => {
+                if !matches!(lines.get(at.wrapping_sub(1)), Some(Line::Heading(_) | Line::Subheading(_))) {
+                    line("");
+                }
+                line(bold(format_args!("  {title}")));
+            }
+            Line::Text(text) => wrapped(text),
+            Line::Row(row) => line(format_args!("    {row}")),
+        }
+    }
 }
 
 /// Writes a line for the user to stderr, unless the user wants none.

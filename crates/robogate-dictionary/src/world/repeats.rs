@@ -35,6 +35,21 @@ pub struct Repeats {
 }
 
 impl Repeats {
+    /// Both results together. Seeds have an effect if one of the results shows it.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        Self {
+            episodes: self.episodes.saturating_add(other.episodes),
+            fresh_process: self.fresh_process,
+            other_start: self.other_start.saturating_add(other.other_start),
+            other_trajectory: self.other_trajectory.saturating_add(other.other_trajectory),
+            other_ending: self.other_ending.saturating_add(other.other_ending),
+            systematic: self.systematic || other.systematic,
+            other_actions: self.other_actions.saturating_add(other.other_actions),
+            seeds_without_effect: self.seeds_without_effect,
+        }
+    }
+
     /// What the episodes depend on beside their seeds.
     fn cause(&self) -> &'static str {
         if self.fresh_process { "the order or the process" } else { "the order" }

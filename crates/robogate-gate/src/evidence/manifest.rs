@@ -39,6 +39,8 @@ pub enum Role {
     Policy,
     /// What the policy answers to some requests, for `robogate admit`.
     Fingerprint,
+    /// What repeats of the first episodes, which ran again after the last one.
+    Repeats,
     /// The campaign's summary.
     Summary,
     /// The public key of the signer.

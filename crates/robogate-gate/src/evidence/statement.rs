@@ -50,6 +50,7 @@ pub(super) fn test_result(manifest: &Manifest, manifest_sha256: &str, evaluation
                     | Role::Suite
                     | Role::Robot
                     | Role::Environment
+                    | Role::Repeats
             )
         })
         .map(|file| descriptor(&file.path, &file.sha256))

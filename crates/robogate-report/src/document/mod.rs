@@ -54,6 +54,8 @@ pub(crate) struct Section {
 pub(crate) enum Block {
     /// A paragraph.
     Text(String),
+    /// How to read the figures that follow.
+    Legend(String),
     /// A formula or command on its own line.
     Code(String),
     /// A warning.

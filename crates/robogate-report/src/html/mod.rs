@@ -166,7 +166,7 @@ fn section(section: &Section, below_verdict: bool) -> Markup {
 
 pub(crate) fn block(block: &Block) -> Markup {
     match block {
-        Block::Text(text) => html! { p.text { (rich(text)) } },
+        Block::Text(text) | Block::Legend(text) => html! { p.text { (rich(text)) } },
         Block::Caution(text) => html! { p.caution { (rich(text)) } },
         Block::Code(text) => html! { pre { (prose(text)) } },
         Block::Heading(text) => html! { h3 { (prose(text)) } },

@@ -248,7 +248,7 @@ fn region(region: &FailureRegion) -> String {
 }
 
 /// Where the rate is low along a numeric parameter, with the intervals of the steps.
-pub fn low_side(parameter: &str, shape: &EffectShape) -> String {
+pub(crate) fn low_side(parameter: &str, shape: &EffectShape) -> String {
     let steps: Vec<String> = shape
         .steps
         .iter()
@@ -267,7 +267,7 @@ pub fn low_side(parameter: &str, shape: &EffectShape) -> String {
 }
 
 /// A condition in words: "friction below 0.32 and mass above 1.2 kg".
-pub fn condition(of: &FailureCondition) -> String {
+pub(crate) fn condition(of: &FailureCondition) -> String {
     of.parameters.iter().map(part).collect::<Vec<_>>().join(" and ")
 }
 
@@ -453,7 +453,7 @@ fn uncertainty(analysis: &Analysis) -> Vec<String> {
 }
 
 /// The model that predicts, in one sentence.
-pub fn predictor_about(model: &Predictor) -> String {
+pub(crate) fn predictor_about(model: &Predictor) -> String {
     let learners = match model.boosting_share {
         0.0 => "a logistic model on splines and products of the parameters".to_owned(),
         1.0 => "gradient boosting".to_owned(),

@@ -6,12 +6,13 @@ mod comparison;
 mod comparison_limits;
 mod transfer;
 
-pub use analysis::{Headline, condition, low_side, predictor_about};
-pub(crate) use analysis::{advise, main_modes, rounded_up};
+pub use analysis::Headline;
+pub(crate) use analysis::{advise, condition, low_side, main_modes, predictor_about, rounded_up};
 pub use analysis_limits::limits;
 pub use comparison::ComparisonHeadline;
 pub use comparison_limits::comparison_limits;
-pub use transfer::{TransferHeadline, next_trials};
+pub use transfer::TransferHeadline;
+pub(crate) use transfer::next_trials;
 
 use robogate_analysis::labels::parameter_label;
 use robogate_stats::format::list;

@@ -21,7 +21,7 @@ pub struct TransferHeadline {
 }
 
 /// What the trials to run next are expected to give.
-pub fn next_trials(next: &NextTrials) -> String {
+pub(crate) fn next_trials(next: &NextTrials) -> String {
     let mut text = format!(
         "They are expected to narrow the interval from ±{} to ±{} points.",
         fixed(100.0 * next.half_width, 1),

@@ -10,6 +10,7 @@ mod spaces;
 use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
 #[cfg(feature = "mujoco")]
@@ -32,6 +33,7 @@ use crate::cell::{Cell, nominal};
 use crate::checkpoint_statistics::CheckpointStatistics;
 use crate::environment_choice::EnvironmentChoice;
 use crate::failure::{Failure, OrFailure};
+use crate::first_episodes::FirstEpisodes;
 use crate::latency::LatencyChoice;
 use crate::notice::{note, warning};
 use crate::origin;
@@ -40,7 +42,7 @@ use crate::registry::CELL_TASK;
 #[cfg(feature = "mujoco")]
 use crate::registry::ManyWorlds;
 use crate::stress::is_stress;
-use robogate_stats::format::percent;
+use robogate_stats::format::{fixed, percent};
 
 pub use built_in::BuiltIn;
 pub(crate) use built_in::hello_of;
@@ -69,6 +71,8 @@ pub struct Subject {
     recorded_robot: Option<String>,
     /// Requests of the episodes, for a fingerprint of the policy.
     recorder: Recorder,
+    /// The first episodes of a gate. `None` if they do not run again.
+    first_episodes: Option<FirstEpisodes>,
 }
 
 impl Subject {
@@ -92,6 +96,7 @@ impl Subject {
             controls: None,
             recorded_robot: None,
             recorder: Recorder::default(),
+            first_episodes: None,
         };
         let ready = match &subject.policy {
             // The environment declares it for its own task.
@@ -238,7 +243,8 @@ impl Subject {
 
     /// The same subject with the controls of its gate.
     pub fn with_controls(self, controls: &Controls) -> Self {
-        Self { controls: Some(controls.clone()), ..self }
+        let first_episodes = controls.repeats.map(|_| FirstEpisodes::default());
+        Self { controls: Some(controls.clone()), first_episodes, ..self }
     }
 
     /// The environment.
@@ -368,6 +374,18 @@ impl Subject {
         self.policy.as_ref()
     }
 
+    pub(crate) fn first_episodes(&self) -> Option<&FirstEpisodes> {
+        self.first_episodes.as_ref()
+    }
+
+    /// The same environment, whose first episodes are kept if they run again.
+    fn keeping(&self, environment: Box<dyn Environment>) -> Box<dyn Environment> {
+        match &self.first_episodes {
+            Some(first) => first.of(environment),
+            None => environment,
+        }
+    }
+
     pub(crate) fn recorder(&self) -> &Recorder {
         &self.recorder
     }
@@ -387,15 +405,52 @@ impl Subject {
         }
     }
 
+    /// Whether the workers wait for the answers of policy servers.
+    pub(crate) fn waits_for_servers(&self) -> bool {
+        self.policy.as_ref().and_then(PolicySource::profile).is_some_and(|profile| !profile.dialect.is_file())
+    }
+
+    /// What limits the speed of so many workers in this time. `None` without policy servers, and for a short time.
+    pub(crate) fn limit_of_speed(&self, workers: NonZeroUsize, time: Duration) -> Option<String> {
+        /// Requests that a statement needs.
+        const FEWEST: u64 = 100;
+        /// The share of the time with requests from which on the servers are the limit.
+        const BUSY: f64 = 0.9;
+        let Some(PolicySource::External(source)) = self.policy.as_ref().filter(|_| self.waits_for_servers()) else {
+            return None;
+        };
+        let usage = source.servers.usage();
+        if usage.requests < FEWEST {
+            return None;
+        }
+        let seconds = time.as_secs_f64();
+        let (busy, waiting) = (usage.busy.as_secs_f64() / seconds, usage.waited.as_secs_f64() / seconds);
+        let workers = workers.get() as f64;
+        let limit = if busy < BUSY || 2.0 * waiting < workers {
+            "the simulation is the limit".to_owned()
+        } else {
+            format!(
+                "the servers are the limit: name more with --policy A,B, or use --in-flight {:.0} if they answer in batches",
+                2.0 * workers
+            )
+        };
+        Some(format!(
+            "policy servers: a request is in progress in {} of the time, {} of {workers:.0} episodes wait for an answer on average, {} ms \
+             each; {limit}",
+            percent(busy.min(1.0)),
+            fixed(waiting, 1),
+            fixed(1_000.0 * usage.waited.as_secs_f64() / usage.requests as f64, 0)
+        ))
+    }
+
     /// How many episodes run at once by default on this many cores. A worker waits while a policy server computes, so
     /// others must simulate and render in the meantime, and the server must always find a request.
     pub fn threads_on(&self, cores: NonZeroUsize) -> NonZeroUsize {
         /// Threads per core while a server computes the actions.
         const PER_CORE: usize = 4;
-        let waits = self.policy.as_ref().and_then(PolicySource::profile).is_some_and(|p| !p.dialect.is_file());
         // Each worker of a launched environment is a process of its own.
         let launched = matches!(&self.environment, EnvironmentSource::Remote(RemoteSource { launched: Some(_), .. }));
-        match waits && !launched {
+        match self.waits_for_servers() && !launched {
             true => NonZeroUsize::new((PER_CORE * cores.get()).clamp(8, 32)).unwrap_or(cores),
             false => cores,
         }
@@ -546,7 +601,7 @@ impl WorkerFactory for Subject {
         {
             let (environment, policy) = RemoteEnvironment::with_policy(Arc::clone(&source.pool), &declared.environment)
                 .map_err(|why| Fault::new(FaultKind::Setup, why.to_string()))?;
-            return Ok(Worker { environment: Box::new(environment), policy: Box::new(policy) });
+            return Ok(Worker { environment: self.keeping(Box::new(environment)), policy: Box::new(policy) });
         }
         let source = self.policy.as_ref();
         let environment = match source.and_then(PolicySource::profile) {
@@ -556,6 +611,7 @@ impl WorkerFactory for Subject {
             None => self.environment.environment(),
         };
         let environment = environment.map_err(|why| Fault::new(FaultKind::Unavailable, format!("{why:#}")))?;
+        let environment = self.keeping(environment);
         let profile = source.and_then(PolicySource::profile);
         let ranges = profile.and_then(|profile| Some((profile, RangeCounts::of(profile)?)));
         let policy = self.policy(ranges.as_ref().map(|(_, counts)| counts))?;

@@ -11,7 +11,7 @@ use robogate_dictionary::{Place, PolicyRecord, Provenance, World};
 use robogate_gate::evidence::{
     Content, Documents, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write,
 };
-use robogate_gate::{Asked, Record, Requirements, Sampling};
+use robogate_gate::{Asked, REPEATED, Record, Requirements, Sampling};
 
 use crate::commands::gate::real_evidence_for;
 use crate::compliance;
@@ -95,6 +95,7 @@ impl Evidence {
             (Role::Registration, REGISTRATION_KEY),
             (Role::Attachment, LOST),
             (Role::Fingerprint, FINGERPRINT),
+            (Role::Repeats, REPEATED),
         ];
         for (role, name) in files {
             let path = self.run.join(name);

@@ -5,16 +5,12 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
-use robogate_analysis::labels::parameter_or_level;
 use robogate_analysis::transfer::{Transfer, TransferOptions};
-use robogate_report::{TransferHeadline, next_trials, transfer_html, transfer_json};
-use robogate_stats::format::{counted, fixed, percent_range, range};
+use robogate_report::{transfer_html, transfer_json, transfer_text};
 
-use crate::commands::analyze::{heading, interval};
 use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
-use crate::summary::influential;
-use crate::terminal::{bold, dim, line, note, percent, wrapped};
+use crate::terminal::{line, note, print_report};
 use crate::transfer_view::TransferView;
 use robogate_session::open_source;
 
@@ -68,7 +64,7 @@ impl TransferTo {
         if self.json {
             line(transfer_json(&transfer));
         } else {
-            print(&transfer);
+            print_report(&transfer_text(&transfer));
         }
         Ok(DONE)
     }
@@ -82,76 +78,4 @@ impl TransferTo {
         }
         place::check_different(("--html", html), ("--out", out))
     }
-}
-
-fn print(of: &Transfer) {
-    let headline = TransferHeadline::of(of);
-    line(format_args!(
-        "{} {}, {} policy: {}, {} in {}",
-        bold("RoboGate"),
-        of.simulation.robot,
-        of.simulation.policy,
-        counted(of.real.trials, "real trial"),
-        counted(of.simulation.episodes, "episode"),
-        of.simulation.engine
-    ));
-    line("");
-    wrapped(&headline.answer);
-    for (title, lines) in [
-        ("What the simulation adds", &headline.what_the_simulation_adds),
-        ("Where simulation and reality differ (p < 0.05, adjusted)", &headline.what_differs),
-    ] {
-        if lines.is_empty() {
-            continue;
-        }
-        heading(title);
-        lines.iter().for_each(|text| wrapped(text));
-    }
-    influential(&of.effects, "Most influential parameters in the simulation");
-    heading("Corrected simulation");
-    let correction = &of.correction;
-    line(format_args!(
-        "  log-odds of real success = shift {} ({}) + slope {} ({}) x simulated",
-        fixed(correction.shift.mean, 2),
-        range(correction.shift.interval_95),
-        fixed(correction.slope.mean, 2),
-        range(correction.slope.interval_95)
-    ));
-    for of in &correction.parameters {
-        line(format_args!(
-            "    + {} ({}) for each standard deviation of {}",
-            fixed(of.effect.mean, 2),
-            range(of.effect.interval_95),
-            parameter_or_level(&of.parameter, of.level.as_deref())
-        ));
-    }
-    if let Some(boundary) = &correction.boundary {
-        line(format_args!(
-            "  settings with 50 % real success have {} simulated success ({})",
-            percent(boundary.mean),
-            percent_range(boundary.interval_95)
-        ));
-    }
-    for at in &correction.curve {
-        line(format_args!(
-            "  simulated {:>7}: real {:>7}  {}",
-            percent(at.simulated),
-            percent(at.real.mean),
-            dim(interval(at.real.interval_95))
-        ));
-    }
-    if let Some(next) = &of.next {
-        heading("Trials to run next");
-        for trial in &next.settings {
-            wrapped(&format!(
-                "{} (simulated {}, expected {})",
-                trial.setting,
-                percent(trial.simulated),
-                percent(trial.expected)
-            ));
-        }
-        wrapped(&next_trials(next));
-    }
-    heading("Assumptions");
-    headline.limits.iter().for_each(|text| wrapped(text));
 }

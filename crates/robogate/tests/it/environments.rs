@@ -210,6 +210,16 @@ fn episodes_that_do_not_repeat_are_named() {
     let text = bench.robogate("gate --env counts.py --rounds 1 --out counts", 4, &["INVALID", "from the same start"]);
     assert!(text.contains(carried), "{text}");
 
+    // A process wears out long after the episodes that run twice before the gate.
+    let done = ("\"success\": bool(done)", "\"success\": bool(done) and Reach.number < 24");
+    bench.example("worn_out.py", &[(reset, &counts), done, ("    drag = 1.0\n", "    drag = 1.0\n    number = 0\n")]);
+    let text =
+        bench.robogate("gate --env worn_out.py --rounds 1 --out worn-out", 4, &["INVALID", "after the last one"]);
+    assert!(text.contains(carried), "{text}");
+    bench.robogate("gate --run worn-out", 4, &["INVALID", carried]);
+    bench.robogate("evidence worn-out --out worn-evidence", 0, &[]);
+    bench.robogate("verify worn-evidence", 0, &["invalid"]);
+
     bench.example("reach.py", &[]);
     let text = bench.robogate("gate --env reach.py --rounds 1 --fixed --out same", 1, &["repeating a few episodes"]);
     assert!(!text.contains("Repetition"), "{text}");

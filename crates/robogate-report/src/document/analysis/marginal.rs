@@ -24,7 +24,7 @@ const CROSSING: f64 = 0.05;
 pub(super) fn section(analysis: &Analysis) -> Section {
     let effects = &analysis.marginal_effects;
     let mut blocks = effects_tables(analysis);
-    blocks.push(Block::Text(
+    blocks.push(Block::Legend(
         "Strongest influence on success first. Dots are observed rates with Wilson intervals. The curve is a logistic model of the \
          parameter and its square with its 95 % band. The vertical line is where success crosses 50 %, with its interval from \
          1,000 bootstrap replicates. Dotted lines mark 30 % and 70 %."

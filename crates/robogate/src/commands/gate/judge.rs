@@ -29,7 +29,11 @@ impl Gate {
         if let Some(file) = &self.write_baseline {
             baseline::write(&source, file)?;
         }
-        let mut record = Record::of(source.dictionary())?;
+        let record = Record::of(source.dictionary())?;
+        let mut record = match source.folder() {
+            Some(folder) => record.with_repeats_in(folder)?,
+            None => record,
+        };
         let asked = source.folder().map_or(Ok(None), Asked::of)?;
         // A run that was tested after each round stays a sequential test, also if it is judged again.
         let sampling = asked.as_ref().map_or(Sampling::Fixed, |asked| asked.sampling);
@@ -132,7 +136,7 @@ fn described(real: Option<&RealEvidence>) -> String {
 /// The evaluation of the gate that a run's folder belongs to. `None` for a run without a gate.
 pub(crate) fn evaluation_of(folder: &Path, source: &Source) -> Result<Option<Evaluation>, Exit> {
     let Some(asked) = Asked::of(folder)? else { return Ok(None) };
-    let record = judged(source.dictionary(), &asked)?;
+    let record = judged(folder, source.dictionary(), &asked)?;
     let other = compared_with(&asked)?.map(|(_, record)| record);
     let mut evaluation = question(&asked, other.as_ref()).evaluate(&record)?;
     evaluation.twins = twins_of(folder, source, asked.sampling)?;

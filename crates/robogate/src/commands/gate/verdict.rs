@@ -44,7 +44,7 @@ pub(crate) fn finish(
     let (analysis, watch) = write_report(dir, Some(&frames), subject).unzip();
     // The evaluation uses the rows on disk, and not those that were seen during the run.
     let source = Source::open(dir).or_broken()?;
-    let record = judged(source.dictionary(), asked)?;
+    let record = judged(dir, source.dictionary(), asked)?;
     let mut evaluation = question(asked, other).evaluate(&record)?;
     evaluation.twins = twins_of(dir, &source, asked.sampling)?;
     evaluation.nominal = nominal_rate_of(dir)?;
