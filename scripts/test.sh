@@ -140,6 +140,11 @@ other_suites() {
     fi
     bridge isaac_sim "$isaac" bridges/isaac_sim/tests/requirements.lock ROBOGATE_ISAAC_TEST_VENV
     suite "python" env PYTHONPATH="$PWD/python/src" python3 scripts/run_unittests.py python/tests
+    if [ -n "${ROBOGATE_POLICY_PYTHON:-}" ]; then
+        suite "policies behind a server" env PYTHONPATH="$PWD/python/src" "$ROBOGATE_POLICY_PYTHON" scripts/run_unittests.py python/tests/served
+    else
+        skipped "policies behind a server" "no Python with openpi-client"
+    fi
     if [ -n "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
         suite "bridges/common" env PYTHONPATH=bridges/common "$ROBOGATE_BRIDGE_PYTHON" scripts/run_unittests.py bridges/common/tests
     else

@@ -16,7 +16,7 @@ Find where it fails:
     run.figure("effects-success-rate")         # the data of one, drawn with matplotlib; returns the axes
 
 `load` opens the folder of an earlier run or gate. `Environment` describes an environment that Gymnasium alone cannot describe: its
-knobs, cameras, measures and failure modes. `serve` offers one to `robogate run --simulator ADDRESS`. `run_command` runs the installed
+knobs, cameras, measures and failure modes. `serve` offers one to `robogate run --simulator ADDRESS`, or a policy to `--policy ADDRESS`. `run_command` runs the installed
 command `robogate` with any arguments.
 """
 
@@ -47,17 +47,34 @@ _ON_DEMAND = {
 
 
 def serve(
-    make_env: Callable[[], Any] | Environment,
+    make_env: Any,
     *,
     task: Task | None = None,
     knobs: Sequence[str | Knob] | None = None,
-    bind: str = "tcp://127.0.0.1:5570",
+    bind: str | None = None,
+    batch: int | None = None,
+    metadata: dict[str, Any] | None = None,
 ) -> None:
-    """Serve an environment until interrupted, as a simulator that scores itself.
+    """Serve an environment, or a policy, until interrupted.
+
+    A policy is an object with `predict_batch(observations)` or `infer(observation)`, or, with `batch`, a function of an observation. It
+    stands behind a server of openpi's dialect at `bind` (`ws://127.0.0.1:8000`; `*` as the port takes a free one). Requests of several
+    episodes are answered together, at most `batch` at once (16), if the policy has `predict_batch`: a list of requests in, a list of
+    arrays (actions, numbers) out. An answer must not depend on the other requests; the server checks this and refuses batches otherwise.
+    `metadata` is what the server says about the policy. Needs `pip install robogate-eval[policies]`.
+
+    An environment is a simulator that scores itself.
 
     `make_env` makes a `gymnasium.Env`, or is an `Environment`. `task` and `knobs` replace those of the environment. Prints the
-    address as one line of JSON; `tcp://127.0.0.1:*` takes a free port. Then `robogate run --simulator ADDRESS` runs it.
+    address as one line of JSON; `bind` is `tcp://127.0.0.1:5570`, and `*` takes a free port. Then `robogate run --simulator ADDRESS` runs
+    it.
     """
+    from robogate_eval.policy_server import is_policy, serve_policy
+
+    if batch is not None or is_policy(make_env):
+        if batch is not None and batch < 1:
+            raise ValueError(f"batch={batch}: expected at least 1")
+        return serve_policy(make_env, bind or "ws://127.0.0.1:8000", batch or 16, metadata)
     import dataclasses
 
     from robogate_eval.serving.environment import as_environment
@@ -65,7 +82,7 @@ def serve(
 
     environment = as_environment(make_env, getattr(make_env, "__name__", "environment"))
     changes = {key: value for key, value in (("task", task), ("knobs", knobs)) if value is not None}
-    serve_adapter(dataclasses.replace(environment, **changes), bind)
+    return serve_adapter(dataclasses.replace(environment, **changes), bind or "tcp://127.0.0.1:5570")
 
 
 def __dir__() -> list[str]:
