@@ -94,10 +94,16 @@ impl ExternalPolicy {
     ) -> Result<Self, PolicyError> {
         let until = Instant::now() + access.wait();
         let mut limit_s = profile.server.connect_s;
+        let mut others = servers.urls().len() - 1;
         let connection = loop {
             let place = servers.place();
             match connection::connect(place.url(), &profile, &access, limit_s) {
                 Ok(connection) => break (connection, place),
+                // Each server has a try.
+                Err(error) if error.is_transient() && others > 0 => {
+                    others -= 1;
+                    place.failed();
+                }
                 Err(error) if error.is_transient() && Instant::now() < until => {
                     place.failed();
                     waiting(&error);

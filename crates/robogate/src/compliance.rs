@@ -12,7 +12,7 @@ use robogate_core::budget::Budget;
 use robogate_core::{FailureMode, Parameter, ParameterSpec, SettingSpec};
 use robogate_dictionary::{Dictionary, Provenance, Tool};
 use robogate_gate::evidence::{EnvironmentBinding, MANIFEST, Manifest, PolicyBinding, Problem, Role};
-use robogate_gate::{Evaluation, Metric};
+use robogate_gate::{Evaluation, Metric, operating_domain};
 use robogate_report::{evidence_html, junit, verdict_html};
 use robogate_session::SOURCE_SHA256;
 use serde_json::{Value, json};
@@ -90,6 +90,7 @@ pub(crate) fn documents(evaluation: &Evaluation, provenance: &Provenance) -> Vec
         ("compliance/verdict.html", verdict_html(evaluation, &origin(provenance)).into_bytes()),
         ("compliance/gate.junit.xml", junit(evaluation).into_bytes()),
         (SBOM, sbom.into_bytes()),
+        ("compliance/operating-domain.odd.yaml", operating_domain(&provenance.space).into_bytes()),
     ]
     .map(|(name, bytes)| (name.to_owned(), bytes))
     .into_iter()

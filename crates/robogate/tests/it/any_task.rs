@@ -130,7 +130,7 @@ fn arm_tasks_pass_through_the_verbs() {
         assert!(rows(&a) == rows(&format!("{task}-s")), "rows depend on the shards");
         verb(&format!("resume {a}"), 0, &[]);
         verb(&format!("replay {a} 3"), 0, &["identical to the recorded episode", measure]);
-        verb(&format!("analyze {a}"), 0, &["RoboGate ur5e"]);
+        verb(&format!("analyze {a}"), 0, &["failure report: Ur5e"]);
         verb(&format!("report {a} --out {task}.html"), 0, &[]);
         let page = fs::read_to_string(at.join(format!("{task}.html"))).unwrap();
         assert!(page.contains(mode) && !page.contains(other));

@@ -83,7 +83,7 @@ fn run(row: &Row) {
     assert_eq!(row.bytes("a/dictionary.parquet"), row.bytes("b/dictionary.parquet"));
     row.verb("resume a", &[]);
     row.verb("replay a 3", &["identical to the recorded episode"]);
-    row.verb("analyze a", &["RoboGate franka"]);
+    row.verb("analyze a", &["failure report: Franka"]);
     row.verb("report a --out page.html", &[]);
     row.verb("view a --export view.html", &[]);
     assert!(fs::read_to_string(row.at().join("page.html")).unwrap().contains(row.task));

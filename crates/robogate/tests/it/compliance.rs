@@ -49,7 +49,10 @@ fn compliance_pack_is_verified() {
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
-    assert_eq!(names, ["gate.junit.xml", "sbom.cdx.json", "verdict.html"].map(str::to_owned).into());
+    assert_eq!(
+        names,
+        ["gate.junit.xml", "operating-domain.odd.yaml", "sbom.cdx.json", "verdict.html"].map(str::to_owned).into()
+    );
     // Equal runs give equal packs.
     robogate(dir.path(), "evidence run again --compliance", 0);
     for name in &names {
@@ -178,6 +181,33 @@ fn evidence_has_a_first_page_and_a_last_line() {
     );
     fs::write(dir.path().join("plain/index.html"), page.replace("PASS", "FAIL")).unwrap();
     assert!(last("verify plain", 4).contains("Do not trust this evidence, because index.html does not verify."));
+}
+
+/// Another reader of OpenODD decides for 10,000 points, half of them beyond one range, whether they are in the operating domain.
+#[test]
+fn operating_domain_agrees_with_openodd() {
+    let Some(python) = robogate_testing::path("ROBOGATE_TEST_PYTHON", "a Python with openodd-py") else { return };
+    let dir = pack();
+    let (domain, points) = (dir.path().join("e/compliance/operating-domain.odd.yaml"), dir.path().join("points.json"));
+    let text = fs::read_to_string(&domain).unwrap();
+    assert!(text.contains("mass_kg: \"[0.2, 0.3]\"") && text.contains("shape: [\"box\"]"), "{text}");
+    let inside = |at: u64| at.is_multiple_of(2);
+    let point = |at: u64| {
+        let beyond = if inside(at) { 0 } else { 1 + at % 3 };
+        let mass_kg = if beyond == 1 { 0.31 + at as f64 } else { 0.2 + 1e-5 * (at % 10_001) as f64 };
+        let obstacles = if beyond == 2 { -(at as i64) } else { 0 };
+        let shape = if beyond == 3 { "cylinder" } else { "box" };
+        serde_json::json!({ "mass_kg": mass_kg, "obstacles": obstacles, "shape": shape, "size_m": 0.05, "friction": 0.8,
+            "com_offset": 0.0, "placement": "center_0", "ik_noise_rad": 0.0 })
+    };
+    fs::write(&points, serde_json::to_string(&(0..10_000).map(point).collect::<Vec<_>>()).unwrap()).unwrap();
+    let program = "import json, sys, pathlib, openodd\n\
+        odd = openodd.load_openodd(pathlib.Path(sys.argv[1]), name='x')\n\
+        print(json.dumps([odd.evaluate(point).inside for point in json.load(open(sys.argv[2]))]))";
+    let output = std::process::Command::new(python).args(["-c", program]).arg(&domain).arg(&points).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let found: Vec<bool> = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(found, (0..10_000).map(inside).collect::<Vec<bool>>());
 }
 
 #[test]

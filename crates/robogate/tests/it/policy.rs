@@ -88,6 +88,28 @@ fn policy_servers_are_checked_and_replayed() {
     assert_exit(&["replay", &run, "1"], 0, &["identical to the recorded episode"]);
 }
 
+/// One of two servers stops. Its episodes run again on the other one.
+#[test]
+fn lost_server_leaves_the_others() {
+    let dir = TempDir::new().unwrap();
+    let profile = profile(&dir, "pi0-libero", &TEN);
+    let ((dies, first), (stays, second)) = (listener(), listener());
+    go_down(dies, 6);
+    go_down(stays, usize::MAX);
+    let run = dir.path().join("run").to_str().unwrap().to_owned();
+    let both = format!("{first},{second}");
+    let start = ["run", "--policy", &both, "--profile", &profile, "-n", "12", "--in-flight", "4", "--out", &run];
+    assert_exit(&start, 0, &["pi0-libero policy"]);
+    assert_eq!(outcomes(&run), ["collision"; 12]);
+    // Both must answer before the first episode.
+    let (free, url) = listener();
+    drop(free);
+    let missing = format!("{second},{url}");
+    assert_exit(&["policy", "check", &missing, "--profile", &profile, "--requests", "2"], 0, &["no problems found"]);
+    let start = ["run", "--policy", &missing, "--profile", &profile, "-n", "3", "--out", &run];
+    assert_exit(&start, 5, &["unreachable", &url]);
+}
+
 #[test]
 fn statistics_of_a_checkpoint_are_compared() {
     let dir = TempDir::new().unwrap();

@@ -153,6 +153,10 @@ fn words_for_policies_come_before_files() {
 #[test]
 fn plan_states_power_and_error() {
     let dir = folder();
+    verb(dir.path(), &format!("{CONTEST} --plan --out x"), 2, &["--plan writes nothing", "Hint: "]);
+    let document = verb(dir.path(), &format!("{CONTEST} --plan --json"), 0, &["\"best_dropped\""]);
+    let document: serde_json::Value = serde_json::from_str(&document[document.find('{').unwrap()..]).unwrap();
+    assert_eq!((document["policies"].as_u64(), document["at"][0]["best"].as_f64()), (Some(3), Some(0.9)));
     let printed = verb(dir.path(), &format!("{CONTEST} --plan"), 0, &["3 policies, at most 12 rounds of 4 scenarios"]);
     assert!(printed.contains("best dropped") && printed.contains("90.0 % and 2 of 60.0 %"), "{printed}");
     assert!(!dir.path().join("runs").exists());

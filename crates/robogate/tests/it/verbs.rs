@@ -239,8 +239,8 @@ fn transfer_writes_every_format() {
         assert!(text.contains(part) || text.contains("The trials alone"), "{part}: {text}");
     }
     assert_self_contained(&page);
-    // Terminal, page and document have the most influential parameters, and the map of two of them.
-    assert!(text.contains("Most influential parameters in the simulation"), "{text}");
+    // Terminal, page and document have the map of the two most influential parameters.
+    assert!(text.contains("Trials to run next\n") && text.contains("0.809 to 1.19"), "{text}");
     let html = fs::read_to_string(&page).unwrap();
     assert!(html.contains("Real success in percent by the corrected model"));
     let json = robogate(&["transfer", "--sim", &simulation, "--real", &trials, "--json"]);

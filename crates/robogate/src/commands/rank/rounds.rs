@@ -10,6 +10,7 @@ use robogate_core::Suite;
 use robogate_gate::{Ranking, RankingDesign, Record};
 use robogate_stats::contest::{Dropped, Elimination};
 use robogate_stats::format::percent_or_dash;
+use serde_json::json;
 
 use super::show::show;
 use super::{ANSWER, Rank};
@@ -39,6 +40,9 @@ impl Rank {
         if self.how.goes_on {
             return Err(anyhow!("--continue has no effect: first failures do not stop a contest\nHint: leave it out"))
                 .or_usage();
+        }
+        if self.plan && self.out.is_some() {
+            return Err(anyhow!("--plan writes nothing\nHint: leave out --out, or --plan")).or_usage();
         }
         if self.policies.len() < 2 {
             return Err(anyhow!("one policy has no rank\nHint: give two or more policies")).or_usage();
@@ -204,12 +208,28 @@ impl Rank {
     /// Prints how such a contest ends for a few true rates.
     fn print_plan(&self, elimination: &Elimination, scenarios: u64) -> Result<u8, Exit> {
         let n = self.policies.len();
-        line(bold(format_args!("{n} policies, at most {} rounds of {scenarios} scenarios", self.rounds)));
-        line(dim(format_args!("  {:<26} {:>10} {:>13} {:>9}", "true rates", "best found", "best dropped", "episodes")));
-        for [best, others] in EXAMPLES {
+        let expected = EXAMPLES.map(|[best, others]| {
             let mut rates = vec![others; n];
             rates[0] = best;
-            let found = elimination.expected(&rates, SHARED, SIMULATED, self.seed).or_usage()?;
+            elimination.expected(&rates, SHARED, SIMULATED, self.seed).or_usage().map(|found| ([best, others], found))
+        });
+        let expected = expected.into_iter().collect::<Result<Vec<_>, Exit>>()?;
+        if self.how.json {
+            let rows: Vec<_> = expected
+                .iter()
+                .map(|([best, others], found)| {
+                    json!({ "best": best, "others": others, "best_alone": found.best_alone,
+                        "best_dropped": found.best_dropped, "episodes": found.trials })
+                })
+                .collect();
+            let document =
+                json!({ "format": 1, "policies": n, "scenarios": scenarios, "rounds": self.rounds, "at": rows });
+            line(serde_json::to_string_pretty(&document).or_broken()?);
+            return Ok(DONE);
+        }
+        line(bold(format_args!("{n} policies, at most {} rounds of {scenarios} scenarios", self.rounds)));
+        line(dim(format_args!("  {:<26} {:>10} {:>13} {:>9}", "true rates", "best found", "best dropped", "episodes")));
+        for ([best, others], found) in expected {
             let alone = (best > others).then_some(found.best_alone);
             line(format_args!(
                 "  {:<26} {:>10} {:>13} {:>9}",

@@ -1,0 +1,51 @@
+//! The operating ranges as an operational design domain in ASAM OpenODD 1.0 (YAML).
+//!
+//! One module holds where all parameters are within the judged space. Values are in the unit that a parameter's name ends with.
+
+use std::collections::BTreeSet;
+use std::fmt::Write;
+
+use robogate_core::{Domain, ParameterSpace};
+
+/// The domain of a space.
+pub fn operating_domain(space: &ParameterSpace) -> String {
+    let mut taken = BTreeSet::new();
+    let (mut taxonomy, mut module) = (String::new(), String::new());
+    for parameter in space.parameters() {
+        let name = concept(&parameter.name, &mut taken);
+        let (kind, values) = match &parameter.domain {
+            Domain::Continuous { low, high, .. } => ("float".to_owned(), quoted(&format!("[{low:?}, {high:?}]"))),
+            Domain::Integer { low, high } => ("integer".to_owned(), quoted(&format!("[{low}, {high}]"))),
+            Domain::Categorical { choices } => {
+                let choices: Vec<String> = choices.iter().map(|choice| quoted(choice)).collect();
+                let list = format!("[{}]", choices.join(", "));
+                (list.clone(), list)
+            }
+        };
+        // Writing to a string cannot fail.
+        let _ = writeln!(taxonomy, "  {name}: {kind}");
+        let _ = writeln!(module, "      {name}: {values}");
+    }
+    format!(
+        "# ASAM OpenODD 1.0. Values are in the unit that a name ends with.\nTAXONOMY:\n{taxonomy}MODULES:\n  operating_range:\n    \
+         TITLE: {}\n    INCLUDE_AND:\n{module}",
+        quoted(&format!("The parameter space {}", space.name()))
+    )
+}
+
+/// A name of letters, digits and underscores that is not taken yet.
+fn concept(name: &str, taken: &mut BTreeSet<String>) -> String {
+    let mut concept: String = name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+    if concept.chars().next().is_none_or(|first| first.is_ascii_digit()) {
+        concept.insert(0, '_');
+    }
+    while !taken.insert(concept.clone()) {
+        concept.push('_');
+    }
+    concept
+}
+
+/// A double-quoted scalar: JSON is YAML.
+fn quoted(text: &str) -> String {
+    serde_json::Value::from(text).to_string()
+}
