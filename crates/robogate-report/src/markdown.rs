@@ -142,7 +142,7 @@ fn list(out: &mut String, lines: &[String]) {
     }
 }
 
-fn table(out: &mut String, table: &Table, titled: bool) {
+pub(crate) fn table(out: &mut String, table: &Table, titled: bool) {
     if titled && !table.title.is_empty() {
         let _ = write!(out, "**{}**\n\n", escape_markdown(&table.title));
     }

@@ -79,7 +79,7 @@ fn of_block(lines: &mut Vec<Line>, block: &Block) {
         }
         Block::Table(table) => {
             lines.extend((!table.title.is_empty()).then(|| Line::Subheading(table.title.clone())));
-            of_table(lines, table);
+            self::table(lines, table);
         }
         Block::Facts(facts) => {
             lines.extend(facts.iter().map(|(name, value)| Line::Text(format!("{name}: {value}"))));
@@ -92,28 +92,29 @@ fn of_block(lines: &mut Vec<Line>, block: &Block) {
 fn of_figure(lines: &mut Vec<Line>, figure: &Figure) {
     lines.push(Line::Subheading(figure.title.clone()));
     lines.extend(figure.findings.iter().cloned().map(Line::Text));
-    of_table(lines, &figure.table);
+    table(lines, &figure.table);
 }
 
-fn of_table(lines: &mut Vec<Line>, table: &Table) {
-    let shown = &table.rows[..table.rows.len().min(MOST_ROWS)];
+/// A table with aligned columns.
+pub(crate) fn table(lines: &mut Vec<Line>, of: &Table) {
+    let shown = &of.rows[..of.rows.len().min(MOST_ROWS)];
     let wide = |at: usize| {
         let cells = shown.iter().filter_map(|row| row.get(at)).map(|cell| cell.chars().count());
-        cells.chain([table.columns[at].head.chars().count()]).max().unwrap_or_default()
+        cells.chain([of.columns[at].head.chars().count()]).max().unwrap_or_default()
     };
-    let widths: Vec<usize> = (0..table.columns.len()).map(wide).collect();
+    let widths: Vec<usize> = (0..of.columns.len()).map(wide).collect();
     let row = |cells: &mut dyn Iterator<Item = &str>| {
-        let padded = cells.zip(&table.columns).zip(&widths).map(|((cell, column), &width)| match column.kind {
+        let padded = cells.zip(&of.columns).zip(&widths).map(|((cell, column), &width)| match column.kind {
             Kind::Number => format!("{cell:>width$}"),
             Kind::Text | Kind::Short | Kind::Zone | Kind::Code => format!("{cell:<width$}"),
         });
         Line::Row(padded.collect::<Vec<_>>().join("  ").trim_end().to_owned())
     };
-    lines.push(row(&mut table.columns.iter().map(|column| &*column.head)));
+    lines.push(row(&mut of.columns.iter().map(|column| &*column.head)));
     lines.extend(shown.iter().map(|cells| row(&mut cells.iter().map(String::as_str))));
-    if table.rows.len() > shown.len() {
-        let more = (table.rows.len() - shown.len()) as u64;
+    if of.rows.len() > shown.len() {
+        let more = (of.rows.len() - shown.len()) as u64;
         lines.push(Line::Text(format!("{} more rows are on the page and in the JSON document.", count(more))));
     }
-    lines.extend(table.remark.clone().map(Line::Text));
+    lines.extend(of.remark.clone().map(Line::Text));
 }

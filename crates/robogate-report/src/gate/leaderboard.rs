@@ -1,12 +1,12 @@
 //! The leaderboard as Markdown and as one HTML file.
 
-use std::fmt::Write;
-
 use maud::{Markup, html};
 use robogate_gate::{Leaderboard, Standing};
 
+use crate::document::{Kind, Table};
 use crate::html::{frame, prose};
-use crate::markdown::escape_markdown;
+use crate::markdown::{self, escape_markdown};
+use crate::plain;
 use robogate_analysis::labels::mode_label;
 use robogate_stats::format::{count, counted, fixed, percent, percent_range};
 
@@ -100,26 +100,31 @@ pub fn leaderboards_markdown(title: &str, boards: &[Leaderboard]) -> String {
 }
 
 fn board_markdown(board: &Leaderboard) -> String {
-    let mut heads: Vec<String> = heads(board).iter().map(|head| (*head).to_owned()).collect();
-    heads.extend(terms(board));
-    heads.push(FAILURES.to_owned());
     let mut out = format!("{}\n\n", escape_markdown(&board.population.to_string()));
-    // Writing to a string cannot fail, here and below.
-    let _ = writeln!(
-        out,
-        "| {} |\n|{}",
-        heads.iter().map(|h| escape_markdown(h)).collect::<Vec<_>>().join(" | "),
-        "---|".repeat(heads.len())
-    );
-    for line in board.standings.iter().map(Line::of) {
-        let mut cells = vec![line.rank, line.name, line.score, line.interval, line.success, line.success_interval];
-        cells.extend(line.terms);
-        cells.push(line.failures);
-        let cells: Vec<String> = cells.iter().map(|cell| escape_markdown(cell)).collect();
-        let _ = writeln!(out, "| {} |", cells.join(" | "));
-    }
-    let _ = writeln!(out, "\n{}", escape_markdown(&caution(board)));
+    markdown::table(&mut out, &table(board, &terms(board)), false);
     out
+}
+
+/// The leaderboard as plain text.
+pub fn leaderboard_text(board: &Leaderboard) -> Vec<plain::Line> {
+    let mut lines =
+        vec![plain::Line::Heading(format!("Leaderboard, {}", board.population)), plain::Line::Text(title(board))];
+    plain::table(&mut lines, &table(board, &[]));
+    lines
+}
+
+/// The standings, with the points of these terms of the score.
+fn table(board: &Leaderboard, terms: &[String]) -> Table {
+    let heads = heads(board);
+    let texts = heads.into_iter().chain(terms.iter().map(String::as_str)).chain([FAILURES]);
+    let columns: Vec<(&str, Kind)> = texts.map(|head| (head, Kind::Short)).collect();
+    let cells = |line: Line| {
+        let own = [line.rank, line.name, line.score, line.interval, line.success, line.success_interval];
+        own.into_iter().chain(line.terms.into_iter().take(terms.len())).chain([line.failures]).collect()
+    };
+    let mut table = Table::new("", &columns, board.standings.iter().map(Line::of).map(cells).collect());
+    table.remark = Some(caution(board));
+    table
 }
 
 /// The leaderboard as one self-contained HTML file. Equal leaderboards give equal bytes.

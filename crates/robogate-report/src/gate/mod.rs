@@ -16,7 +16,9 @@ use robogate_gate::{
 pub use changes::{Change, required_success, what_to_change};
 pub use fleet::{fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share};
 pub use junit::junit;
-pub use leaderboard::{leaderboard_html, leaderboard_markdown, leaderboards_html, leaderboards_markdown};
+pub use leaderboard::{
+    leaderboard_html, leaderboard_markdown, leaderboard_text, leaderboards_html, leaderboards_markdown,
+};
 pub use markdown::{evaluation_markdown, evaluation_markdown_with};
 pub use page::{evidence_html, verdict_html};
 pub use twins::TwinRow;

@@ -6,10 +6,10 @@ use anyhow::Context;
 use clap::{Args, ValueEnum};
 use robogate_core::TaskSpec;
 use robogate_gate::{Asked, Baseline, Leaderboard, Record, Requirements, Sampling};
-use robogate_report::{leaderboard_html, leaderboard_markdown};
+use robogate_report::{leaderboard_html, leaderboard_markdown, leaderboard_text};
 
 use crate::exit::{DONE, Exit, INVALID, OrExit};
-use crate::terminal::{bar, bold, dim, foreign, line, note, percent};
+use crate::terminal::{foreign, line, note, print_report};
 use robogate_session::{built_in_baseline, open_source};
 
 /// Rank policies that ran the same scenarios, by the paper's confidence score.
@@ -89,7 +89,7 @@ impl Rank {
             (None, Some(_)) => {
                 return Err(anyhow::anyhow!("--out needs --format: html, md or json")).or_usage();
             }
-            (None, None) => print(&board),
+            (None, None) => print_report(&leaderboard_text(&board)),
         }
         Ok(if board.standings.iter().any(|s| s.valid > 0) { DONE } else { INVALID })
     }
@@ -116,67 +116,4 @@ fn named(run: &str) -> (String, PathBuf) {
     let path = PathBuf::from(run);
     let name = path.file_stem().map_or_else(|| run.to_owned(), |name| name.to_string_lossy().into_owned());
     (name, path)
-}
-
-/// Prints a leaderboard on the terminal.
-pub(crate) fn print(board: &Leaderboard) {
-    line(bold(format_args!("Leaderboard, {}", board.population)));
-    match (&board.leader, board.standings.len()) {
-        (Some(leader), n) => line(format_args!("{leader} is the best of {n} policies")),
-        (None, n) if n > 1 => line(format_args!("No policy of {n} is significantly the best")),
-        _ => {}
-    }
-    line("");
-    let wide = board.standings.iter().map(|s| s.name.chars().count()).max().unwrap_or(6).max(6);
-    let sequential = board.is_sequential();
-    let exact = if sequential { "" } else { "exact " };
-    line(dim(format_args!(
-        "  rank (95 %)   {:<wide$}  score  {:<24}  95 % (bootstrap) success ({exact}95 % interval)",
-        "policy", ""
-    )));
-    for s in &board.standings {
-        let rank = match (s.rank, s.ranks_95) {
-            (Some(rank), Some([low, high])) if low < high => format!("{rank} ({low} to {high})"),
-            (Some(rank), _) => rank.to_string(),
-            (None, _) => "-".to_owned(),
-        };
-        let score = s.score.points.map_or_else(|| "-".to_owned(), |p| format!("{p:.1}"));
-        let interval = s.score_95.map_or_else(|| "no interval".to_owned(), |[l, h]| format!("{l:.1} to {h:.1}"));
-        let success = if s.valid > 0 {
-            let [low, high] = s.success_95;
-            format!(
-                "{} of {}, {} ({:.1} to {:.1} %){}",
-                s.successes,
-                s.valid,
-                percent(s.successes as f64 / s.valid as f64),
-                100.0 * low,
-                100.0 * high,
-                if s.sequential { " *" } else { "" }
-            )
-        } else {
-            "no valid episode".to_owned()
-        };
-        let bar = bar(s.score.points.unwrap_or(0.0) / 100.0, 24);
-        line(format_args!("  {rank:<12}  {:<wide$}  {score:>5}  {bar}  {interval:<14}  {success}", s.name));
-        if !s.endings.is_empty() {
-            let endings: Vec<String> =
-                s.endings.iter().map(|e| format!("{} {}", e.ending.replace('_', " "), e.episodes)).collect();
-            line(dim(format_args!("                {:<wide$}  {}", "", endings.join(", "))));
-        }
-    }
-    line("");
-    line(dim(
-        "  The score summarises observed figures (the paper's appendix E). Bootstrap: scenarios within each category, the same",
-    ));
-    line(dim(
-        "  for every policy. \"no interval\": all replicates are equal, which does not mean that the score is exact.",
-    ));
-    if sequential {
-        line(dim(
-            "  *: the number of episodes was not fixed in advance, as in a gate that stops early. The interval is a confidence",
-        ));
-        line(dim(
-            "  sequence, which holds for any number; an exact one would cover too rarely. Success rates without * have exact ones.",
-        ));
-    }
 }

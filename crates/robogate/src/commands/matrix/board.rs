@@ -7,15 +7,14 @@ use anyhow::{Context, anyhow};
 use robogate_campaign::Event;
 use robogate_campaign::folder::SUMMARY;
 use robogate_gate::{Baseline, Leaderboard, Metric, Record, Requirements, Sampling, ScoreTerm, Scoring};
-use robogate_report::{leaderboards_html, leaderboards_markdown};
+use robogate_report::{leaderboard_text, leaderboards_html, leaderboards_markdown};
 use serde_json::{Value, json};
 
 use super::sweep::SweepPlan;
-use crate::commands::leaderboard::print;
 use crate::commands::run::write_report;
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit};
-use crate::terminal::{line, warning};
+use crate::terminal::{line, print_report, warning};
 use robogate_session::{Reopening, Trust, built_in_baseline, open_source};
 
 /// The pages in the folder of a sweep.
@@ -62,7 +61,7 @@ pub(super) fn write(dir: &Path, plan: &SweepPlan, failed: &[String], as_json: bo
         line(json!({ "version": 1, "name": plan.name, "failed": failed, "leaderboards": boards }));
     } else {
         for board in &boards {
-            print(board);
+            print_report(&leaderboard_text(board));
             line("");
         }
         line(format_args!("page: {}", dir.join(PAGES[0]).display()));
