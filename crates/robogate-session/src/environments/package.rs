@@ -52,6 +52,7 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/serving/default_space.py"),
     embedded!("robogate_eval/serving/disturbances.py"),
     embedded!("robogate_eval/serving/environment.py"),
+    embedded!("robogate_eval/serving/foreign.py"),
     embedded!("robogate_eval/serving/friction.py"),
     embedded!("robogate_eval/serving/hints.py"),
     embedded!("robogate_eval/serving/imported.py"),

@@ -18,6 +18,7 @@ from . import declaration
 from .cameras import Cameras
 from .disturbances import Disturbances
 from .environment import DeclarationError, Environment, innermost
+from .foreign import Translated, holds_tensors, plain, translated
 from .knobs import Knob, differs
 from .model import Model, NoModel
 from .motion import Recorder
@@ -52,12 +53,7 @@ class Adapter:
         self._is_twin = is_twin
         self._task = environment.task
         doing("make")
-        self._env = env = environment.make()
-        if (worlds := getattr(env, "num_envs", None)) is not None and (worlds != 1 or hasattr(env, "single_action_space")):
-            raise DeclarationError(
-                f"the environment is a vector of {worlds} worlds (num_envs), which reset themselves. Expected one world without a vector "
-                "around it: RoboGate starts a process for each"
-            )
+        self._env = env = translated(environment.make())
         self._observations = Observations(env.observation_space)
         self._actions = actions_of(env.action_space, self._task.action_names)
         self._actions.unclipped = environment.unclipped_actions
@@ -72,6 +68,9 @@ class Adapter:
         first = self._first_reset()
         if not isinstance(first, tuple) or len(first) != 2:
             raise DeclarationError(f"reset returned {_values(first)}. Expected observation and info, as in Gymnasium")
+        if holds_tensors(first):
+            self._env, first = Translated(env), plain(first)
+            env = self._env
         self._observations.check(first[0])
         self._observe = self._find_observe(first[0])
         try:
