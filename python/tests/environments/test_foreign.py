@@ -291,6 +291,15 @@ class Spaces(unittest.TestCase):
 
         self.assertEqual(adapter(Seeing).notes, [])
 
+    def test_ends_that_are_no_truth_values_are_refused(self):
+        class Text(SlidingBox):
+            def step(self, action):
+                observation, reward, _, *others = super().step(action)
+                return observation, reward, "False", *others
+
+        with self.assertRaisesRegex(DeclarationError, r"terminated is 'False' \(str\). Expected True, False, 1 or 0$"):
+            adapter(Text)
+
     def test_missing_rewards_are_refused(self):
         class NoReward(SlidingBox):
             def step(self, action):

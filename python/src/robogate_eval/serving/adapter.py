@@ -23,7 +23,7 @@ from .knobs import Knob, differs
 from .model import Model, NoModel
 from .motion import Recorder
 from .offer import is_bound, offered
-from .scoring import Scoring
+from .scoring import Scoring, truth
 from .spaces import Observations, actions_of, same
 from .timing import control_period, step_limit
 from .trajectory import Trajectory
@@ -436,8 +436,9 @@ class Adapter:
         if type(info) is not dict and not isinstance(info, Mapping):
             raise Problem("setup", f"step returned the info {info!r:.80}. Expected a dict")
         trajectory.infos.append(info)
-        trajectory.terminated = bool(terminated)
-        trajectory.over = over = bool(terminated or truncated or len(trajectory.actions) >= self._limit)
+        ended, cut = (one if type(one) is bool else truth(one, name, "") for one, name in ((terminated, "terminated"), (truncated, "truncated")))
+        trajectory.terminated = ended
+        trajectory.over = over = ended or cut or len(trajectory.actions) >= self._limit
         if self._model is not None:
             self._check(self._model)
         if self._recorder is not None:
