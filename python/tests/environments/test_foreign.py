@@ -806,6 +806,89 @@ class Plane(gymnasium.Env):
         return pixels
 
 
+class SeenPictures(unittest.TestCase):
+    """What a policy of the environment sees, by the layout of the image in the observation."""
+
+    LAYOUTS = {
+        "last": ((32, 24, 3), lambda image: image),
+        "first": ((3, 32, 24), lambda image: np.moveaxis(image, 2, 0)),
+        "grey": ((32, 24, 1), lambda image: image[..., :1]),
+        "alpha": ((32, 24, 4), lambda image: np.concatenate([image, np.full((32, 24, 1), 9, np.uint8)], axis=2)),
+        "stack": ((2, 32, 24, 3), lambda image: np.stack([image, image])),
+    }
+
+    def seen(self, layout="last", steps=6, **parameters):
+        shape, laid = self.LAYOUTS[layout]
+        seen = []
+
+        class Seen(gymnasium.Env):
+            observation_space = gymnasium.spaces.Dict({"eye": gymnasium.spaces.Box(0, 255, shape, np.uint8), "steps": gymnasium.spaces.Box(0, 99, (1,))})
+            action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+            dt, max_path_length = 0.1, 20
+
+            def reset(self, seed=None, options=None):
+                super().reset(seed=seed)
+                self.steps = 0
+                return self.observed(), {}
+
+            def observed(self):
+                image = np.full((32, 24, 3), 100, np.uint8)
+                image[:16, :, 1] = 150
+                image[0, 0, 2] = self.steps
+                return {"eye": laid(image), "steps": np.array([self.steps], dtype=float)}
+
+            def step(self, action):
+                self.steps += 1
+                return self.observed(), 0.0, False, False, {"success": self.steps > 15}
+
+        policy = Policy(lambda env: lambda observation: (seen.append(observation["eye"]), np.zeros(1))[1])
+        found = adapter(Seen, policies={"look": policy})
+        seen.clear()
+        found.reset(Scenario(index=1, seed=3, parameters=parameters, policy="look"))
+        for _ in range(steps - 1):
+            found.step(Action("vector", [0.0]))
+        return np.stack(seen)
+
+    def test_nominal_values_change_nothing(self):
+        for layout in self.LAYOUTS:
+            plain, nominal = self.seen(layout), self.seen(layout, image_noise=0.0, image_contrast=1.0, image_delay=0)
+            np.testing.assert_array_equal(plain, nominal)
+
+    def test_every_layout_is_changed(self):
+        for layout, (shape, _) in self.LAYOUTS.items():
+            plain, bright = self.seen(layout), self.seen(layout, image_brightness=50.0)
+            self.assertEqual((bright.shape[1:], bright.dtype), (shape, np.uint8))
+            difference = bright.astype(int) - plain
+            colours = difference[..., :3] if layout == "alpha" else difference
+            self.assertEqual(set(np.unique(colours)), {50}, layout)
+            if layout == "alpha":
+                self.assertFalse(difference[..., 3].any())
+
+    def test_changes_are_as_declared(self):
+        plain = self.seen().astype(int)
+        noisy = self.seen(image_noise=10.0) - plain
+        self.assertAlmostEqual(noisy[:, 2:].std(), 10.0, delta=0.5)
+        np.testing.assert_array_equal(noisy, self.seen(image_noise=10.0) - plain)
+        self.assertNotEqual(noisy[0].tolist(), noisy[1].tolist())
+        warm = self.seen(image_warmth=20.0) - plain
+        self.assertEqual([warm[0, 5, 5, channel] for channel in range(3)], [20, 0, -20])
+        self.assertAlmostEqual((self.seen(image_occlusion=0.25)[0] == 128).mean(), 0.25, delta=0.02)
+        self.assertEqual(self.seen(image_contrast=0.5)[0, 5, 5].tolist(), [114, 139, 114])
+        half = self.seen(image_rotation_deg=180.0 / 6)[0, :, :, 1]
+        self.assertGreater(np.abs(half.astype(int) - plain[0, :, :, 1]).max(), 20)
+        edge = self.seen(image_blur_px=2.0)[0, :, 12, 1].astype(int)
+        self.assertTrue(100 < edge[16] < edge[15] < 150 and edge[0] == 150 and edge[31] == 100)
+        # The corner, which shows the number of the step, is cut off.
+        self.assertEqual([self.seen(image_crop=crop)[3, 0, 0, 2] for crop in (0.0, 0.25)], [3, 100])
+
+    def test_frames_are_late_or_lost(self):
+        number = lambda images: images[:, 0, 0, 2].tolist()
+        self.assertEqual(number(self.seen()), [0, 1, 2, 3, 4, 5])
+        self.assertEqual(number(self.seen(image_delay=2)), [0, 0, 0, 1, 2, 3])
+        lost = number(self.seen(image_dropped_frames=0.5))
+        self.assertTrue(lost != [0, 1, 2, 3, 4, 5] and lost == sorted(lost) and lost[0] == 0, lost)
+
+
 class Pictures(unittest.TestCase):
     def test_buffer_grows_to_the_picture(self):
         model = mujoco.MjModel.from_xml_string(XML)

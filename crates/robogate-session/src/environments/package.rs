@@ -55,6 +55,7 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/serving/foreign.py"),
     embedded!("robogate_eval/serving/friction.py"),
     embedded!("robogate_eval/serving/hints.py"),
+    embedded!("robogate_eval/serving/image_changes.py"),
     embedded!("robogate_eval/serving/imported.py"),
     embedded!("robogate_eval/serving/knobs.py"),
     embedded!("robogate_eval/serving/layers.py"),

@@ -63,7 +63,7 @@ class Adapter:
         known = self._task.rest_action is not None or inside
         lengths = {name: length for name, (_, length) in self._observations.vectors.items()}
         rest = self._actions.decode(rest)
-        self._disturbances = Disturbances(lengths, rest if known else None)
+        self._disturbances = Disturbances(lengths, rest if known else None, bool(self._observations.images))
         doing("reset")
         first = self._first_reset()
         if not isinstance(first, tuple) or len(first) != 2:
@@ -332,6 +332,8 @@ class Adapter:
         seen = observation
         if self._disturbances.noisy:
             seen = self._observations.with_noise(observation, self._disturbances.noise())
+        if self._disturbances.images.active:
+            seen = self._observations.with_images(seen, self._disturbances.images.changed)
         self._seen = seen
         self._hash = self._state()
         reply = {"observation": {"vectors": self._observations.encode(seen)}}
