@@ -311,16 +311,28 @@ pub(crate) fn start_of(path: &Path) -> Vec<u8> {
     start
 }
 
-/// Why a file only stands for another one that was not downloaded.
+/// Why a file does not hold the rows themselves: it stands for a file that was not downloaded, or is compressed.
 pub(crate) fn placeholder(path: &Path) -> Option<&'static str> {
+    const OTHER: [(&[u8], &str); 7] = [
+        (
+            b"version https://git-lfs.github.com/spec/",
+            "it is a Git LFS pointer, not the file itself\nHint: download the file with `git lfs pull`",
+        ),
+        (
+            b"/annex/objects/",
+            "it is a git-annex pointer, not the file itself\nHint: download the file with `git annex get`",
+        ),
+        (b"\x1f\x8b", "it is compressed with gzip\nHint: decompress it first, with `gunzip` or `zcat`"),
+        (b"BZh", "it is compressed with bzip2\nHint: decompress it first, with `bunzip2` or `bzcat`"),
+        (b"\xfd7zXZ\0", "it is compressed with xz\nHint: decompress it first, with `unxz` or `xzcat`"),
+        (b"\x28\xb5\x2f\xfd", "it is compressed with zstd\nHint: decompress it first, with `unzstd` or `zstdcat`"),
+        (
+            b"PK\x03\x04",
+            "it is a zip archive, such as a workbook of a spreadsheet\nHint: extract the file, or save the sheet as CSV",
+        ),
+    ];
     let start = start_of(path);
-    if start.starts_with(b"version https://git-lfs.github.com/spec/") {
-        Some("it is a Git LFS pointer, not the file itself\nHint: download the file with `git lfs pull`")
-    } else if start.starts_with(b"/annex/objects/") {
-        Some("it is a git-annex pointer, not the file itself\nHint: download the file with `git annex get`")
-    } else {
-        None
-    }
+    OTHER.iter().find(|(magic, _)| start.starts_with(magic)).map(|(_, why)| *why)
 }
 
 #[cfg(test)]

@@ -191,7 +191,7 @@ impl Field {
     /// The lowest and highest value, if all values are integers and an integer parameter cannot span them.
     pub(crate) fn wide_integers(&self) -> Option<(i128, i128)> {
         match self.kind {
-            FieldKind::Integers { low, high } if high - low >= 1 << 32 => Some((low, high)),
+            FieldKind::Integers { low, high } if high - low >= 1 << 32 || high > i64::MAX.into() => Some((low, high)),
             _ => None,
         }
     }

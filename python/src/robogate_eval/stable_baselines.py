@@ -31,11 +31,20 @@ TIME_FEATURE_STEPS = 1000
 
 
 class Model:
-    """A saved model with what its observations passed through in training. `files` are all that were read."""
+    """A saved model with what its observations passed through in training. `files` are all that were read, and `arguments` those of the
+    environment in training."""
 
-    def __init__(self, model: Any, statistics: "Statistics | None", time_feature: dict[str, Any] | None, files: list[Path]):
+    def __init__(
+        self,
+        model: Any,
+        statistics: "Statistics | None",
+        time_feature: dict[str, Any] | None,
+        files: list[Path],
+        arguments: Mapping[str, Any] | None = None,
+    ):
         self.model = model
         self.files = files
+        self._arguments = dict(arguments or {})
         self._statistics = statistics
         self._time_feature = time_feature
 
@@ -43,6 +52,7 @@ class Model:
         """The model as a function from an observation of `env` to an action. Called at the start of each episode."""
         import numpy as np
 
+        self._check_arguments(env)
         model, recurrent = self.model, hasattr(getattr(self.model, "policy", None), "lstm_actor")
         masks = next((masks for layer in layers(env) if callable(masks := getattr(layer, "action_masks", None))), None)
         limit = self._limit(env)
@@ -63,6 +73,15 @@ class Model:
             return action
 
         return act
+
+    def _check_arguments(self, env: Any) -> None:
+        """Raise if a registered environment was made with other arguments than that of the training: RL Baselines3 Zoo evaluates with these."""
+        spec = next(filter(None, (getattr(layer, "spec", None) for layer in layers(env))), None)
+        given = dict(getattr(spec, "kwargs", None) or {})
+        other = {key: value for key, value in self._arguments.items() if str(given.get(key)) != str(value)}
+        if spec is not None and other:
+            query = "&".join(f"{key}={json.dumps(value)}" for key, value in other.items())
+            raise ValueError(f"the model was trained in an environment with other arguments. Name it as gymnasium:{spec.id}?{query}")
 
     def _limit(self, env: Any) -> int:
         limits = (getattr(getattr(layer, "spec", None), "max_episode_steps", None) for layer in layers(env))
@@ -114,7 +133,7 @@ def load(path: "str | os.PathLike[str]", statistics: "str | os.PathLike[str] | N
         raise ValueError(f"{file}: the model was trained with normalised observations, but there is no {STATISTICS[0]} beside it")
     normalizer = Statistics(found[0]) if found else None
     model = _algorithm(file).load(file, device="cpu", custom_objects=TRAINING)
-    return Model(model, normalizer, _time_feature(file, settings), [file, *found[:1]])
+    return Model(model, normalizer, _time_feature(file, settings), [file, *found[:1]], _settings(file, "args.yml").get("env_kwargs"))
 
 
 class Statistics:
@@ -203,9 +222,10 @@ def _folders(file: Path) -> list[Path]:
     return [file.parent, *inner]
 
 
-def _settings(file: Path) -> dict[str, Any]:
-    """The hyperparameters in config.yml of RL Baselines3 Zoo. Empty without one."""
-    config = next((found for folder in _folders(file) if (found := folder / "config.yml").is_file()), None)
+def _settings(file: Path, name: str = "config.yml") -> dict[str, Any]:
+    """What RL Baselines3 Zoo writes beside a model: hyperparameters in config.yml, or arguments of the training in args.yml. Empty without
+    such a file."""
+    config = next((found for folder in _folders(file) if (found := folder / name).is_file()), None)
     if config is None:
         return {}
     try:
@@ -218,8 +238,11 @@ def _settings(file: Path) -> dict[str, Any]:
 
     tag = "tag:yaml.org,2002:python/object/apply:collections.OrderedDict"
     Loader.add_constructor(tag, lambda loader, node: dict(loader.construct_sequence(node, deep=True)[0]))
+    if name != "config.yml":
+        # The arguments have objects that nothing here depends on.
+        Loader.add_multi_constructor("tag:yaml.org,2002:python/", lambda loader, suffix, node: f"!!python/{suffix}")
     try:
-        return dict(yaml.load(config.read_text(encoding="utf-8"), Loader=Loader))  # noqa: S506
+        return dict(yaml.load(config.read_text(encoding="utf-8"), Loader=Loader) or {})  # noqa: S506
     except (yaml.YAMLError, TypeError, ValueError) as why:
         raise ValueError(f"{config}: not the settings of RL Baselines3 Zoo: {why}") from None
 

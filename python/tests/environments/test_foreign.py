@@ -1,5 +1,6 @@
 """Environments that were not written for RoboGate. They need gymnasium, mujoco, pyzmq and msgpack."""
 
+import collections
 import contextlib
 import os
 import random
@@ -20,7 +21,9 @@ from robogate_eval.environments import UnknownEnvironment, find
 from robogate_eval.serving import Knob, Policy, Task, rendering
 from robogate_eval.serving.adapter import Adapter
 from robogate_eval.serving.environment import DeclarationError, Environment
+from robogate_eval.serving.foreign import _space
 from robogate_eval.serving.knobs import parameter_name
+from robogate_eval.serving.scoring import truth
 from robogate_eval.serving.spaces import Observations, actions_of
 from sliding_box import XML, SlidingBox
 
@@ -288,13 +291,14 @@ class Spaces(unittest.TestCase):
 
         self.assertEqual(adapter(Seeing).notes, [])
 
-    def test_reset_without_a_seed_is_refused(self):
-        class Old(SlidingBox):
-            def reset(self):
-                return super().reset()[0]
+    def test_ends_that_are_no_truth_values_are_refused(self):
+        class Text(SlidingBox):
+            def step(self, action):
+                observation, reward, _, *others = super().step(action)
+                return observation, reward, "False", *others
 
-        with self.assertRaisesRegex(DeclarationError, "reset takes no seed"):
-            adapter(Old)
+        with self.assertRaisesRegex(DeclarationError, r"terminated is 'False' \(str\). Expected True, False, 1 or 0$"):
+            adapter(Text)
 
     def test_missing_rewards_are_refused(self):
         class NoReward(SlidingBox):
@@ -381,6 +385,215 @@ class _Pictures(gymnasium.Env):
         return self.picture, 0.0, False, False, {"is_success": np.bool_(False)}
 
 
+class Tensor:
+    """A tensor of another library, of which NumPy takes nothing without `detach`."""
+
+    def __init__(self, array, device="cpu"):
+        self.array, self.device = np.asarray(array), device
+
+    shape = property(lambda self: self.array.shape)
+
+    def __array__(self, *_, **__):
+        raise TypeError("can't convert a tensor on this device. Use Tensor.cpu()")
+
+    def detach(self):
+        return self
+
+    cpu = detach
+
+    def numpy(self):
+        return self.array
+
+
+class Counting(gymnasium.Env):
+    """Succeeds when the sum of the actions is above a number that follows from the seed."""
+
+    observation_space = gymnasium.spaces.Box(-100.0, 100.0, (2,))
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+    dt, max_path_length = 0.1, 6
+
+    def reset(self, seed=None, options=None):
+        super().reset(seed=seed)
+        self.sum, self.goal = 0.0, self.np_random.uniform(1.0, 5.0)
+        return self.seen(), {}
+
+    def seen(self):
+        return np.array([self.sum, self.goal])
+
+    def step(self, action):
+        self.sum += float(np.asarray(action).reshape(-1)[0])
+        return self.seen(), self.sum, False, False, {"success": self.sum > self.goal}
+
+
+def played(found, index=1):
+    """The states of an episode whose actions are 1."""
+    states = [found.reset(Scenario(index=index, seed=3, parameters={}))["observation"]["vectors"]]
+    ending = None
+    while ending is None:
+        reply = found.step(Action("vector", [1.0] * len(found._actions.low)))
+        states.append(reply["observation"]["vectors"])
+        ending = reply["ending"]
+    return [state["observation"] for state in states], ending["failure"]
+
+
+class OtherInterfaces(unittest.TestCase):
+    def setUp(self):
+        self.plain = played(adapter(Counting))
+
+    def test_tensors_are_numbers(self):
+        class Tensors(Counting):
+            def seen(self):
+                return Tensor(super().seen())
+
+            def step(self, action):
+                *others, info = super().step(action)
+                return *others, {"success": Tensor([info["success"]])}
+
+        self.assertEqual(played(adapter(Tensors)), self.plain)
+
+    def test_batch_of_one_world_is_one_world(self):
+        class Batch(Counting):
+            num_envs, single_action_space, single_observation_space = 1, Counting.action_space, Counting.observation_space
+            action_space, observation_space = (gymnasium.vector.utils.batch_space(space, 1) for space in (Counting.action_space, Counting.observation_space))
+
+            def reset(self, seed=None, options=None):
+                first, _ = super().reset(seed=seed)
+                return first[None], {"success": np.array([False])}
+
+            def step(self, action):
+                assert np.shape(action) == (1, 1)
+                observation, reward, *_, info = super().step(action)
+                return observation[None], np.array([reward]), np.array([False]), np.array([False]), {"success": np.array([info["success"]])}
+
+        self.assertEqual(played(adapter(Batch)), self.plain)
+
+        class Resets(Batch):
+            def _reset_idx(self, worlds):
+                pass
+
+        with self.assertRaisesRegex(DeclarationError, "is a vector of 1 worlds"):
+            adapter(Resets)
+
+    def test_older_gym_is_seeded_by_its_generators(self):
+        class Old(Counting):
+            def reset(self):
+                first, _ = super().reset()
+                return first
+
+            def step(self, action):
+                observation, reward, _, _, info = super().step(action)
+                return observation, reward, False, info
+
+        found = adapter(Old)
+        self.assertTrue(found.deterministic)
+        self.assertEqual(played(found), played(adapter(Old)))
+        self.assertNotEqual(played(found), played(found, index=2))
+
+        class Ends(Old):
+            def step(self, action):
+                observation, reward, _, info = super().step(action)
+                return observation, reward, self.sum > 0.5, {**info, "TimeLimit.truncated": self.goal > 4.0}
+
+        ends = adapter(Ends)
+        failures = {(played(ends, index)[1], bool(ends._trajectory.info["TimeLimit.truncated"])) for index in range(8)}
+        self.assertEqual(failures, {("terminated", False), ("timeout", True)})
+
+    def test_spaces_follow_from_the_first_observation(self):
+        class NoSpaces:
+            dt, max_path_length, action_spec = 0.1, 6, (np.array([-1.0]), np.array([1.0]))
+
+            def __init__(self):
+                self.inner = Counting()
+
+            def reset(self, seed=None, options=None):
+                return {"state": self.inner.reset(seed=seed)[0], "name": "a text"}, {}
+
+            def step(self, action):
+                observation, *others = self.inner.step(action)
+                return {"state": observation, "name": "a text"}, *others
+
+        found = adapter(NoSpaces)
+        self.assertEqual(list(found._observations.vectors), ["state"])
+        self.assertEqual(found._actions.low.tolist(), [-1.0])
+
+    def test_spaces_of_the_older_gym_are_translated(self):
+        older = {
+            "Box": {"low": np.array([-2.0, -1.0]), "high": np.array([2.0, 1.0]), "dtype": np.dtype("float32")},
+            "Discrete": {"n": 3},
+            "MultiBinary": {"n": 4},
+        }
+        made = {kind: _space(type(kind, (), fields)()) for kind, fields in older.items()}
+        whole = _space(type("Dict", (), {"spaces": made})())
+        self.assertEqual(whole, gymnasium.spaces.Dict({
+            "Box": gymnasium.spaces.Box(np.array([-2.0, -1.0]), np.array([2.0, 1.0]), dtype=np.float32),
+            "Discrete": gymnasium.spaces.Discrete(3),
+            "MultiBinary": gymnasium.spaces.MultiBinary(4),
+        }))
+        with self.assertRaisesRegex(DeclarationError, "is not a space of Gymnasium"):
+            _space(object())
+
+    def test_time_steps_of_dm_env_are_understood(self):
+        TimeStep = collections.namedtuple("TimeStep", "step_type reward discount observation")
+        TimeStep.last = lambda self: self.step_type == 2
+
+        class Control:
+            dt, max_path_length = 0.1, 9
+
+            def __init__(self):
+                self.task = types.SimpleNamespace(random=np.random.RandomState())
+
+            def action_spec(self):
+                return types.SimpleNamespace(minimum=-1.0, maximum=1.0, shape=(2,))
+
+            def reset(self):
+                self.steps, self.goal = 0, self.task.random.uniform()
+                return TimeStep(0, None, None, {"place": self.goal})
+
+            def step(self, action):
+                self.steps += 1
+                return TimeStep(2 if self.steps == 4 else 1, self.steps / 4.0, 1.0, {"place": self.goal})
+
+        found = adapter(Control, task=Task(name="control", success=lambda t: t.rewards[-1:] == [1.0]))
+        self.assertEqual((found.deterministic, len(found._actions.low)), (True, 2))
+        found.reset(Scenario(index=1, seed=3, parameters={}))
+        endings = [found.step(Action("vector", [0.0, 0.0]))["ending"] for _ in range(4)]
+        self.assertEqual(endings, [None, None, None, {"failure": None}])
+
+    def test_pure_functions_are_an_environment(self):
+        State = collections.namedtuple("State", "goal sum obs reward done info metrics")
+
+        class Pure:
+            """As in Brax and MuJoCo Playground."""
+
+            observation_size, action_size, dt = 2, 1, 0.1
+            _config = types.SimpleNamespace(episode_length=6)
+
+            def reset(self, key):
+                return self.state(np.random.default_rng(key).uniform(1.0, 5.0), 0.0)
+
+            def step(self, state, action):
+                return self.state(state.goal, state.sum + float(action[0]))
+
+            def state(self, goal, total):
+                return State(goal, total, Tensor([total, goal]), Tensor(total).array, Tensor(0.0).array, {}, {"success": Tensor(total > goal)})
+
+        jax = types.SimpleNamespace(jit=lambda function: function, random=types.SimpleNamespace(PRNGKey=lambda seed: seed))
+        with mock.patch.dict(sys.modules, jax=jax):
+            found = adapter(Pure)
+            states, failure = played(found)
+        self.assertTrue(found.deterministic)
+        self.assertEqual((failure, len(states)), (None, int(states[0][1]) + 2))
+
+
+class Truth(unittest.TestCase):
+    def test_one_number_of_any_library_counts(self):
+        for value, expected in ((Tensor([True]), True), (Tensor(0), False), (np.array([[1.0]]), True), ({"task": np.bool_(True), "reach": False}, True)):
+            self.assertIs(truth(value, "success"), expected)
+        for value in (np.float32(0.4), "true", None, 2, Tensor([0.5]), np.array([True, False]), {"reach": True}):
+            with self.assertRaisesRegex(Problem, "success is .* Expected True, False, 1 or 0"):
+                truth(value, "success")
+
+
 class Time(unittest.TestCase):
     def test_control_period_is_that_of_the_physics(self):
         class Wrong(SlidingBox):
@@ -393,23 +606,38 @@ class Time(unittest.TestCase):
         self.assertEqual([adapter(make).hello()["task"]["control_period_s"] for make in (SlidingBox, Wrong, Silent)], [0.05] * 3)
 
     def test_two_control_periods_without_physics_are_refused(self):
-        with self.assertRaisesRegex(DeclarationError, "`dt` says 0.05 s, and .*render_fps.* 0.0333333 s.*is unknown"):
+        with self.assertRaisesRegex(DeclarationError, "`dt` says 0.05 s, .*render_fps.* 0.0333333 s.*is unknown"):
             adapter(lambda: gymnasium.make("Pendulum-v1"))
 
+    def test_names_that_mean_the_control_period_count(self):
+        class Rate(_Pictures):
+            dt, control_freq, max_path_length = None, 25, 5
+
+        class Both(Rate):
+            control_timestep = 0.02
+
+        self.assertEqual(adapter(Rate).hello()["task"]["control_period_s"], 0.04)
+        with self.assertRaisesRegex(DeclarationError, "`control_timestep` says 0.02 s, `control_freq` says 0.04 s"):
+            adapter(Both)
 
     def test_hint_proposes_the_own_control_period(self):
         class Owner:
             time_step, frame_skip = 0.002, 5
 
-        class Rate(_Pictures):
-            dt, control_freq = None, 25
-
         class Steps(_Pictures):
             dt, sim = None, Owner()
 
-        for make, proposed in ((Rate, "0.04"), (Steps, "0.01")):
-            with self.assertRaisesRegex(DeclarationError, rf"control_period_s={proposed}\)"):
-                adapter(make)
+        with self.assertRaisesRegex(DeclarationError, r"control_period_s=0.01\)"):
+            adapter(Steps)
+
+    def test_wrappers_of_a_package_have_the_time_limit(self):
+        class Limit(gymnasium.Wrapper):
+            _max_episode_steps = 7
+
+        class Endless(_Pictures):
+            dt = 0.1
+
+        self.assertAlmostEqual(adapter(lambda: Limit(Endless())).hello()["task"]["time_limit_s"], 0.7)
 
 
 class History(unittest.TestCase):
@@ -576,6 +804,89 @@ class Plane(gymnasium.Env):
         pixels = np.zeros((30, 40, 4), dtype=np.uint8)
         pixels[:, : int(20 * (1.0 + self.at[0]))] = 200
         return pixels
+
+
+class SeenPictures(unittest.TestCase):
+    """What a policy of the environment sees, by the layout of the image in the observation."""
+
+    LAYOUTS = {
+        "last": ((32, 24, 3), lambda image: image),
+        "first": ((3, 32, 24), lambda image: np.moveaxis(image, 2, 0)),
+        "grey": ((32, 24, 1), lambda image: image[..., :1]),
+        "alpha": ((32, 24, 4), lambda image: np.concatenate([image, np.full((32, 24, 1), 9, np.uint8)], axis=2)),
+        "stack": ((2, 32, 24, 3), lambda image: np.stack([image, image])),
+    }
+
+    def seen(self, layout="last", steps=6, **parameters):
+        shape, laid = self.LAYOUTS[layout]
+        seen = []
+
+        class Seen(gymnasium.Env):
+            observation_space = gymnasium.spaces.Dict({"eye": gymnasium.spaces.Box(0, 255, shape, np.uint8), "steps": gymnasium.spaces.Box(0, 99, (1,))})
+            action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+            dt, max_path_length = 0.1, 20
+
+            def reset(self, seed=None, options=None):
+                super().reset(seed=seed)
+                self.steps = 0
+                return self.observed(), {}
+
+            def observed(self):
+                image = np.full((32, 24, 3), 100, np.uint8)
+                image[:16, :, 1] = 150
+                image[0, 0, 2] = self.steps
+                return {"eye": laid(image), "steps": np.array([self.steps], dtype=float)}
+
+            def step(self, action):
+                self.steps += 1
+                return self.observed(), 0.0, False, False, {"success": self.steps > 15}
+
+        policy = Policy(lambda env: lambda observation: (seen.append(observation["eye"]), np.zeros(1))[1])
+        found = adapter(Seen, policies={"look": policy})
+        seen.clear()
+        found.reset(Scenario(index=1, seed=3, parameters=parameters, policy="look"))
+        for _ in range(steps - 1):
+            found.step(Action("vector", [0.0]))
+        return np.stack(seen)
+
+    def test_nominal_values_change_nothing(self):
+        for layout in self.LAYOUTS:
+            plain, nominal = self.seen(layout), self.seen(layout, image_noise=0.0, image_contrast=1.0, image_delay=0)
+            np.testing.assert_array_equal(plain, nominal)
+
+    def test_every_layout_is_changed(self):
+        for layout, (shape, _) in self.LAYOUTS.items():
+            plain, bright = self.seen(layout), self.seen(layout, image_brightness=50.0)
+            self.assertEqual((bright.shape[1:], bright.dtype), (shape, np.uint8))
+            difference = bright.astype(int) - plain
+            colours = difference[..., :3] if layout == "alpha" else difference
+            self.assertEqual(set(np.unique(colours)), {50}, layout)
+            if layout == "alpha":
+                self.assertFalse(difference[..., 3].any())
+
+    def test_changes_are_as_declared(self):
+        plain = self.seen().astype(int)
+        noisy = self.seen(image_noise=10.0) - plain
+        self.assertAlmostEqual(noisy[:, 2:].std(), 10.0, delta=0.5)
+        np.testing.assert_array_equal(noisy, self.seen(image_noise=10.0) - plain)
+        self.assertNotEqual(noisy[0].tolist(), noisy[1].tolist())
+        warm = self.seen(image_warmth=20.0) - plain
+        self.assertEqual([warm[0, 5, 5, channel] for channel in range(3)], [20, 0, -20])
+        self.assertAlmostEqual((self.seen(image_occlusion=0.25)[0] == 128).mean(), 0.25, delta=0.02)
+        self.assertEqual(self.seen(image_contrast=0.5)[0, 5, 5].tolist(), [114, 139, 114])
+        half = self.seen(image_rotation_deg=180.0 / 6)[0, :, :, 1]
+        self.assertGreater(np.abs(half.astype(int) - plain[0, :, :, 1]).max(), 20)
+        edge = self.seen(image_blur_px=2.0)[0, :, 12, 1].astype(int)
+        self.assertTrue(100 < edge[16] < edge[15] < 150 and edge[0] == 150 and edge[31] == 100)
+        # The corner, which shows the number of the step, is cut off.
+        self.assertEqual([self.seen(image_crop=crop)[3, 0, 0, 2] for crop in (0.0, 0.25)], [3, 100])
+
+    def test_frames_are_late_or_lost(self):
+        number = lambda images: images[:, 0, 0, 2].tolist()
+        self.assertEqual(number(self.seen()), [0, 1, 2, 3, 4, 5])
+        self.assertEqual(number(self.seen(image_delay=2)), [0, 0, 0, 1, 2, 3])
+        lost = number(self.seen(image_dropped_frames=0.5))
+        self.assertTrue(lost != [0, 1, 2, 3, 4, 5] and lost == sorted(lost) and lost[0] == 0, lost)
 
 
 class Pictures(unittest.TestCase):

@@ -374,6 +374,16 @@ class StableBaselines(unittest.TestCase):
             with self.assertRaisesRegex(ValueError, "not the statistics of VecNormalize"):
                 policies.load(f"sb3:{self.model}")
 
+    def test_other_arguments_of_the_environment_are_refused(self):
+        loaded = stable_baselines.load(self.model)
+        trained = stable_baselines.Model(loaded.model, None, None, [], {"g": 1.5})
+        self.assertIsNotNone(trained.function(gymnasium.make("Pendulum-v1", g=1.5, render_mode="rgb_array")))
+        for env in (gymnasium.make("Pendulum-v1"), gymnasium.make("Pendulum-v1", g=2.0)):
+            with self.assertRaisesRegex(ValueError, r"other arguments. Name it as gymnasium:Pendulum-v1\?g=1.5"):
+                trained.function(env)
+        # An environment of a file has no arguments that could be compared.
+        self.assertIsNotNone(trained.function(gymnasium.make("Pendulum-v1").unwrapped.__class__()))
+
     def test_channels_of_images_may_be_last(self):
         loaded = policies.load(f"sb3:{self.model}")
         loaded.model.observation_space = gymnasium.spaces.Box(0, 255, (3, 8, 6), np.uint8)

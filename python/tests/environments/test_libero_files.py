@@ -8,11 +8,13 @@ import tempfile
 import unittest
 import zipfile
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 
 from robogate_eval.libero import bddl, initial_states, installation
-from robogate_eval.libero.suites import SUITES, wording
+from robogate_eval.libero.suites import SUITES, suite, wording
+from robogate_eval.libero.world import World
 
 TASK = """
 (define (problem LIBERO_Tabletop_Manipulation)
@@ -151,6 +153,29 @@ class Installation(unittest.TestCase):
 class Suites(unittest.TestCase):
     def test_have_the_limits_of_the_benchmark(self):
         self.assertEqual({name: suite.steps for name, suite in SUITES.items()}, {"spatial": 220, "object": 280, "goal": 300, "10": 520})
+
+    def test_variants_have_the_limit_of_their_original(self):
+        order = {"libero_goal": [], "libero_goal_swap": []}
+        found = suite("goal_swap", order)
+        self.assertEqual((found.folder, found.steps, found.original), ("libero_goal_swap", 300, "libero_goal"))
+        self.assertIsNone(suite("goal", order).original)
+        self.assertIsNone(suite("goal_lan", order))
+        self.assertIsNone(suite("swap", order))
+
+    def test_variants_of_the_instruction_send_it(self):
+        with tempfile.TemporaryDirectory() as folder:
+            for place, text in (("libero_goal", "Open it"), ("libero_goal_lan", "Pull it open"), ("libero_goal_swap", "Open it")):
+                (Path(folder) / "bddl_files" / place).mkdir(parents=True)
+                (Path(folder) / "bddl_files" / place / "open_it.bddl").write_text(
+                    TASK.replace("Open the top layer of the drawer and put the bowl inside", text)
+                )
+            told = {}
+            for name in ("goal", "goal_lan", "goal_swap"):
+                world = World.__new__(World)
+                world.suite = suite(name, {"libero_goal_lan": [], "libero_goal_swap": []})
+                with mock.patch.object(installation, "folder", lambda: Path(folder)):
+                    told[name] = world.told("open_it")
+        self.assertEqual(told, {"goal": "open it", "goal_lan": "Pull it open", "goal_swap": "open it"})
 
     def test_name_the_wording_of_file_names(self):
         self.assertEqual(wording("put_the_bowl_on_the_stove"), "put the bowl on the stove")

@@ -196,6 +196,15 @@ class StableBaselines(unittest.TestCase):
         model = self.zoo("  - - env_wrapper\n    - sb3_contrib.common.wrappers.TimeFeatureWrapper\n")
         self.assert_same(policies.load(f"sb3:{self.folder}"), plain_loop(model, TimeFeatureWrapper(gymnasium.make(TASK))))
 
+    def test_zoo_folder_has_its_arguments(self):
+        self.zoo("  - - env_wrapper\n    - sb3_contrib.common.wrappers.TimeFeatureWrapper\n")
+        head = "!!python/object/apply:collections.OrderedDict\n- - - algo\n    - tqc\n  - - conf\n    - !!python/name:builtins.print\n  - - env_kwargs\n"
+        (self.folder / TASK / "args.yml").write_text(f"{head}    - reward_type: dense\n", encoding="utf-8")
+        loaded = policies.load(f"sb3:{self.folder}")
+        self.assertIsNotNone(policies.as_function(loaded, gymnasium.make(TASK, reward_type="dense")))
+        with self.assertRaisesRegex(ValueError, f'gymnasium:{TASK}\\?reward_type="dense"'):
+            policies.as_function(loaded, gymnasium.make(TASK))
+
     def test_what_is_not_known_is_refused(self):
         self.zoo("  - - normalize\n    - true\n")
         with self.assertRaisesRegex(ValueError, "trained with normalised observations, but there is no vecnormalize.pkl"):

@@ -130,10 +130,10 @@ impl<'a> Table<'a> {
     }
 }
 
-/// The separator of the header: the most frequent of comma, semicolon and tab.
+/// The separator of the header: the most frequent of comma, semicolon, tab and bar.
 fn delimiter(header: &[u8]) -> u8 {
     let count = |of: u8| header.iter().filter(|byte| **byte == of).count();
-    let most = *b",;\t".iter().rev().max_by_key(|of| count(**of)).unwrap_or(&b',');
+    let most = *b",;\t|".iter().rev().max_by_key(|of| count(**of)).unwrap_or(&b',');
     if count(most) == 0 { b',' } else { most }
 }
 

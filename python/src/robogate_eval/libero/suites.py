@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 # Actions that do nothing, at the start of each episode: objects of the initial states fall onto their supports.
@@ -21,6 +23,8 @@ class Suite:
     # The largest number of actions of an episode, after the ones that do nothing.
     steps: int
     meaning: str
+    # Of a variant: the folder of the suite that it varies.
+    original: str | None = None
 
 
 SUITES = {
@@ -32,6 +36,16 @@ SUITES = {
         Suite("10", "libero_10", 520, "ten long tasks"),
     )
 }
+
+
+def suite(name: str, folders: Iterable[str]) -> Suite | None:
+    """The suite of this name, also a variant of one that the installation has a folder for, such as `spatial_swap` of LIBERO-PRO. A variant
+    has the time limit of its original. None if there is none."""
+    if name in SUITES:
+        return SUITES[name]
+    original = SUITES.get(name.partition("_")[0])
+    folder = f"libero_{name}"
+    return None if original is None or folder not in folders else dataclasses.replace(original, name=name, folder=folder, original=original.folder)
 
 
 def wording(task_name: str) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 from ..environments.robosuite_world import RobosuiteWorld
 from ..serving.model import Model
 from . import bddl, initial_states, installation
-from .suites import SEED, SUITES, wording
+from .suites import SEED, Suite, wording
 
 VECTORS = {"eef_pos": 3, "eef_axis_angle": 3, "gripper_qpos": 2, "joint_pos": 7}
 # Objects that are held touch both fingers.
@@ -22,10 +22,10 @@ class World(RobosuiteWorld):
     Attributes that start with `wanted_` choose what the next reset loads; None lets the seed choose.
     """
 
-    def __init__(self, suite: str, task: int | None = None):
+    def __init__(self, suite: Suite, task: int | None = None):
         from gymnasium import spaces
 
-        self.suite = SUITES[suite]
+        self.suite = suite
         self.names = installation.task_order()[self.suite.folder]
         self.only = task
         self.wanted_task = self.wanted_state = None
@@ -101,7 +101,7 @@ class World(RobosuiteWorld):
     @property
     def instruction(self) -> str:
         """The instruction of this episode, in the chosen wording."""
-        text = wording(self.name)
+        text = self.told(self.name)
         return {
             "file_name": text,
             "task_file": self.task.instruction,
@@ -109,6 +109,16 @@ class World(RobosuiteWorld):
             "polite": f"please {text[:1].lower()}{text[1:]}",
             "none": "",
         }[self.wording]
+
+    def told(self, name: str) -> str:
+        """The instruction of a task: that of LIBERO's benchmark class, which derives it from the name of the file. A variant whose file has
+        another text than its original, such as `_lan` and `_task` of LIBERO-PRO, varies the instruction: its text counts."""
+        files = installation.folder() / "bddl_files"
+        if self.suite.original is not None:
+            text, original = (bddl.read(files / folder / f"{name}.bddl").instruction for folder in (self.suite.folder, self.suite.original))
+            if text != original:
+                return text
+        return wording(name)
 
     # Episodes
 

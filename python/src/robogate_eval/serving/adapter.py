@@ -18,11 +18,12 @@ from . import declaration
 from .cameras import Cameras
 from .disturbances import Disturbances
 from .environment import DeclarationError, Environment, innermost
+from .foreign import Translated, holds_tensors, plain, translated
 from .knobs import Knob, differs
 from .model import Model, NoModel
 from .motion import Recorder
 from .offer import is_bound, offered
-from .scoring import Scoring
+from .scoring import Scoring, truth
 from .spaces import Observations, actions_of, same
 from .timing import control_period, step_limit
 from .trajectory import Trajectory
@@ -52,12 +53,7 @@ class Adapter:
         self._is_twin = is_twin
         self._task = environment.task
         doing("make")
-        self._env = env = environment.make()
-        if (worlds := getattr(env, "num_envs", None)) is not None and (worlds != 1 or hasattr(env, "single_action_space")):
-            raise DeclarationError(
-                f"the environment is a vector of {worlds} worlds (num_envs), which reset themselves. Expected one world without a vector "
-                "around it: RoboGate starts a process for each"
-            )
+        self._env = env = translated(environment.make())
         self._observations = Observations(env.observation_space)
         self._actions = actions_of(env.action_space, self._task.action_names)
         self._actions.unclipped = environment.unclipped_actions
@@ -67,11 +63,14 @@ class Adapter:
         known = self._task.rest_action is not None or inside
         lengths = {name: length for name, (_, length) in self._observations.vectors.items()}
         rest = self._actions.decode(rest)
-        self._disturbances = Disturbances(lengths, rest if known else None)
+        self._disturbances = Disturbances(lengths, rest if known else None, bool(self._observations.images))
         doing("reset")
         first = self._first_reset()
         if not isinstance(first, tuple) or len(first) != 2:
             raise DeclarationError(f"reset returned {_values(first)}. Expected observation and info, as in Gymnasium")
+        if holds_tensors(first):
+            self._env, first = Translated(env), plain(first)
+            env = self._env
         self._observations.check(first[0])
         self._observe = self._find_observe(first[0])
         try:
@@ -333,6 +332,8 @@ class Adapter:
         seen = observation
         if self._disturbances.noisy:
             seen = self._observations.with_noise(observation, self._disturbances.noise())
+        if self._disturbances.images.active:
+            seen = self._observations.with_images(seen, self._disturbances.images.changed)
         self._seen = seen
         self._hash = self._state()
         reply = {"observation": {"vectors": self._observations.encode(seen)}}
@@ -437,8 +438,9 @@ class Adapter:
         if type(info) is not dict and not isinstance(info, Mapping):
             raise Problem("setup", f"step returned the info {info!r:.80}. Expected a dict")
         trajectory.infos.append(info)
-        trajectory.terminated = bool(terminated)
-        trajectory.over = over = bool(terminated or truncated or len(trajectory.actions) >= self._limit)
+        ended, cut = (one if type(one) is bool else truth(one, name, "") for one, name in ((terminated, "terminated"), (truncated, "truncated")))
+        trajectory.terminated = ended
+        trajectory.over = over = ended or cut or len(trajectory.actions) >= self._limit
         if self._model is not None:
             self._check(self._model)
         if self._recorder is not None:

@@ -1,4 +1,4 @@
-"""Delay of actions and noise of observations, for any environment."""
+"""Delay of actions, noise of observations and changes of observed images, for any environment."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from .image_changes import ImageChanges
 from .knobs import Knob
 
 # Largest delay, in control periods.
@@ -16,11 +17,14 @@ MAX_DELAY = 20
 
 
 class Disturbances:
-    """The action delay and the observation noise of an episode."""
+    """The action delay, the observation noise and the changes of images of an episode."""
 
-    def __init__(self, vectors: dict[str, int], rest: np.ndarray | None):
-        """`rest`: what the environment runs until the first action takes effect. Without it: the first action itself."""
+    def __init__(self, vectors: dict[str, int], rest: np.ndarray | None, sees: bool = False):
+        """`rest`: what the environment runs until the first action takes effect. Without it: the first action itself. `sees`: the
+        observation has images."""
         self._vectors = vectors
+        self._sees = sees
+        self.images = ImageChanges()
         self._rest = rest
         self.begin(0, 0)
 
@@ -31,6 +35,7 @@ class Disturbances:
         # Whether the episode has noise, and whether it has a delay.
         self.noisy = self.delays = False
         self._episode = f"{seed}/{index}"
+        self.images.begin(self._episode)
         # Made with the first noise: most episodes have none.
         self._random: np.random.Generator | None = None
 
@@ -49,7 +54,7 @@ class Disturbances:
         return {name: self._random.normal(0.0, scale, self._vectors[name]) for name, scale in self._scale.items() if scale > 0.0}
 
     def knobs(self, period_s: float) -> list[Knob]:
-        """The knobs of delay and noise."""
+        """The knobs of delay, noise and images."""
 
         def delay(env: Any, value: int) -> None:
             self._queue = deque(None if self._rest is None else deepcopy(self._rest) for _ in range(int(value)))
@@ -69,4 +74,4 @@ class Disturbances:
                 Knob(f"noise:{name}", scale, lambda env, name=name: self._scale[name], 0.0, 1.0, nominal=0.0, family="noise",
                      meaning=f"Standard deviation of the noise of each number of {name}.", read_from="the noise generator")
             )  # fmt: skip
-        return knobs
+        return knobs + (self.images.knobs() if self._sees else [])

@@ -9,6 +9,7 @@ import numpy as np
 from robogate_bridge import Problem
 
 from .environment import Task, innermost
+from .foreign import plain
 from .hints import example_file
 from .trajectory import Trajectory
 
@@ -104,22 +105,25 @@ def _names_success(key: Any) -> bool:
     return any(word in str(key).lower() for word in SUCCESS_WORDS)
 
 
-def truth(value: Any, name: str) -> bool:
-    """Success as a truth value: True, False, 1 or 0, as a number of Python or NumPy, or as an array with one of these.
+# What to do if a success is neither true nor false.
+SHARE = '. If a share counts as success, say from which value on: Task(..., success=lambda t: t.info["success"] >= 0.9)'
+
+
+def truth(value: Any, name: str, hint: str = SHARE) -> bool:
+    """Success, or the end of an episode, as a truth value: True, False, 1 or 0, as a number of Python or NumPy, or as an array or tensor with one of these. Of
+    robomimic's dict of conditions, the one with the name `task`.
 
     Anything else (a share, NaN, a dict) does not say whether the episode succeeded.
 
     Raises:
         Problem: The value is something else. Names what reported it, its value and its type.
     """
-    one = value
-    if isinstance(value, (np.ndarray, list, tuple)) and np.size(value) == 1:
-        one = np.asarray(value).reshape(())[()]
+    one = plain(value)
+    if isinstance(one, dict) and "task" in one:
+        one = one["task"]
+    if isinstance(one, (np.ndarray, list, tuple)) and np.size(one) == 1:
+        one = np.asarray(one).reshape(())[()]
     # Comparing a number of another kind with 0 and 1 also excludes NaN.
     if isinstance(one, (bool, np.bool_, int, float, np.number)) and (one == 0 or one == 1):
         return bool(one)
-    raise Problem(
-        "setup",
-        f"{name} is {value!r:.60} ({type(value).__name__}). Expected True, False, 1 or 0. If a share counts as success, say from "
-        "which value on: Task(..., success=lambda t: t.info[\"success\"] >= 0.9)",
-    )
+    raise Problem("setup", f"{name} is {value!r:.60} ({type(value).__name__}). Expected True, False, 1 or 0{hint}")

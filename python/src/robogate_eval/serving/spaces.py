@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -130,8 +131,25 @@ class Observations:
     def with_noise(self, observation: Any, noise: dict[str, np.ndarray]) -> Any:
         """An observation with these numbers added to vectors. The original stays as it is."""
         for name, numbers in noise.items():
-            path = self.vectors[name][0]
-            observation = _added(observation, path, numbers)
+            observation = _replaced(observation, self.vectors[name][0], partial(_sum, numbers))
+        return observation
+
+    def with_images(self, observation: Any, change: Callable[[str, np.ndarray], np.ndarray]) -> Any:
+        """An observation whose images are changed: `change` maps the name of a camera and an image of height x width x channels to another
+        one. Of stacked frames each changes. The original stays as it is."""
+        for name, (path, _, _) in self.images.items():
+            stacked = path[-1:] == (-1,)
+
+            def changed(image: Any, name: str = name, stacked: bool = stacked) -> np.ndarray:
+                frames = np.asarray(image) if stacked else np.asarray(image)[None]
+                if name in self._channels_first:
+                    frames = np.moveaxis(frames, 1, 3)
+                # Each frame of a stack has a history of its own.
+                made = np.stack([change(f"{name}.{i}" if stacked else name, frame) for i, frame in enumerate(frames)])
+                made = np.moveaxis(made, 3, 1) if name in self._channels_first else made
+                return made if stacked else made[0]
+
+            observation = _replaced(observation, path[:-1] if stacked else path, changed)
         return observation
 
 
@@ -152,11 +170,16 @@ def _at(observation: Any, path: Sequence[str | int]) -> Any:
     return observation
 
 
-def _added(observation: Any, path: Sequence[str | int], numbers: np.ndarray) -> Any:
+def _sum(numbers: np.ndarray, values: Any) -> np.ndarray:
+    values = np.asarray(values, dtype=float)
+    return values + numbers.reshape(values.shape)
+
+
+def _replaced(observation: Any, path: Sequence[str | int], change: Callable[[Any], Any]) -> Any:
+    """The observation with another part at this path."""
     if not path:
-        values = np.asarray(observation, dtype=float)
-        return values + numbers.reshape(values.shape)
-    inner = _added(observation[path[0]], path[1:], numbers)
+        return change(observation)
+    inner = _replaced(observation[path[0]], path[1:], change)
     if isinstance(observation, tuple):
         return (*observation[: path[0]], inner, *observation[path[0] + 1 :])
     return {**observation, path[0]: inner}

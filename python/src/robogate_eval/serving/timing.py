@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from numbers import Real
 from typing import Any
 
 from .environment import DeclarationError, Task, innermost
 from .hints import unknown
+from .layers import attribute, layers
 from .model import Model
+
+# What environments and wrappers call the number of control periods of an episode.
+LIMITS = ("max_path_length", "max_episode_steps", "_max_episode_steps", "horizon")
 
 
 def control_period(env: Any, task: Task, model: Model | None, rest: Any, doing: Callable[[str], None]) -> float:
@@ -16,37 +21,42 @@ def control_period(env: Any, task: Task, model: Model | None, rest: Any, doing: 
     if task.control_period_s is not None:
         return float(task.control_period_s)
     base = innermost(env)
-    period, rate = getattr(base, "dt", None), (getattr(base, "metadata", None) or {}).get("render_fps")
-    stated = [float(period)] if isinstance(period, (int, float)) and period > 0 else []
-    if rate:
-        stated.append(1.0 / float(rate))
+    rate = (attribute(base, "metadata") or {}).get("render_fps")
+    by_name = {name: one for name, one in _own_periods(base)} | ({'metadata["render_fps"]': 1.0 / float(rate)} if rate else {})
+    stated = list(by_name.values())
     if model is not None and (simulated := _simulated_period(env, model, rest, doing)) > 0.0:
         return next((one for one in stated if math.isclose(one, simulated, rel_tol=0.01)), round(simulated, 9))
     if not stated:
         guess = next(_guesses(base), 0.05)
         raise DeclarationError(unknown(env, task.name, "control period", f"control_period_s={guess:g}"))
-    if not math.isclose(stated[0], stated[-1], rel_tol=0.01):
-        what = f'control period (`dt` says {stated[0]:g} s, and `metadata["render_fps"]` {stated[-1]:g} s)'
+    if not all(math.isclose(stated[0], one, rel_tol=0.01) for one in stated):
+        what = "control period (" + ", ".join(f"`{name}` says {one:g} s" for name, one in by_name.items()) + ")"
         raise DeclarationError(unknown(env, task.name, what, f"control_period_s={stated[0]:g}"))
     return stated[0]
 
 
+def _numbers(owner: Any, *names: str) -> Iterator[float]:
+    """The attributes of these names that are positive numbers."""
+    values = (attribute(owner, name) for name in names)
+    yield from (float(value) for value in values if isinstance(value, Real) and not isinstance(value, bool) and value > 0)
+
+
+def _own_periods(base: Any) -> Iterator[tuple[str, float]]:
+    """The control period under each name that means nothing else, such as those of MuJoCo's environments, ManiSkill and Isaac Lab."""
+    for name in ("dt", "control_period", "control_dt", "control_timestep", "step_dt"):
+        yield from ((name, period) for period in _numbers(base, name))
+    for name in ("control_freq", "control_hz", "control_frequency"):
+        yield from ((name, 1.0 / rate) for rate in _numbers(base, name))
+
+
 def _guesses(base: Any) -> Iterator[float]:
-    """What environments call their control period, or the time steps in it: good enough to propose."""
-
-    def number(owner: Any, *names: str) -> float | None:
-        values = (getattr(owner, name, None) for name in names)
-        return next((float(value) for value in values if type(value) in (int, float) and value > 0), None)
-
-    if period := number(base, "control_period", "control_dt", "control_timestep", "step_dt"):
-        yield period
-    if rate := number(base, "control_freq", "control_hz", "control_frequency", "fps"):
-        yield 1.0 / rate
+    """What may be the control period, or the time steps in it: good enough to propose."""
+    yield from (1.0 / rate for rate in _numbers(base, "fps"))
     # PyBullet's environments keep the time step beside the environment.
-    owners = [base, *(getattr(base, name, None) for name in ("sim", "physics", "simulation"))]
-    if step := next(filter(None, (number(owner, "timestep", "time_step", "sim_timestep", "sim_dt", "dt") for owner in owners)), None):
-        repeated = next(filter(None, (number(owner, "frame_skip", "n_substeps", "action_repeat", "decimation") for owner in owners)), None)
-        yield step * (repeated or 1.0)
+    owners = [base, *(attribute(base, name) for name in ("sim", "physics", "simulation"))]
+    for step in (step for owner in owners for step in _numbers(owner, "timestep", "time_step", "sim_timestep", "sim_dt", "dt")):
+        repeated = (count for owner in owners for count in _numbers(owner, "frame_skip", "n_substeps", "action_repeat", "decimation"))
+        yield step * next(repeated, 1.0)
 
 
 def _simulated_period(env: Any, model: Model, rest: Any, doing: Callable[[str], None]) -> float:
@@ -65,8 +75,10 @@ def step_limit(env: Any, task: Task, period_s: float) -> int:
     """The largest number of control periods of an episode."""
     if task.time_limit_s is not None:
         return max(1, round(task.time_limit_s / period_s))
-    specification = getattr(env, "spec", None)
-    for limit in (getattr(specification, "max_episode_steps", None), getattr(innermost(env), "max_path_length", None)):
-        if limit:
+    stated = [attribute(attribute(env, "spec"), "max_episode_steps")]
+    # A wrapper of the package's own may have it, as in ManiSkill.
+    stated += [attribute(here, name) for here in layers(env) for name in LIMITS]
+    for limit in stated:
+        if isinstance(limit, Real) and limit > 0:
             return int(limit)
     raise DeclarationError(unknown(env, task.name, "time limit", "time_limit_s=10.0"))
