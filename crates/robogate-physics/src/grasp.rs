@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::{
     Engine, Fixture, FixtureKind, GRAVITY, Gripper, GripperCommand, GripperState, GripperUnit, MassProperties,
-    MujocoEngine, Object, ParallelJaw, Part, Plant, Primitive, Problem, Robot, Scene, Visual,
+    MujocoEngine, Object, ParallelJaw, Part, Plant, Primitive, Problem, Robot, RobotError, Scene, Visual,
 };
 
 /// Time between two commands, in seconds.
@@ -19,6 +19,8 @@ const LARGEST: (f64, f64) = (0.05, 0.5);
 const ENDS_OF_OPENING: [f64; 2] = [0.15, 0.85];
 /// A part is at least this much wider than the closed gripper, in metres.
 const ROOM_M: f64 = 2e-3;
+/// Gap between the palm and the part, in metres.
+const PALM_ROOM_M: f64 = 2e-3;
 /// Mass of a light part, in kilograms.
 const LIGHTEST_KG: f64 = 0.02;
 /// Height by which the part is lifted, in metres, and the duration in seconds.
@@ -47,12 +49,25 @@ pub struct Grasp {
     pub held: bool,
 }
 
+/// The test grasps of a robot with this time step in seconds, of which 0.05 s is an integer multiple: parts of a medium size, then those of
+/// the ends of the gripper's opening and payload.
+///
+/// # Errors
+/// The problems of the robot's model, or of the first part that it does not hold.
+pub fn test_grasps(robot: &Robot, time_step: f64) -> Result<Vec<Grasp>, Vec<Problem>> {
+    let engine = MujocoEngine::new(robot.clone(), time_step).map_err(RobotError::into_problems)?;
+    let mut problems = Vec::new();
+    match test(engine, &mut problems) {
+        Some((medium, at_ends)) if problems.is_empty() => Ok([vec![medium], at_ends].concat()),
+        _ => Err(problems),
+    }
+}
+
 /// Grasps parts of a medium size, and of the ends of the gripper's opening and payload. They are lifted from the tool's place at home,
 /// or up to it if the arm cannot move higher. Returns the medium grasp and those at the ends; `None`, with a problem, if the arm
 /// can do neither.
-pub(crate) fn test(robot: &Robot, problems: &mut Vec<Problem>) -> Option<(Grasp, Vec<Grasp>)> {
-    let settings = &robot.settings;
-    let engine = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).ok()?;
+pub(crate) fn test(engine: MujocoEngine, problems: &mut Vec<Problem>) -> Option<(Grasp, Vec<Grasp>)> {
+    let settings = &engine.robot().settings.clone();
     let mut plant = Plant::new(engine, PERIOD_S, None).ok()?;
     let (chain, home) = (plant.engine.chain().clone(), settings.arm.home_rad.clone());
     let at_home = chain.tcp_at(&home);
@@ -204,8 +219,8 @@ fn scene(tcp: &Isometry3<f64>, gripper: &Gripper, part_m: f64, mass_kg: f64) -> 
     let y = tcp.rotation * Vector3::y();
     let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), (-y.x).atan2(y.y));
     let half = 0.5 * part_m;
-    // The lip of a cup is a little above the part; a jaw has the part in its middle.
-    let down = if gripper.cup().is_some() { half + 1e-3 } else { 0.0 };
+    // The lip of a cup is a little above the part; a jaw has the part in its middle, or lower if the palm is in the way.
+    let down = gripper.jaw().map_or(half + 1e-3, |jaw| (half + PALM_ROOM_M - jaw.palm_m).max(0.0));
     let beside = gripper.jaw().map_or(0.0, |jaw| jaw.beside_m(part_m));
     let place = Translation3::from(tcp.translation.vector + y * beside - Vector3::new(0.0, 0.0, down));
     let parts = vec![Part { primitive: Primitive::Box { half: [half; 3] }, pose: Isometry3::identity() }];
