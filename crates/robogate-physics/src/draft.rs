@@ -261,6 +261,8 @@ struct ArmDraft {
     velocity: Vec<Option<f64>>,
     torque: Vec<Option<f64>>,
     gains: Vec<Option<[f64; 2]>>,
+    /// Torque that moves each joint alone, in N m.
+    drags: Vec<f64>,
     /// Which joints have a gain in the model that is too soft, and is not used.
     soft: Vec<bool>,
 }
@@ -268,7 +270,7 @@ struct ArmDraft {
 impl ArmDraft {
     /// Leaves out the gains of joints that are too soft.
     fn drop_soft_gains(&mut self, chain: &Chain, home: &[f64]) {
-        self.soft = servo::soft(chain, home, &self.gains);
+        self.soft = servo::soft(chain, home, &self.gains, &self.drags);
         for (gains, soft) in self.gains.iter_mut().zip(&self.soft) {
             *gains = gains.filter(|_| !soft);
         }
@@ -324,6 +326,7 @@ impl ArmDraft {
             velocity: names.iter().map(|name| urdf_velocity(text, name)).collect(),
             torque: tree.joints.iter().map(torque).collect(),
             gains: tree.joints.iter().map(gains).collect(),
+            drags: tree.joints.iter().map(|joint| servo::drag(model, *joint, ACCELERATION)).collect(),
             soft: vec![false; tree.joints.len()],
             names,
         }
@@ -711,9 +714,9 @@ impl Writer {
         }
         let soft = joints(&|i| arm.soft[i]);
         if !soft.is_empty() {
-            let (gives, load) = (1e3 * servo::GIVES_M, servo::LOAD_N);
             guess(format!(
-                "the model's gains of {soft} are not used: with them the tool gives way by more than {gives:.0} mm under {load:.0} N"
+                "the model's gains of {soft} are not used: with them the tool lags or gives way by more than {:.0} mm",
+                1e3 * servo::GIVES_M
             ));
         }
         if settings.arm.base_yaw_rad != 0.0 {

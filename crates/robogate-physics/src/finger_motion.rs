@@ -14,6 +14,9 @@ pub struct FingerMotion {
     pub(crate) followers: Vec<String>,
     /// The measured states, from closed to open. At least two.
     pub(crate) states: Vec<FingerState>,
+    /// Distance between the closed pads at the tool centre point, in metres.
+    #[cfg(feature = "mujoco")]
+    pub(crate) closed_at_tool_m: f64,
     /// Largest distance from the tool centre point to the fingertips, in metres.
     #[cfg(feature = "mujoco")]
     pub(crate) tip_m: f64,
@@ -183,6 +186,7 @@ mod tests {
         FingerMotion {
             joints: vec!["left".to_owned(), "right".to_owned()],
             followers: Vec::new(),
+            closed_at_tool_m: 0.0,
             states: vec![state(0.0, 0.8, 0.8), state(0.03, 0.5, 0.5), state(0.08, 0.0, 0.0)],
             tip_m: 0.01,
         }

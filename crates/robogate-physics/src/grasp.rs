@@ -93,7 +93,7 @@ pub(crate) fn test(engine: MujocoEngine, problems: &mut Vec<Problem>) -> Option<
     let (medium, parts) = match &settings.gripper {
         Gripper::ParallelJaw(jaw) => {
             let [small, large] = ENDS_OF_OPENING.map(|share| share * jaw.opening_m);
-            let small = small.max(plant.engine.narrowest_m() + ROOM_M);
+            let small = small.max(plant.engine.narrowest_held_m() + ROOM_M);
             (
                 (0.5 * jaw.opening_m).min(LARGEST.0),
                 vec![(small, lightest), (small, heaviest), (large, lightest), (large, heaviest)],

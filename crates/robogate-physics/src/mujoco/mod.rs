@@ -166,6 +166,11 @@ impl MujocoEngine {
         self.fingers.as_ref().map_or(0.0, FingerMotion::narrowest_m)
     }
 
+    /// Width of the narrowest part that the closed gripper does not let through at the tool centre point, in metres.
+    pub(crate) fn narrowest_held_m(&self) -> f64 {
+        self.fingers.as_ref().map_or(0.0, |fingers| fingers.closed_at_tool_m.max(fingers.narrowest_m()))
+    }
+
     /// Smallest distance between the fingers' collision shapes in the loaded scene, in metres. `None` without fingers.
     pub(crate) fn pad_gap(&mut self) -> Option<f64> {
         let loaded = self.loaded.as_mut().filter(|loaded| loaded.pads.iter().all(|pad| !pad.is_empty()))?;

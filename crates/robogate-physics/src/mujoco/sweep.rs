@@ -499,6 +499,7 @@ pub(crate) fn measure(
         )]);
     }
     meet(&mut states);
+    let closed_at_tool_m = states[0].held_m();
     // Parallel pads are as far apart at the tool centre point as anywhere.
     let steeper = |pair: &[FingerState]| {
         let at_tool = pair[0].at_tool_m.zip(pair[1].at_tool_m).map(|(a, b)| b - a);
@@ -510,7 +511,7 @@ pub(crate) fn measure(
     }
     share(&mut states, &mut followers, &gradients, jaw.drives.len());
     let names = |joints: Vec<(String, usize)>| joints.into_iter().map(|(name, _)| name).collect();
-    Ok(FingerMotion { joints: names(joints), followers: names(followers), states, tip_m })
+    Ok(FingerMotion { joints: names(joints), followers: names(followers), states, closed_at_tool_m, tip_m })
 }
 
 /// The joints that equalities couple to the drives of a gripper, with their addresses in qpos.
