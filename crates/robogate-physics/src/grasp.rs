@@ -68,8 +68,7 @@ pub fn test_grasps(robot: &Robot, time_step: f64) -> Result<Vec<Grasp>, Vec<Prob
 /// can do neither.
 pub(crate) fn test(engine: MujocoEngine, problems: &mut Vec<Problem>) -> Option<(Grasp, Vec<Grasp>)> {
     let settings = &engine.robot().settings.clone();
-    let mut plant = Plant::new(engine, PERIOD_S, None).ok()?;
-    let (chain, home) = (plant.engine.chain().clone(), settings.arm.home_rad.clone());
+    let (chain, home) = (engine.chain().clone(), settings.arm.home_rad.clone());
     let at_home = chain.tcp_at(&home);
     let moved = |up: f64| {
         let goal = Isometry3::from_parts(Translation3::new(0.0, 0.0, up) * at_home.translation, at_home.rotation);
@@ -83,7 +82,12 @@ pub(crate) fn test(engine: MujocoEngine, problems: &mut Vec<Problem>) -> Option<
         ));
         return None;
     };
-    let path = Path { home, low, lifted };
+    // The arm starts where it grasps: on its way there the fingers would hit the part.
+    let mut robot = engine.robot().clone();
+    robot.settings.arm.home_rad.clone_from(&low);
+    let engine = if low == home { engine } else { MujocoEngine::new(robot, engine.time_step()).ok()? };
+    let mut plant = Plant::new(engine, PERIOD_S, None).ok()?;
+    let path = Path { low, lifted };
     let limit_n = match &settings.gripper {
         Gripper::ParallelJaw(jaw) => FRICTION * jaw.force_n,
         Gripper::Suction(cup) => 0.25 * cup.force_n(),
@@ -122,7 +126,6 @@ pub(crate) fn test(engine: MujocoEngine, problems: &mut Vec<Problem>) -> Option<
 
 /// Joint positions of a test grasp.
 struct Path {
-    home: Vec<f64>,
     /// Where the part is grasped, and where it is held.
     low: Vec<f64>,
     lifted: Vec<f64>,
@@ -148,7 +151,7 @@ fn attempt(
 }
 
 fn grasped(plant: &mut Plant<MujocoEngine>, path: &Path, part_m: f64, mass_kg: f64) -> Result<Grasp, Fault> {
-    let Path { home, low, lifted } = path;
+    let Path { low, lifted } = path;
     let settings = plant.engine.robot().settings.clone();
     let scene = scene(&plant.engine.chain().tcp_at(low), &settings.gripper, part_m, mass_kg);
     plant.load(&scene, 0.01)?;
@@ -174,10 +177,9 @@ fn grasped(plant: &mut Plant<MujocoEngine>, path: &Path, part_m: f64, mass_kg: f
     let between = |from: &[f64], to: &[f64], share: f64| -> Vec<f64> {
         from.iter().zip(to).map(|(a, b)| a + share * (b - a)).collect()
     };
-    let closing_s = settings.gripper.jaw().map_or(0.5, |jaw| 0.5 + 0.5 * jaw.opening_m / jaw.finger_speed_m_s);
-    if low != home {
-        run(LIFT.1, &|share| between(home, low, share), GripperCommand::Open)?;
-    }
+    // Strong damping makes fingers slower than their limit.
+    let speed = |jaw: &ParallelJaw| jaw.finger_speed_m_s.min(0.5 * jaw.force_n / jaw.damping_ns_m);
+    let closing_s = settings.gripper.jaw().map_or(0.5, |jaw| 0.5 + 0.5 * jaw.opening_m / speed(jaw));
     run(0.2, &|_| low.clone(), GripperCommand::Open)?;
     let (_, before, _) = run(closing_s, &|_| low.clone(), GripperCommand::Close)?;
     run(LIFT.1, &|share| between(low, lifted, share), GripperCommand::Close)?;
