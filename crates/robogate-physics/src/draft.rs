@@ -475,7 +475,7 @@ impl Tool {
             ("kind", toml::Value::from("parallel_jaw")),
             ("finger_bodies", strings(&jaw.bodies)),
             ("opening_m", rounded(jaw.opening_m)),
-            ("finger_speed_m_s", 0.05.into()),
+            ("finger_speed_m_s", jaw.speed_m_s().into()),
             ("force_n", rounded(force.min(30.0))),
             ("force_limit_n", rounded(force.max(30.0))),
             ("stiffness_n_m", jaw.stiffness_n_m.into()),
