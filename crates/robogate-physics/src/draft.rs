@@ -4,6 +4,7 @@
 //! gains and the home posture come from the model where it has them. A model that is not one arm is rejected.
 
 mod home;
+mod servo;
 
 use std::fmt::Write;
 use std::path::Path;
@@ -68,7 +69,7 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
     let mut tree = Tree::of(&compiled).map_err(|problem| vec![problem])?;
     let one_jaw = tree.take_jaw(&spec, &compiled)?;
     let mut draft = Writer { out: String::new(), guesses: Vec::new() };
-    let arm = ArmDraft::of(&compiled, &raw, &tree, &text);
+    let mut arm = ArmDraft::of(&compiled, &raw, &tree, &text);
     let tool = Tool::of(&spec, &compiled, &tree, one_jaw)?;
     let mut settings = settings(name, &file, &arm, &tool, arm.home.clone().unwrap_or_else(|| arm.middle()))?;
     let folder = model.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -97,6 +98,7 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
     }
     if let Some(chain) = &chain {
         settings.arm.reach_m = crate::inspect::reach(chain)[0];
+        arm.drop_soft_gains(chain, &settings.arm.home_rad);
     }
     draft.write(name, &file, &arm, &tool, &settings, (home_is_known, found.is_some()));
     Ok(Draft { text: draft.out, guesses: draft.guesses })
@@ -259,9 +261,21 @@ struct ArmDraft {
     velocity: Vec<Option<f64>>,
     torque: Vec<Option<f64>>,
     gains: Vec<Option<[f64; 2]>>,
+    /// Torque that moves each joint alone, in N m.
+    drags: Vec<f64>,
+    /// Which joints have a gain in the model that is too soft, and is not used.
+    soft: Vec<bool>,
 }
 
 impl ArmDraft {
+    /// Leaves out the gains of joints that are too soft.
+    fn drop_soft_gains(&mut self, chain: &Chain, home: &[f64]) {
+        self.soft = servo::soft(chain, home, &self.gains, &self.drags);
+        for (gains, soft) in self.gains.iter_mut().zip(&self.soft) {
+            *gains = gains.filter(|_| !soft);
+        }
+    }
+
     fn of(model: &MjModel, raw: &MjModel, tree: &Tree, text: &str) -> Self {
         let name = |joint: &usize| model.id_to_name(MjtObjBase::mjOBJ_JOINT, *joint).unwrap_or_default().to_owned();
         let names: Vec<String> = tree.joints.iter().map(name).collect();
@@ -312,6 +326,8 @@ impl ArmDraft {
             velocity: names.iter().map(|name| urdf_velocity(text, name)).collect(),
             torque: tree.joints.iter().map(torque).collect(),
             gains: tree.joints.iter().map(gains).collect(),
+            drags: tree.joints.iter().map(|joint| servo::drag(model, *joint, ACCELERATION)).collect(),
+            soft: vec![false; tree.joints.len()],
             names,
         }
     }
@@ -459,7 +475,7 @@ impl Tool {
             ("kind", toml::Value::from("parallel_jaw")),
             ("finger_bodies", strings(&jaw.bodies)),
             ("opening_m", rounded(jaw.opening_m)),
-            ("finger_speed_m_s", 0.05.into()),
+            ("finger_speed_m_s", jaw.speed_m_s().into()),
             ("force_n", rounded(force.min(30.0))),
             ("force_limit_n", rounded(force.max(30.0))),
             ("stiffness_n_m", jaw.stiffness_n_m.into()),
@@ -695,6 +711,13 @@ impl Writer {
             if !missing.is_empty() {
                 guess(format!("{what} for {missing}"));
             }
+        }
+        let soft = joints(&|i| arm.soft[i]);
+        if !soft.is_empty() {
+            guess(format!(
+                "the model's gains of {soft} are not used: with them the tool lags or gives way by more than {:.0} mm",
+                1e3 * servo::GIVES_M
+            ));
         }
         if settings.arm.base_yaw_rad != 0.0 {
             guess("base_yaw_rad: the model does not face the table".to_owned());

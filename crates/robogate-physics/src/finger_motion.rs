@@ -1,5 +1,7 @@
 //! Motion of fingers that drives move through linkages, equalities or tendons.
 
+#[cfg(feature = "mujoco")]
+use crate::ParallelJaw;
 use crate::{Robot, RobotError};
 
 /// Positions of drives and joints of a gripper as functions of its opening, measured in the model.
@@ -7,8 +9,14 @@ use crate::{Robot, RobotError};
 pub struct FingerMotion {
     /// Names of the gripper's joints, in the model's order.
     pub joints: Vec<String>,
+    /// Names of the joints that equalities couple to the drives, and that get a drive of their own.
+    #[cfg(feature = "mujoco")]
+    pub(crate) followers: Vec<String>,
     /// The measured states, from closed to open. At least two.
     pub(crate) states: Vec<FingerState>,
+    /// Distance between the closed pads at the tool centre point, in metres.
+    #[cfg(feature = "mujoco")]
+    pub(crate) closed_at_tool_m: f64,
     /// Largest distance from the tool centre point to the fingertips, in metres.
     #[cfg(feature = "mujoco")]
     pub(crate) tip_m: f64,
@@ -23,9 +31,13 @@ pub(crate) struct FingerState {
     /// that distance changes more than the smallest one.
     #[cfg(feature = "mujoco")]
     pub(crate) at_tool_m: Option<f64>,
-    /// Position of each drive, in the model's unit.
+    /// Position of each drive and each follower, in the model's unit.
     #[cfg(feature = "mujoco")]
     pub(crate) drives: Vec<f64>,
+    /// Share of each of them in the opening: what the opening changes if it alone moves, by what it changes if all move together. The sum
+    /// is 1. Joints that keep a pad parallel have a negative share.
+    #[cfg(feature = "mujoco")]
+    pub(crate) shares: Vec<f64>,
     /// Position of each joint, in the model's unit.
     pub(crate) joints: Vec<f64>,
 }
@@ -33,7 +45,7 @@ pub(crate) struct FingerState {
 #[cfg(feature = "mujoco")]
 impl FingerState {
     /// Distance between the pads where they hold a part, in metres.
-    fn held_m(&self) -> f64 {
+    pub(crate) fn held_m(&self) -> f64 {
         self.at_tool_m.unwrap_or(self.opening_m)
     }
 }
@@ -87,6 +99,46 @@ impl FingerMotion {
         }
     }
 
+    /// The names of all drives, those of `jaw` and the followers.
+    #[cfg(feature = "mujoco")]
+    pub(crate) fn driven<'a>(&'a self, jaw: &'a ParallelJaw) -> impl Iterator<Item = &'a String> {
+        jaw.drives.iter().map(|drive| &drive.moves).chain(&self.followers)
+    }
+
+    /// The shares of all drives at an opening (m).
+    #[cfg(feature = "mujoco")]
+    pub(crate) fn shares_at(&self, opening_m: f64) -> &[f64] {
+        &self.between(|state| state.opening_m, opening_m).0.shares
+    }
+
+    /// The opening that all drives together stand for, in metres, from the opening of each.
+    #[cfg(feature = "mujoco")]
+    pub(crate) fn opening(&self, openings: &[f64]) -> f64 {
+        openings.iter().zip(self.shares_at(openings[0])).map(|(opening, share)| opening * share).sum()
+    }
+
+    /// The part of the pads' force that each drive gives, from the opening (m) that each stands for and the servo of a finger. Every drive
+    /// has the servo in its share, and so holds its joint where the others are: the equality that couples them carries little.
+    #[cfg(feature = "mujoco")]
+    pub(crate) fn forces(&self, openings: &[f64], servo: impl Fn(f64) -> f64) -> Vec<f64> {
+        let shares = self.shares_at(openings[0]);
+        let own = openings.iter().zip(shares).map(|(opening, share)| share.abs() * servo(*opening));
+        if shares.iter().all(|share| *share >= 0.0) {
+            return own.collect();
+        }
+        // A joint with a negative share gives its part of the force with the other sign, and is held where the others are all the same.
+        let size: f64 = shares.iter().map(|share| share.abs()).sum();
+        let among = openings.iter().zip(shares).map(|(opening, share)| opening * share.abs() / size).sum();
+        let [together, among] = [servo(self.opening(openings)), servo(among)];
+        own.zip(shares).map(|(own, share)| own + share * together - share.abs() * among).collect()
+    }
+
+    /// The largest share of a drive, as an absolute value.
+    #[cfg(feature = "mujoco")]
+    pub(crate) fn largest_share(&self, drive: usize) -> f64 {
+        self.states.iter().map(|state| state.shares[drive].abs()).fold(0.0, f64::max)
+    }
+
     /// The two neighbouring states around a value, and its share of the way from the first to the second: outside of 0 to 1
     /// beyond the ends.
     fn between(&self, of: impl Fn(&FingerState) -> f64, value: f64) -> (&FingerState, &FingerState, f64) {
@@ -128,10 +180,13 @@ mod tests {
             opening_m,
             at_tool_m: None,
             drives: vec![drive],
+            shares: vec![1.0],
             joints: vec![joint, -joint],
         };
         FingerMotion {
             joints: vec!["left".to_owned(), "right".to_owned()],
+            followers: Vec::new(),
+            closed_at_tool_m: 0.0,
             states: vec![state(0.0, 0.8, 0.8), state(0.03, 0.5, 0.5), state(0.08, 0.0, 0.0)],
             tip_m: 0.01,
         }

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::{
     Engine, Fixture, FixtureKind, GRAVITY, Gripper, GripperCommand, GripperState, GripperUnit, MassProperties,
-    MujocoEngine, Object, ParallelJaw, Part, Plant, Primitive, Problem, Robot, Scene, Visual,
+    MujocoEngine, Object, ParallelJaw, Part, Plant, Primitive, Problem, Robot, RobotError, Scene, Visual,
 };
 
 /// Time between two commands, in seconds.
@@ -19,6 +19,8 @@ const LARGEST: (f64, f64) = (0.05, 0.5);
 const ENDS_OF_OPENING: [f64; 2] = [0.15, 0.85];
 /// A part is at least this much wider than the closed gripper, in metres.
 const ROOM_M: f64 = 2e-3;
+/// Gap between the palm and the part, in metres.
+const PALM_ROOM_M: f64 = 2e-3;
 /// Mass of a light part, in kilograms.
 const LIGHTEST_KG: f64 = 0.02;
 /// Height by which the part is lifted, in metres, and the duration in seconds.
@@ -47,14 +49,26 @@ pub struct Grasp {
     pub held: bool,
 }
 
+/// The test grasps of a robot with this time step in seconds, of which 0.05 s is an integer multiple: parts of a medium size, then those of
+/// the ends of the gripper's opening and payload.
+///
+/// # Errors
+/// The problems of the robot's model, or of the first part that it does not hold.
+pub fn test_grasps(robot: &Robot, time_step: f64) -> Result<Vec<Grasp>, Vec<Problem>> {
+    let engine = MujocoEngine::new(robot.clone(), time_step).map_err(RobotError::into_problems)?;
+    let mut problems = Vec::new();
+    match test(engine, &mut problems) {
+        Some((medium, at_ends)) if problems.is_empty() => Ok([vec![medium], at_ends].concat()),
+        _ => Err(problems),
+    }
+}
+
 /// Grasps parts of a medium size, and of the ends of the gripper's opening and payload. They are lifted from the tool's place at home,
 /// or up to it if the arm cannot move higher. Returns the medium grasp and those at the ends; `None`, with a problem, if the arm
 /// can do neither.
-pub(crate) fn test(robot: &Robot, problems: &mut Vec<Problem>) -> Option<(Grasp, Vec<Grasp>)> {
-    let settings = &robot.settings;
-    let engine = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).ok()?;
-    let mut plant = Plant::new(engine, PERIOD_S, None).ok()?;
-    let (chain, home) = (plant.engine.chain().clone(), settings.arm.home_rad.clone());
+pub(crate) fn test(engine: MujocoEngine, problems: &mut Vec<Problem>) -> Option<(Grasp, Vec<Grasp>)> {
+    let settings = &engine.robot().settings.clone();
+    let (chain, home) = (engine.chain().clone(), settings.arm.home_rad.clone());
     let at_home = chain.tcp_at(&home);
     let moved = |up: f64| {
         let goal = Isometry3::from_parts(Translation3::new(0.0, 0.0, up) * at_home.translation, at_home.rotation);
@@ -68,7 +82,12 @@ pub(crate) fn test(robot: &Robot, problems: &mut Vec<Problem>) -> Option<(Grasp,
         ));
         return None;
     };
-    let path = Path { home, low, lifted };
+    // The arm starts where it grasps: on its way there the fingers would hit the part.
+    let mut robot = engine.robot().clone();
+    robot.settings.arm.home_rad.clone_from(&low);
+    let engine = if low == home { engine } else { MujocoEngine::new(robot, engine.time_step()).ok()? };
+    let mut plant = Plant::new(engine, PERIOD_S, None).ok()?;
+    let path = Path { low, lifted };
     let limit_n = match &settings.gripper {
         Gripper::ParallelJaw(jaw) => FRICTION * jaw.force_n,
         Gripper::Suction(cup) => 0.25 * cup.force_n(),
@@ -78,7 +97,7 @@ pub(crate) fn test(robot: &Robot, problems: &mut Vec<Problem>) -> Option<(Grasp,
     let (medium, parts) = match &settings.gripper {
         Gripper::ParallelJaw(jaw) => {
             let [small, large] = ENDS_OF_OPENING.map(|share| share * jaw.opening_m);
-            let small = small.max(plant.engine.narrowest_m() + ROOM_M);
+            let small = small.max(plant.engine.narrowest_held_m() + ROOM_M);
             (
                 (0.5 * jaw.opening_m).min(LARGEST.0),
                 vec![(small, lightest), (small, heaviest), (large, lightest), (large, heaviest)],
@@ -107,7 +126,6 @@ pub(crate) fn test(robot: &Robot, problems: &mut Vec<Problem>) -> Option<(Grasp,
 
 /// Joint positions of a test grasp.
 struct Path {
-    home: Vec<f64>,
     /// Where the part is grasped, and where it is held.
     low: Vec<f64>,
     lifted: Vec<f64>,
@@ -133,7 +151,7 @@ fn attempt(
 }
 
 fn grasped(plant: &mut Plant<MujocoEngine>, path: &Path, part_m: f64, mass_kg: f64) -> Result<Grasp, Fault> {
-    let Path { home, low, lifted } = path;
+    let Path { low, lifted } = path;
     let settings = plant.engine.robot().settings.clone();
     let scene = scene(&plant.engine.chain().tcp_at(low), &settings.gripper, part_m, mass_kg);
     plant.load(&scene, 0.01)?;
@@ -159,10 +177,9 @@ fn grasped(plant: &mut Plant<MujocoEngine>, path: &Path, part_m: f64, mass_kg: f
     let between = |from: &[f64], to: &[f64], share: f64| -> Vec<f64> {
         from.iter().zip(to).map(|(a, b)| a + share * (b - a)).collect()
     };
-    let closing_s = settings.gripper.jaw().map_or(0.5, |jaw| 0.5 + 0.5 * jaw.opening_m / jaw.finger_speed_m_s);
-    if low != home {
-        run(LIFT.1, &|share| between(home, low, share), GripperCommand::Open)?;
-    }
+    // Strong damping makes fingers slower than their limit.
+    let speed = |jaw: &ParallelJaw| jaw.finger_speed_m_s.min(0.5 * jaw.force_n / jaw.damping_ns_m);
+    let closing_s = settings.gripper.jaw().map_or(0.5, |jaw| 0.5 + 0.5 * jaw.opening_m / speed(jaw));
     run(0.2, &|_| low.clone(), GripperCommand::Open)?;
     let (_, before, _) = run(closing_s, &|_| low.clone(), GripperCommand::Close)?;
     run(LIFT.1, &|share| between(low, lifted, share), GripperCommand::Close)?;
@@ -204,8 +221,8 @@ fn scene(tcp: &Isometry3<f64>, gripper: &Gripper, part_m: f64, mass_kg: f64) -> 
     let y = tcp.rotation * Vector3::y();
     let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), (-y.x).atan2(y.y));
     let half = 0.5 * part_m;
-    // The lip of a cup is a little above the part; a jaw has the part in its middle.
-    let down = if gripper.cup().is_some() { half + 1e-3 } else { 0.0 };
+    // The lip of a cup is a little above the part; a jaw has the part in its middle, or lower if the palm is in the way.
+    let down = gripper.jaw().map_or(half + 1e-3, |jaw| (half + PALM_ROOM_M - jaw.palm_m).max(0.0));
     let beside = gripper.jaw().map_or(0.0, |jaw| jaw.beside_m(part_m));
     let place = Translation3::from(tcp.translation.vector + y * beside - Vector3::new(0.0, 0.0, down));
     let parts = vec![Part { primitive: Primitive::Box { half: [half; 3] }, pose: Isometry3::identity() }];

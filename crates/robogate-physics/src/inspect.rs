@@ -145,7 +145,9 @@ fn measure(engine: &mut MujocoEngine, scale: f64, positions: &[[f64; 2]], proble
     }
     let tracking_error_rad = trial(engine, &settings, problems);
     let grasps = match tracking_error_rad {
-        Some(_) if problems.is_empty() => grasp::test(engine.robot(), problems),
+        Some(_) if problems.is_empty() => MujocoEngine::new(engine.robot().clone(), engine.time_step())
+            .ok()
+            .and_then(|engine| grasp::test(engine, problems)),
         _ => None,
     };
     let (grasp, grasps_at_ends) = grasps.map_or((None, Vec::new()), |(grasp, at_ends)| (Some(grasp), at_ends));

@@ -59,7 +59,7 @@ pub use engine::{
 };
 pub use finger_motion::FingerMotion;
 #[cfg(feature = "mujoco")]
-pub use grasp::Grasp;
+pub use grasp::{Grasp, test_grasps};
 pub use gripper_command::GripperCommand;
 #[cfg(feature = "mujoco")]
 pub use inspect::{Inspection, Measured, inspect};

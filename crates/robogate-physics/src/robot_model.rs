@@ -142,6 +142,9 @@ fn finger_motion(spec: &mut MjSpec, settings: &RobotSettings, jaw: &ParallelJaw)
     if !problems.is_empty() {
         return Err(problems);
     }
+    for follower in &motion.followers {
+        sweep::add_motor(spec, follower);
+    }
     sweep::limit(spec, jaw, &motion);
     Ok(motion)
 }

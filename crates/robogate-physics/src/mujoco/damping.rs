@@ -11,6 +11,7 @@
 //!
 //! Fingers are light, so their stiffness K counts as well: h D + h^2 K is added to the inertia, and the servo pulls with
 //! K (target - q - h v) - D v. This is implicit Euler for spring and damper, which is stable for any mass and any time step.
+//! Joints that an equality couples to a drive have such a servo too (`FingerMotion::forces`).
 
 use mujoco_rs::prelude::*;
 use nalgebra::DMatrix;
@@ -82,16 +83,23 @@ fn couple_fingers(
 ) -> Vec<bool> {
     let Some(jaw) = settings.gripper.jaw() else { return Vec::new() };
     let slides = jaw.slides().iter().map(|name| (name, 1.0));
-    // A drive with the slope s = d(opening)/d(position), one of n, has s^2 / (2 n) of a finger's stiffness and damping.
-    let share = |i: usize| motion.map_or(0.0, |motion| motion.steepest(i).powi(2) / (2.0 * jaw.drives.len() as f64));
-    let drives = jaw.drives.iter().enumerate().map(|(i, drive)| (&drive.moves, share(i)));
+    // A drive with the slope s = d(opening)/d(position) and the share w has w s^2 / 2 of a finger's stiffness and damping. Shares of both
+    // signs exceed 1 in sum: then this multiple is an upper bound of the stiffness that couples the drives (Cauchy and Schwarz).
+    let drives = motion.into_iter().flat_map(|motion| {
+        let sizes = motion.states.iter().map(|state| state.shares.iter().map(|share| share.abs()).sum::<f64>());
+        let size = sizes.fold(1.0, f64::max);
+        let bound = if size > 1.0 + 1e-6 { size + 1.0 } else { 1.0 };
+        let share = move |i: usize| 0.5 * bound * motion.largest_share(i) * motion.steepest(i).powi(2);
+        motion.driven(jaw).enumerate().map(move |(i, name)| (name, share(i)))
+    });
+    let followed = motion.is_some_and(|motion| !motion.followers.is_empty());
     slides
         .chain(drives)
         .map(|(name, share)| {
             let Some(at) = DriveAt::find(model, name) else { return false };
             let passive = at.passive_damping(model);
             let added = time_step * share * (jaw.damping_ns_m + time_step * jaw.stiffness_n_m);
-            let strong = added + time_step * passive > STRONG_FINGER * at.inertia(model);
+            let strong = followed || added + time_step * passive > STRONG_FINGER * at.inertia(model);
             if strong {
                 if let Some(joint) = spec.joint_mut(name) {
                     joint.set_armature(joint.armature() + added);

@@ -166,6 +166,11 @@ impl MujocoEngine {
         self.fingers.as_ref().map_or(0.0, FingerMotion::narrowest_m)
     }
 
+    /// Width of the narrowest part that the closed gripper does not let through at the tool centre point, in metres.
+    pub(crate) fn narrowest_held_m(&self) -> f64 {
+        self.fingers.as_ref().map_or(0.0, |fingers| fingers.closed_at_tool_m.max(fingers.narrowest_m()))
+    }
+
     /// Smallest distance between the fingers' collision shapes in the loaded scene, in metres. `None` without fingers.
     pub(crate) fn pad_gap(&mut self) -> Option<f64> {
         let loaded = self.loaded.as_mut().filter(|loaded| loaded.pads.iter().all(|pad| !pad.is_empty()))?;
@@ -307,8 +312,7 @@ impl Engine for MujocoEngine {
             for body in &jaw.finger_bodies {
                 finger_bodies.push(id(MjtObjBase::mjOBJ_BODY, "body", body)?);
             }
-            for drive in &jaw.drives {
-                let name = &drive.moves;
+            for name in self.fingers.iter().flat_map(|fingers| fingers.driven(jaw)) {
                 drives.push(DriveAt::find(&model, name).ok_or_else(|| setup(format!("the model has no `{name}`")))?);
             }
         }
@@ -473,13 +477,21 @@ impl Engine for MujocoEngine {
         }
         if let (Some(jaw), Some(fingers)) = (self.robot.settings.gripper.jaw(), &self.fingers) {
             let lag = self.time_step + jaw.damping_ns_m / jaw.stiffness_n_m;
-            for i in 0..loaded.drives.len() {
-                let [position, speed] = loaded.drives[i].state(&loaded.data);
+            let readings = loaded.drives.iter().enumerate().map(|(i, at)| {
+                let [position, speed] = at.state(&loaded.data);
                 let DriveReading { opening_m, slope } = fingers.reading(i, position);
-                // The servo of a finger, which moves by half of the opening: the force on its pad, positive to open.
+                // See [`damping`].
                 let ahead = if self.strong.fingers[i] { lag * slope * speed } else { 0.0 };
-                let force = jaw.stiffness_n_m * (targets.finger - 0.5 * (opening_m + ahead));
-                loaded.data.ctrl_mut()[first + drives + i] = force * slope / loaded.drives.len() as f64;
+                (opening_m + ahead, slope)
+            });
+            let (openings, slopes): (Vec<f64>, Vec<f64>) = readings.unzip();
+            // The servo of a finger, which moves by half of the opening: the force on its pad, positive to open.
+            let servo = |opening: f64| jaw.stiffness_n_m * (targets.finger - 0.5 * opening);
+            let forces = fingers.forces(&openings, servo);
+            for (ctrl, (force, slope)) in
+                loaded.data.ctrl_mut()[first + drives..].iter_mut().zip(forces.iter().zip(slopes))
+            {
+                *ctrl = force * slope;
             }
         }
         self.tape_inputs();
@@ -532,7 +544,7 @@ impl Engine for MujocoEngine {
             Some(fingers) if !loaded.drives.is_empty() => {
                 let readings = loaded.drives.iter().enumerate();
                 let openings = readings.map(|(i, at)| fingers.reading(i, at.state(&loaded.data)[0]).opening_m);
-                Some(openings.sum::<f64>() / loaded.drives.len() as f64)
+                Some(fingers.opening(&openings.collect::<Vec<_>>()))
             }
             _ => self.opening(),
         }

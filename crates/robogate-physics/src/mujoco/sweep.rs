@@ -40,6 +40,12 @@ const MOST_COUPLED: f64 = 1e3;
 const V_SHAPED: f64 = 1.25;
 /// The face of a fixed jaw may differ from robot.toml by this much, in metres.
 const FACE_M: f64 = 2e-3;
+/// A joint is moved by this much to measure its share in the opening, in radians or metres.
+const PARTIAL: f64 = 5e-4;
+/// A follower with less than this share in the opening gets no drive.
+const CARRIES: f64 = 0.02;
+/// The shares must have a sum in this range.
+const EXPLAINED: std::ops::RangeInclusive<f64> = 0.7..=1.4;
 /// Distances between pads are measured up to this one, in metres.
 const FARTHEST_M: f64 = 0.5;
 
@@ -144,17 +150,19 @@ pub(crate) fn add_motor(spec: &mut MjSpec, moves: &str) -> bool {
 /// Gives the motors of the drives their damping and their limits of force and travel.
 ///
 /// A pad force F on each pad does the work F dx over a change dx of the opening. With the slope s = d(opening)/d(position)
-/// and n drives that share it, a drive's force is F s / n, and the damping D of a finger, which moves by half of the
-/// opening, is D s^2 / (2 n) at the drive.
+/// and a drive that has the share w of it, the drive's force is F s w, and the damping D of a finger, which moves by half of the
+/// opening, is D s^2 w / 2 at the drive.
 pub(crate) fn limit(spec: &mut MjSpec, jaw: &ParallelJaw, motion: &FingerMotion) {
-    let drives = jaw.drives.len() as f64;
-    for (i, FingerDrive { moves, .. }) in jaw.drives.iter().enumerate() {
-        let slope = motion.steepest(i);
-        let force = jaw.force_limit_n * slope / drives;
+    for (i, moves) in motion.driven(jaw).enumerate() {
+        let (slope, share) = (motion.steepest(i), motion.largest_share(i));
+        let force = jaw.force_limit_n * slope * share;
         if let Some(actuator) = spec.actuator_mut(&format!("{PREFIX}{moves}")) {
-            actuator.biasprm_mut()[2] = -jaw.damping_ns_m * slope * slope / (2.0 * drives);
-            actuator.set_forcelimited(mjtLimited::mjLIMITED_TRUE);
-            *actuator.forcerange_mut() = [-force, force];
+            actuator.biasprm_mut()[2] = -0.5 * jaw.damping_ns_m * slope * slope * share;
+            // A follower's drive stands for the equality too, which has no limit.
+            if motion.followers.is_empty() {
+                actuator.set_forcelimited(mjtLimited::mjLIMITED_TRUE);
+                *actuator.forcerange_mut() = [-force, force];
+            }
         }
         // The pads of an empty gripper pass through each other: an end stop is where they meet.
         let ends = [motion.states[0].drives[i], motion.open().drives[i]];
@@ -339,6 +347,31 @@ impl Sweep {
         self.drives.iter().map(|drive| drive.state(&self.data)[0]).collect()
     }
 
+    /// The change of the distance between the pads by each drive and then each follower, which is a joint, while all others stand still.
+    fn gradient(&mut self, followers: &[(String, usize)], tool: &Isometry3<f64>, pads: &[Vec<usize>; 2]) -> Vec<f64> {
+        let start = self.data.qpos().to_vec();
+        let joints = self.drives.iter().filter_map(|drive| match drive {
+            DriveAt::Joint { qpos, .. } => Some(*qpos),
+            DriveAt::Tendon(_) => None,
+        });
+        let joints: Vec<usize> = joints.chain(followers.iter().map(|(_, qpos)| *qpos)).collect();
+        let at = |sweep: &mut Self, joint: usize, moved: f64| {
+            sweep.data.qpos_mut()[joint] = start[joint] + moved;
+            sweep.data.kinematics();
+            let distance = at_tool(&mut sweep.data, tool, pads);
+            let distance = distance.unwrap_or_else(|| gap(&mut sweep.data, [&pads[0], &pads[1]]));
+            sweep.data.qpos_mut()[joint] = start[joint];
+            distance
+        };
+        let gradient = joints.iter().map(|joint| {
+            let [before, after] = [-PARTIAL, PARTIAL].map(|moved| at(self, *joint, moved));
+            (after - before) / (2.0 * PARTIAL)
+        });
+        let gradient = gradient.collect();
+        self.data.forward();
+        gradient
+    }
+
     /// Smallest distance between a shape of the first set and one of the second, in metres. Negative if they overlap.
     pub(crate) fn gap(&mut self, [first, second]: &[Vec<usize>; 2]) -> f64 {
         self.data.forward();
@@ -422,7 +455,9 @@ pub(crate) fn measure(
     let find = |kind, name: &str| model.name_to_id(kind, name).unwrap_or_default();
     let pads = [0, 1].map(|i| shapes(&model, find(MjtObjBase::mjOBJ_BODY, &jaw.finger_bodies[i])));
     let tcp = find(MjtObjBase::mjOBJ_SITE, &settings.arm.tcp_site);
+    let mut followers = if jaw.fixed_jaw_m.is_none() { followers(&model, settings, jaw) } else { Vec::new() };
     let mut sweep = Sweep::new(model, &arm, &jaw.drives).map_err(|problem| vec![problem])?;
+    let mut gradients = Vec::with_capacity(STATES);
     let (mut states, mut tip_m) = (Vec::with_capacity(STATES), f64::NEG_INFINITY);
     for k in 0..STATES {
         sweep.go(k as f64 / (STATES - 1) as f64).map_err(|problem| vec![problem])?;
@@ -436,12 +471,19 @@ pub(crate) fn measure(
         tip_m = pads.iter().flat_map(|pad| sweep.corners(pad)).map(|corner| ahead(&corner)).fold(tip_m, f64::max);
         let joints = joints.iter().map(|(_, qpos)| sweep.data.qpos()[*qpos]).collect();
         let at_tool_m = if jaw.fixed_jaw_m.is_none() { at_tool(&mut sweep.data, &tool, &pads) } else { None };
-        states.push(FingerState { opening_m, at_tool_m, drives: sweep.positions(), joints });
+        let mut drives = sweep.positions();
+        drives.extend(followers.iter().map(|(_, qpos)| sweep.data.qpos()[*qpos]));
+        if !followers.is_empty() {
+            gradients.push(sweep.gradient(&followers, &tool, &pads));
+        }
+        let shares = vec![1.0 / jaw.drives.len() as f64; jaw.drives.len()];
+        states.push(FingerState { opening_m, at_tool_m, drives, shares, joints });
         if opening_m <= 0.0 {
             break;
         }
     }
     states.reverse();
+    gradients.reverse();
     let (closed, open) = (states[0].opening_m, states[states.len() - 1].opening_m);
     let grows = |pair: &[FingerState]| pair[1].opening_m > pair[0].opening_m;
     if states.len() < 2 || !states.windows(2).all(grows) {
@@ -457,6 +499,7 @@ pub(crate) fn measure(
         )]);
     }
     meet(&mut states);
+    let closed_at_tool_m = states[0].held_m();
     // Parallel pads are as far apart at the tool centre point as anywhere.
     let steeper = |pair: &[FingerState]| {
         let at_tool = pair[0].at_tool_m.zip(pair[1].at_tool_m).map(|(a, b)| b - a);
@@ -466,7 +509,75 @@ pub(crate) fn measure(
     if !measured.is_some_and(|steeper| steeper.contains(&true)) {
         states.iter_mut().for_each(|state| state.at_tool_m = None);
     }
-    Ok(FingerMotion { joints: joints.into_iter().map(|(name, _)| name).collect(), states, tip_m })
+    share(&mut states, &mut followers, &gradients, jaw.drives.len());
+    let names = |joints: Vec<(String, usize)>| joints.into_iter().map(|(name, _)| name).collect();
+    Ok(FingerMotion { joints: names(joints), followers: names(followers), states, closed_at_tool_m, tip_m })
+}
+
+/// The joints that equalities couple to the drives of a gripper, with their addresses in qpos.
+fn followers(model: &MjModel, settings: &RobotSettings, jaw: &ParallelJaw) -> Vec<(String, usize)> {
+    let joint = |name: &String| model.name_to_id(MjtObjBase::mjOBJ_JOINT, name);
+    let known: Vec<usize> = jaw.drives.iter().filter_map(|drive| joint(&drive.moves)).collect();
+    if known.len() < jaw.drives.len() {
+        return Vec::new();
+    }
+    let arm: Vec<usize> = settings.arm.joints.iter().filter_map(joint).collect();
+    let pairs: Vec<[i32; 2]> = (0..model.eq_type().len())
+        .filter(|equality| model.eq_type()[*equality] == MjtEq::mjEQ_JOINT && model.eq_active0()[*equality])
+        .map(|equality| [model.eq_obj1id()[equality], model.eq_obj2id()[equality]])
+        .collect();
+    let mut coupled = known.clone();
+    // Each pass adds at least one joint, or is the last.
+    loop {
+        let other = |[a, b]: &[i32; 2]| {
+            let is_in = |joint: i32| usize::try_from(joint).is_ok_and(|joint| coupled.contains(&joint));
+            let new = if is_in(*a) && !is_in(*b) { *b } else { *a };
+            usize::try_from(new).ok().filter(|_| is_in(*a) != is_in(*b)).filter(|joint| !arm.contains(joint))
+        };
+        match pairs.iter().find_map(other) {
+            Some(joint) => coupled.push(joint),
+            None => break,
+        }
+    }
+    let named = |joint: &usize| model.id_to_name(MjtObjBase::mjOBJ_JOINT, *joint).filter(|name| !name.is_empty());
+    coupled[known.len()..]
+        .iter()
+        .filter_map(|joint| Some((named(joint)?.to_owned(), model.jnt_qposadr()[*joint] as usize)))
+        .collect()
+}
+
+/// Sets the shares of drives and followers, from the change of the opening by each of them alone in each state. Followers that carry
+/// little, or do not move steadily with the opening, are removed.
+fn share(states: &mut [FingerState], followers: &mut Vec<(String, usize)>, gradients: &[Vec<f64>], drives: usize) {
+    let last = states.len() - 1;
+    let shares: Vec<Vec<f64>> = (0..gradients.len())
+        .map(|k| {
+            let (before, after) = (&states[k.saturating_sub(1)], &states[(k + 1).min(last)]);
+            let opened = after.held_m() - before.held_m();
+            (0..drives + followers.len())
+                .map(|i| gradients[k][i] * (after.drives[i] - before.drives[i]) / opened)
+                .collect()
+        })
+        .collect();
+    let monotonic = |i: usize| {
+        let steps = || states.windows(2).map(move |pair| pair[1].drives[i] - pair[0].drives[i]);
+        steps().all(|step| step > 0.0) || steps().all(|step| step < 0.0)
+    };
+    let carries = |i: usize| shares.iter().any(|shares| shares[i].abs() > CARRIES);
+    let mut kept: Vec<usize> = (0..drives + followers.len()).collect();
+    kept.retain(|i| *i < drives || (monotonic(*i) && carries(*i)));
+    let sums: Vec<f64> = shares.iter().map(|shares| kept.iter().map(|i| shares[*i]).sum()).collect();
+    // Where linkages of another kind move the pads too, the joints alone do not explain the opening.
+    if !sums.iter().all(|sum| EXPLAINED.contains(sum)) {
+        kept.truncate(drives);
+    }
+    for (k, state) in states.iter_mut().enumerate() {
+        state.drives = kept.iter().map(|i| state.drives[*i]).collect();
+        if kept.len() > drives {
+            state.shares = kept.iter().map(|i| shares[k][*i] / sums[k]).collect();
+        }
+    }
+    *followers = kept[drives..].iter().map(|i| followers[i - drives].clone()).collect();
 }
 
 /// Distance between the pads along the y axis of a tool, in metres. `None` if a pad is not there.

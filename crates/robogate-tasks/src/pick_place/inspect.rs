@@ -15,6 +15,8 @@ use crate::{ArmTask, Rig};
 /// The part of the trial is at most this fraction of the gripper's opening, and its weight at most this fraction of what the
 /// gripper can carry.
 const OPENING_SHARE: f64 = 0.75;
+/// The same for a jaw that turns towards a fixed one: a wide part meets it far from the tool centre point.
+const ONE_JAW_SHARE: f64 = 0.6;
 const WEIGHT_SHARE: f64 = 0.5;
 /// The part of the trial is at least this multiple of the diameter of a suction cup.
 const CUP_SHARE: f64 = 1.25;
@@ -88,7 +90,8 @@ fn trial(robot: Robot) -> Result<TrialEpisode, String> {
     let nominal = SceneParameters::nominal();
     let (part_m, carried_n) = match &robot.settings.gripper {
         Gripper::ParallelJaw(jaw) => {
-            (nominal.size_m.min(OPENING_SHARE * jaw.opening_m), 2.0 * nominal.friction * jaw.force_n)
+            let share = if jaw.fixed_jaw_m.is_some() { ONE_JAW_SHARE } else { OPENING_SHARE };
+            (nominal.size_m.min(share * jaw.opening_m), 2.0 * nominal.friction * jaw.force_n)
         }
         Gripper::Suction(cup) => (nominal.size_m.max(CUP_SHARE * cup.cup_diameter_m), cup.force_n()),
     };
