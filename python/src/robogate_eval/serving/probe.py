@@ -121,7 +121,8 @@ class Probe:
                 if pair[0] != pair[1]:
                     touching.add(" and ".join(pair))
         self._touching.append(touching)
-        iterations, residual = solver(scratch)
+        # Of the last time step that the environment ran: what is computed here starts from its solution.
+        iterations, residual = solver(self._data)
         energy = scratch.energy
         return [float(count), deepest, iterations, residual, float(energy[0]), float(energy[1]), float(self._data.warning.number.sum())]
 
