@@ -73,8 +73,8 @@ pub use real::{RealEvidence, RealStratum};
 pub use record::{Population, Record};
 pub use remarks::CLIPPED_ACTIONS;
 pub use requalification::{
-    Answer, Change as RequalifiedChange, Divergence, Explanation, Group, Part, PropertyChange, Requalification, Requalifier, Seen,
-    SignalChange, Starts, SuccessChange, Trace,
+    Answer, Change as RequalifiedChange, Divergence, Explanation, Group, Part, PropertyChange, Requalification,
+    Requalifier, Seen, SignalChange, Starts, SuccessChange, Trace,
 };
 pub use requirement::{Bound, Each, Requirement, Sense};
 pub use requirements::{Budget, Family, Mode, Requirements};

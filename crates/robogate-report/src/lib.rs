@@ -34,8 +34,8 @@ pub use gate::{
     what_next, what_to_change,
 };
 pub use html::{
-    comparison_html, comparison_html_with, explorer_page, html, html_with, replay_page, requalification_html, script_data,
-    transfer_html,
+    comparison_html, comparison_html_with, explorer_page, html, html_with, replay_page, requalification_html,
+    script_data, transfer_html,
 };
 pub use json::{
     AnalysisReport, ComparisonReport, TransferReport, analysis_json, analysis_json_with, comparison_json, transfer_json,

@@ -49,7 +49,7 @@ impl Explanation {
         const LISTED: usize = 20;
         let traced: Vec<(&Seen, &Trace, &Seen, &Trace)> = pairs
             .iter()
-            .filter_map(|(one, two)| Some((*one, one.trace.as_ref()?, *two, two.trace.as_ref()?)))
+            .filter_map(|(one, two)| Some((*one, one.trace.as_deref()?, *two, two.trace.as_deref()?)))
             .collect();
         let divergence = traced.iter().take(LISTED).map(|(one, before, two, after)| {
             let (first, visible) = diverges(before, after);

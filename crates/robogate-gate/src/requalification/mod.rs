@@ -15,6 +15,7 @@ mod starts;
 mod trace;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use robogate_core::Assignment;
 use robogate_stats::anytime::{ln_evidence_above, ln_evidence_below};
@@ -56,7 +57,7 @@ pub struct Seen {
     /// The first observation.
     pub start: Vec<f64>,
     /// Its physics, where they can be seen.
-    pub trace: Option<Trace>,
+    pub trace: Option<Arc<Trace>>,
 }
 
 /// What a property is about, in the order in which a requalification answers.
@@ -159,6 +160,8 @@ pub struct Requalification {
     pub identical: u64,
     /// Number of properties that were tested.
     pub properties_tested: u64,
+    /// Whether the change of success that remains possible is within the margin.
+    pub within_margin: bool,
     /// The largest net change of any other property that remains possible, for all of them together with 95 %.
     pub bound: f64,
     /// Success before and after.
@@ -217,11 +220,14 @@ impl Requalifier {
         self.pairs.extend(pairs);
         let family = self.family.get_or_insert_with(|| {
             let first = self.pairs.iter().find(|pair| pair.iter().all(|seen| seen.trace.is_some()));
-            let traces = first.map_or([None, None], |[before, after]| [before.trace.as_ref(), after.trace.as_ref()]);
+            let traces =
+                first.map_or([None, None], |[before, after]| [before.trace.as_deref(), after.trace.as_deref()]);
             Family::of(&self.scenarios, self.modes, traces)
         });
         let distinct = distinct(&self.pairs);
-        self.looks.push(distinct.len());
+        if self.looks.last().is_none_or(|last| *last < distinct.len()) {
+            self.looks.push(distinct.len());
+        }
         let mut counts: BTreeMap<Property, [u64; 2]> = BTreeMap::new();
         for [before, after] in &distinct {
             for (property, signed) in family.signs(before, after) {
@@ -260,11 +266,15 @@ impl Requalifier {
         changes.sort_by_key(|change| change.answer);
         let identical = self.pairs.iter().filter(|[one, two]| is_same(one, two)).count() as u64;
         let tail = (1.0 - OF_SUCCESS) * self.error / (2.0 * (family.size.max(2) - 1) as f64);
-        let worst = properties.iter().filter(|of| of.name != success_name()).map(|of| of.name.clone());
-        let bound = worst
-            .map(|name| self.net(&signs, &name, tail))
-            .chain([self.net(&signs, "", tail)])
-            .fold(0.0, |most: f64, [low, high]| most.max(-low).max(high));
+        // One that never differs is among them.
+        let mut seen: BTreeSet<Vec<Option<i8>>> = BTreeSet::from([vec![Some(0); signs.len()]]);
+        let others = signs.iter().flat_map(BTreeMap::keys).filter(|property| **property != self::success());
+        for property in others.collect::<BTreeSet<&Property>>() {
+            let sign = |pair: &BTreeMap<Property, Signed>| Some(pair.get(property).map_or(0, |of| of.sign));
+            seen.insert(signs.iter().map(sign).collect());
+        }
+        let intervals = seen.iter().map(|signs| self.net(signs, tail));
+        let bound = intervals.fold(0.0, |most: f64, [low, high]| most.max(-low).max(high));
         let [low, high] = success.interval_95;
         let within = success.pairs > 0 && low >= -self.margin && high <= self.margin;
         let answer = match changes.first() {
@@ -299,6 +309,7 @@ impl Requalifier {
             distinct: distinct.len() as u64,
             identical,
             properties_tested,
+            within_margin: within,
             bound: bound.min(1.0),
             success,
             properties,
@@ -313,7 +324,15 @@ impl Requalifier {
         for property in names {
             let known: Vec<&Signed> = signs.iter().filter_map(|of| of.get(property)).collect();
             let count = |sign: i8| known.iter().filter(|of| of.sign == sign).count() as u64;
-            let (less, more, n) = (count(-1), count(1), known.len() as f64);
+            let (less, more) = (count(-1), count(1));
+            // A pair in which no episode ends in this way, or has this contact, has none of it.
+            let shown_by = match property.group {
+                Group::Success if property.name.starts_with("failure ") => Some(success()),
+                Group::Meaning if property.name.starts_with("contact of ") => Some(duration()),
+                _ => None,
+            };
+            let pairs = shown_by.map_or(known.len(), |other| signs.iter().filter(|of| of.contains_key(&other)).count());
+            let n = pairs as f64;
             if less + more == 0 && *property != success() {
                 continue;
             }
@@ -325,7 +344,7 @@ impl Requalifier {
             found.push(PropertyChange {
                 group: property.group,
                 name: property.name.clone(),
-                pairs: known.len() as u64,
+                pairs: pairs as u64,
                 mean: [
                     known.iter().map(|of| of.before).sum::<f64>() / n,
                     known.iter().map(|of| of.after).sum::<f64>() / n,
@@ -339,11 +358,13 @@ impl Requalifier {
         found
     }
 
-    /// The interval of the net share of pairs with more of a property. Without a name, of one that never differs.
-    fn net(&self, signs: &[BTreeMap<Property, Signed>], name: &str, tail: f64) -> [f64; 2] {
-        let of = |pair: &BTreeMap<Property, Signed>| pair.iter().find(|(property, _)| property.name == name).map_or(0, |of| of.1.sign);
-        let values: Vec<f64> = signs.iter().map(|pair| 1.0 + f64::from(of(pair))).collect();
-        let interval = BoundedMean::new(&values, &self.looks, 2.0).map(|mean| mean.interval(tail));
+    /// The interval of the net share of pairs with more of a property, of those in which it is known.
+    fn net(&self, signs: &[Option<i8>], tail: f64) -> [f64; 2] {
+        let values: Vec<f64> = signs.iter().flatten().map(|sign| 1.0 + f64::from(*sign)).collect();
+        let known = |look: &usize| signs.iter().take(*look).flatten().count();
+        let mut looks: Vec<usize> = self.looks.iter().map(known).filter(|n| *n > 0).collect();
+        looks.dedup();
+        let interval = BoundedMean::new(&values, &looks, 2.0).map(|mean| mean.interval(tail));
         interval.map_or([-1.0, 1.0], |interval| [interval.low - 1.0, interval.high - 1.0])
     }
 
@@ -357,13 +378,18 @@ impl Requalifier {
             successes: [count(&|of| of.before > 0.0), count(&|of| of.after > 0.0)],
             only: [lost, gained],
             difference: (gained as f64 - lost as f64) / n,
-            interval_95: if known.is_empty() { [-1.0, 1.0] } else { self.net(signs, &success_name(), 0.025) },
+            interval_95: if known.is_empty() {
+                [-1.0, 1.0]
+            } else {
+                self.net(&signs.iter().map(|of| of.get(&success()).map(|of| of.sign)).collect::<Vec<_>>(), 0.025)
+            },
         }
     }
 
     fn changes(&self, properties: &[PropertyChange], starts: &Starts, success: &SuccessChange) -> Vec<Change> {
         let changed = |group: Group| -> Vec<&PropertyChange> {
-            let mut found: Vec<&PropertyChange> = properties.iter().filter(|of| of.group == group && of.changed).collect();
+            let mut found: Vec<&PropertyChange> =
+                properties.iter().filter(|of| of.group == group && of.changed).collect();
             found.sort_by(|a, b| a.p_adjusted.total_cmp(&b.p_adjusted));
             found
         };
@@ -385,7 +411,11 @@ impl Requalifier {
         });
         if let Some(why) = unpaired {
             let details = vec![format!("without pairs: {rates}")];
-            changes.push(Change { answer: Answer::NotPaired, sentence: format!("The pairing is not valid: {why}."), details });
+            changes.push(Change {
+                answer: Answer::NotPaired,
+                sentence: format!("The pairing is not valid: {why}."),
+                details,
+            });
         } else {
             let (meaning, endings) = (changed(Group::Meaning), changed(Group::Success));
             if let (Some(first), true) = (meaning.first(), endings.is_empty()) {
@@ -417,7 +447,10 @@ impl Requalifier {
             && !self.pairs.iter().any(|[_, after]| after.ending.is_valid());
         if none_runs || changed(Group::Runs).first().is_some_and(|of| of.less > of.more) {
             let (n, of) = (self.failed().count(), self.pairs.len());
-            let sentence = format!("It cannot run: {n} of {} end with an error that they did not have before.", counted(of as u64, "episode"));
+            let sentence = format!(
+                "It cannot run: {n} of {} end with an error that they did not have before.",
+                counted(of as u64, "episode")
+            );
             changes.push(Change { answer: Answer::CannotRun, sentence, details: self.causes() });
         }
         let solver = changed(Group::Solver);
@@ -459,19 +492,18 @@ impl Requalification {
         Self { answer: Answer::CannotRun, headline, changes: vec![change], pairs: [0, planned], ..unknown }
     }
 
-    /// Whether no later round can take the answer back.
+    /// Whether an answer is certain. That initial states changed is known at once, and says nothing about what follows from it.
     pub fn is_certain(&self) -> bool {
-        let rates = [Answer::StartsChanged, Answer::Inconclusive];
-        self.answer == Answer::NoRelevantChange || self.changes.iter().any(|change| !rates.contains(&change.answer))
+        self.within_margin || self.changes.iter().any(|change| change.answer != Answer::StartsChanged)
     }
 }
 
-fn success_name() -> String {
-    "success".to_owned()
+fn success() -> Property {
+    Property { group: Group::Success, name: "success".to_owned() }
 }
 
-fn success() -> Property {
-    Property { group: Group::Success, name: success_name() }
+fn duration() -> Property {
+    Property { group: Group::Meaning, name: "duration".to_owned() }
 }
 
 fn both_valid(one: &Seen, two: &Seen) -> bool {

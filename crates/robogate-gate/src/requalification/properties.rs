@@ -203,7 +203,8 @@ fn meaning(before: &Trace, after: &Trace, add: &mut dyn FnMut(Group, &str, Signe
         let moves = Signed::flag(all(before) >= MOVED_M, all(after) >= MOVED_M);
         add(Group::Meaning, &format!("motion of {name}"), moves);
         // Until the robot touches anything, an object moves by itself.
-        let alone = |trace: &Trace| travel(trace, trace.first_touch(|pair| pair.contains("robot")).unwrap_or(usize::MAX));
+        let alone =
+            |trace: &Trace| travel(trace, trace.first_touch(|pair| pair.contains("robot")).unwrap_or(usize::MAX));
         if let (Some((one, false)), Some((two, false))) = (alone(before), alone(after)) {
             let drift = Signed::of(one, two, |one, other| one > other + DRIFT_M);
             add(Group::Meaning, &format!("drift of {name} before the robot touches anything"), drift);

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use robogate_stats::format::{counted, number, significant};
 use serde::Serialize;
 
-use super::trace::{PENETRATION, angle, tilt};
 use super::Seen;
+use super::trace::{PENETRATION, angle, distance, tilt};
 
 /// Poses that differ by less are equal: in metres, and in radians.
 const SAME_M: f64 = 0.001;
@@ -43,8 +43,10 @@ impl Starts {
             found.different += u64::from(!differences.is_empty());
             differences.into_iter().for_each(|(kind, size)| by_kind.entry(kind).or_default().push(size));
         }
-        let signatures: [Vec<Vec<f64>>; 2] =
-            [pairs.iter().map(|pair| signature(pair.0)).collect(), pairs.iter().map(|pair| signature(pair.1)).collect()];
+        let signatures: [Vec<Vec<f64>>; 2] = [
+            pairs.iter().map(|pair| signature(pair.0)).collect(),
+            pairs.iter().map(|pair| signature(pair.1)).collect(),
+        ];
         found.effective = [effective(&signatures[0]), effective(&signatures[1])];
         found.recognized = recognized(&signatures, found.effective[0]);
         let mut kinds: Vec<((String, &str), Vec<f64>)> = by_kind.into_iter().collect();
@@ -99,6 +101,14 @@ fn differences<'a>(before: &Seen, after: &Seen) -> Vec<((String, &'a str), f64)>
             let differ = candidates.into_iter().filter(|of| of.3);
             found.extend(differ.map(|(what, unit, size, _)| ((format!("{what} of {name}"), unit), size)));
         }
+        let of_robot = one.bodies.iter().enumerate().filter(|(_, part)| part.robot).filter_map(|(at, part)| {
+            let other = two.bodies.iter().position(|other| other.name == part.name)?;
+            Some(distance(&one.pose(0, at), &two.pose(0, other)))
+        });
+        let robot = of_robot.fold(0.0, f64::max);
+        if robot > SAME_M {
+            found.push((("position of the robot".to_owned(), "m"), robot));
+        }
         let depth = |seen: &super::Trace| seen.signal(PENETRATION).and_then(|depths| depths.first().copied());
         if let (Some(then), Some(now)) = (depth(one), depth(two))
             && (now - then).abs() > SAME_DEPTH_M
@@ -134,7 +144,8 @@ fn effective(signatures: &[Vec<f64>]) -> f64 {
     let mut groups: Vec<(&Vec<f64>, f64)> = Vec::new();
     for one in signatures {
         let same = |other: &Vec<f64>| {
-            one.len() == other.len() && one.iter().zip(other).all(|(a, b)| (a - b).abs() <= SAME_OBSERVED * (1.0 + a.abs()))
+            one.len() == other.len()
+                && one.iter().zip(other).all(|(a, b)| (a - b).abs() <= SAME_OBSERVED * (1.0 + a.abs()))
         };
         match groups.iter_mut().find(|(other, _)| same(other)) {
             Some((_, count)) => *count += 1.0,

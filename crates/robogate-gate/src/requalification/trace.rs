@@ -68,7 +68,13 @@ impl Trace {
         if !rest.is_empty() || frames.checked_mul(width) != Some(chunks.len()) || bytes.len() > MOST_BYTES {
             return Err(format!("{} numbers. Expected {frames} rows of {width}", chunks.len()));
         }
-        Ok(Self { signals, bodies, pairs, start, rows: chunks.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect() })
+        Ok(Self {
+            signals,
+            bodies,
+            pairs,
+            start,
+            rows: chunks.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect(),
+        })
     }
 
     /// The trace of a recorded motion, whose last body is the object.
@@ -182,8 +188,11 @@ mod tests {
     #[test]
     fn rotations_about_the_vertical_do_not_tilt() {
         let half = 0.5_f64.sqrt();
-        let (rest, turned, tipped) =
-            ([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, half, 0.0, 0.0, half], [0.0, 0.0, 0.0, half, half, 0.0, 0.0]);
+        let (rest, turned, tipped) = (
+            [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+            [0.0, 0.0, 0.0, half, 0.0, 0.0, half],
+            [0.0, 0.0, 0.0, half, half, 0.0, 0.0],
+        );
         assert!(tilt(&rest, &turned) < 1e-6 && (tilt(&rest, &tipped) - 1.5708).abs() < 1e-3);
         assert!((angle(&rest, &turned) - 1.5708).abs() < 1e-3);
     }

@@ -55,12 +55,19 @@ pub(crate) fn requalification_document(of: &RequalificationPage<'_>) -> Document
         kind: "requalification",
         title: of.title.to_owned(),
         subtitle: of.subtitle.to_owned(),
-        figure: if result.success.pairs > 0 { format!("{} points", points(result.success.difference)) } else { "-".to_owned() },
+        figure: if result.success.pairs > 0 {
+            format!("{} points", points(result.success.difference))
+        } else {
+            "-".to_owned()
+        },
         figure_label: "change of the success rate".to_owned(),
         interval: format!("95 % interval {} points", points_range(result.success.interval_95)),
         scale: html! {},
         answer: result.headline.clone(),
-        columns: [("What changed", found), ("How it was tested", tested)].into_iter().filter(|(_, lines)| !lines.is_empty()).collect(),
+        columns: [("What changed", found), ("How it was tested", tested)]
+            .into_iter()
+            .filter(|(_, lines)| !lines.is_empty())
+            .collect(),
         sections: [Some(changes(result)), Some(properties(result)), starts(result), differences(result), versions(of)]
             .into_iter()
             .flatten()
@@ -135,7 +142,14 @@ fn differences(of: &Requalification) -> Option<Section> {
     let step = |at: Option<usize>| or_dash(at, |at| at.to_string());
     let rows = explanation.divergence.iter().map(|of| {
         let [before, after] = of.endings.clone();
-        vec![of.index.to_string(), step(of.first), step(of.visible), or_dash(of.body.clone(), |body| body), before, after]
+        vec![
+            of.index.to_string(),
+            step(of.first),
+            step(of.visible),
+            or_dash(of.body.clone(), |body| body),
+            before,
+            after,
+        ]
     });
     let heads = [
         ("episode", Number),
@@ -163,9 +177,11 @@ fn differences(of: &Requalification) -> Option<Section> {
 
 fn versions(of: &RequalificationPage<'_>) -> Option<Section> {
     let rows = of.packages.iter().map(|row| row.to_vec()).collect();
-    let packages = Table::new("Packages with another version", &[("package", Text), ("before", Short), ("after", Short)], rows);
+    let packages =
+        Table::new("Packages with another version", &[("package", Text), ("before", Short), ("after", Short)], rows);
     let rows = of.versions.iter().map(|row| row.to_vec()).collect();
     let between = Table::new("Versions in between", &[("version", Short), ("answer", Text)], rows);
-    let blocks: Vec<Block> = [packages, between].into_iter().filter(|table| !table.rows.is_empty()).map(Block::Table).collect();
+    let blocks: Vec<Block> =
+        [packages, between].into_iter().filter(|table| !table.rows.is_empty()).map(Block::Table).collect();
     (!blocks.is_empty()).then(|| section("rates-versions", "Versions", blocks))
 }

@@ -79,8 +79,12 @@ impl Servers {
         let thread = thread::spawn(move || {
             for Request { first, reply } in requests {
                 let first = first.then_some("--first");
-                let arguments: Vec<&str> =
-                    ["--child", &name].into_iter().chain(first).chain(loads.as_deref()).chain(probe.as_deref()).collect();
+                let arguments: Vec<&str> = ["--child", &name]
+                    .into_iter()
+                    .chain(first)
+                    .chain(loads.as_deref())
+                    .chain(probe.as_deref())
+                    .collect();
                 // Without a receiver the process is dropped, which ends it.
                 let _ = reply.send(python.start("serve", &arguments));
             }

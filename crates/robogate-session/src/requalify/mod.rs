@@ -156,7 +156,8 @@ impl RecordedRun {
             (Upgrade::Engine(name), Some(Place::Cell(place))) => {
                 let Some(engine) = ENGINES.iter().find(|engine| engine.name == name) else {
                     let known: Vec<&str> = ENGINES.iter().map(|engine| engine.name).collect();
-                    return Err(anyhow!("--engine {name}: no such engine. Expected one of: {}", known.join(", "))).or_request();
+                    return Err(anyhow!("--engine {name}: no such engine. Expected one of: {}", known.join(", ")))
+                        .or_request();
                 };
                 (place.engine, place.time_step_s) = (engine.name.to_owned(), engine.time_step_s);
             }
@@ -205,7 +206,10 @@ impl RecordedRun {
             let engine = subject.provenance(self.provenance.space.clone())?.engine;
             Ok([Some(engine.name), engine.version].into_iter().flatten().collect::<Vec<_>>().join(" "))
         };
-        let engines = [describe(&self.before.subject)?, side.as_ref().map_or(Ok("-".to_owned()), |side| describe(&side.subject))?];
+        let engines = [
+            describe(&self.before.subject)?,
+            side.as_ref().map_or(Ok("-".to_owned()), |side| describe(&side.subject))?,
+        ];
         let mut repeats_run = [0, 0];
         let result = match side {
             Err(failure) => Requalification::does_not_start(format!("{:#}", failure.error), planned),
@@ -213,7 +217,8 @@ impl RecordedRun {
                 let scenarios = self.entries.iter().map(planned_episode).collect();
                 let task = self.before.subject.task();
                 let mut judge = Requalifier::new(scenarios, task.modes().count(), how.margin, how.error);
-                let first: Vec<_> = self.entries.iter().take(REPEATED).map(|entry| entry.episode.scenario.clone()).collect();
+                let first: Vec<_> =
+                    self.entries.iter().take(REPEATED).map(|entry| entry.episode.scenario.clone()).collect();
                 for (subject, when) in [(&self.before.subject, "before"), (&side.subject, "after")] {
                     if let Some(found) = repeats(subject, &first)?.filter(|found| found.other_start > 0) {
                         judge.is_unpaired(format!(

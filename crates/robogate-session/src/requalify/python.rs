@@ -102,16 +102,22 @@ impl Packages {
         let own = Self::of(&python)?;
         let site = own.folders.iter().find(|path| path.starts_with(&folder)).cloned();
         let site = site.ok_or_else(|| anyhow!("{}: it has no folder for packages", folder.display())).or_broken()?;
-        let add: Vec<String> = self.folders.iter().map(|path| format!("site.addsitedir({:?})", path.display().to_string())).collect();
+        let add: Vec<String> =
+            self.folders.iter().map(|path| format!("site.addsitedir({:?})", path.display().to_string())).collect();
         fs::write(site.join("zz_first_environment.pth"), format!("import site; {}\n", add.join("; "))).or_broken()?;
         let mut pip = Command::new(&python);
-        pip.current_dir(parent).args(["-m", "pip", "install", "--disable-pip-version-check", "--no-input"]).args(&requirements);
+        pip.current_dir(parent)
+            .args(["-m", "pip", "install", "--disable-pip-version-check", "--no-input"])
+            .args(&requirements);
         let output = run(&mut pip).or_broken()?;
         if !output.status.success() {
             let text = errors(&output);
             // Nothing that the user can correct but the requirement, or a network that is gone.
             let missing = text.contains("No matching distribution") || text.contains("Invalid requirement");
-            let error = anyhow!("pip cannot install {}: {text}\nHint: `python -m pip index versions PACKAGE` lists versions", requirements.join(" "));
+            let error = anyhow!(
+                "pip cannot install {}: {text}\nHint: `python -m pip index versions PACKAGE` lists versions",
+                requirements.join(" ")
+            );
             return Err(Failure::broken_if(!missing, error));
         }
         // Written last, so that an interrupted installation is repeated.
@@ -127,7 +133,11 @@ impl Packages {
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
         let listed = text.lines().find_map(|line| line.trim().strip_prefix("Available versions:"));
         let Some(listed) = listed.filter(|_| output.status.success()) else {
-            return Err(anyhow!("pip lists no versions of {package}: {}\nHint: name them with --versions A,B,C", errors(&output))).or_request();
+            return Err(anyhow!(
+                "pip lists no versions of {package}: {}\nHint: name them with --versions A,B,C",
+                errors(&output)
+            ))
+            .or_request();
         };
         let mut versions: Vec<String> = listed.split(',').map(|version| version.trim().to_owned()).collect();
         versions.sort_by_key(|version| order(version));
@@ -140,9 +150,11 @@ impl Packages {
     /// The name of the folder of an environment with these requirements.
     fn key(&self, requirements: &[String]) -> Result<String, Failure> {
         let mut digest = Sha256::new();
-        for text in [&*self.python.to_string_lossy(), &*self.version].into_iter().map(str::to_owned).chain(
-            self.packages.iter().map(|(name, version)| format!("{name}=={version}")),
-        ) {
+        for text in [&*self.python.to_string_lossy(), &*self.version]
+            .into_iter()
+            .map(str::to_owned)
+            .chain(self.packages.iter().map(|(name, version)| format!("{name}=={version}")))
+        {
             digest.update(text);
             digest.update([0]);
         }
@@ -165,7 +177,9 @@ fn pinned(text: &str) -> Result<String, Failure> {
         return path
             .canonicalize()
             .map(|full| full.display().to_string())
-            .with_context(|| format!("--env-with {text}: cannot be read\nHint: name a wheel or a folder, or PACKAGE==VERSION"))
+            .with_context(|| {
+                format!("--env-with {text}: cannot be read\nHint: name a wheel or a folder, or PACKAGE==VERSION")
+            })
             .or_request();
     }
     let plain = text.chars().all(|c| c.is_ascii_alphanumeric() || "=-_.[],+!".contains(c));
@@ -196,7 +210,8 @@ fn errors(output: &Output) -> String {
     const LINES: usize = 8;
     let text = String::from_utf8_lossy(&output.stderr);
     let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with("[notice]")).collect();
-    crate::text::foreign(lines[lines.len().saturating_sub(LINES)..].join("\n").trim()).to_string()
+    let last = lines[lines.len().saturating_sub(LINES)..].iter().map(|line| crate::text::foreign(line).to_string());
+    last.collect::<Vec<_>>().join("\n  ").trim().to_owned()
 }
 
 #[cfg(test)]

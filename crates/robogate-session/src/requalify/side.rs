@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 use std::thread;
 
 use anyhow::{Context, anyhow};
@@ -89,13 +89,19 @@ impl Side {
         let records = !self.subject.is_launched();
         worker.environment.record_trajectory(records.then_some(self.subject.task().control_period_s));
         let mut start = None;
-        let episode = rollout_with(&mut *worker.environment, &mut *worker.policy, &entry.episode.scenario, &mut |tick| {
-            start.get_or_insert_with(|| {
-                tick.observation.vectors.iter().flat_map(|(_, values)| values).copied().collect::<Vec<f64>>()
+        let episode =
+            rollout_with(&mut *worker.environment, &mut *worker.policy, &entry.episode.scenario, &mut |tick| {
+                start.get_or_insert_with(|| {
+                    tick.observation.vectors.iter().flat_map(|(_, values)| values).copied().collect::<Vec<f64>>()
+                });
             });
-        });
         let trace = if records {
-            worker.environment.take_trajectory().filter(|motion| !motion.frames.is_empty()).as_ref().map(Trace::of_motion)
+            worker
+                .environment
+                .take_trajectory()
+                .filter(|motion| !motion.frames.is_empty())
+                .as_ref()
+                .map(Trace::of_motion)
         } else {
             fs::read(&file).ok().and_then(|bytes| match Trace::read(&bytes) {
                 Ok(trace) => Some(trace),
@@ -111,7 +117,7 @@ impl Side {
             ticks: episode.ticks,
             hash: episode.trajectory_hash,
             start: start.unwrap_or_default(),
-            trace,
+            trace: trace.map(Arc::new),
             ..planned_episode(entry)
         }
     }

@@ -127,7 +127,9 @@ impl Requalify {
         let mut run = RecordedRun::open(&self.run, opening, &how)?;
         let found = run.requalify(&self.upgrade(), &how, &mut progress)?;
         let (tried, first_changed) = match between {
-            Some((package, to)) if has_changed(found.result.answer) => self.bisect(&mut run, &how, package, to, &found)?,
+            Some((package, to)) if has_changed(found.result.answer) => {
+                self.bisect(&mut run, &how, package, to, &found)?
+            }
             _ => (Vec::new(), None),
         };
         if let Some(file) = &self.html {
@@ -163,7 +165,11 @@ impl Requalify {
     fn bisected(&self) -> Result<Option<(&str, &str)>, Exit> {
         match self.env_with.as_slice() {
             _ if !self.bisect => Ok(None),
-            [one] => one.split_once("==").map(Some).ok_or_else(|| anyhow!("--bisect needs PACKAGE==VERSION, not {one}")).or_usage(),
+            [one] => one
+                .split_once("==")
+                .map(Some)
+                .ok_or_else(|| anyhow!("--bisect needs PACKAGE==VERSION, not {one}"))
+                .or_usage(),
             _ => Err(anyhow!("--bisect needs one package\nHint: name one with --env-with PACKAGE==VERSION")).or_usage(),
         }
     }
@@ -218,17 +224,18 @@ fn title(found: &Requalified) -> String {
 fn subtitle(found: &Requalified) -> String {
     let [before, after] = &found.engines;
     let [same, of] = found.repeats_run;
-    let repeated = if of > 0 { format!("; {same} of {of} episodes before repeat those of the run bit for bit") } else { String::new() };
+    let repeated = if of > 0 {
+        format!("; {same} of {of} episodes before repeat those of the run bit for bit")
+    } else {
+        String::new()
+    };
     format!("{before} before, {after} after{repeated}")
 }
 
 fn page(found: &Requalified, tried: &[Tried]) -> String {
     let version = |version: &Option<String>| version.clone().unwrap_or_else(|| "none".to_owned());
-    let packages: Vec<[String; 3]> = found
-        .packages
-        .iter()
-        .map(|of| [of.package.clone(), version(&of.before), version(&of.after)])
-        .collect();
+    let packages: Vec<[String; 3]> =
+        found.packages.iter().map(|of| [of.package.clone(), version(&of.before), version(&of.after)]).collect();
     let versions: Vec<[String; 2]> = tried.iter().map(|of| [of.version.clone(), of.headline.clone()]).collect();
     requalification_html(&RequalificationPage {
         title: &title(found),
@@ -272,17 +279,20 @@ fn print(found: &Requalified, tried: &[Tried], first_changed: Option<&str>) {
     if let Some(median) = visible.get(visible.len() / 2) {
         let body = result.explanation.divergence.iter().find_map(|of| of.body.clone()).unwrap_or_default();
         wrapped(&format!(
-            "Motion differs by more than 1 mm in {} of {} episodes, at the median from control period {median} on ({body} first in one).",
+            "Motion differs by more than 1 mm in {} of {} episodes, at the median from control period {median} on (body {body} in the first of them).",
             visible.len(),
             result.explanation.divergence.len()
         ));
     }
     for of in &result.explanation.signals {
         let [before, after] = of.mean.map(|x| significant(x, 3));
-        line(dim(format_args!("  {:<24} mean {before:>9} before, {after:>9} after", of.name.replace('_', " "))));
+        line(dim(format_args!("  {:<22} {before:>9} before, {after:>9} after (mean)", of.name.replace('_', " "))));
     }
     if result.answer == Answer::NoRelevantChange || result.answer == Answer::Inconclusive {
-        wrapped(&format!("Not excluded: a net change of any property in up to {} of the episodes.", percent(result.bound)));
+        wrapped(&format!(
+            "Not excluded: a net change of any property in up to {} of the episodes.",
+            percent(result.bound)
+        ));
     }
     if let Some(first) = first_changed {
         line("");

@@ -33,7 +33,7 @@ class Push(gymnasium.Env):
         super().reset(seed=None if seed is None else seed + (1000 if BEHAVIOUR == "seeds" else 0))
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[1:3] = self.np_random.uniform((0.0, -0.02), (0.05, 0.02))
-        self.data.qpos[3] += {"starts": 0.02, "rounding": 1e-12}.get(BEHAVIOUR, 0.0)
+        self.data.qpos[2] += {"starts": 0.015, "rounding": 1e-12}.get(BEHAVIOUR, 0.0)
         self.target = self.np_random.uniform(0.12, 0.2)
         mujoco.mj_forward(self.model, self.data)
         return self.observe(), {}
