@@ -38,6 +38,7 @@ mod ranking;
 mod real;
 mod record;
 mod remarks;
+mod requalification;
 mod requirement;
 mod requirement_test;
 mod requirements;
@@ -73,6 +74,10 @@ pub use ranking::{DroppedPolicy, RankedPair, RankedPolicy, Ranking, RankingDesig
 pub use real::{RealEvidence, RealStratum};
 pub use record::{Population, REPEATED, Record};
 pub use remarks::CLIPPED_ACTIONS;
+pub use requalification::{
+    Answer, Change as RequalifiedChange, Divergence, Explanation, Group, Part, PropertyChange, Requalification,
+    Requalifier, Seen, SignalChange, Starts, SuccessChange, Trace,
+};
 pub use requirement::{Bound, Each, Requirement, Sense};
 pub use requirements::{Budget, Family, Mode, Requirements};
 pub use ruled_out::{FrequentFault, RuledOut};

@@ -8,6 +8,7 @@
 //! | a [`Comparison`](robogate_analysis::Comparison) | [`comparison_html`], [`comparison_markdown`], [`comparison_text`], [`comparison_json`] |
 //! | a [`Transfer`](robogate_analysis::transfer::Transfer) | [`transfer_html`], [`transfer_text`], [`transfer_json`] |
 //! | an [`Evaluation`] of the gate | [`junit`], [`verdict_html`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
+//! | a [`Requalification`](robogate_gate::Requalification) | [`requalification_html`] |
 //! | episodes of runs | [`explorer_page`], [`replay_page`] |
 //! | a [`Leaderboard`](robogate_gate::Leaderboard) | [`leaderboard_html`], [`leaderboard_markdown`] |
 //! | a [`Fleet`](robogate_gate::Fleet) | [`fleet_html`], [`fleet_markdown`] |
@@ -25,6 +26,7 @@ mod watch;
 use robogate_analysis::PairCounts;
 use robogate_gate::{Evaluation, ForceLimitResult, NominalRate, Twins};
 
+pub use document::{RequalificationPage, answer_label};
 pub use figures::{FigureFile, figure_files};
 pub use gate::{
     Change, RequirementRow, TwinRow, evaluation_markdown, evaluation_markdown_with, evidence_html, feasible_part,
@@ -33,7 +35,8 @@ pub use gate::{
     sign, verdict_html, what_next, what_to_change,
 };
 pub use html::{
-    comparison_html, comparison_html_with, explorer_page, html, html_with, replay_page, script_data, transfer_html,
+    comparison_html, comparison_html_with, explorer_page, html, html_with, replay_page, requalification_html,
+    script_data, transfer_html,
 };
 pub use json::{
     AnalysisReport, ComparisonReport, TransferReport, analysis_json, analysis_json_with, comparison_json, transfer_json,

@@ -43,6 +43,7 @@ mod remote;
 mod renderer;
 mod reopening;
 mod repetition;
+mod requalify;
 mod rerun;
 mod rival;
 mod rounds;
@@ -93,6 +94,7 @@ pub use registry::{
 pub use remote::{CellTask, PhysicsHost, Simulators};
 pub use reopening::{Permit, Program, Reopening, Trust};
 pub use repetition::repeats;
+pub use requalify::{Packages, RecordedRun, Requalified, Requalifying, Upgrade, VersionChange};
 pub use rerun::{Rerun, rerun};
 pub use rival::Rival;
 pub use rounds::{Rounds, ruled_out};

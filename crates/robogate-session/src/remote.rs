@@ -37,12 +37,14 @@ pub struct Simulators {
     pub sandbox: Option<bool>,
     /// A policy that the processes of the environment load.
     pub loads: Option<LoadedPolicy>,
+    /// The folder to which these processes write the physics of their episodes. `None`: they write none.
+    pub probe: Option<PathBuf>,
 }
 
 impl Default for Simulators {
     /// No remote simulator.
     fn default() -> Self {
-        Self { addresses: Vec::new(), python: None, timeout_s: 30.0, sandbox: None, loads: None }
+        Self { addresses: Vec::new(), python: None, timeout_s: 30.0, sandbox: None, loads: None, probe: None }
     }
 }
 
@@ -74,6 +76,7 @@ impl Simulators {
             self.python.clone(),
             interpreter,
             self.timeouts(),
+            self.probe.as_deref(),
         )?;
         let pool = Pool::connect(&[address], self.timeouts(), listener()).map_err(pool_error)?;
         if !pool.hello().deterministic {

@@ -34,6 +34,8 @@ pub struct Reopening {
     pub simulators: Simulators,
     /// Whether new episodes continue the run. They need the original files; all else can use the copies in the run's folder.
     pub continues: bool,
+    /// Whether the environment may be another version than that of the run: another engine, other packages and what follows from them.
+    pub upgraded: bool,
 }
 
 /// Whether the programs that a record names may start, although the user did not make the run on this machine. They can run
@@ -134,6 +136,13 @@ impl Reopening {
     /// The same for a second policy of the run: `--policy` names the first one.
     pub fn without_policy(&self) -> Self {
         Self { policy: None, ..self.clone() }
+    }
+
+    /// The same, whose processes write the physics of their episodes to this folder.
+    pub(crate) fn probed(&self, folder: &Path) -> Self {
+        let mut probed = self.clone();
+        probed.simulators.probe = Some(folder.to_owned());
+        probed
     }
 
     /// Checks that `programs`, which the run in `folder` names, may start.

@@ -110,6 +110,7 @@ impl SimulatorArguments {
             python: self.python.clone(),
             sandbox: self.sandbox.map(|switch| switch == Switch::On),
             loads: None,
+            probe: None,
         }
     }
 }
@@ -278,6 +279,7 @@ impl ReopeningArguments {
             access: self.access.choice(),
             simulators: self.simulators.choice(),
             continues: false,
+            upgraded: false,
         }
     }
 }

@@ -40,6 +40,9 @@ const MEMBERS: [&[&str]; 4] = [
         "wordings",
         "rate",
         "event",
+        "env-with",
+        "bisect",
+        "versions",
     ],
     &[
         "engine",
@@ -73,6 +76,8 @@ const MEMBERS: [&[&str]; 4] = [
         "requests",
         "episodes",
         "check",
+        "pairs",
+        "all",
     ],
     &["out", "json", "html", "format", "gif", "mp4", "mcap", "png-strip", "sheet", "list", "force", "svg", "csv"],
 ];

@@ -131,6 +131,8 @@ enum Verb {
     Trial(commands::trial::Trial),
     /// Check that a deployed policy is the one that was judged
     Admit(commands::admit::Admit),
+    /// Find out what an upgrade changes: another version of a package, a policy, a robot or an engine
+    Requalify(commands::requalify::Requalify),
     /// Monitor deployed robots for drift, with a guaranteed false-alarm rate
     Monitor(commands::monitor::Monitor),
 }
@@ -246,6 +248,7 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Transfer(verb) => verb.execute(),
         Verb::Trial(verb) => verb.execute(),
         Verb::Admit(verb) => verb.execute(),
+        Verb::Requalify(verb) => verb.execute(),
         Verb::Monitor(verb) => verb.execute(),
     }
 }

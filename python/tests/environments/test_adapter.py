@@ -586,11 +586,17 @@ class Faults(unittest.TestCase):
         def rewrites(model, data):
             original(model, data)
             model.eq_data[0, 3:6] = (0, 0, 0.05)
+            # A field that follows from the mass in some version only, such as dof_length from sizes since MuJoCo 3.9.
+            model.dof_armature[0] = 0.1 * (model.body_mass[2] - 1.0)
 
         before = {name: array.copy() for name, array in module._numbers(Env.model).items()}
         edited = module.Model(Env())
         mujoco.mj_setConst = rewrites
         try:
+            # Without an effect on derived fields.
+            edited.edit(Env.model.geom_friction, (0, 0), 0.5)
+            edited.finish()
+            edited.restore()
             edited.edit(Env.model.body_mass, 2, 2.0)
             edited.finish()
             np.testing.assert_array_equal(Env.model.eq_data, before["eq_data"])

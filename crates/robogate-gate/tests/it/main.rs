@@ -13,6 +13,7 @@ mod leaderboard;
 mod planning;
 mod production;
 mod real;
+mod requalification;
 mod ruled_out;
 mod score;
 mod simulated;

@@ -3,6 +3,7 @@
 mod analysis;
 mod comparison;
 mod map;
+mod requalification;
 mod transfer;
 
 use maud::Markup;
@@ -13,6 +14,8 @@ use crate::watch::Watch;
 
 pub(crate) use analysis::analysis_document;
 pub(crate) use comparison::comparison_document;
+pub(crate) use requalification::requalification_document;
+pub use requalification::{RequalificationPage, answer_label};
 pub(crate) use transfer::transfer_document;
 
 /// A document. Its texts are plain; the HTML and Markdown writers escape them.

@@ -19,7 +19,8 @@ pub use replay::replay_page;
 
 use crate::Additions;
 use crate::document::{
-    Block, Document, Figure, Kind, Section, Table, analysis_document, comparison_document, transfer_document,
+    Block, Document, Figure, Kind, RequalificationPage, Section, Table, analysis_document, comparison_document,
+    requalification_document, transfer_document,
 };
 use crate::watch::Watch;
 
@@ -52,6 +53,11 @@ pub fn comparison_html_with(comparison: &Comparison, watch: Option<&Watch>) -> S
 /// A transfer to the real robot as one self-contained page with the same properties.
 pub fn transfer_html(transfer: &Transfer) -> String {
     page(&transfer_document(transfer), None)
+}
+
+/// A requalification as one self-contained page with the same properties.
+pub fn requalification_html(of: &RequalificationPage<'_>) -> String {
+    page(&requalification_document(of), None)
 }
 
 /// What the head of every page begins with.

@@ -8,7 +8,6 @@ mod servers;
 
 pub use imported::ENVIRONMENT;
 pub(crate) use imported::{check_beside, kept};
-#[cfg(feature = "mujoco")]
 pub(crate) use python::cache;
 pub use python::{Interpreter, installed, installed_marker};
 pub use servers::Servers;

@@ -65,6 +65,7 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/serving/offer.py"),
     embedded!("robogate_eval/serving/process.py"),
     embedded!("robogate_eval/serving/opened.py"),
+    embedded!("robogate_eval/serving/probe.py"),
     embedded!("robogate_eval/serving/rendering.py"),
     embedded!("robogate_eval/serving/sandbox.py"),
     embedded!("robogate_eval/serving/scoring.py"),

@@ -63,23 +63,28 @@ struct Ready {
 
 impl Servers {
     /// Starts the first server. Each server also loads this policy. `timeouts` also limit its calls of the environment before it is
-    /// ready.
+    /// ready. They write the physics of their episodes to the folder `probe`.
     pub fn start(
         environment: String,
         loads: Option<&LoadedPolicy>,
         named_python: Option<PathBuf>,
         interpreter: Interpreter,
         timeouts: Timeouts,
+        probe: Option<&Path>,
     ) -> Result<(Arc<Self>, Address), Failure> {
         let (starter, requests) = mpsc::channel::<Request>();
         let (name, python) = (environment.clone(), interpreter.clone());
-        let loads = loads.map(LoadedPolicy::argument);
+        let loads = loads.map(|policy| format!("--policy={}", policy.argument()));
+        let probe = probe.map(|folder| format!("--probe={}", folder.display()));
         let thread = thread::spawn(move || {
             for Request { first, reply } in requests {
-                let policy = loads.as_ref().map(|policy| format!("--policy={policy}"));
                 let first = first.then_some("--first");
-                let arguments: Vec<&str> =
-                    ["--child", &name].into_iter().chain(first).chain(policy.as_deref()).collect();
+                let arguments: Vec<&str> = ["--child", &name]
+                    .into_iter()
+                    .chain(first)
+                    .chain(loads.as_deref())
+                    .chain(probe.as_deref())
+                    .collect();
                 // Without a receiver the process is dropped, which ends it.
                 let _ = reply.send(python.start("serve", &arguments));
             }

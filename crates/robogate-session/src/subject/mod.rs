@@ -241,6 +241,18 @@ impl Subject {
         Ok(self)
     }
 
+    /// The same subject with another policy.
+    pub(crate) fn with_policy(self, policy: Option<PolicySource>) -> Result<Self, Failure> {
+        let Self { environment, execution, stress, controls, recorded_robot, .. } = self;
+        let subject = Self::new(environment, policy)?.executed(execution)?.stressed(stress)?;
+        Ok(Self { controls, recorded_robot, ..subject })
+    }
+
+    /// Whether this process starts the processes of its environment.
+    pub(crate) fn is_launched(&self) -> bool {
+        matches!(&self.environment, EnvironmentSource::Remote(RemoteSource { launched: Some(_), .. }))
+    }
+
     /// The same subject with the controls of its gate.
     pub fn with_controls(self, controls: &Controls) -> Self {
         let first_episodes = controls.repeats.map(|_| FirstEpisodes::default());

@@ -136,7 +136,9 @@ impl Subject {
             opening.permit(folder, provenance, &programs_of(&world))?;
         let World { mut place, policy, execution, stress, controls, .. } = world;
         let policy = policy.as_ref().map(PolicySource::recorded).transpose()?;
-        simulators.loads = policy.as_ref().map_or(Ok(None), |policy| policy.loaded(&location)).or_request()?;
+        if let Some(policy) = &policy {
+            simulators.loads = policy.loaded(&location).or_request()?;
+        }
         let mut recorded_robot = None;
         if let Some(own) = permitted_robot {
             let now = cell::identity(&cell::robot(&own).or_request()?.files().or_request()?);
@@ -173,7 +175,9 @@ impl Subject {
                     (Err(why), None) => return Err(why),
                 };
                 let (pool, servers) = simulators.launch(&own)?;
-                servers.imported().same_as(recorded)?;
+                if !opening.upgraded {
+                    servers.imported().same_as(recorded)?;
+                }
                 (Some(pool), Some(Launched { name: environment.clone(), sha256: now, servers }))
             }
             _ => (simulators.connect()?, None),
@@ -192,7 +196,7 @@ impl Subject {
             Some(_) if !remote => {
                 Err(anyhow!("the run was made in the built-in engine {}, without --simulator", engine.name))
             }
-            Some(pool) if !remote::is_engine(pool.hello(), engine) => {
+            Some(pool) if !opening.upgraded && !remote::is_engine(pool.hello(), engine) => {
                 let (now, version) = (remote::engine(pool.hello()), engine.version.as_deref().unwrap_or_default());
                 let other = now.version.as_deref().unwrap_or_default();
                 Err(anyhow!("the run was made in {} {version}; this simulator is {} {other}", engine.name, now.name))

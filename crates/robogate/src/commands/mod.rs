@@ -31,6 +31,7 @@ pub(crate) mod rare;
 pub(crate) mod register;
 pub(crate) mod replay;
 pub(crate) mod report;
+pub(crate) mod requalify;
 pub(crate) mod resume;
 pub(crate) mod robots;
 pub(crate) mod run;

@@ -54,6 +54,7 @@ mod policy;
 mod project;
 mod rank;
 mod rare;
+mod requalify;
 mod runs;
 mod settings;
 mod shards;

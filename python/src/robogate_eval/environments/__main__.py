@@ -26,6 +26,7 @@ def main() -> None:
     serve.add_argument("--policy", help="NAME=lerobot:FOLDER or NAME=sb3:FILE: a policy to load beside the environment's own")
     serve.add_argument("--child", action="store_true", help="serve the parent process: take a free port, and end with the standard input")
     serve.add_argument("--first", action="store_true", help="run one episode before, which shows what the environment imports and opens")
+    serve.add_argument("--probe", help="folder for a file with contacts, motion and solver of each episode")
     describe = verbs.add_parser("describe", help="print the declaration of an environment to the parent process, as JSON after lines about progress")
     describe.add_argument("name")
     requirements = verbs.add_parser("requirements", help="print the pinned requirements of a family, as pip reads them")
@@ -67,7 +68,7 @@ def _serve(arguments: argparse.Namespace) -> None:
     from ..serving import process
 
     if arguments.child:
-        process.serve_child(arguments.name, arguments.policy, arguments.first)
+        process.serve_child(arguments.name, arguments.policy, arguments.first, arguments.probe)
     else:
         environment = find(arguments.name)
         process.serve_adapter(environment if arguments.policy is None else with_policy(environment, arguments.policy), arguments.bind)

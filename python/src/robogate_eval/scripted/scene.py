@@ -114,7 +114,7 @@ class Scene:
         found = self._id(mujoco.mjtObj.mjOBJ_BODY, body)
         first, count = self.model.body_jntadr[found], self.model.body_jntnum[found]
         moving = (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)
-        return next((j for j in range(first, first + count) if self.model.jnt_type[j] in moving), None)
+        return next((j for j in range(first, first + count) if int(self.model.jnt_type[j]) in moving), None)
 
     def joint_position(self, joint):
         """The position of a joint: metres or radians."""

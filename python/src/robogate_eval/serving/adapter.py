@@ -23,6 +23,7 @@ from .knobs import Knob, differs
 from .model import Model, NoModel
 from .motion import Recorder
 from .offer import is_bound, offered
+from .probe import Probe
 from .scoring import Scoring, truth
 from .spaces import Observations, actions_of, same
 from .timing import control_period, step_limit
@@ -90,6 +91,8 @@ class Adapter:
         self.notes: list[str] = []
         self._cameras = Cameras(env, self._model, self._observations, self._task)
         self._scoring = Scoring(self._task)
+        # Records the physics of each episode.
+        self.probe: Probe | None = None
         # Whether an episode that raised runs a second time now.
         self._repeats = False
         self._hash = 0
@@ -309,6 +312,8 @@ class Adapter:
         self._recorder = None
         if scenario.record_s is not None and self._model is not None:
             self._recorder = Recorder(self._env, self._model, scenario.record_s)
+        if self.probe is not None:
+            self.probe.begin(scenario.index, self._model)
         self._policy = None
         self._hosts = scenario.policy is not None
         self._actions.begin()
@@ -445,10 +450,14 @@ class Adapter:
             self._check(self._model)
         if self._recorder is not None:
             self._recorder.advance(trajectory.time_s)
+        if self.probe is not None:
+            self.probe.take()
         ending, measures = self._scoring.ending(trajectory, info), {}
         if len(trajectory.actions) == 1 and ending is not None and ending["failure"] is None:
             self._look_at_start(numbers)
         if ending is not None or over:
+            if self.probe is not None:
+                self.probe.end()
             # A policy is not asked for an action that nobody runs.
             self._policy = None
             if self._task.measure is not None:

@@ -25,7 +25,13 @@ def imported(opened: Opened | None = None) -> dict:
     A file has the `name` of its module as a path (`helpers.py`, `cell/__init__.py`), or its path in the folder of the environment
     (`meshes/link.stl`), which is the same on every machine, its `path`, and its `sha256`. A package has name and version.
     """
-    installed = _folders(site.getsitepackages() if hasattr(site, "getsitepackages") else [], site.getusersitepackages(), *_paths("purelib", "platlib"))
+    installed = _folders(
+        site.getsitepackages() if hasattr(site, "getsitepackages") else [],
+        site.getusersitepackages(),
+        *_paths("purelib", "platlib"),
+        # A Python environment can contain the packages of another one.
+        [folder for folder in sys.path if os.path.basename(folder) in ("site-packages", "dist-packages")],
+    )
     skipped = (*_folders(*_paths("stdlib", "platstdlib")), *_folders(os.environ.get(EMBEDDED, "")))
     files, tops = [], set()
     for name, module in sorted(sys.modules.items()):
@@ -82,8 +88,15 @@ def _name(name: str, module: object, path: Path) -> str:
 
 
 def _packages(tops: set[str]) -> dict[str, str]:
-    """The versions of the distributions that contain these top-level modules."""
+    """The versions of the distributions that contain these top-level modules. One of a folder that another one hides is left out."""
     if not tops:
         return {}
-    names = {name for top, owners in importlib.metadata.packages_distributions().items() if top in tops for name in owners}
+    owners_of = importlib.metadata.packages_distributions()
+    names = {name for top in tops for name in owners_of.get(top, []) if len(owners_of[top]) == 1 or _is_used(name, top)}
     return {name: importlib.metadata.version(name) for name in sorted(names)}
+
+
+def _is_used(name: str, top: str) -> bool:
+    """Whether this top-level module comes from the folder of this distribution."""
+    path = _file(sys.modules.get(top))
+    return path is None or _is_below(path, _folders(str(importlib.metadata.distribution(name).locate_file(""))))

@@ -74,15 +74,20 @@ def _numbers(model: Any) -> dict[str, Any]:
     return {name: value for name, value in fields if isinstance(value, np.ndarray) and value.dtype.kind in "fiub"}
 
 
+def _values(array: Any, content: bytes) -> Any:
+    """Bytes of an array as an array of the same kind and shape."""
+    return np.frombuffer(content, array.dtype).reshape(array.shape)
+
+
 class Model:
     """The model and data of an environment. Edits are undone before the next reset."""
 
     def __init__(self, env: Any):
         self._edits: list[tuple[Any, Any, Any]] = []
-        # What the model had before the first derivation: its fields, and its statistics.
-        self._before: tuple[list[tuple[Any, Any]], dict[str, float]] | None = None
-        # Fields that a derivation must leave alone, found once for each model.
-        self._untouched: tuple[Any, list[str]] | None = None
+        # What the model had before the first derivation: the fields that it changed, and the statistics.
+        self._before: tuple[dict[str, tuple[Any, Any]], dict[str, float]] | None = None
+        # The fields of a model, and those that a derivation must leave alone, found once for each model.
+        self._fields: tuple[Any, dict[str, Any], list[str]] | None = None
         # A model and a state of it, from which each reset starts.
         self._kept: tuple[Any, Any] | None = None
         # Friction that was requested in this episode, by geom.
@@ -152,34 +157,47 @@ class Model:
         import mujoco
 
         model = self.model
-        if self._untouched is None or self._untouched[0] is not model:
-            twin = copy.copy(model)
-            mujoco.mj_setConst(twin, mujoco.MjData(twin))
-            now, then = _numbers(model), _numbers(twin)
-            changed = [name for name in now if name not in DERIVED and not np.array_equal(now[name], then[name], equal_nan=now[name].dtype.kind == "f")]
-            self._untouched = (model, changed)
-        untouched = [(getattr(model, name), getattr(model, name).copy()) for name in self._untouched[1]]
+        if self._fields is None or self._fields[0] is not model:
+            self._fields = (model, _numbers(model), self._authored())
+        _, fields, authored = self._fields
         if self._before is None:
-            derived = [array for name in DERIVED if (array := getattr(model, name, None)) is not None]
-            fields = [(array, array.copy()) for array in derived]
-            self._before = (fields, {name: getattr(model.stat, name) for name in STATISTICS})
+            self._before = ({}, {name: getattr(model.stat, name) for name in STATISTICS})
+        then = {name: array.tobytes() for name, array in fields.items()}
         mujoco.mj_setConst(model, self.scratch)
-        for array, values in untouched:
-            array[...] = values
+        for name in authored:
+            fields[name][...] = _values(fields[name], then[name])
+        for name, array in fields.items():
+            if array.tobytes() != then[name]:
+                self._before[0].setdefault(name, (array, _values(array, then[name])))
+
+    def _authored(self) -> list[str]:
+        """The fields that a derivation changes in the model without edits: the author set them, and they must stay."""
+        import mujoco
+
+        edited = [array[index].copy() for array, index, _ in self._edits]
+        for array, index, value in reversed(self._edits):
+            array[index] = value
+        twin = copy.copy(self.model)
+        for (array, index, _), value in zip(self._edits, edited):
+            array[index] = value
+        fields = {name: array for name, array in _numbers(twin).items() if name not in DERIVED}
+        then = {name: array.tobytes() for name, array in fields.items()}
+        mujoco.mj_setConst(twin, mujoco.MjData(twin))
+        return [name for name, array in fields.items() if array.tobytes() != then[name]]
 
     def restore(self) -> None:
         """Undo all edits."""
         self.friction.clear()
-        while self._edits:
-            array, index, value = self._edits.pop()
-            array[index] = value
         if self._before is not None:
             # The bytes of the environment's author, and not a new derivation.
-            for array, values in self._before[0]:
+            for array, values in self._before[0].values():
                 array[...] = values
             for name, value in self._before[1].items():
                 setattr(self.model.stat, name, value)
             self._before = None
+        while self._edits:
+            array, index, value = self._edits.pop()
+            array[index] = value
 
     def advanced(self) -> bool:
         """Whether the data moved on in time since the last call. If not, the environment steps another model."""

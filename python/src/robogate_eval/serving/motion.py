@@ -121,7 +121,8 @@ def sides(model: Any) -> list[str]:
 
     roots = set()
     for actuator in range(model.nu):
-        kind, target = model.actuator_trntype[actuator], int(model.actuator_trnid[actuator, 0])
+        # From MuJoCo 3.17 on, an enumerator equals an integer of Python, and not always one of NumPy.
+        kind, target = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
         if kind in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT):
             bodies = [model.jnt_bodyid[target]]
         elif kind == mujoco.mjtTrn.mjTRN_TENDON:

@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 import traceback
+from pathlib import Path
 
 import robogate_bridge
 
@@ -18,6 +19,7 @@ from .environment import Environment
 from . import sandbox
 from .imported import imported
 from .opened import Opened
+from .probe import Probe
 
 # Linux: signal that this process gets when the thread that started it ends.
 PR_SET_PDEATHSIG = 1
@@ -91,10 +93,10 @@ class Child:
             os.write(2, f"It was here when it was ended (most recent call last):\n{stack}".encode())
 
 
-def serve_child(name: str, policy: str | None = None, first: bool = False) -> None:
+def serve_child(name: str, policy: str | None = None, first: bool = False, probe: str | None = None) -> None:
     """Serve the environment of this name to the parent process: `robogate run --env`. The answer is its address. `policy` is one to
     load beside its own (`with_policy`). The `first` server of the user's own environment runs one episode before, which shows what
-    the environment imports and opens."""
+    the environment imports and opens. `probe` is a folder for the physics of the episodes (`Probe`)."""
     from ..environments import own_folder
 
     child = Child()
@@ -105,6 +107,8 @@ def serve_child(name: str, policy: str | None = None, first: bool = False) -> No
     adapter = child_adapter(child, name, policy)
     if first and folder:
         adapter.rehearse(child.doing)
+    if probe is not None:
+        adapter.probe = Probe(Path(probe))
     _keep()
     def ready(address: str) -> None:
         child.answer(json.dumps({"listening": address, "refused": sandbox.refused, "notes": adapter.notes} | imported(opened)))
