@@ -133,6 +133,8 @@ enum Verb {
     Admit(commands::admit::Admit),
     /// Monitor deployed robots for drift, with a guaranteed false-alarm rate
     Monitor(commands::monitor::Monitor),
+    /// Train and check a detector that warns within an episode, before it fails
+    Warn(commands::warn::Warn),
 }
 
 fn main() -> ExitCode {
@@ -247,5 +249,6 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Trial(verb) => verb.execute(),
         Verb::Admit(verb) => verb.execute(),
         Verb::Monitor(verb) => verb.execute(),
+        Verb::Warn(verb) => verb.execute(),
     }
 }

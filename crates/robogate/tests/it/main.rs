@@ -72,3 +72,4 @@ mod twins;
 mod verbs;
 #[cfg(feature = "mujoco")]
 mod view;
+mod warn;
