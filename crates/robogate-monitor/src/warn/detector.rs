@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::features::{Features, LAST_PHASE, Moment, Window};
 
-/// Added to the distance at a moment at which no success was in this phase.
+/// Added to the distance at a moment at which no success was in this phase, and once more for each second since the last other one.
 const UNKNOWN_MOMENT: f64 = 5.0;
 
 /// The moments of an episode, in bins of equal length within each phase.
@@ -69,6 +69,8 @@ pub struct Detector {
 #[derive(Debug, Clone)]
 pub(crate) struct Scratch {
     cell: usize,
+    /// The time of that cell, in seconds since the start.
+    known_s: f32,
     z: Vec<f64>,
 }
 
@@ -82,7 +84,7 @@ impl Scratch {
 
     /// Room for this many columns.
     pub(crate) fn of(columns: usize) -> Self {
-        Self { cell: 0, z: vec![0.0; columns] }
+        Self { cell: 0, known_s: 0.0, z: vec![0.0; columns] }
     }
 }
 
@@ -100,7 +102,11 @@ impl Distance {
     /// The distance without the band.
     pub(crate) fn raw(&self, moment: Moment, columns: &[f64], scratch: &mut Scratch) -> f64 {
         let known = self.moments.cell(moment);
-        scratch.cell = known.unwrap_or(scratch.cell);
+        // Times run backwards where the next episode begins.
+        if known.is_some() || moment.time_s < scratch.known_s {
+            (scratch.cell, scratch.known_s) = (known.unwrap_or(0), moment.time_s);
+        }
+        let unknown_s = f64::from(moment.time_s - scratch.known_s);
         let (Some(means), Some(factor)) =
             (self.means.get(scratch.cell), self.factors.get(moment.phase.min(LAST_PHASE)))
         else {
@@ -121,7 +127,7 @@ impl Distance {
             squares += z * z;
             at += i + 1;
         }
-        squares.sqrt() + if known.is_some() { 0.0 } else { UNKNOWN_MOMENT }
+        squares.sqrt() + if known.is_some() { 0.0 } else { UNKNOWN_MOMENT * (1.0 + unknown_s) }
     }
 
     fn score(&self, moment: Moment, columns: &[f64], scratch: &mut Scratch) -> f64 {
@@ -169,7 +175,8 @@ impl<'a> Warner<'a> {
     /// Starts an episode. `parameters` are the values of [`Features::parameters`], NaN for an unknown one.
     pub fn start(&mut self, parameters: &[f64]) {
         self.window.start(parameters);
-        (self.scratch.cell, self.highest, self.warned_s) = (0, f64::NEG_INFINITY, None);
+        (self.scratch.cell, self.scratch.known_s) = (0, 0.0);
+        (self.highest, self.warned_s) = (f64::NEG_INFINITY, None);
     }
 
     /// Takes the row of a control period ([`robogate_core::Signals::write`]) before its action is executed. Returns the score if the

@@ -8,6 +8,7 @@ mod detector;
 mod evaluate;
 mod features;
 mod file;
+mod tally;
 mod train;
 
 pub use detector::{Detector, Distance, Model, Moments, Warner};
@@ -16,6 +17,7 @@ pub use evaluate::{
 };
 pub use features::{Features, LAST_PHASE, MOST_SIGNALS, Moment, Window};
 pub use file::{Baselines, Conditions, EventRule, KnownParameter, WarnFile};
+pub use tally::Tally;
 pub use train::{
     Calibration, PROMISED, Scored, Track, WarnError, calibrate, divided, independent_successes, score, train,
     upper_bound,

@@ -2,7 +2,7 @@
 
 use robogate_core::{Seed, SignalGroup, SignalKind, Signals, Stream};
 use robogate_monitor::warn::{
-    Baselines, Calibration, Conditions, Detector, Features, Model, PROMISED, Scored, Track, WarnError, WarnFile,
+    Baselines, Calibration, Conditions, Detector, Features, Model, PROMISED, Scored, Tally, Track, WarnError, WarnFile,
     Warner, calibrate, divided, false_warnings, score, seconds, train, upper_bound, view,
 };
 
@@ -180,4 +180,21 @@ fn file_repeats_the_scores() {
             assert!(WarnFile { distance: Some(distance), ..read }.detector().is_err());
         }
     }
+}
+
+/// At the promised rate warnings are rarely ever suspended; at three times the rate they soon are.
+#[test]
+fn broken_promise_suspends_warnings() {
+    let suspended_after = |rate: f64, seed: u64| {
+        let mut stream = Seed::campaign(seed).stream("tally");
+        let mut tally = Tally::new(PROMISED);
+        (1..=2_000).find(|_| tally.ended(true, stream.uniform() < rate))
+    };
+    let false_alarms = (0..200).filter(|seed| suspended_after(0.05, *seed).is_some()).count();
+    assert!(false_alarms <= 10, "{false_alarms} of 200");
+    let delays: Vec<Option<u64>> = (0..50).map(|seed| suspended_after(0.15, seed)).collect();
+    assert!(delays.iter().all(Option::is_some), "{delays:?}");
+    let mut tally = Tally::new(PROMISED);
+    assert!(!tally.ended(false, true) && !tally.ended(false, false));
+    assert_eq!((tally.warned_failures, tally.missed_failures, tally.suspended), (1, 1, false));
 }

@@ -4,6 +4,7 @@ mod check;
 mod recorded;
 mod show;
 mod train;
+mod watch;
 
 use std::path::Path;
 
@@ -27,6 +28,8 @@ enum Verb {
     Train(train::TrainOn),
     /// Measure a detector on the episodes of another run, and calibrate it again with --out
     Check(check::CheckOn),
+    /// Warn in episodes that run now: read their control periods as JSON Lines, and write warnings
+    Watch(watch::Watch),
 }
 
 impl Warn {
@@ -34,6 +37,7 @@ impl Warn {
         match &self.verb {
             Verb::Train(train) => train.execute(),
             Verb::Check(check) => check.execute(),
+            Verb::Watch(watch) => watch.execute(),
         }
     }
 }

@@ -22,7 +22,7 @@ use crate::terminal::note;
 /// The run of a detector.
 #[derive(Debug, Args)]
 pub(super) struct RunArguments {
-    /// Folder of a run. Without recorded signals (`run --record-signals`), its episodes run again
+    /// Folder of a run; its episodes run again if it has no recorded signals (`run --record-signals`)
     #[arg(value_name = "DIR")]
     pub(super) run: std::path::PathBuf,
     /// Set the number of threads for episodes that run again; default: one for each core

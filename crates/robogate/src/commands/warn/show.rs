@@ -205,7 +205,7 @@ impl Shown<'_> {
             match verdict {
                 Verdict::Holds => "The promise holds here",
                 Verdict::Broken => "The promise does NOT hold here",
-                Verdict::Unknown => "Too few successes to tell whether the promise holds here",
+                Verdict::Unknown => "Undecided whether the promise holds here",
             },
             count(found.warned),
             format!("{} independent successes", count(found.of)),
@@ -300,7 +300,8 @@ impl Shown<'_> {
     fn over_clock(&self, mode: &ModeView) -> String {
         let found = self.views.over_clock_s.iter().find(|(name, _)| Some(name) == mode.mode.as_ref());
         found.map_or_else(String::new, |(_, s)| {
-            format!("The detector warns {} s before the clock (median).", fixed(*s, 2))
+            let side = if *s < 0.0 { "after" } else { "before" };
+            format!("The detector warns {} s {side} the clock (median).", fixed(s.abs(), 2))
         })
     }
 }

@@ -30,6 +30,9 @@ pub(super) struct TrainOn {
     /// Also use parameters of the scenario that the cell knows before an episode: names, or all
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     parameters: Vec<String>,
+    /// Learn from successes alone, as if no failure were known
+    #[arg(long)]
+    successes_only: bool,
     /// Set the event of a failure mode to the first time at which a measure is above a limit: MODE=MEASURE>LIMIT; default: the end
     /// of the episode
     #[arg(long, value_name = "RULE", value_parser = event_rule)]
@@ -51,7 +54,9 @@ impl TrainOn {
         let Recorded { conditions, signals, parameters, tracks } = recorded;
         let (model, others) = divided(&tracks, self.seed);
         let features = Features { signals, parameters: known.iter().map(|of| of.name.clone()).collect() };
-        let detector = train(features, &model, self.seed).or_usage()?;
+        let kept = |track: &&Track| !self.successes_only || track.failure.is_none();
+        let fitting: Vec<&Track> = model.iter().copied().filter(kept).collect();
+        let detector = train(features, &fitting, self.seed).or_usage()?;
         let scored = scored_all(&others, |track| score(&detector, track).or_usage())?;
         let calibration = calibrate(&scored, PROMISED).or_usage()?;
         let risk = scenario_risk(&model, parameters.len(), self.seed);
@@ -76,7 +81,7 @@ impl TrainOn {
         super::write(&self.out, &file)?;
         note(format_args!("written: {}", foreign(self.out.display())));
         let views = Views::of(&file, &others, &scored, risk.as_ref());
-        let shown = Shown { file: &file, views: &views, fitted: Some(&model), check: None, differences: &[] };
+        let shown = Shown { file: &file, views: &views, fitted: Some(&fitting), check: None, differences: &[] };
         shown.print(self.json)?;
         Ok(DONE)
     }
