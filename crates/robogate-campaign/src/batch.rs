@@ -15,11 +15,11 @@ use std::thread;
 
 use robogate_core::guard::guarded;
 use robogate_core::{
-    Assignment, BatchEnvironment, Episode, Fault, FaultKind, Foresight, Measures, Outcome, Scenario, Workload,
+    Assignment, BatchEnvironment, Episode, Fault, FaultKind, Foresight, Measures, Outcome, Scenario, Tick, Workload,
     rollout_many,
 };
 
-use crate::{ExecuteError, Executor, WorkerFactory};
+use crate::{EpisodeObserver, ExecuteError, Executor, WorkerFactory};
 
 /// An executor with threads of this process, each with a batch of episodes in progress.
 ///
@@ -121,8 +121,8 @@ struct EpisodeThread<'a> {
 
 impl EpisodeThread<'_> {
     fn run(&self, sender: SyncSender<Message>) {
-        let mut episodes =
-            Episodes { thread: self, sender, due: VecDeque::new(), running: Vec::new(), only_due: false };
+        let (due, running, observers) = (VecDeque::new(), Vec::new(), Vec::new());
+        let mut episodes = Episodes { thread: self, sender, due, running, observers, only_due: false };
         self.batches(&mut episodes, self.pool.slots);
     }
 
@@ -147,6 +147,7 @@ impl EpisodeThread<'_> {
     /// Runs the episodes that a panic has ended, each alone. A single one has caused the panic.
     fn after_panic(&self, episodes: &mut Episodes<'_>, why: &str) {
         let running = std::mem::take(&mut episodes.running);
+        episodes.observers.clear();
         if running.len() > 1 {
             episodes.due.extend(running.into_iter().map(|(_, scenario)| scenario));
             episodes.only_due = true;
@@ -171,6 +172,8 @@ struct Episodes<'a> {
     due: VecDeque<Scenario>,
     /// Episodes in progress, with their slots.
     running: Vec<(usize, Scenario)>,
+    /// The observers of the episodes in progress that have one, with their slots.
+    observers: Vec<(usize, Box<dyn EpisodeObserver>)>,
     /// Whether this thread takes no other scenarios than those that are due.
     only_due: bool,
 }
@@ -216,11 +219,21 @@ impl Workload for Episodes<'_> {
         }
         let scenario = self.due.pop_front()?;
         self.running.push((slot, scenario.clone()));
+        self.observers.extend(self.thread.pool.factory.observer().map(|observer| (slot, observer)));
         Some(scenario)
+    }
+
+    fn observe(&mut self, slot: usize, tick: Tick<'_>) {
+        if let Some((_, observer)) = self.observers.iter_mut().find(|(of, _)| *of == slot) {
+            observer.observe(&tick);
+        }
     }
 
     fn finished(&mut self, slot: usize, episode: Episode, _: &mut dyn BatchEnvironment) -> ControlFlow<()> {
         self.running.retain(|(running, _)| *running != slot);
+        if let Some(at) = self.observers.iter().position(|(of, _)| *of == slot) {
+            self.observers.swap_remove(at).1.finish(&episode);
+        }
         self.send(Message::Done(Box::new(episode)))
     }
 }

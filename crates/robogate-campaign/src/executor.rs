@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use robogate_core::{
     BatchEnvironment, BatchPolicy, Environment, Episode, Fault, FaultKind, Foresight, Policy, Scenario,
-    SingleEnvironments, SinglePolicies,
+    SingleEnvironments, SinglePolicies, Tick,
 };
 
 use crate::LostEpisode;
@@ -41,6 +41,15 @@ impl fmt::Debug for BatchWorker {
     }
 }
 
+/// Watches one episode of a campaign while it runs. It cannot change the episode.
+pub trait EpisodeObserver {
+    /// Sees a control period.
+    fn observe(&mut self, tick: &Tick<'_>);
+
+    /// Sees the record of the episode.
+    fn finish(self: Box<Self>, episode: &Episode);
+}
+
 /// Creates workers, each in the thread that uses it. All workers must behave the same, because any of them may run an
 /// episode.
 pub trait WorkerFactory: Sync {
@@ -52,6 +61,11 @@ pub trait WorkerFactory: Sync {
     /// than requested. Returns a fault if no such worker can be created.
     fn batch_worker(&self, slots: NonZeroUsize) -> Result<BatchWorker, Fault> {
         single_workers(self, slots)
+    }
+
+    /// The observer of an episode that is about to start. `None` by default.
+    fn observer(&self) -> Option<Box<dyn EpisodeObserver>> {
+        None
     }
 }
 

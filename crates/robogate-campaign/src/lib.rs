@@ -54,7 +54,7 @@ pub use active::{ActiveReport, ActiveRound, ActiveStage, Certificate, ModelScore
 pub use batch::BatchPool;
 pub use boundary::{BoundaryReport, DrawnFrom, EmphasisFound, Focus, ParameterBoundary, Region, Restricted};
 pub use events::{Event, Warning};
-pub use executor::{BatchWorker, ExecuteError, Executor, Worker, WorkerFactory, single_workers};
+pub use executor::{BatchWorker, EpisodeObserver, ExecuteError, Executor, Worker, WorkerFactory, single_workers};
 pub use follow::{FollowError, Follower, Progress};
 pub use lost::{LostEpisode, RunAgain};
 pub use plan::{BoundaryStage, DEFAULT_SEED, Emphasis, Plan, PlanError, Preset, Range, UniformStage};

@@ -33,6 +33,7 @@ pub mod samplers;
 mod scenario;
 mod seed;
 mod setting;
+mod signals;
 mod space;
 pub mod stress;
 mod suite;
@@ -60,6 +61,7 @@ pub use rollout::{
 pub use scenario::{Assignment, Scenario, Value};
 pub use seed::{Seed, Stream};
 pub use setting::SettingSpec;
+pub use signals::{SignalGroup, SignalKind, Signals, measure_row};
 pub use space::{Correlation, Domain, Parameter, ParameterSpace, Scale, SpaceError};
 pub use suite::{Case, Published, Spread, Suite, SuiteError, SuiteProblem};
 pub use task::{

@@ -41,6 +41,7 @@
 //! | validated region and risk model | [`domain`] |
 //! | differences between robots | [`robogate_stats::overdispersion`] |
 //! | false-alarm rates and detection delays | [`simulate`] |
+//! | warnings within an episode, before a failure | [`warn`] |
 //!
 //! The feature `service` adds the service: feeds, store, outputs and page.
 
@@ -67,6 +68,7 @@ mod series;
 pub mod service;
 mod settings;
 pub mod simulate;
+pub mod warn;
 
 pub use alarm::{Alarm, Happening, Level, Since};
 pub use baseline::{Baseline, BaselineError, Count};

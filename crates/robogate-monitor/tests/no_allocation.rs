@@ -5,8 +5,9 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Arc;
 
-use robogate_core::Seed;
+use robogate_core::{Seed, SignalGroup, SignalKind, Signals};
 use robogate_monitor::domain::{Domain, Predictor, PredictorColumn, Risk, RiskTerm, Validated};
+use robogate_monitor::warn::{Features, Track, Warner, train};
 use robogate_monitor::{Baseline, Count, Cycle, Monitor, ParameterValue, Settings};
 use robogate_stats::flexible::Scorer;
 
@@ -89,4 +90,42 @@ fn cycles_without_alarm_allocate_nothing() {
         monitor.observe(&cycle, &mut |_| alarms += 1).unwrap();
     }
     assert_eq!((CALLS.with(Cell::get) - before, alarms), (0, 0));
+}
+
+/// A warning costs no memory in any control period, for trees and for a distance.
+#[test]
+fn control_periods_allocate_nothing() {
+    let group = |name: &str, kind, length| SignalGroup { name: name.to_owned(), kind, length, unit: String::new() };
+    let groups = vec![
+        group("joint_positions", SignalKind::Observation, 7),
+        group("joint_position", SignalKind::Command, 7),
+        group("gripper", SignalKind::Gripper, 1),
+    ];
+    let signals = Signals { period_s: 0.05, groups, gripper_in_vector: None };
+    let features = Features { signals, parameters: vec!["mass_kg".to_owned()] };
+    let mut stream = Seed::campaign(1).stream("rows");
+    let mut track = |index, fails: bool| Track {
+        index,
+        scenario: index,
+        sampled: true,
+        failure: fails.then(|| "lost".to_owned()),
+        event_s: 3.0,
+        times: (0..60).map(|i| 0.05 * i as f32).collect(),
+        rows: (0..900).map(|_| stream.normal() as f32).collect(),
+        parameters: vec![0.5],
+        scenario_numbers: Vec::new(),
+    };
+    for failing in [2, u64::MAX] {
+        let tracks: Vec<Track> = (0..60).map(|i| track(i, i % failing == 1)).collect();
+        let detector = train(features.clone(), &tracks.iter().collect::<Vec<_>>(), 1).unwrap();
+        let mut warner = Warner::new(&detector, 1e9);
+        let before = CALLS.with(Cell::get);
+        for track in &tracks {
+            warner.start(&track.parameters);
+            for (row, time_s) in track.rows.chunks_exact(15).zip(&track.times) {
+                assert!(warner.observe(*time_s, row).is_some());
+            }
+        }
+        assert_eq!(CALLS.with(Cell::get) - before, 0, "failing {failing}");
+    }
 }

@@ -1,17 +1,20 @@
 //! The workers that run the episodes of a subject.
 
 use std::num::NonZeroUsize;
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use anyhow::anyhow;
 use robogate_campaign::{BatchPool, Completion, Event, Executor, RunError};
+use robogate_core::{Episode, Scenario};
 use robogate_risk::all_processors;
 
 use crate::failure::{Failure, OrFailure};
 use crate::lost_episodes::{Outage, RunsLostAgain};
 use crate::notice::note;
+use crate::signals::SIGNALS;
 use crate::subject::Subject;
 
 /// The workers of a campaign.
@@ -76,6 +79,34 @@ impl Workers<'_> {
         }
     }
 
+    /// Runs these recorded episodes again and records their signals in the folder of the run. Returns how many ran.
+    ///
+    /// # Errors
+    /// Servers that cannot be started, or a file that cannot be written. The unfinished file is removed.
+    pub fn record_signals(
+        &self,
+        run: &Path,
+        subject: &Subject,
+        scenarios: &[Scenario],
+        receive: &mut dyn FnMut(&Episode) -> ControlFlow<()>,
+    ) -> Result<usize, Failure> {
+        subject.begin_signals(run, true)?;
+        let mut done = 0;
+        let ran = self.with_pool(subject, |pool| {
+            pool.execute(&|at| scenarios.get(at).cloned(), &mut |episode| {
+                done += 1;
+                receive(&episode)
+            })
+            .or_broken()
+        });
+        let ended = ran.and_then(|()| subject.end_signals(run));
+        if ended.is_err() || done < scenarios.len() {
+            // The error that ended the episodes is reported.
+            let _ = std::fs::remove_file(run.join(SIGNALS));
+        }
+        ended.map(|()| done)
+    }
+
     /// Runs a campaign in the folder `dir` with `work`. Episodes that an unavailable server lost run again.
     ///
     /// # Errors
@@ -87,15 +118,23 @@ impl Workers<'_> {
         events: &mut dyn FnMut(&Event),
         work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
     ) -> Result<Completion, Failure> {
-        let mut keeping = true;
+        let (mut keeping, mut signals) = (true, Ok(()));
         let mut events = |event: &Event| {
-            // The folder exists, and no episode has run yet.
-            if matches!(event, Event::Started { .. }) && std::mem::take(&mut keeping) {
-                subject.keep_files(dir);
+            match event {
+                // The folder exists, and no episode has run yet.
+                Event::Started { .. } if std::mem::take(&mut keeping) => {
+                    subject.keep_files(dir);
+                    signals = subject.begin_signals(dir, false);
+                }
+                // Arms may follow, whose episodes have the same indices.
+                Event::Finished { .. } if signals.is_ok() => signals = subject.end_signals(dir),
+                _ => {}
             }
             events(event);
         };
-        match self.with_pool(subject, |pool| guarded(pool, u64::MAX, &mut events, work))? {
+        let ran = self.with_pool(subject, |pool| guarded(pool, u64::MAX, &mut events, work))?;
+        subject.end_signals(dir).and(signals)?;
+        match ran {
             (Completion::Interrupted { .. }, Some(outage)) => Err(anyhow!(
                 "stopped: {outage}\nHint: the recorded episodes are kept; `robogate resume` runs the others once the server \
                  is available again"

@@ -170,7 +170,7 @@ impl Boosting {
 
     /// The model as text: the log-odds before the first tree, then one line for each tree. A tree lists its nodes from the root,
     /// `column<threshold` or `=value`, each followed by its left and its right part.
-    pub(crate) fn lines(&self) -> Vec<String> {
+    pub fn lines(&self) -> Vec<String> {
         let tree = |tree: &Vec<Node>| {
             let (mut line, mut open) = ("tree".to_owned(), vec![0]);
             while let Some(node) = open.pop() {
@@ -218,6 +218,22 @@ impl Boosting {
             }
         }
         (open.is_empty() && matches!(nodes.last()?, Node::Leaf(_))).then(|| self.trees.push(nodes))
+    }
+
+    /// Reads a model that [`Self::lines`] wrote. `None` if a line is not valid.
+    pub fn parse(lines: &[String], columns: usize) -> Option<Self> {
+        let mut model = Self::empty(columns);
+        for line in lines {
+            let words: Vec<&str> = line.split_whitespace().collect();
+            let (kind, words) = words.split_first().filter(|(kind, _)| matches!(**kind, "start" | "tree"))?;
+            model.read(kind, words)?;
+        }
+        (!lines.is_empty()).then_some(model)
+    }
+
+    /// Bytes of the trees.
+    pub fn bytes(&self) -> usize {
+        self.trees.iter().map(|tree| tree.len() * size_of::<Node>()).sum()
     }
 
     /// The number of columns.

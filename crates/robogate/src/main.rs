@@ -135,6 +135,8 @@ enum Verb {
     Requalify(commands::requalify::Requalify),
     /// Monitor deployed robots for drift, with a guaranteed false-alarm rate
     Monitor(commands::monitor::Monitor),
+    /// Train and check a detector that warns within an episode, before it fails
+    Warn(commands::warn::Warn),
 }
 
 fn main() -> ExitCode {
@@ -250,5 +252,6 @@ fn execute(verb: Verb) -> Result<u8, exit::Exit> {
         Verb::Admit(verb) => verb.execute(),
         Verb::Requalify(verb) => verb.execute(),
         Verb::Monitor(verb) => verb.execute(),
+        Verb::Warn(verb) => verb.execute(),
     }
 }

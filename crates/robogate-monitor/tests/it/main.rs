@@ -5,3 +5,4 @@ mod changes;
 mod common;
 mod paper_rule;
 mod promise;
+mod warn;

@@ -15,7 +15,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 #[cfg(feature = "mujoco")]
 use robogate_campaign::{BatchWorker, single_workers};
-use robogate_campaign::{Worker, WorkerFactory};
+use robogate_campaign::{EpisodeObserver, Worker, WorkerFactory};
 #[cfg(feature = "mujoco")]
 use robogate_core::SinglePolicies;
 use robogate_core::latency::{Execution, LATENCY_PARAMETER, Latency, with_declarations, with_latency};
@@ -41,6 +41,7 @@ use crate::policy_source::{PolicyChoice, PolicyLocation, PolicySource};
 use crate::registry::CELL_TASK;
 #[cfg(feature = "mujoco")]
 use crate::registry::ManyWorlds;
+use crate::signals::{self, SIGNALS, SignalLog};
 use crate::stress::is_stress;
 use robogate_stats::format::{fixed, percent};
 
@@ -73,6 +74,9 @@ pub struct Subject {
     recorder: Recorder,
     /// The first episodes of a gate. `None` if they do not run again.
     first_episodes: Option<FirstEpisodes>,
+    /// Whether runs record the signals of their episodes.
+    records_signals: bool,
+    signals: SignalLog,
 }
 
 impl Subject {
@@ -97,6 +101,8 @@ impl Subject {
             recorded_robot: None,
             recorder: Recorder::default(),
             first_episodes: None,
+            records_signals: false,
+            signals: SignalLog::default(),
         };
         let ready = match &subject.policy {
             // The environment declares it for its own task.
@@ -223,6 +229,25 @@ impl Subject {
         if let Some(policy) = &self.policy {
             policy.keep(run);
         }
+    }
+
+    /// The same subject, whose runs record the signals of their episodes.
+    #[must_use]
+    pub fn recording_signals(self) -> Self {
+        Self { records_signals: true, ..self }
+    }
+
+    /// Begins to record signals in the folder of a run, if they are wanted or if it has some already.
+    pub(crate) fn begin_signals(&self, run: &Path, wanted: bool) -> Result<(), Failure> {
+        if wanted || self.records_signals || run.join(SIGNALS).is_file() {
+            signals::begin(&self.signals, run, &self.task)?;
+        }
+        Ok(())
+    }
+
+    /// Ends the recording of signals.
+    pub(crate) fn end_signals(&self, run: &Path) -> Result<(), Failure> {
+        signals::end(&self.signals, run)
     }
 
     fn executed(mut self, execution: Option<Execution>) -> Result<Self, Failure> {
@@ -598,6 +623,10 @@ impl Subject {
 }
 
 impl WorkerFactory for Subject {
+    fn observer(&self) -> Option<Box<dyn EpisodeObserver>> {
+        self.signals.observer(&self.task)
+    }
+
     #[cfg(feature = "mujoco")]
     fn batch_worker(&self, slots: NonZeroUsize) -> Result<BatchWorker, Fault> {
         let Some((cell, many)) = self.many_worlds() else { return single_workers(self, slots) };

@@ -46,3 +46,4 @@ pub(crate) mod transfer;
 pub(crate) mod trial;
 pub(crate) mod verify;
 pub(crate) mod view;
+pub(crate) mod warn;

@@ -104,6 +104,9 @@ pub(crate) struct Run {
     latency: LatencyArguments,
     #[command(flatten)]
     how: How,
+    /// Record what the policy sees and does in each control period, for `robogate warn` (docs/guides/warn.md)
+    #[arg(long, conflicts_with_all = ["shard", "divide"])]
+    record_signals: bool,
     /// Write the run to this folder; default: a new one under runs/
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -121,8 +124,9 @@ pub(crate) struct Run {
 
 /// The arguments of `run` that do not affect the results of a campaign. clap reports the arguments of the whole command as
 /// well.
-const WITHOUT_EFFECT: [&str; 19] = [
+const WITHOUT_EFFECT: [&str; 20] = [
     "out",
+    "record_signals",
     "force_limits",
     "in_flight",
     "shard",
@@ -199,6 +203,7 @@ impl Run {
         let subject = Subject::new(environment, policy)?;
         let subject =
             subject.with_statistics(&self.policy.choice().statistics)?.with_latency(&self.latency.choice())?;
+        let subject = if self.record_signals { subject.recording_signals() } else { subject };
         let (mut plan, space) = self.plan_and_space(&subject)?;
         let subject = if subject.is_deterministic() { subject } else { subject.with_repeats(&space, plan.seed)? };
         let stressed = space.parameters().iter().filter(|parameter| parameter.name.starts_with(STRESS_PREFIX)).count();

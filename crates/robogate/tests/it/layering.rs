@@ -24,7 +24,7 @@ const MAY_USE: &[(&str, Option<&[&str]>)] = &[
     ("robogate-analysis", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
     ("robogate-replay", Some(&["robogate-core"])),
     ("robogate-report", Some(&["robogate-stats", "robogate-replay", "robogate-analysis", "robogate-gate"])),
-    ("robogate-monitor", Some(&["robogate-core", "robogate-stats"])),
+    ("robogate-monitor", Some(&["robogate-core", "robogate-maths", "robogate-stats"])),
     ("robogate-trial", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
     (
         "robogate-session",

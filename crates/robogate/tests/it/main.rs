@@ -73,3 +73,4 @@ mod twins;
 mod verbs;
 #[cfg(feature = "mujoco")]
 mod view;
+mod warn;

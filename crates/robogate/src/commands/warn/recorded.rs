@@ -1,0 +1,217 @@
+//! The recorded episodes of a run, as a detector learns from them.
+
+use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
+use std::ops::ControlFlow;
+
+use anyhow::anyhow;
+use clap::Args;
+use robogate_campaign::folder::DICTIONARY;
+use robogate_core::{Assignment, Domain, ParameterSpace, Scenario, Signals, Value, Word};
+use robogate_dictionary::{Dictionary, Entry, Provenance, hex};
+use robogate_monitor::warn::{Conditions, EventRule, KnownParameter, MOST_SIGNALS, Track};
+use robogate_session::{Reopening, SIGNALS, Subject, Workers, read_signals};
+use robogate_stats::format::count;
+use sha2::{Digest, Sha256};
+
+use crate::commands::run::stop_on_signal;
+use crate::exit::{Exit, OrExit};
+use crate::number::at_least_one;
+use crate::terminal::note;
+
+/// The run of a detector.
+#[derive(Debug, Args)]
+pub(super) struct RunArguments {
+    /// Folder of a run; its episodes run again if it has no recorded signals (`run --record-signals`)
+    #[arg(value_name = "DIR")]
+    pub(super) run: std::path::PathBuf,
+    /// Set the number of threads for episodes that run again; default: one for each core
+    #[arg(long, value_name = "T", value_parser = at_least_one::<NonZeroUsize>)]
+    threads: Option<NonZeroUsize>,
+}
+
+/// The episodes of a run.
+pub(super) struct Recorded {
+    pub(super) conditions: Conditions,
+    pub(super) signals: Signals,
+    /// The parameters that vary.
+    pub(super) parameters: Vec<KnownParameter>,
+    pub(super) tracks: Vec<Track>,
+}
+
+impl RunArguments {
+    /// Reads the run. `events` are the modes whose event is not the end of the episode, and `known` the parameters that the detector
+    /// gets.
+    pub(super) fn read(
+        &self,
+        events: &[EventRule],
+        known: impl FnOnce(&[KnownParameter]) -> Result<Vec<KnownParameter>, Exit>,
+    ) -> Result<(Recorded, Vec<KnownParameter>), Exit> {
+        let dictionary = Dictionary::open(&self.run.join(DICTIONARY)).or_usage()?;
+        let provenance = dictionary.provenance();
+        let mut entries: BTreeMap<u64, Entry> = BTreeMap::new();
+        for entry in dictionary.entries() {
+            let entry = entry.or_usage()?;
+            entries.insert(entry.index(), entry);
+        }
+        if !self.run.join(SIGNALS).is_file() {
+            self.replay(provenance, &entries)?;
+        }
+        let parameters = varied(&provenance.space);
+        let known = known(&parameters)?;
+        // Without parameters, or with equal ones in all episodes, scenarios differ by their seed.
+        let differ = entries
+            .values()
+            .map(|entry| key(&entry.episode.scenario.requested))
+            .collect::<std::collections::BTreeSet<_>>();
+        let repeats = differ.len() > 1;
+        let (mut tracks, mut foreign) = (Vec::new(), 0_u64);
+        let header = read_signals(&self.run, &mut |header, episode| {
+            let Some(entry) = entries.get(&episode.index) else { return };
+            if entry.episode.trajectory_hash != episode.trajectory_hash {
+                foreign += 1;
+                return;
+            }
+            let (width, numbers) = (header.width(), header.signals.width());
+            let rows = episode.numbers.chunks_exact(width);
+            let times: Vec<f32> = rows.clone().map(|row| row[0]).collect();
+            let failure = match &entry.episode.outcome {
+                robogate_core::Outcome::Success => None,
+                robogate_core::Outcome::Failure(mode) => Some(mode.as_str().to_owned()),
+                robogate_core::Outcome::Invalid(_) => return,
+            };
+            // A policy that gave up ends an episode before its recorded time.
+            let end_s = times.last().map_or(0.0, |last| f64::from(*last) + header.signals.period_s);
+            let rule = events.iter().find(|rule| Some(&rule.mode) == failure.as_ref());
+            let excess_s = rule.and_then(|rule| {
+                let at = 1 + numbers + header.measures.iter().position(|name| name.as_str() == rule.measure)?;
+                let row = rows.clone().find(|row| f64::from(row[at]) > rule.above)?;
+                Some(f64::from(row[0]) + header.signals.period_s)
+            });
+            let requested = &entry.episode.scenario.requested;
+            let stage = (entry.stage.as_str(), entry.design.as_str());
+            tracks.push(Track {
+                index: episode.index,
+                scenario: if repeats { key(requested) } else { episode.index },
+                // The boundary stage and the model of an active stage choose their points.
+                sampled: !matches!(stage, ("boundary", _)) && !(stage.0 == "active" && stage.1 != "uniform"),
+                failure,
+                event_s: entry.episode.time_s.min(end_s).min(excess_s.unwrap_or(f64::INFINITY)),
+                rows: rows.flat_map(|row| row[1..1 + numbers].iter().copied()).collect(),
+                times,
+                parameters: known.iter().map(|of| number(of, requested)).collect(),
+                scenario_numbers: parameters.iter().map(|of| number(of, requested)).collect(),
+            });
+        })?;
+        if foreign > 0 {
+            return Err(anyhow!(
+                "{}: {} of its {SIGNALS} are not those of the recorded episodes\nHint: the environment is not deterministic; repeat the \
+                 run with --record-signals",
+                self.run.display(),
+                count(foreign)
+            ))
+            .or_usage();
+        }
+        if header.signals.width() == 0 || header.signals.width() > MOST_SIGNALS {
+            return Err(anyhow!(
+                "the task has {} numbers in each control period. Expected 1 to {MOST_SIGNALS}\nHint: observe fewer vectors",
+                count(header.signals.width() as u64)
+            ))
+            .or_usage();
+        }
+        let conditions = conditions(provenance);
+        Ok((Recorded { conditions, signals: header.signals, parameters, tracks }, known))
+    }
+
+    /// Runs the episodes again and records their signals.
+    fn replay(&self, provenance: &Provenance, entries: &BTreeMap<u64, Entry>) -> Result<(), Exit> {
+        let subject = Subject::recorded(provenance, Some(&self.run), &Reopening::default())?;
+        let again = "Hint: repeat the run with `robogate run --record-signals`";
+        if !subject.is_deterministic() || subject.many_worlds_engine().is_some() {
+            return Err(anyhow!(
+                "{}: it has no recorded signals, and its episodes cannot be repeated bit for bit\n{again}",
+                self.run.display()
+            ))
+            .or_usage();
+        }
+        note(format_args!("{} episodes run again to record their signals", count(entries.len() as u64)));
+        let stop = stop_on_signal()?;
+        let scenarios: Vec<Scenario> = entries.values().map(|entry| entry.episode.scenario.clone()).collect();
+        let workers = Workers { threads: self.threads, in_flight: None, stop: &stop };
+        let done = workers.record_signals(&self.run, &subject, &scenarios, &mut |_| ControlFlow::Continue(()))?;
+        if done < scenarios.len() {
+            return Err(anyhow!("stopped after {} of {} episodes", count(done as u64), scenarios.len())).or_broken();
+        }
+        Ok(())
+    }
+}
+
+/// The parameters of a space that vary.
+fn varied(space: &ParameterSpace) -> Vec<KnownParameter> {
+    let parameters = space.parameters().iter();
+    let known = parameters.map(|parameter| KnownParameter {
+        name: parameter.name.to_string(),
+        choices: match &parameter.domain {
+            Domain::Categorical { choices } => choices.iter().map(ToString::to_string).collect(),
+            Domain::Continuous { .. } | Domain::Integer { .. } => Vec::new(),
+        },
+    });
+    known.collect()
+}
+
+/// A parameter as a number, NaN if it is unknown.
+fn number(of: &KnownParameter, requested: &Assignment) -> f64 {
+    match requested.get(&of.name) {
+        Some(Value::Number(x)) => *x,
+        Some(Value::Integer(n)) => *n as f64,
+        Some(Value::Category(word)) => {
+            of.choices.iter().position(|choice| **choice == **word).map_or(f64::NAN, |at| at as f64)
+        }
+        None => f64::NAN,
+    }
+}
+
+/// A number that equal scenarios have in common.
+fn key(requested: &Assignment) -> u64 {
+    let mut hash = Sha256::new();
+    for (name, value) in requested.iter() {
+        hash.update(format!("{name}={value:?};"));
+    }
+    let digest = hash.finalize();
+    u64::from_le_bytes(std::array::from_fn(|i| digest[i]))
+}
+
+/// The conditions of episodes.
+fn conditions(provenance: &Provenance) -> Conditions {
+    let short = |sha256: Option<String>| {
+        sha256.map_or_else(String::new, |digest| format!(" (sha256 {})", &digest[..digest.len().min(12)]))
+    };
+    let task = &provenance.task;
+    let changed = task.changed_settings();
+    let suite = provenance.plan.pointer("/suite/suite/name").and_then(serde_json::Value::as_str);
+    let space = serde_json::to_vec(&provenance.space).unwrap_or_default();
+    let digest = hex(&Sha256::digest(space));
+    let population = match suite {
+        Some(suite) => format!("suite {suite}"),
+        None => format!("space {} (sha256 {})", provenance.space.name(), &digest[..12]),
+    };
+    let version = provenance.engine.version.as_deref().unwrap_or_default();
+    Conditions {
+        task: format!("{} {}{}{changed}", task.name, task.version, if changed.is_empty() { "" } else { " with " }),
+        engine: format!("{} {version}", provenance.engine.name).trim_end().to_owned(),
+        robot: format!("{}{}", provenance.robot.name, short(provenance.robot.sha256.clone())),
+        policy: format!("{}{}", provenance.policy, short(provenance.policy_sha256())),
+        population,
+    }
+}
+
+/// A rule such as `jam=peak_contact_force_n>100`.
+pub(super) fn event_rule(text: &str) -> Result<EventRule, String> {
+    let parts = text.split_once('=').and_then(|(mode, rest)| Some((mode, rest.split_once('>')?)));
+    let rule = parts.and_then(|(mode, (measure, above))| {
+        let above = above.trim().parse().ok().filter(|above: &f64| above.is_finite())?;
+        let word = |text: &str| Word::new(text.trim()).ok().map(|word| word.to_string());
+        Some(EventRule { mode: word(mode)?, measure: word(measure)?, above })
+    });
+    rule.ok_or_else(|| "expected MODE=MEASURE>LIMIT, for example jam=peak_contact_force_n>100".to_owned())
+}

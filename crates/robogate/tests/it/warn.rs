@@ -1,0 +1,88 @@
+//! `robogate warn`: record, train, check.
+
+use std::fs;
+
+use tempfile::TempDir;
+
+use crate::harness::{robogate_in, text, verb};
+
+/// Loads of which the heavy ones are sometimes lost.
+const SPACE: &str = r#"
+name = "grip"
+[[parameter]]
+name = "mass_kg"
+kind = "continuous"
+low = 0.1
+high = 0.8
+"#;
+
+#[test]
+fn detector_is_trained_checked_and_calibrated_again() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    fs::write(at.join("grip.toml"), SPACE).unwrap();
+    let run = |seed: u64, n: u32, more: &str| {
+        let line = format!(
+            "run --space grip.toml --design uniform -n {n} --seed {seed} --nominal-episodes 0 --out r{seed} -q{more}"
+        );
+        let output = robogate_in(at, &line.split_whitespace().collect::<Vec<_>>());
+        assert!(output.status.success(), "{}", text(&output));
+    };
+    run(1, 165, " --record-signals --threads 2");
+    run(2, 70, " --record-signals");
+
+    // Recorded while the episodes run, and by a replay, is the same.
+    let recorded = fs::read(at.join("r1/signals.rgs")).unwrap();
+    let answer = verb(at, "warn train r1 --out w.json --json", 0, &["\"calibration\""]);
+    fs::remove_file(at.join("r1/signals.rgs")).unwrap();
+    assert_eq!(verb(at, "warn train r1 --out again.json --json --threads 1", 0, &[]), answer);
+    assert_eq!(fs::read(at.join("r1/signals.rgs")).unwrap(), recorded);
+    assert_eq!(fs::read(at.join("w.json")).unwrap(), fs::read(at.join("again.json")).unwrap());
+    let document: serde_json::Value = serde_json::from_str(&answer).unwrap();
+    let (rank, n) = (&document["calibration"]["rank"], document["calibration"]["successes"].as_u64().unwrap());
+    assert!(n >= 59 && rank.as_u64().unwrap() <= n, "{answer}");
+
+    let checked = robogate_in(at, &["warn", "check", "w.json", "r2"]);
+    assert!(matches!(checked.status.code(), Some(0 | 3)), "{}", text(&checked));
+    assert!(text(&checked).contains("independent successes warned"), "{}", text(&checked));
+    verb(at, "warn check w.json r2 --out c.json", 0, &["at most 5.0 % of successful episodes"]);
+    let file: serde_json::Value = serde_json::from_slice(&fs::read(at.join("c.json")).unwrap()).unwrap();
+    assert_ne!(file["calibration"], document["calibration"], "{file}");
+
+    // A live feed: one number is missing in a line, and one line is no control period.
+    let groups = file["features"]["signals"]["groups"].as_array().unwrap();
+    let of = |kind: &str| -> serde_json::Map<String, serde_json::Value> {
+        let of = groups.iter().filter(|group| group["kind"] == kind);
+        of.map(|group| {
+            let zeros = vec![0.0; group["length"].as_u64().unwrap() as usize];
+            (group["name"].as_str().unwrap().to_owned(), serde_json::json!(zeros))
+        })
+        .collect()
+    };
+    let (observation, command) = (of("observation"), of("command"));
+    let mut lines = vec!["{\"robot\": \"a\", \"start\": {}}".to_owned(), "{\"robot\": 1}".to_owned()];
+    for tick in 0..20 {
+        let time_s = 0.05 * f64::from(tick);
+        let period = serde_json::json!({ "robot": "a", "time_s": time_s, "observation": observation, "command": command, "gripper": 1.0 });
+        lines.push(period.to_string());
+    }
+    lines.push("{\"robot\": \"a\", \"time_s\": 1.0, \"command\": {}}".to_owned());
+    lines.push("{\"robot\": \"a\", \"end\": \"success\"}".to_owned());
+    fs::write(at.join("feed.jsonl"), lines.join("\n")).unwrap();
+    let heard = verb(at, "warn watch c.json feed.jsonl", 2, &["line 2 is rejected", "line 23 is rejected", "missing"]);
+    let last: serde_json::Value = serde_json::from_str(heard.lines().last().unwrap()).unwrap();
+    let successes = |name: &str| last["episodes"][name].as_u64().unwrap();
+    assert_eq!(successes("quiet_successes") + successes("warned_successes"), 1, "{heard}");
+    assert_eq!(last["rejected_lines"], 2, "{heard}");
+
+    // Errors of the user.
+    verb(at, "warn train r1 --out w.json --parameters mass", 2, &["mass_kg"]);
+    verb(at, "warn train r1 --out w.json --event jam", 2, &["MODE=MEASURE>LIMIT"]);
+    fs::write(at.join("empty.json"), "{}").unwrap();
+    verb(at, "warn check empty.json r2", 2, &["not a detector", "Hint: "]);
+    let line = "run --nominal -n 8 --out few -q";
+    robogate_in(at, &line.split_whitespace().collect::<Vec<_>>());
+    verb(at, "warn train few --out few.json", 2, &["successes", "needed"]);
+    fs::write(at.join("r2/signals.rgs"), "no signals").unwrap();
+    verb(at, "warn check w.json r2", 2, &["not a file of signals", "Hint: "]);
+}
