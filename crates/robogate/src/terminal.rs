@@ -307,15 +307,6 @@ fn label(style: &str, word: &str) -> String {
     if colour(&io::stderr()) { format!("{}{word}{}", mark(style), mark("0")) } else { word.to_owned() }
 }
 
-/// Formats a share from 0 to 1 as a bar of `width` cells, in eighths of a cell.
-pub(crate) fn bar(share: f64, width: usize) -> String {
-    const EIGHTHS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
-    let eighths = (share.clamp(0.0, 1.0) * (8 * width) as f64).round() as usize;
-    let text = format!("{}{}", "█".repeat(eighths / 8), EIGHTHS[eighths % 8]);
-    let used = eighths.div_ceil(8);
-    format!("{text}{}", " ".repeat(width - used))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -355,14 +346,5 @@ mod tests {
         assert_eq!(folded("elsewhere 46.8 %", 15), "elsewhere\n  46.8 %");
         // A path is not broken.
         assert_eq!(folded("a/long/path/without/spaces", 10), "a/long/path/without/spaces");
-    }
-
-    #[test]
-    fn bars_have_fixed_width() {
-        for share in [0.0, 0.01, 0.5, 0.99, 1.0, 2.0] {
-            assert_eq!(bar(share, 20).chars().count(), 20);
-        }
-        assert_eq!(bar(0.5, 4), "██  ");
-        assert_eq!(bar(0.0, 2), "  ");
     }
 }
