@@ -620,6 +620,13 @@ class Time(unittest.TestCase):
         with self.assertRaisesRegex(DeclarationError, "`control_timestep` says 0.02 s, `control_freq` says 0.04 s"):
             adapter(Both)
 
+    def test_all_that_is_missing_is_told_at_once(self):
+        class Nothing(_Pictures):
+            dt, max_path_length = None, None
+
+        with self.assertRaisesRegex(DeclarationError, "period and the time limit of .* are unknown(.|\n)*period_s=0.05, time_limit_s=10.0"):
+            adapter(Nothing)
+
     def test_hint_proposes_the_own_control_period(self):
         class Owner:
             time_step, frame_skip = 0.002, 5
@@ -627,7 +634,7 @@ class Time(unittest.TestCase):
         class Steps(_Pictures):
             dt, sim = None, Owner()
 
-        with self.assertRaisesRegex(DeclarationError, r"control_period_s=0.01\)"):
+        with self.assertRaisesRegex(DeclarationError, r"control_period_s=0.01[,)]"):
             adapter(Steps)
 
     def test_wrappers_of_a_package_have_the_time_limit(self):

@@ -23,4 +23,5 @@ def example_file(env: Any, name: str, field: str) -> str:
 
 def unknown(env: Any, name: str, what: str, field: str) -> str:
     """The error for something that neither the environment nor its task says."""
-    return f"the {what} of {name} is unknown. Declare it in a Task:\n{example_file(env, name, field)}"
+    verb, it = ("are", "them") if " and the " in what else ("is", "it")
+    return f"the {what} of {name} {verb} unknown. Declare {it} in a Task:\n{example_file(env, name, field)}"

@@ -15,6 +15,9 @@ from .model import Model
 # What environments and wrappers call the number of control periods of an episode.
 LIMITS = ("max_path_length", "max_episode_steps", "_max_episode_steps", "horizon")
 
+# The example of a time limit in a Task.
+TIME_LIMIT = "time_limit_s=10.0"
+
 
 def control_period(env: Any, task: Task, model: Model | None, rest: Any, doing: Callable[[str], None]) -> float:
     """The time between two actions, in seconds: as declared, as MuJoCo simulates it, or as the environment states it."""
@@ -28,7 +31,10 @@ def control_period(env: Any, task: Task, model: Model | None, rest: Any, doing: 
         return next((one for one in stated if math.isclose(one, simulated, rel_tol=0.01)), round(simulated, 9))
     if not stated:
         guess = next(_guesses(base), 0.05)
-        raise DeclarationError(unknown(env, task.name, "control period", f"control_period_s={guess:g}"))
+        # All that is missing is told at once.
+        limit = "" if task.time_limit_s is not None or _own_limit(env) is not None else f", {TIME_LIMIT}"
+        what = "control period and the time limit" if limit else "control period"
+        raise DeclarationError(unknown(env, task.name, what, f"control_period_s={guess:g}{limit}"))
     if not all(math.isclose(stated[0], one, rel_tol=0.01) for one in stated):
         what = "control period (" + ", ".join(f"`{name}` says {one:g} s" for name, one in by_name.items()) + ")"
         raise DeclarationError(unknown(env, task.name, what, f"control_period_s={stated[0]:g}"))
@@ -71,14 +77,18 @@ def _simulated_period(env: Any, model: Model, rest: Any, doing: Callable[[str], 
     return after - before
 
 
+def _own_limit(env: Any) -> int | None:
+    """The number of control periods of an episode, if the environment or a wrapper states it."""
+    stated = [attribute(attribute(env, "spec"), "max_episode_steps")]
+    # A wrapper of the package's own may have it, as in ManiSkill.
+    stated += [attribute(here, name) for here in layers(env) for name in LIMITS]
+    return next((int(limit) for limit in stated if isinstance(limit, Real) and limit > 0), None)
+
+
 def step_limit(env: Any, task: Task, period_s: float) -> int:
     """The largest number of control periods of an episode."""
     if task.time_limit_s is not None:
         return max(1, round(task.time_limit_s / period_s))
-    stated = [attribute(attribute(env, "spec"), "max_episode_steps")]
-    # A wrapper of the package's own may have it, as in ManiSkill.
-    stated += [attribute(here, name) for here in layers(env) for name in LIMITS]
-    for limit in stated:
-        if isinstance(limit, Real) and limit > 0:
-            return int(limit)
-    raise DeclarationError(unknown(env, task.name, "time limit", "time_limit_s=10.0"))
+    if (limit := _own_limit(env)) is not None:
+        return limit
+    raise DeclarationError(unknown(env, task.name, "time limit", TIME_LIMIT))
