@@ -164,8 +164,9 @@ class Functional(_Around):
         # The convention of both.
         self.action_space = spaces.Box(-1.0, 1.0, (int(env.action_size),), np.float32)
         self.observation_space = _space_of(self.reset(seed=0)[0])
-        # Compiled here, which takes longer than a step may.
-        self.step(np.zeros(self.action_space.shape, np.float32))
+        # Compiled here, which takes longer than a step may: for the state of a reset, and for that of a step, whose types may differ.
+        for _ in range(2):
+            self.step(np.zeros(self.action_space.shape, np.float32))
 
     @property
     def unwrapped(self) -> Any:
