@@ -466,6 +466,28 @@ class OtherInterfaces(unittest.TestCase):
                 return observation[None], np.array([reward]), np.array([False]), np.array([False]), {"success": np.array([info["success"]])}
 
         self.assertEqual(played(adapter(Batch)), self.plain)
+        self.assertEqual(adapter(lambda: gymnasium.Wrapper(Batch()))._observations.vectors["observation"], ((), 2))
+        self.assertEqual(played(adapter(lambda: gymnasium.Wrapper(Batch()))), self.plain)
+
+        class Alone(gymnasium.Wrapper):
+            """Takes the world out of the batch."""
+
+            observation_space, action_space = Counting.observation_space, Counting.action_space
+
+            def reset(self, seed=None, options=None):
+                return self.env.reset(seed=seed)[0][0], {}
+
+            def step(self, action):
+                observation, reward, *_, info = self.env.step(action[None])
+                return observation[0], reward[0], False, False, info
+
+        self.assertEqual(played(adapter(lambda: Alone(Batch()))), self.plain)
+
+        class Many(Counting):
+            num_envs = 4
+
+        with self.assertRaisesRegex(DeclarationError, "is a vector of 4 worlds"):
+            adapter(lambda: gymnasium.Wrapper(Many()))
 
         class Resets(Batch):
             def _reset_idx(self, worlds):

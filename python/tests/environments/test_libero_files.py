@@ -108,6 +108,19 @@ class InitialStates(unittest.TestCase):
             found = initial_states.read(archive(pickle.dumps(self.states, protocol=protocol)))
             np.testing.assert_array_equal(found, self.states)
 
+    def test_are_read_from_a_converted_file(self):
+        states = np.arange(6.0).reshape(2, 3)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "open_it.pruned_init"
+            np.savez_compressed(f"{path}.npz", states=states)
+            np.testing.assert_array_equal(initial_states.read(path), states)
+            np.savez_compressed(f"{path}.npz", states=np.array([[object()]]))
+            with self.assertRaisesRegex(initial_states.InitialStatesError, "open_it.pruned_init.npz"):
+                initial_states.read(path)
+            np.savez_compressed(f"{path}.npz", other=states)
+            with self.assertRaisesRegex(initial_states.InitialStatesError, "states.npy"):
+                initial_states.read(path)
+
     def test_run_no_code(self):
         with self.assertRaisesRegex(initial_states.InitialStatesError, "Only an array"):
             initial_states.decode(pickle.dumps(Evil(), protocol=2))

@@ -24,7 +24,8 @@ def translated(env: Any) -> Any:
     Raises:
         DeclarationError: It is a vector of worlds, which reset themselves.
     """
-    worlds = attribute(env, "num_envs")
+    # Gymnasium's wrappers do not pass it on.
+    worlds = attribute(env, "num_envs") or attribute(innermost(env), "num_envs")
     # Gymnasium's and Stable-Baselines3's vectors, and those of Isaac Lab and legged_gym.
     resets_itself = any(hasattr(here, name) for here in (env, innermost(env)) for name in ("step_async", "_reset_idx", "reset_idx"))
     if worlds is not None and (worlds != 1 or resets_itself or "autoreset_mode" in (attribute(env, "metadata") or {})):
@@ -63,7 +64,11 @@ def _is_tensor(value: Any) -> bool:
 
 
 def _is_batch(env: Any) -> bool:
-    return attribute(env, "num_envs") == 1 and attribute(env, "single_action_space") is not None
+    """Whether an environment observes a batch of one world. A wrapper that takes the world out of the batch has another space."""
+    base = innermost(env)
+    if attribute(base, "num_envs") != 1 or attribute(base, "single_action_space") is None:
+        return False
+    return env is base or attribute(env, "observation_space") == attribute(base, "observation_space")
 
 
 def _takes_seed(env: Any) -> bool:
@@ -100,8 +105,8 @@ class Translated(_Around):
         self._batch, self._takes_seed = _is_batch(env), _takes_seed(env)
         # The device of the tensors of a batch; None for arrays.
         self._device: Any = None
-        single = "single_" if self._batch else ""
-        observed, acted = attribute(env, f"{single}observation_space"), attribute(env, f"{single}action_space")
+        owner, single = (innermost(env), "single_") if self._batch else (env, "")
+        observed, acted = attribute(owner, f"{single}observation_space"), attribute(owner, f"{single}action_space")
         self.action_space = _action_space(env) if acted is None else _space(acted)
         self._acts_in_batch = self._batch and attribute(env, "action_space").shape != self.action_space.shape
         self.observation_space = _space_of(self.reset(seed=0)[0]) if observed is None or callable(observed) else _space(observed)
@@ -164,8 +169,9 @@ class Functional(_Around):
         # The convention of both.
         self.action_space = spaces.Box(-1.0, 1.0, (int(env.action_size),), np.float32)
         self.observation_space = _space_of(self.reset(seed=0)[0])
-        # Compiled here, which takes longer than a step may.
-        self.step(np.zeros(self.action_space.shape, np.float32))
+        # Compiled here, which takes longer than a step may: for the state of a reset, and for that of a step, whose types may differ.
+        for _ in range(2):
+            self.step(np.zeros(self.action_space.shape, np.float32))
 
     @property
     def unwrapped(self) -> Any:
