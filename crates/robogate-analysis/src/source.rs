@@ -73,14 +73,15 @@ impl Source {
             let dictionary = Dictionary::open(&file)?;
             return Ok(Self { dictionary, folder: Some(path.to_owned()), boundary, _scratch: None });
         }
-        match first_byte(path)? {
+        let start = start(path)?;
+        match start.first() {
             Some(b'P') => {
                 Ok(Self { dictionary: Dictionary::open(path)?, folder: None, boundary: None, _scratch: None })
             }
-            Some(first) => {
+            Some(_) => {
                 let scratch = Scratch::new();
                 if !results::import_export(path, &scratch.0)? {
-                    if !matches!(first, b'{' | b' ' | b'\t' | b'\r' | b'\n' | 0xEF) {
+                    if !is_published(&start) {
                         let reason = "it is not a dictionary; convert results of other tools with `robogate import`";
                         return Err(AnalysisError::NotADictionary { path: path.to_owned(), reason: reason.to_owned() });
                     }
@@ -121,10 +122,20 @@ impl Source {
     }
 }
 
-fn first_byte(path: &Path) -> Result<Option<u8>, AnalysisError> {
-    let mut first = [0];
-    let read = File::open(path).and_then(|mut file| file.read(&mut first)).map_err(AnalysisError::io(path, "read"))?;
-    Ok((read == 1).then_some(first[0]))
+/// The start of a file, with the keys of a published dictionary.
+fn start(path: &Path) -> Result<Vec<u8>, AnalysisError> {
+    const BYTES: u64 = 1 << 16;
+    let mut start = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(BYTES).read_to_end(&mut start));
+    read.map_err(AnalysisError::io(path, "read"))?;
+    Ok(start)
+}
+
+/// Whether a file that starts in this way is a published dictionary.
+fn is_published(start: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(start);
+    let text = text.trim_start_matches(['\u{feff}', ' ', '\t', '\r', '\n']);
+    text.starts_with('{') && ["\"metadata\"", "\"experiments\"", "\"summary\""].iter().any(|key| text.contains(key))
 }
 
 /// A file in the system's temporary folder, removed on drop.
@@ -144,5 +155,24 @@ impl Drop for Scratch {
     fn drop(&mut self) {
         // If this fails, the system cleans its temporary folder.
         let _ = fs::remove_file(&self.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_of_other_tools_are_told_to_be_imported() {
+        let folder = tempfile::tempdir().unwrap();
+        for text in ["{\"success\": true}\n{\"success\": false}\n", "{\"eval_info\": {\"mean\": NaN}}", "a;b\n1;2\n"] {
+            let file = folder.path().join("results");
+            fs::write(&file, text).unwrap();
+            let error = Source::open(&file).unwrap_err().to_string();
+            assert!(error.contains("convert results of other tools with `robogate import`"), "{text}: {error}");
+        }
+        for text in ["\u{feff} {\n\"metadata\": {}", "{\"summary\": {}}"] {
+            assert!(is_published(text.as_bytes()), "{text}");
+        }
     }
 }
