@@ -1,7 +1,6 @@
 //! Test grasps of hands whose fingers have any mass, at any time step. With `--nocapture` the test prints what docs/results/grippers.md
 //! summarises.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-#![expect(clippy::print_stdout, reason = "the table")]
 
 use std::fs;
 use std::path::Path;

@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
 use robogate_analysis::{Analysis, Comparison, HERE, ReplayEpisode, Source, shell_word, worth_watching};
-use robogate_campaign::{WorkerFactory, recorded};
+use robogate_campaign::WorkerFactory;
 use robogate_core::{Episode, Fault, FaultKind, Outcome, Value};
+use robogate_dictionary::Entry;
 use robogate_replay::{Clip, FilmFrame, Recording, record, reel};
 use robogate_report::{Strip, Watch, WatchItem};
 use robogate_stats::format::{counted, number};
@@ -67,6 +68,8 @@ struct Recorder<'a> {
 struct Run<'a> {
     folder: &'a Path,
     subject: Held<'a>,
+    /// The rows of the episodes that may be recorded.
+    entries: Vec<Entry>,
     /// The episodes so far.
     done: Vec<Done>,
 }
@@ -110,7 +113,9 @@ pub(crate) fn watch(
     let chosen = worth_watching(source, analysis, MAX_CLIPS)?;
     let mut recorder = Recorder::new(moment, Place::Beside);
     recorder.frames = frames;
-    let run = if chosen.is_empty() { None } else { recorder.add(source.folder(), source, opening) };
+    let twins = chosen.iter().filter_map(|one| one.twin.as_ref()).map(|twin| twin.episode.index);
+    let wanted: Vec<u64> = chosen.iter().map(|one| one.episode.index).chain(twins).collect();
+    let run = if chosen.is_empty() { None } else { recorder.add(source.folder(), source, opening, &wanted)? };
     let folder = source.folder().filter(|_| analysis.subject.replayable);
     let mut items = Vec::with_capacity(chosen.len());
     for one in chosen {
@@ -149,11 +154,14 @@ pub(crate) fn compared(
         if pair.flips.is_empty() {
             continue;
         }
-        let runs = [first, second].map(|at| {
-            let source = sources.get(at).map(|(source, _)| source);
-            source.and_then(|source| recorder.add(source.folder(), source, opening))
-        });
         let room = MAX_PAIRS.saturating_sub(items.len());
+        let wanted: Vec<u64> = pair.flips.iter().take(room).map(|flip| flip.index).collect();
+        let mut runs = [None; 2];
+        for (run, at) in runs.iter_mut().zip([first, second]) {
+            if let Some((source, _)) = sources.get(at) {
+                *run = recorder.add(source.folder(), source, opening, &wanted)?;
+            }
+        }
         for flip in pair.flips.iter().take(room) {
             let episode = |outcome: &str| ReplayEpisode {
                 index: flip.index,
@@ -215,8 +223,27 @@ impl<'a> Recorder<'a> {
         }
     }
 
+    /// Prepares a run, reads the rows of these episodes in one pass, and returns the run's place. `None` with a remark if its episodes cannot be
+    /// recorded again.
+    fn add(
+        &mut self,
+        folder: Option<&'a Path>,
+        source: &Source,
+        opening: &Reopening,
+        wanted: &[u64],
+    ) -> anyhow::Result<Option<usize>> {
+        let at = self.prepare(folder, source, opening);
+        if let Some(run) = at.and_then(|at| self.runs.get_mut(at)) {
+            let unread = |index: u64| wanted.contains(&index) && run.entries.iter().all(|entry| entry.index() != index);
+            let rows = source.dictionary().entries().filter(|row| row.as_ref().map_or(true, |row| unread(row.index())));
+            let rows = rows.collect::<Result<Vec<_>, _>>()?;
+            run.entries.extend(rows);
+        }
+        Ok(at)
+    }
+
     /// Prepares a run, and returns its place. `None` with a remark if its episodes cannot be recorded again.
-    fn add(&mut self, folder: Option<&'a Path>, source: &Source, opening: &Reopening) -> Option<usize> {
+    fn prepare(&mut self, folder: Option<&'a Path>, source: &Source, opening: &Reopening) -> Option<usize> {
         let provenance = source.dictionary().provenance();
         let Some(folder) = folder.filter(|_| provenance.source.is_none()) else {
             self.remarks.push("These rows do not come from a run's folder, so no episode can be shown.".to_owned());
@@ -240,7 +267,7 @@ impl<'a> Recorder<'a> {
                 None
             }
             Ok(Held::Running(subject)) => {
-                self.runs.push(Run { folder, subject: Held::Running(subject), done: Vec::new() });
+                self.runs.push(Run { folder, subject: Held::Running(subject), entries: Vec::new(), done: Vec::new() });
                 Some(self.runs.len() - 1)
             }
             Ok(Held::Again(subject)) => {
@@ -248,7 +275,7 @@ impl<'a> Recorder<'a> {
                 let seeing = subject.policy_source().and_then(PolicySource::profile).is_some();
                 let smaller = self.frames.is_some() && !seeing;
                 let subject = if smaller { Box::new(subject.with_pictures_of(FRAME_PX)) } else { subject };
-                self.runs.push(Run { folder, subject: Held::Again(subject), done: Vec::new() });
+                self.runs.push(Run { folder, subject: Held::Again(subject), entries: Vec::new(), done: Vec::new() });
                 Some(self.runs.len() - 1)
             }
             Err(why) => {
@@ -268,12 +295,12 @@ impl<'a> Recorder<'a> {
 
     /// Records an episode. It has no clip if its replay differs from the record.
     fn named(&mut self, run: usize, chosen: &ReplayEpisode, name: &str) -> Option<Done> {
-        let Run { folder, subject, done } = self.runs.get_mut(run)?;
+        let Run { folder, subject, entries, done } = self.runs.get_mut(run)?;
         if let Some(known) = done.iter().find(|known| known.index == chosen.index) {
             return Some(known.clone());
         }
         let mut strip = None;
-        let before = recorded(folder, chosen.index).map_err(anyhow::Error::from);
+        let before = entries.iter().find(|entry| entry.index() == chosen.index).context("its row is missing");
         if let (Held::Running(_), Ok(before)) = (&*subject, &before) {
             let periods = self.periods + u64::from(before.episode.ticks);
             if periods > END_PERIODS {
