@@ -1,4 +1,4 @@
-"""Writes docs/results/requalify.md from the answers of scripts/requalify.sh: python3 scripts/requalify/page.py FOLDER DATE."""
+"""Writes docs/results/requalify.md from the answers of scripts/requalify.sh: python3 scripts/requalify/page.py FOLDER DATE MARGIN."""
 
 import json
 import re
@@ -34,7 +34,7 @@ def row(found):
     return f"| {found['upgrade']} | {WORDS[found['answer']]} | {found['pairs'][0]} | {rates} | {first} | {cell(details)[:260]} |"
 
 
-def main(folder, date):
+def main(folder, date, margin):
     found = {}
     for path in sorted(folder.glob("*.json")):
         run, _, upgrade = path.name.removesuffix(".json").partition(".")
@@ -47,7 +47,7 @@ def main(folder, date):
     repeated = [sum(one["repeats_run"][at] for answers in found.values() for one in answers) for at in (0, 1)]
     print(f"# What versions of MuJoCo change\n\n{date}. `scripts/requalify.sh` writes this page with [`robogate requalify`](../guides/requalify.md).")
     print("Success is given before / after the upgrade. \"Motion\" is the control period in which a body is more than 1 mm away from where it was, at the median.")
-    print("A requalification stops when its answer is certain, so the numbers of pairs differ.\n")
+    print(f"A requalification stops when its answer is certain, so the numbers of pairs differ. The margin of success is {100.0 * margin:g} points.\n")
     print("Answers: " + ", ".join(f"{n} {word}" for word, n in sorted(counts.items(), key=lambda of: -of[1])) + ".")
     print(f"Before each upgrade, {repeated[0]:,} of {repeated[1]:,} episodes repeated those of their run bit for bit, with the physics recorded.")
     for run, answers in sorted(found.items()):
@@ -67,4 +67,4 @@ def main(folder, date):
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2])
+    main(Path(sys.argv[1]), sys.argv[2], float(sys.argv[3]))
