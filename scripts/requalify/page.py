@@ -30,7 +30,7 @@ def row(found):
     rates = f"{success['successes'][0]} / {success['successes'][1]} of {success['pairs']}" if success["pairs"] else "-"
     visible = sorted(of["visible"] for of in found["explanation"]["divergence"] if of["visible"] is not None)
     first = str(visible[len(visible) // 2]) if visible else "-"
-    details = "; ".join(detail for change in found["changes"][:2] for detail in change["details"][:2]) or found["headline"]
+    details = "; ".join(detail.strip().splitlines()[-1] for change in found["changes"][:2] for detail in change["details"][:2]) or found["headline"]
     return f"| {found['upgrade']} | {WORDS[found['answer']]} | {found['pairs'][0]} | {rates} | {first} | {cell(details)[:260]} |"
 
 
