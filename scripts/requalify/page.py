@@ -50,6 +50,10 @@ def main(folder, date, margin):
     print(f"A requalification stops when its answer is certain, so the numbers of pairs differ. The margin of success is {100.0 * margin:g} points.\n")
     print("Answers: " + ", ".join(f"{n} {word}" for word, n in sorted(counts.items(), key=lambda of: -of[1])) + ".")
     print(f"Before each upgrade, {repeated[0]:,} of {repeated[1]:,} episodes repeated those of their run bit for bit, with the physics recorded.")
+    default = [one for answers in found.values() for one in answers if one["answer"] == "no_relevant_change" and max(map(abs, one["success"]["interval_95"])) > 0.1]
+    if default:
+        print(f"\nThe margin is wider than the default of 10 points, with which {len(default)} of the answers \"no relevant change\" are inconclusive.")
+    print(f"\nThis page covers {', '.join(sorted(found))}. The script's defaults are eight Meta-World tasks, nominal and varied, with 60 episodes each.")
     for run, answers in sorted(found.items()):
         first = answers[0]["engines"][0]
         print(f"\n## {run}\n\nBefore: {first}.\n\n| upgrade | answer | pairs | success | motion | first details |\n|---|---|---:|---|---:|---|")
