@@ -2,8 +2,8 @@
 # Measures docs/results/requalify.md: Meta-World, RoboGate's own scene and LIBERO's or robosuite's starts over versions of MuJoCo.
 #
 # Usage: scripts/requalify.sh DATE. Needs METAWORLD_PYTHON (scripts/environments.sh) and, for RoboGate's own scene, SCENE_PYTHON: a Python with
-# mujoco==3.17.0, gymnasium, pyzmq and msgpack. ROBOSUITE_PYTHON adds robosuite. Results that exist are kept. EPISODES, TASKS, VERSIONS and
-# THREADS make it shorter.
+# mujoco==3.17.0, gymnasium, pyzmq and msgpack. ROBOSUITE_PYTHON adds robosuite. Results that exist are kept. EPISODES, MARGIN, TASKS,
+# VERSIONS and THREADS make it shorter.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -12,6 +12,7 @@ robogate=$(realpath "${ROBOGATE:-target/release/robogate}")
 out=${OUT:-runs/requalify}
 episodes=${EPISODES:-60}
 threads=${THREADS:-$(nproc)}
+margin=${MARGIN:-0.1}
 read -ra tasks <<< "${TASKS:-push-v3 pick-place-v3 drawer-open-v3 door-open-v3 button-press-v3 window-open-v3 plate-slide-v3 sweep-into-v3}"
 read -ra versions <<< "${VERSIONS:-mujoco==3.3.7 mujoco==3.5.0 mujoco==3.9.0 mujoco==3.12.0 mujoco==3.16.0 mujoco==3.17.0 mujoco-core==4.0.1}"
 mkdir -p "$out"
@@ -24,7 +25,7 @@ requalify() {
     for version in "$@"; do
         [ -s "$out/$run.$version.json" ] && continue
         code=0
-        "$robogate" requalify "$out/$run" --env-with "$version" --threads "$threads" --pairs "$episodes" --out "$out/$run.$version.html" --json \
+        "$robogate" requalify "$out/$run" --env-with "$version" --threads "$threads" --pairs "$episodes" --margin "$margin" --out "$out/$run.$version.html" --json \
             > "$out/$run.$version.json.part" || code=$?
         [ "$code" -le 4 ] && [ "$code" -ne 2 ] || exit "$code"
         mv "$out/$run.$version.json.part" "$out/$run.$version.json"
@@ -76,4 +77,4 @@ for python in "${METAWORLD_PYTHON:-}" "$ROBOGATE_CACHE_DIR"/requalify/*/bin/pyth
     PYTHONPATH=python/src:bridges/common "$python" -W ignore scripts/requalify/own_hand.py || true
 done | sort -u > "$out/own_hand.jsonl"
 
-python3 scripts/requalify/page.py "$out" "$date" > docs/results/requalify.md
+python3 scripts/requalify/page.py "$out" "$date" "$margin" > docs/results/requalify.md

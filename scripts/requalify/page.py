@@ -1,4 +1,4 @@
-"""Writes docs/results/requalify.md from the answers of scripts/requalify.sh: python3 scripts/requalify/page.py FOLDER DATE."""
+"""Writes docs/results/requalify.md from the answers of scripts/requalify.sh: python3 scripts/requalify/page.py FOLDER DATE MARGIN."""
 
 import json
 import re
@@ -30,11 +30,11 @@ def row(found):
     rates = f"{success['successes'][0]} / {success['successes'][1]} of {success['pairs']}" if success["pairs"] else "-"
     visible = sorted(of["visible"] for of in found["explanation"]["divergence"] if of["visible"] is not None)
     first = str(visible[len(visible) // 2]) if visible else "-"
-    details = "; ".join(detail for change in found["changes"][:2] for detail in change["details"][:2]) or found["headline"]
+    details = "; ".join(detail.strip().splitlines()[-1] for change in found["changes"][:2] for detail in change["details"][:2]) or found["headline"]
     return f"| {found['upgrade']} | {WORDS[found['answer']]} | {found['pairs'][0]} | {rates} | {first} | {cell(details)[:260]} |"
 
 
-def main(folder, date):
+def main(folder, date, margin):
     found = {}
     for path in sorted(folder.glob("*.json")):
         run, _, upgrade = path.name.removesuffix(".json").partition(".")
@@ -47,9 +47,13 @@ def main(folder, date):
     repeated = [sum(one["repeats_run"][at] for answers in found.values() for one in answers) for at in (0, 1)]
     print(f"# What versions of MuJoCo change\n\n{date}. `scripts/requalify.sh` writes this page with [`robogate requalify`](../guides/requalify.md).")
     print("Success is given before / after the upgrade. \"Motion\" is the control period in which a body is more than 1 mm away from where it was, at the median.")
-    print("A requalification stops when its answer is certain, so the numbers of pairs differ.\n")
+    print(f"A requalification stops when its answer is certain, so the numbers of pairs differ. The margin of success is {100.0 * margin:g} points.\n")
     print("Answers: " + ", ".join(f"{n} {word}" for word, n in sorted(counts.items(), key=lambda of: -of[1])) + ".")
     print(f"Before each upgrade, {repeated[0]:,} of {repeated[1]:,} episodes repeated those of their run bit for bit, with the physics recorded.")
+    default = [one for answers in found.values() for one in answers if one["answer"] == "no_relevant_change" and max(map(abs, one["success"]["interval_95"])) > 0.1]
+    if default:
+        print(f"\nThe margin is wider than the default of 10 points, with which {len(default)} of the answers \"no relevant change\" are inconclusive.")
+    print(f"\nThis page covers {', '.join(sorted(found))}. The script's defaults are eight Meta-World tasks, nominal and varied, with 60 episodes each.")
     for run, answers in sorted(found.items()):
         first = answers[0]["engines"][0]
         print(f"\n## {run}\n\nBefore: {first}.\n\n| upgrade | answer | pairs | success | motion | first details |\n|---|---|---:|---|---:|---|")
@@ -67,4 +71,4 @@ def main(folder, date):
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2])
+    main(Path(sys.argv[1]), sys.argv[2], float(sys.argv[3]))

@@ -43,11 +43,14 @@ pub struct SignalChange {
     pub largest: [f64; 2],
 }
 
+/// A pair with the physics of both episodes.
+type Traced<'a> = (&'a Seen, &'a Trace, &'a Seen, &'a Trace);
+
 impl Explanation {
     pub(super) fn of(pairs: &[(&Seen, &Seen)]) -> Self {
         /// Pairs whose divergence is listed.
         const LISTED: usize = 20;
-        let traced: Vec<(&Seen, &Trace, &Seen, &Trace)> = pairs
+        let traced: Vec<Traced<'_>> = pairs
             .iter()
             .filter_map(|(one, two)| Some((*one, one.trace.as_deref()?, *two, two.trace.as_deref()?)))
             .collect();
@@ -64,7 +67,7 @@ impl Explanation {
         let divergence = divergence.collect();
         let names = traced.first().map_or(&[][..], |(_, trace, ..)| &trace.signals);
         let signals = names.iter().filter_map(|name| {
-            let all = |of: &dyn Fn(&(&Seen, &Trace, &Seen, &Trace)) -> Option<Vec<f64>>| {
+            let all = |of: &dyn Fn(&Traced<'_>) -> Option<Vec<f64>>| {
                 traced.iter().filter_map(of).flatten().collect::<Vec<f64>>()
             };
             let values = [all(&|of| of.1.signal(name)), all(&|of| of.3.signal(name))];

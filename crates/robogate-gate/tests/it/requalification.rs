@@ -208,7 +208,7 @@ fn copies_of_a_pair_count_once() {
 /// An upgrade that changes last bits only: both episodes of a pair are samples of the same distribution, which depends on the scenario.
 #[test]
 fn claims_are_rarely_false() {
-    const REPEATS: u64 = 400;
+    const REPEATS: u64 = 200;
     let mut false_claims = 0;
     for repeat in 0..REPEATS {
         let mut random = Seed::campaign(1_000 + repeat).stream("upgrade");

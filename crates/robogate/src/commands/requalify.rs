@@ -14,7 +14,7 @@ use serde::Serialize;
 use super::compare::write;
 use crate::arguments::{AccessArguments, TrustArguments, seconds};
 use crate::exit::{DONE, Exit, FAIL, INCONCLUSIVE, INVALID, OrExit};
-use crate::terminal::{bold, dim, line, note, wrapped};
+use crate::terminal::{bold, dim, headline, line, note, wrapped};
 
 /// Find out what an upgrade changes: run the scenarios of a run again, before and after it.
 ///
@@ -255,7 +255,7 @@ fn print(found: &Requalified, tried: &[Tried], first_changed: Option<&str>) {
         line(dim(format_args!("  {} {} -> {}", of.package, version(&of.before), version(&of.after))));
     }
     line("");
-    line(bold(&result.headline));
+    headline(&result.headline);
     for (at, change) in result.changes.iter().enumerate() {
         if at > 0 {
             wrapped(&change.sentence);
