@@ -26,16 +26,18 @@ run scripted-a 1600 1
 run scripted-b 1400 2
 detector scripted scripted
 detector scripted scripted-parameters --parameters all
+detector scripted scripted-successes --successes-only
 
 learned=(--policy assets/policies/learned.onnx --profile learned --space scripts/learned/wide.toml)
 run learned-a 1200 101 "${learned[@]}"
-run learned-b 1700 102 "${learned[@]}"
+run learned-b 1200 102 "${learned[@]}"
 detector learned learned
 detector learned learned-successes --successes-only
-run learned-rapier 300 104 "${learned[@]}" --engine rapier
+run learned-rapier 220 104 "${learned[@]}" --engine rapier
 "$robogate" warn check "$out/learned.json" "$out/learned-rapier" > "$out/learned.rapier.txt" || [ $? -ne 2 ]
 
 push=(--env metaworld:push-v3 ${ROBOGATE_METAWORLD_PYTHON:+--python "$ROBOGATE_METAWORLD_PYTHON"})
 run push-a 400 201 "${push[@]}"
-run push-b 400 202 "${push[@]}"
+run push-b 300 202 "${push[@]}"
 detector push push
+detector push push-successes --successes-only

@@ -105,7 +105,7 @@ pub enum BoostingError {
 #[derive(Debug, Clone, PartialEq)]
 enum Node {
     /// Rows with a value up to the threshold, or NaN, go left.
-    Split { column: usize, threshold: f64, left: usize, right: usize },
+    Split { column: u32, threshold: f64, left: u32, right: u32 },
     /// The contribution to the log-odds.
     Leaf(f64),
 }
@@ -172,9 +172,9 @@ impl Boosting {
     /// `column<threshold` or `=value`, each followed by its left and its right part.
     pub fn lines(&self) -> Vec<String> {
         let tree = |tree: &Vec<Node>| {
-            let (mut line, mut open) = ("tree".to_owned(), vec![0]);
+            let (mut line, mut open) = ("tree".to_owned(), vec![0_u32]);
             while let Some(node) = open.pop() {
-                line += &match tree[node] {
+                line += &match tree[node as usize] {
                     Node::Leaf(value) => format!(" ={value}"),
                     Node::Split { column, threshold, left, right } => {
                         open.extend([right, left]);
@@ -201,19 +201,21 @@ impl Boosting {
                 Some(value) => {
                     let [value] = numbers(&[value])?;
                     nodes.push(Node::Leaf(value));
+                    let next = u32::try_from(at + 1).ok()?;
                     if let Some(parent) = open.pop() {
                         let Node::Split { right, .. } = &mut nodes[parent] else { return None };
-                        *right = at + 1;
+                        *right = next;
                     } else if at + 1 < words.len() {
                         return None;
                     }
                 }
                 None => {
                     let (column, threshold) = word.split_once('<')?;
-                    let column = column.parse().ok().filter(|column| *column < self.columns)?;
+                    let column = column.parse().ok().filter(|column: &u32| (*column as usize) < self.columns)?;
                     let [threshold] = numbers(&[threshold])?;
                     open.push(at);
-                    nodes.push(Node::Split { column, threshold, left: at + 1, right: usize::MAX });
+                    let left = u32::try_from(at + 1).ok()?;
+                    nodes.push(Node::Split { column, threshold, left, right: u32::MAX });
                 }
             }
         }
@@ -253,7 +255,9 @@ fn value(tree: &[Node], at: impl Fn(usize) -> f64) -> f64 {
     loop {
         match tree[node] {
             Node::Leaf(value) => return value,
-            Node::Split { column, threshold, left, right } => node = if at(column) > threshold { right } else { left },
+            Node::Split { column, threshold, left, right } => {
+                node = if at(column as usize) > threshold { right } else { left } as usize;
+            }
         }
     }
 }
@@ -368,10 +372,10 @@ impl Grower<'_> {
             let leaf = open.swap_remove(at);
             let [left, right] = self.divide(&leaf, split, nodes.len());
             nodes[leaf.node] = Node::Split {
-                column: split.column,
+                column: split.column as u32,
                 threshold: self.binned[split.column].edges[split.bin],
-                left: left.node,
-                right: right.node,
+                left: left.node as u32,
+                right: right.node as u32,
             };
             nodes.extend([Node::Leaf(0.0), Node::Leaf(0.0)]);
             for leaf in [left, right] {

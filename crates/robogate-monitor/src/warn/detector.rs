@@ -115,9 +115,8 @@ impl Distance {
         let mut squares = 0.0;
         let mut at = 0;
         // Forward substitution: L z = x - mean.
-        for i in 0..self.columns.len() {
-            let [centre, scale] = self.scale[i];
-            let x = columns.get(self.columns[i]).map_or(0.0, |x| (x - centre) / scale - means[i]);
+        for (i, (column, [centre, scale])) in self.columns.iter().zip(&self.scale).enumerate() {
+            let x = columns.get(*column).map_or(0.0, |x| (x - centre) / scale - means[i]);
             let mut rest = if x.is_finite() { x } else { 0.0 };
             for j in 0..i {
                 rest -= factor.get(at + j).copied().unwrap_or(0.0) * scratch.z[j];

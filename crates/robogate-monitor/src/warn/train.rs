@@ -301,9 +301,8 @@ fn cells(rows: &[(Moment, Vec<f64>)], longest: [f64; LAST_PHASE + 1], bin_s: f64
     let mut sums: Vec<Vec<Sum>> = bins.iter().map(|bins| vec![Sum::default(); *bins]).collect();
     for (moment, x) in rows {
         let at = (f64::from(moment.in_phase_s) / bin_s) as usize;
-        for bin in at.saturating_sub(1)..=(at + 1).min(bins[moment.phase] - 1) {
-            sums[moment.phase][bin].add(x);
-        }
+        let last = (at + 1).min(bins[moment.phase] - 1);
+        sums[moment.phase][at.saturating_sub(1)..=last].iter_mut().for_each(|sum| sum.add(x));
     }
     let mut means = Vec::new();
     let cells = sums.into_iter().map(|phase| {
