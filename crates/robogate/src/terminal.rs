@@ -232,6 +232,11 @@ pub(crate) fn print_report(lines: &[Line]) {
     }
 }
 
+/// Writes the first sentence of an answer, in bold, in lines of at most [`longest_line`] columns.
+pub(crate) fn headline(text: &str) {
+    line(bold(folded(text, longest_line())));
+}
+
 /// Writes a line for the user to stderr, unless the user wants none.
 pub(crate) fn note(text: impl Display) {
     if !QUIET.load(Ordering::Relaxed) {
