@@ -165,7 +165,7 @@ fn designs_of_the_pendulum() {
     let judged = format!("{sampled} episodes");
     let excluded = format!("{} episodes of a focused design are excluded", 200 - sampled);
     verb("gate --run a --requirements default", 1, &[&judged, &excluded]);
-    verb("analyze a", 0, &["active (uniform part)", "rows count in every figure"]);
+    verb("analyze a", 0, &["active (uniform part)", "valid episodes count in every figure"]);
 
     verb(&format!("{run} --design uniform --out uniform"), 0, &["200 episodes over the operating space, into uniform"]);
     // The terminal leads with the rate of the report and of the analysis, not with that of the uniform stage.
