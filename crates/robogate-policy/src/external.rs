@@ -100,7 +100,7 @@ impl ExternalPolicy {
             match connection::connect(place.url(), &profile, &access, limit_s) {
                 Ok(connection) => break (connection, place),
                 // Each server has a try.
-                Err(error) if error.is_transient() && others > 0 => {
+                Err(_) if others > 0 => {
                     others -= 1;
                     place.failed();
                 }
@@ -212,7 +212,8 @@ impl ExternalPolicy {
                     let waits = Instant::now() < until;
                     // Each server has a try.
                     let others = attempt < self.servers.urls().len() as u32;
-                    if !error.is_transient() || (attempt >= self.profile.server.attempts && !waits && !others) {
+                    let others = others && !matches!(error, PolicyError::Mismatch(_));
+                    if !others && (!error.is_transient() || (attempt >= self.profile.server.attempts && !waits)) {
                         return Err(self.access.without_key(error));
                     }
                     if others {

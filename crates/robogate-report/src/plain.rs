@@ -24,6 +24,9 @@ pub enum Line {
 
 /// Rows of a table. The page has the others.
 const MOST_ROWS: usize = 16;
+/// Columns of a row, and between two cells.
+const MOST_COLUMNS: usize = 94;
+const GAP: usize = 2;
 
 /// The analysis as plain text, with additions.
 pub fn analysis_text(analysis: &Analysis, additions: &Additions<'_>) -> Vec<Line> {
@@ -95,26 +98,80 @@ fn of_figure(lines: &mut Vec<Line>, figure: &Figure) {
     table(lines, &figure.table);
 }
 
-/// A table with aligned columns.
+/// A table with aligned columns. One that is too wide continues below, with its first column again.
 pub(crate) fn table(lines: &mut Vec<Line>, of: &Table) {
     let shown = &of.rows[..of.rows.len().min(MOST_ROWS)];
+    let heads: Vec<String> = of.columns.iter().map(|column| column.head.clone()).collect();
     let wide = |at: usize| {
-        let cells = shown.iter().filter_map(|row| row.get(at)).map(|cell| cell.chars().count());
-        cells.chain([of.columns[at].head.chars().count()]).max().unwrap_or_default()
+        let rows = shown.iter().chain([&heads]);
+        rows.filter_map(|row| row.get(at)).map(|cell| cell.chars().count()).max().unwrap_or_default()
     };
-    let widths: Vec<usize> = (0..of.columns.len()).map(wide).collect();
-    let row = |cells: &mut dyn Iterator<Item = &str>| {
-        let padded = cells.zip(&of.columns).zip(&widths).map(|((cell, column), &width)| match column.kind {
-            Kind::Number => format!("{cell:>width$}"),
-            Kind::Text | Kind::Short | Kind::Zone | Kind::Code => format!("{cell:<width$}"),
-        });
-        Line::Row(padded.collect::<Vec<_>>().join("  ").trim_end().to_owned())
-    };
-    lines.push(row(&mut of.columns.iter().map(|column| &*column.head)));
-    lines.extend(shown.iter().map(|cells| row(&mut cells.iter().map(String::as_str))));
+    let first = wide(0).min(MOST_COLUMNS / 2);
+    let widths: Vec<usize> =
+        (0..heads.len()).map(|at| if at == 0 { first } else { wide(at).min(MOST_COLUMNS - GAP - first) }).collect();
+    for part in parts(&widths) {
+        for row in [&heads].into_iter().chain(shown) {
+            let cells = part.iter().filter_map(|&at| {
+                let (cell, width) = (fitted(row.get(at)?, widths[at]), widths[at]);
+                Some(match of.columns[at].kind {
+                    Kind::Number => format!("{cell:>width$}"),
+                    Kind::Text | Kind::Short | Kind::Zone | Kind::Code => format!("{cell:<width$}"),
+                })
+            });
+            lines.push(Line::Row(cells.collect::<Vec<_>>().join("  ").trim_end().to_owned()));
+        }
+    }
     if of.rows.len() > shown.len() {
         let more = (of.rows.len() - shown.len()) as u64;
         lines.push(Line::Text(format!("{} more rows are on the page and in the JSON document.", count(more))));
     }
     lines.extend(of.remark.clone().map(Line::Text));
+}
+
+/// The columns of each part of a table that fits into a line. Each part begins with the first column.
+fn parts(widths: &[usize]) -> Vec<Vec<usize>> {
+    let first = widths.first().copied().unwrap_or_default();
+    let (mut parts, mut used) = (vec![vec![0]], first);
+    for (at, width) in widths.iter().enumerate().skip(1) {
+        if used + GAP + width > MOST_COLUMNS {
+            parts.push(vec![0]);
+            used = first;
+        }
+        if let Some(part) = parts.last_mut() {
+            part.push(at);
+        }
+        used += GAP + width;
+    }
+    parts
+}
+
+/// A text of at most so many characters.
+fn fitted(text: &str, width: usize) -> String {
+    if text.chars().count() <= width {
+        return text.to_owned();
+    }
+    text.chars().take(width.saturating_sub(1)).chain(['\u{2026}']).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wide_tables_continue_below() {
+        let columns = [("name", Kind::Short), ("n", Kind::Number), ("what", Kind::Text)];
+        let row = |name: &str| vec![name.to_owned(), "7".to_owned(), "x".repeat(200)];
+        let mut lines = Vec::new();
+        table(&mut lines, &Table::new("", &columns, vec![row("a"), row("b")]));
+        let rows: Vec<&str> = lines
+            .iter()
+            .map(|line| match line {
+                Line::Row(row) => row.as_str(),
+                other => panic!("{other:?}"),
+            })
+            .collect();
+        assert_eq!(rows[..3], ["name  n", "a     7", "b     7"]);
+        assert_eq!((rows.len(), rows[3], rows[4].chars().count()), (6, "name  what", MOST_COLUMNS));
+        assert!(rows[5].starts_with("b     xxx") && rows[5].ends_with('\u{2026}'));
+    }
 }

@@ -11,10 +11,13 @@ const FIRST: usize = 4;
 
 /// The first episodes, for all workers of a campaign.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct FirstEpisodes(Arc<Mutex<Vec<(Scenario, Option<Seen>)>>>);
+pub(crate) struct FirstEpisodes(Arc<Mutex<Vec<First>>>);
+
+/// An episode. `None` if it ended with a fault.
+type First = (Scenario, Option<Seen>);
 
 impl FirstEpisodes {
-    fn episodes(&self) -> MutexGuard<'_, Vec<(Scenario, Option<Seen>)>> {
+    fn episodes(&self) -> MutexGuard<'_, Vec<First>> {
         // An episode is changed by one worker, so one that panicked leaves the others as they are.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -17,7 +17,7 @@ const GROUPS: [(&str, &[&str]); 7] = [
     ),
     ("Show that it holds", &["evidence", "verify", "keys"]),
     ("Use many machines", &["plan", "merge"]),
-    ("Real robots", &["transfer", "trial", "admit", "warn", "requalify", "monitor"]),
+    ("Real robots", &["transfer", "trial", "admit", "requalify", "monitor", "warn"]),
 ];
 
 /// The order of the parts of the help.

@@ -193,7 +193,7 @@ mod tests {
             [0.0, 0.0, 0.0, half, 0.0, 0.0, half],
             [0.0, 0.0, 0.0, half, half, 0.0, 0.0],
         );
-        assert!(tilt(&rest, &turned) < 1e-6 && (tilt(&rest, &tipped) - 1.5708).abs() < 1e-3);
-        assert!((angle(&rest, &turned) - 1.5708).abs() < 1e-3);
+        assert!(tilt(&rest, &turned) < 1e-6 && (tilt(&rest, &tipped) - std::f64::consts::FRAC_PI_2).abs() < 1e-3);
+        assert!((angle(&rest, &turned) - std::f64::consts::FRAC_PI_2).abs() < 1e-3);
     }
 }

@@ -217,7 +217,7 @@ fn episodes_that_do_not_repeat_are_named() {
         bench.robogate("gate --env worn_out.py --rounds 1 --out worn-out", 4, &["INVALID", "after the last one"]);
     assert!(text.contains(carried), "{text}");
     bench.robogate("gate --run worn-out", 4, &["INVALID", carried]);
-    bench.robogate("evidence worn-out --out worn-evidence", 0, &[]);
+    bench.robogate("evidence worn-out worn-evidence", 0, &[]);
     bench.robogate("verify worn-evidence", 0, &["invalid"]);
 
     bench.example("reach.py", &[]);

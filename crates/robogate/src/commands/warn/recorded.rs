@@ -94,7 +94,7 @@ impl RunArguments {
                 index: episode.index,
                 scenario: if repeats { key(requested) } else { episode.index },
                 // The boundary stage and the model of an active stage choose their points.
-                sampled: !matches!(stage, ("boundary", _)) && !(stage.0 == "active" && stage.1 != "uniform"),
+                sampled: stage.0 != "boundary" && (stage.0 != "active" || stage.1 == "uniform"),
                 failure,
                 event_s: entry.episode.time_s.min(end_s).min(excess_s.unwrap_or(f64::INFINITY)),
                 rows: rows.flat_map(|row| row[1..1 + numbers].iter().copied()).collect(),

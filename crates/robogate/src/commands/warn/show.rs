@@ -166,9 +166,9 @@ impl Shown<'_> {
             percent(promised)
         )));
         line(format_args!(
-            "  threshold: the {} smallest of the highest scores of {}",
+            "  threshold: the {} smallest of the highest scores of {} independent successes",
             ordinal(rank),
-            format!("{} independent successes", count(successes))
+            count(successes)
         ));
         let of = &file.conditions;
         line("  it holds for new episodes of the same kind only:");
@@ -192,8 +192,8 @@ impl Shown<'_> {
         let found = &self.views.detector.false_warnings;
         let Some(verdict) = self.check else {
             line(format_args!(
-                "\nThe other episodes: {} and {}. They gave the threshold, so only another run measures the promise:\nrobogate warn check FILE DIR",
-                format!("{} successes", count(self.views.successes as u64)),
+                "\nThe other episodes: {} successes and {}. They gave the threshold, so only another run measures the promise:\nrobogate warn check FILE DIR",
+                count(self.views.successes as u64),
                 counted(self.views.failures as u64, "failure")
             ));
             return;
@@ -201,14 +201,14 @@ impl Shown<'_> {
         line("");
         let share = found.warned as f64 / found.of.max(1) as f64;
         line(bold(format_args!(
-            "{}: {} of {} warned ({}, 95 % bounds {} and {})",
+            "{}: {} of {} independent successes warned ({}, 95 % bounds {} and {})",
             match verdict {
                 Verdict::Holds => "The promise holds here",
                 Verdict::Broken => "The promise does NOT hold here",
                 Verdict::Unknown => "Undecided whether the promise holds here",
             },
             count(found.warned),
-            format!("{} independent successes", count(found.of)),
+            count(found.of),
             percent(share),
             percent(found.lower_bound),
             percent(found.upper_bound)
