@@ -6,8 +6,9 @@ use robogate_core::{Action, Environment, Fault, Scenario, Start, Step, TaskSpec}
 
 use crate::repetition::Seen;
 
-/// The number of episodes that run again.
+/// The number of episodes that run again, and the largest number if none of them succeeds: what prevents successes shows only there.
 const FIRST: usize = 4;
+const MOST: usize = 12;
 
 /// The first episodes, for all workers of a campaign.
 #[derive(Debug, Clone, Default)]
@@ -62,7 +63,9 @@ impl Environment for Kept {
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
         let start = self.environment.reset(scenario)?;
         let mut episodes = self.first.episodes();
-        self.at = (episodes.len() < FIRST).then_some(episodes.len());
+        let succeeded = |(_, seen): &First| seen.as_ref().is_some_and(Seen::is_success);
+        let wanted = episodes.len() < FIRST || (episodes.len() < MOST && !episodes.iter().any(succeeded));
+        self.at = wanted.then_some(episodes.len());
         if self.at.is_some() {
             episodes.push((scenario.clone(), Some(Seen::start(&start))));
         }

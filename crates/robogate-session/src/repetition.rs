@@ -43,6 +43,10 @@ impl Seen {
         Self { start, actions: Vec::new(), states: Vec::new(), ending: None, other_actions: false }
     }
 
+    pub(crate) fn is_success(&self) -> bool {
+        self.ending == Some(None)
+    }
+
     /// Adds a control period.
     pub(crate) fn add(&mut self, action: &Action, step: &Step) {
         self.actions.push(action.clone());
@@ -184,7 +188,7 @@ impl Repetition<'_> {
         }
         let mut once: Vec<Episode> = Vec::new();
         for scenario in self.scenarios {
-            let succeeded = |seen: &Episode| seen.as_ref().is_ok_and(|seen| seen.ending == Some(None));
+            let succeeded = |seen: &Episode| seen.as_ref().is_ok_and(Seen::is_success);
             if once.len() >= FEWEST && (self.policy.is_none() || once.iter().any(succeeded)) {
                 break;
             }

@@ -124,7 +124,7 @@ fn headline_rate(summary: &Summary, analysis: Option<&Analysis>) {
             percent(high),
             counted(summary.episodes, "episode")
         )),
-        None => summary.stages.iter().for_each(|stage| rate(stage, &summary.sampler, false)),
+        None => summary.stages.iter().for_each(|stage| rate(stage, &summary.sampler)),
     }
 }
 
@@ -178,10 +178,9 @@ pub(crate) fn outcomes_in_one_line(counts: &OutcomeCounts) -> String {
     text
 }
 
-fn rate(stage: &StageSummary, sampler: &str, is_part: bool) {
+fn rate(stage: &StageSummary, sampler: &str) {
     let [low, high] = stage.interval_95;
     let of = match stage.population {
-        Population::OperatingSpace if is_part => "in the uniform part alone",
         Population::OperatingSpace => "over the operating space",
         Population::Suite => "over the suite (not an operating space)",
         Population::FocusedDesign => "in the focused design (not the operating space)",

@@ -169,8 +169,7 @@ fn designs_of_the_pendulum() {
 
     verb(&format!("{run} --design uniform --out uniform"), 0, &["200 episodes over the operating space, into uniform"]);
     // The terminal leads with the rate of the report and of the analysis, not with that of the uniform stage.
-    let weighted =
-        ["134 episodes over the operating space, then 66 near", "; 200 episodes", "in the uniform part alone"];
+    let weighted = ["134 episodes over the operating space, then 66 near", "; 200 episodes", "Sampling"];
     verb(&format!("{run} --design two-stage --verbose --out two"), 0, &weighted);
     assert!(!at.join("two/active.json").exists() && at.join("two/boundary.json").exists());
     verb(&format!("{run} --seek fell --out sought"), 0, &["fell", "of 200 episodes failed in this way"]);

@@ -217,8 +217,8 @@ fn episodes_that_do_not_repeat_are_named() {
         bench.robogate("gate --env worn_out.py --rounds 1 --out worn-out", 4, &["INVALID", "after the last one"]);
     assert!(text.contains(carried), "{text}");
     bench.robogate("gate --run worn-out", 4, &["INVALID", carried]);
-    bench.robogate("evidence worn-out worn-evidence", 0, &[]);
-    bench.robogate("verify worn-evidence", 0, &["invalid"]);
+    bench.robogate("evidence worn-out worn-evidence", 4, &["invalid: ", carried]);
+    bench.robogate("verify worn-evidence", 0, &["verdict invalid", carried]);
 
     bench.example("reach.py", &[]);
     let text = bench.robogate("gate --env reach.py --rounds 1 --fixed --out same", 1, &["repeating a few episodes"]);
