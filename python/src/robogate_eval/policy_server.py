@@ -14,8 +14,10 @@ from collections.abc import Callable
 from queue import Empty, Queue
 from typing import Any
 
-# How long a batch waits for further requests, in seconds. Requests of all connected episodes end the wait earlier.
+# How long a batch waits for further requests: this many seconds, or this share of the time of the last batch if that is longer.
+# Requests of all connected episodes end the wait earlier.
 GATHER_S = 0.005
+GATHER_SHARE = 0.5
 # The largest difference between an answer alone and in a batch, as a share of the spread of the actions.
 TOLERANCE = 1e-3
 
@@ -54,7 +56,7 @@ class Batcher:
         self._episodes = 0
         self._checked = most == 1
         self.requests = self.batches = 0
-        self.busy_s = 0.0
+        self.busy_s = self._last_s = 0.0
         threading.Thread(target=self._run, daemon=True).start()
 
     @contextlib.contextmanager
@@ -79,7 +81,7 @@ class Batcher:
 
     def _gather(self) -> list[tuple[dict[str, Any], Queue[Any]]]:
         batch = [self._requests.get()]
-        until = time.monotonic() + self._gather_s
+        until = time.monotonic() + max(self._gather_s, GATHER_SHARE * self._last_s)
         # All episodes wait: nothing else can come.
         while len(batch) < min(self._most, self._episodes):
             try:
@@ -114,6 +116,7 @@ class Batcher:
         self.requests += len(batch)
         self.batches += 1
         self.busy_s += took_s
+        self._last_s = took_s
         for (_, reply), answer in zip(batch, answers):
             reply.put((answer, len(batch), took_s))
         return True
