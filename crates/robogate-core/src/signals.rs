@@ -88,6 +88,11 @@ impl Signals {
         self.groups.iter().map(|group| group.length).sum()
     }
 
+    /// The number of numbers of a row of groups from a file. `None` if it overflows.
+    pub fn checked_width(&self) -> Option<usize> {
+        self.groups.iter().try_fold(0_usize, |sum, group| sum.checked_add(group.length))
+    }
+
     /// The groups with the place of their first number.
     pub fn places(&self) -> impl Iterator<Item = (usize, &SignalGroup)> {
         self.groups.iter().scan(0, |next, group| {
@@ -120,14 +125,13 @@ impl Signals {
         }
     }
 
-    /// Whether a row commands the gripper to close. `None` if the task has no gripper.
-    pub fn closes(&self, row: &[f32]) -> Option<bool> {
-        let (at, above) = self.places().find_map(|(at, group)| match (group.kind, self.gripper_in_vector) {
+    /// The place of the gripper's command in a row, and the value above which it closes. `None` if the task has no gripper.
+    pub fn gripper(&self) -> Option<(usize, f64)> {
+        self.places().find_map(|(at, group)| match (group.kind, self.gripper_in_vector) {
             (SignalKind::Gripper, _) => Some((at, 0.0)),
             (SignalKind::Command, Some((of, above))) if group.name == "vector" => Some((at + of, above)),
             _ => None,
-        })?;
-        row.get(at).map(|command| f64::from(*command) > above)
+        })
     }
 }
 
@@ -169,6 +173,11 @@ mod tests {
         }
     }
 
+    /// Whether a row commands the gripper to close.
+    fn closes_in(signals: &Signals, row: &[f32]) -> Option<bool> {
+        signals.gripper().map(|(at, above)| f64::from(row[at]) > above)
+    }
+
     #[test]
     fn vector_with_a_gripper_closes() {
         let names = ["x".to_owned(), "Gripper_effort".to_owned()].to_vec();
@@ -182,7 +191,7 @@ mod tests {
             let command = Command::Vector(vec![0.5, effort]);
             signals.write(&observation, &Action { command, gripper: None, phase: None }, &mut row);
             assert_eq!(row, [0.1, 0.2, 0.5, effort as f32]);
-            assert_eq!(signals.closes(&row), Some(closes));
+            assert_eq!(closes_in(&signals, &row), Some(closes));
         }
     }
 
@@ -196,6 +205,6 @@ mod tests {
         let action = Action { command: Command::JointPosition(vec![0.7]), gripper: Some(1.0), phase: None };
         signals.write(&Observation::default(), &action, &mut row);
         assert!(row[..2].iter().chain(&row[3..9]).all(|x| x.is_nan()), "{row:?}");
-        assert_eq!((row[2], row[9], signals.closes(&row)), (0.7, 1.0, Some(true)));
+        assert_eq!((row[2], row[9], closes_in(&signals, &row)), (0.7, 1.0, Some(true)));
     }
 }

@@ -46,6 +46,12 @@ impl Entry {
         self.episode.scenario.index
     }
 
+    /// Whether its point was chosen: by a boundary stage, or by the model of an active stage. Such points are not a sample from the
+    /// operating space.
+    pub fn is_chosen(&self) -> bool {
+        self.stage == "boundary" || (self.stage == "active" && self.design != "uniform")
+    }
+
     /// Rejects entries that cannot be recorded: an invalid weight, or a seed that does not belong to the index. The
     /// record stores only the campaign's number and the index.
     pub(crate) fn check(&self) -> Result<(), DictionaryError> {

@@ -276,9 +276,7 @@ impl Record {
             let named = ["uniform", "imported", "suite"].contains(&entry.stage.as_str());
             // The episodes of an active stage that its model did not choose are a sample from the operating space.
             let sampled = entry.stage == "active" && entry.design == "uniform";
-            let focused = !sampled
-                && (["boundary", "active"].contains(&entry.stage.as_str())
-                    || (!named && (entry.weight - 1.0).abs() > 0.0));
+            let focused = entry.is_chosen() || (!sampled && !named && (entry.weight - 1.0).abs() > 0.0);
             let part = (entry.stage.clone(), sampled);
             *uneven.entry(part.clone()).or_insert(false) |= focused;
             rows.push((part, Trial::of(&entry, &unseen)));

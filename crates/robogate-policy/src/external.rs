@@ -94,18 +94,10 @@ impl ExternalPolicy {
     ) -> Result<Self, PolicyError> {
         let until = Instant::now() + access.wait();
         let mut limit_s = profile.server.connect_s;
-        let mut others = servers.urls().len() - 1;
         let connection = loop {
-            let place = servers.place();
-            match connection::connect(place.url(), &profile, &access, limit_s) {
-                Ok(connection) => break (connection, place),
-                // Each server has a try.
-                Err(_) if others > 0 => {
-                    others -= 1;
-                    place.failed();
-                }
+            match any_connection(servers, &profile, &access, limit_s) {
+                Ok(connection) => break connection,
                 Err(error) if error.is_transient() && Instant::now() < until => {
-                    place.failed();
                     waiting(&error);
                     std::thread::sleep(WAITING_PAUSE.min(until.saturating_duration_since(Instant::now())));
                     limit_s = longer(limit_s, &profile, until);
@@ -210,14 +202,8 @@ impl ExternalPolicy {
                     self.connection = None;
                     attempt += 1;
                     let waits = Instant::now() < until;
-                    // Each server has a try.
-                    let others = attempt < self.servers.urls().len() as u32;
-                    let others = others && !matches!(error, PolicyError::Mismatch(_));
-                    if !others && (!error.is_transient() || (attempt >= self.profile.server.attempts && !waits)) {
+                    if !error.is_transient() || (attempt >= self.profile.server.attempts && !waits) {
                         return Err(self.access.without_key(error));
-                    }
-                    if others {
-                        continue;
                     }
                     if waits {
                         limit_s = longer(limit_s, &self.profile, until);
@@ -234,14 +220,7 @@ impl ExternalPolicy {
     /// Connect within this time if necessary, and announce the episode.
     fn try_to_begin(&mut self, limit_s: f64) -> Result<(), PolicyError> {
         if self.connection.is_none() {
-            let place = self.servers.place();
-            let connection = match connection::connect(place.url(), &self.profile, &self.access, limit_s) {
-                Ok(connection) => connection,
-                Err(error) => {
-                    place.failed();
-                    return Err(error);
-                }
-            };
+            let (connection, place) = any_connection(&self.servers, &self.profile, &self.access, limit_s)?;
             if *connection.declared() != self.declared {
                 return Err(PolicyError::Mismatch(format!(
                     "the policy's metadata changed after a reconnect: now {}, before {}. Hint: if it is still the same \
@@ -285,6 +264,29 @@ impl ExternalPolicy {
     fn deadline(&self) -> Deadline {
         let timeouts = &self.profile.server;
         Deadline::within(if self.warm { timeouts.answer_s } else { timeouts.first_answer_s })
+    }
+}
+
+/// A connection to the server that drives the fewest episodes. If it cannot be reached, each of the others is tried once.
+fn any_connection(
+    servers: &Servers,
+    profile: &Profile,
+    access: &Access,
+    limit_s: f64,
+) -> Result<(Box<dyn Connection>, Place), PolicyError> {
+    let mut others = servers.urls().len() - 1;
+    loop {
+        let place = servers.place();
+        match connection::connect(place.url(), profile, access, limit_s) {
+            Ok(connection) => return Ok((connection, place)),
+            Err(error) => {
+                place.failed();
+                if others == 0 {
+                    return Err(error);
+                }
+                others -= 1;
+            }
+        }
     }
 }
 

@@ -187,7 +187,7 @@ fn opened(path: &Path) -> anyhow::Result<(Header, BufReader<File>)> {
     reader.by_ref().take(LONGEST_HEADER).read_until(b'\n', &mut line)?;
     let header: Header = serde_json::from_slice(&line)
         .with_context(|| format!("{}: not a file of signals\nHint: remove it", path.display()))?;
-    let wide = header.signals.groups.iter().try_fold(0_usize, |sum, group| sum.checked_add(group.length));
+    let wide = header.signals.checked_width();
     if header.format != FORMAT || wide.is_none_or(|wide| wide + header.measures.len() >= WIDEST as usize) {
         bail!("{}: its format is not one that this version reads\nHint: remove the file", path.display());
     }

@@ -26,7 +26,7 @@ Answer = Callable[["list[dict[str, Any]]"], "list[Any]"]
 
 def is_policy(thing: Any) -> bool:
     """Whether `serve` treats this as a policy, and not as an environment."""
-    return any(callable(getattr(thing, name, None)) for name in ("predict_batch", "infer", "select_action"))
+    return any(callable(getattr(thing, name, None)) for name in ("predict_batch", "infer"))
 
 
 def as_batch(policy: Any) -> tuple[Answer, bool]:

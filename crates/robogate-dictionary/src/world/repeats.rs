@@ -35,7 +35,7 @@ pub struct Repeats {
 }
 
 impl Repeats {
-    /// Both results together. Seeds have an effect if one of the results shows it.
+    /// Both results together. The processes, and whether seeds have an effect, are those of the first.
     #[must_use]
     pub fn and(self, other: Self) -> Self {
         Self {

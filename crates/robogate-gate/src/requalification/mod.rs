@@ -80,7 +80,7 @@ pub enum Group {
 pub enum Answer {
     /// Success is equal, but its meaning changed.
     MeaningChanged,
-    /// Initial states are no longer what they were.
+    /// Initial states changed.
     StartsChanged,
     /// Success changed.
     SuccessChanged,
@@ -146,7 +146,7 @@ pub struct SuccessChange {
 /// What an upgrade changes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Requalification {
-    /// The answer: the first of the changes, or that there is none.
+    /// The first of the changes, or that none was found.
     pub answer: Answer,
     /// The answer as a sentence.
     pub headline: String,
@@ -424,7 +424,7 @@ impl Requalifier {
             }
             if starts.changed() {
                 let sentence = format!(
-                    "Initial states are no longer what they were: {} of {} differ; effectively different ones: {}, {} before.",
+                    "Initial states changed: {} of {} differ; effectively different ones: {}, {} before.",
                     starts.different,
                     starts.pairs,
                     number((10.0 * starts.effective[1]).round() / 10.0),

@@ -138,7 +138,7 @@ fn regions(scenarios: &[Seen]) -> Vec<Region> {
 }
 
 impl Family {
-    /// The family of these scenarios, in which an episode can end in so many ways and has these bodies.
+    /// The family for these scenarios, this number of failure modes and the bodies of these traces.
     pub(super) fn of(scenarios: &[Seen], modes: usize, traces: [Option<&Trace>; 2]) -> Self {
         let regions = regions(scenarios);
         let all: BTreeSet<(&str, bool)> =

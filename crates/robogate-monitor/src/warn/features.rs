@@ -5,7 +5,7 @@
 //! difference of a number), with the mean and the largest bend of the last 0.8 s. For joint commands: the largest following
 //! error (command minus measured joint position) and its mean over 0.5 s. Then the clock: time since the start, the phase
 //! (number of switches of the gripper's command so far) and the time since it began. The time is never divided by the duration
-//! of the episode, which nobody knows while it runs.
+//! of the episode, which is unknown while it runs.
 
 use robogate_core::{SignalKind, Signals, vectors};
 use serde::{Deserialize, Serialize};
@@ -154,12 +154,7 @@ impl Window {
             (Some((command, length)), Some((measured, same))) if length == same => Some([command, measured, length]),
             _ => None,
         };
-        let gripper = signals.gripper_in_vector;
-        let gripper = signals.places().find_map(|(at, of)| match (of.kind, gripper) {
-            (SignalKind::Gripper, _) => Some((at, 0.0)),
-            (SignalKind::Command, Some((i, above))) if of.name == "vector" => Some((at + i, above as f32)),
-            _ => None,
-        });
+        let gripper = signals.gripper().map(|(at, above)| (at, above as f32));
         let stride = features.stride();
         let period_s = signals.period_s * f64::from(stride);
         let steps = |seconds: f64| ((seconds / period_s.max(1e-4)).round() as usize).clamp(1, LONGEST);

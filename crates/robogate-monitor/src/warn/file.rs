@@ -47,6 +47,13 @@ pub struct KnownParameter {
     pub choices: Vec<String>,
 }
 
+impl KnownParameter {
+    /// A choice as a number: its place, NaN if it is unknown.
+    pub fn number_of(&self, choice: &str) -> f64 {
+        self.choices.iter().position(|one| one == choice).map_or(f64::NAN, |at| at as f64)
+    }
+}
+
 /// When the event of a failure mode is, if it is not its end: the first time at which a measure is above a limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EventRule {
@@ -115,8 +122,7 @@ impl WarnFile {
             return Err(WarnError::Tables(format!("format {} is not known to this version", self.warn_format)));
         }
         let signals = &self.features.signals;
-        let lengths = signals.groups.iter().try_fold(0_usize, |sum, group| sum.checked_add(group.length));
-        if lengths.is_none_or(|width| width == 0 || width > MOST_SIGNALS) {
+        if signals.checked_width().is_none_or(|width| width == 0 || width > MOST_SIGNALS) {
             return Err(broken("the signals have no numbers, or too many"));
         }
         // The command of the gripper is one number, the last of a row.

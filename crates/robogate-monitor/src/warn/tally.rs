@@ -22,7 +22,7 @@ pub struct Tally {
     pub warned_failures: u64,
     /// Failures without a warning: missed.
     pub missed_failures: u64,
-    /// Episodes that a warning stopped. Nobody knows whether they would have failed.
+    /// Episodes that a warning stopped. Whether they would have failed is unknown.
     pub stopped: u64,
     /// Whether warnings are suspended.
     pub suspended: bool,

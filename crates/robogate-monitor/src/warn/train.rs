@@ -369,8 +369,8 @@ pub fn score(detector: &Detector, track: &Track) -> Result<Scored, WarnError> {
         times.push(moment.time_s);
         scores.push(detector.model.score(moment, columns, &mut scratch));
     })?;
-    let Track { index, scenario, sampled, failure, event_s, .. } = track.clone();
-    Ok(Scored { index, scenario, sampled, failure, event_s, times, scores })
+    let Track { index, scenario, sampled, event_s, .. } = *track;
+    Ok(Scored { index, scenario, sampled, failure: track.failure.clone(), event_s, times, scores })
 }
 
 impl Scored {

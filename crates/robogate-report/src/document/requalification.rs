@@ -47,8 +47,8 @@ pub(crate) fn requalification_document(of: &RequalificationPage<'_>) -> Document
         tested.push(format!("{} do not repeat an earlier one; only these count", counted(result.distinct, "pair")));
     }
     tested.push(format!(
-        "{} were tested after each round. The probability of any false claim among them is at most 5 %",
-        counted(result.properties_tested, "property").replace("propertys", "properties")
+        "{} properties were tested after each round. The probability of any false claim among them is at most 5 %",
+        count(result.properties_tested)
     ));
     let found = result.changes.iter().map(|change| change.sentence.clone()).collect::<Vec<_>>();
     Document {

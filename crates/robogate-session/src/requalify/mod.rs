@@ -85,7 +85,6 @@ pub struct RecordedRun {
     provenance: Provenance,
     entries: Vec<Entry>,
     opening: Reopening,
-    threads: Option<NonZeroUsize>,
     before: Side,
     /// The Python of the environment, if it runs in one.
     python: Option<Packages>,
@@ -116,7 +115,7 @@ impl RecordedRun {
             _ => None,
         };
         let before = Side::new(|probe| Subject::recorded(&provenance, Some(folder), &opening.probed(probe)))?;
-        Ok(Self { folder: folder.to_owned(), provenance, entries, opening, threads: how.threads, before, python })
+        Ok(Self { folder: folder.to_owned(), provenance, entries, opening, before, python })
     }
 
     /// The packages of its Python environment.
@@ -181,7 +180,7 @@ impl RecordedRun {
         }
         let side = Side::new(|probe| Subject::recorded(&provenance, folder, &opening.probed(probe)));
         match side {
-            // What the user asked for is there, but it does not work.
+            // The requested version exists, but the environment does not start with it.
             Err(failure) if failure.kind != FailureKind::Evidence && !matches!(upgrade, Upgrade::Robot(_)) => {
                 Ok((Err(failure), packages))
             }
@@ -231,8 +230,8 @@ impl RecordedRun {
                 loop {
                     let end = (2 * done).max(FIRST_ROUND).min(self.entries.len());
                     let due = self.entries.get(done..end).unwrap_or_default();
-                    let before = self.before.run(due, self.threads)?;
-                    let after_it = side.run(due, self.threads)?;
+                    let before = self.before.run(due, how.threads)?;
+                    let after_it = side.run(due, how.threads)?;
                     for (entry, seen) in due.iter().zip(&before) {
                         repeats_run[0] += u64::from(seen.hash == entry.episode.trajectory_hash && seen.hash != 0);
                         repeats_run[1] += 1;

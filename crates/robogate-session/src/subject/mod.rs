@@ -486,8 +486,7 @@ impl Subject {
         /// Threads per core while a server computes the actions.
         const PER_CORE: usize = 4;
         // Each worker of a launched environment is a process of its own.
-        let launched = matches!(&self.environment, EnvironmentSource::Remote(RemoteSource { launched: Some(_), .. }));
-        match self.waits_for_servers() && !launched {
+        match self.waits_for_servers() && !self.is_launched() {
             true => NonZeroUsize::new((PER_CORE * cores.get()).clamp(8, 32)).unwrap_or(cores),
             false => cores,
         }

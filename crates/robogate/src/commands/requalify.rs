@@ -20,7 +20,7 @@ use crate::terminal::{bold, dim, headline, line, note, wrapped};
 ///
 /// The upgrade is another version of packages in the Python of the environment, or another policy, robot or engine. The second Python is
 /// made in the cache folder; the first is not changed. The answer is the first of these that is certain: success is equal but its meaning
-/// changed (contacts, moving parts, duration, drift); initial states are no longer what they were; success changed; it cannot run; the
+/// changed (contacts, moving parts, duration, drift); initial states changed; success changed; it cannot run; the
 /// episodes are not pairs; the solver does worse. Otherwise there is no relevant change, with a bound.
 ///
 /// Exit codes: 0 no relevant change, 1 changed or it cannot run, 3 inconclusive, 4 the pairing is not valid.
@@ -232,10 +232,14 @@ fn subtitle(found: &Requalified) -> String {
     format!("{before} before, {after} after{repeated}")
 }
 
-fn page(found: &Requalified, tried: &[Tried]) -> String {
+/// The packages with another version, each with both versions.
+fn packages(found: &Requalified) -> Vec<[String; 3]> {
     let version = |version: &Option<String>| version.clone().unwrap_or_else(|| "none".to_owned());
-    let packages: Vec<[String; 3]> =
-        found.packages.iter().map(|of| [of.package.clone(), version(&of.before), version(&of.after)]).collect();
+    found.packages.iter().map(|of| [of.package.clone(), version(&of.before), version(&of.after)]).collect()
+}
+
+fn page(found: &Requalified, tried: &[Tried]) -> String {
+    let packages = packages(found);
     let versions: Vec<[String; 2]> = tried.iter().map(|of| [of.version.clone(), of.headline.clone()]).collect();
     requalification_html(&RequalificationPage {
         title: &title(found),
@@ -250,9 +254,8 @@ fn print(found: &Requalified, tried: &[Tried], first_changed: Option<&str>) {
     let result = &found.result;
     line(bold(title(found)));
     wrapped(&subtitle(found));
-    for of in &found.packages {
-        let version = |version: &Option<String>| version.clone().unwrap_or_else(|| "none".to_owned());
-        line(dim(format_args!("  {} {} -> {}", of.package, version(&of.before), version(&of.after))));
+    for [package, before, after] in packages(found) {
+        line(dim(format_args!("  {package} {before} -> {after}")));
     }
     line("");
     headline(&result.headline);

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::anyhow;
 use clap::Args;
-use robogate_monitor::warn::{Baselines, Track, WarnFile, calibrate, false_warnings, score};
+use robogate_monitor::warn::{Baselines, Track, WarnFile, calibrate, false_warnings};
 
 use super::recorded::RunArguments;
 use super::show::{Shown, Verdict, Views};
@@ -56,12 +56,12 @@ impl CheckOn {
                 places.iter().map(|at| at.and_then(|at| found.get(at)).copied().unwrap_or(f64::NAN)).collect();
         }
         let tracks: Vec<&Track> = recorded.tracks.iter().collect();
-        let scored = scored_all(&tracks, |track| score(&detector, track).or_usage())?;
+        let scored = scored_all(&detector, &tracks)?;
         let differences = file.conditions.differences(&recorded.conditions);
         let verdict = Verdict::of(&false_warnings(&scored, file.calibration.threshold), file.calibration.promised);
         let views = Views::of(&file, &tracks, &scored, risk.as_ref());
-        Shown { file: &file, views: &views, fitted: None, check: Some(verdict), differences: &differences }
-            .print(self.json)?;
+        let (check, differences) = (Some(verdict), &*differences);
+        Shown { file: &file, detector: &detector, views: &views, fitted: None, check, differences }.print(self.json)?;
         if let Some(out) = &self.out {
             let promised = file.calibration.promised;
             let calibration = calibrate(&scored, promised).or_usage()?;

@@ -89,12 +89,10 @@ impl RunArguments {
                 Some(f64::from(row[0]) + header.signals.period_s)
             });
             let requested = &entry.episode.scenario.requested;
-            let stage = (entry.stage.as_str(), entry.design.as_str());
             tracks.push(Track {
                 index: episode.index,
                 scenario: if repeats { key(requested) } else { episode.index },
-                // The boundary stage and the model of an active stage choose their points.
-                sampled: stage.0 != "boundary" && (stage.0 != "active" || stage.1 == "uniform"),
+                sampled: !entry.is_chosen(),
                 failure,
                 event_s: entry.episode.time_s.min(end_s).min(excess_s.unwrap_or(f64::INFINITY)),
                 rows: rows.flat_map(|row| row[1..1 + numbers].iter().copied()).collect(),
@@ -164,9 +162,7 @@ fn number(of: &KnownParameter, requested: &Assignment) -> f64 {
     match requested.get(&of.name) {
         Some(Value::Number(x)) => *x,
         Some(Value::Integer(n)) => *n as f64,
-        Some(Value::Category(word)) => {
-            of.choices.iter().position(|choice| **choice == **word).map_or(f64::NAN, |at| at as f64)
-        }
+        Some(Value::Category(word)) => of.number_of(word),
         None => f64::NAN,
     }
 }

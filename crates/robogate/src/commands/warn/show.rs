@@ -1,7 +1,8 @@
 //! What a detector sees, for the terminal and as JSON.
 
 use robogate_monitor::warn::{
-    Calibration, EARLY_S, FalseWarnings, ModeView, Model, Scored, Track, View, WarnFile, random_early, seconds, view,
+    Calibration, Detector, EARLY_S, FalseWarnings, ModeView, Model, Scored, Track, View, WarnFile, Warner,
+    random_early, seconds, view,
 };
 use robogate_stats::boosting::Boosting;
 use robogate_stats::format::{count, counted, fixed, number, percent};
@@ -107,6 +108,8 @@ impl Views {
 /// The output of `train` and `check`.
 pub(super) struct Shown<'a> {
     pub(super) file: &'a WarnFile,
+    /// The detector of the file.
+    pub(super) detector: &'a Detector,
     pub(super) views: &'a Views,
     /// The episodes that fitted the model.
     pub(super) fitted: Option<&'a [&'a Track]>,
@@ -117,17 +120,16 @@ pub(super) struct Shown<'a> {
 impl Shown<'_> {
     pub(super) fn print(&self, json: bool) -> Result<(), Exit> {
         if json {
-            line(serde_json::to_string_pretty(&self.document()?).or_broken()?);
+            line(serde_json::to_string_pretty(&self.document()).or_broken()?);
         } else {
-            self.text()?;
+            self.text();
         }
         Ok(())
     }
 
-    fn document(&self) -> Result<Value, Exit> {
-        let Self { file, views, check, differences, .. } = self;
-        let warner_bytes = robogate_monitor::warn::Warner::new(&file.detector().or_usage()?, 0.0).bytes();
-        Ok(json!({
+    fn document(&self) -> Value {
+        let Self { file, detector, views, check, differences, .. } = self;
+        json!({
             "format": 1,
             "calibration": file.calibration,
             "conditions": file.conditions,
@@ -140,14 +142,13 @@ impl Shown<'_> {
             "scenario_risk": views.scenario,
             "random_early": views.random_early,
             "lead_over_clock_s": views.over_clock_s.iter().map(|(mode, s)| json!({"mode": mode, "median_s": s})).collect::<Vec<_>>(),
-            "bytes": warner_bytes,
-        }))
+            "bytes": Warner::new(detector, 0.0).bytes(),
+        })
     }
 
-    fn text(&self) -> Result<(), Exit> {
-        let file = self.file;
+    fn text(&self) {
+        let Self { file, detector, .. } = self;
         let Calibration { successes, rank, promised, .. } = file.calibration;
-        let detector = file.detector().or_usage()?;
         if let Some(fitted) = self.fitted {
             let failures = fitted.iter().filter(|track| track.failure.is_some()).count();
             line(format_args!(
@@ -185,7 +186,6 @@ impl Shown<'_> {
         line("");
         self.running();
         self.modes();
-        Ok(())
     }
 
     fn verdict(&self) {

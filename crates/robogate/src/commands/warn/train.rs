@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use anyhow::anyhow;
 use clap::Args;
 use robogate_monitor::warn::{
-    Baselines, Calibration, EventRule, Features, KnownParameter, PROMISED, Scored, Track, WarnFile, calibrate, divided,
-    score, train,
+    Baselines, Calibration, Detector, EventRule, Features, KnownParameter, Model, PROMISED, Scored, Track, WarnFile,
+    calibrate, divided, score, train,
 };
 use robogate_stats::boosting::{Boosting, Monotone, Options};
 
@@ -57,16 +57,16 @@ impl TrainOn {
         let kept = |track: &&Track| !self.successes_only || track.failure.is_none();
         let fitting: Vec<&Track> = model.iter().copied().filter(kept).collect();
         let detector = train(features, &fitting, self.seed).or_usage()?;
-        let scored = scored_all(&others, |track| score(&detector, track).or_usage())?;
+        let scored = scored_all(&detector, &others)?;
         let calibration = calibrate(&scored, PROMISED).or_usage()?;
         let risk = scenario_risk(&model, parameters.len(), self.seed);
-        let lines = |trees: Option<&Boosting>| trees.map(Boosting::lines).unwrap_or_default();
         let (trees, distance) = match &detector.model {
-            robogate_monitor::warn::Model::Trees(trees) => (trees.lines(), None),
-            robogate_monitor::warn::Model::Distance(distance) => (Vec::new(), Some(distance.clone())),
+            Model::Trees(trees) => (trees.lines(), None),
+            Model::Distance(distance) => (Vec::new(), Some(distance.clone())),
         };
         let baselines = baselines(&others, &scored, risk.as_ref(), PROMISED)?;
-        let baselines = Baselines { parameters, trees: lines(risk.as_ref()), ..baselines };
+        let baselines =
+            Baselines { parameters, trees: risk.as_ref().map(Boosting::lines).unwrap_or_default(), ..baselines };
         let file = WarnFile {
             warn_format: WarnFile::FORMAT,
             conditions,
@@ -81,8 +81,9 @@ impl TrainOn {
         super::write(&self.out, &file)?;
         note(format_args!("written: {}", foreign(self.out.display())));
         let views = Views::of(&file, &others, &scored, risk.as_ref());
-        let shown = Shown { file: &file, views: &views, fitted: Some(&fitting), check: None, differences: &[] };
-        shown.print(self.json)?;
+        let fitted = Some(&*fitting);
+        Shown { file: &file, detector: &detector, views: &views, fitted, check: None, differences: &[] }
+            .print(self.json)?;
         Ok(DONE)
     }
 
@@ -103,12 +104,9 @@ impl TrainOn {
 }
 
 /// The scores of these episodes.
-pub(super) fn scored_all(
-    tracks: &[&Track],
-    score: impl Fn(&Track) -> Result<Scored, Exit>,
-) -> Result<Vec<Scored>, Exit> {
+pub(super) fn scored_all(detector: &Detector, tracks: &[&Track]) -> Result<Vec<Scored>, Exit> {
     // An episode without an evaluation before its event cannot be warned; it counts as not warned.
-    tracks.iter().map(|track| score(track)).collect()
+    tracks.iter().map(|track| score(detector, track)).collect::<Result<_, _>>().or_usage()
 }
 
 /// The scores of the baselines: the clock, and the risk of the scenario.

@@ -55,8 +55,15 @@ struct Given {
 /// A robot.
 struct Robot<'a> {
     warner: Warner<'a>,
-    warned_s: Option<f32>,
     last_s: f64,
+}
+
+impl Robot<'_> {
+    /// Starts an episode with these parameters.
+    fn start(&mut self, parameters: &[f64]) {
+        self.warner.start(parameters);
+        self.last_s = 0.0;
+    }
 }
 
 impl Watch {
@@ -122,13 +129,12 @@ impl Feed<'_> {
                 return Err(anyhow!("more than {MOST_ROBOTS} robots"));
             }
             let warner = Warner::new(self.detector, self.file.calibration.threshold);
-            self.robots.insert(name.clone(), Robot { warner, warned_s: None, last_s: 0.0 });
+            self.robots.insert(name.clone(), Robot { warner, last_s: 0.0 });
         }
         let Some(robot) = self.robots.get_mut(&name) else { return Ok(()) };
         if let Some(parameters) = start {
             let values: Vec<f64> = self.file.known.iter().map(|of| value(of, &parameters)).collect();
-            robot.warner.start(&values);
-            (robot.warned_s, robot.last_s) = (None, 0.0);
+            robot.start(&values);
         }
         if let Some(time_s) = time_s {
             for (at, group) in self.file.features.signals.places() {
@@ -151,16 +157,14 @@ impl Feed<'_> {
                 }
             }
             robot.last_s = time_s;
+            let before = robot.warner.warned_s();
             let score = robot.warner.observe(time_s as f32, &self.row);
-            if let (None, Some(at_s)) = (robot.warned_s, robot.warner.warned_s()) {
-                robot.warned_s = Some(at_s);
-                if !self.tally.suspended {
-                    line(json!({ "robot": name, "warning": { "time_s": time_s, "score": score } }));
-                }
+            if before != robot.warner.warned_s() && !self.tally.suspended {
+                line(json!({ "robot": name, "warning": { "time_s": time_s, "score": score } }));
             }
         }
         if let Some(end) = end {
-            let warned = robot.warned_s;
+            let warned = robot.warner.warned_s();
             let lead_s = warned.map(|at_s| robot.last_s - f64::from(at_s));
             let begins = match end.as_str() {
                 "stopped" => {
@@ -176,8 +180,7 @@ impl Feed<'_> {
                     "episodes": self.tally,
                 }));
             }
-            robot.warner.start(&[]);
-            (robot.warned_s, robot.last_s) = (None, 0.0);
+            robot.start(&[]);
         }
         Ok(())
     }
@@ -186,7 +189,7 @@ impl Feed<'_> {
 /// A parameter of the episode as a number, NaN if it is not given.
 fn value(of: &KnownParameter, given: &BTreeMap<String, Value>) -> f64 {
     match given.get(&of.name) {
-        Some(Value::String(word)) => of.choices.iter().position(|one| one == word).map_or(f64::NAN, |at| at as f64),
+        Some(Value::String(word)) => of.number_of(word),
         Some(value) => value.as_f64().unwrap_or(f64::NAN),
         None => f64::NAN,
     }
