@@ -231,6 +231,7 @@ fn surrogate(out: &mut impl Write, simulation: &Source, reality: &str) -> Result
         sha256: String::new(),
         trials: pool,
         outside: Vec::new(),
+        outside_in: Default::default(),
         groupings: Vec::new(),
         constant: Vec::new(),
         one_setting: false,

@@ -5,11 +5,10 @@
 //! looks for dependence in the order of the file; if it rejects, blocks of neighbouring rows are clusters.
 
 use robogate_dictionary::results::{SOURCE_SEED, groups_rows};
-use robogate_stats::Confidence;
-use robogate_stats::clusters::{Clusters, FEWEST, LOW_POWER, RateByCluster, Setting, equal_settings};
-use robogate_stats::correlation::spearman;
-use robogate_stats::logistic::{Data, Options, fit, standardized};
-use robogate_stats::serial::{self, serial_dependence};
+use robogate_stats::clusters::{
+    Clusters, FEWEST, Grouping, LOW_POWER, NEIGHBOURS, RateByCluster, Setting, coarsest_first, equal_settings,
+};
+use robogate_stats::serial::blocks_of_neighbours;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -18,18 +17,6 @@ use crate::{AnalysisError, Population};
 
 /// The name of the division by equal settings.
 pub(crate) const EQUAL_SETTINGS: &str = "equal settings";
-/// The name of the division into blocks of neighbouring rows.
-pub(crate) const NEIGHBOURS: &str = "neighbouring rows";
-/// Blocks of neighbouring rows, if the rows of a file depend on their order.
-const BLOCKS: usize = 10;
-/// Level of the test of neighbouring rows.
-const SERIAL_LEVEL: f64 = 0.01;
-/// Rank correlation of a parameter with the order of the rows from which the file counts as sorted by it.
-const SORTED: f64 = 0.5;
-/// Most rows of the test of neighbouring rows.
-const SERIAL_ROWS: usize = 100_000;
-/// Most numeric parameters in the model whose residuals are tested.
-const MODELLED: usize = 12;
 
 /// The clusters of the rows that all figures count, in the document of an analysis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -68,14 +55,6 @@ pub(crate) struct Dependence {
     serial_p: Option<f64>,
 }
 
-/// One division of the rows.
-#[derive(Debug, Clone)]
-pub(crate) struct Grouping {
-    /// The column, or [`EQUAL_SETTINGS`] or [`NEIGHBOURS`].
-    pub(crate) by: String,
-    pub(crate) clusters: Clusters,
-}
-
 impl Dependence {
     /// The clusters of `base`. `groups` are columns that the user names. `None` if rows are independent as far as known.
     pub(crate) fn of(
@@ -104,7 +83,7 @@ impl Dependence {
             serial_p = Some(p);
             found.push(Grouping { by: NEIGHBOURS.to_owned(), clusters: blocks });
         }
-        let groupings = independent_of_each_other(found);
+        let groupings = coarsest_first(found);
         let new_clusters = population != Population::Suite || !groups.is_empty();
         Ok((!groupings.is_empty()).then_some(Self { groupings, new_clusters, serial_p }))
     }
@@ -228,51 +207,10 @@ fn setting(column: &ParameterColumn) -> Setting<'_> {
     }
 }
 
-/// Leaves out divisions whose clusters lie within those of another one, and puts the coarsest first.
-fn independent_of_each_other(mut found: Vec<Grouping>) -> Vec<Grouping> {
-    found.sort_by_key(|grouping| grouping.clusters.count());
-    let mut kept: Vec<Grouping> = Vec::new();
-    for grouping in found {
-        if !kept.iter().any(|coarser| grouping.clusters.is_within(&coarser.clusters)) {
-            kept.push(grouping);
-        }
-    }
-    kept
-}
-
-/// Blocks of neighbouring rows, and the p-value of the test, if rows depend on their neighbours. `None` for a file that is
-/// sorted by its outcomes or by a parameter, where the order says nothing.
+/// Blocks of neighbouring rows, and the p-value of the test, if rows depend on their neighbours.
 fn neighbours(base: &Sample) -> Option<(f64, Clusters)> {
-    let rows = base.len().min(SERIAL_ROWS);
-    let success = &base.success[..rows];
-    let changes = success.windows(2).filter(|pair| pair[0] != pair[1]).count();
-    let order: Vec<f64> = (0..rows).map(|row| row as f64).collect();
-    let sorted = |column: &ParameterColumn| {
-        let found = spearman(&column.values[..rows], &order, Confidence::P95);
-        found.is_ok_and(|found| found.r.abs() > SORTED)
-    };
-    if rows < 2 * serial::LAG || changes <= 2 || base.parameters.iter().any(sorted) {
-        return None;
-    }
-    let p = serial_dependence(&residuals(base, rows), SERIAL_LEVEL, 0)?;
-    let size = base.len().div_ceil(BLOCKS);
-    (p <= SERIAL_LEVEL).then(|| (p, Clusters::of_labels((0..base.len()).map(|row| row / size))))
-}
-
-/// Outcomes less a smooth model of the parameters, in units of their standard deviation.
-fn residuals(base: &Sample, rows: usize) -> Vec<f64> {
-    let success = &base.success[..rows];
-    let mut columns: Vec<Vec<f64>> = Vec::new();
-    for column in base.parameters.iter().filter(|column| column.is_numeric()).take(MODELLED) {
-        let Some(line) = standardized(&column.values[..rows]) else { continue };
-        columns.push(line.iter().map(|x| x * x).collect());
-        columns.push(line);
-    }
-    let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
-    let model = Data::new(&slices, success, None).and_then(|data| fit(data, Options::default()));
-    let mean = success.iter().filter(|s| **s).count() as f64 / rows as f64;
-    let p = model.ok().and_then(|model| model.probabilities(&slices)).filter(|p| p.len() == rows);
-    let p = p.unwrap_or_else(|| vec![mean; rows]);
-    let residual = |(p, success): (&f64, &bool)| (f64::from(u8::from(*success)) - p) / (p * (1.0 - p)).max(1e-4).sqrt();
-    p.iter().zip(success).map(residual).collect()
+    let columns: Vec<&[f64]> = base.parameters.iter().map(|column| column.values.as_slice()).collect();
+    let numeric: Vec<&[f64]> =
+        base.parameters.iter().filter(|column| column.is_numeric()).map(|column| column.values.as_slice()).collect();
+    blocks_of_neighbours(&base.success, &columns, &numeric)
 }

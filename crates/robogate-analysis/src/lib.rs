@@ -69,7 +69,7 @@ pub use models::{
 pub use pair_counts::{ListedEpisode, PairCounts, pair_counts};
 pub use pairs::{Axis, ModelRate, PairCell, PairMap, ZoneCounts};
 pub use rate::{Finding, Population, Rate, RateClusters};
-pub use replay::{HERE, ReplayEpisode, ReplayGroup, ReplayReason, shell_word};
+pub use replay::{HERE, ReplayEpisode, ReplayGroup, ReplayReason, same_subject, shell_word};
 /// What an import states about its rows, from the dictionary.
 pub use robogate_dictionary::{RowSampling, Stopping};
 pub use safe_box::{AvoidedMode, BoxLimit, DEFAULT_TARGET, SafeBox};

@@ -1,5 +1,6 @@
 //! Success rates, the populations that they estimate, and findings that may be absent.
 
+use robogate_stats::clusters::RateByCluster;
 use robogate_stats::{Confidence, Interval, Trials, clopper_pearson, wilson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -161,7 +162,11 @@ impl Rate {
         let Some(dependence) = base.dependence.as_ref().filter(|of| of.new_clusters) else {
             return Self::of(count());
         };
-        let found = dependence.rate(base, used);
+        Self::by_cluster(&dependence.rate(base, used))
+    }
+
+    /// The rate over new clusters.
+    pub(crate) fn by_cluster(found: &RateByCluster) -> Self {
         let interval = ends(found.interval(Confidence::P95));
         let clusters = RateClusters { clusters: found.clusters as u64, effective_episodes: found.effective };
         Self { wilson_95: interval, clopper_pearson_95: interval, clusters: Some(clusters), ..Self::of(found.trials) }

@@ -1,5 +1,6 @@
 //! Episodes that are worth replaying.
 
+use robogate_dictionary::{Place, PolicyRecord, Provenance};
 use robogate_stats::format::{fixed, percent};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -151,4 +152,27 @@ pub fn shell_word(text: &str) -> String {
     } else {
         format!("'{}'", text.replace('\'', "'\\''"))
     }
+}
+
+/// The options of a command that runs the same policy in the same environment, as far as the provenance names them, with a space
+/// before them.
+pub fn same_subject(provenance: &Provenance) -> String {
+    let Some(world) = &provenance.world else { return String::new() };
+    let mut options = String::new();
+    let mut add = |name: &str, value: &str| options += &format!(" --{name} {}", shell_word(value));
+    match &world.place {
+        Place::Cell(cell) => {
+            add("task", provenance.task.name.as_str());
+            add("robot", &cell.robot);
+        }
+        Place::SelfContained => add("task", provenance.task.name.as_str()),
+        Place::Python(python) => add("env", &python.environment),
+        Place::Servers { .. } => add("simulator", "ADDRESS"),
+    }
+    match &world.policy {
+        None => {}
+        Some(PolicyRecord::BuiltIn { name } | PolicyRecord::Hosted { name, .. }) => add("policy", name),
+        Some(PolicyRecord::External(policy)) => add("policy", &policy.server),
+    }
+    options
 }

@@ -11,7 +11,7 @@ use robogate_core::{
     SingleEnvironments, SinglePolicies, Tick,
 };
 
-use crate::LostEpisode;
+use robogate_dictionary::LostEpisode;
 
 /// An environment with a policy. A worker stays in the thread that created it.
 pub struct Worker {

@@ -16,8 +16,6 @@ use crate::RunError;
 pub const PLAN: &str = "plan.json";
 /// The journal: the episodes of an unfinished run.
 pub const JOURNAL: &str = "journal.rgj";
-/// The attempts that an infrastructure fault lost: one JSON object per line.
-pub const LOST: &str = "lost_episodes.jsonl";
 /// The boundary found by the first stage.
 pub const BOUNDARY: &str = "boundary.json";
 /// The models of the active stage.

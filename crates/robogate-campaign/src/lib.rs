@@ -56,7 +56,7 @@ pub use boundary::{BoundaryReport, DrawnFrom, EmphasisFound, Focus, ParameterBou
 pub use events::{Event, Warning};
 pub use executor::{BatchWorker, EpisodeObserver, ExecuteError, Executor, Worker, WorkerFactory, single_workers};
 pub use follow::{FollowError, Follower, Progress};
-pub use lost::{LostEpisode, RunAgain};
+pub use lost::RunAgain;
 pub use plan::{BoundaryStage, DEFAULT_SEED, Emphasis, Plan, PlanError, Preset, Range, UniformStage};
 pub use rows::{RowsError, check_rows};
 pub use run::{

@@ -1,21 +1,10 @@
-//! Attempts to run an episode that an infrastructure fault lost.
+//! Episodes that ran again.
 
 use std::collections::BTreeSet;
 
+use robogate_dictionary::LostEpisode;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-
-use crate::RunError;
-use crate::folder::{Folder, LOST};
-
-/// An attempt to run an episode that a fault of the policy server, the simulator or the worker lost.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LostEpisode {
-    /// The index of the episode in the campaign.
-    pub index: u64,
-    /// The fault.
-    pub fault: String,
-}
 
 /// Episodes of a campaign that ran more than once, because infrastructure faults lost earlier attempts.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -30,19 +19,12 @@ pub struct RunAgain {
 
 impl RunAgain {
     /// Counts the lost attempts of a run. `None` if there were none.
-    pub(crate) fn of(folder: &Folder) -> Result<Option<Self>, RunError> {
-        if !folder.has(LOST) {
-            return Ok(None);
-        }
-        let path = folder.path(LOST);
-        let text = std::fs::read_to_string(&path).map_err(RunError::io(&path, "read"))?;
-        // A killed process may leave an incomplete last line. The attempt was lost in any case.
-        let lost: Vec<LostEpisode> = text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+    pub(crate) fn of(lost: &[LostEpisode]) -> Option<Self> {
         let episodes: BTreeSet<u64> = lost.iter().map(|attempt| attempt.index).collect();
-        Ok(lost.first().map(|first| Self {
+        lost.first().map(|first| Self {
             episodes: episodes.len() as u64,
             lost_attempts: lost.len() as u64,
             first_fault: first.fault.clone(),
-        }))
+        })
     }
 }

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use robogate_core::{Suite, SuiteError};
 pub use robogate_dictionary::suite_sha256;
-use robogate_dictionary::{Entry, Label};
+use robogate_dictionary::{Entry, Label, LostEpisode};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -77,6 +77,8 @@ pub struct Round<'a> {
     pub number: u64,
     /// The episodes, one per scenario, in the suite's order.
     pub entries: &'a [Entry],
+    /// All attempts that infrastructure faults have lost so far.
+    pub lost: &'a [LostEpisode],
 }
 
 /// The outcomes of a suite.

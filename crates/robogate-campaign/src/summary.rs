@@ -5,9 +5,9 @@ use std::sync::Arc;
 
 use robogate_core::{FEASIBLE, FailureMode, FaultKind, Outcome, OutsideRange, ParameterSpace, TaskSpec, is_feasible};
 use robogate_dictionary::{Entry, Provenance};
-use robogate_stats::Confidence;
 use robogate_stats::weighted::hajek;
 use robogate_stats::weighted_events::event_rate;
+use robogate_stats::{Confidence, Trials, wilson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -333,12 +333,16 @@ impl Summing {
         // Without an active stage there are no rows. The weights of an active stage are valid.
         let found = hajek(&outcomes, &weights, Confidence::P95).ok().filter(|found| found.rows > 0)?;
         let population = Population::OperatingSpace;
+        // Equal weights are none: the interval is that of the same counts in an analysis.
+        let equal = weights.windows(2).all(|pair| pair[0].to_bits() == pair[1].to_bits());
+        let interval =
+            if equal { wilson(Trials::count(outcomes.iter().copied()), Confidence::P95) } else { found.interval };
         Some(Estimate {
             population,
             stages: vec![Stage::Uniform, Stage::Active],
             note: format!("estimates {}; from all episodes, by their weights", population.describe()),
             success_rate: found.rate,
-            interval_95: [found.interval.low, found.interval.high],
+            interval_95: [interval.low, interval.high],
         })
     }
 

@@ -24,6 +24,7 @@ mod hash;
 mod identity;
 mod journal;
 mod journal_tail;
+mod lost;
 mod pages;
 mod parquet;
 mod platform;
@@ -36,13 +37,14 @@ mod text;
 pub mod v1;
 mod world;
 
-pub use columns::{FixedColumn, Kind, fixed_columns};
+pub use columns::{FixedColumn, Kind, check_columns, fixed_columns};
 pub use entry::{Entry, Label};
 pub use error::{DictionaryError, Row};
 pub use hash::{DatasetHash, dataset_hash, hex};
 pub use identity::{TaskIdentity, suite_sha256};
 pub use journal::{Journal, PlanHash, Recovery};
 pub use journal_tail::JournalTail;
+pub use lost::LostEpisode;
 pub use parquet::{Column, Dictionary, DictionaryWriter, Entries, Written, write_parquet};
 pub use platform::Platform;
 pub use provenance::{

@@ -154,6 +154,7 @@ mod tests {
             measures: Measures::default(),
             trajectory: None,
             unseen: Vec::new(),
+            groups: Vec::new(),
             forces: Vec::new(),
         }
     }

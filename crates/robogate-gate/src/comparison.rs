@@ -17,6 +17,7 @@ use robogate_stats::{Confidence, difference, group_sequential, non_inferiority};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::dependence::{are_grouped, by_group};
 use crate::record::{recorded_numbers, recorded_seeds};
 use crate::rounds::Rounds;
 use crate::{Ending, GateError, Population, Record, Sampling, Status, Trial};
@@ -201,6 +202,10 @@ impl Against<'_> {
             true => (record.sampling(sampling), None),
             false => (self.record.sampling(sampling), planned_rounds(record)),
         };
+        let these: Vec<&Trial> = pairs.iter().map(|(_, b)| *b).collect();
+        if are_grouped(&these) {
+            return self.by_group(&these, &twins);
+        }
         let stage = StageComparison::of(&differences, &looks);
         Ok(Comparison { stage, ..self.conclude(&twins, &looks, stated, planned)? })
     }
@@ -253,6 +258,29 @@ impl Against<'_> {
             looks.push(pairs.len());
         }
         Ok((pairs, looks))
+    }
+
+    /// The comparison of imported pairs in groups that depend on each other: each group is one observation, and the interval is that
+    /// of the bets, which holds for any distribution over groups.
+    fn by_group(&self, these: &[&Trial], twins: &[Twin]) -> Result<Comparison, GateError> {
+        let plain = self.conclude(twins, &[twins.len()], Sampling::Sequential, None)?;
+        let shifted = |unknown: f64| -> Vec<f64> {
+            let difference = |(a, b): (bool, bool)| 1.0 + f64::from(u8::from(b)) - f64::from(u8::from(a));
+            twins.iter().map(|twin| twin.map_or(unknown, difference)).collect()
+        };
+        let (least, most, tail) = (shifted(0.0), shifted(2.0), Confidence::P95.tail());
+        let test = |limit: f64| by_group(these, [&least, &most], 2.0, limit, tail);
+        let (Ok(margin), Ok(equal)) = (test(1.0 - self.margin), test(1.0)) else {
+            return Ok(Comparison { interval_95: [-1.0, 1.0], p_different: 1.0, p_met: 1.0, p_violated: 1.0, ..plain });
+        };
+        let p = |ln_evidence: f64| (-ln_evidence.max(0.0)).exp();
+        Ok(Comparison {
+            interval_95: [equal.interval.low - 1.0, equal.interval.high - 1.0],
+            p_different: (2.0 * equal.ln_evidence.map(p).into_iter().fold(1.0, f64::min)).min(1.0),
+            p_met: p(margin.ln_evidence[0]),
+            p_violated: p(margin.ln_evidence[1]),
+            ..plain
+        })
     }
 
     /// `rounds` is the largest number of looks, if it was fixed before the first episode.

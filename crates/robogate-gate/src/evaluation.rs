@@ -365,6 +365,7 @@ impl Question<'_> {
             suite: rounds.suite,
             mixed: rounds.suite || record.population.repeated_cases().is_some(),
             budget: budget(record, sampling),
+            grouped: !record.population.groups().is_empty(),
         };
         let mut results = asked
             .iter()

@@ -19,6 +19,7 @@ mod asked;
 mod baseline;
 mod cases;
 mod comparison;
+mod dependence;
 mod error;
 mod evaluation;
 pub mod evidence;
@@ -54,6 +55,7 @@ pub use asked::{Asked, AskedAgainst};
 pub use baseline::{Baseline, BaselineFigure};
 pub use cases::NewCases;
 pub use comparison::{Against, Comparison, Planned, StageComparison, check_pairing, check_repeats};
+pub use dependence::RowGroups;
 pub use error::GateError;
 pub use evaluation::{
     Counts, Dropped, EndingCount, Evaluation, FeasibleRate, GroupResult, Question, RequirementResult, Sampling, Status,

@@ -30,7 +30,8 @@ impl NextBudget {
         let is_rate = !metric.is_mean() && metric.quantile().is_none() && (0.0..=1.0).contains(&limit);
         // A new gate does not repeat the trials of the real robot.
         let is_rate = is_rate && !matches!(metric, Metric::RealSuccess | Metric::Production(_));
-        if result.status != Status::Undecided || !is_rate {
+        // Of episodes in groups, more groups are needed, and how much these differ is not known.
+        if result.status != Status::Undecided || !is_rate || how.grouped {
             return None;
         }
         let good = |rate: f64| if result.bound.sense == Sense::AtLeast { rate } else { 1.0 - rate };
@@ -43,10 +44,13 @@ impl NextBudget {
             }
             _ => Schedule::Fixed { n: episodes },
         };
-        // The probability is smallest at the limit and grows with the distance from it.
+        // The probability is smallest at the limit and grows with the distance from it. If as many episodes are invalid again, each of
+        // them counts as bad for "met" and as good for "violated".
+        let valid = result.valid as f64 / episodes.max(1) as f64;
         let rates = [result.figure.observed?, low, limit.clamp(low, high), high].map(good);
-        let decided = characteristics(test, schedule, &rates);
-        let decided: Vec<f64> = decided.into_iter().map(|c| c.met + c.violated).collect();
+        let worst = characteristics(test, schedule, &rates.map(|rate| rate * valid));
+        let best = characteristics(test, schedule, &rates.map(|rate| 1.0 - (1.0 - rate) * valid));
+        let decided: Vec<f64> = worst.into_iter().zip(best).map(|(w, b)| (w.met + b.violated).min(1.0)).collect();
         let least = decided.iter().copied().fold(1.0, f64::min);
         let most = decided.iter().copied().fold(0.0, f64::max);
         Some(Self { episodes, at_observed: decided[0], over_interval: [least, most] })

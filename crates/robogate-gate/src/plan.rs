@@ -159,6 +159,7 @@ fn blank(label: Label) -> Trial {
         measures: Measures::default(),
         trajectory: None,
         unseen: Vec::new(),
+        groups: Vec::new(),
         forces: Vec::new(),
     }
 }

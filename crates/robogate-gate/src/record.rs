@@ -5,11 +5,11 @@ use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
-use robogate_core::{FailureMode, Suite, TaskSpec, Value};
+use robogate_core::{FailureMode, Fault, FaultKind, Suite, TaskSpec, Value};
 use robogate_dictionary::results::{SOURCE_EPISODE, SOURCE_ROW, recorded_seed};
 use robogate_dictionary::{
-    Controls, Dictionary, Entry, Label, Provenance, Repeats, RowSampling, Stopping, hex, read_regular_text,
-    suite_sha256,
+    Controls, Dictionary, Entry, Label, LostEpisode, PolicyRecord, Provenance, Repeats, RowSampling, Stopping, hex,
+    read_regular_text, suite_sha256,
 };
 use robogate_stats::format::counted;
 use schemars::JsonSchema;
@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::cases::repeated;
+use crate::dependence::{RowGroups, divide};
 use crate::figure::STAGE_SHARE;
 use crate::{Ending, GateError, RealEvidence, Sampling, Trial};
 
@@ -57,6 +58,9 @@ pub enum Population {
         /// episode has its own case, or if the file does not identify cases.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         cases: Option<u64>,
+        /// What divides the episodes into groups that depend on each other. Every figure then applies to new groups.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        groups: Vec<RowGroups>,
     },
 }
 
@@ -79,6 +83,14 @@ impl Population {
         }
     }
 
+    /// What divides imported episodes into groups that depend on each other.
+    pub(crate) fn groups(&self) -> &[RowGroups] {
+        match self {
+            Self::Imported { groups, .. } => groups,
+            Self::Suite { .. } | Self::Drawn { .. } => &[],
+        }
+    }
+
     /// The estimand of this many valid episodes, of which some have a distinct trajectory, in a few sentences.
     pub(crate) fn estimand_of(&self, valid: u64, distinct: Option<u64>) -> String {
         let Some(distinct) = distinct else { return self.estimand() };
@@ -89,6 +101,13 @@ impl Population {
 
     /// The estimand in a few sentences.
     pub fn estimand(&self) -> String {
+        if !self.groups().is_empty() {
+            return format!(
+                "The imported episodes come from {}, and those of one value or block are not independent. Each of them counts as one \
+                 observation, the mean of its episodes. Each figure applies to new ones, of which these must be a random sample.",
+                RowGroups::text(self.groups())
+            );
+        }
         match self {
             Self::Suite { name, cases, fresh: true, .. } => format!(
                 "Each figure is that of episodes sampled from {name}, of which each round draws {cases} new points. It applies to this \
@@ -133,8 +152,11 @@ impl fmt::Display for Population {
             Self::Suite { name, sha256, fresh: true, .. } => ("space", name, sha256),
             Self::Suite { name, sha256, .. } => ("suite", name, sha256),
             Self::Drawn { space, sha256 } => ("space", space, sha256),
-            Self::Imported { sha256, cases, .. } => {
+            Self::Imported { sha256, cases, groups, .. } => {
                 let short = sha256.get(..12).unwrap_or(sha256);
+                if !groups.is_empty() {
+                    return write!(f, "imported episodes from {} ({short})", RowGroups::text(groups));
+                }
                 return match cases {
                     Some(cases) => write!(f, "imported episodes of {} ({short})", counted(*cases, "case")),
                     None => write!(f, "imported scenarios ({short})"),
@@ -177,6 +199,8 @@ pub struct Record {
     pub real: Option<RealEvidence>,
     /// The controls of the gate that ran the episodes. `None` if it ran none.
     pub controls: Option<Controls>,
+    /// Whether a server answers for the policy.
+    pub served: bool,
 }
 
 impl Record {
@@ -210,14 +234,30 @@ impl Record {
             stopping: provenance.source.as_ref().and_then(|source| source.stopping),
             real: None,
             controls: provenance.controls().cloned(),
+            served: is_served(provenance),
         })
     }
 
-    /// The same record with what the file [`REPEATED`] in this folder says, if there is one.
+    /// Makes the episodes invalid whose earlier attempts an external policy began and lost. The policy may answer differently the
+    /// second time: if it loses the episodes that it would have failed, the others look like successes.
+    pub fn count_lost(&mut self, lost: &[LostEpisode]) {
+        let begun: BTreeMap<u64, &str> =
+            lost.iter().filter(|of| of.began && self.served).map(|of| (of.index, of.fault.as_str())).collect();
+        for trial in self.trials.iter_mut().filter(|trial| trial.ending.is_valid()) {
+            if let Some(fault) = begun.get(&trial.index) {
+                let why = format!("an earlier attempt of this episode was lost after it began: {fault}");
+                trial.ending = Ending::Invalid(Fault::new(FaultKind::Unavailable, why));
+            }
+        }
+    }
+
+    /// The same record with what the run's folder says about faults: the file [`REPEATED`], and attempts that were lost.
     ///
     /// # Errors
     /// A file that cannot be read.
-    pub fn with_repeats_in(mut self, folder: &Path) -> Result<Self, GateError> {
+    pub fn with_faults_in(mut self, folder: &Path) -> Result<Self, GateError> {
+        let unreadable = |source| GateError::Unreadable { path: folder.join(LostEpisode::FILE), source };
+        self.count_lost(&LostEpisode::all(folder).map_err(unreadable)?);
         let path = folder.join(REPEATED);
         if !path.exists() {
             return Ok(self);
@@ -259,6 +299,20 @@ impl Record {
         record
     }
 
+    /// The same record, whose imported episodes depend on each other within equal values of these columns.
+    ///
+    /// # Errors
+    /// If the episodes were not imported, or have no such column. The text says what is wrong.
+    pub(crate) fn grouped_by(&self, columns: &[String]) -> Result<Self, String> {
+        let mut record = self.clone();
+        let Population::Imported { groups, .. } = &mut record.population else {
+            return Err("`groups` names columns of imported episodes, and these were run by RoboGate".to_owned());
+        };
+        let unknown = |name: String| format!("the episodes have no column `{name}`, which `groups` names");
+        *groups = divide(&mut record.trials, columns, true).map_err(unknown)?;
+        Ok(record)
+    }
+
     fn collect(
         provenance: &Provenance,
         dataset_sha256: &str,
@@ -282,7 +336,7 @@ impl Record {
             rows.push((part, Trial::of(&entry, &unseen)));
         }
         let all = rows.len();
-        let trials: Vec<Trial> = rows
+        let mut trials: Vec<Trial> = rows
             .into_iter()
             .filter_map(|(part, trial)| (!uneven.get(&part).copied().unwrap_or(false)).then_some(trial))
             .collect();
@@ -290,7 +344,10 @@ impl Record {
         if imported {
             no_copies(&trials)?;
         }
-        let (population, planned) = population(provenance, &trials)?;
+        let (mut population, planned) = population(provenance, &trials)?;
+        if let Population::Imported { cases, groups, .. } = &mut population {
+            *groups = divide(&mut trials, &[], cases.is_some()).unwrap_or_default();
+        }
         Ok(Self {
             population,
             planned,
@@ -305,9 +362,16 @@ impl Record {
             dataset_sha256: dataset_sha256.to_owned(),
             focused: (all - trials.len()) as u64,
             controls: provenance.controls().cloned(),
+            served: is_served(provenance),
             trials,
         })
     }
+}
+
+/// Whether a server answers for the policy: another process, which may answer differently the second time.
+fn is_served(provenance: &Provenance) -> bool {
+    let policy = provenance.world.as_ref().and_then(|world| world.policy.as_ref());
+    matches!(policy, Some(PolicyRecord::External(policy)) if !policy.is_file())
 }
 
 /// The suite of a run's plan.
@@ -395,7 +459,8 @@ fn space_or_cases(provenance: &Provenance, trials: &[Trial]) -> Population {
     let sha256 = hex(&Sha256::digest(text.unwrap_or_default()));
     match &provenance.source {
         Some(source) => {
-            Population::Imported { sha256, sampling: source.sampling, cases: repeated(&provenance.space, trials) }
+            let cases = repeated(&provenance.space, trials);
+            Population::Imported { sha256, sampling: source.sampling, cases, groups: Vec::new() }
         }
         None => Population::Drawn { space, sha256 },
     }

@@ -10,16 +10,18 @@
 //! has heavier tails wherever a test at error 0.25 or less rejects (Hoeffding 1956), except for a single event, where the
 //! union bound n p is used instead. Sequential tests of a suite are those of [`robogate_stats::budgeted`], because its plan fixes
 //! the largest number of rounds; without a plan those of [`robogate_stats::stratified`], in which each scenario is a stratum; and
-//! for durations those of [`robogate_stats::bounded_mean`].
+//! for durations those of [`robogate_stats::bounded_mean`]. Imported episodes that come in groups are tested by group
+//! ([`crate::dependence`]).
 
 use std::collections::BTreeMap;
 
-use robogate_stats::bounded_mean::BoundedMean;
+use robogate_stats::bounded_mean::{BoundedMean, OutOfBounds};
 use robogate_stats::budgeted::Budget;
 use robogate_stats::compare::{at_least, at_most};
 use robogate_stats::stratified::{self, Strata, ln_pooled_above, ln_pooled_below};
 use robogate_stats::{Confidence, Interval, Trials, clopper_pearson};
 
+use crate::dependence::{ByGroup, by_group};
 use crate::figure::{Tally, applies, happened, value};
 use crate::production;
 use crate::{Bound, GateError, Metric, Requirement, Sampling, Sense, Trial};
@@ -47,6 +49,8 @@ pub(crate) struct How {
     pub(crate) mixed: bool,
     /// The largest number of rounds, if it was fixed before the first. The tests then end earlier.
     pub(crate) budget: Option<u64>,
+    /// Whether imported episodes are those of groups that depend on each other: each group is then one observation.
+    pub(crate) grouped: bool,
 }
 
 pub(crate) fn test(
@@ -68,6 +72,10 @@ pub(crate) fn test(
         (rounds, how)
     };
     if let Metric::Production(figure) = metric {
+        if how.grouped {
+            // The times between events of dependent episodes follow no law that this test knows.
+            return Ok(Tested { p_met: 1.0, p_violated: 1.0, interval: None });
+        }
         return production::test(figure, requirement, bound, rounds, how);
     }
     if metric.is_mean() {
@@ -90,6 +98,9 @@ struct Look {
 
 /// Tests the rate of an event against `bound`. For a quantile, the event is a value beyond `limit`.
 pub(crate) fn rate(metric: Metric, limit: Bound, bound: Bound, rounds: &[Vec<&Trial>], how: How) -> Tested {
+    if how.grouped {
+        return rate_by_group(metric, limit, bound, rounds, how);
+    }
     let mut tally = Tally::default();
     let looks: Vec<Look> = rounds
         .iter()
@@ -123,6 +134,25 @@ pub(crate) fn rate(metric: Metric, limit: Bound, bound: Bound, rounds: &[Vec<&Tr
         Sense::AtMost => [1.0 - interval.high, 1.0 - interval.low],
     };
     Tested { p_met: ln_met.min(0.0).exp(), p_violated: ln_violated.min(0.0).exp(), interval: Some(interval) }
+}
+
+/// The same for imported episodes in groups.
+fn rate_by_group(metric: Metric, limit: Bound, bound: Bound, rounds: &[Vec<&Trial>], how: How) -> Tested {
+    let trials: Vec<&Trial> = rounds.iter().flatten().copied().collect();
+    let share = |unknown: bool| -> Vec<f64> {
+        trials.iter().map(|trial| f64::from(u8::from(happened(metric, limit, trial).unwrap_or(unknown)))).collect()
+    };
+    let tested = by_group(&trials, [&share(false), &share(true)], 1.0, bound.limit, how.alpha);
+    let tested = tested.unwrap_or(ByGroup { ln_evidence: [0.0; 2], interval: Interval::UNIT });
+    of_groups(tested, bound.sense, 0.0)
+}
+
+/// The result of a test by group, whose values were shifted by `floor`.
+fn of_groups(ByGroup { ln_evidence: [above, below], interval }: ByGroup, sense: Sense, floor: f64) -> Tested {
+    let (met, violated) = if sense == Sense::AtLeast { (above, below) } else { (below, above) };
+    let p = |ln_evidence: f64| (-ln_evidence.max(0.0)).exp();
+    let interval = Some([interval.low + floor, interval.high + floor]);
+    Tested { p_met: p(met), p_violated: p(violated), interval }
 }
 
 /// ln of both p-values and the interval of a suite, whose scenarios are strata.
@@ -237,9 +267,14 @@ fn mean(requirement: &Requirement, bound: Bound, rounds: &[Vec<&Trial>], how: Ho
     if how.sampling == Sampling::Fixed {
         looks = vec![short.len()];
     }
+    let out_of_bounds = |error: OutOfBounds| GateError::Requirement { id: requirement.id(), reason: error.to_string() };
+    if how.grouped {
+        let trials: Vec<&Trial> = rounds.iter().flatten().copied().collect();
+        let tested = by_group(&trials, [&short, &long], ceiling, bound.limit, how.alpha).map_err(out_of_bounds)?;
+        return Ok(of_groups(tested, bound.sense, floor));
+    }
     let account = |values: &[f64], limit_is_above: bool| -> Result<(f64, Interval), GateError> {
-        let mean = BoundedMean::new(values, &looks, ceiling)
-            .map_err(|error| GateError::Requirement { id: requirement.id(), reason: error.to_string() })?;
+        let mean = BoundedMean::new(values, &looks, ceiling).map_err(out_of_bounds)?;
         let ln = if limit_is_above { mean.ln_evidence_below(bound.limit) } else { mean.ln_evidence_above(bound.limit) };
         Ok((ln, mean.interval(how.alpha)))
     };

@@ -40,6 +40,10 @@ pub struct Requirements {
     /// The requirements.
     #[serde(default)]
     pub requirement: Vec<Requirement>,
+    /// Columns of imported episodes: those with equal values depend on each other. Default: columns whose names say so, such as
+    /// `operator`, `day`, `session` and `robot`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub groups: Vec<String>,
     /// The terms of the confidence score. Without terms there is no score.
     #[serde(default)]
     pub score: Vec<ScoreTerm>,
@@ -137,6 +141,7 @@ impl Requirements {
             confidence: default_confidence(),
             family: Family::default(),
             budget: Budget::default(),
+            groups: Vec::new(),
             requirement: std::iter::once(Requirement::on(Metric::Success, Some(0.92), None)).chain(failures).collect(),
             score: vec![ScoreTerm {
                 name: "Success".to_owned(),
@@ -197,6 +202,9 @@ impl Requirements {
         }
         if self.requirement.iter().any(|requirement| requirement.metric == Metric::Stage) {
             record = Cow::Owned(record.with_stages());
+        }
+        if !self.groups.is_empty() {
+            record = Cow::Owned(record.grouped_by(&self.groups).map_err(wrong)?);
         }
         Ok(record)
     }

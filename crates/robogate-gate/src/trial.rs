@@ -62,6 +62,8 @@ pub struct Trial {
     pub trajectory: Option<u64>,
     /// Failure modes that its source does not record. Any episode, even a success, may have been one of these.
     pub unseen: Vec<FailureMode>,
+    /// The number of its group in each division of imported episodes that depend on each other ([`crate::RowGroups`]).
+    pub groups: Vec<usize>,
     /// Whether a contact exceeds each force limit of the requirements. `None` if the forces are unknown.
     pub forces: Vec<(Word, Option<bool>)>,
 }
@@ -86,6 +88,7 @@ impl From<&Entry> for Trial {
             measures: episode.measures.clone(),
             trajectory: Some(episode.trajectory_hash).filter(|hash| *hash != 0),
             unseen: Vec::new(),
+            groups: Vec::new(),
             forces: Vec::new(),
         }
     }

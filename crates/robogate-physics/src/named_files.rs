@@ -8,6 +8,16 @@ const FOLDERS: [&str; 3] = ["assetdir", "meshdir", "texturedir"];
 /// Attributes that name files: `file`, those of the six sides of a texture, and that of a URDF.
 const FILES: [&str; 8] = ["file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback", "filename"];
 
+/// The names of files in an MJCF or URDF text. Empty for other content.
+pub(crate) fn names(content: &[u8]) -> Vec<String> {
+    let text = content.strip_prefix(b"\xef\xbb\xbf").unwrap_or(content).trim_ascii_start();
+    if !text.starts_with(b"<") {
+        return Vec::new();
+    }
+    let of_files = |(name, value): (String, String)| FILES.contains(&&*name).then_some(value);
+    tags(text).flat_map(attributes).filter_map(of_files).collect()
+}
+
 /// Checks the names in an MJCF or URDF text.
 ///
 /// # Errors

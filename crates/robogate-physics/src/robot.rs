@@ -389,7 +389,7 @@ impl Robot {
         let file = folder.join("robot.toml");
         let text = robot_folder::text(&file)?;
         let settings = RobotSettings::parse(&text, &file)?;
-        robot_folder::check(folder)?;
+        robot_folder::check(folder, &settings.model)?;
         let mut problems = settings.problems();
         if problems.is_empty() && !folder.join(&settings.model).is_file() {
             problems.push(Problem::new(
@@ -405,14 +405,14 @@ impl Robot {
         &self.settings.name
     }
 
-    /// The files that define the robot, in a fixed order. The robot's hash in the provenance is computed over them.
+    /// The files that define the robot, in a fixed order: its settings, its model, and all that these name. The robot's hash in the provenance is computed over them.
     pub fn files(&self) -> Result<Vec<RobotFile>, RobotError> {
         match &self.source {
             RobotSource::BuiltIn { model, settings } => Ok(vec![
                 (self.settings.model.clone(), Cow::Borrowed(model.as_bytes())),
                 ("robot.toml".to_owned(), Cow::Borrowed(settings.as_bytes())),
             ]),
-            RobotSource::Folder(folder) => robot_folder::files(folder),
+            RobotSource::Folder(folder) => robot_folder::files(folder, &self.settings.model),
         }
     }
 }

@@ -4,6 +4,7 @@
 //! bodies. MuJoCo follows such a model until the memory is used up, which ends the process.
 
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 use std::fs;
 use std::io::{ErrorKind, Read};
 use std::path::Path;
@@ -13,6 +14,8 @@ use crate::robot::{RobotError, RobotFile};
 
 /// Most files of a folder, deepest folder in it, and most bytes of all files together.
 const MOST_FILES: usize = 10_000;
+/// Most files of a folder that are listed, also those that are not the robot's.
+const MOST_LISTED: usize = 200_000;
 const DEEPEST: usize = 16;
 const MOST_BYTES: u64 = 1 << 30;
 
@@ -28,18 +31,49 @@ const MOST_USER_VALUES: f64 = 1_000.0;
 const MOST_RESERVED: f64 = 1e6;
 const MOST_MEMORY_BYTES: f64 = (1_u64 << 30) as f64;
 
-/// All files below a folder: names relative to the folder, and contents.
-pub(crate) fn files(folder: &Path) -> Result<Vec<RobotFile>, RobotError> {
-    let mut files = Vec::new();
-    collect(folder, "", 0, &mut files, &mut MOST_BYTES.clone())?;
-    files.sort_by(|(a, _), (b, _)| a.cmp(b));
-    Ok(files)
+/// The files of a robot below its folder, with their names relative to it and their contents: `robot.toml`, the model, and each file whose
+/// name a model among them contains. Other files, such as results of runs, are not the robot's.
+///
+/// Names count without their folders, because the compiler looks for them in several, so this may find more files than the compiler
+/// opens and never fewer.
+pub(crate) fn files(folder: &Path, model: &str) -> Result<Vec<RobotFile>, RobotError> {
+    let mut listed = Vec::new();
+    list(folder, "", 0, &mut listed)?;
+    listed.sort();
+    let mut wanted: BTreeSet<String> = [last(model)].into();
+    let (mut found, mut left) = (Vec::new(), MOST_BYTES);
+    // A name in a model that the text alone does not show could be any.
+    let mut any = false;
+    loop {
+        let is_wanted = |name: &String| any || name == "robot.toml" || wanted.contains(&last(name));
+        let Some(at) = listed.iter().position(is_wanted) else { break };
+        let name = listed.remove(at);
+        let content = content(&folder.join(&name), &mut left)?;
+        if found.len() == MOST_FILES {
+            return Err(error(folder, format!("has more than {MOST_FILES} files. Expected a robot's folder")));
+        }
+        let names = named_files::names(&content);
+        any |= names.iter().any(|name| name.contains('&'));
+        wanted.extend(names.iter().map(|name| last(name)));
+        found.push((name, Cow::Owned(content)));
+    }
+    found.sort_by(|(a, _), (b, _)| a.cmp(b));
+    Ok(found)
+}
+
+fn error(path: &Path, why: String) -> RobotError {
+    RobotError::Read { path: path.to_owned(), why }
+}
+
+/// The last part of a path, in lower case: some file systems ignore the case.
+fn last(path: &str) -> String {
+    path.trim().rsplit(['/', '\\']).next().unwrap_or_default().to_lowercase()
 }
 
 /// Reads a regular text file of a robot: its settings, or a part of its model.
 pub(crate) fn text(path: &Path) -> Result<String, RobotError> {
     const LONGEST: u64 = 16 << 20;
-    let error = |why: String| RobotError::Read { path: path.to_owned(), why };
+    let error = |why: String| error(path, why);
     let metadata = fs::metadata(path).map_err(|e| error(e.to_string()))?;
     if !metadata.is_file() || metadata.len() > LONGEST {
         return Err(error("not a text file of at most 16 MiB".to_owned()));
@@ -50,10 +84,10 @@ pub(crate) fn text(path: &Path) -> Result<String, RobotError> {
     })
 }
 
-/// Checks the models of a folder, the files whose names end with `.xml`, `.urdf` or `.mjcf`, and the sizes of its images. All files that a
+/// Checks the models of a robot, the files whose names end with `.xml`, `.urdf` or `.mjcf`, and the sizes of its images. All files that a
 /// model names must be in the folder: the hash of the robot contains no others.
-pub(crate) fn check(folder: &Path) -> Result<(), RobotError> {
-    for (name, content) in files(folder)? {
+pub(crate) fn check(folder: &Path, model: &str) -> Result<(), RobotError> {
+    for (name, content) in files(folder, model)? {
         let lower = name.to_ascii_lowercase();
         let is_model = [".xml", ".urdf", ".mjcf"].iter().any(|ending| lower.ends_with(ending));
         let checked = match (is_model, png_pixels(&content)) {
@@ -96,46 +130,38 @@ fn check_size(tag: &[u8]) -> Result<(), String> {
     Ok(())
 }
 
-fn collect(
-    folder: &Path,
-    prefix: &str,
-    depth: usize,
-    files: &mut Vec<RobotFile>,
-    left: &mut u64,
-) -> Result<(), RobotError> {
-    let error = |path: &Path, why: String| RobotError::Read { path: path.to_owned(), why };
-    let read = |e: std::io::Error, path: &Path| error(path, e.to_string());
+/// The names of all files below a folder, relative to it.
+fn list(folder: &Path, prefix: &str, depth: usize, names: &mut Vec<String>) -> Result<(), RobotError> {
     if depth > DEEPEST {
         return Err(error(folder, format!("nested more than {DEEPEST} folders deep. Expected a robot's folder")));
     }
-    for entry in fs::read_dir(folder).map_err(|e| read(e, folder))? {
-        let entry = entry.map_err(|e| read(e, folder))?;
+    for entry in fs::read_dir(folder).map_err(|e| error(folder, e.to_string()))? {
+        let entry = entry.map_err(|e| error(folder, e.to_string()))?;
         let path = entry.path();
         let name = format!("{prefix}{}", path.file_name().unwrap_or_default().to_string_lossy());
-        if entry.file_type().map_err(|e| read(e, &path))?.is_dir() {
-            collect(&path, &format!("{name}/"), depth + 1, files, left)?;
-            continue;
+        if entry.file_type().map_err(|e| error(&path, e.to_string()))?.is_dir() {
+            list(&path, &format!("{name}/"), depth + 1, names)?;
+        } else if names.len() == MOST_LISTED {
+            return Err(error(folder, format!("has more than {MOST_LISTED} files. Expected a robot's folder")));
+        } else {
+            names.push(name);
         }
-        // A link to a file counts as this file. One to a folder could lead in a circle.
-        let metadata = fs::metadata(&path).map_err(|e| read(e, &path))?;
-        if !metadata.is_file() {
-            return Err(error(
-                &path,
-                "not a regular file. Expected only files and folders in a robot's folder".to_owned(),
-            ));
-        }
-        let mut content = Vec::new();
-        let file = fs::File::open(&path).map_err(|e| read(e, &path))?;
-        file.take(*left + 1).read_to_end(&mut content).map_err(|e| read(e, &path))?;
-        files.push((name, Cow::Owned(content)));
-        let size = files.last().map_or(0, |(_, content)| content.len() as u64);
-        *left = left.checked_sub(size).filter(|_| files.len() <= MOST_FILES).ok_or_else(|| {
-            let why =
-                format!("has more than {MOST_FILES} files or {} MiB. Expected a robot's folder", MOST_BYTES >> 20);
-            error(folder, why)
-        })?;
     }
     Ok(())
+}
+
+/// Reads a file of at most `left` bytes, which are then fewer.
+fn content(path: &Path, left: &mut u64) -> Result<Vec<u8>, RobotError> {
+    let read = |e: std::io::Error| error(path, e.to_string());
+    // A link to a file counts as this file. One to a folder could lead in a circle.
+    if !fs::metadata(path).map_err(read)?.is_file() {
+        return Err(error(path, "not a regular file. Expected only files and folders in a robot's folder".to_owned()));
+    }
+    let mut content = Vec::new();
+    fs::File::open(path).map_err(read)?.take(*left + 1).read_to_end(&mut content).map_err(read)?;
+    let too_large = || error(path, format!("the robot's files have more than {} MiB", MOST_BYTES >> 20));
+    *left = left.checked_sub(content.len() as u64).ok_or_else(too_large)?;
+    Ok(content)
 }
 
 /// Checks an MJCF or URDF text: number and depth of its elements, and the sizes that attributes request.
@@ -262,7 +288,7 @@ mod tests {
     fn models_of_robots_are_accepted() {
         let here = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/robots");
         for robot in ["franka", "ur3e", "ur5e", "ur10e"] {
-            check(&here.join(robot)).unwrap();
+            check(&here.join(robot), &format!("{robot}.xml")).unwrap();
         }
         let text =
             b"<?xml version='1.0'?><mujoco><!-- <!DOCTYPE --> <replicate count='20'><geom name='a>b'/></replicate>\
@@ -322,6 +348,29 @@ mod tests {
         }
     }
 
+    #[test]
+    fn results_beside_the_model_are_not_the_robot() {
+        let folder = std::env::temp_dir().join(format!("robogate-used-{}", std::process::id()));
+        let write = |name: &str, text: &str| {
+            let path = folder.join(name);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, text).unwrap();
+        };
+        write("robot.toml", "");
+        write("arm.xml", "<mujoco><include file='parts/hand.inc'/></mujoco>");
+        write("parts/hand.inc", "<mujoco><asset><mesh file=\"Finger.STL\"/></asset></mujoco>");
+        write("meshes/finger.stl", "");
+        write("requirements.toml", "");
+        write("runs/a/gate.junit.xml", "<testsuite/>");
+        let names =
+            || -> Vec<String> { files(&folder, "arm.xml").unwrap().into_iter().map(|(name, _)| name).collect() };
+        assert_eq!(names(), ["arm.xml", "meshes/finger.stl", "parts/hand.inc", "robot.toml"]);
+        // The text does not show which file this is.
+        write("arm.xml", "<mujoco><include file='parts/h&#97;nd.inc'/></mujoco>");
+        assert_eq!(names().len(), 6);
+        fs::remove_dir_all(&folder).unwrap();
+    }
+
     #[cfg(unix)]
     #[test]
     fn links_in_a_circle_are_rejected() {
@@ -330,7 +379,8 @@ mod tests {
         for name in ["b", "c"] {
             std::os::unix::fs::symlink(&folder, folder.join("a").join(name)).unwrap();
         }
-        let why = files(&folder).unwrap_err().to_string();
+        assert!(files(&folder, "arm.xml").unwrap().is_empty());
+        let why = files(&folder, "b").unwrap_err().to_string();
         fs::remove_dir_all(&folder).unwrap();
         assert!(why.contains("not a regular file"), "{why}");
     }

@@ -43,5 +43,5 @@ pub fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, Failure
 /// # Errors
 /// Rows that cannot be judged.
 pub fn judged(folder: &Path, dictionary: &Dictionary, asked: &Asked) -> Result<Record, Failure> {
-    Ok(Record { real: asked.real.clone(), ..Record::of(dictionary)?.with_repeats_in(folder)? })
+    Ok(Record { real: asked.real.clone(), ..Record::of(dictionary)?.with_faults_in(folder)? })
 }

@@ -11,11 +11,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use robogate_campaign::folder::{DICTIONARY, PLAN, write_atomically};
 use robogate_campaign::{
-    Completion, Event, ExecuteError, Executor, LostEpisode, Plan, Round, RunError, resume_in_rounds, start_in_rounds,
+    Completion, Event, ExecuteError, Executor, Plan, Round, RunError, resume_in_rounds, start_in_rounds,
 };
 use robogate_core::budget::Budget;
 use robogate_core::{Episode, Outcome, Scenario};
-use robogate_dictionary::{Dictionary, Entry, Provenance, read_regular_text};
+use robogate_dictionary::{Dictionary, Entry, LostEpisode, Provenance, read_regular_text};
 use robogate_gate::RankingGuarantee;
 use robogate_stats::contest::{ContestError, Dropped, Elimination, Schedule};
 use serde::{Deserialize, Serialize};

@@ -170,6 +170,7 @@ impl Look<'_> {
             self.record.trials.clear();
         }
         self.record.trials.extend(round.entries.iter().map(Trial::from));
+        self.record.count_lost(round.lost);
         let fixed = self.asked.sampling == Sampling::Fixed;
         // Only invalid episodes and trials of the real robot end a gate with a fixed number of episodes.
         let valid = self.record.trials.iter().all(|trial| trial.ending.is_valid());

@@ -4,8 +4,9 @@ use std::cell::{Cell, RefCell};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use robogate_campaign::{ExecuteError, Executor, LostEpisode};
+use robogate_campaign::{ExecuteError, Executor};
 use robogate_core::{Episode, FailureMode, Foresight, Outcome, Scenario};
+use robogate_dictionary::LostEpisode;
 use robogate_gate::CLIPPED_ACTIONS;
 use robogate_stats::format::percent;
 

@@ -6,14 +6,18 @@ use std::fmt;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use robogate_campaign::{ExecuteError, Executor, LostEpisode};
+use robogate_campaign::{ExecuteError, Executor};
 use robogate_core::{Episode, Fault, FaultKind, Foresight, Outcome, Scenario};
+use robogate_dictionary::LostEpisode;
 
 use crate::notice::note;
 use crate::text::foreign;
 
 /// Smallest number of consecutive lost episodes that stops a run.
 const LOST_IN_A_ROW: u32 = 10;
+
+/// Words of faults after which no policy has seen an observation: nothing listened, or nothing could be started.
+const NOT_BEGUN: [&str; 4] = ["unreachable: ", "not ready: ", "cannot be started again", "all simulators were in use"];
 
 /// The lost episodes of an attempt with their faults, and whether the receiver has stopped the execution.
 type Attempt = (Vec<(Episode, Fault)>, ControlFlow<()>);
@@ -121,7 +125,8 @@ impl<'a> RunsLostAgain<'a> {
     /// Counts a lost episode. Breaks if it shows an outage.
     fn count(&self, episode: &Episode, fault: &Fault) -> ControlFlow<()> {
         let mut state = self.state.borrow_mut();
-        state.lost.push(LostEpisode { index: episode.scenario.index, fault: fault.to_string() });
+        let began = episode.ticks > 0 || !NOT_BEGUN.iter().any(|words| fault.detail.contains(words));
+        state.lost.push(LostEpisode { index: episode.scenario.index, fault: fault.to_string(), began });
         state.in_a_row += 1;
         if state.in_a_row < self.limit {
             return ControlFlow::Continue(());

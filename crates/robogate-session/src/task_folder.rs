@@ -8,6 +8,7 @@ use robogate_core::{
     Action, Allowed, Command, Environment, Fault, Observation, Outcome, Policy, Scenario, Seed, TaskInstance, TaskSpec,
     Value, check_applied, rollout,
 };
+use robogate_dictionary::check_columns;
 use robogate_tasks::file::{FILE, FileTask};
 
 use crate::cell::{Cell, default_place, listed, nominal};
@@ -67,6 +68,7 @@ pub fn check(folder: &Path, robot: &str, physics: bool) -> Result<Checked, Failu
     let chain = cell.kinematics().or_broken()?;
     checked.problems.extend(task.lint(cell.robot(), &chain).iter().map(ToString::to_string));
     let mut environment = cell.environment().or_broken()?;
+    checked.problems.extend(check_columns(environment.task()).err().map(|error| error.to_string()));
     idle(&mut checked, &mut *environment, physics);
     let episodes = if physics { EXPERT_EPISODES } else { 1 };
     if task.has_expert() {

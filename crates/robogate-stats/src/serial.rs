@@ -9,12 +9,26 @@
 use rand_chacha::ChaCha8Rng;
 use rand_core::SeedableRng;
 
+use crate::Confidence;
+use crate::clusters::Clusters;
+use crate::correlation::spearman;
+use crate::logistic::{Data, Options, fit, standardized};
 use crate::resample::shuffle;
 
 /// Number of neighbouring rows whose residuals are summed.
 pub const LAG: usize = 20;
 /// Permutations that must reach the observed statistic before sampling stops.
 const EXCEEDANCES: usize = 20;
+/// Blocks of neighbouring rows, if the rows of a file depend on their order.
+const BLOCKS: usize = 10;
+/// Level of the test of neighbouring rows.
+const LEVEL: f64 = 0.01;
+/// Rank correlation of a column with the order of the rows from which the file counts as sorted by it.
+const SORTED: f64 = 0.5;
+/// Most rows of the test of neighbouring rows.
+const MOST_ROWS: usize = 100_000;
+/// Most columns in the model whose residuals are tested.
+const MODELLED: usize = 12;
 
 /// The permutation p-value of "the residuals do not depend on their order". `level` is the smallest level of interest. `None`
 /// with fewer than two windows, or if all residuals are equal.
@@ -47,6 +61,43 @@ fn statistic(residuals: &[f64]) -> f64 {
         total += window * window;
     }
     total
+}
+
+/// Blocks of neighbouring rows, and the p-value of the test, if rows depend on their neighbours. `columns` are the parameters
+/// of the rows, `numeric` those of them that a smooth model of the outcome can use. `None` for rows that are sorted by their
+/// outcomes or by a column, where the order says nothing.
+pub fn blocks_of_neighbours(success: &[bool], columns: &[&[f64]], numeric: &[&[f64]]) -> Option<(f64, Clusters)> {
+    let rows = success.len().min(MOST_ROWS);
+    let changes = success[..rows].windows(2).filter(|pair| pair[0] != pair[1]).count();
+    let order: Vec<f64> = (0..rows).map(|row| row as f64).collect();
+    let sorted = |column: &&[f64]| {
+        let found = spearman(&column[..rows], &order, Confidence::P95);
+        found.is_ok_and(|found| found.r.abs() > SORTED)
+    };
+    if rows < 2 * LAG || changes <= 2 || columns.iter().any(sorted) {
+        return None;
+    }
+    let numeric: Vec<&[f64]> = numeric.iter().map(|column| &column[..rows]).collect();
+    let p = serial_dependence(&residuals(&success[..rows], &numeric), LEVEL, 0)?;
+    let size = success.len().div_ceil(BLOCKS);
+    (p <= LEVEL).then(|| (p, Clusters::of_labels((0..success.len()).map(|row| row / size))))
+}
+
+/// Outcomes less a smooth model of the columns, in units of their standard deviation.
+fn residuals(success: &[bool], numeric: &[&[f64]]) -> Vec<f64> {
+    let rows = success.len();
+    let mut columns: Vec<Vec<f64>> = Vec::new();
+    for line in numeric.iter().take(MODELLED).filter_map(|column| standardized(column)) {
+        columns.push(line.iter().map(|x| x * x).collect());
+        columns.push(line);
+    }
+    let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+    let model = Data::new(&slices, success, None).and_then(|data| fit(data, Options::default()));
+    let mean = success.iter().filter(|s| **s).count() as f64 / rows as f64;
+    let p = model.ok().and_then(|model| model.probabilities(&slices)).filter(|p| p.len() == rows);
+    let p = p.unwrap_or_else(|| vec![mean; rows]);
+    let residual = |(p, success): (&f64, &bool)| (f64::from(u8::from(*success)) - p) / (p * (1.0 - p)).max(1e-4).sqrt();
+    p.iter().zip(success).map(residual).collect()
 }
 
 #[cfg(test)]

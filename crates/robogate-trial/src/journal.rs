@@ -186,7 +186,7 @@ fn read(file: &mut File, path: &Path, secret: &Secret, head: Option<(u64, String
     }
     let lines = content.records.len();
     if head.as_ref().is_some_and(|(n, _)| *n > lines as u64) || (head.is_none() && lines > 0) {
-        return Err(changed(lines, "lines are missing at the end, or the head is"));
+        return Err(changed(lines, "lines are missing at the end, or the file that states their number"));
     }
     Ok(content)
 }

@@ -1,7 +1,7 @@
 //! The gate's evaluation and its plan in the terminal.
 
 use robogate_gate::{Evaluation, GatePlan, Metric, Mode, PairPlan, Population, Sampling, Sense, Status, Verdict};
-use robogate_report::{RequirementRow, feasible_part, how_judged, new_cases, sign, what_next};
+use robogate_report::{RequirementRow, feasible_part, how_judged, new_cases, of_invalid, sign, what_next};
 use robogate_stats::format::{counted, number};
 
 use crate::force_limits;
@@ -82,7 +82,7 @@ fn counts(evaluation: &Evaluation) {
     };
     let invalid = match counts.invalid {
         0 => "0 invalid".to_owned(),
-        n => format!("{} invalid: the verdict holds for every outcome that they could have had", grouped(n)),
+        n => format!("{} invalid: {}", grouped(n), of_invalid(evaluation.verdict)),
     };
     let distinct = evaluation.distinct_trajectories.map_or_else(String::new, |n| match n {
         1 => ", 1 distinct trajectory".to_owned(),

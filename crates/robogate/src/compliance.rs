@@ -13,7 +13,7 @@ use robogate_core::{FailureMode, Parameter, ParameterSpec, SettingSpec};
 use robogate_dictionary::{Dictionary, Provenance, Tool};
 use robogate_gate::evidence::{EnvironmentBinding, MANIFEST, Manifest, PolicyBinding, Problem, Role};
 use robogate_gate::{Evaluation, Metric, operating_domain};
-use robogate_report::{evidence_html, junit, verdict_html};
+use robogate_report::{evidence_html, junit, of_invalid, verdict_html};
 use robogate_session::SOURCE_SHA256;
 use serde_json::{Value, json};
 
@@ -71,8 +71,9 @@ fn unchecked(evaluation: &Evaluation, provenance: &Provenance) -> Vec<String> {
     }
     if evaluation.counts.invalid > 0 {
         texts.push(format!(
-            "{} invalid episodes have no outcome. The verdict holds for every outcome they could have had.",
-            evaluation.counts.invalid
+            "{} invalid episodes have no outcome: {}.",
+            evaluation.counts.invalid,
+            of_invalid(evaluation.verdict)
         ));
     }
     texts.push(

@@ -259,6 +259,19 @@ class Running(unittest.TestCase):
         self.assertEqual(step["ending"], {"failure": None})
         self.assertGreater(step["measures"]["way_m"], 0.1)
 
+    def test_one_array_for_all_observations_keeps_their_history(self):
+        def way(make):
+            task = Task(
+                name="sliding_box",
+                time_limit_s=1.0,
+                measures=[Measure("way_m", "m", better="higher")],
+                measure=lambda trajectory: {"way_m": float(trajectory.observations[-1][0] - trajectory.observations[0][0])},
+            )
+            return run(Adapter(Environment(make=make, task=task, policies={"push": PUSH})))[0]["measures"]["way_m"]
+
+        self.assertEqual(way(Reused), way(Plain))
+        self.assertGreater(way(Reused), 0.01)
+
     def test_failure_mode_at_the_limit(self):
         step, states = run(sliding_box(), friction_box=2.0, mass_box=5.0)
         self.assertEqual(step["ending"], {"failure": "not_moved"})

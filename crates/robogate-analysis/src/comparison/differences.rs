@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use robogate_dictionary::results::SOURCE_SEED;
+use robogate_stats::clusters::NEIGHBOURS;
 use robogate_stats::clusters::{FEWEST, independent_clusters, paired_clusters};
 use robogate_stats::compare::Pairs;
 use robogate_stats::difference::{ScoreDifference, independent, paired};
@@ -13,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::AnalysisError;
 use crate::comparison::dataset::Dataset;
 use crate::comparison::paired::same_scenarios;
-use crate::dependence::{EQUAL_SETTINGS, NEIGHBOURS};
+use crate::dependence::EQUAL_SETTINGS;
 use crate::rate::ends;
 use crate::table::{ParameterColumn, categories};
 

@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 
 use robogate_core::{Domain, Parameter, ParameterSpace};
 use robogate_dictionary::TaskIdentity;
+use robogate_stats::clusters::{Clusters, RateByCluster};
 use robogate_stats::exact_strata::{self, Stratum};
 use robogate_stats::format::{counted, list};
 use robogate_stats::prediction_powered::{self, Predicted};
@@ -379,7 +380,12 @@ impl Transfer {
         let trials = RealTrials::open(real, simulation.space(), &options.groups)?;
         hear(TransferStep::Trials(&trials.trials));
         if trials.trials.is_empty() {
-            return Err(no(format!("{} has no trial inside the simulated space", real.display())));
+            let names: Vec<String> = trials.outside_in.iter().cloned().collect();
+            let of = match &names[..] {
+                [] => String::new(),
+                names => format!(": all are outside in {}. Are the units the same?", list(names)),
+            };
+            return Err(no(format!("{} has no trial inside the simulated space{of}", real.display())));
         }
         let population = Counted::of(&simulation.table, None).population;
         let mut base = simulation.table.sample(false);
@@ -442,7 +448,12 @@ fn assemble(
         None
     };
     let groups = trials.groups();
-    let alone = Rate::of(Trials::count(outcomes.iter().copied()));
+    let alone = if groups.is_empty() {
+        Rate::of(Trials::count(outcomes.iter().copied()))
+    } else {
+        let clusters: Vec<Clusters> = groups.iter().map(|of| Clusters::of_labels(of.iter().copied())).collect();
+        Rate::by_cluster(&RateByCluster::of(&clusters.iter().collect::<Vec<_>>(), &outcomes, |_| true))
+    };
     let rate = match &no_sample {
         Some(because) => Finding::not(because.clone()),
         None => prediction_powered::rate(&outcomes, &predictions.trials, population, &groups, Confidence::P95)

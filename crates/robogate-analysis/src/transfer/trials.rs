@@ -4,15 +4,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::ErrorKind;
 use std::path::Path;
 
-use robogate_core::{Domain, ParameterSpace, Value};
+use robogate_core::{Domain, Parameter, ParameterSpace, Value};
+use robogate_dictionary::results::groups_rows;
 use robogate_dictionary::{hex, read_text};
 use robogate_stats::exact_strata::MOST_TRIALS;
 use sha2::{Digest, Sha256};
 
 use crate::AnalysisError;
 
-/// Columns that group trials if the caller names none.
-const GROUPS: [&str; 2] = ["operator", "day"];
 /// The grouping of trials with equal settings.
 const REPEATED: &str = "repeated setting";
 /// Most columns of a file.
@@ -29,6 +28,8 @@ pub struct RealTrials {
     pub trials: Vec<RealTrial>,
     /// Lines of trials outside the space, which are left out.
     pub outside: Vec<u64>,
+    /// Parameters in which these are outside.
+    pub outside_in: BTreeSet<String>,
     /// Groupings of the trials: the name, and a group number for each trial. Each has at least two groups.
     pub groupings: Vec<(String, Vec<usize>)>,
     /// Columns that would group the trials, but have the same entry for all of them: the name and the entry.
@@ -75,20 +76,28 @@ fn read(path: &Path) -> Result<Rows, AnalysisError> {
         ErrorKind::InvalidData | ErrorKind::FileTooLarge => wrong(path, 1, error.to_string()),
         _ => AnalysisError::io(path, "read")(error),
     })?;
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(file.as_bytes());
-    let text = |record: &csv::StringRecord| record.iter().map(str::to_owned).collect::<Vec<String>>();
+    // Spreadsheets of some languages separate by semicolons and write decimal commas.
+    let first = file.lines().next().unwrap_or_default();
+    let separator = [b',', b';', b'\t'].into_iter().find(|separator| first.as_bytes().contains(separator));
+    let separator = separator.unwrap_or(b',');
+    let mut reader = csv::ReaderBuilder::new().delimiter(separator).trim(csv::Trim::All).from_reader(file.as_bytes());
+    let cell = |cell: &str| match separator {
+        b';' if cell.replacen(',', ".", 1).parse::<f64>().is_ok() => cell.replacen(',', ".", 1),
+        _ => cell.to_owned(),
+    };
+    let text = |record: &csv::StringRecord| record.iter().map(cell).collect::<Vec<String>>();
+    // After a line that ends with CR LF, the reader stands before the LF.
+    let line_of = |position: Option<&csv::Position>| {
+        position.map_or(0, |at| at.line() + u64::from(file.as_bytes().get(at.byte() as usize) == Some(&b'\n')))
+    };
     let header = text(reader.headers().map_err(|error| wrong(path, 1, error.to_string()))?);
     if header.len() > MOST_COLUMNS {
         return Err(wrong(path, 1, format!("{} columns, at most {MOST_COLUMNS}", header.len())));
     }
     let mut rows = Vec::new();
     for record in reader.records() {
-        let record = record.map_err(|error| {
-            let line = error.position().map_or(0, csv::Position::line);
-            wrong(path, line, error.to_string())
-        })?;
-        let line = record.position().map_or(0, csv::Position::line);
-        rows.push((line, text(&record)));
+        let record = record.map_err(|error| wrong(path, line_of(error.position()), error.to_string()))?;
+        rows.push((line_of(record.position()), text(&record)));
     }
     // Spreadsheets add columns without a name.
     let twice = |(i, name): &(usize, &String)| !name.is_empty() && header[..*i].contains(name);
@@ -142,7 +151,7 @@ fn inside(domain: &Domain, value: f64) -> bool {
 impl RealTrials {
     /// Reads trials. The columns are `success` (true or false, yes or no, 1 or 0), optionally `failure_mode`, the
     /// parameters of `space` by name, and groups. `groups` names the columns of trials that may share effects; without
-    /// them `operator` and `day` are used if they exist. Trials with equal parameters form groups too, if one of these is a
+    /// them those whose names say so are used, such as `operator`, `day` and `session`. Trials with equal parameters form groups too, if one of these is a
     /// continuous one: the others may be equal by chance.
     ///
     /// # Errors
@@ -155,8 +164,9 @@ impl RealTrials {
             return Err(wrong(path, 1, format!("no column `success`. The columns are {found}")));
         };
         let mode = place("failure_mode");
+        let is_parameter = |name: &str| space.parameters().iter().any(|parameter| &*parameter.name == name);
         let names: Vec<String> = match groups {
-            [] => GROUPS.iter().filter(|name| place(name).is_some()).map(|name| (*name).to_owned()).collect(),
+            [] => header.iter().filter(|name| groups_rows(name) && !is_parameter(name)).cloned().collect(),
             given => given.iter().map(|name| name.trim().to_owned()).filter(|name| !name.is_empty()).collect(),
         };
         if let Some(unknown) = names.iter().find(|name| place(name).is_none()) {
@@ -179,6 +189,7 @@ impl RealTrials {
         };
         let ignored = (0..header.len()).filter(|i| !used(*i)).map(|i| header[i].clone()).collect();
         let (mut trials, mut outside, mut labels) = (Vec::new(), Vec::new(), vec![Vec::new(); names.len()]);
+        let mut outside_in = BTreeSet::new();
         for (line, row) in &rows {
             let outcome = match row[success].to_ascii_lowercase().as_str() {
                 "true" | "yes" | "1" | "success" => true,
@@ -193,8 +204,16 @@ impl RealTrials {
                 let found = column.map_or(Ok(None), |column| value(&parameter.domain, &row[column]));
                 values.push(found.map_err(|reason| wrong(path, *line, format!("{}: {reason}", parameter.name)))?);
             }
-            let fits = space.parameters().iter().zip(&values).all(|(p, v)| v.is_none_or(|v| inside(&p.domain, v)));
-            if !fits {
+            let fits = |(p, v): &(&Parameter, &Option<f64>)| v.is_none_or(|v| inside(&p.domain, v));
+            let wrong: Vec<String> = space
+                .parameters()
+                .iter()
+                .zip(&values)
+                .filter(|pair| !fits(pair))
+                .map(|(p, _)| p.name.to_string())
+                .collect();
+            if !wrong.is_empty() {
+                outside_in.extend(wrong);
                 outside.push(*line);
                 continue;
             }
@@ -208,6 +227,8 @@ impl RealTrials {
         for (name, labels) in names.into_iter().zip(labels) {
             match labels.first() {
                 Some(first) if labels.iter().all(|label| label == first) => constant.push((name, first.clone())),
+                // A column that numbers the trials groups none.
+                _ if groups.is_empty() && labels.iter().collect::<BTreeSet<_>>().len() == labels.len() => {}
                 _ => groupings.push((name, numbered(&labels))),
             }
         }
@@ -238,6 +259,7 @@ impl RealTrials {
                 .collect(),
             trials,
             outside,
+            outside_in,
             groupings,
             constant,
             one_setting,

@@ -6,11 +6,11 @@ use std::sync::Arc;
 use std::thread;
 
 use robogate_core::{Episode, ParameterSpace};
-use robogate_dictionary::{DictionaryWriter, Entry, Journal, Recovery};
+use robogate_dictionary::{DictionaryWriter, Entry, Journal, LostEpisode, Recovery};
 
 use super::{AfterRound, Completion, RunError, Settings};
 use crate::active::{Chooser, Opened};
-use crate::folder::{ACTIVE, BOUNDARY, DICTIONARY, Folder, JOURNAL, LOST, SUMMARY};
+use crate::folder::{ACTIVE, BOUNDARY, DICTIONARY, Folder, JOURNAL, SUMMARY};
 use crate::invalid::MostlyInvalid;
 use crate::summary::Summing;
 use crate::{
@@ -202,7 +202,8 @@ impl<'a> Run<'a> {
             let entries = indices
                 .map(|index| self.journal.read(index)?.ok_or_else(|| missing(index)))
                 .collect::<Result<Vec<Entry>, RunError>>()?;
-            if (self.after_round)(&Round { number, entries: &entries }).is_break() {
+            let lost = self.lost()?;
+            if (self.after_round)(&Round { number, entries: &entries, lost: &lost }).is_break() {
                 break;
             }
         }
@@ -242,8 +243,14 @@ impl<'a> Run<'a> {
     fn record_lost(&self) -> Result<(), RunError> {
         match &*self.executor.take_lost() {
             [] => Ok(()),
-            lost => self.folder.append(LOST, lost),
+            lost => self.folder.append(LostEpisode::FILE, lost),
         }
+    }
+
+    /// The attempts that infrastructure faults have lost, also those of earlier processes.
+    fn lost(&self) -> Result<Vec<LostEpisode>, RunError> {
+        let path = self.folder.path(LostEpisode::FILE);
+        LostEpisode::all(path.parent().unwrap_or(&path)).map_err(RunError::io(&path, "read"))
     }
 
     fn stage_finished(&mut self, stage: Stage, outcomes: OutcomeCounts) -> Result<(), RunError> {
@@ -320,7 +327,7 @@ impl<'a> Run<'a> {
             writer.push(&entry)?;
         }
         let summary = summing.finish(plan, rounds, writer.finish()?.dataset_hash);
-        let summary = Summary { run_again: RunAgain::of(&self.folder)?, ..summary };
+        let summary = Summary { run_again: RunAgain::of(&self.lost()?), ..summary };
         self.folder.write(SUMMARY, &summary)?;
         Ok(summary)
     }

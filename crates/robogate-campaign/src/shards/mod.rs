@@ -239,7 +239,7 @@ impl Shards {
     ) -> Result<ControlFlow<()>, ShardError> {
         let mut entries = self.entries(round).collect::<Result<Vec<Entry>, _>>()?;
         entries.sort_unstable_by_key(Entry::index);
-        Ok(after_round(&Round { number, entries: &entries }))
+        Ok(after_round(&Round { number, entries: &entries, lost: &[] }))
     }
 
     /// The names of the shard files, of the records of other results, and of the files beside them. That is one request to an

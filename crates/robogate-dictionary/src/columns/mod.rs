@@ -4,6 +4,7 @@ mod fixed;
 mod layout;
 
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -71,6 +72,22 @@ pub(crate) struct Columns {
     specs: Vec<ColumnSpec>,
     /// Whether a row may lack the value of a parameter, as an imported one may.
     gaps: bool,
+}
+
+/// Checks that no parameter, measure or draw of a task has the name of another column. This is known before the first episode, and
+/// nothing could be recorded after it.
+///
+/// # Errors
+/// With the first such name.
+pub fn check_columns(task: &TaskSpec) -> Result<(), DictionaryError> {
+    let parameters = task.parameters.iter().flat_map(|of| [of.name.to_string(), format!("{APPLIED}{}", of.name)]);
+    let measures = task.measures.iter().map(|of| of.name.as_str().to_owned());
+    let draws = task.draws.iter().map(|of| of.name.as_str().to_owned());
+    let mut known: BTreeSet<String> = fixed_columns().map(|column| column.name.to_ascii_lowercase()).collect();
+    match parameters.chain(measures).chain(draws).find(|name| !known.insert(name.to_ascii_lowercase())) {
+        Some(column) => Err(DictionaryError::ColumnClash { column }),
+        None => Ok(()),
+    }
 }
 
 impl Columns {

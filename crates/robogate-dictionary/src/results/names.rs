@@ -177,6 +177,9 @@ const NUMBERS: [&str; 15] =
 /// operator, a session, a robot.
 pub fn groups_rows(name: &str) -> bool {
     let plain = plain(name);
+    if is_initial_state(&plain) {
+        return true;
+    }
     let mut words =
         plain.split('_').filter(|word| !word.is_empty()).map(|word| word.trim_end_matches(char::is_numeric));
     let mut shared = 0;
@@ -186,11 +189,22 @@ pub fn groups_rows(name: &str) -> bool {
     }) && shared == 1
 }
 
+/// Whether the name is that of the number of a recorded start, such as `init_state_id`.
+fn is_initial_state(plain: &str) -> bool {
+    let of = |known: &[&str]| plain.split('_').any(|word| known.contains(&word));
+    let (start, state) = (["init", "initial", "reset", "start"], ["state", "states", "pose", "condition"]);
+    let others = |word: &str| start.contains(&word) || state.contains(&word) || NUMBERS.contains(&word);
+    of(&start) && of(&state) && plain.split('_').filter(|word| !word.is_empty()).all(others)
+}
+
 /// Whether the name says that the value identifies a scenario or its seed.
 pub fn names_scenario(name: &str) -> bool {
     let plain = plain(name);
     let has = |known: &[&str]| plain.split('_').any(|word| known.contains(&word.trim_end_matches(char::is_numeric)));
-    has(&["scenario", "scene", "case", "layout", "task", "instruction"]) || only_identifies(name) || has(&["seed"])
+    has(&["scenario", "scene", "case", "layout", "task", "instruction"])
+        || only_identifies(name)
+        || has(&["seed"])
+        || is_initial_state(&plain)
 }
 
 /// The name in lower case, with `_` for every other separator.

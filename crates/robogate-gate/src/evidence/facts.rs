@@ -25,7 +25,7 @@ pub(super) fn evaluate(folder: &Path, sampling: Sampling, margin: Option<f64>) -
     } else {
         None
     };
-    let mut record = Record::of(&Dictionary::open(&folder.join(DICTIONARY))?)?.with_repeats_in(folder)?;
+    let mut record = Record::of(&Dictionary::open(&folder.join(DICTIONARY))?)?.with_faults_in(folder)?;
     let path = folder.join(RealEvidence::FILE);
     if path.exists() {
         let text = read_regular_text(&path).map_err(EvidenceError::io(&path, "read"))?;

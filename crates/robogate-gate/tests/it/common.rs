@@ -31,6 +31,7 @@ pub(crate) fn trial(index: u64, ending: Ending) -> Trial {
         measures: Measures::default(),
         trajectory: None,
         unseen: Vec::new(),
+        groups: Vec::new(),
         forces: Vec::new(),
     }
 }
@@ -77,6 +78,7 @@ fn record(population: Population, trials: Vec<Trial>) -> Record {
         planned: None,
         imported: false,
         real: None,
+        served: false,
     }
 }
 

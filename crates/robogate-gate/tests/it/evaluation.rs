@@ -1,4 +1,5 @@
-use robogate_core::{FailureMode, Seed, Stream};
+use robogate_core::{FailureMode, Seed, Stream, Value};
+use robogate_dictionary::LostEpisode;
 use robogate_gate::{
     Baseline, Ending, GateError, Population, Question, Record, Requirements, Sampling, Status, Verdict,
 };
@@ -297,8 +298,12 @@ fn repeating(stream: &mut Stream, rates: &[f64]) -> Record {
     }
     record.imported = true;
     record.stopping = Some(robogate_dictionary::Stopping::Fixed);
-    record.population =
-        Population::Imported { sha256: "1".repeat(64), sampling: None, cases: Some(rates.len() as u64) };
+    record.population = Population::Imported {
+        sha256: "1".repeat(64),
+        sampling: None,
+        cases: Some(rates.len() as u64),
+        groups: Vec::new(),
+    };
     record
 }
 
@@ -340,6 +345,73 @@ fn invalid_episodes_widen_the_interval_over_new_cases() {
     record.trials.iter_mut().take(10).for_each(|trial| trial.ending = invalid());
     let with = interval(&record);
     assert!(with.rate == Some(1.0) && with.interval_95[0] < without.interval_95[0], "{with:?} {without:?}");
+}
+
+/// A server that closes the connection in episodes that it would fail, and answers them another time, succeeds in all of them.
+#[test]
+fn lost_attempts_of_a_server_are_no_successes() {
+    let gate = requirements(SUCCESS);
+    let mut record = suite(8, times(80, &Ending::Success));
+    let lost: Vec<LostEpisode> =
+        (0..60).map(|index| LostEpisode { index, fault: "closed".to_owned(), began: index < 40 }).collect();
+    record.count_lost(&lost);
+    assert_eq!(judge(&gate, &record, Sampling::Fixed).verdict, Verdict::Pass, "only a server can answer differently");
+    record.served = true;
+    record.count_lost(&lost);
+    let found = judge(&gate, &record, Sampling::Fixed);
+    assert_eq!((found.counts.invalid, found.counts.valid), (40, 40), "attempts that did not begin show nothing");
+    assert_ne!(found.verdict, Verdict::Pass);
+    // As many invalid episodes again decide nothing either.
+    assert!(found.results[0].next.is_none_or(|next| next.at_observed < 0.01), "{:?}", found.results[0].next);
+}
+
+/// Fifty imported episodes of each operator, which succeed with the operator's rate.
+fn by_operator(stream: &mut Stream, rates: &[f64]) -> Record {
+    let mut record = repeating(stream, &[]);
+    for (operator, rate) in (0..).zip(rates) {
+        for _ in 0..50 {
+            let ending = if stream.uniform() < *rate { Ending::Success } else { Ending::Failure(None) };
+            let mut episode = trial(record.trials.len() as u64, ending);
+            episode.requested.set("technician", Value::Integer(operator));
+            episode.time_s = Some(if stream.uniform() < *rate { 4.0 } else { 8.0 });
+            record.trials.push(episode);
+        }
+    }
+    record
+}
+
+/// The mean over operators is at the limit, so each verdict is wrong. Counted as independent episodes, 32 of 60 such files are
+/// decided.
+#[test]
+fn operators_are_the_observations() {
+    let stream = &mut Seed::campaign(5).stream("test");
+    for metric in ["metric = \"success\"\nat_least = 0.8", "metric = \"cycle_time_s\"\nat_most = 4.8\nceiling = 10.0"] {
+        let of = |groups: &str| {
+            requirements(&format!("name = \"s\"\nmode = \"confidence\"\n{groups}[[requirement]]\n{metric}\n"))
+        };
+        let (by_row, by_group) = (of(""), of("groups = [\"technician\"]\n"));
+        let (mut rows, mut groups) = (0, 0);
+        for _ in 0..200 {
+            // Three of four operators always succeed, the others with 0.2.
+            let rates: Vec<f64> = (0..12).map(|_| if stream.uniform() < 0.75 { 1.0 } else { 0.2 }).collect();
+            let record = by_operator(stream, &rates);
+            let decided = |of: &Requirements| judge(of, &record, Sampling::Fixed).verdict != Verdict::Inconclusive;
+            rows += u32::from(decided(&by_row));
+            groups += u32::from(decided(&by_group));
+        }
+        assert!(groups <= 20, "each end errs in at most 5 %: {groups} of 200");
+        assert!(rows >= 40 || metric.contains("cycle"), "{rows}");
+    }
+    let gate = requirements(&SUCCESS.replace("mode", "groups = [\"technician\"]\nmode"));
+    let passed = judge(&gate, &by_operator(stream, &[1.0; 12]), Sampling::Fixed);
+    assert_eq!(passed.verdict, Verdict::Pass, "12 of 12 operators, limit 0.6");
+    assert!(passed.estimand.contains("12 values of technician"), "{}", passed.estimand);
+    let few = judge(&gate, &by_operator(stream, &[1.0; 7]), Sampling::Fixed);
+    assert_eq!(few.verdict, Verdict::Inconclusive, "fewer than 8 operators decide nothing");
+    let unknown = requirements(&SUCCESS.replace("mode", "groups = [\"day\"]\nmode"));
+    let question = Question { requirements: &unknown, baseline: None, against: None, sampling: Sampling::Fixed };
+    let error = question.evaluate(&by_operator(stream, &[1.0; 3])).unwrap_err().to_string();
+    assert!(error.contains("no column `day`"), "{error}");
 }
 
 /// Copies of a few trajectories look like many episodes, whose success rate would be certain.

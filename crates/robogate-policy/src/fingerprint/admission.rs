@@ -47,7 +47,12 @@ pub fn admit(judged: &Fingerprint, policy: &mut dyn Asked) -> Result<Admission, 
             let ask = |_| policy.ask(&probe.query);
             (0..probe.answers.len()).map(ask).collect::<Result<Vec<_>, _>>()
         });
-        let p_value = same_distribution(judged, &answers.collect::<Result<Vec<_>, _>>()?);
+        let answers = answers.collect::<Result<Vec<_>, _>>()?;
+        if let Some(words) = not_finite(answers.iter().map(Vec::as_slice)) {
+            differences.push(words);
+            return Ok(Admission { requests, largest: None, tolerance, p_value: None, differences });
+        }
+        let p_value = same_distribution(judged, &answers);
         if p_value < LEVEL {
             differences.push(format!("the answers have another distribution (p = {p_value:.4})"));
         }
@@ -55,6 +60,10 @@ pub fn admit(judged: &Fingerprint, policy: &mut dyn Asked) -> Result<Admission, 
     }
     let answers: Vec<Chunk> =
         judged.probes.iter().map(|probe| policy.ask(&probe.query)).collect::<Result<Vec<_>, _>>()?;
+    if let Some(words) = not_finite(answers.iter().map(std::slice::from_ref)) {
+        differences.push(words);
+        return Ok(Admission { requests, largest: None, tolerance, p_value: None, differences });
+    }
     let spreads = judged.spreads();
     let worst = |answers: &[Chunk]| {
         let each =
@@ -63,9 +72,11 @@ pub fn admit(judged: &Fingerprint, policy: &mut dyn Asked) -> Result<Admission, 
     };
     let largest = worst(&answers);
     if largest > tolerance {
-        let causes = causes(judged, policy, largest)?;
+        // Answers of another size differ for that reason, whatever else would explain some of them.
+        let sized = largest.is_finite();
+        let causes = if sized { causes(judged, policy, largest)? } else { Vec::new() };
         let mut ignored = Vec::new();
-        for input in &judged.used {
+        for input in judged.used.iter().filter(|_| sized) {
             if !judged.is_used(input, policy)? {
                 ignored.push(format!("`{input}` has no effect on the answers"));
             }
@@ -84,6 +95,17 @@ pub fn admit(judged: &Fingerprint, policy: &mut dyn Asked) -> Result<Admission, 
         }
     }
     Ok(Admission { requests, largest: Some(largest), tolerance, p_value: None, differences })
+}
+
+/// What is wrong if some answers contain NaN or infinity: such an answer equals no other one, and no change explains it.
+fn not_finite<'a>(requests: impl Iterator<Item = &'a [Chunk]>) -> Option<String> {
+    let broken = |chunk: &Chunk| chunk.rows().iter().any(|row| row.iter().any(|number| !number.is_finite()));
+    let (mut wrong, mut all) = (0, 0);
+    for answers in requests {
+        all += 1;
+        wrong += usize::from(answers.iter().any(broken));
+    }
+    (wrong > 0).then(|| format!("the answers to {wrong} of {all} requests contain numbers that are not finite"))
 }
 
 /// The changes of the request after which the deployed policy answers as the judged one.

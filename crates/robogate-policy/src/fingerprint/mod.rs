@@ -172,5 +172,6 @@ fn difference(a: &Chunk, b: &Chunk, spreads: &[f64]) -> f64 {
     let rows = a.rows().iter().zip(b.rows());
     let numbers = rows.flat_map(|(a, b)| a.iter().zip(b).zip(spreads));
     // A number that is not finite is a difference.
-    numbers.map(|((a, b), spread)| (a - b).abs() / spread).fold(0.0, |most, x| if x <= most { most } else { x })
+    let apart = |((a, b), spread): ((&f64, &f64), &f64)| Some((a - b).abs() / spread).filter(|x| !x.is_nan());
+    numbers.map(|pair| apart(pair).unwrap_or(f64::INFINITY)).fold(0.0, f64::max)
 }

@@ -189,6 +189,29 @@ fn other_arithmetic_is_admitted() {
 
 /// A policy whose answers have noise: the same distribution is admitted, another one is not.
 #[test]
+fn answers_that_are_not_numbers_are_refused_without_a_cause() {
+    let fingerprint = judged();
+    for share in [1, 2] {
+        let broken = |rows: &mut Vec<Vec<f64>>| {
+            if share == 1 || rows[0][0] > 0.0 {
+                rows[0][0] = f64::NAN;
+            }
+        };
+        let mut deployed = Deployed { after: &broken, ..Deployed::plain() };
+        let found = admit(&fingerprint, &mut deployed).unwrap();
+        assert!(!found.is_admitted() && found.differences.len() == 1, "{found:?}");
+        assert!(found.differences[0].contains("not finite"), "{found:?}");
+    }
+    let short = |rows: &mut Vec<Vec<f64>>| {
+        if rows[0][0] > 0.0 {
+            rows.truncate(2);
+        }
+    };
+    let found = admit(&fingerprint, &mut Deployed { after: &short, ..Deployed::plain() }).unwrap();
+    assert!(found.differences.iter().all(|words| words.contains("actions")), "{found:?}");
+}
+
+#[test]
 fn random_answers_are_compared_as_distributions() {
     struct Noisy(robogate_core::Stream, f64);
     impl Asked for Noisy {

@@ -94,6 +94,9 @@ impl<'a> Writer<'a> {
         let found = format!("takes {}; returns {}", ports(&self.inputs), ports(&self.outputs));
         let mut memories = String::new();
         let mut rest = std::mem::take(&mut self.outputs);
+        let at = self.action_of(&rest);
+        rest.get_mut(..=at).unwrap_or_default().rotate_right(1);
+        let mut known: Vec<(String, String)> = Vec::new();
         let (mut cameras, mut states) = (String::new(), String::new());
         for input in std::mem::take(&mut self.inputs) {
             // A recurrent network returns an array of the same sizes that no vector of the task has.
@@ -108,6 +111,10 @@ impl<'a> Writer<'a> {
                 }
                 (None, Some((vectors, guess)), _) => {
                     self.guesses.extend(guess);
+                    if let Some((other, _)) = known.iter().find(|(_, of)| *of == format!("{vectors:?}")) {
+                        self.guesses.push(format!("`{}` and `{other}` take the same vector", input.name));
+                    }
+                    known.push((input.name.clone(), format!("{vectors:?}")));
                     let _ =
                         write!(states, "\n[[state]]\nkey = {:?}\nvectors = {vectors:?}\ntype = \"<f4\"\n", input.name);
                 }
@@ -124,6 +131,16 @@ impl<'a> Writer<'a> {
         }
         let action = rest.first().ok_or("the network has no output with actions")?;
         let (size, length) = self.action(action)?;
+        if let [action, others @ ..] = &rest[..]
+            && !others.is_empty()
+        {
+            let others: Vec<String> = others.iter().map(|output| format!("`{}`", output.name)).collect();
+            self.guesses.push(format!(
+                "the output `{}` is the action, and {} is not used",
+                action.name,
+                others.join(", ")
+            ));
+        }
         let map = self.map(&action.name);
         let profile = format!(
             "# A draft from the inputs and outputs of the network, and from the task {}. Check what is marked as a guess.\n\
@@ -134,6 +151,18 @@ impl<'a> Writer<'a> {
         );
         Profile::from_toml(&profile).map_err(|why| format!("the draft is not a valid profile: {why}"))?;
         Ok(NetworkDraft { profile, map, found, guesses: self.guesses })
+    }
+
+    /// The place of the output with the actions: by its name, otherwise by its size, otherwise the first.
+    fn action_of(&self, outputs: &[Port]) -> usize {
+        let size = self.task.action.vector().map(|(low, _)| low.len());
+        let named = |output: &Port| output.name.to_ascii_lowercase().contains("action");
+        let exact = |output: &Port| ["action", "actions"].contains(&output.name.to_ascii_lowercase().as_str());
+        let place = |is: &dyn Fn(&Port) -> bool| outputs.iter().position(is);
+        place(&exact)
+            .or_else(|| place(&named))
+            .or_else(|| place(&|output| size.is_some() && output.last() == size))
+            .unwrap_or(0)
     }
 
     fn observed(&self) -> String {

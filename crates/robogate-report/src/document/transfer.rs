@@ -65,6 +65,8 @@ fn rates(of: &Transfer) -> Section {
     };
     let mut rows = Vec::new();
     let mut blocks = Vec::new();
+    let grouped = of.alone.clusters.is_some();
+    let by_group = |independent: &'static str| if grouped { "by group (Korn and Graubard)" } else { independent };
     match of.rate.estimated() {
         Some(found) => {
             rows.push(row(
@@ -77,14 +79,14 @@ fn rates(of: &Transfer) -> Section {
         }
         None => {
             blocks.push(Block::cannot("The real rate with the simulation", of.rate.because().unwrap_or_default()));
-            rows.push(row("trials alone", of.alone.rate, of.alone.wilson_95, "Wilson"));
+            rows.push(row("trials alone", of.alone.rate, of.alone.wilson_95, by_group("Wilson")));
         }
     }
     match of.exact.estimated() {
         Some(exact) => rows.push(row("trials and simulation", None, exact.interval_95, "exact, two strata")),
         None => blocks.push(Block::cannot("The exact interval", of.exact.because().unwrap_or_default())),
     }
-    rows.push(row("trials alone", of.alone.rate, of.alone.clopper_pearson_95, "exact (Clopper-Pearson)"));
+    rows.push(row("trials alone", of.alone.rate, of.alone.clopper_pearson_95, by_group("exact (Clopper-Pearson)")));
     rows.push(row("simulation", of.simulated.rate, of.simulated.wilson_95, "Wilson"));
     let columns = [("source", Short), ("success", Number), ("95 % interval", Number), ("method", Text)];
     blocks.insert(0, Block::Table(Table::new("Success rates", &columns, rows)));

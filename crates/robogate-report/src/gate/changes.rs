@@ -1,8 +1,8 @@
 //! What to change after a gate that did not pass: statements that tests support, the most useful first, each with a command.
 
 use robogate_analysis::labels::mode_label;
-use robogate_analysis::{Advice, Analysis, FailureCondition, HERE};
-use robogate_gate::{Evaluation, Metric, Sense, Status, Verdict};
+use robogate_analysis::{Advice, Analysis, FailureCondition, HERE, same_subject};
+use robogate_gate::{Evaluation, Metric, Population, Sense, Status, Verdict};
 use robogate_stats::format::{count, counted, percent, percent_or_dash, percent_range, sentence};
 
 use crate::text::{advise, condition, main_modes, rounded_up};
@@ -49,6 +49,7 @@ pub fn what_to_change(
     let mut changes = Vec::new();
     // A policy that was changed must be judged on new scenarios.
     let seed = analysis.provenance.seed.wrapping_add(1);
+    let same = same_subject(&analysis.provenance);
     let add = |changes: &mut Vec<Change>, text: String, command: String| changes.push(Change { text, command });
     // A requirement other than success says nothing about limits that raise success.
     let unmet = |metric: Metric| {
@@ -62,8 +63,10 @@ pub fn what_to_change(
     if let Some(advice) = limits.filter(|_| unmet(Metric::Success)) {
         let command = match advice {
             _ if !analysis.subject.replayable => String::new(),
-            Advice::Operate { .. } => format!("robogate gate --space LIMITED.toml --seed {seed}"),
-            Advice::RunMore { episodes, .. } => format!("robogate run -n {} --seed {seed}", rounded_up(*episodes)),
+            Advice::Operate { .. } => format!("robogate gate{same} --space LIMITED.toml --seed {seed}"),
+            Advice::RunMore { episodes, .. } => {
+                format!("robogate run{same} -n {} --seed {seed}", rounded_up(*episodes))
+            }
             _ => String::new(),
         };
         add(&mut changes, advise(analysis, advice), command);
@@ -80,7 +83,7 @@ pub fn what_to_change(
                     "No parameter separates failures from successes in these episodes. A difference of 10 points needs about {}.",
                     counted(episodes, "episode")
                 );
-                let command = format!("robogate run -n {episodes} --seed {seed}");
+                let command = format!("robogate run{same} -n {episodes} --seed {seed}");
                 add(&mut changes, text, if analysis.subject.replayable { command } else { String::new() });
             }
         }
@@ -104,15 +107,21 @@ pub fn what_to_change(
     changes.truncate(MOST);
     let undecided = evaluation.results.iter().find_map(|result| Some((result, result.next?)));
     if let Some((result, next)) = undecided.filter(|_| evaluation.verdict == Verdict::Inconclusive) {
+        let imported = matches!(evaluation.population, Population::Imported { .. });
         let text = format!(
-            "`{}` is undecided. Another gate of {} decides it with a probability of {} if the observed rate is the true one. A larger \
-             one, with the same options:",
+            "`{}` is undecided. Another gate of {} decides it with a probability of {} if the observed rate is the true one. {}",
             result.id,
             counted(next.episodes, "episode"),
-            percent(next.at_observed)
+            percent(next.at_observed),
+            if imported {
+                "Record more episodes, and import them alone."
+            } else {
+                "A larger one, with the same options:"
+            }
         );
         let rounds = 2 * u64::from(evaluation.requirements.budget.rounds);
-        add(&mut changes, text, format!("robogate gate --rounds {rounds} --seed {seed}"));
+        let command = format!("robogate gate{same} --rounds {rounds} --seed {seed}");
+        add(&mut changes, text, if imported { String::new() } else { command });
     }
     changes
 }

@@ -10,7 +10,8 @@ mod twins;
 mod verdict;
 
 use robogate_gate::{
-    Evaluation, Metric, Mode, NextBudget, RequirementResult, Sampling, StageComparison, Status, UNLIMITED, Verdict,
+    Evaluation, Metric, Mode, NextBudget, Population, RequirementResult, Sampling, StageComparison, Status, UNLIMITED,
+    Verdict,
 };
 
 pub use changes::{Change, required_success, what_to_change};
@@ -139,6 +140,14 @@ fn chance(next: &NextBudget) -> String {
     )
 }
 
+/// What invalid episodes mean for a verdict, as the end of a sentence.
+pub fn of_invalid(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Pass | Verdict::Fail => "the verdict holds for every outcome that they could have had",
+        Verdict::Inconclusive | Verdict::Invalid => "a pass must hold if they all failed, a fail if they all succeeded",
+    }
+}
+
 /// What an inconclusive gate needs: more episodes, or a repair of what makes episodes invalid. Empty if it is conclusive.
 pub fn what_next(evaluation: &Evaluation) -> String {
     if let Some(ruled_out) = &evaluation.ruled_out {
@@ -159,8 +168,22 @@ pub fn what_next(evaluation: &Evaluation) -> String {
     }
     let undecided = evaluation.results.iter().filter_map(|result| Some((result, result.next?)));
     let hardest = undecided.min_by(|a, b| a.1.at_observed.total_cmp(&b.1.at_observed));
+    let groups = match &evaluation.population {
+        Population::Imported { groups, .. } => groups.as_slice(),
+        Population::Suite { .. } | Population::Drawn { .. } => &[],
+    };
+    if let Some(of) = groups.first() {
+        return format!(
+            "More episodes need more values of {}: each counts as one observation, and fewer than 8 decide nothing.",
+            of.by
+        );
+    }
+    let faults = match evaluation.counts.invalid {
+        0 => String::new(),
+        n => format!(" Fix what makes episodes invalid first ({} of {}).", count(n), count(evaluation.counts.episodes)),
+    };
     hardest.map_or_else(String::new, |(result, next)| {
-        format!("`{}`: {}. The episodes of this run may not be counted again.", result.id, chance(&next))
+        format!("`{}`: {}. The episodes of this run may not be counted again.{faults}", result.id, chance(&next))
     })
 }
 

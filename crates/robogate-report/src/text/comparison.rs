@@ -67,12 +67,13 @@ fn paired_answer(pair: &PairedComparison) -> String {
     };
     let scope = match pair.clusters {
         Some(n) if n < 8 => format!(
-            " The pairs come from {}, too few for a claim about new scenarios: at least 8 are needed.",
-            counted(n, "scenario")
+            " The pairs come from {} of dependent episodes, too few for a claim about new ones: at least 8 are needed.",
+            counted(n, "group")
         ),
         Some(n) => format!(
-            " The test counts {} once each, and applies to new scenarios of the same kind.",
-            counted(n, "scenario")
+            " Test and difference count {} of dependent episodes once each, so the difference need not be that of the rates, and \
+             apply to new groups of the same kind.",
+            counted(n, "group")
         ),
         None => " It applies to these scenarios.".to_owned(),
     };
@@ -108,13 +109,17 @@ fn independent_answer(of: &Comparison) -> String {
         (some, all) if some == all => "All differences are significant".to_owned(),
         (some, all) => format!("{some} of {all} differences are significant"),
     };
+    let groups = match of.differences.first().and_then(|difference| difference.clusters) {
+        Some(_) => " Differences count each group of dependent episodes once, so they need not be those of the rates.",
+        None => "",
+    };
     let parameters = different_parameters(of);
     let spaces = if parameters.is_empty() {
         String::new()
     } else {
         format!(" The operating spaces differ in {}, so the rates apply to different populations.", labels(&parameters))
     };
-    format!("Success: {}. {verdict}.{spaces}", order.join(", "))
+    format!("Success: {}. {verdict}.{groups}{spaces}", order.join(", "))
 }
 
 /// The paired comparison with the largest difference. Among equal ones the first.
@@ -139,7 +144,7 @@ fn what_differs(of: &Comparison) -> Vec<String> {
                 ", not significant"
             };
             let paired = match (d.clusters, d.valid_pairs) {
-                (Some(n), _) => format!(" over {}, each counted once", counted(n, "scenario")),
+                (Some(n), _) => format!(" over {} of dependent episodes, each counted once", counted(n, "group")),
                 (None, Some(n)) => format!(" on the same {}", counted(n, "scenario")),
                 (None, None) => String::new(),
             };

@@ -24,7 +24,9 @@ use robogate_core::{
     Environment, Fault, FaultKind, Foresight, InfeasibleShare, ParameterSpace, Policy, SpaceFeasibility, Suite,
     TaskSpec,
 };
-use robogate_dictionary::{CellPlace, Controls, Place, Platform, Provenance, SCHEMA_VERSION, Tool, World, provenance};
+use robogate_dictionary::{
+    CellPlace, Controls, Place, Platform, Provenance, SCHEMA_VERSION, Tool, World, check_columns, provenance,
+};
 use robogate_policy::{RangeCounts, RangeMeasures, Recorder, with_range_measures};
 use robogate_remote::RemoteEnvironment;
 use serde_json::Value;
@@ -86,6 +88,7 @@ impl Subject {
         let rendered_px = policy.as_ref().and_then(|policy| policy.profile()?.rendered_px);
         let environment = rendered_px.into_iter().fold(environment, EnvironmentSource::with_pictures_of);
         let task = environment.task().or_broken()?;
+        check_columns(&task).or_request()?;
         let policy = environment.declared_policy(policy).or_request()?;
         let task = match policy.as_ref().and_then(PolicySource::profile) {
             Some(profile) => with_range_measures(&task, profile),

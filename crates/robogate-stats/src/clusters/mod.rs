@@ -34,6 +34,29 @@ pub use settings::{Setting, equal_settings};
 pub const FEWEST: usize = 8;
 /// With fewer clusters, only large effects are found.
 pub const LOW_POWER: usize = 15;
+/// The name of the division into blocks of neighbouring rows ([`crate::serial::blocks_of_neighbours`]).
+pub const NEIGHBOURS: &str = "neighbouring rows";
+
+/// One division of rows into clusters, and what it is by: a column, for example.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Grouping {
+    /// What rows of a cluster share.
+    pub by: String,
+    /// The clusters.
+    pub clusters: Clusters,
+}
+
+/// Leaves out divisions whose clusters lie within those of another one, and puts the coarsest first.
+pub fn coarsest_first(mut found: Vec<Grouping>) -> Vec<Grouping> {
+    found.sort_by_key(|grouping| grouping.clusters.count());
+    let mut kept: Vec<Grouping> = Vec::new();
+    for grouping in found {
+        if !kept.iter().any(|coarser| grouping.clusters.is_within(&coarser.clusters)) {
+            kept.push(grouping);
+        }
+    }
+    kept
+}
 
 /// A division of rows into clusters.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -9,6 +9,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 use clap::{Args, Subcommand};
 use robogate_core::{Allowed, Domain, Parameter, ParameterSpec, Scale};
+use robogate_dictionary::check_columns;
 use robogate_remote::Timeouts;
 use robogate_remote::message::Hello;
 use robogate_stats::format::number;
@@ -209,6 +210,7 @@ impl Inspect {
         let timeouts = Timeouts::from_step(Duration::from_secs_f64(self.timeout_s));
         let description: Description = interpreter.ask_within("describe", &[&self.name], &timeouts)?;
         description.hello.check().map_err(|why| anyhow!(why)).or_broken()?;
+        check_columns(&description.hello.task).or_usage()?;
         if let Some(file) = &self.space {
             write_new(file, &space_file(&description.hello)).or_usage()?;
             note(format_args!(

@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use robogate_analysis::Source;
-use robogate_campaign::folder::LOST;
 use robogate_core::TaskSpec;
-use robogate_dictionary::{Place, PolicyRecord, Provenance, World};
+use robogate_dictionary::{LostEpisode, Place, PolicyRecord, Provenance, World};
 use robogate_gate::evidence::{
     Content, Documents, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write,
 };
@@ -93,7 +92,7 @@ impl Evidence {
             (Role::Question, Asked::FILE),
             (Role::Registration, REGISTRATION),
             (Role::Registration, REGISTRATION_KEY),
-            (Role::Attachment, LOST),
+            (Role::Attachment, LostEpisode::FILE),
             (Role::Fingerprint, FINGERPRINT),
             (Role::Repeats, REPEATED),
         ];

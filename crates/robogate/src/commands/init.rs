@@ -148,18 +148,25 @@ impl Init {
     fn results(&self, file: &Path) -> Result<u8, Exit> {
         line(format_args!("found     {}: results, one row for each episode", foreign(file.display())));
         let out = Path::new(file.file_stem().unwrap_or_default()).with_extension("dictionary.parquet");
-        if self.force && out.exists() {
-            std::fs::remove_file(&out).with_context(|| format!("cannot replace {}", out.display())).or_broken()?;
+        for earlier in dictionaries(&out).into_iter().filter(|_| self.force) {
+            let failed = || format!("cannot replace {}", earlier.display());
+            std::fs::remove_file(&earlier).with_context(failed).or_broken()?;
         }
         step(&["import", &file.display().to_string(), &out.display().to_string()])?;
         let mut drafts = Drafts::new(self.force);
-        let source = Source::open(&out).or_broken()?;
+        let policies = dictionaries(&out);
+        let first = policies.first().unwrap_or(&out);
+        let source = Source::open(first).or_broken()?;
         drafts.requirements(
             &self.wanted(&source.dictionary().provenance().task)?,
             &source.dictionary().provenance().task,
         )?;
         drafts.write()?;
-        next(&format!("robogate gate --run {} --requirements {}", quoted(&out), drafts::REQUIREMENTS));
+        next(&format!("robogate gate --run {} --requirements {}", quoted(first), drafts::REQUIREMENTS));
+        if policies.len() > 1 {
+            let all: Vec<String> = policies.iter().map(|policy| quoted(policy)).collect();
+            line(format_args!("and       robogate rank {}   compares the policies", all.join(" ")));
+        }
         line(format_args!("and       robogate audit {}   finds rows that make a rate wrong", quoted(file)));
         Ok(DONE)
     }
@@ -312,6 +319,19 @@ fn run(folder: &Path) -> Result<u8, Exit> {
     next(&format!("robogate gate --run {}", quoted(folder)));
     line(format_args!("and       robogate view {}   explores its episodes in the browser", quoted(folder)));
     Ok(DONE)
+}
+
+/// The files that an import to `out` writes: this one, or one for each policy, `-` and its name before the extension.
+fn dictionaries(out: &Path) -> Vec<PathBuf> {
+    if out.exists() {
+        return vec![out.to_owned()];
+    }
+    let start = format!("{}-", out.file_stem().unwrap_or_default().to_string_lossy());
+    let of_policy = |name: &str| name.starts_with(&start) && name.ends_with(".parquet");
+    let found = std::fs::read_dir(".").into_iter().flatten().flatten().map(|entry| PathBuf::from(entry.file_name()));
+    let mut found: Vec<PathBuf> = found.filter(|path| path.to_str().is_some_and(of_policy)).collect();
+    found.sort();
+    found
 }
 
 /// Prints the next command.

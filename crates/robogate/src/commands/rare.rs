@@ -1,6 +1,6 @@
 //! `robogate rare`: the probability of a rare event, by subset simulation over parameters and draws.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
@@ -107,6 +107,9 @@ struct Check {
     happened: u64,
     interval_95: [f64; 2],
     estimate: f64,
+    /// Log-normal, from the levels down to this one.
+    estimate_95: [f64; 2],
+    /// Whether the two intervals overlap.
     agrees: bool,
 }
 
@@ -209,30 +212,50 @@ struct Runner<'a> {
     question: &'a Question,
     done: u64,
     invalid: u64,
+    first_fault: Option<String>,
 }
 
 impl Runner<'_> {
-    fn scenario(&self, at: usize, point: &Point) -> Scenario {
+    /// All have the index 0, because the seed of an episode follows from its index, and points with equal draws have equal seeds.
+    fn scenario(&self, point: &Point) -> Scenario {
         let values = self.space.parameters().iter().zip(point.unit()).map(|(parameter, unit)| {
             (Arc::clone(&parameter.name), parameter.domain.decode(parameter.domain.from_unit(unit)))
         });
-        Scenario { index: at as u64, seed: Seed::campaign(point.draw).episode(0), requested: values.collect() }
+        Scenario { index: 0, seed: Seed::campaign(point.draw).episode(0), requested: values.collect() }
     }
 
     fn margins(&mut self, points: &[Point]) -> Result<Vec<f64>, Stopped> {
-        let scenarios: Vec<Scenario> = points.iter().enumerate().map(|(at, point)| self.scenario(at, point)).collect();
-        let mut found: Vec<Option<f64>> = vec![None; points.len()];
+        let scenarios: Vec<Scenario> = points.iter().map(|point| self.scenario(point)).collect();
+        let key = |scenario: &Scenario| format!("{} {:?}", scenario.seed.campaign_number(), scenario.requested);
+        let mut found: BTreeMap<String, f64> = BTreeMap::new();
         let mut receive = |episode: Episode| {
             self.done += 1;
-            self.invalid += u64::from(matches!(episode.outcome, Outcome::Invalid(_)));
-            if let Some(slot) = found.get_mut(episode.scenario.index as usize) {
-                *slot = Some(self.question.of(&episode));
+            if let Outcome::Invalid(fault) = &episode.outcome {
+                self.invalid += 1;
+                self.first_fault.get_or_insert_with(|| fault.to_string());
             }
+            found.insert(key(&episode.scenario), self.question.of(&episode));
             ControlFlow::Continue(())
         };
         let run = self.pool.execute(&|at| scenarios.get(at).cloned(), &mut receive);
         run.or_broken().map_err(Stopped::Failed)?;
-        found.into_iter().collect::<Option<Vec<f64>>>().ok_or(Stopped::Interrupted)
+        let margins = scenarios.iter().map(|scenario| found.get(&key(scenario)).copied());
+        margins.collect::<Option<Vec<f64>>>().ok_or(Stopped::Interrupted)
+    }
+}
+
+impl Runner<'_> {
+    /// Most of the first episodes must be valid.
+    fn check_valid(&self) -> Result<(), Exit> {
+        match &self.first_fault {
+            Some(fault) if 2 * self.invalid > self.done => Err(anyhow!(
+                "{} of the first {} are invalid, one of them because of {fault}\nHint: `robogate run -n 20` with the same options shows them",
+                count(self.invalid),
+                counted(self.done, "episode")
+            ))
+            .or_broken(),
+            _ => Ok(()),
+        }
     }
 }
 
@@ -281,7 +304,8 @@ impl RareEvent {
         };
         let answer = self.how.with_workers(|workers| {
             workers.with_pool(&subject, |pool| {
-                let mut runner = Runner { pool, space: &space, question: &question, done: 0, invalid: 0 };
+                let mut runner =
+                    Runner { pool, space: &space, question: &question, done: 0, invalid: 0, first_fault: None };
                 self.answer(&subject, &mut runner, plan)
             })
         })?;
@@ -303,6 +327,7 @@ impl RareEvent {
         let run = subset(plan, |points| {
             let margins = runner.margins(points)?;
             if std::mem::take(&mut first) {
+                runner.check_valid().map_err(Stopped::Failed)?;
                 self.check_grades(runner.question, &margins).map_err(Stopped::Failed)?;
             }
             Ok(margins)
@@ -355,7 +380,7 @@ impl RareEvent {
                 })
                 .collect(),
             check,
-            examples: run.events.iter().take(LISTED).map(|point| runner.scenario(0, point).requested).collect(),
+            examples: run.events.iter().take(LISTED).map(|point| runner.scenario(point).requested).collect(),
         }))
     }
 
@@ -394,17 +419,20 @@ impl RareEvent {
             margins = runner.margins(points)?;
             Ok(margins.clone())
         })?;
-        let shown = levels.iter().rev().find(|(_, probability)| probability * n as f64 >= 10.0);
-        let (margin, estimate) = shown.or(levels.first()).copied().unwrap_or((EVENT, run.probability));
+        let shown = levels.iter().rposition(|(_, probability)| probability * n as f64 >= 10.0).unwrap_or(0);
+        let (margin, estimate) = levels.get(shown).copied().unwrap_or((EVENT, run.probability));
         let hits = Trials::count(margins.iter().map(|m| *m <= margin));
         let interval = clopper_pearson(hits, Confidence::P95);
-        let spread = 1.0 + 2.0 * run.variation.unwrap_or(0.5);
+        // The shares of the levels vary independently (Au and Beck 2001).
+        let squares: f64 = run.levels.iter().take(shown + 1).map(|level| level.variation.powi(2)).sum();
+        let spread = (Confidence::P95.z() * (1.0 + squares).ln().sqrt()).exp();
         Ok(Check {
             episodes: hits.n(),
             margin: runner.question.shown(margin),
             happened: hits.successes(),
             interval_95: [interval.low, interval.high],
             estimate,
+            estimate_95: [estimate / spread, (estimate * spread).min(1.0)],
             agrees: interval.low <= estimate * spread && estimate / spread <= interval.high,
         })
     }
@@ -440,12 +468,14 @@ fn print(answer: &Answer) {
         line(bold("Check with plain episodes"));
         let at = check.margin.map_or_else(|| answer.event.clone(), |m| format!("{} {}", answer.margin, number(m)));
         line(format_args!(
-            "  {at}: {} of {} episodes ({} to {}, 95 %), the estimate is {}: {}",
+            "  {at}: {} of {} episodes ({} to {}, 95 %), the estimate is {} ({} to {}): {}",
             count(check.happened),
             count(check.episodes),
             p(check.interval_95[0]),
             p(check.interval_95[1]),
             p(check.estimate),
+            p(check.estimate_95[0]),
+            p(check.estimate_95[1]),
             if check.agrees { "they agree" } else { "they DISAGREE" }
         ));
     }

@@ -30,7 +30,7 @@ pub(crate) struct TransferTo {
     /// space. The trials must be a random sample of the same settings
     #[arg(long, value_name = "FILE")]
     population: Option<PathBuf>,
-    /// Name columns of trials that may share effects, such as operator,day; default: operator and day if they exist
+    /// Name columns of trials that may share effects, such as operator,day; default: those whose names say so
     #[arg(long, value_name = "A,B,...", value_delimiter = ',')]
     groups: Vec<String>,
     /// Print one versioned JSON document

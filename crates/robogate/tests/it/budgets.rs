@@ -84,6 +84,10 @@ fn robots_have_budgets() {
         ("pixels", "skin.png", png),
     ] {
         fs::copy(franka.join("franka.xml"), dir.path().join("franka.xml")).unwrap();
+        if file != "franka.xml" {
+            // Files that the model does not name are not read.
+            fs::write(dir.path().join("franka.xml"), model(&format!("<texture file=\"{file}\"/>"))).unwrap();
+        }
         fs::write(dir.path().join(file), &content).unwrap();
         refused("a robot", part, content.len(), || text(Robot::from_folder(dir.path())));
         fs::remove_file(dir.path().join(file)).unwrap();

@@ -27,7 +27,7 @@ from .probe import Probe
 from .scoring import Scoring, truth
 from .spaces import Observations, actions_of, same
 from .timing import control_period, step_limit
-from .trajectory import Trajectory
+from .trajectory import Trajectory, owned
 
 
 ALREADY = (
@@ -305,6 +305,7 @@ class Adapter:
             observation = self._task.prepare(self._env, observation)
             if self._model is not None:
                 self._model.advanced()
+        observation = owned(observation)
         self._trajectory = Trajectory(self._env, self._period, observations=[observation])
         self._solved = self._scoring.holds_at_start(self._trajectory, info)
         if self._solved and not self._task.starts_may_succeed:
@@ -433,7 +434,7 @@ class Adapter:
         except (TypeError, ValueError):
             hint = ". The package shimmy translates environments of the older gym" if isinstance(result, tuple) and len(result) == 4 else ""
             raise Problem("setup", f"step returned {_values(result)}. Expected observation, reward, terminated, truncated, info{hint}") from None
-        trajectory = self._trajectory
+        trajectory, observation = self._trajectory, owned(observation)
         trajectory.observations.append(observation)
         trajectory.actions.append(executed)
         try:
@@ -442,6 +443,7 @@ class Adapter:
             raise Problem("setup", f"step returned the reward {reward!r:.80}. Expected a number") from None
         if type(info) is not dict and not isinstance(info, Mapping):
             raise Problem("setup", f"step returned the info {info!r:.80}. Expected a dict")
+        info = owned(info)
         trajectory.infos.append(info)
         ended, cut = (one if type(one) is bool else truth(one, name, "") for one, name in ((terminated, "terminated"), (truncated, "truncated")))
         trajectory.terminated = ended

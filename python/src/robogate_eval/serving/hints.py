@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 from .environment import innermost
@@ -16,9 +17,19 @@ def example_file(env: Any, name: str, field: str) -> str:
         entry = getattr(specification, "entry_point", None)
         module = entry.partition(":")[0].partition(".")[0] if isinstance(entry, str) else ""
         registered = identifier if module in ("", "gymnasium") else f"{module}:{identifier}"
-        first, make = "    import gymnasium\n", f'lambda: gymnasium.make("{registered}")'
+        arguments = "".join(f", {name}={value!r}" for name, value in _given(identifier, specification).items())
+        first, make = "    import gymnasium\n", f'lambda: gymnasium.make("{registered}"{arguments})'
     task = f'Task(name="{name.rpartition(".")[2].lower()}", {field})'
     return f"{first}    from robogate_eval import Environment, Task\n    environment = Environment(make={make}, task={task})"
+
+
+def _given(identifier: str, specification: Any) -> dict[str, Any]:
+    """The arguments with which a registered environment was made, without those of its registration."""
+    # An environment of the older gym does not need gymnasium.
+    registry = getattr(sys.modules.get("gymnasium"), "registry", {})
+    registered = getattr(registry.get(identifier), "kwargs", {})
+    given = getattr(specification, "kwargs", None) or {}
+    return {name: value for name, value in given.items() if name != "render_mode" and registered.get(name, ...) != value}
 
 
 def unknown(env: Any, name: str, what: str, field: str) -> str:

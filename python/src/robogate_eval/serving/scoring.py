@@ -61,6 +61,9 @@ class Scoring:
         if reported is None and trajectory.over:
             known = next(_named(trajectory.info), None)
             rule, what = "t.rewards[-1] > 0.9", "a reward above 0.9"
+            if known is None and min(trajectory.rewards) > 0.9:
+                # A reward for each step rewards going on.
+                rule, what = "t.over and not t.terminated", "to reach the time limit"
             if known is not None:
                 inner = "".join(f".get({key!r}, {{}})" for key in known[:-1])
                 rule, what = f"bool(t.info{inner}.get({known[-1]!r}, False))", f"what {'.'.join(map(str, known))!r} says"

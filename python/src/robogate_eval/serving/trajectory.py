@@ -2,8 +2,27 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
+
+
+def owned(value: Any) -> Any:
+    """A copy of the arrays in `value`, and of the dicts, lists and tuples around them. Many environments write each observation into the
+    same array."""
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if isinstance(value, dict):
+        copied = copy(value)
+        for key, item in value.items():
+            copied[key] = owned(item)
+        return copied
+    if isinstance(value, (list, tuple)):
+        items = [owned(item) for item in value]
+        return type(value)(*items) if hasattr(value, "_fields") else type(value)(items)
+    return value
 
 
 @dataclass

@@ -31,7 +31,7 @@ impl Gate {
         }
         let record = Record::of(source.dictionary())?;
         let mut record = match source.folder() {
-            Some(folder) => record.with_repeats_in(folder)?,
+            Some(folder) => record.with_faults_in(folder)?,
             None => record,
         };
         let asked = source.folder().map_or(Ok(None), Asked::of)?;

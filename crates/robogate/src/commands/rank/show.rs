@@ -45,7 +45,13 @@ fn print(ranking: &Ranking) {
         let all = ranking.differences.len();
         let together = if all > 1 { format!(" for all {all} pairs together") } else { String::new() };
         let (difference, range) = (points(difference), points_range([low, high]));
-        wrapped(&format!("{names}: {difference} points, {range} (95 %{together})."));
+        let groups = match ranking.differences.iter().find_map(|pair| pair.clusters) {
+            Some(_) => {
+                " Each group of dependent episodes counts once, so this need not be the difference of the rates."
+            }
+            None => "",
+        };
+        wrapped(&format!("{names}: {difference} points, {range} (95 %{together}).{groups}"));
     }
     wrapped(&ranking.statement());
     let invalid: u64 = ranking.policies.iter().map(|policy| policy.invalid).sum();

@@ -55,14 +55,15 @@ struct Given {
 /// A robot.
 struct Robot<'a> {
     warner: Warner<'a>,
-    last_s: f64,
+    /// Time of the last control period of this episode. `None` before the first.
+    last_s: Option<f64>,
 }
 
 impl Robot<'_> {
     /// Starts an episode with these parameters.
     fn start(&mut self, parameters: &[f64]) {
         self.warner.start(parameters);
-        self.last_s = 0.0;
+        self.last_s = None;
     }
 }
 
@@ -129,7 +130,7 @@ impl Feed<'_> {
                 return Err(anyhow!("more than {MOST_ROBOTS} robots"));
             }
             let warner = Warner::new(self.detector, self.file.calibration.threshold);
-            self.robots.insert(name.clone(), Robot { warner, last_s: 0.0 });
+            self.robots.insert(name.clone(), Robot { warner, last_s: None });
         }
         let Some(robot) = self.robots.get_mut(&name) else { return Ok(()) };
         if let Some(parameters) = start {
@@ -137,6 +138,11 @@ impl Feed<'_> {
             robot.start(&values);
         }
         if let Some(time_s) = time_s {
+            if let Some(last_s) = robot.last_s.filter(|last_s| time_s <= *last_s) {
+                return Err(anyhow!(
+                    "time_s is {time_s} after {last_s}: the time of an episode grows, and `start` begins another"
+                ));
+            }
             for (at, group) in self.file.features.signals.places() {
                 let values = match group.kind {
                     SignalKind::Observation => observation.get(&group.name).map(Vec::as_slice),
@@ -156,7 +162,7 @@ impl Feed<'_> {
                     None => return Err(anyhow!("{} is missing", group.name)),
                 }
             }
-            robot.last_s = time_s;
+            robot.last_s = Some(time_s);
             let before = robot.warner.warned_s();
             let score = robot.warner.observe(time_s as f32, &self.row);
             if before != robot.warner.warned_s() && !self.tally.suspended {
@@ -164,8 +170,11 @@ impl Feed<'_> {
             }
         }
         if let Some(end) = end {
+            let Some(last_s) = robot.last_s else {
+                return Err(anyhow!("`end` without a control period of the episode: it is not counted"));
+            };
             let warned = robot.warner.warned_s();
-            let lead_s = warned.map(|at_s| robot.last_s - f64::from(at_s));
+            let lead_s = warned.map(|at_s| last_s - f64::from(at_s));
             let begins = match end.as_str() {
                 "stopped" => {
                     self.tally.stopped += 1;
