@@ -167,10 +167,13 @@ impl Domain {
         }
     }
 
-    /// Both ends of a range, or every choice. An environment that accepts these values accepts all.
+    /// Both ends of a range and a number between them, or every choice. An environment that accepts these values accepts all.
     pub fn extremes(&self) -> Vec<Value> {
         match self {
-            Self::Continuous { low, high, .. } => vec![Value::Number(*low), Value::Number(*high)],
+            // A number between them is no integer, even if both ends are.
+            Self::Continuous { low, high, .. } => {
+                vec![Value::Number(*low), Value::Number(*high), Value::Number(low + 0.618 * (high - low))]
+            }
             Self::Integer { low, high } => vec![Value::Integer(*low), Value::Integer(*high)],
             Self::Categorical { choices } => choices.iter().cloned().map(Value::Category).collect(),
         }

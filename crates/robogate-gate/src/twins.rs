@@ -140,6 +140,22 @@ struct Pair<'a> {
     family: Option<String>,
 }
 
+/// The value of `category`, `group` or a parameter.
+fn value_of(trial: &Trial, column: &str) -> Option<String> {
+    match column {
+        "category" => trial.label.category.clone(),
+        "group" => trial.label.group.clone(),
+        name => trial.requested.get(name).map(Value::to_string),
+    }
+}
+
+/// Whether a trial has this value of a column.
+fn is_of(trial: &Trial, column: &str, wanted: &str) -> bool {
+    // An import reads these words as a missing value.
+    let missing = NO_VALUE.iter().any(|word| word.eq_ignore_ascii_case(wanted));
+    value_of(trial, column).map_or(missing, |value| value == wanted)
+}
+
 impl Twins {
     /// The version of the format.
     pub const FORMAT: u32 = 1;
@@ -225,20 +241,21 @@ impl Twins {
         Ok(Self::from_pairs(record, nominal, &pairs, &alone, unpaired, looks))
     }
 
+    /// The record without the rows of the control arm, which are no episodes of the verdict: those with this value of `column`
+    /// ([`Twins::within`]).
+    #[must_use]
+    pub fn without_nominal(mut record: Record, column: &str, nominal: &str) -> Record {
+        record.trials.retain(|trial| !is_of(trial, column, nominal));
+        record
+    }
+
     /// Pairs the episodes of one imported file. `column` is `category`, `group` or a parameter; rows with the value
     /// `nominal` are the control arm, and the other values are the families.
     ///
     /// # Errors
     /// If no row has that value, or if episodes cannot be identified.
     pub fn within(record: &Record, column: &str, nominal: &str, sampling: Sampling) -> Result<Self, GateError> {
-        let value = |trial: &Trial| match column {
-            "category" => trial.label.category.clone(),
-            "group" => trial.label.group.clone(),
-            name => trial.requested.get(name).map(Value::to_string),
-        };
-        // An import reads these words as a missing value.
-        let missing = NO_VALUE.iter().any(|word| word.eq_ignore_ascii_case(nominal));
-        let is_nominal = |trial: &Trial| value(trial).map_or(missing, |value| value == nominal);
+        let is_nominal = |trial: &Trial| is_of(trial, column, nominal);
         if !record.trials.iter().any(is_nominal) {
             return Err(GateError::NoNominalRows { column: column.to_owned(), value: nominal.to_owned() });
         }
@@ -268,7 +285,7 @@ impl Twins {
             match twins.get(&(case.as_str(), *seed)) {
                 Some(twin) => {
                     used.insert(twin.index);
-                    let family = Some(value(trial).unwrap_or_else(|| "not stated".to_owned()));
+                    let family = Some(value_of(trial, column).unwrap_or_else(|| "not stated".to_owned()));
                     pairs.push(Pair { perturbed: trial, nominal: twin, family });
                 }
                 None => unpaired += 1,

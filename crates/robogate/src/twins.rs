@@ -35,15 +35,26 @@ impl NominalArguments {
         Self { nominal }
     }
 
+    /// The column and the value of imported rows of the control arm.
+    fn column(&self) -> Option<(&str, &str)> {
+        self.nominal.as_deref().filter(|nominal| !Path::new(nominal).exists())?.split_once('=')
+    }
+
+    /// The record that is judged: without imported rows of the control arm.
+    pub(crate) fn judged(&self, record: Record) -> Record {
+        match self.column() {
+            Some((column, value)) => Twins::without_nominal(record, column, value),
+            None => record,
+        }
+    }
+
     /// The comparison of the episodes of `source` with their twins. `None` without a control arm.
     pub(crate) fn twins(&self, source: &Source, sampling: Sampling) -> Result<Option<Twins>, Exit> {
         let Some(nominal) = &self.nominal else {
             return source.folder().map_or(Ok(None), |folder| Ok(twins_of(folder, source, sampling)?));
         };
         let record = Record::of(source.dictionary())?;
-        if !Path::new(nominal).exists()
-            && let Some((column, value)) = nominal.split_once('=')
-        {
+        if let Some((column, value)) = self.column() {
             return Twins::within(&record, column, value, sampling).map_err(Exit::from).map(Some);
         }
         let arm = open_source(Path::new(nominal))?;

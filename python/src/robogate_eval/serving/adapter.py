@@ -40,6 +40,9 @@ CARRIED = (
     "episode has an effect. Let the reset of the environment set everything that its criterion uses"
 )
 
+# First actions that are tried beside those at the ends of their range, where the first action of an episode succeeds.
+OTHER_ACTIONS = 5
+
 
 class Adapter:
     """Serves an environment.
@@ -423,7 +426,8 @@ class Adapter:
         if self._disturbances.delays:
             executed = self._disturbances.delayed(executed)
         try:
-            result = self._env.step(executed)
+            # The environment may change the array that it is given.
+            result = self._env.step(owned(executed))
         except Exception as error:
             # dm_control's, by its name: the package may be missing.
             if type(error).__name__ == "PhysicsError":
@@ -471,8 +475,8 @@ class Adapter:
         return observation, ending, measures
 
     def _look_at_start(self, numbers: "list[float] | np.ndarray") -> None:
-        """Find out whether the criterion also holds after the farthest other first action: then it held before the policy acted, although
-        the reset did not say so. Another instance is asked, so that the state of this one stays that of the episode. If it does not
+        """Find out whether the criterion also holds after any other first action: then it held before the policy acted, although the reset
+        did not say so. One other action may succeed as well where the criterion is wide, so several are tried. Another instance is asked, so that the state of this one stays that of the episode. If it does not
         succeed with the same action, an earlier episode has decided this one."""
         if self._is_twin or self._solved:
             return
@@ -480,7 +484,8 @@ class Adapter:
             self._twin = Adapter(self._environment, is_twin=True)
         low, high = self._actions.low, self._actions.high
         other = np.where(np.asarray(numbers) > 0.5 * (low + high), low, high)
-        self._solved = self._twin_succeeds(other)
+        anywhere = np.random.default_rng(0).uniform(low, high, (OTHER_ACTIONS, len(low)))
+        self._solved = all(self._twin_succeeds(action) for action in (other, low, high, *anywhere))
         if self._solved and not self._task.starts_may_succeed:
             raise Problem("setup", ALREADY)
         if not self._solved and self.deterministic and not self._twin_succeeds(numbers):

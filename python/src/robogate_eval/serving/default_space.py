@@ -55,7 +55,8 @@ def default_space(knobs: Sequence[Knob], own: set[str], named: set[str], model: 
 def _range(knob: Knob, period_s: float) -> tuple:
     """A moderate range of a knob of the model. Empty if there is none around its nominal value."""
     if knob.name == "action_delay":
-        return (0, min(int(knob.high), max(1, round(DELAY_S / period_s))))
+        steps = min(int(knob.high), round(DELAY_S / period_s))
+        return (0, steps) if steps > 0 else ()
     kind = knob.name.partition(":")[0]
     low, high, *scale = RANGES[kind](float(knob.nominal))
     low, high = max(low, knob.low), min(high, knob.high)

@@ -116,7 +116,9 @@ fn initial_states(table: &Table<'_>) -> Outcome {
         };
         state.map(|state| (row.place(), state))
     });
-    let repeated: Vec<&Vec<usize>> = groups.values().filter(|rows| rows.len() > 1).collect();
+    // Some rounded settings are equal by chance.
+    let by_chance = !by_name && 2 * groups.len() > table.rows.len();
+    let repeated: Vec<&Vec<usize>> = groups.values().filter(|rows| rows.len() > 1 && !by_chance).collect();
     let mut rows: Vec<usize> = repeated.iter().flat_map(|rows| rows.iter().skip(1)).copied().collect();
     rows.sort_unstable();
     let columns = if by_name { &table.state } else { &table.parameters };
@@ -236,6 +238,11 @@ fn duplicates(table: &Table<'_>) -> Outcome {
         );
     }
     let same = extra(grouped(table, |row| Some((String::new(), row.whole as i64))));
+    if table.episode.is_empty() && table.seed.is_empty() && are_coincidences(table, same.len()) {
+        return Err("no column numbers the episodes or names their seeds, and rows are also equal in all settings but not in their result, so \
+             equal rows can be different episodes"
+            .to_owned());
+    }
     if !same.is_empty() {
         problems.push(problem("The row is equal to an earlier one in every column".to_owned(), &same));
     }
@@ -246,6 +253,17 @@ fn duplicates(table: &Table<'_>) -> Outcome {
         problems.push(problem("The number of the episode occurs twice in the same task".to_owned(), &other));
     }
     Ok((problems, names(&table.episode.union(&table.seed).cloned().collect())))
+}
+
+/// Whether `same` rows may equal others by chance: other rows with equal settings have other results, or independent results would be
+/// equal as well with a probability of at least 1 %.
+fn are_coincidences(table: &Table<'_>, same: usize) -> bool {
+    let groups = grouped(table, |row| row.parameters);
+    let differ = |rows: &Vec<usize>| rows.iter().any(|at| table.rows[*at].whole != table.rows[rows[0]].whole);
+    let successes = table.rows.iter().filter(|row| row.success == Some(true)).count();
+    let rate = successes as f64 / table.rows.len().max(1) as f64;
+    let alike = rate * rate + (1.0 - rate) * (1.0 - rate);
+    groups.values().any(differ) || alike.powi(i32::try_from(same).unwrap_or(i32::MAX)) >= 0.01
 }
 
 fn seeds(table: &Table<'_>) -> Outcome {

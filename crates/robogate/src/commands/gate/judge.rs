@@ -64,8 +64,10 @@ impl Gate {
             against: other.against(margin),
             sampling,
         };
-        let mut evaluation = question.evaluate(&record)?;
-        evaluation.twins = NominalArguments::of(self.nominal.clone().flatten()).twins(&source, sampling)?;
+        let nominal = NominalArguments::of(self.nominal.clone().flatten());
+        let twins = nominal.twins(&source, sampling)?;
+        let mut evaluation = question.evaluate(&nominal.judged(record))?;
+        evaluation.twins = twins;
         evaluation.nominal = source.folder().map_or(Ok(None), nominal_rate_of)?;
         if let Some(out) = &self.out {
             fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display())).or_broken()?;
