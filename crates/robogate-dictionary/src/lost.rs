@@ -32,8 +32,11 @@ impl LostEpisode {
         if !path.exists() {
             return Ok(Vec::new());
         }
-        let text = read_regular_text(&path)?;
-        // A killed process may leave an incomplete last line. The attempt was lost in any case.
-        Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+        Ok(Self::parse(&read_regular_text(&path)?))
+    }
+
+    /// The attempts in the text of such a file. A killed process may leave an incomplete last line, whose attempt is not known.
+    pub fn parse(text: &str) -> Vec<Self> {
+        text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
     }
 }

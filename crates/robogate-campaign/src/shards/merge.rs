@@ -1,11 +1,14 @@
 //! Merges the shards of a campaign to the files of a run on one machine.
 
+use std::cell::RefCell;
 use std::fs;
 use std::ops::ControlFlow;
 use std::path::Path;
 
 use robogate_core::{Episode, Fault, FaultKind, Scenario};
-use robogate_dictionary::{Dictionary, DictionaryError, Entry, Journal, Platform, Provenance, SCHEMA_VERSION, Tool};
+use robogate_dictionary::{
+    Dictionary, DictionaryError, Entry, Journal, LostEpisode, Platform, Provenance, SCHEMA_VERSION, Tool,
+};
 
 use super::{DirectoryStore, OpenRound, ShardError, ShardRound, ShardStore, Shards, Stored, put};
 use crate::folder::{DICTIONARY, Folder, JOURNAL, PLAN};
@@ -48,7 +51,10 @@ impl Shards {
             Some(after_round) => after_round,
             None => &mut all_rounds,
         };
-        let run = Run::new(folder, self.settings.clone(), &NothingLeft, events, after_round)?;
+        // An interrupted merge may have written them.
+        let lost = if folder.has(LostEpisode::FILE) { Vec::new() } else { self.lost(&files)? };
+        let nothing_left = NothingLeft(RefCell::new(lost));
+        let run = Run::new(folder, self.settings.clone(), &nothing_left, events, after_round)?;
         let completion = run.with_chosen(chosen).run()?;
         let leftovers = "remove unfinished files of";
         self.store.remove_leftovers().map_err(super::failed(&*self.store, "", leftovers))?;
@@ -136,8 +142,8 @@ fn check_rows(path: &Path) -> Result<(), ShardError> {
     })
 }
 
-/// An executor for a run whose episodes are all recorded.
-struct NothingLeft;
+/// An executor for a run whose episodes are all recorded, with the attempts that its shards lost.
+struct NothingLeft(RefCell<Vec<LostEpisode>>);
 
 impl Executor for NothingLeft {
     fn parallelism(&self) -> usize {
@@ -155,5 +161,9 @@ impl Executor for NothingLeft {
                 Err(ExecuteError::Worker(Fault::new(FaultKind::Setup, format!("no shard has episode {index}"))))
             }
         }
+    }
+
+    fn take_lost(&self) -> Vec<LostEpisode> {
+        self.0.take()
     }
 }

@@ -26,6 +26,7 @@ mod design;
 mod division;
 mod error;
 mod file;
+mod lost;
 mod merge;
 mod round;
 mod shard;
@@ -239,7 +240,8 @@ impl Shards {
     ) -> Result<ControlFlow<()>, ShardError> {
         let mut entries = self.entries(round).collect::<Result<Vec<Entry>, _>>()?;
         entries.sort_unstable_by_key(Entry::index);
-        Ok(after_round(&Round { number, entries: &entries, lost: &[] }))
+        let lost = self.lost(&self.files()?)?;
+        Ok(after_round(&Round { number, entries: &entries, lost: &lost }))
     }
 
     /// The names of the shard files, of the records of other results, and of the files beside them. That is one request to an

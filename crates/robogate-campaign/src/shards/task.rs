@@ -2,6 +2,7 @@
 
 use std::ops::ControlFlow;
 
+use robogate_dictionary::LostEpisode;
 use robogate_dictionary::frame::encode_frame;
 
 use super::file::{self, Hash, Header};
@@ -45,6 +46,7 @@ pub struct ShardResult {
     round: ShardRound,
     shard: Shard,
     outcomes: OutcomeCounts,
+    lost: Vec<LostEpisode>,
     bytes: Vec<u8>,
 }
 
@@ -101,6 +103,8 @@ impl Shards {
     /// error, because a shard must not depend on the machine that runs it. They are recorded beside the shard.
     pub fn commit(&self, result: &ShardResult) -> Result<Commit, ShardError> {
         let name = shard_name(result.round, result.shard);
+        // Before the shard, which other processes may use at once.
+        self.store_lost(&name, &result.lost)?;
         match self.put_equal(&name, &result.bytes) {
             Ok(Stored::New) => Ok(Commit::First),
             Ok(Stored::Exists) => Ok(Commit::Duplicate),
@@ -178,7 +182,8 @@ impl ShardTask {
         events(&Event::StageFinished { stage, outcomes: outcomes.clone() });
         let header = Header { plan: self.plan, round: self.round, shard: self.shard, episodes };
         let bytes = file::encode(&header, frames.iter().map(|(_, frame)| frame.as_slice()));
-        Ok(ShardEnd::Complete(ShardResult { round: self.round, shard: self.shard, outcomes, bytes }))
+        let lost = executor.take_lost();
+        Ok(ShardEnd::Complete(ShardResult { round: self.round, shard: self.shard, outcomes, lost, bytes }))
     }
 }
 

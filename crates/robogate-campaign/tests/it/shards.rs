@@ -17,10 +17,10 @@ use robogate_campaign::shards::{
     Stored,
 };
 use robogate_campaign::{
-    Completion, Event, ExecuteError, Plan, Round, RunError, built_in_suite, recorded, start_in_rounds,
+    Completion, Event, ExecuteError, Executor, Plan, Round, RunError, built_in_suite, recorded, start_in_rounds,
 };
-use robogate_core::Seed;
-use robogate_dictionary::{Place, Provenance, World};
+use robogate_core::{Episode, Scenario, Seed};
+use robogate_dictionary::{LostEpisode, Place, Provenance, World};
 use sha2::{Digest, Sha256};
 
 use crate::suite::{origin, suite};
@@ -614,6 +614,46 @@ fn interrupted_shard_leaves_no_episodes() {
     assert!(matches!(error, RunError::Execute(ExecuteError::Worker(_))), "{error}");
     assert_eq!(files(&base.path().join("shards")).keys().collect::<Vec<_>>(), ["design-uniform.points", "layout.json"]);
     assert_eq!(campaign.open_round(None).unwrap().unwrap().missing, [0, 1]);
+}
+
+/// An executor that lost an attempt of episode 3.
+struct Losing<'a>(&'a dyn Executor);
+
+impl Executor for Losing<'_> {
+    fn parallelism(&self) -> usize {
+        self.0.parallelism()
+    }
+
+    fn execute(
+        &self,
+        scenario: &(dyn Fn(usize) -> Option<Scenario> + Sync),
+        receive: &mut dyn FnMut(Episode) -> ControlFlow<()>,
+    ) -> Result<(), ExecuteError> {
+        self.0.execute(scenario, receive)
+    }
+
+    fn take_lost(&self) -> Vec<LostEpisode> {
+        vec![LostEpisode { index: 3, fault: "closed".to_owned(), began: true }]
+    }
+}
+
+#[test]
+fn lost_attempts_of_shards_are_merged() {
+    let base = tempfile::tempdir().unwrap();
+    let campaign = begin(base.path(), 2, &plan(60, 0), provenance()).unwrap();
+    for index in 0..2 {
+        let Assignment::Run(task) = campaign.assign(index, None).unwrap() else { panic!() };
+        let end = with_pool(&Synthetic::default(), 1, &mut |_, _| {}, |pool, events| {
+            if index == 0 { task.run(&Losing(pool), events) } else { task.run(pool, events) }
+        });
+        let ShardEnd::Complete(result) = end.unwrap() else { panic!() };
+        campaign.commit(&result).unwrap();
+    }
+    let out = base.path().join("merged");
+    merge(&campaign, &out).unwrap();
+    let lost = LostEpisode::all(&out).unwrap();
+    assert_eq!(lost.iter().map(|of| (of.index, of.began)).collect::<Vec<_>>(), [(3, true)]);
+    assert!(fs::read_to_string(out.join("summary.json")).unwrap().contains("\"lost_attempts\": 1"));
 }
 
 #[test]
