@@ -17,11 +17,14 @@ use robogate_tasks::{ArmDeclaration, ArmEnvironment, ArmTask, Rig};
 use common::{EngineKind, scenario};
 
 /// The shipped tasks with the robots that solve them.
-const SHIPPED: [(&str, &[&str]); 4] = [
+const SHIPPED: [(&str, &[&str]); 7] = [
     ("drawer", &["franka", "ur5e", "ur10e"]),
     ("button", &["franka", "ur5e", "ur10e"]),
     ("door", &["franka", "ur5e", "ur10e"]),
     ("lid", &["franka", "ur5e", "ur10e"]),
+    ("palletising", &["franka", "ur5e"]),
+    ("machine_tending", &["franka", "ur5e"]),
+    ("kitting", &["franka", "ur5e"]),
 ];
 
 fn text(task: &str) -> String {
@@ -422,5 +425,43 @@ fn endless_skills_are_refused() {
         let mut expert = expert(&task, &environment, "franka");
         let episode = rollout(&mut environment, &mut *expert, &scenario(0, &[]));
         assert_ne!(episode.outcome, Outcome::Success, "{skill}");
+    }
+}
+
+/// A part on a fixture that moves, and one condition as the success. The policy does nothing.
+fn carried(motion: &str, at: &str, when: &str, on: EngineKind) -> (Outcome, f64) {
+    let text = format!(
+        "format = 'robogate-task/1'\nname = 'carry'\ninstruction = 'wait'\ntime_limit = '4 s'\n\
+         [[fixture]]\nname = 'carrier'\nat = '50, 0, 4 cm'\n{motion}\nshapes = [{{ box = '40, 50, 2 cm' }}]\n\
+         [[part]]\nname = 'cube'\nin = 'carrier'\nat = '{at}'\nmass = '200 g'\nshapes = [{{ box = '4, 4, 4 cm' }}]\n\
+         [[region]]\nname = 'spot'\nin = 'carrier'\nat = '{at}'\nsize = '1, 1, 1 cm'\n\
+         [success]\nwhen = '{when}'\n"
+    );
+    let task = FileTask::read(&text).unwrap_or_else(|problems| panic!("{motion}: {problems:?}"));
+    let rig = Rig { picture_px: [16; 2], ..Rig::default() };
+    let mut environment = task.on(on.robot("franka").engine(), rig).unwrap();
+    let episode = rollout(&mut environment, &mut Idle::default(), &scenario(0, &[]));
+    (episode.outcome, episode.time_s)
+}
+
+/// A belt carries a part at its speed, and its own places stand still. A shuttle and a turn carry part and places along.
+#[test]
+fn moving_fixtures_carry_parts() {
+    let mut engines = vec![EngineKind::Mujoco];
+    #[cfg(feature = "rapier")]
+    engines.push(EngineKind::Rapier);
+    let (belt, shuttle, turn) = ("belt = '-y, 10 cm/s'", "shuttle = 'y, 20 cm, 10 cm/s'", "turn = 'z, 30 deg/s'");
+    for on in engines {
+        for (motion, at, when, from, to) in [
+            (belt, "0, 0, 3 cm", "moved(cube) > 15 cm", 1.5, 1.55),
+            (belt, "0, 0, 3 cm", "not inside(cube, spot)", 0.05, 0.08),
+            // 0.1 m (1 - cos(t / s)) is 0.197 m after 2.896 s.
+            (shuttle, "0, 0, 3 cm", "moved(cube) > 19.7 cm and inside(cube, spot)", 2.89, 2.91),
+            (turn, "12, 0, 3 cm", "moved(cube) > 12 cm and inside(cube, spot)", 1.98, 2.05),
+        ] {
+            let (outcome, time_s) = carried(motion, at, when, on);
+            assert_eq!(outcome, Outcome::Success, "{motion}: {when}");
+            assert!((from..to).contains(&time_s), "{motion}: {when}: {time_s} s");
+        }
     }
 }

@@ -168,14 +168,14 @@ impl FileTask {
             }
         };
         let mut fixtures = vec![Fixture::table()];
-        for (fixture, frame) in model.fixtures.iter().zip(&layout.fixtures) {
+        for ((fixture, frame), motion) in model.fixtures.iter().zip(&layout.fixtures).zip(&layout.motions) {
             for (index, shape) in fixture.shapes.iter().enumerate() {
                 let name = match fixture.shapes.len() {
                     1 => fixture.name.clone(),
                     _ => format!("{}.{}", fixture.name, index + 1),
                 };
                 let part = robogate_physics::Part { pose: frame * shape.pose, ..*shape };
-                fixtures.push(Fixture { name, kind: FixtureKind::Receptacle, part, motion: None });
+                fixtures.push(Fixture { name, kind: FixtureKind::Receptacle, part, motion: *motion });
             }
         }
         let FreeBody { object, pose: object_pose, color, .. } = body(0);

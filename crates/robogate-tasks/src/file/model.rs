@@ -3,10 +3,10 @@
 use nalgebra::Vector3;
 use robogate_core::budget::Budget;
 use robogate_core::{Better, FailureMode, Severity, Word};
-use robogate_physics::{Color, GRAVITY, Joint, JointKind, Part, Primitive};
+use robogate_physics::{Color, GRAVITY, Joint, JointKind, Motion, Part, Primitive};
 
 use super::conditions::{Compiler, Condition, Value};
-use super::document::{Document, JointTable, JointWord, ParameterTable, ShapeTable, Text};
+use super::document::{Document, FixtureTable, JointTable, JointWord, ParameterTable, ShapeTable, Text};
 use super::expert::{self, Skill};
 use super::names::{Names, RESERVED, Region};
 use super::numbers::{Frame, Numbers, PartNumbers, PartTarget, Place, Placed, Target, YAW};
@@ -371,6 +371,8 @@ impl Reading<'_, '_> {
         for table in &document.fixture {
             let name = self.name(&table.name);
             nominal.fixtures.push(self.placed(table.at.as_ref(), table.rotation.as_ref()));
+            let motion = self.motion(table);
+            nominal.motions.push(motion);
             let shapes = self.shapes(&table.shapes, &table.name);
             let range = next..next + shapes.len();
             next = range.end;
@@ -380,12 +382,8 @@ impl Reading<'_, '_> {
         fixtures
     }
 
-    fn joint(&mut self, table: &JointTable) -> (Joint, Dimension) {
-        let (kind, dimension, force) = match table.kind {
-            JointWord::Hinge => (JointKind::Hinge, Dimension::ANGLE, Dimension::TORQUE),
-            JointWord::Slide => (JointKind::Slide, Dimension::LENGTH, Dimension::FORCE),
-        };
-        let axis = match &*table.axis.text {
+    fn axis(&mut self, text: &Text, word: &str) -> Vector3<f64> {
+        match word {
             "x" => Vector3::x(),
             "y" => Vector3::y(),
             "z" => Vector3::z(),
@@ -393,10 +391,60 @@ impl Reading<'_, '_> {
             "-y" => -Vector3::y(),
             "-z" => -Vector3::z(),
             other => {
-                self.problems.of(&table.axis, format!("unknown axis `{other}`. Expected x, y, z, -x, -y or -z"));
+                self.problems.of(text, format!("unknown axis `{other}`. Expected x, y, z, -x, -y or -z"));
                 Vector3::z()
             }
+        }
+    }
+
+    /// How a fixture moves, in its frame.
+    fn motion(&mut self, table: &FixtureTable) -> Option<Motion> {
+        let stated = [&table.belt, &table.shuttle, &table.turn].into_iter().flatten().collect::<Vec<_>>();
+        if let [_, second, ..] = stated[..] {
+            self.problems.of(second, "a second motion. Expected one of `belt`, `shuttle` and `turn`");
+        }
+        let text = *stated.first()?;
+        let words: Vec<&str> = text.text.split(',').map(str::trim).collect();
+        let direction = self.axis(text, words[0]);
+        let mut take = |word: &str, dimension: Dimension, range: [f64; 2]| {
+            let [value] = self.problems.take(text, quantities::<1>(word, dimension))?;
+            if !(range[0]..=range[1]).contains(&value) {
+                let (unit, [low, high]) = (dimension.unit(), range);
+                self.problems.of(text, format!("`{word}` is out of range. Expected {low} to {high} {unit}"));
+            }
+            Some(value)
         };
+        match (&table.belt, &table.shuttle, &words[1..]) {
+            (Some(_), _, [speed]) => {
+                Some(Motion::Belt { direction, speed_m_s: take(speed, Dimension::SPEED, [-2.0, 2.0])? })
+            }
+            (None, Some(_), [distance, speed]) => Some(Motion::Shuttle {
+                direction,
+                distance_m: take(distance, Dimension::LENGTH, [1e-3, 2.0])?,
+                largest_speed_m_s: take(speed, Dimension::SPEED, [0.0, 2.0])?,
+            }),
+            (None, None, [speed]) => Some(Motion::Turn {
+                axis: direction,
+                anchor: Vector3::zeros(),
+                speed_rad_s: take(speed, Dimension::TURNING, [-6.3, 6.3])?,
+            }),
+            (Some(_), ..) => self.wrong_motion(text, "x, 10 cm/s"),
+            (None, Some(_), _) => self.wrong_motion(text, "y, 20 cm, 5 cm/s"),
+            (None, None, _) => self.wrong_motion(text, "z, 20 deg/s"),
+        }
+    }
+
+    fn wrong_motion(&mut self, text: &Text, example: &str) -> Option<Motion> {
+        self.problems.of(text, format!("`{}` does not fit. Expected a text such as `{example}`", text.text));
+        None
+    }
+
+    fn joint(&mut self, table: &JointTable) -> (Joint, Dimension) {
+        let (kind, dimension, force) = match table.kind {
+            JointWord::Hinge => (JointKind::Hinge, Dimension::ANGLE, Dimension::TORQUE),
+            JointWord::Slide => (JointKind::Slide, Dimension::LENGTH, Dimension::FORCE),
+        };
+        let axis = self.axis(&table.axis, &table.axis.text);
         let range: [f64; 2] =
             self.problems.take(&table.range, quantities(&table.range.text, dimension)).unwrap_or([-1.0, 1.0]);
         if !(range[0] < range[1] && range.iter().all(|end| end.abs() <= 10.0)) {
@@ -425,6 +473,13 @@ impl Reading<'_, '_> {
             let parent = table.parent.as_ref().and_then(|parent| self.frame(parent, false));
             let placed = self.placed(table.at.as_ref(), table.rotation.as_ref());
             let joint = table.joint.as_ref().map(|joint| self.joint(joint));
+            let carried = |motion: &Motion| !matches!(motion, Motion::Belt { .. });
+            if let (Some(text), Some(Frame::Fixture(of)), Some(_)) = (&table.parent, parent, joint)
+                && nominal.motions[of].as_ref().is_some_and(carried)
+            {
+                let why = format!("`{}` moves, so a part on a joint cannot be in it. Leave out `in` or `joint`", text.text);
+                self.problems.of(text, why);
+            }
             nominal.parts.push(PartNumbers {
                 placed,
                 mass_kg: self.number(&table.mass, Dimension::MASS, [1e-3, 100.0]).unwrap_or(1.0),
@@ -543,7 +598,7 @@ impl Reading<'_, '_> {
         let name = self.word(&table.name)?;
         let (target, dimension) = match &table.sets {
             Some(path) => {
-                let target = self.target(&path.text);
+                let target = self.target(&path.text, nominal);
                 self.problems.take(path, target)?
             }
             None => {
@@ -592,7 +647,7 @@ impl Reading<'_, '_> {
     }
 
     /// What a path sets, and the dimension of its values.
-    fn target(&self, path: &str) -> Result<(Target, Dimension), String> {
+    fn target(&self, path: &str, nominal: &Numbers) -> Result<(Target, Dimension), String> {
         let (owner, rest) = path.split_once('.').unwrap_or((path, ""));
         let unknown =
             |known: &[&str]| format!("`{owner}` has no `{rest}`: {}", robogate_core::hint(rest, known.iter().copied()));
@@ -607,6 +662,13 @@ impl Reading<'_, '_> {
         }
         match (self.names.frame_named(0, owner).map_err(|(_, why)| why)?, placed) {
             (Frame::Fixture(of), Some(which)) => Ok((Target::Fixture(of, which), length(which))),
+            (Frame::Fixture(of), None) => match (rest, nominal.motions[of]) {
+                ("speed", Some(Motion::Turn { .. })) => Ok((Target::Speed(of), Dimension::TURNING)),
+                ("speed", Some(_)) => Ok((Target::Speed(of), Dimension::SPEED)),
+                ("distance", Some(Motion::Shuttle { .. })) => Ok((Target::Distance(of), Dimension::LENGTH)),
+                (_, None) => Err(unknown(&PLACED)),
+                _ => Err(unknown(&[&PLACED[..], &["speed", "distance"]].concat())),
+            },
             (Frame::Part(of), Some(which)) => Ok((Target::Part(of, PartTarget::Placed(which)), length(which))),
             (Frame::Part(of), None) => {
                 let joint = self.names.parts[of].1;
