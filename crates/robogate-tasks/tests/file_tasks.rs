@@ -61,10 +61,10 @@ fn experts_solve_shipped_tasks() {
         for of in robots {
             let mut environment = environment(&task, of);
             let mut expert = expert(&task, &environment, of);
-            let mut outcomes =
-                (0..EPISODES).map(|index| rollout(&mut environment, &mut *expert, &nominal(index)).outcome);
-            let failed = outcomes.by_ref().filter(|outcome| *outcome != Outcome::Success).count() as u64;
-            println!("{name} on {of}: {} of {EPISODES} nominal episodes succeed", EPISODES - failed);
+            let outcomes = (0..EPISODES).map(|index| rollout(&mut environment, &mut *expert, &nominal(index)).outcome);
+            let failures_of: Vec<_> = outcomes.filter(|outcome| *outcome != Outcome::Success).collect();
+            let failed = failures_of.len() as u64;
+            println!("{name} on {of}: {} of {EPISODES} nominal episodes succeed {failures_of:?}", EPISODES - failed);
             if failed * 20 > EPISODES {
                 failures.push((name, *of, failed));
             }
@@ -124,7 +124,9 @@ impl Policy for Idle {
 fn doing_nothing_is_a_timeout() {
     for (name, robots) in SHIPPED {
         let episode = rollout(&mut environment(&shipped(name), robots[0]), &mut Idle::default(), &scenario(0, &[]));
-        assert_eq!(episode.outcome, Outcome::Failure(FailureMode::TIMEOUT), "{name}");
+        // A carton that is left alone falls from the end of the belt.
+        let expected = if name == "palletising" { FailureMode::constant("left_belt") } else { FailureMode::TIMEOUT };
+        assert_eq!(episode.outcome, Outcome::Failure(expected), "{name}");
         assert_eq!(episode.measures.get("stages"), Some(0.0), "{name}");
     }
 }

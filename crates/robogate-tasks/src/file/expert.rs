@@ -221,11 +221,20 @@ impl<'a> Plan<'a> {
             }
         }
         let mut layout = Layout::new(&numbers, &model.parents(), &vec![Draws::default(); model.parts.len()]);
-        for (part, pose) in model.parts.iter().zip(&mut layout.parts) {
+        let mut parts = std::mem::take(&mut layout.parts);
+        for (part, pose) in model.parts.iter().zip(&mut parts) {
             if let Some(told) = briefing.parts.get(&part.name) {
                 *pose = robogate_physics::isometry(&told.position, &told.orientation);
+            } else if let Some(region) = part.start {
+                let frame = match region.on {
+                    Frame::Fixture(of) => layout.fixtures[of],
+                    _ => Isometry3::identity(),
+                };
+                let centre = frame * nalgebra::Point3::from(region.at);
+                (pose.translation.x, pose.translation.y) = (centre.x, centre.y);
             }
         }
+        layout.parts = parts;
         let joints = numbers.parts.iter().map(|part| part.joint.map_or(0.0, |joint| joint.start)).collect();
         let planner = Planner::new(robot, chain, CONTROL_PERIOD_S);
         let carriers = model.parents();
@@ -418,11 +427,15 @@ impl<'a> Plan<'a> {
                     plan.yaws(place).into_iter().map(pose).collect::<Vec<_>>()
                 };
                 self.tracked = None;
-                let (_, joints) = self.planner.nearest(&poses(self))?;
+                let law = self.law(place.on);
+                let joints = match law {
+                    Some(_) => Vec::new(),
+                    None => self.planner.nearest(&poses(self))?.1,
+                };
                 if self.gripper != *command {
                     self.grip(phase, *command)?;
                 }
-                match self.law(place.on) {
+                match law {
                     Some(law) => self.meet(phase, law, &poses)?,
                     None => self.planner.swing(phase, joints, self.gripper),
                 }
@@ -540,7 +553,10 @@ impl<'a> Plan<'a> {
             })
             .collect();
         let (chosen, _) = self.planner.nearest(&poses)?;
-        self.to(phase, &poses[chosen], self.careful(speed))
+        let limit = self.careful(speed);
+        // A wrist that is turned already may not turn on to the most comfortable pose.
+        let first = self.to(phase, &poses[chosen], limit);
+        poses.iter().fold(first, |done, pose| done.or_else(|_| self.to(phase, pose, limit)))
     }
 
     /// Moves with a part along its joint.
@@ -561,7 +577,8 @@ impl<'a> Plan<'a> {
         let zero = self.layout.parts[of];
         let pose = |share: f64| zero * joint.motion(from + share * (to - from)) * in_part;
         self.planner.along(phase, &pose, lever * (to - from).abs(), limit, self.gripper)?;
-        self.joints[of] = to;
+        // The stops end its way. A tool with room in a handle goes farther.
+        self.joints[of] = to.clamp(joint.range[0], joint.range[1]);
         Ok(())
     }
 }
