@@ -71,7 +71,11 @@ impl Motion {
     pub fn speed(&self, time_s: f64) -> f64 {
         match *self {
             Self::Straight { velocity, starts_s, ends_s } => {
-                if (starts_s..ends_s).contains(&time_s) { velocity.norm() } else { 0.0 }
+                if (starts_s..ends_s).contains(&time_s) {
+                    velocity.norm()
+                } else {
+                    0.0
+                }
             }
             Self::Shuttle { distance_m, largest_speed_m_s, .. } if distance_m > 0.0 => {
                 largest_speed_m_s * (2.0 * largest_speed_m_s * time_s / distance_m).sin()

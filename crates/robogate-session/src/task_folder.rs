@@ -92,10 +92,14 @@ fn idle(checked: &mut Checked, environment: &mut dyn Environment, to_the_end: bo
             "a policy that does nothing succeeds after {:.2} s\nHint: let [success] require a change",
             episode.time_s
         )),
-        Outcome::Failure(mode) if mode != robogate_core::FailureMode::TIMEOUT && !(moves && episode.time_s > START_S) => checked.problems.push(format!(
-            "a policy that does nothing ends with `{mode}` after {:.2} s\nHint: the start must not be a failure",
-            episode.time_s
-        )),
+        Outcome::Failure(mode)
+            if mode != robogate_core::FailureMode::TIMEOUT && !(moves && episode.time_s > START_S) =>
+        {
+            checked.problems.push(format!(
+                "a policy that does nothing ends with `{mode}` after {:.2} s\nHint: the start must not be a failure",
+                episode.time_s
+            ))
+        }
         Outcome::Invalid(fault) => checked.problems.push(format!("the nominal scenario cannot be set up: {fault}")),
         Outcome::Failure(_) => {}
     }

@@ -17,7 +17,7 @@ use robogate_tasks::{ArmDeclaration, ArmEnvironment, ArmTask, Rig};
 use common::{EngineKind, scenario};
 
 /// The shipped tasks with the robots that solve them.
-const SHIPPED: [(&str, &[&str]); 7] = [
+const SHIPPED: [(&str, &[&str]); 8] = [
     ("drawer", &["franka", "ur5e", "ur10e"]),
     ("button", &["franka", "ur5e", "ur10e"]),
     ("door", &["franka", "ur5e", "ur10e"]),
@@ -25,6 +25,7 @@ const SHIPPED: [(&str, &[&str]); 7] = [
     ("palletising", &["franka", "ur5e"]),
     ("machine_tending", &["franka", "ur5e"]),
     ("kitting", &["franka", "ur5e"]),
+    ("bin_picking", &["franka", "ur5e"]),
 ];
 
 fn text(task: &str) -> String {
@@ -259,6 +260,12 @@ fn problems_have_lines_and_hints() {
         ("time_limit = \"20 s\"", "time_limit = \"20.01 s\"", "expected a multiple of 0.05 s"),
         ("box = \"2, 29, 16 cm\"", "box = \"2, 29 cm\"", "has 2 numbers. Expected 3"),
         ("box = \"2, 29, 16 cm\"", "ball = \"2 cm\"", "unknown key `ball`"),
+        ("at = \"62, 0, 0 cm\"", "belt = \"x\"", "`x` does not fit. Expected a text such as `x, 10 cm/s`"),
+        ("at = \"62, 0, 0 cm\"", "belt = \"x, 10 cm\"", "`10 cm` does not fit. Expected a speed"),
+        ("at = \"62, 0, 0 cm\"", "turn = \"up, 10 deg/s\"", "unknown axis `up`"),
+        ("at = \"62, 0, 0 cm\"", "shuttle = \"x, 10 cm, 9 m/s\"", "`9 m/s` is out of range. Expected 0 to 2 m/s"),
+        ("at = \"62, 0, 0 cm\"", "turn = \"z, 9 deg/s\"\nbelt = \"x, 1 cm/s\"", "a second motion"),
+        ("sets = \"drawer.mass\"", "sets = \"cabinet.speed\"", "`cabinet` has no `speed`"),
     ] {
         assert!(valid.contains(from), "{from}");
         let broken = valid.replacen(from, to, 1);
@@ -464,6 +471,56 @@ fn moving_fixtures_carry_parts() {
             let (outcome, time_s) = carried(motion, at, when, on);
             assert_eq!(outcome, Outcome::Success, "{motion}: {when}");
             assert!((from..to).contains(&time_s), "{motion}: {when}: {time_s} s");
+        }
+    }
+}
+
+/// A part on a joint stands in the world of the engine, so nothing can carry it.
+#[test]
+fn jointed_parts_are_not_carried() {
+    let at = "at = \"62, 0, 0 cm\"";
+    let broken = text("drawer").replacen(at, &format!("{at}\nshuttle = \"y, 10 cm, 5 cm/s\""), 1);
+    let problems = FileTask::read(&broken).unwrap_err();
+    assert!(problems[0].what.contains("so a part on a joint cannot be in it"), "{problems:?}");
+}
+
+/// The expert takes a part at the stop of a belt, from a turning table, and puts one on a tray that shuttles.
+#[test]
+fn expert_meets_what_moves() {
+    let task = |fixtures: &str, part: &str, success: &str, skills: &str| {
+        let text = format!(
+            "format = 'robogate-task/1'\nname = 'meet'\ninstruction = 'take it'\ntime_limit = '30 s'\n{fixtures}\n\
+             [[part]]\nname = 'cube'\n{part}\nmass = '200 g'\nshapes = [{{ box = '5, 5, 5 cm' }}]\n\
+             [success]\nwhen = '{success}'\n[expert]\ndo = [{skills}]\n"
+        );
+        FileTask::read(&text).unwrap_or_else(|problems| panic!("{problems:?}"))
+    };
+    let take = "'approach(cube, 10 cm)', 'grasp(cube)', 'lift(10 cm)'";
+    let held = "held(cube) and height(cube) > 12 cm";
+    let belt = "[[fixture]]\nname = 'belt'\nat = '50, -20, 2.5 cm'\nbelt = 'y, 8 cm/s'\nshapes = [{ box = '12, 60, 5 cm' }]\n\
+                [[fixture]]\nname = 'stop'\nat = '50, 13, 3.1 cm'\nshapes = [{ box = '12, 2, 6.2 cm' }]\n\
+                [[region]]\nname = 'pick'\nat = '50, 9.5, 7.5 cm'\nsize = '2, 2, 2 cm'";
+    let table = "[[fixture]]\nname = 'table_top'\nat = '50, 0, 2.5 cm'\nturn = 'z, 15 deg/s'\nshapes = [{ cylinder = '36, 5 cm' }]";
+    let tray = "[[fixture]]\nname = 'tray'\nat = '42, 12, 1 cm'\nshuttle = 'y, 12 cm, 3 cm/s'\nshapes = [{ box = '14, 14, 2 cm' }]\n\
+                [[region]]\nname = 'goal'\nin = 'tray'\nat = '0, 0, 3.5 cm'\nsize = '4, 4, 2 cm'";
+    let put = format!("{take}, 'carry(goal, 8 cm, 25 cm/s)', 'carry(goal, 1 mm, 8 cm/s)', 'release()', 'lift(8 cm)'");
+    let there = "(inside(cube, goal) and on(cube, tray) and not contact(robot, cube)) for 2 s";
+    for of in ["franka", "ur5e"] {
+        for (name, task) in [
+            ("stop", task(belt, "in = 'belt'\nat = '0, -15, 5 cm'", held, &format!("'await(cube, pick)', {take}"))),
+            ("turn", task(table, "in = 'table_top'\nat = '-12, 0, 5 cm'", held, take)),
+            ("shuttle", task(tray, "at = '52, -15, 2.5 cm'", there, &put)),
+        ] {
+            let mut environment = environment(&task, of);
+            let mut expert = expert(&task, &environment, of);
+            let episode = rollout(&mut environment, &mut *expert, &nominal(0));
+            assert_eq!(
+                episode.outcome,
+                Outcome::Success,
+                "{name} on {of}: {:?} at {} s",
+                episode.phase,
+                episode.time_s
+            );
         }
     }
 }

@@ -22,8 +22,8 @@ use self::convert::{pose, quarter, read_primitive, vector};
 use crate::description::{Description, isometry};
 use crate::friction::Friction;
 use crate::{
-    Arm, Chain, Engine, EngineBuild, FixtureRead, FreeBodyRead, JointTargets, Motion, ParallelJaw, Problem, Readback, Robot,
-    RobotError, Scene, Side, Touches, Wrench,
+    Arm, Chain, Engine, EngineBuild, FixtureRead, FreeBodyRead, JointTargets, Motion, ParallelJaw, Problem, Readback,
+    Robot, RobotError, Scene, Side, Touches, Wrench,
 };
 
 /// Number of solver substeps in a time step.

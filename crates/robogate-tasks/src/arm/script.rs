@@ -138,7 +138,9 @@ impl Script {
         {
             return self.now >= clock;
         }
-        let Some(end) = stage.path.last() else { return false };
+        let Some(end) = stage.path.last().filter(|_| stage.clock.is_none_or(|clock| self.now >= clock)) else {
+            return false;
+        };
         let off = self.chain.tcp_at(end).inverse() * self.chain.tcp_at(measured);
         let there =
             off.translation.vector.norm() <= POSITION_TOLERANCE_M && off.rotation.angle() <= ANGLE_TOLERANCE_RAD;

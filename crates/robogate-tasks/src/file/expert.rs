@@ -292,12 +292,7 @@ impl<'a> Plan<'a> {
     }
 
     /// Brings the tool above a place that moves: where the place will be when the tool is there.
-    fn meet(
-        &mut self,
-        phase: Word,
-        law: Law,
-        poses: &dyn Fn(&Self) -> Vec<Isometry3<f64>>,
-    ) -> Result<(), Unreachable> {
+    fn meet(&mut self, phase: Word, law: Law, poses: &dyn Fn(&Self) -> Vec<Isometry3<f64>>) -> Result<(), Unreachable> {
         let start = self.planner.ticks() + MEETING_TICKS;
         self.tracked = Some((law, start));
         let mut joints = self.planner.nearest(&poses(self))?.1;
@@ -484,7 +479,8 @@ impl<'a> Plan<'a> {
                 self.line(phase, self.tool().translation.vector + further, self.careful(None))?;
             }
             Motion::Wait(duration) => {
-                let periods = (self.number(duration) / CONTROL_PERIOD_S).ceil().clamp(1.0, LONGEST_WAIT_TICKS as f64) as usize;
+                let periods =
+                    (self.number(duration) / CONTROL_PERIOD_S).ceil().clamp(1.0, LONGEST_WAIT_TICKS as f64) as usize;
                 match self.tracked {
                     Some(_) => self.ride_for(phase, &self.tool(), periods)?,
                     None => self.planner.wait(phase, periods, self.gripper),

@@ -477,7 +477,8 @@ impl Reading<'_, '_> {
             if let (Some(text), Some(Frame::Fixture(of)), Some(_)) = (&table.parent, parent, joint)
                 && nominal.motions[of].as_ref().is_some_and(carried)
             {
-                let why = format!("`{}` moves, so a part on a joint cannot be in it. Leave out `in` or `joint`", text.text);
+                let why =
+                    format!("`{}` moves, so a part on a joint cannot be in it. Leave out `in` or `joint`", text.text);
                 self.problems.of(text, why);
             }
             nominal.parts.push(PartNumbers {
