@@ -64,8 +64,8 @@ TOML
 for task in ${FILES-drawer button door lid palletising machine_tending kitting bin_picking}; do
     for robot in franka ur5e; do
         for engine in mujoco rapier; do
-            # Rapier does not simulate bodies on joints.
-            if [ "$engine" = rapier ] && grep -q '^\[part.joint\]' "assets/tasks/$task/task.toml"; then
+            # Rapier does not simulate bodies on joints. Two tasks without them compare the engines.
+            if [ "$engine" = rapier ] && [ "$task" != lid ] && [ "$task" != palletising ]; then
                 continue
             fi
             run "$out/file-$task-$robot-$engine" --task "assets/tasks/$task" --robot "$robot" --engine "$engine" \

@@ -9,12 +9,14 @@ mod document;
 mod expert;
 mod lint;
 mod model;
+mod moving;
 mod names;
 mod numbers;
 mod parameters;
 mod problem;
 mod referee;
 mod syntax;
+mod targets;
 mod units;
 
 use std::collections::BTreeMap;
