@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
-# Measures docs/results/tasks.md: the scripted controllers of the built-in tasks for an arm, on their industrial suites.
+# Measures docs/results/tasks.md: the scripted controllers of the built-in tasks for an arm on their industrial suites, and the
+# experts of the tasks in assets/tasks at nominal and over their ranges.
 #
 # Usage: scripts/tasks.sh [ROUNDS] [RAPIER_ROUNDS] > docs/results/tasks.md; by default 1 round of each suite in each
-# engine. A run whose folder exists is resumed. TASKS, ROBOTS and ENGINES select a part.
+# engine. A run whose folder exists is resumed. TASKS, ROBOTS, ENGINES and FILES select a part.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -12,6 +13,19 @@ robogate=${ROBOGATE:-target/release/robogate}
 out=${OUT:-runs/tasks}
 threads=${THREADS:-$(nproc)}
 mkdir -p "$out"
+
+# Finishes a run, or starts it with these arguments.
+run() {
+    local dir=$1
+    shift
+    if [ -f "$dir/summary.json" ]; then
+        :
+    elif [ -f "$dir/plan.json" ]; then
+        "$robogate" resume "$dir" >&2
+    else
+        "$robogate" run "$@" --seed 2026 --threads "$threads" --out "$dir" >&2
+    fi
+}
 
 runs=()
 for task in ${TASKS:-pick_place stacking insertion}; do
@@ -28,16 +42,38 @@ for task in ${TASKS:-pick_place stacking insertion}; do
             dir=$out/$task-$robot-$engine
             count=$rounds
             [ "$engine" = rapier ] && count=$rapier_rounds
-            if [ -f "$dir/summary.json" ]; then
-                :
-            elif [ -f "$dir/plan.json" ]; then
-                "$robogate" resume "$dir" >&2
-            else
-                "$robogate" run --task "$task" --robot "$robot" --engine "$engine" --suite "$suite" --rounds "$count" \
-                    --seed 2026 --threads "$threads" --out "$dir" >&2
-            fi
+            run "$dir" --task "$task" --robot "$robot" --engine "$engine" --suite "$suite" --rounds "$count"
             runs+=("$task-$robot-$engine")
         done
     done
+done
+
+# Nominal values, with errors of the encoders as small as those of a calibrated arm: each round draws others.
+cat >"$out/nominal.toml" <<'TOML'
+schema = 1
+name = "nominal"
+version = "1.0.0"
+description = "Nominal values with encoder errors of up to 2 mrad."
+
+[[group]]
+name = "nominal"
+category = "nominal"
+description = "Nominal values."
+scenarios = [{ id = "nominal-1", encoder_bias_rad = 0.002 }]
+TOML
+for task in ${FILES-drawer button door lid palletising machine_tending kitting bin_picking}; do
+    for robot in franka ur5e; do
+        for engine in mujoco rapier; do
+            # Rapier does not simulate bodies on joints. Two tasks without them compare the engines.
+            if [ "$engine" = rapier ] && [ "$task" != lid ] && [ "$task" != palletising ]; then
+                continue
+            fi
+            run "$out/file-$task-$robot-$engine" --task "assets/tasks/$task" --robot "$robot" --engine "$engine" \
+                --suite "$out/nominal.toml" --rounds 40
+            runs+=("file-$task-$robot-$engine")
+        done
+    done
+    run "$out/boundary-$task-franka-mujoco" --task "assets/tasks/$task" --robot franka -n 200
+    runs+=("boundary-$task-franka-mujoco")
 done
 python3 scripts/tasks.py "$robogate" "$out" "${runs[@]}"

@@ -266,7 +266,7 @@ fn crowded() -> Scene {
         fixture(FixtureKind::Obstacle, cylinder, [0.7, -0.1]),
         panel(),
     ]);
-    let motion = Motion { velocity: nalgebra::Vector3::x() * 0.2, starts_s: 0.0, ends_s: 1.0 };
+    let motion = Motion::Straight { velocity: nalgebra::Vector3::x() * 0.2, starts_s: 0.0, ends_s: 1.0 };
     let box_in_motion = fixture(FixtureKind::Disturbance, Primitive::Box { half: [0.03, 0.03, 0.04] }, [0.5, -0.4]);
     scene.fixtures.push(Fixture { motion: Some(motion), ..box_in_motion });
     scene

@@ -127,6 +127,43 @@ pub fn curved_path(
     }
 }
 
+/// A path of the tool centre point through the poses that `poses` gives for control ticks 1 to `ticks`, from `from` (rad): joint
+/// positions (rad) at every control tick.
+///
+/// # Errors
+/// If a pose is out of reach, or a joint would have to be too fast.
+pub fn timed_path(
+    chain: &Chain,
+    from: &[f64],
+    ticks: usize,
+    poses: &dyn Fn(usize) -> Isometry3<f64>,
+    arm: &Arm,
+    period: f64,
+) -> Result<Vec<Vec<f64>>, Unreachable> {
+    let mut path: Vec<Vec<f64>> = Vec::new();
+    for k in 1..=ticks {
+        let (goal, near) = (poses(k), path.last().map_or(from, Vec::as_slice));
+        let joints = chain.inverse(&goal, near, &arm.home_rad)?;
+        let fast = |i: usize| (joints[i] - near[i]).abs() > arm.velocity_limit_rad_s[i] * period;
+        if (0..joints.len()).any(fast) {
+            let position = goal.translation.vector.into();
+            return Err(Unreachable { position, position_error_m: 0.0, angle_error_rad: 0.0 });
+        }
+        path.push(joints);
+    }
+    Ok(path)
+}
+
+/// The share of the way after the share `time` of the duration of a minimum-jerk motion.
+pub fn smooth(time: f64) -> f64 {
+    min_jerk(time.clamp(0.0, 1.0))
+}
+
+/// Duration in seconds of a minimum-jerk motion over `distance` metres within a limit.
+pub fn smooth_duration(distance: f64, limit: ToolLimit) -> f64 {
+    duration(distance, limit.speed, limit.acceleration)
+}
+
 /// Factor by which the path must be stretched in time to respect every joint's limits. Below 1 it already does.
 fn overload(from: &[f64], path: &[Vec<f64>], arm: &Arm, period: f64) -> f64 {
     let mut worst: f64 = 0.0;

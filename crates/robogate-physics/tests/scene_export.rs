@@ -16,7 +16,7 @@ fn scene() -> Scene {
     let parts = vec![part([0.025; 3])];
     let mut wall = part([0.01, 0.1, 0.1]);
     wall.pose = Isometry3::translation(0.5, -0.3, 0.1);
-    let motion = Motion { velocity: Vector3::new(0.0, 0.2, 0.0), starts_s: 0.01, ends_s: 0.5 };
+    let motion = Motion::Straight { velocity: Vector3::new(0.0, 0.2, 0.0), starts_s: 0.01, ends_s: 0.5 };
     Scene {
         object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None },
         object_pose: Isometry3::translation(0.5, 0.0, 0.1),

@@ -12,7 +12,8 @@ use robogate_core::{
     check_applied,
 };
 use robogate_physics::{
-    Chain, Engine, EngineBuild, FixtureKind, JointTargets, Primitive, Readback, Robot, Scene, Side, Touches, Wrench,
+    Chain, Engine, EngineBuild, FixtureKind, JointTargets, Motion, Primitive, Readback, Robot, Scene, Side, Touches,
+    Wrench,
 };
 use robogate_tasks::insertion::Insertion;
 use robogate_tasks::pick_place::PickPlace;
@@ -260,7 +261,9 @@ fn tampered_scene_is_not_applied() {
             (obstacle.part.pose.translation.x, obstacle.part.pose.translation.y) = (x + 0.08, y);
         }),
         ("disturbance_start_s", Value::Number(0.5), |scene| {
-            scene.fixtures.last_mut().unwrap().motion.as_mut().unwrap().starts_s += 0.1;
+            let motion = scene.fixtures.last_mut().unwrap().motion.as_mut();
+            let Some(Motion::Straight { starts_s, .. }) = motion else { panic!("{motion:?}") };
+            *starts_s += 0.1;
         }),
     ];
     for on in engines() {

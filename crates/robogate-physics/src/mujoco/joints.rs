@@ -8,14 +8,19 @@ use nalgebra::{Isometry3, Vector3};
 use super::Loaded;
 use crate::{Joint, JointKind};
 
+/// A kind of joint as MuJoCo names it.
+pub(super) fn kind(kind: JointKind) -> MjtJoint {
+    match kind {
+        JointKind::Hinge => MjtJoint::mjJNT_HINGE,
+        JointKind::Slide => MjtJoint::mjJNT_SLIDE,
+    }
+}
+
 /// Adds the joint of a body. Angles are in degrees if the model says so.
 pub(super) fn add(body: &mut MjsBody, name: &str, joint: &Joint, degrees: bool) {
     let angle = |value: f64| if degrees && joint.kind == JointKind::Hinge { value.to_degrees() } else { value };
     let added = body.add_joint().with_name(name);
-    added.set_type(match joint.kind {
-        JointKind::Hinge => MjtJoint::mjJNT_HINGE,
-        JointKind::Slide => MjtJoint::mjJNT_SLIDE,
-    });
+    added.set_type(kind(joint.kind));
     *added.pos_mut() = joint.anchor.into();
     *added.axis_mut() = joint.axis.into();
     *added.range_mut() = joint.range.map(angle);

@@ -624,11 +624,9 @@ impl Engine for MujocoEngine {
 
     fn fixture(&self, fixture: usize) -> Isometry3<f64> {
         let loaded = self.loaded();
-        let mut pose = loaded.scene.fixtures[fixture].part.pose;
-        if let Some(mover) = loaded.movers.iter().find(|mover| mover.fixture == fixture) {
-            pose.translation.vector += mover.motion.velocity.normalize() * loaded.data.qpos()[mover.qpos];
-        }
-        pose
+        let pose = loaded.scene.fixtures[fixture].part.pose;
+        let mover = loaded.movers.iter().find(|mover| mover.fixture == fixture);
+        mover.map_or(pose, |mover| mover.motion.moved(loaded.data.qpos()[mover.qpos]) * pose)
     }
 
     fn object_velocity(&self) -> (Vector3<f64>, Vector3<f64>) {
@@ -700,8 +698,8 @@ impl Loaded {
     fn move_fixtures(&mut self, time_step: f64) {
         let time = self.steps as f64 * time_step;
         for Mover { qpos, qvel, motion, .. } in &self.movers {
-            self.data.qpos_mut()[*qpos] = motion.offset(time).norm();
-            self.data.qvel_mut()[*qvel] = motion.velocity_at(time).norm();
+            self.data.qpos_mut()[*qpos] = motion.travel(time);
+            self.data.qvel_mut()[*qvel] = motion.speed(time);
         }
     }
 

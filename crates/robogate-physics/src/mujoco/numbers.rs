@@ -8,6 +8,7 @@ use robogate_core::{Fault, FaultKind};
 use serde::Serialize;
 
 use super::{Kind, Loaded, MujocoEngine, wxyz};
+use crate::Motion;
 
 /// The fields that differ between worlds of one topology, as MuJoCo Warp names them.
 macro_rules! fields {
@@ -81,7 +82,11 @@ impl MujocoEngine {
         take("opt.gravity", &mut model.opt().gravity.into_iter());
         each_field(model, &mut take);
         let motions = loaded.movers.iter().map(|mover| mover.motion);
-        let motions = motions.flat_map(|motion| [motion.velocity.norm(), motion.starts_s, motion.ends_s]);
+        let motions = motions.flat_map(|motion| match motion {
+            Motion::Straight { velocity, starts_s, ends_s } => [velocity.norm(), starts_s, ends_s],
+            // [`Self::plan`] refuses other laws.
+            _ => [f64::NAN; 3],
+        });
         take("motion", &mut motions.collect::<Vec<_>>().into_iter());
         take("qpos", &mut loaded.data.qpos().iter().copied());
         Numbers { topology: topology(model), values, fields }
@@ -96,6 +101,11 @@ impl MujocoEngine {
         let arm = &self.robot.settings.arm;
         let gripper = &self.robot.settings.gripper;
         let strong = self.strong.arm.iter().chain(&self.strong.fingers).any(|strong| *strong);
+        if loaded.movers.iter().any(|mover| !matches!(mover.motion, Motion::Straight { .. })) {
+            let why = "the scene has a belt or a fixture that shuttles or turns, which many worlds at once cannot simulate\n\
+                       Hint: use --engine mujoco";
+            return Err(Fault::new(FaultKind::Setup, why));
+        }
         let lacks = match (gripper.jaw(), strong) {
             (None, _) => Some("a suction cup"),
             (Some(jaw), _) if !jaw.drives.is_empty() => Some("fingers with drives"),

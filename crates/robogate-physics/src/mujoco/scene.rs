@@ -5,7 +5,7 @@ use mujoco_rs::wrappers::mj_editing::{MjsBody, MjsGeom};
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion};
 
 use super::{FIXTURE, JOINTED, MujocoEngine, OBJECT, PREFIX, joints, wxyz};
-use crate::{Part, Primitive, Scene, contact};
+use crate::{Motion, Part, Primitive, Scene, contact};
 
 impl MujocoEngine {
     /// Adds a scene to the robot's model.
@@ -24,9 +24,13 @@ impl MujocoEngine {
                 let body = world.add_body().with_name(&name);
                 place(pose, body.pos_mut());
                 *body.quat_mut() = wxyz(&pose.rotation);
+                let (kind, axis, anchor) = motion.joint();
+                // Weight would accelerate it along a joint that is not horizontal.
+                body.set_gravcomp(if matches!(motion, Motion::Straight { .. }) { 0.0 } else { 1.0 });
                 let joint = body.add_joint().with_name(&name);
-                joint.set_type(MjtJoint::mjJNT_SLIDE);
-                *joint.axis_mut() = (pose.rotation.inverse() * motion.velocity.normalize()).into();
+                joint.set_type(joints::kind(kind));
+                *joint.axis_mut() = (pose.rotation.inverse() * axis).into();
+                *joint.pos_mut() = pose.inverse_transform_point(&anchor.into()).into();
                 let geom = body.add_geom().with_name(&name);
                 shape(geom, primitive, &Isometry3::identity());
                 geom.set_mass(contact::DRIVEN_MASS_KG);

@@ -22,8 +22,8 @@ use self::convert::{pose, quarter, read_primitive, vector};
 use crate::description::{Description, isometry};
 use crate::friction::Friction;
 use crate::{
-    Arm, Chain, Engine, EngineBuild, FixtureRead, FreeBodyRead, JointTargets, ParallelJaw, Problem, Readback, Robot,
-    RobotError, Scene, Side, Touches, Wrench,
+    Arm, Chain, Engine, EngineBuild, FixtureRead, FreeBodyRead, JointTargets, Motion, ParallelJaw, Problem, Readback,
+    Robot, RobotError, Scene, Side, Touches, Wrench,
 };
 
 /// Number of solver substeps in a time step.
@@ -307,8 +307,10 @@ impl Engine for RapierEngine {
     fn fixture(&self, fixture: usize) -> Isometry3<f64> {
         let loaded = self.loaded();
         match loaded.movers.iter().find(|(moving, _)| *moving == fixture) {
-            Some((_, body)) => isometry(loaded.world.bodies[*body].position()),
-            None => loaded.scene.fixtures[fixture].part.pose,
+            Some((_, body)) if !matches!(loaded.scene.fixtures[fixture].motion, Some(Motion::Belt { .. })) => {
+                isometry(loaded.world.bodies[*body].position())
+            }
+            _ => loaded.scene.fixtures[fixture].part.pose,
         }
     }
 
@@ -435,8 +437,18 @@ impl Loaded {
         for (fixture, body) in &self.movers {
             let fixture = &self.scene.fixtures[*fixture];
             let (Some(motion), Some(body)) = (fixture.motion, self.world.bodies.get_mut(*body)) else { continue };
-            let at = fixture.part.pose.translation.vector + motion.offset(time);
-            body.set_next_kinematic_translation(vector(&at));
+            match motion {
+                Motion::Straight { .. } => {
+                    let at = motion.at(time).translation.vector + fixture.part.pose.translation.vector;
+                    body.set_next_kinematic_translation(vector(&at));
+                }
+                Motion::Belt { .. } => {
+                    // In each step it moves from the same place.
+                    body.set_position(pose(&fixture.part.pose), false);
+                    body.set_next_kinematic_position(pose(&(motion.riding(time_step) * fixture.part.pose)));
+                }
+                _ => body.set_next_kinematic_position(pose(&(motion.at(time) * fixture.part.pose))),
+            }
         }
     }
 }

@@ -174,7 +174,7 @@ fn obstacles_do_not_change_the_topology() {
     assert_eq!((none.topology, &none.fields), (some.topology, &some.fields));
     assert_ne!(none.values, some.values);
     // A fixture that moves does.
-    let motion = Some(Motion { velocity: [0.0, 0.2, 0.0].into(), starts_s: 1.0, ends_s: 2.0 });
+    let motion = Some(Motion::Straight { velocity: [0.0, 0.2, 0.0].into(), starts_s: 1.0, ends_s: 2.0 });
     let moving = loaded(&scene(&[Fixture { motion, ..obstacle("d", part(BOX, 0.6, -0.2)) }])).numbers();
     assert_ne!(moving.topology, none.topology);
 }

@@ -260,7 +260,7 @@ impl Judge {
         let now = episode.ticks as f64 * CONTROL_PERIOD_S;
         // A body that has just stopped may have pushed something.
         let settling_s = f64::from(STILL_TICKS) * CONTROL_PERIOD_S;
-        let moves = |fixture: &Fixture| fixture.motion.is_some_and(|motion| motion.ends_s + settling_s > now);
+        let moves = |fixture: &Fixture| fixture.motion.is_some_and(|motion| motion.ends_s() + settling_s > now);
         let certain = episode.still_ticks >= STILL_TICKS && !episode.fixtures.iter().any(moves);
         certain.then(|| episode.at_limit(&self.task))
     }

@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Action, Command, Observation, Word};
-use robogate_physics::trajectory::{ToolLimit, curved_path, joint_path, straight_path};
+use robogate_physics::trajectory::{ToolLimit, curved_path, joint_path, straight_path, timed_path};
 use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
 /// A stage ends within this distance of its goal, in metres ...
@@ -21,6 +21,8 @@ const GUARD_M: f64 = 0.01;
 const GRIPPER_SETTLED_M: f64 = 1e-4;
 /// ... for this many control periods: it needs time to start and to build up its force.
 const SETTLE_TICKS: usize = 4;
+/// A gripper has carried out a command within this many control periods.
+const GRIP_TICKS: usize = 20;
 /// The last stage has run out this many control periods after its end.
 const IDLE_TICKS: usize = 10;
 /// Gap between fingertips and table in the grasp, in metres.
@@ -43,6 +45,9 @@ pub(crate) struct Stage {
     pub(crate) gripper: GripperCommand,
     /// Whether the gripper must be at rest for the stage to end.
     pub(crate) settles: bool,
+    /// The control period of the episode in which it begins, if it keeps time with something that moves. Its path then
+    /// follows the clock, and a stage of this kind that follows another one begins on time.
+    pub(crate) clock: Option<usize>,
 }
 
 /// A plan and the progress in it.
@@ -59,13 +64,15 @@ pub(crate) struct Script {
     stopped: Option<Vec<f64>>,
     /// Number of control periods for which the gripper has been at rest.
     rest: usize,
+    /// Number of actions so far.
+    now: usize,
 }
 
 impl Script {
     /// A script of these stages, for an arm with these kinematics. Without a stage it commands nothing but the measured
     /// joint positions.
     pub(crate) fn new(chain: Chain, stages: Vec<Stage>) -> Self {
-        Self { chain, stages, current: 0, tick: 0, last_opening: None, commanded: None, stopped: None, rest: 0 }
+        Self { chain, stages, current: 0, tick: 0, last_opening: None, commanded: None, stopped: None, rest: 0, now: 0 }
     }
 
     /// The next action.
@@ -85,9 +92,13 @@ impl Script {
             (self.current, self.tick) = (self.current + 1, 0);
         }
         let stage = self.stages.get(self.current);
-        let planned = stage.and_then(|stage| stage.path.get(self.tick.min(stage.path.len().saturating_sub(1))));
+        let planned = stage.and_then(|stage| {
+            let tick = stage.clock.map_or(self.tick, |clock| self.now.saturating_sub(clock));
+            stage.path.get(tick.min(stage.path.len().saturating_sub(1)))
+        });
         let joints = self.stopped.as_ref().or(planned).map_or_else(|| measured.to_vec(), Clone::clone);
         self.tick += 1;
+        self.now += 1;
         let last = self.commanded.take().map_or_else(|| measured.to_vec(), |[_, last]| last);
         self.commanded = Some([last, joints.clone()]);
         Action {
@@ -121,7 +132,15 @@ impl Script {
     /// Whether the current stage has ended and another one follows.
     fn stage_is_done(&self, measured: &[f64]) -> bool {
         let Some(stage) = self.stages.get(self.current) else { return false };
-        let Some(end) = stage.path.last().filter(|_| self.current + 1 < self.stages.len()) else { return false };
+        let Some(next) = self.stages.get(self.current + 1) else { return false };
+        if let Some(clock) = next.clock
+            && (self.now < clock || stage.clock.is_some())
+        {
+            return self.now >= clock;
+        }
+        let Some(end) = stage.path.last().filter(|_| stage.clock.is_none_or(|clock| self.now >= clock)) else {
+            return false;
+        };
         let off = self.chain.tcp_at(end).inverse() * self.chain.tcp_at(measured);
         let there =
             off.translation.vector.norm() <= POSITION_TOLERANCE_M && off.rotation.angle() <= ANGLE_TOLERANCE_RAD;
@@ -154,6 +173,41 @@ impl<'a> Planner<'a> {
         Self { robot, chain, control_period_s, at: robot.settings.arm.home_rad.clone(), stages: Vec::new() }
     }
 
+    /// The control period in which the plan so far ends at the latest, if nothing delays it.
+    pub(crate) fn ticks(&self) -> usize {
+        self.stages.iter().fold(0, |before, stage| match stage.clock {
+            Some(clock) => clock + stage.path.len(),
+            None => before + stage.path.len() + if stage.settles { GRIP_TICKS } else { SETTLE_TICKS },
+        })
+    }
+
+    /// Appends a motion that begins in the control period `clock`: the tool is at `poses(k)` after its k-th period.
+    ///
+    /// # Errors
+    /// If a pose is out of reach, or a joint would be too fast. The plan so far is kept.
+    pub(crate) fn timed(
+        &mut self,
+        phase: Word,
+        clock: usize,
+        (ticks, poses): (usize, &dyn Fn(usize) -> Isometry3<f64>),
+        gripper: GripperCommand,
+    ) -> Result<(), Unreachable> {
+        let path = timed_path(self.chain, &self.at, ticks, poses, &self.robot.settings.arm, self.control_period_s)?;
+        self.at = path.last().cloned().unwrap_or_else(|| self.at.clone());
+        self.stages.push(Stage { phase, path, gripper, settles: false, clock: Some(clock) });
+        Ok(())
+    }
+
+    /// Appends a stage that waits for the control period `clock`.
+    pub(crate) fn wait_for(&mut self, phase: Word, clock: usize, gripper: GripperCommand) {
+        self.stages.push(Stage { phase, path: vec![self.at.clone()], gripper, settles: false, clock: Some(clock) });
+    }
+
+    /// The number of control periods of a motion in joint space to `goal`.
+    pub(crate) fn swing_ticks(&self, goal: &[f64]) -> usize {
+        joint_path(&self.at, goal, &self.robot.settings.arm, self.control_period_s).len()
+    }
+
     /// The stages so far.
     pub(crate) fn finish(self) -> Vec<Stage> {
         self.stages
@@ -163,7 +217,7 @@ impl<'a> Planner<'a> {
     pub(crate) fn swing(&mut self, phase: Word, goal: Vec<f64>, gripper: GripperCommand) {
         let path = joint_path(&self.at, &goal, &self.robot.settings.arm, self.control_period_s);
         self.at = goal;
-        self.stages.push(Stage { phase, path, gripper, settles: false });
+        self.stages.push(Stage { phase, path, gripper, settles: false, clock: None });
     }
 
     /// Appends a straight motion of the tool through `goals`, which is one stage.
@@ -185,7 +239,7 @@ impl<'a> Planner<'a> {
             at = path.last().cloned().unwrap_or(at);
         }
         self.at = at;
-        self.stages.push(Stage { phase, path, gripper, settles: false });
+        self.stages.push(Stage { phase, path, gripper, settles: false, clock: None });
         Ok(())
     }
 
@@ -204,18 +258,18 @@ impl<'a> Planner<'a> {
         let arm = &self.robot.settings.arm;
         let path = curved_path(self.chain, &self.at, pose, length_m, &arm.home_rad, arm, limit, self.control_period_s)?;
         self.at = path.last().cloned().unwrap_or_else(|| self.at.clone());
-        self.stages.push(Stage { phase, path, gripper, settles: false });
+        self.stages.push(Stage { phase, path, gripper, settles: false, clock: None });
         Ok(())
     }
 
     /// Appends a stage that waits for a number of control periods.
     pub(crate) fn wait(&mut self, phase: Word, periods: usize, gripper: GripperCommand) {
-        self.stages.push(Stage { phase, path: vec![self.at.clone(); periods], gripper, settles: false });
+        self.stages.push(Stage { phase, path: vec![self.at.clone(); periods], gripper, settles: false, clock: None });
     }
 
     /// Appends a stage that waits until the gripper has carried out a command.
     pub(crate) fn grip(&mut self, phase: Word, gripper: GripperCommand) {
-        self.stages.push(Stage { phase, path: vec![self.at.clone()], gripper, settles: true });
+        self.stages.push(Stage { phase, path: vec![self.at.clone()], gripper, settles: true, clock: None });
     }
 
     /// Among tool poses, the index of the one with the smallest largest joint motion from the arm's home position, with

@@ -101,7 +101,7 @@ impl Now<'_> {
         match frame {
             Frame::World => Isometry3::identity(),
             Frame::Tool => self.sight.view.tcp,
-            Frame::Fixture(of) => self.layout.fixtures[of],
+            Frame::Fixture(of) => self.layout.fixture(of, self.sight.time),
             Frame::Part(of) => self.bodies().pose(of),
         }
     }

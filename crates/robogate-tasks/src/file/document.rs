@@ -66,7 +66,7 @@ pub struct Document {
     /// Properties of the whole scene.
     #[serde(default)]
     pub(super) scene: SceneTable,
-    /// Bodies that stand still. The table is always there: its top is the plane z = 0.
+    /// Bodies that stand still or move by a law. The table is always there: its top is the plane z = 0.
     #[serde(default)]
     pub(super) fixture: Vec<FixtureTable>,
     /// Bodies that move freely or on a joint. At least one.
@@ -106,7 +106,7 @@ pub(super) struct SceneTable {
     pub(super) gravity: Option<Text>,
 }
 
-/// A body that stands still.
+/// A body that stands still or moves by a law.
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FixtureTable {
@@ -117,6 +117,13 @@ pub(super) struct FixtureTable {
     pub(super) rotation: Option<Text>,
     /// The shapes.
     pub(super) shapes: Vec<ShapeTable>,
+    /// A conveyor: direction and speed of its surface, which carries the parts on it: `x, 10 cm/s`. The direction is in
+    /// the frame of the fixture: x, y, z, -x, -y or -z.
+    pub(super) belt: Option<Text>,
+    /// Back and forth: direction, distance and largest speed, `y, 20 cm, 5 cm/s`. It starts at rest at `at`.
+    pub(super) shuttle: Option<Text>,
+    /// A turn about an axis through its origin: direction and speed, `z, 20 deg/s`.
+    pub(super) turn: Option<Text>,
     /// Whether the robot may touch it. Otherwise a contact is the failure `collision`. Default: no.
     #[serde(default)]
     pub(super) touch: bool,

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Action, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec, Word};
-use robogate_physics::trajectory::ToolLimit;
-use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
+use robogate_physics::trajectory::{ToolLimit, smooth, smooth_duration};
+use robogate_physics::{Chain, Gripper, GripperCommand, Motion as Law, Robot, Unreachable};
 
 use super::Briefing;
 use super::conditions::{Compiler, Value};
@@ -22,6 +22,13 @@ const CAREFUL_M_S2: f64 = 0.8;
 const CAREFUL_M_S: f64 = 0.1;
 /// Distance of the tool from the axis of a hinge that counts as a way, in metres per radian.
 const LEVER_M: f64 = 0.05;
+
+/// Time between the end of a plan and a meeting with something that moves, in control periods.
+const MEETING_TICKS: usize = 10;
+/// Duration of a grasp and a release on something that moves, in control periods.
+const RIDING_GRIP_TICKS: usize = 20;
+/// Longest wait for a part, in control periods.
+const LONGEST_WAIT_TICKS: usize = 1200;
 
 /// A skill with its arguments.
 #[derive(Debug, Clone, PartialEq)]
@@ -49,11 +56,13 @@ enum Motion {
     /// Move with a part along its joint to its upper stop, and press with a force.
     Press(usize, Value),
     Wait(Value),
+    /// Wait until a part on a belt has come to a place, where it stops.
+    Await(usize, Place),
     Home,
 }
 
 /// The skills with their arguments.
-const SKILLS: [(&str, &str); 14] = [
+const SKILLS: [(&str, &str); 15] = [
     ("approach", "approach(PLACE, HEIGHT)"),
     ("reach", "reach(PLACE, HEIGHT)"),
     ("move", "move(PLACE, HEIGHT[, SPEED])"),
@@ -68,6 +77,7 @@ const SKILLS: [(&str, &str); 14] = [
     ("turn", "turn(PART, VALUE[, SPEED])"),
     ("press", "press(PART, FORCE)"),
     ("wait", "wait(DURATION)"),
+    ("await", "await(PART, PLACE)"),
 ];
 
 /// Compiles a skill.
@@ -112,6 +122,7 @@ pub(super) fn skill(compiler: &mut Compiler<'_>, node: &Node) -> Result<Skill, W
             Motion::Press(of, compiler.constant(force, Dimension::FORCE)?)
         }
         ("wait", [duration]) => Motion::Wait(compiler.constant(duration, Dimension::TIME)?),
+        ("await", [part, place]) => Motion::Await(names.part(part)?, names.place(place)?),
         _ => {
             let form = SKILLS.iter().find(|(known, _)| known == name);
             let why = match form {
@@ -193,6 +204,12 @@ struct Plan<'a> {
     gripper: GripperCommand,
     /// The part in the hand, with its pose in the frame of the tool.
     in_hand: Option<(usize, Isometry3<f64>)>,
+    /// The fixture that carries each part. The layout has the pose that such a part would have had at the start.
+    carriers: Vec<Option<usize>>,
+    /// What the tool moves with, and the control period from which on it does.
+    tracked: Option<(Law, usize)>,
+    /// What the part in the hand was brought to.
+    over: Frame,
 }
 
 impl<'a> Plan<'a> {
@@ -204,14 +221,25 @@ impl<'a> Plan<'a> {
             }
         }
         let mut layout = Layout::new(&numbers, &model.parents(), &vec![Draws::default(); model.parts.len()]);
-        for (part, pose) in model.parts.iter().zip(&mut layout.parts) {
+        let mut parts = std::mem::take(&mut layout.parts);
+        for (part, pose) in model.parts.iter().zip(&mut parts) {
             if let Some(told) = briefing.parts.get(&part.name) {
                 *pose = robogate_physics::isometry(&told.position, &told.orientation);
+            } else if let Some(region) = part.start {
+                let frame = match region.on {
+                    Frame::Fixture(of) => layout.fixtures[of],
+                    _ => Isometry3::identity(),
+                };
+                let centre = frame * nalgebra::Point3::from(region.at);
+                (pose.translation.x, pose.translation.y) = (centre.x, centre.y);
             }
         }
+        layout.parts = parts;
         let joints = numbers.parts.iter().map(|part| part.joint.map_or(0.0, |joint| joint.start)).collect();
         let planner = Planner::new(robot, chain, CONTROL_PERIOD_S);
-        Self { model, robot, chain, planner, numbers, layout, joints, gripper: GripperCommand::Open, in_hand: None }
+        let carriers = model.parents();
+        let (gripper, in_hand, tracked, over) = (GripperCommand::Open, None, None, Frame::World);
+        Self { model, robot, chain, planner, numbers, layout, joints, gripper, in_hand, carriers, tracked, over }
     }
 
     fn number(&self, value: &Value) -> f64 {
@@ -231,9 +259,68 @@ impl<'a> Plan<'a> {
         match frame {
             Frame::World => Isometry3::identity(),
             Frame::Tool => self.tool(),
-            Frame::Fixture(of) => self.layout.fixtures[of],
-            Frame::Part(of) => self.part(of, self.joints[of]),
+            Frame::Fixture(of) => self.layout.fixture(of, self.time_s()),
+            Frame::Part(of) => {
+                let part = self.part(of, self.joints[of]);
+                self.law(frame).map_or(part, |law| law.riding(self.time_s()) * part)
+            }
         }
+    }
+
+    /// The time to which the plan belongs, in seconds: of the last control period in which the tool moves with something.
+    fn time_s(&self) -> f64 {
+        self.tracked.map_or(0.0, |(_, clock)| clock as f64 * CONTROL_PERIOD_S)
+    }
+
+    /// How a frame moves. The frame of a belt stands still; the parts on it move.
+    fn law(&self, frame: Frame) -> Option<Law> {
+        match frame {
+            Frame::Fixture(of) => self.layout.motions[of].filter(|law| !matches!(law, Law::Belt { .. })),
+            Frame::Part(of) if self.numbers.parts[of].joint.is_none() => {
+                self.carriers[of].and_then(|carrier| self.layout.motions[carrier])
+            }
+            _ => None,
+        }
+    }
+
+    /// Lets the tool move with a frame from the next stage on, if the frame moves.
+    fn track(&mut self, frame: Frame) {
+        let law = self.law(frame);
+        if self.tracked.map(|(known, _)| known) != law {
+            self.tracked = law.map(|law| (law, self.planner.ticks() + MEETING_TICKS));
+        }
+    }
+
+    /// Brings the tool above a place that moves: where the place will be when the tool is there.
+    fn meet(&mut self, phase: Word, law: Law, poses: &dyn Fn(&Self) -> Vec<Isometry3<f64>>) -> Result<(), Unreachable> {
+        let start = self.planner.ticks() + MEETING_TICKS;
+        self.tracked = Some((law, start));
+        let mut joints = self.planner.nearest(&poses(self))?.1;
+        for _ in 0..5 {
+            self.tracked = Some((law, start + self.planner.swing_ticks(&joints)));
+            joints = self.planner.nearest(&poses(self))?.1;
+        }
+        self.planner.swing(phase, joints, self.gripper);
+        Ok(())
+    }
+
+    /// A straight line of the tool to a pose, relative to what it moves with.
+    fn ride(&mut self, phase: Word, to: &Isometry3<f64>, limit: ToolLimit) -> Result<(), Unreachable> {
+        let way = (to.translation.vector - self.tool().translation.vector).norm();
+        let ticks = (smooth_duration(way, limit) / CONTROL_PERIOD_S).ceil().max(1.0);
+        self.ride_for(phase, to, ticks as usize)
+    }
+
+    fn ride_for(&mut self, phase: Word, to: &Isometry3<f64>, ticks: usize) -> Result<(), Unreachable> {
+        let Some((law, clock)) = self.tracked else { return Ok(()) };
+        let riding = |ticks: f64| law.riding((clock as f64 + ticks) * CONTROL_PERIOD_S);
+        let back = riding(0.0).inverse();
+        let (from, to) = (back * self.tool(), back * to);
+        // The servo lags the commands by half a control period.
+        let pose = |k: usize| riding(k as f64 + 0.5) * from.lerp_slerp(&to, smooth(k as f64 / ticks as f64));
+        self.planner.timed(phase, clock, (ticks, &pose), self.gripper)?;
+        self.tracked = Some((law, clock + ticks));
+        Ok(())
     }
 
     /// Where the tool is at a place, in metres. At the origin of a free part it is where it grasps the part. A cup takes a free
@@ -300,13 +387,24 @@ impl<'a> Plan<'a> {
     }
 
     fn line(&mut self, phase: Word, to: Vector3<f64>, limit: ToolLimit) -> Result<(), Unreachable> {
-        let goal = Isometry3::from_parts(Translation3::from(to), self.tool().rotation);
-        self.planner.straight(phase, &[goal], limit, self.gripper)
+        self.to(phase, &Isometry3::from_parts(Translation3::from(to), self.tool().rotation), limit)
     }
 
-    fn grip(&mut self, phase: Word, command: GripperCommand) {
+    /// A straight line to a pose.
+    fn to(&mut self, phase: Word, goal: &Isometry3<f64>, limit: ToolLimit) -> Result<(), Unreachable> {
+        match self.tracked {
+            Some(_) => self.ride(phase, goal, limit),
+            None => self.planner.straight(phase, &[*goal], limit, self.gripper),
+        }
+    }
+
+    fn grip(&mut self, phase: Word, command: GripperCommand) -> Result<(), Unreachable> {
         self.gripper = command;
+        if self.tracked.is_some() {
+            return self.ride_for(phase, &self.tool(), RIDING_GRIP_TICKS);
+        }
         self.planner.grip(phase, command);
+        Ok(())
     }
 
     /// Appends a skill.
@@ -315,34 +413,47 @@ impl<'a> Plan<'a> {
         let above = |at: Vector3<f64>, height: f64| at + Vector3::new(0.0, 0.0, height);
         match &skill.what {
             Motion::Approach(place, height, command) => {
-                let at = above(self.target(place), self.number(height));
-                let pose = |yaw: f64| {
-                    let pose = tool_down(at.into(), yaw);
-                    Translation3::from(self.beside(place, &pose.rotation)) * pose
+                let poses = |plan: &Self| {
+                    let at = above(plan.target(place), plan.number(height));
+                    let pose = |yaw: f64| {
+                        let pose = tool_down(at.into(), yaw);
+                        Translation3::from(plan.beside(place, &pose.rotation)) * pose
+                    };
+                    plan.yaws(place).into_iter().map(pose).collect::<Vec<_>>()
                 };
-                let poses: Vec<_> = self.yaws(place).into_iter().map(pose).collect();
-                let (_, joints) = self.planner.nearest(&poses)?;
+                self.tracked = None;
+                let law = self.law(place.on);
+                let joints = match law {
+                    Some(_) => Vec::new(),
+                    None => self.planner.nearest(&poses(self))?.1,
+                };
                 if self.gripper != *command {
-                    self.grip(phase, *command);
+                    self.grip(phase, *command)?;
                 }
-                self.planner.swing(phase, joints, self.gripper);
+                match law {
+                    Some(law) => self.meet(phase, law, &poses)?,
+                    None => self.planner.swing(phase, joints, self.gripper),
+                }
             }
             Motion::Move(place, height, speed) => {
+                self.track(place.on);
                 let at = above(self.target(place), self.number(height)) + self.beside(place, &self.tool().rotation);
                 self.line(phase, at, self.limit(speed.as_ref()))?;
             }
             Motion::Grasp(place) => {
+                self.track(place.on);
                 let at = self.target(place) + self.beside(place, &self.tool().rotation);
                 self.line(phase, at, self.careful(None))?;
-                self.grip(phase, GripperCommand::Close);
+                self.grip(phase, GripperCommand::Close)?;
                 if let Frame::Part(of) = place.on {
-                    self.in_hand = Some((of, self.tool().inverse() * self.part(of, self.joints[of])));
+                    self.in_hand = Some((of, self.tool().inverse() * self.frame(place.on)));
+                    self.carriers[of] = None;
                 }
             }
-            Motion::Close => self.grip(phase, GripperCommand::Close),
+            Motion::Close => self.grip(phase, GripperCommand::Close)?,
             Motion::Release => {
-                self.grip(phase, GripperCommand::Open);
-                self.in_hand = None;
+                self.grip(phase, GripperCommand::Open)?;
+                self.leave();
             }
             Motion::Lift(height) => {
                 let at = above(self.tool().translation.vector, self.number(height));
@@ -354,10 +465,12 @@ impl<'a> Plan<'a> {
             }
             Motion::Carry(place, height, speed) => self.carry(phase, place, self.number(height), speed.as_ref())?,
             Motion::Follow(of, value, speed) => {
+                self.tracked = None;
                 self.follow(phase, *of, self.number(value), speed.as_ref())?;
             }
             Motion::Press(of, force) => {
                 let Some(joint) = self.numbers.parts[*of].joint else { return Ok(()) };
+                self.tracked = None;
                 self.follow(phase, *of, joint.range[1], None)?;
                 // The arm yields under the force, so the command goes on by as much.
                 let along = self.part(*of, 0.0).rotation * joint.motion(1.0).translation.vector;
@@ -366,10 +479,16 @@ impl<'a> Plan<'a> {
                 self.line(phase, self.tool().translation.vector + further, self.careful(None))?;
             }
             Motion::Wait(duration) => {
-                let periods = (self.number(duration) / CONTROL_PERIOD_S).ceil().clamp(1.0, 1200.0) as usize;
-                self.planner.wait(phase, periods, self.gripper);
+                let periods =
+                    (self.number(duration) / CONTROL_PERIOD_S).ceil().clamp(1.0, LONGEST_WAIT_TICKS as f64) as usize;
+                match self.tracked {
+                    Some(_) => self.ride_for(phase, &self.tool(), periods)?,
+                    None => self.planner.wait(phase, periods, self.gripper),
+                }
             }
+            Motion::Await(of, place) => self.await_part(phase, *of, place)?,
             Motion::Home => {
+                self.tracked = None;
                 let home = self.robot.settings.arm.home_rad.clone();
                 self.planner.swing(phase, home, self.gripper);
             }
@@ -382,8 +501,40 @@ impl<'a> Plan<'a> {
         Ok(())
     }
 
+    /// Leaves the part in the hand where it is. On a fixture that moves it is carried away.
+    fn leave(&mut self) {
+        let Some((of, in_tool)) = self.in_hand.take() else { return };
+        if let Frame::Fixture(carrier) = self.over
+            && let Some(law) = self.layout.motions[carrier]
+        {
+            let estimate = self.planner.ticks() as f64 * CONTROL_PERIOD_S;
+            let time_s = self.tracked.map_or(estimate, |_| self.time_s());
+            self.carriers[of] = Some(carrier);
+            self.layout.parts[of] = law.riding(time_s).inverse() * self.tool() * in_tool;
+        }
+    }
+
+    /// Waits until a part on a belt has come to a place.
+    fn await_part(&mut self, phase: Word, of: usize, place: &Place) -> Result<(), Unreachable> {
+        self.tracked = None;
+        let goal = (self.frame(place.on) * Translation3::from(place.point)).translation.vector;
+        let far = Unreachable { position: goal.into(), position_error_m: 0.0, angle_error_rad: 0.0 };
+        let Some(Law::Belt { direction, speed_m_s }) = self.law(Frame::Part(of)) else { return Err(far) };
+        let way = (goal - self.layout.parts[of].translation.vector).dot(&direction);
+        let ticks = (way / speed_m_s / CONTROL_PERIOD_S).ceil();
+        if !(0.0..=LONGEST_WAIT_TICKS as f64).contains(&ticks) {
+            return Err(far);
+        }
+        self.planner.wait_for(phase, ticks as usize + MEETING_TICKS, self.gripper);
+        self.layout.parts[of].translation.vector += direction * way;
+        self.carriers[of] = None;
+        Ok(())
+    }
+
     /// Brings the part in the hand to a height above a place, with the yaw of the place or a quarter turn of it.
     fn carry(&mut self, phase: Word, place: &Place, height: f64, speed: Option<&Value>) -> Result<(), Unreachable> {
+        self.track(place.on);
+        self.over = place.on;
         let frame = self.frame(place.on) * Translation3::from(place.point);
         let goal = frame.translation.vector + Vector3::new(0.0, 0.0, height);
         let part = self.in_hand.map_or_else(Isometry3::identity, |(_, in_tool)| in_tool);
@@ -398,7 +549,10 @@ impl<'a> Plan<'a> {
             })
             .collect();
         let (chosen, _) = self.planner.nearest(&poses)?;
-        self.planner.straight(phase, &[poses[chosen]], self.careful(speed), self.gripper)
+        let limit = self.careful(speed);
+        // A wrist that is turned already may not turn on to the most comfortable pose.
+        let first = self.to(phase, &poses[chosen], limit);
+        poses.iter().fold(first, |done, pose| done.or_else(|_| self.to(phase, pose, limit)))
     }
 
     /// Moves with a part along its joint.
@@ -419,7 +573,8 @@ impl<'a> Plan<'a> {
         let zero = self.layout.parts[of];
         let pose = |share: f64| zero * joint.motion(from + share * (to - from)) * in_part;
         self.planner.along(phase, &pose, lever * (to - from).abs(), limit, self.gripper)?;
-        self.joints[of] = to;
+        // The stops end its way. A tool with room in a handle goes farther.
+        self.joints[of] = to.clamp(joint.range[0], joint.range[1]);
         Ok(())
     }
 }

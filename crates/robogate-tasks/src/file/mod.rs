@@ -9,12 +9,14 @@ mod document;
 mod expert;
 mod lint;
 mod model;
+mod moving;
 mod names;
 mod numbers;
 mod parameters;
 mod problem;
 mod referee;
 mod syntax;
+mod targets;
 mod units;
 
 use std::collections::BTreeMap;
@@ -36,6 +38,7 @@ pub use problem::Problem;
 
 use self::expert::Expert;
 use self::model::{Model, braces};
+use self::names::Region;
 use self::numbers::{Draws, Layout, Numbers};
 use self::referee::{COLLISION, Referee, STAGES};
 use crate::arm::claims::Claim;
@@ -89,6 +92,11 @@ impl FileTask {
         self.model.skills.is_some()
     }
 
+    /// Whether a fixture moves.
+    pub fn moves(&self) -> bool {
+        self.model.nominal.motions.iter().any(Option::is_some)
+    }
+
     /// The number of its stages.
     pub fn stages(&self) -> usize {
         self.model.stages.len()
@@ -113,31 +121,35 @@ impl FileTask {
             return Ok(draws);
         }
         let mut stream = scenario.seed.stream("part-start");
-        for _ in 0..MOST_DRAWS {
-            self.draw_places(numbers, &mut draws, &mut stream);
-            if !self.overlaps(numbers, &draws) {
-                return Ok(draws);
+        // Ten parts that are drawn together would hardly ever lie beside each other, so one is drawn after another.
+        let mut placed: Vec<usize> = (0..draws.len()).filter(|part| model.parts[*part].start.is_none()).collect();
+        for (part, region) in model.parts.iter().enumerate().filter_map(|(part, of)| Some((part, of.start?))) {
+            let fits = (0..MOST_DRAWS).any(|_| {
+                self.draw_place(numbers, &mut draws, (part, region), &mut stream);
+                !self.overlaps(numbers, &draws, part, &placed)
+            });
+            if !fits {
+                let why = "the parts do not fit beside each other into the regions of their starts";
+                return Err(Fault::new(FaultKind::Setup, why));
             }
+            placed.push(part);
         }
-        Err(Fault::new(FaultKind::Setup, "the parts do not fit beside each other into the regions of their starts"))
+        Ok(draws)
     }
 
-    fn draw_places(&self, numbers: &Numbers, draws: &mut [Draws], stream: &mut Stream) {
+    fn draw_place(&self, numbers: &Numbers, draws: &mut [Draws], (part, region): (usize, Region), stream: &mut Stream) {
         let layout = Layout::new(numbers, &self.model.parents(), draws);
-        for (part, draws) in self.model.parts.iter().zip(draws) {
-            let Some(region) = part.start else { continue };
-            let [x, y] = [0, 1].map(|axis| region.at[axis] + stream.between(-region.half[axis], region.half[axis]));
-            let frame = match region.on {
-                numbers::Frame::Fixture(of) => layout.fixtures[of],
-                _ => Isometry3::identity(),
-            };
-            let at = frame * nalgebra::Point3::new(x, y, region.at.z);
-            draws.place = Some([at.x, at.y]);
-        }
+        let [x, y] = [0, 1].map(|axis| region.at[axis] + stream.between(-region.half[axis], region.half[axis]));
+        let frame = match region.on {
+            numbers::Frame::Fixture(of) => layout.fixtures[of],
+            _ => Isometry3::identity(),
+        };
+        let at = frame * nalgebra::Point3::new(x, y, region.at.z);
+        draws[part].place = Some([at.x, at.y]);
     }
 
-    /// Whether circles around two free parts overlap.
-    fn overlaps(&self, numbers: &Numbers, draws: &[Draws]) -> bool {
+    /// Whether the circle around a part overlaps that around one of others.
+    fn overlaps(&self, numbers: &Numbers, draws: &[Draws], part: usize, others: &[usize]) -> bool {
         let layout = Layout::new(numbers, &self.model.parents(), draws);
         let radius = |index: usize| {
             let reach = |part: &robogate_physics::Part| {
@@ -150,8 +162,7 @@ impl FileTask {
             let off = layout.parts[one].translation.vector - layout.parts[other].translation.vector;
             off.xy().norm() < radius(one) + radius(other)
         };
-        let drawn = |index: usize| draws[index].place.is_some();
-        (0..draws.len()).any(|one| (0..one).any(|other| (drawn(one) || drawn(other)) && near(one, other)))
+        others.iter().any(|other| near(part, *other))
     }
 
     /// The scene with these numbers and poses.
@@ -168,14 +179,14 @@ impl FileTask {
             }
         };
         let mut fixtures = vec![Fixture::table()];
-        for (fixture, frame) in model.fixtures.iter().zip(&layout.fixtures) {
+        for ((fixture, frame), motion) in model.fixtures.iter().zip(&layout.fixtures).zip(&layout.motions) {
             for (index, shape) in fixture.shapes.iter().enumerate() {
                 let name = match fixture.shapes.len() {
                     1 => fixture.name.clone(),
                     _ => format!("{}.{}", fixture.name, index + 1),
                 };
                 let part = robogate_physics::Part { pose: frame * shape.pose, ..*shape };
-                fixtures.push(Fixture { name, kind: FixtureKind::Receptacle, part, motion: None });
+                fixtures.push(Fixture { name, kind: FixtureKind::Receptacle, part, motion: *motion });
             }
         }
         let FreeBody { object, pose: object_pose, color, .. } = body(0);

@@ -3,13 +3,13 @@
 use nalgebra::Vector3;
 use robogate_core::budget::Budget;
 use robogate_core::{Better, FailureMode, Severity, Word};
-use robogate_physics::{Color, GRAVITY, Joint, JointKind, Part, Primitive};
+use robogate_physics::{Color, GRAVITY, Motion, Part, Primitive};
 
 use super::conditions::{Compiler, Condition, Value};
-use super::document::{Document, JointTable, JointWord, ParameterTable, ShapeTable, Text};
+use super::document::{Document, ShapeTable, Text};
 use super::expert::{self, Skill};
 use super::names::{Names, RESERVED, Region};
-use super::numbers::{Frame, Numbers, PartNumbers, PartTarget, Place, Placed, Target, YAW};
+use super::numbers::{Frame, Numbers, PartNumbers, Place, Placed, Target};
 use super::problem::{Problem, Problems};
 use super::syntax;
 use super::units::{Dimension, quantities};
@@ -25,9 +25,6 @@ const BUDGET: Budget = Budget { bytes: 64 << 10, values: 1 << 16, depth: 8 };
 const MOST_PARTS: usize = 16;
 const MOST_SHAPES: usize = 128;
 const MOST_ENTRIES: usize = 64;
-
-/// The coordinates of a body in paths of parameters.
-const PLACED: [&str; 4] = ["at.x", "at.y", "at.z", "yaw"];
 
 /// Friction coefficient of the parts, if the file states none.
 const FRICTION: f64 = 0.7;
@@ -162,9 +159,10 @@ impl Model {
     }
 }
 
-struct Reading<'a, 'b> {
-    problems: &'a mut Problems<'b>,
-    names: Names,
+/// A file that is being read.
+pub(super) struct Reading<'a, 'b> {
+    pub(super) problems: &'a mut Problems<'b>,
+    pub(super) names: Names,
 }
 
 impl Reading<'_, '_> {
@@ -285,7 +283,7 @@ impl Reading<'_, '_> {
         Some(seconds)
     }
 
-    fn word(&mut self, text: &Text) -> Option<Word> {
+    pub(super) fn word(&mut self, text: &Text) -> Option<Word> {
         word(self.problems, text)
     }
 
@@ -305,7 +303,7 @@ impl Reading<'_, '_> {
         name.clone()
     }
 
-    fn number(&mut self, text: &Text, dimension: Dimension, range: [f64; 2]) -> Option<f64> {
+    pub(super) fn number(&mut self, text: &Text, dimension: Dimension, range: [f64; 2]) -> Option<f64> {
         let [value] = self.problems.take(text, quantities::<1>(&text.text, dimension))?;
         if !(range[0]..=range[1]).contains(&value) {
             let (unit, [low, high]) = (dimension.unit(), range);
@@ -314,11 +312,11 @@ impl Reading<'_, '_> {
         Some(value)
     }
 
-    fn optional(&mut self, text: Option<&Text>, dimension: Dimension, range: [f64; 2], or: f64) -> f64 {
+    pub(super) fn optional(&mut self, text: Option<&Text>, dimension: Dimension, range: [f64; 2], or: f64) -> f64 {
         text.and_then(|text| self.number(text, dimension, range)).unwrap_or(or)
     }
 
-    fn triple(&mut self, text: Option<&Text>, dimension: Dimension) -> [f64; 3] {
+    pub(super) fn triple(&mut self, text: Option<&Text>, dimension: Dimension) -> [f64; 3] {
         let Some(text) = text else { return [0.0; 3] };
         let found = self.problems.take(text, quantities(&text.text, dimension)).unwrap_or_default();
         if dimension == Dimension::LENGTH && found.iter().any(|x: &f64| x.abs() > 10.0) {
@@ -371,6 +369,8 @@ impl Reading<'_, '_> {
         for table in &document.fixture {
             let name = self.name(&table.name);
             nominal.fixtures.push(self.placed(table.at.as_ref(), table.rotation.as_ref()));
+            let motion = self.motion(table);
+            nominal.motions.push(motion);
             let shapes = self.shapes(&table.shapes, &table.name);
             let range = next..next + shapes.len();
             next = range.end;
@@ -380,44 +380,6 @@ impl Reading<'_, '_> {
         fixtures
     }
 
-    fn joint(&mut self, table: &JointTable) -> (Joint, Dimension) {
-        let (kind, dimension, force) = match table.kind {
-            JointWord::Hinge => (JointKind::Hinge, Dimension::ANGLE, Dimension::TORQUE),
-            JointWord::Slide => (JointKind::Slide, Dimension::LENGTH, Dimension::FORCE),
-        };
-        let axis = match &*table.axis.text {
-            "x" => Vector3::x(),
-            "y" => Vector3::y(),
-            "z" => Vector3::z(),
-            "-x" => -Vector3::x(),
-            "-y" => -Vector3::y(),
-            "-z" => -Vector3::z(),
-            other => {
-                self.problems.of(&table.axis, format!("unknown axis `{other}`. Expected x, y, z, -x, -y or -z"));
-                Vector3::z()
-            }
-        };
-        let range: [f64; 2] =
-            self.problems.take(&table.range, quantities(&table.range.text, dimension)).unwrap_or([-1.0, 1.0]);
-        if !(range[0] < range[1] && range.iter().all(|end| end.abs() <= 10.0)) {
-            let shown = &table.range.text;
-            self.problems.of(&table.range, format!("`{shown}`: expected the lower stop first, both within 10"));
-        }
-        let per_speed = force.times(Dimension::TIME).over(dimension);
-        let joint = Joint {
-            kind,
-            axis,
-            anchor: self.triple(table.anchor.as_ref(), Dimension::LENGTH).into(),
-            range,
-            start: self.optional(table.start.as_ref(), dimension, range, 0.0),
-            damping: self.optional(table.damping.as_ref(), per_speed, [0.0, 1e4], 0.0),
-            friction: self.optional(table.friction.as_ref(), force, [0.0, 1e3], 0.0),
-            stiffness: self.optional(table.stiffness.as_ref(), force.over(dimension), [0.0, 1e5], 0.0),
-            rest: self.optional(table.rest.as_ref(), dimension, [-10.0, 10.0], 0.0),
-        };
-        (joint, dimension)
-    }
-
     fn parts(&mut self, document: &Document, nominal: &mut Numbers) -> Vec<PartModel> {
         let mut parts = Vec::new();
         for (index, table) in document.part.iter().enumerate() {
@@ -425,6 +387,14 @@ impl Reading<'_, '_> {
             let parent = table.parent.as_ref().and_then(|parent| self.frame(parent, false));
             let placed = self.placed(table.at.as_ref(), table.rotation.as_ref());
             let joint = table.joint.as_ref().map(|joint| self.joint(joint));
+            let carried = |motion: &Motion| !matches!(motion, Motion::Belt { .. });
+            if let (Some(text), Some(Frame::Fixture(of)), Some(_)) = (&table.parent, parent, joint)
+                && nominal.motions[of].as_ref().is_some_and(carried)
+            {
+                let why =
+                    format!("`{}` moves, so a part on a joint cannot be in it. Leave out `in` or `joint`", text.text);
+                self.problems.of(text, why);
+            }
             nominal.parts.push(PartNumbers {
                 placed,
                 mass_kg: self.number(&table.mass, Dimension::MASS, [1e-3, 100.0]).unwrap_or(1.0),
@@ -515,123 +485,6 @@ impl Reading<'_, '_> {
             }
         }
         parts
-    }
-
-    fn parameters(&mut self, document: &Document, nominal: &mut Numbers) -> Vec<ParameterModel> {
-        let mut parameters: Vec<ParameterModel> = Vec::new();
-        for table in &document.parameter {
-            let Some(parameter) = self.parameter(table, nominal) else { continue };
-            if parameters.iter().any(|known| known.name == parameter.name) {
-                self.problems.of(&table.name, format!("a second parameter `{}`", parameter.name));
-            }
-            let sets = |target: Target| !matches!(target, Target::Value(_)) && target == parameter.target;
-            if let Some(other) = parameters.iter().find(|known| sets(known.target)) {
-                self.problems.of(&table.name, format!("`{}` and `{}` set the same", other.name, parameter.name));
-            }
-            if let Some(number) = parameter.target.number(nominal) {
-                *number = parameter.nominal;
-            }
-            nominal.values.push(parameter.nominal);
-            self.names.parameters.push((parameter.name.to_string(), parameter.dimension));
-            self.names.nominal.push(parameter.nominal);
-            parameters.push(parameter);
-        }
-        parameters
-    }
-
-    fn parameter(&mut self, table: &ParameterTable, nominal: &mut Numbers) -> Option<ParameterModel> {
-        let name = self.word(&table.name)?;
-        let (target, dimension) = match &table.sets {
-            Some(path) => {
-                let target = self.target(&path.text);
-                self.problems.take(path, target)?
-            }
-            None => {
-                // The unit of the range says what it is.
-                let last = table.range.text.rsplit(',').next().unwrap_or_default();
-                let found = super::units::quantity(last);
-                let dimension = self.problems.take(&table.range, found)?.dimension;
-                (Target::Value(dimension), dimension)
-            }
-        };
-        let range: [f64; 2] = self.problems.take(&table.range, quantities(&table.range.text, dimension))?;
-        if range[0] >= range[1] {
-            let shown = &table.range.text;
-            self.problems.of(&table.range, format!("`{shown}`: expected the smaller value first"));
-        }
-        let nominal = match (&table.nominal, target.number(nominal)) {
-            (Some(text), _) => self.number(text, dimension, range)?,
-            (None, Some(value)) if (range[0]..=range[1]).contains(value) => *value,
-            (None, Some(value)) => {
-                let (value, unit) = (*value, dimension.unit());
-                let why = format!("the value in the file, {value} {unit}, is outside of the range. Add `nominal`");
-                self.problems.of(&table.range, why);
-                return None;
-            }
-            (None, None) => {
-                self.problems.of(&table.name, format!("`{name}` sets nothing, so it needs `nominal`"));
-                return None;
-            }
-        };
-        let unit = unit_of(name.as_str());
-        if !unit.is_empty() && unit != dimension.unit() {
-            let is =
-                if dimension == Dimension::NONE { "has no unit".into() } else { format!("is in {}", dimension.unit()) };
-            self.problems.of(&table.name, format!("`{name}` ends with the unit {unit}, but its value {is}"));
-        }
-        Some(ParameterModel {
-            name,
-            target,
-            dimension,
-            range,
-            nominal,
-            meaning: table.meaning.clone(),
-            family: table.family.as_ref().and_then(|family| self.word(family)),
-            told: table.told.unwrap_or(table.sets.is_none()),
-        })
-    }
-
-    /// What a path sets, and the dimension of its values.
-    fn target(&self, path: &str) -> Result<(Target, Dimension), String> {
-        let (owner, rest) = path.split_once('.').unwrap_or((path, ""));
-        let unknown =
-            |known: &[&str]| format!("`{owner}` has no `{rest}`: {}", robogate_core::hint(rest, known.iter().copied()));
-        let placed = PLACED.iter().position(|name| *name == rest);
-        let length = |which: usize| if which == YAW { Dimension::ANGLE } else { Dimension::LENGTH };
-        if owner == "scene" {
-            return match rest {
-                "friction" => Ok((Target::Friction, Dimension::NONE)),
-                "gravity" => Ok((Target::Gravity, Dimension::ACCELERATION)),
-                _ => Err(unknown(&["friction", "gravity"])),
-            };
-        }
-        match (self.names.frame_named(0, owner).map_err(|(_, why)| why)?, placed) {
-            (Frame::Fixture(of), Some(which)) => Ok((Target::Fixture(of, which), length(which))),
-            (Frame::Part(of), Some(which)) => Ok((Target::Part(of, PartTarget::Placed(which)), length(which))),
-            (Frame::Part(of), None) => {
-                let joint = self.names.parts[of].1;
-                let force = if joint == Some(Dimension::ANGLE) { Dimension::TORQUE } else { Dimension::FORCE };
-                let of_joint = |which: PartTarget, dimension: &dyn Fn(Dimension) -> Dimension| {
-                    let joint = joint.ok_or_else(|| format!("part `{owner}` has no joint"))?;
-                    Ok((Target::Part(of, which), dimension(joint)))
-                };
-                match rest {
-                    "mass" => Ok((Target::Part(of, PartTarget::Mass), Dimension::MASS)),
-                    "spread" => Ok((Target::Part(of, PartTarget::Spread), Dimension::LENGTH)),
-                    "spin" => Ok((Target::Part(of, PartTarget::Spin), Dimension::ANGLE)),
-                    "joint.damping" => of_joint(PartTarget::Damping, &|joint| force.times(Dimension::TIME).over(joint)),
-                    "joint.friction" => of_joint(PartTarget::DryFriction, &|_| force),
-                    "joint.stiffness" => of_joint(PartTarget::Stiffness, &|joint| force.over(joint)),
-                    "joint.start" => of_joint(PartTarget::Start, &|joint| joint),
-                    "joint.rest" => of_joint(PartTarget::Rest, &|joint| joint),
-                    _ => {
-                        let joint = ["joint.damping", "joint.friction", "joint.stiffness", "joint.start", "joint.rest"];
-                        Err(unknown(&[&PLACED[..], &["mass", "spread", "spin"], &joint].concat()))
-                    }
-                }
-            }
-            _ => Err(unknown(&PLACED)),
-        }
     }
 }
 

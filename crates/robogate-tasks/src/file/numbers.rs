@@ -1,7 +1,7 @@
 //! The numbers of a scene that parameters can set, and the poses that follow from them.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use robogate_physics::Joint;
+use robogate_physics::{Joint, Motion};
 
 use super::units::Dimension;
 use crate::arm::{InSurroundings, Surroundings};
@@ -10,6 +10,8 @@ use crate::arm::{InSurroundings, Surroundings};
 #[derive(Debug, Clone, Default)]
 pub(super) struct Numbers {
     pub(super) fixtures: Vec<Placed>,
+    /// How each fixture moves, in its own frame.
+    pub(super) motions: Vec<Option<Motion>>,
     pub(super) parts: Vec<PartNumbers>,
     pub(super) friction: f64,
     pub(super) gravity: f64,
@@ -60,6 +62,10 @@ pub(super) enum Target {
     Gravity,
     /// The coordinate of a fixture: x, y, z, or its yaw.
     Fixture(usize, usize),
+    /// The speed of a fixture, of its surface if it is a belt.
+    Speed(usize),
+    /// The distance between the ends of a fixture that shuttles.
+    Distance(usize),
     Part(usize, PartTarget),
 }
 
@@ -95,6 +101,11 @@ impl Target {
             Self::Friction => Some(&mut numbers.friction),
             Self::Gravity => Some(&mut numbers.gravity),
             Self::Fixture(of, which) => Some(numbers.fixtures[of].number(which)),
+            Self::Speed(of) => numbers.motions[of].as_mut().and_then(speed),
+            Self::Distance(of) => match numbers.motions[of].as_mut() {
+                Some(Motion::Shuttle { distance_m, .. }) => Some(distance_m),
+                _ => None,
+            },
             Self::Part(of, which) => {
                 let part = &mut numbers.parts[of];
                 match which {
@@ -113,6 +124,32 @@ impl Target {
     }
 }
 
+/// The speed that a file states for a motion.
+pub(super) fn speed(motion: &mut Motion) -> Option<&mut f64> {
+    match motion {
+        Motion::Belt { speed_m_s: speed, .. }
+        | Motion::Turn { speed_rad_s: speed, .. }
+        | Motion::Shuttle { largest_speed_m_s: speed, .. } => Some(speed),
+        Motion::Straight { .. } => None,
+    }
+}
+
+/// A motion in the frame of a fixture at this pose, in the base frame.
+fn in_base(motion: Motion, frame: &Isometry3<f64>) -> Motion {
+    match motion {
+        Motion::Belt { direction, speed_m_s } => Motion::Belt { direction: frame * direction, speed_m_s },
+        Motion::Turn { axis, anchor, speed_rad_s } => {
+            Motion::Turn { axis: frame * axis, anchor: (frame * nalgebra::Point3::from(anchor)).coords, speed_rad_s }
+        }
+        Motion::Shuttle { direction, distance_m, largest_speed_m_s } => {
+            Motion::Shuttle { direction: frame * direction, distance_m, largest_speed_m_s }
+        }
+        Motion::Straight { velocity, starts_s, ends_s } => {
+            Motion::Straight { velocity: frame * velocity, starts_s, ends_s }
+        }
+    }
+}
+
 /// The draws of a part's start.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Draws {
@@ -126,7 +163,10 @@ pub(super) struct Draws {
 /// The poses of a scene.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Layout {
+    /// Poses of the fixtures at the start.
     pub(super) fixtures: Vec<Isometry3<f64>>,
+    /// How each fixture moves, in the base frame.
+    pub(super) motions: Vec<Option<Motion>>,
     /// Poses of the parts at the start, or where their joints have the value 0.
     pub(super) parts: Vec<Isometry3<f64>>,
 }
@@ -149,7 +189,15 @@ impl Layout {
             pose
         });
         let parts = parts.collect();
-        Self { fixtures, parts }
+        let motions = numbers.motions.iter().zip(&fixtures);
+        let motions = motions.map(|(motion, frame)| motion.map(|motion| in_base(motion, frame))).collect();
+        Self { fixtures, motions, parts }
+    }
+
+    /// The pose of a fixture after `time_s` seconds.
+    pub(super) fn fixture(&self, of: usize, time_s: f64) -> Isometry3<f64> {
+        let pose = self.fixtures[of];
+        self.motions[of].map_or(pose, |motion| motion.at(time_s) * pose)
     }
 }
 

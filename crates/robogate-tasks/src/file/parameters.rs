@@ -3,10 +3,10 @@
 use robogate_core::{
     Allowed, Assignment, Domain, Fault, FaultKind, Parameter, ParameterSpace, ParameterSpec, Scale, Value,
 };
-use robogate_physics::{FreeBodyRead, Gripper, Readback};
+use robogate_physics::{FreeBodyRead, Gripper, Motion, Readback};
 
 use super::model::{Model, ParameterModel};
-use super::numbers::{Draws, Numbers, PartTarget, Placed, Target, YAW};
+use super::numbers::{Draws, Numbers, PartTarget, Placed, Target, YAW, speed};
 use crate::arm::{Acting, Parameters, Row, Table};
 
 /// The rows that a file does not have to declare.
@@ -84,8 +84,19 @@ impl Model {
             Target::Friction => f64::NAN,
             Target::Gravity => engine.gravity,
             Target::Fixture(of, which) => coordinate(self.fixture_at(engine, of), &acting.settings.fixtures[of], which),
+            Target::Speed(of) => self.motion(engine, of).as_mut().and_then(speed).map_or(f64::NAN, |speed| *speed),
+            Target::Distance(of) => match self.motion(engine, of) {
+                Some(Motion::Shuttle { distance_m, .. }) => distance_m,
+                _ => f64::NAN,
+            },
             Target::Part(of, which) => self.read_part(engine, acting.settings, of, which, draws[of]),
         }
+    }
+
+    /// The motion of a fixture in the engine.
+    fn motion(&self, engine: &Readback, of: usize) -> Option<Motion> {
+        let index = self.fixtures[of].range.start;
+        engine.fixtures.iter().find(|read| read.fixture == index)?.motion
     }
 
     /// Where a fixture is in the engine, from its first shape.

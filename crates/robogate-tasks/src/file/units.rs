@@ -15,6 +15,7 @@ impl Dimension {
     pub(super) const FORCE: Self = Self([1, 1, -2, 0]);
     pub(super) const TORQUE: Self = Self([2, 1, -2, 0]);
     pub(super) const SPEED: Self = Self([1, 0, -1, 0]);
+    pub(super) const TURNING: Self = Self([0, 0, -1, 1]);
     pub(super) const ACCELERATION: Self = Self([1, 0, -2, 0]);
 
     pub(super) fn times(self, other: Self) -> Self {
@@ -59,6 +60,7 @@ impl fmt::Display for Dimension {
             Self::ANGLE => "an angle, such as `30 deg`",
             Self::FORCE => "a force, such as `20 N`",
             Self::SPEED => "a speed, such as `5 cm/s`",
+            Self::TURNING => "a speed, such as `20 deg/s`",
             _ => return write!(f, "a quantity in {}", self.unit()),
         })
     }

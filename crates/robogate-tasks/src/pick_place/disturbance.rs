@@ -40,21 +40,23 @@ impl Disturbance {
             name: "disturbance".to_owned(),
             kind: FixtureKind::Disturbance,
             part: Part { primitive: Primitive::Box { half: HALF }, pose: Isometry3::from_parts(at, rotation) },
-            motion: Some(Motion { velocity, starts_s: self.start_s, ends_s }),
+            motion: Some(Motion::Straight { velocity, starts_s: self.start_s, ends_s }),
         })
     }
 
     /// The disturbance as read from an engine. `body` is the pose and motion of the engine's moving body.
     pub(crate) fn read(self, body: Option<(&Isometry3<f64>, &Motion)>) -> Self {
         // Without a body the other values have no effect.
-        let Some((pose, motion)) = body else { return Self { speed_m_s: 0.0, ..self } };
-        let speed_m_s = motion.velocity.norm();
+        let Some((pose, Motion::Straight { velocity, starts_s, ends_s })) = body else {
+            return Self { speed_m_s: 0.0, ..self };
+        };
+        let speed_m_s = velocity.norm();
         Self {
             speed_m_s,
-            start_s: motion.starts_s,
+            start_s: *starts_s,
             from: [pose.translation.x, pose.translation.y],
-            heading_rad: motion.velocity.y.atan2(motion.velocity.x),
-            travel_m: speed_m_s * (motion.ends_s - motion.starts_s),
+            heading_rad: velocity.y.atan2(velocity.x),
+            travel_m: speed_m_s * (ends_s - starts_s),
         }
     }
 }

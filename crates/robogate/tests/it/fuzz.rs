@@ -210,8 +210,10 @@ fn fuzzed_robot_settings_are_read_or_refused() {
 
 #[test]
 fn fuzzed_tasks_are_read_or_refused() {
-    let valid: Vec<Vec<u8>> =
-        ["drawer", "lid"].iter().flat_map(|task| files(&format!("assets/tasks/{task}"), "task.toml")).collect();
+    let valid: Vec<Vec<u8>> = ["drawer", "lid", "palletising"]
+        .iter()
+        .flat_map(|task| files(&format!("assets/tasks/{task}"), "task.toml"))
+        .collect();
     texts("task.toml", &valid, TOML, |text| robogate_tasks::file::FileTask::read(text).is_ok());
 }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use robogate_physics::{
-    Bellows, Chain, Fixture, FreeBody, Gripper, GripperUnit, Part, Robot, Scene, SuctionLaw, Visual, contact,
+    Bellows, Chain, Fixture, FreeBody, Gripper, GripperUnit, Motion, Part, Robot, Scene, SuctionLaw, Visual, contact,
 };
 use serde::{Deserialize, Serialize};
 
@@ -246,7 +246,11 @@ impl Cell {
         }
         for Fixture { name, part, motion, .. } in &self.fixtures {
             sizes(name, part)?;
-            let speed = motion.map_or(1.0, |motion| motion.velocity.norm());
+            let speed = match motion {
+                None => 1.0,
+                Some(Motion::Straight { velocity, .. }) => velocity.norm(),
+                Some(_) => return Err(format!("the motion of {name} is not a straight path at constant speed")),
+            };
             above_zero(&format!("the speed of {name}"), speed)?;
         }
         let FreeBody { object, pose, color, .. } = self.objects[0].clone();

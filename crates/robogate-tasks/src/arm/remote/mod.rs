@@ -209,11 +209,8 @@ impl RemoteArm {
     /// Keeps the last reported state.
     fn see(&mut self, seen: Seen, observation: &Observation) {
         let fixture = |fixture: &Fixture| {
-            let mut pose = fixture.part.pose;
-            if let Some(motion) = &fixture.motion {
-                pose.translation.vector += motion.offset(observation.time_s);
-            }
-            pose
+            let pose = fixture.part.pose;
+            fixture.motion.map_or(pose, |motion| motion.at(observation.time_s) * pose)
         };
         let mut poses = seen.objects.iter().map(|(pose, _)| *pose);
         let posture = Posture {
