@@ -289,6 +289,14 @@ pub enum Incoming {
 pub struct TextSocket(WebSocket<Wire>);
 
 impl TextSocket {
+    /// Check the form of an address.
+    pub fn check(url: &str) -> Result<(), PolicyError> {
+        if !url.starts_with("ws://") && !url.starts_with("wss://") {
+            return Err(PolicyError::Address { url: url.to_owned(), why: "expected ws://HOST:PORT".to_owned() });
+        }
+        parse(url).map(drop)
+    }
+
     /// Connect within a number of seconds. The certificates of `wss://` are those of the system, and no key is sent.
     pub fn connect(url: &str, within_s: f64) -> Result<Self, PolicyError> {
         open(url, None, &Access::default(), Deadline::within(within_s)).map(Self)

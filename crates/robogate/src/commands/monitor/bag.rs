@@ -1,5 +1,7 @@
 //! Recordings as feeds of `robogate monitor serve`: MCAP files, and folders of rosbag2 with this storage.
 
+use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
@@ -52,15 +54,29 @@ pub(super) fn cycles(
 ) -> Result<(), String> {
     let mut reader = TopicReader::new(map.clone());
     let topics = map.topics();
+    let recorded = RefCell::new(BTreeSet::new());
+    let wanted = |topic: &str| {
+        // A few names are enough for a message.
+        if recorded.borrow().len() < 1_000 {
+            recorded.borrow_mut().insert(topic.to_owned());
+        }
+        topics.contains_key(topic)
+    };
     for file in files(path)? {
         let input = File::open(&file).map_err(|error| format!("cannot read {}: {error}", file.display()))?;
         let input = BufReader::with_capacity(1 << 20, input);
         let read = guarded(|| {
-            read_mcap(input, &|topic| topics.contains_key(topic), &mut |message| {
+            read_mcap(input, &wanted, &mut |message| {
                 reader.observe(&message.topic, message.time_s, message.message).map_or(Ok(()), &mut *each)
             })
         });
         read.and_then(|read| read).map_err(|error| format!("{}: {error}", file.display()))?;
+    }
+    let recorded = recorded.into_inner();
+    if !recorded.contains(&map.end.topic) && recorded.len() < 1_000 {
+        let names = recorded.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
+        let (path, topic) = (path.display(), &map.end.topic);
+        return Err(format!("{path}: no topic {topic}. Its topics: {names}\nHint: change [end] of --topics"));
     }
     Ok(())
 }

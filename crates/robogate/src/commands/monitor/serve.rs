@@ -18,6 +18,7 @@ use robogate_monitor::service::{
     diagnostics, json_lines, otlp, serve, subscribe, webhook,
 };
 use robogate_monitor::{Level, Monitor};
+use robogate_policy::TextSocket;
 
 use super::bag::{cycles, files, is_bag};
 use super::rosbridge::connect;
@@ -99,6 +100,7 @@ impl Serve {
     pub(super) fn execute(&self) -> Result<u8, Exit> {
         let (settings, referred) = self.watched.settings()?;
         let topics = self.topics.as_deref().map(topic_map).transpose()?;
+        self.rosbridge.as_deref().map(TextSocket::check).transpose().context("--rosbridge").or_usage()?;
         let bag = self.feed.as_deref().filter(|feed| is_bag(feed));
         self.check_topics(bag).or_usage()?;
         let serves = self.listen.is_some() || self.mqtt_cycles.is_some() || topics.is_some() && bag.is_none();

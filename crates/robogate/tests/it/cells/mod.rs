@@ -163,6 +163,12 @@ fn wrong_maps_are_errors() {
     let folder = tempfile::tempdir().unwrap();
     files(folder.path());
     let serve = ["monitor", "serve", "--store", "m.db", "--rosbridge", "ws://127.0.0.1:9", "--topics", "cell.toml"];
+    assert_exit_in(
+        folder.path(),
+        &["monitor", "serve", "-", "--rosbridge", "http://x:1"],
+        2,
+        &["expected ws://HOST:PORT"],
+    );
     for (from, to, part) in [
         ("robot = \"cell-1\"", "", "missing field `robot`"),
         ("[end]\n", "[end]\nspeed = 1\n", "speed"),
@@ -223,6 +229,9 @@ fn recordings_of_other_programs_are_read() {
     fs::write(folder.join("half.mcap"), bytes).unwrap();
     let (code, said) = serve("half.mcap", "h.db");
     assert!(code == Some(5) && said.contains("half.mcap: it ends"), "{said}");
+    fs::write(folder.join("cell.toml"), MAP.replace("topic = \"/cell/result\"", "topic = \"/cell/done\"")).unwrap();
+    let (code, said) = serve("bag", "n.db");
+    assert!(code == Some(5) && said.contains("no topic /cell/done. Its topics: /camera, /cell/result"), "{said}");
     fs::create_dir(folder.join("old")).unwrap();
     fs::write(folder.join("old/old_0.db3"), "").unwrap();
     assert_exit_in(folder, &["monitor", "serve", "old", "--topics", "cell.toml"], 2, &["SQLite", "ros2 bag convert"]);
