@@ -31,7 +31,7 @@ pub(crate) struct Monitor {
 #[derive(Debug, Subcommand)]
 enum Verb {
     /// Ingest cycle records and raise alarms
-    Serve(serve::Serve),
+    Serve(Box<serve::Serve>),
     /// Print the cycles of a recording as JSON Lines
     Cycles(cycles::Cycles),
     /// Simulate false-alarm rates and detection delays
