@@ -78,3 +78,4 @@ pub use ranges::{RangeCounts, RangeMeasures, with_range_measures};
 pub use servers::{Servers, Usage};
 pub use statistics::{Statistics, StatisticsError};
 pub use suits::check_task;
+pub use websocket::{Incoming, TextSocket};

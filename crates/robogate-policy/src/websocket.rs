@@ -77,6 +77,45 @@ fn parse(url: &str) -> Result<(String, bool), PolicyError> {
     Ok((authority.to_owned(), tls))
 }
 
+/// Connect and perform the handshakes. `key` is the name and value of the header with the key of the server.
+fn open(
+    url: &str,
+    key: Option<(String, String)>,
+    access: &Access,
+    deadline: Deadline,
+) -> Result<WebSocket<Wire>, PolicyError> {
+    let (address, tls) = parse(url)?;
+    let stream = TimedStream::connect(url, &address, deadline)?;
+    let stream = match address.rsplit_once(':') {
+        Some((host, _)) if tls => Wire::encrypt(url, host, stream, access)?,
+        _ => Wire::Plain(stream),
+    };
+    let invalid = |why: String| PolicyError::Address { url: url.to_owned(), why };
+    let mut request = url.into_client_request().map_err(|e| invalid(e.to_string()))?;
+    if let Some((name, value)) = key {
+        let name = HeaderName::try_from(name).map_err(|_| PolicyError::Key("invalid header name".to_owned()))?;
+        let value = HeaderValue::try_from(value).map_err(|_| PolicyError::Key("invalid header".to_owned()))?;
+        request.headers_mut().insert(name, value);
+    }
+    let limits = WebSocketConfig::default().max_message_size(Some(MAX_REPLY)).max_frame_size(Some(MAX_REPLY));
+    let connected = tungstenite::client::client_with_config(request, stream, Some(limits)).map_err(|e| match e {
+        HandshakeError::Interrupted(_) => deadline.passed(format!("the WebSocket handshake with {url}")),
+        HandshakeError::Failure(Error::Io(e)) if is_timeout(&e) => {
+            deadline.passed(format!("the WebSocket handshake with {url}"))
+        }
+        HandshakeError::Failure(Error::Http(response)) if (502..=504).contains(&response.status().as_u16()) => {
+            let why = format!("HTTP {} for the WebSocket handshake", response.status());
+            PolicyError::NotReady { url: url.to_owned(), why }
+        }
+        HandshakeError::Failure(Error::Http(response)) => {
+            PolicyError::invalid_reply("WebSocket handshake", format!("HTTP {}", response.status()))
+        }
+        HandshakeError::Failure(Error::Url(e)) => PolicyError::Address { url: url.to_owned(), why: e.to_string() },
+        HandshakeError::Failure(e) => PolicyError::invalid_reply("WebSocket handshake", e),
+    });
+    connected.map(|(web, _)| web)
+}
+
 impl Socket {
     /// Connect and perform the handshakes. `key` is the name and value of the header with the key of the server.
     pub(crate) fn connect(
@@ -85,35 +124,7 @@ impl Socket {
         access: &Access,
         deadline: Deadline,
     ) -> Result<Self, PolicyError> {
-        let (address, tls) = parse(url)?;
-        let stream = TimedStream::connect(url, &address, deadline)?;
-        let stream = match address.rsplit_once(':') {
-            Some((host, _)) if tls => Wire::encrypt(url, host, stream, access)?,
-            _ => Wire::Plain(stream),
-        };
-        let invalid = |why: String| PolicyError::Address { url: url.to_owned(), why };
-        let mut request = url.into_client_request().map_err(|e| invalid(e.to_string()))?;
-        if let Some((name, value)) = key {
-            let name = HeaderName::try_from(name).map_err(|_| PolicyError::Key("invalid header name".to_owned()))?;
-            let value = HeaderValue::try_from(value).map_err(|_| PolicyError::Key("invalid header".to_owned()))?;
-            request.headers_mut().insert(name, value);
-        }
-        let limits = WebSocketConfig::default().max_message_size(Some(MAX_REPLY)).max_frame_size(Some(MAX_REPLY));
-        let (web, _) = tungstenite::client::client_with_config(request, stream, Some(limits)).map_err(|e| match e {
-            HandshakeError::Interrupted(_) => deadline.passed(format!("the WebSocket handshake with {url}")),
-            HandshakeError::Failure(Error::Io(e)) if is_timeout(&e) => {
-                deadline.passed(format!("the WebSocket handshake with {url}"))
-            }
-            HandshakeError::Failure(Error::Http(response)) if (502..=504).contains(&response.status().as_u16()) => {
-                let why = format!("HTTP {} for the WebSocket handshake", response.status());
-                PolicyError::NotReady { url: url.to_owned(), why }
-            }
-            HandshakeError::Failure(Error::Http(response)) => {
-                PolicyError::invalid_reply("WebSocket handshake", format!("HTTP {}", response.status()))
-            }
-            HandshakeError::Failure(Error::Url(e)) => PolicyError::Address { url: url.to_owned(), why: e.to_string() },
-            HandshakeError::Failure(e) => PolicyError::invalid_reply("WebSocket handshake", e),
-        })?;
+        let web = open(url, key, access, deadline)?;
         let stream = Mutex::new(Stream { web, buffer: Vec::new(), broken: None });
         let shared = Arc::new(Shared { stream, stopped: Mutex::new(false), stop: Condvar::new() });
         let kept = Arc::clone(&shared);
@@ -260,6 +271,63 @@ impl Stream {
             }
             (_, Err(e)) => Some(PolicyError::Closed { when: when.to_owned(), reason: format!(": {e}") }),
         };
+    }
+}
+
+/// What a server of text messages sent.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Incoming {
+    /// A message.
+    Text(String),
+    /// The answer to a ping. The server received everything that was sent before it.
+    Pong,
+}
+
+/// A connection to a server that sends text messages at any time. Its owner calls [`TextSocket::receive`] regularly,
+/// which also answers pings.
+#[derive(Debug)]
+pub struct TextSocket(WebSocket<Wire>);
+
+impl TextSocket {
+    /// Check the form of an address.
+    pub fn check(url: &str) -> Result<(), PolicyError> {
+        if !url.starts_with("ws://") && !url.starts_with("wss://") {
+            return Err(PolicyError::Address { url: url.to_owned(), why: "expected ws://HOST:PORT".to_owned() });
+        }
+        parse(url).map(drop)
+    }
+
+    /// Connect within a number of seconds. The certificates of `wss://` are those of the system, and no key is sent.
+    pub fn connect(url: &str, within_s: f64) -> Result<Self, PolicyError> {
+        open(url, None, &Access::default(), Deadline::within(within_s)).map(Self)
+    }
+
+    /// Send a text, or a ping.
+    pub fn send(&mut self, text: Option<String>, within_s: f64) -> Result<(), PolicyError> {
+        let deadline = Deadline::within(within_s);
+        self.0.get_mut().stream_mut().deadline = deadline;
+        let message = text.map_or_else(|| Message::Ping(Bytes::new()), Message::text);
+        self.0.send(message).map_err(|e| classify(e, "sending a message", deadline))
+    }
+
+    /// Wait for the next message. `None` if there is none within a number of seconds.
+    pub fn receive(&mut self, within_s: f64) -> Result<Option<Incoming>, PolicyError> {
+        let deadline = Deadline::within(within_s);
+        self.0.get_mut().stream_mut().deadline = deadline;
+        loop {
+            match self.0.read() {
+                Ok(Message::Text(text)) => return Ok(Some(Incoming::Text(text.to_string()))),
+                Ok(Message::Pong(_)) => return Ok(Some(Incoming::Pong)),
+                Ok(Message::Binary(_)) => {
+                    let why = "a binary message. Expected text".to_owned();
+                    return Err(PolicyError::invalid_reply("WebSocket message", why));
+                }
+                // Reading has already queued the answer, and the next read reports that the connection is closed.
+                Ok(_) => self.0.flush().map_err(|e| classify(e, "receiving a message", deadline))?,
+                Err(Error::Io(e)) if is_timeout(&e) => return Ok(None),
+                Err(e) => return Err(classify(e, "receiving a message", deadline)),
+            }
+        }
     }
 }
 

@@ -1,8 +1,8 @@
 //! Recorded episodes: the motion of all bodies with contacts, commands, measures and events, for pages and exports.
 //!
 //! [`record`] runs an episode and returns a [`Recording`]. [`reel`] packs several of them, each as a [`Clip`], into one
-//! JSON document for the viewer of a page. [`mcap`](mcap()) writes one episode for Foxglove and other tools. Equal recordings
-//! give equal bytes.
+//! JSON document for the viewer of a page. [`mcap`](mcap()) writes one episode for Foxglove and other tools, and
+//! [`read_mcap`] reads what robots recorded. Equal recordings give equal bytes.
 //!
 //! The crate uses no file, socket, thread or clock.
 
@@ -15,7 +15,7 @@ mod reel;
 mod signals;
 
 pub use clip::{Clip, FilmFrame};
-pub use mcap::{EncodedImage, Export, Sample, mcap};
+pub use mcap::{EncodedImage, Export, McapMessage, Sample, mcap, read_mcap};
 pub use pack::{packed_floats, packed_integers};
 pub use recording::{FRAME_PERIOD_S, Mark, Recorder, Recording, record, record_all, record_with};
 pub use reel::{MESH_BUDGET_BYTES, Reel, reel};

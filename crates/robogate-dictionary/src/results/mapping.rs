@@ -167,6 +167,13 @@ impl Mapping {
                 self.roles.insert(role, column.to_owned());
             }
         }
+        // Cycle records of the monitor name their parameters like those of the cell.
+        let has = |field: &&str| columns.iter().any(|column| column == field);
+        if self.parameters.is_none() && ["id", "robot", "recipe", "time_s", "success"].iter().all(has) {
+            let parameters =
+                columns.iter().filter_map(|c| Some((c.strip_prefix("parameters.")?.to_owned(), c.clone())));
+            self.parameters = Some(parameters.collect());
+        }
         self
     }
 

@@ -64,6 +64,21 @@ impl Batch {
         Ok(batch)
     }
 
+    /// Cycles that were not sent as lines, or the problem with each. They are numbered from 1.
+    pub fn of(cycles: Vec<Result<Cycle, String>>) -> Self {
+        let mut batch = Self::default();
+        for (cycle, number) in cycles.into_iter().zip(1_u64..) {
+            match cycle.and_then(|cycle| Ok((serde_json::to_string(&cycle).map_err(|e| e.to_string())?, cycle))) {
+                Ok((text, cycle)) => {
+                    batch.bytes += text.len();
+                    batch.cycles.push((number, cycle, text));
+                }
+                Err(because) => batch.refuse(number, because),
+            }
+        }
+        batch
+    }
+
     /// The same batch from a sender in a network, now.
     pub(super) fn sent_by(self, name: &str) -> Self {
         Self { sender: Some((name.to_owned(), Instant::now())), ..self }

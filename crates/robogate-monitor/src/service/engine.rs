@@ -131,7 +131,11 @@ impl Handle {
         self.take_parsed(Batch::parse(batch).map_err(|error| error.to_string())?.sent_by(sender))
     }
 
-    fn take_parsed(&self, batch: Batch) -> Result<Taken, String> {
+    /// The same for a parsed batch.
+    ///
+    /// # Errors
+    /// As [`Self::take`].
+    pub fn take_parsed(&self, batch: Batch) -> Result<Taken, String> {
         match self.wait(|reply| Job::Cycles { batch, reply }) {
             Ok(Ok(taken)) => Ok(taken),
             Ok(Err(problem)) => Err(problem.because),

@@ -1,4 +1,4 @@
-//! The monitoring service: receives cycles by HTTP, MQTT or as lines, writes them to disk before it acknowledges them,
+//! The monitoring service: receives cycles by HTTP, MQTT, rosbridge or as lines, writes them to disk before it acknowledges them,
 //! and sends alarms.
 //!
 //! One thread owns the store and the monitor ([`ServiceEngine`]). Feeds send bytes to it and wait for the reply.
@@ -16,13 +16,16 @@ mod metrics;
 mod mqtt;
 mod nearest;
 mod newcomers;
+mod otlp;
 mod outputs;
 mod peers;
 mod replays;
+mod rosbridge;
 mod senders;
 mod settings;
 mod status;
 mod store;
+mod topics;
 
 pub use batch::{Batch, MOST_LINES, MOST_MALFORMED, TooManyLines};
 pub use charts::{Charts, EvidenceChart, MetricChart};
@@ -33,8 +36,11 @@ pub use intake::{Intake, IntakeError, Refused, Taken};
 pub use local::{LocalReply, LocalRequest, random_token, serve_local};
 pub use mqtt::Broker;
 pub use nearest::{Episodes, NearestEpisode, SimulatedEpisode};
+pub use otlp::otlp;
 pub use outputs::{Deliver, Output, OutputError, json_lines, webhook};
 pub use replays::{Recompute, Replays};
+pub use rosbridge::{Bridge, Connect, Received, diagnostics, subscribe};
 pub use settings::ServiceSettings;
 pub use status::{Around, DetectorStatus, OutsideStatus, RateStatus, RecipeStatus, Status};
 pub use store::{Store, StoreError, StoreSettings};
+pub use topics::{Name, Picked, Place, Topic, TopicMap, TopicReader};

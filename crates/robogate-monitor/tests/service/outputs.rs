@@ -3,9 +3,38 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpListener;
 
-use robogate_monitor::service::{Output, ServiceEngine, StoreSettings, webhook};
+use robogate_monitor::service::{Output, ServiceEngine, StoreSettings, otlp, webhook};
 
 use crate::common::{cycles, intake};
+
+/// Answers one request with each of these statuses and bodies. Returns what was sent, with the path of each request.
+fn receive(listener: &TcpListener, answers: &[(&str, &str)]) -> Vec<(String, serde_json::Value)> {
+    let mut got = Vec::new();
+    for (stream, (code, text)) in listener.incoming().zip(answers) {
+        let mut stream = BufReader::new(stream.unwrap());
+        let (mut length, mut path) = (0, String::new());
+        loop {
+            let mut line = String::new();
+            stream.read_line(&mut line).unwrap();
+            if line == "\r\n" {
+                break;
+            }
+            if let Some(rest) = line.strip_prefix("POST ") {
+                path = rest.split(' ').next().unwrap().to_owned();
+            }
+            if let Some(n) = line.to_ascii_lowercase().strip_prefix("content-length: ") {
+                length = n.trim().parse().unwrap();
+            }
+        }
+        let mut body = vec![0; length];
+        stream.read_exact(&mut body).unwrap();
+        let length = text.len();
+        write!(stream.get_mut(), "HTTP/1.1 {code}\r\nconnection: close\r\ncontent-length: {length}\r\n\r\n{text}")
+            .unwrap();
+        got.push((path, serde_json::from_slice(&body).unwrap()));
+    }
+    got
+}
 
 #[test]
 fn webhooks_receive_alarms_in_order() {
@@ -13,42 +42,57 @@ fn webhooks_receive_alarms_in_order() {
     let source = intake(&folder.path().join("monitor.db"), StoreSettings::default());
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}/hook", listener.local_addr().unwrap());
-    let receiver = std::thread::spawn(move || {
-        let mut got: Vec<serde_json::Value> = Vec::new();
-        for (i, stream) in listener.incoming().enumerate() {
-            let mut stream = BufReader::new(stream.unwrap());
-            let mut length = 0;
-            loop {
-                let mut line = String::new();
-                stream.read_line(&mut line).unwrap();
-                if line == "\r\n" {
-                    break;
-                }
-                if let Some(n) = line.to_ascii_lowercase().strip_prefix("content-length: ") {
-                    length = n.trim().parse().unwrap();
-                }
-            }
-            let mut body = vec![0; length];
-            stream.read_exact(&mut body).unwrap();
-            let code = if i == 0 { "503 Service Unavailable" } else { "204 No Content" };
-            write!(stream.get_mut(), "HTTP/1.1 {code}\r\nconnection: close\r\ncontent-length: 0\r\n\r\n").unwrap();
-            if i > 0 {
-                got.push(serde_json::from_slice(&body).unwrap());
-            }
-            if got.len() == 4 {
-                return got;
-            }
-        }
-        got
-    });
+    let good = ("204 No Content", "");
+    let receiver =
+        std::thread::spawn(move || receive(&listener, &[("503 Service Unavailable", ""), good, good, good, good]));
     let engine = ServiceEngine::open(source, |_| {});
     let output = Output::start("webhook".to_owned(), engine.handle(), webhook(url), |_| {}).unwrap();
     engine.handle().take((cycles(0..600, 0.05) + &cycles(600..900, 0.6)).into_bytes()).unwrap();
-    let got = receiver.join().unwrap();
+    let got: Vec<_> = receiver.join().unwrap().into_iter().skip(1).map(|(_, alarm)| alarm).collect();
     output.end();
     let alarms = engine.handle().status().unwrap().alarms;
     let first: Vec<_> = alarms.iter().rev().take(4).cloned().collect();
     assert_eq!(got, first);
+    engine.close().unwrap();
+}
+
+#[test]
+fn collectors_receive_alarms_as_logs() {
+    let folder = tempfile::tempdir().unwrap();
+    let source = intake(&folder.path().join("monitor.db"), StoreSettings::default());
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("http://{}/", listener.local_addr().unwrap());
+    // An answer of 503 is tried again. A refusal is final, and reported.
+    let answers = [
+        ("503 Service Unavailable", ""),
+        ("200 OK", "{\"partialSuccess\":{}}"),
+        ("400 Bad Request", "no logs here"),
+        ("200 OK", "{\"partialSuccess\":{\"rejectedLogRecords\":\"1\",\"errorMessage\":\"too old\"}}"),
+        ("200 OK", ""),
+    ];
+    let receiver = std::thread::spawn(move || receive(&listener, &answers));
+    let engine = ServiceEngine::open(source, |_| {});
+    let (sender, problems) = std::sync::mpsc::channel();
+    let deliver = otlp(&url, move |problem: &str| sender.send(problem.to_owned()).unwrap());
+    let output = Output::start("otlp".to_owned(), engine.handle(), deliver, |_| {}).unwrap();
+    engine.handle().take((cycles(0..600, 0.05) + &cycles(600..900, 0.6)).into_bytes()).unwrap();
+    let got = receiver.join().unwrap();
+    output.end();
+    assert!(got.iter().all(|(path, _)| path == "/v1/logs"));
+    assert_eq!(got[0], got[1]);
+    let alarms = engine.handle().status().unwrap().alarms;
+    for ((_, request), alarm) in got[1..].iter().zip(alarms.iter().rev()) {
+        let resource = &request["resourceLogs"][0];
+        assert_eq!(resource["resource"]["attributes"][0]["value"]["stringValue"], "robogate-monitor");
+        let log = &resource["scopeLogs"][0]["logRecords"][0];
+        assert_eq!(log["body"]["stringValue"], alarm["what"]);
+        assert_eq!(log["severityNumber"], if alarm["level"] == "warning" { 13 } else { 17 });
+        let seconds = log["timeUnixNano"].as_str().unwrap().parse::<f64>().unwrap() * 1e-9;
+        assert!((seconds - alarm["time_s"].as_f64().unwrap()).abs() < 1e-3, "{log}");
+        assert_eq!(log["attributes"][0]["value"]["stringValue"], alarm["id"]);
+    }
+    let problems: Vec<String> = problems.try_iter().collect();
+    assert!(problems[0].contains("no logs here") && problems[1].contains("too old"), "{problems:?}");
     engine.close().unwrap();
 }
 

@@ -5,24 +5,24 @@
 use std::collections::BTreeMap;
 
 /// The first and last bytes of a file.
-const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', b'0', b'\r', b'\n'];
+pub(super) const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', b'0', b'\r', b'\n'];
 /// The size at which a chunk is closed, in bytes.
 const CHUNK_BYTES: usize = 1 << 20;
 
 /// Opcodes of records.
-mod op {
-    pub(super) const HEADER: u8 = 0x01;
-    pub(super) const FOOTER: u8 = 0x02;
-    pub(super) const SCHEMA: u8 = 0x03;
-    pub(super) const CHANNEL: u8 = 0x04;
-    pub(super) const MESSAGE: u8 = 0x05;
-    pub(super) const CHUNK: u8 = 0x06;
-    pub(super) const MESSAGE_INDEX: u8 = 0x07;
-    pub(super) const CHUNK_INDEX: u8 = 0x08;
-    pub(super) const STATISTICS: u8 = 0x0b;
-    pub(super) const METADATA: u8 = 0x0c;
-    pub(super) const METADATA_INDEX: u8 = 0x0d;
-    pub(super) const DATA_END: u8 = 0x0f;
+pub(super) mod op {
+    pub(in crate::mcap) const HEADER: u8 = 0x01;
+    pub(in crate::mcap) const FOOTER: u8 = 0x02;
+    pub(in crate::mcap) const SCHEMA: u8 = 0x03;
+    pub(in crate::mcap) const CHANNEL: u8 = 0x04;
+    pub(in crate::mcap) const MESSAGE: u8 = 0x05;
+    pub(in crate::mcap) const CHUNK: u8 = 0x06;
+    pub(in crate::mcap) const MESSAGE_INDEX: u8 = 0x07;
+    pub(in crate::mcap) const CHUNK_INDEX: u8 = 0x08;
+    pub(in crate::mcap) const STATISTICS: u8 = 0x0b;
+    pub(in crate::mcap) const METADATA: u8 = 0x0c;
+    pub(in crate::mcap) const METADATA_INDEX: u8 = 0x0d;
+    pub(in crate::mcap) const DATA_END: u8 = 0x0f;
 }
 
 /// The content of a record.

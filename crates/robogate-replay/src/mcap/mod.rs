@@ -16,7 +16,9 @@
 //!
 //! Times are simulated times from the start of the episode.
 
+mod cdr;
 mod file;
+mod reader;
 mod scene;
 mod schemas;
 
@@ -26,6 +28,7 @@ use serde_json::{Value, json};
 
 use crate::Recording;
 use file::File;
+pub use reader::{McapMessage, read_mcap};
 
 /// The frame in which poses are given.
 const ROOT: &str = "base_frame";

@@ -38,6 +38,7 @@ fn schemas_are_up_to_date() {
         ("alarm", schema_for!(robogate_monitor::Alarm)),
         ("monitor-reference", schema_for!(robogate_monitor::Reference)),
         ("monitor-settings", schema_for!(robogate_monitor::service::ServiceSettings)),
+        ("monitor-topics", schema_for!(robogate_monitor::service::TopicMap)),
         ("requirements", schema_for!(robogate_gate::Requirements)),
         ("baseline", schema_for!(robogate_gate::Baseline)),
         ("force-limits", schema_for!(robogate_gate::ForceLimits)),

@@ -17,6 +17,7 @@ mod browser;
 #[cfg(feature = "mujoco")]
 mod budgets;
 #[cfg(feature = "mujoco")]
+mod cells;
 mod command;
 mod completions;
 mod compliance;

@@ -1,18 +1,21 @@
 //! `robogate monitor`: detects drift of deployed robots.
 
+mod bag;
+mod cycles;
 mod recipes;
 mod reference;
+mod rosbridge;
 mod serve;
 mod simulate;
 mod simulated;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use clap::{Args, Subcommand};
 use robogate_core::budget::Budget;
 use robogate_dictionary::read_text;
-use robogate_monitor::service::ServiceSettings;
+use robogate_monitor::service::{ServiceSettings, TopicMap};
 use robogate_monitor::{EventSettings, Reference, default_events};
 
 use crate::exit::{Exit, OrExit};
@@ -28,7 +31,9 @@ pub(crate) struct Monitor {
 #[derive(Debug, Subcommand)]
 enum Verb {
     /// Ingest cycle records and raise alarms
-    Serve(serve::Serve),
+    Serve(Box<serve::Serve>),
+    /// Print the cycles of a recording as JSON Lines
+    Cycles(cycles::Cycles),
     /// Simulate false-alarm rates and detection delays
     Simulate(simulate::Simulate),
     /// List, remove or merge the recipes in a store
@@ -41,6 +46,7 @@ impl Monitor {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         match &self.verb {
             Verb::Serve(serve) => serve.execute(),
+            Verb::Cycles(cycles) => cycles.execute(),
             Verb::Simulate(simulate) => simulate.execute(),
             Verb::Recipes(recipes) => recipes.execute(),
             Verb::Reference(reference) => reference.execute(),
@@ -131,4 +137,9 @@ fn reference(path: &Path) -> Result<Reference, Exit> {
     let reference: Reference = Budget::FILE.json(text.as_bytes()).with_context(hint).or_usage()?;
     reference.check().with_context(|| format!("{}", path.display())).or_usage()?;
     Ok(reference)
+}
+
+fn topic_map(path: &Path) -> Result<TopicMap, Exit> {
+    let text = read_text(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+    TopicMap::parse(&text).map_err(|because| anyhow!("{}: {because}", path.display())).or_usage()
 }

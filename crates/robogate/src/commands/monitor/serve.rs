@@ -14,13 +14,16 @@ use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate_dictionary::read_text;
 use robogate_monitor::service::{
-    Broker, Deliver, Handle, HttpError, Intake, Output, Replays, ServiceEngine, Store, Taken, json_lines, serve,
-    webhook,
+    Batch, Broker, Deliver, Handle, HttpError, Intake, Output, Replays, ServiceEngine, Store, Taken, TopicMap,
+    diagnostics, json_lines, otlp, serve, subscribe, webhook,
 };
 use robogate_monitor::{Level, Monitor};
+use robogate_policy::TextSocket;
 
-use super::Watched;
+use super::bag::{cycles, files, is_bag};
+use super::rosbridge::connect;
 use super::simulated::simulated;
+use super::{Watched, topic_map};
 use crate::exit::{DONE, Exit, FAIL, INFRASTRUCTURE, INVALID, OrExit};
 use crate::terminal::{grouped, note};
 
@@ -33,13 +36,13 @@ const LONGEST_LINE: usize = 1 << 20;
 
 /// Ingest cycle records and raise alarms.
 ///
-/// Cycles come from a file or pipe (JSON Lines), by HTTP (POST /v1/cycles) or by MQTT. Alarms go to stdout as JSON
-/// Lines, and optionally to webhooks and MQTT. Acknowledged cycles are in the store. With only a file or pipe, the
+/// Cycles come from a file or pipe (JSON Lines), by HTTP (POST /v1/cycles), by MQTT, from ROS 2 topics (rosbridge), or from
+/// a recording (MCAP, rosbag2). Alarms go to stdout as JSON Lines, and optionally to webhooks, OpenTelemetry, MQTT and ROS 2. Acknowledged cycles are in the store. With only a file or pipe, the
 /// command ends with it: exit code 1 if a critical alarm of a detector is active, if lines were refused or if ids are missing,
 /// 4 if there was no cycle.
 #[derive(Debug, Args)]
 pub(super) struct Serve {
-    /// Read cycles from this file or pipe as JSON Lines, - for stdin
+    /// Read cycles from this file or pipe as JSON Lines, - for stdin; or, with --topics, from an MCAP file or a folder of rosbag2
     feed: Option<PathBuf>,
     /// Store cycles, statistics and alarms in this SQLite file; default: in memory
     #[arg(long, value_name = "FILE")]
@@ -54,6 +57,9 @@ pub(super) struct Serve {
     /// Send each alarm by POST to this URL; can be repeated
     #[arg(long, value_name = "URL")]
     webhook: Vec<String>,
+    /// Send each alarm as an OpenTelemetry log (OTLP over HTTP, JSON) to this collector, for example http://127.0.0.1:4318
+    #[arg(long, value_name = "URL")]
+    otlp: Vec<String>,
     /// Connect to this MQTT broker; user and password come from ROBOGATE_MQTT_USER and ROBOGATE_MQTT_PASSWORD
     #[arg(long, value_name = "HOST:PORT")]
     mqtt: Option<String>,
@@ -63,6 +69,15 @@ pub(super) struct Serve {
     /// Publish alarms on this MQTT topic
     #[arg(long, value_name = "TOPIC", requires = "mqtt")]
     mqtt_alarms: Option<String>,
+    /// Connect to this rosbridge server (ROS 2), for example ws://cell:9090
+    #[arg(long, value_name = "URL")]
+    rosbridge: Option<String>,
+    /// Read from this file (TOML) which messages of topics are cycles, with --rosbridge and --store or for a recording
+    #[arg(long, value_name = "FILE")]
+    topics: Option<PathBuf>,
+    /// Publish alarms on this ROS topic as diagnostic_msgs/msg/DiagnosticArray, for example /diagnostics
+    #[arg(long, value_name = "TOPIC", requires = "rosbridge")]
+    diagnostics: Option<String>,
     /// Compare failed cycles on the page with the episodes of this run, by the parameters that the cycles report; default:
     /// the runs that the references name, if they are still there
     #[arg(long, value_name = "RUN", requires = "listen")]
@@ -84,9 +99,13 @@ enum End {
 impl Serve {
     pub(super) fn execute(&self) -> Result<u8, Exit> {
         let (settings, referred) = self.watched.settings()?;
-        let serves = self.listen.is_some() || self.mqtt_cycles.is_some();
+        let topics = self.topics.as_deref().map(topic_map).transpose()?;
+        self.rosbridge.as_deref().map(TextSocket::check).transpose().context("--rosbridge").or_usage()?;
+        let bag = self.feed.as_deref().filter(|feed| is_bag(feed));
+        self.check_topics(bag).or_usage()?;
+        let serves = self.listen.is_some() || self.mqtt_cycles.is_some() || topics.is_some() && bag.is_none();
         if self.feed.is_none() && !serves {
-            let hint = "no source of cycles\nHint: give a file (or - for stdin), --listen or --mqtt-cycles";
+            let hint = "no source of cycles\nHint: give a file (or - for stdin), --listen, --mqtt-cycles or --topics";
             return Err(anyhow!(hint)).or_usage();
         }
         let token = self.token_file.as_deref().map(token).transpose()?;
@@ -119,11 +138,18 @@ impl Serve {
         let server = self
             .listen
             .map(|address| http(address, token, &settings.http, engine.handle(), replays.take(), sender.clone()));
-        let subscriber = broker.zip(self.mqtt_cycles.clone()).map(|(broker, topic)| {
-            broker.subscribe(topic, engine.handle(), Arc::clone(&ending), |problem| note(problem))
-        });
-        if let Some(path) = &self.feed {
-            read(path, engine.handle(), sender, serves)?;
+        let subscribers = [
+            broker.zip(self.mqtt_cycles.clone()).map(|(broker, topic)| {
+                broker.subscribe(topic, engine.handle(), Arc::clone(&ending), |problem| note(problem))
+            }),
+            self.rosbridge.as_deref().zip(topics.clone().filter(|_| bag.is_none())).map(|(url, map)| {
+                subscribe(map, connect(url), engine.handle(), Arc::clone(&ending), |problem| note(problem))
+            }),
+        ];
+        match (&self.feed, bag.zip(topics)) {
+            (_, Some((bag, map))) => read_bag(bag.to_owned(), map, engine.handle(), sender, serves),
+            (Some(path), None) => read(path, engine.handle(), sender, serves)?,
+            (None, None) => {}
         }
         let mut code = DONE;
         let mut broken = None;
@@ -158,7 +184,7 @@ impl Serve {
             let _ = stop.send(());
             let _ = thread.join();
         }
-        if let Some(thread) = subscriber {
+        for thread in subscribers.into_iter().flatten() {
             let _ = thread.join();
         }
         outputs.into_iter().for_each(Output::end);
@@ -172,11 +198,37 @@ impl Serve {
         }
     }
 
+    /// Checks that `--topics` is given where messages come in, and only there.
+    fn check_topics(&self, bag: Option<&Path>) -> anyhow::Result<()> {
+        match (bag, &self.topics, &self.rosbridge) {
+            (Some(bag), None, _) => {
+                // A folder may be no recording at all.
+                files(bag).map_err(anyhow::Error::msg)?;
+                let bag = bag.display();
+                Err(anyhow!(
+                    "{bag}: which of its messages are cycles?\nHint: describe them in a TOML file, --topics FILE"
+                ))
+            }
+            (Some(bag), Some(_), _) => files(bag).map(drop).map_err(anyhow::Error::msg),
+            (None, Some(_), None) => {
+                Err(anyhow!("--topics: no messages\nHint: add --rosbridge URL, or a recording (MCAP, rosbag2)"))
+            }
+            (None, Some(_), Some(_)) if self.store.is_none() => {
+                Err(anyhow!("--rosbridge: no store\nHint: add --store FILE"))
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn outputs(&self, engine: &ServiceEngine, broker: Option<&Broker>) -> Result<Vec<Output>, Exit> {
         let mut all: Vec<(String, Deliver)> = vec![("stdout".to_owned(), json_lines(std::io::stdout()))];
         all.extend(self.webhook.iter().map(|url| (format!("webhook {url}"), webhook(url.clone()))));
+        all.extend(self.otlp.iter().map(|url| (format!("otlp {url}"), otlp(url, |problem| note(problem)))));
         if let (Some(broker), Some(topic)) = (broker, &self.mqtt_alarms) {
             all.push((format!("mqtt {topic}"), broker.alarms(topic.clone())));
+        }
+        if let (Some(url), Some(topic)) = (&self.rosbridge, &self.diagnostics) {
+            all.push((format!("rosbridge {topic}"), diagnostics(topic.clone(), connect(url))));
         }
         let start = |(name, deliver)| Output::start(name, engine.handle(), deliver, |problem| note(problem));
         all.into_iter().map(start).collect::<Result<_, _>>().or_broken()
@@ -232,10 +284,7 @@ fn broker(place: &str) -> Result<Broker, Exit> {
 fn read(path: &Path, engine: Handle, sender: Sender<End>, wait: bool) -> Result<(), Exit> {
     let path = path.to_owned();
     if path != Path::new("-") {
-        let found = std::fs::metadata(&path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
-        if found.is_dir() {
-            return Err(anyhow!("{}: a folder. Expected a file or a pipe with cycles", path.display())).or_usage();
-        }
+        std::fs::metadata(&path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
     }
     std::thread::spawn(move || {
         let reader: Result<Box<dyn BufRead>, String> = if path == Path::new("-") {
@@ -285,7 +334,10 @@ fn follow(mut reader: Box<dyn BufRead>, engine: &Handle, wait: bool) -> Result<T
             lines += 1;
         }
         if (ended || end.is_some() && (lines >= TOGETHER || !more)) && !batch.is_empty() {
-            let taken = take(engine, std::mem::take(&mut batch), wait)?;
+            let taken = {
+                let batch = std::mem::take(&mut batch);
+                take(|| engine.take(batch.clone()), wait)?
+            };
             for refused in &taken.refusals {
                 note(format_args!("line {}: {}", before + refused.line, refused.because));
             }
@@ -299,9 +351,33 @@ fn follow(mut reader: Box<dyn BufRead>, engine: &Handle, wait: bool) -> Result<T
     }
 }
 
-fn take(engine: &Handle, batch: Vec<u8>, wait: bool) -> Result<Taken, String> {
+/// Reads the cycles of a recording on its own thread, up to a thousand at a time.
+fn read_bag(path: PathBuf, map: TopicMap, engine: Handle, sender: Sender<End>, wait: bool) {
+    std::thread::spawn(move || {
+        let (mut all, mut waiting, mut before) = (Taken::default(), Vec::new(), 0);
+        let mut flush = |waiting: &mut Vec<_>| {
+            let batch = Batch::of(std::mem::take(waiting));
+            let taken = take(|| engine.take_parsed(batch.clone()), wait)?;
+            for refused in &taken.refusals {
+                note(format_args!("cycle {}: {}", before + refused.line, refused.because));
+            }
+            before += taken.accepted + taken.duplicates + taken.refused;
+            all.add(&taken);
+            Ok(())
+        };
+        let read = cycles(&path, map, &mut |cycle| {
+            waiting.push(cycle);
+            if waiting.len() as u64 >= TOGETHER { flush(&mut waiting) } else { Ok(()) }
+        });
+        // The cycles before a damaged place count.
+        let read = flush(&mut waiting).and(read);
+        let _ = sender.send(End::Feed(read.map(|()| all)));
+    });
+}
+
+fn take(take: impl Fn() -> Result<Taken, String>, wait: bool) -> Result<Taken, String> {
     loop {
-        match engine.take(batch.clone()) {
+        match take() {
             Err(because) if wait => {
                 note(format_args!("the feed waits: {because}"));
                 std::thread::sleep(RETRY_AFTER);
