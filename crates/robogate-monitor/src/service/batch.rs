@@ -79,6 +79,14 @@ impl Batch {
         batch
     }
 
+    /// The same batch after so many lines of its file.
+    #[must_use]
+    pub fn after(mut self, lines: u64) -> Self {
+        self.cycles.iter_mut().for_each(|(line, ..)| *line += lines);
+        self.problems.iter_mut().for_each(|problem| problem.line += lines);
+        self
+    }
+
     /// The same batch from a sender in a network, now.
     pub(super) fn sent_by(self, name: &str) -> Self {
         Self { sender: Some((name.to_owned(), Instant::now())), ..self }

@@ -215,7 +215,12 @@ impl Intake {
         if let Some(first) = problems.first() {
             let sender = from.clone();
             let time_s = self.newest_time.values().copied().fold(0.0, f64::max);
-            let because = format!("{malformed} lines are not cycles; line {}: {}", first.line, first.because);
+            let what = if malformed == 1 {
+                "1 line is not a cycle".to_owned()
+            } else {
+                format!("{malformed} lines are not cycles")
+            };
+            let because = format!("{what}; line {}: {}", first.line, first.because);
             let (place, recipe) = (format!("line {}", first.line), "*".to_owned());
             fresh.found.push(Found { trouble: Trouble::Refused, sender, recipe, place, time_s, because });
         }

@@ -113,7 +113,8 @@ impl Senders {
         }
         counter.last = number;
         let missing = number - last - 1;
-        let because = format!("{missing} ids are missing between {prefix}{last} and {}", cycle.id);
+        let what = if missing == 1 { "1 id is".to_owned() } else { format!("{missing} ids are") };
+        let because = format!("{what} missing between {prefix}{last} and {}", cycle.id);
         self.raise(Found::of(Trouble::Gap, cycle, because), emit);
         true
     }

@@ -64,7 +64,7 @@ fn broken_tasks_are_usage_errors() {
             "unknown word `jiont`: did you mean `joint`?",
         ),
         (
-            "joint(drawer) > {opening_m} and speed(drawer) < 2 cm/s for 0.3 s",
+            "(joint(drawer) > {opening_m} and speed(drawer) < 2 cm/s) for 0.3 s",
             "joint(drawer) < 5 cm",
             "a policy that does nothing succeeds",
         ),

@@ -336,10 +336,11 @@ fn follow(mut reader: Box<dyn BufRead>, engine: &Handle, wait: bool) -> Result<T
         if (ended || end.is_some() && (lines >= TOGETHER || !more)) && !batch.is_empty() {
             let taken = {
                 let batch = std::mem::take(&mut batch);
-                take(|| engine.take(batch.clone()), wait)?
+                let batch = Batch::parse(&batch).map_err(|error| error.to_string())?.after(before);
+                take(|| engine.take_parsed(batch.clone()), wait)?
             };
             for refused in &taken.refusals {
-                note(format_args!("line {}: {}", before + refused.line, refused.because));
+                note(format_args!("line {}: {}", refused.line, refused.because));
             }
             all.add(&taken);
             before += lines;
@@ -356,10 +357,10 @@ fn read_bag(path: PathBuf, map: TopicMap, engine: Handle, sender: Sender<End>, w
     std::thread::spawn(move || {
         let (mut all, mut waiting, mut before) = (Taken::default(), Vec::new(), 0);
         let mut flush = |waiting: &mut Vec<_>| {
-            let batch = Batch::of(std::mem::take(waiting));
+            let batch = Batch::of(std::mem::take(waiting)).after(before);
             let taken = take(|| engine.take_parsed(batch.clone()), wait)?;
             for refused in &taken.refusals {
-                note(format_args!("cycle {}: {}", before + refused.line, refused.because));
+                note(format_args!("cycle {}: {}", refused.line, refused.because));
             }
             before += taken.accepted + taken.duplicates + taken.refused;
             all.add(&taken);
